@@ -1,0 +1,65 @@
+"""Errors that say what was expected, what came, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+
+class ShapeError(ValueError):
+    """A tensor has the wrong number of axes or the wrong size along one."""
+
+
+class DataError(ValueError):
+    """A file or a recording cannot be used: names the file, the place in it, and the remedy."""
+
+    def __init__(self, message: str, *, path: object = None, place: str = "", remedy: str = "") -> None:
+        self.path, self.place, self.remedy = path, place, remedy
+        where = ", ".join(str(part) for part in (path, place) if part)
+        text = f"{where}: {message}" if where else message
+        super().__init__(f"{text} (remedy: {remedy})" if remedy else text)
+
+
+class MissingData(FileNotFoundError):
+    """Data or software that the caller must fetch first; the message says how to get it."""
+
+    def __init__(self, what: str, how_to_get: str) -> None:
+        self.how_to_get = how_to_get
+        super().__init__(f"{what} is missing. {how_to_get}")
+
+
+class NotConverged(RuntimeError):
+    """A procedure stopped before its tolerance was met; ``history`` holds the objective per iteration."""
+
+    def __init__(self, message: str, history: Sequence[float]) -> None:
+        self.history = list(history)
+        super().__init__(message)
+
+
+def check_shape(x: Tensor, pattern: str, name: str) -> dict[str, int]:
+    """Check the trailing axes of a tensor and return the sizes that the pattern names.
+
+    The pattern is words separated by spaces: ``...`` (first only) for any batch axes, a number for
+    a fixed size, a name for a free one. A name that occurs twice must have one size.
+
+    >>> import torch
+    >>> check_shape(torch.zeros(7, 22, 3), "... J 3", "positions")
+    {'J': 22}
+
+    Raises:
+        ShapeError: naming the tensor, the expected and the actual shape.
+    """
+    words = pattern.split()
+    open_front = words[:1] == ["..."]
+    words = words[1:] if open_front else words
+    found = tuple(x.shape)
+    sizes: dict[str, int] = {}
+    fits = len(found) >= len(words) if open_front else len(found) == len(words)
+    if fits:
+        tail = found[len(found) - len(words) :]
+        for word, size in zip(words, tail, strict=True):
+            fits &= size == (int(word) if word.isdigit() else sizes.setdefault(word, size))
+    if not fits:
+        raise ShapeError(f"{name}: expected shape ({pattern.replace(' ', ', ')}), got {found}")
+    return sizes

@@ -1,0 +1,171 @@
+"""Motion: the value that travels, and what can be done to any motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.errors import ShapeError, check_shape
+from motionlab.skeleton import Skeleton, fk
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A batch of skeletal motions. Metres, seconds, z up, right-handed; local rotation matrices, column vectors.
+
+    root (..., T, 3): position of joint 0 (the pelvis), world.
+    rot (..., T, J, 3, 3): each joint relative to its parent; joint 0 relative to the world.
+    fps: frames per second.
+    contacts (..., T, C) or None: 1 where the joint named in skeleton.contact_names touches the floor.
+    name: where it came from, for tables and messages.
+
+    It stores matrices because the rotation representation is an argument of an experiment, never a
+    property of a container.
+
+    Raises:
+        ShapeError: the arrays do not fit each other or the skeleton, or fps is not positive.
+    """
+
+    skeleton: Skeleton
+    root: Tensor
+    rot: Tensor
+    fps: float
+    contacts: Tensor | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        check_shape(self.rot, f"... T {len(self.skeleton)} 3 3", "rot")
+        check_shape(self.root, "... T 3", "root")
+        batch = self.rot.shape[:-3]
+        if self.root.shape[:-1] != batch:
+            raise ShapeError(f"root {tuple(self.root.shape)} and rot {tuple(self.rot.shape)}: leading axes differ")
+        if self.contacts is not None and self.contacts.shape != (*batch, len(self.skeleton.contact_names)):
+            expected = (*batch, len(self.skeleton.contact_names))
+            raise ShapeError(f"contacts: expected shape {expected}, got {tuple(self.contacts.shape)}")
+        if not self.fps > 0:
+            raise ShapeError(f"fps: expected a positive number, got {self.fps}")
+
+    @property
+    def frames(self) -> int:
+        """Number of frames T."""
+        return self.root.shape[-2]
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first frame to the last, plus one frame."""
+        return self.frames / self.fps
+
+    @cached_property
+    def world(self) -> tuple[Tensor, Tensor]:
+        """Joint positions (..., T, J, 3) and orientations (..., T, J, 3, 3), world."""
+        return fk(self.skeleton, self.root, self.rot)
+
+    @property
+    def positions(self) -> Tensor:
+        """Joint positions (..., T, J, 3), metres, world."""
+        return self.world[0]
+
+    def cut(self, start: int | None = None, stop: int | None = None, step: int | None = None) -> Motion:
+        """Frames start:stop:step; a step divides the frame rate."""
+        pick = slice(start, stop, step)
+        contacts = None if self.contacts is None else self.contacts[..., pick, :]
+        return replace(
+            self,
+            root=self.root[..., pick, :],
+            rot=self.rot[..., pick, :, :, :],
+            contacts=contacts,
+            fps=self.fps / (step or 1),
+        )
+
+    def clip(self, index) -> Motion:
+        """One entry (or a slice) of the leading batch axis."""
+        contacts = None if self.contacts is None else self.contacts[index]
+        return replace(self, root=self.root[index], rot=self.rot[index], contacts=contacts)
+
+    def to(self, *args, **kwargs) -> Motion:
+        """Every tensor on another device or of another dtype."""
+        contacts = None if self.contacts is None else self.contacts.to(*args, **kwargs)
+        return replace(
+            self,
+            skeleton=self.skeleton.to(*args, **kwargs),
+            root=self.root.to(*args, **kwargs),
+            rot=self.rot.to(*args, **kwargs),
+            contacts=contacts,
+        )
+
+
+def velocity(x: Tensor, fps: float, dim: int) -> Tensor:
+    """Rate of change per second by central differences, one-sided at the ends; one frame gives zeros.
+
+    Source: HuMoR's state velocities (central inside, one-sided at the ends).
+    """
+    if x.shape[dim] < 2:
+        return torch.zeros_like(x)
+    return torch.gradient(x, spacing=1.0 / fps, dim=dim)[0]
+
+
+def resample(motion: Motion, fps: float) -> Motion:
+    """The same motion at another frame rate: positions linearly, rotations by slerp, contacts by the nearest frame.
+
+    The first frame stays; the last sample is the last that lies inside the recording.
+    """
+    if fps == motion.fps:
+        return motion
+    count = int((motion.frames - 1) / motion.fps * fps + 1e-6) + 1
+    at = torch.arange(count, dtype=torch.float64) * (motion.fps / fps)
+    low = at.floor().long().clamp(max=max(motion.frames - 2, 0))
+    high = (low + 1).clamp(max=motion.frames - 1)
+    weight = (at - low).to(motion.root)
+    near = at.round().long().clamp(max=motion.frames - 1)
+    return replace(
+        motion,
+        fps=float(fps),
+        root=torch.lerp(motion.root[..., low, :], motion.root[..., high, :], weight[:, None]),
+        rot=rotation.slerp(motion.rot[..., low, :, :, :], motion.rot[..., high, :, :, :], weight[:, None]),
+        contacts=None if motion.contacts is None else motion.contacts[..., near, :],
+    )
+
+
+def windows(motion: Motion, length: int, stride: int) -> Motion:
+    """All windows of ``length`` frames, ``stride`` frames apart, as a new leading batch axis (N, ..., length).
+
+    Raises:
+        ShapeError: the motion is shorter than one window.
+    """
+    if motion.frames < length:
+        raise ShapeError(f"{motion.name or 'motion'}: {motion.frames} frames are fewer than one window of {length}")
+
+    def unfold(x: Tensor, rest: int) -> Tensor:  # (..., T, rest) -> (N, ..., length, rest)
+        dim = x.ndim - 1 - rest
+        return x.unfold(dim, length, stride).movedim(-1, dim + 1).movedim(dim, 0)
+
+    return replace(
+        motion,
+        root=unfold(motion.root, 1),
+        rot=unfold(motion.rot, 3),
+        contacts=None if motion.contacts is None else unfold(motion.contacts, 1),
+    )
+
+
+def mirror(motion: Motion) -> Motion:
+    """Left becomes right: the motion seen in the mirror plane x = 0 of the world.
+
+    R'_j = M R_partner(j) M with M = diag(-1, 1, 1); root and contacts likewise; a skeleton that is not
+    symmetric gets its partner's bone lengths.
+    """
+    flip = motion.root.new_tensor([-1.0, 1.0, 1.0])
+    partner = motion.skeleton.mirror_indices
+    names = motion.skeleton.contact_names
+    swapped = [names.index(motion.skeleton.names[partner[j]]) for j in motion.skeleton.contact_indices]
+    offsets = motion.skeleton.offsets[..., partner, :] * flip.to(motion.skeleton.offsets)
+    return replace(
+        motion,
+        skeleton=replace(motion.skeleton, offsets=offsets),
+        root=motion.root * flip,
+        rot=flip[:, None] * motion.rot[..., partner, :, :] * flip,
+        contacts=None if motion.contacts is None else motion.contacts[..., swapped],
+    )

