@@ -78,13 +78,8 @@ class Skeleton:
         depth = [0] * len(self)
         for joint, parent in enumerate(self.parents[1:], start=1):
             depth[joint] = depth[parent] + 1
-        return [
-            (
-                [j for j in range(len(self)) if depth[j] == d],
-                [self.parents[j] for j in range(len(self)) if depth[j] == d],
-            )
-            for d in range(1, max(depth) + 1)
-        ]
+        rows = [[j for j, d in enumerate(depth) if d == level] for level in range(1, max(depth) + 1)]
+        return [(row, [self.parents[j] for j in row]) for row in rows]
 
     @cached_property
     def mirror_indices(self) -> list[int]:
