@@ -1,0 +1,147 @@
+"""Opening files of strangers: whatever is wrong with one becomes a ``DataError`` with file, place and remedy.
+
+Every loader does its work inside ``with reading(path, remedy) as at``, moves ``at.place`` along as it
+reads, and raises ``at.error(...)`` where it finds something wrong. Nothing here executes what it reads.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from motionlab.errors import DataError, MissingData
+
+#: Files, archive members and promised arrays beyond this many bytes are refused before memory is asked for.
+LARGEST = 2**31
+
+
+@dataclass
+class Spot:
+    """Where a loader is: the file, the place in it (a line, a key, a frame), and the usual remedy."""
+
+    path: Path
+    place: str = ""
+    remedy: str = ""
+
+    def error(self, message: str, *, place: str | None = None, remedy: str | None = None) -> DataError:
+        """The error to raise here."""
+        place, remedy = place if place is not None else self.place, remedy or self.remedy
+        return DataError(message, path=self.path, place=place or "whole file", remedy=remedy)
+
+
+@contextmanager
+def reading(path: str | Path, remedy: str = "export the file again") -> Iterator[Spot]:
+    """Turn every exception that leaves the block into a ``DataError`` that names file, place and remedy.
+
+    It catches ``Exception`` on purpose: a malformed file can surface as almost any type (zlib.error,
+    RecursionError, MemoryError, OverflowError, ...). The original stays attached as ``__cause__``.
+    ``DataError`` and ``MissingData`` pass through as they are.
+    """
+    spot = Spot(Path(path), remedy=remedy)
+    try:
+        yield spot
+    except (DataError, MissingData):
+        raise
+    except FileNotFoundError as error:
+        raise spot.error("no such file", remedy="check the path") from error
+    except OSError as error:
+        raise spot.error(f"cannot be opened: {error.strerror or error}") from error
+    except Exception as error:
+        raise spot.error(f"cannot be read ({type(error).__name__}: {error})") from error
+
+
+def read_bytes(at: Spot) -> bytes:
+    """The whole file, if it is a regular file, not empty and not larger than ``LARGEST``."""
+    if at.path.is_dir():
+        raise at.error("is a folder, expected a file", remedy="name the file inside")
+    size = at.path.stat().st_size
+    if not 0 < size <= LARGEST:
+        raise at.error("the file is empty" if not size else f"{size} bytes are more than {LARGEST}")
+    return at.path.read_bytes()
+
+
+def read_text(at: Spot) -> str:
+    """The whole file as UTF-8 text (a byte-order mark is dropped)."""
+    text = read_bytes(at).decode("utf-8-sig")
+    if "\0" in text:
+        raise at.error("holds zero bytes: this is not a text file")
+    return text
+
+
+def read_json(at: Spot) -> object:
+    """The whole file as JSON; NaN and Infinity, which JSON does not have, are refused."""
+
+    def refuse(constant: str) -> float:
+        raise at.error(f"{constant} is not a number")
+
+    return json.loads(read_text(at), parse_constant=refuse)
+
+
+def read_npz(at: Spot) -> dict[str, np.ndarray]:
+    """Every array of an npz by key. Never unpickles: an array of Python objects is refused unread."""
+    if read_bytes(at)[:2] != b"PK":
+        raise at.error("not an npz archive", remedy="save it with numpy.savez")
+    arrays = {}
+    with zipfile.ZipFile(at.path) as archive:
+        for member in archive.infolist():
+            key = at.place = member.filename.removesuffix(".npy")
+            if member.file_size > LARGEST:
+                raise at.error(f"{member.file_size} bytes are more than {LARGEST}")
+            with archive.open(member) as stream:
+                arrays[key] = _read_npy(at, stream, member.file_size)
+    at.place = ""
+    return arrays
+
+
+def _read_npy(at: Spot, stream, size: int) -> np.ndarray:
+    version = np.lib.format.read_magic(stream)
+    header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    if version not in header:
+        raise at.error(f"npy version {version} is not known")
+    shape, fortran, dtype = header[version](stream)
+    if dtype.hasobject:
+        raise at.error("holds pickled Python objects, which are never loaded", remedy="save plain arrays only")
+    if any(n < 0 for n in shape) or math.prod(shape) * dtype.itemsize > size:
+        raise at.error(f"promises shape {shape} of {dtype} but has only {size} bytes")
+    data = np.frombuffer(stream.read(), dtype=dtype, count=math.prod(shape))
+    return data.reshape(shape, order="F" if fortran else "C")
+
+
+def numbers(at: Spot, array: object, shape: str, place: str | None = None) -> np.ndarray:
+    """An array as float64 after checking its axes and that every number is finite.
+
+    Args:
+        shape: words such as ``"T 24 3"``: a number is a fixed size, a word any size of at least one.
+    """
+    place = place if place is not None else at.place
+    array = np.asarray(array)
+    if array.dtype.kind not in "fiub":
+        raise at.error(f"expected numbers, got {array.dtype}", place=place)
+    words = shape.split()
+    fits = array.ndim == len(words) and all(
+        n == int(w) if w.isdigit() else n > 0 for n, w in zip(array.shape, words, strict=True)
+    )
+    if not fits:
+        raise at.error(f"expected shape ({', '.join(words)}), got {array.shape}", place=place)
+    array = array.astype(np.float64)
+    # beyond float32's square root, products overflow long before anything physical is that large
+    bad = ~(np.abs(array) < 1e18)
+    if bad.any():
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise at.error(f"{array[where]} at index {where} is not a usable number", place=place)
+    return array
+
+
+def frame_rate(at: Spot, value: object, place: str = "frame rate") -> float:
+    """A frame rate in frames per second: one finite number above zero, at most 100,000."""
+    rate = np.asarray(value)
+    if rate.size != 1 or rate.dtype.kind not in "fiu" or not 0 < (fps := float(rate.reshape(()))) <= 1e5:
+        raise at.error(f"expected frames per second above zero, got {value!r}", place=place)
+    return fps
