@@ -1,0 +1,247 @@
+"""Claims, findings and verdicts: what the thesis says, what we measured, and what follows.
+
+A claim and the tests that decide it are written in ``claims.toml`` before the experiment runs. A finding is
+one measurement of one test on one source of data, with its interval. The verdict follows from the two by a
+rule that knows nothing of the experiment.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import operator
+import os
+import tomllib
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import DataError
+
+HOLDS = "holds"
+FAILS = "does not hold"
+CONDITION = "holds with a condition"
+UNJUDGED = "cannot be judged here"
+OPEN = "not measured yet"
+_OPERATORS = {">=": operator.ge, "<=": operator.le}
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One measurable sentence of a claim: its operational definition and the bound fixed beforehand.
+
+    relation, bound: the claim holds where ``value relation bound``. needs: "full" where the smoke profile is
+    too small to judge, "real" where recordings are needed. least: fewest samples that may judge.
+    """
+
+    id: str
+    definition: str
+    unit: str
+    relation: str
+    bound: float
+    baseline: str
+    needs: tuple[str, ...] = ()
+    least: int = 1
+
+    def bound_text(self) -> str:
+        """The bound as a person writes it, such as ">= 3 deg"."""
+        return f"{self.relation} {self.bound:g} {self.unit}".strip()
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One row of the ledger: where the thesis says it, its words, and the tests that decide it."""
+
+    id: str
+    section: str
+    title: str
+    thesis: str
+    notebook: str
+    tests: tuple[Criterion, ...] = ()
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One test measured on one source: value with a 95 % interval, sample size, baseline, verdict."""
+
+    test: str
+    source: str
+    value: float
+    low: float
+    high: float
+    n: int
+    unit: str
+    statistic: str
+    bound: str
+    verdict: str
+    notebook: str
+    profile: str
+    baseline: str = ""
+    baseline_value: float | None = None
+    note: str = ""
+
+    @property
+    def claim(self) -> str:
+        """Id of the claim this test belongs to."""
+        return self.test.split(".")[0]
+
+    def value_text(self) -> str:
+        """Value, interval and n, rounded for reading."""
+        interval = f" [{_digits(self.low)}, {_digits(self.high)}]" if self.n > 1 else ""
+        return f"{_digits(self.value)}{interval} {self.unit}, n = {self.n}"
+
+
+def _digits(x: float) -> str:
+    return f"{x:.3g}" if math.isfinite(x) else str(x)
+
+
+def load_claims(path: Path | str) -> dict[str, Claim]:
+    """Read the ledger.
+
+    Raises:
+        DataError: not TOML, a claim or test without a required field, an id used twice, an unknown relation.
+    """
+    path = Path(path)
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise DataError(str(error), path=path, remedy="restore claims.toml from the repository") from error
+    claims: dict[str, Claim] = {}
+    for row in table.get("claim", []):
+        row = dict(row)
+        tests = []
+        try:
+            for name, entry in row.pop("test", {}).items():
+                if entry["relation"] not in _OPERATORS:
+                    raise KeyError(f"relation {entry['relation']!r}")
+                tests.append(
+                    Criterion(**{**entry, "id": f"{row['id']}.{name}", "needs": tuple(entry.get("needs", ()))})
+                )
+            claim = Claim(**row, tests=tuple(tests))
+        except (KeyError, TypeError) as error:
+            raise DataError(str(error), path=path, place=f"claim {row.get('id', '?')}") from error
+        if claim.id in claims:
+            raise DataError("id used twice", path=path, place=f"claim {claim.id}")
+        claims[claim.id] = claim
+    return claims
+
+
+def all_tests(claims: dict[str, Claim]) -> dict[str, Criterion]:
+    """Every test of the ledger by id ("H06.excess")."""
+    return {test.id: test for claim in claims.values() for test in claim.tests}
+
+
+def interval(
+    samples: Tensor, statistic: str, generator: torch.Generator, draws: int = 2000
+) -> tuple[float, float, float]:
+    """A statistic of samples (N,) and its 95 % bootstrap percentile interval: (value, low, high).
+
+    statistic: "mean", "median", "max", "min", "p95" (95th percentile), or "share" (mean of 0/1 samples, with
+    Wilson's interval, which stays honest when all samples agree). One sample has no spread: low = high = value.
+    """
+    samples = samples.detach().double().flatten()
+    if statistic == "share":
+        return _wilson(samples.mean().item(), len(samples))
+    measure = {
+        "mean": lambda x: x.mean(-1),
+        "median": lambda x: x.quantile(0.5, -1),
+        "p95": lambda x: x.quantile(0.95, -1),
+        "max": lambda x: x.amax(-1),
+        "min": lambda x: x.amin(-1),
+    }[statistic]
+    value = measure(samples).item()
+    if len(samples) < 2 or statistic in ("max", "min"):  # the bootstrap cannot see past an extreme
+        return value, value, value
+    pick = torch.randint(len(samples), (draws, len(samples)), generator=generator)
+    low, high = measure(samples[pick]).quantile(torch.tensor([0.025, 0.975], dtype=torch.float64)).tolist()
+    return value, low, high
+
+
+def _wilson(share: float, n: int, z: float = 1.96) -> tuple[float, float, float]:
+    centre = (share + z * z / (2 * n)) / (1 + z * z / n)
+    half = z * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+    return share, max(0.0, centre - half), min(1.0, centre + half)
+
+
+def judge(test: Criterion, low: float, high: float, n: int) -> str:
+    """The verdict on one measurement: the whole interval must lie on one side of the bound.
+
+    Too few samples, a NaN, or an interval across the bound cannot be judged.
+    """
+    if n < test.least or not (math.isfinite(low) and math.isfinite(high)):
+        return UNJUDGED
+    meets = [_OPERATORS[test.relation](end, test.bound) for end in (low, high)]
+    return HOLDS if all(meets) else FAILS if not any(meets) else UNJUDGED
+
+
+def overall(verdicts: Iterable[str]) -> str:
+    """The verdict on a claim from those on its tests and sources."""
+    found = set(verdicts)
+    if not found:
+        return OPEN
+    judged = found - {UNJUDGED}
+    if not judged:
+        return UNJUDGED
+    if judged == {HOLDS} and UNJUDGED not in found:
+        return HOLDS
+    return FAILS if judged == {FAILS} else CONDITION
+
+
+@dataclass(frozen=True)
+class Record:
+    """What one full run of one notebook found: ``results/NN.json``."""
+
+    notebook: str
+    source_hash: str
+    findings: tuple[Finding, ...]
+    provenance: dict[str, str] = field(default_factory=dict)
+
+
+def save_record(path: Path | str, record: Record) -> None:
+    """Write a record atomically: a reader never sees half a file."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(asdict(record), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    os.replace(part, path)
+
+
+def load_record(path: Path | str) -> Record:
+    """Read one ``results/NN.json``.
+
+    Raises:
+        DataError: not JSON, or not a record.
+    """
+    path = Path(path)
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+        return Record(**{**raw, "findings": tuple(Finding(**row) for row in raw["findings"])})
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DataError(str(error), path=path, remedy="run `make full` to measure again") from error
+
+
+def load_results(folder: Path | str) -> list[Finding]:
+    """The findings of every record in a folder, in notebook order."""
+    return [f for path in sorted(Path(folder).glob("*.json")) for f in load_record(path).findings]
+
+
+def scoreboard(claims: dict[str, Claim], found: Sequence[Finding]) -> list[dict[str, str]]:
+    """One row per claim: id, section, title, verdict, how often it held, the notebook that shows it."""
+    rows = []
+    for claim in claims.values():
+        mine = [f for f in found if f.claim == claim.id]
+        held = sum(f.verdict == HOLDS for f in mine)
+        rows.append(
+            {
+                "claim": claim.id,
+                "thesis": claim.section,
+                "in short": claim.title,
+                "verdict": overall(f.verdict for f in mine),
+                "held": f"{held} of {len(mine)}" if mine else "",
+                "notebook": claim.notebook,
+            }
+        )
+    return rows

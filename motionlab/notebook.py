@@ -1,0 +1,283 @@
+"""Lab: what a notebook needs from the outside world, and nothing else knows.
+
+Profile, seed, budgets and data folder come in; figures, tables, findings, verdicts and provenance go out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import platform
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from types import SimpleNamespace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from IPython.display import Image, Markdown, display
+from matplotlib.figure import Figure
+from PIL import Image as Pillow
+from torch import Tensor
+
+from motionlab import findings
+from motionlab.errors import DataError
+from motionlab.findings import Claim, Criterion, Finding, Record
+
+PROFILES = ("smoke", "full")
+
+
+def code_hash(notebook: Path | str) -> str:
+    """Hash of a notebook's code, so that a record can say which code it belongs to. Outputs do not count."""
+    cells = json.loads(Path(notebook).read_text(encoding="utf-8"))["cells"]
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    return hashlib.sha256("\0".join(code).encode()).hexdigest()[:16]
+
+
+def setup(
+    notebook: str,
+    *,
+    profile: str | None,
+    seed: int,
+    budgets: Mapping[str, Mapping[str, object]],
+    data: str | None = None,
+) -> Lab:
+    """Open the lab for one notebook ("02_rotations_that_jump") and print where it runs.
+
+    Args:
+        profile: "smoke", "full" or None for $MOTIONLAB_PROFILE, else full. A profile sets budgets only.
+        budgets: one mapping of numbers per profile; ``lab.budget`` is the chosen one.
+        data: folder of unpacked recordings or None for $MOTIONLAB_DATA, else synthetic motion only.
+
+    Raises:
+        DataError: an unknown profile, a data folder that does not exist, or no claims.toml here.
+    """
+    profile = profile or os.environ.get("MOTIONLAB_PROFILE") or "full"
+    if profile not in PROFILES or set(budgets) != set(PROFILES):
+        raise DataError(f"profile {profile!r} with budgets {sorted(budgets)}", remedy=f"profiles are {PROFILES}")
+    folder = data or os.environ.get("MOTIONLAB_DATA") or None
+    if folder and not Path(folder).is_dir():
+        raise DataError("no such folder", path=folder, remedy="set MOTIONLAB_DATA to the unpacked recordings")
+    here = Path.cwd()
+    lab = Lab(
+        notebook=notebook,
+        profile=profile,
+        seed=seed,
+        budget=SimpleNamespace(**budgets[profile]),
+        data=Path(folder) if folder else None,
+        claims=findings.load_claims(here / "claims.toml"),
+        folder=here,
+    )
+    lab.say(lab.headline())
+    return lab
+
+
+@dataclass
+class Lab:
+    """One notebook's bench. Made by :func:`setup`."""
+
+    notebook: str
+    profile: str
+    seed: int
+    budget: SimpleNamespace
+    data: Path | None
+    claims: dict[str, Claim]
+    folder: Path
+    found: list[Finding] = field(default_factory=list)
+    opened: float = field(default_factory=time.perf_counter)
+
+    @property
+    def number(self) -> str:
+        """The notebook's number, "02"."""
+        return self.notebook[:2]
+
+    def headline(self) -> str:
+        """Profile, data, seed, device and versions in two lines."""
+        packages = ", ".join(f"{name} {version(name)}" for name in ("torch", "kornia", "pyvista"))
+        where = "synthetic motion and the real recordings" if self.data else "synthetic motion"
+        cpu = f"CPU, {torch.get_num_threads()} threads"
+        device = torch.cuda.get_device_name() if torch.cuda.is_available() else cpu
+        return (
+            f"**{self.notebook}**, profile *{self.profile}*, seed {self.seed}, on {where}.  \n"
+            f"Python {platform.python_version()}, {packages}; {device}."
+        )
+
+    def generator(self, salt: object = "") -> torch.Generator:
+        """A fresh generator that depends on the notebook's seed and on ``salt`` only."""
+        digest = hashlib.sha256(f"{self.seed}/{salt}".encode()).digest()
+        return torch.Generator().manual_seed(int.from_bytes(digest[:8], "little") >> 1)
+
+    def say(self, markdown: str) -> None:
+        """Show a line of Markdown whose numbers come from code."""
+        display(Markdown(markdown))
+
+    def figure(self, picture: Figure | np.ndarray | Path | str, number: str, caption: str) -> None:
+        """Show a matplotlib figure, an RGB array (H, W, 3), or a GIF/PNG file, with its caption below."""
+        if isinstance(picture, Figure):
+            buffer = io.BytesIO()
+            picture.savefig(buffer, format="png", dpi=110, bbox_inches="tight")
+            plt.close(picture)
+            display(Image(buffer.getvalue()))
+        elif isinstance(picture, np.ndarray):
+            buffer = io.BytesIO()
+            Pillow.fromarray(picture).save(buffer, format="png", optimize=True)
+            display(Image(buffer.getvalue()))
+        else:
+            display(Image(filename=str(picture)))
+        self.say(f"**Figure {number}.** {caption}")
+
+    def table(self, rows: Sequence[Mapping[str, object]], caption: str = "") -> None:
+        """Show rows (all with the same keys) as a Markdown table; floats with three digits."""
+        self.say(markdown_table(rows) + (f"\n\n{caption}" if caption else ""))
+
+    def show(self, widget: object) -> None:
+        """Show a live widget (a pyvista scene, a slider) where a person sits in front of it; in a batch run nothing."""
+        if not os.environ.get("MOTIONLAB_BATCH"):
+            display(widget)
+
+    def criterion(self, test: str) -> Criterion:
+        """The test with this id, "H06.excess".
+
+        Raises:
+            DataError: claims.toml has no such test; lists those it has.
+        """
+        known = findings.all_tests(self.claims)
+        if test not in known:
+            raise DataError(f"no test {test!r} in claims.toml", remedy=f"known: {', '.join(known)}")
+        return known[test]
+
+    def record(
+        self,
+        test: str,
+        samples: Tensor | Sequence[float] | float,
+        *,
+        source: str = "synthetic",
+        statistic: str = "mean",
+        baseline: Tensor | Sequence[float] | float | None = None,
+        note: str = "",
+    ) -> Finding:
+        """Measure a test: the statistic of samples, its interval, its verdict against the bound fixed beforehand.
+
+        Args:
+            samples: one number per independent unit (clip, event, vertex), in the unit of the test.
+            source: "synthetic" or the recording set; one finding per test and source.
+            statistic: as in :func:`motionlab.findings.interval`; also applied to ``baseline``.
+        """
+        rule = self.criterion(test)
+        samples = torch.as_tensor(samples, dtype=torch.float64).flatten()
+        if samples.numel():
+            value, low, high = findings.interval(samples, statistic, self.generator(f"{test}/{source}"))
+        else:
+            value = low = high = float("nan")
+        if baseline is not None:
+            baseline = torch.as_tensor(baseline, dtype=torch.float64).flatten()
+            baseline = findings.interval(baseline, statistic, self.generator(f"{test}/{source}/baseline"))[0]
+        finding = Finding(
+            test=test,
+            source=source,
+            value=value,
+            low=low,
+            high=high,
+            n=samples.numel(),
+            unit=rule.unit,
+            statistic=statistic,
+            bound=rule.bound_text(),
+            verdict=findings.judge(rule, low, high, samples.numel()),
+            notebook=self.notebook,
+            profile=self.profile,
+            baseline=rule.baseline,
+            baseline_value=baseline,
+            note=note,
+        )
+        self.found = [f for f in self.found if (f.test, f.source) != (test, source)] + [finding]
+        return finding
+
+    def findings(self) -> None:
+        """Show every number measured in this run."""
+        self.table(
+            [
+                {
+                    "test": f.test,
+                    "source": f.source,
+                    f"measured (95 % interval), {self.profile}": f"{f.statistic} {f.value_text()}",
+                    "bound": f.bound,
+                    "baseline": "" if f.baseline_value is None else f"{f.baseline}: {f.baseline_value:.3g} {f.unit}",
+                    "note": f.note,
+                }
+                for f in self.found
+            ]
+        )
+
+    def settled(self) -> list[Finding]:
+        """This run's findings, with the recorded ones where this run may not judge.
+
+        A test that needs the full profile or real recordings repeats what the last full run recorded, so that
+        the verdicts read the same on every machine.
+        """
+        recorded = self._recorded()
+        fresh = {(f.test, f.source): f for f in self.found}
+        if self.profile == "full":
+            return list(({f: r for f, r in recorded.items() if self._beyond(r)} | fresh).values())
+        kept = {key: r for key, r in recorded.items() if self._beyond(r) or "full" in self.criterion(r.test).needs}
+        return [kept.get(key, f) for key, f in (recorded | fresh).items() if key in kept or key in fresh]
+
+    def _beyond(self, finding: Finding) -> bool:
+        return finding.source != "synthetic" and self.data is None
+
+    def _recorded(self) -> dict[tuple[str, str], Finding]:
+        path = self.folder / "results" / f"{self.number}.json"
+        return {(f.test, f.source): f for f in findings.load_record(path).findings} if path.exists() else {}
+
+    def verdicts(self) -> None:
+        """Show the verdict table: no measured number, so that it reads the same in both profiles."""
+        rows = sorted(self.settled(), key=lambda f: (f.test, f.source != "synthetic", f.source))
+        self.table(
+            [
+                {
+                    "test": f.test,
+                    "source": f.source,
+                    "we ask": self.criterion(f.test).definition,
+                    "bound": f.bound,
+                    "verdict": f"**{f.verdict}**",
+                }
+                for f in rows
+            ]
+        )
+
+    def close(self) -> None:
+        """Write the record: a full run to results/NN.json, any run to $MOTIONLAB_RESULTS when that is set."""
+        seconds = time.perf_counter() - self.opened
+        provenance = {name: version(name) for name in ("torch", "kornia", "pyvista", "numpy")}
+        provenance |= {"profile": self.profile, "seed": str(self.seed), "python": platform.python_version()}
+        file = self.folder / f"{self.notebook}.ipynb"
+        record = Record(
+            notebook=self.notebook,
+            source_hash=code_hash(file) if file.exists() else "",
+            findings=tuple(self.settled()),
+            provenance=provenance,
+        )
+        elsewhere = os.environ.get("MOTIONLAB_RESULTS")
+        if elsewhere:
+            findings.save_record(Path(elsewhere) / f"{self.number}.json", record)
+        elif self.profile == "full":
+            findings.save_record(self.folder / "results" / f"{self.number}.json", record)
+        self.say(f"Ran in {seconds:.0f} s; {len(self.found)} findings.")
+
+
+def markdown_table(rows: Sequence[Mapping[str, object]]) -> str:
+    """Rows as a Markdown table; an empty list says so."""
+    if not rows:
+        return "*(no rows)*"
+    head = list(rows[0])
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    lines += ["| " + " | ".join(_cell(row[key]) for key in head) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def _cell(value: object) -> str:
+    return (f"{value:.3g}" if isinstance(value, float) else str(value)).replace("|", "\\|").replace("\n", " ")
