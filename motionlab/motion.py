@@ -22,6 +22,7 @@ class Motion:
     fps: frames per second.
     contacts (..., T, C) or None: 1 where the joint named in skeleton.contact_names touches the floor.
     name: where it came from, for tables and messages.
+    notes: what a loader had to decide or guess (unit, up axis, dropped channels), one sentence each.
 
     It stores matrices because the rotation representation is an argument of an experiment, never a
     property of a container.
@@ -36,6 +37,7 @@ class Motion:
     fps: float
     contacts: Tensor | None = None
     name: str = ""
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_shape(self.rot, f"... T {len(self.skeleton)} 3 3", "rot")
