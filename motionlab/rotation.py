@@ -1,10 +1,15 @@
 """Rotations: conversions, log/exp, distance, interpolation, continuity in time, and averages.
 
 Convention: active rotations of column vectors, R = R_parent_from_child; angles in radians; quaternions
-are (w, x, y, z). kornia does what kornia has; what is written here is what it lacks.
+are (w, x, y, z). kornia does what kornia has. exp and log are our own, because kornia's divide by the angle
+down to 1e-3 (exp) or to the smallest float (log): right in value, but their second derivatives lose every
+digit there. Here both are series in the squared angle where it is small, so both have exact first and
+second derivatives at zero.
 """
 
 from __future__ import annotations
+
+import math
 
 import torch
 from kornia.geometry import conversions as kc
@@ -12,11 +17,48 @@ from torch import Tensor
 
 from motionlab.errors import check_shape
 
+_SINC = [(-1) ** n / math.factorial(2 * n + 1) for n in range(8)]  # sin(t)/t in powers of t^2
+_COSC = [(-1) ** n / math.factorial(2 * n + 2) for n in range(8)]  # (1 - cos t)/t^2
+_ASIN = [math.comb(2 * n, n) / (4**n * (2 * n + 1)) for n in range(12)]  # asin(s)/s in powers of s^2
+
+
+def _series(coefficients: list[float], x: Tensor) -> Tensor:
+    total = torch.full_like(x, coefficients[-1])
+    for c in reversed(coefficients[:-1]):
+        total = total * x + c
+    return total
+
+
+def skew(v: Tensor) -> Tensor:
+    """Cross-product matrix (..., 3, 3) of a vector (..., 3): skew(v) u = v x u."""
+    check_shape(v, "... 3", "v")
+    x, y, z = v.unbind(-1)
+    o = torch.zeros_like(x)
+    return torch.stack((o, -z, y, z, o, -x, -y, x, o), dim=-1).unflatten(-1, (3, 3))
+
+
+def exp(tangent: Tensor) -> Tensor:
+    """Rotation vector (..., 3) in radians to matrix (..., 3, 3), by Rodrigues' formula.
+
+    R = cos(t) I + sin(t)/t [v]x + (1 - cos(t))/t^2 v v^T,  t = |v|
+
+    Finite and exact first and second derivatives everywhere, also at zero.
+    """
+    check_shape(tangent, "... 3", "tangent")
+    t2 = (tangent * tangent).sum(-1)
+    small = t2 < 0.25
+    inside, t = torch.where(small, t2, 0.0), torch.where(small, 1.0, t2).sqrt()
+    a = torch.where(small, _series(_SINC, inside), t.sin() / t)[..., None, None]
+    b = torch.where(small, _series(_COSC, inside), (1 - t.cos()) / (t * t))[..., None, None]
+    outer = tangent[..., :, None] * tangent[..., None, :]
+    eye = torch.eye(3, dtype=tangent.dtype, device=tangent.device)
+    return eye + a * skew(tangent) + b * (outer - t2[..., None, None] * eye)
+
 
 def axis_angle_to_matrix(aa: Tensor) -> Tensor:
-    """Rotation vector (..., 3) in radians to matrix (..., 3, 3)."""
+    """Rotation vector (..., 3) in radians to matrix (..., 3, 3); the same as :func:`exp`."""
     check_shape(aa, "... 3", "axis_angle")
-    return kc.axis_angle_to_rotation_matrix(aa)
+    return exp(aa)
 
 
 def matrix_to_quaternion(matrix: Tensor) -> Tensor:
@@ -32,57 +74,259 @@ def quaternion_to_matrix(quaternion: Tensor) -> Tensor:
     return kc.quaternion_to_rotation_matrix(quaternion)
 
 
-def matrix_to_axis_angle(matrix: Tensor) -> Tensor:
-    """Matrix (..., 3, 3) to rotation vector (..., 3) with angle in [0, pi]."""
+def quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
+    """Quaternion (..., 4), w first, any length but zero, to the rotation vector (..., 3) with angle in [0, pi].
+
+    v = 2 atan2(|q_xyz|, w) / |q_xyz| q_xyz. A half turn (w = 0) has two such vectors; the one along q_xyz
+    is returned.
+    """
+    check_shape(quaternion, "... 4", "quaternion")
+    q = torch.nn.functional.normalize(quaternion, dim=-1)
+    q = torch.where(q[..., :1] < 0, -q, q)
+    w, v = q[..., :1], q[..., 1:]
+    s2 = (v * v).sum(-1, keepdim=True)
+    small = s2 < 0.04
+    inside, s = torch.where(small, s2, 0.0), torch.where(small, 1.0, s2).sqrt()
+    return 2 * v * torch.where(small, _series(_ASIN, inside), torch.atan2(s, w) / s)
+
+
+def log(matrix: Tensor) -> Tensor:
+    """Matrix (..., 3, 3) to the rotation vector (..., 3) with angle in [0, pi]: the inverse of :func:`exp`.
+
+    First and second derivatives are finite everywhere and exact for changes that stay a rotation. At a half
+    turn the vector itself jumps to its opposite (no logarithm is continuous there); the derivative is that of
+    the branch returned.
+    """
     return quaternion_to_axis_angle(matrix_to_quaternion(matrix))
 
 
-def quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
-    """Unit quaternion (..., 4), w first, to rotation vector (..., 3)."""
-    check_shape(quaternion, "... 4", "quaternion")
-    return kc.quaternion_to_axis_angle(quaternion)
+def matrix_to_axis_angle(matrix: Tensor) -> Tensor:
+    """Matrix (..., 3, 3) to rotation vector (..., 3) with angle in [0, pi]; the same as :func:`log`."""
+    return log(matrix)
 
 
 def axis_angle_to_quaternion(aa: Tensor) -> Tensor:
-    """Rotation vector (..., 3) to unit quaternion (..., 4), w first."""
+    """Rotation vector (..., 3) to unit quaternion (..., 4), w first; w < 0 for angles beyond pi."""
     check_shape(aa, "... 3", "axis_angle")
     return kc.axis_angle_to_quaternion(aa)
+
+
+def _perpendicular(x: Tensor) -> Tensor:
+    """Some unit vector (..., 3) at right angles to a unit vector, from the coordinate axis farthest from it."""
+    axis = torch.nn.functional.one_hot(x.abs().argmin(-1), 3).to(x)
+    return torch.nn.functional.normalize(torch.linalg.cross(x, axis, dim=-1), dim=-1)
 
 
 def sixd_to_matrix(sixd: Tensor, layout: str = "columns") -> Tensor:
     """Six numbers (..., 6) to the matrix (..., 3, 3) by Gram-Schmidt.
 
     ``layout="columns"``: the first two columns, one after the other (Zhou et al. 2019; HumanML3D);
-    ``"rows"``: the first two rows (pytorch3d, MDM).
+    ``"rows"``: the first two rows (pytorch3d, MDM). Read in the wrong layout they give the inverse rotation.
+
+    Six numbers that span no plane name no rotation. The result is then still a rotation, and constant (no
+    gradient) in what is undefined: a zero first vector counts as the first coordinate axis, a second one that
+    is zero or parallel to the first (within 1e-6 of its length) as some direction at right angles to it.
     """
     check_shape(sixd, "... 6", "sixd")
     a, b = sixd[..., :3], sixd[..., 3:]
-    x = torch.nn.functional.normalize(a, dim=-1)
-    y = torch.nn.functional.normalize(b - (x * b).sum(-1, keepdim=True) * x, dim=-1)
+    first = torch.eye(3, dtype=sixd.dtype, device=sixd.device)[0]
+    a = torch.where((a == 0).all(-1, keepdim=True), first, a)
+    x = torch.nn.functional.normalize(a, dim=-1, eps=0)
+    across = b - (x * b).sum(-1, keepdim=True) * x
+    flat = (across * across).sum(-1, keepdim=True) <= 1e-12 * (b * b).sum(-1, keepdim=True)
+    y = torch.nn.functional.normalize(torch.where(flat, _perpendicular(x.detach()), across), dim=-1, eps=0)
     z = torch.linalg.cross(x, y, dim=-1)
-    return torch.stack((x, y, z), dim={"columns": -1, "rows": -2}[layout])
+    return torch.stack((x, y, z), dim=_sixd_axis(layout))
 
 
 def matrix_to_sixd(matrix: Tensor, layout: str = "columns") -> Tensor:
     """Matrix (..., 3, 3) to its first two columns or rows (..., 6); see :func:`sixd_to_matrix`."""
     check_shape(matrix, "... 3 3", "matrix")
-    two = {"columns": matrix.mT[..., :2, :], "rows": matrix[..., :2, :]}[layout]
+    two = (matrix.mT if _sixd_axis(layout) == -1 else matrix)[..., :2, :]
     return two.reshape(*matrix.shape[:-2], 6)
+
+
+def sixd_to_other_layout(sixd: Tensor, layout: str) -> Tensor:
+    """The same rotation (..., 6) in the other layout, from ``layout`` "columns" or "rows"."""
+    other = {"columns": "rows", "rows": "columns"}[layout]
+    return matrix_to_sixd(sixd_to_matrix(sixd, layout), other)
+
+
+def _sixd_axis(layout: str) -> int:
+    if layout not in ("columns", "rows"):
+        raise ValueError(f'layout: expected "columns" or "rows", got {layout!r}')
+    return {"columns": -1, "rows": -2}[layout]
+
+
+def nearest(matrix: Tensor) -> Tensor:
+    """The rotation (..., 3, 3) nearest to any matrix in the Frobenius norm, by singular values.
+
+    U diag(1, 1, det(U V^T)) V^T. Not unique (and its gradient not finite) where the two smallest singular
+    values cancel, as for the zero matrix: then one of the nearest is returned.
+    """
+    check_shape(matrix, "... 3 3", "matrix")
+    u, _, vt = torch.linalg.svd(matrix)
+    sign = torch.linalg.det(u @ vt).sign()
+    ones = torch.ones_like(sign)
+    return u @ (torch.stack((ones, ones, sign), -1)[..., None] * vt)
+
+
+def mean(rotations: Tensor, weights: Tensor | None = None) -> Tensor:
+    """Weighted mean (..., 3, 3) of N rotations (..., N, 3, 3): the minimiser of sum w |R - R_n|_F^2.
+
+    The chordal mean: it needs no iteration, and for two rotations it is the middle of the shortest path.
+    weights (..., N): not negative; equal when left out. Rotations spread so evenly that no mean is best (two
+    a half turn apart, the three half turns about x, y, z with the identity) give one of the best.
+    """
+    check_shape(rotations, "... N 3 3", "rotations")
+    if weights is None:
+        return nearest(rotations.mean(-3))
+    return nearest((weights[..., None, None] * rotations).sum(-3))
+
+
+def geodesic(a: Tensor, b: Tensor) -> Tensor:
+    """Angle (...) in [0, pi] between two rotations (..., 3, 3).
+
+    By the half-angle tangent, so accurate to a few ulp of 1 at tiny angles and near pi, where acos of the
+    trace loses half the digits. Where the rotations are equal its gradient is 0.
+    """
+    return torch.linalg.vector_norm(log(a.mT @ b), dim=-1)
+
+
+def slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
+    """The rotation a fraction ``weight`` (...) of the way along the shortest path from a to b (..., 3, 3).
+
+    For rotations exactly a half turn apart two paths are shortest; one of them is taken.
+    """
+    return a @ exp(weight[..., None] * log(a.mT @ b))
 
 
 def rotation_about(axis: str, angle: Tensor) -> Tensor:
     """Rotation by ``angle`` (...) radians about one coordinate axis "x", "y" or "z": (..., 3, 3)."""
-    i = "xyz".index(axis)
-    unit = torch.zeros(3, dtype=angle.dtype, device=angle.device)
-    unit[i] = 1
-    return axis_angle_to_matrix(angle[..., None] * unit)
+    unit = torch.eye(3, dtype=angle.dtype, device=angle.device)["xyz".index(axis)]
+    return exp(angle[..., None] * unit)
 
 
-def geodesic(a: Tensor, b: Tensor) -> Tensor:
-    """Angle (...) in [0, pi] between two rotations (..., 3, 3)."""
-    return torch.linalg.vector_norm(matrix_to_axis_angle(a.mT @ b), dim=-1)
+def between(a: Tensor, b: Tensor) -> Tensor:
+    """The rotation (..., 3, 3) by the smallest angle that turns the direction a (..., 3) into b (..., 3).
+
+    Opposite directions have no unique one: then a half turn about some axis at right angles to a.
+    """
+    a, b = (torch.nn.functional.normalize(x, dim=-1) for x in torch.broadcast_tensors(a, b))
+    behind = (a * b).sum(-1, keepdim=True) < 0
+    axis = torch.linalg.cross(a, b, dim=-1)
+    parallel = (axis * axis).sum(-1, keepdim=True) < torch.finfo(a.dtype).eps ** 2
+    axis = torch.nn.functional.normalize(torch.where(parallel, _perpendicular(a.detach()), axis), dim=-1)
+    eye = torch.eye(3, dtype=a.dtype, device=a.device)
+    half_turn = torch.where(behind[..., None], 2 * axis[..., :, None] * axis[..., None, :] - eye, eye)
+    a = torch.where(behind, -a, a)
+    cross = skew(torch.linalg.cross(a, b, dim=-1))
+    rest = cross @ cross / (1 + (a * b).sum(-1))[..., None, None]
+    return (eye + cross + rest) @ half_turn
 
 
-def slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
-    """The rotation a fraction ``weight`` (...) of the way along the shortest path from a to b (..., 3, 3)."""
-    return a @ axis_angle_to_matrix(weight[..., None] * matrix_to_axis_angle(a.mT @ b))
+def yaw(matrix: Tensor) -> Tensor:
+    """Heading (...) in (-pi, pi] of a body's root orientation (..., 3, 3): its angle about world z from facing +y.
+
+    The angle from +x to the body's right axis, -R[:, 0], on the floor: 0 for ``skeleton.UPRIGHT``, growing to
+    the left. A body whose right axis is vertical (lying on its side) has none: 0, with zero gradient.
+
+    Source: HuMoR's canonical frame. Differs: HuMoR takes acos of a clamped cosine.
+    """
+    check_shape(matrix, "... 3 3", "matrix")
+    right_x, right_y = -matrix[..., 0, 0], -matrix[..., 1, 0]
+    none = (right_x == 0) & (right_y == 0)
+    return torch.atan2(torch.where(none, 0.0, right_y), torch.where(none, 1.0, right_x))
+
+
+def random(shape: tuple[int, ...], generator: torch.Generator, *, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Rotations (*shape, 3, 3) drawn uniformly (Haar measure)."""
+    q = torch.randn(*shape, 4, generator=generator, dtype=dtype, device=generator.device)
+    return quaternion_to_matrix(q)
+
+
+def unroll_quaternion(quaternion: Tensor, dim: int = -2) -> Tensor:
+    """Signs chosen along the time axis ``dim`` so that each quaternion (..., T, 4) is the nearer one to the last."""
+    check_shape(quaternion, "... 4", "quaternion")
+    q = quaternion.movedim(dim, 0)
+    turn = torch.where((q[1:] * q[:-1]).sum(-1, keepdim=True) < 0, -1.0, 1.0).to(q)
+    return torch.cat((q[:1], q[1:] * turn.cumprod(0))).movedim(0, dim)
+
+
+def unroll_axis_angle(aa: Tensor, dim: int = -2) -> Tensor:
+    """Of all vectors of each rotation, (|a| + 2 pi k) a/|a|, the one nearest to the frame before, (..., T, 3).
+
+    The first frame stays. No turn is lost: a body that spins on leaves the ball of radius pi. A choice among
+    vectors on one line cannot be continuous everywhere: when a path passes near a whole turn (|a| near 2 pi k,
+    k > 0) its axis may swing round in one frame, and the vector with it. A zero rotation has no axis of its
+    own and takes that of the frame before.
+
+    Exact in sweeps over all frames at once: the first guess unwraps the angles along a sign-continuous axis
+    by a cumulative sum, then k is corrected until no frame has a nearer choice (one sweep for most motions).
+    """
+    check_shape(aa, "... 3", "axis_angle")
+    x = aa.movedim(dim, 0)
+    angle = torch.linalg.vector_norm(x, dim=-1, keepdim=True)
+    unit = torch.nn.functional.normalize(x, dim=-1)
+    sign = torch.where((unit[1:] * unit[:-1]).sum(-1, keepdim=True) < 0, -1.0, 1.0).to(x).cumprod(0)
+    signed = sign * angle[1:]
+    jump = torch.diff(signed, dim=0, prepend=angle[:1])
+    signed = signed - math.tau * (jump / math.tau).round().cumsum(0)
+    unrolled = torch.cat((x[:1], unit[1:] * sign * signed))
+    for _ in range(len(x)):
+        before = unrolled[:-1]
+        axis = torch.where(angle[1:] > 0, unit[1:], torch.nn.functional.normalize(before, dim=-1))
+        turns = (((axis * before).sum(-1, keepdim=True) - angle[1:]) / math.tau).round()
+        update = torch.cat((x[:1], axis * (angle[1:] + math.tau * turns)))
+        if torch.equal(update, unrolled):
+            break
+        unrolled = update
+    return unrolled.movedim(0, dim)
+
+
+def euler_to_matrix(angles: Tensor, order: str) -> Tensor:
+    """Intrinsic angles (..., n) in radians about the axes named in ``order``, as "ZXY": matrix (..., 3, 3).
+
+    R = R_order[0](angles[0]) R_order[1](angles[1]) ..., the order of BVH channels. Any number of axes.
+    """
+    check_shape(angles, f"... {len(order)}", "angles")
+    matrix = torch.eye(3, dtype=angles.dtype, device=angles.device).expand(*angles.shape[:-1], 3, 3)
+    for axis, angle in zip(order, angles.unbind(-1), strict=True):
+        matrix = matrix @ rotation_about(axis.lower(), angle)
+    return matrix
+
+
+def matrix_to_euler(matrix: Tensor, order: str) -> Tensor:
+    """Matrix (..., 3, 3) to intrinsic angles (..., 3) in radians; see :func:`euler_to_matrix`.
+
+    The middle angle lies in [-pi/2, pi/2] for three different axes ("ZXY") and in [0, pi] where the first
+    returns ("ZXZ"); the others in [-pi, pi]. In gimbal lock only the sum or difference of the outer two is
+    defined: the third is then 0.
+
+    Source: Bernardes & Viollet 2022, "Quaternion to Euler angles conversion".
+    Raises:
+        ValueError: not one of the twelve orders.
+    """
+    order = order.lower()
+    if len(order) != 3 or set(order) - set("xyz") or order[1] in (order[0], order[2]):
+        raise ValueError(f"order: expected three axes, neighbours different, as ZXY; got {order!r}")
+    k, j, i = ("xyz".index(axis) for axis in order)
+    proper = i == k
+    k = 3 - i - j if proper else k
+    sign = (i - j) * (j - k) * (k - i) // 2
+    w, *xyz = matrix_to_quaternion(matrix).unbind(-1)
+    a, b, c, d = w, xyz[i], xyz[j], xyz[k] * sign
+    if not proper:
+        a, b, c, d = a - c, b + d, c + a, d - b
+    middle = 2 * torch.atan2(torch.hypot(c, d), torch.hypot(a, b))
+    half_sum, half_difference = torch.atan2(b, a), torch.atan2(d, c)
+    near = 8 * torch.finfo(matrix.dtype).eps
+    low, high = torch.hypot(c, d) < near, torch.hypot(a, b) < near
+    first = half_sum + half_difference
+    third = half_sum - half_difference
+    first = torch.where(low, 2 * half_sum, torch.where(high, 2 * half_difference, first))
+    third = torch.where(low | high, 0.0, third)
+    if not proper:
+        first, middle = first * sign, middle - math.pi / 2
+    first, third = (x - math.tau * (x / math.tau).round() for x in (first, third))
+    return torch.stack((first, middle, third), -1)
