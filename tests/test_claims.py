@@ -1,0 +1,52 @@
+"""The ledger, the notebooks and the records must agree: a finding is as old as the code that found it."""
+
+from pathlib import Path
+
+import pytest
+
+from motionlab import findings, notebook
+
+NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"
+CLAIMS = findings.load_claims(NOTEBOOKS / "claims.toml")
+RECORDS = sorted((NOTEBOOKS / "results").glob("*.json"))
+CHAPTER_3 = [f"H{i:02d}" for i in range(1, 23)]
+CHAPTER_4 = [f"D{i:02d}" for i in range(1, 23)]
+
+
+def stale(record, code_hash):
+    return record.source_hash != code_hash
+
+
+def test_every_claim_of_the_thesis_is_in_the_ledger():
+    assert list(CLAIMS) == CHAPTER_3 + CHAPTER_4
+
+
+@pytest.mark.parametrize("path", RECORDS, ids=lambda p: p.stem)
+def test_record_belongs_to_the_code(path):
+    record = findings.load_record(path)
+    code = notebook.code_hash(NOTEBOOKS / f"{record.notebook}.ipynb")
+    assert not stale(record, code), f"{record.notebook}: the code is newer than its record; run `make full`"
+    assert record.provenance["profile"] == "full"
+
+
+@pytest.mark.parametrize("path", RECORDS, ids=lambda p: p.stem)
+def test_recorded_verdicts_follow_from_the_ledger_of_today(path):
+    tests = findings.all_tests(CLAIMS)
+    for f in findings.load_record(path).findings:
+        rule = tests[f.test]
+        assert f.bound == rule.bound_text(), f"{f.test}: the bound was changed after the measurement"
+        assert f.verdict == findings.judge(rule, f.low, f.high, f.n), f.test
+        assert CLAIMS[f.claim].notebook == f.notebook[:2]
+
+
+@pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("[0-9]*.ipynb")), ids=lambda p: p.stem)
+def test_every_test_of_a_written_notebook_was_measured(path):
+    due = {t.id for claim in CLAIMS.values() if claim.notebook == path.stem[:2] for t in claim.tests}
+    record = NOTEBOOKS / "results" / f"{path.stem[:2]}.json"
+    done = {f.test for f in findings.load_record(record).findings} if record.exists() else set()
+    assert due <= done, f"{path.stem}: not measured: {sorted(due - done)}"
+
+
+def test_a_changed_notebook_would_be_noticed():
+    record = findings.Record("02_x", "0" * 16, ())
+    assert stale(record, "1" * 16)

@@ -1,0 +1,144 @@
+import json
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import torch
+
+from motionlab import findings, notebook
+from motionlab.errors import DataError
+from motionlab.findings import FAILS, HOLDS, UNJUDGED
+
+LEDGER = """
+[[claim]]
+id = "H00"
+section = "1"
+title = "t"
+thesis = "words"
+notebook = "02"
+[claim.test.quick]
+definition = "d"
+unit = "mm"
+relation = ">="
+bound = 1.0
+baseline = "b"
+[claim.test.slow]
+definition = "d"
+unit = "mm"
+relation = ">="
+bound = 1.0
+baseline = "b"
+needs = ["full"]
+"""
+BUDGETS = {"smoke": {"clips": 2}, "full": {"clips": 20}}
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    (tmp_path / "claims.toml").write_text(LEDGER)
+    cell = {"cell_type": "code", "source": ["x = 1"], "outputs": []}
+    (tmp_path / "02_x.ipynb").write_text(json.dumps({"cells": [cell]}))
+    monkeypatch.chdir(tmp_path)
+    for name in ("MOTIONLAB_PROFILE", "MOTIONLAB_DATA", "MOTIONLAB_RESULTS"):
+        monkeypatch.delenv(name, raising=False)
+
+    def open_lab(profile, data=None, seed=0):
+        return notebook.setup("02_x", profile=profile, seed=seed, budgets=BUDGETS, data=data)
+
+    return open_lab
+
+
+def verdict_of(lab):
+    return {(f.test, f.source): f.verdict for f in lab.settled()}
+
+
+def test_profile_comes_from_argument_then_environment_then_full(bench, monkeypatch):
+    assert bench(None).profile == "full"
+    monkeypatch.setenv("MOTIONLAB_PROFILE", "smoke")
+    assert bench(None).budget.clips == 2
+    assert bench("full").budget.clips == 20
+
+
+@pytest.mark.parametrize("kw", [{"profile": "fast"}, {"profile": "smoke", "data": "no/such/folder"}])
+def test_unknown_surroundings_are_refused(bench, kw):
+    with pytest.raises(DataError):
+        bench(**kw)
+
+
+def test_generators_depend_on_seed_and_salt_only(bench):
+    draw = lambda lab, salt: torch.rand(3, generator=lab.generator(salt)).tolist()  # noqa: E731
+    assert draw(bench("smoke"), "a") == draw(bench("full"), "a")
+    assert draw(bench("smoke"), "a") != draw(bench("smoke"), "b")
+    assert draw(bench("smoke"), "a") != draw(bench("smoke", seed=1), "a")
+
+
+def test_record_judges_against_the_ledger(bench):
+    lab = bench("full")
+    assert lab.record("H00.quick", [5.0, 6.0, 7.0], baseline=[0.0]).verdict == HOLDS
+    assert lab.record("H00.quick", [0.1, 0.2, 0.3]).verdict == FAILS  # measuring again replaces
+    assert lab.record("H00.quick", []).verdict == UNJUDGED
+    assert len(lab.found) == 1
+    with pytest.raises(DataError, match=r"H00\.quick"):
+        lab.record("H00.quik", [1.0])
+
+
+def test_smoke_repeats_what_only_a_full_run_may_judge(bench, tmp_path):
+    full = bench("full", data=str(tmp_path))
+    full.record("H00.quick", [5.0, 5.0])
+    full.record("H00.slow", [5.0, 5.0])
+    full.record("H00.slow", [0.1, 0.1], source="cmu_amc")
+    full.close()
+    smoke = bench("smoke")
+    smoke.record("H00.quick", [0.1, 0.1])  # fresh numbers decide where smoke may judge
+    smoke.record("H00.slow", [0.1, 0.1])  # and do not where it may not
+    assert verdict_of(smoke) == {
+        ("H00.quick", "synthetic"): FAILS,
+        ("H00.slow", "synthetic"): HOLDS,
+        ("H00.slow", "cmu_amc"): FAILS,
+    }
+
+
+def test_a_full_run_without_recordings_keeps_what_was_measured_on_them(bench, tmp_path):
+    first = bench("full", data=str(tmp_path))
+    first.record("H00.quick", [5.0, 5.0], source="cmu_amc")
+    first.record("H00.slow", [5.0, 5.0])
+    first.close()
+    second = bench("full")
+    second.record("H00.quick", [5.0, 5.0])
+    second.close()
+    kept = {(f.test, f.source) for f in findings.load_results(tmp_path / "results")}
+    assert kept == {("H00.quick", "synthetic"), ("H00.quick", "cmu_amc")}  # a synthetic row not measured again goes
+
+
+def test_smoke_writes_no_results_unless_asked(bench, tmp_path, monkeypatch):
+    bench("smoke").close()
+    assert not (tmp_path / "results").exists()
+    monkeypatch.setenv("MOTIONLAB_RESULTS", str(tmp_path / "elsewhere"))
+    bench("smoke").close()
+    assert (tmp_path / "elsewhere" / "02.json").exists()
+
+
+def test_record_carries_the_hash_of_the_code(bench, tmp_path):
+    bench("full").close()
+    path = tmp_path / "02_x.ipynb"
+    recorded = findings.load_record(tmp_path / "results" / "02.json").source_hash
+    assert recorded == notebook.code_hash(path)
+    path.write_text(path.read_text().replace("x = 1", "x = 2"))
+    assert recorded != notebook.code_hash(path)
+
+
+def test_tables_escape_what_would_break_them():
+    text = notebook.markdown_table([{"a|b": "x|y\nz", "n": 0.123456}])
+    assert text.splitlines()[2] == "| x\\|y z | 0.123 |"
+    assert notebook.markdown_table([]) == "*(no rows)*"
+
+
+def test_figures_of_every_kind_are_shown(bench, tmp_path, capsys):
+    lab = bench("smoke")
+    fig = plt.figure()
+    picture = np.zeros((4, 6, 3), dtype=np.uint8)
+    lab.figure(fig, "02.1", "a plot")
+    lab.figure(picture, "02.2", "an image")
+    notebook.Pillow.fromarray(picture).save(tmp_path / "a.gif")
+    lab.figure(tmp_path / "a.gif", "02.3", "a movie")
+    assert not plt.get_fignums()
