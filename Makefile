@@ -1,0 +1,65 @@
+# The two commands: `make notebooks` and `make test`. Python 3.11+ and make are all they need.
+PYTHON ?= python3
+ifeq ($(CONDA_DEFAULT_ENV),motionlab)
+VENV ?= $(CONDA_PREFIX)
+endif
+VENV ?= .venv
+PY := $(VENV)/bin/python
+INSTALLED := $(VENV)/.motionlab-installed
+PREPARED := $(VENV)/.motionlab-prepared
+PIP := $(PY) -m pip --disable-pip-version-check install -c constraints.txt
+
+.PHONY: notebooks test lab full bench doctor setup pins clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make notebooks   set up, run the notebooks, write report/index.html (MOTIONLAB_PROFILE=full for the long version)"
+	@echo "make test        set up, lint, unit tests, notebooks checked by nbval"
+	@echo "make lab         set up, open the notebooks in JupyterLab with interactive 3-D"
+	@echo "make full        regenerate the committed notebooks and results"
+	@echo "make bench       speed, as ratios measured in one run"
+	@echo "make doctor      what is installed, what is missing, and the remedy"
+
+notebooks: setup
+	@$(PY) -m motionlab report
+
+test: setup
+	@$(PY) tests/run.py
+
+lab: setup
+	@PYVISTA_JUPYTER_BACKEND=trame PYVISTA_TRAME_SERVER_PROXY_PREFIX=/proxy/ $(PY) -m jupyterlab --notebook-dir=notebooks $(LAB_FLAGS)
+
+full: setup
+	@$(PY) -m motionlab regenerate $(NOTEBOOKS)
+
+bench: setup
+	@$(PY) tests/bench/run.py
+
+doctor: setup
+	@$(PY) -m motionlab doctor
+
+setup: $(PREPARED)
+
+$(PREPARED): $(INSTALLED) motionlab/body.py motionlab/doctor.py
+	@echo "== preparing: off-screen rendering and the body"
+	@$(PY) -m motionlab doctor --prepare
+	@touch $@
+
+$(INSTALLED): constraints.txt pyproject.toml | $(PY)
+	@echo "== installing the pinned packages into $(VENV) (minutes the first time)"
+	@$(PIP) $(shell grep '^torch==' constraints.txt)
+	@$(PIP) -e '.[dev]'
+	@touch $@
+
+$(PY):
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "motionlab needs Python 3.11 or newer, '$(PYTHON)' is not: make PYTHON=/path/to/python3.12 ..."; exit 1; }
+	@echo "== making $(VENV) with $$($(PYTHON) --version)"
+	@$(PYTHON) -m venv $(VENV) || \
+		{ rm -rf $(VENV); echo "no venv in this Python; on Debian/Ubuntu: apt-get install -y python3-venv"; exit 1; }
+
+pins: setup
+	@$(PY) tests/pins.py
+
+clean:
+	rm -rf .venv .cache report build *.egg-info

@@ -1,0 +1,138 @@
+"""The command line: ``python -m motionlab doctor | data | convert | report | regenerate``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from motionlab import doctor
+from motionlab.doctor import ROOT
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; 0 if all is well, 1 if something is missing or failed, 2 for input that cannot be used."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.run(options)
+    except KeyboardInterrupt:
+        print("\nstopped", file=sys.stderr)
+        return 130
+    except (ValueError, FileNotFoundError) as error:
+        if not _ours(error):
+            raise
+        print(f"motionlab: {error}", file=sys.stderr)
+        return 2
+
+
+def _ours(error: Exception) -> bool:
+    from motionlab.errors import DataError, MissingData, ShapeError  # torch comes with them: doctor must run without
+
+    return isinstance(error, DataError | MissingData | ShapeError)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m motionlab", description="Human motion priors, measured.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    command = commands.add_parser("doctor", help="what is installed, what is missing, and the remedy")
+    command.add_argument("--prepare", action="store_true", help="install rendering libraries if root, bake the body")
+    command.set_defaults(run=_doctor)
+
+    command = commands.add_parser("data", help="the recordings in a folder: clips, minutes, fps, joints")
+    command.add_argument("folder", nargs="?", help="default: $MOTIONLAB_DATA")
+    command.set_defaults(run=_data)
+
+    command = commands.add_parser("convert", help="one motion file into another format, told by the suffixes")
+    command.add_argument("source", metavar="IN", type=Path, help=".bvh, .amc, .npz, .json ...")
+    command.add_argument("target", metavar="OUT", type=Path, help=" ".join(sorted(SAVERS)))
+    command.add_argument("--fps", type=float, help="frames per second of the output (default: those of the input)")
+    command.add_argument("--standard", action="store_true", help="retarget to the 22 standard joints first")
+    command.set_defaults(run=_convert)
+
+    command = commands.add_parser("report", help="run the notebooks into an HTML report")
+    command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
+    command.add_argument("--out", type=Path, default=ROOT / "report")
+    command.add_argument("--profile", choices=("smoke", "full"), default=os.environ.get("MOTIONLAB_PROFILE") or "smoke")
+    command.set_defaults(run=_report)
+
+    command = commands.add_parser("regenerate", help="run the notebooks in place, full profile, as committed")
+    command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
+    command.set_defaults(run=_regenerate)
+    return parser
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    if options.prepare:
+        return 0 if doctor.prepare() else 1
+    checks = doctor.examine(os.environ.get("MOTIONLAB_DATA"))
+    print(doctor.table(checks))
+    missing = sum(not check.ok for check in checks)
+    print(f"{missing} things to mend" if missing else "all is well")
+    return 1 if missing else 0
+
+
+def _data(options: argparse.Namespace) -> int:
+    from motionlab.errors import MissingData
+    from motionlab.io import recordings
+
+    folder = options.folder or os.environ.get("MOTIONLAB_DATA")
+    if not folder:
+        raise MissingData("the folder of recordings", "Name it, or set MOTIONLAB_DATA to it.")
+    print(text_table(recordings.inventory(Path(folder))))
+    return 0
+
+
+def text_table(rows: Sequence[Mapping[str, object]]) -> str:
+    """Rows (all with the same keys) as aligned columns."""
+    cells = [[f"{v:.1f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
+    cells = [list(rows[0]), *cells] if rows else [["nothing found"]]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in cells)
+
+
+SAVERS = {".bvh": "bvh", ".npz": "amass", ".glb": "gltf"}
+
+
+def _convert(options: argparse.Namespace) -> int:
+    from importlib import import_module
+
+    from motionlab import io, retarget
+    from motionlab.errors import DataError
+
+    saver = SAVERS.get(options.target.suffix.lower())
+    if saver is None:
+        raise DataError("cannot write this format", path=options.target, remedy=f"use one of {', '.join(SAVERS)}")
+    motion = io.load(options.source)
+    if options.standard:
+        motion = retarget.retarget(motion).motion
+    if options.fps:
+        motion = motion.resample(options.fps)
+    import_module(f"motionlab.io.{saver}").save(options.target, motion)
+    for note in motion.notes:
+        print(f"note: {note}")
+    print(f"{options.target}: {motion.frames} frames at {motion.fps:g} fps, {len(motion.skeleton)} joints")
+    return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    from motionlab import execute, report
+
+    runs = report.write_report(options.out, options.profile, options.notebooks)
+    print(f"{execute.summary(runs)}; report: {options.out / 'index.html'}")
+    return 0 if all(run.ok for run in runs) else 1
+
+
+def _regenerate(options: argparse.Namespace) -> int:
+    from motionlab import execute, report
+
+    runs = execute.regenerate(options.notebooks)
+    report.update_readme(ROOT / "README.md")
+    print(execute.summary(runs))
+    return 0 if all(run.ok for run in runs) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

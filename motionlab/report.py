@@ -1,0 +1,188 @@
+"""The HTML report of a run of the notebooks: an index page with the scoreboard, and a page per notebook."""
+
+from __future__ import annotations
+
+import html
+import os
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from motionlab import findings
+from motionlab.errors import DataError
+from motionlab.execute import NOTEBOOKS, Run, data_folder, environment, execute, find_notebooks
+from motionlab.findings import Claim, Finding
+
+README_MARKS = ("<!-- scoreboard:start -->", "<!-- scoreboard:end -->")
+_COLOURS = {
+    findings.HOLDS: "#1a7f37",
+    findings.FAILS: "#b3261e",
+    findings.CONDITION: "#9a6700",
+    findings.UNJUDGED: "#57606a",
+    findings.OPEN: "#8c959f",
+}
+_STYLE = """
+:root { color-scheme: light dark; --line: #8883; --soft: #8882 }
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1rem }
+h1 { margin-bottom: 0 } h2 { margin-top: 2.2rem } .note { opacity: .75; margin-top: .2rem }
+table { border-collapse: collapse; width: 100%; font-size: .92rem }
+th, td { text-align: left; padding: .4rem .7rem; border-bottom: 1px solid var(--line); vertical-align: top }
+th { font-weight: 600; background: var(--soft) }
+.pill { color: white; border-radius: 1rem; padding: .1rem .6rem; font-size: .82rem; white-space: nowrap }
+.wide { overflow-x: auto } pre { background: var(--soft); padding: .6rem; overflow-x: auto; font-size: .8rem }
+"""
+
+
+def write_report(out: Path, profile: str, names: Sequence[str] = ()) -> list[Run]:
+    """Run notebooks, one after the other whatever happens, into ``out``: NN.ipynb, NN.html and index.html.
+
+    Numbers measured in this run go to ``out``/results; the committed results stay as they are. Interrupting
+    writes the index of what has run, then raises KeyboardInterrupt.
+    """
+    paths = find_notebooks(names)
+    out.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(out / "results", ignore_errors=True)
+    runs: list[Run] = []
+    measured = str((out / "results").resolve())
+    with environment(
+        MOTIONLAB_PROFILE=profile, MOTIONLAB_BATCH="1", MOTIONLAB_RESULTS=measured, MOTIONLAB_DATA=data_folder()
+    ):
+        try:
+            for number, path in enumerate(paths, 1):
+                print(f"[{number}/{len(paths)}] {path.stem} ...", flush=True)
+                runs.append(execute(path, out / path.name))
+                print(f"      {runs[-1].status()}, {runs[-1].seconds:.0f} s", flush=True)
+                _to_html(out / path.name)
+        finally:
+            write_index(out, runs, profile)
+    return runs
+
+
+def _to_html(notebook: Path) -> None:
+    from nbconvert import HTMLExporter
+
+    if notebook.exists():
+        body, _ = HTMLExporter(embed_images=True).from_filename(str(notebook))
+        notebook.with_suffix(".html").write_text(body, encoding="utf-8")
+
+
+def write_index(out: Path, runs: Sequence[Run], profile: str) -> Path:
+    """The first page: scoreboard, what this run measured, and how each notebook went."""
+    claims, recorded = load_ledger()
+    measured = findings.load_results(out / "results")
+    failed = sum(not run.ok for run in runs)
+    data = os.environ.get("MOTIONLAB_DATA")
+    where = f"synthetic motion and the recordings in {data}" if data else "synthetic motion"
+    page = [
+        "<!doctype html><html lang='en'><meta charset='utf-8'><meta name='viewport' content='width=device-width'>",
+        f"<title>motionlab report</title><style>{_STYLE}</style>",
+        "<h1>motionlab</h1>",
+        f"<p class='note'>{len(runs)} notebooks, {failed} failed, {sum(run.seconds for run in runs):.0f} s; "
+        f"profile <b>{profile}</b>, on {html.escape(where)}; {time.strftime('%Y-%m-%d %H:%M')}.</p>",
+        "<h2>Scoreboard</h2>",
+        f"<p class='note'>What the thesis claims and what we found. “Recorded” is the committed full run, “this run” "
+        f"is what the {profile} profile gives here.</p>",
+        _table(scoreboard_rows(claims, recorded, measured, runs)),
+        "<h2>Notebooks</h2>",
+        _table(_notebook_rows(out, runs)),
+        *(f"<pre>{html.escape(run.notebook)}: {html.escape(run.error)}</pre>" for run in runs if not run.ok),
+        "<h2>Measured</h2>",
+        "<p class='note'>Every number of this run; those of profile full are repeated from the record.</p>",
+        _table(_finding_rows(measured or recorded)),
+        "</html>",
+    ]
+    index = out / "index.html"
+    index.write_text("\n".join(page), encoding="utf-8")
+    return index
+
+
+def load_ledger() -> tuple[dict[str, Claim], list[Finding]]:
+    """The claims of this checkout and the findings committed with it."""
+    ledger = NOTEBOOKS / "claims.toml"
+    claims = findings.load_claims(ledger) if ledger.exists() else {}
+    return claims, findings.load_results(NOTEBOOKS / "results")
+
+
+def scoreboard_rows(
+    claims: dict[str, Claim], recorded: Sequence[Finding], measured: Sequence[Finding], runs: Sequence[Run]
+) -> list[dict[str, str]]:
+    """One row per claim, as HTML: the recorded verdict, this run's, and a link to the notebook if it ran."""
+    ran = {run.notebook for run in runs}
+    now = {row["claim"]: row for row in findings.scoreboard(claims, measured)}
+    rows = []
+    for row in findings.scoreboard(claims, recorded):
+        notebook = next((name for name in ran if name.startswith(row["notebook"][:2])), None)
+        rows.append(
+            {
+                "claim": f"<b>{html.escape(row['claim'])}</b>",
+                "thesis": html.escape(row["thesis"]),
+                "in short": html.escape(row["in short"]),
+                "recorded": _pill(row["verdict"]),
+                "held": row["held"],
+                "this run": _pill(now[row["claim"]]["verdict"]),
+                "held now": now[row["claim"]]["held"],
+                "notebook": f"<a href='{notebook}.html'>{notebook}</a>" if notebook else html.escape(row["notebook"]),
+            }
+        )
+    return rows
+
+
+def _notebook_rows(out: Path, runs: Sequence[Run]) -> list[dict[str, str]]:
+    return [
+        {
+            "notebook": f"<a href='{run.notebook}.html'>{run.notebook}</a>"
+            if (out / f"{run.notebook}.html").exists()
+            else run.notebook,
+            "status": run.status() if run.ok else f"<b style='color:{_COLOURS[findings.FAILS]}'>{run.status()}</b>",
+            "seconds": f"{run.seconds:.0f}",
+        }
+        for run in runs
+    ]
+
+
+def _finding_rows(found: Sequence[Finding]) -> list[dict[str, str]]:
+    return [
+        {
+            "test": html.escape(f.test),
+            "source": html.escape(f.source),
+            "measured (95 % interval)": html.escape(f"{f.statistic} {f.value_text()}"),
+            "bound": html.escape(f.bound),
+            "baseline": ""
+            if f.baseline_value is None
+            else html.escape(f"{f.baseline}: {f.baseline_value:.3g} {f.unit}"),
+            "profile": f.profile,
+            "verdict": _pill(f.verdict),
+        }
+        for f in found
+    ]
+
+
+def _pill(verdict: str) -> str:
+    return f"<span class='pill' style='background:{_COLOURS[verdict]}'>{html.escape(verdict)}</span>"
+
+
+def _table(rows: Sequence[Mapping[str, str]]) -> str:
+    if not rows:
+        return "<p>Nothing yet.</p>"
+    head = "".join(f"<th>{name}</th>" for name in rows[0])
+    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row.values()) + "</tr>\n" for row in rows)
+    return f"<div class='wide'><table><tr>{head}</tr>\n{body}</table></div>"
+
+
+def update_readme(path: Path) -> None:
+    """Write the scoreboard of the committed results between the marks of the README.
+
+    Raises:
+        DataError: the README has no marks.
+    """
+    start, end = README_MARKS
+    text = path.read_text(encoding="utf-8")
+    if start not in text or end not in text:
+        raise DataError("no scoreboard marks", path=path, remedy=f"add the lines {start} and {end}")
+    claims, recorded = load_ledger()
+    rows = [row for row in findings.scoreboard(claims, recorded) if row["verdict"] != findings.OPEN]
+    lines = ["| claim | in short | verdict | held | notebook |", "|---|---|---|---|---|"]
+    lines += [f"| {r['claim']} | {r['in short']} | **{r['verdict']}** | {r['held']} | {r['notebook']} |" for r in rows]
+    before, after = text.split(start)[0], text.split(end)[1]
+    path.write_text(f"{before}{start}\n" + "\n".join(lines) + f"\n{end}{after}", encoding="utf-8")

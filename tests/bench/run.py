@@ -1,0 +1,24 @@
+"""`make bench`: run every bench_<part>.py, each in a process of its own; or those named on the command line."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+
+
+def main(names: list[str]) -> int:
+    paths = [path for path in sorted(HERE.glob("bench_*.py")) if not names or path.stem.removeprefix("bench_") in names]
+    failed = []
+    for path in paths:
+        print(f"== {path.stem.removeprefix('bench_')}", flush=True)
+        # one thread: ratios of algorithms, not of thread pools
+        if subprocess.run([sys.executable, path], env={**os.environ, "OMP_NUM_THREADS": "1"}).returncode:
+            failed.append(path.stem)
+    print(f"{len(paths)} benches, {len(failed)} failed{': ' + ', '.join(failed) if failed else ''}")
+    return 1 if failed or not paths else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
