@@ -89,7 +89,7 @@ def minimise(
         ValueError: an unknown method, or no variable requires gradients.
     Source: torch.optim; thesis 3.1.2 (TestOps). ``HUMOR`` holds the settings of the official code.
     """
-    point = {name: value.detach().clone() for name, value in variables.items()}
+    point = {name: value.detach().clone(memory_format=torch.contiguous_format) for name, value in variables.items()}
     moving = [point[name].requires_grad_() for name, value in variables.items() if value.requires_grad]
     if not moving:
         raise ValueError(f"nothing to optimise: none of {', '.join(variables) or 'no variables'} requires gradients")
