@@ -1,0 +1,196 @@
+"""Skinned, animated GLB files (glTF 2.0, binary) that Blender and three.js open.
+
+glTF is y up: world (x, y, z) is written as (x, z, -y), which Blender turns back into the same (x, y, z).
+Blender, three.js and glTF bind a vertex with world_j inverse_bind_j; ours are [R_j | p_j] and
+[bind_rot_j^T | -bind_rot_j^T joint_j], so that a viewer computes exactly :func:`motionlab.body.lbs`.
+
+Source: the glTF 2.0 specification (Khronos), 3.7.3 Skins and 3.11 Animations; 4.4 GLB layout.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.body import BodyModel
+from motionlab.errors import DataError, ShapeError
+from motionlab.io.gltf_load import BIN_CHUNK, JSON_CHUNK, MAGIC, TYPES, Y_UP, load
+from motionlab.motion import Motion
+
+__all__ = ["load", "save"]
+_COMPONENTS = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
+_VERTICES, _INDICES = 34962, 34963  # targets of a buffer view
+
+
+def save(
+    path: str | Path,
+    motion: Motion,
+    body: BodyModel | None = None,
+    *,
+    betas: Tensor | None = None,
+    influences: int = 4,
+    colour: tuple[float, float, float] = (0.62, 0.66, 0.72),
+) -> None:
+    """Write one clip as an animated GLB: joints as nodes, one key per frame, and the body as a skinned mesh.
+
+    The nodes rest at the first frame. The file appears whole or not at all. Contacts are not kept.
+
+    Args:
+        motion: one clip, no batch axes.
+        body: its mesh and weights; None writes the joints alone.
+        betas: (B,) shape of the body; bone lengths are always the motion's.
+        influences: joints per vertex, 4 or 8; the largest ones are kept and scaled to sum to 1. Every
+            viewer reads 4; Blender reads 8, three.js only the first 4 of them.
+        colour: linear red, green, blue of the matt material.
+
+    Raises:
+        ShapeError: the motion has batch axes, the body has other joints, or influences is not 4 or 8.
+        DataError: the motion holds NaN or infinity; names the frame.
+    """
+    if motion.root.ndim != 2 or motion.skeleton.offsets.ndim != 2:
+        raise ShapeError(f"one clip expected, got root {tuple(motion.root.shape)}: choose one with motion.clip(i)")
+    if motion.frames == 0:
+        raise ShapeError("a motion without frames cannot be written")
+    finite = motion.rot.isfinite().all(-1).all(-1).all(-1) & motion.root.isfinite().all(-1)
+    if not finite.all():
+        raise DataError("numbers that are not finite", path=path, place=f"frame {int((~finite).nonzero()[0])}")
+    file = _Buffer()
+    nodes = _animate(file, motion)
+    scene = [0]
+    if body is not None:
+        if body.skeleton.names != motion.skeleton.names:
+            raise ShapeError(f"the body's joints are {body.skeleton.names}, the motion's {motion.skeleton.names}")
+        if influences not in (4, 8):
+            raise ShapeError(f"influences: expected 4 or 8, got {influences}")
+        _skin(file, body, betas, influences, colour)
+        scene.append(len(nodes))
+        nodes.append({"name": "body", "mesh": 0, "skin": 0})
+    file.content |= {"scene": 0, "scenes": [{"nodes": scene}], "nodes": nodes}
+    part = Path(path).with_name(f"{Path(path).name}.{os.getpid()}.part")
+    try:
+        part.write_bytes(file.glb())
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+class _Buffer:
+    """A glTF document under construction: its JSON and its one binary buffer."""
+
+    def __init__(self) -> None:
+        self.content = {"asset": {"version": "2.0", "generator": "motionlab"}, "accessors": [], "bufferViews": []}
+        self.blob = bytearray()
+
+    def add(self, array: np.ndarray | Tensor, kind: str, target: int | None = None, bounds: bool = False) -> int:
+        """Append an array (N,) or (N, ...) as one accessor on its own aligned view; its index."""
+        array = np.ascontiguousarray(array, dtype=f"<{kind}").reshape(len(array), -1)
+        self.blob += bytes(-len(self.blob) % 4)
+        view = {"buffer": 0, "byteOffset": len(self.blob), "byteLength": array.nbytes}
+        self.blob += array.tobytes()
+        self.content["bufferViews"].append(view | ({"target": target} if target else {}))
+        accessor = {
+            "bufferView": len(self.content["bufferViews"]) - 1,
+            "componentType": _COMPONENTS[kind],
+            "count": len(array),
+            "type": TYPES[array.shape[1]],
+        }
+        if bounds:
+            accessor |= {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
+        self.content["accessors"].append(accessor)
+        return len(self.content["accessors"]) - 1
+
+    def glb(self) -> bytes:
+        """The file: header, JSON chunk padded with spaces, binary chunk padded with zeros."""
+        blob = bytes(self.blob) + bytes(-len(self.blob) % 4)
+        self.content["buffers"] = [{"byteLength": len(blob)}]
+        text = json.dumps(self.content, allow_nan=False, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        chunks = [(JSON_CHUNK, text), (BIN_CHUNK, blob)]
+        body = b"".join(struct.pack("<I4s", len(data), kind) + data for kind, data in chunks)
+        return struct.pack("<4sII", MAGIC, 2, 12 + len(body)) + body
+
+
+def _animate(file: _Buffer, motion: Motion) -> list[dict]:
+    """Add the animation; the joints as nodes, resting at the first frame."""
+    skeleton, up = motion.skeleton, Y_UP.double()
+    rot = motion.rot.detach().cpu().double()
+    rot = torch.cat((up @ rot[:, :1], rot[:, 1:]), dim=1)
+    quaternion = rotation.unroll_quaternion(rotation.matrix_to_quaternion(rot), dim=-3)[..., [1, 2, 3, 0]]
+    quaternion = torch.nn.functional.normalize(quaternion, dim=-1)
+    root = motion.root.detach().cpu().double() @ up.mT
+    places = [root[0].tolist(), *skeleton.offsets[1:].tolist()]
+    nodes = [
+        {"name": name, "translation": place, "rotation": turn}
+        for name, place, turn in zip(skeleton.names, places, quaternion[0].tolist(), strict=True)
+    ]
+    for joint, parent in enumerate(skeleton.parents[1:], start=1):
+        nodes[parent].setdefault("children", []).append(joint)
+    time = file.add(torch.arange(motion.frames, dtype=torch.float64) / motion.fps, "f4", bounds=True)
+    tracks = [(0, "translation", root)] + [(j, "rotation", quaternion[:, j]) for j in range(len(skeleton))]
+    file.content["animations"] = [
+        {
+            "name": motion.name or "motion",
+            "samplers": [{"input": time, "interpolation": "LINEAR", "output": file.add(x, "f4")} for _, _, x in tracks],
+            "channels": [
+                {"sampler": i, "target": {"node": node, "path": what}} for i, (node, what, _) in enumerate(tracks)
+            ],
+            "extras": {"fps": motion.fps, "contact_names": skeleton.contact_names, "sole": float(skeleton.sole)},
+        }
+    ]
+    return nodes
+
+
+def _skin(file: _Buffer, body: BodyModel, betas: Tensor | None, influences: int, colour: tuple) -> None:
+    """Add the bind-pose mesh, its skin and its material."""
+    template, joints = body.template, body.joints
+    if betas is not None:
+        template = template + body.shape_directions @ betas.to(template)
+        joints = joints + body.joint_directions @ betas.to(joints)
+    template, joints = template.detach().cpu().double(), joints.detach().cpu().double()
+    back = body.bind_rot.detach().cpu().double().mT
+    inverse_bind = torch.eye(4, dtype=torch.float64).repeat(len(joints), 1, 1)
+    inverse_bind[:, :3, :3] = back
+    inverse_bind[:, :3, 3] = -(back @ joints[..., None])[..., 0]
+    faces = body.faces.cpu()
+    attributes = {
+        "POSITION": file.add(template, "f4", _VERTICES, bounds=True),
+        "NORMAL": file.add(_normals(template, faces), "f4", _VERTICES),
+    }
+    share, which = body.weights.detach().cpu().double().topk(min(influences, len(joints)), dim=1)
+    pad = (0, influences - share.shape[1])
+    share, which = (torch.nn.functional.pad(x, pad) for x in (share, which))
+    which = torch.where(share > 0, which, 0)
+    share = (share / share.sum(1, keepdim=True)).numpy()
+    for k in range(0, influences, 4):
+        attributes[f"JOINTS_{k // 4}"] = file.add(which[:, k : k + 4], "u1" if len(joints) <= 256 else "u2", _VERTICES)
+        attributes[f"WEIGHTS_{k // 4}"] = file.add(share[:, k : k + 4], "f4", _VERTICES)
+    indices = file.add(faces.reshape(-1), "u2" if len(template) < 65535 else "u4", _INDICES)
+    primitive = {"attributes": attributes, "indices": indices, "material": 0}
+    matt = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.7}
+    file.content |= {
+        "meshes": [{"name": "body", "primitives": [primitive]}],
+        "materials": [{"name": "body", "pbrMetallicRoughness": matt}],
+        "skins": [
+            {
+                "inverseBindMatrices": file.add(inverse_bind.mT, "f4"),  # glTF stores columns first
+                "skeleton": 0,
+                "joints": list(range(len(joints))),
+            }
+        ],
+    }
+
+
+def _normals(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Unit vertex normals (V, 3), area weighted; y where a vertex has no face."""
+    a, b, c = vertices[faces].unbind(1)
+    face = torch.linalg.cross(b - a, c - a, dim=-1)
+    total = torch.zeros_like(vertices).index_add_(0, faces.reshape(-1), face.repeat_interleave(3, 0))
+    length = total.norm(dim=-1, keepdim=True)
+    return torch.where(length > 0, total / length, torch.tensor([0.0, 1.0, 0.0]).to(total))

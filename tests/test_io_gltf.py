@@ -1,0 +1,300 @@
+"""GLB: what a viewer computes from the file is what we compute; the rules of glTF; the way back."""
+
+import json
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pygltflib
+import pytest
+import torch
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from data_synth.body import capsule_body
+from motionlab import rotation
+from motionlab.body import lbs
+from motionlab.errors import DataError, ShapeError
+from motionlab.io import gltf
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, UPRIGHT, fk
+
+FRAMES, FPS = 21, 30.0
+WORLD_FROM_GLTF = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0.0]])
+DTYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+
+def spin(frames=FRAMES, size=0.5):
+    """A body that turns about itself more than once while every joint swings: signs of quaternions must not jump."""
+    g = torch.Generator().manual_seed(5)
+    phase = torch.linspace(0, 2 * torch.pi, frames)
+    swing = size * torch.randn(22, 3, generator=g) * torch.sin(phase[:, None, None] + torch.randn(22, 1, generator=g))
+    rot = rotation.axis_angle_to_matrix(swing)
+    rot[:, 0] = rotation.rotation_about("z", 1.7 * phase) @ UPRIGHT @ rot[:, 0]
+    root = torch.stack((phase / 5, phase.sin(), 0.9 + 0.1 * phase.cos()), -1)
+    return Motion(STANDARD, root, rot, FPS, name="spin")
+
+
+@pytest.fixture(scope="module")
+def body():
+    """A body that is bound in another pose than the T-pose, as anny is."""
+    rest = capsule_body(0.045)
+    bend = rotation.axis_angle_to_matrix(0.4 * torch.randn(22, 3, generator=torch.Generator().manual_seed(1)))
+    bend[0] = torch.eye(3)
+    template = lbs(rest, STANDARD, torch.zeros(1, 3), bend[None])[0]
+    joints, turn = fk(STANDARD, torch.zeros(3), bend)
+    return replace(rest, template=template, joints=joints, bind_rot=turn)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory, body):
+    path = tmp_path_factory.mktemp("glb") / "spin.glb"
+    gltf.save(path, spin(), body)
+    return path
+
+
+def parse(path):
+    """JSON and a function from accessor index to array: nothing but struct, json and numpy."""
+    data = path.read_bytes()
+    assert struct.unpack("<4sII", data[:12]) == (b"glTF", 2, len(data))
+    size, kind = struct.unpack("<I4s", data[12:20])
+    assert kind == b"JSON" and size % 4 == 0
+    content = json.loads(data[20 : 20 + size])
+    length, kind = struct.unpack("<I4s", data[20 + size : 28 + size])
+    blob = data[28 + size :]
+    assert kind == b"BIN\0" and length == len(blob) == content["buffers"][0]["byteLength"]
+
+    def array(index):
+        accessor = content["accessors"][index]
+        view = content["bufferViews"][accessor["bufferView"]]
+        raw = blob[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        width = WIDTHS[accessor["type"]]
+        return np.frombuffer(raw, DTYPES[accessor["componentType"]]).reshape(accessor["count"], width)
+
+    return content, array
+
+
+def viewer_joints(content, array, frame):
+    """World matrices (nodes, 4, 4) in glTF's axes at one key, as a viewer multiplies them."""
+    nodes = [dict(node) for node in content["nodes"]]
+    animation = content["animations"][0]
+    for channel in animation["channels"]:
+        target = channel["target"]
+        nodes[target["node"]][target["path"]] = array(animation["samplers"][channel["sampler"]]["output"])[frame]
+    world = {}
+
+    def visit(index, above):
+        node, local = nodes[index], np.eye(4)
+        local[:3, :3] = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))).as_matrix()
+        local[:3, 3] = node.get("translation", (0, 0, 0))
+        world[index] = above @ local
+        for child in node.get("children", ()):
+            visit(child, world[index])
+
+    for top in content["scenes"][0]["nodes"]:
+        visit(top, np.eye(4))
+    return np.stack([world[i] for i in range(len(nodes))])
+
+
+def viewer_vertices(content, array, frame):
+    """Skinned vertices in glTF's axes: sum of weight x joint world x inverse bind x vertex (spec 3.7.3)."""
+    skin, attributes = content["skins"][0], content["meshes"][0]["primitives"][0]["attributes"]
+    inverse_bind = array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+    move = viewer_joints(content, array, frame)[skin["joints"]] @ inverse_bind
+    point = np.c_[array(attributes["POSITION"]), np.ones(len(array(attributes["POSITION"])))]
+    total = 0
+    for k in range(len(attributes) // 2 - 1):
+        which, share = array(attributes[f"JOINTS_{k}"]), array(attributes[f"WEIGHTS_{k}"])
+        total = total + np.einsum("vk,vkab,vb->va", share, move[which], point)
+    return total[:, :3]
+
+
+@pytest.mark.parametrize("frame", [0, 7, FRAMES - 1])
+def test_joints_and_vertices_of_a_viewer_are_ours(written, body, frame):
+    content, array = parse(written)
+    motion = spin()
+    joints = viewer_joints(content, array, frame)[:22, :3, 3] @ WORLD_FROM_GLTF.T
+    assert np.abs(joints - motion.positions[frame].numpy()).max() < 1e-5
+    vertices = viewer_vertices(content, array, frame) @ WORLD_FROM_GLTF.T
+    ours = lbs(body, STANDARD, motion.root, motion.rot)[frame].numpy()
+    assert np.abs(vertices - ours).max() < 1e-3
+
+
+def test_a_bind_pose_taken_for_the_t_pose_would_show(tmp_path, body):
+    """Negative control: inverse binds without bind_rot move vertices by centimetres."""
+    gltf.save(tmp_path / "wrong.glb", spin(), replace(body, bind_rot=torch.eye(3).repeat(22, 1, 1)))
+    content, array = parse(tmp_path / "wrong.glb")
+    ours = lbs(body, STANDARD, spin().root, spin().rot)[7].numpy()
+    assert np.abs(viewer_vertices(content, array, 7) @ WORLD_FROM_GLTF.T - ours).max() > 0.05
+
+
+def test_eight_influences_are_nearer_than_four(tmp_path, body):
+    """Weights spread over all joints: four keep little of them, eight more; each set sums to one."""
+    g = torch.Generator().manual_seed(2)
+    weights = torch.rand(body.weights.shape, generator=g) ** 6
+    smeared = replace(body, weights=weights / weights.sum(1, keepdim=True))
+    ours, error = lbs(smeared, STANDARD, spin().root, spin().rot)[3].numpy(), {}
+    for influences in (4, 8):
+        path = tmp_path / f"{influences}.glb"
+        gltf.save(path, spin(), smeared, influences=influences)
+        content, array = parse(path)
+        error[influences] = np.abs(viewer_vertices(content, array, 3) @ WORLD_FROM_GLTF.T - ours).mean()
+        attributes = content["meshes"][0]["primitives"][0]["attributes"]
+        total = sum(array(attributes[f"WEIGHTS_{k}"]).sum(1, dtype=np.float64) for k in range(influences // 4))
+        assert np.abs(total - 1).max() < 1e-6
+    assert 0 < error[8] < error[4] / 1.5
+
+
+def test_betas_shape_the_mesh_and_its_binding(tmp_path):
+    body, betas = capsule_body(0.045), torch.tensor([1.5, -1.0, 0.5])
+    motion = replace(spin(), skeleton=body.skeleton_for(betas))
+    gltf.save(tmp_path / "tall.glb", motion, body, betas=betas)
+    content, array = parse(tmp_path / "tall.glb")
+    ours = lbs(body, motion.skeleton, motion.root, motion.rot, betas)[4].numpy()
+    assert np.abs(viewer_vertices(content, array, 4) @ WORLD_FROM_GLTF.T - ours).max() < 1e-3
+
+
+def test_rules_of_gltf(written):
+    content, array = parse(written)
+    for view in content["bufferViews"]:
+        assert view["byteOffset"] % 4 == 0
+    attributes = content["meshes"][0]["primitives"][0]["attributes"]
+    for index in (attributes["POSITION"], content["animations"][0]["samplers"][0]["input"]):
+        accessor = content["accessors"][index]
+        assert np.allclose(array(index).min(0), accessor["min"], atol=0)
+        assert np.allclose(array(index).max(0), accessor["max"], atol=0)
+    for index, accessor in enumerate(content["accessors"]):
+        assert accessor["componentType"] in DTYPES
+        assert np.isfinite(array(index)).all()
+    assert np.allclose(np.linalg.norm(array(attributes["NORMAL"]), axis=1), 1, atol=1e-6)
+    assert np.allclose(array(attributes["WEIGHTS_0"]).sum(1), 1, atol=1e-6)
+    assert (array(attributes["JOINTS_0"])[array(attributes["WEIGHTS_0"]) == 0] == 0).all()
+    assert array(attributes["JOINTS_0"]).max() < len(content["skins"][0]["joints"]) == 22
+    for sampler in content["animations"][0]["samplers"]:
+        times = array(sampler["input"])[:, 0]
+        assert (np.diff(times) > 0).all() and times[0] == 0 and len(times) == FRAMES
+    for channel in content["animations"][0]["channels"][1:]:
+        q = array(content["animations"][0]["samplers"][channel["sampler"]]["output"])
+        assert np.allclose(np.linalg.norm(q, axis=1), 1, atol=1e-6)
+        assert ((q[1:] * q[:-1]).sum(1) > 0).all(), "a sign flip makes LINEAR turn the long way round"
+
+
+def test_without_unrolling_a_sign_would_flip():
+    """Negative control of the last line above: the motion does need it."""
+    q = rotation.matrix_to_quaternion(spin().rot)
+    assert ((q[1:] * q[:-1]).sum(-1) < 0).any()
+
+
+def test_pygltflib_and_trimesh_open_it(written, body):
+    file = pygltflib.GLTF2().load(str(written))
+    assert [file.nodes[j].name for j in file.skins[0].joints] == list(STANDARD.names)
+    scene = trimesh.load(written)
+    (mesh,) = scene.geometry.values()
+    assert len(mesh.faces) == len(body.faces) and np.allclose(mesh.bounds[0], body.template.min(0).values, atol=1e-6)
+    first = np.stack([scene.graph.get(name)[0][:3, 3] for name in STANDARD.names]) @ WORLD_FROM_GLTF.T
+    assert np.abs(first - spin().positions[0].numpy()).max() < 1e-5
+
+
+@pytest.mark.parametrize("with_body", [True, False])
+def test_round_trip(tmp_path, body, with_body):
+    gltf.save(tmp_path / "a.glb", spin(), body if with_body else None)
+    back = gltf.load(tmp_path / "a.glb")
+    assert back.skeleton.names == STANDARD.names and back.skeleton.parents == STANDARD.parents
+    assert back.skeleton.contact_names == STANDARD.contact_names and back.fps == FPS and back.name == "spin"
+    assert (back.positions - spin().positions).abs().max() < 1e-5
+    assert rotation.geodesic(back.rot, spin().rot).max() < 1e-3
+    gltf.save(tmp_path / "b.glb", back, body if with_body else None)
+    assert (gltf.load(tmp_path / "b.glb").positions - back.positions).abs().max() < 1e-6
+
+
+def test_one_frame(tmp_path):
+    gltf.save(tmp_path / "pose.glb", spin().cut(3, 4))
+    back = gltf.load(tmp_path / "pose.glb")
+    assert back.frames == 1 and (back.positions - spin().cut(3, 4).positions).abs().max() < 1e-5
+
+
+def test_nothing_half_written(tmp_path, body, monkeypatch):
+    (tmp_path / "a.glb").write_bytes(b"old")
+    with pytest.raises(ShapeError, match="influences"):
+        gltf.save(tmp_path / "a.glb", spin(), body, influences=5)
+    with pytest.raises(ShapeError, match="one clip"):
+        gltf.save(tmp_path / "a.glb", Motion(STANDARD, spin().root[None], spin().rot[None], FPS), body)
+    broken = spin()
+    broken.root[9, 1] = torch.nan
+    with pytest.raises(DataError, match="frame 9"):
+        gltf.save(tmp_path / "a.glb", broken)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.glb"] and (tmp_path / "a.glb").read_bytes() == b"old"
+
+
+def rewrite(path, change):
+    """The file with its JSON changed by a function."""
+    data = path.read_bytes()
+    size = struct.unpack_from("<I", data, 12)[0]
+    content = json.loads(data[20 : 20 + size])
+    change(content)
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    rest = struct.pack("<I4s", len(text), b"JSON") + text + data[20 + size :]
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(rest)) + rest
+
+
+DAMAGE = {
+    "no animation": lambda c: c.pop("animations"),
+    "no nodes": lambda c: c.pop("nodes"),
+    "joint not there": lambda c: c["skins"][0].update(joints=[0, 99]),
+    "circle": lambda c: c["nodes"][21].update(children=[0]),
+    "two trees": lambda c: c["skins"][0].update(joints=[4, 5, 7, 8]),
+    "view past the end": lambda c: c["bufferViews"][0].update(byteOffset=10**9),
+    "negative offset": lambda c: c["bufferViews"][0].update(byteOffset=-4),
+    "no view": lambda c: c["accessors"][0].pop("bufferView"),
+    "huge count": lambda c: c["accessors"][1].update(count=10**12),
+    "no count": lambda c: c["accessors"][1].update(count=0),
+    "wrong type": lambda c: c["accessors"][1].update(type="SCALAR"),
+    "cubic": lambda c: c["animations"][0]["samplers"][0].update(interpolation="CUBICSPLINE"),
+    "negative fps": lambda c: c["animations"][0]["extras"].update(fps=-30),
+    "other fps": lambda c: c["animations"][0]["extras"].update(fps=47),
+    "unknown contact": lambda c: c["animations"][0]["extras"].update(contact_names=["tail"]),
+    "scaled": lambda c: c["nodes"][3].update(scale=[2, 2, 2]),
+    "matrix": lambda c: c["nodes"][3].update(matrix=np.eye(4).ravel().tolist()),
+    "list for nodes": lambda c: c.update(nodes=[[]]),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damaged_json_is_named(tmp_path, written, damage):
+    path = tmp_path / "bad.glb"
+    path.write_bytes(rewrite(written, DAMAGE[damage]))
+    with pytest.raises(DataError) as error:
+        gltf.load(path)
+    assert "bad.glb" in str(error.value) and error.value.remedy
+
+
+@pytest.mark.parametrize("kind", ["empty", "text", "cut", "cut header", "zeros", "not json"])
+def test_damaged_bytes_are_named(tmp_path, written, kind):
+    data, path = written.read_bytes(), tmp_path / "bad.glb"
+    bad = {
+        "empty": b"",
+        "text": b"HIERARCHY ROOT hips and so on",
+        "cut": data[: len(data) // 2],
+        "cut header": data[:15],
+        "zeros": bytes(400),
+        "not json": data[:20] + b"}" + data[21:],
+    }
+    path.write_bytes(bad[kind])
+    with pytest.raises(DataError, match=r"bad\.glb"):
+        gltf.load(path)
+
+
+def test_random_flips_load_or_are_named(tmp_path, written):
+    g, path = np.random.default_rng(0), tmp_path / "flip.glb"
+    data = written.read_bytes()
+    for _ in range(60):
+        bad = bytearray(data)
+        for place in g.integers(0, 6000, 3):
+            bad[place] = g.integers(256)
+        path.write_bytes(bad)
+        try:
+            gltf.load(path)
+        except DataError as error:
+            assert error.remedy
