@@ -21,11 +21,17 @@ from motionlab.optimise import FitResult, minimise
 
 @dataclass(frozen=True)
 class Representation:
-    """A parameterisation of rotations: encode (..., 3, 3) -> (..., P) and back."""
+    """A parameterisation of rotations: encode (..., 3, 3) -> (..., P) and back.
+
+    tidy: takes the freedom out of parameters that is not rotation (the lengths of 6D vectors and quaternions)
+    without choosing a branch. A smoothness term on raw 6D numbers shrinks them to nothing, where each small
+    change is any rotation at all; on tidy numbers it cannot.
+    """
 
     name: str
     encode: Callable[[Tensor], Tensor]
     decode: Callable[[Tensor], Tensor]
+    tidy: Callable[[Tensor], Tensor] = lambda theta: theta
 
 
 def _unrolled(matrix: Tensor) -> Tensor:
@@ -35,11 +41,22 @@ def _unrolled(matrix: Tensor) -> Tensor:
 AXIS_ANGLE = Representation("axis-angle", rotation.matrix_to_axis_angle, rotation.axis_angle_to_matrix)
 #: Axis-angle whose branch is made continuous along time (the frame axis, second from the right) beforehand.
 UNROLLED = Representation("axis-angle, unrolled", _unrolled, rotation.axis_angle_to_matrix)
-QUATERNION = Representation("quaternion", rotation.matrix_to_quaternion, rotation.quaternion_to_matrix)
+QUATERNION = Representation(
+    "quaternion",
+    rotation.matrix_to_quaternion,
+    rotation.quaternion_to_matrix,
+    tidy=lambda q: torch.nn.functional.normalize(q, dim=-1),
+)
 EULER = Representation(
     "Euler ZXY", lambda r: rotation.matrix_to_euler(r, "ZXY"), lambda e: rotation.euler_to_matrix(e, "ZXY")
 )
-SIXD = Representation("6D", rotation.matrix_to_sixd, rotation.sixd_to_matrix)
+RAW_SIXD = Representation("6D, lengths free", rotation.matrix_to_sixd, rotation.sixd_to_matrix)
+SIXD = Representation(
+    "6D",
+    rotation.matrix_to_sixd,
+    rotation.sixd_to_matrix,
+    tidy=lambda d: rotation.matrix_to_sixd(rotation.sixd_to_matrix(d)),
+)
 
 
 def jumps(representation: Representation, path: Tensor) -> Tensor:
@@ -96,7 +113,7 @@ def fill(
 ) -> tuple[Tensor, FitResult]:
     """Hide the middle of each path (N, T, 3, 3) and let data and smoothness terms fill it.
 
-    E(theta) = sum over seen frames |R(theta_t) - R_t|^2 + smoothness sum_t |theta_{t+1} - theta_t|^2
+    E(theta) = sum over seen frames |R(theta_t) - R_t|^2 + smoothness sum_t |tidy(theta)_{t+1} - tidy(theta)_t|^2
 
     The data term compares rotations, so only the smoothness term sees the representation; the start is the
     per-frame estimate, held constant through the gap. Solved by L-BFGS for all paths at once.
@@ -116,7 +133,7 @@ def fill(
     def energy(variables: dict[str, Tensor]) -> Tensor:
         theta = variables["theta"]
         data = (representation.decode(theta[:, seen]) - path[:, seen]).square().sum()
-        return data + smoothness * theta.diff(dim=1).square().sum()
+        return data + smoothness * representation.tidy(theta).diff(dim=1).square().sum()
 
     fit = minimise(
         energy, {"theta": start.requires_grad_()}, steps=closures, max_closures=closures, tolerance_grad=1e-6

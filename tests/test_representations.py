@@ -1,0 +1,108 @@
+import math
+
+import pytest
+import torch
+
+from motionlab import representations as rep
+from motionlab import rotation
+from motionlab.skeleton import UPRIGHT
+
+EVERY = (rep.AXIS_ANGLE, rep.QUATERNION, rep.EULER, rep.SIXD)
+
+
+def turning(count=12, seconds=1.0, fps=30.0, seed=0, across=True):
+    """Upright bodies (N, T, 3, 3) that turn about the vertical, through the branch cut or away from it."""
+    g = torch.Generator().manual_seed(seed)
+    t = torch.arange(round(seconds * fps)) / fps - seconds / 2
+    speed = 1.0 + 2.0 * torch.rand(count, 1, generator=g)
+    centre = 0.0 if across else math.pi  # UPRIGHT faces +y, and its rotation angle is exactly pi
+    lean = rotation.axis_angle_to_matrix(0.05 * torch.randn(count, 1, 3, generator=g))
+    return rotation.rotation_about("z", centre + speed * t) @ UPRIGHT @ lean
+
+
+@pytest.mark.parametrize("representation", EVERY, ids=lambda r: r.name)
+def test_decode_undoes_encode(representation):
+    r = rotation.random((50,), torch.Generator().manual_seed(0), dtype=torch.float64)
+    torch.testing.assert_close(representation.decode(representation.encode(r)), r, atol=1e-7, rtol=0)
+
+
+def test_an_upright_body_in_the_canonical_heading_lies_on_the_branch_cut():
+    angle = rotation.matrix_to_axis_angle(UPRIGHT).norm()
+    assert angle.item() == pytest.approx(math.pi, abs=1e-6)
+
+
+def test_only_continuous_representations_stay_bounded_as_steps_shrink():
+    worst = {}
+    for steps in (100, 1000):
+        path = rotation.rotation_about("z", torch.linspace(-0.5, 0.5, steps, dtype=torch.float64)) @ UPRIGHT.double()
+        for r in EVERY:
+            worst[r.name, steps] = rep.jumps(r, path).max().item()
+    assert worst["axis-angle", 1000] > 5 * worst["axis-angle", 100]
+    assert worst["6D", 1000] < 1.1 * worst["6D", 100] < 2.0
+
+
+def test_flips_are_found_where_the_vectors_disagree_and_the_rotations_agree():
+    path = turning()
+    carried, decoded = rep.carried_and_decoded(path)
+    torch.testing.assert_close(rotation.axis_angle_to_matrix(carried), path, atol=1e-5, rtol=0)
+    torch.testing.assert_close(rotation.axis_angle_to_matrix(decoded), path, atol=1e-5, rtol=0)
+    flipped = rep.flipped(carried, decoded)
+    assert flipped.any(-1).all()
+    # the frame before the cut agrees, so the first flip is a change, and one change in one second is 60 a minute
+    assert (rep.flips_per_minute(flipped, 30.0) >= 60).all()
+    away = rep.carried_and_decoded(turning(across=False))
+    assert not rep.flipped(*away).any()
+
+
+def test_the_midpoint_of_flipped_vectors_is_half_a_turn_off_and_of_sixd_exact():
+    path = turning().double()
+    carried, decoded = rep.carried_and_decoded(path)
+    where = rep.flipped(carried, decoded)
+    wrong = rep.midpoint_error(rep.AXIS_ANGLE, carried, decoded, path)[where]
+    assert (wrong > 179).all()
+    six = [rep.SIXD.encode(rotation.axis_angle_to_matrix(v)) for v in (carried, decoded)]
+    assert rep.midpoint_error(rep.SIXD, *six, path).max() < 1e-4
+
+
+def test_smoothing_across_the_cut_turns_almost_a_full_circle_in_axis_angle_only():
+    path = turning()
+    assert rep.crosses_branch(path, context=10).all()
+    excess = {
+        r.name: rep.excess_rotation(rep.fill(path, r, context=10, closures=200)[0], context=10)
+        for r in (rep.AXIS_ANGLE, rep.UNROLLED, rep.SIXD)
+    }
+    assert (excess["axis-angle"] > 180).all()
+    assert (excess["6D"] < 5).all()
+    assert (excess["axis-angle, unrolled"] < 5).all()
+
+
+def test_raw_sixd_shrinks_where_nothing_is_seen():
+    """Why ``tidy`` is there: smoothness alone is cheapest at length zero."""
+    path = turning()
+    lengths = {}
+    for r in (rep.RAW_SIXD, rep.SIXD):
+        theta = rep.fill(path, r, context=10, closures=400)[1].variables["theta"]
+        lengths[r.name] = theta[:, 10:-10, :3].norm(dim=-1).min().item()
+    assert lengths["6D, lengths free"] < 0.3 < 0.7 < lengths["6D"]
+
+
+def test_away_from_the_cut_axis_angle_is_as_good():
+    """Negative control: the effect is the cut's, not the representation's alone."""
+    path = turning(across=False)
+    assert not rep.crosses_branch(path, context=10).any()
+    assert (rep.excess_rotation(rep.fill(path, rep.AXIS_ANGLE, context=10, closures=200)[0], context=10) < 5).all()
+
+
+def test_filling_leaves_what_was_seen():
+    path = turning()
+    filled, _ = rep.fill(path, rep.SIXD, context=10, closures=200)
+    error = rotation.geodesic(filled, path.double())
+    assert torch.rad2deg(torch.cat((error[:, :10], error[:, -10:]), dim=1)).max() < 10
+
+
+def test_consistency_destroys_flipped_clips_in_axis_angle_only():
+    path = turning(count=6)
+    broken, _ = rep.consistency(path, rep.AXIS_ANGLE, steps=200)
+    kept, _ = rep.consistency(path, rep.SIXD, steps=200)
+    assert (broken.amax(-1) > 30).all()
+    assert (kept.amax(-1) < 5).all()
