@@ -1,0 +1,114 @@
+"""pyproject.toml, constraints.txt and environment.yml agree, and the running environment is the one they describe."""
+
+import re
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+
+from motionlab.doctor import normal_name, read_pins
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+ASKED = [Requirement(line) for line in PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"]]
+PINS = read_pins(ROOT / "constraints.txt")
+CONDA = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))
+CONDA_PIP = next(entry["pip"] for entry in CONDA["dependencies"] if isinstance(entry, dict))
+CONDA_PINS = dict(line.split("==") for line in CONDA_PIP if "==" in line)
+
+
+def disagreements(asked, pins, conda):
+    """What the three lists do not agree on; conda has {"name[extra]": version}."""
+    conda_names = {normal_name(name.split("[")[0]): name for name in conda}
+    for requirement in asked:
+        name = normal_name(requirement.name)
+        if name not in pins:
+            yield f"{name}: not in constraints.txt"
+        elif not requirement.specifier.contains(pins[name]):
+            yield f"{name}: pyproject.toml wants {requirement.specifier}, constraints.txt has {pins[name]}"
+        if name not in conda_names:
+            yield f"{name}: not in environment.yml"
+        elif conda[conda_names[name]] != pins.get(name):
+            yield f"{name}: environment.yml has {conda[conda_names[name]]}, constraints.txt {pins.get(name)}"
+        elif set(re.findall(r"\w+", conda_names[name].partition("[")[2])) != requirement.extras:
+            yield f"{name}: environment.yml asks for other extras than pyproject.toml"
+    for name in set(conda_names) - {normal_name(requirement.name) for requirement in asked}:
+        yield f"{name}: in environment.yml, not in pyproject.toml"
+
+
+def needed(asked):
+    """Names of everything that `asked` pulls in on this machine, itself included."""
+    todo = [(normal_name(r.name), extra) for r in asked for extra in ["", *r.extras]]
+    seen = set()
+    while todo:
+        name, extra = todo.pop()
+        if (name, extra) in seen:
+            continue
+        seen.add((name, extra))
+        for line in metadata.requires(name) or []:
+            r = Requirement(line)
+            if r.marker is None or r.marker.evaluate({"extra": extra}):
+                todo += [(normal_name(r.name), further) for further in ["", *r.extras]]
+    return {name for name, _ in seen}
+
+
+def test_the_three_lists_agree():
+    assert not list(disagreements(ASKED, PINS, CONDA_PINS))
+
+
+def test_conda_installs_with_the_constraints_torch_first_and_the_project_last():
+    assert CONDA_PIP[0] == "-c constraints.txt"
+    assert CONDA_PIP[1] == f"torch=={PINS['torch']}"
+    assert CONDA_PIP[-1] == "-e ."
+    python = next(line for line in CONDA["dependencies"] if str(line).startswith("python="))
+    assert SpecifierSet(PROJECT["requires-python"]).contains(python.removeprefix("python=") + ".0")
+
+
+def test_every_package_that_is_pulled_in_is_pinned():
+    of_torch = {
+        name for name in needed(ASKED) if name.startswith(("nvidia-", "cuda-", "triton"))
+    }  # it pins them itself
+    assert not needed(ASKED) - set(PINS) - of_torch - {"setuptools", "pip"}
+
+
+@pytest.mark.parametrize("name", sorted(normal_name(requirement.name) for requirement in ASKED))
+def test_the_running_version_is_the_pinned_one(name):
+    assert metadata.version(name).split("+")[0] == PINS[name], "run `make setup`"
+
+
+def test_pins_are_exact_and_carry_no_local_build():
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    lines = [line for line in lines if not line.startswith("#")]
+    assert all(re.fullmatch(r"[\w.-]+==[\w.]+", line) for line in lines)
+    assert len(lines) == len(PINS)
+
+
+def test_this_python_is_one_we_claim():
+    assert SpecifierSet(PROJECT["requires-python"]).contains(".".join(map(str, sys.version_info[:3])))
+
+
+GOOD = ([Requirement("torch"), Requirement("pyvista[jupyter]>=1")], {"torch": "2.0", "pyvista": "1.5"})
+
+
+@pytest.mark.parametrize(
+    ("pins", "conda", "complaint"),
+    [
+        ({"torch": "2.0"}, {"torch": "2.0", "pyvista[jupyter]": "1.5"}, "pyvista: not in constraints.txt"),
+        ({"torch": "2.0", "pyvista": "0.9"}, {"torch": "2.0", "pyvista[jupyter]": "0.9"}, "wants >=1"),
+        (GOOD[1], {"torch": "2.0"}, "pyvista: not in environment.yml"),
+        (GOOD[1], {"torch": "2.1", "pyvista[jupyter]": "1.5"}, "torch: environment.yml has 2.1"),
+        (GOOD[1], {"torch": "2.0", "pyvista": "1.5"}, "other extras"),
+        (GOOD[1], {"torch": "2.0", "pyvista[jupyter]": "1.5", "six": "1"}, "six: in environment.yml"),
+    ],
+)
+def test_control_disagreement_is_found(pins, conda, complaint):
+    assert any(complaint in found for found in disagreements(GOOD[0], pins, conda))
+
+
+def test_control_agreement_passes():
+    assert not list(disagreements(GOOD[0], GOOD[1], {"torch": "2.0", "pyvista[jupyter]": "1.5"}))
