@@ -5,11 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from motionlab.errors import DataError
-from motionlab.io import bvh
+from motionlab.io import amp, asf, bvh, deepmimic
 from motionlab.motion import Motion
 
 #: Loader by file suffix; each takes the path and its own options.
-LOADERS = {".bvh": bvh.load}
+LOADERS = {
+    ".bvh": bvh.load,
+    ".amc": asf.load_beside,
+    ".txt": deepmimic.load,
+    ".json": deepmimic.load,
+    ".npz": amp.load,
+}
 
 
 def load(path: str | Path, **options) -> Motion:

@@ -1,0 +1,199 @@
+"""The grammar of ASF and AMC text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from motionlab.io.reading import Spot, numbers
+
+
+@dataclass
+class Bone:
+    """One bone as the file gives it: unit direction, length in file units, axis frame, degrees of freedom."""
+
+    direction: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    length: float = 0.0
+    axis: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    axis_order: str = "XYZ"
+    dof: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Asf:
+    """A skeleton file: the bones by name ("root" first), who hangs on whom, and the units."""
+
+    bones: dict[str, Bone]
+    children: dict[str, list[str]]
+    length: float
+    degrees: bool
+    position: list[float]
+
+
+def _sections(at: Spot, text: str) -> dict[str, list[tuple[int, list[str]]]]:
+    """Lines as words under their :keyword, with line numbers."""
+    sections: dict[str, list[tuple[int, list[str]]]] = {}
+    current = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.partition("#")[0].split()
+        if words and words[0].startswith(":"):
+            current = sections.setdefault(words[0][1:].lower(), [])
+            words = words[1:]
+        if words and current is not None:
+            current.append((number, words))
+    return sections
+
+
+def _floats(at: Spot, words: list[str], count: int) -> list[float]:
+    return numbers(at, [float(word) for word in words], str(count)).tolist()
+
+
+def parse_asf(at: Spot, text: str) -> Asf:
+    """Read a skeleton.
+
+    Raises:
+        DataError: naming the line.
+    """
+    sections = _sections(at, text)
+    missing = [key for key in ("units", "root", "bonedata", "hierarchy") if not sections.get(key)]
+    if missing:
+        raise at.error(f"no section :{', :'.join(missing)}: truncated, or no ASF")
+    units = {words[0].lower(): words[1:] for _, words in sections["units"]}
+    at.place = "section :units"
+    length = _floats(at, units.get("length", []), 1)[0]
+    if not length > 0 or units.get("angle") not in (["deg"], ["rad"]):
+        raise at.error("expected 'length' above zero and 'angle deg' or 'angle rad'")
+    root, position = _root(at, sections["root"])
+    bones = {"root": root} | _bones(at, sections["bonedata"])
+    children = _hierarchy(at, sections["hierarchy"], bones)
+    at.place = ""
+    return Asf(bones, children, length, units["angle"] == ["deg"], position)
+
+
+def _root(at: Spot, lines: list[tuple[int, list[str]]]) -> tuple[Bone, list[float]]:
+    root, position = Bone(dof=["tx", "ty", "tz", "rx", "ry", "rz"]), [0.0, 0.0, 0.0]
+    for number, (key, *words) in lines:
+        at.place = f"line {number}"
+        if key == "order":
+            root.dof = [word.lower() for word in words]
+            if sorted(root.dof) != ["rx", "ry", "rz", "tx", "ty", "tz"]:
+                raise at.error(f"order must name TX TY TZ RX RY RZ once each, got {' '.join(words)}")
+        elif key == "axis":
+            root.axis_order = _order(at, words)
+        elif key == "position":
+            position = _floats(at, words, 3)
+        elif key == "orientation":
+            root.axis = _floats(at, words, 3)
+    return root, position
+
+
+def _order(at: Spot, words: list[str]) -> str:
+    order = "".join(words).upper()
+    if sorted(order) != ["X", "Y", "Z"]:
+        raise at.error(f"axis order must be X, Y and Z in some order, got {' '.join(words)!r}")
+    return order
+
+
+def _bones(at: Spot, lines: list[tuple[int, list[str]]]) -> dict[str, Bone]:
+    bones: dict[str, Bone] = {}
+    bone, name = None, ""
+    for number, (key, *words) in lines:
+        at.place = f"line {number}"
+        if key == "begin":
+            if bone is not None:
+                raise at.error("begin inside a bone that has no end")
+            bone, name = Bone(), ""
+        elif bone is None:
+            raise at.error(f"expected begin, got {key!r}")
+        elif key == "end":
+            if not name or name in bones or name == "root":
+                raise at.error(f"a second bone named {name!r}" if name else "a bone without a name")
+            bones[name], bone = bone, None
+        elif key == "name":
+            name = " ".join(words)
+        elif key == "direction":
+            bone.direction = _floats(at, words, 3)
+        elif key == "length":
+            bone.length = _floats(at, words, 1)[0]
+        elif key == "axis":
+            bone.axis, bone.axis_order = _floats(at, words[:3], 3), _order(at, words[3:])
+        elif key == "dof":
+            bone.dof = [word.lower() for word in words]
+            if not set(bone.dof) <= {"rx", "ry", "rz"} or len(set(bone.dof)) != len(bone.dof):
+                raise at.error(f"degrees of freedom must be different ones of rx ry rz, got {' '.join(words)}")
+    if bone is not None:
+        raise at.error(f"bone {name} has no end: the file is truncated")
+    return bones
+
+
+def _hierarchy(at: Spot, lines: list[tuple[int, list[str]]], bones: dict[str, Bone]) -> dict[str, list[str]]:
+    children: dict[str, list[str]] = {}
+    placed = {"root"}
+    for number, words in lines:
+        at.place = f"line {number}"
+        if words in (["begin"], ["end"]):
+            continue
+        parent, *below = words
+        for name in words:
+            if name not in bones:
+                raise at.error(f"bone {name!r} is not in :bonedata")
+        if parent not in placed:
+            raise at.error(f"{parent} has children before it has a parent")
+        for name in below:
+            if name in placed:
+                raise at.error(f"{name} has two parents")
+            placed.add(name)
+            children.setdefault(parent, []).append(name)
+    lost = [name for name in bones if name not in placed]
+    if lost:
+        raise at.error(f"{', '.join(lost)} hang on nothing", place="section :hierarchy")
+    return children
+
+
+def parse_amc(at: Spot, text: str, figure: Asf) -> tuple[bool, np.ndarray]:
+    """Whether angles are degrees, and one row of values a frame: the bones' degrees of freedom in ASF order.
+
+    Raises:
+        DataError: naming the line.
+    """
+    widths = {name: len(bone.dof) for name, bone in figure.bones.items() if bone.dof}
+    degrees, rows, frame, first = figure.degrees, [], None, 1
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split()
+        if not words or words[0][0] == "#":
+            continue
+        if words[0][0] == ":":
+            degrees = {":DEGREES": True, ":RADIANS": False}.get(words[0].upper(), degrees)
+        elif len(words) == 1 and words[0].isdigit():
+            if frame is not None:
+                rows.append(_row(at, frame, widths, first))
+            if int(words[0]) != len(rows) + 1:
+                raise at.error(f"frame {words[0]} follows frame {len(rows)}", place=f"line {number}")
+            frame, first = {}, number
+        elif frame is None or words[0] in frame or widths.get(words[0]) != len(words) - 1:
+            at.place = f"line {number}"
+            if frame is None:
+                raise at.error(f"expected frame number 1, got {line.strip()[:40]!r}")
+            if words[0] in frame:
+                raise at.error(f"{words[0]} twice in one frame")
+            raise at.error(
+                f"{words[0][:40]}: expected {widths.get(words[0], 'no such bone,')} values, got {len(words) - 1}"
+            )
+        else:
+            frame[words[0]] = words[1:]
+    if frame is None:
+        raise at.error("no frames: truncated, or no AMC")
+    rows.append(_row(at, frame, widths, first))
+    try:
+        table = np.array(rows, dtype=np.float64)
+    except ValueError as error:
+        raise at.error(f"a value is no number: {error}", place="frames") from error
+    return degrees, numbers(at, table, "T C", place="frames")
+
+
+def _row(at: Spot, frame: dict[str, list[str]], widths: dict[str, int], number: int) -> list[str]:
+    if len(frame) != len(widths):
+        missing = ", ".join(name for name in widths if name not in frame)
+        raise at.error(f"frame without {missing}: truncated", place=f"line {number}")
+    return [value for name in widths for value in frame[name]]
