@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -12,6 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from motionlab import anny_body
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.skeleton import Skeleton, fk
 
@@ -27,6 +30,7 @@ class BodyModel:
     weights (V, J): skinning weights, rows sum to 1. faces (F, 3): vertex indices.
     skeleton: the T-pose skeleton at betas 0. keypoint_vertices: vertex per surface keypoint (nose, heels ...).
     pose_directions (V, 3, 9 (J - 1)) or None: SMPL's pose correctives, per entry of R_j - I, j > 0.
+    notes: where it came from and what was decided on the way, one sentence each.
 
     Raises:
         ShapeError: the arrays do not fit each other or the skeleton.
@@ -42,6 +46,7 @@ class BodyModel:
     skeleton: Skeleton
     keypoint_vertices: dict[str, int]
     pose_directions: Tensor | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         count, joints = len(self.template), len(self.skeleton)
@@ -58,10 +63,23 @@ class BodyModel:
 
     @classmethod
     def from_anny(cls, rig: str = "game_engine", betas: int = 10) -> BodyModel:
-        """The default body: anny's average adult, its shape space as betas; see :mod:`motionlab.anny_body`."""
-        from motionlab.anny_body import load  # anny is needed by this line alone
+        """The default body: anny's average adult, its shape space as betas; see :func:`motionlab.anny_body.bake`.
 
-        return load(rig, betas)
+        Baked once and cached at :func:`motionlab.anny_body.cache_path`; a damaged cache is baked again.
+
+        Raises:
+            DataError: no such rig.
+        """
+        path = anny_body.cache_path(rig, betas)
+        if path.exists():
+            try:
+                return cls.load(path)
+            except DataError as damaged:
+                print(f"{damaged}; baking it again", file=sys.stderr)
+        body = cls(**anny_body.bake(rig, betas))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        body.save(path)
+        return body
 
     def skeleton_for(self, betas: Tensor | None = None) -> Skeleton:
         """The T-pose skeleton of the body that ``betas`` (..., B) describe.
@@ -93,8 +111,9 @@ class BodyModel:
             "contact_names": self.skeleton.contact_names,
             "sole": self.skeleton.sole,
             "keypoint_vertices": self.keypoint_vertices,
+            "notes": self.notes,
         }
-        part = path.with_name(f"{path.name}.part")
+        part = path.with_name(f"{path.name}.{os.getpid()}.part")
         save_file({**tensors, "offsets": self.skeleton.offsets.contiguous()}, part, {"body": json.dumps(rest)})
         part.replace(path)
 
@@ -116,7 +135,8 @@ class BodyModel:
                 tuple(rest["contact_names"]),
                 float(rest["sole"]),
             )
-            return cls(skeleton=skeleton, keypoint_vertices=rest["keypoint_vertices"], **tensors)
+            rest = {"keypoint_vertices": rest["keypoint_vertices"], "notes": tuple(rest["notes"])}
+            return cls(skeleton=skeleton, **rest, **tensors)
         except (SafetensorError, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
             raise DataError(f"not a saved body: {error}", path=path, remedy="delete it and bake it again") from error
 
