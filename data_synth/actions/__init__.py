@@ -1,0 +1,38 @@
+"""What people do. Each action writes a score; ``ACTIONS`` holds them as functions that return a Take.
+
+    walk(subject, generator, *, fps=30.0, seconds=4.0, speed=None, ...) -> Take
+
+Every action begins and ends standing at ease, wherever and whichever way the body then faces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+
+import torch
+
+from data_synth.actions import locomotion
+from data_synth.perform import Take, perform
+from data_synth.score import Score
+from data_synth.subjects import Subject
+
+#: The writers by name: each continues a Score.
+WRITERS: dict[str, Callable[..., None]] = {
+    "walk": locomotion.walk,
+}
+
+
+def _performed(write: Callable[..., None]) -> Callable[..., Take]:
+    @wraps(write)
+    def act(subject: Subject, generator: torch.Generator, *, fps: float = 30.0, **options) -> Take:
+        score = Score(subject, generator)
+        write(score, **options)
+        return perform(score, fps)
+
+    return act
+
+
+#: name -> function(subject, generator, *, fps=30.0, **options) -> Take.
+ACTIONS: dict[str, Callable[..., Take]] = {name: _performed(write) for name, write in WRITERS.items()}
+walk = ACTIONS["walk"]

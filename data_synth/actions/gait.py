@@ -1,0 +1,113 @@
+"""Footfalls and what the body does about them: the machinery of every walk, turn and run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from data_synth.score import SIGN, Score
+
+OTHER = {"left": "right", "right": "left"}
+
+
+@dataclass(frozen=True)
+class Gait:
+    """One manner of stepping; lengths in metres, angles in radians, shares of the stride (two steps) or step.
+
+    duty: share of the stride that a foot is on the floor. width: between the ankles. clearance: lift of the
+    whole foot. heel, toe: heel raised at toe-off, toes raised at touch-down. bob, sway: amplitudes of the
+    pelvis up and sideways. yaw, twist, tilt: of the pelvis' and the trunk's rotations. swing, elbow: of the arms.
+    drop: how much lower than standing. lean: forward lean of the trunk.
+    """
+
+    duty: float = 0.61
+    width: float = 0.11
+    clearance: float = 0.035
+    heel: float = 1.05
+    toe: float = 0.30
+    bob: float = 0.018
+    sway: float = 0.018
+    yaw: float = 0.07
+    twist: float = 0.14
+    tilt: float = 0.05
+    swing: float = 0.32
+    elbow: float = 0.25
+    drop: float = 0.022
+    lean: float = 0.04
+
+
+def tread(
+    score: Score, centres: list[tuple[float, float]], headings: list[float], step_time: float, gait: Gait, first: str
+) -> None:
+    """Walk over a list of places, one step for each, and end with both feet under the body.
+
+    centres: where the middle of the body passes at each footfall, world metres; the last one repeats the one
+    before, so that the feet close. The pelvis goes from place to place with overlapping minimum-jerk moves,
+    each centred at its heel strike: fastest in double support, as people are.
+    """
+    swing_time = (1 - gait.duty) * 2 * step_time
+    start = score.now + 0.30
+    _shift(score, first, gait, score.now, start + swing_time)
+    side, strike = first, start + swing_time
+    parity = 0.0 if first == "left" else 0.5
+    for k, ((x, y), heading) in enumerate(zip(centres, headings, strict=True)):
+        last = k == len(centres) - 1
+        lift = strike - swing_time
+        for channel, to in (("x", x), ("y", y), ("heading", heading)):
+            score.move(channel, to, strike - step_time, 2 * step_time)
+        _footfall(score, side, (x, y), heading, lift, strike, gait, step_time, last=last)
+        _body(score, side, strike, step_time, gait, last=last)
+        score.gait.append((strike, parity + 0.5 * k))
+        side, strike = OTHER[side], strike + step_time
+    score.now = strike + 0.25
+
+
+def _shift(score: Score, first: str, gait: Gait, start: float, strike: float) -> None:
+    """Lean over the foot that stays, and sink a little, before the first step."""
+    score.move("sway", -SIGN[first] * 1.6 * gait.sway, start, 0.9 * (strike - start))
+    score.move("z", score.subject.standing - gait.drop, start, strike - start)
+    score.pose(start, 0.6, pitch=0.5 * gait.lean, flex=0.5 * gait.lean)
+
+
+def _footfall(score, side, centre, heading, lift, strike, gait, step_time, *, last) -> None:
+    half = SIGN[side] * (gait.width if not last else 1.3 * gait.width) / 2
+    x = centre[0] - half * math.cos(heading) + 0.035 * math.sin(heading)
+    y = centre[1] - half * math.sin(heading) - 0.035 * math.cos(heading)
+    way = math.hypot(x - score.value[f"{side}_foot_x"], y - score.value[f"{side}_foot_y"])
+    ahead = -(x - score.value[f"{side}_foot_x"]) * math.sin(heading) + (y - score.value[f"{side}_foot_y"]) * math.cos(
+        heading
+    )
+    size = min(1.0, way / (0.9 * score.subject.leg))  # short steps roll less
+    forward = max(0.0, ahead) / way if way > 1e-6 else 0.0
+    support = gait.duty * 2 * step_time
+    score.step(
+        side, (x, y), heading + SIGN[side] * score.subject.toe_out, lift, strike,
+        height=gait.clearance * (0.6 + 0.4 * size), heel=0.25 + (gait.heel - 0.25) * size,
+        toe=gait.toe * size * forward, early=min(0.42 * support, 0.36), late=0.12 * support,
+    )  # fmt: skip
+
+
+def _body(score: Score, side: str, strike: float, step_time: float, gait: Gait, *, last: bool) -> None:
+    sign, s = SIGN[side], score.subject
+    on = 0.0 if last else 1.0
+    middle = strike + 0.5 * step_time  # the other leg passes
+    longer = 1.15 * step_time
+    vary = 1 + 0.08 * score.uniform(-1, 1)
+    low, high = s.standing - gait.drop - gait.bob, s.standing - gait.drop + gait.bob
+    score.move("z", low, strike - 0.42 * step_time, 0.5 * step_time)
+    score.move("z", high if not last else s.standing, strike + 0.08 * step_time, 0.5 * step_time * (1 + last))
+    score.move("sway", on * sign * gait.sway * vary, middle - longer, longer)
+    score.move("yaw", -on * sign * gait.yaw * vary, strike - longer, longer)
+    score.move("twist", on * sign * (gait.yaw + gait.twist) * vary, strike - longer, longer)
+    score.move("tilt", on * sign * gait.tilt * vary, strike - 0.35 * step_time, 0.7 * step_time)
+    score.move("bend", -on * sign * 0.8 * gait.tilt * vary, strike - 0.35 * step_time, 0.7 * step_time)
+    if last:
+        score.pose(strike - 0.2, 0.7, pitch=0.5 * s.lean, flex=0.5 * s.lean)
+    rest = s.carriage, s.elbow
+    for arm in (side, OTHER[side]):
+        swing = on * gait.swing * (1.0 if arm == OTHER[side] else -0.75) * vary
+        bend = rest[1] + on * (gait.elbow if arm == OTHER[side] else 0.25 * gait.elbow)
+        lag = 0.04 * step_time
+        score.move(f"{arm}_raise", 0.05 + swing, strike - longer + lag, longer)
+        score.move(f"{arm}_elbow", bend, strike - longer + 3 * lag, longer)
+        score.move(f"{arm}_abduct", rest[0] - on * 0.02, strike - longer, longer)

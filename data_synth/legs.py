@@ -1,0 +1,78 @@
+"""Two-bone inverse kinematics in closed form, and the foot that rolls over heel and ball."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from data_synth.curves import soft_clip
+from motionlab.rotation import rotation_about
+from motionlab.skeleton import UPRIGHT
+
+#: How far the heel lies behind the ankle, metres.
+HEEL = 0.05
+
+
+def unit(x: Tensor) -> Tensor:
+    """x over its length along the last axis."""
+    return x / torch.linalg.vector_norm(x, dim=-1, keepdim=True)
+
+
+def two_bone(
+    start: Tensor, target: Tensor, hinge: Tensor, upper: float, lower: float, ease: float | Tensor = 0.0
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Middle and end joint of a two-bone limb that reaches for a target.
+
+    The limb lies in the plane through start and target across ``hinge``; the middle joint lies towards
+    u x hinge, u the direction to the target: forward for a leg whose hinge points left. A target beyond
+    99.8 % of the limb's length is approached smoothly, and one nearer than the most bent limb likewise.
+
+    Args:
+        start, target, hinge: (..., 3); hinge need not be unit nor orthogonal.
+        upper, lower: bone lengths, metres.
+
+    Returns:
+        directions of the upper and of the lower bone (..., 3), unit hinge (..., 3), flexion (...) in radians.
+    Source: law of cosines.
+    """
+    line = target - start
+    u = unit(line)
+    longest, shortest = upper + lower, (upper**2 + lower**2 - 2 * upper * lower * 0.82) ** 0.5
+    reach = torch.linalg.vector_norm(line, dim=-1)
+    reach = soft_clip(reach, shortest, 0.9995 * longest, (0.0015 + ease) * longest)
+    axis = unit(hinge - (hinge * u).sum(-1, keepdim=True) * u)
+    cos = (upper**2 + reach**2 - lower**2) / (2 * upper * reach)
+    sin = (1 - cos**2).clamp(min=0).sqrt()
+    upper_way = cos[..., None] * u + sin[..., None] * torch.linalg.cross(u, axis, dim=-1)
+    lower_way = (reach[..., None] * u - upper * upper_way) / lower
+    flexion = torch.pi - torch.acos(((upper**2 + lower**2 - reach**2) / (2 * upper * lower)).clamp(-1, 1))
+    return upper_way, lower_way, axis, flexion
+
+
+def bone_frame(axis: Tensor, along: Tensor) -> Tensor:
+    """Orientation (..., 3, 3) of a leg bone: local x along the hinge, local -y along the bone."""
+    return torch.stack((axis, -along, torch.linalg.cross(axis, -along, dim=-1)), -1)
+
+
+def heading_rotation(yaw: Tensor) -> Tensor:
+    """World orientation (..., 3, 3) of an upright body that has turned ``yaw`` radians to its left from +y."""
+    return rotation_about("z", yaw) @ UPRIGHT.to(yaw)
+
+
+def foot_pose(place: Tensor, yaw: Tensor, heel: Tensor, toe: Tensor, offset: Tensor, sole: float) -> tuple:
+    """Where a foot is: the ankle (..., 3), and the orientation of the foot (..., 3, 3).
+
+    place (..., 3): the floor point under the ankle of the flat foot; its height is the lift of the whole foot.
+    heel, toe (...): radians by which the heel is raised about the ball, and the toes about the heel. Both
+    can be on only in the air; on the floor one of the pivots stands still, and nothing goes below it.
+    offset (3,): ankle to ball in the rest pose. sole: height of the ball joint over the floor.
+    """
+    flat = heading_rotation(yaw)
+    toes_up, heel_up = rotation_about("x", -toe), rotation_about("x", heel)
+    up = offset.new_tensor([0.0, 1.0, 0.0])
+    height = sole - float(offset[1])
+    back = offset.new_tensor([0.0, -height, -HEEL])  # ankle to heel
+    heel_point = place + (flat @ (back + height * up)[:, None])[..., 0]
+    ball = heel_point + (flat @ toes_up @ (offset - back)[:, None])[..., 0]
+    orientation = flat @ toes_up @ heel_up
+    return ball - (orientation @ offset[:, None])[..., 0], orientation

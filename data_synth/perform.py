@@ -1,0 +1,307 @@
+"""From a score to a motion: evaluate the channels, then solve the pose of every frame at once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from data_synth.curves import evaluate, noise, ramp, soft_clip, soft_min
+from data_synth.legs import bone_frame, foot_pose, heading_rotation, two_bone, unit
+from data_synth.score import CHANNELS, SIDES, SIGN, Score
+from data_synth.subjects import Subject
+from motionlab.motion import Motion
+from motionlab.rotation import rotation_about, sixd_to_matrix
+from motionlab.skeleton import fk
+
+#: Standard deviation of the natural noise per channel, metres or radians.
+NOISE = {
+    "sway": 0.0035, "surge": 0.0035, "z": 0.0015, "yaw": 0.012, "pitch": 0.010, "tilt": 0.007,
+    "flex": 0.014, "bend": 0.012, "twist": 0.016, "nod": 0.03, "turn": 0.05, "cock": 0.02,
+    "raise": 0.035, "abduct": 0.02, "rotate": 0.04, "elbow": 0.05, "pronate": 0.06, "wrist": 0.04, "shrug": 0.01,
+}  # fmt: skip
+#: Thickness of the body around joints that may lie on the floor, metres.
+RADIUS = {
+    "pelvis": 0.095, "left_hip": 0.085, "right_hip": 0.085, "spine1": 0.09, "spine2": 0.095, "spine3": 0.10,
+    "neck": 0.06, "head": 0.085, "left_shoulder": 0.06, "right_shoulder": 0.06, "left_elbow": 0.04,
+    "right_elbow": 0.04, "left_wrist": 0.03, "right_wrist": 0.03, "left_knee": 0.05, "right_knee": 0.05,
+    "left_ankle": 0.04, "right_ankle": 0.04,
+}  # fmt: skip
+KNEE = RADIUS["left_knee"]
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """A performance with what is known about it.
+
+    motion: with contacts for skeleton.contact_names. labels: the action of each frame. phase (T,): where
+    in its cycle (gait: 0 = left heel strike) or in its course (else) the action is, in [0, 1). subject: who.
+    """
+
+    motion: Motion
+    labels: tuple[str, ...]
+    phase: Tensor
+    subject: Subject
+
+
+def perform(score: Score, fps: float = 30.0) -> Take:
+    """Play a score from time 0 to the time reached, at any frame rate.
+
+    Feet, knees and hands that the score plants stay where they are; the pelvis gives way to them.
+    """
+    frames = max(2, round(score.now * fps))
+    t = torch.arange(frames, dtype=torch.float64) / fps
+    control = _controls(score, t)
+    skeleton = score.subject.skeleton.to(torch.float64)
+    root, rot = solve(score.subject, control)
+    contacts = _contacts(score, t)
+    motion = Motion(skeleton, root, rot, fps, contacts, "+".join(dict.fromkeys(x for *_, x in score.labels)))
+    motion = _resting(motion)
+    labels, phase = _course(score, t)
+    return Take(motion.to(torch.float32), labels, phase, score.subject)
+
+
+def _controls(score: Score, t: Tensor) -> dict[str, Tensor]:
+    row = {name: i for i, name in enumerate(CHANNELS)}
+    initial = torch.tensor([score.initial[name] for name in CHANNELS], dtype=torch.float64)
+    names, start, duration, pieces = zip(*score.pieces, strict=True) if score.pieces else ((), (), (), ())
+    real = {"dtype": torch.float64}
+    channel = torch.tensor([row[name] for name in names], dtype=torch.long)
+    table = torch.tensor(pieces, **real).reshape(-1, 5)
+    curves = evaluate(initial, channel, torch.tensor(start, **real), torch.tensor(duration, **real), table, t)
+    control = dict(zip(CHANNELS, curves, strict=True))
+    noisy = [name for name in CHANNELS if name.removeprefix("left_").removeprefix("right_") in NOISE]
+    generator = torch.Generator().manual_seed(int(torch.randint(2**31, (), generator=score.generator)))
+    rows = noise(t, len(noisy), generator)
+    awake = 1 - 0.8 * control["settle"].clamp(0, 1)
+    for name, row_ in zip(noisy, rows, strict=True):
+        size = NOISE[name.removeprefix("left_").removeprefix("right_")] * score.subject.restless
+        control[name] = control[name] + size * row_ * awake
+    breath = (2 * math.pi * 0.26 * score.subject.tempo * t).sin()
+    control["flex"] = control["flex"] - 0.008 * breath
+    for side in SIDES:
+        control[f"{side}_shrug"] = control[f"{side}_shrug"] + 0.012 * breath
+    return control
+
+
+def solve(subject: Subject, c: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """Root (T, 3) and local rotations (T, 22, 3, 3) from the channels (T,)."""
+    skeleton = subject.skeleton.to(torch.float64)
+    name = skeleton.index
+    frames = len(c["x"])
+    rot = torch.eye(3, dtype=torch.float64).expand(frames, len(skeleton), 3, 3).clone()
+    heading = heading_rotation(c["heading"] + c["yaw"])
+    tip = rotation_about("x", c["pitch"]) @ rotation_about("y", c["roll"]) @ rotation_about("z", c["tilt"])
+    pelvis_rot = heading @ tip
+    cos, sin = c["heading"].cos(), c["heading"].sin()
+    x = c["x"] - cos * c["sway"] - sin * c["surge"]
+    y = c["y"] - sin * c["sway"] + cos * c["surge"]
+    pelvis = torch.stack((x, y, c["z"]), -1)
+
+    for joint, share in (("spine1", 0.35), ("spine2", 0.35), ("spine3", 0.30)):
+        bend = rotation_about("x", share * c["flex"]) @ rotation_about("z", share * c["bend"])
+        rot[:, name(joint)] = bend @ rotation_about("y", share * c["twist"])
+    steady = 0.85 * c["steady"]
+    nod = soft_clip(c["nod"] - steady * (c["pitch"] + c["flex"]), -0.9, 0.75, 0.25)
+    turn = soft_clip(c["turn"] - steady * (c["yaw"] + c["twist"]), -1.1, 1.1, 0.3)
+    cock = soft_clip(c["cock"] - steady * (c["tilt"] + c["bend"]), -0.6, 0.6, 0.2)
+    for joint in ("neck", "head"):
+        rot[:, name(joint)] = (
+            rotation_about("y", turn / 2) @ rotation_about("x", nod / 2) @ rotation_about("z", cock / 2)
+        )
+
+    feet = {side: _foot(subject, c, side) for side in SIDES}
+    pelvis = _kneel(pelvis, pelvis_rot, feet, c, subject)
+    pelvis = _within_reach(pelvis, pelvis_rot, feet, c, subject)
+    for side in SIDES:
+        _leg(rot, pelvis, pelvis_rot, feet[side], c, side, subject)
+        _arm_angles(rot, c, side, subject)
+    rot[:, 0] = pelvis_rot
+    pelvis = _settle(pelvis, rot, c["settle"], subject)
+    if any(c[f"{side}_grip"].any() for side in SIDES):
+        positions, orientations = fk(skeleton, pelvis, rot)
+        for side in SIDES:
+            _arm_reach(rot, positions, orientations, c, side, subject)
+    return pelvis, rot
+
+
+def _foot(subject: Subject, c: dict[str, Tensor], side: str) -> tuple[Tensor, Tensor]:
+    offset = subject.skeleton.offsets[subject.skeleton.index(f"{side}_foot")].to(torch.float64)
+    place = torch.stack([c[f"{side}_{part}"] for part in ("foot_x", "foot_y", "lift")], -1)
+    return foot_pose(place, c[f"{side}_foot_yaw"], c[f"{side}_heel"], c[f"{side}_toe"], offset, subject.skeleton.sole)
+
+
+def _hip(subject: Subject, side: str) -> Tensor:
+    return subject.skeleton.offsets[subject.skeleton.index(f"{side}_hip")].to(torch.float64)
+
+
+def _knee_on_floor(foot: tuple[Tensor, Tensor], yaw: Tensor, subject: Subject) -> Tensor:
+    """Where the knee of a kneeling leg touches the floor, in front of its ankle."""
+    ankle = foot[0]
+    shin = subject.length("left_ankle")
+    ahead = (shin**2 - (ankle[:, 2] - KNEE).square()).clamp(min=0.01).sqrt()
+    way = torch.stack((-yaw.sin(), yaw.cos()), -1)
+    return torch.cat((ankle[:, :2] + ahead[:, None] * way, torch.full_like(ankle[:, :1], KNEE)), -1)
+
+
+def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
+    """Shift the pelvis as little as possible so that the thighs of planted knees keep their length."""
+    weight = {side: c[f"{side}_kneel"] for side in SIDES}
+    if not any(w.any() for w in weight.values()):
+        return pelvis
+    moved = pelvis
+    thigh = subject.length("left_knee")
+    knees = {side: _knee_on_floor(feet[side], c[f"{side}_foot_yaw"], subject) for side in SIDES}
+    for _ in range(8):
+        rows, residual = [], []
+        for side in SIDES:
+            line = moved + (pelvis_rot @ _hip(subject, side)[:, None])[..., 0] - knees[side]
+            length = torch.linalg.vector_norm(line, dim=-1)
+            rows.append(weight[side][:, None] * line / length[:, None])
+            residual.append(weight[side] * (length - thigh))
+        jacobian, error = torch.stack(rows, 1), torch.stack(residual, 1)
+        gram = jacobian @ jacobian.mT + 1e-9 * torch.eye(2, dtype=torch.float64)
+        moved = moved - (jacobian.mT @ torch.linalg.solve(gram, error[..., None]))[..., 0]
+    strength = 1 - (1 - weight["left"]) * (1 - weight["right"])
+    return pelvis + strength[:, None] * (moved - pelvis)
+
+
+def _within_reach(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
+    """Lower the pelvis where a standing leg would have to be longer than it is (the compass of gait)."""
+    limits = [pelvis[:, 2]]
+    for side in SIDES:
+        hip = (pelvis_rot @ _hip(subject, side)[:, None])[..., 0]
+        away = feet[side][0][:, :2] - (pelvis + hip)[:, :2]
+        up = ((0.9955 * subject.leg) ** 2 - away.square().sum(-1)).clamp(min=0.01).sqrt()
+        free = 0.5 * c[f"{side}_lift"].clamp(min=0) + 3 * (c[f"{side}_loose"] + c[f"{side}_kneel"])
+        limits.append(feet[side][0][:, 2] + up - hip[:, 2] + free)
+    return torch.cat((pelvis[:, :2], soft_min(torch.stack(limits, -1), 0.010)[:, None]), -1)
+
+
+def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
+    name = subject.skeleton.index
+    ankle, foot_rot = foot
+    thigh, shin = subject.length("left_knee"), subject.length("left_ankle")
+    hip = pelvis + (pelvis_rot @ _hip(subject, side)[:, None])[..., 0]
+    left = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+    sign = SIGN[side]
+    yaw_left = heading_rotation(c[f"{side}_foot_yaw"])[..., 0]
+    hinge = unit(0.55 * yaw_left + 0.45 * (pelvis_rot @ left))
+    hinge = (rotation_about("z", sign * c[f"{side}_splay"]) @ hinge[..., None])[..., 0]
+    kneel = c[f"{side}_kneel"][:, None]
+    if kneel.any():
+        knee = _knee_on_floor(foot, c[f"{side}_foot_yaw"], subject)
+        hinge = unit(hinge + kneel * (unit(torch.linalg.cross(hip - ankle, knee - ankle, dim=-1)) - hinge))
+    loose = c[f"{side}_loose"][:, None]
+    if loose.any():
+        thigh_rot = (
+            pelvis_rot
+            @ rotation_about("x", -c[f"{side}_hip_flex"])
+            @ rotation_about("z", sign * c[f"{side}_hip_abduct"])
+            @ rotation_about("y", sign * c[f"{side}_hip_twist"])
+        )
+        shin_rot = thigh_rot @ rotation_about("x", c[f"{side}_knee"])
+        free_ankle = hip - thigh * thigh_rot[..., 1] - shin * shin_rot[..., 1]
+        ankle = ankle + loose * (free_ankle - ankle)
+        hinge = unit(hinge + loose * (thigh_rot[..., 0] - hinge))
+        free_foot = shin_rot @ rotation_about("x", c[f"{side}_ankle"])
+        mixed = foot_rot[..., :2] + loose[..., None] * (free_foot - foot_rot)[..., :2]
+        foot_rot = sixd_to_matrix(mixed.mT.reshape(*mixed.shape[:-2], 6))
+    ease = 0.03 * ramp(c[f"{side}_lift"] / 0.03)
+    upper, lower, axis, _ = two_bone(hip, ankle, hinge, thigh, shin, ease)
+    thigh_rot, shin_rot = bone_frame(axis, upper), bone_frame(axis, lower)
+    rot[:, name(f"{side}_hip")] = pelvis_rot.mT @ thigh_rot
+    rot[:, name(f"{side}_knee")] = thigh_rot.mT @ shin_rot
+    rot[:, name(f"{side}_ankle")] = shin_rot.mT @ foot_rot
+    toes = soft_clip(c[f"{side}_heel"], -0.5, 0.95, 0.3) * (1 - loose[:, 0])
+    rot[:, name(f"{side}_foot")] = rotation_about("x", -toes)
+
+
+def _arm_angles(rot, c, side, subject) -> None:
+    name = subject.skeleton.index
+    sign = SIGN[side]
+    abduct, lifted = c[f"{side}_abduct"], c[f"{side}_raise"]
+    upper = (
+        rotation_about("x", -lifted)
+        @ rotation_about("z", sign * (abduct - math.pi / 2))
+        @ rotation_about("x", -c[f"{side}_rotate"])
+    )
+    way = sign * upper[..., 0]  # of the upper arm, in the thorax
+    high, ahead = way[:, 1], way[:, 2]
+    shrug = 0.45 * ramp((high + 0.75) / 1.75) + c[f"{side}_shrug"] - 0.02
+    reach = 0.22 * ramp((ahead + 0.2) / 1.2) - 0.02
+    collar = rotation_about("y", -sign * reach) @ rotation_about("z", sign * shrug)
+    rot[:, name(f"{side}_collar")] = collar
+    rot[:, name(f"{side}_shoulder")] = collar.mT @ upper
+    elbow = soft_clip(c[f"{side}_elbow"], 0.03, 2.55, 0.12)
+    rot[:, name(f"{side}_elbow")] = rotation_about("y", -sign * elbow)
+    rot[:, name(f"{side}_wrist")] = rotation_about("x", -c[f"{side}_pronate"]) @ rotation_about(
+        "z", sign * -c[f"{side}_wrist"]
+    )
+
+
+def _arm_reach(rot, positions, orientations, c, side, subject) -> None:
+    """Bring the wrist to the place that the score gives, by the weight of the grip."""
+    name = subject.skeleton.index
+    sign = SIGN[side]
+    grip = c[f"{side}_grip"][:, None]
+    shoulder, wrist = positions[:, name(f"{side}_shoulder")], positions[:, name(f"{side}_wrist")]
+    place = torch.stack([c[f"{side}_hand_{axis}"] for axis in "xyz"], -1)
+    target = wrist + grip * (place - wrist)
+    swing = orientations[:, name(f"{side}_shoulder"), :, 1]
+    upper, lower, axis, _ = two_bone(
+        shoulder, target, -sign * swing, subject.length("left_elbow"), subject.length("left_wrist")
+    )
+    hinge = -sign * axis
+    upper_rot = torch.stack((sign * upper, hinge, torch.linalg.cross(sign * upper, hinge, dim=-1)), -1)
+    lower_rot = torch.stack((sign * lower, hinge, torch.linalg.cross(sign * lower, hinge, dim=-1)), -1)
+    used = (grip > 0)[..., None]
+    at, elbow = name(f"{side}_shoulder"), name(f"{side}_elbow")
+    rot[:, at] = torch.where(used, orientations[:, name(f"{side}_collar")].mT @ upper_rot, rot[:, at])
+    rot[:, elbow] = torch.where(used, upper_rot.mT @ lower_rot, rot[:, elbow])
+
+
+def _settle(pelvis: Tensor, rot: Tensor, weight: Tensor, subject: Subject) -> Tensor:
+    """Lay the body on the floor: raise or lower it until its lowest part touches, by the weight of ``settle``."""
+    if not weight.any():
+        return pelvis
+    skeleton = subject.skeleton.to(torch.float64)
+    heights = fk(skeleton, pelvis, rot)[0][..., 2]
+    radius = torch.tensor(list(RADIUS.values()), dtype=torch.float64)
+    clearance = soft_min(heights[:, skeleton.indices(list(RADIUS))] - radius, 0.006)
+    return torch.cat((pelvis[:, :2], (pelvis[:, 2] - weight * clearance)[:, None]), -1)
+
+
+def _contacts(score: Score, t: Tensor) -> Tensor:
+    names = score.subject.skeleton.contact_names
+    contacts = torch.zeros(len(t), len(names), dtype=torch.float64)
+    open_ended = [(joint, start, math.inf) for joint, start in score.planted.items()]
+    for joint, start, stop in [*score.contacts, *open_ended]:
+        contacts[(t >= start - 1e-9) & (t <= stop + 1e-9), names.index(joint)] = 1
+    return contacts
+
+
+def _resting(motion: Motion) -> Motion:
+    """Add the contacts of a pelvis that lies still on the floor."""
+    return motion
+
+
+def _course(score: Score, t: Tensor) -> tuple[tuple[str, ...], Tensor]:
+    """Label and phase of every frame; the innermost action that covers a frame names it."""
+    labels, phase = ["idle"] * len(t), torch.zeros(len(t))
+    for start, stop, label in sorted(score.labels, key=lambda mark: mark[0] - mark[1]):
+        inside = ((t >= start - 1e-9) & (t < stop - 1e-9)).nonzero()[:, 0].tolist()
+        for i in inside:
+            labels[i] = label
+        if inside:
+            phase[inside] = ((t[inside] - start) / (stop - start)).clamp(0, 0.9999).float()
+    if score.gait:
+        at, cycle = (torch.tensor(x, dtype=torch.float64) for x in zip(*sorted(score.gait), strict=True))
+        for i in range(len(at) - 1):
+            if cycle[i + 1] > cycle[i]:
+                inside = (t >= at[i]) & (t < at[i + 1])
+                way = cycle[i] + (cycle[i + 1] - cycle[i]) * (t[inside] - at[i]) / (at[i + 1] - at[i])
+                phase[inside] = (way % 1).float()
+    return tuple(labels), phase
