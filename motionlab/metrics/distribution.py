@@ -1,0 +1,99 @@
+"""How far two sets of motions are from each other: a few numbers per window, and a distance with its floor."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.errors import ShapeError, check_shape
+from motionlab.motion import Motion, velocity
+from motionlab.skeleton import FEET
+
+#: What :func:`describe` measures, with its unit.
+UNITS = {
+    "root speed": "m/s",
+    "turning rate": "deg/s",
+    "joint speed": "m/s",
+    "joint acceleration": "m/s^2",
+    "foot height": "m",
+    "knee flexion": "deg",
+    "elbow flexion": "deg",
+    "trunk lean": "deg",
+    "hand height": "m",
+}
+
+
+def describe(motion: Motion) -> dict[str, Tensor]:
+    """Physical summary of each window of motions on the standard joints: name -> (...), units in ``UNITS``.
+
+    Means over the T frames of a window (and over the joints or sides concerned); the root moves on the floor
+    plane only; heights are above z = 0; flexion is the angle between the two bones of a limb.
+    """
+    p, fps, index = motion.positions, motion.fps, motion.skeleton.index
+    pelvis, world = p[..., 0, :], motion.world[1]
+    moving = velocity(p, fps, dim=-3)
+    second = p.diff(n=2, dim=-3) * fps**2
+    turn = rotation.geodesic(world[..., :-1, 0, :, :], world[..., 1:, 0, :, :]) * fps
+    trunk = torch.nn.functional.normalize(p[..., index("neck"), :] - pelvis, dim=-1)
+    hands = p[..., [index("left_wrist"), index("right_wrist")], 2]
+    return {
+        "root speed": moving[..., 0, :2].norm(dim=-1).mean(-1),
+        "turning rate": torch.rad2deg(turn).mean(-1),
+        "joint speed": moving.norm(dim=-1).mean((-1, -2)),
+        "joint acceleration": second.norm(dim=-1).mean((-1, -2)),
+        "foot height": p[..., motion.skeleton.indices(FEET), 2].mean((-1, -2)),
+        "knee flexion": _flexion(motion, "hip", "knee", "ankle"),
+        "elbow flexion": _flexion(motion, "shoulder", "elbow", "wrist"),
+        "trunk lean": torch.rad2deg(torch.acos(trunk[..., 2].clamp(-1, 1))).mean(-1),
+        "hand height": hands.mean((-1, -2)),
+    }
+
+
+def _flexion(motion: Motion, *chain: str) -> Tensor:
+    angles = []
+    for side in ("left", "right"):
+        a, b, c = (motion.positions[..., motion.skeleton.index(f"{side}_{part}"), :] for part in chain)
+        upper, lower = torch.nn.functional.normalize(b - a, dim=-1), torch.nn.functional.normalize(c - b, dim=-1)
+        angles.append(torch.acos((upper * lower).sum(-1).clamp(-1, 1)))
+    return torch.rad2deg(torch.stack(angles)).mean((0, -1))
+
+
+def energy_distance(x: Tensor, y: Tensor) -> float:
+    """Energy distance between samples (N, D) and (M, D): 0 where the distributions agree, never below.
+
+    2 E|X - Y| - E|X - X'| - E|Y - Y'|, square root; every pair but a sample with itself. The estimate is
+    unbiased before the root and clamped at zero. It has the unit of the features: standardise them first.
+
+    Source: Szekely and Rizzo 2013, Eq. 5.3 (U-statistic form).
+    Raises:
+        ShapeError: fewer than two samples on a side, or different D.
+    """
+    check_shape(y, f"M {check_shape(x, 'N D', 'x')['D']}", "y")
+    if min(len(x), len(y)) < 2:
+        raise ShapeError(f"energy_distance: needs two samples a side, got {len(x)} and {len(y)}")
+    x, y = x.double(), y.double()
+    within = [torch.cdist(s, s).sum() / (len(s) * (len(s) - 1)) for s in (x, y)]
+    squared = 2 * torch.cdist(x, y).mean() - within[0] - within[1]
+    return math.sqrt(max(squared.item(), 0.0))
+
+
+def floor(x: Tensor, groups: Tensor, generator: torch.Generator, draws: int = 50) -> Tensor:
+    """Distances (draws,) between random halves of one set (N, D), split by group: what sampling alone explains.
+
+    groups (N,): windows of one recording stay on one side, as recordings are the independent units.
+
+    Raises:
+        ShapeError: fewer than two groups.
+    """
+    names = groups.unique()
+    if len(names) < 2:
+        raise ShapeError("floor: needs at least two groups")
+    found = []
+    for _ in range(draws):
+        mine = torch.isin(groups, names[torch.randperm(len(names), generator=generator)[: len(names) // 2]])
+        if 2 <= int(mine.sum()) <= len(x) - 2:
+            found.append(energy_distance(x[mine], x[~mine]))
+    return torch.tensor(found)

@@ -1,0 +1,62 @@
+import math
+
+import pytest
+import torch
+
+from motionlab import rotation
+from motionlab.errors import ShapeError
+from motionlab.metrics import distribution
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, UPRIGHT
+
+
+def gaussians(shift, n=400, seed=0):
+    g = torch.Generator().manual_seed(seed)
+    return torch.randn(n, 1, generator=g), torch.randn(n, 1, generator=g) + shift
+
+
+def test_energy_distance_of_two_gaussians_is_the_known_one():
+    # D^2 = 2 E|X-Y| - 2 E|X-X'|, where E|N(m, 2)| = 2/sqrt(pi) exp(-m^2/4) + m erf(m/2)
+    m = 1.5
+    mean_abs = 2 / math.sqrt(math.pi) * math.exp(-(m**2) / 4) + m * math.erf(m / 2)
+    truth = math.sqrt(2 * mean_abs - 2 * 2 / math.sqrt(math.pi))
+    assert distribution.energy_distance(*gaussians(m, n=4000)) == pytest.approx(truth, rel=0.03)
+
+
+def test_distance_sees_a_shift_and_not_its_absence():
+    same, other = distribution.energy_distance(*gaussians(0.0)), distribution.energy_distance(*gaussians(1.0))
+    assert same < 0.1 < 0.5 < other
+
+
+def test_floor_splits_by_group():
+    g = torch.Generator().manual_seed(0)
+    centre = torch.randn(10, 1, generator=g).repeat_interleave(20, 0)  # ten recordings that differ from each other
+    x = centre + 0.1 * torch.randn(200, 1, generator=g)
+    groups = torch.arange(10).repeat_interleave(20)
+    by_group = distribution.floor(x, groups, torch.Generator().manual_seed(1)).mean()
+    by_window = distribution.floor(x, torch.arange(200), torch.Generator().manual_seed(1)).mean()
+    assert by_group > 3 * by_window  # ignoring the groups would make the floor look far lower than it is
+    again = distribution.floor(x, groups, torch.Generator().manual_seed(1)).mean()
+    assert by_group == again
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_too_few_samples_are_refused(n):
+    with pytest.raises(ShapeError):
+        distribution.energy_distance(torch.zeros(n, 2), torch.zeros(5, 2))
+    with pytest.raises(ShapeError):
+        distribution.floor(torch.zeros(5, 2), torch.zeros(5), torch.Generator())
+
+
+def test_describe_a_turning_gliding_statue():
+    t = torch.arange(30) / 30
+    aa = torch.zeros(30, 22, 3)
+    aa[:, STANDARD.index("left_knee"), 0] = aa[:, STANDARD.index("right_knee"), 0] = math.radians(40)
+    rot = rotation.axis_angle_to_matrix(aa)
+    rot[:, 0] = rotation.rotation_about("z", math.radians(90) * t) @ UPRIGHT
+    root = torch.stack((1.2 * t, torch.zeros(30), torch.full((30,), 0.992)), -1)
+    found = distribution.describe(Motion(STANDARD, root, rot, 30.0))
+    assert set(found) == set(distribution.UNITS)
+    expected = {"root speed": 1.2, "turning rate": 90.0, "knee flexion": 40.0, "elbow flexion": 0.0}
+    for name, value in expected.items():
+        assert found[name].item() == pytest.approx(value, abs=0.05), name
