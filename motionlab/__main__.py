@@ -70,17 +70,18 @@ def _doctor(options: argparse.Namespace) -> int:
     checks = doctor.examine(os.environ.get("MOTIONLAB_DATA"))
     print(doctor.table(checks))
     missing = sum(not check.ok for check in checks)
-    print(f"{missing} things to mend" if missing else "all is well")
+    print(f"{missing} thing{'s' * (missing > 1)} to mend" if missing else "all is well")
     return 1 if missing else 0
 
 
 def _data(options: argparse.Namespace) -> int:
     from motionlab.errors import MissingData
-    from motionlab.io import recordings
 
     folder = options.folder or os.environ.get("MOTIONLAB_DATA")
     if not folder:
         raise MissingData("the folder of recordings", "Name it, or set MOTIONLAB_DATA to it.")
+    from motionlab.io import recordings
+
     print(text_table(recordings.inventory(Path(folder))))
     return 0
 
@@ -99,7 +100,7 @@ SAVERS = {".bvh": "bvh", ".npz": "amass", ".glb": "gltf"}
 def _convert(options: argparse.Namespace) -> int:
     from importlib import import_module
 
-    from motionlab import io, retarget
+    from motionlab import io
     from motionlab.errors import DataError
 
     saver = SAVERS.get(options.target.suffix.lower())
@@ -107,7 +108,9 @@ def _convert(options: argparse.Namespace) -> int:
         raise DataError("cannot write this format", path=options.target, remedy=f"use one of {', '.join(SAVERS)}")
     motion = io.load(options.source)
     if options.standard:
-        motion = retarget.retarget(motion).motion
+        from motionlab.retarget import retarget
+
+        motion = retarget(motion).motion
     if options.fps:
         motion = motion.resample(options.fps)
     import_module(f"motionlab.io.{saver}").save(options.target, motion)

@@ -42,7 +42,10 @@ class Check:
 
 def examine(data: str | None = None) -> list[Check]:
     """Look at everything the suite needs; ``data`` is the folder of recordings, if there is one."""
-    return [check_python(), *check_packages(), check_device(), check_rendering(), check_body(), *check_files(data)]
+    installed = [check_python(), *check_packages()]
+    if not all(check.ok for check in installed):  # what follows needs the packages
+        return [*installed, check_data(data)]
+    return [*installed, check_device(), check_rendering(), check_body(), check_checkpoints(), check_data(data)]
 
 
 def check_python() -> Check:
@@ -65,8 +68,12 @@ def normal_name(name: str) -> str:
 def check_packages() -> list[Check]:
     """The packages that motionlab asks for by name, against their pins where this is a checkout."""
     pins = read_pins(ROOT / "constraints.txt") if (ROOT / "constraints.txt").exists() else {}
+    try:
+        asked = metadata.requires("motionlab") or []
+    except metadata.PackageNotFoundError:
+        return [Check("motionlab", "not installed", "make setup")]
     checks = []
-    for requirement in metadata.requires("motionlab") or []:
+    for requirement in asked:
         if "extra ==" in requirement:
             continue
         name = normal_name(re.match(r"[\w.-]+", requirement)[0])
@@ -114,11 +121,10 @@ def check_body() -> Check:
     return Check("body", f"not baked yet ({path})", "python -m motionlab doctor --prepare")
 
 
-def check_files(data: str | None) -> list[Check]:
-    """Trained weights that ship with the package, and the user's recordings."""
+def check_checkpoints() -> Check:
+    """Trained weights that ship with the package."""
     weights = sorted((ROOT / "motionlab" / "checkpoints").glob("*.safetensors"))
-    found = ", ".join(path.stem for path in weights) or "none (notebooks 00-03 need none)"
-    return [Check("checkpoints", found), check_data(data)]
+    return Check("checkpoints", ", ".join(path.stem for path in weights) or "none (notebooks 00-03 need none)")
 
 
 def check_data(data: str | None) -> Check:

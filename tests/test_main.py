@@ -1,0 +1,181 @@
+"""The command line, the doctor, and the report of a run."""
+
+import json
+import os
+import subprocess
+import sys
+
+import nbformat
+import pytest
+
+from motionlab import __main__, doctor, execute, findings, report
+from motionlab.doctor import Check
+from motionlab.errors import DataError, MissingData
+
+
+def notebook(*sources, **metadata):
+    book = nbformat.v4.new_notebook(
+        metadata={"kernelspec": {"name": "python3", "display_name": "Python 3"}, **metadata}
+    )
+    book.cells = [nbformat.v4.new_code_cell(source) for source in sources]
+    return book
+
+
+@pytest.fixture
+def suite(tmp_path, monkeypatch):
+    """A suite of two notebooks, the first of which fails, with a ledger and one recorded finding."""
+    folder = tmp_path / "notebooks"
+    (folder / "results").mkdir(parents=True)
+    nbformat.write(notebook("x = 1", "1 / 0", "print('never')"), folder / "00_fails.ipynb")
+    nbformat.write(
+        notebook("import os", "print(os.environ['MOTIONLAB_PROFILE'], os.getcwd())"), folder / "01_runs.ipynb"
+    )
+    (folder / "claims.toml").write_text(LEDGER, encoding="utf-8")
+    finding = findings.Finding(
+        "X01.size", "synthetic", 4.0, 3.0, 5.0, 9, "cm", "mean", ">= 2 cm", "holds", "01_runs", "full"
+    )
+    findings.save_record(folder / "results" / "01.json", findings.Record("01_runs", "", (finding,)))
+    monkeypatch.setattr(execute, "NOTEBOOKS", folder)
+    monkeypatch.setattr(report, "NOTEBOOKS", folder)
+    return folder
+
+
+LEDGER = """
+[[claim]]
+id = "X01"
+section = "3.3.2"
+title = "Size <matters>"
+thesis = "it does"
+notebook = "01_runs"
+[claim.test.size]
+definition = "size"
+unit = "cm"
+relation = ">="
+bound = 2
+baseline = "none"
+"""
+
+
+def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path):
+    before = dict(os.environ)
+    runs = report.write_report(tmp_path / "report", "smoke")
+    assert [(run.notebook, run.status()) for run in runs] == [("00_fails", "failed at cell 2"), ("01_runs", "ran")]
+    assert "ZeroDivisionError" in runs[0].error
+    index = (tmp_path / "report/index.html").read_text(encoding="utf-8")
+    assert "failed at cell 2" in index and "href='01_runs.html'" in index and "Size &lt;matters&gt;" in index
+    page = (tmp_path / "report/01_runs.html").read_text(encoding="utf-8")
+    assert f"smoke {suite}" in page
+    assert dict(os.environ) == before
+    assert "1 of 2 notebooks ran" in execute.summary(runs)
+
+
+def test_regenerate_writes_what_ran_and_keeps_what_failed(suite):
+    failed_before = (suite / "00_fails.ipynb").read_bytes()
+    runs = execute.regenerate()
+    assert [run.ok for run in runs] == [False, True]
+    assert (suite / "00_fails.ipynb").read_bytes() == failed_before
+    first = (suite / "01_runs.ipynb").read_bytes()
+    book = json.loads(first)
+    assert [cell["execution_count"] for cell in book["cells"]] == [1, 2]
+    assert book["cells"][1]["outputs"][0]["text"] == [f"full {suite}\n"]
+    execute.regenerate(["01"])
+    assert (suite / "01_runs.ipynb").read_bytes() == first
+
+
+def test_interrupted_report_still_has_its_index(suite, tmp_path, monkeypatch):
+    def interrupt(path, out):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(report, "execute", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        report.write_report(tmp_path / "report", "smoke")
+    assert "0 notebooks" in (tmp_path / "report/index.html").read_text(encoding="utf-8")
+
+
+def test_unknown_notebook_is_named(suite):
+    with pytest.raises(MissingData, match=r"'07'.*00_fails, 01_runs"):
+        execute.find_notebooks(["07"])
+
+
+def test_readme_takes_the_scoreboard_between_its_marks(suite, tmp_path):
+    readme = tmp_path / "README.md"
+    start, end = report.README_MARKS
+    readme.write_text(f"before\n{start}\nstale\n{end}\nafter\n", encoding="utf-8")
+    report.update_readme(readme)
+    text = readme.read_text(encoding="utf-8")
+    assert text.startswith("before\n") and text.endswith("after\n") and "stale" not in text
+    assert "| X01 | Size <matters> | **holds** | 1 of 1 | 01_runs |" in text
+    report.update_readme(readme)
+    assert readme.read_text(encoding="utf-8") == text
+
+
+def test_readme_without_marks_is_an_error(suite, tmp_path):
+    (tmp_path / "README.md").write_text("nothing", encoding="utf-8")
+    with pytest.raises(DataError, match="no scoreboard marks"):
+        report.update_readme(tmp_path / "README.md")
+
+
+def test_rendering_is_really_tried():
+    assert doctor.check_rendering().ok
+
+
+@pytest.mark.parametrize(
+    "program",
+    ["import os; os.abort()", "raise SystemExit(0)", "print('vtkX|none|0.0')"],
+    ids=["crashes", "says nothing", "draws an empty picture"],
+)
+def test_control_broken_rendering_is_found(monkeypatch, program):
+    monkeypatch.setattr(doctor, "_DRAW", program)
+    assert "apt-get install" in doctor.check_rendering().remedy
+
+
+def test_packages_agree_with_their_pins():
+    assert all(check.ok for check in doctor.check_packages())
+
+
+def test_control_other_version_is_found(tmp_path, monkeypatch):
+    (tmp_path / "constraints.txt").write_text("torch==0.1\n", encoding="utf-8")
+    monkeypatch.setattr(doctor, "ROOT", tmp_path)
+    wrong = [check for check in doctor.check_packages() if not check.ok]
+    assert [check.name for check in wrong] == ["torch"] and "0.1" in wrong[0].remedy
+
+
+def test_data_folder_is_looked_into(tmp_path):
+    assert doctor.check_data(None).ok
+    assert not doctor.check_data(str(tmp_path / "nowhere")).ok
+    assert not doctor.check_data(str(tmp_path)).ok
+    (tmp_path / "cmu_amc").mkdir()
+    assert "cmu_amc" in doctor.check_data(str(tmp_path)).found
+
+
+def test_doctor_exit_status_and_remedy(monkeypatch, capsys):
+    monkeypatch.setattr(doctor, "examine", lambda data: [Check("body", "not baked", "bake it"), Check("device", "cpu")])
+    assert __main__.main(["doctor"]) == 1
+    out = capsys.readouterr().out
+    assert "remedy: bake it" in out and "1 thing to mend" in out
+    monkeypatch.setattr(doctor, "examine", lambda data: [Check("device", "cpu")])
+    assert __main__.main(["doctor"]) == 0
+
+
+def test_input_that_cannot_be_used_is_one_line_and_status_2(tmp_path):
+    bad = tmp_path / "walk.bvh"
+    bad.write_text("not a BVH", encoding="utf-8")
+    command = [sys.executable, "-m", "motionlab", "convert", bad, tmp_path / "walk.glb"]
+    run = subprocess.run(command, capture_output=True, text=True)
+    assert run.returncode == 2 and "walk.bvh" in run.stderr and "Traceback" not in run.stderr
+
+
+def test_unknown_output_format_is_refused(tmp_path, capsys):
+    assert __main__.main(["convert", str(tmp_path / "a.bvh"), str(tmp_path / "a.fbx")]) == 2
+    assert ".bvh, .npz, .glb" in capsys.readouterr().err
+
+
+def test_data_needs_a_folder(monkeypatch, capsys):
+    monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
+    assert __main__.main(["data"]) == 2
+    assert "MOTIONLAB_DATA" in capsys.readouterr().err
+
+
+def test_table_is_aligned():
+    rows = [{"source": "cmu_amc", "minutes": 5.84}, {"source": "x", "minutes": 10.0}]
+    assert __main__.text_table(rows) == "source   minutes\ncmu_amc  5.8\nx        10.0"
