@@ -1,10 +1,9 @@
 """Rotations: conversions, log/exp, distance, interpolation, continuity in time, and averages.
 
 Convention: active rotations of column vectors, R = R_parent_from_child; angles in radians; quaternions
-are (w, x, y, z). kornia does what kornia has. exp and log are our own, because kornia's divide by the angle
-down to 1e-3 (exp) or to the smallest float (log): right in value, but their second derivatives lose every
-digit there. Here both are series in the squared angle where it is small, so both have exact first and
-second derivatives at zero.
+are (w, x, y, z). kornia does what kornia has. exp and log are our own: kornia's divide by angles so small
+that in float32 their second derivatives are off by 2e-2 (exp at 1e-3 rad) and 2e-3 (log at 1e-4 rad). Here
+both are series in the squared angle where it is small, good to rounding in value and both derivatives.
 """
 
 from __future__ import annotations
@@ -55,12 +54,6 @@ def exp(tangent: Tensor) -> Tensor:
     return eye + a * skew(tangent) + b * (outer - t2[..., None, None] * eye)
 
 
-def axis_angle_to_matrix(aa: Tensor) -> Tensor:
-    """Rotation vector (..., 3) in radians to matrix (..., 3, 3); the same as :func:`exp`."""
-    check_shape(aa, "... 3", "axis_angle")
-    return exp(aa)
-
-
 def matrix_to_quaternion(matrix: Tensor) -> Tensor:
     """Matrix (..., 3, 3) to unit quaternion (..., 4), w first, w >= 0."""
     check_shape(matrix, "... 3 3", "matrix")
@@ -100,9 +93,8 @@ def log(matrix: Tensor) -> Tensor:
     return quaternion_to_axis_angle(matrix_to_quaternion(matrix))
 
 
-def matrix_to_axis_angle(matrix: Tensor) -> Tensor:
-    """Matrix (..., 3, 3) to rotation vector (..., 3) with angle in [0, pi]; the same as :func:`log`."""
-    return log(matrix)
+#: The names of the conversions, for readers who do not think of a Lie group.
+axis_angle_to_matrix, matrix_to_axis_angle = exp, log
 
 
 def axis_angle_to_quaternion(aa: Tensor) -> Tensor:
@@ -111,10 +103,15 @@ def axis_angle_to_quaternion(aa: Tensor) -> Tensor:
     return kc.axis_angle_to_quaternion(aa)
 
 
+def _square(x: Tensor) -> Tensor:
+    return (x * x).sum(-1, keepdim=True)
+
+
 def _perpendicular(x: Tensor) -> Tensor:
-    """Some unit vector (..., 3) at right angles to a unit vector, from the coordinate axis farthest from it."""
-    axis = torch.nn.functional.one_hot(x.abs().argmin(-1), 3).to(x)
-    return torch.nn.functional.normalize(torch.linalg.cross(x, axis, dim=-1), dim=-1)
+    """Some vector (..., 3) at right angles to a unit vector, not short: y or z axis crossed with it."""
+    u, v, w = x.unbind(-1)
+    o = torch.zeros_like(u)
+    return torch.where((v.abs() < 0.8)[..., None], torch.stack((w, o, -u), -1), torch.stack((-v, u, o), -1))
 
 
 def sixd_to_matrix(sixd: Tensor, layout: str = "columns") -> Tensor:
@@ -125,37 +122,34 @@ def sixd_to_matrix(sixd: Tensor, layout: str = "columns") -> Tensor:
 
     Six numbers that span no plane name no rotation. The result is then still a rotation, and constant (no
     gradient) in what is undefined: a zero first vector counts as the first coordinate axis, a second one that
-    is zero or parallel to the first (within 1e-6 of its length) as some direction at right angles to it.
+    is zero or parallel to the first (to 1e-6 rad) as some direction at right angles to it.
     """
     check_shape(sixd, "... 6", "sixd")
     a, b = sixd[..., :3], sixd[..., 3:]
-    first = torch.eye(3, dtype=sixd.dtype, device=sixd.device)[0]
-    a = torch.where((a == 0).all(-1, keepdim=True), first, a)
-    x = torch.nn.functional.normalize(a, dim=-1, eps=0)
-    across = b - (x * b).sum(-1, keepdim=True) * x
-    flat = (across * across).sum(-1, keepdim=True) <= 1e-12 * (b * b).sum(-1, keepdim=True)
-    y = torch.nn.functional.normalize(torch.where(flat, _perpendicular(x.detach()), across), dim=-1, eps=0)
-    z = torch.linalg.cross(x, y, dim=-1)
+    a = torch.where(_square(a) == 0, a.new_tensor([1.0, 0.0, 0.0]), a)
+    x = a * _square(a).rsqrt()
+    z = torch.linalg.cross(x, b, dim=-1)
+    z = torch.where(_square(z) <= 1e-12 * _square(b), _perpendicular(x.detach()), z)
+    z = z * _square(z).rsqrt()
+    y = torch.linalg.cross(z, x, dim=-1)
     return torch.stack((x, y, z), dim=_sixd_axis(layout))
 
 
 def matrix_to_sixd(matrix: Tensor, layout: str = "columns") -> Tensor:
     """Matrix (..., 3, 3) to its first two columns or rows (..., 6); see :func:`sixd_to_matrix`."""
     check_shape(matrix, "... 3 3", "matrix")
-    two = (matrix.mT if _sixd_axis(layout) == -1 else matrix)[..., :2, :]
-    return two.reshape(*matrix.shape[:-2], 6)
+    return matrix.movedim(_sixd_axis(layout), -2)[..., :2, :].flatten(-2)
 
 
 def sixd_to_other_layout(sixd: Tensor, layout: str) -> Tensor:
-    """The same rotation (..., 6) in the other layout, from ``layout`` "columns" or "rows"."""
-    other = {"columns": "rows", "rows": "columns"}[layout]
-    return matrix_to_sixd(sixd_to_matrix(sixd, layout), other)
+    """The same rotation (..., 6), from ``layout`` "columns" to "rows" or from "rows" to "columns"."""
+    return matrix_to_sixd(sixd_to_matrix(sixd, layout), "columns" if layout == "rows" else "rows")
 
 
 def _sixd_axis(layout: str) -> int:
     if layout not in ("columns", "rows"):
         raise ValueError(f'layout: expected "columns" or "rows", got {layout!r}')
-    return {"columns": -1, "rows": -2}[layout]
+    return -1 if layout == "columns" else -2
 
 
 def nearest(matrix: Tensor) -> Tensor:
@@ -167,8 +161,7 @@ def nearest(matrix: Tensor) -> Tensor:
     check_shape(matrix, "... 3 3", "matrix")
     u, _, vt = torch.linalg.svd(matrix)
     sign = torch.linalg.det(u @ vt).sign()
-    ones = torch.ones_like(sign)
-    return u @ (torch.stack((ones, ones, sign), -1)[..., None] * vt)
+    return torch.cat((u[..., :2], u[..., 2:] * sign[..., None, None]), -1) @ vt
 
 
 def mean(rotations: Tensor, weights: Tensor | None = None) -> Tensor:
@@ -179,16 +172,15 @@ def mean(rotations: Tensor, weights: Tensor | None = None) -> Tensor:
     a half turn apart, the three half turns about x, y, z with the identity) give one of the best.
     """
     check_shape(rotations, "... N 3 3", "rotations")
-    if weights is None:
-        return nearest(rotations.mean(-3))
-    return nearest((weights[..., None, None] * rotations).sum(-3))
+    weighted = rotations if weights is None else weights[..., None, None] * rotations
+    return nearest(weighted.sum(-3))
 
 
 def geodesic(a: Tensor, b: Tensor) -> Tensor:
     """Angle (...) in [0, pi] between two rotations (..., 3, 3).
 
-    By the half-angle tangent, so accurate to a few ulp of 1 at tiny angles and near pi, where acos of the
-    trace loses half the digits. Where the rotations are equal its gradient is 0.
+    By the half angle's tangent: good to rounding at tiny angles and near pi, where acos of the trace loses
+    half the digits. Where the rotations are equal its gradient is 0.
     """
     return torch.linalg.vector_norm(log(a.mT @ b), dim=-1)
 
@@ -215,8 +207,9 @@ def between(a: Tensor, b: Tensor) -> Tensor:
     a, b = (torch.nn.functional.normalize(x, dim=-1) for x in torch.broadcast_tensors(a, b))
     behind = (a * b).sum(-1, keepdim=True) < 0
     axis = torch.linalg.cross(a, b, dim=-1)
-    parallel = (axis * axis).sum(-1, keepdim=True) < torch.finfo(a.dtype).eps ** 2
+    parallel = _square(axis) < (8 * torch.finfo(a.dtype).eps) ** 2
     axis = torch.nn.functional.normalize(torch.where(parallel, _perpendicular(a.detach()), axis), dim=-1)
+    axis = torch.nn.functional.normalize(axis - (axis * a).sum(-1, keepdim=True) * a, dim=-1)
     eye = torch.eye(3, dtype=a.dtype, device=a.device)
     half_turn = torch.where(behind[..., None], 2 * axis[..., :, None] * axis[..., None, :] - eye, eye)
     a = torch.where(behind, -a, a)
@@ -250,38 +243,36 @@ def unroll_quaternion(quaternion: Tensor, dim: int = -2) -> Tensor:
     check_shape(quaternion, "... 4", "quaternion")
     q = quaternion.movedim(dim, 0)
     turn = torch.where((q[1:] * q[:-1]).sum(-1, keepdim=True) < 0, -1.0, 1.0).to(q)
-    return torch.cat((q[:1], q[1:] * turn.cumprod(0))).movedim(0, dim)
+    return torch.cat((q[:1], q[1:] * turn.cumprod(0))).movedim(0, dim).contiguous()
 
 
 def unroll_axis_angle(aa: Tensor, dim: int = -2) -> Tensor:
     """Of all vectors of each rotation, (|a| + 2 pi k) a/|a|, the one nearest to the frame before, (..., T, 3).
 
-    The first frame stays. No turn is lost: a body that spins on leaves the ball of radius pi. A choice among
-    vectors on one line cannot be continuous everywhere: when a path passes near a whole turn (|a| near 2 pi k,
-    k > 0) its axis may swing round in one frame, and the vector with it. A zero rotation has no axis of its
-    own and takes that of the frame before.
-
-    Exact in sweeps over all frames at once: the first guess unwraps the angles along a sign-continuous axis
-    by a cumulative sum, then k is corrected until no frame has a nearer choice (one sweep for most motions).
+    The first frame stays; a body that spins on leaves the ball of radius pi. No choice is continuous everywhere:
+    when a path that has left that ball passes near the zero rotation (|a| near 2 pi k, k > 0), its axis may
+    swing round in one frame and the vector jump with it. A zero rotation (to rounding) takes the axis of the
+    frame before. Sweeps over all frames at once: a cumulative sum unwraps the angles along a sign-continuous axis,
+    then k is corrected until no frame has a nearer choice.
     """
     check_shape(aa, "... 3", "axis_angle")
     x = aa.movedim(dim, 0)
     angle = torch.linalg.vector_norm(x, dim=-1, keepdim=True)
-    unit = torch.nn.functional.normalize(x, dim=-1)
+    known = angle > 8 * torch.finfo(x.dtype).eps
+    unit = torch.where(known, x / torch.where(known, angle, 1.0), 0.0)
     sign = torch.where((unit[1:] * unit[:-1]).sum(-1, keepdim=True) < 0, -1.0, 1.0).to(x).cumprod(0)
-    signed = sign * angle[1:]
-    jump = torch.diff(signed, dim=0, prepend=angle[:1])
-    signed = signed - math.tau * (jump / math.tau).round().cumsum(0)
-    unrolled = torch.cat((x[:1], unit[1:] * sign * signed))
+    jump = torch.diff(sign * angle[1:], dim=0, prepend=angle[:1]) / math.tau
+    signed = angle[1:] - sign * math.tau * jump.round().cumsum(0)
+    unrolled = torch.cat((x[:1], unit[1:] * signed))
     for _ in range(len(x)):
         before = unrolled[:-1]
-        axis = torch.where(angle[1:] > 0, unit[1:], torch.nn.functional.normalize(before, dim=-1))
+        axis = torch.where(known[1:], unit[1:], torch.nn.functional.normalize(before, dim=-1))
         turns = (((axis * before).sum(-1, keepdim=True) - angle[1:]) / math.tau).round()
         update = torch.cat((x[:1], axis * (angle[1:] + math.tau * turns)))
         if torch.equal(update, unrolled):
             break
         unrolled = update
-    return unrolled.movedim(0, dim)
+    return unrolled.movedim(0, dim).contiguous()
 
 
 def euler_to_matrix(angles: Tensor, order: str) -> Tensor:
@@ -322,10 +313,8 @@ def matrix_to_euler(matrix: Tensor, order: str) -> Tensor:
     half_sum, half_difference = torch.atan2(b, a), torch.atan2(d, c)
     near = 8 * torch.finfo(matrix.dtype).eps
     low, high = torch.hypot(c, d) < near, torch.hypot(a, b) < near
-    first = half_sum + half_difference
-    third = half_sum - half_difference
-    first = torch.where(low, 2 * half_sum, torch.where(high, 2 * half_difference, first))
-    third = torch.where(low | high, 0.0, third)
+    first = torch.where(high, half_difference, half_sum) + torch.where(low, half_sum, half_difference)
+    third = torch.where(low | high, 0.0, half_sum - half_difference)
     if not proper:
         first, middle = first * sign, middle - math.pi / 2
     first, third = (x - math.tau * (x / math.tau).round() for x in (first, third))
