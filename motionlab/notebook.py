@@ -10,8 +10,9 @@ import io
 import json
 import os
 import platform
+import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -90,6 +91,7 @@ class Lab:
     folder: Path
     found: list[Finding] = field(default_factory=list)
     opened: float = field(default_factory=time.perf_counter)
+    workbench: list[tempfile.TemporaryDirectory] = field(default_factory=list)
 
     @property
     def number(self) -> str:
@@ -116,20 +118,27 @@ class Lab:
         """Show a line of Markdown whose numbers come from code."""
         display(Markdown(markdown))
 
-    def figure(self, picture: Figure | np.ndarray | Path | str, number: str, caption: str) -> None:
-        """Show a matplotlib figure, an RGB array (H, W, 3), or a GIF/PNG file, with its caption below."""
+    def figure(self, picture: object, number: str, caption: str) -> None:
+        """Show a picture with its caption below.
+
+        picture: a matplotlib Figure, an RGB array (H, W, 3), a PIL image, the path of a GIF or PNG, or a film
+        (anything with such a ``path``).
+        """
         if isinstance(picture, Figure):
-            buffer = io.BytesIO()
-            picture.savefig(buffer, format="png", dpi=110, bbox_inches="tight")
+            display(Image(_png(lambda file: picture.savefig(file, format="png", dpi=110, bbox_inches="tight"))))
             plt.close(picture)
-            display(Image(buffer.getvalue()))
-        elif isinstance(picture, np.ndarray):
-            buffer = io.BytesIO()
-            Pillow.fromarray(picture).save(buffer, format="png", optimize=True)
-            display(Image(buffer.getvalue()))
+        elif isinstance(picture, np.ndarray | Pillow.Image):
+            still = Pillow.fromarray(picture) if isinstance(picture, np.ndarray) else picture
+            display(Image(_png(lambda file: still.save(file, format="png", optimize=True))))
         else:
-            display(Image(filename=str(picture)))
+            display(Image(filename=str(getattr(picture, "path", picture))))
         self.say(f"**Figure {number}.** {caption}")
+
+    def scratch(self, name: str) -> Path:
+        """A path for a film or file that this run makes and nobody keeps."""
+        if not self.workbench:
+            self.workbench.append(tempfile.TemporaryDirectory(prefix="motionlab-"))
+        return Path(self.workbench[0].name) / name
 
     def table(self, rows: Sequence[Mapping[str, object]], caption: str = "") -> None:
         """Show rows (all with the same keys) as a Markdown table; floats with three digits."""
@@ -267,6 +276,12 @@ class Lab:
         elif self.profile == "full":
             findings.save_record(self.folder / "results" / f"{self.number}.json", record)
         self.say(f"Ran in {seconds:.0f} s; {len(self.found)} findings.")
+
+
+def _png(write: Callable[[io.BytesIO], object]) -> bytes:
+    buffer = io.BytesIO()
+    write(buffer)
+    return buffer.getvalue()
 
 
 def markdown_table(rows: Sequence[Mapping[str, object]]) -> str:
