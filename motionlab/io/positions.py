@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import torch
@@ -59,6 +60,19 @@ class Positions:
         )
 
 
-def z_up_from_y_up(points: Tensor) -> Tensor:
-    """World with z up from one with y up: (x, y, z) -> (x, -z, y), a quarter turn about x."""
-    return torch.stack((points[..., 0], -points[..., 2], points[..., 1]), dim=-1)
+def axes_to_matrix(axes: str) -> Tensor:
+    """Rotation (3, 3) float64, world from file, from three letters: which file axis becomes world x, y and z.
+
+    >>> axes_to_matrix("x-zy") @ torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)  # y up becomes z up
+    tensor([0., 0., 1.], dtype=torch.float64)
+
+    Raises:
+        ShapeError: not three different axes, or a left-handed choice, which would mirror the body.
+    """
+    words = re.fullmatch(r"([+-]?[xyz])([+-]?[xyz])([+-]?[xyz])", axes)
+    matrix = torch.zeros(3, 3, dtype=torch.float64)
+    for row, word in enumerate(words.groups() if words else ()):
+        matrix[row, "xyz".index(word[-1])] = -1.0 if word[0] == "-" else 1.0
+    if not torch.linalg.det(matrix) > 0:
+        raise ShapeError(f'axes: expected a right-handed choice such as "xyz" or "x-zy", got {axes!r}')
+    return matrix

@@ -84,14 +84,19 @@ def read_json(at: Spot) -> object:
     return json.loads(read_text(at), parse_constant=refuse)
 
 
-def read_npz(at: Spot) -> dict[str, np.ndarray]:
-    """Every array of an npz by key. Never unpickles: an array of Python objects is refused unread."""
+def read_npz(at: Spot, keys: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+    """The arrays of an npz by key: those of ``keys`` that are there, or all.
+
+    Never unpickles: an array of Python objects is refused unread; one that nobody asked for is not touched.
+    """
     if read_bytes(at)[:2] != b"PK":
         raise at.error("not an npz archive", remedy="save it with numpy.savez")
     arrays = {}
     with zipfile.ZipFile(at.path) as archive:
         for member in archive.infolist():
             key = at.place = member.filename.removesuffix(".npy")
+            if keys is not None and key not in keys:
+                continue
             if member.file_size > LARGEST:
                 raise at.error(f"{member.file_size} bytes are more than {LARGEST}")
             with archive.open(member) as stream:
@@ -114,11 +119,13 @@ def _read_npy(at: Spot, stream, size: int) -> np.ndarray:
     return data.reshape(shape, order="F" if fortran else "C")
 
 
-def numbers(at: Spot, array: object, shape: str, place: str | None = None) -> np.ndarray:
+def numbers(at: Spot, array: object, shape: str, place: str | None = None, largest: float = 1e18) -> np.ndarray:
     """An array as float64 after checking its axes and that every number is finite.
 
     Args:
         shape: words such as ``"T 24 3"``: a number is a fixed size, a word any size of at least one.
+        largest: numbers from here on are refused. The default is float32's square root: products beyond it
+            overflow, and nothing physical is that large.
     """
     place = place if place is not None else at.place
     array = np.asarray(array)
@@ -131,8 +138,7 @@ def numbers(at: Spot, array: object, shape: str, place: str | None = None) -> np
     if not fits:
         raise at.error(f"expected shape ({', '.join(words)}), got {array.shape}", place=place)
     array = array.astype(np.float64)
-    # beyond float32's square root, products overflow long before anything physical is that large
-    bad = ~(np.abs(array) < 1e18)
+    bad = ~(np.abs(array) < largest)
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise at.error(f"{array[where]} at index {where} is not a usable number", place=place)
