@@ -43,7 +43,7 @@ class Check:
 def examine(data: str | None = None) -> list[Check]:
     """Look at everything the suite needs; ``data`` is the folder of recordings, if there is one."""
     installed = [check_python(), *check_packages()]
-    if not all(check.ok for check in installed):  # what follows needs the packages
+    if any(check.found == "not installed" for check in installed):  # what follows needs them
         return [*installed, check_data(data)]
     return [*installed, check_device(), check_rendering(), check_body(), check_checkpoints(), check_data(data)]
 
