@@ -1,0 +1,84 @@
+"""Which joints touch the floor, from heights in metres and speeds in metres per second."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import ShapeError, check_shape
+from motionlab.motion import Motion, velocity
+from motionlab.skeleton import FEET, Skeleton
+
+#: Metres from the joint's centre down to the skin when the body rests on it; the feet's come from the skeleton.
+FLESH = {"pelvis": 0.11, "left_knee": 0.06, "right_knee": 0.06, "left_wrist": 0.04, "right_wrist": 0.04}
+
+
+def resting_heights(skeleton: Skeleton) -> Tensor:
+    """Height (..., C) in metres of each of ``contact_names`` above the floor while it touches the floor.
+
+    A joint of the foot: its height in the rest pose (ankle about 8 cm, ball 1 cm). Others: ``FLESH``.
+
+    Raises:
+        KeyError: a contact joint is neither a foot joint nor in ``FLESH``.
+    """
+    up = skeleton.rest_positions()[..., 1]
+    above = up - up.amin(-1, keepdim=True) + skeleton.sole
+    names = skeleton.contact_names
+    columns = [above[..., skeleton.index(n)] if n in FEET else torch.full_like(above[..., 0], FLESH[n]) for n in names]
+    return torch.stack(columns, -1) if names else above[..., :0]
+
+
+def hysteresis(on: Tensor, off: Tensor, dim: int = -2) -> Tensor:
+    """Runs of not ``off`` along ``dim`` that hold at least one ``on``: bool, shaped as both.
+
+    The same forwards and backwards in time: a run begins and ends at the loose threshold and needs the
+    strict one once.
+    """
+    on = on & ~off
+
+    def since(on: Tensor, off: Tensor) -> Tensor:  # was the last event an "on"?
+        shape = [-1 if i == dim % on.ndim else 1 for i in range(on.ndim)]
+        time = torch.arange(1, on.shape[dim] + 1, device=on.device).reshape(shape)
+        return (time * on).cummax(dim).values > (time * off).cummax(dim).values
+
+    return since(on, off) | since(on.flip(dim), off.flip(dim)).flip(dim)
+
+
+def contacts_from_positions(
+    positions: Tensor,
+    fps: float,
+    resting: Tensor | float,
+    *,
+    height: tuple[float, float] = (0.03, 0.06),
+    speed: tuple[float, float] = (0.25, 0.5),
+) -> Tensor:
+    """Floor contacts (..., T, C), 0 or 1, of joints whose world positions (..., T, C, 3) are given in metres, z up.
+
+    A contact is a run of frames below both loose thresholds that goes below both strict ones at least once.
+
+    Args:
+        fps: frames per second; speeds are central differences in space, one-sided at the ends.
+        resting: (C,) or (..., 1, C) height in metres of each joint while it touches; see :func:`resting_heights`.
+        height: strict and loose bound on the height above ``resting``, metres.
+        speed: strict and loose bound on the speed, metres per second.
+
+    Raises:
+        ShapeError: fewer than two frames, which have no speed.
+    """
+    sizes = check_shape(positions, "... T C 3", "positions")
+    if sizes["T"] < 2:
+        raise ShapeError(f"positions: {sizes['T']} frames have no speed; contacts need at least 2")
+    above = positions[..., 2] - resting
+    moving = torch.linalg.vector_norm(velocity(positions, fps, dim=-3), dim=-1)
+    on = (above < height[0]) & (moving < speed[0])
+    off = (above > height[1]) | (moving > speed[1])
+    return hysteresis(on, off).to(positions.dtype)
+
+
+def with_contacts(motion: Motion, **thresholds: tuple[float, float]) -> Motion:
+    """The motion with contacts measured from its own positions; thresholds as :func:`contacts_from_positions`."""
+    positions = motion.positions[..., motion.skeleton.contact_indices, :]
+    resting = resting_heights(motion.skeleton).to(positions)
+    return replace(motion, contacts=contacts_from_positions(positions, motion.fps, resting, **thresholds))
