@@ -1,0 +1,197 @@
+"""A folder of recordings: what is in it, which loader reads it, and what its licence allows.
+
+The folder has one sub-folder per source. The sources of the project's data set are known by name; any other
+folder is searched for files that a loader knows, so that a folder of one's own works in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from motionlab.errors import MissingData
+from motionlab.io import amp, anidance, asf, bvh, c3d, calibration, captury, deepmimic, npz, openpose, trc
+from motionlab.io.positions import Positions
+from motionlab.motion import Motion
+from motionlab.observation import Observation2D
+
+#: Loader of a single file by suffix, for folders that are not known by name.
+SUFFIXES: dict[str, Callable] = {
+    ".bvh": bvh.load, ".amc": asf.load_beside, ".npz": npz.load, ".trc": trc.load, ".c3d": c3d.load,
+}  # fmt: skip
+
+
+class Recording(NamedTuple):
+    """One recording: ``loader(path)`` gives a Motion, Positions or Observation2D."""
+
+    source: str
+    path: Path
+    loader: Callable[[Path], Motion | Positions | Observation2D]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A known source: its licence, whether shipped weights may be trained on it, and its files by kind.
+
+    files: kind -> (pattern within the source's folder, loader).
+    """
+
+    licence: str
+    trainable: bool
+    files: dict[str, tuple[str, Callable]]
+
+
+def captury_view(path: Path) -> Observation2D:
+    """One ``projectedNN.csv`` with the camera NN of the camera.calib beside it; Miqus video, 1920 wide, 50 fps."""
+    camera = calibration.load_captury(path.with_name("camera.calib"), width=1920)[int(path.stem[-2:])]
+    return captury.load_projected(path, camera=camera, fps=50)
+
+
+#: What is known of each source of the data set; see its SOURCE.txt for citation and format.
+SOURCES: dict[str, Source] = {
+    "bandai_namco": Source("CC BY-NC 4.0", False, {"bvh": ("*.bvh", bvh.load)}),
+    "anidance": Source("mocap without licence: evaluate only", False, {"npz": ("*.npz", anidance.load)}),
+    "cmu_amc": Source("CMU terms, credit", True, {"amc": ("*.amc", asf.load_beside)}),
+    "deepmimic": Source("MIT", True, {"json": ("*humanoid3d*.txt", deepmimic.load)}),
+    "captury_falls": Source(
+        "free for research: evaluate only",
+        False,
+        {
+            "c3d": ("*/mocap.c3d", c3d.load),
+            "csv": ("*/biomech.csv", partial(captury.load_biomech, fps=50)),
+            "2d": ("*/projected*.csv", captury_view),
+        },
+    ),
+    "reactidle": Source("MIT", True, {"bvh": ("*.bvh", bvh.load)}),
+    "animated_drawings": Source("MIT", True, {"bvh": ("*.bvh", bvh.load)}),
+    "isaacgym_amp_cmu": Source("BSD-3 + CMU terms", True, {"npz": ("*.npz", amp.load)}),
+    "pose2sim_openpose": Source(
+        "BSD-3",
+        True,
+        {
+            "openpose": ("*/cam*_json", partial(openpose.load, fps=60, layout="BODY_25B")),
+            "trc": ("ref3d/*.trc", trc.load),
+        },
+    ),
+    # a webcam, whose rate is not stored: 30 is presumed
+    "3dance_openpose": Source("MIT", True, {"openpose": ("*/", partial(openpose.load, fps=30, layout="BODY_25"))}),
+    # the rate is not stated either; 30 is presumed
+    "openpose_crowd": Source("MIT", True, {"openpose": (".", partial(openpose.load, fps=30, layout="BODY_25"))}),
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the inventory: recordings of one kind of one source.
+
+    fps, points: lowest and highest over the clips. points: joints, markers or keypoints. trainable: None where
+    the source is not known. seen: share of points that were measured or detected.
+    """
+
+    source: str
+    kind: str
+    clips: int
+    minutes: float
+    fps: tuple[float, float]
+    points: tuple[int, int]
+    seen: float
+    loader: str
+    licence: str
+    trainable: bool | None
+
+
+def recordings(folder: str | Path, source: str | None = None, *, video_fps: float | None = None) -> Iterator[Recording]:
+    """Every recording of the folder, or of one source, sorted by source and path.
+
+    >>> for source, path, loader in recordings(folder): motion = loader(path)  # doctest: +SKIP
+
+    Args:
+        video_fps: frames per second of OpenPose folders of one's own, which do not store it; without it their
+            loader raises a DataError that asks for it.
+
+    Raises:
+        MissingData: the folder, or the source in it, is not there or holds nothing that a loader knows.
+    """
+    for name, _, path, loader in _found(Path(folder), source, video_fps):
+        yield Recording(name, path, loader)
+
+
+def inventory(folder: str | Path, source: str | None = None, *, video_fps: float | None = None) -> list[Row]:
+    """Load every recording and count: one row per source and kind of file. Arguments as of ``recordings``.
+
+    Raises:
+        MissingData: see ``recordings``.
+        DataError: a recording cannot be read.
+    """
+    groups: dict[tuple[str, str], list] = {}
+    for name, kind, path, loader in _found(Path(folder), source, video_fps):
+        groups.setdefault((name, kind), []).append((_size(loader(path)), loader))
+    rows = []
+    for (name, kind), items in groups.items():
+        frames, rates, points, seen = zip(*(size for size, _ in items), strict=True)
+        known = SOURCES.get(name)
+        function = getattr(items[0][1], "func", items[0][1])
+        rows.append(
+            Row(
+                name,
+                kind,
+                len(items),
+                sum(t / fps for t, fps in zip(frames, rates, strict=True)) / 60,
+                (min(rates), max(rates)),
+                (min(points), max(points)),
+                sum(share * t for share, t in zip(seen, frames, strict=True)) / sum(frames),
+                f"{function.__module__.removeprefix('motionlab.')}.{function.__name__}",
+                known.licence if known else "not known",
+                known.trainable if known else None,
+            )
+        )
+    return rows
+
+
+def _size(value: Motion | Positions | Observation2D) -> tuple[int, float, int, float]:
+    """Frames, frames per second, points, share of points seen."""
+    if isinstance(value, Motion):
+        return value.frames, value.fps, len(value.skeleton), 1.0
+    mask = value.valid if isinstance(value, Positions) else value.visible
+    return value.frames, value.fps, len(value.names), float(mask.float().mean())
+
+
+def _found(folder: Path, source: str | None, video_fps: float | None) -> Iterator[tuple[str, str, Path, Callable]]:
+    remedy = "Set MOTIONLAB_DATA to a folder with one sub-folder of recordings per source."
+    if not folder.is_dir():
+        raise MissingData(f"the data folder {folder}", remedy)
+    places = {path.name: path for path in folder.iterdir() if path.is_dir()}
+    places |= {folder.resolve().name: folder} if any(path.is_file() for path in folder.iterdir()) else {}
+    if source is not None and source not in places:
+        raise MissingData(f"source {source!r} in {folder}", f"There are: {', '.join(sorted(places))}.")
+    empty = True
+    for name in sorted(places) if source is None else [source]:
+        for kind, path, loader in _files(name, places[name], places[name] == folder, video_fps):
+            empty = False
+            yield name, kind, path, loader
+    if empty:
+        raise MissingData(f"any recording in {folder}", remedy)
+
+
+def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Iterator[tuple[str, Path, Callable]]:
+    if name in SOURCES:
+        for kind, (pattern, loader) in SOURCES[name].files.items():
+            for path in [place] if pattern == "." else sorted(place.glob(pattern)):
+                yield kind, path, loader
+        return
+    views = set()
+    for path in sorted(path for path in (place.glob("*") if flat else place.rglob("*")) if path.is_file()):
+        suffix = path.suffix.lower()
+        if suffix in SUFFIXES:
+            yield suffix[1:], path, SUFFIXES[suffix]
+        elif suffix == ".json":
+            with path.open("rb") as file:
+                head = file.read(4096)
+            if b'"people"' in head and path.parent not in views:
+                views.add(path.parent)
+                yield "openpose", path.parent, partial(openpose.load, fps=video_fps)
+            elif b'"Frames"' in head:
+                yield "json", path, deepmimic.load
