@@ -10,7 +10,8 @@ from torch import Tensor
 
 from motionlab.body import BodyModel
 from motionlab.errors import ShapeError
-from motionlab.skeleton import STANDARD, Skeleton
+from motionlab.skeleton import STANDARD
+from motionlab.skinning import tree_distance
 
 # Each line is one bone of flesh: the joint that carries it, from and to (a joint, or metres from the carrier), radii.
 _LEFT = [
@@ -125,20 +126,6 @@ def planted(
     extra = torch.where(mask, extra, 0)
     weights = body.weights * (1 - extra.sum(1, keepdim=True)) + extra
     return replace(body, weights=weights), mask
-
-
-def tree_distance(skeleton: Skeleton) -> Tensor:
-    """Number of bones (J, J) between every two joints."""
-    count = len(skeleton)
-    lines = [[j] for j in range(count)]
-    for joint, parent in enumerate(skeleton.parents):
-        lines[joint] += lines[parent] if parent >= 0 else []
-    above = torch.zeros(count, count)
-    for joint, line in enumerate(lines):
-        above[joint, line] = 1
-    shared = above @ above.T
-    depth = shared.diagonal()
-    return (depth[:, None] + depth - 2 * shared).long()
 
 
 def _flesh(rest: Tensor) -> tuple[list[int], Tensor, Tensor, Tensor]:

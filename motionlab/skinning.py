@@ -1,0 +1,273 @@
+"""Audit of skinning weights: how many are tiny, how far they reach, where their gradients leak, what pruning costs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.body import BodyModel, lbs
+from motionlab.errors import ShapeError
+from motionlab.motion import Motion
+from motionlab.observation import Camera, project
+from motionlab.skeleton import Skeleton, fk
+
+#: The thesis prunes weights below this.
+SMALL = 1e-2
+#: Metres along the surface beyond which a small weight counts as long-range.
+FAR = 0.15
+
+
+@dataclass(frozen=True)
+class WeightReport:
+    """How the entries of a weight matrix are distributed.
+
+    entries: V times J. nonzero, small: how many are above 0, and how many of those are below ``threshold``.
+    vertices: share of vertices that carry a small weight. edges, counts: histogram of the non-zero weights.
+    """
+
+    threshold: float
+    entries: int
+    nonzero: int
+    small: int
+    vertices: float
+    edges: Tensor
+    counts: Tensor
+
+    @property
+    def share_of_nonzero(self) -> float:
+        """Small entries as a share of the non-zero ones."""
+        return self.small / self.nonzero
+
+    @property
+    def share_of_all(self) -> float:
+        """Small entries as a share of all V times J: the other reading of the thesis's 3 %."""
+        return self.small / self.entries
+
+
+def weight_report(body: BodyModel, threshold: float = SMALL) -> WeightReport:
+    """Distribution of the skinning weights; the histogram's bins are logarithmic, four per decade.
+
+    Source: thesis 3.3.2 (3 % of SMPL's weights are non-zero but below 1e-2).
+    """
+    present = body.weights > 0
+    small = present & (body.weights < threshold)
+    edges = torch.logspace(-6, 0, 25, dtype=torch.float64)
+    values = body.weights[present].double().clamp(1e-6, 1)
+    return WeightReport(
+        threshold,
+        present.numel(),
+        int(present.sum()),
+        int(small.sum()),
+        float(small.any(1).double().mean()),
+        edges,
+        torch.as_tensor(np.histogram(values.numpy(), edges.numpy())[0]),
+    )
+
+
+def surface_distance(body: BodyModel) -> Tensor:
+    """Distance (V, J) in metres from each vertex to each joint's region, along the edges of the bind-pose mesh.
+
+    A joint's region: the vertices on which it has the largest weight of all joints; a joint that is nowhere the
+    largest has the vertex on which it weighs most; one without any weight is infinitely far. Separate parts
+    (eyes, teeth) are tied to the largest one by the shortest straight line.
+    """
+    graph = _edges(body)
+    strongest = body.weights.argmax(1)
+    columns = []
+    for joint in range(len(body.skeleton)):
+        region = (strongest == joint).nonzero()[:, 0]
+        if len(region) == 0:
+            region = body.weights[:, joint].argmax()[None]
+        reached = dijkstra(graph, directed=False, indices=region.numpy(), min_only=True)
+        columns.append(
+            torch.from_numpy(reached if (body.weights[:, joint] > 0).any() else np.full_like(reached, np.inf))
+        )
+    return torch.stack(columns, dim=1)
+
+
+def tree_distance(skeleton: Skeleton) -> Tensor:
+    """Number of bones (J, J) between every two joints."""
+    above = ancestors(skeleton).long()
+    depth = above.sum(1)
+    return depth[:, None] + depth - 2 * (above @ above.T)
+
+
+def ancestors(skeleton: Skeleton) -> Tensor:
+    """Boolean (J, J): entry (j, a) is True where joint a is j itself or above it."""
+    above = torch.eye(len(skeleton), dtype=torch.bool)
+    for joint, parent in enumerate(skeleton.parents[1:], start=1):
+        above[joint] |= above[parent]
+    return above
+
+
+def spurious(body: BodyModel, threshold: float = SMALL, far: float = FAR, distance: Tensor | None = None) -> Tensor:
+    """Mask (V, J) of long-range weights: above zero, below ``threshold``, and further than ``far`` metres.
+
+    The rule needs both: a small weight next to its joint's region is how smooth skinning fades out.
+
+    Args:
+        distance: :func:`surface_distance` of the body if it is at hand.
+    """
+    distance = surface_distance(body) if distance is None else distance
+    return (body.weights > 0) & (body.weights < threshold) & (distance > far)
+
+
+def precision_recall(found: Tensor, truth: Tensor) -> tuple[float, float]:
+    """Share of the found entries that are true, and share of the true ones that are found; NaN of nothing."""
+    hits = float((found & truth).sum())
+    return tuple(hits / float(x.sum()) if x.any() else float("nan") for x in (found, truth))
+
+
+def prune(body: BodyModel, threshold: float = SMALL) -> BodyModel:
+    """The body without its weights below ``threshold``; rows sum to 1 again.
+
+    Source: thesis 3.3.2.
+    Raises:
+        ShapeError: some vertex would lose all its weights.
+    """
+    kept = torch.where(body.weights < threshold, 0, body.weights)
+    total = kept.sum(1, keepdim=True)
+    if not (total > 0).all():
+        raise ShapeError(f"threshold {threshold}: vertex {int(total.argmin())} would have no weight left")
+    return replace(body, weights=kept / total)
+
+
+def influence(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int]) -> Tensor:
+    """How far each vertex moves per radian that each joint turns, at one pose: (K, J), metres per radian.
+
+    The Frobenius norm of d v_k / d w_j at w = 0, where joint j has rotation rot_j exp(w_j).
+
+    Args:
+        root: (3,). rot: (J, 3, 3). vertices: K indices into the mesh.
+    """
+
+    def place(turn: Tensor) -> Tensor:  # (J, 3) -> (K, 3)
+        turned = rot @ rotation.exp(turn)
+        return lbs(body, body.skeleton, root[None], turned[None], vertices=vertices)[0]
+
+    jacobian = torch.func.jacrev(place)(torch.zeros_like(rot[..., 0]))  # (K, 3, J, 3)
+    return jacobian.square().sum((1, 3)).sqrt()
+
+
+@dataclass(frozen=True, eq=False)
+class Leakage:
+    """Gradient of keypoints that reaches joints which should not move them.
+
+    influence (K, J): metres per radian. allowed (K, J): True for the joints that hold the keypoint and all above.
+    """
+
+    influence: Tensor
+    allowed: Tensor
+
+    @property
+    def per_joint(self) -> Tensor:
+        """Leaked influence (J,), metres per radian, root of the sum of squares over the keypoints."""
+        return torch.where(self.allowed, 0, self.influence).square().sum(0).sqrt()
+
+    @property
+    def share(self) -> float:
+        """Leaked gradient norm over the whole gradient norm."""
+        return float(self.per_joint.norm() / self.influence.norm())
+
+
+def leakage(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int], holds: float = 0.05) -> Leakage:
+    """Gradient leakage at one pose; see :class:`Leakage`.
+
+    A joint *holds* a vertex if its weight there is at least ``holds``; through the kinematic chain every
+    joint above it moves the vertex rightly, so only what reaches any other joint has leaked.
+
+    Source: thesis 3.3.2.
+    """
+    held = (body.weights[torch.as_tensor(vertices)] >= holds).long()
+    return Leakage(influence(body, root, rot, vertices), held @ ancestors(body.skeleton).long() > 0)
+
+
+def reprojection_energy(
+    body: BodyModel,
+    camera: Camera,
+    root: Tensor,
+    rot: Tensor,
+    pixels: Tensor,
+    *,
+    vertices: Sequence[int],
+    joints: Sequence[int] = (),
+) -> Callable[[dict[str, Tensor]], Tensor]:
+    """The thesis's experiment: an energy that sees only some keypoints, to watch which joints its optimiser moves.
+
+    energy({"turn": w}) = mean over keypoints of |project(keypoint(rot exp(w))) - pixel|^2 in pixels squared, with
+    w (J, 3) in radians. Hand it to :func:`motionlab.optimise.minimise`; after it, |w_j| is how far joint j moved.
+
+    Args:
+        root: (3,). rot: (J, 3, 3), the start.
+        pixels: (K + L, 2) observed: first the K ``vertices`` of the mesh, then the L ``joints``.
+    Source: thesis 3.3.2 (only the left arm and the face observed, yet the legs move).
+    """
+
+    def energy(variables: dict[str, Tensor]) -> Tensor:
+        turned = (rot @ rotation.exp(variables["turn"]))[None]
+        surface = lbs(body, body.skeleton, root[None], turned, vertices=vertices)[0]
+        inside = fk(body.skeleton, root[None], turned)[0][0, list(joints)]
+        seen, _ = project(camera, torch.cat((surface, inside)))
+        return (seen - pixels).square().sum(-1).mean()
+
+    return energy
+
+
+def displacement(body: BodyModel, other: BodyModel, motion: Motion, chunk: int = 32) -> tuple[float, float]:
+    """Mean and largest distance in metres between the vertices of two bodies in the same motion."""
+    root, rot = motion.root.flatten(0, -2), motion.rot.flatten(0, -4)
+    total, largest = 0.0, 0.0
+    for start in range(0, len(root), chunk):
+        pose = (motion.skeleton, root[start : start + chunk], rot[start : start + chunk])
+        away = torch.linalg.vector_norm(lbs(body, *pose) - lbs(other, *pose), dim=-1)
+        total, largest = total + float(away.mean(1).sum()), max(largest, float(away.max()))
+    return total / len(root), largest
+
+
+def sweep(body: BodyModel, motion: Motion, vertices: Sequence[int], thresholds: Sequence[float]) -> list[dict]:
+    """What each pruning threshold buys and costs, one dict per threshold.
+
+    Keys: threshold, removed (share of the non-zero weights), leakage (share of gradient norm at the first frame),
+    mean_mm and max_mm (vertex displacement over the motion).
+    """
+    rows = []
+    root, rot = motion.root.flatten(0, -2)[0], motion.rot.flatten(0, -4)[0]
+    for threshold in thresholds:
+        pruned = prune(body, threshold)
+        mean, largest = displacement(body, pruned, motion)
+        rows.append(
+            {
+                "threshold": threshold,
+                "removed": 1 - int((pruned.weights > 0).sum()) / int((body.weights > 0).sum()),
+                "leakage": leakage(pruned, root, rot, vertices).share,
+                "mean_mm": 1000 * mean,
+                "max_mm": 1000 * largest,
+            }
+        )
+    return rows
+
+
+def _edges(body: BodyModel) -> coo_array:
+    """Edge lengths (V, V) of the mesh, its separate parts tied together."""
+    points, count = body.template.double().numpy(), len(body.template)
+    pairs = body.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).numpy()
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    joined = coo_array((np.ones(len(pairs)), pairs.T), shape=(count, count))
+    _, part = connected_components(joined, directed=False)
+    main = np.flatnonzero(part == np.bincount(part).argmax())
+    tree = cKDTree(points[main])
+    for label in np.unique(part[part != part[main[0]]]):
+        rest = np.flatnonzero(part == label)
+        away, nearest = tree.query(points[rest])
+        pairs = np.vstack((pairs, (rest[away.argmin()], main[nearest[away.argmin()]])))
+    lengths = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    lengths = np.maximum(lengths, 1e-9)  # the sparse graph reads an exact zero as no edge
+    return coo_array((lengths, pairs.T), shape=(count, count)).tocsr()
