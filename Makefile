@@ -39,6 +39,7 @@ doctor: setup
 	@$(PY) -m motionlab doctor
 
 setup: $(PREPARED)
+	@:
 
 $(PREPARED): $(INSTALLED) motionlab/body.py motionlab/doctor.py
 	@echo "== preparing: off-screen rendering and the body"

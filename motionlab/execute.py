@@ -14,6 +14,7 @@ from motionlab.doctor import ROOT
 from motionlab.errors import MissingData
 
 NOTEBOOKS = ROOT / "notebooks"
+_QUIET = ["--log-level=40"]  # the kernel's advice on encrypting its own sockets is not for the reader
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,13 @@ def execute(path: Path, out: Path) -> Run:
     failed: dict = {}
     try:
         papermill.execute_notebook(
-            path, out, cwd=path.parent, kernel_name="python3", progress_bar=sys.stderr.isatty(), start_timeout=120
+            path,
+            out,
+            cwd=path.parent,
+            kernel_name="python3",
+            progress_bar=sys.stderr.isatty(),
+            start_timeout=120,
+            extra_arguments=_QUIET,
         )
     except PapermillExecutionError as error:
         failed = {"failed_cell": error.exec_count, "error": f"{error.ename}: {error.evalue}"}
@@ -122,6 +129,7 @@ def execute_in_place(path: Path) -> Run:
             kernel_name="python3",
             record_timing=False,
             store_widget_state=False,
+            extra_arguments=_QUIET,
             resources={"metadata": {"path": str(path.parent)}},
         ).execute()
         book.metadata = {
