@@ -1,0 +1,182 @@
+"""The transfer of a motion to the standard 22 joints, with its error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.errors import DataError, check_shape
+from motionlab.motion import Motion
+from motionlab.retarget.legs import reach, resting, skate
+from motionlab.retarget.rigs import Match, match
+from motionlab.skeleton import FEET, STANDARD, Skeleton
+
+_LEG = ("hip", "knee", "ankle")
+_LIMBS = ("hip", "knee", "shoulder", "elbow")  # a bone of these names points along the standard's own
+
+
+@dataclass(frozen=True, eq=False)
+class Retargeted:
+    """A motion on the standard joints, and how well it fits its source.
+
+    motion: on 22 joints named and turned as the standard's. residual: mean distance in metres between a
+    target joint and the source joint it stands for, over frames and mapped joints, after scaling and the
+    floor shift. per_joint: the same for each mapped joint. names: standard name -> source name. unmapped:
+    standard joints that the source lacks; they keep their parent's orientation. scale: size of the target
+    over the size of the file's figure. floor: metres by which the motion was raised. skate: slide of resting
+    feet in mm per frame, source and target. notes: what had to be decided.
+    """
+
+    motion: Motion
+    residual: float
+    per_joint: dict[str, float]
+    names: dict[str, str]
+    unmapped: tuple[str, ...]
+    rig: str
+    scale: float
+    floor: float
+    skate: tuple[float, float]
+    notes: tuple[str, ...]
+
+
+def retarget(
+    motion: Motion, *, proportions: str = "source", leg: float | None = None, floor: bool = True, plant: bool = True
+) -> Retargeted:
+    """Put a motion of any known skeleton on the standard 22 joints.
+
+    R_target = R_source G^T S: G turns a source joint's frame to body axes in its rest pose (see
+    :func:`motionlab.retarget.match`), S turns the T-pose's bone to the source's bone in that rest pose
+    by the shortest way. A source that faces forward at rest faces as ``UPRIGHT`` does. Joints that the source
+    lacks keep their parent's orientation and share the way between their neighbours.
+
+    Args:
+        motion: one clip (T frames), metres, z up.
+        proportions: "source" keeps the source's bone lengths and joint places, so the residual shows only
+            what the standard tree cannot hold; "standard" takes those of ``STANDARD``, scaled so that thigh
+            + shin are as long as the source's: the residual then holds every difference between the bodies.
+            Either way the middle between the hips is where the source's is.
+        leg: thigh + shin in metres to scale the whole recording to (figure and path); None: as it is.
+        floor: raise the motion so that the lowest ball of the foot (2 % of the frames are lower) is at sole height.
+        plant: with other proportions, bend the legs so that the ankles are where the source's are, seen from
+            the source's floor: a foot that stood still stands still. Without effect on "source".
+
+    Raises:
+        DataError: the skeleton's names or rest pose are not known.
+        ShapeError: the motion has batch axes.
+    """
+    check_shape(motion.root, "T 3", "motion.root")
+    if proportions not in ("source", "standard"):
+        raise ValueError(f"proportions: expected 'source' or 'standard', got {proportions!r}")
+    source = motion.to(torch.float64)
+    body = match(source.skeleton)
+    length = _leg_length(body)
+    if not length > 0:
+        raise DataError("legs of no length", path=motion.name, place="rest pose", remedy="check the offsets")
+    scale = leg / length if leg else 1.0
+    standing = STANDARD.to(torch.float64).scaled(scale * length / _leg_length_of(STANDARD))
+    correction = _corrections(body)
+    positions, world = source.world
+    where = {name: scale * positions[:, j] for name, j in body.joints.items()}
+    skeleton = standing if proportions == "standard" else _source_proportions(body, correction, standing, scale)
+    rot = _rotations(body, correction, world)
+    hips = (where["left_hip"] + where["right_hip"]) / 2
+    below = skeleton.offsets[skeleton.indices(["left_hip", "right_hip"])].mean(0)
+    target = Motion(skeleton, hips - rot[:, 0] @ below, rot, source.fps, name=motion.name)
+    if proportions == "standard" and plant:
+        target = reach(target, torch.stack((where["left_ankle"], where["right_ankle"]), dim=1))
+    balls = target.positions[:, skeleton.indices(FEET[2:])]
+    lift = skeleton.sole - float(torch.quantile(balls[..., 2].amin(-1), 0.02)) if floor else 0.0
+    target = replace(target, root=target.root + torch.tensor([0.0, 0.0, lift], dtype=torch.float64))
+    up = torch.tensor([0.0, 0.0, lift], dtype=torch.float64)
+    error = {n: float((target.positions[:, STANDARD.index(n)] - p - up).norm(dim=-1).mean()) for n, p in where.items()}
+    feet = [name for name in FEET[2:] if name in where] or list(FEET[:2])
+    before, after = torch.stack([where[f] for f in feet], 1), target.positions[:, skeleton.indices(feet)]
+    rests = resting(before, source.fps)
+    unmapped = tuple(name for name in STANDARD.names if name not in where)
+    notes = [f"{body.rig} names"]
+    notes += [f"raised {lift:+.3f} m to the floor"] if floor else []
+    notes += [f"without a source: {', '.join(unmapped)}"] if unmapped else []
+    return Retargeted(
+        motion=replace(target, notes=(*motion.notes, *notes)).to(motion.root.dtype),
+        residual=sum(error.values()) / len(error),
+        per_joint=error,
+        names={name: motion.skeleton.names[j] for name, j in body.joints.items()},
+        unmapped=unmapped,
+        rig=body.rig,
+        scale=scale,
+        floor=lift,
+        skate=(skate(before, rests), skate(after, rests)),
+        notes=tuple(notes),
+    )
+
+
+def _leg_length(body: Match) -> float:
+    ways = [[body.rest[body.joints[f"{side}_{part}"]] for part in _LEG] for side in ("left", "right")]
+    return sum(float((k - h).norm() + (a - k).norm()) for h, k, a in ways) / 2
+
+
+def _leg_length_of(skeleton: Skeleton) -> float:
+    bones = skeleton.indices([f"{side}_{part}" for side in ("left", "right") for part in _LEG[1:]])
+    return float(skeleton.offsets[bones].norm(dim=-1).sum()) / 2
+
+
+def _child(name: str, mapped: dict[str, int]) -> str | None:
+    children = [n for n, p in zip(STANDARD.names, STANDARD.parents, strict=True) if p == STANDARD.index(name)]
+    return children[0] if len(children) == 1 and children[0] in mapped else None
+
+
+def _corrections(body: Match) -> Tensor:
+    """S (22, 3, 3): from the T-pose's bone to the source's bone in its rest pose, in body axes.
+
+    Limbs follow their bone. The trunk, whose joints carry several bones, keeps the rest pose's axes, and so
+    does a foot whose sole is flat at rest; hands follow the forearm.
+    """
+    corrections: list[Tensor] = []
+    for joint, name in enumerate(STANDARD.names):
+        part, child = name.rpartition("_")[2], _child(name, body.joints)
+        parent = STANDARD.parents[joint]
+        if name not in body.joints or part == "wrist":
+            corrections.append(corrections[parent] if parent >= 0 else torch.eye(3, dtype=torch.float64))
+        elif child and (part in _LIMBS or (part == "ankle" and not body.flat_feet)):
+            bone = body.rest[body.joints[child]] - body.rest[body.joints[name]]
+            corrections.append(rotation.between(STANDARD.offsets[STANDARD.index(child)].double(), bone))
+        else:
+            corrections.append(torch.eye(3, dtype=torch.float64))
+    return torch.stack(corrections)
+
+
+def _rotations(body: Match, correction: Tensor, world: Tensor) -> Tensor:
+    """Local rotations (T, 22, 3, 3) of the target from the source's world orientations (T, J, 3, 3)."""
+    turned: list[Tensor] = []
+    for joint, name in enumerate(STANDARD.names):
+        if name in body.joints:
+            j = body.joints[name]
+            turned.append(world[:, j] @ body.rest_rot[j].T @ correction[joint])
+        else:
+            turned.append(turned[STANDARD.parents[joint]])
+    parents = torch.stack([turned[p] for p in STANDARD.parents[1:]], dim=1)
+    return torch.cat((turned[0][:, None], parents.mT @ torch.stack(turned[1:], dim=1)), dim=1)
+
+
+def _source_proportions(body: Match, correction: Tensor, standing: Skeleton, scale: float) -> Skeleton:
+    """The standard tree with the source's joint places: offset = S_ancestor^T (rest_joint - rest_ancestor).
+
+    A joint without a source shares the straight way between its mapped neighbours by the standard's lengths.
+    """
+    offsets = standing.offsets.clone()
+    for name, j in body.joints.items():
+        way = [STANDARD.index(name)]
+        while STANDARD.parents[way[-1]] >= 0 and STANDARD.names[STANDARD.parents[way[-1]]] not in body.joints:
+            way.append(STANDARD.parents[way[-1]])
+        ancestor = STANDARD.parents[way[-1]]
+        if ancestor < 0:
+            continue
+        straight = scale * (body.rest[j] - body.rest[body.joints[STANDARD.names[ancestor]]]) @ correction[ancestor]
+        lengths = standing.offsets[way].norm(dim=-1)
+        shares = lengths / lengths.sum()
+        for joint, share in zip(way, shares, strict=True):
+            offsets[joint] = share * straight
+    return replace(standing, offsets=offsets)
