@@ -175,7 +175,7 @@ def _within_reach(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, T
         hip = (pelvis_rot @ _hip(subject, side)[:, None])[..., 0]
         away = feet[side][0][:, :2] - (pelvis + hip)[:, :2]
         up = ((0.9955 * subject.leg) ** 2 - away.square().sum(-1)).clamp(min=0.01).sqrt()
-        free = 0.5 * c[f"{side}_lift"].clamp(min=0) + 3 * (c[f"{side}_loose"] + c[f"{side}_kneel"])
+        free = 0.5 * c[f"{side}_lift"].clamp(min=0) + 3 * (c[f"{side}_loose"] + c[f"{side}_kneel"] + c["air"])
         limits.append(feet[side][0][:, 2] + up - hip[:, 2] + free)
     return torch.cat((pelvis[:, :2], soft_min(torch.stack(limits, -1), 0.010)[:, None]), -1)
 
@@ -209,13 +209,13 @@ def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
         free_foot = shin_rot @ rotation_about("x", c[f"{side}_ankle"])
         mixed = foot_rot[..., :2] + loose[..., None] * (free_foot - foot_rot)[..., :2]
         foot_rot = sixd_to_matrix(mixed.mT.reshape(*mixed.shape[:-2], 6))
-    ease = 0.03 * ramp(c[f"{side}_lift"] / 0.03)
+    ease = 0.03 * ramp(c[f"{side}_lift"] / 0.03 + c[f"{side}_loose"])
     upper, lower, axis, _ = two_bone(hip, ankle, hinge, thigh, shin, ease)
     thigh_rot, shin_rot = bone_frame(axis, upper), bone_frame(axis, lower)
     rot[:, name(f"{side}_hip")] = pelvis_rot.mT @ thigh_rot
     rot[:, name(f"{side}_knee")] = thigh_rot.mT @ shin_rot
     rot[:, name(f"{side}_ankle")] = shin_rot.mT @ foot_rot
-    toes = soft_clip(c[f"{side}_heel"], -0.5, 0.95, 0.3) * (1 - loose[:, 0])
+    toes = soft_clip(c[f"{side}_heel"], -0.7, 1.38, 0.12) * (1 - loose[:, 0])
     rot[:, name(f"{side}_foot")] = rotation_about("x", -toes)
 
 

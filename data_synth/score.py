@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import torch
 
@@ -22,7 +23,7 @@ SIGN = {"left": 1.0, "right": -1.0}
 
 _BODY = (
     "x", "y", "z", "heading", "sway", "surge", "yaw", "pitch", "roll", "tilt", "flex", "bend", "twist",
-    "nod", "turn", "cock", "steady", "settle",
+    "nod", "turn", "cock", "steady", "settle", "air",
 )  # fmt: skip
 _SIDED = (
     "raise", "abduct", "rotate", "elbow", "pronate", "wrist", "shrug",  # the arm, by angles
@@ -30,7 +31,7 @@ _SIDED = (
     "foot_x", "foot_y", "lift", "foot_yaw", "heel", "toe", "splay", "kneel",  # the leg, by where the foot is
     "loose", "hip_flex", "hip_abduct", "hip_twist", "knee", "ankle",  # the leg, by angles
 )  # fmt: skip
-#: All channels: metres, radians, or weights between 0 and 1 (steady, settle, grip, kneel, loose).
+#: All channels: metres, radians, or weights between 0 and 1 (steady, settle, air, grip, kneel, loose).
 CHANNELS = _BODY + tuple(f"{side}_{name}" for name in _SIDED for side in SIDES)
 
 
@@ -40,7 +41,7 @@ class Score:
 
     Body: x, y, z of the pelvis (sway and surge to its left and forward); heading, then yaw, pitch (forward),
     roll (about the long axis), tilt; flex, bend, twist of the spine; nod, turn, cock of the head, which is held
-    level with weight ``steady``; settle: weight with which the body lies on the floor.
+    level with weight ``steady``; settle: weight with which the body lies on the floor; air: 1 in flight.
     """
 
     subject: Subject
@@ -111,7 +112,7 @@ class Score:
 
     def knots(self, channel: str, knots: list[tuple[float, float, float, float]]) -> None:
         """A chain of quintics through (time, value, velocity, acceleration); first and last must be at rest."""
-        for (t0, *a), (t1, *b) in zip(knots, knots[1:], strict=False):
+        for (t0, *a), (t1, *b) in pairwise(knots):
             self.pieces.append((channel, t0, t1 - t0, quintic(tuple(a), tuple(b), t1 - t0)))
         self.value[channel] += knots[-1][1] - knots[0][1]
 

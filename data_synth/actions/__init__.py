@@ -12,7 +12,7 @@ from functools import wraps
 
 import torch
 
-from data_synth.actions import locomotion
+from data_synth.actions import locomotion, seat, standing
 from data_synth.perform import Take, perform
 from data_synth.score import Score
 from data_synth.subjects import Subject
@@ -20,6 +20,14 @@ from data_synth.subjects import Subject
 #: The writers by name: each continues a Score.
 WRITERS: dict[str, Callable[..., None]] = {
     "walk": locomotion.walk,
+    "idle": standing.idle,
+    "reach": standing.reach,
+    "wave": standing.wave,
+    "punch": standing.punch,
+    "kick": standing.kick,
+    "sit": seat.sit,
+    "crouch": seat.crouch,
+    "jump": seat.jump,
 }
 
 

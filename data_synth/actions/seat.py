@@ -1,0 +1,165 @@
+"""Down and up again with both feet on the floor: sit on a chair, crouch, jump."""
+
+from __future__ import annotations
+
+import math
+
+from data_synth.actions.standing import ease
+from data_synth.score import SIDES, SIGN, Score
+
+GRAVITY = 9.81
+
+
+def sit(score: Score, *, seat: float | None = None, seconds: float = 3.0) -> None:
+    """Sit down on a chair whose seat is ``seat`` metres high (drawn if None), stay for ``seconds``, and stand up.
+
+    Hips go back, the trunk leans forward until they touch, the feet stay. The pelvis joint rests 9 cm above
+    the seat. A chair is no floor: the pelvis' contact stays off.
+    """
+    s, v = score.subject, score.uniform
+    seat = v(0.40, 0.50) if seat is None else seat
+    down, up = v(1.3, 1.9) / s.tempo, v(1.2, 1.7) / s.tempo
+    knee = s.ankle + s.length("left_ankle")
+    thigh = s.length("left_knee")
+    back = math.sqrt(max(0.05, thigh**2 - (seat + 0.08 - knee) ** 2)) + v(-0.03, 0.02)
+    with score.action("sit down"):
+        t = score.now
+        score.pose(t, 0.75 * down, pitch=v(0.40, 0.55), flex=v(0.25, 0.40), steady=0.75)
+        score.pose(t + 0.10 * down, 0.9 * down, z=seat + 0.09, surge=0.02 - back)
+        for side in SIDES:
+            score.arm(side, t, 0.7 * down, elbow=0.45, abduct=0.25, **{"raise": v(0.25, 0.8)})
+            score.move(f"{side}_splay", v(0.0, 0.15), t, down)
+        score.pose(t + 0.65 * down, 0.7 * down, pitch=v(-0.15, 0.0), flex=v(0.1, 0.25), steady=0.9)
+        _hands_on_lap(score, t + 0.6 * down, 0.7 * down)
+        score.now += 1.4 * down
+    with score.action("sit"):
+        end = score.now + seconds
+        while score.now < end - 0.6:
+            span = min(v(1.0, 2.0), end - score.now)
+            score.pose(
+                score.now, 0.8 * span, turn=v(-0.6, 0.6), nod=v(-0.1, 0.35), pitch=v(-0.2, 0.08), flex=v(0.05, 0.4)
+            )
+            score.pose(score.now, 0.8 * span, twist=v(-0.15, 0.15), bend=v(-0.08, 0.08), cock=v(-0.1, 0.1))
+            if score.chance(0.4):
+                side = score.choose(SIDES)
+                score.arm(side, score.now, 0.5, elbow=v(1.2, 2.1), rotate=v(-0.4, 0.2), **{"raise": v(0.3, 1.0)})
+            else:
+                _hands_on_lap(score, score.now, 0.7)
+            score.now += span
+    with score.action("stand up"):
+        t = score.now
+        score.pose(t, 0.6 * up, pitch=v(0.55, 0.70), flex=v(0.25, 0.4), twist=0, bend=0, turn=0, steady=0.7)
+        for side in SIDES:
+            score.arm(side, t, 0.6 * up, elbow=0.5, abduct=0.2, rotate=0.0, **{"raise": v(0.4, 0.8)})
+            score.move(f"{side}_splay", 0.0, t + 0.3 * up, up)
+        score.pose(t + 0.35 * up, 0.9 * up, z=s.standing, surge=0)
+        ease(score, t + 0.6 * up, 0.75 * up)
+        score.now += 1.4 * up
+
+
+def _hands_on_lap(score: Score, start: float, duration: float) -> None:
+    v = score.uniform
+    for side in SIDES:
+        pose = {"raise": v(0.30, 0.45), "abduct": v(0.10, 0.2), "rotate": v(-0.45, -0.15), "elbow": v(1.0, 1.25)}
+        score.arm(side, start, duration, pronate=0.6, **pose)
+
+
+def crouch(score: Score, *, depth: float | None = None, seconds: float = 1.0) -> None:
+    """Go down on the haunches by ``depth`` of the leg's length (drawn if None), stay, come up; heels rise when deep."""
+    s, v = score.subject, score.uniform
+    depth = v(0.25, 0.62) if depth is None else depth
+    with score.action("crouch"):
+        t, down, up = score.now, v(0.8, 1.2) / s.tempo, v(0.8, 1.2) / s.tempo
+        rise = max(0.0, depth - 0.30) * 2.3
+        lean = v(0.9, 1.2) * depth
+        score.pose(t, down, z=s.standing - depth * s.leg + 0.09 * rise, surge=-0.10 * depth + 0.10 * rise)
+        score.pose(t, down, pitch=0.8 * lean, flex=0.5 * lean, steady=0.8, nod=v(0.0, 0.4))
+        for side in SIDES:
+            score.arm(
+                side, t, down, elbow=v(0.4, 1.2), abduct=v(0.1, 0.3), rotate=v(-0.3, 0.1), **{"raise": v(0.7, 1.2)}
+            )
+            score.move(f"{side}_splay", v(0.1, 0.3), t, down)
+            if rise:
+                score.release(f"{side}_ankle", t + 0.25 * down)
+                score.move(f"{side}_heel", rise, t + 0.25 * down, 0.75 * down)
+        if score.chance(0.6):  # pick something up
+            side = score.choose(SIDES)
+            low = t + down - 0.2
+            score.arm(side, low, 0.5, elbow=0.15, rotate=0.0, **{"raise": 0.9})
+            score.pulse("twist", -SIGN[side] * 0.25, low, 0.5, 0.5)
+            score.arm(side, low + 0.6, 0.6, elbow=1.3, **{"raise": 0.8})
+        score.now += down + seconds
+        t = score.now
+        for side in SIDES:
+            score.move(f"{side}_splay", 0.0, t, up)
+            if rise:
+                score.move(f"{side}_heel", 0.0, t, 0.7 * up)
+                score.plant(f"{side}_ankle", t + 0.7 * up)
+        ease(score, t, 1.1 * up)
+        score.now += 1.15 * up
+
+
+def jump(
+    score: Score, *, height: float | None = None, distance: float | None = None, spin: float | None = None
+) -> None:
+    """Jump off both feet: ``height`` metres of flight, ``distance`` metres ahead, ``spin`` radians on the way.
+
+    Crouch, extend, fly as gravity has it (z'' = -g between take-off and landing), absorb.
+    """
+    s, v = score.subject, score.uniform
+    height = v(0.10, 0.32) if height is None else height
+    distance = score.choose((0.0, v(0.1, 0.6))) if distance is None else distance
+    spin = score.choose((0.0, 0.0, v(-1.6, 1.6))) if spin is None else spin
+    speed = math.sqrt(2 * GRAVITY * height)
+    flight = 2 * speed / GRAVITY
+    with score.action("jump"):
+        t, sink, push, give = score.now, v(0.45, 0.7), v(0.30, 0.36), v(0.26, 0.34)
+        off, land = t + sink + push, t + sink + push + flight
+        low, out = s.standing - v(0.24, 0.32), s.standing - 0.03
+        bottom = s.standing - v(0.18, 0.30)
+        score.knots("z", [
+            (t, score.value["z"], 0, 0), (t + sink, low, 0, 0), (off, out, speed, -GRAVITY),
+            (land, out, -speed, -GRAVITY), (land + give, bottom, 0, 0), (land + give + 0.6, s.standing, 0, 0),
+        ])  # fmt: skip
+        _go(score, distance, t + sink, off, land, land + give)
+        score.nudge("heading", spin, off - 0.10, flight + 0.2)
+        score.pulse("air", 1.0, off - 0.10, 0.12, 0.12, flight - 0.04)
+        for side in SIDES:
+            _leap(score, side, spin, off, land, speed, flight)
+            score.arm(side, t, sink, elbow=0.25, abduct=0.2, rotate=0.0, **{"raise": -0.75})
+            score.arm(side, t + sink - 0.02, push + 0.08, elbow=0.6, **{"raise": v(1.2, 2.2)})
+            score.arm(side, off + 0.5 * flight, 0.5 * flight + give, elbow=0.5, abduct=0.35, **{"raise": 0.5})
+        score.pose(t, sink, pitch=0.50, flex=0.28, surge=-0.06, steady=0.85)
+        score.pose(t + sink, push, pitch=0.03, flex=-0.02, surge=0)
+        score.pose(land - 0.12, give + 0.12, pitch=0.34, flex=0.22, surge=-0.04)
+        ease(score, land + give + 0.02, 0.65)
+        score.now = land + give + 0.75
+
+
+def _go(score: Score, distance: float, start: float, off: float, land: float, stop: float) -> None:
+    """Carry the pelvis ahead at constant speed while in the air."""
+    h, flight = score.value["heading"], land - off
+    for channel, part in (("x", -math.sin(h) * distance), ("y", math.cos(h) * distance)):
+        x, v = score.value[channel], 0.75 * part / flight
+        a, b = 0.10 * part, 0.85 * part
+        score.knots(channel, [(start, x, 0, 0), (off, x + a, v, 0), (land, x + b, v, 0), (stop + 0.1, x + part, 0, 0)])
+
+
+def _leap(score: Score, side: str, spin: float, off: float, land: float, speed: float, flight: float) -> None:
+    """One foot of a jump: roll up on the ball, follow the body through the air, land on the ball, set the heel down."""
+    catch = min(0.09, 0.3 * flight)
+    v1, y1 = speed - GRAVITY * catch, 0.42 * speed * catch
+    score.release(f"{side}_ankle", off - 0.22)
+    score.release(f"{side}_foot", off)
+    tuck = score.uniform(0.0, 0.10)
+    score.knots(f"{side}_lift", [
+        (off, 0, 0, 0), (off + catch, y1, v1, -GRAVITY), (land - catch, y1, -v1, -GRAVITY), (land, 0, 0, 0)
+    ])  # fmt: skip
+    score.pulse(f"{side}_lift", tuck, off + 0.1 * flight, 0.4 * flight, 0.4 * flight)
+    score.pulse(f"{side}_heel", 0.75, off - 0.22, 0.22 + 0.4 * catch, 0.14, flight - 0.4 * catch)
+    score.pulse(f"{side}_heel", 0.35, off - 0.05, 0.05 + catch, 0.5 * flight)
+    x, y = score.stance(side)
+    score.pose(off, flight, **{f"{side}_foot_x": x, f"{side}_foot_y": y})
+    score.nudge(f"{side}_foot_yaw", spin, off, flight)
+    score.plant(f"{side}_foot", land)
+    score.plant(f"{side}_ankle", land + 0.14)

@@ -1,0 +1,211 @@
+"""What people do with their arms, and one leg, while they stand: idle, reach, wave, punch, kick."""
+
+from __future__ import annotations
+
+from data_synth.actions.gait import OTHER
+from data_synth.score import SIDES, SIGN, Score
+
+
+def ease(score: Score, start: float, duration: float) -> None:
+    """Bring trunk, head and arms back to standing at ease."""
+    s = score.subject
+    score.pose(
+        start, duration, z=s.standing, sway=0, surge=0, yaw=0, pitch=0.5 * s.lean, flex=0.5 * s.lean, roll=0, tilt=0,
+        bend=0, twist=0, nod=0, turn=0, cock=0, steady=1,
+    )  # fmt: skip
+    for side in SIDES:
+        score.arm(side, start, duration, shrug=0, **score.arm_at_ease())
+
+
+def lean_on(score: Score, side: str, start: float, duration: float, amount: float = 0.045) -> None:
+    """Put the weight on one leg; the other hip drops."""
+    score.pose(
+        start, duration, sway=SIGN[side] * amount, tilt=SIGN[side] * amount, bend=-SIGN[side] * 0.9 * amount,
+        z=score.subject.standing - 0.010,
+    )  # fmt: skip
+
+
+def restep(score: Score, side: str, forward: float, outward: float, start: float, duration: float = 0.45) -> None:
+    """Put a foot elsewhere, given in metres in front of and beside its place under the body."""
+    half = score.subject.step_width * 0.75 + outward
+    place = score.local(SIGN[side] * half, forward - 0.035)
+    yaw = score.value["heading"] + SIGN[side] * score.subject.toe_out
+    score.step(side, place, yaw, start, start + duration, height=0.045, heel=0.4, early=0.2)
+
+
+def idle(score: Score, *, seconds: float = 4.0) -> None:
+    """Stand about: breathe, shift the weight, look around, fidget, now and then move a foot."""
+    begin, side = score.now, score.choose(SIDES)
+    with score.action("idle"):
+        while score.now < begin + seconds - 0.8:
+            span = min(score.uniform(1.2, 2.6) / score.subject.tempo, begin + seconds - score.now)
+            lean_on(score, side, score.now, 0.8 * span, score.uniform(0.01, 0.055))
+            if score.chance(0.6):
+                score.pose(score.now, 0.7, turn=score.uniform(-0.8, 0.8), nod=score.uniform(-0.15, 0.3))
+            if score.chance(0.5):
+                _fidget(score, score.choose(SIDES), score.now + 0.2, 0.9)
+            if score.chance(0.25):
+                restep(
+                    score, OTHER[side], score.uniform(-0.06, 0.08), score.uniform(-0.01, 0.06), score.now + 0.6 * span
+                )
+            side = OTHER[side] if score.chance(0.7) else side
+            score.now += span
+        ease(score, score.now, 0.8)
+        score.now += 0.8
+
+
+def _fidget(score: Score, side: str, start: float, duration: float) -> None:
+    v = score.uniform
+    pose = score.choose((
+        score.arm_at_ease(),
+        {"raise": v(-0.3, -0.1), "abduct": v(0.55, 0.7), "rotate": v(-0.5, -0.3), "elbow": v(1.5, 1.75)},  # on the hip
+        {"raise": v(0.45, 0.65), "abduct": v(0.05, 0.12), "rotate": v(-0.7, -0.5), "elbow": v(1.4, 1.7)},  # folded
+        {"raise": v(0.9, 1.1), "abduct": v(0.10, 0.25), "rotate": v(-0.2, 0.1), "elbow": v(2.1, 2.3)},  # to the chin
+    ))  # fmt: skip
+    score.arm(side, start, duration, **pose)
+
+
+def reach(score: Score, *, times: int = 2) -> None:
+    """Reach for things, high, low, across, to the side, with one or both hands, and look there."""
+    with score.action("reach"):
+        for _ in range(times):
+            side, both = score.choose(SIDES), score.chance(0.3)
+            sign, v, fast = SIGN[side], score.uniform, score.subject.tempo
+            go, hold, back = v(0.7, 1.1) / fast, v(0.1, 0.6), v(0.7, 1.0) / fast
+            height = v(-0.2, 1.0)  # low .. high
+            across = 0.0 if both else v(-0.35, 0.9)
+            start = score.now
+            for arm in SIDES if both else (side,):
+                score.arm(
+                    arm, start, go, rotate=v(-0.2, 0.3), elbow=v(0.15, 0.5), pronate=v(-0.3, 0.6),
+                    abduct=across if arm == side and not both else v(0.0, 0.2), **{"raise": 1.35 + 1.15 * height},
+                )  # fmt: skip
+            deep = max(0.0, -height) + v(0.0, 0.3)
+            score.pose(
+                start - 0.05, 1.1 * go, pitch=0.15 + 0.9 * deep, flex=0.12 + 0.5 * deep, surge=-0.06 * deep,
+                z=score.subject.standing - 0.12 * deep, twist=-sign * (0.25 - 0.45 * across) * (not both),
+                sway=sign * 0.04 * across, turn=sign * 0.5 * across, nod=-0.35 * height, steady=0.6,
+            )  # fmt: skip
+            ease(score, start + go + hold, back)
+            score.now = start + go + hold + back
+
+
+def wave(score: Score, *, times: int | None = None) -> None:
+    """Raise a hand and wave."""
+    with score.action("wave"):
+        side, v, fast = score.choose(SIDES), score.uniform, score.subject.tempo
+        times = int(v(3, 6)) if times is None else times
+        abduct, rotate, elbow = v(0.9, 1.5), v(1.1, 1.45), v(1.3, 1.8)
+        raising, beat, size = v(0.5, 0.8) / fast, v(0.22, 0.32) / fast, v(0.18, 0.4)
+        score.arm(
+            side, score.now, raising, abduct=abduct, rotate=rotate, elbow=elbow, pronate=-0.4, **{"raise": v(0, 0.4)}
+        )
+        lean_on(score, OTHER[side], score.now, raising, 0.03)
+        score.pose(score.now, raising, turn=SIGN[side] * v(-0.2, 0.4), cock=v(-0.1, 0.1))
+        score.now += 0.85 * raising
+        for k in range(2 * times):
+            out = 1 if k % 2 else -1
+            score.arm(side, score.now, 1.2 * beat, elbow=elbow + out * size, abduct=abduct + 0.15 * out * size)
+            score.nudge("bend", 0.02 * out, score.now, 1.2 * beat)
+            score.now += beat
+        ease(score, score.now, v(0.7, 0.9) / fast)
+        score.now += 0.9 / fast
+
+
+def guard(score: Score, lead: str, start: float, duration: float) -> None:
+    """A fighter's stance: one foot back, knees soft, fists before the face."""
+    back = OTHER[lead]
+    restep(score, back, -0.34, 0.04, start + 0.15, 0.4)
+    score.pose(start, duration, surge=-0.15, z=score.subject.standing - 0.09, pitch=0.10, flex=0.18, steady=0.9)
+    score.pose(start, duration, yaw=SIGN[back] * 0.30, twist=SIGN[back] * 0.05)
+    for side in SIDES:
+        ahead = 0.15 if side == lead else 0.0
+        score.arm(
+            side, start, duration, abduct=0.22, rotate=-0.25, elbow=2.05 - ahead, pronate=0.3, **{"raise": 0.75 + ahead}
+        )
+
+
+def unguard(score: Score, lead: str) -> None:
+    """Back from the stance: the foot steps up to the other one."""
+    restep(score, OTHER[lead], 0.0, 0.0, score.now + 0.25, 0.42)
+    ease(score, score.now, 0.85)
+    score.now += 0.95
+
+
+def punch(score: Score, *, times: int | None = None) -> None:
+    """Take a stance and throw straight punches and hooks: fast out, slower back."""
+    lead, v = score.choose(SIDES), score.uniform
+    with score.action("punch"):
+        guard(score, lead, score.now, 0.7)
+        score.now += 0.8
+        side = lead
+        for _ in range(int(v(3, 6)) if times is None else times):
+            sign, out, back = SIGN[side], v(0.17, 0.24) / score.subject.tempo, v(0.28, 0.4)
+            was = {name: score.value[f"{side}_{name}"] for name in ("raise", "abduct", "rotate", "elbow", "shrug")}
+            hook = score.chance(0.3)
+            to = {"raise": v(1.35, 1.6), "abduct": v(-0.12, 0.05), "rotate": -0.3, "elbow": v(0.12, 0.3), "shrug": 0.12}
+            if hook:
+                to = {
+                    "raise": v(1.0, 1.2),
+                    "abduct": v(0.7, 0.9),
+                    "rotate": v(-1.2, -0.9),
+                    "elbow": v(1.35, 1.6),
+                    "shrug": 0.1,
+                }
+            turn = (0.30 if side == lead else 0.55) * (1.2 if hook else 1.0)
+            score.arm(side, score.now, out, **to)
+            score.pulse("twist", -sign * turn, score.now - 0.05, out, 1.1 * back)
+            score.pulse("yaw", -sign * 0.35 * turn, score.now - 0.09, out, 1.1 * back)
+            score.pulse("surge", 0.05, score.now - 0.05, 1.2 * out, back)
+            score.arm(side, score.now + out, back, **was)
+            score.now += out + v(0.75, 1.3) * back
+            side = OTHER[side] if score.chance(0.65) else side
+        score.now += 0.15
+        unguard(score, lead)
+
+
+def kick(score: Score, *, times: int = 1) -> None:
+    """Stand on one leg and kick: knee up, snap, knee back, foot down."""
+    v = score.uniform
+    for _ in range(times):
+        with score.action("kick"):
+            side = score.choose(SIDES)
+            sign, stance = SIGN[side], OTHER[side]
+            start, high, wide = score.now, v(0.9, 1.45), v(0.0, 0.45)
+            lean_on(score, stance, start, 0.5, 0.075)
+            for arm in SIDES:
+                score.arm(arm, start, 0.5, abduct=0.3, rotate=-0.1, elbow=1.6, **{"raise": 0.5})
+            up = start + 0.45
+            score.release(f"{side}_ankle", up - 0.15)
+            score.pulse(f"{side}_heel", 0.5, up - 0.15, 0.22, 0.3)
+            score.release(f"{side}_foot", up)
+            score.pose(up - 0.1, 0.01 + 0.0, **{f"{side}_hip_flex": 0.35, f"{side}_knee": 0.75, f"{side}_ankle": 0.25})
+            chamber, snap, fold, down = 0.34, v(0.15, 0.2), v(0.2, 0.26), 0.42
+            score.pulse(f"{side}_loose", 1.0, up, 0.8 * chamber, down, 0.2 * chamber + snap + fold)
+            score.pulse(f"{side}_lift", 0.12, up, 0.15, down, chamber + snap + fold - 0.15)
+            leg = {
+                f"{side}_hip_flex": 0.85 * high,
+                f"{side}_knee": v(1.5, 1.8),
+                f"{side}_hip_abduct": wide,
+                f"{side}_ankle": 0.5,
+            }
+            score.pose(up, chamber, **leg)
+            score.pose(
+                up + chamber, snap, **{f"{side}_hip_flex": high, f"{side}_knee": v(0.15, 0.3), f"{side}_ankle": 0.7}
+            )
+            score.pose(up + chamber + snap, fold, **{f"{side}_hip_flex": 0.8 * high, f"{side}_knee": 1.5})
+            score.pose(
+                up + chamber + snap + fold, down,
+                **{f"{side}_hip_flex": 0.2, f"{side}_knee": 0.4, f"{side}_hip_abduct": 0.0, f"{side}_ankle": 0.0},
+            )  # fmt: skip
+            score.pulse("pitch", -0.16 * high, up, chamber + snap, fold + down)
+            score.pulse("flex", 0.10, up, chamber + snap, fold + down)
+            score.pulse("yaw", -sign * 0.25, up + 0.1, chamber + snap, fold + down)
+            score.pulse("twist", sign * 0.3, up + 0.1, chamber + snap, fold + down)
+            score.arm(stance, up, chamber + snap, elbow=1.1, abduct=0.5)
+            score.arm(side, up, chamber + snap, elbow=0.9, abduct=0.4, **{"raise": -0.3})
+            land = up + chamber + snap + fold + down
+            score.plant(f"{side}_ankle", land)
+            score.plant(f"{side}_foot", land)
+            ease(score, land - 0.15, 0.8)
+            score.now = land + 0.7

@@ -1,0 +1,110 @@
+"""Is a motion what ground truth should be? Feet that stand, bodies above the floor, joints within reach, no pop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from data_synth.anatomy import excess
+from data_synth.legs import HEEL
+from data_synth.perform import RADIUS
+from motionlab.motion import Motion
+
+#: Length of the toes in front of the ball joint, metres.
+TOES = 0.06
+
+
+@dataclass(frozen=True)
+class Audit:
+    """The worst of a motion.
+
+    contact_speed: metres per frame, of a joint whose contact is on in this frame and the next.
+    contact_height: metres between such a joint and its height at rest on the floor.
+    penetration: metres below the floor, of heel, ball, toes, or the body's thickness around any other joint.
+    limit_excess: degrees beyond the anatomical range; at: which joint and angle.
+    acceleration: greatest of any joint, m/s^2; mean_acceleration: over joints and frames.
+    """
+
+    contact_speed: float
+    contact_height: float
+    penetration: float
+    limit_excess: float
+    at: str
+    acceleration: float
+    mean_acceleration: float
+
+
+def audit(motion: Motion) -> Audit:
+    """Measure a motion on a skeleton with the standard joint names; without contacts the contact figures are 0."""
+    motion = motion.to(torch.float64)
+    beyond = excess(motion.skeleton, motion.rot)
+    worst = max(beyond, key=lambda key: float(beyond[key].max()))
+    a = acceleration(motion)
+    return Audit(
+        contact_speed=float(contact_speed(motion).max()),
+        contact_height=float(contact_height(motion).max()),
+        penetration=float(penetration(motion).max().clamp(min=0)),
+        limit_excess=float(beyond[worst].max()),
+        at=" ".join(worst),
+        acceleration=float(a.max()),
+        mean_acceleration=float(a.mean()),
+    )
+
+
+def contact_speed(motion: Motion) -> Tensor:
+    """Metres per frame (..., T-1, C) of the contact joints between frames in which their contact is on, else 0."""
+    positions = motion.positions[..., motion.skeleton.contact_indices, :]
+    if motion.contacts is None:
+        return torch.zeros_like(positions[..., 1:, :, 0])
+    on = motion.contacts[..., 1:, :] * motion.contacts[..., :-1, :]
+    return positions.diff(dim=-3).norm(dim=-1) * on
+
+
+def contact_height(motion: Motion) -> Tensor:
+    """Metres (..., T, C) between a contact joint that is on and its height at rest, else 0.
+
+    Feet and ankles rest at the height of the flat foot, knees and wrists at their thickness, the pelvis (on
+    back, belly or side) anywhere within 4 cm of its.
+    """
+    skeleton = motion.skeleton
+    height = motion.positions[..., skeleton.contact_indices, 2]
+    rest = torch.tensor([_rest(motion, name) for name in skeleton.contact_names]).to(height)
+    error = (height - rest).abs()
+    loose = torch.tensor([0.04 if name == "pelvis" else 0.0 for name in skeleton.contact_names]).to(height)
+    error = (error - loose).clamp(min=0)
+    return error * (0 if motion.contacts is None else motion.contacts)
+
+
+def _rest(motion: Motion, name: str) -> float:
+    skeleton = motion.skeleton
+    if name.endswith("foot"):
+        return skeleton.sole
+    if name.endswith("ankle"):
+        return skeleton.sole - float(skeleton.offsets[..., skeleton.index(name.replace("ankle", "foot")), 1])
+    return RADIUS[name]
+
+
+def penetration(motion: Motion) -> Tensor:
+    """Metres (..., T, points) below the floor: heels, balls and toes, and the body around the other joints."""
+    skeleton = motion.skeleton
+    positions, orientations = motion.world
+    depth = []
+    for side in ("left", "right"):
+        ankle, ball = skeleton.index(f"{side}_ankle"), skeleton.index(f"{side}_foot")
+        down = float(skeleton.offsets[..., ball, 1]) - skeleton.sole
+        heel = positions.new_tensor([0.0, down, -HEEL])
+        toe = positions.new_tensor([0.0, -skeleton.sole, TOES])
+        depth.append(-(positions[..., ankle, 2] + orientations[..., ankle, 2, :] @ heel))
+        depth.append(-(positions[..., ball, 2] + orientations[..., ball, 2, :] @ toe))
+        depth.append(skeleton.sole - positions[..., ball, 2])
+    for name, radius in RADIUS.items():
+        depth.append(radius - positions[..., skeleton.index(name), 2])
+    return torch.stack(depth, -1)
+
+
+def acceleration(motion: Motion) -> Tensor:
+    """Norm (..., T-2, J) of the second difference of joint positions, m/s^2."""
+    p = motion.positions
+    return (p[..., 2:, :, :] - 2 * p[..., 1:-1, :, :] + p[..., :-2, :, :]).norm(dim=-1) * motion.fps**2
