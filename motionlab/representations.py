@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.motion import Motion, windows
 from motionlab.optimise import FitResult, minimise
 
 
@@ -95,11 +94,6 @@ def flips_per_minute(mask: Tensor, fps: float) -> Tensor:
 def midpoint_error(representation: Representation, first: Tensor, second: Tensor, truth: Tensor) -> Tensor:
     """Degrees (...) from the truth (..., 3, 3) after averaging two parameter vectors of it (..., P)."""
     return torch.rad2deg(rotation.geodesic(representation.decode((first + second) / 2), truth))
-
-
-def gaps(motion: Motion, *, context: int = 10, length: int = 10, stride: int = 5) -> Tensor:
-    """Root rotations (N, context + length + context, 3, 3) of windows whose middle will be hidden."""
-    return windows(motion, 2 * context + length, stride).rot[..., 0, :, :]
 
 
 def crosses_branch(path: Tensor, *, context: int) -> Tensor:

@@ -1,0 +1,77 @@
+"""Recordings as the experiments want them: on the standard joints, at one frame rate, by source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.io.positions import Positions
+from motionlab.io.recordings import recordings
+from motionlab.motion import Motion, resample
+from motionlab.retarget import retarget
+
+#: Sources that store joint rotations.
+MOTIONS = ("animated_drawings", "bandai_namco", "cmu_amc", "deepmimic", "isaacgym_amp_cmu", "reactidle")
+#: Names of hips and neck in joint-position files whose pelvis can be turned into a rotation.
+_TRUNK = ("LHip", "RHip", "Neck")
+
+
+def spread(items: Sequence, most: int | None) -> list:
+    """At most ``most`` items, evenly through the sequence; all of them for None."""
+    if most is None or len(items) <= most:
+        return list(items)
+    return [items[round(i * (len(items) - 1) / max(most - 1, 1))] for i in range(most)]
+
+
+def standard(folder: Path | str | None, source: str, *, each: int | None = None, fps: float = 30.0) -> list[Motion]:
+    """Motions of one source on the 22 joints, with the source's own proportions, feet on the floor.
+
+    Without a folder, or without that source in it, the list is empty. Loaded once per session.
+
+    Raises:
+        DataError: a recording is at fault.
+    """
+    if folder is None or not (Path(folder) / source).is_dir():
+        return []
+    found = [(path, load) for _, path, load in recordings(folder, source)]
+    return [_standard(path, load, fps) for path, load in spread(found, each)]
+
+
+@lru_cache(maxsize=512)
+def _standard(path: Path, load: Callable, fps: float) -> Motion:
+    return resample(retarget(load(path)).motion, fps)
+
+
+def roots(folder: Path | str | None, *, each: int | None = None) -> dict[str, list[Tensor]]:
+    """Root rotations (T, 3, 3) at 30 fps of every source that has them; empty without a folder.
+
+    Falls and floor work come as joint positions: their pelvis is turned by its hips and the line to the neck.
+    """
+    found = {source: [m.rot[:, 0] for m in standard(folder, source, each=each)] for source in MOTIONS}
+    falls = [] if folder is None or not (Path(folder) / "captury_falls").is_dir() else _fallen(Path(folder))
+    return {source: paths for source, paths in (found | {"captury_falls": falls}).items() if paths}
+
+
+def _fallen(folder: Path) -> list[Tensor]:
+    loaded = [load(path) for _, path, load in recordings(folder, "captury_falls") if path.suffix == ".csv"]
+    takes = [p for p in loaded if isinstance(p, Positions) and set(_TRUNK) <= set(p.names)]
+    return [_thirty(pelvis_rotation(p), p.fps) for p in takes]
+
+
+def pelvis_rotation(positions: Positions) -> Tensor:
+    """Orientation (T, 3, 3) of the pelvis from hips and neck: left along the hips, up towards the neck."""
+    left, right, neck = positions.select(_TRUNK).positions.unbind(1)
+    across, up = left - right, neck - (left + right) / 2
+    return rotation.sixd_to_matrix(torch.cat((across, up), dim=-1))
+
+
+def _thirty(path: Tensor, fps: float) -> Tensor:
+    """A path of rotations at 30 frames per second, by slerp."""
+    at = torch.arange(int((len(path) - 1) / fps * 30) + 1) * (fps / 30)
+    low = at.floor().long().clamp(max=len(path) - 2)
+    return rotation.slerp(path[low], path[low + 1], (at - low).to(path))
