@@ -1,0 +1,121 @@
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from motionlab import rotation
+from motionlab.errors import DataError, ShapeError
+from motionlab.io import amass
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD
+
+FRAMES = 7
+
+
+def arrays(columns: int = 156, seed: int = 0) -> dict:
+    draw = np.random.default_rng(seed)
+    return {
+        "poses": draw.uniform(-1.5, 1.5, (FRAMES, columns)),
+        "trans": draw.normal(size=(FRAMES, 3)),
+        "betas": draw.normal(size=16),
+        "gender": np.array("female"),
+        "mocap_framerate": np.array(120.0),
+    }
+
+
+def written(path, content: dict):
+    np.savez(path, **content)
+    return path
+
+
+@pytest.mark.parametrize(("columns", "model"), [(72, "smpl"), (156, "smplh"), (165, "smplx")])
+def test_body_joints_of_every_layout_agree_with_scipy(tmp_path, columns, model):
+    content = arrays(columns)
+    path = written(tmp_path / "a.npz", content)
+    motion = amass.load(path)
+    expected = Rotation.from_rotvec(content["poses"][:, :66].reshape(-1, 3)).as_matrix()
+    np.testing.assert_allclose(motion.rot.reshape(-1, 3, 3).numpy(), expected, atol=1e-6)
+    np.testing.assert_allclose(motion.root.numpy(), content["trans"], atol=1e-6)
+    assert motion.fps == 120 and motion.skeleton is STANDARD
+    assert amass.read(path).model == model and amass.read(path).gender == "female"
+
+
+def test_split_keys_are_the_whole_pose(tmp_path):
+    whole = arrays(165)
+    edges = np.cumsum([0, *amass.PARTS.values()])
+    split = {k: v for k, v in whole.items() if k not in ("poses", "mocap_framerate")}
+    split |= {key: whole["poses"][:, a:b] for key, a, b in zip(amass.PARTS, edges, edges[1:], strict=False)}
+    split["mocap_frame_rate"] = np.array(120.0)
+    a, b = amass.read(written(tmp_path / "a.npz", whole)), amass.read(written(tmp_path / "b.npz", split))
+    torch.testing.assert_close(a.poses, b.poses, atol=0, rtol=0)
+    assert (a.fps, a.model) == (b.fps, b.model)
+    del split["pose_jaw"], split["pose_eye"], split["pose_hand"]
+    torch.testing.assert_close(amass.read(written(tmp_path / "c.npz", split)).poses[:, :66], a.poses[:, :66])
+
+
+@pytest.mark.parametrize("key", amass.RATES)
+def test_every_spelling_of_the_frame_rate(tmp_path, key):
+    content = arrays()
+    content[key] = content.pop("mocap_framerate")
+    assert amass.load(written(tmp_path / "a.npz", content)).fps == 120
+
+
+def test_no_frame_rate_is_never_guessed(tmp_path):
+    content = arrays()
+    del content["mocap_framerate"]
+    with pytest.raises(DataError, match="frame rate is missing"):
+        amass.load(written(tmp_path / "a.npz", content))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_motion_to_amass_to_motion_is_exact(tmp_path, seed):
+    generator = torch.Generator().manual_seed(seed)
+    rot = rotation.random((FRAMES, 22), generator)
+    contacts = torch.randint(0, 2, (FRAMES, 9), generator=generator).float()
+    motion = Motion(STANDARD, torch.randn(FRAMES, 3, generator=generator), rot, 30.0, contacts)
+    offset = torch.tensor([0.01, -0.23, 0.02])
+    amass.save(tmp_path / "a.npz", motion, pelvis_offset=offset)
+    back = amass.load(tmp_path / "a.npz", pelvis_offset=offset)
+    torch.testing.assert_close(back.root, motion.root, atol=1e-7, rtol=0)
+    torch.testing.assert_close(back.rot, motion.rot, atol=1e-6, rtol=0)
+    torch.testing.assert_close(back.contacts, contacts, atol=0, rtol=0)
+    assert back.fps == 30.0
+    wrong = amass.load(tmp_path / "a.npz")
+    torch.testing.assert_close(motion.root - wrong.root, offset.expand(FRAMES, 3), atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("model", amass.EXTRA)
+def test_amass_to_motion_to_amass_keeps_the_body(tmp_path, model):
+    content = arrays(66 + amass.EXTRA[model])
+    motion = amass.load(written(tmp_path / "a.npz", content))
+    amass.save(tmp_path / "b.npz", motion, model=model)
+    back = amass.read(tmp_path / "b.npz")
+    np.testing.assert_allclose(back.poses[:, :66].numpy(), content["poses"][:, :66], atol=2e-6)
+    np.testing.assert_allclose(back.trans.numpy(), content["trans"], atol=1e-6)
+    assert back.model == model and back.poses.shape == content["poses"].shape
+
+
+def test_the_pelvis_is_where_smpl_puts_it(tmp_path):
+    """SMPL's own formula, x' = R (x - J0) + J0 + trans, applied to the pelvis x = J0 of any root rotation."""
+    content = arrays()
+    j0 = np.array([-0.002, -0.24, 0.03])
+    turn = Rotation.from_rotvec(content["poses"][:, :3])
+    pelvis = turn.apply(j0 - j0) + j0 + content["trans"]
+    motion = amass.load(written(tmp_path / "a.npz", content), pelvis_offset=torch.from_numpy(j0))
+    np.testing.assert_allclose(motion.positions[:, 0].numpy(), pelvis, atol=1e-6)
+    rotated = turn.apply(j0) + content["trans"]
+    assert np.abs(motion.positions[:, 0].numpy() - rotated).max() > 0.1
+
+
+def test_pickled_members_that_nobody_needs_are_not_touched(tmp_path):
+    content = arrays() | {"markers_latent_vids": np.array({"a": 1}, dtype=object)}
+    assert amass.load(written(tmp_path / "a.npz", content)).frames == FRAMES
+
+
+def test_save_refuses_what_amass_cannot_hold(tmp_path):
+    eye = torch.eye(3).expand(FRAMES, 22, 3, 3)
+    motion = Motion(STANDARD, torch.zeros(FRAMES, 3), eye, 30.0)
+    with pytest.raises(ShapeError, match="model"):
+        amass.save(tmp_path / "a.npz", motion, model="smal")
+    with pytest.raises(ShapeError, match="rot"):
+        amass.save(tmp_path / "a.npz", Motion(STANDARD, torch.zeros(2, FRAMES, 3), eye.expand(2, -1, -1, -1, -1), 30.0))

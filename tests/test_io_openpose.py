@@ -1,0 +1,194 @@
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from motionlab.errors import DataError
+from motionlab.io import openpose
+from motionlab.observation import BODY_25
+
+needs_data = pytest.mark.skipif(
+    not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings"
+)
+
+
+def figure(names=BODY_25, height: float = 200.0) -> np.ndarray:
+    """A standing person (K, 2) in pixels about the middle of the hips; eyes and ears lie around the nose."""
+    place = {"nose": (0, -0.9), "neck": (0, -0.7), "upper_neck": (0, -0.75), "head_top": (0, -1), "mid_hip": (0, 0)}
+    rows = {"eye": (0.03, -0.93), "ear": (0.06, -0.91), "shoulder": (0.2, -0.7), "elbow": (0.25, -0.35)}
+    rows |= {"wrist": (0.25, 0), "hip": (0.1, 0), "knee": (0.1, 0.5), "ankle": (0.1, 1), "big_toe": (0.12, 1.05)}
+    rows |= {"small_toe": (0.15, 1.05), "heel": (0.1, 1.03)}
+    for part, (x, y) in rows.items():
+        place |= {f"left_{part}": (x, y), f"right_{part}": (-x, y)}
+    return np.array([place[name] for name in names]) * height / 2
+
+
+def write(folder: Path, frames: dict[int, list[np.ndarray]], name="clip_{:012d}_keypoints.json") -> Path:
+    """One file per frame number; people are (K, 3)."""
+    folder.mkdir(exist_ok=True)
+    for number, people in frames.items():
+        entries = [{"person_id": [-1], "pose_keypoints_2d": p.reshape(-1).round(3).tolist()} for p in people]
+        (folder / name.format(number)).write_text(json.dumps({"version": 1.3, "people": entries}))
+    return folder
+
+
+def person(x: float, y: float = 300.0, confidence: float = 0.8, names=BODY_25, height: float = 200.0) -> np.ndarray:
+    points = figure(names, height) + np.array([x, y])
+    return np.concatenate([points, np.full((len(points), 1), confidence)], axis=1)
+
+
+@pytest.mark.parametrize("layout", openpose.LAYOUTS)
+def test_layouts_are_told_apart_and_mapped_by_name(tmp_path, layout):
+    names = openpose.LAYOUTS[layout]
+    folder = write(tmp_path / "a", {n: [person(100 + n, names=names)] for n in range(3)})
+    observed = openpose.load(folder, fps=30)
+    assert observed.names == names
+    full = openpose.to_body_25(observed)
+    for k, name in enumerate(BODY_25):
+        if name in names:
+            expected = figure(names)[names.index(name)] + np.array([100, 300])
+            np.testing.assert_allclose(full.keypoints[0, k].numpy(), expected, atol=1e-3)
+        else:
+            assert (full.confidence[:, k] == 0).all() and (full.keypoints[:, k] == 0).all()
+    middle = openpose.to_body_25(observed, midpoints=True)
+    np.testing.assert_allclose(middle.keypoints[0, middle.index("mid_hip")].numpy(), (100, 300), atol=1e-3)
+    assert (middle.confidence[:, middle.index("neck")] > 0).all()
+
+
+def test_layouts_name_the_points_as_openpose_does():
+    assert [len(openpose.LAYOUTS[name]) for name in ("BODY_25", "BODY_25B", "COCO_18", "COCO_17")] == [25, 25, 18, 17]
+    assert openpose.COCO_18[8] == "right_hip" and openpose.COCO_18[14:] == BODY_25[15:19]
+    assert openpose.BODY_25B[16] == "right_ankle" and openpose.BODY_25B[17:19] == ("upper_neck", "head_top")
+    assert set(openpose.BODY_25B) - set(BODY_25) == {"upper_neck", "head_top"}
+
+
+def test_25_points_without_a_face_are_refused_unless_the_layout_is_given(tmp_path):
+    faceless = person(100)
+    faceless[[0, 15, 16, 17, 18], 2] = 0
+    folder = write(tmp_path / "a", {0: [faceless]})
+    with pytest.raises(DataError, match="layout cannot be told"):
+        openpose.load(folder, fps=30)
+    assert openpose.load(folder, fps=30, layout="BODY_25").frames == 1
+
+
+def test_frames_are_ordered_by_number_and_gaps_are_empty(tmp_path):
+    folder = write(tmp_path / "a", {n: [person(100 + n)] for n in (8, 9, 10, 12)}, name="cam.{}.json")
+    observed = openpose.load(folder, fps=30)
+    nose = observed.keypoints[:, 0, 0].tolist()
+    assert observed.frames == 5
+    assert [round(x) for x in nose] == [108, 109, 110, 0, 112]
+    assert observed.confidence[3].sum() == 0
+
+
+def test_files_named_otherwise_do_not_join_the_series(tmp_path):
+    folder = write(tmp_path / "a", {n: [person(100)] for n in range(4)}, name="cam.{:04d}.json")
+    write(folder, {n: [] for n in range(2)}, name="del_{:06d}.json")
+    (folder / "meta.json").write_text("not json")
+    assert openpose.load(folder, fps=30).frames == 4
+    write(folder, {n: [] for n in range(4)}, name="del_{:06d}.json")
+    with pytest.raises(DataError, match="several series"):
+        openpose.load(folder, fps=30)
+
+
+def test_confidence_zero_hides_whatever_coordinates_are_there(tmp_path):
+    hidden = person(100)
+    hidden[4] = (713.5, 12.0, 0.0)
+    observed = openpose.load(write(tmp_path / "a", {0: [hidden], 1: [hidden]}), fps=30)
+    assert not observed.visible[:, 4].any() and (observed.keypoints[:, 4] == 0).all()
+    assert observed.visible[:, 3].all()
+
+
+def crowd(seed: int, frames: int = 40, people: int = 4) -> tuple[dict, list[np.ndarray]]:
+    """People who walk at their own speed, listed in another order in every frame; and the nose track of each."""
+    draw = np.random.default_rng(seed)
+    speed = draw.uniform(-4, 4, people)
+    listed, noses = {}, [np.zeros((frames, 2)) for _ in range(people)]
+    for frame in range(frames):
+        shown = [person(150 + 250 * p + speed[p] * frame, 300 + 5 * p, height=180 + 10 * p) for p in range(people)]
+        for p, one in enumerate(shown):
+            one[:, :2] += draw.normal(scale=2, size=(25, 2))
+            noses[p][frame] = one[0, :2]
+        listed[frame] = [shown[p] for p in draw.permutation(people)]
+    return listed, noses
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_person_is_followed_through_a_shuffled_crowd(tmp_path, seed):
+    listed, noses = crowd(seed)
+    folder = write(tmp_path / "a", listed)
+    observed = openpose.load(folder, fps=30, person="largest")
+    np.testing.assert_allclose(observed.keypoints[:, 0].numpy(), noses[-1], atol=1e-3)
+    naive = np.array([people[0][0, :2] for people in listed.values()])
+    assert np.abs(np.diff(naive[:, 0])).max() > 100  # the file's own order jumps from person to person
+    for place in range(4):
+        nose = openpose.load(folder, fps=30, person=place).keypoints[:, 0].numpy()
+        np.testing.assert_allclose(nose[0], listed[0][place][0, :2], atol=1e-3)
+        assert np.linalg.norm(np.diff(nose, axis=0), axis=-1).max() < 20
+
+
+def test_a_person_may_vanish_for_a_while(tmp_path):
+    listed, noses = crowd(1)
+    largest = noses[-1]
+    for frame in range(10, 20):
+        listed[frame] = [p for p in listed[frame] if not np.allclose(p[0, :2], largest[frame])]
+    folder = write(tmp_path / "a", listed)
+    observed = openpose.load(folder, fps=30, person="largest", gap=0.5)
+    present = observed.visible.any(-1)
+    assert not present[10:20].any() and present[:10].all() and present[20:].all()
+    np.testing.assert_allclose(observed.keypoints[present][:, 0].numpy(), largest[present.numpy()], atol=1e-3)
+    short = openpose.load(folder, fps=30, person="largest", gap=0.1)
+    assert int(short.visible.any(-1).sum()) < int(present.sum())
+
+
+def test_longest_wins_over_a_passer_by(tmp_path):
+    listed = {n: [person(200 + n)] for n in range(20)}
+    for n in range(5, 9):
+        listed[n].insert(0, person(700, height=350))
+    folder = write(tmp_path / "a", listed)
+    assert openpose.load(folder, fps=30).keypoints[:, 0, 0].max() < 300
+    assert openpose.load(folder, fps=30, person="largest").visible.any(-1).sum() == 4
+
+
+def test_tracking_twice_gives_the_same(tmp_path):
+    folder = write(tmp_path / "a", crowd(2)[0])
+    first, second = (openpose.load(folder, fps=30).keypoints for _ in range(2))
+    assert torch.equal(first, second)
+
+
+def neck_steps(observed) -> torch.Tensor:
+    k = observed.index("neck" if "neck" in observed.names else "upper_neck")
+    both = observed.visible[1:, k] & observed.visible[:-1, k]
+    return observed.keypoints[:, k].diff(dim=0).norm(dim=-1)[both]
+
+
+@needs_data
+def test_nobody_is_swapped_in_the_real_crowd():
+    """Ten people, unordered. The picture itself shifts by some 60 px between the first two frames."""
+    folder = Path(os.environ["MOTIONLAB_DATA"]) / "openpose_crowd"
+    for place in range(10):
+        observed = openpose.load(folder, fps=30, person=place)
+        if observed.visible.any(-1).sum() < 10:
+            continue  # one false detection in the first frame
+        steps = neck_steps(observed)
+        assert steps.median() < 5 and steps[1:].max() < 30
+        assert observed.visible.any(-1).all()
+
+
+@needs_data
+def test_real_balancing_views_hold_one_person_throughout():
+    root = Path(os.environ["MOTIONLAB_DATA"]) / "pose2sim_openpose/single_balancing"
+    for folder in sorted(root.iterdir()):
+        observed = openpose.load(folder, fps=60)
+        assert observed.names == openpose.BODY_25B and observed.frames == 100
+        assert observed.visible.any(-1).all() and neck_steps(observed).max() < 30
+
+
+@needs_data
+def test_real_webcam_hides_joints_by_confidence():
+    observed = openpose.load(Path(os.environ["MOTIONLAB_DATA"]) / "3dance_openpose/PRE_json", fps=30)
+    assert observed.frames == 486 and observed.names == BODY_25
+    assert 0.4 < observed.visible.float().mean() < 0.9
+    assert (observed.keypoints[~observed.visible] == 0).all()

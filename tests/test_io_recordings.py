@@ -1,0 +1,121 @@
+import json
+import os
+
+import numpy as np
+import pytest
+import torch
+
+from motionlab.errors import DataError, MissingData
+from motionlab.io import amass, anidance, bvh, npz
+from motionlab.io.positions import Positions
+from motionlab.io.recordings import SOURCES, inventory, recordings
+from motionlab.motion import Motion
+from motionlab.observation import Observation2D
+from motionlab.skeleton import STANDARD, UPRIGHT
+
+needs_data = pytest.mark.skipif(
+    not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings"
+)
+
+
+def standing(frames: int = 6, fps: float = 30.0) -> Motion:
+    rot = torch.eye(3).expand(frames, 22, 3, 3).clone()
+    rot[:, 0] = UPRIGHT
+    root = torch.tensor([0.0, 0.0, float(STANDARD.standing_height())]).expand(frames, 3)
+    return Motion(STANDARD, root, rot, fps)
+
+
+def dance(path, frames: int = 4, **changes) -> None:
+    content = {"positions_cm": np.arange(frames * 72.0).reshape(frames, 24, 3), "fps": np.float32(25)} | changes
+    np.savez(path, **content)
+
+
+def test_a_folder_of_ones_own_works(tmp_path):
+    bvh.save(tmp_path / "walk.bvh", standing())
+    deep = tmp_path / "mine" / "take 1"
+    deep.mkdir(parents=True)
+    amass.save(deep / "poses.npz", standing())
+    dance(deep / "dance.npz")
+    for n in range(3):
+        points = [float(v) for v in np.random.default_rng(n).uniform(1, 9, 54)]
+        (deep / f"{n}.json").write_text(json.dumps({"people": [{"pose_keypoints_2d": points}]}))
+    (deep / "notes.txt").write_text("nothing")
+    found = list(recordings(tmp_path, video_fps=25))
+    assert [(r.source, r.path.name) for r in found] == [
+        ("mine", "take 1"), ("mine", "dance.npz"), ("mine", "poses.npz"), (tmp_path.name, "walk.bvh"),
+    ]  # fmt: skip
+    kinds = {type(loader(path)) for _, path, loader in found}
+    assert kinds == {Observation2D, Motion, Positions}
+    rows = {(row.source, row.kind): row for row in inventory(tmp_path, video_fps=25)}
+    assert rows["mine", "openpose"].fps == (25, 25) and rows["mine", "openpose"].points == (18, 18)
+    assert rows[tmp_path.name, "bvh"].minutes == pytest.approx(6 / 30 / 60) and rows["mine", "npz"].clips == 2
+    assert all(row.trainable is None for row in rows.values())
+
+
+def test_keypoints_of_unknown_rate_are_not_guessed(tmp_path):
+    (tmp_path / "0.json").write_text('{"people": [{"pose_keypoints_2d": ' + str([1.0] * 54) + "}]}")
+    ((_, path, loader),) = recordings(tmp_path)
+    with pytest.raises(DataError, match="fps: expected frames per second"):
+        loader(path)
+
+
+def test_what_is_missing_says_how_to_get_it(tmp_path):
+    with pytest.raises(MissingData, match="MOTIONLAB_DATA"):
+        list(recordings(tmp_path / "nowhere"))
+    with pytest.raises(MissingData, match="any recording"):
+        list(recordings(tmp_path))
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(MissingData, match="There are: mine"):
+        list(recordings(tmp_path, "yours"))
+
+
+def test_npz_layouts_are_told_by_their_keys(tmp_path):
+    amass.save(tmp_path / "a.npz", standing())
+    dance(tmp_path / "b.npz")
+    assert npz.loader(tmp_path / "a.npz") is amass.load and npz.loader(tmp_path / "b.npz") is anidance.load
+    np.savez(tmp_path / "c.npz", weights=np.zeros(3))
+    with pytest.raises(DataError, match="its keys are weights"):
+        npz.loader(tmp_path / "c.npz")
+
+
+def test_anidance_adds_the_centre_and_stands_up(tmp_path):
+    dance(tmp_path / "a.npz")
+    loaded = anidance.load(tmp_path / "a.npz")
+    raw = np.arange(4 * 72.0).reshape(4, 24, 3) / 100
+    world = raw + np.concatenate([np.zeros_like(raw[:, :1]), np.broadcast_to(raw[:, :1], (4, 23, 3))], axis=1)
+    expected = np.stack([world[..., 0], -world[..., 2], world[..., 1]], axis=-1)
+    np.testing.assert_allclose(loaded.positions.numpy(), expected, rtol=1e-6)
+    assert len(set(anidance.NAMES)) == 24 and {a for pair in anidance.BONES for a in pair} == set(range(24))
+
+
+@needs_data
+def test_anidance_names_fit_the_bodies():
+    """Sides and order by anatomy: knees bend forward, feet point forward, the right is right of the left."""
+    heads, knees, feet, spread = [], [], [], []
+    for _, path, loader in recordings(os.environ["MOTIONLAB_DATA"], "anidance"):
+        loaded = loader(path)
+        at = {name: loaded.positions[:, k] for k, name in enumerate(loaded.names)}
+        right = at["right_hip"] - at["left_hip"] + at["right_shoulder"] - at["left_shoulder"]
+        forward = torch.linalg.cross(torch.tensor([0.0, 0.0, 1.0]).expand_as(right), right)
+        forward = forward / forward.norm(dim=-1, keepdim=True)
+        middle = (at["left_hip"] + at["left_ankle"]) / 2
+        knees.append(((at["left_knee"] - middle) * forward).sum(-1).mean())
+        feet.append(((at["right_toe"] - at["right_heel"]) * forward).sum(-1).mean())
+        heads.append((at["left_head"] - at["left_ankle"])[:, 2].mean())
+        bones = [(a, b) for a, b in anidance.BONES if 0 not in (a, b)]
+        lengths = torch.stack([(loaded.positions[:, a] - loaded.positions[:, b]).norm(dim=-1) for a, b in bones])
+        spread.append(lengths.std(-1).median())
+    assert min(heads) > 1.2 and torch.stack(knees).mean() > 0.03 and torch.stack(feet).mean() > 0.1
+    assert torch.stack(spread).mean() < 0.03
+
+
+@needs_data
+def test_every_recording_of_the_data_set_loads():
+    rows = {(row.source, row.kind): row for row in inventory(os.environ["MOTIONLAB_DATA"])}
+    assert {source for source, _ in rows} == set(SOURCES)
+    clips = {"bandai_namco": 213, "anidance": 38, "cmu_amc": 17, "deepmimic": 29, "reactidle": 4}
+    assert {name: sum(r.clips for r in rows.values() if r.source == name) for name in clips} == clips
+    minutes = {"bandai_namco": 18.4, "anidance": 19.6, "cmu_amc": 5.8, "deepmimic": 4.5, "reactidle": 7.0}
+    for name, expected in minutes.items():
+        assert sum(r.minutes for r in rows.values() if r.source == name) == pytest.approx(expected, abs=0.06)
+    assert not any(rows[key].trainable for key in rows if key[0] in ("bandai_namco", "anidance", "captury_falls"))
