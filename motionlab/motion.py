@@ -84,9 +84,12 @@ class Motion:
         )
 
     def clip(self, index) -> Motion:
-        """One entry (or a slice) of the leading batch axis."""
+        """One entry (or a slice) of the leading batch axis, with its own skeleton where each has one."""
         contacts = None if self.contacts is None else self.contacts[index]
-        return replace(self, root=self.root[index], rot=self.rot[index], contacts=contacts)
+        skeleton = self.skeleton
+        if skeleton.offsets.ndim == self.rot.ndim - 1 and len(skeleton.offsets) > 1:
+            skeleton = replace(skeleton, offsets=skeleton.offsets[index])
+        return replace(self, skeleton=skeleton, root=self.root[index], rot=self.rot[index], contacts=contacts)
 
     def to(self, *args, **kwargs) -> Motion:
         """Every tensor on another device or of another dtype."""

@@ -15,6 +15,34 @@ from kornia.geometry import conversions as kc
 from torch import Tensor
 
 from motionlab.errors import check_shape
+from motionlab.euler import euler_to_matrix, matrix_to_euler, rotation_about
+
+__all__ = [
+    "axis_angle_to_matrix",
+    "axis_angle_to_quaternion",
+    "between",
+    "euler_to_matrix",
+    "exp",
+    "geodesic",
+    "log",
+    "matrix_to_axis_angle",
+    "matrix_to_euler",
+    "matrix_to_quaternion",
+    "matrix_to_sixd",
+    "mean",
+    "nearest",
+    "quaternion_to_axis_angle",
+    "quaternion_to_matrix",
+    "random",
+    "rotation_about",
+    "sixd_to_matrix",
+    "sixd_to_other_layout",
+    "skew",
+    "slerp",
+    "unroll_axis_angle",
+    "unroll_quaternion",
+    "yaw",
+]
 
 _SINC = [(-1) ** n / math.factorial(2 * n + 1) for n in range(8)]  # sin(t)/t in powers of t^2
 _COSC = [(-1) ** n / math.factorial(2 * n + 2) for n in range(8)]  # (1 - cos t)/t^2
@@ -193,12 +221,6 @@ def slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
     return a @ exp(weight[..., None] * log(a.mT @ b))
 
 
-def rotation_about(axis: str, angle: Tensor) -> Tensor:
-    """Rotation by ``angle`` (...) radians about one coordinate axis "x", "y" or "z": (..., 3, 3)."""
-    unit = torch.eye(3, dtype=angle.dtype, device=angle.device)["xyz".index(axis)]
-    return exp(angle[..., None] * unit)
-
-
 def between(a: Tensor, b: Tensor) -> Tensor:
     """The rotation (..., 3, 3) by the smallest angle that turns the direction a (..., 3) into b (..., 3).
 
@@ -273,49 +295,3 @@ def unroll_axis_angle(aa: Tensor, dim: int = -2) -> Tensor:
             break
         unrolled = update
     return unrolled.movedim(0, dim).contiguous()
-
-
-def euler_to_matrix(angles: Tensor, order: str) -> Tensor:
-    """Intrinsic angles (..., n) in radians about the axes named in ``order``, as "ZXY": matrix (..., 3, 3).
-
-    R = R_order[0](angles[0]) R_order[1](angles[1]) ..., the order of BVH channels. Any number of axes.
-    """
-    check_shape(angles, f"... {len(order)}", "angles")
-    matrix = torch.eye(3, dtype=angles.dtype, device=angles.device).expand(*angles.shape[:-1], 3, 3)
-    for axis, angle in zip(order, angles.unbind(-1), strict=True):
-        matrix = matrix @ rotation_about(axis.lower(), angle)
-    return matrix
-
-
-def matrix_to_euler(matrix: Tensor, order: str) -> Tensor:
-    """Matrix (..., 3, 3) to intrinsic angles (..., 3) in radians; see :func:`euler_to_matrix`.
-
-    The middle angle lies in [-pi/2, pi/2] for three different axes ("ZXY") and in [0, pi] where the first
-    returns ("ZXZ"); the others in [-pi, pi]. In gimbal lock only the sum or difference of the outer two is
-    defined: the third is then 0.
-
-    Source: Bernardes & Viollet 2022, "Quaternion to Euler angles conversion".
-    Raises:
-        ValueError: not one of the twelve orders.
-    """
-    order = order.lower()
-    if len(order) != 3 or set(order) - set("xyz") or order[1] in (order[0], order[2]):
-        raise ValueError(f"order: expected three axes, neighbours different, as ZXY; got {order!r}")
-    k, j, i = ("xyz".index(axis) for axis in order)
-    proper = i == k
-    k = 3 - i - j if proper else k
-    sign = (i - j) * (j - k) * (k - i) // 2
-    w, *xyz = matrix_to_quaternion(matrix).unbind(-1)
-    a, b, c, d = w, xyz[i], xyz[j], xyz[k] * sign
-    if not proper:
-        a, b, c, d = a - c, b + d, c + a, d - b
-    middle = 2 * torch.atan2(torch.hypot(c, d), torch.hypot(a, b))
-    half_sum, half_difference = torch.atan2(b, a), torch.atan2(d, c)
-    near = 8 * torch.finfo(matrix.dtype).eps
-    low, high = torch.hypot(c, d) < near, torch.hypot(a, b) < near
-    first = torch.where(high, half_difference, half_sum) + torch.where(low, half_sum, half_difference)
-    third = torch.where(low | high, 0.0, half_sum - half_difference)
-    if not proper:
-        first, middle = first * sign, middle - math.pi / 2
-    first, third = (x - math.tau * (x / math.tau).round() for x in (first, third))
-    return torch.stack((first, middle, third), -1)

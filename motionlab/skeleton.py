@@ -82,6 +82,19 @@ class Skeleton:
         return [(row, [self.parents[j] for j in row]) for row in rows]
 
     @cached_property
+    def level_order(self) -> tuple[Tensor, Tensor, list[tuple[slice, Tensor]]]:
+        """What :func:`fk` walks along: joints sorted by level, the way back, and for each level its place among
+        the sorted joints with the rows of its parents inside the level before."""
+        device = self.offsets.device
+        order, before, steps = [0], [0], []
+        for joints, parents in self.levels:
+            rows = torch.tensor([before.index(p) for p in parents], device=device)
+            steps.append((slice(len(order), len(order) + len(joints)), rows))
+            order, before = order + joints, joints
+        sorted_joints = torch.tensor(order, device=device)
+        return sorted_joints, sorted_joints.argsort(), steps
+
+    @cached_property
     def mirror_indices(self) -> list[int]:
         """For each joint the index of its left-right partner (itself in the middle), by name."""
         swap = {"left_": "right_", "right_": "left_"}
@@ -113,6 +126,9 @@ def fk(skeleton: Skeleton, root: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:
 
     R_j = R_parent(j) rot_j,  p_j = p_parent(j) + R_parent(j) offset_j
 
+    One step per level of the tree. Joints are sorted by level once, so that a level is a slice: about
+    twice as fast as lists of indices, forwards and backwards.
+
     Args:
         root: (..., 3) position of joint 0, metres, world.
         rot: (..., J, 3, 3) each joint relative to its parent, joint 0 relative to the world.
@@ -123,18 +139,18 @@ def fk(skeleton: Skeleton, root: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:
     """
     check_shape(rot, f"... {len(skeleton)} 3 3", "rot")
     check_shape(root, "... 3", "root")
-    offsets = skeleton.offsets.to(rot)
-    place = {0: (0, 0)}  # joint -> (level, row)
-    world_rot, world_pos = [rot[..., :1, :, :]], [root[..., None, :]]
-    for level, (joints, parents) in enumerate(skeleton.levels, start=1):
-        rows = [place[p][1] for p in parents]
-        up_rot, up_pos = world_rot[-1][..., rows, :, :], world_pos[-1][..., rows, :]
-        world_rot.append(up_rot @ rot[..., joints, :, :])
-        world_pos.append(up_pos + (up_rot @ offsets[..., joints, :, None])[..., 0])
-        place |= {j: (level, row) for row, j in enumerate(joints)}
-    sorted_joints = [0] + [j for joints, _ in skeleton.levels for j in joints]
-    back = torch.tensor(sorted_joints, device=rot.device).argsort()
-    return torch.cat(world_pos, -2)[..., back, :], torch.cat(world_rot, -3)[..., back, :, :]
+    order, back, steps = skeleton.level_order
+    offsets = skeleton.offsets.index_select(-2, order).to(rot)
+    order, back = order.to(rot.device), back.to(rot.device)
+    root = root.expand(*torch.broadcast_shapes(root.shape[:-1], rot.shape[:-3], offsets.shape[:-2]), 3)
+    rot = rot.index_select(-3, order)
+    positions, orientations = [root[..., None, :]], [rot[..., :1, :, :]]
+    for level, rows in steps:
+        up_rot = orientations[-1].index_select(-3, rows.to(rot.device))
+        up_pos = positions[-1].index_select(-2, rows.to(rot.device))
+        positions.append(up_pos + (up_rot @ offsets[..., level, :, None])[..., 0])
+        orientations.append(up_rot @ rot[..., level, :, :])
+    return torch.cat(positions, -2).index_select(-2, back), torch.cat(orientations, -3).index_select(-3, back)
 
 
 def _standard() -> Skeleton:

@@ -13,6 +13,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab": 0,
     "motionlab.errors": 0,
     # algebra and instruments
+    "motionlab.euler": 0.5,
     "motionlab.rotation": 1,
     "motionlab.findings": 1,
     "motionlab.profiling": 1,
@@ -25,6 +26,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.skinning": 3.5,
     # views of a motion
     "motionlab.frames": 4,
+    "motionlab.contact": 4,
     "motionlab.io": 4,
     "data_synth": 4.5,
     # measures
@@ -33,7 +35,9 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.baselines": 5,
     "motionlab.optimise": 5,
     # procedures
+    "motionlab.library": 6,
     "motionlab.representations": 6,
+    "motionlab.rotation_trials": 6.5,
     "motionlab.partial_fit": 6,
     # showing
     "motionlab.viz": 7,
