@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from motionlab.errors import DataError
-from motionlab.io import amp, asf, bvh, deepmimic
+from motionlab.io import asf, bvh, deepmimic, npz
 from motionlab.motion import Motion
 
 #: Loader by file suffix; each takes the path and its own options.
@@ -14,7 +14,7 @@ LOADERS = {
     ".amc": asf.load_beside,
     ".txt": deepmimic.load,
     ".json": deepmimic.load,
-    ".npz": amp.load,
+    ".npz": npz.load,
 }
 
 
@@ -22,10 +22,13 @@ def load(path: str | Path, **options) -> Motion:
     """Read one recording with the loader that its suffix names; options go to that loader.
 
     Raises:
-        DataError: no loader for this suffix, or the file is at fault.
+        DataError: no loader for this suffix, the file is at fault, or it holds positions and no rotations.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in LOADERS:
         known = ", ".join(sorted(LOADERS))
         raise DataError(f"no loader for {suffix or 'a name without suffix'!r}", path=path, remedy=f"one of {known}")
-    return LOADERS[suffix](path, **options)
+    motion = LOADERS[suffix](path, **options)
+    if not isinstance(motion, Motion):
+        raise DataError("holds positions without rotations", path=path, remedy="read it with io.npz.load")
+    return motion
