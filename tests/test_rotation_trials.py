@@ -25,7 +25,9 @@ def test_every_body_with_level_hips_is_on_the_cut():
         bowed = [root @ rotation.rotation_about("x", torch.tensor(bow)) for root in spinning(0.1, seconds=1.0)]
         assert trials.canonical_angle(bowed).min() > 179.9
     leaning = [root @ rotation.rotation_about("z", torch.tensor(0.5)) for root in spinning(0.1, seconds=1.0)]
-    assert trials.canonical_angle(leaning).max() == pytest.approx(180 - math.degrees(0.5), abs=0.1)
+    # quaternion product of the half turn about (0, 1, 1)/sqrt(2) with a lean of 0.5 about the body's z
+    expected = 2 * math.degrees(math.acos(math.sin(0.25) / math.sqrt(2)))
+    assert trials.canonical_angle(leaning).max() == pytest.approx(expected, abs=0.1)
 
 
 def test_flips_follow_from_the_rate_of_turning():
