@@ -1,0 +1,364 @@
+"""BVH: against a scalar reading of the format, round trips, and files that are wrong in every line."""
+
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from motionlab import io, rotation
+from motionlab.errors import DataError, ShapeError
+from motionlab.io import bvh
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, UPRIGHT
+from tests.twins import fk as twin_fk
+
+ROTATIONS = "Zrotation Xrotation Yrotation"
+TEXT = f"""HIERARCHY
+ROOT Hips
+{{
+  OFFSET 0 90 0
+  CHANNELS 6 Xposition Yposition Zposition {ROTATIONS}
+  JOINT Spine
+  {{
+    OFFSET 0 50 2
+    CHANNELS 3 Yrotation Zrotation Xrotation
+    End Site
+    {{
+      OFFSET 0 25 0
+    }}
+  }}
+  JOINT Leg
+  {{
+    OFFSET 9 0 0
+    CHANNELS 6 Zposition Xposition Yposition {ROTATIONS}
+    JOINT Foot
+    {{
+      OFFSET 0 -85 0
+      CHANNELS 2 Xrotation Zrotation
+      End Site
+      {{
+        OFFSET 0 0 0
+      }}
+    }}
+  }}
+}}
+MOTION
+Frames: 2
+Frame Time: 0.033333
+1 91 -2 10 20 30 5 -10 15 0 9 0 40 0 -20 33 12
+3 92 -1 -5 25 60 1 2 3 0 9 0 10 20 30 -7 8
+"""
+
+
+def write(folder: Path, text: str | bytes, name: str = "clip.bvh") -> Path:
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def axis_turn(axis: str, degrees: float) -> np.ndarray:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    i, j = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}[axis]
+    turn = np.eye(3)
+    turn[[i, j], [i, j]], turn[i, j], turn[j, i] = c, -s, s
+    return turn
+
+
+def turn(order: str, *degrees: float) -> np.ndarray:
+    return np.linalg.multi_dot([np.eye(3), np.eye(3), *(axis_turn(a, d) for a, d in zip(order, degrees, strict=True))])
+
+
+def test_agrees_with_a_scalar_reading(tmp_path):
+    motion = bvh.load(write(tmp_path, TEXT), unit="cm", up="y")
+    assert motion.skeleton.names == ("Hips", "Spine", "Spine_end", "Leg", "Foot")
+    assert motion.fps == 30.0 and motion.name == "clip"
+    first = turn("ZXY", 10, 20, 30), turn("YZX", 5, -10, 15), np.eye(3), turn("ZXY", 40, 0, -20), turn("XZ", 33, 12)
+    offsets = np.array([[0, 0, 0], [0, 50, 2], [0, 25, 0], [9, 0, 0], [0, -85, 0]]) / 100
+    expected, _ = twin_fk((-1, 0, 1, 0, 3), offsets, np.array([1, 91, -2]) / 100, first)
+    facing_y = np.array([[-1, 0, 0], [0, 0, 1], [0, 1, 0]])
+    np.testing.assert_allclose(motion.positions[0].numpy(), expected @ facing_y.T, atol=1e-6)
+
+
+def test_axes_and_units_given_or_detected_and_noted(tmp_path):
+    path = write(tmp_path, TEXT)
+    given_both = bvh.load(path, unit="cm", up="y")
+    assert given_both.notes == ()
+    detected = bvh.load(path)
+    torch.testing.assert_close(detected.positions, given_both.positions)
+    assert any("up axis y detected" in note for note in detected.notes)
+    assert any("taken as cm" in note for note in detected.notes)
+    z_up = bvh.load(path, unit=0.01, up="z")
+    torch.testing.assert_close(z_up.positions @ UPRIGHT.T, given_both.positions)
+    metres = bvh.load(path, unit="m", up="y")
+    torch.testing.assert_close(metres.positions, 100 * given_both.positions)
+
+
+def test_a_size_that_no_unit_explains_is_scaled_and_said(tmp_path):
+    bvh.save(tmp_path / "odd.bvh", standing(), unit=1 / 25)
+    loaded = bvh.load(tmp_path / "odd.bvh")
+    assert any("no unit fits" in note for note in loaded.notes)
+    height = loaded.positions[..., 2].max() - loaded.positions[..., 2].min()
+    assert 1.3 < float(height) < 1.8  # 42 units, ankles to head joint
+
+
+def test_z_up_is_detected(tmp_path):
+    bvh.save(tmp_path / "z.bvh", standing(), up="z")
+    loaded = bvh.load(tmp_path / "z.bvh")
+    assert any("up axis z detected" in note for note in loaded.notes)
+    order = loaded.skeleton.indices(STANDARD.names)
+    torch.testing.assert_close(loaded.positions[:, order], standing().positions, atol=1e-6, rtol=0)
+
+
+def standing(frames: int = 3, skeleton=STANDARD) -> Motion:
+    rot = torch.eye(3).repeat(frames, len(skeleton), 1, 1)
+    rot[:, 0] = UPRIGHT
+    return Motion(skeleton, torch.tensor([0.1, 0.2, 0.97]).repeat(frames, 1), rot, 30.0)
+
+
+@pytest.mark.parametrize("order", ["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"])
+@pytest.mark.parametrize(("unit", "up"), [("cm", "y"), ("m", "z")])
+def test_round_trip(tmp_path, generator, order, unit, up):
+    rot = rotation.random((7, 22), generator)
+    motion = Motion(STANDARD, torch.randn(7, 3, generator=generator), rot, 59.94)
+    bvh.save(tmp_path / "a.bvh", motion, order=order, unit=unit, up=up)
+    back = bvh.load(tmp_path / "a.bvh", unit=unit, up=up)
+    which = back.skeleton.indices(STANDARD.names)
+    assert len(back.skeleton) == 22 and abs(back.fps - 59.94) < 1e-5
+    # six decimals: half a unit in the last place of a metre or of a degree, then float32
+    torch.testing.assert_close(back.root, motion.root, atol=1e-6, rtol=0)
+    torch.testing.assert_close(back.rot[:, which], rot, atol=1e-6, rtol=0)
+    torch.testing.assert_close(back.positions[:, which], motion.positions, atol=5e-6, rtol=0)
+
+
+def test_second_round_trip_changes_nothing(tmp_path, generator):
+    motion = Motion(STANDARD, torch.randn(4, 3, generator=generator), rotation.random((4, 22), generator), 30.0)
+    bvh.save(tmp_path / "a.bvh", motion)
+    bvh.save(tmp_path / "b.bvh", bvh.load(tmp_path / "a.bvh", unit="cm", up="y"))
+    rows = [
+        np.loadtxt((tmp_path / name).read_text().split("Frame Time:")[1].splitlines()[1:])
+        for name in ("a.bvh", "b.bvh")
+    ]
+    degrees = np.abs(rows[0] - rows[1])
+    assert np.minimum(degrees, 360 - degrees).max() < 2e-4  # float32 near the middle angle's quarter turn
+
+
+def test_negative_control_wrong_order_is_another_motion(tmp_path, generator):
+    motion = Motion(STANDARD, torch.zeros(4, 3), rotation.random((4, 22), generator), 30.0)
+    bvh.save(tmp_path / "a.bvh", motion, order="ZXY")
+    text = (tmp_path / "a.bvh").read_text().replace("Zrotation Xrotation Yrotation", "Xrotation Zrotation Yrotation")
+    wrong = bvh.load(write(tmp_path, text), unit="cm", up="y")
+    assert rotation.geodesic(wrong.rot, motion.rot[:, motion.skeleton.indices(wrong.skeleton.names)]).mean() > 0.3
+
+
+def test_end_sites_survive(tmp_path):
+    path = write(tmp_path, TEXT)
+    once = bvh.load(path, unit="cm", up="y")
+    bvh.save(tmp_path / "again.bvh", once)
+    again = bvh.load(tmp_path / "again.bvh", unit="cm", up="y")
+    assert again.skeleton.names == once.skeleton.names
+    torch.testing.assert_close(again.positions, once.positions, atol=1e-6, rtol=0)
+
+
+def moved_hips(root: str, hips: str, leg_shift: float = 0.0) -> str:
+    six = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
+    return f"""HIERARCHY
+ROOT joint_Root
+{{
+ OFFSET 0 0 0
+ {six}
+ JOINT Hips
+ {{
+  OFFSET 0 94 -3
+  {six}
+  JOINT Leg
+  {{
+   OFFSET 10 -40 0
+   {six}
+   End Site
+   {{
+    OFFSET 0 -40 0
+   }}
+  }}
+  JOINT Head
+  {{
+   OFFSET 0 70 0
+   {six}
+   End Site
+   {{
+    OFFSET 0 0 0
+   }}
+  }}
+ }}
+}}
+MOTION
+Frames: 2
+Frame Time: 0.0333333
+{root} {hips} 10 -40 0 0 0 0 0 70 0 0 0 0
+{root} 50 90 7 0 0 30 {10 + leg_shift} -40 0 0 0 0 0 70 0 0 0 0
+"""
+
+
+def test_translation_in_a_joint_below_the_root_is_composed(tmp_path):
+    text = moved_hips("0 0 -3 0 0 90", "0 93 5 0 0 0")
+    motion = bvh.load(write(tmp_path, text), unit="cm", up="z")
+    assert motion.skeleton.names[0] == "Hips" and "joint_Root composed" in motion.notes[0]
+    expected = np.array([0, 0, -3]) + turn("Y", 90) @ np.array([0, 93, 5])
+    np.testing.assert_allclose(motion.root[0].numpy(), expected / 100, atol=1e-6)
+    np.testing.assert_allclose(motion.rot[1, 0].numpy(), turn("Y", 90) @ turn("Y", 30), atol=1e-6)
+
+
+def test_bones_that_change_their_length_are_refused_or_averaged(tmp_path):
+    path = write(tmp_path, moved_hips("0 0 0 0 0 0", "0 93 5 0 0 0", leg_shift=9.0))
+    with pytest.raises(DataError, match=r"line 10.*Leg moves.*translations"):
+        bvh.load(path)
+    motion = bvh.load(path, translations="mean", unit="cm", up="y")
+    assert any("Leg moves" in note for note in motion.notes)
+    assert abs(float(motion.skeleton.offsets[1, 0]) - 0.145) < 1e-6
+
+
+def test_save_is_whole_or_not_at_all(tmp_path):
+    with pytest.raises(ShapeError):
+        bvh.save(tmp_path / "a.bvh", Motion(STANDARD, torch.zeros(2, 3, 3), torch.zeros(2, 3, 22, 3, 3), 30.0))
+    with pytest.raises(ValueError, match="order"):
+        bvh.save(tmp_path / "a.bvh", standing(), order="XXY")
+    assert list(tmp_path.iterdir()) == []
+
+
+def cut(marker: str, text: str = TEXT) -> str:
+    return text[: text.index(marker)]
+
+
+WRONG = {  # name: (file, words of the message)
+    "empty": ("", "empty"),
+    "binary": (bytes(range(256)) * 40, "cannot be read|zero bytes|expected HIERARCHY"),
+    "another format": ('{"Frames": []}', "line 1.*expected HIERARCHY"),
+    "no HIERARCHY": (TEXT.replace("HIERARCHY\n", ""), "line 1.*expected HIERARCHY"),
+    "no ROOT": (TEXT.replace("ROOT Hips", "JOINT Hips"), "line 2.*expected ROOT"),
+    "two ROOTs": (TEXT.replace("JOINT Leg", "ROOT Leg"), "line 15.*second ROOT"),
+    "no MOTION": (TEXT.replace("MOTION\n", ""), "line 30.*expected JOINT"),
+    "ends in the hierarchy": (cut("JOINT Leg"), "ends before MOTION"),
+    "ends after MOTION": (cut("Frames:"), "ends before 'Frame Time:'"),
+    "ends after Frames": (cut("Frame Time"), "ends before 'Frame Time:'"),
+    "ends in a frame": (cut(" 30 -7 8"), "line 34.*expected 17 values, got 14"),
+    "a frame too few": (cut("3 92"), "line 31.*promises 2 frames, the file has 1"),
+    "a frame too many": (TEXT + "1 2 3\n", "promises 2 frames, the file has 3"),
+    "a value too many": (TEXT.replace("33 12", "33 12 5"), "line 33.*expected 17 values, got 18"),
+    "NaN": (TEXT.replace("33 12", "nan 12"), "line 33.*value 16 is 'nan'"),
+    "infinite": (TEXT.replace("-7 8", "-inf 8"), "line 34.*value 16"),
+    "a word for a value": (TEXT.replace("33 12", "33 twelve"), "line 33.*value 17 is 'twelve'"),
+    "a huge value": (TEXT.replace("33 12", "33 1e300"), "not a usable number"),
+    "zero frames": (cut("1 91").replace("Frames: 2", "Frames: 0"), "line 31.*no frames"),
+    "negative frames": (TEXT.replace("Frames: 2", "Frames: -2"), "line 31.*no frames"),
+    "frame time zero": (TEXT.replace("0.033333", "0"), "line 32.*frame time"),
+    "frame time negative": (TEXT.replace("0.033333", "-0.03"), "line 32.*frame time"),
+    "frame time missing": (TEXT.replace("0.033333", ""), "line 32"),
+    "frame time nan": (TEXT.replace("0.033333", "nan"), "line 32.*frame time"),
+    "channel count": (TEXT.replace("CHANNELS 3", "CHANNELS 4"), "line 9.*promises 4 and lists 3"),
+    "unknown channel": (TEXT.replace("CHANNELS 3 Yrotation", "CHANNELS 3 Yscale"), "line 9.*channels must be"),
+    "channel twice": (TEXT.replace("CHANNELS 3 Yrotation", "CHANNELS 3 Zrotation"), "line 9.*different"),
+    "offset of two": (TEXT.replace("OFFSET 9 0 0", "OFFSET 9 0"), "line 17.*expected shape"),
+    "offset NaN": (TEXT.replace("OFFSET 9 0 0", "OFFSET 9 nan 0"), "line 17"),
+    "no offset": (TEXT.replace("OFFSET 9 0 0\n", "\n"), "Leg ends without an OFFSET"),
+    "duplicate name": (TEXT.replace("JOINT Leg", "JOINT Spine"), "line 15.*second joint named 'Spine'"),
+    "no name": (TEXT.replace("JOINT Leg", "JOINT"), "line 15.*without a name"),
+    "brace missing": (TEXT.replace("}\nMOTION", "MOTION"), "braces of Hips are still open"),
+    "brace too many": (TEXT.replace("}\nMOTION", "}\n}\nMOTION"), "line 30.*} too many"),
+    "no opening brace": (TEXT.replace("ROOT Hips\n{", "ROOT Hips\n"), "followed by {"),
+    "no channels at all": (
+        "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\n}\nMOTION\nFrames: 1\nFrame Time: 0.1\n",
+        "no channels",
+    ),
+    "a point": (
+        "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 1 Xrotation\n}\nMOTION\nFrames: 1\nFrame Time: 0.1\n5\n",
+        "one point",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_files_name_file_place_and_remedy(tmp_path, name):
+    content, words = WRONG[name]
+    path = write(tmp_path, content)
+    with pytest.raises(DataError, match=words) as caught:
+        bvh.load(path)
+    assert str(path) in str(caught.value) and caught.value.place and caught.value.remedy
+
+
+def test_missing_file_and_folder(tmp_path):
+    for path in (tmp_path / "none.bvh", tmp_path):
+        with pytest.raises(DataError):
+            bvh.load(path)
+    with pytest.raises(DataError, match="no loader"):
+        io.load(tmp_path / "a.xyz")
+
+
+def test_deep_nesting_is_only_slow(tmp_path):
+    depth = 1500
+    head = "".join(f"{'JOINT' if i else 'ROOT'} j{i}\n{{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n" for i in range(depth))
+    values = " ".join(["1"] * depth)
+    text = f"HIERARCHY\n{head}{'}' + chr(10)}".replace("}\n", "}\n" * depth)
+    path = write(tmp_path, f"{text}MOTION\nFrames: 1\nFrame Time: 0.1\n{values}\n")
+    assert len(bvh.load(path, unit="cm", up="y").skeleton) == depth
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_mutated_files_load_or_say_why(tmp_path, data):
+    content = bytearray(TEXT.encode())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        content[at : at + data.draw(st.integers(0, 12))] = data.draw(st.binary(max_size=6))
+        content = content or bytearray(b" ")
+    try:
+        motion = bvh.load(write(tmp_path, bytes(content)))
+    except DataError as error:
+        assert error.path and error.place and error.remedy
+    else:
+        assert torch.isfinite(motion.positions).all()
+
+
+needs_data = pytest.mark.skipif(
+    not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings"
+)
+
+
+@needs_data
+def test_agrees_with_bvhio_on_a_recording():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PendingDeprecationWarning)  # bvhio still imports glm by its old name
+        import bvhio
+
+    path = Path(os.environ["MOTIONLAB_DATA"]) / "reactidle" / "003_genuine.bvh"
+    ours = bvh.load(path, unit="m", up="z")  # no change of axes
+    root = bvhio.readAsHierarchy(str(path))
+    for frame in (0, 400, 917):
+        root.loadPose(frame, recursive=True)
+        for joint, _, _ in root.layout():
+            theirs = np.array(joint.PositionWorld)
+            # ours keeps the mean of a joint that moves by millimetres against its parent
+            assert np.abs(ours.positions[frame, ours.skeleton.index(joint.Name)].numpy() - theirs).max() < 5e-3
+
+
+@needs_data
+def test_bandai_translation_is_in_the_hips_and_sometimes_in_the_root_too():
+    folder = Path(os.environ["MOTIONLAB_DATA"]) / "bandai_namco"
+    walk = bvh.load(folder / "dataset-1_walk_normal_001.bvh")
+    assert walk.skeleton.names[0] == "Hips" and walk.fps == 30.0
+    travelled = (walk.root[-1] - walk.root[0])[:2].norm()
+    assert 4 < travelled < 12 and 0.8 < float(walk.root[:, 2].mean()) < 1.0
+    moving = [path for path in sorted(folder.glob("*_normal_*.bvh")) if _rows(path)[:, :6].any()]
+    assert len(moving) == 4  # joint_Root travels in these, and Hips against it
+    for path in moving:
+        rows, loaded = _rows(path), bvh.load(path)
+        hips = rows[:, 6:9] + rows[:, :3]
+        np.testing.assert_allclose(loaded.root.numpy(), hips @ UPRIGHT.numpy().T / 100, atol=1e-5)
+        assert "joint_Root composed" in loaded.notes[0]
+
+
+def _rows(path: Path) -> np.ndarray:
+    return np.loadtxt(path.read_text().split("Frame Time:")[1].splitlines()[1:])
