@@ -51,3 +51,14 @@ def one_euro(x, fps, min_cutoff, beta, d_cutoff):
         smooth = a * now + (1 - a) * smooth
         out.append(smooth)
     return out
+
+
+def lbs(positions, orientations, bind_rot, joints, weights, template):
+    """Linear blend skinning of one posed frame, vertex by vertex and joint by joint in numpy: (V, 3)."""
+    posed = []
+    for v, row in zip(template, weights, strict=True):
+        terms = [
+            w * (orientations[j] @ bind_rot[j].T @ (v - joints[j]) + positions[j]) for j, w in enumerate(row) if w > 0
+        ]
+        posed.append(sum(terms))
+    return np.array(posed)

@@ -1,0 +1,257 @@
+import pytest
+import torch
+import twins
+
+from data_synth.body import capsule_body
+from motionlab import anny_body, rotation
+from motionlab.body import BodyModel, lbs, t_pose_offsets
+from motionlab.errors import DataError, ShapeError
+from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton, fk
+
+PARENTS = (-1, 0, 1, 1, 0, 4)
+
+
+@pytest.fixture(scope="module")
+def capsule() -> BodyModel:
+    return capsule_body(0.05)
+
+
+def random_body(generator, vertices=30, betas=3, correctives=False) -> BodyModel:
+    """Six joints, a bent bind pose and dense weights: nothing about it is special."""
+
+    def normal(*shape):
+        return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+    joints, bind_rot = normal(6, 3), rotation.random((6,), generator, dtype=torch.float64)
+    return BodyModel(
+        template=normal(vertices, 3),
+        shape_directions=normal(vertices, 3, betas),
+        joints=joints,
+        joint_directions=normal(6, 3, betas),
+        bind_rot=bind_rot,
+        weights=torch.softmax(3 * normal(vertices, 6), 1),
+        faces=torch.arange(vertices).reshape(-1, 3),
+        skeleton=Skeleton(tuple("abcdef"), PARENTS, t_pose_offsets(joints, bind_rot, PARENTS)),
+        keypoint_vertices={"nose": 3},
+        pose_directions=0.1 * normal(vertices, 3, 45) if correctives else None,
+    )
+
+
+def random_pose(generator, *batch, joints=6):
+    root = torch.randn(*batch, 3, generator=generator, dtype=torch.float64)
+    return root, rotation.random((*batch, joints), generator, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("with_betas", [False, True])
+@pytest.mark.parametrize("correctives", [False, True])
+def test_lbs_agrees_with_the_naive_twin(generator, with_betas, correctives):
+    body = random_body(generator, correctives=correctives)
+    root, rot = random_pose(generator, 2, 4)
+    betas = torch.randn(3, generator=generator, dtype=torch.float64) if with_betas else None
+    skeleton = body.skeleton_for(betas)
+    found = lbs(body, skeleton, root, rot, betas)
+    shape, joints = body.template, body.joints
+    if with_betas:
+        shape, joints = shape + body.shape_directions @ betas, joints + body.joint_directions @ betas
+    positions, world = fk(skeleton, root, rot)
+    for clip in range(2):
+        for t in range(4):
+            bent = shape
+            if correctives:
+                bent = shape + body.pose_directions @ (rot[clip, t, 1:] - torch.eye(3)).flatten()
+            pose = [x.numpy() for x in (positions[clip, t], world[clip, t], body.bind_rot, joints, body.weights, bent)]
+            torch.testing.assert_close(found[clip, t], torch.from_numpy(twins.lbs(*pose)), rtol=0, atol=1e-10)
+
+
+def test_the_bind_pose_gives_back_the_template(generator):
+    body = random_body(generator)
+    rot = body.bind_rot.clone()
+    rot[1:] = body.bind_rot[list(PARENTS[1:])].mT @ body.bind_rot[1:]
+    posed = lbs(body, body.skeleton, body.joints[:1], rot[None])[0]
+    torch.testing.assert_close(posed, body.template, rtol=0, atol=1e-10)
+    wrong = lbs(body, body.skeleton, body.joints[:1], torch.eye(3).double().repeat(1, 6, 1, 1))[0]
+    assert (wrong - body.template).abs().max() > 0.1  # the T-pose is another pose
+
+
+def test_a_subset_is_rows_of_the_whole_and_touches_nothing_else(generator):
+    body = random_body(generator, correctives=True)
+    root, rot = random_pose(generator, 5)
+    betas = torch.randn(3, generator=generator, dtype=torch.float64)
+    skeleton = body.skeleton_for(betas)
+    whole = lbs(body, skeleton, root, rot, betas)
+    for rows in ([3, 3, 17], torch.tensor([29])):
+        torch.testing.assert_close(lbs(body, skeleton, root, rot, betas, rows), whole[:, rows], rtol=0, atol=1e-12)
+
+
+def test_moving_the_world_moves_the_body(generator):
+    body = random_body(generator, correctives=True)
+    root, rot = random_pose(generator, 5)
+    turn, shift = rotation.random((), generator, dtype=torch.float64), torch.tensor([1.0, -2.0, 3.0]).double()
+    moved = rot.clone()
+    moved[:, 0] = turn @ rot[:, 0]
+    expected = lbs(body, body.skeleton, root, rot) @ turn.mT + shift
+    found = lbs(body, body.skeleton, root @ turn.mT + shift, moved)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-10)
+
+
+def test_one_body_per_clip_equals_one_call_per_clip(generator):
+    body = random_body(generator)
+    root, rot = random_pose(generator, 3, 4)
+    betas = torch.randn(3, 3, generator=generator, dtype=torch.float64)
+    together = lbs(body, body.skeleton_for(betas), root, rot, betas)
+    for clip in range(3):
+        alone = lbs(body, body.skeleton_for(betas[clip]), root[clip], rot[clip], betas[clip])
+        torch.testing.assert_close(together[clip], alone, rtol=0, atol=1e-12)
+    assert together.shape == (3, 4, 30, 3)
+    assert body.skeleton_for(betas).offsets.shape == (3, 1, 6, 3)
+
+
+def test_a_skeleton_of_other_proportions_carries_the_flesh_along(generator):
+    body = random_body(generator)
+    rigid = torch.eye(6).double()[torch.arange(30) % 6]
+    body = BodyModel(**{**vars(body), "weights": rigid})
+    root, rot = random_pose(generator, 5)
+    longer = body.skeleton.scaled(1.3)
+    positions, world = fk(longer, root, rot)
+    owner = torch.arange(30) % 6
+    local = (body.bind_rot[owner].mT @ (body.template - body.joints[owner])[..., None])[..., 0]
+    expected = positions[:, owner] + (world[:, owner] @ local[..., None])[..., 0]
+    torch.testing.assert_close(lbs(body, longer, root, rot), expected, rtol=0, atol=1e-10)
+
+
+def test_gradients(generator):
+    body = random_body(generator, vertices=6)
+    root, rot = random_pose(generator, 1)
+    tangent = torch.zeros(6, 3, dtype=torch.float64, requires_grad=True)
+    betas = torch.zeros(3, dtype=torch.float64, requires_grad=True)
+
+    def vertices(w, b):
+        return lbs(body, body.skeleton_for(b), root, rot @ rotation.exp(w), b, [0, 4])
+
+    assert torch.autograd.gradcheck(vertices, (tangent, betas))
+
+
+def test_shapes_and_betas_are_checked(generator):
+    body = random_body(generator)
+    root, rot = random_pose(generator, 2)
+    with pytest.raises(ShapeError, match="this body has 3, got 4"):
+        lbs(body, body.skeleton, root, rot, torch.zeros(4))
+    with pytest.raises(ShapeError, match="rot"):
+        lbs(body, body.skeleton, root, rot[:, :5])
+    with pytest.raises(ShapeError, match="weights"):
+        BodyModel(**{**vars(body), "weights": body.weights[:, :5]})
+    with pytest.raises(ShapeError, match="pose_directions"):
+        BodyModel(**{**vars(body), "pose_directions": torch.zeros(30, 3, 9)})
+
+
+def test_single_precision_is_good_to_a_hundredth_of_a_millimetre(capsule, generator):
+    root, rot = random_pose(generator, 3, joints=22)
+    exact = lbs(capsule.to(torch.float64), capsule.skeleton.to(torch.float64), root, rot)
+    assert (lbs(capsule, capsule.skeleton, root.float(), rot.float()) - exact).abs().max() < 1e-5
+
+
+def test_save_and_load_round_trip(tmp_path, generator):
+    body = random_body(generator, correctives=True)
+    body.save(tmp_path / "body.safetensors")
+    again = BodyModel.load(tmp_path / "body.safetensors")
+    for name, value in vars(body).items():
+        if isinstance(value, torch.Tensor):
+            assert torch.equal(value, getattr(again, name)), name
+    assert torch.equal(again.skeleton.offsets, body.skeleton.offsets)
+    assert (again.keypoint_vertices, again.notes) == (body.keypoint_vertices, body.notes)
+    assert [p.name for p in tmp_path.iterdir()] == ["body.safetensors"]  # no half-written file stays
+
+
+@pytest.mark.parametrize("damage", ["cut", "garbage", "empty", "absent"])
+def test_a_damaged_file_is_a_data_error_and_a_damaged_cache_is_baked_again(
+    tmp_path, monkeypatch, capsys, capsule, damage
+):
+    monkeypatch.setenv("MOTIONLAB_CACHE", str(tmp_path / "cache"))
+    bakes = []
+    monkeypatch.setattr(anny_body, "bake", lambda rig, betas: bakes.append((rig, betas)) or vars(capsule))
+    BodyModel.from_anny()
+    path = anny_body.cache_path()
+    whole = path.read_bytes()
+    BodyModel.from_anny()
+    assert bakes == [("game_engine", 10)]  # the second call read the cache
+    path.write_bytes({"cut": whole[: len(whole) // 2], "garbage": b"\xff" * 300, "empty": b"", "absent": whole}[damage])
+    if damage == "absent":
+        path.unlink()
+    with pytest.raises(DataError, match="bake it again"):
+        BodyModel.load(path)
+    body = BodyModel.from_anny()
+    assert len(bakes) == 2 and torch.equal(body.template, capsule.template)
+    assert path.read_bytes() == whole
+    assert ("baking it again" in capsys.readouterr().err) == (damage != "absent")
+
+
+def test_no_such_rig():
+    with pytest.raises(DataError, match="game_engine, mixamo, default"):
+        anny_body.bake("horse")
+
+
+@pytest.fixture(scope="module")
+def anny_model():
+    import anny
+
+    return anny.Anny(rig="game_engine", skinning_method="lbs")
+
+
+@pytest.fixture(scope="module")
+def default_body() -> BodyModel:
+    return BodyModel.from_anny()
+
+
+def test_the_default_body_has_the_standard_skeleton(default_body):
+    assert default_body.skeleton.names == STANDARD.names
+    torch.testing.assert_close(default_body.skeleton.offsets, STANDARD.offsets, rtol=0, atol=1e-3)
+    assert abs(default_body.skeleton.sole - STANDARD.sole) < 1e-3
+    torch.testing.assert_close(default_body.weights.sum(1), torch.ones(len(default_body.template)))
+    rot = torch.eye(3).repeat(1, 22, 1, 1)
+    rot[:, 0] = UPRIGHT
+    standing = lbs(default_body, STANDARD, torch.tensor([[0.0, 0.0, float(STANDARD.standing_height())]]), rot)[0]
+    assert abs(float(standing[:, 2].min())) < 1e-3  # its soles are on the floor
+    keypoints = {k: standing[v] for k, v in default_body.keypoint_vertices.items()}
+    assert keypoints["left_eye"][0] < 0 < keypoints["right_eye"][0]  # facing +y, left is -x
+    assert keypoints["nose"][1] == max(p[1] for k, p in keypoints.items() if "toe" not in k)
+    assert keypoints["left_heel"][1] < 0 < keypoints["left_big_toe"][1]
+
+
+def test_lbs_agrees_with_annys_own_skinning(default_body, anny_model, generator):
+    """Random poses through anny's own forward: world bone orientations in its axes, fingers rigid with the hand."""
+    body = default_body.to(torch.float64)
+    root, rot = torch.randn(4, 3, generator=generator).double(), rotation.random((4, 22), generator).double()
+    rot = rotation.slerp(torch.eye(3).double().expand_as(rot), rotation.nearest(rot), torch.full((4, 22), 0.5).double())
+    _, world = fk(body.skeleton, root, rot)
+    axes = anny_body.to_rest_frame(torch.eye(3).double()).mT  # rest frame from anny's axes
+    turn = world @ body.bind_rot.mT @ axes
+    bones = turn[:, anny_body.standard_owners(list(anny_model.bone_labels), list(anny_model.bone_parents))]
+    rest = anny_model(phenotype_kwargs=anny_body.AVERAGE_ADULT)
+    heads = rest["rest_bone_heads"][0]
+    pose = torch.eye(4).double().repeat(4, len(heads), 1, 1)
+    pose[..., :3, :3] = bones @ rest["rest_bone_poses"][..., :3, :3]
+    pelvis = anny_model.bone_labels.index("pelvis")
+    pose[:, 0, :3, 3] = root - bones[:, 0] @ (heads[pelvis] - heads[0])
+    expected = anny_model(pose, phenotype_kwargs=anny_body.AVERAGE_ADULT, pose_parameterization="world-orient")
+    away = (lbs(body, body.skeleton, root, rot) - expected["vertices"]).norm(dim=-1)
+    assert away.max() < 1e-5
+    positions = expected["bone_poses"][:, [anny_model.bone_labels.index("ball_l")], :3, 3]
+    left_foot = fk(body.skeleton, root, rot)[0][:, [STANDARD.index("left_foot")]]
+    torch.testing.assert_close(left_foot, positions, rtol=0, atol=1e-5)
+
+
+def test_betas_span_annys_adults(default_body, anny_model):
+    """An adult that the bake never saw, fitted by least squares, to within a few millimetres."""
+    person = {"gender": 0.2, "age": 0.75, "muscle": 0.6, "weight": 0.4, "height": 0.55, "proportions": 0.45}
+    rest = anny_model(phenotype_kwargs=person)
+    vertices = anny_body.to_rest_frame(rest["rest_vertices"][0])
+    away = vertices - default_body.template.double()
+    basis = default_body.shape_directions.double().flatten(0, 1)
+    betas = torch.linalg.lstsq(basis, away.flatten()[:, None]).solution[:, 0]
+    left = (away - (basis @ betas).view_as(away)).norm(dim=-1)
+    assert left.mean() < 0.002 < 0.02 < away.norm(dim=-1).mean()
+    assert betas.abs().max() < 4  # standard deviations
+    names = list(anny_model.bone_labels)
+    knee = anny_body.to_rest_frame(rest["rest_bone_heads"][0, names.index("calf_l")])
+    j = STANDARD.index("left_knee")
+    assert (default_body.joints[j] + default_body.joint_directions[j] @ betas.float() - knee).norm() < 0.004
