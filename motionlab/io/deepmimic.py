@@ -84,7 +84,7 @@ def _frame_rate(at: Spot, durations: np.ndarray) -> tuple[float, np.ndarray]:
     if (inner <= 0).any():
         i = int(np.flatnonzero(inner <= 0)[0])
         raise at.error(f"lasts {inner[i]} s; only the last frame may last 0", place=f"frame {i}")
-    typical = float(np.median(inner))
+    typical = float(np.sort(inner)[(len(inner) - 1) // 2])  # the lower median is a duration that occurs
     times = np.concatenate(([0.0], np.cumsum(inner)))[: len(durations)] / typical
     if times[-1] > 100 * len(durations):
         i = int(inner.argmax())

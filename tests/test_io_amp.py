@@ -1,0 +1,123 @@
+"""AMP clips: quaternion order and local rotations against scipy, and wrong files."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from motionlab.errors import DataError
+from motionlab.io import amp
+from tests.twins import fk as twin_fk
+
+KEY = "local_or_global_rotation_xyzw"
+
+
+def clip() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(3)
+    rotations = Rotation.random(12, random_state=rng).as_quat().reshape(3, 4, 4)
+    return {
+        KEY: rotations.astype(np.float32),
+        "root_translation": rng.normal(size=(3, 3)).astype(np.float32),
+        "is_local": np.array(True),
+        "fps": np.float32(60),
+        "node_names": np.array(["pelvis", "torso", "head", "left_thigh"]),
+        "parent_indices": np.array([-1, 0, 1, 0]),
+        "local_translation": rng.normal(size=(4, 3)).astype(np.float32),
+    }
+
+
+def write(folder: Path, arrays: dict[str, np.ndarray] | bytes) -> Path:
+    path = folder / "clip.npz"
+    if isinstance(arrays, bytes):
+        path.write_bytes(arrays)
+    else:
+        np.savez(path, **arrays)
+    return path
+
+
+def test_agrees_with_scipy_and_a_scalar_tree(tmp_path):
+    arrays = clip()
+    motion = amp.load(write(tmp_path, arrays))
+    assert motion.fps == 60 and motion.skeleton.names[3] == "left_thigh"
+    rot = Rotation.from_quat(arrays[KEY][1]).as_matrix()
+    expected, _ = twin_fk([-1, 0, 1, 0], arrays["local_translation"], arrays["root_translation"][1], rot)
+    np.testing.assert_allclose(motion.positions[1].numpy(), expected, atol=1e-5)
+
+
+def test_global_rotations_are_made_local(tmp_path):
+    arrays = clip()
+    local = amp.load(write(tmp_path, arrays))
+    world = Rotation.from_matrix(local.world[1].double().numpy().reshape(-1, 3, 3)).as_quat().reshape(3, 4, 4)
+    again = amp.load(write(tmp_path, arrays | {KEY: world, "is_local": np.array(False)}))
+    torch.testing.assert_close(again.rot, local.rot, atol=1e-5, rtol=0)
+    wrong = amp.load(write(tmp_path, arrays | {KEY: world}))
+    assert (wrong.rot - local.rot).abs().max() > 0.1
+
+
+def without(key: str) -> dict[str, np.ndarray]:
+    return {k: v for k, v in clip().items() if k != key}
+
+
+def nan(key: str) -> dict[str, np.ndarray]:
+    arrays = clip()
+    arrays[key].flat[5] = np.nan
+    return arrays
+
+
+def truncated() -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, **clip())
+    return stream.getvalue()[:700]
+
+
+WRONG = {
+    "empty": (b"", "empty"),
+    "binary": (bytes(range(256)), "not an npz"),
+    "truncated": (truncated(), "clip"),
+    **{f"no {key}": (without(key), f"missing {key}") for key in clip()},
+    "pickled names": (clip() | {"node_names": np.array(["a", None, "c", "d"], dtype=object)}, "node_names.*pickled"),
+    "names are numbers": (clip() | {"node_names": np.arange(4)}, "node_names"),
+    "duplicate names": (clip() | {"node_names": np.array(["a", "b", "b", "c"])}, "node_names.*different"),
+    "cyclic parents": (clip() | {"parent_indices": np.array([-1, 2, 1, 0])}, "parent_indices.*before children"),
+    "two roots": (clip() | {"parent_indices": np.array([-1, 0, -1, 0])}, "parent_indices"),
+    "parents too few": (clip() | {"parent_indices": np.array([-1, 0])}, "parent_indices.*expected shape"),
+    "NaN rotation": (nan(KEY), f"{KEY}.*not a usable number"),
+    "NaN root": (nan("root_translation"), "root_translation"),
+    "zero quaternion": (clip() | {KEY: np.zeros((3, 4, 4))}, "frame 0, pelvis.*length 0"),
+    "a joint too few": (clip() | {KEY: clip()[KEY][:, :3]}, f"{KEY}.*expected shape"),
+    "root shorter": (clip() | {"root_translation": np.zeros((2, 3))}, "root_translation.*expected shape"),
+    "zero frames": (clip() | {KEY: np.zeros((0, 4, 4))}, "expected shape"),
+    "fps zero": (clip() | {"fps": np.float32(0)}, "fps.*above zero"),
+    "fps negative": (clip() | {"fps": np.float32(-60)}, "fps.*above zero"),
+    "fps a word": (clip() | {"fps": np.array("sixty")}, "fps"),
+    "is_local a word": (clip() | {"is_local": np.array("yes")}, "is_local"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_files_name_file_place_and_remedy(tmp_path, name):
+    content, words = WRONG[name]
+    with pytest.raises(DataError, match=words) as caught:
+        amp.load(write(tmp_path, content))
+    assert caught.value.path and caught.value.place and caught.value.remedy
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_mutated_files_load_or_say_why(tmp_path, data):
+    stream = io.BytesIO()
+    np.savez(stream, **clip())
+    content = bytearray(stream.getvalue())
+    at = data.draw(st.integers(0, len(content) - 1))
+    content[at : at + data.draw(st.integers(0, 12))] = data.draw(st.binary(max_size=6))
+    try:
+        motion = amp.load(write(tmp_path, bytes(content) or b" "))
+    except DataError as error:
+        assert error.path and error.place and error.remedy
+    else:
+        assert torch.isfinite(motion.positions).all()

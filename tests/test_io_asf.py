@@ -1,0 +1,256 @@
+"""ASF/AMC: against a scalar reading of the format with 4x4 matrices, and wrong files."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from motionlab import io
+from motionlab.errors import DataError
+from motionlab.io import asf
+
+ASF = """# a comment
+:version 1.10
+:units
+  mass 1.0
+  length 0.45
+  angle deg
+:documentation
+  free words: begin end
+:root
+  order TX TY TZ RX RY RZ
+  axis XYZ
+  position 0 0 0
+  orientation 0 0 0
+:bonedata
+  begin
+    id 1
+    name lfemur
+    direction 0.34202 -0.939693 0
+    length 7.5
+    axis 0 0 20 XYZ
+    dof rx ry rz
+    limits (-160.0 20.0)
+           (-70.0 70.0)
+           (-60.0 70.0)
+  end
+  begin
+    id 2
+    name ltibia
+    direction 0.34202 -0.939693 0
+    length 7.2
+    axis 10 30 20 XYZ
+    dof rx
+    limits (-10 170)
+  end
+  begin
+    id 3
+    name thorax
+    direction 0 1 0.1
+    length 4
+    axis 0 0 0 XYZ
+  end
+:hierarchy
+  begin
+    root lfemur thorax
+    lfemur ltibia
+  end
+"""
+AMC = """#!OML
+:FULLY-SPECIFIED
+:DEGREES
+1
+root 10 16 -30 -2 -9 -3
+lfemur -28 5 -20
+ltibia 22
+2
+root 11 16 -29 -2 -19 -3
+ltibia 25
+lfemur -25 4 -10
+"""
+SCALE = 0.0254 / 0.45
+
+
+def write(folder: Path, skeleton: str | bytes = ASF, take: str | bytes = AMC) -> tuple[Path, Path]:
+    for name, text in (("07.asf", skeleton), ("07_01.amc", take)):
+        (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    return folder / "07.asf", folder / "07_01.amc"
+
+
+def about(axis: int, degrees: float) -> np.ndarray:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    m = np.eye(4)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    m[i, i], m[j, j], m[i, j], m[j, i] = c, c, -s, s
+    return m
+
+
+def xyz(degrees) -> np.ndarray:
+    return about(2, degrees[2]) @ about(1, degrees[1]) @ about(0, degrees[0])
+
+
+def naive(path_asf: Path, path_amc: Path, frame: int) -> dict[str, np.ndarray]:
+    """World position of the far end of every bone, y up, file units: literal, one bone and one matrix at a time."""
+    bones, children, state, bone = {}, {}, "", {}
+    for line in path_asf.read_text().splitlines():
+        w = line.split()
+        if not w:
+            continue
+        if w[0][0] == ":":
+            state = w[0]
+        elif state == ":bonedata":
+            if w[0] == "begin":
+                bone = {"dof": []}
+            elif w[0] == "end":
+                bones[bone["name"]] = bone
+            elif w[0] in ("name", "dof", "direction", "length", "axis"):
+                bone[w[0]] = w[1] if w[0] in ("name", "length") else w[1:]
+        elif state == ":hierarchy" and w[0] not in ("begin", "end"):
+            children[w[0]] = w[1:]
+    text = path_amc.read_text().split(f"\n{frame + 1}\n")[1]
+    values = {}
+    for line in text.splitlines():
+        w = line.split()
+        if len(w) == 1:
+            break
+        values[w[0]] = [float(v) for v in w[1:]]
+    ends = {}
+
+    def walk(name: str, here: np.ndarray) -> None:
+        b = bones[name]
+        c = xyz([float(v) for v in b["axis"][:3]])
+        angles = dict(zip(b["dof"], values.get(name, []), strict=True))
+        m = xyz([angles.get(k, 0.0) for k in ("rx", "ry", "rz")])
+        here = here @ c @ m @ np.linalg.inv(c)
+        shift = np.eye(4)
+        shift[:3, 3] = np.array([float(v) for v in b["direction"]]) * float(b["length"])
+        here = here @ shift
+        ends[name] = here[:3, 3]
+        for child in children.get(name, []):
+            walk(child, here)
+
+    root = np.eye(4)
+    root[:3, 3] = values["root"][:3]
+    root = root @ xyz(values["root"][3:])
+    for child in children["root"]:
+        walk(child, root)
+    return ends
+
+
+def compare(paths: tuple[Path, Path], frame: int) -> int:
+    motion = asf.load(*paths)
+    count = 0
+    for bone, end in naive(*paths, frame).items():
+        expected = SCALE * np.array([-end[0], end[2], end[1]])  # what faced z faces y, z up
+        below = [j for j, p in enumerate(motion.skeleton.parents) if p == motion.skeleton.index(bone)]
+        assert below, f"{bone} has a far end"
+        for j in below:
+            np.testing.assert_allclose(motion.positions[frame, j].numpy(), expected, atol=2e-6)
+            count += 1
+    return count
+
+
+def test_agrees_with_a_scalar_reading(tmp_path):
+    paths = write(tmp_path)
+    assert compare(paths, 0) == compare(paths, 1) == 3
+
+
+def test_what_the_files_do_not_say_is_noted(tmp_path):
+    paths = write(tmp_path)
+    motion = asf.load(*paths)
+    assert motion.fps == 120 and motion.name == "07_01" and len(motion.notes) == 2
+    assert "1/0.45 inch" in motion.notes[0] and "120" in motion.notes[1]
+    told = asf.load(*paths, fps=60, unit=0.05)
+    assert told.fps == 60 and told.notes == ()
+    torch.testing.assert_close(told.positions * SCALE / 0.05, motion.positions)
+
+
+def test_the_skeleton_is_found_beside_the_take(tmp_path):
+    _, amc = write(tmp_path)
+    torch.testing.assert_close(io.load(amc).positions, asf.load(tmp_path / "07.asf", amc).positions)
+    (tmp_path / "07.asf").unlink()
+    with pytest.raises(DataError, match=r"07\.asf.*no such file"):
+        io.load(amc)
+
+
+def test_radians(tmp_path):
+    motion = asf.load(*write(tmp_path))
+    words = [line.split() for line in AMC.splitlines()]
+    lines = [":RADIANS" if w == [":DEGREES"] else " ".join(w) for w in words]
+    turned = []
+    for line in lines:
+        w = line.split()
+        start = {"root": 4, "lfemur": 1, "ltibia": 1}.get(w[0], len(w))
+        turned.append(" ".join(w[:start] + [f"{np.radians(float(v)):.9f}" for v in w[start:]]))
+    again = asf.load(*write(tmp_path, take="\n".join(turned)))
+    torch.testing.assert_close(again.positions, motion.positions, atol=1e-5, rtol=0)
+
+
+WRONG = {  # name: (asf, amc, words)
+    "empty asf": ("", AMC, r"07\.asf.*empty"),
+    "empty amc": (ASF, "", r"07_01\.amc.*empty"),
+    "binary asf": (bytes(range(256)), AMC, r"07\.asf"),
+    "binary amc": (ASF, bytes(range(256)), r"07_01\.amc"),
+    "no hierarchy": (ASF[: ASF.index(":hierarchy")], AMC, "no section :hierarchy"),
+    "truncated bones": (ASF.replace("  end\n:hierarchy", ":hierarchy"), AMC, "bone thorax has no end"),
+    "no length": (ASF.replace("length 0.45", ""), AMC, "section :units"),
+    "zero length unit": (ASF.replace("length 0.45", "length 0"), AMC, "section :units.*above zero"),
+    "angle unit": (ASF.replace("angle deg", "angle grad"), AMC, "section :units.*angle"),
+    "NaN direction": (ASF.replace("direction 0 1 0.1", "direction 0 nan 0.1"), AMC, "line 38"),
+    "direction of two": (ASF.replace("direction 0 1 0.1", "direction 0 1"), AMC, "line 38.*expected shape"),
+    "bad dof": (ASF.replace("dof rx\n", "dof rx l\n"), AMC, "degrees of freedom"),
+    "duplicate bone": (ASF.replace("name thorax", "name ltibia"), AMC, "second bone named 'ltibia'"),
+    "unknown bone": (ASF.replace("lfemur ltibia\n", "lfemur ltibia lfoot\n"), AMC, "'lfoot' is not in :bonedata"),
+    "orphan": (ASF.replace("    lfemur ltibia\n", ""), AMC, "ltibia hang on nothing"),
+    "two parents": (ASF.replace("root lfemur thorax", "root lfemur thorax ltibia"), AMC, "ltibia has two parents"),
+    "cycle": (ASF.replace("root lfemur thorax", "root thorax\n    ltibia lfemur"), AMC, "before it has a parent"),
+    "axis order": (ASF.replace("axis XYZ", "axis XYX"), AMC, "axis order"),
+    "no frames": (ASF, AMC[: AMC.index("1\n")], "no frames"),
+    "bone missing in frame": (ASF, AMC.replace("ltibia 22\n", ""), "line 4.*without ltibia"),
+    "truncated frame": (ASF, AMC[: AMC.index("lfemur -25")], "line 8.*without lfemur"),
+    "value missing": (ASF, AMC.replace("lfemur -28 5 -20", "lfemur -28 5"), "line 6.*expected 3 values, got 2"),
+    "foreign bone": (ASF, AMC.replace("ltibia 22", "rtibia 22"), "line 7.*no such bone"),
+    "bone twice": (ASF, AMC.replace("ltibia 22\n", "ltibia 22\nltibia 22\n"), "line 8.*twice"),
+    "frame skipped": (ASF, AMC.replace("\n2\n", "\n3\n"), "line 8.*frame 3 follows frame 1"),
+    "NaN": (ASF, AMC.replace("ltibia 22", "ltibia nan"), "frames.*not a usable number"),
+    "word": (ASF, AMC.replace("ltibia 22", "ltibia x"), "no number"),
+    "values before a frame": (ASF, AMC.replace("1\nroot 10", "root 10"), "line 4.*frame number 1"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_files_name_file_place_and_remedy(tmp_path, name):
+    skeleton, take, words = WRONG[name]
+    with pytest.raises(DataError, match=words) as caught:
+        asf.load(*write(tmp_path, skeleton, take))
+    assert caught.value.path and caught.value.place and caught.value.remedy
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_mutated_files_load_or_say_why(tmp_path, data):
+    files = [bytearray(ASF.encode()), bytearray(AMC.encode())]
+    for _ in range(data.draw(st.integers(1, 3))):
+        content = files[data.draw(st.integers(0, 1))]
+        at = data.draw(st.integers(0, len(content) - 1))
+        content[at : at + data.draw(st.integers(0, 12))] = data.draw(st.binary(max_size=6))
+        content += b"\n"
+    try:
+        motion = asf.load(*write(tmp_path, bytes(files[0]), bytes(files[1])))
+    except DataError as error:
+        assert error.path and error.place and error.remedy
+    else:
+        assert torch.isfinite(motion.positions).all()
+
+
+@pytest.mark.skipif(not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings")
+@pytest.mark.parametrize("take", ["02_01", "02_05"])
+def test_a_recording_agrees_with_a_scalar_reading(take):
+    folder = Path(os.environ["MOTIONLAB_DATA"]) / "cmu_amc"
+    assert (
+        compare((folder / "02.asf", folder / f"{take}.amc"), 150) == 34
+    )  # every joint but the root and the three that start there

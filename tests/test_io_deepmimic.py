@@ -1,0 +1,159 @@
+"""DeepMimic's JSON: against scipy and a scalar tree, its traps, and wrong files."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from motionlab.errors import DataError
+from motionlab.io import deepmimic
+from tests.twins import fk as twin_fk
+
+LAYOUT = ["chest4", "neck4", "rhip4", "rknee1", "rankle4", "rshoulder4", "relbow1", "lhip4", "lknee1", "lankle4"]
+LAYOUT += ["lshoulder4", "lelbow1"]
+
+
+def frames(count: int = 3, seed: int = 0) -> list[list[float]]:
+    rng = np.random.default_rng(seed)
+    rows = []
+    for i in range(count):
+        row = [0.033332 if i < count - 1 else 0.0, *rng.normal(size=3), *_wxyz(rng)]
+        for part in LAYOUT:
+            row += _wxyz(rng) if part.endswith("4") else [rng.uniform(-2, 2)]
+        rows.append([float(v) for v in row])
+    return rows
+
+
+def _wxyz(rng) -> list[float]:
+    return Rotation.random(random_state=rng).as_quat()[[3, 0, 1, 2]].tolist()
+
+
+def write(folder: Path, content) -> Path:
+    path = folder / "clip.txt"
+    path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
+    return path
+
+
+def test_agrees_with_scipy_and_a_scalar_tree(tmp_path):
+    rows = frames()
+    motion = deepmimic.load(write(tmp_path, {"Loop": "none", "Frames": rows}))
+    assert motion.fps == 30.0 and motion.frames == 3 and motion.notes == ()
+    row = rows[1]
+    quaternion = lambda at: Rotation.from_quat([*row[at + 1 : at + 4], row[at]]).as_matrix()  # noqa: E731
+    rot, at = [quaternion(4)], 8
+    for part in LAYOUT:
+        rot.append(quaternion(at) if part.endswith("4") else Rotation.from_euler("z", row[at]).as_matrix())
+        at += int(part[-1])
+        if "elbow" in part:
+            rot.append(np.eye(3))  # the wrist is fixed
+    assert at == 44
+    skeleton = motion.skeleton
+    expected, _ = twin_fk(skeleton.parents, skeleton.offsets.double().numpy(), np.array(row[1:4]), rot)
+    y_up = motion.positions[1].numpy() @ np.array([[-1, 0, 0], [0, 0, 1], [0, 1, 0]])
+    np.testing.assert_allclose(y_up, expected, atol=1e-5)
+
+
+def test_knees_and_elbows_bend_as_a_human_does(tmp_path):
+    row = [0.1, 0, 1, 0, 1, 0, 0, 0]
+    for part in LAYOUT:
+        row += [1, 0, 0, 0] if part.endswith("4") else [-1.0 if "knee" in part else 1.0]
+    motion = deepmimic.load(write(tmp_path, {"Frames": [row]}))
+    at = lambda name: motion.positions[0, motion.skeleton.index(name)]  # noqa: E731
+    forward = motion.rot[0, 0] @ torch.tensor([1.0, 0, 0])
+    for side in ("left", "right"):
+        assert (at(f"{side}_ankle") - at(f"{side}_knee")) @ forward < -0.3
+        assert (at(f"{side}_wrist") - at(f"{side}_elbow")) @ forward > 0.2
+    left = torch.linalg.cross(torch.tensor([0.0, 0, 1]), forward)
+    assert (at("left_hip") - at("right_hip")) @ left > 0.1
+
+
+@pytest.mark.parametrize(
+    ("duration", "fps"), [(0.033332, 30), (0.016666, 60), (0.008333, 120), (0.0625, 16), (0.041667, 24)]
+)
+def test_printed_durations_give_whole_rates(tmp_path, duration, fps):
+    rows = frames(4)
+    for row in rows[:-1]:
+        row[0] = duration
+    assert deepmimic.load(write(tmp_path, {"Frames": rows})).fps == fps
+
+
+def test_uneven_frames_are_resampled_and_noted(tmp_path):
+    rows = frames(5)
+    for i, row in enumerate(rows[:-1]):
+        row[0] = 0.2 if i == 1 else 0.1
+    motion = deepmimic.load(write(tmp_path, {"Frames": rows}))
+    assert motion.frames == 6 and "resampled" in motion.notes[0]
+    even = deepmimic.load(write(tmp_path, {"Frames": [[0.1, *row[1:]] for row in rows]}))
+    torch.testing.assert_close(motion.root[[0, 1, 3, 4, 5]], even.root)
+    torch.testing.assert_close(motion.root[2], (even.root[1] + even.root[2]) / 2)
+    torch.testing.assert_close(motion.rot[[0, 1, 3, 4, 5]], even.rot, atol=1e-5, rtol=0)
+
+
+def broken(change) -> dict:
+    content = {"Frames": frames()}
+    change(content["Frames"])
+    return content
+
+
+def setter(frame: int, column: int, value):
+    return lambda rows: rows[frame].__setitem__(column, value)
+
+
+WRONG = {
+    "empty": (b"", "empty"),
+    "binary": (bytes(range(256)), "clip"),
+    "truncated": (json.dumps({"Frames": frames()}).encode()[:500], "JSONDecodeError"),
+    "a list": ([1, 2], '"Frames"'),
+    "no Frames": ({"Loop": "wrap"}, '"Frames"'),
+    "Frames a word": ({"Frames": "many"}, '"Frames"'),
+    "zero frames": ({"Frames": []}, "expected shape"),
+    "43 numbers": (broken(lambda rows: rows[2].pop()), "frame 2.*expected 44 numbers, got 43"),
+    "a frame that is a number": (broken(lambda rows: rows.__setitem__(1, 5)), "frame 1.*got int"),
+    "a word": (broken(setter(1, 9, "x")), "expected numbers"),
+    "null": (broken(setter(1, 9, None)), "Frames"),
+    "NaN": (json.dumps(broken(setter(1, 9, float("nan")))).encode(), "NaN is not a number"),
+    "huge": (broken(setter(1, 9, 1e300)), "not a usable number"),
+    "zero quaternion": (broken(lambda rows: rows[1].__setitem__(slice(4, 8), [0] * 4)), "frame 1, root.*length 0"),
+    "negative duration": (broken(setter(0, 0, -0.03)), "frame 0.*only the last"),
+    "zero duration inside": (broken(setter(1, 0, 0)), "frame 1.*only the last"),
+    "one frame without duration": ({"Frames": frames(1)}, "frame 0"),
+    "a pause of hours": (broken(setter(1, 0, 9e9)), "frame 1.*lasts"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_files_name_file_place_and_remedy(tmp_path, name):
+    content, words = WRONG[name]
+    with pytest.raises(DataError, match=words) as caught:
+        deepmimic.load(write(tmp_path, content))
+    assert caught.value.path and caught.value.place and caught.value.remedy
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_mutated_files_load_or_say_why(tmp_path, data):
+    content = bytearray(json.dumps({"Frames": frames()}).encode())
+    at = data.draw(st.integers(0, len(content) - 1))
+    content[at : at + data.draw(st.integers(0, 40))] = data.draw(st.binary(max_size=6))
+    try:
+        motion = deepmimic.load(write(tmp_path, bytes(content) or b" "))
+    except DataError as error:
+        assert error.path and error.place and error.remedy
+    else:
+        assert torch.isfinite(motion.positions).all()
+
+
+@pytest.mark.skipif(not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings")
+def test_recordings_stand_on_the_floor():
+    folder = Path(os.environ["MOTIONLAB_DATA"]) / "deepmimic"
+    rates = {"humanoid3d_walk": 30, "humanoid3d_spinkick": 60, "sie_humanoid3d_run_left08": 120}
+    for name, fps in rates.items():
+        motion = deepmimic.load(folder / f"{name}.txt")
+        ankles = motion.positions[:, motion.skeleton.indices(["left_ankle", "right_ankle"]), 2]
+        assert motion.fps == fps and 0.0 < float(ankles.min()) < 0.12
