@@ -88,6 +88,13 @@ def test_pins_are_exact_and_carry_no_local_build():
     assert len(lines) == len(PINS)
 
 
+def test_every_pinned_release_runs_on_the_oldest_python_we_claim():
+    oldest = re.search(r"\d+\.\d+", PROJECT["requires-python"])[0] + ".0"
+    wants = {name: metadata.metadata(name)["Requires-Python"] for name in needed(ASKED)}
+    too_new = {name: want for name, want in wants.items() if want and not SpecifierSet(want).contains(oldest)}
+    assert not too_new, f"pin older releases of {too_new}"
+
+
 def test_this_python_is_one_we_claim():
     assert SpecifierSet(PROJECT["requires-python"]).contains(".".join(map(str, sys.version_info[:3])))
 
