@@ -1,0 +1,67 @@
+"""Colours by role, the same in every figure; distinguishable with a colour-vision deficiency.
+
+Source: Okabe & Ito 2008 (black, orange, sky, green, blue, vermillion, purple), Tol 2021 (wine, indigo); brown is ours.
+"""
+
+from __future__ import annotations
+
+from matplotlib.colors import to_rgb
+
+#: What a thing is in the argument, and the one colour it has in all notebooks.
+ROLE = {
+    "truth": "#1b1b1b",
+    "observation": "#8a8a8a",
+    "baseline": "#e69f00",
+    "ours": "#0072b2",
+    "stage2": "#56b4e9",
+    "stage3": "#332288",
+    "axis-angle": "#d55e00",
+    "6d": "#009e73",
+    "quaternion": "#882255",
+    "synthetic": "#cc79a7",
+    "real": "#664400",
+}
+#: Behind every scene and plot: paper, floor tiles, quiet lines, text.
+PAPER, TILE, LINE, INK = "#f6f7f9", "#e4e7ec", "#c3c9d3", "#30343b"
+
+
+def colour(role: str | tuple[float, float, float]) -> tuple[float, float, float]:
+    """The colour of a role as (r, g, b) in 0..1; a colour is its own.
+
+    Raises:
+        KeyError: no such role; lists the roles.
+    """
+    if not isinstance(role, str):
+        return to_rgb(role)
+    if role not in ROLE:
+        raise KeyError(f"no role {role!r}; roles are {', '.join(ROLE)}")
+    return to_rgb(ROLE[role])
+
+
+def blend(a: str | tuple, b: str | tuple, share: float) -> tuple[float, float, float]:
+    """The colour a fraction ``share`` of the way from a to b, (r, g, b) in 0..1."""
+    return tuple((1 - share) * x + share * y for x, y in zip(to_rgb(a), to_rgb(b), strict=True))
+
+
+def sides(base: str | tuple) -> dict[str, tuple[float, float, float]]:
+    """Three tones of one colour: the left of a body is light, the right is dark, the middle between."""
+    return {
+        "left": blend(base, "white", 0.42),
+        "middle": blend(base, "white", 0.16),
+        "right": blend(base, "black", 0.2),
+    }
+
+
+def side_of(name: str) -> str:
+    """ "left", "right" or "middle", from the name of a joint or keypoint in the usual spellings.
+
+    >>> [side_of(name) for name in ("left_hip", "RightArm", "lfemur", "Spine", "mixamorig:LeftFoot", "root")]
+    ['left', 'right', 'left', 'middle', 'left', 'middle']
+    """
+    plain = name.rsplit(":", 1)[-1].lower()
+    short = {"l": "left", "r": "right"}.get(plain[:1])
+    if "left" in plain or "right" in plain:
+        return "left" if "left" in plain else "right"
+    limbs = ("femur", "tibia", "foot", "toes", "humerus", "radius", "wrist", "hand", "fingers", "thumb", "clavicle",
+             "hipjoint", "hip", "knee", "ankle", "shoulder", "elbow", "_")  # fmt: skip
+    return short if short and plain[1:].startswith(limbs) else "middle"

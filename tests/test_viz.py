@@ -1,0 +1,296 @@
+"""Pictures: what a camera sees to the pixel, films that keep time, colours that differ, a silent start."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+import pyvista as pv
+import torch
+import trimesh
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+from motionlab import rotation
+from motionlab.errors import DataError, ShapeError
+from motionlab.motion import Motion
+from motionlab.observation import BODY_25, Observation2D, look_at, project
+from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
+from motionlab.viz import figures, gif, ground, palette, render, shapes, view
+from motionlab.viz.interactive import slider
+from motionlab.viz.movie import film, strip, write
+from motionlab.viz.overlay import limbs, overlay
+from motionlab.viz.scene import Scene
+
+SMALL = (160, 120)
+
+
+def standing(frames=8, fps=10.0, speed=0.5) -> Motion:
+    """A T-pose that glides over the floor along +x and swings its left arm."""
+    rot = torch.eye(3).repeat(frames, len(STANDARD), 1, 1)
+    rot[:, 0] = UPRIGHT
+    swing = torch.linspace(0, 1.2, frames)
+    rot[:, STANDARD.index("left_shoulder")] = rotation.rotation_about("z", -swing)
+    root = torch.zeros(frames, 3)
+    root[:, 0], root[:, 2] = speed * torch.arange(frames) / fps, STANDARD.standing_height()
+    return Motion(STANDARD, root, rot, fps, name="glide")
+
+
+def centroid(picture: np.ndarray, tint: str) -> np.ndarray:
+    """Middle of the pixels of a saturated colour; a pixel's own middle lies half a pixel from its corner."""
+    channel = "rgb".index(tint)
+    p = picture.astype(int)
+    rows, columns = np.nonzero(3 * p[..., channel] - p.sum(-1) > 150)
+    if len(rows) == 0:
+        return np.full(2, np.nan)
+    return np.array([columns.mean() + 0.5, rows.mean() + 0.5])
+
+
+@pytest.mark.parametrize(("seed", "scale"), [(0, 1.0), (1, 1.0), (2, 0.5)])
+def test_a_rendered_marker_lies_where_its_point_projects(seed, scale):
+    generator = torch.Generator().manual_seed(seed)
+    draw = torch.rand(8, generator=generator)
+    eye = torch.tensor([3.5, 1.0, 1.2]) + draw[:3]
+    camera = look_at(eye, torch.tensor([0.0, 0.0, 1.0]), focal=700, width=640, height=480)
+    skewed = camera.intrinsics.clone()
+    skewed[0, 0] *= 1.15  # two focal lengths, skew, and a principal point far from the middle
+    skewed[0, 1] = 12.0
+    skewed[:2, 2] += 160 * (draw[3:5] - 0.5)
+    camera = replace(camera, intrinsics=skewed)
+    points = 0.6 * (torch.rand(3, 3, generator=generator) - 0.5) + torch.tensor([0.0, 0.0, 1.0])
+    expected, depth = project(camera, points)
+    assert (depth > 0).all()
+    with Scene((int(640 * scale), int(480 * scale)), camera=camera) as scene:
+        for point, tint in zip(points, np.eye(3), strict=True):
+            scene.points(point[None], tuple(tint), radius=0.02)
+        picture = scene.image()
+    for tint, pixel in zip("rgb", expected.numpy(), strict=True):
+        found = centroid(picture, tint)
+        assert np.abs(found - pixel * scale).max() < 0.6, (tint, found, pixel)
+
+
+def test_an_occluder_hides_what_lies_behind_it():
+    camera = look_at(torch.tensor([4.0, 0.0, 1.0]), torch.tensor([0.0, 0.0, 1.0]), focal=300, width=160, height=120)
+    wall = [[1.0, -1, 0], [1.0, 1, 0], [1.0, 1, 2], [1.0, -1, 2]]
+    red = (1.0, 0.0, 0.0)
+    with Scene(camera=camera) as scene:
+        free = scene.points([[0.0, 0.0, 1.0]], red, radius=0.1).image()
+        hidden = scene.mesh(wall, [[0, 1, 2], [0, 2, 3]]).image()
+    assert np.isfinite(centroid(free, "r")).all()
+    assert np.isnan(centroid(hidden, "r")).all()
+
+
+def test_nothing_moving_leaves_the_picture():
+    motion = standing(frames=20, speed=2.0)
+    points = view.around([motion.positions.numpy()], 0.1)
+    for aspect in (0.6, 1.0, 2.5):
+        towards = view.direction(-60.0, 11.0)
+        target, distance = view.fit(points, towards, aspect, 0.1, 0.05)
+        eye = pv.Camera()
+        view.aim(eye, target, towards, distance, aspect)
+        matrix = pv.array_from_vtkmatrix(eye.GetCompositeProjectionTransformMatrix(aspect, -1, 1))
+        clip = np.c_[points, np.ones(len(points))] @ matrix.T
+        ndc = clip[:, :2] / clip[:, 3:]
+        assert np.abs(ndc[:, 0]).max() <= 1 + 1e-6
+        assert ndc[:, 1].max() <= 1 - 2 * 0.1 + 1e-2 and ndc[:, 1].min() >= -1 + 2 * 0.05 - 1e-2
+        assert max(np.abs(ndc[:, 0]).max(), ndc[:, 1].max() + 0.2, -ndc[:, 1].min() + 0.1) > 0.97  # and none is wasted
+
+
+def test_the_mannequin_stands_on_the_floor_and_moves_rigidly_with_its_joints():
+    figure = figures.build(STANDARD, palette.colour("ours"))
+    motion = standing(1)
+    positions, orientations = map(shapes.array, motion.world)
+    vertices, normals = figure.pose(positions[0], orientations[0])
+    assert abs(vertices[:, 2].min()) < 1e-6
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-6)
+    a, b, c = (vertices[figure.faces[:, i]] for i in range(3))
+    outward = (np.cross(b - a, c - a) * normals[figure.faces].mean(1)).sum(-1)
+    assert (outward > -1e-9).mean() > 0.99  # faces wind as their normals point
+    left = vertices[figure.joint == STANDARD.index("left_elbow")]
+    assert left[:, 0].max() < positions[0, STANDARD.index("pelvis"), 0]  # facing +y, its left is -x
+
+
+def test_any_skeleton_gets_a_figure():
+    chain = Skeleton(("Hips", "LeftLeg", "Head"), (-1, 0, 0), torch.tensor([[0.0, 0, 0], [0.1, -0.8, 0], [0, 0.7, 0]]))
+    point = Skeleton(("only",), (-1,), torch.zeros(1, 3))
+    for skeleton in (chain, point):
+        figure = figures.build(skeleton, "#0072b2")
+        assert np.isfinite(figure.vertices).all() and figure.faces.max() < len(figure.vertices)
+
+
+def test_left_is_lighter_than_right_in_every_role():
+    for role in palette.ROLE:
+        tones = palette.sides(palette.colour(role))
+        assert sum(tones["left"]) > sum(tones["middle"]) > sum(tones["right"])
+
+
+def test_roles_are_told_apart_even_without_red_green_vision():
+    deuteranope = np.array([[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]])  # Machado 2009
+    for a, b in combinations(palette.ROLE.values(), 2):
+        both = np.array([to_rgb(a), to_rgb(b)]) ** 2.2
+        assert np.linalg.norm(both[0] - both[1]) > 0.04
+        seen = np.clip(both @ deuteranope.T, 0, 1) ** (1 / 2.2)
+        assert np.linalg.norm(seen[0] - seen[1]) > 0.08, (a, b)
+    four = [palette.ROLE[r] for r in ("truth", "observation", "baseline", "ours")]
+    assert four == ["#1b1b1b", "#8a8a8a", "#e69f00", "#0072b2"]  # as style.md 3.7 says: black, grey, orange, blue
+
+
+def test_a_shadow_lies_under_its_figure_and_is_darkest_at_the_contact():
+    grid = np.stack(np.meshgrid(np.linspace(-0.1, 0.1, 20), np.linspace(-0.1, 0.1, 20)), -1).reshape(-1, 2)
+    areas = np.full(400, 0.04 / 400)
+    low, high = (ground.darkness(np.c_[grid, np.full(400, z)], areas, np.zeros(2)) for z in (0.0, 1.0))
+    middle = low.shape[0] // 2
+    assert low[middle, middle] > 0.5 > low[5, 5] and low[5, 5] == 0
+    assert high.max() < low.max() and (high > 0.01).sum() > (low > 0.01).sum()
+
+
+def test_normals_agree_with_trimesh():
+    ball = trimesh.creation.icosphere(2)
+    vertices = ball.vertices * [1.0, 2.0, 0.5]
+    ours = shapes.vertex_normals(vertices, ball.faces)
+    a, b, c = (vertices[ball.faces[:, i]] for i in range(3))
+    theirs = trimesh.geometry.mean_vertex_normals(len(vertices), ball.faces, np.cross(b - a, c - a))
+    np.testing.assert_allclose(ours, theirs, atol=1e-8)
+    assert ground.vertex_areas(vertices, ball.faces).sum() == pytest.approx(trimesh.Trimesh(vertices, ball.faces).area)
+
+
+def test_a_scene_moves_in_place_and_in_sync():
+    slow, fast = standing(8, 10.0), standing(15, 20.0)  # the same glide at two rates
+    with Scene((320, 120), panels=("a", "b")) as scene:
+        scene.floor().skeleton(slow, "ours", panel=0).skeleton(fast, "ours", panel=1)
+        first = scene.image(0.0)
+        actors = set(scene.plotter.actors)
+        later = scene.image(0.6)
+        assert set(scene.plotter.actors) == actors
+        assert np.abs(first.astype(int) - later).max() > 50
+        picture = later[20:].astype(int)
+        assert np.abs(picture[:, :160] - picture[:, 160:]).mean() < 0.5  # both panels show the same moment
+        assert np.array_equal(scene.image(0.7), scene.image(9.0))  # past its end a motion holds still
+
+
+def test_everything_at_once_draws():
+    motion = standing()
+    camera = look_at(torch.tensor([3.0, 3.0, 1.5]), torch.tensor([0.0, 0.0, 1.0]), focal=200, width=160, height=120)
+    with Scene(SMALL, follow=True) as scene:
+        scene.floor().ghosts(motion, 3, "baseline").skeleton(motion).trail(motion, "left_wrist")
+        scene.frustum(camera, picture=np.zeros((12, 16, 3), np.uint8)).label([0, 0, 0], "0.0 s")
+        scene.mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0.5]], [[0, 1, 2]], shadow=True)
+        picture = scene.image(0.3)
+    assert picture.shape == (120, 160, 3) and picture.dtype == np.uint8 and picture.std() > 5
+
+
+def test_a_gif_keeps_its_time_and_its_pixels(tmp_path):
+    generator = np.random.default_rng(0)
+    blank = np.full((40, 60, 3), 240, np.uint8)
+    pictures = [blank.copy() for _ in range(7)]
+    for k, picture in enumerate(pictures):
+        picture[10:20, 5 * k : 5 * k + 10] = generator.choice([0, 90, 200], 3)
+    pictures[4] = pictures[3].copy()  # a frame in which nothing moves still takes its time
+    path = tmp_path / "a.gif"
+    frames, fps, size = write(pictures, path, 30.0)
+    with Image.open(path) as film:
+        lengths = []
+        for k in range(film.n_frames):
+            film.seek(k)
+            lengths.append(film.info["duration"])
+            np.testing.assert_array_equal(np.asarray(film.convert("RGB")), pictures[k])
+        assert film.info["loop"] == 0
+    assert frames == len(lengths) == 7 and fps == 30.0 and size == path.stat().st_size
+    assert sum(lengths) == 230 and set(lengths) == {30, 40}  # 7/30 s to the hundredth
+
+
+def test_a_gif_over_its_budget_loses_frames_but_not_its_length(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 255, (6, 50, 50, 3), dtype=np.uint8)
+    frames, fps, _ = write(list(noise), tmp_path / "n.gif", 12.0, budget=1)
+    assert frames == 2 and frames / fps == pytest.approx(0.5)
+
+
+def test_films_and_strips(tmp_path):
+    motion = standing()
+    one = film({"truth": motion, "ours": motion}, tmp_path / "two.gif", size=(240, 120), fps=10)
+    with Image.open(one.path) as made:
+        assert made.n_frames == one.frames == motion.frames and made.size == (240, 120)
+    assert one.bytes < 700_000 and one.speed == 1.0 and "image/gif" in one._repr_html_()
+    assert film(motion, tmp_path / "one.mp4", size=SMALL, most=3).frames == 3
+    assert strip(motion, 3, size=(300, 120)).shape == (120, 300, 3)
+
+
+def test_a_slider_moves_the_picture():
+    box = slider(standing(), size=SMALL)
+    view, controls = box.children
+    before = view.value
+    controls.children[1].value = controls.children[1].max
+    assert view.value != before and controls.children[2].value == "0.70 s"
+    assert slider(standing(), "static").shape[2] == 3
+    with pytest.raises(ValueError, match="static, picture, trame"):
+        slider(standing(), "hologram")
+
+
+def test_confidence_is_opacity_and_zero_is_nothing():
+    keypoints = torch.rand(1, 25, 2, generator=torch.Generator().manual_seed(0)) * 100
+    black = np.zeros((100, 100, 3), np.uint8)
+    sure, unsure, blind = (
+        overlay(Observation2D(keypoints, torch.full((1, 25), c), BODY_25, 30.0), black, 0).sum()
+        for c in (1.0, 0.4, 0.0)
+    )
+    assert sure > 1.5 * unsure and blind == 0
+    assert len(limbs(BODY_25)) == 24  # a tree over 25 keypoints
+
+
+def test_an_overlay_meets_the_rendered_body_at_any_scale():
+    camera = look_at(torch.tensor([4.0, 1.0, 1.2]), torch.tensor([0.0, 0.0, 1.0]), focal=640, width=640, height=480)
+    point = torch.tensor([[0.1, 0.2, 1.3]])
+    pixel, _ = project(camera, point)
+    names = ("nose",)
+    observation = Observation2D(pixel[None], torch.ones(1, 1), names, 30.0, camera)
+    blank = np.zeros((240, 320, 3), np.uint8)
+    rows, columns = np.nonzero(overlay(observation, blank, 0).sum(-1))
+    assert np.abs(np.array([columns.mean() + 0.5, rows.mean() + 0.5]) - pixel[0].numpy() / 2).max() < 1.0
+
+
+def test_bad_input_says_what_is_wrong(tmp_path):
+    motion = standing()
+    batch = Motion(STANDARD, motion.root[None], motion.rot[None], 10.0)
+    broken = replace(motion, root=motion.root.clone().index_fill_(0, torch.tensor([2]), float("nan")))
+    with Scene(SMALL) as scene:
+        with pytest.raises(KeyError, match="no role 'mine'; roles are truth"):
+            scene.skeleton(motion, "mine")
+        with pytest.raises(ShapeError, match="batch"):
+            scene.skeleton(batch)
+        with pytest.raises(ShapeError, match="no frames"):
+            scene.trail(motion.cut(0, 0), "left_wrist")
+        with pytest.raises(DataError, match="frame 2"):
+            scene.skeleton(broken)
+        with pytest.raises(IndexError, match="frame 99"):
+            scene.skeleton(motion, frame=99)
+        with pytest.raises(IndexError, match="panel 1"):
+            scene.skeleton(motion, panel=1)
+        with pytest.raises(KeyError, match="no joint"):
+            scene.trail(motion, "tail")
+    with pytest.raises(ShapeError, match="no motions"):
+        film({}, tmp_path / "x.gif")
+    with pytest.raises(ValueError, match=r"\.gif or \.mp4"):
+        write([np.zeros((4, 4, 3), np.uint8)], tmp_path / "x.webm", 10)
+    with pytest.raises(ValueError, match="50 at most"):
+        gif.write(tmp_path / "x.gif", [np.zeros((4, 4, 3), np.uint8)], 120)
+    with pytest.raises(ShapeError, match="no frames"):
+        gif.write(tmp_path / "x.gif", [], 10)
+    camera = look_at(torch.tensor([3.0, 0.0, 1.0]), torch.zeros(3), focal=100, width=160, height=120)
+    with pytest.raises(ShapeError, match="size"):
+        Scene((100, 100), camera=camera)
+
+
+def test_the_window_has_a_name():
+    assert render.check().endswith("RenderWindow")
+
+
+def test_a_first_picture_writes_nothing_to_stderr():
+    code = (
+        "from motionlab.viz.scene import Scene; s = Scene((64, 48), panels=('a',)).floor();"
+        "s.points([[0, 0, 1]], 'ours'); print(s.image().shape); s.close()"
+    )
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "(48, 64, 3)" and done.stderr == ""
