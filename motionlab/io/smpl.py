@@ -163,10 +163,12 @@ class _Reader(pickle.Unpickler):
         full = f"{module}.{name}"
         if full in ("copy_reg._reconstructor", "copyreg._reconstructor"):
             return _reconstructor
-        if full in ("__builtin__.object", "builtins.object"):
-            return _record("object")
+        if full in ("__builtin__.object", "builtins.object", "__builtin__.set", "builtins.set"):
+            return _record(name)
         if full == "_codecs.encode":
             return _latin1
+        if full in ("__builtin__.bytes", "builtins.bytes"):
+            return _no_bytes
         if full in _NUMPY:
             return _record(_NUMPY[full])
         if sparse := _SPARSE.fullmatch(full):
@@ -192,6 +194,11 @@ def _reconstructor(cls, base, state):
     if not (isinstance(cls, type) and issubclass(cls, _Record)):
         raise TypeError("not a class")
     return cls()
+
+
+def _no_bytes():
+    """How Python 3 writes empty bytes in protocol 2."""
+    return b""
 
 
 def _latin1(text, encoding="latin1"):
