@@ -1,0 +1,150 @@
+"""Errors of poses in metres and radians, and smoothness of their paths.
+
+Positions are (..., T, J, 3) in metres, world. A measure averages over frames and joints and keeps the batch
+axes (...). Where there is nothing to average (no visible joint, too few frames for a difference) it is NaN,
+never 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.errors import check_shape
+from motionlab.skeleton import Skeleton
+
+#: The 22 joints by part of the body.
+JOINT_GROUPS: Mapping[str, tuple[str, ...]] = {
+    "trunk": ("pelvis", "spine1", "spine2", "spine3", "neck", "head"),
+    "left arm": ("left_collar", "left_shoulder", "left_elbow", "left_wrist"),
+    "right arm": ("right_collar", "right_shoulder", "right_elbow", "right_wrist"),
+    "left leg": ("left_hip", "left_knee", "left_ankle", "left_foot"),
+    "right leg": ("right_hip", "right_knee", "right_ankle", "right_foot"),
+}
+
+
+def masked_mean(values: Tensor, mask: Tensor | None, axes: int) -> Tensor:
+    """Mean over the last ``axes`` axes where ``mask`` holds (everywhere when None); NaN where it never does."""
+    dims = tuple(range(-axes, 0))
+    kept = torch.ones_like(values) if mask is None else mask.to(values).expand_as(values)
+    return torch.where(kept > 0, values * kept, 0.0).sum(dims) / kept.sum(dims)
+
+
+def align_procrustes(predicted: Tensor, truth: Tensor, *, scale: bool) -> Tensor:
+    """Each predicted point set (..., J, 3) moved onto the true one by the best rotation and shift, and scale if asked.
+
+    min over R, t (and s) of sum_j |s R x_j + t - y_j|^2, frame by frame.
+
+    Source: Umeyama 1991.
+    """
+    centre = truth.mean(-2, keepdim=True)
+    x, y = predicted - predicted.mean(-2, keepdim=True), truth - centre
+    turn = rotation.nearest(y.mT @ x)
+    turned = x @ turn.mT
+    if scale:
+        turned = turned * ((turned * y).sum((-1, -2)) / turned.square().sum((-1, -2)))[..., None, None]
+    return turned + centre
+
+
+def joint_errors(predicted: Tensor, truth: Tensor, *, align: str) -> Tensor:
+    """Distance (..., T, J) in metres of every predicted joint from the true one.
+
+    ``align``: "none" (world), "root" (joint 0 of each frame moved onto the true one), "rigid" (Procrustes
+    per frame without scale), "similarity" (with scale; what is called PA-MPJPE).
+    """
+    check_shape(predicted, "... T J 3", "predicted")
+    check_shape(truth, "... T J 3", "truth")
+    if align == "root":
+        predicted = predicted - predicted[..., :1, :] + truth[..., :1, :]
+    elif align in ("rigid", "similarity"):
+        predicted = align_procrustes(predicted, truth, scale=align == "similarity")
+    elif align != "none":
+        raise ValueError(f'align: expected "none", "root", "rigid" or "similarity", got {align!r}')
+    return torch.linalg.vector_norm(predicted - truth, dim=-1)
+
+
+def mpjpe(predicted: Tensor, truth: Tensor, *, align: str, mask: Tensor | None = None) -> Tensor:
+    """Mean per-joint position error (...) in metres; ``mask`` (..., T, J) chooses what counts.
+
+    All joints take part in the alignment (see :func:`joint_errors`), also those that do not count.
+    """
+    return masked_mean(joint_errors(predicted, truth, align=align), mask, 2)
+
+
+def mpjpe_by_group(
+    predicted: Tensor,
+    truth: Tensor,
+    skeleton: Skeleton,
+    *,
+    align: str,
+    groups: Mapping[str, tuple[str, ...]] = JOINT_GROUPS,
+) -> dict[str, Tensor]:
+    """Mean error (...) in metres for each group of joints."""
+    errors = joint_errors(predicted, truth, align=align)
+    return {name: masked_mean(errors[..., skeleton.indices(joints)], None, 2) for name, joints in groups.items()}
+
+
+def mpjpe_visible_occluded(predicted: Tensor, truth: Tensor, visible: Tensor, *, align: str) -> tuple[Tensor, Tensor]:
+    """Mean error (...) in metres of the joints that were seen and of those that were not; ``visible`` (..., T, J)."""
+    errors = joint_errors(predicted, truth, align=align)
+    return masked_mean(errors, visible, 2), masked_mean(errors, ~visible.bool(), 2)
+
+
+def rotation_error(predicted: Tensor, truth: Tensor, *, mask: Tensor | None = None) -> Tensor:
+    """Mean geodesic distance (...) in radians of rotations (..., T, J, 3, 3)."""
+    return masked_mean(rotation.geodesic(predicted, truth), mask, 2)
+
+
+def acceleration(positions: Tensor, fps: float) -> Tensor:
+    """Size (..., T - 2, J) of each joint's acceleration in m/s^2, by second differences."""
+    check_shape(positions, "... T J 3", "positions")
+    return torch.linalg.vector_norm(positions.diff(n=2, dim=-3), dim=-1) * fps**2
+
+
+def mean_acceleration(positions: Tensor, fps: float) -> Tensor:
+    """Mean size (...) of the acceleration in m/s^2; NaN for fewer than three frames."""
+    return masked_mean(acceleration(positions, fps), None, 2)
+
+
+def acceleration_error(predicted: Tensor, truth: Tensor, fps: float) -> Tensor:
+    """Mean size (...) of the difference of accelerations in m/s^2; NaN for fewer than three frames."""
+    return masked_mean(acceleration(predicted - truth, fps), None, 2)
+
+
+def jitter(positions: Tensor, fps: float) -> Tensor:
+    """Mean size (...) of the third time derivative in m/s^3; NaN for fewer than four frames."""
+    check_shape(positions, "... T J 3", "positions")
+    jerk = torch.linalg.vector_norm(positions.diff(n=3, dim=-3), dim=-1) * fps**3
+    return masked_mean(jerk, None, 2)
+
+
+def jitter_in_tens(positions: Tensor, fps: float) -> Tensor:
+    """:func:`jitter` in 10 m/s^3, the unit that WHAM and GVHMR print."""
+    return jitter(positions, fps) / 10
+
+
+def power_spectrum_ratio(predicted: Tensor, truth: Tensor, fps: float, edges: Sequence[float]) -> Tensor:
+    """Power of the predicted paths over that of the true ones, by frequency band: (..., bands).
+
+    Below 1: over-smoothed in that band; above 1: added noise. Velocities (first differences) under a Hann
+    window, power summed over joints and coordinates. A band without true power gives inf, or NaN where
+    there is no predicted power either; so do too few frames to have a frequency in the band.
+
+    Args:
+        edges: bands + 1 growing frequencies in Hz; a band holds its lower edge and not its upper one.
+    """
+
+    def power(x: Tensor) -> Tensor:  # (..., F)
+        check_shape(x, "... T J 3", "positions")
+        speed = x.diff(dim=-3)
+        window = torch.hann_window(speed.shape[-3], periodic=False, dtype=x.dtype, device=x.device)
+        return torch.fft.rfft(speed * window[:, None, None], dim=-3).abs().square().sum((-1, -2))
+
+    frequency = torch.fft.rfftfreq(truth.shape[-3] - 1, 1 / fps, dtype=truth.dtype, device=truth.device)
+    bands = torch.tensor([list(band) for band in pairwise(edges)]).to(truth)
+    inside = ((frequency >= bands[:, :1]) & (frequency < bands[:, 1:])).to(truth)  # (bands, F)
+    return (power(predicted) @ inside.mT) / (power(truth) @ inside.mT)

@@ -1,0 +1,179 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial import procrustes
+
+from motionlab import rotation
+from motionlab.errors import ShapeError
+from motionlab.metrics import contact, pose
+from motionlab.skeleton import STANDARD
+
+GOLDEN = np.load(Path(__file__).parent / "golden" / "humor_metrics.npz")
+F64 = torch.float64
+
+
+def walks(generator: torch.Generator, *shape: int) -> torch.Tensor:
+    return torch.randn(*shape, 3, generator=generator, dtype=F64)
+
+
+def test_golden_acceleration_of_humor():
+    joints = torch.as_tensor(GOLDEN["metric_pen_joints"])
+    lowered = joints + torch.tensor([0.0, 0.0, 0.8], dtype=F64)
+    torch.testing.assert_close(pose.acceleration(lowered, 30.0), torch.as_tensor(GOLDEN["metric_accel_mag"]))
+
+
+def test_golden_penetration_of_humor():
+    toes = torch.as_tensor(GOLDEN["metric_pen_joints"])[:, [10, 11]]
+    found = contact.floor_penetration(toes, depths=GOLDEN["metric_pen_thresholds"].tolist())
+    assert (found.frequency * int(GOLDEN["metric_pen_total"])).round().tolist() == GOLDEN["metric_pen_counts"].tolist()
+    torch.testing.assert_close(found.mean_depth_m, torch.as_tensor(GOLDEN["metric_pen_dist"]).mean())
+
+
+def test_mpjpe_of_a_shift_a_turn_and_a_scale(generator):
+    truth = walks(generator, 4, 6, 22)
+    shifted = truth + torch.tensor([0.3, 0.0, 0.4])
+    assert torch.allclose(pose.mpjpe(shifted, truth, align="none"), torch.full((4,), 0.5, dtype=F64))
+    assert pose.mpjpe(shifted, truth, align="root").max() < 1e-12
+    turned = shifted @ rotation.random((4, 6), generator, dtype=F64)
+    assert pose.mpjpe(turned, truth, align="root").min() > 0.1
+    assert pose.mpjpe(turned, truth, align="rigid").max() < 1e-12
+    assert pose.mpjpe(2 * turned, truth, align="rigid").min() > 0.1
+    assert pose.mpjpe(2 * turned, truth, align="similarity").max() < 1e-12
+    mirrored = turned * torch.tensor([-1.0, 1.0, 1.0])
+    assert pose.mpjpe(mirrored, truth, align="similarity").min() > 0.1  # no alignment may reflect
+
+
+def test_similarity_alignment_agrees_with_scipy_where_no_reflection_is_better(generator):
+    truth = walks(generator, 10)
+    predicted = truth + 0.1 * walks(generator, 10)
+    centred = truth - truth.mean(0)
+    _, _, disparity = procrustes(truth.numpy(), predicted.numpy())
+    ours = (pose.align_procrustes(predicted, truth, scale=True) - truth).square().sum() / centred.square().sum()
+    np.testing.assert_allclose(ours, disparity)
+
+
+def test_groups_cover_every_joint_once_and_average_to_the_whole(generator):
+    named = [name for group in pose.JOINT_GROUPS.values() for name in group]
+    assert sorted(named) == sorted(STANDARD.names)
+    predicted, truth = walks(generator, 5, 22), walks(generator, 5, 22)
+    groups = pose.mpjpe_by_group(predicted, truth, STANDARD, align="root")
+    weighted = sum(groups[name] * len(joints) for name, joints in pose.JOINT_GROUPS.items()) / 22
+    torch.testing.assert_close(weighted, pose.mpjpe(predicted, truth, align="root"))
+
+
+def test_visible_and_occluded_are_split_and_nothing_seen_is_nan(generator):
+    truth = walks(generator, 2, 5, 22)
+    visible = torch.rand(2, 5, 22, generator=generator) < 0.5
+    predicted = truth + torch.where(visible, 0.0, 2.0)[..., None] * torch.tensor([1.0, 0, 0])
+    seen, unseen = pose.mpjpe_visible_occluded(predicted, truth, visible, align="none")
+    torch.testing.assert_close(seen, torch.zeros(2, dtype=F64))
+    torch.testing.assert_close(unseen, torch.full((2,), 2.0, dtype=F64))
+    none, everything = pose.mpjpe_visible_occluded(predicted, truth, torch.zeros(2, 5, 22).bool(), align="none")
+    assert none.isnan().all() and everything.isfinite().all()
+
+
+def test_unmasked_nan_does_not_leak_and_masked_mean_counts(generator):
+    values = torch.tensor([[1.0, float("nan")], [3.0, 5.0]])
+    mask = torch.tensor([[True, False], [True, True]])
+    assert pose.masked_mean(values, mask, 2) == 3
+    assert pose.masked_mean(values, None, 2).isnan()
+
+
+def test_rotation_error_is_the_planted_angle(generator):
+    truth = rotation.random((3, 5, 22), generator, dtype=F64)
+    axis = torch.nn.functional.normalize(walks(generator, 3, 5, 22), dim=-1)
+    error = pose.rotation_error(truth @ rotation.exp(0.3 * axis), truth)
+    torch.testing.assert_close(error, torch.full((3,), 0.3, dtype=F64))
+
+
+@pytest.mark.parametrize("fps", [30.0, 120.0])
+def test_acceleration_and_jitter_of_known_paths(fps):
+    t = torch.arange(40, dtype=F64)[:, None, None] / fps
+    parabola = torch.cat((t, 0 * t, -9.81 / 2 * t**2), -1)
+    torch.testing.assert_close(pose.mean_acceleration(parabola, fps), torch.tensor(9.81, dtype=F64))
+    torch.testing.assert_close(pose.acceleration_error(parabola, 0 * parabola, fps), torch.tensor(9.81, dtype=F64))
+    assert pose.jitter(parabola, fps) < 1e-6
+    cubic = torch.cat((5 * t**3, 0 * t, 0 * t), -1)
+    torch.testing.assert_close(pose.jitter(cubic, fps), torch.tensor(30.0, dtype=F64), rtol=1e-6, atol=0)
+    torch.testing.assert_close(pose.jitter_in_tens(cubic, fps), torch.tensor(3.0, dtype=F64), rtol=1e-6, atol=0)
+
+
+def test_shuffled_frames_raise_jitter(generator):
+    t = torch.linspace(0, 6, 60, dtype=F64)[:, None, None]
+    smooth = torch.cat((t.sin(), t.cos(), t), -1)
+    assert pose.jitter(smooth[torch.randperm(60, generator=generator)], 30.0) > 100 * pose.jitter(smooth, 30.0)
+
+
+def test_too_few_frames_are_nan_not_zero(generator):
+    for frames, measure in ((2, pose.mean_acceleration), (3, pose.jitter)):
+        assert measure(walks(generator, frames, 22), 30.0).isnan()
+        assert measure(walks(generator, frames + 1, 22), 30.0).isfinite()
+    one = walks(generator, 1, 2)
+    assert contact.skating_ratio(one, 30.0).isnan()
+    assert contact.slide_in_contact_mm(one, torch.ones(1, 2)).isnan()
+
+
+def test_power_ratio_sees_scale_smoothing_and_noise(generator):
+    t = torch.arange(300, dtype=F64)[:, None, None] / 30
+    low, high = torch.sin(2 * torch.pi * t), 0.1 * torch.sin(2 * torch.pi * 8 * t)
+    truth = (low + high).expand(300, 2, 3)
+    edges = [0.0, 4.0, 12.0, 15.1]
+    ratio = pose.power_spectrum_ratio(2 * truth, truth, 30.0, edges)
+    torch.testing.assert_close(ratio, torch.full((3,), 4.0, dtype=F64))
+    smooth = pose.power_spectrum_ratio(low.expand(300, 2, 3), truth, 30.0, edges)
+    assert abs(smooth[0] - 1) < 1e-3 and smooth[1] < 1e-3
+    noisy = pose.power_spectrum_ratio(truth + 0.01 * walks(generator, 300, 2), truth, 30.0, edges)
+    assert abs(noisy[0] - 1) < 0.1 and noisy[2] > 10
+    assert pose.power_spectrum_ratio(truth, truth, 30.0, [20.0, 30.0]).isnan().all()  # beyond Nyquist
+
+
+def naive_skating(feet, fps):
+    """The published code of GMD, transcribed for z up."""
+    moving = np.linalg.norm(feet[1:, :, :2] - feet[:-1, :, :2], axis=-1) * fps
+    average = uniform_filter1d(moving, axis=0, size=5, mode="constant", origin=0)
+    low = (feet[:-1, :, 2] < 0.05) & (feet[1:, :, 2] < 0.05)
+    return (low & (moving > 0.5) & (average > 0.5)).any(1).sum() / (len(feet) - 1)
+
+
+def test_skating_ratio_agrees_with_gmd(generator):
+    feet = torch.cumsum(0.02 * walks(generator, 8, 50, 2), dim=1)
+    found = contact.skating_ratio(feet, 20.0)
+    np.testing.assert_allclose(found, [naive_skating(x, 20.0) for x in feet.numpy()])
+    assert 0.05 < found.mean() < 0.95
+
+
+def test_slides_are_in_millimetres_per_frame(generator):
+    slide = torch.zeros(10, 2, 3, dtype=F64)
+    slide[:, 0, 0] = torch.arange(10) * 0.002
+    contacts = torch.tensor([1.0, 0.0]).expand(10, 2)
+    torch.testing.assert_close(contact.slide_in_contact_mm(slide, contacts), torch.tensor(2.0, dtype=F64))
+    assert contact.slide_in_contact_mm(slide, 0 * contacts).isnan()
+    standing = torch.zeros_like(slide)
+    torch.testing.assert_close(contact.slide_where_truth_stands_mm(slide, standing), torch.tensor(1.0, dtype=F64))
+    assert contact.slide_where_truth_stands_mm(slide, 10 * slide).isfinite()  # foot 1 of the truth stands
+    assert contact.slide_where_truth_stands_mm(slide[:, :1], 10 * slide[:, :1]).isnan()
+
+
+def test_contact_scores_by_hand():
+    truth = torch.tensor([[1, 1, 0, 0], [1, 0, 0, 0]])
+    predicted = torch.tensor([[1, 0, 1, 0], [1, 0, 0, 0]])
+    scores = contact.contact_scores(predicted, truth)
+    torch.testing.assert_close(torch.stack(scores), torch.tensor([2 / 3, 2 / 3, 2 / 3, 6 / 8], dtype=F64))
+    nothing = contact.contact_scores(0 * predicted, 0 * truth)
+    assert torch.stack(nothing[:3]).isnan().all() and nothing.accuracy == 1
+    assert contact.contact_scores(0 * predicted, truth).recall == 0
+
+
+def test_above_the_floor_there_is_no_depth():
+    found = contact.floor_penetration(torch.ones(5, 2, 3))
+    assert (found.frequency == 0).all() and found.mean_depth_m.isnan()
+
+
+def test_wrong_shapes_and_names_are_refused(generator):
+    with pytest.raises(ValueError, match="similarity"):
+        pose.mpjpe(walks(generator, 2, 3), walks(generator, 2, 3), align="procrustes")
+    with pytest.raises(ShapeError, match="predicted"):
+        pose.mpjpe(torch.zeros(5), torch.zeros(5), align="none")
