@@ -1,0 +1,189 @@
+"""What every claim must beat: hold, interpolate, look up the nearest neighbour, smooth.
+
+Gaps are given by ``known``: (..., T) for whole frames or (..., T, J) for single joints, True where the motion
+may be used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from scipy.signal import savgol_filter
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.errors import ShapeError, check_shape
+from motionlab.frames import local_to_world, stuck_root
+from motionlab.motion import Motion
+
+
+def _mask(known: Tensor, motion: Motion) -> Tensor:
+    """The mask as bool (..., T, J)."""
+    frames, joints = motion.rot.shape[-4:-2]
+    known = known.bool()
+    if known.ndim >= 2 and known.shape[-2:] == (frames, joints):
+        return known.expand(motion.rot.shape[:-2])
+    if known.shape[-1:] == (frames,):
+        return known[..., None].expand(motion.rot.shape[:-2])
+    raise ShapeError(f"known: expected (..., {frames}) or (..., {frames}, {joints}), got {tuple(known.shape)}")
+
+
+def _neighbours(known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """For each frame (..., T, K): the last known frame, the next known one, and how far between them (0..1)."""
+    if not known.any(-2).all():
+        raise ShapeError("known: some joint is known at no frame, so there is nothing to fill it from")
+    frames = known.shape[-2]
+    time = torch.arange(frames, device=known.device)[:, None].expand(known.shape)
+    before = torch.where(known, time, -1).cummax(-2).values
+    after = torch.where(known, time, frames).flip(-2).cummin(-2).values.flip(-2)
+    before, after = torch.where(before < 0, after, before), torch.where(after == frames, before, after)
+    return before, after, (time - before) / (after - before).clamp(min=1)
+
+
+def _take(x: Tensor, frames: Tensor) -> Tensor:
+    """x (..., T, K, *rest) at the frames (..., T, K) of each k."""
+    rest = x.ndim - frames.ndim
+    index = frames.reshape(*frames.shape, *(1,) * rest).expand(x.shape)
+    return x.gather(frames.ndim - 2, index)
+
+
+def hold(motion: Motion, known: Tensor) -> Motion:
+    """Unknown joints keep their last known rotation (the first known one before it); the root likewise."""
+    known = _mask(known, motion)
+    before, _, _ = _neighbours(known)
+    root = _take(motion.root[..., None, :], before[..., :1])[..., 0, :]
+    return replace(motion, root=root, rot=_take(motion.rot, before), contacts=None)
+
+
+def interpolate(motion: Motion, known: Tensor) -> Motion:
+    """Unknown root positions linearly, unknown rotations by slerp, between the known frames around; ends hold."""
+    known = _mask(known, motion)
+    before, after, weight = _neighbours(known)
+    weight = weight.to(motion.rot)
+    start, stop = (_take(motion.root[..., None, :], at[..., :1])[..., 0, :] for at in (before, after))
+    root = torch.lerp(start, stop, weight[..., :1])
+    rot = rotation.slerp(_take(motion.rot, before), _take(motion.rot, after), weight)
+    root = torch.where(known[..., :1], motion.root, root)
+    rot = torch.where(known[..., None, None], motion.rot, rot)
+    return replace(motion, root=root, rot=rot, contacts=None)
+
+
+def nearest_neighbour(query: Motion, library: Motion, known: Tensor | None = None) -> tuple[Motion, Tensor, Tensor]:
+    """The window of a library that is nearest to a query where it is known, put where the query is.
+
+    Both are moved to the heading frame of their first frame before they are compared, and the match is moved
+    back to the query's; the query's root must be known there. A window keeps the library's bone lengths.
+
+    Args:
+        query: (T,) one window. library: (N, T) windows of as many frames at the same rate.
+        known: (T,) or (T, J); everything when None.
+
+    Returns:
+        the match, its distance in metres (root mean square over known joints), its index in the library.
+
+    Raises:
+        ShapeError: lengths or rates differ, the root's first frame is unknown, or query is a batch.
+    """
+    if query.root.ndim != 2 or library.root.ndim != 3 or query.frames != library.frames or query.fps != library.fps:
+        raise ShapeError(
+            f"nearest_neighbour: query {tuple(query.root.shape)} at {query.fps} fps and library "
+            f"{tuple(library.root.shape)} at {library.fps} fps; expected (T, 3) and (N, T, 3) at one rate"
+        )
+    mask = torch.ones(query.rot.shape[:-2]) if known is None else _mask(known, query)
+    if not mask[0, 0]:
+        raise ShapeError("known: the root of the first frame must be known; the query is aligned by it")
+    here, frame = stuck_root(query)
+    there, _ = stuck_root(library)
+    weight = mask.double()[..., None]
+    gap = torch.where(weight > 0, there.positions.double() - here.positions.double(), 0.0)
+    distance = (gap.square().sum((-1, -2, -3)) / weight.sum()).sqrt()
+    best = distance.argmin()
+    return local_to_world(frame, there.clip(best)), distance[best], best
+
+
+def savitzky_golay(x: Tensor, window: int, degree: int) -> Tensor:
+    """x (..., T, D) smoothed by a polynomial of ``degree`` through ``window`` (odd) frames around each; no gradient.
+
+    Raises:
+        ShapeError: the window is longer than the recording, even, or not longer than the degree.
+    """
+    sizes = check_shape(x, "... T D", "x")
+    if not degree < window <= sizes["T"] or window % 2 == 0:
+        raise ShapeError(f"window {window}: expected an odd number over degree {degree} and up to T = {sizes['T']}")
+    smooth = savgol_filter(x.detach().cpu().double().numpy(), window, degree, axis=-2)
+    return torch.as_tensor(smooth).to(x)
+
+
+def one_euro(x: Tensor, fps: float, min_cutoff: float = 1.0, beta: float = 0.0, d_cutoff: float = 1.0) -> Tensor:
+    """x (..., T, D) through the one-euro filter: a causal low-pass that opens with speed.
+
+    Args:
+        min_cutoff: Hz, at rest. beta: Hz per (unit of x / s), how much speed opens it. d_cutoff: Hz, for the speed.
+    Source: Casiez et al. 2012.
+    """
+    check_shape(x, "... T D", "x")
+
+    def alpha(cutoff):
+        return 1 / (1 + fps / (2 * torch.pi * cutoff))
+
+    frames = x.unbind(-2)
+    smooth, speed, out = frames[0], torch.zeros_like(frames[0]), [frames[0]]
+    for now, before in zip(frames[1:], frames[:-1], strict=True):
+        speed = torch.lerp(speed, (now - before) * fps, alpha(d_cutoff))
+        smooth = torch.lerp(smooth, now, alpha(min_cutoff + beta * speed.abs()))
+        out.append(smooth)
+    return torch.stack(out, -2)
+
+
+def kalman(x: Tensor, fps: float, noise: float, acceleration: float, known: Tensor | None = None) -> Tensor:
+    """x (..., T, D) by a constant-velocity Kalman filter and Rauch-Tung-Striebel smoother; gaps are filled.
+
+    The mean of p given x in: x_t = p_t + noise, dp = v dt, dv = white noise.
+
+    Args:
+        noise: standard deviation of a measurement, in units of x.
+        acceleration: strength of the white acceleration, units of x / s^(3/2).
+        known: (..., T) or (..., T, D): where x was measured; what stands elsewhere is not looked at.
+    """
+    sizes = check_shape(x, "... T D", "x")
+    seen = torch.ones_like(x) if known is None else (known[..., None] if known.ndim < x.ndim else known).expand_as(x)
+    seen = seen.double()
+    z = torch.where(seen > 0, x.double(), 0.0)
+    dt = 1 / fps
+    step = z.new_tensor([[1.0, dt], [0.0, 1.0]])
+    q = acceleration**2 * z.new_tensor([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    mean = torch.zeros(*x.shape[:-2], sizes["D"], 2, 1, dtype=torch.float64, device=x.device)
+    spread = 1e6 * (z.abs().amax() + noise + acceleration) ** 2
+    cov = (spread * torch.eye(2, dtype=torch.float64, device=x.device)).expand(*mean.shape[:-2], 2, 2)
+    means, covs = [], []
+    for t in range(sizes["T"]):
+        if t:
+            mean, cov = step @ mean, step @ cov @ step.mT + q
+        gain = cov[..., :1] / (cov[..., :1, :1] + noise**2) * seen[..., t, :, None, None]
+        mean = mean + gain * (z[..., t, :, None, None] - mean[..., :1, :])
+        cov = cov - gain * cov[..., :1, :]
+        means, covs = [*means, mean], [*covs, cov]
+    out = [means[-1]]
+    for mean, cov in zip(means[-2::-1], covs[-2::-1], strict=True):
+        ahead = step @ cov @ step.mT + q
+        gain = torch.linalg.solve(ahead, step @ cov).mT
+        out.append(mean + gain @ (out[-1] - step @ mean))
+    return torch.stack([m[..., 0, 0] for m in reversed(out)], -2).to(x)
+
+
+def smooth_rotations(rot: Tensor, smoother: Callable[[Tensor], Tensor]) -> Tensor:
+    """Rotations (..., T, J, 3, 3) with ``smoother`` applied to (..., T, 3 J) tangent vectors at each joint's mean.
+
+    The vectors are made continuous in time, so a joint that spins is followed round.
+    """
+    check_shape(rot, "... T J 3 3", "rot")
+    centre = rotation.mean(rot.movedim(-4, -3))[..., None, :, :, :]
+    tangent = rotation.unroll_axis_angle(rotation.log(centre.mT @ rot), dim=-3)
+    return centre @ rotation.exp(smoother(tangent.flatten(-2)).unflatten(-1, (-1, 3)))
+
+
+def smooth(motion: Motion, smoother: Callable[[Tensor], Tensor]) -> Motion:
+    """A motion whose root positions and joint rotations went through ``smoother``, (..., T, D) -> (..., T, D)."""
+    return replace(motion, root=smoother(motion.root), rot=smooth_rotations(motion.rot, smoother), contacts=None)

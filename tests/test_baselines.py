@@ -1,0 +1,171 @@
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+import twins
+
+from motionlab import baselines, rotation
+from motionlab.errors import ShapeError
+from motionlab.metrics.pose import jitter, mean_acceleration
+from motionlab.motion import Motion, windows
+from motionlab.skeleton import STANDARD, UPRIGHT
+
+F64 = torch.float64
+
+
+def swinging(generator: torch.Generator, batch: tuple[int, ...] = (), frames: int = 60) -> Motion:
+    """A motion with constant velocity of the root and constant turning rate of every joint."""
+    time = torch.arange(frames, dtype=F64)[:, None, None] / 30
+    rate = torch.randn(*batch, 1, 22, 3, generator=generator, dtype=F64) * 0.5
+    start = rotation.exp(torch.randn(*batch, 1, 22, 3, generator=generator, dtype=F64) * 0.3)
+    rot = start @ rotation.exp(rate * time)
+    speed = torch.randn(*batch, 1, 3, generator=generator, dtype=F64)
+    return Motion(STANDARD.to(F64), speed * time[..., 0], UPRIGHT.to(F64) @ rot, 30.0)
+
+
+def scrambled(motion: Motion, known: torch.Tensor, generator: torch.Generator) -> Motion:
+    """What is unknown replaced by noise: a baseline may not look at it."""
+    known = baselines._mask(known, motion)
+    noise = rotation.random(motion.rot.shape[:-2], generator, dtype=F64)
+    root = torch.where(known[..., :1], motion.root, torch.full_like(motion.root, 99.0))
+    return replace(motion, root=root, rot=torch.where(known[..., None, None], motion.rot, noise))
+
+
+@pytest.mark.parametrize("per_joint", [False, True])
+def test_interpolation_is_exact_at_constant_speed_and_keeps_the_known(generator, per_joint):
+    motion = swinging(generator, (2,))
+    known = torch.rand(*((2, 60, 22) if per_joint else (60,)), generator=generator) < 0.3
+    ends = (..., [0, -1], slice(None)) if per_joint else [0, -1]
+    known[ends] = True
+    filled = baselines.interpolate(scrambled(motion, known, generator), known)
+    torch.testing.assert_close(filled.root, motion.root)
+    torch.testing.assert_close(filled.rot, motion.rot)
+    mask = baselines._mask(known, motion)
+    assert torch.equal(filled.rot[mask], motion.rot[mask])
+
+
+def test_hold_repeats_the_last_known_frame(generator):
+    motion = swinging(generator, frames=6)
+    known = torch.tensor([False, True, False, False, True, False])
+    filled = baselines.hold(scrambled(motion, known, generator), known)
+    expected = torch.tensor([1, 1, 1, 1, 4, 4])
+    assert torch.equal(filled.rot, motion.rot[expected]) and torch.equal(filled.root, motion.root[expected])
+    ends = baselines.interpolate(scrambled(motion, known, generator), known)
+    torch.testing.assert_close(ends.rot[[0, -1]], motion.rot[[1, 4]])
+
+
+def test_nothing_known_and_wrong_masks_are_refused(generator):
+    motion = swinging(generator, frames=6)
+    for fill in (baselines.hold, baselines.interpolate):
+        with pytest.raises(ShapeError, match="no frame"):
+            fill(motion, torch.zeros(6))
+        with pytest.raises(ShapeError, match="expected"):
+            fill(motion, torch.ones(5))
+
+
+def test_nearest_neighbour_finds_a_moved_window_and_puts_it_back(generator):
+    motion = swinging(generator, frames=90)
+    library = windows(motion, 20, 10)
+    turn = rotation.rotation_about("z", torch.tensor(2.0, dtype=F64))
+    piece = motion.cut(30, 50)
+    moved = replace(
+        piece,
+        root=piece.root @ turn.mT + torch.tensor([5.0, -3.0, 0.0]),
+        rot=torch.cat((turn @ piece.rot[:, :1], piece.rot[:, 1:]), 1),
+    )
+    known = torch.rand(20, 22, generator=generator) < 0.2
+    known[0, 0] = True
+    match, distance, index = baselines.nearest_neighbour(moved, library, known)
+    assert index == 3 and distance < 1e-6
+    torch.testing.assert_close(match.positions, moved.positions)
+    other, far, _ = baselines.nearest_neighbour(moved, library.clip(slice(5, None)), known)
+    assert far > 0.01 and (other.positions - moved.positions).abs().max() > 0.01
+    known[0, 0] = False
+    with pytest.raises(ShapeError, match="first frame"):
+        baselines.nearest_neighbour(moved, library, known)
+    with pytest.raises(ShapeError, match="one rate"):
+        baselines.nearest_neighbour(moved.cut(1), library)
+
+
+def test_savitzky_golay_keeps_its_polynomials(generator):
+    t = torch.linspace(-1, 1, 40, dtype=F64)[:, None]
+    cubic = torch.cat((t**3 - t, 2 * t**2), -1)
+    torch.testing.assert_close(baselines.savitzky_golay(cubic, 9, 3), cubic)
+    assert (baselines.savitzky_golay(cubic, 9, 1) - cubic).abs().max() > 1e-2
+    for window in (8, 3, 41):
+        with pytest.raises(ShapeError, match="odd"):
+            baselines.savitzky_golay(cubic, window, 3)
+
+
+def test_one_euro_agrees_with_its_twin(generator):
+    x = torch.randn(50, 3, generator=generator, dtype=F64).cumsum(0)
+    found = baselines.one_euro(x, 30.0, 1.2, 0.3, 0.9)
+    for d in range(3):
+        np.testing.assert_allclose(found[:, d], twins.one_euro(x[:, d].tolist(), 30.0, 1.2, 0.3, 0.9))
+
+
+def dense_smoother(z, seen, dt, noise, acceleration):
+    """The same posterior mean by one dense least-squares solve over all states [p, v]."""
+    frames = len(z)
+    q = acceleration**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    whiten = np.linalg.inv(np.linalg.cholesky(q))
+    rows, right = [], []
+    for t in range(frames - 1):
+        row = np.zeros((2, 2 * frames))
+        row[:, 2 * t : 2 * t + 2], row[:, 2 * t + 2 : 2 * t + 4] = -whiten @ [[1, dt], [0, 1]], whiten
+        rows, right = [*rows, *row], [*right, 0, 0]
+    for t in range(frames):
+        if seen[t]:
+            row = np.zeros(2 * frames)
+            row[2 * t] = 1 / noise
+            rows, right = [*rows, row], [*right, z[t] / noise]
+    return np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0][::2]
+
+
+def test_kalman_smoother_agrees_with_dense_least_squares(generator):
+    x = torch.randn(25, 2, generator=generator, dtype=F64).cumsum(0)
+    seen = torch.rand(25, 2, generator=generator) < 0.6
+    seen[:3] = True
+    hidden = torch.where(seen, x, float("nan"))
+    found = baselines.kalman(hidden, 30.0, 0.5, 20.0, seen)
+    for d in range(2):
+        expected = dense_smoother(x[:, d].numpy(), seen[:, d].numpy(), 1 / 30, 0.5, 20.0)
+        np.testing.assert_allclose(found[:, d], expected, atol=1e-4)
+    by_frame = baselines.kalman(x, 30.0, 0.5, 20.0, seen[:, 0])
+    torch.testing.assert_close(by_frame[:, 0], found[:, 0])
+
+
+SMOOTHERS = {
+    "savitzky-golay": partial(baselines.savitzky_golay, window=9, degree=2),
+    "one-euro": partial(baselines.one_euro, fps=30.0, min_cutoff=2.0, beta=0.1),
+    "kalman": partial(baselines.kalman, fps=30.0, noise=0.02, acceleration=1.0),
+}
+
+
+@pytest.mark.parametrize("name", SMOOTHERS)
+def test_smoothers_remove_jitter_and_keep_rotations(generator, name):
+    motion = swinging(generator, (2,), frames=40)
+    noise = rotation.exp(0.03 * torch.randn(2, 40, 22, 3, generator=generator, dtype=F64))
+    shake = 0.02 * torch.randn(2, 40, 3, generator=generator, dtype=F64)
+    noisy = replace(motion, root=motion.root + shake, rot=motion.rot @ noise)
+    smoothed = baselines.smooth(noisy, SMOOTHERS[name])
+    assert (jitter(smoothed.positions, 30.0) < 0.3 * jitter(noisy.positions, 30.0)).all()
+    assert (mean_acceleration(smoothed.positions, 30.0) < 0.5 * mean_acceleration(noisy.positions, 30.0)).all()
+    eye = torch.eye(3, dtype=F64).expand_as(smoothed.rot)
+    torch.testing.assert_close(smoothed.rot @ smoothed.rot.mT, eye)
+    if name != "one-euro":  # causal: it lags
+        before, after = (rotation.geodesic(m.rot, motion.rot).mean() for m in (noisy, smoothed))
+        assert after < 0.7 * before
+
+
+def test_smoothing_follows_a_spin_round():
+    """Two full turns: averaging plain rotation vectors would cut across the jump at pi."""
+    turn = torch.linspace(0, 4 * math.pi, 80, dtype=F64)
+    spin = rotation.rotation_about("z", turn)[:, None]
+    smoother = SMOOTHERS["savitzky-golay"]
+    assert rotation.geodesic(baselines.smooth_rotations(spin, smoother), spin).max() < 1e-6
+    naive = rotation.exp(smoother(rotation.log(spin).flatten(-2)).unflatten(-1, (-1, 3)))
+    assert rotation.geodesic(naive, spin).max() > 1
