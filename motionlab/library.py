@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -75,3 +75,49 @@ def _thirty(path: Tensor, fps: float) -> Tensor:
     at = torch.arange(int((len(path) - 1) / fps * 30) + 1) * (fps / 30)
     low = at.floor().long().clamp(max=len(path) - 2)
     return rotation.slerp(path[low], path[low + 1], (at - low).to(path))
+
+
+def retarget_rows(folder: Path | str, *, each: int | None = None) -> list[dict[str, object]]:
+    """One row per source of joint rotations: clips, minutes, fps, joints, residual and skate of the transfer.
+
+    residual: mean distance in cm between a joint and the one it stands for, on the source's own bone lengths
+    and on the standard's proportions scaled to its legs. skate: mm per frame of feet that rest, in the file and
+    on the standard's proportions, feet planted.
+
+    Raises:
+        DataError: a recording is at fault.
+    """
+    rows = []
+    for source in MOTIONS:
+        if not (Path(folder) / source).is_dir():
+            continue
+        found = spread([(path, load) for _, path, load in recordings(folder, source)], each)
+        motions = [load(path) for path, load in found]
+        own = [retarget(m) for m in motions]
+        other = [retarget(m, proportions="standard") for m in motions]
+        rates, joints = sorted({m.fps for m in motions}), sorted({len(m.skeleton) for m in motions})
+        rows.append(
+            {
+                "source": source,
+                "clips": len(motions),
+                "minutes": sum(m.seconds for m in motions) / 60,
+                "fps": _range(rates),
+                "joints": _range(joints),
+                "residual, own bones, cm": 100 * _mean(r.residual for r in own),
+                "residual, standard bones, cm": 100 * _mean(r.residual for r in other),
+                "worst clip, cm": 100 * max(r.residual for r in other),
+                "skate in the file, mm/frame": _mean(r.skate[0] for r in other),
+                "skate after, mm/frame": _mean(r.skate[1] for r in other),
+            }
+        )
+    return rows
+
+
+def _mean(values: Iterable[float]) -> float:
+    """Mean of the values that are numbers; NaN of none."""
+    known = [value for value in values if value == value]
+    return sum(known) / len(known) if known else float("nan")
+
+
+def _range(values: Sequence[float]) -> str:
+    return f"{values[0]:g}" if len(values) == 1 else f"{values[0]:g} to {values[-1]:g}"

@@ -15,7 +15,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.body import BodyModel, lbs
 from motionlab.motion import Motion
-from motionlab.observation import Camera, project
+from motionlab.observation import Camera, look_at, project
 from motionlab.optimise import FitResult, minimise
 from motionlab.skeleton import fk
 
@@ -23,6 +23,15 @@ from motionlab.skeleton import fk
 ARM = ("left_shoulder", "left_elbow", "left_wrist")
 FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 LEGS = tuple(f"{side}_{part}" for part in ("hip", "knee", "ankle", "foot") for side in ("left", "right"))
+
+
+def facing(motion: Motion, *, metres: float = 3.5) -> Camera:
+    """A webcam in front of the person of a clip's first frame, level with the chest."""
+    forward = motion.rot[0, 0] @ torch.tensor([0.0, 0.0, 1.0])
+    forward = torch.nn.functional.normalize(forward[:2], dim=0)
+    chest = motion.root[0] + torch.tensor([0.0, 0.0, 0.3])
+    eye = chest + metres * torch.cat((forward, torch.zeros(1)))
+    return look_at(eye, chest, focal=1000.0, width=1280, height=960)
 
 
 def arm_and_face(body: BodyModel, root: Tensor, rot: Tensor) -> Tensor:
