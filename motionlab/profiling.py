@@ -1,0 +1,98 @@
+"""How long, how much memory, how many steps of autograd, and where the time goes."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.profiler import ProfilerActivity, profile
+
+
+class Timing(NamedTuple):
+    """Seconds per call."""
+
+    median: float
+    iqr: float  #: spread: third quartile minus first
+    n: int  #: calls measured
+
+
+def timed(call: Callable[[], object], *, n: int = 7, warm_up: int = 1) -> Timing:
+    """Wall time of ``call()``, garbage collection off, after ``warm_up`` calls that do not count.
+
+    Waits for the GPU where there is one. The median, because a shared machine only ever adds time.
+
+    Raises:
+        ValueError: n is less than one.
+    """
+    if n < 1:
+        raise ValueError(f"n: expected at least one measured call, got {n}")
+    wait = torch.cuda.synchronize if torch.cuda.is_available() else lambda: None
+    for _ in range(warm_up):
+        call()
+    seconds = []
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        for _ in range(n):
+            wait()
+            start = time.perf_counter()
+            call()
+            wait()
+            seconds.append(time.perf_counter() - start)
+    finally:
+        if was_on:
+            gc.enable()
+    low, median, high = torch.tensor(seconds, dtype=torch.float64).quantile(torch.tensor([0.25, 0.5, 0.75]).double())
+    return Timing(median.item(), (high - low).item(), n)
+
+
+def graph_nodes(*outputs: Tensor) -> int:
+    """Number of autograd nodes behind the outputs: the steps of one backward pass, leaves included."""
+    seen, queue = set(), [y.grad_fn for y in outputs if y.grad_fn is not None]
+    while queue:
+        node = queue.pop()
+        if node not in seen:
+            seen.add(node)
+            queue.extend(parent for parent, _ in node.next_functions if parent is not None)
+    return len(seen)
+
+
+def peak_memory(call: Callable[[], object]) -> int:
+    """Most bytes of tensors that ``call()`` held at once beyond those before it; on the GPU where there is one.
+
+    On the CPU it adds up torch's own record of every allocation and release, so neither Python's objects nor
+    what the allocator keeps in reserve count.
+    """
+    if torch.cuda.is_available():
+        torch.cuda.synchronize()
+        torch.cuda.reset_peak_memory_stats()
+        before = torch.cuda.memory_allocated()
+        call()
+        torch.cuda.synchronize()
+        return torch.cuda.max_memory_allocated() - before
+    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as record:
+        call()
+    held, peak = 0, 0
+    events = [e for e in record.profiler.kineto_results.events() if e.name() == "[memory]"]
+    for event in sorted(events, key=lambda e: e.start_ns()):
+        held += event.nbytes()
+        peak = max(peak, held)
+    return peak
+
+
+def time_shares(call: Callable[[], object], labels: tuple[str, ...]) -> dict[str, float]:
+    """Share (0..1) of the wall time of ``call()`` spent inside each ``torch.profiler.record_function(label)``.
+
+    Labels that lie inside each other count twice; "other" is what no label holds, so with labels side by side
+    the shares add up to 1. A label that never ran has share 0. Profiling slows short operations down: trust
+    shares, not seconds.
+    """
+    with profile(activities=[ProfilerActivity.CPU]) as record, torch.profiler.record_function("__whole__"):
+        call()
+    total = {row.key: row.cpu_time_total for row in record.key_averages() if row.key in (*labels, "__whole__")}
+    shares = {label: total.get(label, 0.0) / total["__whole__"] for label in labels}
+    return shares | {"other": max(0.0, 1 - sum(shares.values()))}

@@ -1,0 +1,67 @@
+import gc
+import time
+
+import pytest
+import torch
+from torch.profiler import record_function
+
+from motionlab.profiling import graph_nodes, peak_memory, time_shares, timed
+
+
+def test_timer_finds_a_sleep_and_leaves_garbage_collection_as_it_was():
+    calls = []
+
+    def nap():
+        calls.append(gc.isenabled())
+        time.sleep(0.01)
+
+    timing = timed(nap, n=5, warm_up=2)
+    assert 0.01 <= timing.median < 0.1 and timing.iqr >= 0 and timing.n == 5
+    assert calls[2:] == [False] * 5 and gc.isenabled()
+    with pytest.raises(ValueError, match="n"):
+        timed(nap, n=0)
+
+
+def test_collection_comes_back_after_an_error():
+    with pytest.raises(ZeroDivisionError):
+        timed(lambda: 1 / 0, warm_up=0)
+    assert gc.isenabled()
+
+
+def test_graph_nodes_by_hand():
+    x = torch.ones(3, requires_grad=True)
+    assert graph_nodes(x.detach()) == 0
+    assert graph_nodes(x * 2) == 2  # the product and the leaf
+    y = x * 2
+    assert graph_nodes(y + y) == 3  # a shared node counts once
+    chain = x
+    for _ in range(5000):  # deeper than Python's recursion
+        chain = chain + 1
+    assert graph_nodes(chain) == 5001
+    assert graph_nodes(x * 2, x * 3) == 3
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="counts the CPU's allocations")
+def test_peak_memory_counts_what_is_held_at_once():
+    def one_after_the_other():
+        for _ in range(4):
+            torch.zeros(250_000)
+
+    def together():
+        return [torch.zeros(250_000) for _ in range(4)]
+
+    assert peak_memory(one_after_the_other) == pytest.approx(1e6, rel=0.01)
+    assert peak_memory(together) == pytest.approx(4e6, rel=0.01)
+
+
+def test_shares_of_time():
+    def work():
+        with record_function("long"):
+            time.sleep(0.1)
+        with record_function("short"):
+            time.sleep(0.01)
+
+    shares = time_shares(work, ("long", "short", "never"))
+    assert shares["long"] > shares["short"] > 0 and shares["never"] == 0
+    assert sum(shares.values()) == pytest.approx(1)
+    assert shares["other"] < 0.5  # a busy machine sleeps in
