@@ -1,9 +1,9 @@
 import os
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+import seeds
 import torch
 
 from motionlab.errors import DataError
@@ -65,21 +65,10 @@ def test_up_axis_comes_from_the_file_or_the_caller(tmp_path, points):
 
 def test_integer_files_are_scaled(tmp_path):
     """Header, one parameter block and 16-bit data made by hand from the format guide; the scale is 0.5."""
-
-    def entry(name: bytes, group: int, body: bytes) -> bytes:
-        return struct.pack("<bb", len(name), group) + name + struct.pack("<h", len(body) + 2) + body
-
-    def text(words: list[bytes], width: int) -> bytes:
-        return struct.pack("<bBBB", -1, 2, width, len(words)) + b"".join(w.ljust(width) for w in words) + b"\0"
-
-    parameters = b"\1\x50\1\x54" + entry(b"POINT", -1, b"\0")
-    parameters += entry(b"LABELS", 1, text([b"A", b"BB"], 4)) + entry(b"UNITS", 1, text([b"mm"], 2))
-    parameters += entry(b"Y_SCREEN", 1, text([b"+Z"], 2)) + entry(b"RATE", 1, struct.pack("<bBf", 4, 0, 25.0) + b"\0")
-    header = struct.pack("<BBHHHHHfHHf", 2, 0x50, 2, 0, 1, 3, 0, 0.5, 3, 0, 25.0)
     table = np.arange(24, dtype="<i2").reshape(3, 2, 4)
     table[1, 0, 3] = -1
     path = tmp_path / "a.c3d"
-    path.write_bytes(header.ljust(512, b"\0") + parameters.ljust(512, b"\0") + table.tobytes().ljust(512, b"\0"))
+    path.write_bytes(seeds.c3d_bytes(table))
     loaded = c3d.load(path)
     expected = np.where(table[..., 3:] < 0, 0, table[..., :3] * 0.5 / 1000)
     np.testing.assert_allclose(loaded.positions.numpy(), expected, rtol=1e-6)

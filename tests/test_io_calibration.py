@@ -3,65 +3,26 @@
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
+import seeds
 import torch
 
 from motionlab.io import calibration, captury, openpose, trc
-from motionlab.observation import Camera, look_at, project
+from motionlab.observation import Camera, project
 
 needs_data = pytest.mark.skipif(
     not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings"
 )
 
 
-def some_camera() -> Camera:
-    eye, target = torch.tensor([2.0, -3.0, 1.7]), torch.tensor([0.1, 0.2, 0.9])
-    return look_at(eye, target, focal=1500.0, width=1920, height=1088)
-
-
-def qualisys_text(camera: Camera, serial: str = "cam_01") -> str:
-    rows = np.diag([1.0, -1.0, -1.0]) @ camera.rotation.double().numpy()
-    turn = " ".join(f'r{i + 1}{j + 1}="{rows[i, j]}"' for i in range(3) for j in range(3))
-    x, y, z = (camera.centre.double() * 1000).tolist()
-    k = camera.intrinsics.double().numpy() * 64
-    return f"""<?xml version='1.0' encoding='ASCII'?>
-<calibration><cameras><camera serial="{serial}">
-  <fov_video left="0" top="0" right="{camera.width - 1}" bottom="{camera.height - 1}"/>
-  <transform {turn} x="{x}" y="{y}" z="{z}"/>
-  <intrinsic focalLengthU="{k[0, 0]}" focalLengthV="{k[1, 1]}" centerPointU="{k[0, 2]}" centerPointV="{k[1, 2]}"/>
-</camera></cameras></calibration>"""
-
-
-def captury_text(camera: Camera) -> str:
-    """The same camera in Captury's words: y up, (x, y, z)_file = (-x, z, y)_world, millimetres."""
-    turn = np.array([[-1.0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    right, down, _ = camera.rotation.double().numpy() @ turn.T
-    origin = turn @ camera.centre.double().numpy() * 1000
-    width, height = 10.0, 10.0 * camera.height / camera.width
-    k = camera.intrinsics.double().numpy() * width / camera.width
-    line = lambda values: " ".join(f"{v:.9f}" for v in values)  # noqa: E731
-    return f"""tc camera calibration v0.3
-camera\t0\tCamera
-\tframe\t0
-\t\tsensorSize\t {width:.9f} {height:.9f}\t# in mm
-\t\tfocalLength\t {k[0, 0]:.9f}\t# in mm
-\t\tpixelAspect\t {k[1, 1] / k[0, 0]:.9f}\t# y / x
-\t\tcenterOffset\t {k[0, 2] - width / 2:.9f} {k[1, 2] - height / 2:.9f}\t# in mm
-\t\torigin\t{line(origin)}
-\t\tup\t{line(-down)}
-\t\tright\t{line(right)}
-"""
-
-
 @pytest.mark.parametrize("kind", ["qualisys", "captury"])
 def test_written_cameras_project_as_before(tmp_path, kind):
-    camera, path = some_camera(), tmp_path / "camera"
+    camera, path = seeds.camera(), tmp_path / "camera"
     if kind == "qualisys":
-        path.write_text(qualisys_text(camera))
+        path.write_text(seeds.qualisys_text())
         loaded = calibration.load_qualisys(path)["cam_01"]
     else:
-        path.write_text(captury_text(camera))
+        path.write_text(seeds.captury_text())
         (loaded,) = calibration.load_captury(path, width=1920)
     points = torch.rand(50, 3, generator=torch.Generator().manual_seed(0)) + torch.tensor([-0.5, -0.5, 0.0])
     torch.testing.assert_close(project(loaded, points)[0], project(camera, points)[0], atol=0.01, rtol=0)

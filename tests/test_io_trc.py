@@ -4,20 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from seeds import trc_text as table
 
 from motionlab.errors import DataError, ShapeError
 from motionlab.io import trc
 from motionlab.io.positions import axes_to_matrix
-
-HEAD = "PathFileType\t4\t(X/Y/Z)\tfile.trc"
-KEYS = "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames"
-
-
-def table(rows: list[str], names=("A", "B"), unit="mm", rate="60.0") -> str:
-    values = f"{rate}\t{rate}\t{len(rows)}\t{len(names)}\t{unit}\t{rate}\t1\t{len(rows)}"
-    labels = "Frame#\tTime\t" + "".join(f"{name}\t\t\t" for name in names)
-    columns = "\t\t" + "\t".join(f"{axis}{n + 1}" for n in range(len(names)) for axis in "XYZ")
-    return "\n".join([HEAD, KEYS, values, labels, columns, *rows]) + "\n"
 
 
 def test_units_rate_and_axes(tmp_path):

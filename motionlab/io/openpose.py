@@ -50,14 +50,19 @@ def load(
     with reading(folder, "point at a folder with one OpenPose JSON file per frame of one camera") as at:
         frames, first = _frames(at)
         rate = frame_rate(at, fps, "fps")
-        counts = {people.shape[1] for people in frames if len(people)}
-        if len(counts) != 1:
-            raise at.error(f"expected people of one number of keypoints, got {sorted(counts) or 'nobody'}")
+        seen = {first + n: people.shape[1] for n, people in enumerate(frames) if len(people)}
+        if not seen:
+            raise at.error("nobody in any frame")
+        count = next(iter(seen.values()))
+        if other := next((n for n in seen if seen[n] != count), None):
+            raise at.error(
+                f"expected {count} keypoints as in the frames before, got {seen[other]}", place=f"frame {other}"
+            )
         layout = layout or detect_layout(np.concatenate([people for people in frames if len(people)]))
         names = LAYOUTS.get(layout or "", ())
-        if len(names) != next(iter(counts)):
+        if len(names) != count:
             message = f"layout {layout} does not fit" if layout else "the layout cannot be told from"
-            raise at.error(f"{message} {counts.pop()} keypoints", remedy=f"pass layout= one of {', '.join(LAYOUTS)}")
+            raise at.error(f"{message} {count} keypoints", remedy=f"pass layout= one of {', '.join(LAYOUTS)}")
         if max(len(people) for people in frames) == 1 and person in ("longest", "largest", 0):
             chosen = [(frame, 0) for frame, people in enumerate(frames) if len(people)]
         else:

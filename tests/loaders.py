@@ -1,0 +1,82 @@
+"""One way to call every loader on one file, and what to ask of its result or its error."""
+
+from pathlib import Path
+
+import seeds
+import torch
+
+from motionlab.body import BodyModel
+from motionlab.errors import DataError
+from motionlab.io import amass, amp, anidance, asf, bvh, c3d, calibration, captury, deepmimic, gltf, openpose, smpl, trc
+from motionlab.io.positions import Positions
+from motionlab.motion import Motion
+from motionlab.observation import Camera, Observation2D
+
+
+def load_asf(path: Path):
+    other = path.with_name("whole.amc")
+    other.write_bytes(seeds.SEEDS[".amc"])
+    return asf.load(path, other)
+
+
+def load_amc(path: Path):
+    other = path.with_name("whole.asf")
+    other.write_bytes(seeds.SEEDS[".asf"])
+    return asf.load(other, path)
+
+
+def load_openpose(path: Path):
+    """The file as frame 7 of a folder of its own; frame 8 is whole."""
+    folder = path.with_name("frames")
+    folder.mkdir(exist_ok=True)
+    for old in folder.iterdir():
+        old.unlink()
+    if path.is_file():
+        (folder / "bad_7_keypoints.json").write_bytes(path.read_bytes())
+    (folder / "bad_8_keypoints.json").write_bytes(seeds.SEEDS["openpose.json"])
+    return openpose.load(folder, fps=30)
+
+
+LOADERS = {
+    ".bvh": bvh.load,
+    ".asf": load_asf,
+    ".amc": load_amc,
+    "deepmimic.txt": deepmimic.load,
+    "amp.npz": amp.load,
+    "amass.npz": amass.load,
+    "anidance.npz": anidance.load,
+    "smpl.npz": smpl.load,
+    "smpl.pkl": smpl.load,
+    "openpose.json": load_openpose,
+    ".trc": trc.load,
+    ".c3d": c3d.load,
+    "qualisys.xml": calibration.load_qualisys,
+    "captury.calib": lambda path: calibration.load_captury(path, width=1920),
+    "biomech.csv": lambda path: captury.load_biomech(path, fps=50),
+    "projected.csv": lambda path: captury.load_projected(path, camera=seeds.camera(), fps=50),
+    ".glb": gltf.load,
+}
+
+
+def numbers_of(value) -> list[torch.Tensor]:
+    """Every tensor that a loaded value gives."""
+    if isinstance(value, Motion):
+        return [value.positions, value.world[1]]
+    if isinstance(value, Positions):
+        return [value.positions]
+    if isinstance(value, Observation2D):
+        return [value.keypoints, value.confidence]
+    if isinstance(value, BodyModel):
+        return [value.template, value.joints, value.weights, value.shape_directions, value.skeleton.offsets]
+    cameras = value.values() if isinstance(value, dict) else value if isinstance(value, list) else [value]
+    assert all(isinstance(camera, Camera) for camera in cameras) and cameras
+    return [t for camera in cameras for t in (camera.intrinsics, camera.rotation, camera.translation)]
+
+
+def check_error(error: DataError, *words: str) -> None:
+    """The message names the file, a place in it and a remedy."""
+    assert error.path and error.place and error.remedy
+    text = str(error)
+    assert all(str(part) in text for part in (error.path, error.place, error.remedy))
+    for word in words:
+        assert word in text

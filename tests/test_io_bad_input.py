@@ -1,0 +1,282 @@
+"""Files that are wrong: every loader answers with a DataError that names file, place and remedy."""
+
+import json
+import pickle
+import re
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import seeds
+from loaders import LOADERS, check_error, numbers_of
+
+from motionlab import io
+from motionlab.errors import DataError
+from motionlab.io import amass, npz, openpose
+
+
+@pytest.mark.parametrize("kind", seeds.SEEDS)
+def test_the_seed_itself_is_valid(tmp_path, kind):
+    path = tmp_path / f"seed{kind}"
+    path.write_bytes(seeds.SEEDS[kind])
+    assert all(tensor.isfinite().all() for tensor in numbers_of(LOADERS[kind](path)))
+
+
+GARBAGE = np.random.default_rng(0).integers(0, 256, 3000, dtype=np.uint8).tobytes()
+WHOLE = {
+    "empty": lambda data: b"",
+    "blank": lambda data: b"\n \n",
+    "binary garbage": lambda data: GARBAGE,
+    "zero bytes": lambda data: b"\0" * len(data),
+    "cut after a third": lambda data: data[: len(data) // 3],
+    "not this format": lambda data: b"<html><body>404 Not Found</body></html>",
+    "a zip of nothing": lambda data: b"PK\x05\x06" + b"\0" * 18,
+}
+
+
+@pytest.mark.parametrize("how", WHOLE)
+@pytest.mark.parametrize("kind", seeds.SEEDS)
+def test_files_that_are_no_such_files(tmp_path, kind, how):
+    path = tmp_path / f"bad{kind}"
+    path.write_bytes(WHOLE[how](seeds.SEEDS[kind]))
+    with pytest.raises(DataError) as caught:
+        LOADERS[kind](path)
+    check_error(caught.value, "bad")
+
+
+@pytest.mark.parametrize("kind", [kind for kind in seeds.SEEDS if kind != "openpose.json"])
+def test_nothing_there_or_a_folder(tmp_path, kind):
+    with pytest.raises(DataError) as caught:
+        LOADERS[kind](tmp_path / f"none{kind}")
+    check_error(caught.value, "none", "no such file")
+    with pytest.raises(DataError) as caught:
+        LOADERS[kind](tmp_path)
+    check_error(caught.value, str(tmp_path))
+
+
+def text(kind: str, old: str, new: str, count: int = 1) -> bytes:
+    """The seed with a text replaced; the pattern must be there."""
+    changed, times = re.subn(old, new, seeds.SEEDS[kind].decode(), count=count, flags=re.MULTILINE)
+    assert times, f"{old!r} is not in the seed of {kind}"
+    return changed.encode()
+
+
+def archive(arrays: dict, **changes) -> bytes:
+    """An npz with arrays changed, or dropped where the new value is None."""
+    return seeds.npz(**{key: value for key, value in (arrays | changes).items() if value is not None})
+
+
+def with_nan(array: np.ndarray) -> np.ndarray:
+    array = array.astype(float).copy()
+    array.flat[array.size // 2] = np.nan
+    return array
+
+
+def deepmimic_frames(change) -> bytes:
+    document = json.loads(seeds.deepmimic_text())
+    change(document)
+    return json.dumps(document).encode()
+
+
+def people(*flats) -> bytes:
+    return json.dumps({"people": [{"pose_keypoints_2d": flat} for flat in flats]}).encode()
+
+
+AMASS, AMP, DANCE, SMPL = seeds.amass_arrays(), seeds.amp_arrays(), seeds.anidance_arrays(), seeds.smpl_arrays()
+POSES = AMASS["poses"]
+#: name -> (kind, file, words that the message must hold)
+MALFORMED: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
+    "bvh: a row too short": (".bvh", seeds.SEEDS[".bvh"].rstrip().rsplit(None, 1)[0], ("line",)),
+    "bvh: more frames promised": (".bvh", text(".bvh", r"Frames:\s*4", "Frames: 5"), ("5",)),
+    "bvh: absurdly many frames": (".bvh", text(".bvh", r"Frames:\s*4", "Frames: 1000000000000"), ()),
+    "bvh: no frames": (".bvh", text(".bvh", r"Frames:\s*4", "Frames: 0"), ("line",)),
+    "bvh: negative frame time": (".bvh", text(".bvh", r"Frame Time:\s*\S+", "Frame Time: -0.033"), ("line",)),
+    "bvh: frame time zero": (".bvh", text(".bvh", r"Frame Time:\s*\S+", "Frame Time: 0"), ("line",)),
+    "bvh: a NaN": (".bvh", re.sub(rb"\S+\s*$", b"nan\n", seeds.SEEDS[".bvh"]), ("line",)),
+    "bvh: a word for a number": (".bvh", re.sub(rb"\S+\s*$", b"left\n", seeds.SEEDS[".bvh"]), ("line",)),
+    "bvh: unknown channel": (".bvh", text(".bvh", "Zrotation", "Wrotation"), ("line",)),
+    "bvh: channel count wrong": (".bvh", text(".bvh", "CHANNELS 6", "CHANNELS 5"), ("line",)),
+    "bvh: offset of two": (".bvh", text(".bvh", r"OFFSET (\S+) (\S+) \S+$", r"OFFSET \1 \2"), ("line",)),
+    "bvh: a joint twice": (".bvh", text(".bvh", "JOINT right_hip", "JOINT left_hip"), ("left_hip",)),
+    "bvh: braces open": (".bvh", text(".bvh", r"^\s*\}\s*$", "", count=1), ("line",)),
+    "asf: unknown parent": (".asf", text(".asf", "lhip lfemur", "hip lfemur"), ("line",)),
+    "asf: bone never placed": (".asf", text(".asf", "root lhip spine", "root lhip"), ()),
+    "asf: direction of two": (".asf", text(".asf", "direction 0 1 0", "direction 0 1"), ("line",)),
+    "asf: negative length unit": (".asf", text(".asf", r"length 0\.45", "length -0.45"), ()),
+    "asf: no hierarchy": (".asf", seeds.SEEDS[".asf"].split(b":hierarchy")[0], ()),
+    "amc: unknown bone": (".amc", text(".amc", "ltibia", "tail"), ("tail",)),
+    "amc: too few angles": (".amc", text(".amc", r"lfemur 10 -5 \S+", "lfemur 10"), ("line",)),
+    "amc: a NaN": (".amc", text(".amc", "ltibia 20", "ltibia nan"), ("frames",)),
+    "amc: no frames": (".amc", seeds.SEEDS[".amc"].split(b"1\n")[0], ()),
+    "amc: a bone left out": (".amc", text(".amc", r"ltibia 20\n", "", count=1), ("ltibia",)),
+    "deepmimic: no frames": ("deepmimic.txt", deepmimic_frames(lambda d: d.update(Frames=[])), ()),
+    "deepmimic: frames missing": ("deepmimic.txt", deepmimic_frames(lambda d: d.pop("Frames")), ("Frames",)),
+    "deepmimic: 43 numbers": ("deepmimic.txt", deepmimic_frames(lambda d: d["Frames"][2].pop()), ()),
+    "deepmimic: negative duration": (
+        "deepmimic.txt", deepmimic_frames(lambda d: [f.__setitem__(0, -0.03) for f in d["Frames"]]), (),
+    ),
+    "deepmimic: no rotation": (
+        "deepmimic.txt", deepmimic_frames(lambda d: d["Frames"][1].__setitem__(slice(4, 8), [0, 0, 0, 0])), (),
+    ),
+    "deepmimic: NaN": ("deepmimic.txt", text("deepmimic.txt", r"0\.9", "NaN"), ("NaN",)),
+    "deepmimic: nested without end": ("deepmimic.txt", b'{"Frames": ' + b"[" * 100_000, ()),
+    "amp: a parent after its child": ("amp.npz", archive(AMP, parent_indices=np.array([-1, 2, 1])), ("parent",)),
+    "amp: names missing": ("amp.npz", archive(AMP, node_names=None), ("node_names",)),
+    "amp: one joint fewer": ("amp.npz", archive(AMP, local_translation=np.zeros((2, 3))), ("local_translation",)),
+    "amp: no rotation": ("amp.npz", archive(AMP, local_or_global_rotation_xyzw=np.zeros((4, 3, 4))), ()),
+    "amp: fps of zero": ("amp.npz", archive(AMP, fps=np.array(0)), ("fps",)),
+    "amass: 155 columns": ("amass.npz", archive(AMASS, poses=POSES[:, :155]), ("poses", "155")),
+    "amass: trans too short": ("amass.npz", archive(AMASS, trans=np.zeros((3, 3))), ("trans",)),
+    "amass: trans missing": ("amass.npz", archive(AMASS, trans=None), ("trans",)),
+    "amass: no frame rate": ("amass.npz", archive(AMASS, mocap_framerate=None), ("mocap_framerate",)),
+    "amass: negative frame rate": ("amass.npz", archive(AMASS, mocap_framerate=np.array(-30.0)), ("-30",)),
+    "amass: two frame rates": ("amass.npz", archive(AMASS, mocap_framerate=np.array([30.0, 60.0])), ("frame",)),
+    "amass: NaN": ("amass.npz", archive(AMASS, poses=with_nan(POSES)), ("poses", "nan")),
+    "amass: zero frames": ("amass.npz", archive(AMASS, poses=POSES[:0], trans=np.zeros((0, 3))), ("poses",)),
+    "amass: text for numbers": ("amass.npz", archive(AMASS, trans=np.full((4, 3), "x")), ("trans",)),
+    "amass: complex numbers": ("amass.npz", archive(AMASS, poses=POSES + 1j), ("poses",)),
+    "amass: body without root": (
+        "amass.npz", archive(AMASS, poses=None, pose_body=POSES[:, 3:66]), ("root_orient",),
+    ),
+    "amass: a pickled object": ("amass.npz", archive(AMASS, poses=np.array([{}], dtype=object)), ("pickled",)),
+    "anidance: 23 points": ("anidance.npz", archive(DANCE, positions_cm=np.zeros((4, 23, 3))), ("positions_cm",)),
+    "anidance: infinite": (
+        "anidance.npz", archive(DANCE, positions_cm=DANCE["positions_cm"] * np.inf), ("positions_cm",),
+    ),
+    "anidance: fps missing": ("anidance.npz", archive(DANCE, fps=None), ("fps",)),
+    "smpl: weights of another body": ("smpl.npz", archive(SMPL, weights=SMPL["weights"][:-1]), ("weights",)),
+    "smpl: weights do not sum to one": ("smpl.npz", archive(SMPL, weights=SMPL["weights"] * 2), ("weights",)),
+    "smpl: a face of no vertex": ("smpl.npz", archive(SMPL, f=SMPL["f"] + 40), ("f",)),
+    "smpl: another tree": ("smpl.npz", archive(SMPL, kintree_table=SMPL["kintree_table"][:, ::-1]), ("kintree",)),
+    "smpl: 20 joints": ("smpl.npz", archive(SMPL, kintree_table=SMPL["kintree_table"][:, :20]), ("kintree",)),
+    "smpl: NaN": ("smpl.npz", archive(SMPL, v_template=with_nan(SMPL["v_template"])), ("v_template",)),
+    "smpl: regressor missing": ("smpl.npz", archive(SMPL, J_regressor=None), ("J_regressor",)),
+    "smpl: pickle of a list": ("smpl.pkl", pickle.dumps([1, 2, 3], protocol=2), ()),
+    "smpl: pickle that refers to itself": ("smpl.pkl", b"\x80\x02]q\x00h\x00a.", ()),
+    "openpose: no people": ("openpose.json", b'{"version": 1.3}', ("people",)),
+    "openpose: people is a number": ("openpose.json", b'{"people": 3}', ("people",)),
+    "openpose: a list": ("openpose.json", b"[]", ("people",)),
+    "openpose: 53 numbers": ("openpose.json", people([1.0] * 53), ("person 0",)),
+    "openpose: people of two layouts": ("openpose.json", people([1.0] * 54, [1.0] * 75), ("different",)),
+    "openpose: other layout than the next frame": ("openpose.json", people([1.0] * 75), ("frame 8",)),
+    "openpose: a text": ("openpose.json", people(["a"] * 54), ("person 0",)),
+    "openpose: NaN": ("openpose.json", people([float("nan")] * 54), ("NaN",)),
+    "openpose: 1e400": ("openpose.json", people([1.0] * 53 + [0]).replace(b" 0]", b" 1e400]"), ("person 0",)),
+    "trc: a coordinate short": (".trc", text(".trc", r"\t-2\t0$", ""), ("line 6",)),
+    "trc: fewer frames": (".trc", text(".trc", "60.0\t60.0\t4", "60.0\t60.0\t9"), ("NumFrames",)),
+    "trc: more markers": (".trc", text(".trc", "\t2\tmm", "\t3\tmm"), ("NumMarkers",)),
+    "trc: rate zero": (".trc", text(".trc", "^60.0", "0"), ("DataRate",)),
+    "trc: rate negative": (".trc", text(".trc", "^60.0", "-60"), ("DataRate",)),
+    "trc: a word": (".trc", text(".trc", "300", "left"), ("line 6",)),
+    "trc: unit unknown": (".trc", text(".trc", "mm", "px"), ("px",)),
+    "c3d: other processor": (".c3d", seeds.SEEDS[".c3d"].replace(b"\1\x50\1\x54", b"\1\x50\1\x55"), ("85",)),
+    "c3d: more frames": (".c3d", seeds.c3d_bytes(np.zeros((80, 2, 4), "<i2"))[:1536], ("80 frames",)),
+    "c3d: no frames": (".c3d", seeds.c3d_bytes(np.zeros((0, 2, 4), "<i2")), ("3-D data",)),
+    "c3d: unit unknown": (".c3d", seeds.SEEDS[".c3d"].replace(b"mm", b"ft"), ("UNITS",)),
+    "c3d: rate negative": (".c3d", seeds.SEEDS[".c3d"].replace(b"\x00\x00\xc8\x41", b"\x00\x00\xc8\xc1"), ("RATE",)),
+    "c3d: labels of one name": (".c3d", seeds.SEEDS[".c3d"].replace(b"BB  ", b"A   "), ("LABELS",)),
+    "qualisys: not a rotation": ("qualisys.xml", text("qualisys.xml", r'r11="[^"]*"', 'r11="3"'), ("cam_01",)),
+    "qualisys: a focal length missing": ("qualisys.xml", text("qualisys.xml", "focalLengthU", "fx"), ("focalLengthU",)),
+    "qualisys: entities": (
+        "qualisys.xml", text("qualisys.xml", "<calibration>", '<!DOCTYPE a [<!ENTITY b "c">]><calibration>'), (),
+    ),
+    "captury: sensor of zero": ("captury.calib", text("captury.calib", r"10\.0{9}", "0.0"), ("sensorSize",)),
+    "captury: no right": ("captury.calib", text("captury.calib", "\tright", "\tleft"), ("right",)),
+    "captury: NaN": ("captury.calib", text("captury.calib", r"focalLength\t \S+", "focalLength\t nan"), ("focal",)),
+    "biomech: a row short": ("biomech.csv", text("biomech.csv", ";4;5;6.*", ""), ("line 6",)),
+    "biomech: fewer frames": ("biomech.csv", text("biomech.csv", "Frames;4", "Frames;9"), ("9",)),
+    "biomech: negative frames": ("biomech.csv", text("biomech.csv", "Frames;4", "Frames;-4"), ("-4",)),
+    "projected: a joint twice": ("projected.csv", text("projected.csv", "Hips", "Head"), ("line 1",)),
+    "projected: infinite": ("projected.csv", text("projected.csv", r"0\.25", "inf"), ("table",)),
+    "glb: absurd length": (".glb", seeds.SEEDS[".glb"][:8] + b"\xff" * 4 + seeds.SEEDS[".glb"][12:], ()),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MALFORMED)
+def test_malformed_files_say_what_where_and_what_to_do(tmp_path, name):
+    kind, data, words = MALFORMED[name]
+    path = tmp_path / f"bad{kind}"
+    path.write_bytes(data)
+    with pytest.raises(DataError) as caught:
+        LOADERS[kind](path)
+    check_error(caught.value, *words)
+
+
+@pytest.mark.parametrize("fps", [0, -30, float("nan"), float("inf"), None, "30"])
+def test_frame_rates_from_callers_are_checked(tmp_path, fps):
+    path = tmp_path / "0.json"
+    path.write_bytes(seeds.SEEDS["openpose.json"])
+    with pytest.raises(DataError, match="frames per second"):
+        openpose.load(tmp_path, fps=fps)
+
+
+def test_openpose_folders_that_are_none(tmp_path):
+    for folder, words in ((tmp_path, "no numbered JSON"), (tmp_path / "none", "no such folder")):
+        with pytest.raises(DataError, match=words) as caught:
+            openpose.load(folder, fps=30)
+        check_error(caught.value)
+    (tmp_path / "a1.json").write_text('{"people": []}')
+    with pytest.raises(DataError, match="nobody"):
+        openpose.load(tmp_path, fps=30)
+    (tmp_path / "a01.json").write_text('{"people": []}')
+    with pytest.raises(DataError, match="same frame number"):
+        openpose.load(tmp_path, fps=30)
+    (tmp_path / "a01.json").rename(tmp_path / "a999999999999.json")
+    with pytest.raises(DataError, match="stray"):
+        openpose.load(tmp_path, fps=30)
+    with pytest.raises(DataError, match="expected a folder"):
+        openpose.load(tmp_path / "a1.json", fps=30)
+
+
+class Hostile:
+    """Unpickling this writes a file."""
+
+    def __init__(self, canary: Path) -> None:
+        self.canary = canary
+
+    def __reduce__(self):
+        return Path.touch, (self.canary,)
+
+
+@pytest.fixture
+def canary(tmp_path):
+    """A file that must not appear; the pickle that would make it does so when it is really loaded."""
+    sure = tmp_path / "sure"
+    pickle.loads(pickle.dumps(Hostile(sure)))
+    assert sure.exists()
+    yield tmp_path / "canary"
+    assert not (tmp_path / "canary").exists()
+
+
+@pytest.mark.parametrize("kind", seeds.SEEDS)
+@pytest.mark.parametrize("protocol", [0, 2, 5])
+def test_pickles_are_never_executed(tmp_path, canary, kind, protocol):
+    path = tmp_path / f"bad{kind}"
+    for thing in (Hostile(canary), {"v_template": Hostile(canary)}, {**SMPL, "weights": Hostile(canary)}):
+        path.write_bytes(pickle.dumps(thing, protocol=protocol))
+        with pytest.raises(DataError) as caught:
+            LOADERS[kind](path)
+        check_error(caught.value, "bad")
+
+
+@pytest.mark.parametrize("kind", ["amp.npz", "amass.npz", "anidance.npz", "smpl.npz"])
+def test_objects_in_archives_are_never_unpickled(tmp_path, canary, kind):
+    whole = {"amp.npz": AMP, "amass.npz": AMASS, "anidance.npz": DANCE, "smpl.npz": SMPL}[kind]
+    path = tmp_path / f"bad{kind}"
+    for key in whole:
+        path.write_bytes(archive(whole, **{key: np.array([Hostile(canary)], dtype=object)}))
+        for loader in (LOADERS[kind], npz.load, io.load):
+            with pytest.raises(DataError):
+                loader(path)
+
+
+def test_archives_that_promise_too_much(tmp_path):
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 66), }".ljust(117) + b"\n"
+    member = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + b"\0" * 80
+    path = tmp_path / "bad.npz"
+    with zipfile.ZipFile(path, "w") as target:
+        target.writestr("poses.npy", member)
+    with pytest.raises(DataError, match="promises shape") as caught:
+        amass.load(path)
+    check_error(caught.value, "poses")
