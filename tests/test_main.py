@@ -7,10 +7,14 @@ import sys
 
 import nbformat
 import pytest
+import torch
 
 from motionlab import __main__, doctor, execute, findings, report
 from motionlab.doctor import Check
 from motionlab.errors import DataError, MissingData
+from motionlab.io import bvh, load
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, UPRIGHT
 
 
 def notebook(*sources, **metadata):
@@ -163,6 +167,23 @@ def test_input_that_cannot_be_used_is_one_line_and_status_2(tmp_path):
     command = [sys.executable, "-m", "motionlab", "convert", bad, tmp_path / "walk.glb"]
     run = subprocess.run(command, capture_output=True, text=True)
     assert run.returncode == 2 and "walk.bvh" in run.stderr and "Traceback" not in run.stderr
+
+
+@pytest.mark.parametrize("flags", [("a.bvh",), ("a.npz", "--fps", "15"), ("a.glb",), ("a.glb", "--standard")])
+def test_convert_writes_what_load_reads(tmp_path, flags):
+    still = torch.eye(3).expand(8, 22, 3, 3)
+    root = torch.tensor([0.0, 0.0, 1.0]) + torch.linspace(0, 1, 8)[:, None] * torch.tensor([0.0, 1.0, 0.0])
+    rot = torch.cat((UPRIGHT.expand(8, 1, 3, 3), still[:, 1:]), 1)
+    source = tmp_path / "walk.bvh"
+    bvh.save(source, Motion(STANDARD, root, rot, 30.0))
+    target = tmp_path / flags[0]
+    assert __main__.main(["convert", str(source), str(target), *flags[1:]]) == 0
+    if target.suffix != ".glb":
+        back = load(target)
+        assert back.fps == (15 if "--fps" in flags else 30)
+        assert (back.root[-1] - back.root[0])[1].item() == pytest.approx(1, abs=0.15)
+    else:
+        assert target.read_bytes()[:4] == b"glTF"
 
 
 def test_unknown_output_format_is_refused(tmp_path, capsys):
