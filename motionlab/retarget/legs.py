@@ -8,18 +8,21 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.motion import Motion, velocity
+from motionlab.contact import contacts_from_positions
+from motionlab.motion import Motion
 from motionlab.skeleton import fk
 
 
-def resting(points: Tensor, fps: float, *, near: float = 0.04, slow: float = 0.20) -> Tensor:
+def resting(points: Tensor, fps: float) -> Tensor:
     """Where points (T, F, 3) rest on the floor: (T, F) bool.
 
-    A point rests when it is less than ``near`` metres above its own low (2 % of its heights are lower)
-    and moves slower than ``slow`` metres per second.
+    The project's contacts (:func:`motionlab.contact.contacts_from_positions`), with each point's own low
+    (2 % of its heights are lower) as its height on the floor: a file's floor need not be at 0.
     """
+    if len(points) < 2:
+        return torch.zeros_like(points[..., 2], dtype=torch.bool)
     low = torch.quantile(points[..., 2], 0.02, dim=0)
-    return (points[..., 2] < low + near) & (velocity(points, fps, dim=0).norm(dim=-1) < slow)
+    return contacts_from_positions(points, fps, low) > 0
 
 
 def skate(points: Tensor, rests: Tensor) -> float:

@@ -76,7 +76,8 @@ def retarget(
     if not length > 0:
         raise DataError("legs of no length", path=motion.name, place="rest pose", remedy="check the offsets")
     scale = leg / length if leg else 1.0
-    standing = STANDARD.to(torch.float64).scaled(scale * length / _leg_length_of(STANDARD))
+    standing = STANDARD.to(torch.float64)
+    standing = standing.scaled(scale * length / _leg_length_of(standing))
     correction = _corrections(body)
     positions, world = source.world
     where = {name: scale * positions[:, j] for name, j in body.joints.items()}
