@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import pickle
+import pickletools
 import re
 from pathlib import Path
 
@@ -209,6 +210,9 @@ def _latin1(text, encoding="latin1"):
 
 
 def _unpickle(at: Spot, data: bytes, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
+    at.place = "pickle"
+    for _ in pickletools.genops(data):
+        pass  # a first reading: promised lengths are compared with what is there before memory is asked for
     tree = _Reader(at, data).load()
     if not isinstance(tree, dict):
         raise at.error(f"holds a {type(tree).__name__}, expected a dictionary of arrays", place="pickle")
