@@ -173,9 +173,9 @@ def qualisys_text() -> str:
 
 
 def captury_text() -> str:
-    """The same camera in Captury's words: y up, (x, y, z)_file = (-x, z, y)_world, millimetres."""
+    """The same camera in Captury's words: y up, (x, y, z)_file = (x, z, -y)_world, millimetres."""
     c = camera()
-    turn = np.array([[-1.0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
     right, down, _ = c.rotation.double().numpy() @ turn.T
     width, height = 10.0, 10.0 * c.height / c.width
     k = c.intrinsics.double().numpy() * width / c.width

@@ -7,7 +7,7 @@ import pytest
 import seeds
 import torch
 
-from motionlab.io import calibration, captury, openpose, trc
+from motionlab.io import c3d, calibration, captury, openpose, trc
 from motionlab.observation import Camera, project
 
 needs_data = pytest.mark.skipif(
@@ -41,6 +41,15 @@ def test_captury_joints_fall_on_captury_projections():
             there = seen.keypoints[:, [seen.index(name) for name in pairs.values()]]
             assert (depth > 0).all() and seen.visible.all()
             assert (pixels - there).norm(dim=-1).max() < 0.01
+
+
+@needs_data
+def test_captury_tables_and_c3d_share_a_world():
+    for take in sorted((Path(os.environ["MOTIONLAB_DATA"]) / "captury_falls").glob("video*")):
+        joints, markers = captury.load_biomech(take / "biomech.csv", fps=50), c3d.load(take / "mocap.c3d")
+        for side in "LR":
+            middle = markers.select([f"Q_{side}KneeIn", f"Q_{side}KneeOut"]).positions.mean(1)
+            assert (middle - joints.select([f"{side}Knee"]).positions[:, 0]).norm(dim=-1).median() < 0.015
 
 
 PAIRS = {f"{s}{part}": f"{side}_{part.lower()}" for s, side in (("L", "left"), ("R", "right"))

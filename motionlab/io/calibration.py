@@ -70,8 +70,8 @@ def _qualisys_camera(at: Spot, fov_video: dict, transform: dict, intrinsic: dict
 def load_captury(path: str | Path, *, width: int) -> list[Camera]:
     """Cameras of a Captury camera.calib in file order, metres, z up.
 
-    Turned from the file's y-up world into that of Captury's C3D and biomechanics files: (-x, z, y), the one of
-    all 24 choices that projects their joints onto Captury's own projections.
+    Turned from the file's y-up world into that of Captury's C3D files, z up: (x, -z, y). There its joints
+    project onto Captury's own projections.
 
     Args:
         width: image width in pixels. The file has only the sensor in millimetres; the height follows from it.
@@ -110,8 +110,8 @@ def _captury_camera(at: Spot, block: str, width: int) -> Camera:
     centre = (sensor / 2 + read("centerOffset", 2)) * pixels
     right, up = read("right", 3), read("up", 3)
     rows = torch.stack((right, -up, torch.linalg.cross(right, -up)))
-    rotation = _rotation(at, rows) @ axes_to_matrix("-xzy").T
-    position = axes_to_matrix("-xzy") @ read("origin", 3) / 1000
+    rotation = _rotation(at, rows) @ axes_to_matrix("x-zy").T
+    position = axes_to_matrix("x-zy") @ read("origin", 3) / 1000
     return _camera(at, focal, centre, rotation, -rotation @ position, width, round(float(sensor[1] * pixels)))
 
 

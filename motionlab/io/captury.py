@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from motionlab.io.positions import Positions
+from motionlab.io.positions import Positions, axes_to_matrix
 from motionlab.io.reading import Spot, frame_rate, numbers, read_text, reading
 from motionlab.observation import Camera, Observation2D
 
@@ -15,7 +15,10 @@ WIDTHS = {"Position": 3, "Positions": 3, "CenterOfGravity": 3, "Angles": 4}
 
 
 def load_biomech(path: str | Path, *, fps: float) -> Positions:
-    """Joint positions of a biomechanics table in metres, z up as in the file.
+    """Joint positions of a biomechanics table in metres, z up.
+
+    Turned half about the vertical, into the world of the C3D file of the same take (x and y change sign there):
+    a knee is then the middle of its two markers.
 
     The columns are counted off by the groups of line 3: the lines below it name only a part of them. The
     ``Angles`` columns are left out: some hold quaternions, some degrees, and the file does not say which.
@@ -48,6 +51,7 @@ def load_biomech(path: str | Path, *, fps: float) -> Positions:
         table = torch.tensor([_floats(at, row, 3, column, line) for line, row in enumerate(body, start=6)])
         picks = torch.tensor(list(starts.values()))[:, None] - 3 + torch.arange(3)
         world = torch.from_numpy(numbers(at, table[:, picks].numpy(), f"T {len(starts)} 3", "table")) / 1000
+        world = world @ axes_to_matrix("-x-yz").T
         valid = torch.ones(world.shape[:2], dtype=torch.bool)
         return Positions(tuple(starts), world.float(), valid, frame_rate(at, fps, "fps"), at.path.parent.name)
 
