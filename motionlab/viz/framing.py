@@ -7,17 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyvista as pv
 
-from motionlab.motion import Motion
-from motionlab.viz import view
-from motionlab.viz.shapes import array
-
-
-def left_of(motion: Motion) -> np.ndarray | None:
-    """From the right hip to the left one at the start (3,), or None for a skeleton without these names."""
-    if not {"left_hip", "right_hip"} <= set(motion.skeleton.names):
-        return None
-    left, right = motion.skeleton.indices(["left_hip", "right_hip"])
-    return array(motion.positions[0, left] - motion.positions[0, right])
+from motionlab.viz import view, viewpoint
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,23 +56,23 @@ def frame(
     """
     paths = [[path for path, _ in panel] for panel in seen]
     moving = [max(panel, key=lambda entry: len(entry[0]), default=(np.zeros((1, 1, 3)), 1.0)) for panel in seen]
-    azimuth = view.good_azimuth(moving[0][0][:, 0], left, aspect) if azimuth is None else azimuth
-    towards = view.direction(azimuth, elevation)
+    azimuth = viewpoint.good_azimuth(moving[0][0][:, 0], left, aspect) if azimuth is None else azimuth
+    towards = viewpoint.direction(azimuth, elevation)
     tracks = []
     if follow:
-        tracks = [(view.steady(path[:, 0], fps), fps) for path, fps in moving]
+        tracks = [(viewpoint.steady(path[:, 0], fps), fps) for path, fps in moving]
         local = [[path[: len(t)] - t[: len(path), None]] for (path, _), (t, _) in zip(moving, tracks, strict=True)]
     else:
         local = paths
-    fits = [view.fit(view.around(panel, 0.13), towards, aspect, headroom, footroom) for panel in local]
+    fits = [viewpoint.fit(viewpoint.around(panel, 0.13), towards, aspect, headroom, footroom) for panel in local]
     distance = max(d for _, d in fits)
     targets = [target for target, _ in fits]
-    together, far = view.fit(
-        view.around([p for panel in local for p in panel], 0.13), towards, aspect, headroom, footroom
+    together, far = viewpoint.fit(
+        viewpoint.around([p for panel in local for p in panel], 0.13), towards, aspect, headroom, footroom
     )
     if follow or far < 1.4 * distance:
         distance, targets = far, [together] * len(seen)
-    floors = [view.around(panel, 0.0)[:, :2] for panel in paths]
+    floors = [viewpoint.around(panel, 0.0)[:, :2] for panel in paths]
     centres = [(floor.min(0) + floor.max(0)) / 2 for floor in floors]
     reach = [np.ptp(floor, axis=0).max() / 2 for floor in floors]
     radii = [min(float(r + max(4.0, 0.9 * distance)), 40.0) for r in reach]

@@ -14,7 +14,7 @@ import torch
 from motionlab.body import BodyModel
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
-from motionlab.viz import framing, gif, shapes, view
+from motionlab.viz import gif, shapes, viewpoint
 from motionlab.viz.figures import single
 from motionlab.viz.palette import ROLE
 from motionlab.viz.scene import Scene
@@ -151,7 +151,7 @@ def strip(
     """
     frames = np.linspace(0, single(motion).frames - 1, n).round().astype(int)
     if azimuth is None:
-        azimuth = view.good_azimuth(shapes.array(motion.root), framing.left_of(motion), size[0] / size[1])
+        azimuth = viewpoint.good_azimuth(shapes.array(motion.root), viewpoint.left_of(motion), size[0] / size[1])
     turn = np.radians(azimuth)
     towards, right = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
     with Scene(size, azimuth=azimuth, elevation=6.0, footroom=0.13) as scene:

@@ -23,7 +23,7 @@ render.prepare()
 
 import pyvista as pv  # noqa: E402  the window is chosen before VTK loads
 
-from motionlab.viz import figures, framing, ground, shapes, view  # noqa: E402
+from motionlab.viz import figures, framing, ground, shapes, view, viewpoint  # noqa: E402
 from motionlab.viz.palette import INK, LINE, PAPER, blend, colour  # noqa: E402
 
 
@@ -161,7 +161,7 @@ class Scene:
         plotter, positions = self._panel(panel), shapes.array(motion.positions)
         shown = 0 if frame is None else frame % motion.frames
         if self._left is None:
-            self._left = framing.left_of(motion.cut(shown, shown + 1))
+            self._left = viewpoint.left_of(motion.cut(shown, shown + 1))
         points, normals = shape(shown)
         mesh = shapes.surface(points, faces, normals)
         shade = ground.Shadow(plotter, points, faces) if shadow else None
