@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -48,7 +49,7 @@ class Motion:
         if self.contacts is not None and self.contacts.shape != (*batch, len(self.skeleton.contact_names)):
             expected = (*batch, len(self.skeleton.contact_names))
             raise ShapeError(f"contacts: expected shape {expected}, got {tuple(self.contacts.shape)}")
-        if not self.fps > 0:
+        if not 0 < self.fps < math.inf:
             raise ShapeError(f"fps: expected a positive number, got {self.fps}")
 
     @property
@@ -117,7 +118,12 @@ def resample(motion: Motion, fps: float) -> Motion:
     """The same motion at another frame rate: positions linearly, rotations by slerp, contacts by the nearest frame.
 
     The first frame stays; the last sample is the last that lies inside the recording.
+
+    Raises:
+        ShapeError: fps is not a positive number.
     """
+    if not 0 < fps < math.inf:
+        raise ShapeError(f"fps: expected a positive number, got {fps}")
     if fps == motion.fps:
         return motion
     count = int((motion.frames - 1) / motion.fps * fps + 1e-6) + 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -101,7 +102,7 @@ class Observation2D:
         if self.confidence.shape != self.keypoints.shape[:-1]:
             expected = tuple(self.keypoints.shape[:-1])
             raise ShapeError(f"confidence: expected shape {expected}, got {tuple(self.confidence.shape)}")
-        if not self.fps > 0:
+        if not 0 < self.fps < math.inf:
             raise ShapeError(f"fps: expected a positive number, got {self.fps}")
 
     @property
