@@ -27,7 +27,8 @@ test: setup
 	@$(PY) tests/run.py
 
 lab: setup
-	@PYVISTA_JUPYTER_BACKEND=trame PYVISTA_TRAME_SERVER_PROXY_PREFIX=/proxy/ $(PY) -m jupyterlab --notebook-dir=notebooks $(LAB_FLAGS)
+	@PYVISTA_JUPYTER_BACKEND=trame PYVISTA_TRAME_SERVER_PROXY_PREFIX=/proxy/ $(PY) -m jupyterlab --notebook-dir=notebooks \
+		$$(test $$(id -u) = 0 && echo --allow-root) $(LAB_FLAGS)
 
 full: setup
 	@$(PY) -m motionlab regenerate $(NOTEBOOKS)
