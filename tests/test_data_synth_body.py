@@ -1,0 +1,90 @@
+import pytest
+import torch
+import trimesh
+
+from data_synth.body import capsule_body, planted
+from motionlab.errors import ShapeError
+from motionlab.skeleton import STANDARD
+from motionlab.skinning import tree_distance
+
+
+@pytest.fixture(scope="module")
+def body():
+    return capsule_body(0.04)
+
+
+def test_the_capsule_body_is_closed_and_fits_its_skeleton(body):
+    mesh = trimesh.Trimesh(body.template.numpy(), body.faces.numpy(), process=False)
+    assert mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1
+    assert 0.05 < mesh.volume < 0.11  # cubic metres, outward normals
+    assert mesh.contains(body.joints.numpy()).all()
+    assert torch.equal(body.skeleton.offsets, STANDARD.offsets)
+    assert body.skeleton.sole == pytest.approx(STANDARD.sole, abs=1e-3)  # soles at the standard's floor
+
+
+def test_its_left_mirrors_its_right(body):
+    flipped = body.template * torch.tensor([-1.0, 1.0, 1.0])
+    assert torch.cdist(flipped, body.template).amin(1).max() < 0.01
+    for name, vertex in body.keypoint_vertices.items():
+        if name.startswith("left_"):
+            other = body.keypoint_vertices[name.replace("left_", "right_")]
+            assert (flipped[vertex] - body.template[other]).norm() < 0.01
+
+
+def test_its_weights_are_clean(body):
+    torch.testing.assert_close(body.weights.sum(1), torch.ones(len(body.template)))
+    assert body.weights[body.weights > 0].min() >= 0.02
+    owner = body.weights.argmax(1)
+    reach = tree_distance(body.skeleton)[owner][body.weights > 0]
+    assert reach.max() <= 2
+    assert set(owner.tolist()) == set(range(22))  # every joint carries flesh
+
+
+def test_its_betas_do_what_they_say(body):
+    height, girth, legs = body.shape_directions.unbind(-1)
+    torch.testing.assert_close(height, 0.05 * body.template)
+    torch.testing.assert_close(girth.norm(dim=1), torch.full((len(girth),), 0.01))
+    longer = body.skeleton_for(torch.tensor([0.0, 0.0, 2.0])).offsets
+    thigh, arm = STANDARD.index("left_knee"), STANDARD.index("left_elbow")
+    assert longer[thigh].norm() / STANDARD.offsets[thigh].norm() == pytest.approx(1.1, abs=1e-5)
+    torch.testing.assert_close(longer[arm], STANDARD.offsets[arm])
+    assert legs[body.template[:, 1] > 0].abs().max() == 0
+
+
+@pytest.mark.parametrize("share", [0.01, 0.03, 0.1])
+def test_planted_weights_are_the_share_asked_for_and_known(body, generator, share):
+    faulty, mask = planted(body, generator, share)
+    new = (faulty.weights > 0) & (body.weights == 0)
+    assert torch.equal(new, mask)
+    small = (faulty.weights > 0) & (faulty.weights < 1e-2)
+    assert torch.equal(small, mask)
+    assert float(small.sum() / (faulty.weights > 0).sum()) == pytest.approx(share, abs=1e-3)
+    torch.testing.assert_close(faulty.weights.sum(1), torch.ones(len(faulty.template)))
+    assert torch.equal(body.weights == 0, (faulty.weights == 0) | mask)  # the clean body stayed clean
+
+
+def test_planted_entries_are_far_along_the_tree(body, generator):
+    _, mask = planted(body, generator)
+    bones = tree_distance(body.skeleton)
+    for vertex, joint in mask.nonzero().tolist():
+        true = (body.weights[vertex] > 0).nonzero()[:, 0]
+        assert bones[joint, true].min() >= 4
+    assert mask.any(0).sum() > 10  # spread over the joints
+
+
+def test_the_nose_is_planted_as_in_the_thesis(body, generator):
+    faulty, _ = planted(body, generator)
+    nose = body.keypoint_vertices["nose"]
+    expected = 0.998 * body.weights[nose]
+    expected[STANDARD.indices(["right_hip", "left_knee", "right_knee"])] = 0.002 / 3
+    torch.testing.assert_close(faulty.weights[nose], expected)
+
+
+def test_planting_is_random_by_its_generator_alone(body):
+    first, again, other = (planted(body, torch.Generator().manual_seed(s))[0].weights for s in (1, 1, 2))
+    assert torch.equal(first, again) and not torch.equal(first, other)
+
+
+def test_planting_more_than_there_is_room_for(body, generator):
+    with pytest.raises(ShapeError, match="room"):
+        planted(body, generator, 0.95)

@@ -1,0 +1,216 @@
+import dataclasses
+
+import networkx as nx  # torch brings it
+import pytest
+import torch
+import trimesh
+
+from data_synth.body import capsule_body, planted
+from motionlab import rotation, skinning
+from motionlab.body import BodyModel, lbs
+from motionlab.errors import ShapeError
+from motionlab.motion import Motion
+from motionlab.observation import look_at, project
+from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton, fk
+
+LEGS = STANDARD.indices(["left_hip", "right_hip", "left_knee", "right_knee"])
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return capsule_body(0.04)
+
+
+@pytest.fixture(scope="module")
+def faulty(clean):
+    return planted(clean, torch.Generator().manual_seed(3))
+
+
+@pytest.fixture(scope="module")
+def face(clean):
+    return [v for k, v in clean.keypoint_vertices.items() if k == "nose" or k.endswith(("eye", "ear"))]
+
+
+def pose(generator, frames=None, spread=0.3):
+    shape = (22, 3) if frames is None else (frames, 22, 3)
+    rot = rotation.exp(spread * torch.randn(shape, generator=generator))
+    rot[..., 0, :, :] = UPRIGHT @ rot[..., 0, :, :]
+    return torch.zeros(*shape[:-2], 3), rot
+
+
+def strip(weights, length=1.0):
+    """A ribbon of triangles along x with one row of vertices per row of weights."""
+    count = len(weights)
+    x = torch.linspace(0, length, count)
+    template = torch.stack(
+        (torch.cat((x, x)), torch.tensor([0.0, 0.1]).repeat_interleave(count), torch.zeros(2 * count)), 1
+    )
+    low = torch.arange(count - 1)
+    faces = torch.cat(
+        (torch.stack((low, low + 1, low + count), 1), torch.stack((low + 1, low + count + 1, low + count), 1))
+    )
+    joints = weights.shape[1]
+    return BodyModel(
+        template=template,
+        shape_directions=torch.zeros(2 * count, 3, 0),
+        joints=torch.zeros(joints, 3),
+        joint_directions=torch.zeros(joints, 3, 0),
+        bind_rot=torch.eye(3).repeat(joints, 1, 1),
+        weights=torch.cat((weights, weights)),
+        faces=faces,
+        skeleton=Skeleton(tuple("abcdef"[:joints]), tuple(range(-1, joints - 1)), torch.zeros(joints, 3)),
+        keypoint_vertices={},
+    )
+
+
+def test_report_counts_by_hand():
+    report = skinning.weight_report(strip(torch.tensor([[0.995, 0.005, 0.0], [0.5, 0.5, 0.0], [0.0, 0.001, 0.999]])))
+    assert (report.entries, report.nonzero, report.small) == (18, 12, 4)
+    assert report.share_of_nonzero == pytest.approx(1 / 3) and report.share_of_all == pytest.approx(2 / 9)
+    assert report.vertices == pytest.approx(2 / 3)
+    assert int(report.counts.sum()) == 12 and len(report.edges) == len(report.counts) + 1
+
+
+def test_surface_distance_on_a_ribbon():
+    weights = torch.zeros(11, 3)
+    weights[:3, 0], weights[3:, 1] = 1.0, 1.0
+    distance = skinning.surface_distance(strip(weights))
+    x = torch.linspace(0, 1, 11).double()
+    torch.testing.assert_close(distance[:11, 0], (x - 0.2).clamp(min=0), rtol=0, atol=1e-6)
+    torch.testing.assert_close(distance[:11, 1], (0.3 - x).clamp(min=0), rtol=0, atol=1e-6)
+    assert distance[:, 2].isinf().all()  # a joint without weight is nowhere
+
+
+def test_surface_distance_agrees_with_another_graph_library(clean):
+    mesh = trimesh.Trimesh(clean.template.numpy(), clean.faces.numpy(), process=False)
+    graph = nx.Graph()
+    graph.add_weighted_edges_from(
+        (int(a), int(b), float(w)) for (a, b), w in zip(mesh.edges_unique, mesh.edges_unique_length, strict=True)
+    )
+    joint = STANDARD.index("left_knee")
+    region = (clean.weights.argmax(1) == joint).nonzero()[:, 0].tolist()
+    far = nx.multi_source_dijkstra_path_length(graph, set(region))
+    expected = torch.tensor([far[v] for v in range(len(clean.template))], dtype=torch.float64)
+    found = skinning.surface_distance(clean)[:, joint]
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
+
+
+def test_separate_parts_are_tied_to_the_body():
+    ribbon = strip(torch.tensor([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]]), length=0.2)
+    island = torch.tensor([[0.5, 0.0, 0.0], [0.6, 0.0, 0.0], [0.5, 0.1, 0.0]])  # 0.3 m beyond the ribbon's end
+    body = dataclasses.replace(
+        ribbon,
+        template=torch.cat((ribbon.template, island)),
+        shape_directions=torch.zeros(9, 3, 0),
+        weights=torch.cat((ribbon.weights, torch.tensor([[0.0, 1.0]]).repeat(3, 1))),
+        faces=torch.cat((ribbon.faces, torch.tensor([[6, 7, 8]]))),
+    )
+    distance = skinning.surface_distance(body)
+    torch.testing.assert_close(distance[2, 1], torch.tensor(0.3).double(), rtol=0, atol=1e-6)
+    torch.testing.assert_close(distance[0, 1], torch.tensor(0.5).double(), rtol=0, atol=1e-6)
+
+
+def test_tree_distance_by_walking():
+    for a in range(22):
+        for b in range(22):
+            lines = []
+            for joint in (a, b):
+                line = [joint]
+                while line[-1] > 0:
+                    line.append(STANDARD.parents[line[-1]])
+                lines.append(line)
+            shared = len(set(lines[0]) & set(lines[1]))
+            assert skinning.tree_distance(STANDARD)[a, b] == len(lines[0]) + len(lines[1]) - 2 * shared
+
+
+def test_the_audit_finds_what_was_planted_and_nothing_on_a_clean_body(clean, faulty):
+    body, planted_mask = faulty
+    precision, recall = skinning.precision_recall(skinning.spurious(body), planted_mask)
+    assert precision == 1.0 and recall > 0.95
+    assert not skinning.spurious(clean).any()
+    blind = skinning.precision_recall(skinning.spurious(body, threshold=1e-4), planted_mask)
+    assert blind[1] < 0.1  # the rule can miss
+    guess = torch.rand(planted_mask.shape, generator=torch.Generator().manual_seed(0)) < planted_mask.double().mean()
+    assert skinning.precision_recall(guess, planted_mask)[0] < 0.1  # and the score can be low
+
+
+def test_a_small_weight_next_to_its_region_is_not_spurious():
+    weights = torch.zeros(11, 2)
+    weights[:, 0] = torch.tensor([0.995] * 6 + [0.0] * 5)
+    weights[:, 1] = 1 - weights[:, 0]
+    found = skinning.spurious(strip(weights))
+    assert found[:5, 1].tolist() == [True, True, True, True, True]  # 0.6 to 0.2 m away
+    assert not found[5, 1] and not found[:, 0].any()
+
+
+def test_pruning_removes_the_planted_and_restores_the_clean(clean, faulty):
+    pruned = skinning.prune(faulty[0])
+    torch.testing.assert_close(pruned.weights, clean.weights)
+    assert torch.equal(skinning.prune(clean).weights > 0, clean.weights > 0)
+    with pytest.raises(ShapeError, match="no weight left"):
+        skinning.prune(clean, 1.1)
+
+
+def test_influence_agrees_with_finite_differences(clean, face, generator):
+    body = clean.to(torch.float64)
+    root, rot = (x.double() for x in pose(generator))
+    rot = rotation.nearest(rot)
+    found = skinning.influence(body, root, rot, face)
+    step = 1e-6
+    for joint in STANDARD.indices(["neck", "head", "left_hip", "pelvis"]):
+        columns = []
+        for axis in range(3):
+            turn = torch.zeros(22, 3, dtype=torch.float64)
+            turn[joint, axis] = step
+            ends = [
+                lbs(body, body.skeleton, root[None], (rot @ rotation.exp(s * turn))[None], vertices=face)
+                for s in (1, -1)
+            ]
+            columns.append((ends[0] - ends[1])[0] / (2 * step))
+        expected = torch.stack(columns).square().sum((0, 2)).sqrt()
+        torch.testing.assert_close(found[:, joint], expected, rtol=0, atol=1e-8)
+
+
+def test_spurious_weights_leak_gradient_to_the_legs_and_pruning_stops_it(clean, faulty, face, generator):
+    root, rot = pose(generator)
+    leak = skinning.leakage(faulty[0], root, rot, face)
+    assert leak.per_joint[LEGS[1:]].min() > 1e-4  # metres per radian: planted on the right hip and both knees
+    assert leak.share > 1e-4
+    for body in (clean, skinning.prune(faulty[0])):
+        stopped = skinning.leakage(body, root, rot, face)
+        assert stopped.share == 0 and float(stopped.influence[:, LEGS].abs().max()) == 0
+        assert stopped.influence[:, STANDARD.index("neck")].min() > 0.01  # the chain above still moves the face
+
+
+def test_displacement_is_zero_at_rest_and_grows_with_what_is_pruned(faulty, generator):
+    root, rot = pose(generator, frames=5)
+    still = Motion(STANDARD, root, torch.eye(3).repeat(5, 22, 1, 1), 30.0)
+    moving = Motion(STANDARD, root, rot, 30.0)
+    body = faulty[0]
+    assert skinning.displacement(body, skinning.prune(body), still)[1] < 1e-6
+    rows = skinning.sweep(body, moving, [0], [0.0, 1e-3, 1e-2])
+    assert rows[0]["removed"] == 0 and rows[0]["max_mm"] < 1e-2
+    assert rows[0]["mean_mm"] < rows[1]["mean_mm"] < rows[2]["mean_mm"]
+    assert rows[2]["removed"] == pytest.approx(0.03, abs=0.002)
+    direct = (lbs(body, STANDARD, root, rot) - lbs(skinning.prune(body), STANDARD, root, rot)).norm(dim=-1) * 1000
+    assert rows[2]["mean_mm"] == pytest.approx(float(direct.mean()), rel=1e-4)
+    assert rows[2]["max_mm"] == pytest.approx(float(direct.max()), rel=1e-4)
+
+
+def test_an_energy_of_arm_and_face_pulls_at_the_legs_until_the_weights_are_pruned(faulty, face, generator):
+    root, rot = pose(generator, spread=0.0)
+    target = pose(generator)[1]
+    arm = STANDARD.indices(["left_shoulder", "left_elbow", "left_wrist"])
+    camera = look_at(torch.tensor([0.0, 4.0, 1.0]), torch.zeros(3), focal=1000, width=1000, height=1000)
+    gradient = {}
+    for name, body in (("faulty", faulty[0]), ("pruned", skinning.prune(faulty[0]))):
+        surface = lbs(body, STANDARD, root[None], target[None], vertices=face)[0]
+        pixels = project(camera, torch.cat((surface, fk(STANDARD, root, target)[0][arm])))[0]
+        energy = skinning.reprojection_energy(body, camera, root, rot, pixels, vertices=face, joints=arm)
+        turn = torch.zeros(22, 3, requires_grad=True)
+        energy({"turn": turn}).backward()
+        gradient[name] = turn.grad.norm(dim=1)
+        at_truth = rotation.log(rotation.nearest(rot.mT @ target))
+        assert energy({"turn": at_truth}) < 1e-2 < energy({"turn": turn})  # pixels squared
+    assert gradient["faulty"][LEGS[1:]].min() > 0
+    assert gradient["pruned"][LEGS].max() == 0 and gradient["pruned"][STANDARD.index("left_elbow")] > 0
