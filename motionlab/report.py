@@ -6,7 +6,7 @@ import html
 import os
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from motionlab import findings
@@ -30,7 +30,7 @@ table { border-collapse: collapse; width: 100%; font-size: .92rem }
 th, td { text-align: left; padding: .4rem .7rem; border-bottom: 1px solid var(--line); vertical-align: top }
 th { font-weight: 600; background: var(--soft) }
 .pill { color: white; border-radius: 1rem; padding: .1rem .6rem; font-size: .82rem; white-space: nowrap }
-.wide { overflow-x: auto } pre { background: var(--soft); padding: .6rem; overflow-x: auto; font-size: .8rem }
+details { margin: 1rem 0 } summary { cursor: pointer } .wide { overflow-x: auto } pre { background: var(--soft); padding: .6rem; overflow-x: auto; font-size: .8rem }
 """
 
 
@@ -83,7 +83,7 @@ def write_index(out: Path, runs: Sequence[Run], profile: str) -> Path:
         "<h2>Scoreboard</h2>",
         f"<p class='note'>What the thesis claims and what we found. “Recorded” is the committed full run, “this run” "
         f"is what the {profile} profile gives here.</p>",
-        _table(scoreboard_rows(claims, recorded, measured, runs)),
+        *_split_scoreboard(scoreboard_rows(claims, recorded, measured, runs)),
         "<h2>Notebooks</h2>",
         _table(_notebook_rows(out, runs)),
         *(f"<pre>{html.escape(run.notebook)}: {html.escape(run.error)}</pre>" for run in runs if not run.ok),
@@ -126,6 +126,15 @@ def scoreboard_rows(
             }
         )
     return rows
+
+
+def _split_scoreboard(rows: Sequence[Mapping[str, str]]) -> Iterator[str]:
+    """The claims that something is known about; the others folded away."""
+    waiting = [row for row in rows if not row["held"] and not row["held now"]]
+    yield _table([row for row in rows if row not in waiting])
+    if waiting:
+        rest = [{name: row[name] for name in ("claim", "thesis", "in short", "notebook")} for row in waiting]
+        yield f"<details><summary>Not measured yet: {len(waiting)}</summary>{_table(rest)}</details>"
 
 
 def _notebook_rows(out: Path, runs: Sequence[Run]) -> list[dict[str, str]]:

@@ -57,6 +57,12 @@ unit = "cm"
 relation = ">="
 bound = 2
 baseline = "none"
+[[claim]]
+id = "X02"
+section = "4.4"
+title = "Open"
+thesis = "future work"
+notebook = "02"
 """
 
 
@@ -67,6 +73,7 @@ def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path):
     assert "ZeroDivisionError" in runs[0].error
     index = (tmp_path / "report/index.html").read_text(encoding="utf-8")
     assert "failed at cell 2" in index and "href='01_runs.html'" in index and "Size &lt;matters&gt;" in index
+    assert "Not measured yet: 1" in index and ">X02<" in index.partition("<details>")[2]
     page = (tmp_path / "report/01_runs.html").read_text(encoding="utf-8")
     assert f"smoke {suite}" in page
     assert dict(os.environ) == before
