@@ -129,14 +129,12 @@ def _reroot(at: Spot, joints: list[Joint], parents: list[int], place: np.ndarray
         if moves > SAME * reach:
             what = f"{joints[j].name} moves {moves / reach:.1%} of the figure against its parent"
             if translations == "strict" and moves > RIGID * reach:
-                raise at.error(
-                    f"{what}: bones of changing length", place=f"line {joints[j].line}", remedy='translations="mean"'
-                )
+                line = f"line {joints[j].line}"
+                raise at.error(f"{what}: bones of changing length", place=line, remedy='translations="mean"')
             notes.append(f"{what}: mean kept")
         elif strays[j]:
-            notes.append(
-                f"{joints[j].name} rests {np.abs(mean - offset)[j].max() / reach:.1%} of the figure off its OFFSET"
-            )
+            off = np.abs(mean[j] - offset[j]).max() / reach
+            notes.append(f"{joints[j].name} rests {off:.1%} of the figure off its OFFSET")
     rot = rot[:, kept].clone()
     rot[:, 0] = first
     offsets = torch.from_numpy(np.where(strays[:, None], mean, offset)[kept])
@@ -149,11 +147,11 @@ def _reroot(at: Spot, joints: list[Joint], parents: list[int], place: np.ndarray
 def _to_world(at: Spot, motion: Motion, unit: str | float | None, up: str | None) -> Motion:
     """Metres and z up; says in the notes what was guessed, and on what grounds."""
     notes = list(motion.notes)
-    points = motion.cut(step=max(motion.frames // 20, 1)).positions
     size = _longest_chain(motion.skeleton) / CHAIN
     if not size > 0:
         raise at.error("every joint is at one point: there is no figure")
     if up is None:
+        points = motion.cut(step=max(motion.frames // 20, 1)).positions
         _, y, z = (points.amax(1) - points.amin(1)).mean(0).tolist()
         up = "z" if z > 1.2 * y else "y"
         sure = "" if max(y, z) > 1.2 * min(y, z) else ", too close to tell: pass up="
@@ -212,41 +210,38 @@ def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | fl
     }
     rot = motion.rot.clone()
     rot[:, 0] = world.T @ rot[:, 0]
-    turning, text = [], []
-    _write_joints(motion, scale, order, ends, turning, text)
+    text, turning = _hierarchy_text(skeleton, scale, order, ends)
     angles = torch.rad2deg(rotation.matrix_to_euler(rot[:, turning], order))
     table = torch.cat((scale * motion.root @ world, angles.flatten(1)), dim=1).numpy()
     row = " ".join(["%.6f"] * table.shape[1])
-    head = [*text, "MOTION", f"Frames: {len(table)}", f"Frame Time: {1 / motion.fps:.10f}"]
+    head = ["HIERARCHY", *text, "MOTION", f"Frames: {len(table)}", f"Frame Time: {1 / motion.fps:.10f}"]
     write_whole(path, "\n".join([*head, *(row % tuple(values) for values in table.tolist()), ""]))
 
 
-def _write_joints(
-    motion: Motion, scale: float, order: str, ends: set[int], turning: list[int], text: list[str]
-) -> None:
-    """The HIERARCHY, depth first; ``turning`` gets the joints in the order of their channels."""
-    skeleton = motion.skeleton
+def _hierarchy_text(skeleton: Skeleton, scale: float, order: str, ends: set[int]) -> tuple[list[str], list[int]]:
+    """The joints depth first, and their indices in the order of their channels."""
     offsets = (skeleton.offsets * scale).tolist()
     offsets[0] = [0.0, 0.0, 0.0]
-    text.append("HIERARCHY")
-    stack: list[tuple[int, int]] = [(0, 0)]  # joint (-1 closes a brace), depth
+    children: dict[int, list[int]] = {}
+    for joint, parent in enumerate(skeleton.parents):
+        children.setdefault(parent, []).append(joint)
+    turns = " ".join(f"{axis}rotation" for axis in order)
+    text: list[str] = []
+    turning: list[int] = []
+    stack = [(0, "")]
     while stack:
-        joint, depth = stack.pop()
-        pad = "\t" * depth
+        joint, pad = stack.pop()
         if joint < 0:
             text.append(f"{pad}}}")
             continue
-        kind = "ROOT" if joint == 0 else "JOINT"
-        text.append(f"{pad}End Site" if joint in ends else f"{pad}{kind} {skeleton.names[joint]}")
-        text += [f"{pad}{{", f"{pad}\tOFFSET " + " ".join(f"{v:.6f}" for v in offsets[joint])]
-        stack.append((-1, depth))
+        kind = "End Site" if joint in ends else f"{'JOINT' if joint else 'ROOT'} {skeleton.names[joint]}"
+        text += [f"{pad}{kind}", f"{pad}{{", f"{pad}\tOFFSET " + " ".join(f"{x:.6f}" for x in offsets[joint])]
+        stack.append((-1, pad))
         if joint in ends:
             continue
         turning.append(joint)
-        turns = " ".join(f"{axis}rotation" for axis in order)
-        moves = "6 Xposition Yposition Zposition" if joint == 0 else "3"
-        text.append(f"{pad}\tCHANNELS {moves} {turns}")
-        children = [j for j, parent in enumerate(skeleton.parents) if parent == joint]
-        stack += [(j, depth + 1) for j in reversed(children)]
-        if not children:
-            text += [f"{pad}\tEnd Site", f"{pad}\t{{", f"{pad}\t\tOFFSET 0.000000 0.000000 0.000000", f"{pad}\t}}"]
+        text.append(f"{pad}\tCHANNELS {'3' if joint else '6 Xposition Yposition Zposition'} {turns}")
+        stack += [(child, pad + "\t") for child in reversed(children.get(joint, []))]
+        if joint not in children:
+            text += [f"{pad}\t{line}" for line in ("End Site", "{", "\tOFFSET 0.000000 0.000000 0.000000", "}")]
+    return text, turning

@@ -13,7 +13,7 @@ from motionlab.skeleton import STANDARD, Skeleton
 
 
 def _sides(**names: str) -> dict[str, str]:
-    """``knee="{L}leg"`` for both sides: {"left_knee": "leftleg", "right_knee": "rightleg"}; L, l as word or letter."""
+    """Both sides: ``knee="{side}leg"`` gives left_knee = leftleg, right_knee = rightleg; ``{s}`` is l or r."""
     words = {"left": {"side": "left", "s": "l"}, "right": {"side": "right", "s": "r"}}
     return {f"{side}_{part}": name.format(**words[side]) for part, name in names.items() for side in words}
 
@@ -49,9 +49,9 @@ RIGS: dict[str, dict[str, str]] = {
 }
 
 #: Skeletons whose zero pose is no human pose (every bone along its own x): where each joint's x, y and z
-#: point in the T-pose, as Left, Right, Up, Down, Forward, Back of the body. Found from recordings: knee
-#: and elbow hinges and the trunk's axes fall on these letters within 0.1 degrees (limbs) to 5 (trunk).
-#: A joint that is not named is turned like its parent.
+#: point in the T-pose, as Left, Right, Up, Down, Forward, Back of the body. Found from recordings: the mean
+#: hinges of knees and elbows and the trunk's directions fall on these letters, most within 1 degree, all
+#: within 8. A joint that is not named is turned like its parent.
 AXES: dict[str, dict[str, str]] = {
     "Bandai-Namco": {"Hips": "URF", "Spine": "UFL"}
     | {"UpperLeg_L": "DLF", "Foot_L": "FLU", "UpperLeg_R": "ULB", "Foot_R": "BLD"}
@@ -126,7 +126,7 @@ def _spine(skeleton: Skeleton, joints: dict[str, int]) -> dict[str, int]:
     tips = ("neck", "head", "left_collar", "right_collar", "left_shoulder", "right_shoulder")
     paths = [chain(joints[tip])[:-1] for tip in tips if tip in joints]
     shared = [j for j in min(paths, key=len, default=[]) if all(j in path for path in paths)]
-    if not shared or "spine1" in joints:
+    if not shared:
         return {}
     if len(shared) == 1:
         return {"spine3": shared[0]}
