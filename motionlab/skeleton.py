@@ -82,13 +82,13 @@ class Skeleton:
         return [(row, [self.parents[j] for j in row]) for row in rows]
 
     @cached_property
-    def level_order(self) -> tuple[Tensor, Tensor, list[tuple[slice, Tensor]]]:
+    def level_order(self) -> tuple[Tensor, Tensor, list[tuple[slice, Tensor | None]]]:
         """What :func:`fk` walks along: joints sorted by level, the way back, and for each level its place among
-        the sorted joints with the rows of its parents inside the level before."""
+        the sorted joints with the rows of its parents inside the level before (None: all of them, in order)."""
         device = self.offsets.device
         order, before, steps = [0], [0], []
         for joints, parents in self.levels:
-            rows = torch.tensor([before.index(p) for p in parents], device=device)
+            rows = None if parents == before else torch.tensor([before.index(p) for p in parents], device=device)
             steps.append((slice(len(order), len(order) + len(joints)), rows))
             order, before = order + joints, joints
         sorted_joints = torch.tensor(order, device=device)
@@ -146,8 +146,9 @@ def fk(skeleton: Skeleton, root: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:
     rot = rot.index_select(-3, order)
     positions, orientations = [root[..., None, :]], [rot[..., :1, :, :]]
     for level, rows in steps:
-        up_rot = orientations[-1].index_select(-3, rows.to(rot.device))
-        up_pos = positions[-1].index_select(-2, rows.to(rot.device))
+        up_rot, up_pos = orientations[-1], positions[-1]
+        if rows is not None:
+            up_rot, up_pos = up_rot.index_select(-3, rows.to(rot.device)), up_pos.index_select(-2, rows.to(rot.device))
         positions.append(up_pos + (up_rot @ offsets[..., level, :, None])[..., 0])
         orientations.append(up_rot @ rot[..., level, :, :])
     return torch.cat(positions, -2).index_select(-2, back), torch.cat(orientations, -3).index_select(-3, back)
