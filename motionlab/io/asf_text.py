@@ -63,7 +63,7 @@ def parse_asf(at: Spot, text: str) -> Asf:
     at.place = "section :units"
     length = _floats(at, units.get("length", []), 1)[0]
     if not 1e-6 < length < 1e6 or units.get("angle") not in (["deg"], ["rad"]):
-        raise at.error("expected 'length' from 1e-6 to 1e6 and 'angle deg' or 'angle rad'")
+        raise at.error("expected 'length' above zero (1e-6 to 1e6) and 'angle deg' or 'angle rad'")
     root, position = _root(at, sections["root"])
     bones = {"root": root} | _bones(at, sections["bonedata"])
     children = _hierarchy(at, sections["hierarchy"], bones)
