@@ -120,6 +120,28 @@ def spurious(body: BodyModel, threshold: float = SMALL, far: float = FAR, distan
     return (body.weights > 0) & (body.weights < threshold) & (distance > far)
 
 
+def long_range(body: BodyModel, mask: Tensor, distance: Tensor | None = None) -> list[dict]:
+    """The masked weights as rows, the furthest first, with the keys vertex, holder, joint, weight, metres, bones.
+
+    holder: the joint with the largest weight on that vertex. bones: from it to the spurious joint, along the tree.
+    """
+    distance = surface_distance(body) if distance is None else distance
+    names, bones = body.skeleton.names, tree_distance(body.skeleton)
+    holders = body.weights.argmax(1)
+    entries = mask.nonzero()[distance[mask].argsort(descending=True)].tolist()
+    return [
+        {
+            "vertex": vertex,
+            "holder": names[holders[vertex]],
+            "joint": names[joint],
+            "weight": float(body.weights[vertex, joint]),
+            "metres": float(distance[vertex, joint]),
+            "bones": int(bones[holders[vertex], joint]),
+        }
+        for vertex, joint in entries
+    ]
+
+
 def precision_recall(found: Tensor, truth: Tensor) -> tuple[float, float]:
     """Share of the found entries that are true, and share of the true ones that are found; NaN of nothing."""
     hits = float((found & truth).sum())

