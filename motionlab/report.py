@@ -30,7 +30,8 @@ table { border-collapse: collapse; width: 100%; font-size: .92rem }
 th, td { text-align: left; padding: .4rem .7rem; border-bottom: 1px solid var(--line); vertical-align: top }
 th { font-weight: 600; background: var(--soft) }
 .pill { color: white; border-radius: 1rem; padding: .1rem .6rem; font-size: .82rem; white-space: nowrap }
-details { margin: 1rem 0 } summary { cursor: pointer } .wide { overflow-x: auto } pre { background: var(--soft); padding: .6rem; overflow-x: auto; font-size: .8rem }
+details { margin: 1rem 0 } summary { cursor: pointer }
+.wide { overflow-x: auto } pre { background: var(--soft); padding: .6rem; overflow-x: auto; font-size: .8rem }
 """
 
 
