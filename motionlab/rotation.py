@@ -196,8 +196,8 @@ def mean(rotations: Tensor, weights: Tensor | None = None) -> Tensor:
     """Weighted mean (..., 3, 3) of N rotations (..., N, 3, 3): the minimiser of sum w |R - R_n|_F^2.
 
     The chordal mean: it needs no iteration, and for two rotations it is the middle of the shortest path.
-    weights (..., N): not negative; equal when left out. Rotations spread so evenly that no mean is best (two
-    a half turn apart, the three half turns about x, y, z with the identity) give one of the best.
+    weights (..., N): not negative; equal when left out. Where no mean is best (two a half turn apart, the
+    half turns about x, y, z with the identity, all weights zero) one of the best is returned.
     """
     check_shape(rotations, "... N 3 3", "rotations")
     weighted = rotations if weights is None else weights[..., None, None] * rotations
