@@ -199,7 +199,10 @@ def test_feet_that_stood_still_stand_still(generator):
     feet = list(FEET[2:])
     planted = retarget(source, proportions="standard")
     assert planted.skate[0] < 1e-6 and planted.skate[1] < 1e-3  # mm per frame
-    assert planted.per_joint["left_ankle"] < 1e-6
+    where, source_at = planted.motion.positions, source.positions
+    ball, ankle = (STANDARD.index(f"left_{part}") for part in ("foot", "ankle"))
+    torch.testing.assert_close(where[:, ball, :2], source_at[:, ball, :2], atol=1e-6, rtol=0)
+    torch.testing.assert_close(where[:, ankle, 2], source_at[:, ankle, 2] + planted.floor, atol=1e-6, rtol=0)
     loose = retarget(source, proportions="standard", plant=False)  # negative control: without IK they slide
     assert loose.skate[1] > 0.3
     points = source.positions[:, source.skeleton.indices(feet)]
@@ -254,6 +257,27 @@ def test_what_is_not_understood_is_refused(generator):
         retarget(along_x, proportions="mine")
 
 
+def test_cmu_in_bvh_with_joints_between(generator):
+    motion = wild(generator)
+    spelled = RIGS["Mixamo"] | {"spine1": "LowerBack", "spine2": "Spine", "spine3": "Spine1"}
+    names, parents, offsets, rot = [], [], [], []
+    for j, name in enumerate(STANDARD.names):
+        parent = names.index(spelled[STANDARD.names[STANDARD.parents[j]]]) if j else -1
+        offset = motion.skeleton.offsets[j]
+        if name.endswith(("hip", "head")):  # LHipJoint and Neck1 stand between, as in cmu1 and fair1
+            names.append(f"between_{name}")
+            parents.append(parent)
+            offsets.append(offset / 3)
+            rot.append(torch.eye(3, dtype=torch.float64).expand(motion.frames, 3, 3))
+            parent, offset = len(names) - 1, offset * 2 / 3
+        names.append(spelled[name])
+        parents.append(parent)
+        offsets.append(offset)
+        rot.append(motion.rot[:, j])
+    skeleton = Skeleton(tuple(names), tuple(parents), torch.stack(offsets))
+    assert_same(retarget(replace(motion, skeleton=skeleton, rot=torch.stack(rot, dim=1))), motion)
+
+
 needs_data = pytest.mark.skipif(
     not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings"
 )
@@ -306,4 +330,4 @@ def test_residual_and_skate_of_recordings(name, limit):
     assert exact.residual < 0.025  # the aim
     assert exact.residual <= standard.residual < limit
     assert exact.skate[1] <= exact.skate[0] + 0.01
-    assert standard.skate[1] <= 1.25 * standard.skate[0] + 0.1
+    assert standard.skate[1] <= standard.skate[0] + 0.01

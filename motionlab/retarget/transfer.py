@@ -60,8 +60,9 @@ def retarget(
             Either way the middle between the hips is where the source's is.
         leg: thigh + shin in metres to scale the whole recording to (figure and path); None: as it is.
         floor: raise the motion so that the lowest ball of the foot (2 % of the frames are lower) is at sole height.
-        plant: with other proportions, bend the legs so that the ankles are where the source's are, seen from
-            the source's floor: a foot that stood still stands still. Without effect on "source".
+        plant: with other proportions, bend the legs so that the ankles are as high as the source's and the
+            balls of the feet over the same spots: a foot that stood still stands still. Without effect on
+            "source".
 
     Raises:
         DataError: the skeleton's names or rest pose are not known.
@@ -87,7 +88,7 @@ def retarget(
     below = skeleton.offsets[skeleton.indices(["left_hip", "right_hip"])].mean(0)
     target = Motion(skeleton, hips - rot[:, 0] @ below, rot, source.fps, name=motion.name)
     if proportions == "standard" and plant:
-        target = reach(target, torch.stack((where["left_ankle"], where["right_ankle"]), dim=1))
+        target = reach(target, _planted(target, where))
     balls = target.positions[:, skeleton.indices(FEET[2:])]
     lift = skeleton.sole - float(torch.quantile(balls[..., 2].amin(-1), 0.02)) if floor else 0.0
     target = replace(target, root=target.root + torch.tensor([0.0, 0.0, lift], dtype=torch.float64))
@@ -112,6 +113,19 @@ def retarget(
         skate=(skate(before, rests), skate(after, rests)),
         notes=tuple(notes),
     )
+
+
+def _planted(target: Motion, where: dict[str, Tensor]) -> Tensor:
+    """Where the target's ankles (T, 2, 3) go: the source's, shifted level so that the balls lie over the source's."""
+    goals = []
+    for side in ("left", "right"):
+        ankle, ball = target.skeleton.indices([f"{side}_ankle", f"{side}_foot"])
+        goal = where[f"{side}_ankle"]
+        if f"{side}_foot" in where:
+            shift = where[f"{side}_foot"] - goal - target.world[1][:, ankle] @ target.skeleton.offsets[ball]
+            goal = goal + shift * torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)
+        goals.append(goal)
+    return torch.stack(goals, dim=1)
 
 
 def _leg_length(body: Match) -> float:
