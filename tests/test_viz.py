@@ -176,7 +176,7 @@ def test_everything_at_once_draws():
     with Scene(SMALL, follow=True) as scene:
         scene.floor().ghosts(motion, 3, "baseline").skeleton(motion).trail(motion, "left_wrist")
         scene.frustum(camera, picture=np.zeros((12, 16, 3), np.uint8)).label([0, 0, 0], "0.0 s")
-        scene.mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0.5]], [[0, 1, 2]], shadow=True)
+        scene.mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0.5]], [[0, 1, 2]], shadow=0.4)
         picture = scene.image(0.3)
     assert picture.shape == (120, 160, 3) and picture.dtype == np.uint8 and picture.std() > 5
 

@@ -150,11 +150,16 @@ def _any_body(skeleton: Skeleton, offsets: np.ndarray):
         length = float(np.linalg.norm(offsets[j]))
         if length < 1e-3 * height:
             continue
+        end = np.divide(offsets[j], length)
+        parent = skeleton.names[skeleton.parents[j]].lower()
+        if "head" in parent and "fore" not in parent:
+            yield skeleton.parents[j], "middle", limb(0.3 * offsets[j], 0.7 * offsets[j], 0.4 * length, 0.36 * length)
+            continue
         r = min(0.06 * (length * height) ** 0.5, 0.3 * length)
         yield skeleton.parents[j], side_of(name), limb((0, 0, 0), offsets[j], r, 0.6 * r, 0.12 * r)
         if "head" in name.lower() and j in leaves:
-            r = 0.055 * height
-            yield j, "middle", ellipsoid(offsets[j] / length * r, (0.8 * r, r, 0.9 * r))
+            r = 0.05 * height
+            yield j, "middle", limb(0.3 * r * end, 1.5 * r * end, r, 0.9 * r)
 
 
 def build(skeleton: Skeleton, base: str | tuple) -> Figure:

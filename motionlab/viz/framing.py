@@ -64,11 +64,11 @@ def frame(
         local = [[path[: len(t)] - t[: len(path), None]] for (path, _), (t, _) in zip(moving, tracks, strict=True)]
     else:
         local = paths
-    fits = [viewpoint.fit(viewpoint.around(panel, 0.13), towards, aspect, headroom, footroom) for panel in local]
+    fits = [viewpoint.fit(viewpoint.around(panel, 0.16), towards, aspect, headroom, footroom) for panel in local]
     distance = max(d for _, d in fits)
     targets = [target for target, _ in fits]
     together, far = viewpoint.fit(
-        viewpoint.around([p for panel in local for p in panel], 0.13), towards, aspect, headroom, footroom
+        viewpoint.around([p for panel in local for p in panel], 0.16), towards, aspect, headroom, footroom
     )
     if follow or far < 1.4 * distance:
         distance, targets = far, [together] * len(seen)

@@ -10,23 +10,23 @@ from PIL import GifImagePlugin, Image
 
 from motionlab.errors import ShapeError
 
-_EXACT, _SAMPLE = 24, 8  # colours taken as they are; frames that vote for the palette
+_EXACT, _SAMPLE = 16, 12  # colours taken as they are; frames that vote for the palette
 _STILL = 127  # the index that means: as in the frame before
 
 
 def palette(frames: Sequence[np.ndarray], colours: int = 127) -> np.ndarray:
     """At most ``colours`` colours (N, 3) uint8 for frames (H, W, 3): the commonest exactly, the others by median cut.
 
-    Votes count by their 0.35th power, so that a large floor does not starve a small figure.
+    Votes count by their 0.3th power, so that a large floor does not starve a small figure.
     """
     pixels = np.concatenate([frame.reshape(-1, 3) for frame in frames[:: max(len(frames) // _SAMPLE, 1)]])
     packed, counts = np.unique(pixels @ np.array([65536, 256, 1]), return_counts=True)
     order = counts.argsort()[::-1]
     rgb = np.stack((packed >> 16, packed >> 8 & 255, packed & 255), -1).astype(np.uint8)[order]
-    rest = np.repeat(rgb[_EXACT:], np.ceil(counts[order][_EXACT:] ** 0.35).astype(int), axis=0)
+    rest = np.repeat(rgb[_EXACT:], np.ceil(counts[order][_EXACT:] ** 0.3).astype(int), axis=0)
     if len(rgb) <= colours:
         return rgb
-    cut = Image.fromarray(rest[None]).quantize(colours - _EXACT, Image.Quantize.MEDIANCUT)
+    cut = Image.fromarray(rest[None]).quantize(colours - _EXACT, Image.Quantize.MEDIANCUT, kmeans=1)
     return np.concatenate((rgb[:_EXACT], np.array(cut.getpalette(), np.uint8).reshape(-1, 3)))
 
 

@@ -67,7 +67,7 @@ def darkness(points: np.ndarray, areas: np.ndarray, centre: np.ndarray, width: f
 class Shadow:
     """A translucent square on the floor that follows one surface (V, 3), (F, 3); ``move`` redraws it in place."""
 
-    def __init__(self, plotter: pv.Plotter, points: np.ndarray, faces: np.ndarray, strength: float = 0.42) -> None:
+    def __init__(self, plotter: pv.Plotter, points: np.ndarray, faces: np.ndarray, strength: float) -> None:
         self.areas, self.strength = vertex_areas(points, faces), strength
         self.width = max(_WIDTH, float(np.ptp(points[:, :2], axis=0).max()) + 1.5)
         self.square = pv.PolyData(np.zeros((4, 3)), [4, 0, 1, 2, 3])

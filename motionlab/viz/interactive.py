@@ -56,7 +56,7 @@ def slider(
     scene.at(0.0)
     if backend == "trame":
         view = scene.plotter.show(jupyter_backend="trame", return_viewer=True)
-        refresh = scene.plotter.render
+        refresh = view.viewer.update
     else:
         view = ipywidgets.Image(value=_png(scene.image()), format="png")
 

@@ -55,13 +55,16 @@ def sides(base: str | tuple) -> dict[str, tuple[float, float, float]]:
 def side_of(name: str) -> str:
     """ "left", "right" or "middle", from the name of a joint or keypoint in the usual spellings.
 
-    >>> [side_of(name) for name in ("left_hip", "RightArm", "lfemur", "Spine", "mixamorig:LeftFoot", "root")]
-    ['left', 'right', 'left', 'middle', 'left', 'middle']
+    >>> [side_of(name) for name in ("left_hip", "RightArm", "lfemur", "Hand_L_end", "mixamorig:LeftFoot", "lowerback")]
+    ['left', 'right', 'left', 'left', 'left', 'middle']
     """
     plain = name.rsplit(":", 1)[-1].lower()
-    short = {"l": "left", "r": "right"}.get(plain[:1])
-    if "left" in plain or "right" in plain:
-        return "left" if "left" in plain else "right"
-    limbs = ("femur", "tibia", "foot", "toes", "humerus", "radius", "wrist", "hand", "fingers", "thumb", "clavicle",
-             "hipjoint", "hip", "knee", "ankle", "shoulder", "elbow", "_")  # fmt: skip
-    return short if short and plain[1:].startswith(limbs) else "middle"
+    words = plain.replace(".", "_").replace(" ", "_").split("_")
+    for side in ("left", "right"):
+        if side in plain or side[0] in words or plain.startswith(tuple(side[0] + limb for limb in _LIMBS)):
+            return side
+    return "middle"
+
+
+_LIMBS = ("femur", "tibia", "foot", "toes", "humerus", "radius", "wrist", "hand", "fingers", "thumb", "clavicle", "hip",
+          "knee", "ankle", "shoulder", "elbow")  # fmt: skip

@@ -103,12 +103,13 @@ class Scene:
         role: str | tuple = "ours",
         *,
         frame: int | None = None,
-        shadow: bool = True,
+        shadow: float = 0.42,
         panel: int = 0,
     ) -> Scene:
         """A figure with volume, its left side light and its right side dark.
 
-        ``frame`` holds one frame; by default the figure moves with the scene's time.
+        ``frame`` holds one frame; by default the figure moves with the scene's time. ``shadow`` is how dark its
+        shadow is, 0 for none.
         """
         figure = figures.build(figures.single(motion).skeleton, colour(role))
         positions, orientations = map(shapes.array, motion.world)
@@ -133,7 +134,7 @@ class Scene:
         limits: tuple[float, float] | None = None,
         cmap: str = "viridis",
         frame: int | None = None,
-        shadow: bool = True,
+        shadow: float = 0.42,
         panel: int = 0,
     ) -> Scene:
         """The skin of a body moved by a motion; a ``field`` (V,) is painted on it, with a bar named ``title``."""
@@ -164,7 +165,7 @@ class Scene:
             self._left = viewpoint.left_of(motion.cut(shown, shown + 1))
         points, normals = shape(shown)
         mesh = shapes.surface(points, faces, normals)
-        shade = ground.Shadow(plotter, points, faces) if shadow else None
+        shade = ground.Shadow(plotter, points, faces, shadow) if shadow else None
         show(plotter, mesh)
 
         def update(seconds: float) -> None:
@@ -184,12 +185,12 @@ class Scene:
         return self._watch(panel, positions[shown][None])
 
     def mesh(
-        self, vertices, faces, paint: str | tuple = LINE, *, opacity: float = 1.0, shadow: bool = False, panel: int = 0
+        self, vertices, faces, paint: str | tuple = LINE, *, opacity: float = 1.0, shadow: float = 0.0, panel: int = 0
     ) -> Scene:
         """A still mesh, (V, 3) metres and (F, 3): a table, a wall, another person."""
         vertices, faces, plotter = np.asarray(vertices, float), np.asarray(faces), self._panel(panel)
         if shadow:
-            ground.Shadow(plotter, *remesh.subdivide_to_size(vertices, faces, max_edge=0.08))
+            ground.Shadow(plotter, *remesh.subdivide_to_size(vertices, faces, max_edge=0.08), shadow)
         mesh = pv.PolyData.from_regular_faces(vertices, faces)
         plotter.add_mesh(mesh, color=paint, opacity=opacity, reset_camera=False, **shapes.SKIN)
         return self._watch(panel, vertices[None])
@@ -206,7 +207,7 @@ class Scene:
         """Onion skin: ``count`` poses evenly through time, the older the paler."""
         for index, frame in enumerate(np.linspace(0, figures.single(motion).frames - 1, count).round().astype(int)):
             pale = blend(PAPER, colour(role), 0.2 + 0.8 * index / max(count - 1, 1))
-            self.skeleton(motion, pale, frame=int(frame), panel=panel)
+            self.skeleton(motion, pale, frame=int(frame), shadow=0.8 / (count + 1), panel=panel)
         return self
 
     def trail(self, motion: Motion, joint: str, role: str | tuple = "ours", *, panel: int = 0) -> Scene:

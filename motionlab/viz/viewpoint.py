@@ -6,6 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from motionlab.motion import Motion
+from motionlab.viz.palette import side_of
 
 _HIGH, _WIDE = np.tan(np.radians((14.0, 17.0)))  # half the view at most: a long lens bends a body little
 
@@ -16,11 +17,12 @@ def half_angle(aspect: float) -> float:
 
 
 def left_of(motion: Motion) -> np.ndarray | None:
-    """From the right hip to the left one at the start (3,), or None for a skeleton without these names."""
-    if not {"left_hip", "right_hip"} <= set(motion.skeleton.names):
+    """From the middle of the right joints to that of the left ones at the start (3,); None without such names."""
+    at = motion.positions[0].double().numpy(force=True)
+    side = np.array([side_of(name) for name in motion.skeleton.names])
+    if not {"left", "right"} <= set(side):
         return None
-    left, right = motion.skeleton.indices(["left_hip", "right_hip"])
-    return (motion.positions[0, left] - motion.positions[0, right]).double().numpy(force=True)
+    return at[side == "left"].mean(0) - at[side == "right"].mean(0)
 
 
 def direction(azimuth: float, elevation: float) -> np.ndarray:
