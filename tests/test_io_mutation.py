@@ -101,7 +101,7 @@ def loads_or_says_why(kind: str, folder: Path, data: bytes) -> None:
             assert all(tensor.isfinite().all() for tensor in numbers_of(value))
 
 
-EXAMPLES = int(os.environ.get("MOTIONLAB_FUZZ", "60"))
+EXAMPLES = int(os.environ.get("MOTIONLAB_FUZZ", "40"))
 mutations = settings(
     max_examples=EXAMPLES,
     derandomize="MOTIONLAB_FUZZ" not in os.environ,
