@@ -255,6 +255,8 @@ def test_what_is_not_understood_is_refused(generator):
         retarget(replace(along_x, root=torch.zeros(1, 2, 3), rot=along_x.rot[None]))
     with pytest.raises(ValueError, match="proportions"):
         retarget(along_x, proportions="mine")
+    with pytest.raises(ValueError, match="leg"):
+        retarget(along_x, leg=-1.0)
 
 
 def test_cmu_in_bvh_with_joints_between(generator):

@@ -67,10 +67,13 @@ def retarget(
     Raises:
         DataError: the skeleton's names or rest pose are not known.
         ShapeError: the motion has batch axes.
+        ValueError: proportions or leg is none of the above.
     """
     check_shape(motion.root, "T 3", "motion.root")
     if proportions not in ("source", "standard"):
         raise ValueError(f"proportions: expected 'source' or 'standard', got {proportions!r}")
+    if leg is not None and not leg > 0:
+        raise ValueError(f"leg: expected metres above zero, got {leg}")
     source = motion.to(torch.float64)
     body = match(source.skeleton)
     length = _leg_length(body)
@@ -91,12 +94,9 @@ def retarget(
         target = reach(target, _planted(target, where))
     balls = target.positions[:, skeleton.indices(FEET[2:])]
     lift = skeleton.sole - float(torch.quantile(balls[..., 2].amin(-1), 0.02)) if floor else 0.0
-    target = replace(target, root=target.root + torch.tensor([0.0, 0.0, lift], dtype=torch.float64))
     up = torch.tensor([0.0, 0.0, lift], dtype=torch.float64)
-    error = {n: float((target.positions[:, STANDARD.index(n)] - p - up).norm(dim=-1).mean()) for n, p in where.items()}
-    feet = [name for name in FEET[2:] if name in where] or list(FEET[:2])
-    before, after = torch.stack([where[f] for f in feet], 1), target.positions[:, skeleton.indices(feet)]
-    rests = resting(before, source.fps)
+    target, where = replace(target, root=target.root + up), {name: place + up for name, place in where.items()}
+    error = {n: float((target.positions[:, STANDARD.index(n)] - p).norm(dim=-1).mean()) for n, p in where.items()}
     unmapped = tuple(name for name in STANDARD.names if name not in where)
     notes = [f"{body.rig} names"]
     notes += [f"raised {lift:+.3f} m to the floor"] if floor else []
@@ -110,9 +110,17 @@ def retarget(
         rig=body.rig,
         scale=scale,
         floor=lift,
-        skate=(skate(before, rests), skate(after, rests)),
+        skate=_skates(target, where),
         notes=tuple(notes),
     )
+
+
+def _skates(target: Motion, where: dict[str, Tensor]) -> tuple[float, float]:
+    """Slide in mm per frame of source and target, where the source's feet (balls, else ankles) rest."""
+    feet = [name for name in FEET[2:] if name in where] or list(FEET[:2])
+    before, after = torch.stack([where[foot] for foot in feet], 1), target.positions[:, STANDARD.indices(feet)]
+    rests = resting(before, target.fps)
+    return skate(before, rests), skate(after, rests)
 
 
 def _planted(target: Motion, where: dict[str, Tensor]) -> Tensor:
