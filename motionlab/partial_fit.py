@@ -58,11 +58,21 @@ class PartialFit:
 
 
 def fit_arm_and_face(
-    body: BodyModel, truth: Motion, camera: Camera, *, closures: int, smoothness: float = 10.0
+    body: BodyModel,
+    truth: Motion,
+    camera: Camera,
+    *,
+    closures: int,
+    method: str = "lbfgs",
+    lr: float | None = None,
+    smoothness: float = 10.0,
 ) -> PartialFit:
     """Fit all rotations and the root to the projected arm and face of a motion (T frames).
 
     E = sum |pi(keypoint) - pi(truth)|^2 / (5 px)^2 + smoothness sum |R_{t+1} - R_t|^2 (two columns), L-BFGS on 6D
+
+    method "lbfgs" scales its steps by curvature; "adam" gives every parameter, however small its gradient, a
+    step of about ``lr`` (0.02). Both may evaluate E ``closures`` times.
 
     The observations come from the body without its blend's faults: joints and face vertices moved rigidly with
     the head. The start is the truth's root with every joint at rest.
@@ -86,8 +96,10 @@ def fit_arm_and_face(
     fit = minimise(
         energy,
         {"theta": start.requires_grad_(), "root": truth.root.clone().requires_grad_()},
+        method=method,
         steps=closures,
         max_closures=closures,
+        lr=lr or {"lbfgs": 1.0, "adam": 0.02}[method],
     )
     before = _legs_in_pelvis(body, rotation.sixd_to_matrix(start.detach()))
     rot = rotation.sixd_to_matrix(fit.variables["theta"])

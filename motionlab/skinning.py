@@ -243,6 +243,17 @@ def reprojection_energy(
     return energy
 
 
+def displaced_mm(body: BodyModel, other: BodyModel, motion: Motion, chunk: int = 32) -> Tensor:
+    """How far the vertices of two bodies are apart in the same motion: (T,) 95th percentile over them, mm."""
+    root, rot = motion.root.flatten(0, -2), motion.rot.flatten(0, -4)
+    found = []
+    for start in range(0, len(root), chunk):
+        pose = (motion.skeleton, root[start : start + chunk], rot[start : start + chunk])
+        away = torch.linalg.vector_norm(lbs(body, *pose) - lbs(other, *pose), dim=-1)
+        found.append(1000 * away.quantile(0.95, dim=-1))
+    return torch.cat(found)
+
+
 def displacement(body: BodyModel, other: BodyModel, motion: Motion, chunk: int = 32) -> tuple[float, float]:
     """Mean and largest distance in metres between the vertices of two bodies in the same motion."""
     root, rot = motion.root.flatten(0, -2), motion.rot.flatten(0, -4)

@@ -44,6 +44,16 @@ def test_only_planted_weights_pull_on_the_legs(bodies):
         assert fits[name].legs_mm == 0
 
 
+def test_adam_follows_even_the_faintest_pull(bodies):
+    moved = {
+        method: partial_fit.fit_arm_and_face(
+            bodies["planted"], waving(bodies["planted"]), CAMERA, closures=60, method=method
+        ).legs_mm
+        for method in ("lbfgs", "adam")
+    }
+    assert moved["adam"] > 5 * moved["lbfgs"]
+
+
 def test_the_fit_follows_what_it_sees(bodies):
     body = bodies["clean"]
     truth = waving(body)

@@ -16,7 +16,7 @@ from motionlab.representations import Representation
 from motionlab.rotation_trials import FPS, Consistency
 from motionlab.skeleton import UPRIGHT
 from motionlab.viz.palette import ROLE
-from motionlab.viz.plots import canvas
+from motionlab.viz.plots import canvas, paints
 
 #: Which colour a representation has.
 ROLE_OF = {
@@ -49,19 +49,15 @@ def components(path: Tensor, choices: Sequence[Representation]) -> Figure:
 
 
 def angles_from_the_cut(angles: Mapping[str, Tensor]) -> Figure:
-    """Distribution of the root's rotation angle in degrees, one curve per source."""
-    fig, (ax,) = canvas(1, 1, size=(8.5, 3.0))
-    edges = np.linspace(90, 180, 91)
-    for i, (source, values) in enumerate(angles.items()):
-        share = np.histogram(values.clamp(90, 179.99), edges)[0] / len(values)
-        colour = ROLE["synthetic"] if source == "synthetic" else ROLE["real"]
-        ax.stairs(100 * share, edges, lw=1.6, color=colour, alpha=1 - 0.1 * i, label=source)
-    ax.axvline(180, color=ROLE["axis-angle"], lw=2)
-    ax.annotate(
-        "branch cut", (180, ax.get_ylim()[1]), xytext=(-6, -4), textcoords="offset points", ha="right", va="top"
-    )
-    ax.set(xlabel="angle of the root's rotation vector in the heading frame, degrees", ylabel="% of frames")
-    ax.legend(loc="upper left")
+    """Share of frames within some degrees of the branch cut, one curve per source; (N,) angles in degrees."""
+    fig, (ax,) = canvas(1, 1, size=(8.5, 3.2))
+    away = np.linspace(0, 60, 241)
+    for (source, values), paint in zip(angles.items(), paints(list(angles), {}).values(), strict=True):
+        share = np.searchsorted(np.sort(180 - values.numpy()), away, side="right") / len(values)
+        ax.plot(away, 100 * share, lw=2.4 if source == "synthetic" else 1.5, color=paint, label=source)
+    ax.axvline(0, color=ROLE["axis-angle"], lw=3)
+    ax.set(xlabel="degrees from the branch cut", ylabel="% of frames at most so far", xlim=(-0.5, 60), ylim=(0, 102))
+    ax.legend(loc="lower right", ncol=2)
     return fig
 
 
