@@ -177,6 +177,9 @@ def test_everything_at_once_draws():
         scene.floor().ghosts(motion, 3, "baseline").skeleton(motion).trail(motion, "left_wrist")
         scene.frustum(camera, picture=np.zeros((12, 16, 3), np.uint8)).label([0, 0, 0], "0.0 s")
         scene.mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0.5]], [[0, 1, 2]], shadow=0.4)
+        block = np.array([[0, 0, 0], [0.5, 0, 0], [0, 0, 1.5]])
+        scene.mesh(np.stack((block, block + 0.3)), [[0, 1, 2]], fps=10.0, shadow=0.4)
+        assert np.abs(scene.image(0.0).astype(int) - scene.image(0.1)).max() > 20
         picture = scene.image(0.3)
     assert picture.shape == (120, 160, 3) and picture.dtype == np.uint8 and picture.std() > 5
 

@@ -98,13 +98,7 @@ class Scene:
         return self
 
     def skeleton(
-        self,
-        motion: Motion,
-        role: str | tuple = "ours",
-        *,
-        frame: int | None = None,
-        shadow: float = 0.42,
-        panel: int = 0,
+        self, motion: Motion, role: str | tuple = "ours", *, frame: int | None = None, shadow=0.42, panel: int = 0
     ) -> Scene:
         """A figure with volume, its left side light and its right side dark.
 
@@ -185,15 +179,26 @@ class Scene:
         return self._watch(panel, positions[shown][None])
 
     def mesh(
-        self, vertices, faces, paint: str | tuple = LINE, *, opacity: float = 1.0, shadow: float = 0.0, panel: int = 0
+        self, vertices, faces, paint: str | tuple = LINE, *, fps: float = 30.0, opacity=1.0, shadow=0.0, panel: int = 0
     ) -> Scene:
-        """A still mesh, (V, 3) metres and (F, 3): a table, a wall, another person."""
-        vertices, faces, plotter = np.asarray(vertices, float), np.asarray(faces), self._panel(panel)
+        """A mesh of faces (F, 3) that stands still, (V, 3) metres, or moves, (T, V, 3) at ``fps``: a table, a wall."""
+        path, faces, plotter = np.asarray(vertices, float), np.asarray(faces), self._panel(panel)
+        path = path[None] if path.ndim == 2 else path
+        shade = None
         if shadow:
-            ground.Shadow(plotter, *remesh.subdivide_to_size(vertices, faces, max_edge=0.08), shadow)
-        mesh = pv.PolyData.from_regular_faces(vertices, faces)
+            fine, finer = (path[0], faces) if len(path) > 1 else remesh.subdivide_to_size(path[0], faces, max_edge=0.08)
+            shade = ground.Shadow(plotter, fine, finer, shadow)
+        mesh = pv.PolyData.from_regular_faces(path[0].copy(), faces)
         plotter.add_mesh(mesh, color=paint, opacity=opacity, reset_camera=False, **shapes.SKIN)
-        return self._watch(panel, vertices[None])
+
+        def update(seconds: float) -> None:
+            mesh.points = path[int(np.clip(round(seconds * fps), 0, len(path) - 1))]
+            if shade:
+                shade.move(mesh.points)
+
+        if len(path) > 1:
+            self._updates.append(update)
+        return self._watch(panel, path, fps)
 
     def points(self, points, role: str | tuple = "observation", *, radius: float = 0.02, panel: int = 0) -> Scene:
         """Still markers at (N, 3) metres."""
