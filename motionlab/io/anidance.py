@@ -3,10 +3,10 @@
 The files name their points ``center, bone_0 .. bone_22`` and nothing else. The tree and the names below were
 worked out from 29,364 frames of 38 dances:
 
-- *Tree*: the spanning tree of the smallest spread of distance through time joins ankle, heel and toe
-  (spread 1.4 to 2.0 cm), wrist and hand (0.7 to 1.1), elbow and forearm (1.5 to 1.7), knee and ankle (1.4 to
-  2.5), and the trunk points 3, 4, 8, 13, 17 with the head points 1 and 2 (1.2 to 1.9). Hip to knee and shoulder
-  to elbow vary more (3.4 to 4.3 cm): these points sit on the skin, not in the joint.
+- *Tree*: the spanning tree of the smallest spread of distance through time (root mean square over dances)
+  joins ankle, heel and toe (1.5 to 2.0 cm), knee and ankle (1.4 to 2.5), elbow, forearm, wrist and hand (0.7 to
+  2.4), and the trunk points 3, 4, 8, 13, 17 with the head points 1 and 2 (1.2 to 1.9). Hip to knee and shoulder
+  to elbow vary more (3.4 to 4.3): these points sit on the skin, not in the joint.
 - *Sides*: read as a right-handed y-up world, knees bend forward, elbows bend backward and the longer foot
   segment points forward only when points 4 to 12 are the right side.
 
