@@ -1,0 +1,199 @@
+"""Corruptions: the mask says exactly what changed, the original stays, and each failure is the one it names."""
+
+import pytest
+import torch
+
+from data_synth import corrupt
+from motionlab.errors import ShapeError
+from motionlab.observation import BODY_25, Observation2D, look_at
+
+CAMERA = look_at(torch.tensor([0.0, -4.0, 1.5]), torch.tensor([0.0, 0.0, 1.0]), focal=900.0, width=1280, height=720)
+LEGS = [BODY_25.index(f"{side}_{part}") for side in ("left", "right") for part in corrupt.LEG]
+
+
+def seeded(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+def observed(frames=60, batch=(3,), missing=0.1):
+    g = seeded(7)
+    keypoints = 100 + 500 * torch.rand(*batch, frames, 25, 2, generator=g)
+    confidence = 0.2 + 0.8 * torch.rand(*batch, frames, 25, generator=g)
+    confidence[torch.rand(confidence.shape, generator=g) < missing] = 0
+    return Observation2D(keypoints * (confidence > 0)[..., None], confidence, BODY_25, 30.0, CAMERA)
+
+
+def walker(frames=40):
+    """One clip, everything seen; the left leg vanishes at frame 20, the right one at 30."""
+    full = observed(frames, (), missing=0.0)
+    full, _ = corrupt.occlude(full, [f"left_{part}" for part in corrupt.LEG], 20)
+    return corrupt.occlude(full, [f"right_{part}" for part in corrupt.LEG], 30)[0]
+
+
+POINTS = torch.rand(3, 60, 25, 3, generator=seeded(1)) * 1.8
+OTHER = observed(missing=0.3)
+DRAWN = {
+    "gaps": lambda o, g: corrupt.drop_gaps(o, g, 0.2, 4),
+    "flips": lambda o, g: corrupt.flip_limbs(o, g, 0.3, 5),
+    "two legs": lambda o, g: corrupt.two_legs_from_one(o, g),
+    "background": lambda o, g: corrupt.false_detections(o, g, 0.2),
+    "other person": lambda o, g: corrupt.false_detections(
+        o, g, 0.2, other=Observation2D(OTHER.keypoints + 50, OTHER.confidence, BODY_25, 30.0)
+    ),
+    "jitter": lambda o, g: corrupt.jitter(o, g, 2.0),
+}
+FIXED = {
+    "occlude": lambda o, g: corrupt.occlude(o, ["left_knee", "nose"], 10, 30),
+    "below": lambda o, g: corrupt.occlude_below(o, POINTS),
+    "frames": lambda o, g: corrupt.drop_frames(o, [0, 7, -1]),
+}
+
+
+@pytest.mark.parametrize("name", DRAWN | FIXED)
+@pytest.mark.parametrize("seed", range(3))
+def test_the_mask_is_what_changed_and_the_original_stays(name, seed):
+    before, twin = observed(), observed()
+    after, mask = (DRAWN | FIXED)[name](before, seeded(seed))
+    differs = (after.keypoints != before.keypoints).any(-1) | (after.confidence != before.confidence)
+    assert torch.equal(mask, differs) and mask.any() and not mask.all()
+    assert torch.equal(before.keypoints, twin.keypoints) and torch.equal(before.confidence, twin.confidence)
+    assert after.keypoints.isfinite().all() and ((0 <= after.confidence) & (after.confidence <= 1)).all()
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_same_seed_same_failure_other_seed_another(name):
+    one, two, other = (DRAWN[name](observed(), seeded(seed)) for seed in (4, 4, 5))
+    assert torch.equal(one[0].keypoints, two[0].keypoints) and torch.equal(one[0].confidence, two[0].confidence)
+    assert torch.equal(one[1], two[1])
+    assert not torch.equal(one[0].keypoints, other[0].keypoints)
+
+
+def test_hidden_is_undetected_at_the_origin():
+    after, mask = corrupt.occlude(observed(), ["left_knee", "nose"], 10, 30)
+    assert (after.confidence[mask] == 0).all() and (after.keypoints[mask] == 0).all()
+    assert not after.visible[:, 10:30, [BODY_25.index("left_knee"), BODY_25.index("nose")]].any()
+    assert torch.equal(mask.any(0).any(-1).nonzero()[:, 0], torch.arange(10, 30))
+
+
+def test_below_follows_the_true_height_not_the_picture():
+    after, mask = corrupt.occlude_below(observed(missing=0.0), POINTS, 0.9)
+    assert torch.equal(mask, POINTS[..., 2] < 0.9) and torch.equal(after.visible, POINTS[..., 2] >= 0.9)
+
+
+def test_single_frames_and_gaps():
+    after, _ = corrupt.drop_frames(observed(), [0, 7, -1])
+    assert (~after.visible.any(-1)).nonzero()[:, 1].unique().tolist() == [0, 7, 59]
+    many = observed(4000, ())
+    for share, length in ((0.05, 1), (0.2, 10)):
+        after, _ = corrupt.drop_gaps(many, seeded(), share, length)
+        gone = ~after.visible.any(-1)
+        ends = gone.int().diff()
+        starts, stops = (ends == 1).nonzero()[:, 0], (ends == -1).nonzero()[:, 0]
+        assert abs(gone.float().mean() - share) < 4 * (share * length / 4000) ** 0.5
+        assert (stops[1:] - starts[: len(stops) - 1]).min() >= length or starts[0] > stops[0]
+
+
+def test_flipping_the_same_frames_twice_is_nothing():
+    before = observed()
+    after, mask = corrupt.flip_limbs(before, seeded(), 0.3, 5)
+    back, again = corrupt.flip_limbs(after, seeded(), 0.3, 5)
+    assert torch.equal(back.keypoints, before.keypoints) and torch.equal(mask, again)
+    left, right = BODY_25.index("left_knee"), BODY_25.index("right_knee")
+    frames = mask[..., left]
+    assert torch.equal(after.keypoints[frames][:, left], before.keypoints[frames][:, right])
+    others = [k for k in range(25) if k not in LEGS]
+    assert not mask[..., others].any()
+
+
+def test_flip_of_arms_leaves_legs():
+    _, mask = corrupt.flip_limbs(observed(), seeded(), 0.5, 5, corrupt.ARM)
+    touched = {BODY_25[k] for k in mask.any(0).any(0).nonzero()[:, 0].tolist()}
+    assert touched == {f"{side}_{part}" for side in ("left", "right") for part in corrupt.ARM}
+
+
+def test_two_legs_from_one_before_and_during_the_occlusion():
+    before = walker()
+    after, mask = corrupt.two_legs_from_one(before, seeded(), lead=6, spread=0.1)
+    left, right = ([BODY_25.index(f"{side}_{part}") for part in corrupt.LEG] for side in ("left", "right"))
+    # the left leg vanishes at 20: copied in the six frames before and while the right one is seen
+    assert mask[:, left].all(1).nonzero()[:, 0].tolist() == list(range(14, 30))
+    assert not mask[:, right].any(), "the leg that is copied from stays"
+    assert after.visible[14:30][:, left].all() and not after.visible[30:][:, left + right].any()
+    shank = (before.keypoints[:, right[0]] - before.keypoints[:, right[1]]).norm(dim=-1)
+    off = (after.keypoints[:, left] - before.keypoints[:, right]).norm(dim=-1) / shank[:, None]
+    assert off[14:30].max() < 0.6 and off[:14].median() > off[14:30].median()
+    ratio = after.confidence[14:30][:, left] / before.confidence[14:30][:, right]
+    assert (ratio >= 0.8).all() and (ratio <= 1).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_two_legs_when_both_vanish_together_copies_one_of_them(seed):
+    both, _ = corrupt.occlude(observed(40, (), 0.0), [BODY_25[k] for k in LEGS], 20, 30)
+    _, mask = corrupt.two_legs_from_one(both, seeded(seed), lead=5)
+    frames = [mask[:, half].any(1).nonzero()[:, 0].tolist() for half in (LEGS[:5], LEGS[5:])]
+    assert sorted(frames) == [[], list(range(15, 20))]
+
+
+def test_both_coins_come_up():
+    both, _ = corrupt.occlude(observed(40, (16,), 0.0), [BODY_25[k] for k in LEGS], 20, 30)
+    _, mask = corrupt.two_legs_from_one(both, seeded(), lead=5)
+    assert 0 < mask[:, :, LEGS[:5]].any(-1).any(-1).sum() < 16
+
+
+def test_two_legs_needs_an_occlusion():
+    _, mask = corrupt.two_legs_from_one(observed(40, (), 0.0), seeded())
+    assert not mask.any()
+
+
+def test_false_detections_are_confident_wrong_and_sticky():
+    before = observed(2000, (), 0.0)
+    after, mask = corrupt.false_detections(before, seeded(), share=0.1, length=8)
+    assert abs(mask.float().mean() - 0.1) < 0.01 and (after.confidence[mask] >= 0.6).all()
+    assert (after.keypoints - before.keypoints).norm(dim=-1)[mask].median() > 100
+    knee = after.keypoints[mask[:, 10], 10]
+    assert knee.std(0).max() < 2, "it sits in one place"
+
+
+def test_other_person_lends_only_what_was_detected():
+    other = Observation2D(OTHER.keypoints + 50, OTHER.confidence, BODY_25, 30.0)
+    after, mask = corrupt.false_detections(observed(), seeded(), 0.5, other=other)
+    assert torch.equal(after.keypoints[mask], other.keypoints[mask]) and (after.confidence[mask] > 0).all()
+    with pytest.raises(ShapeError, match="other"):
+        corrupt.false_detections(observed(50), seeded(), other=other)
+    with pytest.raises(ShapeError, match="camera"):
+        corrupt.false_detections(other, seeded())
+
+
+def test_jitter_has_its_size():
+    before = observed(500, (), 0.2)
+    after, mask = corrupt.jitter(before, seeded(), 3.0)
+    assert torch.equal(mask, before.visible)
+    assert abs((after.keypoints - before.keypoints)[mask].std() - 3.0) < 0.1
+
+
+@pytest.mark.parametrize("share, length", [(0.0, 3), (0.25, 1), (0.5, 6), (1.0, 2)])
+def test_runs_cover_their_share_from_the_first_frame_to_the_last(share, length):
+    mask = corrupt._runs((4000, 20), share, length, seeded())
+    assert ((mask.float().mean(0) - share).abs() <= 4.5 * (share * (1 - share) / 4000) ** 0.5 + 1e-9).all()
+
+
+def test_three_d_variants():
+    positions = torch.rand(2, 300, 22, 3, generator=seeded()) * 1.8
+    kept = positions.clone()
+    noisy, mask = corrupt.noisy_joints(positions, seeded())
+    assert mask.all() and (noisy != positions).any(-1).all() and abs((noisy - positions).std() - 0.04) < 0.001
+    for value, mask in (corrupt.missing_joints(positions, seeded(), 0.5, 4), corrupt.joints_below(positions)):
+        assert torch.equal(value.isnan().all(-1), mask) and torch.equal(value[~mask], positions[~mask])
+        assert torch.equal(value.isnan().any(-1), mask) and 0.3 < mask.float().mean() < 0.7
+    assert torch.equal(mask, positions[..., 2] < 0.9)
+    assert torch.equal(positions, kept)
+    for draw in (corrupt.noisy_joints, corrupt.missing_joints):
+        one, two, other = (draw(positions, seeded(s))[0].nan_to_num() for s in (1, 1, 2))
+        assert torch.equal(one, two) and not torch.equal(one, other)
+
+
+def test_double_precision_stays():
+    o = observed()
+    o = Observation2D(o.keypoints.double(), o.confidence.double(), BODY_25, 30.0, CAMERA)
+    for draw in DRAWN.values():
+        assert draw(o, seeded())[0].keypoints.dtype == torch.float64
