@@ -17,6 +17,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.rotation": 1,
     "motionlab.findings": 1,
     "motionlab.profiling": 1,
+    "motionlab.tables": 1,
     # bodies and the values that travel
     "motionlab.skeleton": 2,
     "motionlab.motion": 3,
@@ -25,6 +26,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.anny_body": 3.5,
     "motionlab.skinning": 3.5,
     # views of a motion
+    "motionlab.leakage": 4,
     "motionlab.frames": 4,
     "motionlab.contact": 4,
     "motionlab.io": 4,
@@ -32,6 +34,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     # measures
     "motionlab.retarget": 5,
     "motionlab.metrics": 5,
+    "motionlab.leakage": 5,
     "motionlab.baselines": 5,
     "motionlab.optimise": 5,
     # procedures
