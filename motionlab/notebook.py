@@ -21,7 +21,7 @@ from types import SimpleNamespace
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
-from IPython.display import Image, Markdown, display
+from IPython.display import HTML, Image, Markdown, display
 from matplotlib.figure import Figure
 from PIL import Image as Pillow
 from torch import Tensor
@@ -29,6 +29,7 @@ from torch import Tensor
 from motionlab import findings
 from motionlab.errors import DataError
 from motionlab.findings import Claim, Criterion, Finding, Record
+from motionlab.tables import markdown_table
 
 PROFILES = ("smoke", "full")
 
@@ -121,8 +122,7 @@ class Lab:
     def figure(self, picture: object, number: str, caption: str) -> None:
         """Show a picture with its caption below.
 
-        picture: a matplotlib Figure, an RGB array (H, W, 3), a PIL image, the path of a GIF or PNG, or a film
-        (anything with such a ``path``).
+        picture: a matplotlib Figure, an RGB array (H, W, 3), a PIL image, a film, or the path of a PNG.
         """
         if isinstance(picture, Figure):
             display(Image(_png(lambda file: picture.savefig(file, format="png", dpi=110, bbox_inches="tight"))))
@@ -130,8 +130,10 @@ class Lab:
         elif isinstance(picture, np.ndarray | Pillow.Image):
             still = Pillow.fromarray(picture) if isinstance(picture, np.ndarray) else picture
             display(Image(_png(lambda file: still.save(file, format="png", optimize=True))))
+        elif hasattr(picture, "_repr_html_"):
+            display(HTML(picture._repr_html_()))  # nbconvert drops image/gif from its report; an <img> stays
         else:
-            display(Image(filename=str(getattr(picture, "path", picture))))
+            display(Image(filename=str(picture)))
         self.say(f"**Figure {number}.** {caption}")
 
     def scratch(self, name: str) -> Path:
@@ -282,17 +284,3 @@ def _png(write: Callable[[io.BytesIO], object]) -> bytes:
     buffer = io.BytesIO()
     write(buffer)
     return buffer.getvalue()
-
-
-def markdown_table(rows: Sequence[Mapping[str, object]]) -> str:
-    """Rows as a Markdown table; an empty list says so."""
-    if not rows:
-        return "*(no rows)*"
-    head = list(rows[0])
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    lines += ["| " + " | ".join(_cell(row[key]) for key in head) + " |" for row in rows]
-    return "\n".join(lines)
-
-
-def _cell(value: object) -> str:
-    return (f"{value:.3g}" if isinstance(value, float) else str(value)).replace("|", "\\|").replace("\n", " ")

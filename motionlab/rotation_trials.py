@@ -133,6 +133,17 @@ def compare_consistency(
     return Consistency(worst, rep.flipped(carried, decoded).any(-1))
 
 
+def through_the_cut(motion: Motion, *, frames: int) -> Motion:
+    """The ``frames`` of a clip in which the root turns fastest, with a heading that meets the cut in their middle."""
+    root = motion.rot[:, 0]
+    turn = rotation.geodesic(root[:-1], root[1:])
+    start = int(turn.unfold(0, frames - 1, 1).sum(-1).argmax())
+    piece = motion.cut(start, start + frames)
+    turn_back = rotation.rotation_about("z", -rotation.yaw(piece.rot[frames // 2, 0]))
+    rot = torch.cat(((turn_back @ piece.rot[:, 0])[:, None], piece.rot[:, 1:]), dim=1)
+    return replace(piece, root=piece.root @ turn_back.mT, rot=rot)
+
+
 def filled_motions(
     motion: Motion, choices: Sequence[Representation], *, context: int, closures: int
 ) -> dict[str, Motion]:

@@ -4,8 +4,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import torch
+from IPython.display import HTML
 
-from motionlab import findings, notebook
+from motionlab import findings, notebook, tables
 from motionlab.errors import DataError
 from motionlab.findings import FAILS, HOLDS, UNJUDGED
 
@@ -128,9 +129,9 @@ def test_record_carries_the_hash_of_the_code(bench, tmp_path):
 
 
 def test_tables_escape_what_would_break_them():
-    text = notebook.markdown_table([{"a|b": "x|y\nz", "n": 0.123456}])
+    text = tables.markdown_table([{"a|b": "x|y\nz", "n": 0.123456}])
     assert text.splitlines()[2] == "| x\\|y z | 0.123 |"
-    assert notebook.markdown_table([]) == "*(no rows)*"
+    assert tables.markdown_table([]) == "*(no rows)*"
 
 
 def test_figures_of_every_kind_are_shown(bench, tmp_path, capsys):
@@ -139,6 +140,7 @@ def test_figures_of_every_kind_are_shown(bench, tmp_path, capsys):
     picture = np.zeros((4, 6, 3), dtype=np.uint8)
     lab.figure(fig, "02.1", "a plot")
     lab.figure(picture, "02.2", "an image")
-    notebook.Pillow.fromarray(picture).save(tmp_path / "a.gif")
-    lab.figure(tmp_path / "a.gif", "02.3", "a movie")
+    notebook.Pillow.fromarray(picture).save(tmp_path / "a.png")
+    lab.figure(tmp_path / "a.png", "02.3", "a file")
+    lab.figure(HTML("<img>"), "02.4", "a film")
     assert not plt.get_fignums()

@@ -60,7 +60,7 @@ def who_moves_whom(panels: Mapping[str, Tensor], body: BodyModel, keypoints: Seq
 
 
 def trade(rows: Sequence[Mapping[str, float]]) -> Figure:
-    """Leakage against displacement over the pruning threshold, rows as of :func:`motionlab.skinning.sweep`."""
+    """Leakage against displacement over the pruning threshold, rows as of :func:`motionlab.leakage.sweep`."""
     fig, (left,) = canvas(1, 1, size=(7.5, 3.2))
     at = [row["threshold"] for row in rows]
     left.plot(at, [100 * row["leakage"] for row in rows], "o-", color=ROLE["axis-angle"], label="leaked gradient")
