@@ -34,7 +34,6 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     # measures
     "motionlab.retarget": 5,
     "motionlab.metrics": 5,
-    "motionlab.leakage": 5,
     "motionlab.baselines": 5,
     "motionlab.optimise": 5,
     # procedures
