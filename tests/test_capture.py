@@ -1,0 +1,252 @@
+"""Capture: lines of sight against a slow twin, scenes with a known answer, and confidence that keeps its word."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from data_synth import capture, occluders
+from data_synth.body import capsule_body
+from data_synth.sight import gap_to, shell
+from motionlab import rotation
+from motionlab.body import lbs
+from motionlab.errors import NotConverged, ShapeError
+from motionlab.motion import Motion
+from motionlab.observation import BODY_25, Observation2D, look_at
+from motionlab.skeleton import STANDARD, UPRIGHT
+
+K = {name: k for k, name in enumerate(BODY_25)}
+FEET = [K[n] for n in BODY_25 if any(part in n for part in ("knee", "ankle", "toe", "heel"))]
+
+
+@pytest.fixture(scope="module")
+def body():
+    return capsule_body(0.05)
+
+
+def seeded(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+def standing(frames=4, turn=0.0, speed=0.0):
+    """Arms down, facing +y turned by ``turn`` radians, sliding along x at ``speed`` m/s."""
+    rot = torch.eye(3).repeat(frames, 22, 1, 1)
+    down = rotation.rotation_about("z", torch.tensor(-1.2))
+    rot[:, 16], rot[:, 17] = down, down.mT
+    rot[:, 0] = rotation.rotation_about("z", torch.as_tensor(turn).expand(frames)) @ UPRIGHT
+    root = torch.zeros(frames, 3)
+    root[:, 0], root[:, 2] = speed * (torch.arange(frames) - frames / 2) / 30, STANDARD.standing_height()
+    return Motion(STANDARD, root, rot, 30.0)
+
+
+def from_south(distance=4.0, height=1.2):
+    """On the -y side: sees the back of somebody who faces +y, with +x to the right."""
+    return look_at(
+        torch.tensor([0.0, -distance, height]), torch.tensor([0.0, 0.0, 1.0]), focal=800.0, width=1280, height=960
+    )
+
+
+def slow_gap(vertices, faces, eye, target):
+    """Moeller-Trumbore over every triangle for one line: the naive twin."""
+    way = target - eye
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    cross = np.cross(way, c - a)
+    det = ((b - a) * cross).sum(-1)
+    u = ((eye - a) * cross).sum(-1) / det
+    q = np.cross(eye - a, b - a)
+    v, t = (q @ way) / det, ((c - a) * q).sum(-1) / det
+    hits = t[(u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)]
+    return (1 - hits.min()) * np.linalg.norm(way) if len(hits) else -np.inf
+
+
+def test_gap_of_many_frames_in_one_scene_is_that_of_each_alone(body):
+    motion, eye = standing(5, torch.linspace(0, 5, 5), 9.0), torch.tensor([0.5, -4.0, 1.7])
+    vertices = lbs(body, STANDARD, motion.root, motion.rot)
+    targets = capture.keypoints(motion, body)
+    gap, _ = gap_to(vertices, body.faces, eye, targets)
+    slow = [
+        [slow_gap(v.double().numpy(), body.faces.numpy(), eye.double().numpy(), p.double().numpy()) for p in row]
+        for v, row in zip(vertices, targets, strict=True)
+    ]
+    assert np.abs(gap.clamp(min=0).numpy() - np.maximum(slow, 0)).max() < 2e-3
+
+
+def test_keypoints_are_joints_and_vertices(body):
+    motion = standing(3, 0.7)
+    points = capture.keypoints(motion, body)
+    assert torch.equal(points[:, K["mid_hip"]], motion.positions[:, 0])
+    assert torch.equal(points[:, K["left_knee"]], motion.positions[:, STANDARD.index("left_knee")])
+    vertices = lbs(body, STANDARD, motion.root, motion.rot)
+    assert (points[:, K["nose"]] - vertices[:, body.keypoint_vertices["nose"]]).abs().max() < 1e-5
+
+
+def test_pixels_are_the_pinhole_by_hand(body):
+    shot = capture.observe(standing(), body, from_south(4.0, 1.0), seeded())
+    x, y, z = shot.truth.points.unbind(-1)
+    by_hand = torch.stack((640 + 800 * x / (y + 4), 480 - 800 * (z - 1) / (y + 4)), -1)
+    assert (shot.truth.pixels - by_hand).abs().max() < 1e-2
+
+
+@pytest.mark.parametrize("turn, shown, hidden", [(0.0, "left_heel", "nose"), (np.pi, "nose", "left_heel")])
+def test_front_and_back(body, turn, shown, hidden):
+    visible = capture.observe(standing(1, turn), body, from_south(), seeded()).truth.visible[0]
+    assert visible[K[shown]] and not visible[K[hidden]] and visible[[K["neck"], K["left_knee"], K["right_hip"]]].all()
+
+
+@pytest.mark.parametrize("turn, near, far", [(np.pi / 2, "left", "right"), (-np.pi / 2, "right", "left")])
+def test_the_far_side_is_behind_the_near_side(body, turn, near, far):
+    visible = capture.observe(standing(1, turn), body, from_south(), seeded()).truth.visible[0]
+    assert not visible[[K[f"{far}_{part}"] for part in ("shoulder", "elbow", "hip", "knee")]].any()
+    # the near hip lies behind the near hand of somebody whose arms hang down
+    assert visible[[K[f"{near}_{part}"] for part in ("shoulder", "elbow", "wrist", "knee")]].all()
+
+
+def test_coarse_skin_hides_what_the_full_one_hides(monkeypatch):
+    body, motion, camera = capsule_body(0.03), standing(24, torch.linspace(0, 6.2, 24)), from_south()
+    hidden = {}
+    for faces in (2000, 10**9):
+        monkeypatch.setattr(capture, "shell", lambda body, faces=faces: shell(body, faces))
+        hidden[faces] = capture.observe(motion, body, camera, seeded()).truth.self_hidden
+    assert len(shell(body, 2000).faces) < len(body.faces) / 2
+    assert (hidden[2000] == hidden[10**9]).float().mean() > 0.97 and 0.1 < hidden[2000].float().mean() < 0.6
+
+
+def test_a_wall_hides_what_is_behind_it_and_nothing_in_front(body):
+    for y, hides in ((-1.0, True), (1.0, False)):
+        shot = capture.observe(standing(), body, from_south(), seeded(), [occluders.wall((-2, y), (2, y))])
+        assert (not shot.observation.visible.any() and not shot.truth.visible.any()) == hides
+        assert (shot.truth.clear == (0.0 if hides else 1.0)).all()
+
+
+def test_half_a_wall_hides_half_a_person(body):
+    """The wall reaches from x = 0.02 to the right: the line to a point p crosses y = -1 at 3/4 of p.x, nearly."""
+    shot = capture.observe(standing(), body, from_south(), seeded(), [occluders.wall((0.02, -1), (2, -1))])
+    x, y, _ = shot.truth.points.unbind(-1)
+    at_wall = x * 3 / (y + 4)
+    sure = (at_wall - 0.02).abs() > 0.02
+    free = torch.where(shot.truth.clear > 0.5, 1.0, 0.0)
+    assert torch.equal(free[sure], (at_wall < 0.02).float()[sure]) and 0.2 < free.mean() < 0.8
+    assert not shot.observation.visible[shot.truth.clear == 0].any()
+
+
+def test_scenes_hide_what_they_say(body):
+    walk, camera = standing(40, -np.pi / 2, 3.0), from_south(6.0)
+    desk = capture.observe(walk, body, camera, seeded(), [occluders.desk_before(walk, camera)]).truth
+    assert not desk.visible[:, FEET].any() and (desk.clear[:, K["nose"]] == 1).all()
+    wall = capture.observe(walk, body, camera, seeded(), [occluders.wall_before(walk, camera)]).truth
+    middle = wall.clear.mean(-1)
+    assert middle[0] == middle[-1] == 1 and middle[20] < 0.2
+    table = capture.observe(walk, body, camera, seeded(), [occluders.table(0.0, -2.0)]).truth
+    assert (table.clear[:, FEET] > 0.5).any(), "an open table is no desk"
+
+
+def test_somebody_who_passes_hides_only_while_passing(body):
+    still, camera = standing(30), from_south(6.0)
+    passer = standing(30, -np.pi / 2, 4.0)
+    passer = replace(passer, root=passer.root + torch.tensor([0.0, -1.5, 0.0]))
+    other = occluders.person(passer, body)
+    # seen from the side the passer is about half as wide as the one who stands
+    clear = capture.observe(still, body, camera, seeded(), [other]).truth.clear.mean(-1)
+    assert clear[0] == clear[-1] == 1 and clear.min() < 0.7 and abs(int(clear.argmin()) - 15) <= 2
+    with pytest.raises(ShapeError, match="30 frames, the motion has 4"):
+        capture.observe(standing(4), body, camera, seeded(), [other])
+
+
+def test_outside_the_image_is_undetected(body):
+    camera = look_at(torch.tensor([0.0, -2.0, 1.6]), torch.tensor([0.0, 0.0, 1.6]), focal=900.0, width=800, height=600)
+    shot = capture.observe(standing(), body, camera, seeded())
+    assert not shot.observation.visible[:, FEET].any() and shot.observation.visible[:, K["neck"]].all()
+    assert (shot.observation.keypoints[~shot.observation.visible] == 0).all()
+    away = look_at(torch.tensor([0.0, -2.0, 1.0]), torch.tensor([0.0, -9.0, 1.0]), focal=900.0, width=800, height=600)
+    assert not capture.observe(standing(), body, away, seeded()).observation.visible.any()
+
+
+@pytest.fixture(scope="module")
+def long_shot(body):
+    camera = from_south(4.0)
+    return capture.observe(
+        standing(600, torch.linspace(0, 40, 600)),
+        body,
+        camera,
+        seeded(1),
+        [occluders.table(0.0, -1.0)],
+        correlation=0.0,
+    )
+
+
+def calibration(confidence, hit):
+    """Largest distance in standard errors between confidence and the share of hits over ten bins; the shares."""
+    worst, shares = 0.0, []
+    for rows in confidence.argsort().chunk(10):
+        c, share = confidence[rows].mean(), hit[rows].float().mean()
+        worst = max(worst, abs(share - c) / (c * (1 - c) / len(rows)).sqrt())
+        shares.append(float(share))
+    return worst, shares
+
+
+def test_confidence_is_the_probability_of_a_hit(long_shot):
+    seen, truth = long_shot.observation.visible, long_shot.truth
+    error = (long_shot.observation.keypoints - truth.pixels).norm(dim=-1)
+    confidence, hit = long_shot.observation.confidence[seen], (error < truth.near[:, None])[seen]
+    worst, shares = calibration(confidence, hit)
+    assert worst < 4 and shares == sorted(shares) and shares[0] < 0.4 < 0.9 < shares[-1]
+    shuffled = confidence[torch.randperm(len(confidence), generator=seeded())]
+    assert calibration(shuffled, hit)[0] > 10, "negative control"
+
+
+def test_errors_have_their_sigma(long_shot):
+    seen = long_shot.observation.visible
+    unit = (long_shot.observation.keypoints - long_shot.truth.pixels) / long_shot.truth.sigma[..., None]
+    assert abs(unit[seen].std() - 1) < 0.03 and abs(unit[seen].mean()) < 0.03
+
+
+def test_what_makes_noise_larger(body):
+    def sigma(camera, *things, **motion):
+        return capture.observe(standing(8, np.pi, **motion), body, camera, seeded(), things).truth.sigma
+
+    near, far = sigma(from_south(3.0)), sigma(from_south(9.0))
+    assert (near > 1.8 * far).float().mean() > 0.9, "a larger image has larger errors in pixels"
+    assert (sigma(from_south(), speed=12.0) > 1.3 * sigma(from_south())).all(), "motion blur"
+    assert near[:, K["mid_hip"]].mean() > 2 * near[:, K["nose"]].mean(), "a hip is harder than a nose"
+    edge = occluders.wall((-2, -1), (0.0, -1))
+    assert (sigma(from_south(), edge) > 1.5 * sigma(from_south()))[:, K["neck"]].all(), "covered in part"
+
+
+def test_noise_remembers_the_frame_before():
+    for correlation in (0.0, 0.6):
+        noise = capture._steady_noise((4000, 5), correlation, seeded())
+        assert abs((noise[1:] * noise[:-1]).mean() - correlation) < 0.04 and abs(noise.std() - 1) < 0.03
+
+
+def test_same_seed_same_observation(body):
+    one, two, other = (capture.observe(standing(), body, from_south(), seeded(s)).observation for s in (1, 1, 2))
+    assert torch.equal(one.keypoints, two.keypoints) and torch.equal(one.confidence, two.confidence)
+    assert not torch.equal(one.keypoints, other.keypoints)
+
+
+def test_an_observation_holds_no_truth(body):
+    observation = capture.observe(standing(), body, from_south(), seeded()).observation
+    assert not any(isinstance(value, Motion | capture.Truth) for value in vars(observation).values())
+    assert set(vars(observation)) == set(Observation2D.__dataclass_fields__)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_drawn_camera_keeps_everybody_in_view(body, seed):
+    motion = standing(30, torch.linspace(0, 3, 30), 2.0)
+    camera = capture.frame_motion(motion, seeded(seed))
+    shot = capture.observe(motion, body, camera, seeded())
+    inside = (shot.truth.pixels > 0) & (shot.truth.pixels < torch.tensor([camera.width, camera.height]))
+    assert inside.all() and 0.8 - 1e-4 <= camera.centre[2] <= 2.2 + 1e-4
+    assert torch.equal(capture.frame_motion(motion, seeded(seed)).centre, camera.centre)
+    assert not torch.equal(capture.frame_motion(motion, seeded(seed + 100)).centre, camera.centre)
+
+
+def test_wrong_use_is_named(body):
+    with pytest.raises(NotConverged, match="200 m"):
+        capture.frame_motion(standing(), seeded(), margin=500.0)
+    batch = standing()
+    with pytest.raises(ShapeError, match="one clip"):
+        capture.observe(replace(batch, root=batch.root[None], rot=batch.rot[None]), body, from_south(), seeded())
+    with pytest.raises(ShapeError, match="no room"):
+        occluders.desk_before(standing(), from_south(0.8))
