@@ -120,6 +120,13 @@ def test_any_skeleton_gets_a_figure():
         assert np.isfinite(figure.vertices).all() and figure.faces.max() < len(figure.vertices)
 
 
+def test_a_bone_of_no_length_is_drawn_as_a_ball():
+    offsets = STANDARD.offsets.clone()
+    offsets[STANDARD.index("spine1")] = 0  # CMU's lower back starts in the pelvis
+    figure = figures.build(replace(STANDARD, offsets=offsets), palette.colour("ours"))
+    assert np.isfinite(figure.vertices).all() and np.isfinite(figure.normals).all()
+
+
 def test_left_is_lighter_than_right_in_every_role():
     for role in palette.ROLE:
         tones = palette.sides(palette.colour(role))

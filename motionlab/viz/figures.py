@@ -62,7 +62,8 @@ class Figure:
 def _lathe(start, end, along, radius, widen=1.0):
     """A surface of revolution about start -> end: ``along`` in metres on the axis, ``radius`` there; x times widen."""
     start, end = np.asarray(start, float), np.asarray(end, float)
-    axis = (end - start) / np.linalg.norm(end - start)
+    length = np.linalg.norm(end - start)
+    axis = (end - start) / length if length > 0 else np.array([0.0, 1.0, 0.0])  # a bone of no length is a ball
     side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     side /= np.linalg.norm(side)
     angle = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
