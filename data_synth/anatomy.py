@@ -3,7 +3,8 @@
 Ranges are degrees, for both sides alike; they are the widest of the cited tables plus the few degrees by which
 a joint centre of a 22-joint skeleton stands for several real joints (ankle and subtalar; scapula and collar).
 Source: Boone & Azen 1979, Roaas & Andersson 1982 (limbs, active range), AAOS 1994 (passive end range), White &
-Panjabi 1990 (spine, summed over the vertebrae that one of our joints stands for), Hopson 1995 (toes).
+Panjabi 1990 (spine, summed over the vertebrae that one of our joints stands for), Hopson 1995 (toes),
+Bennell 1998 (dorsiflexion under load, up to 50).
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ LIMITS = tuple(
         ("hip", "rotation", -55, 55),
         ("knee", "flexion", -2, 155),
         ("knee", "off hinge", 0, 1),
-        ("ankle", "dorsiflexion", -65, 42),
+        ("ankle", "dorsiflexion", -65, 48),
         ("ankle", "inversion", -35, 40),
         ("ankle", "rotation", -40, 40),
         ("foot", "extension", -45, 80),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from data_synth.curves import evaluate, noise, ramp, soft_clip, soft_min
-from data_synth.legs import bone_frame, foot_pose, heading_rotation, two_bone, unit
+from data_synth.legs import HEEL, bone_frame, foot_pose, heading_rotation, two_bone, unit
 from data_synth.score import CHANNELS, SIDES, SIGN, Score
 from data_synth.subjects import Subject
 from motionlab.motion import Motion
@@ -58,7 +58,7 @@ def perform(score: Score, fps: float = 30.0) -> Take:
     root, rot = solve(score.subject, control)
     contacts = _contacts(score, t)
     motion = Motion(skeleton, root, rot, fps, contacts, "+".join(dict.fromkeys(x for *_, x in score.labels)))
-    motion = _resting(motion)
+    motion = _resting(motion, control["settle"])
     labels, phase = _course(score, t)
     return Take(motion.to(torch.float32), labels, phase, score.subject)
 
@@ -209,7 +209,7 @@ def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
         free_foot = shin_rot @ rotation_about("x", c[f"{side}_ankle"])
         mixed = foot_rot[..., :2] + loose[..., None] * (free_foot - foot_rot)[..., :2]
         foot_rot = sixd_to_matrix(mixed.mT.reshape(*mixed.shape[:-2], 6))
-    ease = 0.03 * ramp(c[f"{side}_lift"] / 0.03 + c[f"{side}_loose"])
+    ease = 0.03 * ramp(c[f"{side}_lift"] / 0.05 + c[f"{side}_loose"]) + 0.07 * c["bent"]
     upper, lower, axis, _ = two_bone(hip, ankle, hinge, thigh, shin, ease)
     thigh_rot, shin_rot = bone_frame(axis, upper), bone_frame(axis, lower)
     rot[:, name(f"{side}_hip")] = pelvis_rot.mT @ thigh_rot
@@ -268,9 +268,17 @@ def _settle(pelvis: Tensor, rot: Tensor, weight: Tensor, subject: Subject) -> Te
     if not weight.any():
         return pelvis
     skeleton = subject.skeleton.to(torch.float64)
-    heights = fk(skeleton, pelvis, rot)[0][..., 2]
+    positions, world = fk(skeleton, pelvis, rot)
+    heights = positions[..., 2]
     radius = torch.tensor(list(RADIUS.values()), dtype=torch.float64)
-    clearance = soft_min(heights[:, skeleton.indices(list(RADIUS))] - radius, 0.006)
+    clear = [heights[:, skeleton.indices(list(RADIUS))] - radius]
+    for side in SIDES:
+        ankle, ball = skeleton.index(f"{side}_ankle"), skeleton.index(f"{side}_foot")
+        heel = torch.tensor([0.0, float(skeleton.offsets[ball, 1]) - skeleton.sole, -HEEL], dtype=torch.float64)
+        toes = torch.tensor([0.0, -skeleton.sole, 0.06], dtype=torch.float64)
+        points = heights[:, ankle] + world[:, ankle, 2] @ heel, heights[:, ball] + world[:, ball, 2] @ toes
+        clear.append(torch.stack((*points, heights[:, ball] - skeleton.sole), -1))
+    clearance = soft_min(torch.cat(clear, -1), 0.006)
     return torch.cat((pelvis[:, :2], (pelvis[:, 2] - weight * clearance)[:, None]), -1)
 
 
@@ -283,9 +291,14 @@ def _contacts(score: Score, t: Tensor) -> Tensor:
     return contacts
 
 
-def _resting(motion: Motion) -> Motion:
-    """Add the contacts of a pelvis that lies still on the floor."""
-    return motion
+def _resting(motion: Motion, settle: Tensor) -> Motion:
+    """Add the contact of a pelvis that lies on the floor and rests: lower than 14 cm and slower than 2 cm/s."""
+    low = (motion.root[:, 2] - RADIUS["pelvis"]).abs() < 0.04
+    step = motion.root.diff(dim=0).norm(dim=-1) * motion.fps
+    slow = torch.cat((step, step[-1:])) < 0.02
+    contacts = motion.contacts.clone()
+    contacts[:, motion.skeleton.contact_names.index("pelvis")] = (low & slow & (settle > 0.999)).to(contacts)
+    return replace(motion, contacts=contacts)
 
 
 def _course(score: Score, t: Tensor) -> tuple[tuple[str, ...], Tensor]:

@@ -73,7 +73,7 @@ class Subject:
     @property
     def standing(self) -> float:
         """Height of the pelvis when standing at ease, knees all but straight, metres."""
-        return self.ankle + 0.996 * self.leg + self.hip_drop
+        return self.ankle + 0.998 * self.leg + self.hip_drop
 
 
 def proportioned(scale: float = 1.0, **segments: float) -> Skeleton:

@@ -12,7 +12,7 @@ from functools import wraps
 
 import torch
 
-from data_synth.actions import locomotion, seat, standing
+from data_synth.actions import dance, floor, locomotion, seat, standing
 from data_synth.perform import Take, perform
 from data_synth.score import Score
 from data_synth.subjects import Subject
@@ -20,6 +20,8 @@ from data_synth.subjects import Subject
 #: The writers by name: each continues a Score.
 WRITERS: dict[str, Callable[..., None]] = {
     "walk": locomotion.walk,
+    "run": locomotion.run,
+    "turn": locomotion.turn,
     "idle": standing.idle,
     "reach": standing.reach,
     "wave": standing.wave,
@@ -28,6 +30,8 @@ WRITERS: dict[str, Callable[..., None]] = {
     "sit": seat.sit,
     "crouch": seat.crouch,
     "jump": seat.jump,
+    "dance": dance.dance,
+    "floor": floor.floor,
 }
 
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from data_synth.actions.gait import Gait, tread
-from data_synth.score import Score
+from data_synth.actions.gait import OTHER, Gait, tread
+from data_synth.actions.standing import ease
+from data_synth.score import SIGN, Score
+
+GRAVITY = 9.81
 
 
 def walking_gait(score: Score, speed: float) -> tuple[float, float, Gait]:
@@ -87,3 +90,110 @@ def _path(score: Score, length: float, turn: float, steps: int) -> tuple[list[tu
         centres.append((x, y))
         headings.append(heading)
     return [*centres, centres[-1]], [*headings, heading]
+
+
+def turn(score: Score, *, angle: float | None = None) -> None:
+    """Turn on the spot by ``angle`` radians to the left (drawn if None) in small steps; head and eyes lead."""
+    angle = score.choose((-1, 1)) * score.uniform(0.8, 3.2) if angle is None else angle
+    with score.action("turn"):
+        steps = max(1, math.ceil(abs(angle) / score.uniform(0.5, 0.85)))
+        step_time = score.uniform(0.48, 0.62) / score.subject.tempo
+        gait = Gait(
+            duty=0.66, width=1.3 * score.subject.step_width, clearance=0.045, heel=0.5, toe=0.0, bob=0.006, sway=0.03,
+            yaw=0.0, twist=0.0, tilt=0.02, swing=0.06, elbow=0.08, drop=0.015, lean=score.subject.lean,
+        )  # fmt: skip
+        lead = math.copysign(min(0.5, abs(angle) / 2), angle)
+        score.pulse("turn", lead, score.now, 0.5, steps * step_time + 0.4, 0.1)
+        score.pulse("twist", 0.3 * lead, score.now + 0.1, 0.5, steps * step_time + 0.3, 0.1)
+        here = (score.value["x"], score.value["y"])
+        headings = [score.value["heading"] + angle * (k + 1) / steps for k in range(steps)]
+        tread(score, [here] * (steps + 1), [*headings, headings[-1]], step_time, gait, "left" if angle > 0 else "right")
+
+
+def run(score: Score, *, seconds: float = 3.0, speed: float | None = None, turn: float = 0.0) -> None:
+    """Run for about ``seconds`` at ``speed`` m/s (drawn if None), with a flight phase after every step.
+
+    Between toe-off and the next landing the pelvis is in free fall, z'' = -g; in stance a quintic joins the two.
+    Source: Cavanagh & Kram 1989 (cadence 2.6 - 3 steps/s, hardly rising with speed); Novacheck 1998 (duty 0.35 - 0.4).
+    """
+    s = score.subject
+    speed = score.uniform(1.9, 2.6) if speed is None else speed
+    with score.action("run"):
+        step_time = math.sqrt(s.leg / 0.902) / (2.45 + 0.12 * speed)
+        flight = step_time * (0.20 + 0.035 * speed)
+        stance = step_time - flight  # of a step: the other foot is in the air throughout
+        count = max(6, round((seconds - 1.5) / step_time))
+        ways = [0.35, 0.6, 0.85] + [1.0] * (count - 5) + [0.7, 0.35]
+        places, headings = _run_path(score, [w * speed * step_time for w in ways], turn)
+        first = score.choose(("left", "right"))
+        strikes = [score.now + 0.75 + k * step_time for k in range(count)]
+        _run_height(score, strikes, stance, flight)
+        side = first
+        for k, strike in enumerate(strikes):
+            _run_step(score, side, strike, stance, flight, places[k], headings[k], ways[k])
+            score.gait.append((strike, (0.0 if first == "left" else 0.5) + 0.5 * k))
+            side = OTHER[side]
+        x, y = score.stance(side)
+        stop = strikes[-1] + stance + 0.22
+        score.step(side, (x, y), headings[-1] + SIGN[side] * s.toe_out, strikes[-1] + 0.05, stop, height=0.10, heel=0.9)
+        ease(score, strikes[-1] + 0.25, 0.8)
+        score.now = strikes[-1] + 1.1
+
+
+def _run_path(score: Score, ways: list[float], turn: float) -> tuple[list[tuple[float, float]], list[float]]:
+    x, y, heading = (score.value[name] for name in ("x", "y", "heading"))
+    places, headings = [], []
+    for way in ways:
+        new = heading + turn / len(ways)
+        middle = (heading + new) / 2
+        x, y, heading = x - way * math.sin(middle), y + way * math.cos(middle), new
+        places.append((x, y))
+        headings.append(heading)
+    return places, headings
+
+
+def _run_height(score: Score, strikes: list[float], stance: float, flight: float) -> None:
+    """Parabola in flight, quintic in stance; a dip to start from and one to stop in."""
+    s, g = score.subject, GRAVITY
+    up = g * flight / 2
+    level = s.standing - 0.080 * s.leg
+    dip = strikes[0] - flight - 0.22
+    knots = [(score.now, score.value["z"], 0, 0), (dip, level - 0.05, 0, 0), (strikes[0] - flight, level, up, -g)]
+    for strike in strikes[:-1]:
+        knots += [(strike, level, -up, -g), (strike + stance, level, up, -g)]
+    end = strikes[-1]
+    knots += [(end, level, -up, -g), (end + 0.18, level - 0.015, 0, 0), (end + 0.80, s.standing, 0, 0)]
+    score.knots("z", knots)
+    score.pulse("bent", 1.0, score.now, 0.5, 0.5, end - score.now - 0.4)
+    score.pulse("air", 1.0, strikes[0] - flight - 0.1, 0.15, 0.15, end - strikes[0] + flight)
+
+
+def _run_step(score, side, strike, stance, flight, place, heading, way) -> None:
+    s, sign = score.subject, SIGN[side]
+    step_time = stance + flight
+    middle = strike + stance / 2
+    for channel, to in (("x", place[0]), ("y", place[1]), ("heading", heading)):
+        score.move(channel, to, middle - 2.0 * step_time, 3 * step_time)
+    half, ahead = sign * 0.3 * s.step_width, -0.035 + 0.04
+    x = place[0] - half * math.cos(heading) - ahead * math.sin(heading)
+    y = place[1] - half * math.sin(heading) + ahead * math.cos(heading)
+    swing = step_time + flight
+    first = f"{side}_ankle" in score.planted and score.planted[f"{side}_ankle"] < score.now
+    lift = strike - swing if not first else max(score.now + 0.2, strike - swing)
+    score.step(
+        side, (x, y), heading + sign * 0.5 * s.toe_out, lift, strike, height=0.10 + 0.10 * way, heel=0.95 + 0.3 * way,
+        toe=0.10, early=0.75 * stance, late=0.05, shape=(0.55, 0.50, 1.55),
+    )  # fmt: skip
+    score.move("sway", sign * 0.012, middle - step_time, step_time)
+    score.move("yaw", -sign * 0.13 * s.twist, middle - 1.1 * step_time, 1.1 * step_time)
+    score.move("twist", sign * 0.32 * s.twist, middle - 1.1 * step_time, 1.1 * step_time)
+    score.move("tilt", sign * 0.05, middle - step_time, step_time)
+    score.move("bend", -sign * 0.04, middle - step_time, step_time)
+    score.pose(middle - 2 * step_time, 2 * step_time, pitch=0.07 + 0.06 * way, flex=0.10 + 0.04 * way)
+    for arm in ("left", "right"):
+        out = 1 if arm == OTHER[side] else -1
+        swung = 0.05 + out * (0.50 if out > 0 else 0.55) * s.arm_swing**0.5 * (0.4 + 0.6 * way)
+        score.arm(
+            arm, middle - 1.1 * step_time, 1.1 * step_time, elbow=1.45 + 0.2 * out, abduct=0.28, rotate=-0.25,
+            **{"raise": swung},
+        )  # fmt: skip

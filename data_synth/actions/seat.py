@@ -70,9 +70,9 @@ def crouch(score: Score, *, depth: float | None = None, seconds: float = 1.0) ->
     depth = v(0.25, 0.62) if depth is None else depth
     with score.action("crouch"):
         t, down, up = score.now, v(0.8, 1.2) / s.tempo, v(0.8, 1.2) / s.tempo
-        rise = max(0.0, depth - 0.30) * 2.3
+        rise = max(0.0, depth - 0.18) * 2.1
         lean = v(0.9, 1.2) * depth
-        score.pose(t, down, z=s.standing - depth * s.leg + 0.09 * rise, surge=-0.10 * depth + 0.10 * rise)
+        score.pose(t, down, z=s.standing - depth * s.leg + 0.09 * rise, surge=-0.20 * depth + 0.10 * rise)
         score.pose(t, down, pitch=0.8 * lean, flex=0.5 * lean, steady=0.8, nod=v(0.0, 0.4))
         for side in SIDES:
             score.arm(
@@ -115,7 +115,7 @@ def jump(
     with score.action("jump"):
         t, sink, push, give = score.now, v(0.45, 0.7), v(0.30, 0.36), v(0.26, 0.34)
         off, land = t + sink + push, t + sink + push + flight
-        low, out = s.standing - v(0.24, 0.32), s.standing - 0.03
+        low, out = s.standing - v(0.24, 0.32), s.standing - 0.065
         bottom = s.standing - v(0.18, 0.30)
         score.knots("z", [
             (t, score.value["z"], 0, 0), (t + sink, low, 0, 0), (off, out, speed, -GRAVITY),
@@ -129,9 +129,9 @@ def jump(
             score.arm(side, t, sink, elbow=0.25, abduct=0.2, rotate=0.0, **{"raise": -0.75})
             score.arm(side, t + sink - 0.02, push + 0.08, elbow=0.6, **{"raise": v(1.2, 2.2)})
             score.arm(side, off + 0.5 * flight, 0.5 * flight + give, elbow=0.5, abduct=0.35, **{"raise": 0.5})
-        score.pose(t, sink, pitch=0.50, flex=0.28, surge=-0.06, steady=0.85)
+        score.pose(t, sink, pitch=0.50, flex=0.28, surge=-0.15, steady=0.85)
         score.pose(t + sink, push, pitch=0.03, flex=-0.02, surge=0)
-        score.pose(land - 0.12, give + 0.12, pitch=0.34, flex=0.22, surge=-0.04)
+        score.pose(land - 0.12, give + 0.12, pitch=0.34, flex=0.22, surge=-0.10)
         ease(score, land + give + 0.02, 0.65)
         score.now = land + give + 0.75
 

@@ -171,7 +171,7 @@ def kick(score: Score, *, times: int = 1) -> None:
         with score.action("kick"):
             side = score.choose(SIDES)
             sign, stance = SIGN[side], OTHER[side]
-            start, high, wide = score.now, v(0.9, 1.45), v(0.0, 0.45)
+            start, high, wide = score.now, v(1.1, 1.65), v(0.0, 0.45)
             lean_on(score, stance, start, 0.5, 0.075)
             for arm in SIDES:
                 score.arm(arm, start, 0.5, abduct=0.3, rotate=-0.1, elbow=1.6, **{"raise": 0.5})

@@ -1,0 +1,249 @@
+"""The corpus: what the thesis had, made of synthetic performances with known truth.
+
+21 sequences of about two minutes, four subjects, 30 frames a second, some 42 minutes; three sequences of the
+training subjects and one whole subject held out.
+Source: thesis section 4.1.2, "Data" (claim D05).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+import math
+import os
+import tempfile
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from tqdm.auto import tqdm
+
+from data_synth import anatomy, curves, legs, perform, score, subjects
+from data_synth.actions import WRITERS, dance, floor, gait, locomotion, seat, standing
+from data_synth.perform import Take
+from data_synth.score import Score
+from data_synth.subjects import SUBJECTS, Subject
+from motionlab.errors import ShapeError
+
+#: How often each action is chosen, relative to the others.
+MIX = {
+    "walk": 5.0, "run": 1.2, "turn": 1.0, "idle": 1.6, "reach": 1.5, "wave": 0.8, "punch": 1.2, "kick": 0.8,
+    "sit": 1.0, "crouch": 1.0, "jump": 0.9, "dance": 1.8, "floor": 0.8,
+}  # fmt: skip
+MANNERS = (None, None, None, None, "proud", "tired", "sneaking", "marching")
+_SOURCES = (anatomy, curves, legs, perform, score, subjects, dance, floor, gait, locomotion, seat, standing)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a corpus is made of. version "A": root fixed horizontally, no contacts; "B": free root and contacts.
+
+    sequences: how many; heldout: indices of those kept from training though their subject is not.
+    heldout_subject: name of the subject of whom nothing is trained on. room: half its side, metres.
+    """
+
+    seed: int = 0
+    version: str = "B"
+    sequences: int = 21
+    seconds: float = 120.0
+    fps: float = 30.0
+    room: float = 3.0
+    heldout: tuple[int, ...] = (4, 9, 14)
+    heldout_subject: str = "dee"
+
+    def subject(self, index: int) -> Subject:
+        """Who performs a sequence: the held-out subject the last four of 21 (a fifth), the others in turn."""
+        others = [s for s in SUBJECTS if s.name != self.heldout_subject]
+        last = next(s for s in SUBJECTS if s.name == self.heldout_subject)
+        return last if index >= self.sequences - max(1, self.sequences // 5) else others[index % len(others)]
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """One performance in the corpus, and which part of the split it belongs to."""
+
+    name: str
+    take: Take
+    split: str
+
+    @property
+    def motion(self):
+        """The motion of the take."""
+        return self.take.motion
+
+
+@dataclass(frozen=True, eq=False)
+class Corpus:
+    """All sequences, and the recipe they follow."""
+
+    recipe: Recipe
+    sequences: tuple[Sequence, ...]
+
+    def _of(self, split: str) -> tuple[Sequence, ...]:
+        return tuple(s for s in self.sequences if s.split == split)
+
+    @property
+    def train(self) -> tuple[Sequence, ...]:
+        """What a model may learn from."""
+        return self._of("train")
+
+    @property
+    def heldout_sequences(self) -> tuple[Sequence, ...]:
+        """Unseen sequences of subjects that were seen."""
+        return self._of("held-out sequence")
+
+    @property
+    def heldout_subject(self) -> tuple[Sequence, ...]:
+        """Everything of the subject that was never seen."""
+        return self._of("held-out subject")
+
+    def statistics(self) -> list[dict[str, object]]:
+        """A row per split: sequences, subjects, minutes, mean speed of the pelvis (m/s), share of each action."""
+        rows = []
+        for split in ("train", "held-out sequence", "held-out subject"):
+            part = self._of(split)
+            if not part:
+                continue
+            labels = [label for s in part for label in s.take.labels]
+            speed = [s.motion.root[:, :2].diff(dim=0).norm(dim=-1) * s.motion.fps for s in part]
+            rows.append({
+                "split": split,
+                "sequences": len(part),
+                "subjects": len({s.take.subject.name for s in part}),
+                "minutes": sum(s.motion.seconds for s in part) / 60,
+                "fps": self.recipe.fps,
+                "speed": float(torch.cat(speed).mean()),
+                "actions": {name: labels.count(name) / len(labels) for name in sorted(set(labels))},
+            })  # fmt: skip
+        return rows
+
+
+def build(seed: int = 0, version: str = "B", *, recipe: Recipe | None = None, progress: bool = True) -> Corpus:
+    """The corpus of a recipe, from the cache if it is there and whole, else made (and cached).
+
+    The cache lies in $MOTIONLAB_CACHE or ~/.cache/motionlab, one file per recipe and state of the code. A
+    damaged file is made anew.
+
+    Raises:
+        ShapeError: the version is neither "A" nor "B".
+    """
+    recipe = recipe or Recipe(seed=seed, version=version)
+    if recipe.version not in ("A", "B"):
+        raise ShapeError(f'version: expected "A" or "B", got {recipe.version!r}')
+    path = cache_path(recipe)
+    takes = _load(path, recipe)
+    if takes is None:
+        takes = [
+            perform_sequence(recipe, k)
+            for k in tqdm(range(recipe.sequences), desc="synthetic corpus", unit="sequence", disable=not progress)
+        ]
+        _save(path, takes)
+    if recipe.version == "A":
+        takes = [stick(take) for take in takes]
+    sequences = tuple(Sequence(f"{k:02d}_{take.subject.name}", take, _split(recipe, k)) for k, take in enumerate(takes))
+    return Corpus(recipe, sequences)
+
+
+def perform_sequence(recipe: Recipe, index: int) -> Take:
+    """One sequence: actions in random order without a seam, kept inside the room; cut to the asked length."""
+    generator = torch.Generator().manual_seed(1_000_003 * recipe.seed + index)
+    part = Score(recipe.subject(index), generator)
+    part.initial["heading"] = part.value["heading"]
+    names, weights = list(MIX), torch.tensor(list(MIX.values()))
+    previous = ""
+    while part.now < recipe.seconds + 0.1:
+        name = names[int(torch.multinomial(weights, 1, generator=generator))]
+        if name == previous and name != "walk":
+            continue
+        previous = name
+        if name in ("walk", "run"):
+            _roam(part, recipe.room, name)
+        else:
+            WRITERS[name](part)
+    take = perform.perform(part, recipe.fps)
+    frames = round(recipe.seconds * recipe.fps)
+    return replace(take, motion=take.motion.cut(0, frames), labels=take.labels[:frames], phase=take.phase[:frames])
+
+
+def _roam(part: Score, room: float, name: str) -> None:
+    """Walk or run in the room: away from the walls, along a curve; turn on the spot first when that is needed."""
+    x, y, heading = (part.value[key] for key in ("x", "y", "heading"))
+    goal = (part.uniform(-0.75, 0.75) * room, part.uniform(-0.75, 0.75) * room)
+    way = math.hypot(goal[0] - x, goal[1] - y)
+    turn = (math.atan2(-(goal[0] - x), goal[1] - y) - heading + math.pi) % (2 * math.pi) - math.pi
+    if abs(turn) > 0.9:
+        WRITERS["turn"](part, angle=turn)
+        turn = 0.0
+    if name == "run" and way > 2.5:
+        speed = part.uniform(1.9, 2.6)
+        WRITERS["run"](part, seconds=1.5 + max(1.0, 0.8 * way / speed), speed=speed, turn=turn)
+    elif way > 0.8:
+        speed = part.uniform(0.7, 1.6)
+        WRITERS["walk"](part, seconds=1.2 + way / speed, speed=speed, turn=2 * turn, manner=part.choose(MANNERS))
+
+
+def stick(take: Take) -> Take:
+    """Version A: the pelvis stays over one place, heights and rotations stay, contacts are not known."""
+    root = take.motion.root.clone()
+    root[:, :2] = root[:1, :2]
+    return replace(take, motion=replace(take.motion, root=root, contacts=None))
+
+
+def _split(recipe: Recipe, index: int) -> str:
+    if recipe.subject(index).name == recipe.heldout_subject:
+        return "held-out subject"
+    return "held-out sequence" if index in recipe.heldout else "train"
+
+
+def cache_path(recipe: Recipe) -> Path:
+    """Where the sequences of a recipe are cached; both versions share them. Changes with the code that makes them."""
+    folder = os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab"
+    code = "".join(inspect.getsource(module) for module in _SOURCES) + inspect.getsource(perform_sequence)
+    what = {**asdict(recipe), "version": "", "heldout": (), "mix": MIX, "code": code, "roam": inspect.getsource(_roam)}
+    digest = hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:16]
+    return Path(folder) / f"corpus-{digest}.safetensors"
+
+
+def _save(path: Path, takes: list[Take]) -> None:
+    tensors, labels = {}, []
+    for k, take in enumerate(takes):
+        motion = take.motion
+        arrays = {"root": motion.root, "rot": motion.rot, "contacts": motion.contacts, "phase": take.phase}
+        tensors |= {f"{k}.{name}": value.contiguous().clone() for name, value in arrays.items()}
+        labels.append(take.labels)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+        partial = Path(part.name)
+    save_file(tensors, partial, metadata={"labels": json.dumps(labels), "check": _checksum(tensors)})
+    partial.replace(path)
+
+
+def _checksum(tensors: dict[str, torch.Tensor]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(tensors):
+        digest.update(name.encode() + tensors[name].contiguous().numpy().tobytes())
+    return digest.hexdigest()
+
+
+def _load(path: Path, recipe: Recipe) -> list[Take] | None:
+    if not path.exists():
+        return None
+    try:
+        with safe_open(path, "pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}
+            labels, check = json.loads(file.metadata()["labels"]), file.metadata()["check"]
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError):
+        return None
+    if check != _checksum(tensors):
+        return None
+    takes = []
+    for k in range(recipe.sequences):
+        who = recipe.subject(k)
+        names = ("root", "rot", "contacts", "phase")
+        root, rot, contacts, phase = (tensors[f"{k}.{name}"] for name in names)
+        motion = perform.Motion(who.skeleton, root, rot, recipe.fps, contacts, f"{k:02d}_{who.name}")
+        takes.append(Take(motion, tuple(labels[k]), phase, who))
+    return takes
