@@ -48,6 +48,34 @@ def test_too_few_samples_are_refused(n):
         distribution.floor(torch.zeros(5, 2), torch.zeros(5), torch.Generator())
 
 
+def statue(frames=90, height=0.992):
+    rot = torch.eye(3).repeat(frames, 22, 1, 1)
+    rot[:, 0] = UPRIGHT
+    root = torch.zeros(frames, 3)
+    root[:, 2] = height
+    return Motion(STANDARD, root, rot, 30.0)
+
+
+def test_windows_know_their_recording_and_short_ones_are_left_out():
+    motions = [statue(), statue(frames=30), statue(frames=120)]
+    described = distribution.describe_windows(motions, torch.Generator().manual_seed(0), most=100)
+    assert described.groups.tolist().count(0) == 2 and described.groups.tolist().count(2) == 3
+    assert described.table.shape == (5, len(distribution.UNITS))
+    both = distribution.pool([described, described])
+    assert sorted(both.groups.unique().tolist()) == [0, 2, 3, 5]
+
+
+def test_compare_sees_a_set_that_differs_and_not_one_that_does_not():
+    def noisy(seed, shift):
+        g = torch.Generator().manual_seed(seed)
+        values = {k: shift + torch.randn(200, generator=g) for k in distribution.UNITS}
+        return distribution.Described(values, torch.arange(20).repeat(10))
+
+    same, floor = distribution.compare(noisy(0, 0.0), noisy(1, 0.0), torch.Generator().manual_seed(2))
+    other, _ = distribution.compare(noisy(0, 1.0), noisy(1, 0.0), torch.Generator().manual_seed(2))
+    assert same <= floor.max() < other
+
+
 def test_describe_a_turning_gliding_statue():
     t = torch.arange(30) / 30
     aa = torch.zeros(30, 22, 3)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
-from motionlab.motion import Motion, velocity
+from motionlab.motion import Motion, velocity, windows
 from motionlab.skeleton import FEET
 
 #: What :func:`describe` measures, with its unit.
@@ -50,6 +52,50 @@ def describe(motion: Motion) -> dict[str, Tensor]:
         "trunk lean": torch.rad2deg(torch.acos(trunk[..., 2].clamp(-1, 1))).mean(-1),
         "hand height": hands.mean((-1, -2)),
     }
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """Descriptions of windows: values name -> (N,), and groups (N,), the recording that each comes from."""
+
+    values: dict[str, Tensor]
+    groups: Tensor
+
+    @property
+    def table(self) -> Tensor:
+        """The values as columns, (N, D)."""
+        return torch.stack(list(self.values.values()), dim=-1)
+
+
+def describe_windows(
+    motions: Sequence[Motion], generator: torch.Generator, *, most: int, seconds: float = 2.0
+) -> Described:
+    """Describe at most ``most`` windows of ``seconds``, half overlapping, drawn at random over all recordings.
+
+    Recordings that are shorter than one window are left out.
+    """
+    parts, groups = [], []
+    for group, motion in enumerate(motions):
+        length = round(seconds * motion.fps)
+        if motion.frames >= length:
+            parts.append(describe(windows(motion, length, length // 2)))
+            groups += [group] * len(parts[-1]["root speed"])
+    pick = torch.randperm(len(groups), generator=generator)[:most]
+    return Described({k: torch.cat([p[k] for p in parts])[pick] for k in UNITS}, torch.tensor(groups)[pick])
+
+
+def pool(parts: Sequence[Described]) -> Described:
+    """Several sets as one; recordings stay apart."""
+    first = torch.tensor([0] + [int(p.groups.max()) + 1 for p in parts[:-1]]).cumsum(0)
+    groups = torch.cat([p.groups + start for p, start in zip(parts, first, strict=True)])
+    return Described({k: torch.cat([p.values[k] for p in parts]) for k in UNITS}, groups)
+
+
+def compare(ours: Described, theirs: Described, generator: torch.Generator, draws: int = 50) -> tuple[float, Tensor]:
+    """Energy distance between two sets, standardised by the second's mean and deviation, and the second's floor."""
+    middle, spread = theirs.table.mean(0), theirs.table.std(0)
+    x, y = ((d.table - middle) / spread for d in (ours, theirs))
+    return energy_distance(x, y), floor(y, theirs.groups, generator, draws)
 
 
 def _flexion(motion: Motion, *chain: str) -> Tensor:
