@@ -36,7 +36,7 @@ def _legs(score: Score, start: float, duration: float, **to: float) -> None:
 def _to_seat(score: Score, down: float) -> None:
     """Squat, hands to the back, until the seat is on the floor."""
     s, t = score.subject, score.now
-    score.pose(t, down, z=0.36 * s.leg + 0.05, surge=-0.36 * s.leg / 0.9, pitch=0.25, flex=0.7, steady=0.7)
+    score.pose(t, down, z=0.36 * s.leg + 0.05, surge=-0.36 * s.leg / 0.9, pitch=0.20, flex=0.75, steady=0.7)
     for side in SIDES:
         score.arm(side, t, down, elbow=0.5, abduct=0.5, rotate=0.0, **{"raise": -0.1})
         score.move(f"{side}_splay", 0.15, t, down)

@@ -80,10 +80,11 @@ def _footfall(score, side, centre, heading, lift, strike, gait, step_time, *, la
     size = min(1.0, way / (0.9 * score.subject.leg))  # short steps roll less
     forward = max(0.0, ahead) / way if way > 1e-6 else 0.0
     support = gait.duty * 2 * step_time
+    early = min((0.42 + 2.5 * max(0.0, gait.drop - 0.03)) * support, 0.45)  # who walks low lifts the heel sooner
     score.step(
         side, (x, y), heading + SIGN[side] * score.subject.toe_out, lift, strike,
         height=gait.clearance * (0.6 + 0.4 * size), heel=0.25 + (gait.heel - 0.25) * size,
-        toe=gait.toe * size * forward, early=min(0.42 * support, 0.36), late=0.12 * support,
+        toe=gait.toe * size * forward, early=early, late=0.12 * support,
     )  # fmt: skip
 
 

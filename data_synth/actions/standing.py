@@ -77,8 +77,8 @@ def reach(score: Score, *, times: int = 2) -> None:
             start = score.now
             for arm in SIDES if both else (side,):
                 score.arm(
-                    arm, start, go, rotate=v(-0.2, 0.3), elbow=v(0.15, 0.5), pronate=v(-0.3, 0.6),
-                    abduct=across if arm == side and not both else v(0.0, 0.2), **{"raise": 1.35 + 1.15 * height},
+                    arm, start, go, rotate=v(-0.2, 0.1), elbow=v(0.15, 0.5), pronate=v(-0.3, 0.6),
+                    abduct=across if arm == side and not both else v(0.0, 0.2), **{"raise": 1.30 + 0.72 * height},
                 )  # fmt: skip
             deep = max(0.0, -height) + v(0.0, 0.3)
             score.pose(
@@ -95,7 +95,7 @@ def wave(score: Score, *, times: int | None = None) -> None:
     with score.action("wave"):
         side, v, fast = score.choose(SIDES), score.uniform, score.subject.tempo
         times = int(v(3, 6)) if times is None else times
-        abduct, rotate, elbow = v(0.9, 1.5), v(1.1, 1.45), v(1.3, 1.8)
+        abduct, rotate, elbow = v(0.9, 1.5), v(1.0, 1.25), v(1.3, 1.8)
         raising, beat, size = v(0.5, 0.8) / fast, v(0.22, 0.32) / fast, v(0.18, 0.4)
         score.arm(
             side, score.now, raising, abduct=abduct, rotate=rotate, elbow=elbow, pronate=-0.4, **{"raise": v(0, 0.4)}
@@ -182,7 +182,7 @@ def kick(score: Score, *, times: int = 1) -> None:
             score.pose(up - 0.1, 0.01 + 0.0, **{f"{side}_hip_flex": 0.35, f"{side}_knee": 0.75, f"{side}_ankle": 0.25})
             chamber, snap, fold, down = 0.34, v(0.15, 0.2), v(0.2, 0.26), 0.42
             score.pulse(f"{side}_loose", 1.0, up, 0.8 * chamber, down, 0.2 * chamber + snap + fold)
-            score.pulse(f"{side}_lift", 0.12, up, 0.15, down, chamber + snap + fold - 0.15)
+            score.pulse(f"{side}_lift", 0.17, up, 0.15, down, chamber + snap + fold - 0.15)
             leg = {
                 f"{side}_hip_flex": 0.85 * high,
                 f"{side}_knee": v(1.5, 1.8),

@@ -1,0 +1,165 @@
+"""The actions keep their promises: planted feet, a solid floor, possible joints, continuous acceleration, gait."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from scipy.interpolate import BPoly
+
+from data_synth.actions import ACTIONS
+from data_synth.audit import acceleration, audit
+from data_synth.curves import evaluate, quintic
+from data_synth.legs import two_bone
+from data_synth.subjects import SUBJECTS
+
+MILLIMETRE = 1e-3
+
+
+def take(name, subject=0, seed=0, **options):
+    return ACTIONS[name](SUBJECTS[subject], torch.Generator().manual_seed(seed), **options)
+
+
+@pytest.mark.parametrize("name", ACTIONS)
+@pytest.mark.parametrize("subject", range(len(SUBJECTS)))
+def test_every_action_stands_the_audit(name, subject):
+    for seed in range(2):
+        found = audit(take(name, subject, seed).motion)
+        assert found.contact_speed < MILLIMETRE
+        assert found.contact_height < MILLIMETRE
+        assert found.penetration < MILLIMETRE
+        assert found.limit_excess == 0, found.at
+        assert 0.05 < found.mean_acceleration < 15
+
+
+@pytest.mark.parametrize("name", ACTIONS)
+def test_acceleration_is_continuous(name):
+    """Twice the frame rate: the same greatest acceleration, and half the greatest jump of it."""
+    worst, jump = [], []
+    for fps in (120, 240):
+        motion = take(name, 0, 3, fps=fps).motion.to(torch.float64)
+        worst.append(acceleration(motion).max())
+        p = motion.positions
+        a = (p[2:] - 2 * p[1:-1] + p[:-2]) * fps**2
+        jump.append(a.diff(dim=0).norm(dim=-1).max())
+    assert worst[1] / worst[0] == pytest.approx(1, abs=0.12)
+    assert jump[1] < 0.75 * jump[0]
+
+
+def test_the_continuity_test_catches_a_kink():
+    """Negative control: a foot that stops dead has an acceleration that doubles with the frame rate."""
+    worst = []
+    for fps in (120, 240):
+        motion = take("walk", fps=fps, speed=1.2, seconds=3).motion.to(torch.float64)
+        t = torch.arange(motion.frames, dtype=torch.float64) / fps
+        root = motion.root + torch.stack(((t - 1.5).clamp(min=0), 0 * t, 0 * t), -1)
+        worst.append(acceleration(replace(motion, root=root)).max())
+    assert worst[1] > 1.4 * worst[0]
+
+
+def test_a_sliding_foot_is_caught():
+    """Negative control."""
+    motion = take("walk").motion
+    slid = replace(motion, root=motion.root * torch.tensor([1.0, 1.05, 1.0]))
+    assert audit(slid).contact_speed > MILLIMETRE
+
+
+def test_a_foot_through_the_floor_is_caught():
+    """Negative control."""
+    motion = take("walk").motion
+    assert audit(replace(motion, root=motion.root - torch.tensor([0, 0, 0.01]))).penetration > 5 * MILLIMETRE
+
+
+@pytest.mark.parametrize("name", ["walk", "dance", "floor"])
+def test_the_generator_decides_all(name):
+    a, b, c = (take(name, seed=seed).motion for seed in (5, 5, 6))
+    assert torch.equal(a.root, b.root) and torch.equal(a.rot, b.rot) and torch.equal(a.contacts, b.contacts)
+    frames = min(a.frames, c.frames)
+    assert not torch.allclose(a.rot[:frames], c.rot[:frames], atol=1e-2)
+
+
+def test_step_lengths_vary_with_the_seed():
+    def longest_step(seed):
+        motion = take("walk", seed=seed).motion
+        return float(motion.positions[:, 7, :2].sub(motion.positions[:, 8, :2]).norm(dim=-1).max())
+
+    lengths = [longest_step(seed) for seed in range(5)]
+    assert max(lengths) - min(lengths) > 0.02
+
+
+@pytest.mark.parametrize("speed", [0.8, 1.2, 1.5])
+@pytest.mark.parametrize("subject", range(len(SUBJECTS)))
+def test_gait_facts(speed, subject):
+    """Speed as asked; stance some 60 %; swing knee about 60 degrees; pelvis lowest near double support."""
+    took = take("walk", subject, 1, speed=speed, seconds=9.0, fps=60.0)
+    motion = took.motion
+    middle = slice(round(0.35 * motion.frames), round(0.75 * motion.frames))
+    strikes = (took.phase.diff() < -0.5).nonzero()[:, 0] + 1  # left heel strikes
+    first, last = int(strikes[1]), int(strikes[-2])
+    way = (motion.root[last, :2] - motion.root[first, :2]).norm()
+    assert float(way) / ((last - first) / 60) == pytest.approx(speed, rel=0.05)
+
+    ball = motion.positions[first:last, motion.skeleton.index("left_foot"), 2]
+    heel = motion.positions[first:last, motion.skeleton.index("left_ankle"), 2]
+    down = (ball < motion.skeleton.sole + 0.003) | (heel < heel.min() + 0.003)
+    assert 0.50 < float(down.float().mean()) < 0.70
+    R = motion.rot[middle, motion.skeleton.index("left_knee")]
+    knee = torch.rad2deg(torch.atan2(R[:, 2, 1], R[:, 1, 1]))
+    assert 40 < float(knee.max()) < 75
+    bob = motion.root[first:last, 2]
+    assert 0.010 < float(bob.max() - bob.min()) < 0.075
+
+
+def test_arms_swing_against_the_legs():
+    motion = take("walk", seconds=6.0, speed=1.3).motion
+    inside = slice(40, motion.frames - 40)
+    p = motion.positions[inside]
+    index = motion.skeleton.index
+    hand = p[:, index("left_wrist"), 1] - p[:, index("left_shoulder"), 1]
+    foot = p[:, index("left_ankle"), 1] - p[:, index("left_hip"), 1]
+    assert torch.corrcoef(torch.stack((hand, foot)))[0, 1] < -0.6
+
+
+@pytest.mark.parametrize("name", ["jump", "run"])
+def test_flight_is_ballistic(name):
+    """While no foot touches the floor the pelvis falls freely (up to the natural noise)."""
+    motion = take(name, 0, 1, fps=240.0).motion.to(torch.float64)
+    height = motion.root[:, 2]
+    a = (height[2:] - 2 * height[1:-1] + height[:-2]) * 240**2
+    free = motion.positions[1:-1, motion.skeleton.indices(["left_foot", "right_foot"]), 2].amin(-1)
+    flying = free > motion.skeleton.sole + 0.01
+    assert flying.sum() > 5
+    assert float(a[flying].median()) == pytest.approx(-9.81, rel=0.05)
+
+
+def test_walks_curve_and_faster_walks_step_longer():
+    turned = take("walk", seconds=6.0, turn=1.5).motion
+    first, last = turned.rot[0, 0, :, 2], turned.rot[-1, 0, :, 2]
+    angle = torch.atan2(first[0] * last[1] - first[1] * last[0], (first * last)[:2].sum())
+    assert float(angle) == pytest.approx(1.5, abs=0.2)
+
+
+def test_a_seat_is_reached():
+    motion = take("sit", seat=0.45).motion
+    assert float(motion.root[:, 2].min()) == pytest.approx(0.54, abs=0.02)
+
+
+def test_quintic_matches_scipy():
+    start, stop, duration = (0.3, -1.0, 2.0), (1.1, 0.5, -3.0), 0.7
+    ours = torch.tensor([quintic(start, stop, duration)], dtype=torch.float64)
+    t = torch.linspace(0, 0.699, 50, dtype=torch.float64)
+    one = torch.ones(1, dtype=torch.float64)
+    x = evaluate(0.3 * one, torch.tensor([0]), 0 * one, duration * one, ours, t)[0]
+    referee = BPoly.from_derivatives([0, duration], [start, stop])
+    torch.testing.assert_close(x, torch.from_numpy(referee(t.numpy())), atol=1e-12, rtol=0)
+
+
+def test_two_bones_reach_their_target():
+    g = torch.Generator().manual_seed(0)
+    start = torch.randn(200, 3, generator=g, dtype=torch.float64)
+    way = torch.nn.functional.normalize(torch.randn(200, 3, generator=g, dtype=torch.float64), dim=-1)
+    target = start + way * (0.4 + 0.45 * torch.rand(200, 1, generator=g, dtype=torch.float64))
+    hinge = torch.randn(200, 3, generator=g, dtype=torch.float64)
+    upper, lower, axis, flexion = two_bone(start, target, hinge, 0.45, 0.46)
+    torch.testing.assert_close(start + 0.45 * upper + 0.46 * lower, target, atol=1e-9, rtol=0)
+    torch.testing.assert_close((upper * axis).sum(-1), torch.zeros(200, dtype=torch.float64), atol=1e-9, rtol=0)
+    torch.testing.assert_close((upper * lower).sum(-1).acos(), flexion, atol=1e-6, rtol=0)
