@@ -30,7 +30,7 @@ from motionlab.errors import ShapeError
 
 #: How often each action is chosen, relative to the others.
 MIX = {
-    "walk": 5.0, "run": 1.2, "turn": 1.0, "idle": 1.6, "reach": 1.5, "wave": 0.8, "punch": 1.2, "kick": 0.8,
+    "walk": 9.0, "run": 2.5, "turn": 0.4, "idle": 1.6, "reach": 1.5, "wave": 0.8, "punch": 1.2, "kick": 0.8,
     "sit": 1.0, "crouch": 1.0, "jump": 0.9, "dance": 1.8, "floor": 0.8,
 }  # fmt: skip
 MANNERS = (None, None, None, None, "proud", "tired", "sneaking", "marching")
@@ -174,7 +174,7 @@ def _roam(part: Score, room: float, name: str) -> None:
     goal = (part.uniform(-0.75, 0.75) * room, part.uniform(-0.75, 0.75) * room)
     way = math.hypot(goal[0] - x, goal[1] - y)
     turn = (math.atan2(-(goal[0] - x), goal[1] - y) - heading + math.pi) % (2 * math.pi) - math.pi
-    if abs(turn) > 0.9:
+    if abs(turn) > 1.2:
         WRITERS["turn"](part, angle=turn)
         turn = 0.0
     if name == "run" and way > 2.5:

@@ -48,6 +48,7 @@ def test_sequences_are_ground_truth():
         assert sequence.motion.frames == 450 and sequence.motion.root.dtype == torch.float32
         assert len(sequence.take.labels) == 450 and sequence.take.phase.shape == (450,)
         assert found.contact_speed < 1e-3 and found.contact_height < 1e-3 and found.penetration < 1e-3
+        assert found.limit_excess == 0, found.at
         assert float(sequence.motion.root[:, :2].abs().max()) < 3.5
 
 

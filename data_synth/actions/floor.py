@@ -36,7 +36,7 @@ def _legs(score: Score, start: float, duration: float, **to: float) -> None:
 def _to_seat(score: Score, down: float) -> None:
     """Squat, hands to the back, until the seat is on the floor."""
     s, t = score.subject, score.now
-    score.pose(t, down, z=0.36 * s.leg + 0.05, surge=-0.36 * s.leg / 0.9, pitch=0.20, flex=0.75, steady=0.7)
+    score.pose(t, down, z=0.36 * s.leg + 0.05, surge=-0.36 * s.leg / 0.9, pitch=0.10, flex=0.85, steady=0.7)
     for side in SIDES:
         score.arm(side, t, down, elbow=0.5, abduct=0.5, rotate=0.0, **{"raise": -0.1})
         score.move(f"{side}_splay", 0.15, t, down)
@@ -103,10 +103,6 @@ def _sit_up(score: Score, span: float) -> None:
 def _rise(score: Score, up: float) -> None:
     """Put the feet down in front of the seat, bring the weight over them, stand."""
     s, t = score.subject, score.now
-    score.nudge("roll", -2 * math.pi * round(score.value["roll"] / (2 * math.pi)), t - 0.001, 0.001)
-    ahead = 0.36 * s.leg / 0.9
-    x, y = score.local(0.0, score.value["surge"] + ahead)
-    score.pose(t - 0.002, 0.002, surge=-ahead, x=x, y=y)
     for side in SIDES:
         fx, fy = score.stance(side)
         yaw = score.value["heading"] + SIGN[side] * s.toe_out
@@ -115,7 +111,7 @@ def _rise(score: Score, up: float) -> None:
         score.move(f"{side}_loose", 0.0, t, 0.8)
         score.plant(f"{side}_foot", t + 1.15)
     score.move("settle", 0.0, t + 0.8, 0.35)
-    score.pose(t, 0.8, pitch=0.12, flex=0.75, steady=0.7, z=0.40 * s.leg + 0.05)
+    score.pose(t, 0.8, pitch=0.10, flex=0.8, steady=0.7, z=0.40 * s.leg + 0.05)
     t += 1.15
     for side in SIDES:
         score.move(f"{side}_heel", 0.0, t, 0.7 * up)

@@ -68,11 +68,13 @@ def styled(score: Score, gait: Gait, manner: str | None) -> Gait:
     if manner is None:
         return gait
     return {
-        "proud": replace(gait, lean=gait.lean - 0.10, swing=1.2 * gait.swing, bob=1.2 * gait.bob),
+        "proud": replace(gait, lean=gait.lean - 0.02, swing=1.2 * gait.swing, bob=1.2 * gait.bob),
         "tired": replace(
             gait, lean=gait.lean + 0.28, swing=0.4 * gait.swing, heel=0.75 * gait.heel, drop=gait.drop + 0.01
         ),
-        "sneaking": replace(gait, lean=gait.lean + 0.35, drop=gait.drop + 0.03, clearance=0.10, swing=0.3 * gait.swing),
+        "sneaking": replace(
+            gait, lean=gait.lean + 0.35, drop=gait.drop + 0.015, clearance=0.10, swing=0.3 * gait.swing
+        ),
         "marching": replace(gait, swing=1.6 * gait.swing, elbow=0.4 * gait.elbow, clearance=0.09, bob=0.8 * gait.bob),
     }[manner]
 

@@ -10,7 +10,7 @@ def ease(score: Score, start: float, duration: float) -> None:
     """Bring trunk, head and arms back to standing at ease."""
     s = score.subject
     score.pose(
-        start, duration, z=s.standing, sway=0, surge=0, yaw=0, pitch=0.5 * s.lean, flex=0.5 * s.lean, roll=0, tilt=0,
+        start, duration, z=s.standing, sway=0, surge=0, yaw=0, pitch=0.5 * s.lean, flex=0.5 * s.lean, tilt=0,
         bend=0, twist=0, nod=0, turn=0, cock=0, steady=1,
     )  # fmt: skip
     for side in SIDES:
@@ -171,7 +171,7 @@ def kick(score: Score, *, times: int = 1) -> None:
         with score.action("kick"):
             side = score.choose(SIDES)
             sign, stance = SIGN[side], OTHER[side]
-            start, high, wide = score.now, v(1.1, 1.65), v(0.0, 0.45)
+            start, high, wide = score.now, v(1.3, 1.8), v(0.0, 0.45)
             lean_on(score, stance, start, 0.5, 0.075)
             for arm in SIDES:
                 score.arm(arm, start, 0.5, abduct=0.3, rotate=-0.1, elbow=1.6, **{"raise": 0.5})
@@ -180,7 +180,7 @@ def kick(score: Score, *, times: int = 1) -> None:
             score.pulse(f"{side}_heel", 0.5, up - 0.15, 0.22, 0.3)
             score.release(f"{side}_foot", up)
             score.pose(up - 0.1, 0.01 + 0.0, **{f"{side}_hip_flex": 0.35, f"{side}_knee": 0.75, f"{side}_ankle": 0.25})
-            chamber, snap, fold, down = 0.34, v(0.15, 0.2), v(0.2, 0.26), 0.42
+            chamber, snap, fold, down = 0.34, v(0.19, 0.24), v(0.22, 0.28), 0.42
             score.pulse(f"{side}_loose", 1.0, up, 0.8 * chamber, down, 0.2 * chamber + snap + fold)
             score.pulse(f"{side}_lift", 0.17, up, 0.15, down, chamber + snap + fold - 0.15)
             leg = {
