@@ -21,7 +21,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from tqdm.auto import tqdm
 
-from data_synth import anatomy, curves, legs, perform, score, subjects
+from data_synth import anatomy, curves, legs, perform, score, subjects, truth
 from data_synth.actions import WRITERS, dance, floor, gait, locomotion, seat, standing
 from data_synth.perform import Take
 from data_synth.score import Score
@@ -34,7 +34,7 @@ MIX = {
     "sit": 1.0, "crouch": 1.0, "jump": 0.9, "dance": 1.8, "floor": 0.8,
 }  # fmt: skip
 MANNERS = (None, None, None, None, "proud", "tired", "sneaking", "marching")
-_SOURCES = (anatomy, curves, legs, perform, score, subjects, dance, floor, gait, locomotion, seat, standing)
+_SOURCES = (anatomy, curves, legs, perform, score, subjects, truth, dance, floor, gait, locomotion, seat, standing)
 
 
 @dataclass(frozen=True)

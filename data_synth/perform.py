@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -12,6 +12,7 @@ from data_synth.curves import evaluate, noise, ramp, soft_clip, soft_min
 from data_synth.legs import HEEL, bone_frame, foot_pose, heading_rotation, two_bone, unit
 from data_synth.score import CHANNELS, SIDES, SIGN, Score
 from data_synth.subjects import Subject
+from data_synth.truth import course, planned_contacts, resting
 from motionlab.motion import Motion
 from motionlab.rotation import rotation_about, sixd_to_matrix
 from motionlab.skeleton import fk
@@ -56,10 +57,10 @@ def perform(score: Score, fps: float = 30.0) -> Take:
     control = _controls(score, t)
     skeleton = score.subject.skeleton.to(torch.float64)
     root, rot = solve(score.subject, control)
-    contacts = _contacts(score, t)
+    contacts = planned_contacts(score, t)
     motion = Motion(skeleton, root, rot, fps, contacts, "+".join(dict.fromkeys(x for *_, x in score.labels)))
-    motion = _resting(motion, control["settle"])
-    labels, phase = _course(score, t)
+    motion = resting(motion, control["settle"], RADIUS["pelvis"])
+    labels, phase = course(score, t)
     return Take(motion.to(torch.float32), labels, phase, score.subject)
 
 
@@ -280,41 +281,3 @@ def _settle(pelvis: Tensor, rot: Tensor, weight: Tensor, subject: Subject) -> Te
         clear.append(torch.stack((*points, heights[:, ball] - skeleton.sole), -1))
     clearance = soft_min(torch.cat(clear, -1), 0.006)
     return torch.cat((pelvis[:, :2], (pelvis[:, 2] - weight * clearance)[:, None]), -1)
-
-
-def _contacts(score: Score, t: Tensor) -> Tensor:
-    names = score.subject.skeleton.contact_names
-    contacts = torch.zeros(len(t), len(names), dtype=torch.float64)
-    open_ended = [(joint, start, math.inf) for joint, start in score.planted.items()]
-    for joint, start, stop in [*score.contacts, *open_ended]:
-        contacts[(t >= start - 1e-9) & (t <= stop + 1e-9), names.index(joint)] = 1
-    return contacts
-
-
-def _resting(motion: Motion, settle: Tensor) -> Motion:
-    """Add the contact of a pelvis that lies on the floor and rests: lower than 14 cm and slower than 2 cm/s."""
-    low = (motion.root[:, 2] - RADIUS["pelvis"]).abs() < 0.04
-    step = motion.root.diff(dim=0).norm(dim=-1) * motion.fps
-    slow = torch.cat((step, step[-1:])) < 0.02
-    contacts = motion.contacts.clone()
-    contacts[:, motion.skeleton.contact_names.index("pelvis")] = (low & slow & (settle > 0.999)).to(contacts)
-    return replace(motion, contacts=contacts)
-
-
-def _course(score: Score, t: Tensor) -> tuple[tuple[str, ...], Tensor]:
-    """Label and phase of every frame; the innermost action that covers a frame names it."""
-    labels, phase = ["idle"] * len(t), torch.zeros(len(t))
-    for start, stop, label in sorted(score.labels, key=lambda mark: mark[0] - mark[1]):
-        inside = ((t >= start - 1e-9) & (t < stop - 1e-9)).nonzero()[:, 0].tolist()
-        for i in inside:
-            labels[i] = label
-        if inside:
-            phase[inside] = ((t[inside] - start) / (stop - start)).clamp(0, 0.9999).float()
-    if score.gait:
-        at, cycle = (torch.tensor(x, dtype=torch.float64) for x in zip(*sorted(score.gait), strict=True))
-        for i in range(len(at) - 1):
-            if cycle[i + 1] > cycle[i]:
-                inside = (t >= at[i]) & (t < at[i + 1])
-                way = cycle[i] + (cycle[i + 1] - cycle[i]) * (t[inside] - at[i]) / (at[i + 1] - at[i])
-                phase[inside] = (way % 1).float()
-    return tuple(labels), phase
