@@ -233,13 +233,11 @@ class Lab:
         """
         recorded = self._recorded()
         fresh = {(f.test, f.source): f for f in self.found}
+        away = {k: r for k, r in recorded.items() if self.data is None and k not in fresh and r.source != "synthetic"}
         if self.profile == "full":
-            return list(({f: r for f, r in recorded.items() if self._beyond(r)} | fresh).values())
-        kept = {key: r for key, r in recorded.items() if self._beyond(r) or "full" in self.criterion(r.test).needs}
-        return [kept.get(key, f) for key, f in (recorded | fresh).items() if key in kept or key in fresh]
-
-    def _beyond(self, finding: Finding) -> bool:
-        return finding.source != "synthetic" and self.data is None
+            return list((away | fresh).values())
+        slow = {k: r for k, r in recorded.items() if "full" in self.criterion(r.test).needs}
+        return [value for key, value in (recorded | fresh | slow).items() if key in fresh | away | slow]
 
     def _recorded(self) -> dict[tuple[str, str], Finding]:
         path = self.folder / "results" / f"{self.number}.json"

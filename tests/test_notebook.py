@@ -89,11 +89,15 @@ def test_smoke_repeats_what_only_a_full_run_may_judge(bench, tmp_path):
     full.record("H00.slow", [5.0, 5.0])
     full.record("H00.slow", [0.1, 0.1], source="cmu_amc")
     full.close()
+    full.record("H00.quick", [5.0, 5.0], source="a body")  # measured without any recording
+    full.close()
     smoke = bench("smoke")
+    smoke.record("H00.quick", [0.1, 0.1], source="a body")
     smoke.record("H00.quick", [0.1, 0.1])  # fresh numbers decide where smoke may judge
     smoke.record("H00.slow", [0.1, 0.1])  # and do not where it may not
     assert verdict_of(smoke) == {
         ("H00.quick", "synthetic"): FAILS,
+        ("H00.quick", "a body"): FAILS,
         ("H00.slow", "synthetic"): HOLDS,
         ("H00.slow", "cmu_amc"): FAILS,
     }
