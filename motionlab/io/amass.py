@@ -13,7 +13,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
 from motionlab.io.reading import Spot, frame_rate, numbers, read_npz, reading
-from motionlab.io.writing import write_whole
+from motionlab.io.writing import check_writable, write_whole
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
 
@@ -129,8 +129,10 @@ def save(
     trans = root - pelvis_offset; joints that the model adds are zero; contacts are kept under ``contacts``.
 
     Raises:
-        ShapeError: batch axes, not 22 joints, or a model not in ``EXTRA``.
+        ShapeError: batch axes, no frames, not 22 joints, or a model not in ``EXTRA``.
+        DataError: NaN or infinity, or the file cannot be written.
     """
+    check_writable(path, motion)
     check_shape(motion.rot, f"T {BODY // 3} 3 3", "rot")
     if model not in EXTRA:
         raise ShapeError(f"model: expected one of {', '.join(EXTRA)}, got {model!r}")

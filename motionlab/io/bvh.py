@@ -15,10 +15,9 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.errors import check_shape
 from motionlab.io.bvh_text import Joint, parse
 from motionlab.io.reading import Spot, read_text, reading
-from motionlab.io.writing import write_whole
+from motionlab.io.writing import check_writable, write_whole
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
 
@@ -56,14 +55,19 @@ def load(
         DataError: the file is not a readable BVH; names the file, the line and the remedy.
         ValueError: unit, up or translations is none of the above.
     """
-    if not (unit is None or unit in UNITS or (isinstance(unit, int | float) and 0 < unit < np.inf)):
-        raise ValueError(f"unit: expected metres per unit or one of {', '.join(UNITS)}, got {unit!r}")
+    if unit is not None:
+        _check_unit(unit)
     if up not in (None, *WORLD) or translations not in ("strict", "mean"):
         raise ValueError(f"expected up 'y' or 'z' and translations 'strict' or 'mean', got {up!r}, {translations!r}")
     with reading(path, _REMEDY) as at:
         joints, values, fps = parse(at, read_text(at))
         motion = _assemble(at, joints, values, fps, translations)
         return _to_world(at, motion, unit, up)
+
+
+def _check_unit(unit: object) -> None:
+    if not (unit in UNITS or (isinstance(unit, int | float) and 0 < unit < np.inf)):
+        raise ValueError(f"unit: expected metres per unit or one of {', '.join(UNITS)}, got {unit!r}")
 
 
 def _assemble(at: Spot, joints: list[Joint], values: np.ndarray, fps: float, translations: str) -> Motion:
@@ -193,10 +197,12 @@ def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | fl
         unit, up: as in :func:`load`; a rest pose that faces +z in the rest frame faces +z in a y-up file.
 
     Raises:
-        ShapeError: the motion has batch axes.
+        ShapeError: the motion has batch axes or no frames.
+        DataError: it holds NaN or infinity, or the file cannot be written.
         ValueError: order, unit or up is none of the known ones.
     """
-    check_shape(motion.root, "T 3", "motion.root")
+    check_writable(path, motion)
+    _check_unit(unit)
     if sorted(order) != ["X", "Y", "Z"] or up not in WORLD:
         raise ValueError(f"expected an order of X, Y, Z and up 'y' or 'z', got {order!r} and {up!r}")
     scale = 1 / (UNITS[unit] if isinstance(unit, str) else float(unit))

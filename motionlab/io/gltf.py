@@ -10,7 +10,6 @@ Source: the glTF 2.0 specification (Khronos), 3.7.3 Skins and 3.11 Animations; 4
 from __future__ import annotations
 
 import json
-import os
 import struct
 from pathlib import Path
 
@@ -20,8 +19,9 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.body import BodyModel
-from motionlab.errors import DataError, ShapeError
+from motionlab.errors import ShapeError
 from motionlab.io.gltf_load import BIN_CHUNK, JSON_CHUNK, MAGIC, TYPES, Y_UP, load
+from motionlab.io.writing import check_writable, write_whole
 from motionlab.motion import Motion
 
 __all__ = ["load", "save"]
@@ -53,15 +53,9 @@ def save(
 
     Raises:
         ShapeError: the motion has batch axes, the body has other joints, or influences is not 4 or 8.
-        DataError: the motion holds NaN or infinity; names the frame.
+        DataError: the motion holds NaN or infinity (names the frame), or the file cannot be written.
     """
-    if motion.root.ndim != 2 or motion.skeleton.offsets.ndim != 2:
-        raise ShapeError(f"one clip expected, got root {tuple(motion.root.shape)}: choose one with motion.clip(i)")
-    if motion.frames == 0:
-        raise ShapeError("a motion without frames cannot be written")
-    finite = motion.rot.isfinite().all(-1).all(-1).all(-1) & motion.root.isfinite().all(-1)
-    if not finite.all():
-        raise DataError("numbers that are not finite", path=path, place=f"frame {int((~finite).nonzero()[0])}")
+    check_writable(path, motion)
     file = _Buffer()
     nodes = _animate(file, motion)
     scene = [0]
@@ -74,12 +68,7 @@ def save(
         scene.append(len(nodes))
         nodes.append({"name": "body", "mesh": 0, "skin": 0})
     file.content |= {"scene": 0, "scenes": [{"nodes": scene}], "nodes": nodes}
-    part = Path(path).with_name(f"{Path(path).name}.{os.getpid()}.part")
-    try:
-        part.write_bytes(file.glb())
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    write_whole(path, file.glb())
 
 
 class _Buffer:

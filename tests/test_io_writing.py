@@ -1,0 +1,59 @@
+"""What every writer promises: the file whole or not at all, and only what can be read again."""
+
+import os
+from dataclasses import replace
+
+import pytest
+import torch
+
+from motionlab.errors import DataError, ShapeError
+from motionlab.io import amass, bvh, gltf
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, UPRIGHT
+
+SAVERS = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save}
+
+
+def standing(frames: int = 3) -> Motion:
+    rot = torch.eye(3).repeat(frames, 22, 1, 1)
+    rot[:, 0] = UPRIGHT
+    return Motion(STANDARD, torch.tensor([0.0, 0.0, 0.9]).repeat(frames, 1), rot, 30.0)
+
+
+@pytest.mark.parametrize("suffix", SAVERS)
+def test_numbers_that_no_reader_takes_are_not_written(tmp_path, suffix):
+    path, motion = tmp_path / f"a{suffix}", standing()
+    holed = motion.root.clone()
+    holed[1, 2] = torch.nan
+    with pytest.raises(DataError, match=r"frame 1.*finite.*remedy"):
+        SAVERS[suffix](path, replace(motion, root=holed))
+    with pytest.raises(ShapeError, match="without frames"):
+        SAVERS[suffix](path, motion.cut(0, 0))
+    with pytest.raises(ShapeError, match="one clip"):
+        SAVERS[suffix](path, replace(motion, root=motion.root[None], rot=motion.rot[None]))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", SAVERS)
+def test_a_place_that_cannot_be_written_is_named(tmp_path, suffix):
+    folder = tmp_path / f"folder{suffix}"
+    folder.mkdir()
+    for path in (tmp_path / "nowhere" / f"a{suffix}", folder):
+        with pytest.raises(DataError, match=r"cannot be written.*remedy") as caught:
+            SAVERS[suffix](path, standing())
+        assert caught.value.path == path
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permission bits are POSIX's")
+@pytest.mark.parametrize("suffix", SAVERS)
+def test_others_may_read_what_an_ordinary_file_would_let_them(tmp_path, suffix):
+    (tmp_path / "ordinary").touch()
+    SAVERS[suffix](tmp_path / f"a{suffix}", standing())
+    assert (tmp_path / f"a{suffix}").stat().st_mode == (tmp_path / "ordinary").stat().st_mode
+
+
+@pytest.mark.parametrize("unit", ["ft", 0, -1.0, float("nan")])
+def test_bvh_in_no_known_unit_is_refused(tmp_path, unit):
+    with pytest.raises(ValueError, match="unit"):
+        bvh.save(tmp_path / "a.bvh", standing(), unit=unit)
