@@ -87,10 +87,12 @@ class Motion:
     def clip(self, index) -> Motion:
         """One entry (or a slice) of the leading batch axis, with its own skeleton where each has one."""
         contacts = None if self.contacts is None else self.contacts[index]
-        skeleton = self.skeleton
-        if skeleton.offsets.ndim == self.rot.ndim - 1 and len(skeleton.offsets) > 1:
-            skeleton = replace(skeleton, offsets=skeleton.offsets[index])
-        return replace(self, skeleton=skeleton, root=self.root[index], rot=self.rot[index], contacts=contacts)
+        rot, offsets = self.rot[index], self.skeleton.offsets
+        if offsets.ndim == self.rot.ndim - 1:  # (N or 1, ..., 1, J, 3)
+            offsets = offsets.expand(len(self.rot), *offsets.shape[1:])[index]
+            offsets = offsets[0] if rot.ndim == 4 and len(offsets) == 1 else offsets
+        skeleton = replace(self.skeleton, offsets=offsets)
+        return replace(self, skeleton=skeleton, root=self.root[index], rot=rot, contacts=contacts)
 
     def to(self, *args, **kwargs) -> Motion:
         """Every tensor on another device or of another dtype."""
@@ -145,8 +147,10 @@ def windows(motion: Motion, length: int, stride: int) -> Motion:
     """All windows of ``length`` frames, ``stride`` frames apart, as a new leading batch axis (N, ..., length).
 
     Raises:
-        ShapeError: the motion is shorter than one window.
+        ShapeError: the motion is shorter than one window, or length or stride is below 1.
     """
+    if min(length, stride) < 1:
+        raise ShapeError(f"windows: expected a length and a stride of at least 1, got {length} and {stride}")
     if motion.frames < length:
         raise ShapeError(f"{motion.name or 'motion'}: {motion.frames} frames are fewer than one window of {length}")
 

@@ -60,6 +60,13 @@ def test_clip_takes_its_own_skeleton_along(generator):
     torch.testing.assert_close(motion.clip(slice(1, 2)).positions, motion.positions[1:])
     part = windows(motion, 4, 3)
     torch.testing.assert_close(part.clip(1).positions, motion.positions[:, 3:7])
+    for offsets in (bodies.offsets, bodies.offsets[1:]):  # one body each, or one for both
+        alone = replace(motion, skeleton=replace(bodies, offsets=offsets)).clip(1)
+        assert alone.skeleton.offsets.shape == (22, 3)
+        torch.testing.assert_close(alone.positions, motion.positions[1])
+    single = motion.clip(slice(1, 2)).clip(0)
+    assert single.positions.shape == (10, 22, 3)
+    torch.testing.assert_close(single.positions, motion.positions[1])
 
 
 def test_resample_agrees_with_scipy_slerp_and_keeps_its_samples(generator):
@@ -102,6 +109,9 @@ def test_windows_are_slices(generator):
         assert torch.equal(found.contacts[n], part.contacts)
     with pytest.raises(ShapeError, match="test: 10 frames"):
         windows(motion, 11, 1)
+    for length, stride in ((0, 1), (4, 0), (4, -1)):
+        with pytest.raises(ShapeError, match="at least 1"):
+            windows(motion, length, stride)
 
 
 def test_mirror_mirrors_every_joint_and_twice_is_nothing(generator):
