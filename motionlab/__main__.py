@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from motionlab import doctor
 from motionlab.doctor import ROOT
+
+if TYPE_CHECKING:
+    from motionlab.skeleton import Skeleton
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -43,12 +48,15 @@ def _parser() -> argparse.ArgumentParser:
 
     command = commands.add_parser("data", help="the recordings in a folder: clips, minutes, fps, joints")
     command.add_argument("folder", nargs="?", help="default: $MOTIONLAB_DATA")
+    command.add_argument("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
     command.set_defaults(run=_data)
 
     command = commands.add_parser("convert", help="one motion file into another format, told by the suffixes")
-    command.add_argument("source", metavar="IN", type=Path, help=".bvh, .amc, .npz, .json ...")
+    command.add_argument("source", metavar="IN", type=Path, help=".bvh .amc .npz .glb, or DeepMimic's .txt")
     command.add_argument("target", metavar="OUT", type=Path, help=" ".join(sorted(SAVERS)))
     command.add_argument("--fps", type=float, help="frames per second of the output (default: those of the input)")
+    command.add_argument("--unit", type=_metres, help="of a .bvh: m, cm, mm, inch or metres (default: detected)")
+    command.add_argument("--up", choices=("y", "z"), help="of a .bvh: the axis that points up (default: detected)")
     command.add_argument("--standard", action="store_true", help="retarget to the 22 standard joints (always for .npz)")
     command.add_argument("--body", action="store_true", help="dress the joints in the default body (.glb)")
     command.set_defaults(run=_convert)
@@ -83,7 +91,7 @@ def _data(options: argparse.Namespace) -> int:
         raise MissingData("the folder of recordings", "Name it, or set MOTIONLAB_DATA to it.")
     from motionlab.io import recordings
 
-    rows = recordings.inventory(Path(folder))
+    rows = recordings.inventory(Path(folder), video_fps=options.fps)
     print(
         text_table(
             [
@@ -136,11 +144,18 @@ def _convert(options: argparse.Namespace) -> int:
         raise DataError("cannot write this format", path=options.target, remedy=f"use one of {', '.join(SAVERS)}")
     if options.body and suffix != ".glb":
         raise DataError("only a GLB holds a body", path=options.target, remedy="leave out --body")
-    motion = io.load(options.source)
-    wants_standard = options.standard or options.body or suffix == ".npz"  # AMASS and the body know no other joints
-    if wants_standard and motion.skeleton.names != STANDARD.names:
+    guided = {key: value for key in ("unit", "up") if (value := getattr(options, key)) is not None}
+    if guided and options.source.suffix.lower() != ".bvh":
+        raise DataError("its unit and axes are known", path=options.source, remedy="--unit and --up are for .bvh only")
+    motion = io.load(options.source, **guided)
+    if suffix == ".npz" and not _has_standard_bones(motion.skeleton):
+        leg = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
+        found = retarget(motion, proportions="standard", leg=leg)
+        motion = found.motion
+        print(f"note: AMASS files hold no bone lengths: put on the standard body, {found.scale:.3f} times the size")
+    elif (options.standard or options.body) and motion.skeleton.names != STANDARD.names:
         motion = retarget(motion).motion
-    if options.fps:
+    if options.fps is not None:
         motion = resample(motion, options.fps)
     more = {"body": BodyModel.from_anny()} if options.body else {}
     import_module(f"motionlab.io.{SAVERS[suffix]}").save(options.target, motion, **more)
@@ -148,6 +163,22 @@ def _convert(options: argparse.Namespace) -> int:
         print(f"note: {note}")
     print(f"{options.target}: {motion.frames} frames at {motion.fps:g} fps, {len(motion.skeleton)} joints")
     return 0
+
+
+def _metres(text: str) -> float:
+    """A unit of length by its name, or as metres per unit."""
+    from motionlab.io.bvh import UNITS
+
+    metres = UNITS.get(text) or float(text)
+    if not 0 < metres < math.inf:
+        raise ValueError(text)
+    return metres
+
+
+def _has_standard_bones(skeleton: Skeleton) -> bool:
+    from motionlab.skeleton import STANDARD
+
+    return skeleton.names == STANDARD.names and bool((skeleton.offsets - STANDARD.offsets)[1:].abs().max() < 1e-4)
 
 
 def _report(options: argparse.Namespace) -> int:

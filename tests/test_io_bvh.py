@@ -293,8 +293,9 @@ def test_missing_file_and_folder(tmp_path):
     for path in (tmp_path / "none.bvh", tmp_path):
         with pytest.raises(DataError):
             bvh.load(path)
-    with pytest.raises(DataError, match="no loader"):
-        io.load(tmp_path / "a.xyz")
+    for name, words in (("a.xyz", r"no loader.*\.bvh"), ("a.asf", r"no loader.*name the \.amc"), ("a", "openpose")):
+        with pytest.raises(DataError, match=words):
+            io.load(tmp_path / name)
 
 
 def test_deep_nesting_is_only_slow(tmp_path):

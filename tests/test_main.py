@@ -185,12 +185,63 @@ def test_convert_writes_what_load_reads(tmp_path, flags):
     bvh.save(source, Motion(STANDARD, root, rot, 30.0))
     target = tmp_path / flags[0]
     assert __main__.main(["convert", str(source), str(target), *flags[1:]]) == 0
-    if target.suffix != ".glb":
-        back = load(target)
-        assert back.fps == (15 if "--fps" in flags else 30)
-        assert (back.root[-1] - back.root[0])[1].item() == pytest.approx(1, abs=0.15)
-    else:
-        assert target.read_bytes()[:4] == b"glTF"
+    back = load(target)
+    assert back.fps == (15 if "--fps" in flags else 30)
+    assert (back.root[-1] - back.root[0])[1].item() == pytest.approx(1, abs=0.15)
+
+
+def test_npz_stands_on_the_floor_on_the_bones_that_its_reader_assumes(tmp_path):
+    """AMASS files hold no bone lengths: a child's recording must be put on the standard body before it is written."""
+    source, target = tmp_path / "child.bvh", tmp_path / "child.npz"
+    rot = torch.cat((UPRIGHT.expand(8, 1, 3, 3), torch.eye(3).expand(8, 21, 3, 3)), 1)
+    child = STANDARD.scaled(0.6)
+    root = torch.tensor([0.0, 0.0, float(child.standing_height())]).expand(8, 3)
+    bvh.save(source, Motion(child, root, rot, 30.0))
+    assert __main__.main(["convert", str(source), str(target)]) == 0
+    soles = load(target).positions[..., STANDARD.indices(["left_foot", "right_foot"]), 2] - STANDARD.sole
+    assert soles.abs().max() < 0.01
+
+
+def test_convert_takes_the_unit_and_the_axis_of_a_bvh(tmp_path, capsys):
+    source, target = tmp_path / "still.bvh", tmp_path / "still.glb"
+    rot = torch.cat((UPRIGHT.expand(4, 1, 3, 3), torch.eye(3).expand(4, 21, 3, 3)), 1)
+    bvh.save(source, Motion(STANDARD, torch.zeros(4, 3), rot, 30.0), unit="m")
+    assert __main__.main(["convert", str(source), str(target), "--unit", "inch", "--up", "y"]) == 0
+    assert "detected" not in capsys.readouterr().out
+    back, bone = load(target).skeleton, STANDARD.index("left_knee")
+    assert back.offsets[back.index("left_knee")].norm() == pytest.approx(0.0254 * STANDARD.offsets[bone].norm())
+    with pytest.raises(SystemExit):
+        __main__.main(["convert", str(source), str(target), "--unit", "parsec"])
+    assert "parsec" in capsys.readouterr().err
+    assert __main__.main(["convert", str(target), str(source), "--up", "y"]) == 2
+    assert "for .bvh only" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("target", "flags", "words"),
+    [
+        ("nowhere/a.bvh", (), "cannot be written"),
+        ("a.bvh", ("--fps", "0"), "positive"),
+        ("a.bvh", ("--fps", "nan"), "positive"),
+        ("a.bvh", ("--body",), "only a GLB"),
+    ],
+)
+def test_convert_says_in_one_line_what_it_cannot_do(tmp_path, capsys, target, flags, words):
+    source = tmp_path / "still.bvh"
+    bvh.save(source, Motion(STANDARD, torch.zeros(4, 3), torch.eye(3).expand(4, 22, 3, 3), 30.0))
+    assert __main__.main(["convert", str(source), str(tmp_path / target), *flags]) == 2
+    assert words in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [source]
+
+
+def test_data_asks_for_the_rate_of_videos_and_takes_it(tmp_path, capsys):
+    (tmp_path / "mine").mkdir()
+    body = [x for k in range(25) for x in (10.0 * k, 5.0 * k, 0.9)]
+    (tmp_path / "mine/0.json").write_text(json.dumps({"people": [{"pose_keypoints_2d": body[:54]}]}), encoding="utf-8")
+    assert __main__.main(["data", str(tmp_path)]) == 2
+    assert "--fps" in capsys.readouterr().err
+    assert __main__.main(["data", str(tmp_path), "--fps", "25"]) == 0
+    assert "openpose" in capsys.readouterr().out
 
 
 def test_unknown_output_format_is_refused(tmp_path, capsys):

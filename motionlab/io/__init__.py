@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from motionlab.errors import DataError
-from motionlab.io import asf, bvh, deepmimic, npz
+from motionlab.io import asf, bvh, c3d, deepmimic, gltf, npz, trc
 from motionlab.motion import Motion
 
 #: Loader by file suffix; each takes the path and its own options.
@@ -15,6 +15,13 @@ LOADERS = {
     ".txt": deepmimic.load,
     ".json": deepmimic.load,
     ".npz": npz.load,
+    ".glb": gltf.load,
+    ".trc": trc.load,
+    ".c3d": c3d.load,
+}
+_NOT_ONE_FILE = {
+    ".asf": "name the .amc: the .asf is found beside it",
+    "": "a folder of OpenPose frames is read with motionlab.io.openpose.load",
 }
 
 
@@ -26,9 +33,10 @@ def load(path: str | Path, **options) -> Motion:
     """
     suffix = Path(path).suffix.lower()
     if suffix not in LOADERS:
-        known = ", ".join(sorted(LOADERS))
-        raise DataError(f"no loader for {suffix or 'a name without suffix'!r}", path=path, remedy=f"one of {known}")
+        remedy = _NOT_ONE_FILE.get(suffix, f"one of {', '.join(sorted(LOADERS))}")
+        raise DataError(f"no loader for {suffix or 'a name without suffix'!r}", path=path, remedy=remedy)
     motion = LOADERS[suffix](path, **options)
     if not isinstance(motion, Motion):
-        raise DataError("holds positions without rotations", path=path, remedy="read it with io.npz.load")
+        remedy = f"for its positions use motionlab.io.{suffix[1:]}.load"
+        raise DataError("holds positions without rotations", path=path, remedy=remedy)
     return motion

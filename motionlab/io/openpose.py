@@ -49,6 +49,10 @@ def load(
     """
     with reading(folder, "point at a folder with one OpenPose JSON file per frame of one camera") as at:
         frames, first = _frames(at)
+        if fps is None:
+            raise at.error(
+                "expected frames per second: OpenPose stores none", place="fps", remedy="pass fps=, or --fps"
+            )
         rate = frame_rate(at, fps, "fps")
         seen = {first + n: people.shape[1] for n, people in enumerate(frames) if len(people)}
         if not seen:
