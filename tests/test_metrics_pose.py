@@ -112,6 +112,7 @@ def test_too_few_frames_are_nan_not_zero(generator):
         assert measure(walks(generator, frames, 22), 30.0).isnan()
         assert measure(walks(generator, frames + 1, 22), 30.0).isfinite()
     one = walks(generator, 1, 2)
+    assert pose.power_spectrum_ratio(one, one, 30.0, [0.0, 5.0, 15.0]).isnan().tolist() == [True, True]
     assert contact.skating_ratio(one, 30.0).isnan()
     assert contact.slide_in_contact_mm(one, torch.ones(1, 2)).isnan()
 
@@ -177,3 +178,14 @@ def test_wrong_shapes_and_names_are_refused(generator):
         pose.mpjpe(walks(generator, 2, 3), walks(generator, 2, 3), align="procrustes")
     with pytest.raises(ShapeError, match="predicted"):
         pose.mpjpe(torch.zeros(5), torch.zeros(5), align="none")
+
+
+def test_other_frames_or_joints_than_the_truths_are_refused(generator):
+    truth = walks(generator, 4, 6)
+    for predicted in (truth[:1], truth[:3], truth[:, :1], truth[:, :5]):
+        with pytest.raises(ShapeError, match="truth"):
+            pose.mpjpe(predicted, truth, align="none")
+        with pytest.raises(ShapeError, match="truth"):
+            pose.acceleration_error(predicted, truth, 30.0)
+        with pytest.raises(ShapeError, match="truth"):
+            pose.power_spectrum_ratio(predicted, truth, 30.0, [0.0, 5.0])

@@ -50,14 +50,23 @@ def align_procrustes(predicted: Tensor, truth: Tensor, *, scale: bool) -> Tensor
     return turned + centre
 
 
+def _check_pair(predicted: Tensor, truth: Tensor) -> None:
+    """Both are (..., T, J, 3) with the same T and J: broadcasting one frame over many would hide a mistake."""
+    sizes = check_shape(predicted, "... T J 3", "predicted")
+    check_shape(truth, f"... {sizes['T']} {sizes['J']} 3", "truth")
+
+
 def joint_errors(predicted: Tensor, truth: Tensor, *, align: str) -> Tensor:
     """Distance (..., T, J) in metres of every predicted joint from the true one.
 
     ``align``: "none" (world), "root" (joint 0 of each frame moved onto the true one), "rigid" (Procrustes
     per frame without scale), "similarity" (with scale; what is called PA-MPJPE).
+
+    Raises:
+        ShapeError: different numbers of frames or joints.
+        ValueError: no such alignment.
     """
-    check_shape(predicted, "... T J 3", "predicted")
-    check_shape(truth, "... T J 3", "truth")
+    _check_pair(predicted, truth)
     if align == "root":
         predicted = predicted - predicted[..., :1, :] + truth[..., :1, :]
     elif align in ("rigid", "similarity"):
@@ -112,6 +121,7 @@ def mean_acceleration(positions: Tensor, fps: float) -> Tensor:
 
 def acceleration_error(predicted: Tensor, truth: Tensor, fps: float) -> Tensor:
     """Mean size (...) of the difference of accelerations in m/s^2; NaN for fewer than three frames."""
+    _check_pair(predicted, truth)
     return masked_mean(acceleration(predicted - truth, fps), None, 2)
 
 
@@ -136,10 +146,15 @@ def power_spectrum_ratio(predicted: Tensor, truth: Tensor, fps: float, edges: Se
 
     Args:
         edges: bands + 1 growing frequencies in Hz; a band holds its lower edge and not its upper one.
+
+    Raises:
+        ShapeError: different numbers of frames or joints.
     """
+    _check_pair(predicted, truth)
+    if truth.shape[-3] < 2:
+        return truth.new_full((*torch.broadcast_shapes(predicted.shape, truth.shape)[:-3], len(edges) - 1), torch.nan)
 
     def power(x: Tensor) -> Tensor:  # (..., F)
-        check_shape(x, "... T J 3", "positions")
         speed = x.diff(dim=-3)
         window = torch.hann_window(speed.shape[-3], periodic=False, dtype=x.dtype, device=x.device)
         return torch.fft.rfft(speed * window[:, None, None], dim=-3).abs().square().sum((-1, -2))
