@@ -175,10 +175,10 @@ def _within_reach(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, T
     for side in SIDES:
         hip = (pelvis_rot @ _hip(subject, side)[:, None])[..., 0]
         away = feet[side][0][:, :2] - (pelvis + hip)[:, :2]
-        up = ((0.9955 * subject.leg) ** 2 - away.square().sum(-1)).clamp(min=0.01).sqrt()
+        up = ((0.9985 * subject.leg) ** 2 - away.square().sum(-1)).clamp(min=0.01).sqrt()
         free = 0.5 * c[f"{side}_lift"].clamp(min=0) + 3 * (c[f"{side}_loose"] + c[f"{side}_kneel"] + c["air"])
         limits.append(feet[side][0][:, 2] + up - hip[:, 2] + free)
-    return torch.cat((pelvis[:, :2], soft_min(torch.stack(limits, -1), 0.010)[:, None]), -1)
+    return torch.cat((pelvis[:, :2], soft_min(torch.stack(limits, -1), 0.002)[:, None]), -1)
 
 
 def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
@@ -210,14 +210,22 @@ def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
         free_foot = shin_rot @ rotation_about("x", c[f"{side}_ankle"])
         mixed = foot_rot[..., :2] + loose[..., None] * (free_foot - foot_rot)[..., :2]
         foot_rot = sixd_to_matrix(mixed.mT.reshape(*mixed.shape[:-2], 6))
-    ease = 0.03 * ramp(c[f"{side}_lift"] / 0.05 + c[f"{side}_loose"]) + 0.07 * c["bent"]
+    ease = 0.012 * ramp(c[f"{side}_lift"] / 0.05 + c[f"{side}_loose"]) + 0.07 * c["bent"]
     upper, lower, axis, _ = two_bone(hip, ankle, hinge, thigh, shin, ease)
     thigh_rot, shin_rot = bone_frame(axis, upper), bone_frame(axis, lower)
+    foot_rot = _hanging(foot_rot, shin_rot, ramp(c[f"{side}_lift"] / 0.015))
     rot[:, name(f"{side}_hip")] = pelvis_rot.mT @ thigh_rot
     rot[:, name(f"{side}_knee")] = thigh_rot.mT @ shin_rot
     rot[:, name(f"{side}_ankle")] = shin_rot.mT @ foot_rot
     toes = soft_clip(c[f"{side}_heel"], -0.7, 1.38, 0.12) * (1 - loose[:, 0])
     rot[:, name(f"{side}_foot")] = rotation_about("x", -toes)
+
+
+def _hanging(foot_rot: Tensor, shin_rot: Tensor, free: Tensor) -> Tensor:
+    """The foot in the air gives way at the ankle rather than be bent up by more than 38 degrees."""
+    local = shin_rot.mT @ foot_rot
+    up = torch.atan2(local[..., 1, 2], local[..., 2, 2])
+    return foot_rot @ rotation_about("x", free * (up - soft_clip(up, -2.0, math.radians(38), 0.1)))
 
 
 def _arm_angles(rot, c, side, subject) -> None:

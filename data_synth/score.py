@@ -145,13 +145,14 @@ class Score:
     def step(
         self, side: str, to: tuple[float, float], yaw: float, lift: float, land: float, *,
         height: float = 0.05, heel: float = 0.35, toe: float = 0.0, early: float = 0.15, late: float = 0.1,
-        shape: tuple[float, float, float] | None = None,
+        shape: tuple[float, float, float] | None = None, rise: float = 0.45, fall: float = 0.55,
     ) -> None:  # fmt: skip
         """Move a foot from where it stands to another place.
 
         lift, land: the times when the ball leaves the floor and the foot touches it again. heel: radians the
         heel is raised, from ``early`` seconds before lift on. toe: radians the toes are raised at touch-down,
-        lowered within ``late`` seconds. shape: (time, way, speed) shares through which the swing passes.
+        lowered within ``late`` seconds. shape: (time, way, speed) shares through which the swing passes. rise,
+        fall: shares of the swing in which the whole foot is lifted and lowered.
         """
         swing = land - lift
         for channel, value in ((f"{side}_foot_x", to[0]), (f"{side}_foot_y", to[1])):
@@ -163,9 +164,9 @@ class Score:
                 middle = (lift + at * swing, start + way * by, speed * by / swing, 0.0)
                 self.knots(channel, [(lift, start, 0.0, 0.0), middle, (land, value, 0.0, 0.0)])
         self.move(f"{side}_foot_yaw", yaw, lift, swing)
-        self.pulse(f"{side}_lift", height, lift, 0.45 * swing, 0.55 * swing)
+        self.pulse(f"{side}_lift", height, lift, rise * swing, fall * swing)
         if heel:
-            self.pulse(f"{side}_heel", heel, lift - early, early + 0.15 * swing, 0.6 * swing)
+            self.pulse(f"{side}_heel", heel, lift - early, early + 0.2 * swing, 0.55 * swing)
         if toe:
             self.pulse(f"{side}_toe", toe, lift + 0.45 * swing, 0.5 * swing, 0.05 * swing + late)
         self.release(f"{side}_ankle", lift - early if heel else lift)

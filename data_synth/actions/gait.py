@@ -80,11 +80,12 @@ def _footfall(score, side, centre, heading, lift, strike, gait, step_time, *, la
     size = min(1.0, way / (0.9 * score.subject.leg))  # short steps roll less
     forward = max(0.0, ahead) / way if way > 1e-6 else 0.0
     support = gait.duty * 2 * step_time
-    early = min((0.42 + 2.5 * max(0.0, gait.drop - 0.03)) * support, 0.45)  # who walks low lifts the heel sooner
+    early = min((0.34 + 2.5 * max(0.0, gait.drop - 0.03)) * support, 0.45)  # who walks low lifts the heel sooner
     score.step(
         side, (x, y), heading + SIGN[side] * score.subject.toe_out, lift, strike,
         height=gait.clearance * (0.6 + 0.4 * size), heel=0.25 + (gait.heel - 0.25) * size,
-        toe=gait.toe * size * forward, early=early, late=0.12 * support,
+        toe=gait.toe * size * forward * (0.4 if last else 1.0), early=early, late=0.12 * support,
+        shape=(0.45, 0.45, 1.35), rise=0.32, fall=0.50,
     )  # fmt: skip
 
 
@@ -106,7 +107,7 @@ def _body(score: Score, side: str, strike: float, step_time: float, gait: Gait, 
         score.pose(strike - 0.2, 0.7, pitch=0.5 * s.lean, flex=0.5 * s.lean)
     rest = s.carriage, s.elbow
     for arm in (side, OTHER[side]):
-        swing = on * gait.swing * (1.0 if arm == OTHER[side] else -0.75) * vary
+        swing = on * gait.swing * (1.0 if arm == OTHER[side] else -0.9) * vary
         bend = rest[1] + on * (gait.elbow if arm == OTHER[side] else 0.25 * gait.elbow)
         lag = 0.04 * step_time
         score.move(f"{arm}_raise", 0.05 + swing, strike - longer + lag, longer)

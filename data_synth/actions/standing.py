@@ -21,7 +21,7 @@ def lean_on(score: Score, side: str, start: float, duration: float, amount: floa
     """Put the weight on one leg; the other hip drops."""
     score.pose(
         start, duration, sway=SIGN[side] * amount, tilt=SIGN[side] * amount, bend=-SIGN[side] * 0.9 * amount,
-        z=score.subject.standing - 0.010,
+        z=score.subject.standing - 0.003,
     )  # fmt: skip
 
 
