@@ -70,7 +70,7 @@ def crouch(score: Score, *, depth: float | None = None, seconds: float = 1.0) ->
     depth = v(0.25, 0.62) if depth is None else depth
     with score.action("crouch"):
         t, down, up = score.now, v(0.8, 1.2) / s.tempo, v(0.8, 1.2) / s.tempo
-        rise = max(0.0, depth - 0.18) * 2.1
+        rise = max(0.0, depth - 0.12) * 2.1
         lean = v(0.9, 1.2) * depth
         score.pose(t, down, z=s.standing - depth * s.leg + 0.09 * rise, surge=-0.20 * depth + 0.10 * rise)
         score.pose(t, down, pitch=0.8 * lean, flex=0.5 * lean, steady=0.8, nod=v(0.0, 0.4))
@@ -115,8 +115,8 @@ def jump(
     with score.action("jump"):
         t, sink, push, give = score.now, v(0.45, 0.7), v(0.30, 0.36), v(0.26, 0.34)
         off, land = t + sink + push, t + sink + push + flight
-        low, out = s.standing - v(0.24, 0.32), s.standing - 0.065
-        bottom = s.standing - v(0.18, 0.30)
+        low, out = s.standing - v(0.22, 0.28) * s.leg / 0.9, s.standing - 0.065
+        bottom = s.standing - v(0.16, 0.25) * s.leg / 0.9
         score.knots("z", [
             (t, score.value["z"], 0, 0), (t + sink, low, 0, 0), (off, out, speed, -GRAVITY),
             (land, out, -speed, -GRAVITY), (land + give, bottom, 0, 0), (land + give + 0.6, s.standing, 0, 0),
@@ -129,9 +129,9 @@ def jump(
             score.arm(side, t, sink, elbow=0.25, abduct=0.2, rotate=0.0, **{"raise": -0.75})
             score.arm(side, t + sink - 0.02, push + 0.08, elbow=0.6, **{"raise": v(1.2, 2.2)})
             score.arm(side, off + 0.5 * flight, 0.5 * flight + give, elbow=0.5, abduct=0.35, **{"raise": 0.5})
-        score.pose(t, sink, pitch=0.50, flex=0.28, surge=-0.15, steady=0.85)
+        score.pose(t, sink, pitch=0.50, flex=0.28, surge=-0.22, steady=0.85)
         score.pose(t + sink, push, pitch=0.03, flex=-0.02, surge=0)
-        score.pose(land - 0.12, give + 0.12, pitch=0.34, flex=0.22, surge=-0.10)
+        score.pose(land - 0.12, give + 0.12, pitch=0.34, flex=0.22, surge=-0.19)
         ease(score, land + give + 0.02, 0.65)
         score.now = land + give + 0.75
 
@@ -149,14 +149,14 @@ def _leap(score: Score, side: str, spin: float, off: float, land: float, speed: 
     """One foot of a jump: roll up on the ball, follow the body through the air, land on the ball, set the heel down."""
     catch = min(0.09, 0.3 * flight)
     v1, y1 = speed - GRAVITY * catch, 0.42 * speed * catch
-    score.release(f"{side}_ankle", off - 0.22)
+    score.release(f"{side}_ankle", off - 0.26)
     score.release(f"{side}_foot", off)
     tuck = score.uniform(0.0, 0.10)
     score.knots(f"{side}_lift", [
         (off, 0, 0, 0), (off + catch, y1, v1, -GRAVITY), (land - catch, y1, -v1, -GRAVITY), (land, 0, 0, 0)
     ])  # fmt: skip
     score.pulse(f"{side}_lift", tuck, off + 0.1 * flight, 0.4 * flight, 0.4 * flight)
-    score.pulse(f"{side}_heel", 0.75, off - 0.22, 0.22 + 0.4 * catch, 0.14, flight - 0.4 * catch)
+    score.pulse(f"{side}_heel", 0.75, off - 0.26, 0.26 + 0.4 * catch, 0.14, flight - 0.4 * catch)
     score.pulse(f"{side}_heel", 0.35, off - 0.05, 0.05 + catch, 0.5 * flight)
     x, y = score.stance(side)
     score.pose(off, flight, **{f"{side}_foot_x": x, f"{side}_foot_y": y})
