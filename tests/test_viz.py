@@ -1,10 +1,14 @@
 """Pictures: what a camera sees to the pixel, films that keep time, colours that differ, a silent start."""
 
+import asyncio
 import subprocess
 import sys
+import threading
+import time
 from dataclasses import replace
 from itertools import combinations
 
+import ipywidgets
 import numpy as np
 import pytest
 import pyvista as pv
@@ -18,8 +22,8 @@ from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Observation2D, look_at, project
 from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
-from motionlab.viz import figures, gif, ground, palette, render, shapes, view, viewpoint
-from motionlab.viz.interactive import slider
+from motionlab.viz import figures, gif, ground, interactive, palette, render, shapes, view, viewpoint
+from motionlab.viz.interactive import newest, slider
 from motionlab.viz.movie import film, strip, write
 from motionlab.viz.overlay import limbs, overlay
 from motionlab.viz.scene import Scene
@@ -228,14 +232,91 @@ def test_films_and_strips(tmp_path):
 
 
 def test_a_slider_moves_the_picture():
-    box = slider(standing(), size=SMALL)
+    box = slider(standing(), "picture", size=SMALL)
     view, controls = box.children
+    play, hand, clock = controls.children
     before = view.value
-    controls.children[1].value = controls.children[1].max
-    assert view.value != before and controls.children[2].value == "0.70 s"
+    hand.value = hand.max
+    assert view.value != before and clock.value == "0.70 s"
+    hand.value = 0
+    assert view.value == before and clock.value == "0.00 s"
+    assert play.max == hand.max and play.interval * play.max == pytest.approx(700, rel=0.05)  # as fast as life
     assert slider(standing(), "static").shape[2] == 3
     with pytest.raises(ValueError, match="static, picture, trame"):
         slider(standing(), "hologram")
+
+
+def test_a_slider_can_be_turned_where_make_lab_says_so(monkeypatch):
+    moved = []
+
+    def view_of(scene):
+        return ipywidgets.HTML(), lambda: moved.append(scene.seconds)
+
+    monkeypatch.setattr(interactive, "_trame", view_of)
+    monkeypatch.delenv("PYVISTA_JUPYTER_BACKEND", raising=False)
+    slider(standing(), size=SMALL).children[1].children[1].value = 5
+    assert not moved
+    monkeypatch.setenv("PYVISTA_JUPYTER_BACKEND", "trame")
+    _, hand, clock = slider(standing(), size=SMALL).children[1].children
+    hand.value = hand.max
+    assert moved == [0.7] and clock.value == "0.70 s"  # pushed once, after the scene had moved
+
+
+def test_a_slider_draws_on_its_own_thread_and_skips_what_is_overtaken():
+    async def drag() -> tuple:
+        view, controls = slider(standing(), "picture", size=SMALL).children
+        _, hand, clock = controls.children
+        before, drawn = view.value, []
+        view.observe(lambda _: drawn.append((threading.get_ident(), clock.value)), names="value")
+        other = threading.Thread(target=lambda: [setattr(hand, "value", k) for k in range(1, hand.max + 1)])
+        other.start()
+        other.join()  # the loop stands still, as under a slow draw
+        assert view.value == before and clock.value == "0.00 s"
+        await asyncio.sleep(0.05)
+        return drawn, clock.value
+
+    drawn, shown = asyncio.run(drag())
+    assert [thread for thread, _ in drawn] == [threading.get_ident()] and shown == "0.70 s"
+
+
+def test_the_newest_value_is_drawn_last_whatever_the_pace():
+    async def race() -> list[int]:
+        drawn: list[int] = []
+
+        def slow(value: int) -> None:
+            time.sleep(0.004)
+            drawn.append(value)
+
+        call = newest(slow)
+        sender = threading.Thread(target=lambda: [(call(k), time.sleep(0.001)) for k in range(100)])
+        sender.start()
+        while sender.is_alive():
+            await asyncio.sleep(0)
+        await asyncio.sleep(0.02)
+        return drawn
+
+    drawn = asyncio.run(race())
+    assert drawn == sorted(drawn) and drawn[-1] == 99 and 2 < len(drawn) < 90
+
+
+def test_a_trame_view_starts_offline_and_is_sent_pictures():
+    code = """
+import asyncio, sys, torch
+from unittest import mock
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, UPRIGHT
+from motionlab.viz.interactive import slider
+rot = torch.eye(3).expand(4, 22, 3, 3).clone(); rot[:, 0] = UPRIGHT
+async def main():
+    view, controls = slider(Motion(STANDARD, torch.zeros(4, 3), rot, 10.0), "trame", size=(64, 48)).children
+    with mock.patch.object(next(iter(view.viewer._html_views)), "update") as push:
+        controls.children[1].value = 3
+        await asyncio.sleep(0.2)
+    print(push.call_count, "<iframe" in view.value, "trame_vtklocal" in sys.modules)
+asyncio.run(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "1 True False\n" and "Error" not in done.stderr, done.stderr
 
 
 def test_confidence_is_opacity_and_zero_is_nothing():

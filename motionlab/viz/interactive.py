@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
-from collections.abc import Mapping
+import os
+import sys
+from collections import deque
+from collections.abc import Callable, Mapping
+from unittest import mock
 
 import numpy as np
 from PIL import Image
@@ -11,28 +16,74 @@ from PIL import Image
 from motionlab.body import BodyModel
 from motionlab.motion import Motion
 from motionlab.viz.movie import stage, strip
+from motionlab.viz.scene import Scene
+
+BACKENDS = ("static", "picture", "trame")
+_RATE = 25  # steps of the slider per second
 
 
-def _png(picture: np.ndarray) -> bytes:
+def _jpeg(picture: np.ndarray) -> bytes:
     buffer = io.BytesIO()
-    Image.fromarray(picture).save(buffer, "png")
+    Image.fromarray(picture).save(buffer, "jpeg", quality=92, subsampling=0)
     return buffer.getvalue()
+
+
+def newest(draw: Callable[[int], None]) -> Callable[[int], None]:
+    """``draw``, always on the thread that made it, skipping values that newer ones have overtaken.
+
+    ipykernel 7 answers widgets on a thread of their own, but a window's OpenGL context and trame's event loop belong
+    to the thread that made them: drawn from another one, pictures stay as they were. Without a running event loop (a
+    script, a test) it draws at once.
+    """
+    try:
+        loop = asyncio.get_running_loop()
+    except RuntimeError:
+        return draw
+    waiting: deque[int] = deque(maxlen=1)
+
+    def run() -> None:
+        if waiting:
+            draw(waiting.pop())
+
+    def call(value: int) -> None:
+        waiting.append(value)
+        loop.call_soon_threadsafe(run)
+
+    return call
+
+
+def _trame(scene: Scene):
+    """A view in the browser, drawn by the kernel and turned with the mouse, and what sends it a new picture."""
+    from trame_pyvista.jupyter import elegantly_launch, get_server
+
+    server = get_server(name=scene.plotter.theme.trame.jupyter_server_name)
+    if not server.running:
+        # trame's WebAssembly view, not used here, downloads itself when the server starts: an error without a network
+        with mock.patch.dict(sys.modules, {"trame.widgets.vtklocal": None}):
+            elegantly_launch(server)
+    scene.plotter.notebook = True  # else pyvista guesses, and shows nothing where it sees no notebook
+    view = scene.plotter.show(jupyter_backend="server", jupyter_kwargs={"add_menu": False}, return_viewer=True)
+    return view, view.viewer.update
 
 
 def slider(
     motions: Motion | Mapping[str, Motion],
-    backend: str = "picture",
+    backend: str | None = None,
     *,
     body: BodyModel | None = None,
     size=None,
     follow=False,
 ):
-    """Motions side by side under a time slider with a play button.
+    """Motions side by side under a time slider with a play button, which plays as fast as life.
+
+    Where drawing cannot keep up, frames are skipped; the clock is that of the picture shown.
 
     Args:
         motions: one, or label -> motion, as in :func:`motionlab.viz.movie.film`.
-        backend: "static": key poses as one picture (H, W, 3) (CI); "picture": a slider that redraws an image here;
-            "trame": a view that a person turns, through pyvista's trame back end.
+        backend: "static": key poses as one picture (H, W, 3) (CI); "picture": an image that is drawn anew;
+            "trame": a view that a person turns with the mouse, through pyvista's trame back end. By default "trame"
+            where ``$PYVISTA_JUPYTER_BACKEND`` says so, as ``make lab`` does, else "picture".
+        size: width and height in pixels.
 
     Returns:
         an array for "static", else an ipywidgets box with children (view, controls).
@@ -40,34 +91,38 @@ def slider(
     Raises:
         ValueError: no such backend.
     """
+    if backend is None:
+        backend = "trame" if os.environ.get("PYVISTA_JUPYTER_BACKEND") == "trame" else "picture"
+    if backend not in BACKENDS:
+        raise ValueError(f"no backend {backend!r}; backends are {', '.join(BACKENDS)}")
     if backend == "static":
         return strip(motions if isinstance(motions, Motion) else next(iter(motions.values())), body=body)
-    if backend not in ("picture", "trame"):
-        raise ValueError(f"no backend {backend!r}; backends are static, picture, trame")
     import ipywidgets
 
     panels = 1 if isinstance(motions, Motion) else len(motions)
-    scene, seconds = stage(motions, None, body, size or (min(420 * panels, 1100), 420), follow=follow)
-    steps = max(int(seconds * 25), 1)
-    play = ipywidgets.Play(min=0, max=steps, interval=80)
-    hand = ipywidgets.IntSlider(min=0, max=steps, readout=False, layout={"width": "60%"})
-    clock = ipywidgets.Label("0.00 s")
+    size = size or (640 if panels == 1 else min(420 * panels, 1100), 420)
+    scene, seconds = stage(motions, None, body, size, follow=follow)
+    steps = max(round(seconds * _RATE), 1)
+    width = f"{size[0]}px"
+    play = ipywidgets.Play(min=0, max=steps, interval=1000 // _RATE)
+    hand = ipywidgets.IntSlider(min=0, max=steps, readout=False, layout={"flex": "1 1 auto"})
+    clock = ipywidgets.Label("0.00 s", layout={"width": "5em"})
     ipywidgets.jslink((play, "value"), (hand, "value"))
     scene.at(0.0)
     if backend == "trame":
-        view = scene.plotter.show(jupyter_backend="trame", return_viewer=True)
-        refresh = view.viewer.update
+        view, refresh = _trame(scene)
     else:
-        view = ipywidgets.Image(value=_png(scene.image()), format="png")
+        view = ipywidgets.Image(value=_jpeg(scene.image()), format="jpeg", layout={"width": width})
 
         def refresh() -> None:
-            view.value = _png(scene.image())
+            view.value = _jpeg(scene.image())
 
-    def turn(change) -> None:
-        now = change["new"] * seconds / steps
-        clock.value = f"{now:.2f} s"
+    def draw(step: int) -> None:
+        now = step * seconds / steps
         scene.at(now)
         refresh()
+        clock.value = f"{now:.2f} s"
 
-    hand.observe(turn, names="value")
-    return ipywidgets.VBox([view, ipywidgets.HBox([play, hand, clock])])
+    turn = newest(draw)
+    hand.observe(lambda change: turn(change["new"]), names="value")
+    return ipywidgets.VBox([view, ipywidgets.HBox([play, hand, clock], layout={"width": width})])
