@@ -13,8 +13,6 @@ from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-RENDERING_PACKAGES = "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri libglx-mesa0 libxrender1"
-RENDERING_REMEDY = f"apt-get update && apt-get install -y {RENDERING_PACKAGES}"
 _DRAW = """
 import pyvista
 plotter = pyvista.Plotter(off_screen=True, window_size=(64, 64))
@@ -98,16 +96,18 @@ def check_device() -> Check:
 
 def check_rendering() -> Check:
     """Really draw a sphere off screen, in a process of its own: a missing library can abort the interpreter."""
+    from motionlab.viz import render  # needs the packages that doctor may find missing
+
     try:
         run = subprocess.run([sys.executable, "-c", _DRAW], capture_output=True, text=True, timeout=120)
     except subprocess.TimeoutExpired:
-        return Check("rendering", "did not finish in 120 s", RENDERING_REMEDY)
+        return Check("rendering", "did not finish in 120 s", render.REMEDY)
     lines = [line for line in run.stdout.splitlines() if line.count("|") == 2]
     if run.returncode or not lines:
-        return Check("rendering", f"no off-screen rendering (exit status {run.returncode})", RENDERING_REMEDY)
+        return Check("rendering", f"no off-screen rendering (exit status {run.returncode})", render.REMEDY)
     window, renderer, spread = lines[-1].split("|")
     if not float(spread) > 1:
-        return Check("rendering", f"{window} draws an empty picture", RENDERING_REMEDY)
+        return Check("rendering", f"{window} draws an empty picture", render.REMEDY)
     return Check("rendering", f"{window}, {renderer}")
 
 
@@ -153,15 +153,17 @@ def table(checks: list[Check]) -> str:
 
 def prepare() -> bool:
     """Make rendering work where we may, bake the body; say what a person must do if that is not enough."""
+    from motionlab.viz import render
+
     rendering = check_rendering()
     if not rendering.ok and shutil.which("apt-get") and os.geteuid() == 0:
-        print(f"rendering: {rendering.found}; installing {RENDERING_PACKAGES}", flush=True)
+        print(f"rendering: {rendering.found}; installing {render.PACKAGES}", flush=True)
         subprocess.run(
-            ["sh", "-c", RENDERING_REMEDY], check=False, env={**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+            ["sh", "-c", render.REMEDY], check=False, env={**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
         )
         rendering = check_rendering()
     if not rendering.ok:
-        print(f"rendering: {rendering.found}. Run this as root, then again what you ran:\n  {RENDERING_REMEDY}")
+        print(f"rendering: {rendering.found}. Run this as root, then again what you ran:\n  {render.REMEDY}")
         return False
     print(f"rendering: {rendering.found}", flush=True)
     if not check_body().ok:

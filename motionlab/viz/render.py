@@ -8,7 +8,9 @@ import sys
 
 from motionlab.errors import MissingData
 
-_HOW = "On Debian or Ubuntu: apt-get install -y libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri  (or libosmesa6)"
+PACKAGES = "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri libglx-mesa0 libxrender1"
+REMEDY = f"apt-get update && apt-get install -y {PACKAGES}"  #: what gives Debian and Ubuntu a window to draw into
+_HOW = f"On Debian or Ubuntu, as root: {REMEDY}  (or, for OSMesa, libosmesa6)"
 _WINDOWS = {"libEGL.so.1": "vtkEGLRenderWindow", "libOSMesa.so.8": "vtkOSOpenGLRenderWindow"}
 
 
