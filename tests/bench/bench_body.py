@@ -3,13 +3,11 @@
 anny skins its 53 bones with its own dense linear blend skinning, to the same vertices within 1e-5 m.
 """
 
-import statistics
-import time
-
 import torch
 
 from motionlab import anny_body, rotation
 from motionlab.body import BodyModel, lbs
+from motionlab.profiling import timed
 from motionlab.skeleton import fk
 
 FRAMES, REPEATS = 64, 7
@@ -17,13 +15,7 @@ FRAMES, REPEATS = 64, 7
 
 def seconds(function) -> float:
     """Median wall-clock time of a call after one to warm up."""
-    function()
-    times = []
-    for _ in range(REPEATS):
-        start = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
+    return timed(function, n=REPEATS).median
 
 
 def gathered(body: BodyModel, root: torch.Tensor, rot: torch.Tensor) -> torch.Tensor:

@@ -4,9 +4,7 @@ bvhio reads a pose per joint and frame into objects; its positions come one fram
 here: 22 joints, 1 minute at 30 frames per second.
 """
 
-import statistics
 import tempfile
-import time
 import warnings
 from pathlib import Path
 
@@ -16,6 +14,7 @@ import torch
 from motionlab import rotation
 from motionlab.io import bvh
 from motionlab.motion import Motion
+from motionlab.profiling import timed
 from motionlab.skeleton import STANDARD
 
 with warnings.catch_warnings():
@@ -26,13 +25,8 @@ FRAMES, REPEATS, CHECKED = 1800, 5, (0, 1234, 1799)
 
 
 def seconds(function, repeats: int) -> float:
-    """Median wall-clock time of a call."""
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
+    """Median wall-clock time of a call after one to warm up."""
+    return timed(function, n=repeats).median
 
 
 def bvhio_positions(root, frame: int) -> dict[str, np.ndarray]:
