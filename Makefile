@@ -42,7 +42,7 @@ doctor: setup
 setup: $(PREPARED)
 	@:
 
-$(PREPARED): $(INSTALLED) motionlab/body.py motionlab/doctor.py
+$(PREPARED): $(INSTALLED) motionlab/anny_body.py motionlab/body.py motionlab/doctor.py
 	@echo "== preparing: off-screen rendering and the body"
 	@$(PY) -m motionlab doctor --prepare
 	@touch $@
