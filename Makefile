@@ -27,7 +27,7 @@ test: setup
 	@$(PY) tests/run.py
 
 lab: setup
-	@PYVISTA_JUPYTER_BACKEND=trame PYVISTA_TRAME_SERVER_PROXY_PREFIX=/proxy/ $(PY) -m jupyterlab --notebook-dir=notebooks \
+	@PYVISTA_JUPYTER_BACKEND=trame PYVISTA_TRAME_SERVER_PROXY_PREFIX=/proxy/ $(PY) -m jupyterlab --LabApp.news_url=None --notebook-dir=notebooks \
 		$$(test $$(id -u) = 0 && echo --allow-root) $(LAB_FLAGS)
 
 full: setup
