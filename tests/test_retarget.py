@@ -1,5 +1,6 @@
 """Retargeting: exact where it can be, measured where it cannot, and refused where a skeleton is not understood."""
 
+import math
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -229,7 +230,7 @@ def test_skate_counts_only_steps_between_resting_frames():
     points[:, 0, 0] = torch.tensor([0.0, 0.001, 0.003, 0.103])
     rests = torch.tensor([[True], [True], [True], [False]])
     assert abs(skate(points, rests) - 1.5) < 1e-4
-    assert skate(points, torch.zeros(4, 1, dtype=torch.bool)) == 0
+    assert math.isnan(skate(points, torch.zeros(4, 1, dtype=torch.bool)))
 
 
 def renamed(change) -> Motion:
@@ -333,3 +334,12 @@ def test_residual_and_skate_of_recordings(name, limit):
     assert exact.residual <= standard.residual < limit
     assert exact.skate[1] <= exact.skate[0] + 0.01
     assert standard.skate[1] <= standard.skate[0] + 0.01
+
+
+def test_a_motion_without_usable_frames_is_refused_and_feet_in_the_air_have_no_skate(generator):
+    motion = wild(generator)
+    with pytest.raises(ShapeError, match="no frames"):
+        retarget(motion.cut(0, 0))
+    with pytest.raises(DataError, match="not finite"):
+        retarget(replace(motion, root=motion.root * torch.nan))
+    assert all(math.isnan(slide) for slide in retarget(motion.cut(0, 1)).skate)

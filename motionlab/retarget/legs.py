@@ -26,10 +26,10 @@ def resting(points: Tensor, fps: float) -> Tensor:
 
 
 def skate(points: Tensor, rests: Tensor) -> float:
-    """Mean horizontal slide of points (T, F, 3), mm per frame, over steps whose two frames rest (T, F); 0 if none."""
+    """Mean horizontal slide of points (T, F, 3), mm per frame, over steps whose two frames rest (T, F); NaN if none."""
     both = rests[1:] & rests[:-1]
     step = points[1:, :, :2] - points[:-1, :, :2]
-    return 1000 * float(step.norm(dim=-1)[both].mean()) if both.any() else 0.0
+    return 1000 * float(step.norm(dim=-1)[both].mean()) if both.any() else float("nan")
 
 
 def reach(motion: Motion, ankles: Tensor) -> Motion:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.errors import DataError, check_shape
+from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.motion import Motion
 from motionlab.retarget.legs import reach, resting, skate
 from motionlab.retarget.rigs import Match, match
@@ -27,7 +27,7 @@ class Retargeted:
     floor shift. per_joint: the same for each mapped joint. names: standard name -> source name. unmapped:
     standard joints that the source lacks; they keep their parent's orientation. scale: size of the target
     over the size of the file's figure. floor: metres by which the motion was raised. skate: slide of resting
-    feet in mm per frame, source and target. notes: what had to be decided.
+    feet in mm per frame, source and target; NaN where no foot rests. notes: what had to be decided.
     """
 
     motion: Motion
@@ -65,11 +65,14 @@ def retarget(
             "source".
 
     Raises:
-        DataError: the skeleton's names or rest pose are not known.
-        ShapeError: the motion has batch axes.
+        DataError: the skeleton's names or rest pose are not known, or the motion holds NaN or infinity.
+        ShapeError: the motion has batch axes or no frames.
         ValueError: proportions or leg is none of the above.
     """
-    check_shape(motion.root, "T 3", "motion.root")
+    if not check_shape(motion.root, "T 3", "motion.root")["T"]:
+        raise ShapeError(f"{motion.name or 'motion'} has no frames")
+    if not (motion.root.isfinite().all() and motion.rot.isfinite().all()):
+        raise DataError("numbers that are not finite", path=motion.name, place="frames", remedy="cut or fill them")
     if proportions not in ("source", "standard"):
         raise ValueError(f"proportions: expected 'source' or 'standard', got {proportions!r}")
     if leg is not None and not leg > 0:
