@@ -22,12 +22,15 @@ from motionlab.motion import Motion
 def _mask(known: Tensor, motion: Motion) -> Tensor:
     """The mask as bool (..., T, J)."""
     frames, joints = motion.rot.shape[-4:-2]
-    known = known.bool()
-    if known.ndim >= 2 and known.shape[-2:] == (frames, joints):
-        return known.expand(motion.rot.shape[:-2])
-    if known.shape[-1:] == (frames,):
-        return known[..., None].expand(motion.rot.shape[:-2])
-    raise ShapeError(f"known: expected (..., {frames}) or (..., {frames}, {joints}), got {tuple(known.shape)}")
+    known, lead = known.bool(), motion.root.shape[:-1]
+    pairs = zip(reversed(known.shape), reversed(lead), strict=False)
+    by_frame = 0 < known.ndim <= len(lead) and known.shape[-1] == frames and all(k in (1, n) for k, n in pairs)
+    by_joint = known.shape[-2:] == (frames, joints)
+    if by_frame and by_joint:
+        raise ShapeError(f"known {tuple(known.shape)}: frames of each clip, or joints of each frame? Give all axes")
+    if not by_frame and not by_joint:
+        raise ShapeError(f"known: expected (..., {frames}) or (..., {frames}, {joints}), got {tuple(known.shape)}")
+    return (known[..., None] if by_frame else known).expand(motion.rot.shape[:-2])
 
 
 def _neighbours(known: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -66,6 +66,19 @@ def test_nothing_known_and_wrong_masks_are_refused(generator):
             fill(motion, torch.ones(5))
 
 
+def test_a_mask_that_can_be_read_in_two_ways_is_refused(generator):
+    """22 frames, 22 joints, 22 clips: (22, 22) hides frames of clips or joints of frames."""
+    motion = swinging(generator, (22,), frames=22)
+    known = torch.ones(22, 22, dtype=torch.bool)
+    known[3, 5] = False
+    with pytest.raises(ShapeError, match="all axes"):
+        baselines.hold(motion, known)
+    held = baselines.hold(motion, known[..., None].expand(22, 22, 22))
+    assert torch.equal(held.root[3, 5], motion.root[3, 4]) and torch.equal(held.root[4], motion.root[4])
+    single = motion.clip(0)
+    assert torch.equal(baselines.hold(single, known).rot[3, 5], single.rot[2, 5])
+
+
 def test_nearest_neighbour_finds_a_moved_window_and_puts_it_back(generator):
     motion = swinging(generator, frames=90)
     library = windows(motion, 20, 10)
