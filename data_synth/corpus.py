@@ -1,7 +1,7 @@
 """The corpus: what the thesis had, made of synthetic performances with known truth.
 
-21 sequences of about two minutes, four subjects, 30 frames a second, some 42 minutes; three sequences of the
-training subjects and one whole subject held out.
+21 sequences of 128 seconds, four subjects, 30 frames a second, 45 minutes, in a room of nine by nine metres;
+three sequences of the training subjects and one whole subject held out.
 Source: thesis section 4.1.2, "Data" (claim D05).
 """
 
@@ -30,10 +30,10 @@ from motionlab.errors import ShapeError
 
 #: How often each action is chosen, relative to the others.
 MIX = {
-    "walk": 9.0, "run": 2.5, "turn": 0.4, "idle": 1.6, "reach": 1.5, "wave": 0.8, "punch": 1.2, "kick": 0.8,
-    "sit": 1.0, "crouch": 1.0, "jump": 0.9, "dance": 1.8, "floor": 0.8,
+    "walk": 5.5, "run": 1.5, "turn": 0.8, "idle": 1.4, "reach": 1.7, "wave": 1.1, "punch": 1.1, "kick": 1.2,
+    "sit": 1.0, "crouch": 1.1, "jump": 1.3, "dance": 1.7, "floor": 0.5,
 }  # fmt: skip
-MANNERS = (None, None, None, None, "proud", "tired", "sneaking", "marching")
+MANNERS = (None,) * 7 + locomotion.MANNERS
 _SOURCES = (anatomy, curves, legs, perform, score, subjects, truth, dance, floor, gait, locomotion, seat, standing)
 
 
@@ -48,9 +48,9 @@ class Recipe:
     seed: int = 0
     version: str = "B"
     sequences: int = 21
-    seconds: float = 120.0
+    seconds: float = 128.0
     fps: float = 30.0
-    room: float = 3.0
+    room: float = 4.5
     heldout: tuple[int, ...] = (4, 9, 14)
     heldout_subject: str = "dee"
 
@@ -169,20 +169,35 @@ def perform_sequence(recipe: Recipe, index: int) -> Take:
 
 
 def _roam(part: Score, room: float, name: str) -> None:
-    """Walk or run in the room: away from the walls, along a curve; turn on the spot first when that is needed."""
+    """Walk or run along the first arc drawn that stays in the room; if none of many does, turn on the spot first."""
+    manner = part.choose(MANNERS) if name == "walk" else None
+    if manner in ("backwards", "sideways"):
+        if _arc_stays(part, 0.0, 0.0, room - 2.2):
+            return WRITERS["walk"](part, seconds=part.uniform(2.5, 3.5), speed=1.2, manner=manner)
+        manner = None
+    for attempt in range(120):
+        if attempt == 60:
+            x, y, heading = (part.value[key] for key in ("x", "y", "heading"))
+            away = math.atan2(x, -y) + part.uniform(-0.8, 0.8) - heading
+            WRITERS["turn"](part, angle=(away + math.pi) % (2 * math.pi) - math.pi)
+        speed = part.uniform(2.0, 3.0) if name == "run" else part.uniform(0.9, 1.7)
+        seconds = part.uniform(3.8, 7.5) if name == "run" else part.uniform(3.0, 9.0)
+        way, tightest = speed * (seconds - 1.1), 1.7 if name == "run" else 1.2
+        turn = part.choose((-1, 1)) * way / (tightest * math.exp(part.uniform(0, 1.5)))
+        if abs(turn) < 7 and _arc_stays(part, way, turn, 0.85 * room):
+            break
+    return WRITERS[name](part, seconds=seconds, speed=speed, turn=turn, **({"manner": manner} if manner else {}))
+
+
+def _arc_stays(part: Score, way: float, turn: float, half: float) -> bool:
+    """Whether an arc of ``way`` metres that turns by ``turn`` radians from here stays within half the side."""
     x, y, heading = (part.value[key] for key in ("x", "y", "heading"))
-    goal = (part.uniform(-0.75, 0.75) * room, part.uniform(-0.75, 0.75) * room)
-    way = math.hypot(goal[0] - x, goal[1] - y)
-    turn = (math.atan2(-(goal[0] - x), goal[1] - y) - heading + math.pi) % (2 * math.pi) - math.pi
-    if abs(turn) > 1.2:
-        WRITERS["turn"](part, angle=turn)
-        turn = 0.0
-    if name == "run" and way > 2.5:
-        speed = part.uniform(1.9, 2.6)
-        WRITERS["run"](part, seconds=1.5 + max(1.0, 0.8 * way / speed), speed=speed, turn=turn)
-    elif way > 0.8:
-        speed = part.uniform(0.7, 1.6)
-        WRITERS["walk"](part, seconds=1.2 + way / speed, speed=speed, turn=2 * turn, manner=part.choose(MANNERS))
+    for k in range(12):
+        ahead = heading + turn * (k + 0.5) / 12
+        x, y = x - way / 12 * math.sin(ahead), y + way / 12 * math.cos(ahead)
+        if max(abs(x), abs(y)) > half:
+            return False
+    return True
 
 
 def stick(take: Take) -> Take:
@@ -202,7 +217,14 @@ def cache_path(recipe: Recipe) -> Path:
     """Where the sequences of a recipe are cached; both versions share them. Changes with the code that makes them."""
     folder = os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab"
     code = "".join(inspect.getsource(module) for module in _SOURCES) + inspect.getsource(perform_sequence)
-    what = {**asdict(recipe), "version": "", "heldout": (), "mix": MIX, "code": code, "roam": inspect.getsource(_roam)}
+    what = {
+        **asdict(recipe),
+        "version": "",
+        "heldout": (),
+        "mix": MIX,
+        "code": code,
+        "roam": inspect.getsource(_roam) + inspect.getsource(_arc_stays),
+    }
     digest = hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:16]
     return Path(folder) / f"corpus-{digest}.safetensors"
 

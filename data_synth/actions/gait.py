@@ -17,7 +17,8 @@ class Gait:
     duty: share of the stride that a foot is on the floor. width: between the ankles. clearance: lift of the
     whole foot. heel, toe: heel raised at toe-off, toes raised at touch-down. bob, sway: amplitudes of the
     pelvis up and sideways. yaw, twist, tilt: of the pelvis' and the trunk's rotations. swing, elbow: of the arms.
-    drop: how much lower than standing. lean: forward lean of the trunk.
+    drop: how much lower than standing. lean: forward lean of the trunk. limp: how much one leg is spared, the left
+    one if positive: the trunk leans over it and sinks, and its foot rolls less.
     """
 
     duty: float = 0.61
@@ -34,6 +35,7 @@ class Gait:
     elbow: float = 0.25
     drop: float = 0.022
     lean: float = 0.04
+    limp: float = 0.0
 
 
 def tread(
@@ -78,12 +80,13 @@ def _footfall(score, side, centre, heading, lift, strike, gait, step_time, *, la
         heading
     )
     size = min(1.0, way / (0.9 * score.subject.leg))  # short steps roll less
+    roll = size * (1 - 0.4 * max(0.0, SIGN[side] * gait.limp))
     forward = max(0.0, ahead) / way if way > 1e-6 else 0.0
     support = gait.duty * 2 * step_time
     early = min((0.34 + 2.5 * max(0.0, gait.drop - 0.03)) * support, 0.45)  # who walks low lifts the heel sooner
     score.step(
         side, (x, y), heading + SIGN[side] * score.subject.toe_out, lift, strike,
-        height=gait.clearance * (0.6 + 0.4 * size), heel=0.25 + (gait.heel - 0.25) * size,
+        height=gait.clearance * (0.6 + 0.4 * size), heel=0.25 + (gait.heel - 0.25) * roll,
         toe=gait.toe * size * forward * (0.4 if last else 1.0), early=early, late=0.12 * support,
         shape=(0.45, 0.45, 1.35), rise=0.32, fall=0.50,
     )  # fmt: skip
@@ -94,15 +97,18 @@ def _body(score: Score, side: str, strike: float, step_time: float, gait: Gait, 
     on = 0.0 if last else 1.0
     middle = strike + 0.5 * step_time  # the other leg passes
     longer = 1.15 * step_time
-    vary = 1 + 0.08 * score.uniform(-1, 1)
-    low, high = s.standing - gait.drop - gait.bob, s.standing - gait.drop + gait.bob
+    vary = 1 + 0.15 * score.uniform(-1, 1)
+    spared = on * max(0.0, sign * gait.limp)
+    low, high = s.standing - gait.drop - gait.bob, s.standing - gait.drop + gait.bob - 0.05 * spared
     score.move("z", low, strike - 0.42 * step_time, 0.5 * step_time)
     score.move("z", high if not last else s.standing, strike + 0.08 * step_time, 0.5 * step_time * (1 + last))
-    score.move("sway", on * sign * gait.sway * vary, middle - longer, longer)
+    score.move("sway", on * sign * (gait.sway + 0.04 * spared) * vary, middle - longer, longer)
     score.move("yaw", -on * sign * gait.yaw * vary, strike - longer, longer)
     score.move("twist", on * sign * (gait.yaw + gait.twist) * vary, strike - longer, longer)
     score.move("tilt", on * sign * gait.tilt * vary, strike - 0.35 * step_time, 0.7 * step_time)
-    score.move("bend", -on * sign * 0.8 * gait.tilt * vary, strike - 0.35 * step_time, 0.7 * step_time)
+    score.move(
+        "bend", -on * sign * (0.8 * gait.tilt + 0.25 * spared) * vary, strike - 0.35 * step_time, 0.7 * step_time
+    )
     if last:
         score.pose(strike - 0.2, 0.7, pitch=0.5 * s.lean, flex=0.5 * s.lean)
     rest = s.carriage, s.elbow

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from data_synth.actions.gait import OTHER, Gait, tread
 from data_synth.actions.standing import ease
-from data_synth.score import SIGN, Score
+from data_synth.score import SIDES, SIGN, Score
 
 GRAVITY = 9.81
 
@@ -50,18 +50,29 @@ def walk(
     turn: float = 0.0,
     manner: str | None = None,
 ) -> None:
-    """Walk for about ``seconds`` at ``speed`` m/s (drawn if None) while the heading changes by ``turn`` radians."""
+    """Walk for about ``seconds`` at ``speed`` m/s (drawn if None) while the heading changes by ``turn`` radians.
+
+    manner: None, or one of MANNERS; people who step backwards or sideways keep to about half the speed.
+    """
     speed = score.uniform(0.8, 1.6) if speed is None else speed
     with score.action("walk"):
         length, step_time, gait = walking_gait(score, speed)
         gait = styled(score, gait, manner)
         steps = max(2, round((seconds - 0.55) / step_time) - 1)
-        centres, headings = _path(score, length, turn, steps)
-        tread(score, centres, headings, step_time, gait, score.choose(("left", "right")))
+        first = score.choose(SIDES)
+        if manner == "sideways":
+            centres, headings = _sidesteps(score, SIGN[first] * 0.45 * length, steps)
+        else:
+            centres, headings = _path(score, length * (-0.55 if manner == "backwards" else 1.0), turn, steps)
+        tread(score, centres, headings, step_time, gait, first)
+
+
+#: How people may walk, apart from the usual.
+MANNERS = ("proud", "tired", "sneaking", "marching", "limping", "backwards", "sideways")
 
 
 def styled(score: Score, gait: Gait, manner: str | None) -> Gait:
-    """A gait in a manner: proud, tired, sneaking, marching, or a personal one drawn around the usual."""
+    """A gait in one of MANNERS, or for None a personal one drawn around the usual."""
     v = score.uniform
     gait = replace(
         gait, swing=gait.swing * v(0.8, 1.2), twist=gait.twist * v(0.8, 1.2), lean=gait.lean + v(-0.02, 0.02)
@@ -77,6 +88,9 @@ def styled(score: Score, gait: Gait, manner: str | None) -> Gait:
             gait, lean=gait.lean + 0.35, drop=gait.drop + 0.015, clearance=0.10, swing=0.3 * gait.swing
         ),
         "marching": replace(gait, swing=1.6 * gait.swing, elbow=0.4 * gait.elbow, clearance=0.09, bob=0.8 * gait.bob),
+        "limping": replace(gait, limp=score.choose((-1, 1)) * v(0.4, 0.7), swing=0.7 * gait.swing),
+        "backwards": replace(gait, heel=0.5 * gait.heel, swing=0.35 * gait.swing, bob=0.5 * gait.bob),
+        "sideways": replace(gait, width=1.4 * gait.width, heel=0.4, swing=0.15 * gait.swing, yaw=0.0, twist=0.05),
     }[manner]
 
 
@@ -85,9 +99,8 @@ def _path(score: Score, length: float, turn: float, steps: int) -> tuple[list[tu
     x, y, heading = (score.value[name] for name in ("x", "y", "heading"))
     centres, headings = [], []
     for k in range(steps):
-        share = 0.5 - 0.5 * math.cos(math.pi * (k + 1) / steps)
-        new = score.value["heading"] + turn * share
-        way = (0.72 if k == 0 else 0.9 if k == steps - 1 and steps > 2 else 1.0) * length
+        new = score.value["heading"] + turn * (k + 1) / steps
+        way = (0.72 if k == 0 else 0.9 if k == steps - 1 and steps > 2 else score.uniform(0.96, 1.04)) * length
         middle = (heading + new) / 2
         x, y, heading = x - way * math.sin(middle), y + way * math.cos(middle), new
         centres.append((x, y))
@@ -95,12 +108,18 @@ def _path(score: Score, length: float, turn: float, steps: int) -> tuple[list[tu
     return [*centres, centres[-1]], [*headings, heading]
 
 
+def _sidesteps(score: Score, way: float, steps: int) -> tuple[list[tuple[float, float]], list[float]]:
+    """Step to the left by ``way`` metres, or right if negative, bring the other foot, and so on."""
+    centres = [score.local(way * (k // 2 + 1), 0.0) for k in range(2 * max(1, steps // 2))]
+    return centres, [score.value["heading"]] * len(centres)
+
+
 def turn(score: Score, *, angle: float | None = None) -> None:
     """Turn on the spot by ``angle`` radians to the left (drawn if None) in small steps; head and eyes lead."""
     angle = score.choose((-1, 1)) * score.uniform(0.8, 3.2) if angle is None else angle
     with score.action("turn"):
         steps = max(1, math.ceil(abs(angle) / score.uniform(0.5, 0.85)))
-        step_time = score.uniform(0.48, 0.62) / score.subject.tempo
+        step_time = score.uniform(0.42, 0.56) / score.subject.tempo
         gait = Gait(
             duty=0.66, width=1.3 * score.subject.step_width, clearance=0.045, heel=0.5, toe=0.0, bob=0.006, sway=0.03,
             yaw=0.0, twist=0.0, tilt=0.02, swing=0.06, elbow=0.08, drop=0.015, lean=score.subject.lean,
@@ -127,7 +146,7 @@ def run(score: Score, *, seconds: float = 4.5, speed: float | None = None, turn:
         flight = step_time * min(0.42, 0.24 + 0.04 * speed)
         stance = step_time - flight  # of a step: the other foot is in the air throughout
         count = max(6, round((seconds - 1.5) / step_time))
-        ways = [0.45, 0.8] + [1.0] * (count - 4) + [0.75, 0.4]
+        ways = [0.4, 0.75] + [1.0] * (count - 4) + [0.75, 0.4]
         places, headings = _run_path(score, [w * speed * step_time for w in ways], turn)
         first = score.choose(("left", "right"))
         strikes = [score.now + 0.75 + k * step_time for k in range(count)]
@@ -162,7 +181,7 @@ def _run_height(score: Score, strikes: list[float], stance: float, flight: float
     """Parabola in flight, quintic in stance; a dip to start from and one to stop in."""
     s, g = score.subject, GRAVITY
     up = g * flight / 2
-    level = s.standing - 0.050 * s.leg
+    level = s.standing - 0.064 * s.leg
     dip = strikes[0] - flight - 0.22
     knots = [(score.now, score.value["z"], 0, 0), (dip, level - 0.06, 0, 0), (strikes[0] - flight, level, up, -g)]
     for strike in strikes[:-1]:
