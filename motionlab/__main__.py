@@ -169,9 +169,12 @@ def _metres(text: str) -> float:
     """A unit of length by its name, or as metres per unit."""
     from motionlab.io.bvh import UNITS
 
-    metres = UNITS.get(text) or float(text)
+    try:
+        metres = UNITS.get(text) or float(text)
+    except ValueError:
+        metres = math.nan
     if not 0 < metres < math.inf:
-        raise ValueError(text)
+        raise argparse.ArgumentTypeError(f"expected metres above zero or one of {', '.join(UNITS)}, got {text!r}")
     return metres
 
 
