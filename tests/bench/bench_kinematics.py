@@ -1,9 +1,7 @@
 """Forward kinematics of 60 and of 10,000 frames against a loop over frames and against roma's rigid composition.
 
-Ratios of medians in one run; every way must give the same positions before it is timed.
+Medians of ratios in one run; every way must give the same positions and gradients before it is timed.
 """
-
-import statistics
 
 import roma
 import torch
@@ -36,16 +34,22 @@ def fk_roma(root, rot):
     return torch.stack([p.translation for p in placed], 1)
 
 
-def interleaved(ways, n=9):
-    """Median seconds of each way, measured in turns so that a busy machine disturbs all alike."""
-    rounds = [[timed(way, n=1, warm_up=int(k == 0)).median for way in ways] for k in range(n)]
-    return [statistics.median(column) for column in zip(*rounds, strict=True)]
+def interleaved(ways, n=25):
+    """Seconds (rounds, ways), measured in turns so that a busy machine disturbs all ways of a round alike."""
+    rounds = [[timed(way, n=1, warm_up=3 * (k == 0)).median for way in ways] for k in range(n)]
+    return torch.tensor(rounds)
 
 
-def compare(frames: int, generator: torch.Generator) -> None:
+def ratio(slow, ours):
+    """Median and quartiles of the ratios taken round by round."""
+    low, middle, high = (slow / ours).quantile(torch.tensor([0.25, 0.5, 0.75])).tolist()
+    return f"{middle:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def compare(clips: int, frames: int, generator: torch.Generator) -> None:
     """Check, time, print."""
-    rot = rotation.random((frames, 22), generator)
-    root = torch.randn(frames, 3, generator=generator)
+    rot = rotation.random((clips, frames, 22), generator)
+    root = torch.randn(clips, frames, 3, generator=generator)
     free = rot.clone().requires_grad_()
     few = min(frames, LOOPED)
 
@@ -53,26 +57,37 @@ def compare(frames: int, generator: torch.Generator) -> None:
         return fk(STANDARD, root, rot)[0]
 
     def with_roma(rot=rot):
-        return fk_roma(root, rot)
+        return fk_roma(root.flatten(0, 1), rot.flatten(0, 1)).unflatten(0, (clips, frames))
 
     def looped():
-        return fk_loop(root[:few], rot[:few])
+        return fk_loop(root[0, :few], rot[0, :few])
+
+    def gradient(way):
+        return torch.autograd.grad(way(free).square().sum(), free)[0]
 
     torch.testing.assert_close(with_roma(), ours())
-    torch.testing.assert_close(looped(), ours()[:few])
-    t, roma_t, loop_t = interleaved([ours, with_roma, looped])
-    back = [lambda way=way: way(free).square().sum().backward() for way in (ours, with_roma)]
-    t_back, roma_back = interleaved(back)
-    print(f"fk of {frames} frames: {t * 1e3:.2f} ms, with its backward pass {t_back * 1e3:.2f} ms")
-    print(f"  loop over frames ({few} measured) / fk = {loop_t * frames / few / t:.0f}")
-    print(f"  roma.Rigid joint by joint / fk = {roma_t / t:.2f}, with the backward passes {roma_back / t_back:.2f}")
+    torch.testing.assert_close(looped(), ours()[0, :few])
+    torch.testing.assert_close(gradient(with_roma), gradient(ours), atol=1e-4, rtol=1e-4)
+    forward = interleaved([ours, with_roma]).T
+    both = interleaved([lambda way=way: gradient(way) for way in (ours, with_roma)]).T
+    loop = timed(looped, n=3).median * clips * frames / few
+    t, t_both = forward[0].median().item(), both[0].median().item()
+    print(f"fk of {clips} x {frames} frames: {t * 1e3:.2f} ms, with its backward pass {t_both * 1e3:.2f} ms")
+    print(f"  loop over frames ({few} measured) / fk = {loop / t:.0f}")
+    forwards, with_backward = ratio(*forward.flip(0)), ratio(*both.flip(0))
+    print(f"  roma.Rigid joint by joint / fk = {forwards}, with the backward passes {with_backward}")
 
 
 def main() -> None:
-    """A clip as an optimiser sees it, and a corpus."""
-    generator = torch.Generator().manual_seed(0)
-    for frames in (60, 10_000):
-        compare(frames, generator)
+    """A clip as an optimiser sees it, a few clips, and a corpus."""
+    before = torch.get_num_threads()
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        generator = torch.Generator().manual_seed(0)
+        print(f"{threads} thread{'s' * (threads > 1)}; ratio: median [quartiles] of 25 interleaved rounds")
+        for clips, frames in ((1, 60), (4, 60), (1, 10_000)):
+            compare(clips, frames, generator)
+    torch.set_num_threads(before)
 
 
 if __name__ == "__main__":
