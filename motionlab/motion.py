@@ -171,9 +171,14 @@ def mirror(motion: Motion) -> Motion:
 
     R'_j = M R_partner(j) M with M = diag(-1, 1, 1); root and contacts likewise; a skeleton that is not
     symmetric gets its partner's bone lengths.
+
+    Raises:
+        ShapeError: no two joints are named left_... and right_..., so that nothing says what changes places.
     """
     flip = motion.root.new_tensor([-1.0, 1.0, 1.0])
     partner = motion.skeleton.mirror_indices
+    if partner == list(range(len(partner))):
+        raise ShapeError(f"no left_ and right_ joints among {', '.join(motion.skeleton.names[:6])}: retarget first")
     names = motion.skeleton.contact_names
     swapped = [names.index(motion.skeleton.names[partner[j]]) for j in motion.skeleton.contact_indices]
     offsets = motion.skeleton.offsets[..., partner, :] * flip.to(motion.skeleton.offsets)

@@ -135,6 +135,14 @@ def test_mirror_gives_a_lopsided_body_its_partners_bones(generator):
     torch.testing.assert_close(mirror(motion).positions, motion.positions[..., STANDARD.mirror_indices, :] * flip)
 
 
+def test_a_body_whose_sides_are_spelled_otherwise_is_not_half_mirrored(generator):
+    names = tuple(name.replace("left_", "L").replace("right_", "R") for name in STANDARD.names)
+    motion = random_motion(generator)
+    other = replace(motion, skeleton=Skeleton(names, STANDARD.parents, motion.skeleton.offsets), contacts=None)
+    with pytest.raises(ShapeError, match="retarget first"):
+        mirror(other)
+
+
 def test_to_moves_every_tensor(generator):
     single = random_motion(generator).to(torch.float32)
     parts = (single.root, single.rot, single.contacts, single.skeleton.offsets, single.positions)
