@@ -115,8 +115,16 @@ def wave(score: Score, *, times: int | None = None) -> None:
 def guard(score: Score, lead: str, start: float, duration: float) -> None:
     """A fighter's stance: one foot back, knees soft, fists before the face."""
     back = OTHER[lead]
-    restep(score, back, -0.34, 0.04, start + 0.15, 0.4)
-    score.pose(start, duration, surge=-0.15, z=score.subject.standing - 0.09, pitch=0.10, flex=0.18, steady=0.9)
+    restep(score, back, -0.32, 0.04, start + 0.15, 0.4)
+    score.pose(
+        start,
+        duration,
+        surge=-0.165,
+        z=score.subject.standing - 0.055 * score.subject.leg / 0.9,
+        pitch=0.10,
+        flex=0.18,
+        steady=0.9,
+    )
     score.pose(start, duration, yaw=SIGN[back] * 0.30, twist=SIGN[back] * 0.05)
     for side in SIDES:
         ahead = 0.15 if side == lead else 0.0
@@ -132,14 +140,40 @@ def unguard(score: Score, lead: str) -> None:
     score.now += 0.95
 
 
+def bounce(score: Score, start: float, stop: float) -> None:
+    """Spring in the knees two to three times a second, the weight going from one leg to the other."""
+    side = score.choose((-1, 1))
+    while start < stop - 0.3:
+        down, up = score.uniform(0.15, 0.2), score.uniform(0.17, 0.24)
+        score.pulse("z", -score.uniform(0.028, 0.052) * score.subject.leg / 0.9, start, down, up)
+        score.pulse("sway", side * score.uniform(0.0, 0.035), start, 1.3 * down, 1.3 * up)
+        score.pulse("surge", score.uniform(-0.03, 0.015), start, 1.3 * down, 1.3 * up)
+        for arm in SIDES:
+            score.pulse(f"{arm}_raise", score.uniform(-0.10, 0.06), start + 0.04, down, up)
+        start += down + up - 0.02
+        side = -side
+
+
+def advance(score: Score, lead: str, by: float, start: float) -> None:
+    """Shift the whole stance by metres forward; the foot on that side goes first."""
+    x, y = score.local(0.0, by)
+    score.pose(start, 0.38, x=x, y=y)
+    first = lead if by > 0 else OTHER[lead]
+    for side, begin in ((first, start), (OTHER[first], start + 0.2)):
+        restep(score, side, 0.0 if side == lead else -0.32, 0.04 * (side != lead), begin, 0.24)
+
+
 def punch(score: Score, *, times: int | None = None) -> None:
     """Take a stance and throw straight punches and hooks: fast out, slower back."""
     lead, v = score.choose(SIDES), score.uniform
     with score.action("punch"):
         guard(score, lead, score.now, 0.7)
         score.now += 0.8
-        side = lead
-        for _ in range(int(v(3, 6)) if times is None else times):
+        side, begin = lead, score.now - 0.2
+        for k in range(int(v(4, 9)) if times is None else times):
+            if k and score.chance(0.4):  # look for an opening
+                advance(score, lead, v(-0.14, 0.14), score.now + 0.05)
+                score.now += v(0.5, 0.9)
             sign, out, back = SIGN[side], v(0.17, 0.24) / score.subject.tempo, v(0.28, 0.4)
             was = {name: score.value[f"{side}_{name}"] for name in ("raise", "abduct", "rotate", "elbow", "shrug")}
             hook = score.chance(0.3)
@@ -152,14 +186,15 @@ def punch(score: Score, *, times: int | None = None) -> None:
                     "elbow": v(1.35, 1.6),
                     "shrug": 0.1,
                 }
-            turn = (0.30 if side == lead else 0.55) * (1.2 if hook else 1.0)
+            turn = (0.40 if side == lead else 0.65) * (1.2 if hook else 1.0)
             score.arm(side, score.now, out, **to)
             score.pulse("twist", -sign * turn, score.now - 0.05, out, 1.1 * back)
-            score.pulse("yaw", -sign * 0.35 * turn, score.now - 0.09, out, 1.1 * back)
-            score.pulse("surge", 0.05, score.now - 0.05, 1.2 * out, back)
+            score.pulse("yaw", -sign * 0.55 * turn, score.now - 0.09, out, 1.1 * back)
+            score.pulse("surge", v(0.04, 0.07), score.now - 0.05, 1.2 * out, back)
             score.arm(side, score.now + out, back, **was)
             score.now += out + v(0.75, 1.3) * back
             side = OTHER[side] if score.chance(0.65) else side
+        bounce(score, begin, score.now)
         score.now += 0.15
         unguard(score, lead)
 
