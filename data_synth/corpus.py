@@ -22,7 +22,7 @@ from safetensors.torch import save_file
 from tqdm.auto import tqdm
 
 from data_synth import anatomy, curves, legs, perform, score, subjects, truth
-from data_synth.actions import WRITERS, dance, floor, gait, locomotion, seat, standing
+from data_synth.actions import WRITERS, locomotion
 from data_synth.perform import Take
 from data_synth.score import Score
 from data_synth.subjects import SUBJECTS, Subject
@@ -34,7 +34,7 @@ MIX = {
     "sit": 1.0, "crouch": 1.1, "jump": 1.3, "dance": 1.7, "floor": 0.5,
 }  # fmt: skip
 MANNERS = (None,) * 7 + locomotion.MANNERS
-_SOURCES = (anatomy, curves, legs, perform, score, subjects, truth, dance, floor, gait, locomotion, seat, standing)
+_SOURCES = (anatomy, curves, legs, perform, score, subjects, truth)
 
 
 @dataclass(frozen=True)
@@ -175,16 +175,18 @@ def _roam(part: Score, room: float, name: str) -> None:
         if _arc_stays(part, 0.0, 0.0, room - 2.2):
             return WRITERS["walk"](part, seconds=part.uniform(2.5, 3.5), speed=1.2, manner=manner)
         manner = None
-    for attempt in range(120):
-        if attempt == 60:
+    for attempt in range(150):
+        if attempt == 100:
+            name = "walk"
+        if attempt == 50:
             x, y, heading = (part.value[key] for key in ("x", "y", "heading"))
             away = math.atan2(x, -y) + part.uniform(-0.8, 0.8) - heading
             WRITERS["turn"](part, angle=(away + math.pi) % (2 * math.pi) - math.pi)
-        speed = part.uniform(2.0, 3.0) if name == "run" else part.uniform(0.9, 1.7)
+        speed = part.uniform(2.0, 2.9) if name == "run" else part.uniform(0.9, 1.7)
         seconds = part.uniform(3.8, 7.5) if name == "run" else part.uniform(3.0, 9.0)
         way, tightest = speed * (seconds - 1.1), 1.7 if name == "run" else 1.2
         turn = part.choose((-1, 1)) * way / (tightest * math.exp(part.uniform(0, 1.5)))
-        if abs(turn) < 7 and _arc_stays(part, way, turn, 0.85 * room):
+        if abs(turn) < 6 and _arc_stays(part, way, turn, 0.85 * room):
             break
     return WRITERS[name](part, seconds=seconds, speed=speed, turn=turn, **({"manner": manner} if manner else {}))
 
@@ -192,6 +194,7 @@ def _roam(part: Score, room: float, name: str) -> None:
 def _arc_stays(part: Score, way: float, turn: float, half: float) -> bool:
     """Whether an arc of ``way`` metres that turns by ``turn`` radians from here stays within half the side."""
     x, y, heading = (part.value[key] for key in ("x", "y", "heading"))
+    half = max(half, abs(x) + 0.05, abs(y) + 0.05)
     for k in range(12):
         ahead = heading + turn * (k + 0.5) / 12
         x, y = x - way / 12 * math.sin(ahead), y + way / 12 * math.cos(ahead)
@@ -217,6 +220,7 @@ def cache_path(recipe: Recipe) -> Path:
     """Where the sequences of a recipe are cached; both versions share them. Changes with the code that makes them."""
     folder = os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab"
     code = "".join(inspect.getsource(module) for module in _SOURCES) + inspect.getsource(perform_sequence)
+    code += "".join(path.read_text() for path in sorted((Path(__file__).parent / "actions").glob("*.py")))
     what = {
         **asdict(recipe),
         "version": "",

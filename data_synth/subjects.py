@@ -103,7 +103,7 @@ SUBJECTS = (
     ),
     Subject(
         "dee", proportioned(0.99, thigh=1.04, shin=0.97, trunk=0.97, shoulders=1.03, arm=0.97, forearm=1.04),
-        walk_ratio=0.0062, step_width=0.10, arm_swing=1.05, bounce=1.1, twist=1.1, lean=0.07, elbow=0.24,
-        toe_out=0.16, carriage=0.19, tempo=1.0, restless=1.1,
+        walk_ratio=0.0062, step_width=0.10, arm_swing=1.10, bounce=1.1, twist=1.1, lean=0.09, elbow=0.20,
+        toe_out=0.17, carriage=0.20, tempo=1.0, restless=1.1,
     ),
 )  # fmt: skip

@@ -18,6 +18,8 @@ SHAPES = {
     "cross": (1.15, -0.10, -0.85, 1.15),
     "back": (-0.60, 0.30, 0.2, 0.50),
     "point": (1.8, 0.55, 0.0, 0.20),
+    "open": (0.9, 0.95, 0.3, 0.60),
+    "chin": (0.95, 0.20, -0.1, 2.15),
 }
 
 
@@ -29,7 +31,7 @@ def dance(score: Score, *, seconds: float = 6.0, tempo: float | None = None) -> 
     with score.action("dance"):
         score.now += beat
         while score.now + 4 * beat < begin + seconds:
-            feet = score.choose((_step_touch, _step_touch, _bounce, _march, _turning))
+            feet = score.choose((_step_touch, _step_touch, _bounce, _march, _turning, _rock, _vine))
             shapes = [score.choose(tuple(SHAPES)) for _ in range(4)]
             mirror, every = score.chance(0.6), score.choose((1, 1, 2))
             for k in range(4):
@@ -57,7 +59,7 @@ def _groove(score: Score, at: float, beat: float, k: int) -> None:
     dip = v(0.035, 0.075) * s.bounce
     score.move("z", s.standing - 0.025 - dip, at - 0.45 * beat, 0.5 * beat)
     score.move("z", s.standing - 0.025, at + 0.05 * beat, 0.5 * beat)
-    score.move("twist", sign * v(0.05, 0.30), at - 0.5 * beat, 0.7 * beat)
+    score.move("twist", sign * v(0.08, 0.38), at - 0.5 * beat, 0.7 * beat)
     score.move("yaw", -sign * v(0.0, 0.14), at - 0.5 * beat, 0.7 * beat)
     score.move("bend", sign * v(0.0, 0.12), at - 0.5 * beat, 0.7 * beat)
     score.move("tilt", sign * v(0.02, 0.10), at - 0.5 * beat, 0.8 * beat)
@@ -104,6 +106,28 @@ def _march(score: Score, beat: float) -> None:
         _put(score, side, at, beat, outward=0.0, forward=0.0, height=score.uniform(0.12, 0.24))
         side = OTHER[side]
     score.move("sway", 0.0, score.now + 3.2 * beat, 0.7 * beat)
+
+
+def _rock(score: Score, beat: float) -> None:
+    """Rock forward onto one foot and back, twice."""
+    side, far = score.choose(SIDES), score.uniform(0.14, 0.24)
+    for k in range(4):
+        at, ahead = score.now + k * beat, far * (1 - k % 2)
+        score.move("surge", 0.6 * ahead, at - 0.6 * beat, 0.8 * beat)
+        _put(score, side, at, beat, outward=0.0, forward=ahead)
+
+
+def _vine(score: Score, beat: float) -> None:
+    """Travel to one side: apart, together, apart, together."""
+    side, wide = score.choose(SIDES), score.uniform(0.22, 0.32)
+    for k in range(4):
+        at = score.now + k * beat
+        if k % 2:
+            _put(score, OTHER[side], at, beat, outward=0.0, forward=0.0)
+            continue
+        x, y = score.local(SIGN[side] * wide, 0.0)
+        _put(score, side, at, beat, outward=wide, forward=0.0)
+        score.pose(at - 0.55 * beat, 1.1 * beat, x=x, y=y)
 
 
 def _turning(score: Score, beat: float) -> None:

@@ -75,7 +75,7 @@ def styled(score: Score, gait: Gait, manner: str | None) -> Gait:
     """A gait in one of MANNERS, or for None a personal one drawn around the usual."""
     v = score.uniform
     gait = replace(
-        gait, swing=gait.swing * v(0.8, 1.2), twist=gait.twist * v(0.8, 1.2), lean=gait.lean + v(-0.02, 0.02)
+        gait, swing=gait.swing * v(0.87, 1.13), twist=gait.twist * v(0.85, 1.15), lean=gait.lean + v(-0.01, 0.01)
     )
     if manner is None:
         return gait

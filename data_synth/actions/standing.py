@@ -71,7 +71,7 @@ def reach(score: Score, *, times: int = 2) -> None:
         for _ in range(times):
             side, both = score.choose(SIDES), score.chance(0.3)
             sign, v, fast = SIGN[side], score.uniform, score.subject.tempo
-            go, hold, back = v(0.7, 1.1) / fast, v(0.1, 0.6), v(0.7, 1.0) / fast
+            go, hold, back = v(0.55, 0.95) / fast, v(0.1, 0.5), v(0.6, 0.9) / fast
             height = v(-0.2, 1.0)  # low .. high
             across = 0.0 if both else v(-0.35, 0.9)
             start = score.now
@@ -96,7 +96,7 @@ def wave(score: Score, *, times: int | None = None) -> None:
         side, v, fast = score.choose(SIDES), score.uniform, score.subject.tempo
         times = int(v(3, 6)) if times is None else times
         abduct, rotate, elbow = v(0.9, 1.5), v(1.0, 1.25), v(1.3, 1.8)
-        raising, beat, size = v(0.5, 0.8) / fast, v(0.22, 0.32) / fast, v(0.18, 0.4)
+        raising, beat, size = v(0.45, 0.7) / fast, v(0.20, 0.28) / fast, v(0.22, 0.5)
         score.arm(
             side, score.now, raising, abduct=abduct, rotate=rotate, elbow=elbow, pronate=-0.4, **{"raise": v(0, 0.4)}
         )
