@@ -120,7 +120,7 @@ def solve(subject: Subject, c: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         _leg(rot, pelvis, pelvis_rot, feet[side], c, side, subject)
         _arm_angles(rot, c, side, subject)
     rot[:, 0] = pelvis_rot
-    pelvis = _settle(pelvis, rot, c["settle"], subject)
+    pelvis = _settle(pelvis, rot, c, subject)
     if any(c[f"{side}_grip"].any() for side in SIDES):
         positions, orientations = fk(skeleton, pelvis, rot)
         for side in SIDES:
@@ -148,11 +148,15 @@ def _knee_on_floor(foot: tuple[Tensor, Tensor], yaw: Tensor, subject: Subject) -
 
 
 def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
-    """Shift the pelvis as little as possible so that the thighs of planted knees keep their length."""
+    """Shift the pelvis as little as possible so that the thighs of planted knees keep their length.
+
+    Least |shift|^2 + sum w / (1 - w) error^2, w the weight of ``kneel``: exact at 1, no effect at 0.
+    """
     weight = {side: c[f"{side}_kneel"] for side in SIDES}
     if not any(w.any() for w in weight.values()):
         return pelvis
     moved = pelvis
+    slack = torch.stack([(1 - w) / w.clamp(min=1e-9) for w in weight.values()], -1).clamp(min=1e-8)
     thigh = subject.length("left_knee")
     knees = {side: _knee_on_floor(feet[side], c[f"{side}_foot_yaw"], subject) for side in SIDES}
     for _ in range(8):
@@ -160,13 +164,13 @@ def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor],
         for side in SIDES:
             line = moved + (pelvis_rot @ _hip(subject, side)[:, None])[..., 0] - knees[side]
             length = torch.linalg.vector_norm(line, dim=-1)
-            rows.append(weight[side][:, None] * line / length[:, None])
-            residual.append(weight[side] * (length - thigh))
-        jacobian, error = torch.stack(rows, 1), torch.stack(residual, 1)
-        gram = jacobian @ jacobian.mT + 1e-9 * torch.eye(2, dtype=torch.float64)
-        moved = moved - (jacobian.mT @ torch.linalg.solve(gram, error[..., None]))[..., 0]
-    strength = 1 - (1 - weight["left"]) * (1 - weight["right"])
-    return pelvis + strength[:, None] * (moved - pelvis)
+            rows.append(line / length[:, None])
+            residual.append(length - thigh)
+        jacobian, error = torch.stack(rows, 1), torch.stack(residual, 1)[..., None]
+        gram = jacobian @ jacobian.mT + torch.diag_embed(slack)
+        error = error + jacobian @ (pelvis - moved)[..., None]
+        moved = pelvis - (jacobian.mT @ torch.linalg.solve(gram, error))[..., 0]
+    return moved
 
 
 def _within_reach(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
@@ -259,6 +263,7 @@ def _arm_reach(rot, positions, orientations, c, side, subject) -> None:
     shoulder, wrist = positions[:, name(f"{side}_shoulder")], positions[:, name(f"{side}_wrist")]
     place = torch.stack([c[f"{side}_hand_{axis}"] for axis in "xyz"], -1)
     target = wrist + grip * (place - wrist)
+    target = target + 0.2 * grip * (1 - grip) * target.new_tensor([0.0, 0.0, 1.0])  # it comes from above
     swing = orientations[:, name(f"{side}_shoulder"), :, 1]
     upper, lower, axis, _ = two_bone(
         shoulder, target, -sign * swing, subject.length("left_elbow"), subject.length("left_wrist")
@@ -272,15 +277,21 @@ def _arm_reach(rot, positions, orientations, c, side, subject) -> None:
     rot[:, elbow] = torch.where(used, upper_rot.mT @ lower_rot, rot[:, elbow])
 
 
-def _settle(pelvis: Tensor, rot: Tensor, weight: Tensor, subject: Subject) -> Tensor:
-    """Lay the body on the floor: raise or lower it until its lowest part touches, by the weight of ``settle``."""
+def _settle(pelvis: Tensor, rot: Tensor, c: dict[str, Tensor], subject: Subject) -> Tensor:
+    """Lay the body on the floor: raise or lower it until its lowest part touches, by the weight of ``settle``.
+
+    An arm whose hand has a place of its own does not count.
+    """
+    weight = c["settle"]
     if not weight.any():
         return pelvis
     skeleton = subject.skeleton.to(torch.float64)
     positions, world = fk(skeleton, pelvis, rot)
     heights = positions[..., 2]
     radius = torch.tensor(list(RADIUS.values()), dtype=torch.float64)
+    held = {f"{side}_{part}": c[f"{side}_grip"] for side in SIDES for part in ("elbow", "wrist")}
     clear = [heights[:, skeleton.indices(list(RADIUS))] - radius]
+    clear[0] = clear[0] + torch.stack([held.get(joint, torch.zeros_like(weight)) for joint in RADIUS], -1)
     for side in SIDES:
         ankle, ball = skeleton.index(f"{side}_ankle"), skeleton.index(f"{side}_foot")
         heel = torch.tensor([0.0, float(skeleton.offsets[ball, 1]) - skeleton.sole, -HEEL], dtype=torch.float64)

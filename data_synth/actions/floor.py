@@ -4,28 +4,41 @@ from __future__ import annotations
 
 import math
 
+from data_synth.actions.kneeling import from_belly, kneel_down, stand_up, to_belly
 from data_synth.actions.standing import ease
 from data_synth.score import SIDES, SIGN, Score
 
 
-def floor(score: Score, *, seconds: float = 2.0, rolls: float | None = None) -> None:
-    """Lie down on the back, roll about the long axis ``rolls`` times half a turn and back (drawn if None), get up.
+def floor(score: Score, *, seconds: float = 2.0, rolls: float | None = None, way: str | None = None) -> None:
+    """Lie down, roll about the long axis ``rolls`` times half a turn and back (drawn if None), get up.
+
+    way (drawn if None): "kneel", over a knee, both knees and the hands to the belly and back; or "seat", over a
+    squat and the seat to the back.
 
     Lying, the body is posed by angles and laid on the floor by its lowest part; pelvis contact is on while it
     rests. The feet leave their places when the seat is down, and are put flat again before the body rises.
     """
     s, v = score.subject, score.uniform
     rolls = score.choose((0, 1, 1, 2, -1, -2)) if rolls is None else rolls
+    way = score.choose(("kneel", "kneel", "seat")) if way is None else way
     with score.action("lie down"):
-        _to_seat(score, 1.5 / s.tempo)
-        _to_back(score, v(1.3, 1.8) / s.tempo)
+        if way == "kneel":
+            kneel_down(score)
+            to_belly(score)
+        else:
+            _to_seat(score, 1.5 / s.tempo)
+            _to_back(score, v(1.3, 1.8) / s.tempo)
     with score.action("lie"):
         score.now += 0.5 * seconds
-        _roll(score, rolls)
+        _roll(score, rolls, -1 if way == "kneel" else 1)
         score.now += 0.5 * seconds
     with score.action("get up"):
-        _sit_up(score, v(1.2, 1.6) / s.tempo)
-        _rise(score, v(1.2, 1.6) / s.tempo)
+        if way == "kneel":
+            from_belly(score)
+            stand_up(score)
+        else:
+            _sit_up(score, v(1.2, 1.6) / s.tempo)
+            _rise(score, v(1.2, 1.6) / s.tempo)
 
 
 def _legs(score: Score, start: float, duration: float, **to: float) -> None:
@@ -64,8 +77,11 @@ def _to_back(score: Score, span: float) -> None:
     score.now = t + 1.4 * span
 
 
-def _roll(score: Score, rolls: float) -> None:
-    """Half turns about the long axis, arms at the sides; back again, or on to a whole turn."""
+def _roll(score: Score, rolls: float, left: int) -> None:
+    """Half turns about the long axis, arms at the sides; back again, or on to a whole turn.
+
+    left: 1 where a positive turn carries the body to the left of its heading (head behind), -1 where to the right.
+    """
     if not rolls:
         return
     v, way = score.uniform, 1 if rolls > 0 else -1
@@ -78,7 +94,7 @@ def _roll(score: Score, rolls: float) -> None:
     for turn in turns:
         t, span = score.now, v(1.2, 1.8) / score.subject.tempo
         score.nudge("roll", turn * math.pi, t, span)
-        x, y = score.local(turn * 0.42, 0.0)
+        x, y = score.local(left * turn * 0.42, 0.0)
         score.pose(t, span, x=x, y=y)
         lead, other = ("left", "right") if turn > 0 else ("right", "left")
         for side, bend in ((lead, 0.1), (other, 0.55)):
