@@ -110,7 +110,10 @@ def _data(options: argparse.Namespace) -> int:
         )
     )
     print(f"{sum(row.clips for row in rows)} clips, {sum(row.minutes for row in rows):.1f} minutes")
-    return 0
+    unread = [error for row in rows for error in row.unread]
+    for error in unread:
+        print(f"cannot be read: {error}", file=sys.stderr)
+    return 1 if unread else 0
 
 
 def _span(ends: tuple[float, float]) -> str:

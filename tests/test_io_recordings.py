@@ -59,6 +59,25 @@ def test_keypoints_of_unknown_rate_are_not_guessed(tmp_path):
         loader(path)
 
 
+def test_a_bad_file_stops_nothing_and_is_named(tmp_path):
+    for name in ("a", "c"):
+        bvh.save(tmp_path / f"{name}.bvh", standing())
+    (tmp_path / "b.bvh").write_text("HIERARCHY nothing")
+    (tmp_path / "lost.amc").write_text(":DEGREES\n1\nroot 0 0 0 0 0 0\n")
+    (tmp_path / "captury_falls" / "take").mkdir(parents=True)
+    (tmp_path / "captury_falls" / "take" / "projected7.csv").write_text("x")
+    rows = {row.kind: row for row in inventory(tmp_path)}
+    assert rows["bvh"].clips == 2 and rows["bvh"].fps == (30, 30)
+    assert rows["bvh"].minutes == pytest.approx(2 * 6 / 30 / 60) and rows["bvh"].seen == 1
+    for kind, file in (("bvh", "b.bvh"), ("amc", "lost.asf"), ("2d", "take")):
+        (error,) = rows[kind].unread
+        assert isinstance(error, DataError | MissingData) and file in str(error)
+    for kind in ("amc", "2d"):
+        assert (rows[kind].clips, rows[kind].minutes, rows[kind].points) == (0, 0, (0, 0))
+    (tmp_path / "b.bvh").unlink()
+    assert [row.unread for row in inventory(tmp_path) if row.kind == "bvh"] == [()]
+
+
 def test_what_is_missing_says_how_to_get_it(tmp_path):
     with pytest.raises(MissingData, match="MOTIONLAB_DATA"):
         list(recordings(tmp_path / "nowhere"))

@@ -238,10 +238,20 @@ def test_data_asks_for_the_rate_of_videos_and_takes_it(tmp_path, capsys):
     (tmp_path / "mine").mkdir()
     body = [x for k in range(25) for x in (10.0 * k, 5.0 * k, 0.9)]
     (tmp_path / "mine/0.json").write_text(json.dumps({"people": [{"pose_keypoints_2d": body[:54]}]}), encoding="utf-8")
-    assert __main__.main(["data", str(tmp_path)]) == 2
+    assert __main__.main(["data", str(tmp_path)]) == 1
     assert "--fps" in capsys.readouterr().err
     assert __main__.main(["data", str(tmp_path), "--fps", "25"]) == 0
     assert "openpose" in capsys.readouterr().out
+
+
+def test_data_prints_the_table_and_then_the_files_that_cannot_be_read(tmp_path, capsys):
+    bvh.save(tmp_path / "good.bvh", Motion(STANDARD, torch.zeros(4, 3), torch.eye(3).expand(4, 22, 3, 3), 30.0))
+    assert __main__.main(["data", str(tmp_path)]) == 0
+    (tmp_path / "bad.bvh").write_text("HIERARCHY nothing")
+    assert __main__.main(["data", str(tmp_path)]) == 1
+    printed = capsys.readouterr()
+    assert "1 clips" in printed.out and "good.bvh" not in printed.err
+    assert "cannot be read: " in printed.err and "bad.bvh" in printed.err and "remedy" in printed.err
 
 
 def test_unknown_output_format_is_refused(tmp_path, capsys):

@@ -12,9 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from motionlab.errors import MissingData
+from motionlab.errors import DataError, MissingData
 from motionlab.io import amp, anidance, asf, bvh, c3d, calibration, captury, deepmimic, npz, openpose, trc
 from motionlab.io.positions import Positions
+from motionlab.io.reading import reading
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 
@@ -46,7 +47,8 @@ class Source:
 
 def captury_view(path: Path) -> Observation2D:
     """One ``projectedNN.csv`` with the camera NN of the camera.calib beside it; Miqus video, 1920 wide, 50 fps."""
-    camera = calibration.load_captury(path.with_name("camera.calib"), width=1920)[int(path.stem[-2:])]
+    with reading(path, "keep it beside the camera.calib that lists its camera"):
+        camera = calibration.load_captury(path.with_name("camera.calib"), width=1920)[int(path.stem[-2:])]
     return captury.load_projected(path, camera=camera, fps=50)
 
 
@@ -87,8 +89,9 @@ SOURCES: dict[str, Source] = {
 class Row:
     """One line of the inventory: recordings of one kind of one source.
 
-    fps, points: lowest and highest over the clips. points: joints, markers or keypoints. trainable: None where
-    the source is not known. seen: share of points that were measured or detected.
+    clips, minutes: of those that can be read. fps, points: lowest and highest over them, 0 where there is none.
+    points: joints, markers or keypoints. trainable: None where the source is not known. seen: share of points that
+    were measured or detected. unread: why each of the others cannot be read; the message names the file.
     """
 
     source: str
@@ -101,6 +104,7 @@ class Row:
     loader: str
     licence: str
     trainable: bool | None
+    unread: tuple[DataError | MissingData, ...] = ()
 
 
 def recordings(folder: str | Path, source: str | None = None, *, video_fps: float | None = None) -> Iterator[Recording]:
@@ -122,33 +126,44 @@ def recordings(folder: str | Path, source: str | None = None, *, video_fps: floa
 def inventory(folder: str | Path, source: str | None = None, *, video_fps: float | None = None) -> list[Row]:
     """Load every recording and count: one row per source and kind of file. Arguments as of ``recordings``.
 
+    A recording that cannot be read stops nothing: it stands in ``unread`` of its row.
+
     Raises:
         MissingData: see ``recordings``.
-        DataError: a recording cannot be read.
     """
     groups: dict[tuple[str, str], list] = {}
     for name, kind, path, loader in _found(Path(folder), source, video_fps):
-        groups.setdefault((name, kind), []).append((_size(loader(path)), loader))
+        groups.setdefault((name, kind), []).append((_tried(loader, path), loader))
     rows = []
     for (name, kind), items in groups.items():
-        frames, rates, points, seen = zip(*(size for size, _ in items), strict=True)
+        sizes = [size for size, _ in items if isinstance(size, tuple)]
+        frames, rates, points, _ = zip(*sizes, strict=True) if sizes else ((0,),) * 4
         known = SOURCES.get(name)
         function = getattr(items[0][1], "func", items[0][1])
         rows.append(
             Row(
                 name,
                 kind,
-                len(items),
-                sum(t / fps for t, fps in zip(frames, rates, strict=True)) / 60,
+                len(sizes),
+                sum(t / fps for t, fps, *_ in sizes) / 60,
                 (min(rates), max(rates)),
                 (min(points), max(points)),
-                sum(share * t for share, t in zip(seen, frames, strict=True)) / sum(frames),
+                sum(share * t for t, _, _, share in sizes) / max(sum(frames), 1),
                 f"{function.__module__.removeprefix('motionlab.')}.{function.__name__}",
                 known.licence if known else "not known",
                 known.trainable if known else None,
+                tuple(size for size, _ in items if not isinstance(size, tuple)),
             )
         )
     return rows
+
+
+def _tried(loader: Callable, path: Path) -> tuple[int, float, int, float] | DataError | MissingData:
+    """The size of a recording, or why it cannot be read."""
+    try:
+        return _size(loader(path))
+    except (DataError, MissingData) as error:
+        return error
 
 
 def _size(value: Motion | Positions | Observation2D) -> tuple[int, float, int, float]:
