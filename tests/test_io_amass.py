@@ -60,6 +60,13 @@ def test_every_spelling_of_the_frame_rate(tmp_path, key):
     assert amass.load(written(tmp_path / "a.npz", content)).fps == 120
 
 
+def test_frame_rates_that_disagree_are_refused_and_ones_that_agree_are_not(tmp_path):
+    same = arrays() | {"fps": np.array(120)}
+    assert amass.read(written(tmp_path / "a.npz", same)).fps == 120
+    with pytest.raises(DataError, match=r"mocap_framerate, fps: .*disagree: 120, 60"):
+        amass.read(written(tmp_path / "b.npz", same | {"fps": np.array(60)}))
+
+
 def test_no_frame_rate_is_never_guessed(tmp_path):
     content = arrays()
     del content["mocap_framerate"]

@@ -54,7 +54,7 @@ def read(path: str | Path) -> Amass:
     or the split keys ``root_orient``, ``pose_body``, ... (those after the body may be absent).
 
     Raises:
-        DataError: a key is missing, or its numbers have another shape or are not finite.
+        DataError: a key is missing, its numbers have another shape or are not finite, or two frame rates differ.
     """
     with reading(path, 'save "poses" (T, 72, 156 or 165), "trans" (T, 3) and "mocap_framerate"') as at:
         arrays = read_npz(at, ("poses", "trans", "betas", "gender", "contacts", *RATES, *PARTS))
@@ -62,9 +62,15 @@ def read(path: str | Path) -> Amass:
         if "trans" not in arrays:
             raise at.error("this key is missing", place="trans")
         trans = numbers(at, arrays["trans"], f"{len(poses)} 3", "trans")
-        key = next((key for key in RATES if key in arrays), None)
-        if key is None:
+        rates = {key: frame_rate(at, arrays[key], key) for key in RATES if key in arrays}
+        if not rates:
             raise at.error("the frame rate is missing", place=" / ".join(RATES))
+        if len(set(rates.values())) > 1:
+            raise at.error(
+                f"the frame rates disagree: {', '.join(f'{rate:g}' for rate in rates.values())}",
+                place=", ".join(rates),
+                remedy="keep the key that is right",
+            )
         betas = numbers(at, arrays["betas"], "B", "betas") if arrays.get("betas", np.empty(0)).size else np.zeros(0)
         contacts = arrays.get("contacts")
         if contacts is not None:
@@ -76,7 +82,7 @@ def read(path: str | Path) -> Amass:
             torch.from_numpy(trans),
             torch.from_numpy(betas),
             _text(arrays.get("gender", np.array("neutral"))),
-            frame_rate(at, arrays[key], key),
+            next(iter(rates.values())),
             MODELS[poses.shape[1]],
             contacts,
         )
