@@ -192,3 +192,11 @@ def test_real_webcam_hides_joints_by_confidence():
     assert observed.frames == 486 and observed.names == BODY_25
     assert 0.4 < observed.visible.float().mean() < 0.9
     assert (observed.keypoints[~observed.visible] == 0).all()
+
+
+@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("layout", [None, "BODY_25"])
+def test_people_without_any_confidence_are_nobody(tmp_path, count, layout):
+    ghosts = [person(100 * n, confidence=0) for n in range(count)]
+    with pytest.raises(DataError, match="nobody was detected in any frame: every confidence is 0"):
+        openpose.load(write(tmp_path / "a", {0: ghosts, 1: ghosts}), fps=30, layout=layout)

@@ -55,8 +55,8 @@ def load(
             )
         rate = frame_rate(at, fps, "fps")
         seen = {first + n: people.shape[1] for n, people in enumerate(frames) if len(people)}
-        if not seen:
-            raise at.error("nobody in any frame")
+        if not any((people[..., 2] > 0).any() for people in frames if len(people)):
+            raise at.error("nobody was detected in any frame" + (": every confidence is 0" if seen else ""))
         count = next(iter(seen.values()))
         if other := next((n for n in seen if seen[n] != count), None):
             raise at.error(
