@@ -14,6 +14,8 @@ from motionlab.motion import Motion
 
 #: Length of the toes in front of the ball joint, metres.
 TOES = 0.06
+#: Half the depth of the trunk, how much more its half width is, and half of a forearm, metres.
+TRUNK, FLANK, ARM = 0.10, 0.04, 0.03
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class Audit:
     contact_height: metres between such a joint and its height at rest on the floor.
     penetration: metres below the floor, of heel, ball, toes, or the body's thickness around any other joint.
     limit_excess: degrees beyond the anatomical range; at: which joint and angle.
+    arm_depth: metres by which an arm is inside the trunk.
     acceleration: greatest of any joint, m/s^2; mean_acceleration: over joints and frames.
     """
 
@@ -32,6 +35,7 @@ class Audit:
     penetration: float
     limit_excess: float
     at: str
+    arm_depth: float
     acceleration: float
     mean_acceleration: float
 
@@ -48,6 +52,7 @@ def audit(motion: Motion) -> Audit:
         penetration=float(penetration(motion).max().clamp(min=0)),
         limit_excess=float(beyond[worst].max()),
         at=" ".join(worst),
+        arm_depth=float(arm_depth(motion).max()),
         acceleration=float(a.max()),
         mean_acceleration=float(a.mean()),
     )
@@ -102,6 +107,31 @@ def penetration(motion: Motion) -> Tensor:
     for name, radius in RADIUS.items():
         depth.append(radius - positions[..., skeleton.index(name), 2])
     return torch.stack(depth, -1)
+
+
+def arm_depth(motion: Motion) -> Tensor:
+    """Metres (..., T) by which forearms and the lower halves of upper arms are inside the trunk.
+
+    Trunk: TRUNK metres around the strip FLANK to both sides of the line from pelvis to spine3. Arms: ARM metres
+    around nine points each.
+    """
+    p, orientations = motion.world
+    low, high = (p[..., motion.skeleton.index(name), :] for name in ("pelvis", "spine3"))
+    along = high - low
+    points = []
+    for side in ("left", "right"):
+        shoulder, elbow, wrist = (
+            p[..., motion.skeleton.index(f"{side}_{name}"), :] for name in ("shoulder", "elbow", "wrist")
+        )
+        points += [shoulder + share * (elbow - shoulder) for share in (0.5, 0.6, 0.7, 0.8)]
+        points += [elbow + share * (wrist - elbow) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    off = torch.stack(points, -2) - low[..., None, :]
+    share = ((off * along[..., None, :]).sum(-1) / along.square().sum(-1)[..., None]).clamp(0, 1)
+    off = off - share[..., None] * along[..., None, :]
+    left = orientations[..., motion.skeleton.index("spine1"), :, 0][..., None, :]
+    aside = (off * left).sum(-1, keepdim=True).clamp(-FLANK, FLANK)
+    distance = (off - aside * left).norm(dim=-1)
+    return (TRUNK + ARM - distance).clamp(min=0).amax(-1)
 
 
 def acceleration(motion: Motion) -> Tensor:

@@ -76,3 +76,10 @@ def foot_pose(place: Tensor, yaw: Tensor, heel: Tensor, toe: Tensor, offset: Ten
     ball = heel_point + (flat @ toes_up @ (offset - back)[:, None])[..., 0]
     orientation = flat @ toes_up @ heel_up
     return ball - (orientation @ offset[:, None])[..., 0], orientation
+
+
+def hanging(foot_rot: Tensor, shin_rot: Tensor, free: Tensor) -> Tensor:
+    """Orientation (..., 3, 3) of a foot that, where ``free`` is 1, gives way at the ankle before 38 degrees up."""
+    local = shin_rot.mT @ foot_rot
+    up = torch.atan2(local[..., 1, 2], local[..., 2, 2])
+    return foot_rot @ rotation_about("x", free * (up - soft_clip(up, -2.0, 0.66, 0.1)))

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from data_synth.curves import evaluate, noise, ramp, soft_clip, soft_min
-from data_synth.legs import HEEL, bone_frame, foot_pose, heading_rotation, two_bone, unit
+from data_synth.legs import HEEL, bone_frame, foot_pose, hanging, heading_rotation, two_bone, unit
 from data_synth.score import CHANNELS, SIDES, SIGN, Score
 from data_synth.subjects import Subject
 from data_synth.truth import course, planned_contacts, resting
@@ -217,19 +217,12 @@ def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
     ease = 0.012 * ramp(c[f"{side}_lift"] / 0.05 + c[f"{side}_loose"]) + 0.07 * c["bent"]
     upper, lower, axis, _ = two_bone(hip, ankle, hinge, thigh, shin, ease)
     thigh_rot, shin_rot = bone_frame(axis, upper), bone_frame(axis, lower)
-    foot_rot = _hanging(foot_rot, shin_rot, ramp(c[f"{side}_lift"] / 0.015))
+    foot_rot = hanging(foot_rot, shin_rot, ramp(c[f"{side}_lift"] / 0.015))
     rot[:, name(f"{side}_hip")] = pelvis_rot.mT @ thigh_rot
     rot[:, name(f"{side}_knee")] = thigh_rot.mT @ shin_rot
     rot[:, name(f"{side}_ankle")] = shin_rot.mT @ foot_rot
     toes = soft_clip(c[f"{side}_heel"], -0.7, 1.38, 0.12) * (1 - loose[:, 0])
     rot[:, name(f"{side}_foot")] = rotation_about("x", -toes)
-
-
-def _hanging(foot_rot: Tensor, shin_rot: Tensor, free: Tensor) -> Tensor:
-    """The foot in the air gives way at the ankle rather than be bent up by more than 38 degrees."""
-    local = shin_rot.mT @ foot_rot
-    up = torch.atan2(local[..., 1, 2], local[..., 2, 2])
-    return foot_rot @ rotation_about("x", free * (up - soft_clip(up, -2.0, math.radians(38), 0.1)))
 
 
 def _arm_angles(rot, c, side, subject) -> None:

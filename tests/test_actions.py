@@ -13,6 +13,7 @@ from data_synth.audit import acceleration, audit
 from data_synth.curves import evaluate, quintic
 from data_synth.legs import two_bone
 from data_synth.subjects import SUBJECTS
+from motionlab.rotation import rotation_about
 
 MILLIMETRE = 1e-3
 
@@ -245,3 +246,47 @@ def test_two_bones_reach_their_target():
     torch.testing.assert_close(start + 0.45 * upper + 0.46 * lower, target, atol=1e-9, rtol=0)
     torch.testing.assert_close((upper * axis).sum(-1), torch.zeros(200, dtype=torch.float64), atol=1e-9, rtol=0)
     torch.testing.assert_close((upper * lower).sum(-1).acos(), flexion, atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("subject", range(len(SUBJECTS)))
+@pytest.mark.parametrize("seed", range(3))
+def test_over_knees_and_hands_to_the_belly_and_up(subject, seed):
+    """Each knee and each wrist bears twice, planted; the body lies flat in between and stands at the end."""
+    motion = take("floor", subject, seed, way="kneel").motion
+    found = audit(motion)
+    assert found.contact_speed < MILLIMETRE and found.contact_height < MILLIMETRE
+    assert found.penetration < MILLIMETRE and found.limit_excess == 0, found.at
+    column = motion.skeleton.contact_names.index
+    for joint in ("left_knee", "right_knee", "left_wrist", "right_wrist"):
+        on = motion.contacts[:, column(joint)]
+        assert int((on.diff() > 0).sum()) == 2
+        assert float(on.mean()) > 0.05
+    assert motion.contacts[:, column("pelvis")].any()
+    assert float(motion.positions[..., motion.skeleton.index("head"), 2].min()) < 0.2
+    assert float(motion.root[-1, 2]) == pytest.approx(SUBJECTS[subject].standing, abs=0.02)
+
+
+def test_the_floor_is_reached_in_more_than_one_way():
+    column = SUBJECTS[0].skeleton.contact_names.index("left_knee")
+    knelt = {bool(take("floor", 0, seed).motion.contacts[:, column].any()) for seed in range(6)}
+    assert knelt == {True, False}
+
+
+def test_a_lifted_knee_is_caught():
+    """Negative control: knees said to bear a centimetre above the floor."""
+    motion = take("floor", way="kneel").motion
+    assert audit(replace(motion, root=motion.root + torch.tensor([0, 0, 0.01]))).contact_height > 5 * MILLIMETRE
+
+
+@pytest.mark.parametrize("name", ACTIONS)
+def test_arms_stay_out_of_the_trunk(name):
+    for subject in range(len(SUBJECTS)):
+        assert audit(take(name, subject, 2).motion).arm_depth < 0.02
+
+
+def test_an_arm_through_the_trunk_is_caught():
+    """Negative control: an upper arm turned down past the side."""
+    motion = take("idle").motion
+    rot = motion.rot.clone()
+    rot[:, motion.skeleton.index("left_shoulder")] = rotation_about("z", torch.tensor(-2.0))
+    assert audit(replace(motion, rot=rot)).arm_depth > 0.05
