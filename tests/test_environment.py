@@ -1,5 +1,6 @@
 """pyproject.toml, constraints.txt and environment.yml agree, and the running environment is the one they describe."""
 
+import ast
 import re
 import sys
 import tomllib
@@ -55,6 +56,44 @@ def needed(asked):
             if r.marker is None or r.marker.evaluate({"extra": extra}):
                 todo += [(normal_name(r.name), further) for further in ["", *r.extras]]
     return {name for name, _ in seen}
+
+
+def imported(folder):
+    """Top-level names of the modules that the files of a folder import, wherever in the file."""
+    for path in sorted(folder.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                yield from (alias.name.split(".")[0] for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                yield node.module.split(".")[0]
+            elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("pytest.importorskip", "import_module"):
+                yield from (a.value.split(".")[0] for a in node.args[:1] if isinstance(a, ast.Constant))
+
+
+def undeclared(folder, asked):
+    """Third-party packages that a folder imports and nobody asks for by name."""
+    owners = metadata.packages_distributions()
+    ours = {"motionlab", "data_synth", "tests", *(path.stem for path in folder.glob("*.py"))}
+    names = set(imported(folder)) - set(sys.stdlib_module_names) - ours
+    asked = {normal_name(requirement.name) for requirement in asked}
+    return {name for name in names if not {normal_name(owner) for owner in owners.get(name, [name])} & asked}
+
+
+@pytest.mark.parametrize("folder", ["motionlab", "data_synth"])
+def test_what_the_code_imports_is_a_dependency(folder):
+    assert not undeclared(ROOT / folder, [Requirement(line) for line in PROJECT["dependencies"]])
+
+
+def test_what_the_tests_import_is_a_dependency_or_for_developers():
+    assert not undeclared(ROOT / "tests", ASKED)
+
+
+def test_control_undeclared_imports_are_found(tmp_path):
+    text = "import os, beside\nfrom yaml import x\ndef f():\n    import networkx.algorithms\n"
+    (tmp_path / "a.py").write_text(text + 'm = pytest.importorskip("ezc3d.c3d")\n')
+    (tmp_path / "beside.py").touch()
+    assert undeclared(tmp_path, [Requirement("numpy")]) == {"yaml", "networkx", "ezc3d"}
+    assert undeclared(tmp_path, [Requirement("PyYAML>1"), Requirement("networkx"), Requirement("ezc3d")]) == set()
 
 
 def test_the_three_lists_agree():

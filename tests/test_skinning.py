@@ -1,6 +1,6 @@
 import dataclasses
 
-import networkx as nx  # torch brings it
+import networkx as nx
 import pytest
 import torch
 import trimesh
