@@ -88,7 +88,7 @@ def _footfall(score, side, centre, heading, lift, strike, gait, step_time, *, la
         side, (x, y), heading + SIGN[side] * score.subject.toe_out, lift, strike,
         height=gait.clearance * (0.6 + 0.4 * size), heel=0.25 + (gait.heel - 0.25) * roll,
         toe=gait.toe * size * forward * (0.4 if last else 1.0), early=early, late=0.12 * support,
-        shape=(0.45, 0.45, 1.35), rise=0.32, fall=0.50,
+        shape=(0.5, 0.5, 1.5), rise=0.32, fall=0.50,
     )  # fmt: skip
 
 

@@ -121,8 +121,8 @@ def turn(score: Score, *, angle: float | None = None) -> None:
         steps = max(1, math.ceil(abs(angle) / score.uniform(0.5, 0.85)))
         step_time = score.uniform(0.42, 0.56) / score.subject.tempo
         gait = Gait(
-            duty=0.66, width=1.3 * score.subject.step_width, clearance=0.045, heel=0.5, toe=0.0, bob=0.010, sway=0.03,
-            yaw=0.04, twist=0.04, tilt=0.03, swing=0.12, elbow=0.12, drop=0.015, lean=score.subject.lean,
+            duty=0.66, width=1.3 * score.subject.step_width, clearance=0.045, heel=0.5, toe=0.0, bob=0.007, sway=0.03,
+            yaw=0.04, twist=0.04, tilt=0.03, swing=0.12, elbow=0.12, drop=0.007, lean=score.subject.lean,
         )  # fmt: skip
         lead = math.copysign(min(0.5, abs(angle) / 2), angle)
         score.pulse("turn", lead, score.now, 0.5, steps * step_time + 0.4, 0.1)
