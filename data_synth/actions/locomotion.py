@@ -137,7 +137,7 @@ def run(score: Score, *, seconds: float = 4.5, speed: float | None = None, turn:
 
     Between toe-off and the next landing the pelvis is in free fall, z'' = -g; in stance a quintic joins the two.
     Source: Cavanagh & Kram 1989 (stride frequency rises by only 4 % from 3.2 to 4.1 m/s).
-    The share of flight and every amplitude are our own choice, near the recorded runs (duty 0.30 - 0.35).
+    The share of flight and every amplitude are our own choice.
     """
     s = score.subject
     speed = score.uniform(2.0, 3.2) if speed is None else speed
