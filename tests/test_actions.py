@@ -144,7 +144,7 @@ def test_people_stand_all_but_straight():
 def test_as_lively_as_recorded(name, speed, recorded):
     """Mean joint acceleration in m/s^2 within a quarter of recorded ones at like speeds.
 
-    Walks 4.9 to 5.9 at 1.1 to 1.5 m/s, runs 12 to 14 at 1.9 to 2.7, punches 6.5 and 6.9.
+    Ordinary walks 4.9 to 5.7 at 1.1 to 1.5 m/s, runs mostly 11 to 14 at 1.7 to 2.7, punches 6.5 and 6.9.
     """
     options = {} if speed is None else {"speed": speed, "seconds": 6.0}
     found = []
