@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -11,12 +10,13 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save as serialised
 from torch import Tensor
 
 from motionlab import anny_body
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.skeleton import Skeleton, fk
+from motionlab.writing import write_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +101,11 @@ class BodyModel:
         return replace(self, **moved | {"faces": self.faces.to(self.template.to(*args, **kwargs).device)})
 
     def save(self, path: str | Path) -> None:
-        """Write a safetensors file; it appears whole or not at all."""
-        path = Path(path)
+        """Write a safetensors file; it appears whole or not at all.
+
+        Raises:
+            DataError: it cannot be written there.
+        """
         tensors = {f.name: getattr(self, f.name) for f in fields(self)}
         tensors = {k: v.contiguous() for k, v in tensors.items() if isinstance(v, Tensor)}
         rest = {
@@ -113,9 +116,8 @@ class BodyModel:
             "keypoint_vertices": self.keypoint_vertices,
             "notes": self.notes,
         }
-        part = path.with_name(f"{path.name}.{os.getpid()}.part")
-        save_file({**tensors, "offsets": self.skeleton.offsets.contiguous()}, part, {"body": json.dumps(rest)})
-        part.replace(path)
+        tensors["offsets"] = self.skeleton.offsets.contiguous()
+        write_whole(path, serialised(tensors, {"body": json.dumps(rest)}))
 
     @classmethod
     def load(cls, path: str | Path) -> BodyModel:

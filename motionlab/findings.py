@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 import operator
-import os
 import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -20,6 +19,7 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import DataError
+from motionlab.writing import write_whole
 
 HOLDS = "holds"
 FAILS = "does not hold"
@@ -201,12 +201,14 @@ class Record:
 
 
 def save_record(path: Path | str, record: Record) -> None:
-    """Write a record atomically: a reader never sees half a file."""
+    """Write a record, and the folder it goes into; a reader never sees half a file.
+
+    Raises:
+        DataError: it cannot be written there.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(asdict(record), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    os.replace(part, path)
+    write_whole(path, json.dumps(asdict(record), indent=1, ensure_ascii=False) + "\n")
 
 
 def load_record(path: Path | str) -> Record:

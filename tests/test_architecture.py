@@ -13,6 +13,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab": 0,
     "motionlab.errors": 0,
     # algebra and instruments
+    "motionlab.writing": 0.5,
     "motionlab.euler": 0.5,
     "motionlab.rotation": 1,
     "motionlab.findings": 1,

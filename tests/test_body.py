@@ -160,6 +160,8 @@ def test_save_and_load_round_trip(tmp_path, generator):
     assert torch.equal(again.skeleton.offsets, body.skeleton.offsets)
     assert (again.keypoint_vertices, again.notes) == (body.keypoint_vertices, body.notes)
     assert [p.name for p in tmp_path.iterdir()] == ["body.safetensors"]  # no half-written file stays
+    with pytest.raises(DataError, match=r"nowhere.*cannot be written"):
+        body.save(tmp_path / "nowhere" / "body.safetensors")
 
 
 @pytest.mark.parametrize("damage", ["cut", "garbage", "empty", "absent"])

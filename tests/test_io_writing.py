@@ -7,9 +7,11 @@ import pytest
 import torch
 
 from motionlab.errors import DataError, ShapeError
+from motionlab.findings import Record, save_record
 from motionlab.io import amass, bvh, gltf
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
+from motionlab.writing import write_whole
 
 SAVERS = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save}
 
@@ -57,3 +59,24 @@ def test_others_may_read_what_an_ordinary_file_would_let_them(tmp_path, suffix):
 def test_bvh_in_no_known_unit_is_refused(tmp_path, unit):
     with pytest.raises(ValueError, match="unit"):
         bvh.save(tmp_path / "a.bvh", standing(), unit=unit)
+
+
+class Unwell(Exception):
+    """Not an OSError: whatever interrupts a writer."""
+
+
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), Unwell()])
+@pytest.mark.parametrize("write", [lambda p: write_whole(p, "new"), lambda p: save_record(p, Record("01", "x", ()))])
+def test_the_old_file_stays_whole_when_writing_fails(tmp_path, monkeypatch, write, failure):
+    path = tmp_path / "a.json"
+    path.write_text("old")
+
+    def half(self, content):
+        with self.open("wb") as file:
+            file.write(content[: len(content) // 2])
+        raise failure
+
+    monkeypatch.setattr("pathlib.Path.write_bytes", half)
+    with pytest.raises(DataError if isinstance(failure, OSError) else Unwell):
+        write(path)
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]

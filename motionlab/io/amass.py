@@ -13,9 +13,10 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
 from motionlab.io.reading import Spot, frame_rate, numbers, read_npz, reading
-from motionlab.io.writing import check_writable, write_whole
+from motionlab.io.writing import check_writable
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
+from motionlab.writing import write_whole
 
 #: Columns of ``poses`` -> model. All three begin with the same 22 joints: root and 21 body joints.
 MODELS = {72: "smpl", 156: "smplh", 165: "smplx"}

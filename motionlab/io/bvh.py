@@ -17,9 +17,10 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.io.bvh_text import Joint, parse
 from motionlab.io.reading import Spot, read_text, reading
-from motionlab.io.writing import check_writable, write_whole
+from motionlab.io.writing import check_writable
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
+from motionlab.writing import write_whole
 
 #: Metres per unit of length.
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}

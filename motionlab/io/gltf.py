@@ -21,8 +21,9 @@ from motionlab import rotation
 from motionlab.body import BodyModel
 from motionlab.errors import ShapeError
 from motionlab.io.gltf_load import BIN_CHUNK, JSON_CHUNK, MAGIC, TYPES, Y_UP, load
-from motionlab.io.writing import check_writable, write_whole
+from motionlab.io.writing import check_writable
 from motionlab.motion import Motion
+from motionlab.writing import write_whole
 
 __all__ = ["load", "save"]
 _COMPONENTS = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
