@@ -259,7 +259,7 @@ def _arm_reach(rot, positions, orientations, c, side, subject) -> None:
     target = target + 0.2 * grip * (1 - grip) * target.new_tensor([0.0, 0.0, 1.0])  # it comes from above
     swing = orientations[:, name(f"{side}_shoulder"), :, 1]
     upper, lower, axis, _ = two_bone(
-        shoulder, target, -sign * swing, subject.length("left_elbow"), subject.length("left_wrist")
+        shoulder, target, -sign * swing, subject.length("left_elbow"), subject.length("left_wrist"), 0.02 * grip[:, 0]
     )
     hinge = -sign * axis
     upper_rot = torch.stack((sign * upper, hinge, torch.linalg.cross(sign * upper, hinge, dim=-1)), -1)

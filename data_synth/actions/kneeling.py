@@ -78,7 +78,7 @@ def _hands(score: Score, start: float, duration: float, ahead: float) -> None:
     h = score.value["heading"]
     for side in SIDES:
         x, y, _ = place_of(score, f"{side}_shoulder")
-        out = SIGN[side] * 0.04
+        out = SIGN[side] * 0.08
         x, y = x - out * math.cos(h) - ahead * math.sin(h), y - out * math.sin(h) + ahead * math.cos(h)
         to = {f"{side}_hand_x": x, f"{side}_hand_y": y, f"{side}_hand_z": RADIUS["left_wrist"]}
         score.pose(start - 0.02, 0.02, **to)
@@ -93,7 +93,7 @@ def to_belly(score: Score) -> None:
     score.pose(t, span, **FOURS)
     for side in SIDES:
         score.arm(side, t, span, elbow=0.35, abduct=0.1, rotate=0.0, **{"raise": 1.35})
-    _hands(score, t + 0.1, span, 0.16)
+    _hands(score, t + 0.1, span, 0.10)
     t, span = t + 0.1 + span, v(1.1, 1.5) / s.tempo
     x, y = score.local(0.0, 0.96 * s.length("left_knee"))
     score.pose(t, span, x=x, y=y, z=0.14, pitch=math.pi / 2, flex=-0.05, steady=0.0, nod=-0.3)
@@ -138,9 +138,9 @@ def from_belly(score: Score) -> None:
     places = {side: place_of(score, f"{side}_shoulder") for side in SIDES}
     score.value |= {name: was[name] for name in up}
     for side in SIDES:
-        out = SIGN[side] * 0.04
+        out = SIGN[side] * 0.08
         x, y, _ = places[side]
-        x, y = x - out * math.cos(h) - 0.16 * math.sin(h), y - out * math.sin(h) + 0.16 * math.cos(h)
+        x, y = x - out * math.cos(h) - 0.10 * math.sin(h), y - out * math.sin(h) + 0.10 * math.cos(h)
         to = {f"{side}_hand_x": x, f"{side}_hand_y": y, f"{side}_hand_z": RADIUS["left_wrist"]}
         score.pose(t - 0.02, 0.02, **to)
         score.move(f"{side}_grip", 1.0, t + 0.25, 0.85)
