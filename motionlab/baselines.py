@@ -14,7 +14,7 @@ from scipy.signal import savgol_filter
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.errors import ShapeError, check_shape
+from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.frames import local_to_world, stuck_root
 from motionlab.motion import Motion
 
@@ -149,11 +149,26 @@ def kalman(x: Tensor, fps: float, noise: float, acceleration: float, known: Tens
         noise: standard deviation of a measurement, in units of x.
         acceleration: strength of the white acceleration, units of x / s^(3/2).
         known: (..., T) or (..., T, D): where x was measured; what stands elsewhere is not looked at.
+
+    Raises:
+        ShapeError: no frames, or ``known`` fits neither shape.
+        ValueError: fps, noise or acceleration is not a finite number above zero (without spread nothing weighs
+            one measurement against another).
+        DataError: a measured x is not finite.
     """
     sizes = check_shape(x, "... T D", "x")
+    for name, value in (("fps", fps), ("noise", noise), ("acceleration", acceleration)):
+        if not 0 < value < torch.inf:
+            raise ValueError(f"{name}: expected a finite number above zero, got {value}")
+    if x.numel() == 0:
+        raise ShapeError(f"x {tuple(x.shape)}: nothing to smooth")
+    if known is not None and tuple(known.shape) not in (tuple(x.shape), tuple(x.shape[:-1])):
+        raise ShapeError(f"known: expected {tuple(x.shape)} or {tuple(x.shape[:-1])}, got {tuple(known.shape)}")
     seen = torch.ones_like(x) if known is None else (known[..., None] if known.ndim < x.ndim else known).expand_as(x)
     seen = seen.double()
     z = torch.where(seen > 0, x.double(), 0.0)
+    if not z.isfinite().all():
+        raise DataError("x holds NaN or infinity where it was measured", remedy="mark it unknown with known=")
     dt = 1 / fps
     step = z.new_tensor([[1.0, dt], [0.0, 1.0]])
     q = acceleration**2 * z.new_tensor([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])

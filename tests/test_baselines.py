@@ -8,7 +8,7 @@ import torch
 import twins
 
 from motionlab import baselines, rotation
-from motionlab.errors import ShapeError
+from motionlab.errors import DataError, ShapeError
 from motionlab.metrics.pose import jitter, mean_acceleration
 from motionlab.motion import Motion, windows
 from motionlab.skeleton import STANDARD, UPRIGHT
@@ -149,6 +149,25 @@ def test_kalman_smoother_agrees_with_dense_least_squares(generator):
         np.testing.assert_allclose(found[:, d], expected, atol=1e-4)
     by_frame = baselines.kalman(x, 30.0, 0.5, 20.0, seen[:, 0])
     torch.testing.assert_close(by_frame[:, 0], found[:, 0])
+
+
+@pytest.mark.parametrize("name", ["fps", "noise", "acceleration"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_kalman_refuses_what_leaves_nothing_to_weigh(name, value):
+    with pytest.raises(ValueError, match=f"^{name}: expected a finite number above zero"):
+        baselines.kalman(torch.zeros(5, 2), **{"fps": 30.0, "noise": 0.1, "acceleration": 1.0, name: value})
+
+
+def test_kalman_refuses_measured_nan_and_not_hidden_nan():
+    x = torch.arange(10.0).reshape(5, 2)
+    x[2, 1] = torch.nan
+    with pytest.raises(DataError, match="NaN"):
+        baselines.kalman(x, 30.0, 0.1, 1.0)
+    assert baselines.kalman(x, 30.0, 0.1, 1.0, known=~x.isnan()).isfinite().all()
+    with pytest.raises(ShapeError, match="nothing to smooth"):
+        baselines.kalman(x[:0], 30.0, 0.1, 1.0)
+    with pytest.raises(ShapeError, match="known"):
+        baselines.kalman(x, 30.0, 0.1, 1.0, known=torch.ones(4))
 
 
 SMOOTHERS = {

@@ -7,7 +7,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial import procrustes
 
 from motionlab import rotation
-from motionlab.errors import ShapeError
+from motionlab.errors import DataError, ShapeError
 from motionlab.metrics import contact, pose
 from motionlab.skeleton import STANDARD
 
@@ -44,6 +44,19 @@ def test_mpjpe_of_a_shift_a_turn_and_a_scale(generator):
     assert pose.mpjpe(2 * turned, truth, align="similarity").max() < 1e-12
     mirrored = turned * torch.tensor([-1.0, 1.0, 1.0])
     assert pose.mpjpe(mirrored, truth, align="similarity").min() > 0.1  # no alignment may reflect
+
+
+@pytest.mark.parametrize("which", ["predicted", "truth"])
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
+def test_what_is_not_finite_cannot_be_aligned(generator, which, bad):
+    pair = {"predicted": walks(generator, 4, 22), "truth": walks(generator, 4, 22)}
+    pair[which][2, 7, 1] = bad
+    for align in ("rigid", "similarity"):
+        with pytest.raises(DataError, match=rf"{which}\[2, 7, 1\]: cannot be aligned"):
+            pose.mpjpe(**pair, align=align)
+    assert not pose.joint_errors(**pair, align="none").isfinite().all()
+    with pytest.raises(ShapeError, match="truth"):
+        pose.align_procrustes(pair["predicted"], pair["truth"][:, :21], scale=False)
 
 
 def test_similarity_alignment_agrees_with_scipy_where_no_reflection_is_better(generator):

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.errors import check_shape
+from motionlab.errors import DataError, check_shape
 from motionlab.skeleton import Skeleton
 
 #: The 22 joints by part of the body.
@@ -39,8 +39,17 @@ def align_procrustes(predicted: Tensor, truth: Tensor, *, scale: bool) -> Tensor
 
     min over R, t (and s) of sum_j |s R x_j + t - y_j|^2, frame by frame.
 
+    Raises:
+        ShapeError: the two do not have the same number of points.
+        DataError: a coordinate is not finite; no best rotation exists then.
     Source: Umeyama 1991.
     """
+    sizes = check_shape(predicted, "... J 3", "predicted")
+    check_shape(truth, f"... {sizes['J']} 3", "truth")
+    for name, points in (("predicted", predicted), ("truth", truth)):
+        if not points.isfinite().all():
+            first = (~points.isfinite()).nonzero()[0].tolist()
+            raise DataError("cannot be aligned: NaN or infinity", place=f"{name}{first}", remedy="leave that frame out")
     centre = truth.mean(-2, keepdim=True)
     x, y = predicted - predicted.mean(-2, keepdim=True), truth - centre
     turn = rotation.nearest(y.mT @ x)
@@ -65,6 +74,7 @@ def joint_errors(predicted: Tensor, truth: Tensor, *, align: str) -> Tensor:
     Raises:
         ShapeError: different numbers of frames or joints.
         ValueError: no such alignment.
+        DataError: an alignment by Procrustes of numbers that are not finite.
     """
     _check_pair(predicted, truth)
     if align == "root":
