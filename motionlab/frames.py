@@ -75,12 +75,6 @@ def world_to_local_vectors(frame: Frame, vectors: Tensor) -> Tensor:
     return (vectors[..., None, :] @ turn.mT)[..., 0, :]
 
 
-def local_to_world_vectors(frame: Frame, vectors: Tensor) -> Tensor:
-    """The inverse of :func:`world_to_local_vectors`."""
-    turn, _ = _spread(frame, vectors.ndim - 1)
-    return (vectors[..., None, :] @ turn)[..., 0, :]
-
-
 def world_to_local_orientations(frame: Frame, orientations: Tensor) -> Tensor:
     """World orientations (..., 3, 3) or (..., K, 3, 3); a rotation relative to a parent needs no change."""
     turn, _ = _spread(frame, orientations.ndim - 2)
