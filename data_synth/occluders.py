@@ -83,7 +83,11 @@ def wall(
 
 
 def person(motion: Motion, body: BodyModel) -> Occluder:
-    """Somebody else, one mesh of about 8,000 faces per frame of their own motion."""
+    """Somebody else, one mesh of about 8,000 faces per frame of their own motion.
+
+    Raises:
+        ShapeError: the motion is a batch of clips.
+    """
     if motion.root.ndim != 2:
         raise ShapeError(f"one clip expected, got root {tuple(motion.root.shape)}: choose one with motion.clip(i)")
     skin = shell(body, 8000)
@@ -97,7 +101,7 @@ def desk_before(motion: Motion, camera: Camera, *, share: float = 0.7, hidden: f
     Its panel is as high as the sight lines to that height, at the person's nearest and farthest place, pass it.
 
     Raises:
-        ShapeError: the person comes too near for a desk to stand between.
+        ShapeError: the person comes too near for a desk to stand between, or the camera stands right above them.
     """
     middle, across, near, far = _stage(motion, camera)
     eye = camera.centre.double()
@@ -117,6 +121,9 @@ def wall_before(motion: Motion, camera: Camera, *, share: float = 0.6, middle_pa
 
     Args:
         middle_part: the share of the sideways extent of the motion that lies behind the wall.
+
+    Raises:
+        ShapeError: the camera stands right above the person.
     """
     middle, across, _, _ = _stage(motion, camera)
     eye = camera.centre.double()[:2]

@@ -43,6 +43,10 @@ def reading(path: str | Path, remedy: str = "export the file again") -> Iterator
     It catches ``Exception`` on purpose: a malformed file can surface as almost any type (zlib.error,
     RecursionError, MemoryError, OverflowError, ...). The original stays attached as ``__cause__``.
     ``DataError`` and ``MissingData`` pass through as they are.
+
+    Raises:
+        DataError: whatever the block raised.
+        MissingData: raised by the block itself.
     """
     spot = Spot(Path(path), remedy=remedy)
     try:
@@ -58,7 +62,12 @@ def reading(path: str | Path, remedy: str = "export the file again") -> Iterator
 
 
 def read_bytes(at: Spot) -> bytes:
-    """The whole file, if it is a regular file, not empty and not larger than ``LARGEST``."""
+    """The whole file, if it is not empty and not larger than ``LARGEST``.
+
+    Raises:
+        DataError: it is a folder, empty or too large.
+        OSError: it cannot be opened; inside ``reading`` that becomes a DataError.
+    """
     if at.path.is_dir():
         raise at.error("is a folder, expected a file", remedy="name the file inside")
     size = at.path.stat().st_size
@@ -68,7 +77,12 @@ def read_bytes(at: Spot) -> bytes:
 
 
 def read_text(at: Spot) -> str:
-    """The whole file as UTF-8 text (a byte-order mark is dropped)."""
+    """The whole file as UTF-8 text (a byte-order mark is dropped).
+
+    Raises:
+        DataError: see ``read_bytes``; or it holds zero bytes.
+        UnicodeDecodeError: it is not UTF-8; inside ``reading`` that becomes a DataError.
+    """
     text = read_bytes(at).decode("utf-8-sig")
     if "\0" in text:
         raise at.error("holds zero bytes: this is not a text file")
@@ -76,7 +90,12 @@ def read_text(at: Spot) -> str:
 
 
 def read_json(at: Spot) -> object:
-    """The whole file as JSON; NaN and Infinity, which JSON does not have, are refused."""
+    """The whole file as JSON; NaN and Infinity, which JSON does not have, are refused.
+
+    Raises:
+        DataError: see ``read_text``; or a number is NaN or infinite.
+        ValueError, RecursionError: it is not JSON, or nested too deeply; inside ``reading`` a DataError.
+    """
 
     def refuse(constant: str) -> float:
         raise at.error(f"{constant} is not a number")
@@ -88,6 +107,10 @@ def read_npz(at: Spot, keys: tuple[str, ...] | None = None) -> dict[str, np.ndar
     """The arrays of an npz by key: those of ``keys`` that are there, or all.
 
     Never unpickles: an array of Python objects is refused unread; one that nobody asked for is not touched.
+
+    Raises:
+        DataError: see ``read_bytes``; not an archive, an array of objects, too large, or shorter than it promises.
+        ValueError, zipfile.BadZipFile, zlib.error: damaged within; inside ``reading`` a DataError.
     """
     if read_bytes(at)[:2] != b"PK":
         raise at.error("not an npz archive", remedy="save it with numpy.savez")
@@ -126,6 +149,9 @@ def numbers(at: Spot, array: object, shape: str, place: str | None = None, large
         shape: words such as ``"T 24 3"``: a number is a fixed size, a word any size of at least one.
         largest: numbers from here on are refused. The default is float32's square root: products beyond it
             overflow, and nothing physical is that large.
+
+    Raises:
+        DataError: not numbers, another shape, or a number that is not finite or too large; names the first.
     """
     place = place if place is not None else at.place
     array = np.asarray(array)
@@ -146,7 +172,11 @@ def numbers(at: Spot, array: object, shape: str, place: str | None = None, large
 
 
 def frame_rate(at: Spot, value: object, place: str = "frame rate") -> float:
-    """A frame rate in frames per second: one finite number above zero, at most 100,000."""
+    """A frame rate in frames per second: one finite number above zero, at most 100,000.
+
+    Raises:
+        DataError: it is something else.
+    """
     rate = np.asarray(value)
     if rate.size != 1 or rate.dtype.kind not in "fiu" or not 0 < (fps := float(rate.reshape(()))) <= 1e5:
         raise at.error(f"expected frames per second above zero, got {value!r}", place=place)
