@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import pyvista as pv
 import torch
 from torch import Tensor
 
@@ -59,6 +58,8 @@ def capsule_body(spacing: float = 0.02) -> BodyModel:
     Args:
         spacing: metres between samples of the implicit surface; 0.02 gives about 8,000 vertices.
     """
+    import pyvista as pv  # takes a second or more to load
+
     rest = STANDARD.rest_positions()
     owners, starts, ends, radii = _flesh(rest)
     half = ((rest.abs().amax(0) + 0.23) / spacing).ceil()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pyvista as pv
 import torch
 import trimesh
 from scipy.spatial import cKDTree
@@ -33,6 +32,8 @@ class Shell:
 
 def shell(body: BodyModel, faces: int = 4000) -> Shell:
     """A skin of about ``faces`` triangles by decimation that keeps original vertices (Schroeder et al. 1992)."""
+    import pyvista as pv  # takes a second or more to load
+
     mesh = pv.PolyData.from_regular_faces(body.template.numpy(), body.faces.numpy())
     if mesh.n_cells > faces:
         mesh = mesh.decimate_pro(1 - faces / mesh.n_cells, preserve_topology=True)

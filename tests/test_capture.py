@@ -1,5 +1,7 @@
 """Capture: lines of sight against a slow twin, scenes with a known answer, and confidence that keeps its word."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -250,3 +252,15 @@ def test_wrong_use_is_named(body):
         capture.observe(replace(batch, root=batch.root[None], rot=batch.rot[None]), body, from_south(), seeded())
     with pytest.raises(ShapeError, match="no room"):
         occluders.desk_before(standing(), from_south(0.8))
+    with pytest.raises(ShapeError, match="one clip"):
+        occluders.person(replace(batch, root=batch.root[None], rot=batch.rot[None]), body)
+    above = look_at(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([0.0, 1.0, 0.0]), focal=800.0, width=640, height=480)
+    for before in (occluders.desk_before, occluders.wall_before):
+        with pytest.raises(ShapeError, match="right above"):
+            before(standing(), above)
+
+
+def test_what_computes_without_a_picture_does_not_load_the_renderer():
+    code = "import sys, data_synth.capture, data_synth.body, data_synth.corpus; print('pyvista' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
