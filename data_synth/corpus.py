@@ -12,13 +12,12 @@ import inspect
 import json
 import math
 import os
-import tempfile
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save as serialised
 from tqdm.auto import tqdm
 
 from data_synth import anatomy, curves, legs, perform, score, subjects, truth
@@ -27,6 +26,8 @@ from data_synth.perform import Take
 from data_synth.score import Score
 from data_synth.subjects import SUBJECTS, Subject
 from motionlab.errors import ShapeError
+from motionlab.frames import fix_root_horizontally
+from motionlab.writing import write_whole
 
 #: How often each action is chosen, relative to the others.
 MIX = {
@@ -142,7 +143,7 @@ def build(seed: int = 0, version: str = "B", *, recipe: Recipe | None = None, pr
         ]
         _save(path, takes)
     if recipe.version == "A":
-        takes = [stick(take) for take in takes]
+        takes = [replace(take, motion=fix_root_horizontally(take.motion)) for take in takes]
     sequences = tuple(Sequence(f"{k:02d}_{take.subject.name}", take, _split(recipe, k)) for k, take in enumerate(takes))
     return Corpus(recipe, sequences)
 
@@ -203,13 +204,6 @@ def _arc_stays(part: Score, way: float, turn: float, half: float) -> bool:
     return True
 
 
-def stick(take: Take) -> Take:
-    """Version A: the pelvis stays over one place, heights and rotations stay, contacts are not known."""
-    root = take.motion.root.clone()
-    root[:, :2] = root[:1, :2]
-    return replace(take, motion=replace(take.motion, root=root, contacts=None))
-
-
 def _split(recipe: Recipe, index: int) -> str:
     if recipe.subject(index).name == recipe.heldout_subject:
         return "held-out subject"
@@ -241,10 +235,7 @@ def _save(path: Path, takes: list[Take]) -> None:
         tensors |= {f"{k}.{name}": value.contiguous().clone() for name, value in arrays.items()}
         labels.append(take.labels)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-        partial = Path(part.name)
-    save_file(tensors, partial, metadata={"labels": json.dumps(labels), "check": _checksum(tensors)})
-    partial.replace(path)
+    write_whole(path, serialised(tensors, {"labels": json.dumps(labels), "check": _checksum(tensors)}))
 
 
 def _checksum(tensors: dict[str, torch.Tensor]) -> str:
