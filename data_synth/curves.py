@@ -69,9 +69,13 @@ def soft_clip(x: Tensor, low: float | Tensor, high: float | Tensor, margin: floa
     return x - over - under + margin * torch.tanh(over / margin) + margin * torch.tanh(under / margin)
 
 
-def soft_min(values: Tensor, sharpness: float) -> Tensor:
-    """Smooth minimum over the last axis: never above the true one, at most ``sharpness * log(n)`` below it."""
-    return -sharpness * torch.logsumexp(-values / sharpness, -1)
+def soft_min(values: Tensor, sharpness: float | Tensor) -> Tensor:
+    """Smooth minimum over the last axis (n): never above the true one, at most ``sharpness * log(n)`` below it.
+
+    sharpness: a number, or one for each minimum (...).
+    """
+    sharpness = torch.as_tensor(sharpness, dtype=values.dtype)
+    return -sharpness * torch.logsumexp(-values / sharpness[..., None], -1)
 
 
 def ramp(x: Tensor) -> Tensor:

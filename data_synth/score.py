@@ -23,7 +23,7 @@ SIGN = {"left": 1.0, "right": -1.0}
 
 _BODY = (
     "x", "y", "z", "heading", "sway", "surge", "yaw", "pitch", "roll", "tilt", "flex", "bend", "twist",
-    "nod", "turn", "cock", "steady", "settle", "air", "bent",
+    "nod", "turn", "cock", "steady", "settle", "air", "bent", "low",
 )  # fmt: skip
 _SIDED = (
     "raise", "abduct", "rotate", "elbow", "pronate", "wrist", "shrug",  # the arm, by angles
@@ -31,7 +31,7 @@ _SIDED = (
     "foot_x", "foot_y", "lift", "foot_yaw", "heel", "toe", "splay", "kneel",  # the leg, by where the foot is
     "loose", "hip_flex", "hip_abduct", "hip_twist", "knee", "ankle",  # the leg, by angles
 )  # fmt: skip
-#: All channels: metres, radians, or weights between 0 and 1 (steady, settle, air, bent, grip, kneel, loose).
+#: All channels: metres, radians, or weights between 0 and 1 (steady, settle, air, bent, low, grip, kneel, loose).
 CHANNELS = _BODY + tuple(f"{side}_{name}" for name in _SIDED for side in SIDES)
 
 
@@ -42,7 +42,7 @@ class Score:
     Body: x, y, z of the pelvis (sway and surge to its left and forward); heading, then yaw, pitch (forward),
     roll (about the long axis), tilt; flex, bend, twist of the spine; nod, turn, cock of the head, which is held
     level with weight ``steady``; settle: weight with which the body lies on the floor; air: 1 in flight;
-    bent: 1 where no leg may come near its full length.
+    bent: 1 where no leg may come near its full length; low: where the pelvis gives way before one does, as well.
     """
 
     subject: Subject

@@ -41,21 +41,25 @@ def kneel_down(score: Score) -> None:
     s, v, t = score.subject, score.uniform, score.now
     front = score.choose(SIDES)
     back, h = OTHER[front], score.value["heading"]
-    ahead, down = knee_ahead(score) - 0.14, v(1.0, 1.3) / s.tempo
-    score.step(back, score.local(SIGN[back] * HALF, -0.14), h, t, t + 0.42, height=0.04, heel=0.3, early=0.12)
+    ahead, down = knee_ahead(score) - 0.10, v(1.1, 1.4) / s.tempo
+    score.move("low", 1.0, t, 0.5)
+    score.pose(t, 0.6, z=0.92 * s.standing, sway=0.0)
+    t += 0.35
+    score.step(back, score.local(SIGN[back] * HALF, -0.10), h, t, t + 0.42, height=0.04, heel=0.3, early=0.12)
     t += 0.45
     place = score.local(SIGN[front] * HALF, ahead + 0.33 * s.leg / 0.9)
-    score.step(front, place, h, t + 0.15, t + 0.65, height=0.05, heel=0.4, toe=0.1, early=0.12)
+    score.step(front, place, h, t + 0.15, t + 0.70, height=0.06, heel=0.4, toe=0.1, early=0.12)
     x, y = score.local(0.0, ahead)
-    score.release(f"{back}_ankle", t + 0.1)
-    score.move(f"{back}_heel", TUCKED, t + 0.1, 0.75)
-    score.pose(t + 0.1, 0.5 + 0.7 * down, x=x, y=y, sway=0.0)
-    score.pose(t + 0.3, 0.35 + down, z=KNEE + s.length("left_knee") + s.hip_drop, pitch=0.10, flex=0.15)
+    score.release(f"{back}_ankle", t + 0.05)
+    score.move(f"{back}_heel", TUCKED, t + 0.05, 0.85)
+    score.pose(t + 0.05, 0.5 + 0.7 * down, x=x, y=y)
+    score.pose(t, 0.65 + down, z=KNEE + s.length("left_knee") + s.hip_drop, pitch=0.10, flex=0.15)
     for side in SIDES:
         score.arm(side, t + 0.3, down, elbow=0.6, abduct=0.3, rotate=0.0, **{"raise": 0.35})
     t += 0.65 + down
     score.move(f"{back}_kneel", 1.0, t - 0.8 * down, 0.8 * down)
     score.plant(f"{back}_knee", t)
+    score.move("low", 0.0, t, 0.5)
     _second_knee(score, front, score.local(SIGN[front] * HALF, -knee_ahead(score)), t + 0.1)
 
 
@@ -92,8 +96,8 @@ def to_belly(score: Score) -> None:
     t, span = score.now, v(0.9, 1.2) / s.tempo
     score.pose(t, span, **FOURS)
     for side in SIDES:
-        score.arm(side, t, span, elbow=0.35, abduct=0.1, rotate=0.0, **{"raise": 1.35})
-    _hands(score, t + 0.1, span, 0.10)
+        score.arm(side, t, 0.8 * span, elbow=0.9, abduct=0.1, rotate=0.0, **{"raise": 1.35})
+    _hands(score, t + 0.1 + 0.3 * span, 0.7 * span, 0.10)
     t, span = t + 0.1 + span, v(1.1, 1.5) / s.tempo
     x, y = score.local(0.0, 0.96 * s.length("left_knee"))
     score.pose(t, span, x=x, y=y, z=0.14, pitch=math.pi / 2, flex=-0.05, steady=0.0, nod=-0.3)
@@ -130,7 +134,7 @@ def from_belly(score: Score) -> None:
     score.move("settle", 0.0, t + 0.9, 0.35)
     for side in SIDES:
         score.arm(side, t - 0.2, 0.5, elbow=0.1, abduct=0.4, rotate=0.0, **{"raise": -0.45})
-        score.arm(side, t + 1.1, 0.9, elbow=0.35, abduct=0.1, rotate=0.0, **{"raise": 1.35})
+        score.arm(side, t + 1.1, 0.9, elbow=0.9, abduct=0.1, rotate=0.0, **{"raise": 1.35})
     was = dict(score.value)
     x, y = score.local(0.0, -0.96 * knee)
     up = {"x": x, "y": y, "z": KNEE + knee + s.hip_drop, **FOURS}
@@ -150,10 +154,10 @@ def from_belly(score: Score) -> None:
     t, span = t + span, v(0.8, 1.1) / s.tempo
     for side in SIDES:
         score.release(f"{side}_wrist", t)
-        score.move(f"{side}_grip", 0.0, t, 0.7 * span)
-        score.arm(side, t + 0.1, span, elbow=0.5, abduct=0.25, **{"raise": 0.3})
-    score.pose(t, span, pitch=0.08, flex=0.12, steady=0.8, nod=0.0)
-    score.now = t + 1.1 * span
+        score.move(f"{side}_grip", 0.0, t, 0.6 * span)
+        score.arm(side, t + 0.2 * span, span, elbow=0.5, abduct=0.25, **{"raise": 0.3})
+    score.pose(t + 0.15 * span, span, pitch=0.08, flex=0.12, steady=0.8, nod=0.0)
+    score.now = t + 1.2 * span
 
 
 def stand_up(score: Score) -> None:
@@ -171,14 +175,16 @@ def stand_up(score: Score) -> None:
     score.pulse(f"{front}_lift", 0.11, t, 0.55 * span, 0.45 * span)
     score.plant(f"{front}_ankle", t + span)
     score.plant(f"{front}_foot", t + span)
+    score.move("low", 1.0, t, span)
+    score.move("low", 0.0, t + span + 0.8 * up, 0.7 * up)
     t += span
     x, y = score.local(0.0, 0.33 * s.leg / 0.9 + 0.035)
     score.release(f"{back}_knee", t)
-    score.move(f"{back}_kneel", 0.0, t, 0.6 * up)
-    score.pose(t, 1.1 * up, x=x, y=y)
+    score.move(f"{back}_kneel", 0.0, t, 0.5 * up)
+    score.pose(t, 1.05 * up, x=x, y=y)
     score.pose(t, 0.5 * up, pitch=0.45, flex=0.25)
-    score.move("z", s.standing - 0.02, t + 0.05, up)
-    lift, land = t + 0.65 * up, t + 1.15 * up
+    score.move("z", s.standing - 0.02, t + 0.12 * up, up)
+    lift, land = t + 0.5 * up, t + 1.1 * up
     at = {"x": x, "y": y}
     was = {name: score.value[name] for name in at}
     score.value |= at
