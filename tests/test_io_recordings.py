@@ -78,6 +78,21 @@ def test_a_bad_file_stops_nothing_and_is_named(tmp_path):
     assert [row.unread for row in inventory(tmp_path) if row.kind == "bvh"] == [()]
 
 
+def test_a_json_file_that_may_not_be_opened_is_named(tmp_path, monkeypatch):
+    bvh.save(tmp_path / "a.bvh", standing())
+    (tmp_path / "locked.json").write_text("{}")
+    usual = type(tmp_path).open
+
+    def refuse(self, *args, **kwargs):
+        if self.name == "locked.json":
+            raise PermissionError(13, "Permission denied")
+        return usual(self, *args, **kwargs)
+
+    monkeypatch.setattr(type(tmp_path), "open", refuse)
+    rows = {row.kind: row for row in inventory(tmp_path)}
+    assert rows["bvh"].clips == 1 and "locked.json" in str(rows["json"].unread[0])
+
+
 def test_what_is_missing_says_how_to_get_it(tmp_path):
     with pytest.raises(MissingData, match="MOTIONLAB_DATA"):
         list(recordings(tmp_path / "nowhere"))

@@ -203,10 +203,18 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
         if suffix in SUFFIXES:
             yield suffix[1:], path, SUFFIXES[suffix]
         elif suffix == ".json":
-            with path.open("rb") as file:
-                head = file.read(4096)
+            head = _head(path)
             if b'"people"' in head and path.parent not in views:
                 views.add(path.parent)
                 yield "openpose", path.parent, partial(openpose.load, fps=video_fps)
             elif b'"Frames"' in head:
                 yield "json", path, deepmimic.load
+
+
+def _head(path: Path) -> bytes:
+    """The first bytes of a JSON file; of one that cannot be opened, a key whose loader will say so."""
+    try:
+        with path.open("rb") as file:
+            return file.read(4096)
+    except OSError:
+        return b'"Frames"'
