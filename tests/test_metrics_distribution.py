@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -74,6 +75,32 @@ def test_compare_sees_a_set_that_differs_and_not_one_that_does_not():
     same, floor = distribution.compare(noisy(0, 0.0), noisy(1, 0.0), torch.Generator().manual_seed(2))
     other, _ = distribution.compare(noisy(0, 1.0), noisy(1, 0.0), torch.Generator().manual_seed(2))
     assert same <= floor.max() < other
+
+
+def test_a_judge_tells_apart_what_differs_and_tosses_a_coin_otherwise():
+    def noisy(seed, shift):
+        g = torch.Generator().manual_seed(seed)
+        values = {k: shift + torch.randn(300, generator=g) for k in distribution.UNITS}
+        return distribution.Described(values, torch.arange(30).repeat(10))
+
+    assert distribution.told_apart(noisy(0, 0.0), noisy(1, 0.0)) == pytest.approx(0.5, abs=0.08)
+    assert distribution.told_apart(noisy(0, 0.0), noisy(1, 2.0)) > 0.95
+    mine, other = distribution.halves(noisy(0, 0.0), torch.Generator().manual_seed(0))
+    assert not set(mine.groups.tolist()) & set(other.groups.tolist())
+    assert len(mine.groups) + len(other.groups) == 300
+
+
+def test_quick_motion_is_the_share_above_four_hertz():
+    motion = statue()
+    t = torch.arange(90) / 30
+    slow, fast = (motion.root + torch.stack((0.1 * (2 * math.pi * f * t).sin(), 0 * t, 0 * t), -1) for f in (1.0, 8.0))
+    share = [distribution.describe(replace(motion, root=r))["quick motion"].item() for r in (slow, fast)]
+    assert share[0] < 1 < 99 < share[1]
+
+
+def test_feet_on_the_floor_are_measured():
+    on, off = (distribution.describe(statue(height=h))["feet on the floor"].item() for h in (0.992, 1.4))
+    assert (on, off) == (100, 0)
 
 
 def test_describe_a_turning_gliding_statue():

@@ -18,7 +18,7 @@ def descriptions(found: Mapping[str, Mapping[str, Tensor]]) -> Figure:
 
     Box: quartiles; whiskers: 5th and 95th percentile.
     """
-    fig, axes = canvas(3, 3, size=(12.5, 1.6 + 1.05 * len(found)), sharey=True)
+    fig, axes = canvas(3, 4, size=(14.0, 1.6 + 1.0 * len(found)), sharey=True)
     for ax, (name, unit) in zip(axes, UNITS.items(), strict=True):
         parts = ax.boxplot(
             [np.asarray(source[name]) for source in found.values()],
