@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from motionlab.metrics.distribution import UNITS
-from motionlab.viz.palette import INK, ROLE
+from motionlab.viz.palette import PAPER, ROLE
 from motionlab.viz.plots import canvas
 
 
@@ -27,7 +27,7 @@ def descriptions(found: Mapping[str, Mapping[str, Tensor]]) -> Figure:
             showfliers=False,
             widths=0.6,
             patch_artist=True,
-            medianprops={"color": INK, "lw": 1.4},
+            medianprops={"color": PAPER, "lw": 2.0},
         )
         for box, source in zip(parts["boxes"], found, strict=True):
             box.set(facecolor=ROLE["synthetic" if source.startswith("synthetic") else "real"], edgecolor="none")
