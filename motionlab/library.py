@@ -11,7 +11,7 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.io.positions import Positions
-from motionlab.io.recordings import recordings
+from motionlab.io.recordings import inventory, recordings
 from motionlab.motion import Motion, resample
 from motionlab.retarget import retarget
 
@@ -75,6 +75,25 @@ def _thirty(path: Tensor, fps: float) -> Tensor:
     at = torch.arange(int((len(path) - 1) / fps * 30) + 1) * (fps / 30)
     low = at.floor().long().clamp(max=len(path) - 2)
     return rotation.slerp(path[low], path[low + 1], (at - low).to(path))
+
+
+def inventory_rows(folder: Path | str) -> list[dict[str, object]]:
+    """What a folder of recordings holds, one row per source and kind of file, as a table to show."""
+    return [
+        {
+            "source": r.source,
+            "files": r.kind,
+            "clips": r.clips,
+            "minutes": r.minutes,
+            "fps": _range(sorted(set(r.fps))),
+            "points": _range(sorted(set(r.points))),
+            "seen, %": 100 * r.seen,
+            "loader": r.loader,
+            "cannot be read": len(r.unread),
+            "shipped weights may train on it": {True: "yes", False: "no", None: "not known"}[r.trainable],
+        }
+        for r in inventory(folder)
+    ]
 
 
 def retarget_rows(folder: Path | str, *, each: int | None = None) -> list[dict[str, object]]:

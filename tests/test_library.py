@@ -46,6 +46,11 @@ def test_pelvis_of_hips_and_neck_is_upright_and_turns_with_them():
     torch.testing.assert_close(library.pelvis_rotation(trunk), turn @ UPRIGHT, atol=1e-6, rtol=0)
 
 
+def test_table_of_what_is_there(folder):
+    (row,) = library.inventory_rows(folder)
+    assert (row["source"], row["clips"], row["fps"], row["cannot be read"]) == ("reactidle", 2, "60", 0)
+
+
 def test_table_of_retargeting(folder):
     (row,) = library.retarget_rows(folder)
     assert row["source"] == "reactidle" and row["clips"] == 2
