@@ -16,8 +16,8 @@ class Gait:
 
     duty: share of the stride that a foot is on the floor. width: between the ankles. clearance: lift of the
     whole foot. heel, toe: heel raised at toe-off, toes raised at touch-down. bob, sway: amplitudes of the
-    pelvis up and sideways. yaw, twist, tilt: of the pelvis' and the trunk's rotations. swing, elbow: of the arms.
-    drop: how much lower than standing. lean: forward lean of the trunk. limp: how much one leg is spared, the left
+    pelvis up and sideways (it sinks further where the step is long). yaw, twist, tilt: of the pelvis' and the
+    trunk's rotations. swing, elbow: of the arms. drop: how much lower than standing. lean: forward lean of the trunk. limp: how much one leg is spared, the left
     one if positive: the trunk leans over it and sinks, and its foot rolls less.
     """
 
@@ -52,15 +52,16 @@ def tread(
     _shift(score, first, gait, score.now, start + swing_time)
     side, strike = first, start + swing_time
     parity = 0.0 if first == "left" else 0.5
+    was = score.value["x"], score.value["y"]
     for k, ((x, y), heading) in enumerate(zip(centres, headings, strict=True)):
         last = k == len(centres) - 1
         lift = strike - swing_time
         for channel, to in (("x", x), ("y", y), ("heading", heading)):
             score.move(channel, to, strike - step_time, 2 * step_time)
         _footfall(score, side, (x, y), heading, lift, strike, gait, step_time, last=last)
-        _body(score, side, strike, step_time, gait, last=last)
+        _body(score, side, strike, step_time, gait, math.dist(was, (x, y)), last=last)
         score.gait.append((strike, parity + 0.5 * k))
-        side, strike = OTHER[side], strike + step_time
+        side, strike, was = OTHER[side], strike + step_time, (x, y)
     score.now = strike + 0.25
 
 
@@ -92,16 +93,17 @@ def _footfall(score, side, centre, heading, lift, strike, gait, step_time, *, la
     )  # fmt: skip
 
 
-def _body(score: Score, side: str, strike: float, step_time: float, gait: Gait, *, last: bool) -> None:
+def _body(score: Score, side: str, strike: float, step_time: float, gait: Gait, length: float, *, last: bool) -> None:
     sign, s = SIGN[side], score.subject
     on = 0.0 if last else 1.0
     middle = strike + 0.5 * step_time  # the other leg passes
     longer = 1.15 * step_time
     vary = 1 + 0.15 * score.uniform(-1, 1)
     spared = on * max(0.0, sign * gait.limp)
-    low, high = s.standing - gait.drop - gait.bob, s.standing - gait.drop + gait.bob - 0.05 * spared
-    score.move("z", low, strike - 0.42 * step_time, 0.5 * step_time)
-    score.move("z", high if not last else s.standing, strike + 0.08 * step_time, 0.5 * step_time * (1 + last))
+    sunk = max(gait.drop + gait.bob, 0.88 * length**2 / (8 * s.leg))  # as two straight legs make it, nearly
+    low, high = s.standing - sunk, s.standing - gait.drop + 1.2 * gait.bob - 0.05 * spared
+    score.move("z", low, strike - 0.50 * step_time, 0.5 * step_time)
+    score.move("z", high if not last else s.standing, strike + 0.03 * step_time, 0.5 * step_time * (1 + last))
     score.move("sway", on * sign * (gait.sway + 0.04 * spared) * vary, middle - longer, longer)
     score.move("yaw", -on * sign * gait.yaw * vary, strike - longer, longer)
     score.move("twist", on * sign * (gait.yaw + gait.twist) * vary, strike - longer, longer)
