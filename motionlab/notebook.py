@@ -188,7 +188,8 @@ class Lab:
             value = low = high = float("nan")
         if baseline is not None:
             baseline = torch.as_tensor(baseline, dtype=torch.float64).flatten()
-            baseline = findings.interval(baseline, statistic, self.generator(f"{test}/{source}/baseline"))[0]
+            generator = self.generator(f"{test}/{source}/baseline")
+            baseline = findings.interval(baseline, statistic, generator)[0] if baseline.numel() else None
         finding = Finding(
             test=test,
             source=source,

@@ -88,6 +88,9 @@ def test_a_judge_tells_apart_what_differs_and_tosses_a_coin_otherwise():
     mine, other = distribution.halves(noisy(0, 0.0), torch.Generator().manual_seed(0))
     assert not set(mine.groups.tolist()) & set(other.groups.tolist())
     assert len(mine.groups) + len(other.groups) == 300
+    mixture = [noisy(2, 0.0), noisy(3, 3.0), noisy(4, 3.0)]  # a third like ours, wherever it stands in the pool
+    found = [distribution.told_apart(noisy(0, 0.0), distribution.pool(parts)) for parts in (mixture, mixture[::-1])]
+    assert all(0.7 < share < 0.95 for share in found) and found[0] == pytest.approx(found[1], abs=0.06)
 
 
 def test_quick_motion_is_the_share_above_four_hertz():

@@ -77,7 +77,8 @@ def test_record_judges_against_the_ledger(bench):
     lab = bench("full")
     assert lab.record("H00.quick", [5.0, 6.0, 7.0], baseline=[0.0]).verdict == HOLDS
     assert lab.record("H00.quick", [0.1, 0.2, 0.3]).verdict == FAILS  # measuring again replaces
-    assert lab.record("H00.quick", []).verdict == UNJUDGED
+    empty = lab.record("H00.quick", [], statistic="share", baseline=[])
+    assert empty.verdict == UNJUDGED and empty.baseline_value is None
     assert len(lab.found) == 1
     with pytest.raises(DataError, match=r"H00\.quick"):
         lab.record("H00.quik", [1.0])

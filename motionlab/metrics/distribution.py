@@ -167,14 +167,15 @@ def told_apart(ours: Described, theirs: Described, neighbours: int = 5) -> float
     """How often a nearest-neighbour judge tells two sets apart: balanced accuracy, 0.5 is a coin.
 
     Each window is judged by the majority of its nearest windows from *other* recordings, on standardised
-    descriptions; the larger set is thinned so that both weigh the same.
+    descriptions; the larger set is thinned evenly, so that both weigh the same and every part of a pool counts.
 
     Source: the classifier two-sample test (Lopez-Paz & Oquab 2017) with nearest neighbours.
     """
     count = min(len(ours.groups), len(theirs.groups))
-    x = torch.cat((ours.table[:count], theirs.table[:count])).double()
+    mine, other = (torch.linspace(0, len(d.groups) - 1, count).round().long() for d in (ours, theirs))
+    x = torch.cat((ours.table[mine], theirs.table[other])).double()
     label = torch.arange(2 * count) >= count
-    group = torch.cat((ours.groups[:count], theirs.groups[:count] + ours.groups.max() + 1))
+    group = torch.cat((ours.groups[mine], theirs.groups[other] + ours.groups.max() + 1))
     x = (x - x.mean(0)) / x.std(0).clamp_min(1e-12)
     distance = torch.cdist(x, x).masked_fill(group[:, None] == group, torch.inf)
     votes = label[distance.topk(min(neighbours, 2 * count - 1), largest=False).indices].double().mean(1) > 0.5

@@ -62,7 +62,7 @@ def angles_from_the_cut(angles: Mapping[str, Tensor]) -> Figure:
 
 
 def excess(found: Mapping[tuple[str, str], Tensor], crossing: Mapping[str, Tensor]) -> Figure:
-    """Excess rotation of every filled gap, by representation; gaps across the cut in the upper half."""
+    """Excess rotation of every filled gap, by representation; gaps across the cut on the left."""
     names = list(dict.fromkeys(name for _, name in found))
     fig, axes = canvas(1, 2, size=(12.0, 3.2))
     for ax, across, title in zip(axes, (True, False), ("gaps across the cut", "all other gaps"), strict=True):
@@ -108,7 +108,7 @@ def consistency(outcome: Mapping[str, Consistency]) -> Figure:
             count = len(values)
             share = torch.linspace(0, 100, max(count, 1))[:count]
             ax.plot(share, values.clamp_min(1e-3), lw=2, color=ROLE[ROLE_OF[name]], label=name)
-        ax.set(title=f"{title}, n = {count}", xlabel="clips, sorted, %", yscale="log", ylim=(1e-3, 360))
+        ax.set(title=f"{title}, n = {count}", xlabel="clips, sorted, %", yscale="log", ylim=(6e-4, 360))
         ax.axhline(30, color=ROLE["truth"], lw=0.8, ls=":")
     axes[0].set_ylabel("worst frame off by, degrees")
     axes[0].legend(loc="center left")
