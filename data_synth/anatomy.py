@@ -1,4 +1,4 @@
-"""How far human joints turn, and by how much a motion exceeds it.
+"""How far human joints turn, by how much a motion exceeds it, and how thick the body is around them.
 
 The ranges (degrees, for both sides alike) are our own choice: wider than what is usually tabulated (narrower only for
 the bending of elbow and wrist), because a joint centre of a 22-joint skeleton stands for several real joints (ankle
@@ -71,6 +71,24 @@ LIMITS = tuple(
         ("wrist", "flexion", -80, 80),
     )
 )
+
+
+#: Thickness of the body around joints that may lie on the floor, metres.
+RADIUS = {
+    "pelvis": 0.095, "left_hip": 0.085, "right_hip": 0.085, "spine1": 0.09, "spine2": 0.095, "spine3": 0.10,
+    "neck": 0.06, "head": 0.085, "left_shoulder": 0.06, "right_shoulder": 0.06, "left_elbow": 0.04,
+    "right_elbow": 0.04, "left_wrist": 0.03, "right_wrist": 0.03, "left_knee": 0.05, "right_knee": 0.05,
+    "left_ankle": 0.04, "right_ankle": 0.04,
+}  # fmt: skip
+
+
+def height_at_rest(skeleton: Skeleton, name: str) -> float:
+    """Height of a contact joint that bears on the floor, metres: feet and ankles flat, others their thickness."""
+    if name.endswith("foot"):
+        return skeleton.sole
+    if name.endswith("ankle"):
+        return skeleton.sole - float(skeleton.offsets[..., skeleton.index(name.replace("ankle", "foot")), 1])
+    return RADIUS[name]
 
 
 def angles(skeleton: Skeleton, rot: Tensor) -> dict[tuple[str, str], Tensor]:

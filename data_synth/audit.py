@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from data_synth.anatomy import excess
+from data_synth.anatomy import RADIUS, excess, height_at_rest
 from data_synth.legs import HEEL
-from data_synth.perform import RADIUS
+from data_synth.truth import DOWN, LYING
 from motionlab.motion import Motion
 
 #: Length of the toes in front of the ball joint, metres.
@@ -71,24 +71,17 @@ def contact_height(motion: Motion) -> Tensor:
     """Metres (..., T, C) between a contact joint that is on and its height at rest, else 0.
 
     Feet and ankles rest at the height of the flat foot, knees and wrists at their thickness, the pelvis (on
-    back, belly or side) anywhere within 4 cm of its.
+    back, belly or side) anywhere within 4 cm of its; while it is lower than DOWN, the others within LYING of theirs.
     """
     skeleton = motion.skeleton
     height = motion.positions[..., skeleton.contact_indices, 2]
-    rest = torch.tensor([_rest(motion, name) for name in skeleton.contact_names]).to(height)
-    error = (height - rest).abs()
-    loose = torch.tensor([0.04 if name == "pelvis" else 0.0 for name in skeleton.contact_names]).to(height)
-    error = (error - loose).clamp(min=0)
-    return error * (0 if motion.contacts is None else motion.contacts)
-
-
-def _rest(motion: Motion, name: str) -> float:
-    skeleton = motion.skeleton
-    if name.endswith("foot"):
-        return skeleton.sole
-    if name.endswith("ankle"):
-        return skeleton.sole - float(skeleton.offsets[..., skeleton.index(name.replace("ankle", "foot")), 1])
-    return RADIUS[name]
+    if motion.contacts is None:
+        return torch.zeros_like(height)
+    rest = torch.tensor([height_at_rest(skeleton, name) for name in skeleton.contact_names]).to(height)
+    pelvis = skeleton.contact_names.index("pelvis")
+    loose = LYING * (height[..., pelvis : pelvis + 1] < DOWN).to(height).expand_as(height).clone()
+    loose[..., pelvis] = 0.04
+    return ((height - rest).abs() - loose).clamp(min=0) * motion.contacts
 
 
 def penetration(motion: Motion) -> Tensor:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from data_synth.anatomy import RADIUS, height_at_rest
 from data_synth.curves import evaluate, noise, ramp, soft_clip, soft_min
 from data_synth.legs import HEEL, bone_frame, foot_pose, hanging, heading_rotation, two_bone, unit
 from data_synth.score import CHANNELS, SIDES, SIGN, Score
@@ -22,13 +23,6 @@ NOISE = {
     "sway": 0.0035, "surge": 0.0035, "z": 0.0015, "yaw": 0.012, "pitch": 0.010, "tilt": 0.007,
     "flex": 0.014, "bend": 0.012, "twist": 0.016, "nod": 0.03, "turn": 0.05, "cock": 0.02,
     "raise": 0.035, "abduct": 0.02, "rotate": 0.04, "elbow": 0.05, "pronate": 0.06, "wrist": 0.04, "shrug": 0.01,
-}  # fmt: skip
-#: Thickness of the body around joints that may lie on the floor, metres.
-RADIUS = {
-    "pelvis": 0.095, "left_hip": 0.085, "right_hip": 0.085, "spine1": 0.09, "spine2": 0.095, "spine3": 0.10,
-    "neck": 0.06, "head": 0.085, "left_shoulder": 0.06, "right_shoulder": 0.06, "left_elbow": 0.04,
-    "right_elbow": 0.04, "left_wrist": 0.03, "right_wrist": 0.03, "left_knee": 0.05, "right_knee": 0.05,
-    "left_ankle": 0.04, "right_ankle": 0.04,
 }  # fmt: skip
 KNEE = RADIUS["left_knee"]
 
@@ -59,7 +53,8 @@ def perform(score: Score, fps: float = 30.0) -> Take:
     root, rot = solve(score.subject, control)
     contacts = planned_contacts(score, t)
     motion = Motion(skeleton, root, rot, fps, contacts, "+".join(dict.fromkeys(x for *_, x in score.labels)))
-    motion = resting(motion, control["settle"], RADIUS["pelvis"])
+    rest = torch.tensor([height_at_rest(skeleton, name) for name in skeleton.contact_names], dtype=torch.float64)
+    motion = resting(motion, control["settle"], RADIUS["pelvis"], rest)
     labels, phase = course(score, t)
     return Take(motion.to(torch.float32), labels, phase, score.subject)
 

@@ -11,6 +11,11 @@ from torch import Tensor
 from data_synth.score import Score
 from motionlab.motion import Motion
 
+#: A pelvis lower than this is that of someone who sits or lies on the floor, metres.
+DOWN = 0.35
+#: A joint of such a body touches the floor within this of its height at rest, metres, and below this speed, m/s.
+LYING, STILL = 0.005, 0.028
+
 
 def planned_contacts(score: Score, t: Tensor) -> Tensor:
     """Contacts (T, C) of the joints that the score plants."""
@@ -22,14 +27,20 @@ def planned_contacts(score: Score, t: Tensor) -> Tensor:
     return contacts
 
 
-def resting(motion: Motion, settle: Tensor, thickness: float) -> Motion:
-    """Add the contact of a pelvis that lies on the floor and rests: lower than 14 cm and slower than 2 cm/s."""
-    low = (motion.root[:, 2] - thickness).abs() < 0.04
-    step = motion.root.diff(dim=0).norm(dim=-1) * motion.fps
-    slow = torch.cat((step, step[-1:])) < 0.02
-    contacts = motion.contacts.clone()
-    contacts[:, motion.skeleton.contact_names.index("pelvis")] = (low & slow & (settle > 0.999)).to(contacts)
-    return replace(motion, contacts=contacts)
+def resting(motion: Motion, settle: Tensor, thickness: float, rest: Tensor) -> Motion:
+    """Add the contacts of a body on the floor: joints at the floor that keep still.
+
+    rest (C,): heights at rest, metres. Pelvis: within 4 cm of its thickness. The others, while it is lower
+    than DOWN: within LYING of their height. Still: slower than STILL before and after.
+    """
+    step = motion.positions[:, motion.skeleton.contact_indices].diff(dim=0).norm(dim=-1) * motion.fps
+    still = (torch.cat((step, step[-1:])) < STILL) & (torch.cat((step[:1], step)) < STILL)
+    height = motion.positions[:, motion.skeleton.contact_indices, 2]
+    lying = ((motion.root[:, 2] - thickness).abs() < 0.04) & (settle > 0.999)
+    touching = (motion.root[:, 2:] < DOWN) & ((height - rest).abs() < LYING)
+    touching[:, motion.skeleton.contact_names.index("pelvis")] = lying
+    touching &= still
+    return replace(motion, contacts=torch.maximum(motion.contacts, touching.to(motion.contacts)))
 
 
 def course(score: Score, t: Tensor) -> tuple[tuple[str, ...], Tensor]:

@@ -9,6 +9,7 @@ from scipy.interpolate import BPoly
 
 from data_synth.actions import ACTIONS
 from data_synth.actions.locomotion import MANNERS
+from data_synth.anatomy import height_at_rest
 from data_synth.audit import acceleration, audit
 from data_synth.curves import evaluate, quintic
 from data_synth.legs import two_bone
@@ -34,12 +35,16 @@ def test_every_action_stands_the_audit(name, subject):
         assert 0.05 < found.mean_acceleration < 15
 
 
-@pytest.mark.parametrize("name", ACTIONS)
-def test_acceleration_is_continuous(name):
+WAYS = [(name, {}, 0, 3) for name in ACTIONS] + [("walk", {}, subject, 2) for subject in (0, 1)]
+WAYS += [("floor", {"way": way}, subject, subject) for way in ("kneel", "seat") for subject in range(len(SUBJECTS))]
+
+
+@pytest.mark.parametrize(("name", "options", "subject", "seed"), WAYS)
+def test_acceleration_is_continuous(name, options, subject, seed):
     """Twice the frame rate: the same greatest acceleration, and half the greatest jump of it."""
     worst, jump = [], []
     for fps in (120, 240):
-        motion = take(name, 0, 3, fps=fps).motion.to(torch.float64)
+        motion = take(name, subject, seed, fps=fps, **options).motion.to(torch.float64)
         worst.append(acceleration(motion).max())
         p = motion.positions
         a = (p[2:] - 2 * p[1:-1] + p[:-2]) * fps**2
@@ -258,7 +263,7 @@ def test_over_knees_and_hands_to_the_belly_and_up(subject, seed):
     assert found.penetration < MILLIMETRE and found.limit_excess == 0, found.at
     column = motion.skeleton.contact_names.index
     for joint in ("left_knee", "right_knee", "left_wrist", "right_wrist"):
-        on = motion.contacts[:, column(joint)]
+        on = motion.contacts[:, column(joint)] * (motion.root[:, 2] > 0.35)  # lower, they may rest as well
         assert int((on.diff() > 0).sum()) == 2
         assert float(on.mean()) > 0.05
     assert motion.contacts[:, column("pelvis")].any()
@@ -276,6 +281,21 @@ def test_a_lifted_knee_is_caught():
     """Negative control: knees said to bear a centimetre above the floor."""
     motion = take("floor", way="kneel").motion
     assert audit(replace(motion, root=motion.root + torch.tensor([0, 0, 0.01]))).contact_height > 5 * MILLIMETRE
+
+
+def test_what_keeps_still_on_the_floor_is_labelled():
+    """Of someone who lies: joints that keep still within 4 mm of their height at rest bear, all of them."""
+    found = 0
+    for way in ("kneel", "seat"):
+        motion = take("floor", 1, 1, way=way).motion
+        rest = torch.tensor([height_at_rest(motion.skeleton, name) for name in motion.skeleton.contact_names])
+        p = motion.positions[:, motion.skeleton.contact_indices]
+        step = p.diff(dim=0).norm(dim=-1)
+        still = (step[1:] < 0.8 * MILLIMETRE) & (step[:-1] < 0.8 * MILLIMETRE)
+        bears = still & ((p[1:-1, :, 2] - rest).abs() < 4 * MILLIMETRE) & (motion.root[1:-1, 2:] < 0.3)
+        found += int(bears[:, 1:].sum())
+        assert motion.contacts[1:-1, 1:][bears[:, 1:]].bool().all()
+    assert found > 50
 
 
 @pytest.mark.parametrize("name", ACTIONS)

@@ -17,8 +17,9 @@ class Gait:
     duty: share of the stride that a foot is on the floor. width: between the ankles. clearance: lift of the
     whole foot. heel, toe: heel raised at toe-off, toes raised at touch-down. bob, sway: amplitudes of the
     pelvis up and sideways (it sinks further where the step is long). yaw, twist, tilt: of the pelvis' and the
-    trunk's rotations. swing, elbow: of the arms. drop: how much lower than standing. lean: forward lean of the trunk. limp: how much one leg is spared, the left
-    one if positive: the trunk leans over it and sinks, and its foot rolls less.
+    trunk's rotations. swing, elbow: of the arms. drop: how much lower than standing. lean: forward lean of the
+    trunk. limp: how much one leg is spared, the left one if positive: the trunk leans over it and sinks, and its foot
+    rolls less.
     """
 
     duty: float = 0.61

@@ -8,7 +8,8 @@ import torch
 
 from data_synth.actions.gait import OTHER
 from data_synth.actions.standing import ease
-from data_synth.perform import KNEE, RADIUS, solve
+from data_synth.anatomy import RADIUS
+from data_synth.perform import KNEE, solve
 from data_synth.score import SIDES, SIGN, Score
 from motionlab.skeleton import fk
 
@@ -111,7 +112,7 @@ def to_belly(score: Score) -> None:
         to = {"hip_flex": 0.03, "knee": 0.08, "ankle": 1.05, "hip_abduct": 0.06, "hip_twist": 0.0}
         score.pose(t - 0.02, 0.02, **{f"{side}_{name}": value for name, value in to.items()})
         score.pose(t, 0.9, **{f"{side}_loose": 1.0, f"{side}_kneel": 0.0})
-        score.arm(side, t - 0.3, 0.7, elbow=0.1, abduct=0.4, rotate=0.0, **{"raise": -0.45})
+        score.arm(side, t - 0.3, 0.7, elbow=0.3, abduct=0.4, rotate=0.0, **{"raise": -0.45})
         score.release(f"{side}_wrist", t + 0.4)
         score.move(f"{side}_grip", 0.0, t + 0.4, 1.0)
         score.arm(side, t + 1.2, 0.6, **{"raise": -0.05})
@@ -133,7 +134,7 @@ def from_belly(score: Score) -> None:
     score.pose(t, 0.8, z=0.14)
     score.move("settle", 0.0, t + 0.9, 0.35)
     for side in SIDES:
-        score.arm(side, t - 0.2, 0.5, elbow=0.1, abduct=0.4, rotate=0.0, **{"raise": -0.45})
+        score.arm(side, t - 0.2, 0.5, elbow=0.3, abduct=0.4, rotate=0.0, **{"raise": -0.45})
         score.arm(side, t + 1.1, 0.9, elbow=0.9, abduct=0.1, rotate=0.0, **{"raise": 1.35})
     was = dict(score.value)
     x, y = score.local(0.0, -0.96 * knee)
