@@ -230,19 +230,25 @@ class Lab:
         """This run's findings, with the recorded ones where this run may not judge.
 
         A test that needs the full profile or real recordings repeats what the last full run recorded, so that
-        the verdicts read the same on every machine.
+        the verdicts read the same on every machine. A full run writes a new record and takes over old rows only
+        where the notebook's code is still the code that measured them.
         """
-        recorded = self._recorded()
+        record = self._record()
+        recorded = {(f.test, f.source): f for f in record.findings}
         fresh = {(f.test, f.source): f for f in self.found}
         away = {k: r for k, r in recorded.items() if self.data is None and k not in fresh and r.source != "synthetic"}
         if self.profile == "full":
-            return list((away | fresh).values())
+            return list(((away if record.source_hash == self._code() else {}) | fresh).values())
         slow = {k: r for k, r in recorded.items() if "full" in self.criterion(r.test).needs}
         return [value for key, value in (recorded | fresh | slow).items() if key in fresh | away | slow]
 
-    def _recorded(self) -> dict[tuple[str, str], Finding]:
+    def _record(self) -> Record:
         path = self.folder / "results" / f"{self.number}.json"
-        return {(f.test, f.source): f for f in findings.load_record(path).findings} if path.exists() else {}
+        return findings.load_record(path) if path.exists() else Record(self.notebook, "", ())
+
+    def _code(self) -> str:
+        file = self.folder / f"{self.notebook}.ipynb"
+        return code_hash(file) if file.exists() else ""
 
     def verdicts(self) -> None:
         """Show the verdict table: no measured number, so that it reads the same in both profiles."""
@@ -265,10 +271,9 @@ class Lab:
         seconds = time.perf_counter() - self.opened
         provenance = {name: version(name) for name in ("torch", "kornia", "pyvista", "numpy")}
         provenance |= {"profile": self.profile, "seed": str(self.seed), "python": platform.python_version()}
-        file = self.folder / f"{self.notebook}.ipynb"
         record = Record(
             notebook=self.notebook,
-            source_hash=code_hash(file) if file.exists() else "",
+            source_hash=self._code(),
             findings=tuple(self.settled()),
             provenance=provenance,
         )

@@ -114,6 +114,12 @@ def test_a_full_run_without_recordings_keeps_what_was_measured_on_them(bench, tm
     second.close()
     kept = {(f.test, f.source) for f in findings.load_results(tmp_path / "results")}
     assert kept == {("H00.quick", "synthetic"), ("H00.quick", "cmu_amc")}  # a synthetic row not measured again goes
+    path = tmp_path / "02_x.ipynb"
+    path.write_text(path.read_text().replace("x = 1", "x = 2"))  # other code did not measure the old rows
+    third = bench("full")
+    third.record("H00.quick", [5.0, 5.0])
+    third.close()
+    assert {f.source for f in findings.load_results(tmp_path / "results")} == {"synthetic"}
 
 
 def test_smoke_writes_no_results_unless_asked(bench, tmp_path, monkeypatch):
