@@ -146,15 +146,29 @@ def excess_rotation(filled: Tensor, *, context: int) -> Tensor:
     return torch.rad2deg(length - rotation.geodesic(middle[:, 0], middle[:, -1]))
 
 
+def path_over_shortest(filled: Tensor, *, context: int) -> Tensor:
+    """Rotation (N,) of the filled middle over the shortest way across, 1 or more; see :func:`excess_rotation`."""
+    before, after = filled[:, context - 1], filled[:, filled.shape[1] - context]
+    return 1 + excess_rotation(filled, context=context) / torch.rad2deg(rotation.geodesic(before, after))
+
+
 def consistency(
-    root: Tensor, representation: Representation, *, steps: int, lr: float = 0.05, smoothness: float = 1.0
+    root: Tensor,
+    representation: Representation,
+    generator: torch.Generator,
+    *,
+    steps: int,
+    lr: float = 0.05,
+    smoothness: float = 1.0,
+    noise_deg: float = 2.0,
 ) -> tuple[Tensor, FitResult]:
     """Pull carried parameters towards decoded ones of the same rotations, as the decoupled TestOps does.
 
     E(x) = sum_t |x_t - d_t|_1 + smoothness sum_t |x_{t+1} - x_t|^2
 
-    x starts at the carried vector (continuous in time), d is the decoded one; where the representation is
-    continuous both are equal and nothing should move but for the smoothing.
+    x starts at the carried vector (continuous in time). d is the decoded one, off by a random rotation of about
+    ``noise_deg`` per axis in every frame, since no decoder is perfect and an arm that starts at its optimum
+    proves nothing.
 
     Args:
         root: (N, T, 3, 3) true root rotations.
@@ -163,7 +177,9 @@ def consistency(
         degrees from the truth (N, T) after ``steps`` Adam steps, and the fit.
     Source: thesis 3.3.1 (loss term) and 3.3.2.
     """
-    carried, decoded = carried_and_decoded(root)
+    noise = math.radians(noise_deg) * torch.randn(*root.shape[:-2], 3, generator=generator).to(root)
+    carried, _ = carried_and_decoded(root)
+    _, decoded = carried_and_decoded(root @ rotation.axis_angle_to_matrix(noise))
     if representation is not AXIS_ANGLE:
         carried = representation.encode(rotation.axis_angle_to_matrix(carried))
         decoded = representation.encode(rotation.axis_angle_to_matrix(decoded))

@@ -66,9 +66,10 @@ def lively_gaps(
 class Flips:
     """How often carried and decoded vectors of one root disagree, over recordings.
 
-    per_minute (clips,): changes between agreement and disagreement per minute. minutes: in all. share: of
-    frames flipped. midpoint_deg (flipped frames,): how far the average of the two vectors is from the rotation.
-    sixd_*: the same for 6D. example (T, 3, 3): the root with the most flips.
+    per_minute (clips,): changes between agreement and disagreement per minute, weighted by length so that their
+    mean is all changes over all minutes. minutes: in all. share: of frames flipped. midpoint_deg (clips with a
+    flip,): median over the clip's flipped frames of how far the average of the two vectors is from the rotation.
+    sixd_*: the same for 6D. example (T, 3, 3): the root with the most flips per minute.
     """
 
     per_minute: Tensor
@@ -91,16 +92,18 @@ def count_flips(roots: Sequence[Tensor], generator: torch.Generator) -> Flips:
         rate.append(rep.flips_per_minute(mask, FPS))
         sixd_rate.append(rep.flips_per_minute((six[0] - six[1]).norm(dim=-1) > 0.01, FPS))
         masks.append(mask)
-        middle.append(rep.midpoint_error(AXIS_ANGLE, carried, decoded, root)[mask])
-        sixd_middle.append(rep.midpoint_error(SIXD, *six, root)[mask])
-    frames = sum(len(root) for root in roots)
+        if mask.any():
+            middle.append(rep.midpoint_error(AXIS_ANGLE, carried, decoded, root)[mask].median())
+            sixd_middle.append(rep.midpoint_error(SIXD, *six, root)[mask].median())
+    frames = torch.tensor([float(len(root)) for root in roots])
+    weight = frames / frames.mean()
     return Flips(
-        per_minute=torch.stack(rate),
-        sixd_per_minute=torch.stack(sixd_rate),
-        minutes=frames / FPS / 60,
+        per_minute=weight * torch.stack(rate),
+        sixd_per_minute=weight * torch.stack(sixd_rate),
+        minutes=frames.sum().item() / FPS / 60,
         share=torch.cat(masks).double().mean().item(),
-        midpoint_deg=torch.cat(middle),
-        sixd_midpoint_deg=torch.cat(sixd_middle),
+        midpoint_deg=torch.tensor(middle),
+        sixd_midpoint_deg=torch.tensor(sixd_middle),
         example=roots[int(torch.stack(rate).argmax())],
     )
 
@@ -125,11 +128,16 @@ def compare_consistency(
     seconds: float = 2.0,
     choices: Sequence[Representation] = (AXIS_ANGLE, SIXD),
 ) -> Consistency:
-    """The same energy, optimiser, step length and number of steps in each representation."""
+    """The same energy, decoder noise, optimiser, step length and number of steps in each representation."""
     length = round(seconds * FPS)
     path = cut_windows(at_random_heading(roots, generator), length, length)
     carried, decoded = rep.carried_and_decoded(path)
-    worst = {r.name: rep.consistency(path, r, steps=steps)[0].amax(-1) for r in choices}
+    seed = int(torch.randint(2**62, (), generator=generator))
+    same_noise = [torch.Generator().manual_seed(seed) for _ in choices]
+    worst = {
+        r.name: rep.consistency(path, r, own, steps=steps)[0].amax(-1)
+        for r, own in zip(choices, same_noise, strict=True)
+    }
     return Consistency(worst, rep.flipped(carried, decoded).any(-1))
 
 

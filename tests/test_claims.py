@@ -1,4 +1,4 @@
-"""The ledger, the notebooks and the records must agree: a finding is as old as the code that found it."""
+"""The ledger, the notebooks and the records must agree: a finding is as old as the notebook that found it."""
 
 from pathlib import Path
 

@@ -72,6 +72,8 @@ def test_smoothing_across_the_cut_turns_almost_a_full_circle_in_axis_angle_only(
         for r in (rep.AXIS_ANGLE, rep.UNROLLED, rep.SIXD)
     }
     assert (excess["axis-angle"] > 180).all()
+    ratio = rep.path_over_shortest(rep.fill(path, rep.SIXD, context=10, closures=200)[0], context=10)
+    assert (ratio >= 1 - 1e-6).all() and (ratio < 1.1).all()
     assert (excess["6D"] < 5).all()
     assert (excess["axis-angle, unrolled"] < 5).all()
 
@@ -102,7 +104,9 @@ def test_filling_leaves_what_was_seen():
 
 def test_consistency_destroys_flipped_clips_in_axis_angle_only():
     path = turning(count=6)
-    broken, _ = rep.consistency(path, rep.AXIS_ANGLE, steps=200)
-    kept, _ = rep.consistency(path, rep.SIXD, steps=200)
+    seeds = [torch.Generator().manual_seed(0) for _ in range(2)]
+    broken, _ = rep.consistency(path, rep.AXIS_ANGLE, seeds[0], steps=200)
+    kept, fit = rep.consistency(path, rep.SIXD, seeds[1], steps=200)
     assert (broken.amax(-1) > 30).all()
-    assert (kept.amax(-1) < 5).all()
+    assert (kept.amax(-1) < 10).all()  # decoder noise of 2 degrees per axis is followed, no more
+    assert fit.energy < 0.9 * fit.history[0]  # it did move: its start is not its optimum

@@ -101,6 +101,11 @@ def pool(parts: Sequence[Described]) -> Described:
     return Described({k: torch.cat([p.values[k] for p in parts]) for k in UNITS}, groups)
 
 
+def apart(part: Described) -> Described:
+    """The same windows, each counted as a recording of its own."""
+    return Described(part.values, torch.arange(len(part.groups)))
+
+
 def compare(ours: Described, theirs: Described, generator: torch.Generator, draws: int = 50) -> tuple[float, Tensor]:
     """Energy distance between two sets, standardised by the second's mean and deviation, and the second's floor."""
     middle, spread = theirs.table.mean(0), theirs.table.std(0)

@@ -46,13 +46,13 @@ def reach(weights: Tensor, distance: Tensor, marked: Tensor | None = None) -> Fi
 
 def who_moves_whom(panels: Mapping[str, Tensor], body: BodyModel, keypoints: Sequence[str]) -> Figure:
     """Heat map of influence (K, J), metres per radian, one panel per body; empty squares are exact zeros."""
-    fig, axes = canvas(1, len(panels), size=(5.6 * len(panels), 2.9), sharey=True)
+    fig, axes = canvas(1, len(panels), size=(5.0 * len(panels), 3.2), sharey=True)
     image = None
     for ax, (name, influence) in zip(axes, panels.items(), strict=True):
         shown = np.ma.masked_equal(influence.numpy(), 0)
         image = ax.imshow(shown, norm=LogNorm(1e-5, 1), cmap="viridis", aspect="auto")
-        ax.set_xticks(range(len(body.skeleton)), body.skeleton.names, rotation=90, fontsize=7)
-        ax.set_yticks(range(len(keypoints)), keypoints, fontsize=8)
+        ax.set_xticks(range(len(body.skeleton)), body.skeleton.names, rotation=90, fontsize=9)
+        ax.set_yticks(range(len(keypoints)), keypoints, fontsize=9.5)
         ax.set_title(name)
         ax.grid(visible=False)
     fig.colorbar(image, ax=axes, label="m per rad", fraction=0.03, pad=0.015)
