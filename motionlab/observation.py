@@ -74,8 +74,9 @@ def project(camera: Camera, points: Tensor) -> tuple[Tensor, Tensor]:
     check_shape(points, "... 3", "points")
     camera = camera.to(points)
     local = points @ camera.rotation.mT + camera.translation
-    matrix = camera.intrinsics.expand(*local.shape[:-1], 3, 3)
-    return project_points(local, matrix), local[..., 2]
+    flat = local.reshape(-1, 3)  # kornia takes no single point
+    pixels = project_points(flat, camera.intrinsics.expand(len(flat), 3, 3))
+    return pixels.reshape(*local.shape[:-1], 2), local[..., 2]
 
 
 @dataclass(frozen=True, eq=False)

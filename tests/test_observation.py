@@ -63,3 +63,12 @@ def test_misfitting_observations_are_refused():
             replace(good, **change)
     with pytest.raises(ShapeError, match="intrinsics"):
         replace(camera(), intrinsics=torch.eye(4))
+
+
+def test_one_point_projects_like_many():
+    camera = look_at(torch.tensor([3.0, 0.0, 1.0]), torch.zeros(3), focal=500, width=640, height=480)
+    points = torch.rand(2, 4, 3, generator=torch.Generator().manual_seed(0))
+    pixels, depth = project(camera, points)
+    one, far = project(camera, points[1, 2])
+    torch.testing.assert_close(one, pixels[1, 2])
+    torch.testing.assert_close(far, depth[1, 2])
