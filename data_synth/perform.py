@@ -169,16 +169,20 @@ def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor],
 
 
 def _within_reach(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
-    """Lower the pelvis where a standing leg would have to be longer than it is (the compass of gait)."""
+    """Lower the pelvis where a standing leg would have to be longer than it is (the compass of gait).
+
+    A foot in the air has leave to hang back, by 0.3 of its height.
+    """
     longest = 0.9985 - 0.075 * c["low"]
+    soft = 0.002 + 0.015 * c["low"]
     limits = [pelvis[:, 2]]
     for side in SIDES:
         hip = (pelvis_rot @ _hip(subject, side)[:, None])[..., 0]
         away = feet[side][0][:, :2] - (pelvis + hip)[:, :2]
         up = ((longest * subject.leg) ** 2 - away.square().sum(-1)).clamp(min=0.01).sqrt()
-        free = 0.5 * c[f"{side}_lift"].clamp(min=0) + 3 * (c[f"{side}_loose"] + c[f"{side}_kneel"] + c["air"])
+        free = 0.3 * c[f"{side}_lift"].clamp(min=0) + 3 * (c[f"{side}_loose"] + c[f"{side}_kneel"] + c["air"])
         limits.append(feet[side][0][:, 2] + up - hip[:, 2] + free)
-    return torch.cat((pelvis[:, :2], soft_min(torch.stack(limits, -1), 0.002 + 0.015 * c["low"])[:, None]), -1)
+    return torch.cat((pelvis[:, :2], soft_min(torch.stack(limits, -1), soft)[:, None]), -1)
 
 
 def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
@@ -210,7 +214,7 @@ def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
         free_foot = shin_rot @ rotation_about("x", c[f"{side}_ankle"])
         mixed = foot_rot[..., :2] + loose[..., None] * (free_foot - foot_rot)[..., :2]
         foot_rot = sixd_to_matrix(mixed.mT.reshape(*mixed.shape[:-2], 6))
-    ease = 0.012 * ramp(c[f"{side}_lift"] / 0.05 + c[f"{side}_loose"]) + 0.07 * (c["bent"] + c["low"])
+    ease = 0.02 * ramp(c[f"{side}_lift"] / (0.012 + 0.06 * c["air"]) + c[f"{side}_loose"]) + 0.07 * (c["bent"] + c["low"])
     upper, lower, axis, _ = two_bone(hip, ankle, hinge, thigh, shin, ease)
     thigh_rot, shin_rot = bone_frame(axis, upper), bone_frame(axis, lower)
     foot_rot = hanging(foot_rot, shin_rot, ramp(c[f"{side}_lift"] / 0.015))
