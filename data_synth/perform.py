@@ -214,7 +214,8 @@ def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
         free_foot = shin_rot @ rotation_about("x", c[f"{side}_ankle"])
         mixed = foot_rot[..., :2] + loose[..., None] * (free_foot - foot_rot)[..., :2]
         foot_rot = sixd_to_matrix(mixed.mT.reshape(*mixed.shape[:-2], 6))
-    ease = 0.02 * ramp(c[f"{side}_lift"] / (0.012 + 0.06 * c["air"]) + c[f"{side}_loose"]) + 0.07 * (c["bent"] + c["low"])
+    hanging_back = ramp(c[f"{side}_lift"] / (0.012 + 0.06 * c["air"]) + c[f"{side}_loose"])
+    ease = 0.02 * hanging_back + 0.07 * (c["bent"] + c["low"])
     upper, lower, axis, _ = two_bone(hip, ankle, hinge, thigh, shin, ease)
     thigh_rot, shin_rot = bone_frame(axis, upper), bone_frame(axis, lower)
     foot_rot = hanging(foot_rot, shin_rot, ramp(c[f"{side}_lift"] / 0.015))
