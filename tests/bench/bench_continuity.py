@@ -1,4 +1,4 @@
-"""Is the corpus's acceleration continuous? Its peak at 240 frames per second over that at 120; a jump would double it."""
+"""Is the corpus's acceleration continuous? Its peak at 240 frames per second over that at 120; a jump doubles it."""
 
 import torch
 
