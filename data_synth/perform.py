@@ -173,8 +173,8 @@ def _within_reach(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, T
 
     A foot in the air has leave to hang back, by 0.3 of its height.
     """
-    longest = 0.9985 - 0.075 * c["low"]
-    soft = 0.002 + 0.015 * c["low"]
+    longest = 0.9985 - 0.06 * c["low"]
+    soft = 0.002 + 0.06 * c["low"]
     limits = [pelvis[:, 2]]
     for side in SIDES:
         hip = (pelvis_rot @ _hip(subject, side)[:, None])[..., 0]

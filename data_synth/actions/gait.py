@@ -19,7 +19,7 @@ class Gait:
     pelvis up and sideways (it sinks further where the step is long). yaw, twist, tilt: of the pelvis' and the
     trunk's rotations. swing, elbow: of the arms. drop: how much lower than standing. lean: forward lean of the
     trunk. limp: how much one leg is spared, the left one if positive: the trunk leans over it and sinks, and its foot
-    rolls less.
+    rolls less. give: weight of ``low``: no leg lands straight, the pelvis gives way before one does.
     """
 
     duty: float = 0.61
@@ -37,6 +37,7 @@ class Gait:
     drop: float = 0.022
     lean: float = 0.04
     limp: float = 0.0
+    give: float = 0.02
 
 
 def tread(
@@ -50,6 +51,7 @@ def tread(
     """
     swing_time = (1 - gait.duty) * 2 * step_time
     start = score.now + 0.30
+    score.move("low", gait.give, score.now, start + swing_time - score.now)
     _shift(score, first, gait, score.now, start + swing_time)
     side, strike = first, start + swing_time
     parity = 0.0 if first == "left" else 0.5
@@ -63,6 +65,7 @@ def tread(
         _body(score, side, strike, step_time, gait, math.dist(was, (x, y)), last=last)
         score.gait.append((strike, parity + 0.5 * k))
         side, strike, was = OTHER[side], strike + step_time, (x, y)
+    score.move("low", 0.0, strike, 0.6)
     score.now = strike + 0.25
 
 

@@ -36,7 +36,7 @@ def walking_gait(score: Score, speed: float) -> tuple[float, float, Gait]:
         tilt=0.045 * brisk,
         swing=0.42 * brisk * s.arm_swing,
         elbow=0.28 * brisk * s.arm_swing,
-        drop=0.014 + 0.019 * brisk**2,
+        drop=0.012 + 0.020 * brisk**2,
         lean=s.lean + 0.03 * (brisk - 1),
     )
     return length, length / speed, gait

@@ -1,0 +1,143 @@
+"""The conditional VAE over transitions: posterior, conditional prior and decoder, with the official names and shapes.
+
+Source: HuMoR (Rempe et al. 2021), section 3 and its official code; thesis 3.1.1.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from motionlab.errors import DataError
+from motionlab.humor.state import DELTA, STATE
+
+LATENT = 48
+
+
+class Gaussian(NamedTuple):
+    """A diagonal Gaussian over latents: mean and log_var, each (..., 48)."""
+
+    mean: Tensor
+    log_var: Tensor
+
+    def sample(self, generator: torch.Generator) -> Tensor:
+        """One draw (..., 48)."""
+        noise = torch.randn(self.mean.shape, generator=generator, dtype=self.mean.dtype, device=self.mean.device)
+        return self.mean + noise * (0.5 * self.log_var).exp()
+
+    def nll(self, z: Tensor) -> Tensor:
+        """-log N(z) (...), nats."""
+        squared = (z - self.mean).square() * (-self.log_var).exp()
+        return 0.5 * (squared + self.log_var + torch.log(torch.tensor(2 * torch.pi))).sum(-1)
+
+
+def kl(q: Gaussian, p: Gaussian) -> Tensor:
+    """KL(q || p) per latent dimension (..., 48), nats."""
+    ratio = (q.log_var - p.log_var).exp() + (q.mean - p.mean).square() * (-p.log_var).exp()
+    return 0.5 * (ratio - 1 + p.log_var - q.log_var)
+
+
+class Mlp(nn.Module):
+    """Linear -> GroupNorm(16) -> ReLU, and a last Linear; ``again`` inputs are given to every later Linear once more."""
+
+    def __init__(self, inputs: int, widths: tuple[int, ...], outputs: int, again: int = 0) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        for width in widths:
+            layers += [nn.Linear(inputs, width), nn.GroupNorm(16, width), nn.ReLU()]
+            inputs = width + again
+        self.net = nn.Sequential(*layers, nn.Linear(inputs, outputs))
+        self.again = again
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, inputs) -> (N, outputs)."""
+        skip, first = x[..., x.shape[-1] - self.again :], self.net[0]
+        x = first(x)
+        for i, layer in enumerate(self.net[1:], start=1):
+            if self.again and isinstance(layer, nn.Linear):
+                x = torch.cat((x, skip), dim=-1)
+            x = layer(x)
+        return x
+
+
+class Cvae(nn.Module):
+    """The three networks. States are in the canonical frame of the past one.
+
+    width: of the hidden layers, 1024 in the official model (9,725,976 parameters); a multiple of 32.
+    There is no normalisation of inputs or outputs: what training uses is folded into the weights.
+    """
+
+    def __init__(self, width: int = 1024, latent: int = LATENT) -> None:
+        super().__init__()
+        self.width, self.latent = width, latent
+        self.encoder = Mlp(2 * STATE, (width,) * 4, 2 * latent)
+        self.prior_net = Mlp(STATE, (width,) * 4, 2 * latent)
+        self.decoder = Mlp(STATE + latent, (width, width, width // 2), DELTA, again=latent)
+
+    def posterior(self, past: Tensor, now: Tensor) -> Gaussian:
+        """q(z | past, now) of states (..., 339), both in the frame of the past one."""
+        return Gaussian(*_rows(self.encoder, torch.cat((past, now), dim=-1)).chunk(2, dim=-1))
+
+    def prior(self, past: Tensor) -> Gaussian:
+        """p(z | past)."""
+        return Gaussian(*_rows(self.prior_net, past).chunk(2, dim=-1))
+
+    def decode(self, past: Tensor, z: Tensor) -> Tensor:
+        """Raw changes and contact logits (..., 216) of the next state; ``state.apply`` adds them."""
+        return _rows(self.decoder, torch.cat((past, z), dim=-1))
+
+    def frozen(self) -> Cvae:
+        """Itself, in evaluation mode, its weights without gradients: what a fit wants."""
+        return self.eval().requires_grad_(requires_grad=False)
+
+
+def _rows(net: nn.Module, x: Tensor) -> Tensor:
+    return net(x.reshape(-1, x.shape[-1])).unflatten(0, x.shape[:-1])
+
+
+def load_official(path: Path | str) -> Cvae:
+    """A checkpoint of the official code, weights only; nothing in the file is executed.
+
+    The file is a dict with 'model' (a state dict, perhaps with 'module.' before its names); the width is read off.
+
+    Raises:
+        DataError: not such a file, damaged, or with other names or shapes.
+    """
+    path = Path(path)
+    remedy = "take a checkpoint of the official HuMoR release (50 tensors, 'decoder.net.0.weight' and so on)"
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise DataError("there is no such file", path=path, remedy=remedy) from error
+    except Exception as error:
+        raise DataError(f"not a plain torch checkpoint ({type(error).__name__})", path=path, remedy=remedy) from error
+    weights = content.get("model", content) if isinstance(content, dict) else None
+    if not isinstance(weights, dict) or not all(isinstance(value, Tensor) for value in weights.values()):
+        raise DataError("no state dict inside", path=path, remedy=remedy)
+    return from_weights({name.removeprefix("module."): value for name, value in weights.items()}, path, remedy)
+
+
+def from_weights(weights: dict[str, Tensor], path: Path, remedy: str) -> Cvae:
+    """A frozen model from a state dict with the official names; ``path`` and ``remedy`` are for the errors.
+
+    Raises:
+        DataError: names or shapes are others, or a number is not finite.
+    """
+    first = weights.get("prior_net.net.0.weight")
+    if first is None or first.ndim != 2 or first.shape[1] != STATE or first.shape[0] % 32:
+        raise DataError("no prior_net.net.0.weight of shape (width, 339)", path=path, remedy=remedy)
+    last = weights.get("prior_net.net.12.bias")
+    latent = LATENT if last is None else len(last) // 2
+    model = Cvae(len(first), latent)
+    try:
+        model.load_state_dict({name: value.float() for name, value in weights.items()})
+    except RuntimeError as error:
+        what = str(error).splitlines()[-1].strip()
+        raise DataError(f"tensors do not fit HuMoR's networks: {what}", path=path, remedy=remedy) from error
+    for name, value in weights.items():
+        if not value.isfinite().all():
+            raise DataError("numbers that are not finite", path=path, place=name, remedy=remedy)
+    return model.frozen()
