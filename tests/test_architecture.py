@@ -42,6 +42,8 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.representations": 6,
     "motionlab.rotation_trials": 6.5,
     "motionlab.partial_fit": 6,
+    # models
+    "motionlab.humor": 6.7,
     # showing
     "motionlab.viz": 7,
     "motionlab.notebook": 8,

@@ -107,7 +107,7 @@ def test_statistics_count_everything():
 
 @pytest.mark.parametrize("index", [1, 4, 12, 13])
 def test_acceleration_is_continuous(index):
-    """Its peak in the sequences with the fastest steps does not grow with the frame rate; ``bench_continuity``: in all."""
+    """Its peak, in the sequences with the fastest steps, does not grow with the frame rate (a bench does them all)."""
     peak = []
     for fps in (120.0, 240.0):
         take = corpus.perform_sequence(Recipe(fps=fps), index)

@@ -41,7 +41,7 @@ def kl(q: Gaussian, p: Gaussian) -> Tensor:
 
 
 class Mlp(nn.Module):
-    """Linear -> GroupNorm(16) -> ReLU, and a last Linear; ``again`` inputs are given to every later Linear once more."""
+    """Linear -> GroupNorm(16) -> ReLU, and a last Linear; the last ``again`` inputs go to every later Linear too."""
 
     def __init__(self, inputs: int, widths: tuple[int, ...], outputs: int, again: int = 0) -> None:
         super().__init__()
@@ -56,7 +56,7 @@ class Mlp(nn.Module):
         """(N, inputs) -> (N, outputs)."""
         skip, first = x[..., x.shape[-1] - self.again :], self.net[0]
         x = first(x)
-        for i, layer in enumerate(self.net[1:], start=1):
+        for layer in self.net[1:]:
             if self.again and isinstance(layer, nn.Linear):
                 x = torch.cat((x, skip), dim=-1)
             x = layer(x)

@@ -33,10 +33,8 @@ LEAN = torch.tensor([*_VECTORS, *range(SLICES["pose_body"].start, SLICES["pose_b
 _BACK = torch.argsort(LEAN)
 _DELTA = {name: list(range(part.start, part.stop)) for name, part in DELTA_SLICES.items()}
 #: The raw output likewise: 47 vectors, 22 rotation vectors, 9 logits.
-_LEAN_DELTA = torch.tensor(
-    [i for n in ("trans", "trans_vel", "root_orient_vel", "joints", "joints_vel", "root_orient", "pose_body", "contacts")
-     for i in _DELTA[n]]
-)  # fmt: skip
+_ORDER = ("trans", "trans_vel", "root_orient_vel", "joints", "joints_vel", "root_orient", "pose_body", "contacts")
+_LEAN_DELTA = torch.tensor([i for name in _ORDER for i in _DELTA[name]])
 
 
 class Rollout(NamedTuple):
@@ -167,7 +165,7 @@ def _heading(vectors: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _chain(turns: Tensor, shifts: Tensor) -> Frame:
-    """Frames (B, T) of the steps t = 1..T, relative to the first state's: the frame of the state that step t starts from.
+    """Frames (B, T), relative to the first state, of the state that step t = 1..T starts from.
 
     x_{k+1} = A_k (x_k + s_k), so that x_k = turn_k (x_0 + shift_k) with turn_{k+1} = A_k turn_k and
     shift_{k+1} = shift_k + turn_k^T s_k.
