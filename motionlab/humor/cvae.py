@@ -5,6 +5,7 @@ Source: HuMoR (Rempe et al. 2021), section 3 and its official code; thesis 3.1.1
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,7 +32,7 @@ class Gaussian(NamedTuple):
     def nll(self, z: Tensor) -> Tensor:
         """-log N(z) (...), nats."""
         squared = (z - self.mean).square() * (-self.log_var).exp()
-        return 0.5 * (squared + self.log_var + torch.log(torch.tensor(2 * torch.pi))).sum(-1)
+        return 0.5 * (squared + self.log_var + math.log(2 * math.pi)).sum(-1)
 
 
 def kl(q: Gaussian, p: Gaussian) -> Tensor:

@@ -1,0 +1,243 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from motionlab import rotation
+from motionlab.errors import ShapeError
+from motionlab.frames import world_to_local_orientations, world_to_local_positions
+from motionlab.humor import energies, floor
+from motionlab.humor.cvae import Gaussian
+from motionlab.observation import Camera, look_at, project
+
+GOLDEN = np.load(Path(__file__).parent / "golden" / "humor_energies.npz")
+F64 = torch.float64
+
+
+def golden(name: str) -> torch.Tensor:
+    return torch.as_tensor(GOLDEN[name], dtype=F64)
+
+
+def joints() -> torch.Tensor:
+    return golden("world_joints").reshape(4, 9, 22, 3)
+
+
+def keypoints() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    seen = golden("reproj_obs")
+    return golden("reproj_uv"), seen[..., :2], energies.body_25_confidence(seen[..., 2])
+
+
+def motion_prior() -> torch.Tensor:
+    return energies.motion_prior(golden("roll_z"), Gaussian(golden("roll_prior_mean"), golden("roll_prior_var").log()))
+
+
+def contacts() -> torch.Tensor:
+    return golden("loss_contact_conf")
+
+
+def per_clip_twin(energy, *arguments) -> torch.Tensor:
+    """The same sum, one clip at a time."""
+    return torch.cat([energy(*(x[i : i + 1] for x in arguments)) for i in range(len(arguments[0]))])
+
+
+INITIAL = torch.tensor(floor.INITIAL, dtype=F64).expand(4, 3)
+CASES = {
+    "joints3d": (energies.joints3d, lambda: (joints(), golden("loss_joints_b"))),
+    "smooth": (energies.joints3d_smooth, lambda: (joints(),)),
+    "joint_consistency": (energies.joint_consistency, lambda: (joints(), golden("loss_joints_b"))),
+    "bone_length": (energies.bone_length, lambda: (joints(),)),
+    "contact_vel": (energies.contact_vel, lambda: (joints(), contacts())),
+    "contact_height": (energies.contact_height, lambda: (joints(), contacts())),
+    "floor_reg": (energies.floor_reg, lambda: (golden("floor3"), INITIAL)),
+    "joints2d": (energies.joints2d, keypoints),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_golden_energy(name):
+    energy, arguments = CASES[name][0], CASES[name][1]()
+    found = energy(*arguments)
+    assert found.shape == (4,)
+    torch.testing.assert_close(found.sum(), golden(f"loss_{name}"), rtol=1e-12, atol=0)
+    torch.testing.assert_close(found, per_clip_twin(energy, *arguments), rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_golden_energy_in_float32(name):
+    energy, arguments = CASES[name]
+    single = [x.float() for x in arguments()]
+    torch.testing.assert_close(energy(*single).double(), energy(*arguments()), rtol=1e-5, atol=0)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_control_what_moves_in_one_clip_changes_that_clip(name, generator):
+    energy, (first, *rest) = CASES[name][0], CASES[name][1]()
+    moved = first.clone()
+    moved[2] += 0.1 * torch.randn(first[2].shape, generator=generator)
+    before, after = energy(first, *rest), energy(moved, *rest)
+    assert (after[2] / before[2] - 1).abs() > 1e-6 and torch.equal(before[[0, 1, 3]], after[[0, 1, 3]])
+
+
+def test_golden_motion_prior():
+    torch.testing.assert_close(motion_prior().sum(), golden("loss_motion_prior_nll"), rtol=1e-12, atol=0)
+    off = Gaussian(golden("roll_prior_mean"), golden("roll_prior_var"))  # a variance taken for its logarithm
+    wrong = energies.motion_prior(golden("roll_z"), off).sum()
+    assert (wrong - golden("loss_motion_prior_nll")).abs() > 1
+
+
+def test_golden_gmof():
+    found = energies.gmof(golden("gmof_in"))
+    torch.testing.assert_close(found, golden("gmof_sigma100"), rtol=1e-13, atol=0)
+    assert (energies.gmof(torch.tensor(1e6)) - 1e4).abs() < 1  # bounded by sigma^2
+    assert not torch.allclose(energies.gmof(golden("gmof_in"), 50.0), found)
+
+
+def test_golden_initial_state():
+    class Mixture:
+        def __init__(self):
+            draw = np.random.RandomState(7)
+            mean, a = draw.standard_normal((3, 138)) * 0.3, draw.standard_normal((3, 138, 138)) * 0.05
+            covariance = torch.as_tensor(a @ a.swapaxes(1, 2) + 0.1 * np.eye(138))
+            part = torch.distributions.MultivariateNormal(torch.as_tensor(mean), covariance)
+            share = torch.distributions.Categorical(torch.tensor([0.2, 0.3, 0.5], dtype=F64))
+            self.log_prob = torch.distributions.MixtureSameFamily(share, part).log_prob
+
+    found = energies.init_motion_prior(golden("gmm_x"), Mixture())
+    torch.testing.assert_close(found, -golden("gmm_logprob"), rtol=1e-10, atol=0)
+    with pytest.raises(ShapeError, match="features"):
+        energies.init_motion_prior(golden("gmm_x")[:, :137], Mixture())
+
+
+def test_priors_of_pose_and_shape(generator):
+    latent, betas = torch.randn(3, 5, 32, generator=generator), torch.randn(3, 8, generator=generator)
+    assert torch.allclose(energies.pose_prior(latent), latent.norm(dim=(1, 2)) ** 2)
+    assert torch.allclose(energies.shape_prior(betas, 60), 60 * betas.norm(dim=1) ** 2)
+    assert energies.pose_prior(latent + 1).max() > energies.pose_prior(latent).max()
+    assert torch.allclose(
+        energies.floor_reg(betas[:, :3], betas[:, 3:6], 7), 7 * energies.floor_reg(betas[:, :3], betas[:, 3:6])
+    )
+
+
+def test_golden_floor_plane():
+    normal, offset = floor.normal_and_offset(golden("floor3"))
+    torch.testing.assert_close(torch.cat((normal, offset[:, None]), -1), golden("floor4"), rtol=1e-12, atol=1e-14)
+    normal, offset = floor.normal_and_offset(torch.tensor(floor.INITIAL))
+    assert normal.tolist() == [0, -1, 0] and offset == -0.5
+    assert not any(x.isnan().any() for x in floor.normal_and_offset(torch.zeros(3)))
+
+
+def test_golden_world_from_floor():
+    trans, root = golden("cam_trans"), rotation.exp(golden("cam_root_aa"))
+    frame = floor.world_frame(golden("floor3"), trans, root)
+    torch.testing.assert_close(frame.turn, golden("cam2prior_R"), atol=1e-8, rtol=0)  # the official angle |aa + 1e-8|
+    height = golden("cam2prior_root_height")[:, 0]
+    pelvis = golden("cam_joints")[:, 0]
+    torch.testing.assert_close(floor.height(golden("floor3"), pelvis), height, rtol=1e-12, atol=1e-14)
+    torch.testing.assert_close(world_to_local_positions(frame, pelvis)[:, 2], height, rtol=1e-12, atol=1e-12)
+    moved = world_to_local_positions(frame, trans)
+    torch.testing.assert_close(moved[:, :2], torch.zeros(4, 2, dtype=F64), atol=1e-12, rtol=0)
+    # the official code moves by -trans first; that is ours up to the way along the normal
+    rest = (frame.turn @ (frame.shift - golden("cam2prior_t"))[..., None])[..., 0]
+    torch.testing.assert_close(rest[:, :2], torch.zeros(4, 2, dtype=F64), atol=1e-12, rtol=0)
+    assert rotation.yaw(world_to_local_orientations(frame, root)).abs().max() < 1e-7
+    wrong = floor.world_frame(golden("floor3").flip(0), trans, root)
+    assert (wrong.turn - golden("cam2prior_R")).abs().max() > 0.01
+
+
+def test_floor_seen_from_a_camera():
+    camera = look_at(torch.tensor([1.0, -4, 1.6]), torch.tensor([0.0, 0, 0.9]), focal=1000, width=1920, height=1080)
+    plane = floor.seen_from(camera.rotation, camera.translation)
+    on_floor = torch.tensor([[0.0, 0, 0], [2, 1, 0], [-1, 3, 0]]) @ camera.rotation.mT + camera.translation
+    assert floor.height(plane, on_floor).abs().max() < 1e-6
+    assert floor.height(plane, torch.zeros(3)) == pytest.approx(1.6, abs=1e-6)
+    assert floor.height(plane, on_floor + 0.3 * camera.rotation[:, 2]).allclose(torch.tensor(0.3))
+
+
+def test_golden_projection():
+    intrinsics = torch.tensor([[1060.5, 0, 960], [0, 1060.4, 540], [0, 0, 1]], dtype=F64)
+    camera = Camera(intrinsics, torch.eye(3, dtype=F64), torch.zeros(3, dtype=F64), 1920, 1080)
+    pixels, _ = project(camera, golden("reproj_joints3d_op25"))
+    torch.testing.assert_close(pixels, golden("reproj_uv"), rtol=1e-7, atol=0)  # kornia adds an epsilon to the depth
+    uv, seen, confidence = keypoints()
+    torch.testing.assert_close(
+        energies.joints2d(pixels, seen, confidence).sum(), golden("loss_joints2d"), rtol=1e-6, atol=0
+    )
+    with_hips = energies.joints2d(uv, seen, golden("reproj_obs")[..., 2]).sum()
+    assert (with_hips / golden("loss_joints2d") - 1).abs() > 0.01
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_unobserved_numbers_reach_neither_value_nor_gradient(bad):
+    uv, seen, confidence = keypoints()
+    confidence[1, 4] = 0
+    visible = torch.ones(4, 9, 22, dtype=torch.bool)
+    visible[1, 4] = False
+    observed = golden("loss_joints_b")
+    for energy, points, data, weight in (
+        (energies.joints2d, uv, seen, confidence),
+        (energies.joints3d, joints(), observed, visible),
+    ):
+        results = []
+        for hidden in (0.0, bad):
+            there = data.clone()
+            there[1, 4] = hidden
+            free = points.clone().requires_grad_()
+            value = energy(free, there, weight)
+            (gradient,) = torch.autograd.grad(value.sum(), free)
+            assert value.isfinite().all() and gradient.isfinite().all() and gradient[1, 4].abs().max() == 0
+            results.append((value, gradient))
+        assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
+        shown = data.clone()
+        shown[1, 5] = 0.0  # the control: what is observed counts
+        assert (energy(points, shown, weight) - results[0][0]).abs()[1] > 0
+
+
+def test_inf_marks_what_was_not_observed_in_3d():
+    observed = golden("loss_joints_b")
+    hidden = observed.clone()
+    hidden[:, :, 4:9] = math.inf
+    visible = torch.ones(4, 9, 22)
+    visible[:, :, 4:9] = 0
+    torch.testing.assert_close(energies.joints3d(joints(), hidden), energies.joints3d(joints(), observed, visible))
+    assert (energies.joints3d(joints(), hidden) < energies.joints3d(joints(), observed)).all()
+
+
+def test_nine_contacts_are_those_of_the_nine_joints(generator):
+    logits = torch.randn(4, 8, 9, generator=generator, dtype=F64)
+    nine = energies.contact_probabilities(logits)
+    assert nine.shape == (4, 9, 9) and torch.equal(nine[:, 0], nine[:, 1])
+    full = torch.zeros(4, 9, 22, dtype=F64)
+    full[:, :, [0, 4, 5, 7, 8, 10, 11, 20, 21]] = nine
+    for energy in (energies.contact_vel, energies.contact_height):
+        torch.testing.assert_close(energy(joints(), nine), energy(joints(), full))
+        assert not torch.allclose(energy(joints(), nine), energy(joints(), full.flip(2)))
+        with pytest.raises(ShapeError, match="contacts"):
+            energy(joints(), nine[:, :, :8])
+
+
+def test_coincident_joints_have_a_finite_gradient():
+    still = torch.zeros(1, 3, 22, 3, requires_grad=True)
+    energies.bone_length(still).sum().backward()
+    assert still.grad.isfinite().all()
+
+
+def test_weights_by_stage():
+    rgb = energies.RGB
+    assert rgb.of(1) == {"joints2d": 0.001}
+    assert rgb.of(1, listed=True)["joints3d_smooth"] == 100.0
+    assert rgb.of(2) == {"joints2d": 0.001, "joints3d_smooth": 100.0, "pose_prior": 0.04, "shape_prior": 0.05}
+    assert "pose_prior" not in rgb.of(3) and rgb.of(3)["bone_length"] == 2000.0
+    assert rgb.of(3, frames=60)["init_motion_prior"] == pytest.approx(4 * rgb.of(3)["init_motion_prior"])
+    assert rgb.of(3, frames=60)["motion_prior"] == rgb.of(3)["motion_prior"]
+    assert "contact_vel" not in energies.IMAPPER.of(3) and energies.PROX.of(3)["motion_prior"] == 0.05
+    assert energies.JOINTS.of(1) == {"joints3d": 1.0} and "floor_reg" not in energies.JOINTS.of(3)
+    assert energies.KEYPOINTS.of(2)["joints3d_smooth"] == 0.1 and energies.KEYPOINTS.of(3)["motion_prior"] == 5e-4
+
+
+def test_every_weight_has_its_energy():
+    names = set(energies.RGB.__dataclass_fields__)
+    assert names == {name for name in names if callable(getattr(energies, name))}
+    every = {term for weights in (energies.RGB, energies.JOINTS) for stage in (1, 2, 3) for term in weights.of(stage)}
+    assert every == names
