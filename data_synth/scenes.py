@@ -1,0 +1,279 @@
+"""The lab videos of the thesis as scenes with truth: two seconds of somebody, a camera, what stands in the way, what
+the detector says, and what it gets wrong.
+
+>>> scene = film("sitting, legs hidden", count=8)  # doctest: +SKIP
+>>> scene.observation, scene.cameras  # what a fit may see  # doctest: +SKIP
+>>> scene.truth, scene.seen  # what only a judge may see  # doctest: +SKIP
+
+Nobody in them is in the training corpus: the subject that it holds out, and people drawn here.
+Source: thesis 3.2 ("a variety of motion; fast, slow, abnormal, and with occlusions"), Figs. 3.2, 3.3 and 3.5.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import torch
+from torch import Tensor
+
+from data_synth import capture, corrupt
+from data_synth.actions import ACTIONS
+from data_synth.body import capsule_body
+from data_synth.occluders import Occluder, desk_before, wall
+from data_synth.stunts import tumble
+from data_synth.subjects import SUBJECTS, Subject, proportioned
+from motionlab.body import BodyModel
+from motionlab.motion import Motion
+from motionlab.observation import BODY_25, Camera, Observation2D
+
+#: The keypoints that show each of the 22 joints; a joint is seen where one of them is detected.
+SHOWN_BY = {
+    "pelvis": ("mid_hip",), "spine1": ("mid_hip", "neck"), "spine2": ("mid_hip", "neck"), "spine3": ("neck",),
+    "neck": ("neck",), "head": ("nose", "left_ear", "right_ear"),
+} | {
+    f"{side}_{joint}": (f"{side}_{point}",)
+    for side in ("left", "right")
+    for joint, point in (("hip", "hip"), ("knee", "knee"), ("ankle", "ankle"), ("foot", "big_toe"),
+                         ("collar", "shoulder"), ("shoulder", "shoulder"), ("elbow", "elbow"), ("wrist", "wrist"))
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """B clips of one case. What a fit may see is ``observation`` and ``cameras``; the rest is for the judge.
+
+    truth: (B, T) with a skeleton per clip. observation: (B, T, 25), BODY_25. cameras: one per clip.
+    pixels (B, T, 25, 2): the true image. seen (B, T, 22): joints that the detector had a right to see, before
+    anything was corrupted. wrong (B, T, 25): detections that were corrupted. occluders: what stands in the way of
+    each clip.
+    """
+
+    name: str
+    truth: Motion
+    observation: Observation2D
+    cameras: tuple[Camera, ...]
+    pixels: Tensor
+    seen: Tensor
+    wrong: Tensor
+    occluders: tuple[tuple[Occluder, ...], ...]
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def clip(self, index: int) -> Observation2D:
+        """One clip's observation with its camera."""
+        o = self.observation
+        return replace(
+            o, keypoints=o.keypoints[index], confidence=o.confidence[index], camera=self.cameras[index], name=self.name
+        )
+
+
+def person(index: int, generator: torch.Generator) -> Subject:
+    """Somebody the corpus does not know: the first is the subject that it holds out, the others are drawn."""
+    if index == 0:
+        return next(s for s in SUBJECTS if s.name == "dee")
+
+    def around(low: float, high: float) -> float:
+        return low + (high - low) * float(torch.rand((), generator=generator, dtype=torch.float64))
+
+    parts = ("thigh", "shin", "trunk", "shoulders", "arm", "forearm", "hips")
+    skeleton = proportioned(around(0.94, 1.07), **{part: around(0.95, 1.05) for part in parts})
+    return Subject(
+        f"stranger {index}", skeleton, walk_ratio=around(0.0060, 0.0067), step_width=around(0.08, 0.14),
+        arm_swing=around(0.75, 1.3), bounce=around(0.8, 1.25), twist=around(0.8, 1.3), lean=around(0.0, 0.08),
+        elbow=around(0.2, 0.42), toe_out=around(0.05, 0.22), carriage=around(0.14, 0.24), tempo=around(0.9, 1.12),
+    )  # fmt: skip
+
+
+def film(case: str, count: int = 8, *, seed: int = 0, frames: int = 60, body: BodyModel | None = None) -> Scene:
+    """``count`` clips of a case of ``CASES``. Clip i is the same whatever the count; cases of one shooting (walking
+    with and without the failure) have the same people, cameras and noise.
+
+    body: the flesh that hides and shows keypoints; default the quick one of capsules.
+
+    Raises:
+        KeyError: no such case; lists them.
+    """
+    if case not in CASES:
+        raise KeyError(f"no case {case!r}; cases are {', '.join(CASES)}")
+    shooting, failure = CASES[case]
+    flesh = body or _flesh()
+    shots = []
+    for index in range(count):
+        generator = _generator(seed, shooting.__name__, index)
+        motion, camera, things = shooting(index, generator, frames)
+        shot = capture.observe(motion, flesh, camera, generator, things)
+        clean = shot.observation
+        own = _generator(seed, case, index)  # a failure does not disturb the draws of the shooting
+        observation, wrong = failure(clean, own) if failure else (clean, torch.zeros_like(clean.visible))
+        shots.append((motion, camera, tuple(things), clean.visible, observation, wrong, shot.truth.pixels))
+    motions, cameras, things, clean, observed, wrong, pixels = zip(*shots, strict=True)
+    observation = Observation2D(
+        torch.stack([o.keypoints for o in observed]), torch.stack([o.confidence for o in observed]), BODY_25,
+        observed[0].fps, None, case,
+    )  # fmt: skip
+    return Scene(
+        case, together(motions), observation, tuple(cameras), torch.stack(pixels),
+        joints_seen(torch.stack(clean), motions[0].skeleton.names), torch.stack(wrong), tuple(things),
+    )  # fmt: skip
+
+
+def without(scene: Scene, frames: Iterable[int]) -> Scene:
+    """The same scene with nothing detected in the given frames; negative ones count from the end."""
+    observation, gone = corrupt.drop_frames(scene.observation, frames := list(frames))
+    seen = scene.seen.clone()
+    seen[:, frames] = False
+    return replace(scene, observation=observation, wrong=scene.wrong | gone, seen=seen)
+
+
+def held_out(count: int, *, seed: int = 0, frames: int = 60) -> Motion:
+    """``count`` clips (B, T) of everyday motion by people that the corpus does not know, for fits in 3-D."""
+    actions = ("walk", "reach", "sit", "turn", "wave", "crouch", "walk", "dance")
+    return together(
+        [_window(actions[i % len(actions)], i, _generator(seed, "held out", i), frames) for i in range(count)]
+    )
+
+
+def together(motions: Sequence[Motion]) -> Motion:
+    """Clips of equal length as one batch (B, T) with a skeleton each, offsets (B, 1, 22, 3)."""
+    first = motions[0]
+    offsets = torch.stack([m.skeleton.offsets for m in motions])[:, None]
+    return Motion(
+        replace(first.skeleton, offsets=offsets), torch.stack([m.root for m in motions]),
+        torch.stack([m.rot for m in motions]), first.fps, torch.stack([m.contacts for m in motions]),
+    )  # fmt: skip
+
+
+def joints_seen(detected: Tensor, names: Sequence[str]) -> Tensor:
+    """Which of the joints (..., 22) are shown by detected keypoints (..., 25)."""
+    shown = [[BODY_25.index(point) for point in SHOWN_BY[name]] for name in names]
+    return torch.stack([detected[..., points].any(-1) for points in shown], -1)
+
+
+# ------------------------------------------------------------------------------------------------ shootings
+Shot = tuple[Motion, Camera, Sequence[Occluder]]
+
+
+def _easy(index: int, generator: torch.Generator, frames: int) -> Shot:
+    motion = _window(("walk", "reach", "turn", "idle")[index % 4], index, generator, frames)
+    return motion, capture.frame_motion(motion, generator), ()
+
+
+def _walking(index: int, generator: torch.Generator, frames: int) -> Shot:
+    motion = _window("walk", index, generator, frames, speed=1.2)
+    return motion, capture.frame_motion(motion, generator), ()
+
+
+def _sitting(index: int, generator: torch.Generator, frames: int) -> Shot:
+    """Sitting down behind a desk that hides whatever is below 0.8 m: the legs from the first frame."""
+    motion = _window("sit", index, generator, frames, seconds=1.0)
+    camera = _camera(motion, generator, around=_facing(motion), by=60.0, stand=(1.1, 1.8))
+    return motion, camera, (desk_before(motion, camera, hidden=0.8),)
+
+
+def _passing(index: int, generator: torch.Generator, frames: int) -> Shot:
+    """Walking across the view; from a third of the clip on, a low wall hides the legs."""
+    motion = _window("walk", index, generator, frames, speed=1.2)
+    way = motion.root[-1] - motion.root[0]
+    side = 90.0 if index % 2 else -90.0
+    along = math.degrees(math.atan2(way[1], way[0]))
+    camera = _camera(motion, generator, around=along + side, by=25.0, stand=(1.2, 1.8))
+    return motion, camera, (_low_wall(motion, camera, frames // 3),)
+
+
+def _dancing(index: int, generator: torch.Generator, frames: int) -> Shot:
+    motion = _window("dance", index, generator, frames)
+    return motion, capture.frame_motion(motion, generator), ()
+
+
+def _rolling(index: int, generator: torch.Generator, frames: int) -> Shot:
+    motion = _window("floor", index, generator, frames, rolls=2, way=("kneel", "seat")[index % 2])
+    return motion, capture.frame_motion(motion, generator, stand=(1.4, 2.2)), ()
+
+
+def _tumbling(index: int, generator: torch.Generator, frames: int) -> Shot:
+    motion = tumble(person(index, generator), generator, frames=frames)
+    way = motion.root[-1] - motion.root[0]
+    along = math.degrees(math.atan2(way[1], way[0]))
+    return motion, _camera(motion, generator, around=along + (90.0 if index % 2 else -90.0), by=40.0), ()
+
+
+def _flips(observation: Observation2D, generator: torch.Generator) -> tuple[Observation2D, Tensor]:
+    return corrupt.flip_limbs(observation, generator, share=0.2, length=4)
+
+
+def _false(observation: Observation2D, generator: torch.Generator) -> tuple[Observation2D, Tensor]:
+    return corrupt.false_detections(observation, generator, share=0.08, length=6)
+
+
+#: Case -> how it is shot, and what the detector then gets wrong.
+CASES: dict[str, tuple[Callable, Callable | None]] = {
+    "easy": (_easy, None),
+    "walking": (_walking, None),
+    "sitting, legs hidden": (_sitting, None),
+    "walking, legs hidden": (_passing, None),
+    "walking, two legs from one": (_passing, corrupt.two_legs_from_one),
+    "limb flips": (_walking, _flips),
+    "false detections": (_easy, _false),
+    "dance": (_dancing, None),
+    "floor roll": (_rolling, None),
+    "tumble": (_tumbling, None),
+}
+
+
+# ------------------------------------------------------------------------------------------------ how it is done
+@cache
+def _flesh() -> BodyModel:
+    return capsule_body()
+
+
+def _generator(seed: int, what: str, index: int) -> torch.Generator:
+    digest = hashlib.sha256(f"scene/{seed}/{what}/{index}".encode()).digest()
+    return torch.Generator().manual_seed(int.from_bytes(digest[:8], "little") >> 1)
+
+
+def _window(action: str, index: int, generator: torch.Generator, frames: int, **options) -> Motion:
+    """The part of an action that shows it: the way down to the seat, a steady walk, the fastest turn of a roll."""
+    long = {"walk": "seconds", "dance": "seconds", "idle": "seconds"}.get(action)
+    options |= {long: frames / 30 + 3.0} if long else {}
+    motion = ACTIONS[action](person(index, generator), generator, **options).motion
+    spare = motion.frames - frames
+    if action == "sit":
+        low = (motion.root[:, 2] < motion.root[0, 2] - 0.01).nonzero()
+        start = int(low[0]) - 4
+    elif action == "floor":
+        turned = motion.rot[:, 0, :, 0]  # the left of the pelvis: what a roll turns most
+        start = int((turned.diff(dim=0).norm(dim=-1).unfold(0, frames - 1, 1).sum(-1)).argmax())
+    else:
+        start = spare // 2 if long else int(torch.randint(max(spare, 0) + 1, (), generator=generator))
+    start = min(max(start, 0), max(spare, 0))
+    return _held(motion.cut(start, start + frames), frames)
+
+
+def _held(motion: Motion, frames: int) -> Motion:
+    """At least ``frames`` frames: the last pose stays."""
+    index = torch.arange(frames).clamp(max=motion.frames - 1)
+    return replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=motion.contacts[index])
+
+
+def _facing(motion: Motion) -> float:
+    """Direction in which the pelvis looks at the middle frame, degrees from the world's +x."""
+    forward = motion.rot[motion.frames // 2, 0, :, 2]
+    return math.degrees(math.atan2(forward[1], forward[0]))
+
+
+def _camera(motion: Motion, generator: torch.Generator, *, around: float, by: float, stand=(0.8, 2.2)) -> Camera:
+    return capture.frame_motion(motion, generator, azimuth=(around - by, around + by), stand=stand)
+
+
+def _low_wall(motion: Motion, camera: Camera, start: int, *, share: float = 0.7, hidden: float = 0.85) -> Occluder:
+    """A wall ``share`` of the way to the person that hides what is below ``hidden`` metres from frame ``start`` on."""
+    eye, ground = camera.centre.double(), motion.root[:, :2].double()
+    base = eye[:2] + share * (ground - eye[:2])
+    way = (base[-1] - base[start]) / (base[-1] - base[start]).norm()
+    height = float(eye[2] + share * (hidden - eye[2]))
+    return wall(tuple(base[start].tolist()), tuple((base[-1] + 2.0 * way).tolist()), height=height)
