@@ -169,10 +169,10 @@ def _walking(index: int, generator: torch.Generator, frames: int) -> Shot:
 
 
 def _sitting(index: int, generator: torch.Generator, frames: int) -> Shot:
-    """Sitting down behind a desk that hides whatever is below 0.8 m: the legs from the first frame."""
+    """Sitting down behind a desk that hides whatever is below 0.65 m: the legs from the first frame."""
     motion = _window("sit", index, generator, frames, seconds=1.0)
     camera = _camera(motion, generator, around=_facing(motion), by=60.0, stand=(1.1, 1.8))
-    return motion, camera, (desk_before(motion, camera, hidden=0.8),)
+    return motion, camera, (desk_before(motion, camera, hidden=0.65),)
 
 
 def _passing(index: int, generator: torch.Generator, frames: int) -> Shot:
