@@ -130,6 +130,12 @@ def without(scene: Scene, frames: Iterable[int]) -> Scene:
     return replace(scene, observation=observation, wrong=scene.wrong | gone, seen=seen)
 
 
+def gap_frames(place: str, length: int, frames: int = 60) -> list[int]:
+    """``length`` frames at the beginning ("first"), from the middle on ("middle") or at the end ("last") of a clip."""
+    start = {"first": 0, "middle": frames // 2, "last": frames - length}[place]
+    return list(range(start, start + length))
+
+
 def held_out(count: int, *, seed: int = 0, frames: int = 60) -> Motion:
     """``count`` clips (B, T) of everyday motion by people that the corpus does not know, for fits in 3-D."""
     actions = ("walk", "reach", "sit", "turn", "wave", "crouch", "walk", "dance")

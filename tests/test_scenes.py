@@ -128,6 +128,11 @@ def test_without_drops_whole_frames_and_keeps_the_rest(shot):
     assert scene.observation.visible[:, 29].any()  # the original is untouched
 
 
+def test_gaps_lie_where_they_are_called():
+    assert scenes.gap_frames("first", 3) == [0, 1, 2] and scenes.gap_frames("last", 2) == [58, 59]
+    assert scenes.gap_frames("middle", 1) == [30]
+
+
 def test_clips_do_not_depend_on_the_count_or_on_the_call(shot):
     one, three = scenes.film("dance", 1), shot("dance")
     assert torch.equal(one.observation.keypoints[0], three.observation.keypoints[0])

@@ -39,6 +39,11 @@ def test_gaps_and_spectra():
     assert [tick.get_text() for tick in fig.axes[0].get_xticklabels()] == ["0-2", "2-5", "5-15"]
 
 
+def test_grid_lays_pictures_row_by_row():
+    tiles = [np.full((2, 3, 3), k, np.uint8) for k in range(4)]
+    assert fits.grid(tiles, 2)[:, :, 0].tolist()[2][0] == 2 and fits.grid(tiles, 2).shape == (4, 6, 3)
+
+
 def test_film_and_camera_picture(tmp_path):
     scene = scenes.film("sitting, legs hidden", 1, frames=12)
     truth, things = scene.truth.clip(0), fits.meshes(scene.occluders[0])

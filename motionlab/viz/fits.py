@@ -50,7 +50,7 @@ def side_by_side(
         for now in times:
             clock(f"{now:.1f} s  ({speed:g} x life)")
             pictures.append(scene.image(float(now)))
-    frames, rate, size_on_disk = movie.write(pictures, path, fps)
+    frames, rate, size_on_disk = movie.write(pictures, path, fps, budget=450_000)
     return movie.Film(Path(path), frames, rate, whole, speed, size_on_disk)
 
 
@@ -196,6 +196,19 @@ def placed(motion: Motion, like: Motion) -> Motion:
     """A clip moved on the floor so that its first root stands where the other's does: for panels that compare poses."""
     shift = (like.root[:1] - motion.root[:1]) * motion.root.new_tensor([1.0, 1.0, 0.0])
     return replace(motion, root=motion.root + shift)
+
+
+def stages_of(
+    truth: Motion, stages: Mapping[int, Motion], index: int, keep: Sequence[int] = (2, 3)
+) -> dict[str, Motion]:
+    """One clip's truth and stages, as panels for :func:`side_by_side`."""
+    return {"truth": truth.clip(index)} | {f"stage {k}": stages[k].clip(index) for k in keep}
+
+
+def grid(pictures: Sequence[np.ndarray], columns: int) -> np.ndarray:
+    """Pictures of one size as one, row by row."""
+    rows = [np.concatenate(pictures[i : i + columns], 1) for i in range(0, len(pictures), columns)]
+    return np.concatenate(rows)
 
 
 def meshes(occluders: Sequence[object]) -> list[Mesh]:
