@@ -8,8 +8,6 @@ official fits, is the caller's choice: ``model.frozen()`` or not.
 
 Source: behaviour of the official HuMoR code (Rempe et al. 2021) at its last public version, written anew from golden
 arrays; float64 values and gradients agree to rounding (``tests/test_humor_faithful.py``).
-Differs: cross products name their axis. The official ones take the first axis of size 3, so that three clips at once
-go wrong there.
 """
 
 from __future__ import annotations
@@ -19,38 +17,11 @@ from torch import Tensor
 
 from motionlab.errors import ShapeError, check_shape
 from motionlab.humor.cvae import Cvae, Gaussian
+from motionlab.humor.faithful_rotation import alignment, axis_angle_to_matrix
 from motionlab.humor.rollout import Rollout
 from motionlab.humor.state import SHAPES, SLICES, STATE, unpack_delta
 
 State = dict[str, Tensor]  # parts (B, 1, D), each flat
-GUARD = 1e-6
-
-
-def axis_angle_to_matrix(aa: Tensor) -> Tensor:
-    """Rotation vectors (N, 3) to matrices (N, 3, 3): I + sin(a) K + (1 - cos(a)) K^2 with a = |v + 1e-8|.
-
-    The axis v / a is a unit vector only to 1e-8 / a: tiny rotations are wrong by up to 2e-8.
-    """
-    angle = torch.norm(aa + 1e-8, dim=1, keepdim=True)
-    x, y, z = torch.split(aa / angle, 1, dim=1)
-    o = torch.zeros_like(x)
-    k = torch.cat((o, -z, y, z, o, -x, -y, x, o), dim=1).view(-1, 3, 3)
-    sin, cos = torch.sin(angle).unsqueeze(1), torch.cos(angle).unsqueeze(1)
-    return torch.eye(3, dtype=aa.dtype, device=aa.device) + sin * k + (1 - cos) * torch.bmm(k, k)
-
-
-def alignment(orientation: Tensor) -> Tensor:
-    """The yaw rotation (B, 3, 3) that takes the body's right axis, laid on the floor, to +x; by acos.
-
-    Its angle is wrong by 1.3e-3 rad at 1e-4 rad, and facing backwards exactly it does not turn at all.
-    """
-    right = -orientation[:, :, 0]
-    right = torch.cat((right[:, :2], torch.zeros_like(right[:, 2:])), dim=1)
-    x_axis = torch.zeros_like(right)
-    x_axis[:, 0] = 1.0
-    angle = torch.acos(right[:, :1] / (torch.norm(right, dim=1, keepdim=True) + GUARD))
-    axis = torch.cross(right, x_axis, dim=-1)
-    return axis_angle_to_matrix(axis / (torch.norm(axis, dim=1, keepdim=True) + GUARD) * angle)
 
 
 def split(packed: Tensor) -> State:

@@ -5,7 +5,7 @@ random numbers; but its first 22 joints and its landmarks lie exactly where ``sh
 energies see is what forward kinematics alone would give them, at the official price.
 
 Source: Loper et al. 2015 (SMPL), Eq. 2-4, in the order of operations that the official code's body layer has; sizes of
-SMPL-H. Its conversions from matrices are fitted to golden arrays.
+SMPL-H.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from motionlab.errors import check_shape
-from motionlab.humor.faithful import GUARD, axis_angle_to_matrix
+from motionlab.humor.faithful_rotation import axis_angle_to_matrix
 from motionlab.humor.shape import landmarks, offsets
 from motionlab.skeleton import STANDARD, fk
 
@@ -110,38 +110,6 @@ def _chain(rot: Tensor, joints: Tensor) -> tuple[Tensor, Tensor]:
     world = torch.stack(chain, 1)
     there = torch.matmul(world, F.pad(joints, (0, 1))[..., None])
     return world[:, :, :3, 3], world - F.pad(there, (3, 0))
-
-
-def matrix_to_axis_angle(matrix: Tensor) -> Tensor:
-    """Rotation vectors (..., 3) of matrices (..., 3, 3), by quaternions; the angle is folded to [0, pi].
-
-    At exactly the identity the vector is right, 0, but its gradient is NaN, as in the official code.
-    """
-    check_shape(matrix, "... 3 3", "matrix")
-    a, b, c = (matrix[..., i, i] for i in range(3))
-    x, y, z = (matrix[..., i, j] - matrix[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
-    xy, yz, zx = (matrix[..., i, j] + matrix[..., j, i] for i, j in ((0, 1), (1, 2), (2, 0)))
-    low, first, second = c < GUARD, a > b, a < -b
-    square = (1 + a - b - c, 1 - a + b - c, 1 - a - b + c, 1 + a + b + c)  # four times that of x, y, z, w
-    rows = (
-        torch.stack((x, square[0], xy, zx), -1),
-        torch.stack((y, xy, square[1], yz), -1),
-        torch.stack((z, zx, yz, square[2]), -1),
-        torch.stack((square[3], x, y, z), -1),
-    )
-    masks = [m.to(matrix) for m in (low & first, low & ~first, ~low & second, ~low & ~second)]
-    size = torch.sqrt(sum(m * s for m, s in zip(masks, square, strict=True)))
-    w, *v = (0.5 * sum(m[..., None] * row for m, row in zip(masks, rows, strict=True)) / size[..., None]).unbind(-1)
-    v = torch.stack(v, -1)
-    sin2 = (v * v).sum(-1)
-    sin = torch.sqrt(sin2)
-    angle = 2 * torch.where(w < 0, torch.atan2(-sin, -w), torch.atan2(sin, w))
-    return v * torch.where(sin2 > 0, angle / sin, 2 * torch.ones_like(sin))[..., None]
-
-
-def pose_from_axis_angle(aa: Tensor) -> Tensor:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), by the official formula."""
-    return axis_angle_to_matrix(aa.reshape(-1, 3)).reshape(*aa.shape, 3)
 
 
 def body_joints_by_lbs(root: Tensor, aa: Tensor, betas: Tensor) -> tuple[Tensor, Tensor]:

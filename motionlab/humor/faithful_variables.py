@@ -4,7 +4,7 @@ Rotations are vectors and are turned into matrices and back between any two step
 stage-3 energy evaluates that mesh five times, three of them for one frame.
 
 Source: the official HuMoR fitting code (Rempe et al. 2021), as measured: 5 body evaluations per closure of stage 3.
-Differs: the official code asks for the first frame's joints in the camera's frame and twice in the world's. The world is
+Differs: the official code asks for the first frame's joints three times, in two frames of reference. The world is
 fixed here, so that one answer serves, and the other two are paid for and dropped (without their share of the backward
 pass). It evaluates the sequence in the world's frame and in the camera's; here twice in the world's.
 """
@@ -15,12 +15,8 @@ import torch
 from torch import Tensor
 
 from motionlab.humor import faithful, state
-from motionlab.humor.faithful_body import (
-    body_joints_by_lbs,
-    first_joints_by_lbs,
-    matrix_to_axis_angle,
-    pose_from_axis_angle,
-)
+from motionlab.humor.faithful_body import body_joints_by_lbs, first_joints_by_lbs
+from motionlab.humor.faithful_rotation import matrix_to_axis_angle, pose_from_axis_angle
 from motionlab.humor.observed import Evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.variables import Posed, Rolled, Variables, rows
