@@ -19,6 +19,7 @@ from motionlab.humor.faithful_body import body_joints_by_lbs, first_joints_by_lb
 from motionlab.humor.faithful_rotation import matrix_to_axis_angle, pose_from_axis_angle
 from motionlab.humor.observed import Evidence
 from motionlab.humor.priors import Priors
+from motionlab.humor.rollout import Rollout
 from motionlab.humor.variables import Posed, Rolled, Variables, rows
 
 FIRST_FRAME_CALLS = 3
@@ -56,13 +57,21 @@ def first_state(variables: Variables, priors: Priors, frames: int) -> Tensor:
     return state.pack(parts | speeds | {"joints_vel": rows(variables, "joints_vel").unflatten(-1, (22, 3))})
 
 
-def roll(variables: Variables, priors: Priors, evidence: Evidence) -> Rolled:
-    """Stage 3, arguments as ``variables.roll``."""
+def rollout(variables: Variables, priors: Priors) -> tuple[Tensor, Rollout, Tensor]:
+    """What the official code calls its roll-out function: the first state with its body, the chain with the prior in
+    it, and the result as rotation vectors. States (B, T, 339), the roll-out, vectors (B, T, 22, 3)."""
     z = rows(variables, "z")
     first = first_state(variables, priors, z.shape[1] + 1)
     rolled = faithful.rollout(priors.motion, first, z)
     states = torch.cat((first[:, None], rolled.states), 1)
     parts = state.unpack(states)
     aa = matrix_to_axis_angle(torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), -3))
-    joints, _ = body_joints_by_lbs(parts["trans"], aa, rows(variables, "betas"))
-    return Rolled(states, rolled, _posed(parts["trans"], aa, variables, evidence, joints))
+    return states, rolled, aa
+
+
+def roll(variables: Variables, priors: Priors, evidence: Evidence) -> Rolled:
+    """Stage 3, arguments as ``variables.roll``."""
+    states, rolled, aa = rollout(variables, priors)
+    trans = states[..., state.SLICES["trans"]]
+    joints, _ = body_joints_by_lbs(trans, aa, rows(variables, "betas"))
+    return Rolled(states, rolled, _posed(trans, aa, variables, evidence, joints))
