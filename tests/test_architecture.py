@@ -18,6 +18,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.rotation": 1,
     "motionlab.findings": 1,
     "motionlab.profiling": 1,
+    "motionlab.scaling": 1,
     "motionlab.tables": 1,
     # bodies and the values that travel
     "motionlab.skeleton": 2,
@@ -37,6 +38,8 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.metrics": 5,
     "motionlab.baselines": 5,
     "motionlab.optimise": 5,
+    "motionlab.lbfgs": 4.5,
+    "motionlab.optimise_batch": 5,
     # procedures
     "motionlab.library": 6,
     "motionlab.representations": 6,

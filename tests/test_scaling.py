@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import curve_fit
+
+from motionlab.errors import DataError
+from motionlab.scaling import power_law, reaches
+
+
+def points(a=3.0, b=0.7, noise=0.05, repeats=5, seed=0):
+    x = torch.tensor([15.0, 30.0, 60.0, 120.0]).repeat(repeats).double()
+    g = torch.Generator().manual_seed(seed)
+    return x, a * x**b * (noise * torch.randn(len(x), generator=g, dtype=torch.float64)).exp()
+
+
+def test_known_exponent_lies_in_the_interval_about_as_often_as_it_says():
+    inside = 0
+    for seed in range(20):
+        _, low, high = power_law(*points(seed=seed), draws=1600).interval()
+        inside += low <= 0.7 <= high
+    assert inside >= 16  # 95 % of 20 is 19; P(15 or fewer) < 0.3 %
+
+
+def test_median_and_width_agree_with_least_squares_in_the_logarithm():
+    x, y = points()
+    law = power_law(x, y)
+    found, cov = curve_fit(lambda u, c, b: c + b * u, x.log().numpy(), y.log().numpy())
+    median, low, high = law.interval()
+    deviation = cov[1, 1] ** 0.5
+    assert abs(median - found[1]) < 0.2 * deviation
+    assert 0.85 < (high - low) / (2 * 2.1 * deviation) < 1.25  # 2.1: Student's t with 18 degrees of freedom
+    assert law.scale.median().item() == pytest.approx(np.exp(found[0]), rel=0.01)
+    assert law.noise.median().item() == pytest.approx(0.05, rel=0.5)
+
+
+def test_four_times_the_noise_four_times_the_interval():
+    widths = []
+    for noise in (0.02, 0.08):
+        _, low, high = power_law(*points(noise=noise)).interval()
+        widths.append(high - low)
+    assert widths[1] / widths[0] == pytest.approx(4, rel=0.15)
+
+
+def test_exact_points_give_a_narrow_posterior_and_the_curve():
+    x, y = points(noise=0.0)
+    law = power_law(x, y)
+    assert law.exponent.std() < 1e-3
+    assert torch.allclose(law.at([60.0]).median(), y[2], rtol=1e-3)
+    assert law.text().startswith("0.70 [0.70")
+
+
+def test_same_seed_same_draws_and_another_others():
+    x, y = points()
+    a, b, c = (power_law(x, y, seed=s, draws=160).exponent for s in (1, 1, 2))
+    assert torch.equal(a, b) and not torch.equal(a, c)
+
+
+@pytest.mark.parametrize(
+    ("x", "y"), [([1, 2], [1, 2]), ([2, 2, 2], [1, 1, 1]), ([1, 2, 3], [1, -2, 3]), ([1, 2, 3], [1, float("nan"), 3])]
+)
+def test_what_no_power_law_goes_through_is_refused(x, y):
+    with pytest.raises(DataError):
+        power_law(x, y)
+
+
+def test_lines_reach_the_limit_where_algebra_says():
+    assert torch.allclose(reaches([1, 2, 4], [3.0, 5.0, 9.0], 11.0), torch.tensor([5.0]).double())
+    bent = reaches([1, 2, 4], [3.0, 5.0, 13.0], 11.0)
+    assert bent.max() - bent.min() > 0.5
+    for x, y in (([1], [1]), ([1, 2], [2, 1])):
+        with pytest.raises(DataError):
+            reaches(x, y, 3)
