@@ -243,7 +243,7 @@ def _generator(seed: int, what: str, index: int) -> torch.Generator:
 
 
 def _window(action: str, index: int, generator: torch.Generator, frames: int, **options) -> Motion:
-    """The part of an action that shows it: the way down to the seat, a steady walk, the fastest turn of a roll."""
+    """The part of an action that shows it: the way down to the seat, a steady walk, the liveliest roll or dance."""
     long = {"walk": "seconds", "dance": "seconds", "idle": "seconds"}.get(action)
     options |= {long: frames / 30 + 3.0} if long else {}
     motion = ACTIONS[action](person(index, generator), generator, **options).motion
@@ -251,9 +251,9 @@ def _window(action: str, index: int, generator: torch.Generator, frames: int, **
     if action == "sit":
         low = (motion.root[:, 2] < motion.root[0, 2] - 0.01).nonzero()
         start = int(low[0]) - 4
-    elif action == "floor":
-        turned = motion.rot[:, 0, :, 0]  # the left of the pelvis: what a roll turns most
-        start = int((turned.diff(dim=0).norm(dim=-1).unfold(0, frames - 1, 1).sum(-1)).argmax())
+    elif action in ("floor", "dance"):  # the left of the pelvis is what a roll turns most; a dance is known by its arms
+        path = motion.rot[:, 0, :, 0] if action == "floor" else (motion.positions - motion.root[:, None]).flatten(1)
+        start = int((path.diff(dim=0).norm(dim=-1).unfold(0, frames - 1, 1).sum(-1)).argmax())
     else:
         start = spare // 2 if long else int(torch.randint(max(spare, 0) + 1, (), generator=generator))
     start = min(max(start, 0), max(spare, 0))
