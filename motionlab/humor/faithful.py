@@ -12,6 +12,8 @@ arrays; float64 values and gradients agree to rounding (``tests/test_humor_faith
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -81,8 +83,8 @@ def _trans_to_joint(parts: State) -> Tensor:
     return -way[:, None, None]
 
 
-def _frame(parts: State) -> tuple[Tensor, Tensor]:
-    return alignment(parts["root_orient"][:, 0].reshape(-1, 3, 3)), _to_floor(parts)
+def _frame(parts: State, align: Callable[[Tensor], Tensor] = alignment) -> tuple[Tensor, Tensor]:
+    return align(parts["root_orient"][:, 0].reshape(-1, 3, 3)), _to_floor(parts)
 
 
 def _apply(parts: State, raw: Tensor) -> tuple[State, Tensor]:
@@ -100,7 +102,7 @@ def _apply(parts: State, raw: Tensor) -> tuple[State, Tensor]:
 
 def rollout(
     model: Cvae, first: Tensor, z: Tensor | None, *, steps: int | None = None, with_prior: bool = True,
-    canonical: bool = False
+    canonical: bool = False, align: Callable[[Tensor], Tensor] = alignment
 ) -> Rollout:  # fmt: skip
     """T transitions, one after the other; arguments and result as ``rollout.rollout``.
 
@@ -108,6 +110,7 @@ def rollout(
         first: (B, 339) states, world coordinates. z: (B, T, 48), or None for the prior's mean in each of ``steps``.
         with_prior: return the prior; it is evaluated in any case.
         canonical: ``first`` is in its own heading frame already and is used as it is.
+        align: the heading's rotation (B, 3, 3) of root orientations, in place of the official one.
 
     Raises:
         ShapeError: first and z do not fit each other.
@@ -119,7 +122,7 @@ def rollout(
             raise ShapeError(f"first has {len(first)} rows, z {len(z)}")
         steps = z.shape[1]
     parts = split(first)
-    world = (*_frame(parts), _trans_to_joint(parts))
+    world = (*_frame(parts, align), _trans_to_joint(parts))
     if not canonical:
         parts = _move(parts, *world)
     offset = _trans_to_joint(parts | {"trans": torch.zeros_like(parts["trans"])})  # it is above the origin
@@ -134,7 +137,7 @@ def rollout(
         # the new state in the frame of the first one, and in its own for the next step
         states.append(_join(_move_back(after, turn, shift, offset)))
         logits.append(contacts), latents.append(now), means.append(prior.mean), log_vars.append(prior.log_var)
-        next_turn, next_shift = _frame(after)
+        next_turn, next_shift = _frame(after, align)
         parts = _move(after, next_turn, next_shift, offset)
         shift = shift + torch.matmul(turn.transpose(1, 2), next_shift[..., None])[..., 0]
         turn = torch.matmul(next_turn, turn)
