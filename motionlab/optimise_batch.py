@@ -1,0 +1,244 @@
+"""Minimise B independent energies at once: L-BFGS whose memory, direction and line search belong to each clip alone.
+
+One evaluation (closure) serves all clips. Every clip is a state machine of its own: while one still searches along its
+line, another is iterations ahead, and no evaluation waits for a neighbour. What a clip does is what
+``torch.optim.LBFGS`` with strong Wolfe would do to it alone, whatever its neighbours are.
+
+Source: Nocedal and Wright, Numerical Optimization, algorithms 7.4, 3.5 and 3.6; constants of ``torch.optim.LBFGS``.
+Differs: torch evaluates the start of each outer step once more and cuts its last line search short; here neither. A
+trial that is not finite is taken back towards the last finite one. A search without a lower energy forgets its memory
+and tries steepest descent once before it gives up.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from motionlab.errors import NotConverged, ShapeError
+from motionlab.lbfgs import Memory, Trial, strong_wolfe
+
+
+@dataclass(frozen=True, eq=False)
+class BatchFit:
+    """What a batched minimisation found.
+
+    variables: the point of lowest energy that each clip saw. energy: (B,), inf where a clip never was finite.
+    history: (closures, B) energies in order; a clip that has stopped stays at its lowest. seconds: wall time.
+    reasons: per clip "gradient", "no decrease", "steps", "closures", "non-finite" or "interrupted".
+    """
+
+    variables: dict[str, Tensor]
+    energy: Tensor
+    history: Tensor
+    seconds: float
+    reasons: list[str]
+
+    @property
+    def closures(self) -> int:
+        """Evaluations of all energies and gradients that were paid for."""
+        return len(self.history)
+
+    @property
+    def converged(self) -> Tensor:
+        """(B,) true where a tolerance stopped the clip rather than a budget, a number or a person."""
+        return torch.tensor([reason in ("gradient", "no decrease") for reason in self.reasons])
+
+
+def minimise_batch(
+    energy: Callable[..., Tensor],
+    variables: dict[str, Tensor],
+    *,
+    steps: int = 100,
+    max_closures: int | None = None,
+    inner: int = 20,
+    memory: int = 100,
+    tolerance_grad: float = 1e-7,
+    tolerance_change: float = 0.0,
+    rows: bool = False,
+    progress: bool = False,
+) -> BatchFit:
+    """Lower B energies by moving the variables (B, ...) that require gradients; the others are constants.
+
+    The tensors passed in are copied, never moved. Ctrl-C, a spent budget or numbers that are not finite end a
+    clip's search at its best point.
+
+    Args:
+        energy: (B,) from all variables, by name; entry b may depend on row b only.
+        variables: the start, all (B, ...) and, those that move, of one type and device.
+        steps, inner: at most steps x inner iterations per clip.
+        max_closures: never evaluate more often; None: 5/4 of the iterations, as torch's L-BFGS.
+        memory: pairs that L-BFGS remembers, per clip.
+        tolerance_grad: a clip stops when the largest entry of its gradient is at most this.
+        tolerance_change: an iteration that lowers the energy by no more than this counts as none.
+        rows: call ``energy(variables of the n clips that still run (n, ...), their numbers (n,))`` -> (n,), so that
+            clips that have stopped cost nothing more.
+        progress: show a bar with the mean energy and the number of clips that still run.
+
+    Raises:
+        NotConverged: no clip has a finite energy and gradient at the start.
+        ShapeError: the energy is not (B,), or the variables differ in their first axis.
+        ValueError: no variable requires gradients, or those that do differ in type.
+    """
+    machine = _Machine(energy, variables, memory, rows=rows)
+    machine.iterations, machine.tolerance_grad, machine.tolerance_change = (
+        steps * inner,
+        tolerance_grad,
+        tolerance_change,
+    )
+    budget = steps * inner * 5 // 4 if max_closures is None else max_closures
+    began, rest = time.perf_counter(), "closures"
+    bar = tqdm(total=budget, disable=not progress, leave=False)
+    try:
+        while machine.running() and len(machine.history) < budget:
+            machine.advance()
+            bar.update()
+            if progress:
+                bar.set_postfix(energy=f"{machine.best_energy.mean():.4g}", clips=len(machine.running()))
+    except KeyboardInterrupt:
+        if not machine.history:
+            raise
+        rest = "interrupted"
+    finally:
+        bar.close()
+    history = torch.stack(machine.history) if machine.history else machine.best_energy.new_zeros(0, len(machine.x))
+    found = {name: value.clone() for name, value in machine.named(machine.best).items()}
+    reasons = [clip.reason or rest for clip in machine.clips]
+    return BatchFit(found, machine.best_energy, history, time.perf_counter() - began, reasons)
+
+
+@dataclass
+class _Clip:
+    """Where one clip stands: its running search, the step it asks for, and what the search began with."""
+
+    search: Generator[float, Trial, Trial] | None = None
+    step: float = 0.0
+    energy: float = math.inf
+    steepest: bool = False  # the search goes down the gradient, without memory
+    iterations: int = 0
+    reason: str | None = None
+
+
+class _Machine:
+    """All clips: points x, directions d and gradients g as rows of (B, N) tensors; one state machine each."""
+
+    iterations, tolerance_grad, tolerance_change = 0, 0.0, 0.0
+
+    def __init__(self, energy: Callable[..., Tensor], variables: dict[str, Tensor], memory: int, *, rows: bool) -> None:
+        moving = {name: value.detach() for name, value in variables.items() if value.requires_grad}
+        if not moving:
+            names = ", ".join(variables) or "no variables"
+            raise ValueError(f"nothing to optimise: none of {names} requires gradients")
+        if len({(value.dtype, value.device) for value in moving.values()}) > 1:
+            raise ValueError("the variables that move differ in type or device")
+        if len({value.shape[:1] for value in variables.values()}) > 1:
+            shapes = {name: tuple(value.shape) for name, value in variables.items()}
+            raise ShapeError(f"variables: expected a common first axis of clips, got {shapes}")
+        self.energy, self.rows, self.names = energy, rows, list(variables)
+        self.shapes = {name: value.shape[1:] for name, value in moving.items()}
+        self.fixed = {name: value.detach().clone() for name, value in variables.items() if name not in moving}
+        self.x = torch.cat([value.flatten(1) if value.ndim > 1 else value[:, None] for value in moving.values()], dim=1)
+        self.d, self.g = torch.zeros_like(self.x), torch.zeros_like(self.x)
+        self.best, self.best_energy = self.x.clone(), self.x.new_full((len(self.x),), math.inf)
+        self.clips = [_Clip() for _ in self.x]
+        self.memory = Memory(self.x, memory)
+        self.history: list[Tensor] = []
+
+    def running(self) -> list[int]:
+        return [b for b, clip in enumerate(self.clips) if clip.reason is None]
+
+    def named(self, flat: Tensor, rows: Tensor | None = None) -> dict[str, Tensor]:
+        """All variables by name, from rows (n, N) of those that move."""
+        parts = flat.split([shape.numel() for shape in self.shapes.values()], dim=1)
+        moved = {n: part.reshape(-1, *shape) for (n, shape), part in zip(self.shapes.items(), parts, strict=True)}
+        fixed = self.fixed if rows is None else {name: value[rows] for name, value in self.fixed.items()}
+        return {name: moved[name] if name in moved else fixed[name] for name in self.names}
+
+    def evaluate(self, at: Tensor, live: list[int]) -> tuple[Tensor, Tensor]:
+        """Energies (B,) and gradients (B, N) at points (B, N)."""
+        rows = torch.tensor(live, device=at.device) if self.rows else None
+        leaf = (at.detach() if rows is None else at[rows]).requires_grad_()
+        with torch.enable_grad():
+            point = self.named(leaf, rows)
+            value = self.energy(point) if rows is None else self.energy(point, rows)
+            if value.shape != leaf.shape[:1]:
+                raise ShapeError(f"energy: expected shape ({len(leaf)},), got {tuple(value.shape)}")
+            (gradient,) = torch.autograd.grad(value.sum(), leaf)
+        value = value.detach().to(at.dtype)
+        if rows is None:
+            return value, gradient
+        return self.best_energy.index_copy(0, rows, value), torch.zeros_like(self.g).index_copy(0, rows, gradient)
+
+    @torch.no_grad()
+    def advance(self) -> None:
+        """One closure, and what every clip makes of it."""
+        live = self.running()
+        at = self.x + self.x.new_tensor([clip.step for clip in self.clips])[:, None] * self.d
+        value, gradient = self.evaluate(at, live)
+        usable = value.isfinite() & gradient.isfinite().all(-1)
+        if not self.history and not usable.any():
+            raise NotConverged("no clip has a finite energy and gradient at the start", value.tolist())
+        self.history.append(value)
+        better = usable & (value < self.best_energy)
+        self.best_energy = torch.where(better, value, self.best_energy)
+        self.best = torch.where(better[:, None], at, self.best)
+        seen = torch.stack((torch.where(usable, value, math.nan), (gradient * self.d).sum(-1)), -1).tolist()
+        ended: dict[int, Trial] = {}
+        for b in live:
+            clip, trial = self.clips[b], Trial(self.clips[b].step, *seen[b], gradient[b])
+            try:
+                if clip.search is None:
+                    ended[b] = trial
+                else:
+                    clip.step = clip.search.send(trial)
+            except StopIteration as end:
+                ended[b] = end.value
+            if b in ended and not trial.finite:
+                clip.reason = "non-finite"
+        if ended:
+            self.turn(ended)
+
+    def turn(self, ended: dict[int, Trial]) -> None:
+        """Move the clips whose searches have ended, and start their next searches or freeze them."""
+        trials, clips = list(ended.values()), [self.clips[b] for b in ended]
+        rows = torch.tensor(list(ended), device=self.x.device)
+        way = self.x.new_tensor([trial.step for trial in trials])[:, None] * self.d[rows]
+        gradient = torch.stack([trial.gradient for trial in trials])
+        self.memory.push(rows, way, gradient - self.g[rows])
+        self.x[rows] += way
+        self.g[rows] = gradient
+        for b, clip, trial, steepest in zip(ended, clips, trials, gradient.abs().amax(-1).tolist(), strict=True):
+            in_vain = clip.search is not None and not trial.energy < clip.energy - self.tolerance_change
+            clip.iterations += clip.search is not None
+            if clip.reason is None and steepest <= self.tolerance_grad:
+                clip.reason = "gradient"
+            elif clip.reason is None and in_vain and clip.steepest:
+                clip.reason = "no decrease"
+            elif clip.reason is None and clip.iterations >= self.iterations:
+                clip.reason = "steps"
+            elif in_vain:  # once more, down the gradient
+                self.memory.forget(torch.tensor([b], device=self.x.device))
+        direction = self.memory.direction(rows, gradient)
+        slope = (direction * gradient).sum(-1)
+        uphill = ~(slope < 0)  # by rounding only
+        self.memory.forget(rows[uphill])
+        direction = torch.where(uphill[:, None], -gradient, direction)
+        slope = torch.where(uphill, -gradient.square().sum(-1), slope)
+        numbers = torch.stack((slope, direction.abs().amax(-1), gradient.abs().sum(-1), self.memory.pairs[rows]), -1)
+        eps = torch.finfo(self.x.dtype).eps
+        for k, (clip, trial, found) in enumerate(zip(clips, trials, numbers.tolist(), strict=True)):
+            slant, size, total, pairs = found
+            if clip.reason:
+                self.x[rows[k]], direction[k], clip.step = self.best[rows[k]], 0.0, 0.0
+                continue
+            clip.energy, clip.steepest = trial.energy, pairs == 0
+            first = 1.0 if pairs else min(1.0, 1.0 / total)
+            clip.search = strong_wolfe(Trial(0.0, trial.energy, slant, trial.gradient), first, size, eps)
+            clip.step = next(clip.search)
+        self.d[rows] = direction
