@@ -76,7 +76,7 @@ def through_the_camera(
     drawn = []
     for label, (role, pixels, confidence) in layers.items():
         seen = Observation2D(pixels, confidence, BODY_25, truth.fps, camera)
-        drawn.append(_labelled(overlay(seen, plain, frame, role, width=3.0), label))
+        drawn.append(_labelled(overlay(seen, plain, frame, role, width=3.5), label))
     return np.concatenate(drawn, 1)
 
 
@@ -103,8 +103,6 @@ def pairs(
         ax.set_xticks((0, 1), [f"stage {mark}" for mark in marks.split()])
         ax.set_xlim(-0.4, 1.4)
         ax.grid(axis="x", visible=False)
-        if log:
-            ax.set_yscale("log")
     for ax in axes[len(cases) :]:
         ax.set_axis_off()
     for ax in axes[::columns]:
@@ -120,11 +118,11 @@ def over_time(
     roles: Mapping[str, str],
     hidden: Mapping[str, Tensor] | None = None,
     size: tuple[float, float] = (9.5, 2.9),
-    log: bool = False,
+    log_from: float | None = None,
 ) -> Figure:
     """One panel per case: median over clips of each series (B, T) or (T,) with its quartiles.
 
-    hidden: case -> mask (T,) of the frames to shade.
+    hidden: case -> mask (T,) of the frames to shade. log_from: a logarithmic axis that begins there.
     """
     fig, axes = canvas(1, len(panels), size=size, sharey=True)
     for ax, (name, series) in zip(axes, panels.items(), strict=True):
@@ -142,8 +140,9 @@ def over_time(
                 np.arange(len(mask)) / fps, 0, 1, where=mask, color=LINE, alpha=0.35, lw=0, transform=_wide(ax)
             )
         ax.set(title=name, xlabel="time (s)")
-        if log:
+        if log_from:
             ax.set_yscale("log")
+            ax.set_ylim(bottom=log_from)
     axes[0].set_ylabel(ylabel)
     axes[-1].legend(loc="best")
     return fig
@@ -167,7 +166,7 @@ def gaps(
                 ax.scatter([length] * len(found[length]), found[length], s=10, color=paint, alpha=0.45, lw=0)
             ax.plot(lengths, [found[n].nanmean().item() for n in lengths], color=paint, lw=1.8, label=mode)
         ax.axhline(0, color=INK, lw=0.8)
-        ax.set(title=f"{place} missing", xlabel="frames without detections")
+        ax.set(title=f"{place} missing", xlabel="frames without detections", xticks=lengths)
         ax.set_yscale("symlog", linthresh=1.0)
     axes[0].set_ylabel("later frames: error added (cm)")
     axes[0].legend()
