@@ -86,9 +86,7 @@ def _labelled(picture: np.ndarray, text: str) -> np.ndarray:
     return np.asarray(image)
 
 
-def pairs(
-    cases: Mapping[str, tuple[Tensor, Tensor]], *, ylabel: str, columns: int = 5, log: bool = False, marks: str = "2 3"
-) -> Figure:
+def pairs(cases: Mapping[str, tuple[Tensor, Tensor]], *, ylabel: str, columns: int = 5, marks: str = "2 3") -> Figure:
     """One panel per case: a line from every clip's value before (B,) to its value after, and the mean of each."""
     rows = -(-len(cases) // columns)
     fig, axes = canvas(rows, min(columns, len(cases)), size=(2.25 * min(columns, len(cases)), 2.7 * rows), sharey=True)
