@@ -1,6 +1,8 @@
 """The pieces of L-BFGS: a line search that asks for one evaluation at a time, and the memory of many clips.
 
 Source: Nocedal and Wright, Numerical Optimization, algorithms 7.4, 3.5 and 3.6; constants of ``torch.optim.LBFGS``.
+Differs: torch ignores pairs with a curvature below 1e-10 in the energy's own unit, and so crawls where energies are
+small.
 """
 
 from __future__ import annotations
@@ -121,9 +123,9 @@ class Memory:
         self.pairs[rows], self.scale[rows] = 0, 1.0
 
     def push(self, rows: Tensor, way: Tensor, change: Tensor) -> None:
-        """Remember pairs (n, N) of clips (n,), those of positive curvature."""
+        """Remember pairs (n, N) of clips (n,), those whose curvature is positive beyond rounding."""
         curvature = (way * change).sum(-1)
-        good = curvature > 1e-10
+        good = curvature > torch.finfo(way.dtype).eps * way.norm(dim=-1) * change.norm(dim=-1)
         rows, way, change, curvature = rows[good], way[good], change[good], curvature[good]
         if not len(rows):
             return

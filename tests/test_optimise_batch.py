@@ -1,0 +1,281 @@
+"""minimise_batch: what torch's L-BFGS does to each clip alone, whatever its neighbours are."""
+
+import math
+
+import pytest
+import torch
+
+from motionlab.errors import NotConverged, ShapeError
+from motionlab.optimise import minimise
+from motionlab.optimise_batch import minimise_batch
+
+
+def rosenbrock(v):
+    x = v["x"]
+    return ((1 - x[:, :-1]) ** 2 + 100 * (x[:, 1:] - x[:, :-1] ** 2) ** 2).sum(-1)
+
+
+def starts(clips=7, size=6, seed=0, dtype=torch.float64):
+    g = torch.Generator().manual_seed(seed)
+    return (1.5 * torch.randn(clips, size, dtype=torch.float64, generator=g)).to(dtype).requires_grad_()
+
+
+def row(x, b):
+    return x[b : b + 1].detach().clone().requires_grad_()
+
+
+def quadratics(clips=5, size=12, seed=1):
+    """Energies of condition 10, 100, ..., and their minima."""
+    g = torch.Generator().manual_seed(seed)
+    q, _ = torch.linalg.qr(torch.randn(clips, size, size, dtype=torch.float64, generator=g))
+    values = torch.stack([torch.logspace(0, b + 1, size, dtype=torch.float64) for b in range(clips)])
+    a, at = q @ (values[:, :, None] * q.mT), torch.randn(clips, size, dtype=torch.float64, generator=g)
+
+    def energy(v, rows=slice(None)):
+        way = v["x"] - at[rows]
+        return 0.5 * (way[:, None, :] * a[rows] * way[:, :, None]).sum((-1, -2))
+
+    return energy, at
+
+
+def closures_of(fit, b):
+    return int((fit.history[:, b] > fit.energy[b]).sum()) + 1
+
+
+@pytest.mark.parametrize("memory", [2, 5, 100])
+def test_every_clip_takes_the_path_of_torch(memory):
+    """Energies, closure by closure, of one uncut step of torch's own; in a unit that keeps it from ignoring pairs."""
+    x, unit = starts(), 1e8
+    batch = minimise_batch(lambda v: unit * rosenbrock(v), {"x": x}, memory=memory, tolerance_grad=1e-7 * unit)
+    assert set(batch.reasons) == {"gradient"} and batch.converged.all()
+    for b in range(len(x)):
+        alone = minimise(
+            lambda v: unit * rosenbrock({"x": v["x"][None]}).sum(),
+            {"x": x[b].detach().requires_grad_()},
+            steps=1,
+            inner=900,
+            memory=memory,
+            tolerance_grad=1e-7 * unit,
+        )
+        early = slice(0, 25)  # later, rounding has grown
+        assert torch.allclose(batch.history[early, b], torch.tensor(alone.history).double()[early], rtol=1e-6)
+        assert abs(closures_of(batch, b) - alone.closures) <= 0.1 * alone.closures
+        assert (batch.variables["x"][b] - alone.variables["x"]).abs().max() < 1e-6
+
+
+def test_quadratics_of_any_condition():
+    """As good as torch's own at the same number of closures, up to a condition of 1e5."""
+    energy, at = quadratics()
+    x = torch.zeros_like(at, requires_grad=True)
+    batch = minimise_batch(energy, {"x": x}, tolerance_grad=1e-9)
+    assert (batch.variables["x"] - at).abs().max() < 1e-8
+    for b in range(len(at)):
+        alone = minimise(
+            lambda v, b=b: energy({"x": v["x"][None]}, slice(b, b + 1)).sum(),
+            {"x": x[b].detach().requires_grad_()},
+            steps=1,
+            inner=900,
+            tolerance_grad=1e-9,
+        )
+        assert closures_of(batch, b) <= 1.1 * alone.closures
+
+
+def test_a_small_unit_changes_nothing():
+    """torch ignores what it learns where curvature times way squared is below 1e-10."""
+    found = minimise_batch(lambda v: 1e-8 * rosenbrock(v), {"x": starts()}, tolerance_grad=1e-15)
+    assert (found.variables["x"] - 1).abs().max() < 1e-6 and found.closures < 90
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("memory", [3, 100])
+def test_neighbours_change_nothing(dtype, memory):
+    """Bit by bit the same iterates alone, among others, and in another order."""
+    x = starts(dtype=dtype)
+    batch = minimise_batch(rosenbrock, {"x": x}, memory=memory, steps=4)
+    order = [3, 0, 6]
+    some = minimise_batch(rosenbrock, {"x": x[order].detach().requires_grad_()}, memory=memory, steps=4)
+    for k, b in enumerate(order):
+        alone = minimise_batch(rosenbrock, {"x": row(x, b)}, memory=memory, steps=4)
+        assert torch.equal(alone.history[:, 0], batch.history[: alone.closures, b])
+        assert torch.equal(alone.history[:, 0], some.history[: alone.closures, k])
+        assert torch.equal(alone.variables["x"][0], batch.variables["x"][b])
+        assert alone.reasons[0] == batch.reasons[b] == some.reasons[k]
+
+
+def test_history_matters_to_the_path():
+    """Control of the test above: another memory is seen in the energies."""
+    short, long = (minimise_batch(rosenbrock, {"x": starts()}, memory=m) for m in (2, 100))
+    assert short.closures != long.closures
+
+
+@pytest.mark.parametrize("rows", [False, True])
+def test_energies_are_where_it_says(rows):
+    energy, at = quadratics()
+    batch = minimise_batch(energy, {"x": torch.zeros_like(at, requires_grad=True)}, steps=2, rows=rows)
+    assert torch.allclose(batch.energy, energy(batch.variables))
+    assert torch.equal(batch.energy, batch.history.amin(0))
+
+
+def test_rows_serves_only_clips_that_still_run():
+    energy, at = quadratics()
+    asked = []
+
+    def counted(v, rows):
+        asked.append(len(rows))
+        return energy(v, rows)
+
+    x = torch.zeros_like(at, requires_grad=True)
+    lean, whole = minimise_batch(counted, {"x": x}, rows=True), minimise_batch(energy, {"x": x})
+    assert torch.equal(lean.history, whole.history) and torch.equal(lean.variables["x"], whole.variables["x"])
+    assert asked == sorted(asked, reverse=True) and asked[0] == 5 and asked[-1] == 1
+    assert sum(asked) < 0.8 * 5 * whole.closures
+
+
+def test_rows_are_told_to_constants_too():
+    x, c = torch.zeros(3, 2, requires_grad=True), torch.tensor([[0.0], [4.0], [5.0]])
+    found = minimise_batch(lambda v, rows: (v["x"] - v["c"]).square().sum(-1) * (1 + rows), {"x": x, "c": c}, rows=True)
+    assert (found.variables["x"] - c).abs().max() < 1e-5
+
+
+@pytest.mark.parametrize("place", ["start", "away"])
+def test_a_clip_without_numbers_disturbs_nobody(place):
+    x = starts()
+    clean = minimise_batch(rosenbrock, {"x": x})
+
+    def broken(v):
+        off = torch.zeros(len(x), dtype=torch.float64)
+        off[2] = math.nan if place == "start" or not torch.equal(v["x"][2], x[2]) else 0.0
+        return rosenbrock(v) + off
+
+    hurt = minimise_batch(broken, {"x": x})
+    others = [b for b in range(len(x)) if b != 2]
+    assert hurt.reasons[2] == "non-finite" and not hurt.converged[2]
+    assert torch.equal(hurt.variables["x"][2], x[2])
+    assert hurt.energy[2] == (math.inf if place == "start" else rosenbrock({"x": x})[2])
+    assert torch.equal(hurt.variables["x"][others], clean.variables["x"][others])
+    assert torch.equal(hurt.energy[others], clean.energy[others])
+
+
+def test_a_wall_of_nan_is_backed_away_from():
+    """log has no value left of 0: the first steps jump there, the minimum at x = 1/50 is found all the same."""
+    x = torch.full((2, 1), 5.0, dtype=torch.float64, requires_grad=True)
+    found = minimise_batch(lambda v: (50 * v["x"] - v["x"].log()).sum(-1), {"x": x})
+    assert (found.variables["x"] - 0.02).abs().max() < 1e-6 and found.history.isnan().any()
+    assert found.converged.all()
+
+
+def test_gradient_that_is_not_finite_is_not_returned():
+    x = torch.tensor([[1.0, 1.0], [0.0, 0.0]], requires_grad=True)
+    found = minimise_batch(lambda v: v["x"].square().sum(-1).sqrt() + 1, {"x": x})
+    assert found.reasons[1] == "non-finite" and found.energy[1] == math.inf and found.energy[0] < 1.1
+
+
+def test_nobody_finite_at_the_start():
+    with pytest.raises(NotConverged, match="no clip"):
+        minimise_batch(lambda v: v["x"].log().sum(-1), {"x": torch.full((2, 3), -1.0, requires_grad=True)})
+
+
+def test_frozen_variables_and_inputs_stay():
+    free, fixed = torch.zeros(3, 2, 2, requires_grad=True), torch.arange(12.0).view(3, 2, 2)
+    gain = torch.tensor([1.0, 2.0, 30.0])
+    given = {"free": free, "fixed": fixed, "gain": gain}
+    found = minimise_batch(lambda v: v["gain"] * (v["free"] - v["fixed"]).square().sum((-1, -2)), given)
+    assert list(found.variables) == ["free", "fixed", "gain"]
+    assert (found.variables["free"] - fixed).abs().max() < 1e-5
+    assert torch.equal(found.variables["fixed"], fixed) and torch.equal(free, torch.zeros(3, 2, 2))
+    assert free.grad is None and free.requires_grad
+    assert not any(value.requires_grad for value in found.variables.values())
+
+
+def test_two_variables_of_several_shapes():
+    """x -> b + 1, y -> 1 / x."""
+    x, y = torch.zeros(4, requires_grad=True), torch.ones(4, 3, 2, requires_grad=True)
+    goal = torch.arange(1.0, 5.0)
+    found = minimise_batch(
+        lambda v: (v["x"] - goal).square() + (v["y"] * v["x"][:, None, None] - 1).square().sum((-1, -2)),
+        {"x": x, "y": y},
+        steps=3,
+    )
+    assert found.variables["x"].shape == (4,) and found.variables["y"].shape == (4, 3, 2)
+    assert (found.variables["x"] - goal).abs().max() < 1e-3
+    assert (found.variables["y"][3] - 0.25).abs().max() < 1e-3
+
+
+@pytest.mark.parametrize("budget", [0, 1, 2, 9, 33])
+def test_budget_is_spent_exactly(budget):
+    calls = []
+
+    def energy(v):
+        calls.append(1)
+        return rosenbrock(v)
+
+    found = minimise_batch(energy, {"x": starts()}, max_closures=budget)
+    assert len(calls) == found.closures == budget and set(found.reasons) == {"closures"}
+    assert not found.converged.any()
+
+
+def test_iterations_end_it_and_the_default_budget_is_that_of_torch():
+    found = minimise_batch(rosenbrock, {"x": starts()}, steps=2, inner=3)
+    assert found.closures <= 7
+    assert set(found.reasons) <= {"steps", "closures"}
+    alone = minimise_batch(lambda v: v["x"].square().sum(-1) ** 2, {"x": starts()}, steps=1, inner=4, max_closures=99)
+    assert set(alone.reasons) == {"steps"}
+
+
+def test_interrupt_keeps_the_best():
+    count = []
+
+    def energy(v):
+        count.append(1)
+        if len(count) == 10:
+            raise KeyboardInterrupt
+        return rosenbrock(v)
+
+    found = minimise_batch(energy, {"x": starts()})
+    assert found.closures == 9 and set(found.reasons) == {"interrupted"}
+    assert torch.equal(found.energy, found.history.amin(0))
+    assert torch.allclose(rosenbrock(found.variables), found.energy)
+    with pytest.raises(KeyboardInterrupt):
+        count[:] = [1] * 9
+        minimise_batch(energy, {"x": starts()})
+
+
+def test_a_kink_ends_for_lack_of_progress():
+    x = torch.tensor([[0.3, -0.2], [7.0, 0.1]], dtype=torch.float64, requires_grad=True)
+    found = minimise_batch(lambda v: v["x"].abs().sum(-1), {"x": x}, steps=500)
+    assert set(found.reasons) == {"no decrease"} and found.converged.all() and found.closures < 600
+
+
+def test_float32_stops_at_its_rounding():
+    """An energy of 1e5 knows nothing below 0.01: no closures are burnt on noise, and the place is right."""
+    x = torch.full((3, 8), 3.0, requires_grad=True)
+    found = minimise_batch(lambda v: 1e5 + ((v["x"] - 1).square() * torch.arange(1.0, 9)).sum(-1), {"x": x})
+    assert set(found.reasons) == {"no decrease"} and found.closures < 60
+    assert (found.variables["x"] - 1).abs().max() < 0.1 and found.energy.dtype == torch.float32
+
+
+def test_tolerance_of_change_stops_earlier():
+    loose, tight = (minimise_batch(rosenbrock, {"x": starts()}, tolerance_change=t) for t in (1e-2, 0.0))
+    assert loose.closures < tight.closures and set(loose.reasons) <= {"no decrease", "gradient"}
+
+
+@pytest.mark.parametrize("given, error", [("shape", ShapeError), ("axis", ShapeError), ("none", ValueError)])
+def test_what_cannot_be(given, error):
+    x, y = torch.zeros(3, 2, requires_grad=True), torch.zeros(2, 2)
+    energy = (lambda v: v["x"].sum()) if given == "shape" else rosenbrock
+    variables = {"shape": {"x": x}, "axis": {"x": x, "y": y}, "none": {"x": y}}[given]
+    with pytest.raises(error):
+        minimise_batch(energy, variables)
+
+
+def test_types_that_differ_are_refused():
+    x = {"x": torch.zeros(3, 2, requires_grad=True), "y": torch.zeros(3, dtype=torch.float64, requires_grad=True)}
+    with pytest.raises(ValueError, match="type"):
+        minimise_batch(rosenbrock, x)
+
+
+def test_progress_shows_and_changes_nothing(capsys):
+    shown = minimise_batch(rosenbrock, {"x": starts()}, progress=True)
+    assert "clips" in capsys.readouterr().err
+    assert torch.equal(shown.history, minimise_batch(rosenbrock, {"x": starts()}).history)
+    assert capsys.readouterr().err == ""
