@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch.profiler import record_function
 
-from motionlab.profiling import graph_nodes, peak_memory, time_shares, timed
+from motionlab.profiling import Stopwatch, graph_nodes, interleaved, peak_memory, time_shares, timed
 
 
 def test_timer_finds_a_sleep_and_leaves_garbage_collection_as_it_was():
@@ -65,3 +65,25 @@ def test_shares_of_time():
     assert shares["long"] > shares["short"] > 0 and shares["never"] == 0
     assert sum(shares.values()) == pytest.approx(1)
     assert shares["other"] < 0.5  # a busy machine sleeps in
+
+
+def test_rounds_go_through_every_call_in_turn():
+    order = []
+    naps = {"short": 0.002, "long": 0.02}
+    calls = {name: lambda name=name, nap=nap: (order.append(name), time.sleep(nap)) for name, nap in naps.items()}
+    found = interleaved(calls, n=3)
+    assert order == ["short", "long"] * 4  # one to warm up, three that count
+    assert all(len(x) == 3 for x in found.values())
+    assert (found["long"] > found["short"]).all() and found["long"].min() >= 0.02
+    with pytest.raises(ValueError):
+        interleaved(calls, n=0)
+
+
+def test_stopwatch_adds_up_by_label():
+    watch = Stopwatch()
+    for _ in range(2):
+        with watch("nap"):
+            time.sleep(0.01)
+        with watch("nothing"):
+            pass
+    assert watch.seconds["nap"] >= 0.02 > 10 * watch.seconds["nothing"]
