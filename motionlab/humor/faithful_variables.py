@@ -6,7 +6,8 @@ stage-3 energy evaluates that mesh five times, three of them for one frame.
 Source: the official HuMoR fitting code (Rempe et al. 2021), as measured: 5 body evaluations per closure of stage 3.
 Differs: the official code asks for the first frame's joints three times, in two frames of reference. The world is
 fixed here, so that one answer serves, and the other two are paid for and dropped (without their share of the backward
-pass). It evaluates the sequence in the world's frame and in the camera's; here twice in the world's.
+pass). It evaluates the sequence in the world's frame and in the camera's; here twice in the world's. Its body layer
+has the size of the whole clip also while only 15 frames are rolled out; here that of what is rolled out.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ from motionlab import rotation
 from motionlab.frames import heading_frame
 from motionlab.humor import energies, faithful, faithful_rotation, floor, rollout, state
 from motionlab.humor.cvae import Cvae, Gaussian, kl
+from motionlab.humor.init_gmm import InitGmm
 from motionlab.humor.state import SHAPES, SLICES
 from motionlab.metrics import contact, pose
 from motionlab.motion import velocity
@@ -96,13 +97,21 @@ def seeded(alternative: bool = False) -> Cvae:
     return model.double().frozen()
 
 
+def seeded_mixture() -> InitGmm:
+    """The three-component mixture over first states of the golden arrays."""
+    draw = np.random.RandomState(7)
+    means, a = draw.standard_normal((3, 138)) * 0.3, draw.standard_normal((3, 138, 138)) * 0.05
+    covariances = a @ a.swapaxes(1, 2) + 0.1 * np.eye(138)
+    return InitGmm(torch.tensor([0.2, 0.3, 0.5], dtype=F64), torch.as_tensor(means), torch.as_tensor(covariances))
+
+
 def difference(found: Tensor, golden: Tensor) -> float:
     """Largest difference over the largest golden entry, or over 1."""
     return ((found.reshape(golden.shape) - golden).abs().max() / golden.abs().max().clamp(min=1)).item()
 
 
 def parity_rows(folder: Path | str) -> list[Row]:
-    """Every comparison; ``folder`` holds the golden files (``tests/golden``). About five seconds on one core."""
+    """Every comparison; ``folder`` holds the golden files (``tests/golden``). About two seconds on one core."""
     golden = Golden(folder)
     rows = [Row(*row) for row in _geometry(golden)]
     for alternative in (False, True):
@@ -239,6 +248,8 @@ def _energies(golden: Golden) -> Iterator[tuple]:
     }
     for name, value in values.items():
         yield name, "lean", difference(value.sum(), golden[name]), EXACT
+    mixture = seeded_mixture().log_prob(golden["gmm_x"])
+    yield "gmm_logprob", "lean", difference(mixture, golden["gmm_logprob"]), EXACT
     yield "gmof_sigma100", "lean", difference(energies.gmof(golden["gmof_in"]), golden["gmof_sigma100"]), EXACT
     accelerations = pose.acceleration(joints[0], 30.0)
     yield "metric_accel_mag", "lean", difference(accelerations, golden["metric_accel_mag"]), EXACT
