@@ -1,0 +1,210 @@
+"""From the official closure of stage 3 to the lean one, a saving at a time; the energy is the same on every rung.
+
+Each saving can be switched on alone. With none, the closure is ``faithful_variables``'; with all of them, that of
+``variables``, which every fit uses by default.
+
+Source: thesis 3.2.4 (what is slow); the savings are ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+from torch.profiler import record_function
+
+from motionlab.frames import heading_frame
+from motionlab.humor import faithful, rollout, stages, state
+from motionlab.humor.cvae import Cvae, Gaussian
+from motionlab.humor.faithful_body import body_joints_by_lbs, first_joints_by_lbs
+from motionlab.humor.faithful_rotation import alignment, matrix_to_axis_angle, pose_from_axis_angle
+from motionlab.humor.faithful_variables import FIRST_FRAME_CALLS
+from motionlab.humor.observed import Evidence
+from motionlab.humor.priors import Priors
+from motionlab.humor.shape import landmarks
+from motionlab.humor.stages import Problem
+from motionlab.humor.variables import Posed, Rolled, Variables, rows, skeleton_of, to_matrix
+from motionlab.skeleton import fk
+
+Mark = Callable[[str], AbstractContextManager]
+#: Parts of a closure, side by side in time, as they are marked for a profiler or a stopwatch.
+PARTS = ("first state", "chain", "body", "terms", "backward")
+
+
+@dataclass(frozen=True)
+class Savings:
+    """What a closure of stage 3 leaves out.
+
+    frozen: gradients of the networks' weights. prior_after: evaluating the prior inside the chain; once for all steps
+    instead. joints_only: the mesh; forward kinematics instead. needed_frames: bodies that nobody looks at (one frame
+    as a whole sequence three times over, the sequence twice). matrices: rotation vectors between any two parts.
+    exact_heading: the heading by acos. lean_layout: the state as a dict of parts.
+    """
+
+    frozen: bool = False
+    prior_after: bool = False
+    joints_only: bool = False
+    needed_frames: bool = False
+    matrices: bool = False
+    exact_heading: bool = False
+    lean_layout: bool = False
+
+
+FAITHFUL = Savings()
+LEAN = Savings(**{field.name: True for field in fields(Savings)})
+#: A name for what each saving does, in the order of the ladder.
+NAMES = {
+    "frozen": "weights frozen", "prior_after": "prior out of the loop", "joints_only": "joints, no mesh",
+    "needed_frames": "needed frames only", "matrices": "matrices throughout", "exact_heading": "exact 2-D heading",
+    "lean_layout": "lean vector layout",
+}  # fmt: skip
+
+
+def rungs() -> Iterator[tuple[str, Savings]]:
+    """("as shipped", none), ("weights frozen", the first), ... up to all, one more on each."""
+    on = FAITHFUL
+    yield "as shipped", on
+    for field, name in NAMES.items():
+        on = replace(on, **{field: True})
+        yield name, on
+
+
+class _PriorLater:
+    """A model whose prior only notes what it is asked."""
+
+    def __init__(self, model: Cvae) -> None:
+        self.decode, self.latent, self.asked = model.decode, model.latent, []
+
+    def prior(self, past: Tensor) -> Gaussian:
+        self.asked.append(past)
+        return Gaussian(past, past)  # nobody reads it
+
+
+def exact_alignment(orientation: Tensor) -> Tensor:
+    """The yaw rotation (B, 3, 3) of ``frames.heading_frame``."""
+    return heading_frame(orientation[..., 0], orientation).turn
+
+
+def chain(model: Cvae, first: Tensor, z: Tensor, on: Savings) -> rollout.Rollout:
+    """The roll-out from first states (B, 339), world, by latents (B, T, 48), with the prior of each."""
+    if on.lean_layout:
+        found = rollout.rollout(model, first, z, with_prior=on.prior_after)
+        return found if on.prior_after else found._replace(prior=_one_by_one(model, first, found))
+    align = exact_alignment if on.exact_heading else alignment
+    if not on.prior_after:
+        return faithful.rollout(model, first, z, align=align)
+    later = _PriorLater(model)
+    found = faithful.rollout(later, first, z, with_prior=False, align=align)
+    return found._replace(prior=model.prior(torch.stack(later.asked, 1)))
+
+
+def _one_by_one(model: Cvae, first: Tensor, found: rollout.Rollout) -> Gaussian:
+    past = torch.cat((first[:, None], found.states[:, :-1]), 1)
+    each = [model.prior(x) for x in state.localise(past, state.heading(past)).unbind(1)]
+    return Gaussian(*(torch.stack(column, 1) for column in zip(*each, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """Poses in the closure's own form: matrices (..., 22, 3, 3), or rotation vectors (..., 22, 3)."""
+
+    on: Savings
+    betas: Tensor
+    frames: int
+
+    def form(self, rot: Tensor) -> Tensor:
+        return rot if self.on.matrices else matrix_to_axis_angle(rot)
+
+    def rot(self, pose: Tensor) -> Tensor:
+        return pose if self.on.matrices else pose_from_axis_angle(pose)
+
+    def vectors(self, pose: Tensor) -> Tensor:
+        return matrix_to_axis_angle(pose) if self.on.matrices else pose
+
+    def sequence(self, trans: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
+        """Joints (B, T, 22, 3) and landmarks (B, T, 25, 3)."""
+        if not self.on.joints_only:
+            return body_joints_by_lbs(trans, self.vectors(pose), self.betas)
+        joints, turns = fk(skeleton_of(self.betas), trans, self.rot(pose))
+        return joints, landmarks(joints, turns, self.betas)
+
+    def first(self, trans: Tensor, pose: Tensor) -> Tensor:
+        """Joints (B, 22, 3) of one frame, in one batch of as many frames as the sequence has unless that is saved."""
+        if self.on.needed_frames:
+            return self.sequence(trans[:, None], pose[:, None])[0][:, 0]
+        if not self.on.joints_only:
+            return first_joints_by_lbs(trans, self.vectors(pose), self.betas, self.frames)
+        trans, pose = (x[:, None].expand(-1, self.frames, *x.shape[1:]) for x in (trans, pose))
+        return self.sequence(trans, pose)[0][:, 0]
+
+
+def first_state(unknown: Variables, priors: Priors, body: _Body) -> Tensor:
+    """x0 (B, 339), world. orient: 6 numbers or a rotation vector."""
+    trans, orient = rows(unknown, "trans"), rows(unknown, "orient")
+    decoded = body.form(priors.pose.decode(rows(unknown, "latent")))
+    if body.on.matrices:
+        root = to_matrix(orient)
+    else:
+        root = orient if orient.shape[-1] == 3 else matrix_to_axis_angle(to_matrix(orient))
+    pose = torch.cat((root[:, None], decoded), 1)
+    for _ in range(1 if body.on.needed_frames else FIRST_FRAME_CALLS):
+        joints = body.first(trans, pose)
+    rot = body.rot(pose)
+    parts = {"trans": trans, "root_orient": rot[:, 0], "pose_body": rot[:, 1:], "joints": joints}
+    speeds = {name: rows(unknown, name) for name in ("trans_vel", "root_orient_vel")}
+    return state.pack(parts | speeds | {"joints_vel": rows(unknown, "joints_vel").unflatten(-1, (22, 3))})
+
+
+def roll(unknown: Variables, priors: Priors, evidence: Evidence, on: Savings, mark: Mark = record_function) -> Rolled:
+    """Stage 3's motion, as ``variables.roll``; its parts are marked."""
+    z, betas = rows(unknown, "z"), rows(unknown, "betas")
+    camera = rows(unknown, "camera") if "camera" in unknown else None
+    body = _Body(on, betas, z.shape[1] + 1)
+    with mark("first state"):
+        first = first_state(unknown, priors, body)
+    with mark("chain"):
+        rolled = chain(priors.motion, first, z, on)
+        states = torch.cat((first[:, None], rolled.states), 1)
+        parts = state.unpack(states)
+        pose = body.form(torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), -3))
+    with mark("body"):
+        joints, marks = body.sequence(parts["trans"], pose)
+        if not on.needed_frames:
+            marks = body.sequence(parts["trans"], pose)[1]
+        seen = joints if evidence.view is None else evidence.view.pixels(marks, camera)
+        return Rolled(states, rolled, Posed(parts["trans"], body.rot(pose), joints, seen, betas, camera))
+
+
+def energy(
+    problem: Problem,
+    unknown: Variables,
+    on: Savings,
+    *,
+    grown: bool = True,
+    contacts: bool = True,
+    mark: Mark = record_function,
+) -> Tensor:
+    """Stage 3's energy (G,); arguments as ``stages.motion_terms``."""
+    problem.priors.motion.requires_grad_(not on.frozen)
+    problem.priors.pose.requires_grad_(not on.frozen)
+    rolled = roll(unknown, problem.priors, problem.evidence.short(unknown["z"].shape[2] + 1), on, mark)
+    with mark("terms"):
+        return sum(stages.rolled_terms(problem, unknown, rolled, grown=grown, contacts=contacts).values())
+
+
+def closure(
+    problem: Problem, unknown: Mapping[str, Tensor], on: Savings, *, mark: Mark = record_function, **how
+) -> Tensor:
+    """What an optimiser pays for: the energy (G,), detached, and all gradients, left in ``.grad``.
+
+    Gradients of the weights, where there are any, pile up as they do in the official fits, which never clear them.
+    """
+    for value in unknown.values():
+        value.grad = None
+    value = energy(problem, unknown, on, mark=mark, **how)
+    with mark("backward"):
+        value.sum().backward()
+    return value.detach()
