@@ -1,8 +1,9 @@
-"""The command line: ``python -m motionlab doctor | data | convert | report | regenerate``."""
+"""The command line: ``python -m motionlab doctor | data | convert | train | report | regenerate``."""
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import math
 import os
 import sys
@@ -61,6 +62,11 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--body", action="store_true", help="dress the joints in the default body (.glb)")
     command.set_defaults(run=_convert)
 
+    if _installed("torch"):  # doctor must run without
+        from motionlab import train
+
+        train.add_command(commands)
+
     command = commands.add_parser("report", help="run the notebooks into an HTML report")
     command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
     command.add_argument("--out", type=Path, default=ROOT / "report")
@@ -71,6 +77,10 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
     command.set_defaults(run=_regenerate)
     return parser
+
+
+def _installed(name: str) -> bool:
+    return importlib.util.find_spec(name) is not None
 
 
 def _doctor(options: argparse.Namespace) -> int:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
+from motionlab.contact import with_contacts
 from motionlab.io.positions import Positions
 from motionlab.io.recordings import inventory, recordings
 from motionlab.motion import Motion, resample
@@ -140,3 +141,20 @@ def _mean(values: Iterable[float]) -> float:
 
 def _range(values: Sequence[float]) -> str:
     return f"{values[0]:g}" if len(values) == 1 else f"{values[0]:g} to {values[-1]:g}"
+
+
+#: Sources on which weights that ship with the project may be trained, by their licences.
+SHIPPABLE = ("cmu_amc", "deepmimic", "reactidle", "animated_drawings", "isaacgym_amp_cmu")
+
+
+def trainable(folder: Path | str | None, sources: Sequence[str] = SHIPPABLE) -> tuple[list[Motion], list[Motion]]:
+    """Motions with contacts on a flat floor, for training and held out (every fifth clip of a source).
+
+    Left out: clips in which no joint is below 30 cm for more than a tenth of the time (climbing, a wrong floor).
+    """
+    split: tuple[list[Motion], list[Motion]] = [], []
+    for source in sources:
+        flat = [m for m in standard(folder, source) if m.positions[..., 2].amin(-1).quantile(0.9) < 0.3]
+        for i, motion in enumerate(flat):
+            split[i % 5 == 2].append(with_contacts(motion))
+    return split

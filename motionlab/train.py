@@ -1,0 +1,91 @@
+"""``python -m motionlab train``: make a checkpoint from synthetic motion and the recordings that may be used."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import torch
+
+from motionlab import library
+from motionlab.humor import checkpoint, examples, quality, state, training
+from motionlab.humor.cvae import Cvae
+from motionlab.motion import Motion
+
+
+def add_command(commands: argparse._SubParsersAction) -> None:
+    """``train humor``."""
+    command = commands.add_parser("train", help="train a model: a checkpoint with its recipe")
+    command.add_argument("model", choices=("humor",), help="humor: the transition prior")
+    command.add_argument("--preset", choices=sorted(training.PRESETS), default="compact")
+    command.add_argument("--steps", type=int, help="optimiser steps, the whole schedule (default: the preset's)")
+    command.add_argument("--seed", type=int, default=0)
+    command.add_argument(
+        "--data", default=os.environ.get("MOTIONLAB_DATA"), help="recordings, besides synthetic motion"
+    )
+    command.add_argument("--out", type=Path, help="default: the checkpoint that ships")
+    command.add_argument("--resume", action="store_true", help="go on with a run that was stopped")
+    command.set_defaults(run=_train)
+
+
+def sources(folder: Path | str | None) -> tuple[dict[str, list[Motion]], dict[str, list[Motion]]]:
+    """Motions for training and held out, by source; a recording is used where its licence lets weights be shipped."""
+    from data_synth import corpus
+
+    made = corpus.build(version="B")
+    train, held = {}, {}
+    train["synthetic"] = [s.motion for s in made.train]
+    held["synthetic, unseen sequence"] = [s.motion for s in made.heldout_sequences]
+    held["synthetic, unseen person"] = [s.motion for s in made.heldout_subject]
+    used, left = library.trainable(folder)
+    if used:
+        train["recordings"], held["recordings"] = used, left
+    return train, held
+
+
+def windows(motions: list[Motion], frames: int = 61, most: int = 48) -> tuple[torch.Tensor, torch.Tensor]:
+    """States (W, frames, 339) and contacts (W, frames, 9), evenly over the motions; none where all are shorter."""
+    cuts = [
+        (state.from_motion(m)[i : i + frames].float(), m.contacts[i : i + frames].float())
+        for m in motions for i in range(0, m.frames - frames + 1, frames)
+    ]  # fmt: skip
+    x, c = zip(*library.spread(cuts, most), strict=True)
+    return torch.stack(x), torch.stack(c)
+
+
+def _train(options: argparse.Namespace) -> int:
+    recipe = replace(training.PRESETS[options.preset], seed=options.seed)
+    recipe = replace(recipe, steps=options.steps) if options.steps else recipe
+    out = options.out or checkpoint.SHIPPED / f"humor_{options.preset}"
+    kept = out.with_suffix(".partial.pt")
+    train, held = sources(options.data)
+    data = examples.examples([m for motions in train.values() for m in motions], recipe.length + 1)
+    run = training.resume(kept, data) if options.resume else training.Training(recipe, data)
+    judged = {name: windows(motions) for name, motions in held.items()}
+
+    def validate(model: Cvae) -> dict[str, float]:
+        row = {}
+        for name, (x, _) in judged.items():
+            step, way = quality.one_step(model, x), quality.drift(model, x)
+            row |= {
+                f"{name}: one step": float(step["posterior"].mean()),
+                f"{name}: kl": float(step["kl"].sum(-1).mean()),
+            }
+            row[f"{name}: 2 s"] = float(way["posterior z"][:, -1].mean())
+        return row
+
+    run.run(keep=kept, validate=validate, progress=True)
+    minutes = {name: sum(m.seconds for m in motions) / 60 for name, motions in train.items()}
+    about = {
+        "made by": f"python -m motionlab train humor --preset {options.preset} --steps {recipe.steps}",
+        "recipe": asdict(run.recipe), "minutes of motion, before mirroring": minutes, "examples": data.digest,
+        "recordings": list(library.SHIPPABLE) if "recordings" in train else [], "torch": torch.__version__,
+        "quality, held out": {name: quality.summary(run.prior, *found) for name, found in judged.items()},
+        "curve": run.curve,
+    }  # fmt: skip
+    checkpoint.save(out, run.prior.state_dict(), about)
+    kept.unlink()
+    print(f"{out.with_suffix('.safetensors')}: {run.step} steps")
+    return 0
