@@ -1,0 +1,79 @@
+"""One step against a chain: cases whose answer is known, and variants of the model that parity must catch."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from data_synth import scenes
+from motionlab.errors import ShapeError
+from motionlab.humor import controls, drift, parity, state
+from motionlab.humor.cvae import Cvae
+from motionlab.humor.rollout import sample
+
+
+@pytest.fixture(scope="module")
+def clips():
+    return scenes.held_out(4, frames=16)
+
+
+def small(scale=0.02):
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        model = Cvae(64)
+    with torch.no_grad():
+        for weight in model.decoder.net[-1].parameters():
+            weight.mul_(scale)
+    return model.frozen()
+
+
+def test_a_decoder_that_changes_nothing_holds_the_pose(clips):
+    found = drift.decode(small(0.0), clips)
+    near, far = drift.one_step_errors(found), drift.rollout_errors(found)
+    for errors in (near, far):
+        torch.testing.assert_close(errors["posterior"], errors["hold"], atol=1e-4, rtol=0)
+        torch.testing.assert_close(errors["prior's mean"], errors["hold"], atol=1e-4, rtol=0)
+    # its one-step errors are the sequence's own steps: added up they are the way from the first pose
+    torch.testing.assert_close(far["errors added"], far["hold"], atol=1e-4, rtol=0)
+    assert (far["errors at random"][:, -1] < far["errors added"][:, -1])[0]  # a walker goes one way
+    assert near["constant velocity"].mean() < 0.3 * near["hold"].mean()
+
+
+def test_steps_ahead_lie_between_one_step_and_the_whole_chain(clips):
+    model = small()
+    found = drift.decode(model, clips)
+    near, far = drift.one_step_errors(found)["posterior"], drift.rollout_errors(found)["posterior"]
+    torch.testing.assert_close(drift.ahead_errors(model, found, 1)[:, 0], near.mean(1), atol=1e-3, rtol=0)
+    torch.testing.assert_close(drift.ahead_errors(model, found, 15), far, atol=1e-3, rtol=0)
+    with pytest.raises(ShapeError, match="15 transitions"):
+        drift.ahead_errors(model, found, 16)
+
+
+def test_the_descent_that_is_decoded():
+    sitting = scenes.held_out(3, frames=61).clip(slice(2, 3))
+    assert drift.descent_share(sitting, sitting) == pytest.approx(1.0, abs=1e-5)
+    lag = replace(sitting, root=torch.cat((sitting.root[:, :1], sitting.root[:, :-1]), 1))
+    assert drift.descent_share(lag, sitting) == pytest.approx(0.0, abs=1e-5)
+    rising = replace(sitting, root=sitting.root.flip(1))
+    assert drift.descent_share(rising, rising).isnan()
+
+
+def test_a_dimension_left_alone_is_the_prior_mean(clips):
+    model = small()
+    first = state.from_motion(clips)[0, 3]
+    ways = drift.vary(model, first, 5, torch.tensor([-2.0, 0.0, 2.0]), 6)
+    torch.testing.assert_close(ways[1, 1:], sample(model, first[None], 6).states[0], atol=1e-5, rtol=0)
+    assert (ways[0] - ways[2]).abs().max() > 1e-5
+
+
+def test_decode_wants_a_batch(clips):
+    with pytest.raises(ShapeError, match="clips"):
+        drift.decode(small(), clips.clip(0))
+
+
+def test_parity_catches_what_is_wrong_on_purpose():
+    golden, model = parity.Golden(Path(__file__).parent / "golden"), parity.seeded()
+    assert min(controls.errors(golden, model).values()) > 1e-2
+    assert controls.misfits(model, golden) == []
+    assert len(controls.misfits(Cvae(512), golden)) == 50
