@@ -127,9 +127,9 @@ def fit(
     generator: torch.Generator,
     *,
     components: int = COMPONENTS,
-    steps: int = 200,
+    steps: int = 100,
     ridge: float = RIDGE,
-    tolerance: float = 1e-3,
+    tolerance: float = 1e-2,
 ) -> tuple[InitGmm, list[float]]:
     """Expectation-maximisation on features (N, D), started from k-means++ and a few steps of k-means.
 
