@@ -1,0 +1,241 @@
+"""The recursion of a roll-out, x_t -> x_{t+1}, as one step of autograd with its derivative written out.
+
+A state here is the official one in another order, 339 numbers,
+
+    trans | trans_vel | root_orient_vel | joints 66 | joints_vel 66 | root_orient^T 9 | pose_body^T 189
+
+so that its first 141 numbers are what is added to, its last 198 are the 22 matrices M = R^T that rotations exp(v)
+turn, M' = M exp(v)^T, and its first 150 are the 50 vectors that the change into the next heading frame turns.
+
+One step: raw = decoder(x, z); x' = x + raw and M' = M exp(v)^T; then every vector into the frame of x'.
+Nothing of it is recorded for autograd; going backwards, what does not depend on the step before is computed for all
+steps at once, and only the chain itself is walked. Source: HuMoR (Rempe et al. 2021), ``roll_out``; thesis 3.1.1.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from motionlab.humor.cvae import Cvae
+from motionlab.humor.state import DELTA_SLICES, SLICES, STATE
+
+_ADDED = ("trans", "trans_vel", "root_orient_vel", "joints", "joints_vel")
+SUM, VECTORS, ROT = 141, 150, 207  # ends: of what is added to, of the vectors, of the rotation vectors in ``raw``
+_matrices = torch.cat(
+    [torch.arange(STATE)[SLICES[name]].view(-1, 3, 3).mT.flatten() for name in ("root_orient", "pose_body")]
+)
+#: LEAN: where each number comes from in the official state; BACK: the inverse; LEAN_RAW: the same for raw outputs.
+LEAN = torch.cat([torch.arange(STATE)[SLICES[name]] for name in _ADDED] + [_matrices])
+BACK = torch.argsort(LEAN)
+LEAN_RAW = torch.cat(
+    [torch.arange(216)[DELTA_SLICES[name]] for name in (*_ADDED, "root_orient", "pose_body", "contacts")]
+)
+#: The 50 vectors that are positions; of them the joints.
+POSITION = torch.zeros(VECTORS // 3, 1)
+POSITION[0] = POSITION[3:25] = 1
+_QUATERNION = torch.zeros(4, 4, 3, 3)  # exp(v)^T = sum_ij q_i q_j _QUATERNION[i, j]
+_TURN = torch.zeros(3, 3, 3)  # A^T = sum_i (1, x, y)_i _TURN[i], A = [[x, y], [-y, x]]
+_TURN[0, 2, 2] = _TURN[1, 0, 0] = _TURN[1, 1, 1] = _TURN[2, 1, 0] = 1
+_TURN[2, 0, 1] = -1
+for _a, _b, _c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    _QUATERNION[0, 0, _a, _a] = _QUATERNION[_a + 1, _a + 1, _a, _a] = 1
+    _QUATERNION[_b + 1, _b + 1, _a, _a] = _QUATERNION[_c + 1, _c + 1, _a, _a] = -1
+    _QUATERNION[_a + 1, _b + 1, _a, _b] = _QUATERNION[_a + 1, _b + 1, _b, _a] = 2
+    _QUATERNION[0, _c + 1, _a, _b], _QUATERNION[0, _c + 1, _b, _a] = 2, -2
+
+
+class Decoder(NamedTuple):
+    """The decoder in the order above. Per Linear the weights of state and z and the bias; per norm gain and shift."""
+
+    weights: list[Tensor]
+    z_weights: list[Tensor]
+    biases: list[Tensor]
+    gains: list[Tensor]
+    shifts: list[Tensor]
+    groups: int
+    eps: float
+
+    @classmethod
+    def of(cls, model: Cvae) -> Decoder:
+        """That of a model; gradients, where its weights want them, flow back to it."""
+        linear = [layer for layer in model.decoder.net if isinstance(layer, torch.nn.Linear)]
+        norms = [layer for layer in model.decoder.net if isinstance(layer, torch.nn.GroupNorm)]
+        parts = [(layer.weight[:, : -model.latent], layer.weight[:, -model.latent :], layer.bias) for layer in linear]
+        device = parts[0][0].device
+        parts[0] = (parts[0][0][:, LEAN.to(device)], *parts[0][1:])
+        parts[-1] = tuple(part[LEAN_RAW.to(device)] for part in parts[-1])
+        gains, shifts = [norm.weight for norm in norms], [norm.bias for norm in norms]
+        return cls(*(list(part) for part in zip(*parts, strict=True)), gains, shifts, norms[0].num_groups, norms[0].eps)
+
+    def shares(self, z: Tensor) -> list[Tensor]:
+        """What z (..., 48) adds to each Linear (..., out), for all steps at once."""
+        return [torch.nn.functional.linear(z, w, b) for w, b in zip(self.z_weights, self.biases, strict=True)]
+
+
+class Step(NamedTuple):
+    """One step: the new state in the old frame and in its own, contact logits, and what going back needs."""
+
+    after: Tensor  # (B, 339)
+    moved: Tensor  # (B, 339)
+    raw: Tensor  # (B, 216)
+    turned: Tensor  # (B, 22, 3, 3), exp(v)^T
+    turn: Tensor  # (B, 3, 3), A^T
+    layers: list[tuple[Tensor, ...]]  # per norm: input, mean, 1 / std, output
+
+
+class Stepper:
+    """Steps without autograd. ``spread`` (B, 50, 3): ``state.pelvis_offset`` at the joints, 0 elsewhere, or None."""
+
+    def __init__(self, decoder: Decoder, spread: Tensor | None) -> None:
+        self.decoder, self.spread = decoder, spread
+        self.transposed = [weight.detach().mT.contiguous() for weight in decoder.weights]
+        like = self.transposed[0]
+        self.position, self.quaternion = POSITION.to(like), _QUATERNION.view(16, 9).to(like)
+        self.still, self.turns = _TURN[0].reshape(9).to(like), _TURN[1:].reshape(2, 9).to(like)
+        self.ahead = like.new_tensor([1.0, 0.0])
+        self.tiny = torch.finfo(like.dtype).tiny ** 0.5
+
+    def __call__(self, x: Tensor, shares: list[Tensor]) -> Step:
+        """From states (B, 339) and the shares (B, out) of their z."""
+        h, layers, batch = x, [], len(x)
+        for weight, share, gain, shift in zip(
+            self.transposed, shares, self.decoder.gains, self.decoder.shifts, strict=False
+        ):
+            h = torch.addmm(share, h, weight).view(batch * self.decoder.groups, -1)
+            normed, mean, scale = torch.native_layer_norm(h, h.shape[-1:], None, None, self.decoder.eps)
+            out = torch.addcmul(shift, normed.view(batch, -1), gain).relu_()
+            layers.append((h, mean, scale, out))
+            h = out
+        raw = torch.addmm(shares[-1], h, self.transposed[-1])
+        turned = self.exp(raw[:, SUM:ROT].unflatten(1, (22, 3)))
+        matrices = x[:, SUM:].unflatten(1, (22, 3, 3)) @ turned
+        after = torch.cat((x[:, :SUM] + raw[:, :SUM], matrices.flatten(1)), dim=1)
+        right = -after[:, SUM : SUM + 2]
+        length = torch.linalg.vector_norm(right, dim=-1, keepdim=True)
+        none = length == 0
+        turn = torch.addmm(self.still, (right + none * self.ahead) / (length + none), self.turns).view(-1, 3, 3)
+        vectors = after[:, :VECTORS].unflatten(1, (50, 3))
+        on_floor = torch.cat((after[:, :2], torch.zeros_like(length)), dim=1)[:, None]
+        moved = torch.addcmul(vectors, self.position, on_floor, value=-1)
+        moved = moved @ turn if self.spread is None else (moved + self.spread) @ turn - self.spread
+        return Step(after, torch.cat((moved.flatten(1), after[:, VECTORS:]), dim=1), raw, turned, turn, layers)
+
+    def exp(self, v: Tensor) -> Tensor:
+        """exp(v)^T (B, 22, 3, 3) by the quaternion (cos t/2, v sin(t/2) / t), t = |v|."""
+        t = torch.linalg.vector_norm(v, dim=-1, keepdim=True).clamp_(min=self.tiny)
+        half = 0.5 * t
+        q = torch.cat((half.cos(), v * (half.sin() / t)), dim=-1)
+        return ((q[..., :, None] * q[..., None, :]).flatten(-2) @ self.quaternion).unflatten(-1, (3, 3))
+
+
+class Recursion(torch.autograd.Function):
+    """All steps: first (B, 339), spread, shares (T, B, out) -> past, after (T, B, 339) and contact logits (T, B, 9)."""
+
+    @staticmethod
+    def forward(ctx, decoder: Decoder, first: Tensor, spread: Tensor | None, *tensors: Tensor):
+        """``tensors``: the shares of the Linears, then the decoder's weights, gains and shifts."""
+        shares, step = tensors[: len(decoder.weights)], Stepper(decoder, spread)
+        x, past, steps = first, [], []
+        for share in zip(*(each.unbind(0) for each in shares), strict=True):
+            past.append(x)
+            steps.append(step(x, share))
+            x = steps[-1].moved
+        after, raw = torch.stack([s.after for s in steps]), torch.stack([s.raw for s in steps])
+        past = torch.stack(past)
+        ctx.decoder, ctx.step, ctx.steps = decoder, step, steps
+        ctx.past, ctx.after, ctx.raw = past, after, raw
+        return past.clone(), after.clone(), raw[..., ROT:].clone()
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, d_past: Tensor, d_after: Tensor, d_logits: Tensor):
+        """Gradients of first, spread, shares and, where asked for, weights, gains and shifts."""
+        decoder, steps, spread = ctx.decoder, ctx.steps, ctx.step.spread
+        count = len(d_past)
+        bend = right_jacobian(ctx.raw[..., SUM:ROT].unflatten(-1, (22, 3)))
+        right = -ctx.after[..., SUM : SUM + 2]
+        squared = right.square().sum(-1, keepdim=True)
+        # heading angle a = atan2(y, x): d a / d(root column) = (y, -x) / |right|^2, 0 where there is no heading
+        swing = torch.where(squared == 0, 0.0, right.flip(-1) * right.new_tensor([1.0, -1.0]) / squared)
+        matrices = ctx.after[..., SUM:].unflatten(-1, (22, 3, 3))
+        d_x, d_spread = torch.zeros_like(d_past[0]), None if spread is None else torch.zeros_like(spread)
+        d_shares = [[None] * count for _ in decoder.weights]
+        d_normed = [[None] * count for _ in decoder.gains]
+        for t in reversed(range(count)):
+            d = d_x
+            if t < count - 1:  # the last state's own frame is nobody's input
+                g = d_x[:, :VECTORS].unflatten(1, (50, 3))
+                turned = ctx.past[t + 1, :, :VECTORS].unflatten(1, (50, 3))
+                turned = turned if spread is None else turned + spread
+                moment = g.mT @ turned
+                d_angle = (moment[:, 0, 1] - moment[:, 1, 0])[:, None]
+                back = g @ steps[t].turn.mT
+                if spread is not None:
+                    d_spread += back - g
+                d = torch.cat((back.flatten(1), d_x[:, VECTORS:]), dim=1)
+                d[:, :2] -= (ctx.step.position.mT @ back)[:, 0, :2]
+                d[:, SUM : SUM + 2] += d_angle * swing[t]
+            d = d + d_after[t]
+            d_matrices = d[:, SUM:].unflatten(1, (22, 3, 3))
+            torque = torch.linalg.cross(matrices[t], d_matrices).sum(-2, keepdim=True)
+            d_v = torque @ bend[t]
+            d_raw = torch.cat((d[:, :SUM], d_v.flatten(1), d_logits[t]), dim=1)
+            d_shares[-1][t] = d_raw
+            d_h = d_raw @ decoder.weights[-1]
+            for k in reversed(range(len(decoder.gains))):
+                h, mean, scale, out = steps[t].layers[k]
+                d_out = torch.ops.aten.threshold_backward(d_h, out, 0)
+                d_normed[k][t] = d_out
+                d_in = torch.ops.aten.native_layer_norm_backward(
+                    (d_out * decoder.gains[k]).view_as(h),
+                    h,
+                    h.shape[-1:],
+                    mean,
+                    scale,
+                    None,
+                    None,
+                    [True, False, False],
+                )[0]
+                d_shares[k][t] = d_in = d_in.view_as(d_out)
+                d_h = d_in @ decoder.weights[k]
+            d_x = d_h + d_past[t]
+            d_x[:, :SUM] += d[:, :SUM]
+            d_x[:, SUM:] += (d_matrices @ steps[t].turned.mT).flatten(1)
+        d_shares = [torch.stack(each) for each in d_shares]
+        d_weights = _of_weights(ctx, d_shares, d_normed) if any(ctx.needs_input_grad[3 + len(d_shares) :]) else ()
+        nothing = [None] * (len(d_shares) + 2 * len(d_normed) if not d_weights else 0)
+        return None, d_x, d_spread, *d_shares, *d_weights, *nothing
+
+
+def _of_weights(ctx, d_shares: list[Tensor], d_normed: list[list[Tensor]]) -> list[Tensor]:
+    """Gradients of weights, gains and shifts, from all steps at once."""
+    layers = [[torch.stack(part) for part in zip(*(s.layers[k] for s in ctx.steps), strict=True)] for k in range(3)]
+    inputs = [ctx.past, *(out for *_, out in layers)]
+    weights = [d.flatten(0, 1).mT @ x.flatten(0, 1) for d, x in zip(d_shares, inputs, strict=True)]
+    shifts = [torch.stack(each) for each in d_normed]
+    normed = [((h - mean) * scale).view_as(out) for h, mean, scale, out in layers]
+    gains = [(d * x).sum((0, 1)) for d, x in zip(shifts, normed, strict=True)]
+    return [*weights, *gains, *(d.sum((0, 1)) for d in shifts)]
+
+
+def right_jacobian(v: Tensor) -> Tensor:
+    """J (..., 3, 3), as a row vector from the left: dL/dv = w J, where dL = w . (turn of exp(v) in its own left frame).
+
+    exp(v + dv) = exp(J_l dv) exp(v), so that dL/dv = J_l^T w = w J_l, J_l = I + b [v] + c [v]^2 with
+    b = (1 - cos t) / t^2, c = (t - sin t) / t^3. Where t^2 < 0.01 series.
+    """
+    squared = v.square().sum(-1)[..., None, None]
+    small = squared < 0.01
+    s = torch.where(small, 1.0, squared)
+    t = s.sqrt()
+    b = torch.where(small, 1 / 2 - squared / 24 * (1 - squared / 30 * (1 - squared / 56)), (1 - t.cos()) / s)
+    c = torch.where(small, 1 / 6 - squared / 120 * (1 - squared / 42 * (1 - squared / 72)), (t - t.sin()) / (s * t))
+    x, y, z = v.unbind(-1)
+    o = torch.zeros_like(x)
+    cross = torch.stack((o, -z, y, z, o, -x, -y, x, o), -1).unflatten(-1, (3, 3))
+    eye = torch.eye(3, dtype=v.dtype, device=v.device)
+    return eye + b * cross + c * (v[..., :, None] * v[..., None, :] - squared * eye)
