@@ -1,0 +1,222 @@
+"""HuMoR's test-time optimisation: the motion of a person from 2-D keypoints or 3-D joints, in three stages.
+
+1. root position and orientation of every frame;
+2. and pose (through a pose prior) and shape, smooth in time;
+3. a first state and latents whose roll-out by the motion prior explains the observation.
+
+Source: HuMoR (Rempe et al. 2021), section 4 and its official code; thesis 3.1.2.
+Differs, in "lean" mode: rotations are 6 numbers; joints come from forward kinematics alone; stages 1 and 2 see a
+recording whole, only stage 3 cuts it into windows; the start is found in closed form and interpolated where nothing
+was seen; stage 1 is smooth; transitions of which nothing was seen start at the prior's mean. "faithful" mode does what
+the official code does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import DataError
+from motionlab.humor import energies, stages, starts, state, transitions, variables, windows
+from motionlab.humor.observed import Observation3D, evidence
+from motionlab.humor.priors import Priors
+from motionlab.humor.shape import landmarks
+from motionlab.humor.stages import Problem
+from motionlab.humor.weights import JOINTS, RGB, Weights
+from motionlab.motion import Motion
+from motionlab.observation import Camera, Observation2D
+from motionlab.skeleton import STANDARD, fk
+
+FPS = 30.0  # the prior's: it knows steps of a thirtieth of a second
+MODES = ("lean", "faithful")
+
+__all__ = ["Fitted", "Observation3D", "Schedule", "fit"]
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How much work, and how a recording is cut.
+
+    steps: outer steps of the three stages, each up to ``inner`` iterations of L-BFGS. short: frames of stage 3's first
+    sub-stage. refine: stage-3 steps at which all frames join (x0 frozen, no contact terms), and at which everything
+    moves. window, overlap: frames of stage 3's windows, and the least that neighbours share.
+
+    Source: the official configurations: (30, 80, 70) for its video demo, (30, 70, 70) for 3-D data.
+    """
+
+    steps: tuple[int, int, int] = (30, 70, 70)
+    inner: int = 20
+    short: int = 15
+    refine: tuple[int, int] = (30, 55)
+    window: int = 60
+    overlap: int = 10
+
+    @classmethod
+    def quick(cls) -> Schedule:
+        """Few steps, for tests and first looks."""
+        return cls(steps=(2, 3, 3), inner=8, refine=(1, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What a fit found; G recordings of T frames, world coordinates.
+
+    motion (G, T): of the last stage, each on its own skeleton, with contact labels. stages: after stage 1, 2, 3.
+    contacts (G, T, 9): probabilities, in the order of ``STANDARD.contact_names``; zeros where no stage 3 ran.
+    z (G, W, L - 1, 48) and first (G, W, 339): latents and first states of W windows that begin at ``starts`` (one
+    window where T is no more than ``Schedule.window``). betas (G, 8): shape in standard deviations.
+    cameras: one per recording, as found; None for 3-D observations. energies: per stage, each term weighted, (G,).
+    results: the optimiser's report of each stage; of stage 3 one per sub-stage. notes: what was assumed or left out.
+    """
+
+    motion: Motion
+    stages: dict[int, Motion]
+    contacts: Tensor
+    z: Tensor
+    first: Tensor
+    betas: Tensor
+    cameras: list[Camera] | None
+    energies: dict[int, dict[str, Tensor]]
+    results: dict[int, list[object]]
+    starts: tuple[int, ...] = (0,)
+    notes: tuple[str, ...] = ()
+
+
+def fit(
+    observation: Observation2D | Observation3D,
+    priors: Priors,
+    *,
+    weights: Weights | None = None,
+    schedule: Schedule | None = None,
+    mode: str = "lean",
+    cameras: Sequence[Camera] | None = None,
+    floor: str | None = None,
+    size: tuple[int, int] | None = None,
+    progress: bool = False,
+) -> Fitted:
+    """Fit every recording of a batch. Ctrl-C keeps the best so far.
+
+    Args:
+        observation: keypoints (G, T, K, 2) seen by one static camera each, or joints (G, T, 22, 3) in the world; the
+            batch axis may be left out. Missing entries have no weight.
+        weights: of the terms; ``RGB`` for keypoints and ``JOINTS`` for joints unless given.
+        cameras: one per recording, instead of the observation's.
+        floor: for keypoints, "camera" (the camera's pose is known, and so the floor), "refine" or "guess".
+        size: of the image in pixels, where no camera says.
+        progress: show bars with the energy.
+
+    Raises:
+        DataError: nothing to fit, or a frame rate other than the prior's.
+        ShapeError: arrays that do not fit each other.
+        ValueError: no such mode.
+    """
+    if mode not in MODES:
+        raise ValueError(f"mode: expected one of {', '.join(MODES)}, got {mode!r}")
+    schedule = schedule or Schedule()
+    seen = evidence(observation, cameras=cameras, floor=floor, size=size)
+    if abs(seen.fps - FPS) > 0.02 * FPS:
+        raise DataError(
+            f"{seen.fps:g} frames per second; the motion prior knows {FPS:g}", remedy="resample the observation first"
+        )
+    weights = weights or (JOINTS if seen.view is None else RGB)
+    problem = Problem(seen, priors, weights, mode)
+    unknown = _start(problem)
+    track = _Track(schedule, progress)
+    for stage in (1, 2):
+        if not track.stopped:
+            unknown = track.pose_stage(problem, unknown, stage)
+    if seen.values.shape[1] < 2 or track.stopped or not schedule.steps[2]:
+        return track.without_stage_3(problem, unknown, "one frame has no transition")
+    return track.motion_stage(problem, unknown)
+
+
+def _start(problem: Problem) -> dict[str, Tensor]:
+    """Unknowns of stage 1: the mean pose, laid onto the observation."""
+    seen, priors = problem.evidence, problem.priors
+    groups, frames = seen.values.shape[:2]
+    latent = seen.values.new_zeros(groups, 1, frames, 32)
+    shape = seen.values.new_zeros(groups, 8)
+    with torch.no_grad():
+        body = torch.cat((torch.eye(3)[None], priors.pose.decode(latent[0, 0, 0])))
+        joints, turns = fk(STANDARD, torch.zeros(3), body)
+        if seen.view is None:
+            guess = starts.start_3d(seen, joints)
+        else:
+            guess = starts.start_2d(seen, landmarks(joints[None, None], turns[None, None], shape[:1])[0, 0])
+        trans, turn = starts.filled(*guess, seen.fps)
+    unknown = {"trans": trans, "orient": variables.from_matrix(turn, problem.mode)}
+    camera = {} if seen.view is None else {"camera": seen.values.new_zeros(groups, 3)}
+    return {n: x[:, None] for n, x in unknown.items()} | {"latent": latent, "betas": shape} | camera
+
+
+class _Track:
+    """The way of one fit: runs its stages and keeps what they found."""
+
+    def __init__(self, schedule: Schedule, progress: bool) -> None:
+        self.schedule = schedule
+        self.budget = {"inner": schedule.inner, "progress": progress}
+        self.stages: dict[int, Motion] = {}
+        self.energies: dict[int, dict[str, Tensor]] = {}
+        self.results: dict[int, list[object]] = {}
+
+    @property
+    def stopped(self) -> bool:
+        return any(stages.interrupted(each) for found in self.results.values() for each in found)
+
+    def pose_stage(self, problem: Problem, unknown: dict[str, Tensor], stage: int) -> dict[str, Tensor]:
+        steps = self.schedule.steps[stage - 1]
+        unknown, report = stages.stage_1_and_2(problem, unknown, stage, steps=steps, **self.budget)
+        with torch.no_grad():
+            self.energies[stage] = stages.pose_terms(problem, unknown, stage)
+            body = variables.pose(unknown, problem.priors, problem.evidence)
+        self.stages[stage] = variables.motion_of(body, problem.evidence.fps)
+        self.results[stage] = [report]
+        return unknown
+
+    def motion_stage(self, problem: Problem, unknown: dict[str, Tensor]) -> Fitted:
+        s, seen = self.schedule, problem.evidence
+        length = min(s.window, seen.values.shape[1])
+        cuts = windows.plan(seen.values.shape[1], s.window, s.overlap)
+        shared = {n: unknown[n] for n in variables.SHARED if n in unknown}
+        latent = unknown["latent"][:, 0]
+        rolled = transitions.start(
+            self.stages[2], latent, shared, seen.seen, problem.priors, cuts, length, problem.mode
+        )
+        cut = replace(problem, evidence=seen.pieces(torch.tensor(cuts), length), starts=cuts)
+        rolled, self.results[3] = stages.stage_3(
+            cut, rolled, steps=s.steps[2], short=s.short, refine=s.refine, **self.budget
+        )
+        with torch.no_grad():
+            self.energies[3] = stages.motion_terms(cut, rolled)
+            found = variables.roll(rolled, problem.priors, cut.evidence)
+        touching = energies.contact_probabilities(found.rollout.contact_logits)
+
+        def whole(x: Tensor, **how) -> Tensor:
+            return windows.stitch(x.unflatten(0, (-1, len(cuts))), cuts, **how)
+
+        contacts = whole(touching)
+        body = found.body._replace(
+            root=whole(found.body.root), rot=whole(found.body.rot, turns=True), betas=rolled["betas"]
+        )
+        self.stages[3] = variables.motion_of(body, seen.fps, contacts=(contacts > 0.5).to(contacts))
+        first = found.states[:, 0].unflatten(0, (-1, len(cuts)))
+        return self._fitted(problem, rolled, contacts, rolled["z"], first, cuts)
+
+    def without_stage_3(self, problem: Problem, unknown: dict[str, Tensor], why: str) -> Fitted:
+        why = "interrupted" if self.stopped else why
+        motion = self.stages[max(self.stages)]
+        contacts = motion.root.new_zeros(*motion.root.shape[:2], 9)
+        first = state.from_motion(motion)[:, None, 0]
+        z = contacts.new_zeros(len(contacts), 1, 0, problem.priors.motion.latent)
+        return self._fitted(problem, unknown, contacts, z, first, (0,), f"stage 3 left out: {why}")
+
+    def _fitted(self, problem: Problem, unknown, contacts, z, first, cuts, *notes: str) -> Fitted:
+        view = problem.evidence.view
+        cameras = None if view is None else view.cameras(unknown["camera"])
+        return Fitted(
+            self.stages[max(self.stages)], self.stages, contacts, z, first, unknown["betas"], cameras,
+            self.energies, self.results, cuts, (*problem.evidence.notes, *notes),
+        )  # fmt: skip
