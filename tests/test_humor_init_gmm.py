@@ -1,5 +1,6 @@
 """The mixture over first states: golden values, sampling and refitting, files that are none."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +20,12 @@ GOLDEN = Path(__file__).parent / "golden" / "humor_energies.npz"
 
 def golden_mixture() -> InitGmm:
     """The mixture of the reference values, by their recipe."""
-    draw = np.random.RandomState(7)  # noqa: NPY002 - the recipe's own generator
+    draw = np.random.RandomState(7)
     means = draw.standard_normal((3, 138)) * 0.3
     factor = draw.standard_normal((3, 138, 138)) * 0.05
     covariances = factor @ factor.transpose(0, 2, 1) + 0.1 * np.eye(138)
-    return InitGmm(torch.tensor([0.2, 0.3, 0.5]).double(), torch.from_numpy(means), torch.from_numpy(covariances))
+    weights = torch.tensor([0.2, 0.3, 0.5], dtype=torch.float64)
+    return InitGmm(weights, torch.from_numpy(means), torch.from_numpy(covariances))
 
 
 def small(generator: torch.Generator, components: int = 3, size: int = 4) -> InitGmm:
@@ -50,10 +52,9 @@ def test_log_prob_is_scipys(generator):
 
     gmm = small(generator)
     x = draw(gmm, 20, generator)
-    each = [
-        w * multivariate_normal(m, c).pdf(x) for w, m, c in zip(gmm.weights, gmm.means, gmm.covariances, strict=True)
-    ]
-    assert np.allclose(gmm.log_prob(x), np.log(np.sum(each, 0)), rtol=1e-9)
+    parts = zip(*(value.numpy() for value in gmm.tensors().values()), strict=True)
+    each = [weight * multivariate_normal(mean, covariance).pdf(x.numpy()) for weight, mean, covariance in parts]
+    assert np.allclose(gmm.log_prob(x).numpy(), np.log(np.sum(each, 0)), rtol=1e-9)
     assert gmm.log_prob(x.reshape(4, 5, 4)).shape == (4, 5)
 
 
@@ -76,7 +77,7 @@ def test_fit_finds_the_mixture_that_made_the_samples(generator):
     best, ours, alone = (float(g.log_prob(held).mean()) for g in (truth, found, single))
     assert abs(best - ours) < 0.05
     assert alone < ours - 0.3
-    assert all(b >= a - 1e-6 for a, b in zip(history, history[1:], strict=False))  # EM never falls
+    assert all(b >= a - 1e-6 for a, b in pairwise(history))  # EM never falls
     again, _ = init_gmm.fit(train, torch.Generator().manual_seed(1), components=1, ridge=1e-6)
     assert torch.allclose(again.means, train.mean(0, keepdim=True))
 
@@ -88,13 +89,8 @@ def test_features_are_the_named_parts(generator):
     local = state.localise(world, heading_frame(motion.root, motion.rot[:, 0]))
     parts = state.unpack(local)
     found = init_gmm.features(local)
-    expected = (
-        parts["joints"].flatten(1),
-        parts["joints_vel"].flatten(1),
-        parts["trans_vel"],
-        parts["root_orient_vel"],
-    )
-    assert torch.equal(found, torch.cat(expected, 1))
+    positions = (parts["joints"].flatten(1), parts["joints_vel"].flatten(1))
+    assert torch.equal(found, torch.cat((*positions, parts["trans_vel"], parts["root_orient_vel"]), 1))
     assert found.shape == (5, init_gmm.SIZE) == (5, 138)
 
 
@@ -132,7 +128,7 @@ def test_files_that_hold_no_mixture_are_refused(tmp_path, arrays):
 
 
 def test_no_file_and_no_archive(tmp_path):
-    with pytest.raises(DataError, match="no such file|not there|cannot"):
+    with pytest.raises(DataError, match="none"):
         init_gmm.load_official(tmp_path / "none.npz")
     (tmp_path / "text.npz").write_text("hello")
     with pytest.raises(DataError, match="archive"):
