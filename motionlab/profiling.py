@@ -22,10 +22,13 @@ class Timing(NamedTuple):
     n: int  #: calls measured
 
 
-def timed(call: Callable[[], object], *, n: int = 7, warm_up: int = 1) -> Timing:
+def timed(
+    call: Callable[[], object], *, n: int = 7, warm_up: int = 1, clock: Callable[[], float] = time.perf_counter
+) -> Timing:
     """Wall time of ``call()``, garbage collection off, after ``warm_up`` calls that do not count.
 
-    Waits for the GPU where there is one. The median, because a shared machine only ever adds time.
+    Waits for the GPU where there is one. The median, because a shared machine only ever adds time. With
+    ``time.process_time`` as the clock only the time counts in which the processor worked for this process.
 
     Raises:
         ValueError: n is less than one.
@@ -41,10 +44,10 @@ def timed(call: Callable[[], object], *, n: int = 7, warm_up: int = 1) -> Timing
     try:
         for _ in range(n):
             wait()
-            start = time.perf_counter()
+            start = clock()
             call()
             wait()
-            seconds.append(time.perf_counter() - start)
+            seconds.append(clock() - start)
     finally:
         if was_on:
             gc.enable()
@@ -52,10 +55,16 @@ def timed(call: Callable[[], object], *, n: int = 7, warm_up: int = 1) -> Timing
     return Timing(median.item(), (high - low).item(), n)
 
 
-def interleaved(calls: Mapping[str, Callable[[], object]], *, n: int = 7, warm_up: int = 1) -> dict[str, Tensor]:
+def interleaved(
+    calls: Mapping[str, Callable[[], object]],
+    *,
+    n: int = 7,
+    warm_up: int = 1,
+    clock: Callable[[], float] = time.perf_counter,
+) -> dict[str, Tensor]:
     """Seconds (n,) of every call, by name: n rounds through all of them, so that a machine that slows down slows all.
 
-    Garbage collection is off; each call runs ``warm_up`` times before the first round.
+    Garbage collection is off; each call runs ``warm_up`` times before the first round. clock: as for :func:`timed`.
 
     Raises:
         ValueError: n is less than one.
@@ -68,25 +77,25 @@ def interleaved(calls: Mapping[str, Callable[[], object]], *, n: int = 7, warm_u
             call()
     for k in range(n):
         for name, call in calls.items():
-            seconds[name][k] = timed(call, n=1, warm_up=0).median
+            seconds[name][k] = timed(call, n=1, warm_up=0, clock=clock).median
     return seconds
 
 
 class Stopwatch:
     """Seconds by label, added up: ``with watch("chain"): ...``; unlike a profiler it slows nothing down."""
 
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = defaultdict(float)
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+        self.clock, self.seconds = clock, defaultdict(float)
 
     @contextmanager
     def __call__(self, label: str) -> Iterator[None]:
         """Time what happens inside."""
         wait = torch.cuda.synchronize if torch.cuda.is_available() else lambda: None
         wait()
-        start = time.perf_counter()
+        start = self.clock()
         yield
         wait()
-        self.seconds[label] += time.perf_counter() - start
+        self.seconds[label] += self.clock() - start
 
 
 def graph_nodes(*outputs: Tensor) -> int:

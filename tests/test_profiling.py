@@ -87,3 +87,12 @@ def test_stopwatch_adds_up_by_label():
         with watch("nothing"):
             pass
     assert watch.seconds["nap"] >= 0.02 > 10 * watch.seconds["nothing"]
+
+
+def test_processor_time_does_not_count_a_sleep():
+    calls = {"nap": lambda: time.sleep(0.05)}
+    assert interleaved(calls, n=1, clock=time.process_time)["nap"].item() < 0.01 < interleaved(calls, n=1)["nap"].item()
+    watch = Stopwatch(time.process_time)
+    with watch("nap"):
+        time.sleep(0.05)
+    assert watch.seconds["nap"] < 0.01

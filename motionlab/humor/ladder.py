@@ -38,10 +38,15 @@ PARTS = ("first state", "chain", "body", "terms", "backward")
 class Savings:
     """What a closure of stage 3 leaves out.
 
-    frozen: gradients of the networks' weights. prior_after: evaluating the prior inside the chain; once for all steps
-    instead. joints_only: the mesh; forward kinematics instead. needed_frames: bodies that nobody looks at (one frame
-    as a whole sequence three times over, the sequence twice). matrices: rotation vectors between any two parts.
-    exact_heading: the heading by acos. lean_layout: the state as a dict of parts.
+    frozen: gradients of the networks' weights.
+    prior_after: the prior inside the chain; it is evaluated once for all steps.
+    joints_only: the mesh; forward kinematics is enough.
+    needed_frames: bodies that nobody looks at: one frame as a whole clip three times over, the sequence twice and
+        filled up to the whole clip.
+    matrices: rotation vectors between any two parts.
+    exact_heading: the heading by acos.
+    lean_layout: the state as a dict of parts, and autograd's record of every small operation: the derivative of the
+        chain is written out.
     """
 
     frozen: bool = False
@@ -59,7 +64,7 @@ LEAN = Savings(**{field.name: True for field in fields(Savings)})
 NAMES = {
     "frozen": "weights frozen", "prior_after": "prior out of the loop", "joints_only": "joints, no mesh",
     "needed_frames": "needed frames only", "matrices": "matrices throughout", "exact_heading": "exact 2-D heading",
-    "lean_layout": "lean vector layout",
+    "lean_layout": "lean layout, own derivative",
 }  # fmt: skip
 
 
@@ -113,7 +118,7 @@ class _Body:
 
     on: Savings
     betas: Tensor
-    frames: int
+    frames: int  #: of the whole clip: what the official body layer is made for
 
     def form(self, rot: Tensor) -> Tensor:
         return rot if self.on.matrices else matrix_to_axis_angle(rot)
@@ -126,6 +131,12 @@ class _Body:
 
     def sequence(self, trans: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
         """Joints (B, T, 22, 3) and landmarks (B, T, 25, 3)."""
+        steps, missing = trans.shape[1], self.frames - trans.shape[1]
+        if missing and not self.on.needed_frames:
+            full = self.sequence(
+                *(torch.cat((x, x[:, -1:].expand(-1, missing, *x.shape[2:])), 1) for x in (trans, pose))
+            )
+            return full[0][:, :steps], full[1][:, :steps]
         if not self.on.joints_only:
             return body_joints_by_lbs(trans, self.vectors(pose), self.betas)
         joints, turns = fk(skeleton_of(self.betas), trans, self.rot(pose))
@@ -159,10 +170,10 @@ def first_state(unknown: Variables, priors: Priors, body: _Body) -> Tensor:
 
 
 def roll(unknown: Variables, priors: Priors, evidence: Evidence, on: Savings, mark: Mark = record_function) -> Rolled:
-    """Stage 3's motion, as ``variables.roll``; its parts are marked."""
+    """Stage 3's motion, as ``variables.roll``; its parts are marked. The evidence is that of the whole clip."""
     z, betas = rows(unknown, "z"), rows(unknown, "betas")
     camera = rows(unknown, "camera") if "camera" in unknown else None
-    body = _Body(on, betas, z.shape[1] + 1)
+    body = _Body(on, betas, max(evidence.values.shape[1], z.shape[1] + 1))
     with mark("first state"):
         first = first_state(unknown, priors, body)
     with mark("chain"):
@@ -190,7 +201,7 @@ def energy(
     """Stage 3's energy (G,); arguments as ``stages.motion_terms``."""
     problem.priors.motion.requires_grad_(not on.frozen)
     problem.priors.pose.requires_grad_(not on.frozen)
-    rolled = roll(unknown, problem.priors, problem.evidence.short(unknown["z"].shape[2] + 1), on, mark)
+    rolled = roll(unknown, problem.priors, problem.evidence, on, mark)
     with mark("terms"):
         return sum(stages.rolled_terms(problem, unknown, rolled, grown=grown, contacts=contacts).values())
 

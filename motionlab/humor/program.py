@@ -1,0 +1,99 @@
+"""What a whole fit spends: the official schedule as phases in which every closure costs the same, and those costs.
+
+seconds of the program = sum over phases of closures x seconds of one closure
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import DataError
+from motionlab.humor.ladder import Savings
+from motionlab.humor.testops import Schedule
+from motionlab.humor.workload import Part, Workload
+from motionlab.profiling import Stopwatch
+
+#: Of the official video demo.
+OFFICIAL = Schedule(steps=(30, 80, 70))
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of a fit: its name, the closure that it repeats, and how often."""
+
+    name: str
+    part: Part
+    closures: int
+
+
+def phases(schedule: Schedule = OFFICIAL, frames: int = 60) -> list[Phase]:
+    """The budget: an outer step may take 5/4 as many closures as it has iterations, torch's default limit."""
+    each, (one, two, three) = schedule.inner * 5 // 4, schedule.steps
+    begin, end = (min(step, three) for step in schedule.refine)
+    short = min(schedule.short, frames)
+    table = [
+        ("stage 1: root", Part(1, frames), one),
+        ("stage 2: pose", Part(2, frames), two),
+        (f"stage 3: first {short} frames", Part(3, short), begin),
+        ("stage 3: first state fixed", Part(3, frames, first_fixed=True, contacts=False), end - begin),
+        ("stage 3: everything", Part(3, frames), three - end),
+    ]
+    return [Phase(name, part, each * steps) for name, part, steps in table if steps]
+
+
+@dataclass(frozen=True, eq=False)
+class Spent:
+    """Seconds of one closure of every phase, by part (``ladder.PARTS``), (n,): one number per round of measuring."""
+
+    phases: tuple[Phase, ...]
+    seconds: tuple[dict[str, Tensor], ...]
+
+    def program(self, *parts: str, stage: int | None = None) -> Tensor:
+        """Seconds (n,) of the whole program; of some parts of the closures or one stage alone where they are named."""
+        total = 0.0
+        for phase, spent in zip(self.phases, self.seconds, strict=True):
+            if stage in (None, phase.part.stage):
+                total = total + phase.closures * sum(x for name, x in spent.items() if not parts or name in parts)
+        return total
+
+    def closure(self, name: str) -> Tensor:
+        """Seconds (n,) of one closure of the phase whose name ends so.
+
+        Raises:
+            DataError: none does.
+        """
+        for phase, spent in zip(self.phases, self.seconds, strict=True):
+            if phase.name.endswith(name):
+                return sum(spent.values())
+        raise DataError(f"no phase {name!r}", remedy=f"known: {', '.join(phase.name for phase in self.phases)}")
+
+
+def spend(
+    work: Workload,
+    on: Savings,
+    *,
+    n: int,
+    schedule: Schedule = OFFICIAL,
+    warm_up: int = 1,
+    clock: Callable[[], float] = time.process_time,
+) -> Spent:
+    """Time one closure of each phase in n rounds through all phases, after ``warm_up`` rounds that do not count."""
+    table = phases(schedule, work.frames)
+    closures = [work.closure(phase.part, on) for phase in table]
+    rounds = [[_parts(closure, clock) for closure in closures] for _ in range(n + warm_up)][warm_up:]
+    return Spent(tuple(table), tuple(_columns(column) for column in zip(*rounds, strict=True)))
+
+
+def _parts(closure: Callable[..., Tensor], clock: Callable[[], float]) -> dict[str, float]:
+    watch = Stopwatch(clock)
+    closure(mark=watch)
+    return watch.seconds
+
+
+def _columns(rows: Sequence[dict[str, float]]) -> dict[str, Tensor]:
+    return {name: torch.tensor([row[name] for row in rows], dtype=torch.float64) for name in rows[0]}
