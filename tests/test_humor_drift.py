@@ -37,6 +37,9 @@ def test_a_decoder_that_changes_nothing_holds_the_pose(clips):
     # its one-step errors are the sequence's own steps: added up they are the way from the first pose
     torch.testing.assert_close(far["errors added"], far["hold"], atol=1e-4, rtol=0)
     assert (far["errors at random"][:, -1] < far["errors added"][:, -1])[0]  # a walker goes one way
+    speed = drift.velocity_errors(found)
+    torch.testing.assert_close(speed["posterior"], speed["hold"], atol=1e-3, rtol=0)
+    assert speed["hold"].mean() > 1.0
     assert near["constant velocity"].mean() < 0.3 * near["hold"].mean()
 
 

@@ -28,7 +28,8 @@ class Decoded:
     """A sequence and what its latents decode to: B clips of T + 1 frames, the first of which is always its own.
 
     reference: the sequence. one_step, rolled: with the posterior's mean; blind, blind_rolled: with the prior's, which
-    does not know the transition. posterior, prior (B, T, 48). states (B, T + 1, 339): the sequence's.
+    does not know the transition. posterior, prior (B, T, 48). states (B, T + 1, 339): the sequence's. steps,
+    blind_steps (B, T, 339): the two one-step decodes as states.
     """
 
     reference: Motion
@@ -39,6 +40,8 @@ class Decoded:
     posterior: Gaussian
     prior: Gaussian
     states: Tensor
+    steps: Tensor
+    blind_steps: Tensor
 
 
 def decode(model: Cvae, motion: Motion) -> Decoded:
@@ -57,15 +60,18 @@ def decode(model: Cvae, motion: Motion) -> Decoded:
         def shown(found: Tensor) -> Motion:
             return state.to_motion(torch.cat((first, found), 1), motion.skeleton, motion.fps)
 
+        steps, blind = (decode_ahead(model, before, q.mean)[:, :, 0] for q in (posterior, prior))
         return Decoded(
             reference=replace(motion, contacts=None),
-            one_step=shown(decode_ahead(model, before, posterior.mean)[:, :, 0]),
+            one_step=shown(steps),
             rolled=shown(rollout(model, first[:, 0], posterior.mean, with_prior=False).states),
-            blind=shown(decode_ahead(model, before, prior.mean)[:, :, 0]),
+            blind=shown(blind),
             blind_rolled=shown(sample(model, first[:, 0], motion.frames - 1).states),
             posterior=posterior,
             prior=prior,
             states=states,
+            steps=steps,
+            blind_steps=blind,
         )
 
 
@@ -86,6 +92,17 @@ def one_step_errors(found: Decoded) -> dict[str, Tensor]:
         "constant velocity": _mean_distance(moved, wanted),
         "hold": _mean_distance(joints, wanted),
     }
+
+
+def velocity_errors(found: Decoded) -> dict[str, Tensor]:
+    """Mean error (B, T) in cm/s of the joint velocities after one step; "hold": those of the state before."""
+
+    def speeds(states: Tensor) -> Tensor:
+        return state.unpack(states)["joints_vel"]
+
+    wanted = speeds(found.states[:, 1:])
+    tried = {"posterior": found.steps, "prior's mean": found.blind_steps, "hold": found.states[:, :-1]}
+    return {name: _mean_distance(speeds(states), wanted) for name, states in tried.items()}
 
 
 def rollout_errors(found: Decoded) -> dict[str, Tensor]:

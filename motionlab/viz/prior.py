@@ -117,6 +117,21 @@ def parity(rows: Sequence[Row]) -> Figure:
     return fig
 
 
+def learning(curve: Sequence[Mapping[str, float]]) -> Figure:
+    """Held-out errors over the steps of a training run, a panel per measure; rows as ``train`` writes them."""
+    measures = {"one step": "one step (cm)", "2 s": "after 2 s, rolled out (cm)", "kl": "KL (nats)"}
+    fig, axes = canvas(1, 3, size=(9.6, 3.0))
+    step = [row["step"] for row in curve]
+    for ax, (key, title) in zip(axes, measures.items(), strict=True):
+        names = [name.split(":")[0] for name in curve[-1] if name.endswith(f": {key}")]
+        for name, paint in paints(names, {"recordings": "real"}).items():
+            y = [row.get(f"{name}: {key}", np.nan) for row in curve]
+            ax.plot(step, y, ".-", ms=3, color=paint, lw=1.5, label=name)
+        ax.set(title=title, xlabel="step", yscale="linear" if key == "kl" else "log")
+    axes[-1].legend(loc="best", frameon=False, fontsize=8)
+    return fig
+
+
 def latents(kl: Tensor, scores: Tensor, labels: Sequence[str], active: float) -> Figure:
     """Nats that every latent dimension (D,) carries, sorted; posterior means (N, 2) in their two main directions."""
     fig, (left, right) = canvas(1, 2, size=(9.6, 3.7))
@@ -138,7 +153,7 @@ def latents(kl: Tensor, scores: Tensor, labels: Sequence[str], active: float) ->
 
 def drift(panels: Mapping[str, Mapping[str, Tensor]], roles: Mapping[str, str], fps: float = 30.0) -> Figure:
     """Joint error in cm (B, T) over time, a panel per source: medians over clips and quartiles, logarithmic."""
-    fig, axes = canvas(1, len(panels), size=(1.2 + 3.1 * len(panels), 3.4), sharey=True)
+    fig, axes = canvas(1, len(panels), size=(1.8 + 2.5 * len(panels), 3.4), sharey=True)
     for ax, (name, series) in zip(axes, panels.items(), strict=True):
         paint = paints(list(series), roles)
         for label, values in series.items():
