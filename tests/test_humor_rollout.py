@@ -1,0 +1,285 @@
+"""The lean roll-out against a plain loop, finite differences and the official arrays; no clip sees another."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from motionlab import rotation
+from motionlab.errors import ShapeError
+from motionlab.humor import faithful, parity, recursion, state
+from motionlab.humor.cvae import Cvae
+from motionlab.humor.recursion import BACK, LEAN, LEAN_RAW, Decoder, Stepper
+from motionlab.humor.rollout import decode_ahead, infer, rollout, sample
+
+GOLDEN = Path(__file__).parent / "golden"
+F64 = torch.float64
+
+
+@pytest.fixture(scope="module")
+def model():
+    torch.manual_seed(0)
+    made = Cvae(64).to(F64)
+    with torch.no_grad():
+        made.decoder.net[-1].weight *= 0.3
+        for name, value in made.named_parameters():
+            if value.ndim == 1:  # norms that do something
+                value += 0.1 * torch.randn(value.shape, dtype=F64, generator=torch.Generator().manual_seed(len(name)))
+    return made.frozen()
+
+
+def first_states(generator, batch, dtype=F64):
+    def draw(*shape):
+        return torch.randn(batch, *shape, generator=generator, dtype=F64)
+
+    trans = draw(3)
+    return state.pack(
+        {
+            "trans": trans,
+            "trans_vel": draw(3),
+            "root_orient": rotation.random((batch,), generator, dtype=F64),
+            "root_orient_vel": draw(3),
+            "pose_body": rotation.random((batch, 21), generator, dtype=F64),
+            "joints": trans[:, None] + 0.5 * draw(22, 3),
+            "joints_vel": draw(22, 3),
+        }
+    ).to(dtype)
+
+
+def latents(generator, batch, steps):
+    return 0.7 * torch.randn(batch, steps, 48, generator=generator, dtype=F64)
+
+
+def plain(model, first, z, offset=None):
+    """As it is written in the paper: into the newest state's frame, one transition, back into the world."""
+    x, states, logits, means = first, [], [], []
+    for now in z.unbind(1):
+        frame = state.heading(x)
+        past = state.localise(x, frame, offset)
+        after, contacts = state.apply(past, model.decode(past, now))
+        x = state.globalise(after, frame, offset)
+        states.append(x), logits.append(contacts), means.append(model.prior(past).mean)
+    return tuple(torch.stack(each, 1) for each in (states, logits, means))
+
+
+def loss(states, logits, means, z):
+    weights = torch.linspace(-1, 1, state.STATE, dtype=states.dtype)
+    return (states.square() * weights).sum() + logits.sin().sum() + 0.1 * (z - means).square().sum()
+
+
+@pytest.mark.parametrize("batch, steps", [(1, 1), (1, 9), (3, 4), (5, 1)])
+@pytest.mark.parametrize("with_offset", [False, True])
+def test_values_and_gradients_are_those_of_a_plain_loop(model, generator, batch, steps, with_offset):
+    first, z = first_states(generator, batch), latents(generator, batch, steps)
+    found = []
+    for lean in (True, False):
+        x, latent = first.clone().requires_grad_(), z.clone().requires_grad_()
+        offset = state.pelvis_offset(x) if with_offset else None
+        if lean:
+            out = rollout(model, x, latent, offset=offset)
+            parts = out.states, out.contact_logits, out.prior.mean
+        else:
+            parts = plain(model, x, latent, offset)
+        slopes = torch.autograd.grad(loss(*parts, latent), (x, latent))
+        found.append([*parts, *slopes])
+    for ours, theirs in zip(*found, strict=True):
+        torch.testing.assert_close(ours, theirs, atol=1e-10, rtol=1e-10)
+
+
+def test_control_the_offset_and_its_sign_are_noticed(model, generator):
+    first, z = first_states(generator, 2), latents(generator, 2, 5)
+    offset = state.pelvis_offset(first)
+    right, flipped, none = (rollout(model, first, z, offset=c).states for c in (offset, -offset, None))
+    assert (right - flipped).abs().max() > 1e-2 and (right - none).abs().max() > 1e-2
+
+
+def test_control_the_plain_loop_is_sensitive(model, generator, monkeypatch):
+    """A wrong sign in the rotations would be seen: the test above is no tautology."""
+    first, z = first_states(generator, 2), latents(generator, 2, 5)
+    good = rollout(model, first, z).states
+    monkeypatch.setattr(recursion, "_QUATERNION", recursion._QUATERNION.mT.contiguous())
+    assert (rollout(model, first, z).states - good).abs().max() > 1e-2
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_gradients_are_finite_differences(model, generator, steps):
+    """Of everything that can move: first state, latents, offset."""
+    first, z = first_states(generator, 2), latents(generator, 2, steps)
+    offset = state.pelvis_offset(first)
+    ways = [torch.randn(x.shape, generator=generator, dtype=F64) for x in (first, z, offset)]
+
+    def energy(first, z, offset):
+        out = rollout(model, first, z, offset=offset)
+        return loss(out.states, out.contact_logits, out.prior.mean, out.z)
+
+    leaves = [x.clone().requires_grad_() for x in (first, z, offset)]
+    slopes = torch.autograd.grad(energy(*leaves), leaves)
+    for k, way in enumerate(ways):
+        step = 1e-6
+
+        def along(s, k=k, way=way):
+            return energy(*[x + s * way if j == k else x for j, x in enumerate((first, z, offset))])
+
+        measured = (along(step) - along(-step)) / (2 * step)
+        torch.testing.assert_close((slopes[k] * way).sum(), measured, rtol=2e-7, atol=1e-6)
+
+
+def test_gradients_of_the_weights_are_those_of_a_plain_loop(model, generator):
+    """A fit freezes the weights; whoever does not gets their gradients too."""
+    first, z = first_states(generator, 2), latents(generator, 2, 3)
+    try:
+        model.requires_grad_(requires_grad=True)
+        weights = dict(model.decoder.named_parameters())
+        out = rollout(model, first, z)
+        lean = torch.autograd.grad(loss(out.states, out.contact_logits, out.prior.mean, z), weights.values())
+        theirs = torch.autograd.grad(loss(*plain(model, first, z), z), weights.values())
+    finally:
+        model.frozen()
+    for name, ours, reference in zip(weights, lean, theirs, strict=True):
+        torch.testing.assert_close(ours, reference, atol=1e-9, rtol=1e-9, msg=lambda m, name=name: f"{name}: {m}")
+
+
+@pytest.mark.parametrize("dtype, tolerance", [(F64, 1e-12), (torch.float32, 2e-4)])
+def test_clips_do_not_see_each_other(model, generator, dtype, tolerance):
+    """Three of them: the batch size that the official cross product breaks."""
+    net = Cvae(64).to(dtype).frozen()
+    net.load_state_dict({name: value.to(dtype) for name, value in model.state_dict().items()})
+    first, z = first_states(generator, 3, dtype), latents(generator, 3, 6).to(dtype)
+    together = rollout(net, first, z)
+    for b in range(3):
+        alone = rollout(net, first[b : b + 1], z[b : b + 1])
+        assert (together.states[b] - alone.states[0]).abs().max() < tolerance
+    other = rollout(net, first, torch.cat((z[:2], z[2:] + 1)))
+    assert torch.equal(other.states[:2], together.states[:2]) and not torch.equal(other.states[2], together.states[2])
+
+
+def test_one_bad_clip_leaves_the_others_alone(model, generator):
+    first, z = first_states(generator, 3), latents(generator, 3, 4)
+    whole = rollout(model, first, z)
+    z[1, 2] = torch.nan
+    leaf = z.clone().requires_grad_()
+    out = rollout(model, first, leaf)
+    out.states[[0, 2]].square().sum().backward()
+    assert torch.equal(out.states[[0, 2]], whole.states[[0, 2]]) and out.states[1, 2:].isnan().any()
+    assert leaf.grad[[0, 2]].isfinite().all()
+
+
+def test_the_world_does_not_matter(model, generator):
+    """Turned about z and moved on the floor, the same motion turned and moved."""
+    first, z = first_states(generator, 2), latents(generator, 2, 6)
+    turn = rotation.rotation_about("z", torch.tensor([0.7, -2.9], dtype=F64))
+    frame = state.Frame(turn, torch.tensor([[3.0, -1.0, 0.0], [0.2, 40.0, 0.0]], dtype=F64))
+    moved = rollout(model, state.localise(first, frame), z).states
+    wide = state.Frame(turn[:, None], frame.shift[:, None])
+    torch.testing.assert_close(state.globalise(moved, wide), rollout(model, first, z).states, atol=1e-10, rtol=0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+def test_a_body_exactly_on_its_side_has_no_heading_and_no_nan(model, generator, dtype):
+    """The right axis up: the frame keeps its axes, the gradient is finite, and near by it is the plain loop's."""
+    net = Cvae(64).to(dtype).frozen()
+    with torch.no_grad():
+        net.decoder.net[-1].weight.zero_(), net.decoder.net[-1].bias.zero_()  # the state stays where it is
+    first = first_states(generator, 2, dtype)
+    side = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], dtype=dtype)
+    first[0, state.SLICES["root_orient"]] = side.flatten()
+    x, z = first.clone().requires_grad_(), latents(generator, 2, 3).to(dtype).requires_grad_()
+    out = rollout(net, x, z)
+    torch.testing.assert_close(out.states[0], plain(net, first, z)[0][0], atol=1e-5, rtol=0)
+    torch.testing.assert_close(out.states[0, -1], first[0], atol=1e-5, rtol=0)
+    for slope in torch.autograd.grad(out.states.square().sum() + out.prior.mean.sum(), (x, z)):
+        assert slope.isfinite().all()
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-30, 1e-8, 1e-4, 0.05, 0.1001, 1.0, 3.1, torch.pi, 6.3])
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+def test_the_exponential_and_its_derivative_at_any_angle(model, generator, size, dtype):
+    step = Stepper(Decoder.of(Cvae(64).to(dtype)), None)
+    way = torch.nn.functional.normalize(torch.randn(2, 22, 3, generator=generator, dtype=F64), dim=-1)
+    v = (size * way).to(dtype)
+    exact = rotation.exp(v.to(F64))
+    eps = torch.finfo(dtype).eps
+    assert (step.exp(v).mT.to(F64) - exact).abs().max() < 10 * eps
+    slope = torch.randn(2, 22, 3, 3, generator=generator, dtype=F64)
+    leaf = v.to(F64).requires_grad_()
+    (truth,) = torch.autograd.grad((rotation.exp(leaf) * slope).sum(), leaf)
+    torque = torch.linalg.cross(exact, slope, dim=-2).sum(-1, keepdim=True).mT
+    found = torque.to(dtype) @ recursion.right_jacobian(v)
+    assert (found[..., 0, :].to(F64) - truth).abs().max() < 200 * eps
+
+
+def test_lean_order_goes_there_and_back():
+    x = torch.randn(2, state.STATE, generator=torch.Generator().manual_seed(0))
+    assert torch.equal(x[:, LEAN][:, BACK], x)
+    assert torch.equal(LEAN_RAW.sort().values, torch.arange(state.DELTA))
+    parts = state.unpack(x)
+    assert torch.equal(x[:, LEAN][:, 9:75], parts["joints"].flatten(1))
+    assert torch.equal(x[:, LEAN][:, 141:150], parts["root_orient"].mT.flatten(1))
+
+
+@pytest.mark.parametrize("with_offset", [False, True])
+def test_sample_is_the_roll_out_of_its_own_latents(model, generator, with_offset):
+    first = first_states(generator, 3)
+    offset = state.pelvis_offset(first) if with_offset else None
+    for drawn in (None, torch.Generator().manual_seed(5)):
+        taken = sample(model, first, 7, generator=drawn, offset=offset)
+        again = rollout(model, first, taken.z, offset=offset)
+        torch.testing.assert_close(taken.states, again.states, atol=1e-10, rtol=0)
+        torch.testing.assert_close(taken.contact_logits, again.contact_logits, atol=1e-10, rtol=0)
+        torch.testing.assert_close(taken.prior.mean, again.prior.mean, atol=1e-10, rtol=0)
+        torch.testing.assert_close(taken.prior.log_var, again.prior.log_var, atol=1e-10, rtol=0)
+        assert (drawn is None) == torch.equal(taken.z, taken.prior.mean)
+    other = sample(model, first, 7, generator=torch.Generator().manual_seed(6), offset=offset)
+    assert not torch.equal(other.z, taken.z)
+
+
+def test_posterior_latents_are_those_of_infer(model, generator):
+    """Prior of a roll-out's transitions: the same two ways, all at once from states, or along the roll-out."""
+    first, z = first_states(generator, 2), latents(generator, 2, 5)
+    out = rollout(model, first, z)
+    _, prior = infer(model, torch.cat((first[:, None], out.states), dim=1))
+    torch.testing.assert_close(prior.mean, out.prior.mean, atol=1e-10, rtol=0)
+
+
+def test_decode_ahead_starts_everywhere(model, generator):
+    first, z = first_states(generator, 2), latents(generator, 2, 6)
+    states = torch.cat((first[:, None], rollout(model, first, z).states), dim=1)[:, :-1]
+    ahead = decode_ahead(model, states, z, steps=3)
+    assert ahead.shape == (2, 6, 3, state.STATE)
+    whole = rollout(model, first, z).states
+    for k in range(3):
+        torch.testing.assert_close(ahead[:, : 6 - k, k], whole[:, k:], atol=1e-10, rtol=0)
+    other = z.clone()
+    other[:, 4] += 1
+    changed = (decode_ahead(model, states, other, steps=3) - ahead).abs().amax((0, 3)) > 1e-6
+    assert changed.tolist() == [[t <= 4 <= t + k for k in range(3)] for t in range(6)]
+
+
+@pytest.mark.parametrize(
+    "first, z",
+    [((2, 339), (3, 4, 48)), ((2, 338), (2, 4, 48)), ((2, 339), (2, 4, 47)), ((2, 339), (2, 0, 48)), ((339,), (4, 48))],
+)
+def test_shapes_that_do_not_fit(model, first, z):
+    with pytest.raises(ShapeError):
+        rollout(model, torch.zeros(first, dtype=F64), torch.zeros(z, dtype=F64))
+
+
+@pytest.mark.parametrize("alternative", [False, True])
+def test_what_remains_to_the_official_arrays_is_their_heading(alternative):
+    """acos of a guarded cosine: 1e-5 to 1e-4. With our heading in its place the official form gives our numbers.
+
+    All arrays one by one, in both forms: ``test_humor_parity``.
+    """
+    golden, net = parity.Golden(GOLDEN), parity.seeded(alternative=alternative)
+    worlds, z = golden.states("world_")[:, 0], golden["roll_z"]
+    theirs = golden.states("alt_rollworld_" if alternative else "rollworld_")
+    lean = rollout(net, worlds, z, offset=state.pelvis_offset(worlds)).states
+    official = faithful.rollout(net, worlds, z).states
+    exact = faithful.rollout(net, worlds, z, align=exact_heading).states
+    assert (official - theirs).abs().max() < 1e-9
+    assert 1e-6 < (lean - theirs).abs().max() < 1e-4
+    assert (lean - exact).abs().max() < 1e-6  # left: Rodrigues with |v + 1e-8|
+
+
+def exact_heading(orientation):
+    return state.heading_frame(torch.zeros_like(orientation[..., 0]), orientation).turn
