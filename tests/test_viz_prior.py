@@ -33,6 +33,14 @@ def test_parity_puts_forms_apart():
     assert heights.tolist() == [1e-6, 2e-5]
 
 
+def test_learning_has_a_line_per_held_out_source():
+    names = [f"{source}: {measure}" for source in ("synthetic", "recordings") for measure in ("one step", "2 s", "kl")]
+    curve = [{"step": step, "loss": 1.0} | dict.fromkeys(names, 5.0 - step) for step in (1, 2, 3)]
+    axes = draw.learning(curve).axes
+    assert [len(ax.get_lines()) for ax in axes] == [2, 2, 2]
+    assert axes[1].get_lines()[0].get_ydata().tolist() == [4.0, 3.0, 2.0]
+
+
 def test_latents_sort_and_mark_what_is_in_use():
     kl = torch.tensor([0.0, 0.5, 0.001, 0.2])
     fig = draw.latents(kl, noise(30, 2), ["walk", "sit"] * 15, 0.01)
