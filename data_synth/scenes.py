@@ -169,6 +169,12 @@ def _easy(index: int, generator: torch.Generator, frames: int) -> Shot:
     return motion, capture.frame_motion(motion, generator), ()
 
 
+def _facing_it(index: int, generator: torch.Generator, frames: int) -> Shot:
+    """Easy, and filmed from the front: where the official start of a fit is not wrong to begin with."""
+    motion = _window(("walk", "reach", "wave", "idle")[index % 4], index, generator, frames)
+    return motion, _camera(motion, generator, around=_facing(motion), by=45.0), ()
+
+
 def _walking(index: int, generator: torch.Generator, frames: int) -> Shot:
     motion = _window("walk", index, generator, frames, speed=1.2)
     return motion, capture.frame_motion(motion, generator), ()
@@ -228,6 +234,7 @@ CASES: dict[str, tuple[Callable, Callable | None]] = {
     "dance": (_dancing, None),
     "floor roll": (_rolling, None),
     "tumble": (_tumbling, None),
+    "facing the camera": (_facing_it, None),
 }
 
 
