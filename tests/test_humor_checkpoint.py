@@ -1,0 +1,123 @@
+"""Checkpoints: what is saved comes back; what is damaged, half written or foreign is refused; what ships is whole."""
+
+import json
+
+import pytest
+import torch
+from safetensors.torch import save as save_tensors
+
+from motionlab.errors import DataError
+from motionlab.humor import checkpoint
+from motionlab.humor.cvae import Cvae
+
+RECIPE = {"what": "a test", "seed": 3}
+
+
+@pytest.fixture
+def kept(tmp_path):
+    """A small model, saved."""
+    torch.manual_seed(0)
+    model = Cvae(64).frozen()
+    checkpoint.save(tmp_path / "small", model.state_dict(), RECIPE)
+    return model, tmp_path / "small"
+
+
+def test_what_is_saved_comes_back(kept):
+    model, path = kept
+    tensors, recipe = checkpoint.load(path)
+    assert tensors.keys() == model.state_dict().keys()
+    assert all(torch.equal(tensors[name], value) for name, value in model.state_dict().items())
+    assert recipe.items() >= RECIPE.items()
+    again = checkpoint.motion_prior(str(path))
+    x = torch.randn(5, 339, generator=torch.Generator().manual_seed(1))
+    assert torch.equal(again.prior(x).mean, model.prior(x).mean)
+    assert not any(p.requires_grad for p in again.parameters())
+
+
+def test_half_precision_is_read_as_single(kept, tmp_path):
+    model, _ = kept
+    checkpoint.save(tmp_path / "half", {n: v.half() for n, v in model.state_dict().items()}, RECIPE)
+    again = checkpoint.motion_prior(str(tmp_path / "half"))
+    assert {p.dtype for p in again.parameters()} == {torch.float32}
+    assert torch.allclose(again.decoder.net[0].weight, model.decoder.net[0].weight, atol=1e-3)
+
+
+def test_nothing_else_is_left_in_the_folder(kept):
+    _, path = kept
+    assert {p.name for p in path.parent.iterdir()} == {"small.safetensors", "small.json"}
+
+
+def truncated(path):
+    content = path.with_suffix(".safetensors").read_bytes()
+    path.with_suffix(".safetensors").write_bytes(content[: len(content) // 2])
+
+
+def one_bit(path):
+    content = bytearray(path.with_suffix(".safetensors").read_bytes())
+    content[-5] ^= 1
+    path.with_suffix(".safetensors").write_bytes(content)
+
+
+def of_another(path):
+    path.with_suffix(".safetensors").write_bytes(save_tensors({"x": torch.zeros(3)}))
+
+
+def no_recipe(path):
+    path.with_suffix(".json").unlink()
+
+
+def no_tensors(path):
+    path.with_suffix(".safetensors").unlink()
+
+
+def broken_recipe(path):
+    path.with_suffix(".json").write_text('{"seed": 3', encoding="utf-8")
+
+
+def recipe_of_a_list(path):
+    path.with_suffix(".json").write_text("[1, 2]", encoding="utf-8")
+
+
+def recipe_without_checksum(path):
+    path.with_suffix(".json").write_text(json.dumps(RECIPE), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "harm", [truncated, one_bit, of_another, no_recipe, no_tensors, broken_recipe, recipe_of_a_list,
+             recipe_without_checksum],
+)  # fmt: skip
+def test_damage_is_refused_with_a_remedy(kept, harm):
+    _, path = kept
+    harm(path)
+    with pytest.raises(DataError, match="small") as caught:
+        checkpoint.load(path)
+    assert "train" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda w: {"weight": torch.zeros(3)}, "prior_net"),
+        (lambda w: w | {"encoder.net.0.bias": torch.zeros(7)}, "do not fit"),
+        (lambda w: {n: v for n, v in w.items() if n != "decoder.net.9.bias"}, "do not fit"),
+        (lambda w: w | {"decoder.net.9.bias": torch.full((216,), torch.nan)}, "not finite"),
+    ],
+)
+def test_other_models_are_refused(kept, change, complaint):
+    model, path = kept
+    checkpoint.save(path.with_name("foreign"), change(model.state_dict()), RECIPE)
+    with pytest.raises(DataError, match=complaint):
+        checkpoint.motion_prior(str(path.with_name("foreign")))
+
+
+def test_unknown_name_says_what_to_do():
+    with pytest.raises(DataError, match="train"):
+        checkpoint.motion_prior("no_such_prior")
+
+
+def test_the_shipped_prior_is_whole_and_small():
+    model = checkpoint.motion_prior()
+    assert len(model.state_dict()) == 50 and model.latent == 48
+    assert (checkpoint.SHIPPED / "humor_compact.safetensors").stat().st_size < 15e6
+    assert not any(p.requires_grad for p in model.parameters()) and not model.training
+    assert checkpoint.motion_prior() is model

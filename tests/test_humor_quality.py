@@ -1,0 +1,132 @@
+"""Quality of a prior: models whose errors are known beforehand, and what the shipped one must reach."""
+
+import pytest
+import torch
+
+from data_synth.corpus import Recipe, perform_sequence
+from motionlab.humor import checkpoint, quality, state
+from motionlab.humor.cvae import Cvae
+from motionlab.humor.rollout import infer, rollout
+from motionlab.humor.state import DELTA_SLICES, SLICES
+from motionlab.skeleton import STANDARD
+
+UNSEEN = Recipe(seconds=22.0, seed=77)  # another seed than the corpus
+PERFORMANCES = (1, UNSEEN.sequences - 1)  # the last by the person kept from training
+
+
+@pytest.fixture(scope="module")
+def take():
+    motions = [perform_sequence(UNSEEN, index).motion for index in PERFORMANCES]
+    x = torch.cat([state.from_motion(m).float().unfold(0, 61, 61).mT for m in motions])
+    return x, torch.cat([m.contacts.unfold(0, 61, 61).mT for m in motions])
+
+
+@pytest.fixture
+def still():
+    """A model that changes nothing, whose z says nothing and whose contacts are open."""
+    model = Cvae(64)
+    with torch.no_grad():
+        for net in (model.encoder, model.prior_net, model.decoder):
+            net.net[-1].weight.zero_()
+            net.net[-1].bias.zero_()
+    return model.frozen()
+
+
+def touching(model, joints=None):
+    part = torch.full((9,), -4.0)
+    part[joints if joints is not None else slice(None)] = 4.0
+    model.decoder.net[-1].bias[DELTA_SLICES["contacts"]] = part
+    return model
+
+
+def test_a_model_that_does_nothing_is_the_held_pose(still, take):
+    states, _ = take
+    step, way = quality.one_step(still, states), quality.drift(still, states)
+    assert torch.allclose(step["posterior"], step["hold"]) and torch.allclose(step["prior mean"], step["hold"])
+    for name in ("posterior z", "closed loop", "prior mean"):
+        assert torch.allclose(way[name], way["hold"], atol=1e-2), name
+    assert (step["kl"] == 0).all()
+
+
+def test_errors_are_centimetres_and_baselines_are_what_they_say(still, take):
+    states, _ = take
+    joints = states[..., SLICES["joints"]].unflatten(-1, (22, 3))
+    moved = 100 * (joints[:, 1:] - joints[:, :-1]).norm(dim=-1).mean(-1)
+    assert torch.allclose(quality.one_step(still, states)["hold"], moved.flatten(), atol=1e-3)
+    steady = states[:, :1].repeat(1, 61, 1)
+    speed = torch.tensor([0.3, -0.2, 0.1])
+    for name in ("joints_vel", "trans_vel"):
+        steady[..., SLICES[name]] = speed.repeat(len(range(*SLICES[name].indices(339))) // 3)
+    way = (torch.arange(61) / 30)[:, None] * speed
+    for name in ("joints", "trans"):
+        part = SLICES[name]
+        steady[..., part] += way.repeat(1, (part.stop - part.start) // 3)
+    assert quality.one_step(still, steady)["constant velocity"].max() < 1e-3
+    assert quality.drift(still, steady)["constant velocity"].max() < 1e-2
+    hold = quality.drift(still, steady)["hold"][:, -1]
+    assert torch.allclose(hold, torch.tensor(100 * 2 * float(speed.norm())).expand(len(hold)), rtol=1e-3)
+
+
+def test_a_shift_of_the_prior_costs_what_it_must(still, take):
+    states, _ = take
+    still.encoder.net[-1].bias[:5] = 1.0  # five means one standard deviation off
+    cost = quality.one_step(still, states)["kl"]
+    assert torch.allclose(cost[:, :5], torch.tensor(0.5)) and (cost[:, 5:] == 0).all()
+    row = quality.summary(still, states)
+    assert row["active"] == 5 and row["kl, nats"] == pytest.approx(2.5)
+
+
+def test_a_still_body_is_plausible_and_a_sunk_one_is_not(still, take):
+    first = take[0][:2, 0]
+    draw = torch.Generator().manual_seed(0)
+    calm = quality.plausibility(touching(still), first, 12, draw)
+    assert calm["slide"].max() < 1e-2 and calm["bones"].max() < 1e-2 and calm["acceleration"].max() < 0.05
+    assert (calm["penetration"] == 0).all() and (calm["sunk"] == 0).all()
+    for part in ("joints", "trans"):
+        first[:, SLICES[part].start + 2 : SLICES[part].stop : 3] -= 1.5
+    sunk = quality.plausibility(still, first, 12, draw)
+    assert (sunk["penetration"] == 1).all() and (sunk["sunk"] == 1).all()
+
+
+def test_a_gliding_body_slides_where_it_touches(still, take):
+    first = take[0][:2, 0]
+    shift = DELTA_SLICES["joints"]
+    still.decoder.net[-1].bias[shift.start + 1 : shift.stop : 3] = 0.004  # all joints 4 mm a frame ahead
+    gliding = quality.plausibility(touching(still), first, 12, torch.Generator().manual_seed(0))
+    assert torch.allclose(gliding["slide"], torch.tensor(4.0), atol=1e-2)
+    free = quality.plausibility(touching(still, []), first, 12, torch.Generator().manual_seed(0))
+    assert (free["slide"] == 0).all()
+
+
+def test_contact_f1_of_constant_answers(still, take):
+    states, contacts = take
+    truth = contacts[:, 1:]
+    right = STANDARD.contact_indices.index(STANDARD.index("left_ankle"))
+    assert quality.contact_f1(touching(still, []), states, contacts) in (0.0, pytest.approx(0.0, nan_ok=True))
+    share = float(truth.mean())
+    assert quality.contact_f1(touching(still), states, contacts) == pytest.approx(2 * share / (1 + share), abs=1e-4)
+    assert 0 < quality.contact_f1(touching(still, [right]), states, contacts) < 1
+
+
+# ---------------------------------------------------------------------------------------------- what ships
+def test_the_shipped_prior_knows_more_than_its_baselines(take):
+    states, contacts = take
+    row = quality.summary(checkpoint.motion_prior(), states, contacts)
+    assert row["one step, posterior, cm"] < 0.5 < row["one step, hold, cm"]
+    for name in ("hold", "constant velocity", "prior mean"):
+        assert row["2 s, posterior z, cm"] < 0.6 * row[f"2 s, {name}, cm"], name
+    assert row["2 s, closed loop, cm"] < row["2 s, posterior z, cm"]
+    assert row["contact F1"] > 0.85
+    assert row["samples' sunk"] <= 0.2 and row["samples' bones"] < 10
+
+
+def test_control_z_of_another_motion_leads_astray(take):
+    """z carries information: that of other clips does not lead back to this one."""
+    states, _ = take
+    model = checkpoint.motion_prior()
+    row = quality.summary(model, states)
+    assert row["active"] >= 16 and 4 < row["kl, nats"] < 60
+    z = infer(model, states)[0].mean
+    ends = rollout(model, states[:, 0], z.roll(1, 0), with_prior=False).states[:, -1]
+    astray = 100 * (ends - states[:, -1])[:, SLICES["joints"]].unflatten(-1, (22, 3)).norm(dim=-1).mean()
+    assert astray > 2 * row["2 s, posterior z, cm"]
