@@ -9,16 +9,16 @@ from pathlib import Path
 
 import torch
 
-from motionlab import library
+from motionlab import library, train_small
 from motionlab.humor import checkpoint, examples, quality, state, training
 from motionlab.humor.cvae import Cvae
 from motionlab.motion import Motion
 
 
 def add_command(commands: argparse._SubParsersAction) -> None:
-    """``train humor``."""
+    """``train humor`` and ``train small``."""
     command = commands.add_parser("train", help="train a model: a checkpoint with its recipe")
-    command.add_argument("model", choices=("humor",), help="humor: the transition prior")
+    command.add_argument("model", choices=("humor", "small"), help="transition prior; or pose and first states")
     command.add_argument("--preset", choices=sorted(training.PRESETS), default="compact")
     command.add_argument("--steps", type=int, help="optimiser steps, the whole schedule (default: the preset's)")
     command.add_argument("--seed", type=int, default=0)
@@ -56,6 +56,11 @@ def windows(motions: list[Motion], frames: int = 61, most: int = 48) -> tuple[to
 
 
 def _train(options: argparse.Namespace) -> int:
+    if options.model == "small":
+        split, out = sources(options.data), options.out or checkpoint.SHIPPED
+        train_small.make_pose_prior(*split, out, seed=options.seed, steps=options.steps or train_small.STEPS)
+        train_small.make_init_gmm(*split, out, seed=options.seed)
+        return 0
     recipe = replace(training.PRESETS[options.preset], seed=options.seed)
     recipe = replace(recipe, steps=options.steps) if options.steps else recipe
     out = options.out or checkpoint.SHIPPED / f"humor_{options.preset}"

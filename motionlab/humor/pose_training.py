@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 from tqdm.auto import tqdm
 
-from data_synth import anatomy
 from motionlab import rotation
 from motionlab.errors import DataError, check_shape
 from motionlab.humor.cvae import Gaussian, kl
@@ -68,7 +67,7 @@ def train(
     rot: Tensor,
     generator: torch.Generator,
     *,
-    steps: int = 5000,
+    steps: int = 4000,
     batch: int = 256,
     rate: float = 1e-3,
     weight: Tensor | None = None,
@@ -122,19 +121,6 @@ def reconstruction(model: PosePrior, rot: Tensor) -> dict[str, float]:
         "cm": 100 * float(away.mean()),
         "kl": float(kl(posterior, prior).sum(-1).mean()),
         "active": int((posterior.mean.var(0) > 0.01).sum()),
-    }
-
-
-@torch.no_grad()
-def plausibility(rot: Tensor) -> dict[str, float]:
-    """Of poses (N, 21, 3, 3) against the anatomical limits: degrees beyond them (mean over poses of the worst joint,
-    and over all joints), and the share of poses in which no angle is more than 5 degrees beyond."""
-    whole = torch.cat((torch.eye(3).to(rot).expand(len(rot), 1, 3, 3), rot), 1)
-    beyond = torch.stack(list(anatomy.excess(STANDARD, whole).values()), -1)
-    return {
-        "worst": float(beyond.amax(-1).mean()),
-        "mean": float(beyond.mean()),
-        "within 5 degrees": float((beyond.amax(-1) <= 5).float().mean()),
     }
 
 
