@@ -96,6 +96,14 @@ def test_graph_is_as_large_as_the_official_one(generator):
     assert per_step["lean"] < 0.5 * per_step["official"]
 
 
+def test_what_makes_the_networks_fast_does_not_make_the_official_form_fast(generator, monkeypatch):
+    net, first, z = model(), first_states(generator, 1), torch.zeros(1, 2, 48, dtype=F64)
+    before = faithful.rollout(net, first, z)
+    monkeypatch.setattr("motionlab.humor.cvae.Mlp.forward", lambda self, x: x[:, :2] * math.nan)
+    assert torch.equal(faithful.rollout(net, first, z).states, before.states)
+    assert net.prior(first).mean.isnan().all()  # the control: others do use it
+
+
 @pytest.mark.parametrize(("offset", "low", "high"), [(1e-4, 1e-3, 1.5e-3), (1e-3, 5e-4, 9e-4), (1e-2, 5e-5, 2e-4)])
 def test_official_heading_is_wrong_near_zero(offset, low, high):
     turn = rotation.rotation_about("z", torch.tensor([offset], dtype=F64))

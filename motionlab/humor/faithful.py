@@ -15,10 +15,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from motionlab.errors import ShapeError, check_shape
-from motionlab.humor.cvae import Cvae, Gaussian
+from motionlab.humor.cvae import Cvae, Gaussian, Mlp
 from motionlab.humor.faithful_rotation import alignment, axis_angle_to_matrix
 from motionlab.humor.rollout import Rollout
 from motionlab.humor.state import SHAPES, SLICES, STATE, unpack_delta
@@ -87,6 +87,17 @@ def _frame(parts: State, align: Callable[[Tensor], Tensor] = alignment) -> tuple
     return align(parts["root_orient"][:, 0].reshape(-1, 3, 3)), _to_floor(parts)
 
 
+def _run(net: Mlp, x: Tensor) -> Tensor:
+    """A network layer by layer, (N, inputs) -> (N, outputs), whatever ``Mlp`` itself does to be fast."""
+    skip = x[:, x.shape[1] - net.again :]
+    for i, layer in enumerate(net.net):
+        if isinstance(layer, nn.GroupNorm):
+            x = nn.functional.group_norm(x, layer.num_groups, layer.weight, layer.bias, layer.eps)
+        else:
+            x = layer(torch.cat((x, skip), dim=1) if i and net.again and isinstance(layer, nn.Linear) else x)
+    return x
+
+
 def _apply(parts: State, raw: Tensor) -> tuple[State, Tensor]:
     """The next state: sums, and rotations of the delta from the left; contact logits (B, 1, 9)."""
     delta = unpack_delta(raw)
@@ -131,9 +142,9 @@ def rollout(
     states, logits, latents, means, log_vars = [], [], [], [], []
     for t in range(steps):
         past = _join(parts)[:, 0]
-        prior = model.prior(past)
+        prior = Gaussian(*_run(model.prior_net, past).chunk(2, dim=-1))
         now = prior.mean if z is None else z[:, t]
-        after, contacts = _apply(parts, model.decode(past, now))
+        after, contacts = _apply(parts, _run(model.decoder, torch.cat((past, now), dim=-1)))
         # the new state in the frame of the first one, and in its own for the next step
         states.append(_join(_move_back(after, turn, shift, offset)))
         logits.append(contacts), latents.append(now), means.append(prior.mean), log_vars.append(prior.log_var)
