@@ -113,7 +113,7 @@ def _apply(parts: State, raw: Tensor) -> tuple[State, Tensor]:
 
 def rollout(
     model: Cvae, first: Tensor, z: Tensor | None, *, steps: int | None = None, with_prior: bool = True,
-    canonical: bool = False, align: Callable[[Tensor], Tensor] = alignment
+    canonical: bool = False, align: Callable[[Tensor], Tensor] = alignment, prior_inside: bool = True
 ) -> Rollout:  # fmt: skip
     """T transitions, one after the other; arguments and result as ``rollout.rollout``.
 
@@ -121,7 +121,8 @@ def rollout(
         first: (B, 339) states, world coordinates. z: (B, T, 48), or None for the prior's mean in each of ``steps``.
         with_prior: return the prior; it is evaluated in any case.
         canonical: ``first`` is in its own heading frame already and is used as it is.
-        align: the heading's rotation (B, 3, 3) of root orientations, in place of the official one.
+        align, prior_inside: not as the official code does it, for ``ladder``: another rotation (B, 3, 3) into the
+            heading frame; the prior for all steps at once, after them (z must be given).
 
     Raises:
         ShapeError: first and z do not fit each other.
@@ -139,15 +140,18 @@ def rollout(
     offset = _trans_to_joint(parts | {"trans": torch.zeros_like(parts["trans"])})  # it is above the origin
     turn = torch.eye(3, dtype=first.dtype, device=first.device).expand(len(first), 3, 3)
     shift = first.new_zeros(len(first), 3)
-    states, logits, latents, means, log_vars = [], [], [], [], []
+    states, logits, latents, means, log_vars, pasts = [], [], [], [], [], []
     for t in range(steps):
         past = _join(parts)[:, 0]
-        prior = Gaussian(*_run(model.prior_net, past).chunk(2, dim=-1))
+        pasts.append(past)
+        if prior_inside:
+            prior = Gaussian(*_run(model.prior_net, past).chunk(2, dim=-1))
+            means.append(prior.mean), log_vars.append(prior.log_var)
         now = prior.mean if z is None else z[:, t]
         after, contacts = _apply(parts, _run(model.decoder, torch.cat((past, now), dim=-1)))
         # the new state in the frame of the first one, and in its own for the next step
         states.append(_join(_move_back(after, turn, shift, offset)))
-        logits.append(contacts), latents.append(now), means.append(prior.mean), log_vars.append(prior.log_var)
+        logits.append(contacts), latents.append(now)
         next_turn, next_shift = _frame(after, align)
         parts = _move(after, next_turn, next_shift, offset)
         shift = shift + torch.matmul(turn.transpose(1, 2), next_shift[..., None])[..., 0]
@@ -155,7 +159,12 @@ def rollout(
     found = torch.cat(states, dim=1)
     if not canonical:
         found = _join(_move_back({name: found[..., part] for name, part in SLICES.items()}, *world))
-    prior = Gaussian(torch.stack(means, dim=1), torch.stack(log_vars, dim=1)) if with_prior else None
+    if not with_prior:
+        prior = None
+    elif prior_inside:
+        prior = Gaussian(torch.stack(means, dim=1), torch.stack(log_vars, dim=1))
+    else:
+        prior = model.prior(torch.stack(pasts, dim=1))
     return Rollout(found, torch.cat(logits, dim=1), torch.stack(latents, dim=1), prior)
 
 

@@ -77,17 +77,6 @@ def rungs() -> Iterator[tuple[str, Savings]]:
         yield name, on
 
 
-class _PriorLater:
-    """A model whose prior only notes what it is asked."""
-
-    def __init__(self, model: Cvae) -> None:
-        self.decode, self.latent, self.asked = model.decode, model.latent, []
-
-    def prior(self, past: Tensor) -> Gaussian:
-        self.asked.append(past)
-        return Gaussian(past, past)  # nobody reads it
-
-
 def exact_alignment(orientation: Tensor) -> Tensor:
     """The yaw rotation (B, 3, 3) of ``frames.heading_frame``."""
     return heading_frame(orientation[..., 0], orientation).turn
@@ -99,11 +88,7 @@ def chain(model: Cvae, first: Tensor, z: Tensor, on: Savings) -> rollout.Rollout
         found = rollout.rollout(model, first, z, with_prior=on.prior_after)
         return found if on.prior_after else found._replace(prior=_one_by_one(model, first, found))
     align = exact_alignment if on.exact_heading else alignment
-    if not on.prior_after:
-        return faithful.rollout(model, first, z, align=align)
-    later = _PriorLater(model)
-    found = faithful.rollout(later, first, z, with_prior=False, align=align)
-    return found._replace(prior=model.prior(torch.stack(later.asked, 1)))
+    return faithful.rollout(model, first, z, align=align, prior_inside=not on.prior_after)
 
 
 def _one_by_one(model: Cvae, first: Tensor, found: rollout.Rollout) -> Gaussian:
@@ -189,7 +174,7 @@ def roll(unknown: Variables, priors: Priors, evidence: Evidence, on: Savings, ma
         return Rolled(states, rolled, Posed(parts["trans"], body.rot(pose), joints, seen, betas, camera))
 
 
-def energy(
+def terms(
     problem: Problem,
     unknown: Variables,
     on: Savings,
@@ -197,13 +182,13 @@ def energy(
     grown: bool = True,
     contacts: bool = True,
     mark: Mark = record_function,
-) -> Tensor:
-    """Stage 3's energy (G,); arguments as ``stages.motion_terms``."""
+) -> dict[str, Tensor]:
+    """Stage 3's weighted terms (G,); arguments as ``stages.motion_terms``."""
     problem.priors.motion.requires_grad_(not on.frozen)
     problem.priors.pose.requires_grad_(not on.frozen)
     rolled = roll(unknown, problem.priors, problem.evidence, on, mark)
     with mark("terms"):
-        return sum(stages.rolled_terms(problem, unknown, rolled, grown=grown, contacts=contacts).values())
+        return stages.rolled_terms(problem, unknown, rolled, grown=grown, contacts=contacts)
 
 
 def closure(
@@ -215,7 +200,46 @@ def closure(
     """
     for value in unknown.values():
         value.grad = None
-    value = energy(problem, unknown, on, mark=mark, **how)
+    value = sum(terms(problem, unknown, on, mark=mark, **how).values())
     with mark("backward"):
         value.sum().backward()
     return value.detach()
+
+
+def chain_alone(problem: Problem, unknown: Variables, on: Savings) -> Callable[[], None]:
+    """The roll-out and nothing else, forwards and back: sums of squares of its states and logits, and its prior's nats.
+
+    Gradients go to the first state and to z, and to the weights where they are not frozen.
+    """
+    priors, z = problem.priors, rows(unknown, "z").detach().requires_grad_()
+    body = _Body(on, rows(unknown, "betas"), z.shape[1] + 1)
+    with torch.no_grad():
+        first = first_state(unknown, priors, body)
+    first.requires_grad_()
+
+    def run() -> None:
+        priors.motion.requires_grad_(not on.frozen)
+        first.grad = z.grad = None
+        found = chain(priors.motion, first, z, on)
+        (found.states.square().sum() + found.contact_logits.square().sum() + found.prior.nll(found.z).sum()).backward()
+
+    return run
+
+
+def bodies_alone(problem: Problem, unknown: Variables, on: Savings) -> Callable[[], None]:
+    """All body evaluations of a closure and nothing else, forwards and back, for the poses that its roll-out finds."""
+    with torch.no_grad():
+        posed = roll(unknown, problem.priors, problem.evidence, on).body
+    body = _Body(on, posed.betas.detach().requires_grad_(), posed.root.shape[1])
+    trans, pose = posed.root.requires_grad_(), body.form(posed.rot).requires_grad_()
+
+    def run() -> None:
+        trans.grad = pose.grad = body.betas.grad = None
+        for _ in range(1 if on.needed_frames else FIRST_FRAME_CALLS):
+            first = body.first(trans[:, 0], pose[:, 0])
+        joints, marks = body.sequence(trans, pose)
+        if not on.needed_frames:
+            marks = body.sequence(trans, pose)[1]
+        sum(x.square().sum() for x in (first, joints, marks)).backward()
+
+    return run
