@@ -6,14 +6,14 @@ seconds of the program = sum over phases of closures x seconds of one closure
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from motionlab.errors import DataError
-from motionlab.humor.ladder import Savings
+from motionlab.humor.ladder import LEAN, Savings
 from motionlab.humor.testops import Schedule
 from motionlab.humor.workload import Part, Workload
 from motionlab.profiling import Stopwatch
@@ -61,6 +61,13 @@ class Spent:
                 total = total + phase.closures * sum(x for name, x in spent.items() if not parts or name in parts)
         return total
 
+    def minutes(self) -> dict[str, dict[str, float]]:
+        """Minutes that the program spends in each part of each phase, from medians."""
+        return {
+            phase.name: {name: phase.closures * x.median().item() / 60 for name, x in spent.items()}
+            for phase, spent in zip(self.phases, self.seconds, strict=True)
+        }
+
     def closure(self, name: str) -> Tensor:
         """Seconds (n,) of one closure of the phase whose name ends so.
 
@@ -74,19 +81,20 @@ class Spent:
 
 
 def spend(
-    work: Workload,
-    on: Savings,
+    contenders: Mapping[str, tuple[Workload, Savings]],
     *,
     n: int,
     schedule: Schedule = OFFICIAL,
-    warm_up: int = 1,
     clock: Callable[[], float] = time.process_time,
-) -> Spent:
-    """Time one closure of each phase in n rounds through all phases, after ``warm_up`` rounds that do not count."""
-    table = phases(schedule, work.frames)
-    closures = [work.closure(phase.part, on) for phase in table]
-    rounds = [[_parts(closure, clock) for closure in closures] for _ in range(n + warm_up)][warm_up:]
-    return Spent(tuple(table), tuple(_columns(column) for column in zip(*rounds, strict=True)))
+) -> dict[str, Spent]:
+    """Time one closure of each phase of each contender, in n rounds through all of them."""
+    tables = {name: phases(schedule, work.frames) for name, (work, _) in contenders.items()}
+    calls = {name: [work.closure(phase.part, on) for phase in tables[name]] for name, (work, on) in contenders.items()}
+    rounds = [{name: [_parts(closure, clock) for closure in row] for name, row in calls.items()} for _ in range(n)]
+    return {
+        name: Spent(tuple(table), tuple(_columns(column) for column in zip(*(r[name] for r in rounds), strict=True)))
+        for name, table in tables.items()
+    }
 
 
 def _parts(closure: Callable[..., Tensor], clock: Callable[[], float]) -> dict[str, float]:
@@ -97,3 +105,20 @@ def _parts(closure: Callable[..., Tensor], clock: Callable[[], float]) -> dict[s
 
 def _columns(rows: Sequence[dict[str, float]]) -> dict[str, Tensor]:
     return {name: torch.tensor([row[name] for row in rows], dtype=torch.float64) for name in rows[0]}
+
+
+def evaluations(work: Workload, part: Part, *, outer: int, inner: int = OFFICIAL.inner) -> list[int]:
+    """Closures that each of ``outer`` steps takes of ``torch.optim.LBFGS`` as the official code sets it, lean mode."""
+    unknown, count = work.unknowns(part, LEAN), []
+    moving = [x for x in unknown.values() if x.requires_grad]
+    optimiser = torch.optim.LBFGS(moving, lr=1.0, max_iter=inner, line_search_fn="strong_wolfe")
+    closure = work.closure(part, LEAN, unknown)
+
+    def counted() -> Tensor:
+        count[-1] += 1
+        return closure().sum()
+
+    for _ in range(outer):
+        count.append(0)
+        optimiser.step(counted)
+    return count

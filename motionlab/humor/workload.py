@@ -80,12 +80,15 @@ class Workload:
             free = tuple(name for name in found if name not in stages.FIRST)
         return {name: x.detach().clone().requires_grad_(name in free) for name, x in found.items()}
 
-    def closure(self, part: Part, on: Savings = LEAN) -> Callable[..., Tensor]:
+    def closure(
+        self, part: Part, on: Savings = LEAN, unknown: dict[str, Tensor] | None = None
+    ) -> Callable[..., Tensor]:
         """What an optimiser calls again and again: ``closure(mark=...)`` -> energies (B,), gradients in ``.grad``.
 
-        Stages 1 and 2 know two forms only: lean where ``on`` is ``ladder.LEAN``, else faithful.
+        unknown: :meth:`unknowns` of this part, where somebody moves them. Stages 1 and 2 know two forms only: lean
+        where ``on`` is ``ladder.LEAN``, else faithful.
         """
-        unknown = self.unknowns(part, on)
+        unknown = self.unknowns(part, on) if unknown is None else unknown
         if part.stage == 3:
             how = {"grown": part.frames == self.frames, "contacts": part.contacts}
             return lambda mark=record_function: ladder.closure(self.problem, unknown, on, mark=mark, **how)
