@@ -44,6 +44,16 @@ def test_grid_lays_pictures_row_by_row():
     assert fits.grid(tiles, 2)[:, :, 0].tolist()[2][0] == 2 and fits.grid(tiles, 2).shape == (4, 6, 3)
 
 
+def test_on_paper_draws_every_layer_in_a_panel_of_its_own():
+    pixels, sure = 200 * noise(2, 25, 2), torch.ones(2, 25)
+    drawn = fits.on_paper(
+        {"a": ("observation", pixels, sure), "b": ("stage3", pixels, 0 * sure)}, 1, (200, 100), width=300
+    )
+    assert drawn.shape == (150, 600, 3)
+    marked = (drawn[40:] != 246).any(-1)
+    assert marked[:, :300].sum() > 500 and not marked[:, 300:].any()
+
+
 def test_film_and_camera_picture(tmp_path):
     scene = scenes.film("sitting, legs hidden", 1, frames=12)
     truth, things = scene.truth.clip(0), fits.meshes(scene.occluders[0])

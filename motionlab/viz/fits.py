@@ -80,6 +80,19 @@ def through_the_camera(
     return np.concatenate(drawn, 1)
 
 
+def on_paper(
+    layers: Mapping[str, tuple[str, Tensor, Tensor]], frame: int, size: tuple[int, int], *, width: int = 460
+) -> np.ndarray:
+    """As :func:`through_the_camera` where there is no picture: layers over a blank image of ``size`` pixels."""
+    scale = width / size[0]
+    blank = np.full((round(size[1] * scale), width, 3), 246, np.uint8)
+    drawn = []
+    for label, (role, pixels, confidence) in layers.items():
+        seen = Observation2D(pixels * scale, confidence, BODY_25, 30.0)
+        drawn.append(_labelled(overlay(seen, blank, frame, role, width=3.5), label))
+    return np.concatenate(drawn, 1)
+
+
 def _labelled(picture: np.ndarray, text: str) -> np.ndarray:
     image = Image.fromarray(picture)
     ImageDraw.Draw(image).text((10, 8), text, fill=INK, font=ImageFont.load_default(15))
