@@ -13,7 +13,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from motionlab.humor import energies, faithful_variables, init_gmm, state, variables
+from motionlab.humor import energies, faithful_variables, init_gmm, preconditioned, state, variables
 from motionlab.humor.observed import Evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.variables import Posed, Variables
@@ -136,18 +136,36 @@ def search(
     *,
     steps: int,
     inner: int,
+    tolerance: float = 0.0,
     progress: bool = False,
 ) -> tuple[dict[str, Tensor], BatchFit]:
-    """Lower the sum of some terms by moving some unknowns, each recording for itself; all unknowns come back."""
+    """Lower the sum of some terms by moving some unknowns, each recording for itself; all unknowns come back.
+
+    tolerance: share of the first energy, mean over recordings, that an iteration must gain.
+    """
     point = {n: x.detach().clone().requires_grad_(n in moving and x.numel() > 0) for n, x in unknown.items()}
-    fit = minimise_batch(lambda at: sum(terms(at).values()), point, steps=steps, inner=inner, progress=progress)
+    with torch.no_grad():
+        first = float(sum(terms(point).values()).abs().nan_to_num(0.0, 0.0).mean())
+    fit = minimise_batch(
+        lambda at: sum(terms(at).values()),
+        point,
+        steps=steps,
+        inner=inner,
+        tolerance_change=tolerance * first,
+        progress=progress,
+    )
     return {**{n: x.detach() for n, x in point.items()}, **fit.variables}, fit
 
 
-def stage_1_and_2(problem: Problem, unknown: Variables, stage: int, **budget) -> tuple[dict[str, Tensor], object]:
-    """Root alone (1), or root, pose and shape (2)."""
+def stage_1_and_2(problem: Problem, unknown: Variables, stage: int, **budget) -> tuple[dict[str, Tensor], BatchFit]:
+    """Root alone (1), or root, pose and shape (2); lean mode searches in rounder coordinates."""
     moving = ("trans", "orient") if stage == 1 else ("trans", "orient", "latent", "betas")
-    return search(lambda at: pose_terms(problem, at, stage), unknown, moving, **budget)
+    if problem.mode != "lean":
+        return search(lambda at: pose_terms(problem, at, stage), unknown, moving, **budget)
+    weights = problem.weights.of(stage, listed=True)
+    new, old = preconditioned.rounded(unknown, moving, problem.priors, problem.evidence, weights)
+    found, fit = search(lambda at: pose_terms(problem, old(at), stage), new, tuple(new), **budget)
+    return {n: x.detach() for n, x in old(found).items()}, fit
 
 
 def stage_3(

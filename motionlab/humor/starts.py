@@ -51,8 +51,8 @@ def start_2d(evidence: Evidence, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """The mean pose put in front of the camera: orientations from a grid, the position in closed form for each.
 
     For an orientation the pinhole equations are linear in the position t: with q the turned landmark in the camera
-    and (a, b) its pixel on the plane at depth one, t_x - a t_z = a q_z - q_x, t_y - b t_z = b q_z - q_y. Of 80
-    orientations (16 headings; upright, or leaning 60 degrees each way) the sequence with the least reprojection error
+    and (a, b) its pixel on the plane at depth one, t_x - a t_z = a q_z - q_x, t_y - b t_z = b q_z - q_y. Of 144
+    orientations (16 headings; upright, leaning 50 degrees each way, lying each way) the sequence with the least reprojection error
     and turning is found over time (Viterbi), so that the person does not flip from frame to frame.
 
     rest (25, 3): landmarks of the mean pose, root at the origin, its orientation identity.
@@ -84,11 +84,12 @@ def filled(trans: Tensor, turn: Tensor, known: Tensor, fps: float) -> tuple[Tens
 
 
 def _orientations() -> tuple[Tensor, Tensor]:
-    """80 root orientations (80, 3, 3) in the world, and what each costs for not being upright."""
-    lean = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0, 0], [-1.0, 0, 0], [0, 0, 1.0], [0, 0, -1.0]]) * math.radians(60)
+    """144 root orientations (144, 3, 3) in the world, and what each costs for not being upright."""
+    ways = torch.tensor([[1.0, 0, 0], [-1.0, 0, 0], [0, 0, 1.0], [0, 0, -1.0]])
+    lean = torch.cat((torch.zeros(1, 3), math.radians(50) * ways, math.radians(95) * ways))
     yaw = torch.arange(16) * (2 * math.pi / 16)
     turns = rotation.rotation_about("z", yaw)[:, None] @ UPRIGHT @ rotation.exp(lean)
-    return turns.flatten(0, 1), torch.tensor([0.0, 1, 1, 1, 1]).repeat(16) * 0.02
+    return turns.flatten(0, 1), torch.tensor([0.0, *(4 * [1.0]), *(4 * [1.5])]).repeat(16) * 0.02
 
 
 def _place(evidence: Evidence, view: View, poses: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:

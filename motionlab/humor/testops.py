@@ -44,7 +44,8 @@ class Schedule:
 
     steps: outer steps of the three stages, each up to ``inner`` iterations of L-BFGS. short: frames of stage 3's first
     sub-stage. refine: stage-3 steps at which all frames join (x0 frozen, no contact terms), and at which everything
-    moves. window, overlap: frames of stage 3's windows, and the least that neighbours share.
+    moves. window, overlap: frames of stage 3's windows, and the least that neighbours share. tolerance: a recording is
+    done with a stage when an iteration gains less than this share of the stage's first energy (the batch's mean).
 
     Source: the official configurations: (30, 80, 70) for its video demo, (30, 70, 70) for 3-D data.
     """
@@ -55,6 +56,7 @@ class Schedule:
     refine: tuple[int, int] = (30, 55)
     window: int = 60
     overlap: int = 10
+    tolerance: float = 1e-5
 
     @classmethod
     def quick(cls) -> Schedule:
@@ -131,7 +133,8 @@ def fit(
         if not track.stopped:
             unknown = track.pose_stage(problem, unknown, stage)
     if seen.values.shape[1] < 2 or track.stopped or not schedule.steps[2]:
-        return track.without_stage_3(problem, unknown, "one frame has no transition")
+        why = "one frame has no transition" if seen.values.shape[1] < 2 else "no steps for it"
+        return track.without_stage_3(problem, unknown, why)
     return track.motion_stage(problem, unknown)
 
 
@@ -162,7 +165,7 @@ class _Track:
 
     def __init__(self, schedule: Schedule, progress: bool) -> None:
         self.schedule = schedule
-        self.budget = {"inner": schedule.inner, "progress": progress}
+        self.budget = {"inner": schedule.inner, "tolerance": schedule.tolerance, "progress": progress}
         self.stages: dict[int, Motion] = {}
         self.energies: dict[int, dict[str, Tensor]] = {}
         self.results: dict[int, list[object]] = {}

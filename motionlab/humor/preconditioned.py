@@ -1,0 +1,102 @@
+"""Stages 1 and 2 in coordinates in which their energy is nearly round, so that L-BFGS needs few steps.
+
+A sequence's Gauss-Newton matrix is nearly the same block H_d (data) for every frame, joined by the smoothness of its
+neighbours, H_s. The cosine transform of time makes that diagonal: for frequency k of T frames
+
+    H_k = H_d + 4 sin^2(pi k / 2T) H_s + H_p = L_k L_k^T,      x = x_0 + C^T (L_k^-T u_k)
+
+with H_p of the priors, C the orthonormal transform and u the new unknowns. H_d and H_s are means over a few frames, by
+finite differences at the start. The minimum stays what it was.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from motionlab.humor import variables
+from motionlab.humor.energies import SIGMA
+from motionlab.humor.observed import Evidence
+from motionlab.humor.priors import Priors
+from motionlab.humor.variables import Variables
+
+FRAMES = ("trans", "orient", "latent")
+_SAMPLES, _STEP, _RIDGE = 8, 1e-3, 1e-3
+
+
+def rounded(
+    unknown: Variables, moving: tuple[str, ...], priors: Priors, evidence: Evidence, weights: dict[str, float]
+) -> tuple[dict[str, Tensor], Callable[[Variables], dict[str, Tensor]]]:
+    """New unknowns, zeros at the start, and the way from them to the old ones.
+
+    unknown: of stages 1 and 2 with one window each, (G, 1, T, ...). moving: those that may change.
+    """
+    names = [n for n in FRAMES if n in moving]
+    frames, sizes = unknown["trans"].shape[2], [unknown[n].shape[-1] for n in names]
+    data, smooth, shape = _curvature(unknown, names, priors, evidence, weights)
+    prior = torch.cat([unknown[n].new_full((s,), 2 * weights.get("pose_prior", 0.0) * (n == "latent"))
+                       for n, s in zip(names, sizes, strict=True)])  # fmt: skip
+    stiff = 4 * (math.pi * torch.arange(frames) / (2 * frames)).sin().square().to(data)
+    h = data[:, None] + stiff[:, None, None] * smooth[:, None]
+    diagonal = h.diagonal(dim1=-2, dim2=-1)
+    ridge = _RIDGE * diagonal + prior + 1e-6 + _RIDGE * diagonal.mean(-1, keepdim=True)
+    factor = torch.linalg.cholesky((h + torch.diag_embed(ridge)).double())
+    unit = torch.eye(factor.shape[-1], dtype=factor.dtype)
+    back = torch.linalg.solve_triangular(factor.mT, unit.expand_as(factor), upper=True).to(data)
+    cosine = _cosine(frames).to(data)
+    scale = (frames * (shape + 2 * weights.get("shape_prior", 0.0)) + 1e-3).rsqrt()
+
+    def old(new: Variables) -> dict[str, Tensor]:
+        change = cosine.mT @ (back @ new["frames"][..., None])[..., 0]
+        parts = dict(zip(names, change.split(sizes, -1), strict=True))
+        found = {n: unknown[n] + parts[n][:, None] for n in names}
+        return {**unknown, **found} | ({"betas": unknown["betas"] + scale * new["betas"]} if "betas" in new else {})
+
+    zeros = {"frames": data.new_zeros(len(data), frames, sum(sizes))}
+    return zeros | ({"betas": torch.zeros_like(unknown["betas"])} if "betas" in moving else {}), old
+
+
+def _curvature(unknown, names, priors, evidence, weights) -> tuple[Tensor, Tensor, Tensor]:
+    """H_d and H_s (G, n, n), means over some frames, and the diagonal (G, 8) for the shape; by finite differences."""
+    groups, _, frames = unknown["trans"].shape[:3]
+    pick = torch.linspace(0, frames - 1, min(_SAMPLES, frames)).round().long()
+    some = {n: x[:, :, pick] if n in FRAMES else x for n, x in unknown.items()}
+    sizes = [some[n].shape[-1] for n in names] + [unknown["betas"].shape[-1]]
+    count = sum(sizes)
+    shifts = dict(zip([*names, "betas"], (_STEP * torch.eye(count)).split(sizes, 1), strict=True))
+    many = {}
+    for n, x in some.items():  # (count + 1) copies of every recording, the first unchanged
+        more = x[None].expand(count + 1, *x.shape).clone()
+        if n in shifts:
+            more[1:] += shifts[n].to(x).reshape(count, 1, *(1,) * (x.ndim - 2), -1)
+        many[n] = more.flatten(0, 1)
+    rows = torch.arange(groups).repeat(count + 1)
+    seen = evidence.pieces(torch.tensor([0]), frames)
+    values, weight = seen.values[rows][:, pick], seen.weight[rows][:, pick]
+    view = None if seen.view is None else seen.view.rows(rows)
+    with torch.no_grad():
+        body = variables.pose(many, priors, Evidence(values, weight, seen.fps, view))
+    observed, joints = (x.unflatten(0, (count + 1, groups)) for x in (body.observed, body.joints))
+    now, trust = values[:groups], weight[:groups]
+    if view is None:
+        importance = weights.get("joints3d", 0.0) * trust[..., None].expand_as(now)
+    else:
+        robust = (SIGMA**2 / (SIGMA**2 + (observed[0] - now).square())).square()
+        importance = 2 * weights.get("joints2d", 0.0) * trust.square()[..., None] * robust
+    scaled = (importance.sqrt() * (observed[1:] - observed[0]) / _STEP).flatten(3)  # (n + 8, G, S, .)
+    moved = ((joints[1:] - joints[0]) / _STEP).flatten(3)
+    data = torch.einsum("igsk,jgsk->gij", scaled, scaled) / len(pick)
+    smooth = weights.get("joints3d_smooth", 0.0) * torch.einsum("igsk,jgsk->gij", moved, moved) / len(pick)
+    n = count - sizes[-1]
+    return data[:, :n, :n], smooth[:, :n, :n], data.diagonal(dim1=-2, dim2=-1)[:, n:]
+
+
+def _cosine(frames: int) -> Tensor:
+    """The orthonormal cosine transform (T, T) of type II: C x are the coefficients of x (T, ...)."""
+    k, t = torch.arange(frames)[:, None], torch.arange(frames)
+    c = (math.pi * k * (t + 0.5) / frames).cos() * (2 / frames) ** 0.5
+    c[0] /= 2**0.5
+    return c
