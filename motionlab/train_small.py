@@ -17,6 +17,7 @@ from motionlab.skeleton import STANDARD
 
 Motions = Mapping[str, Sequence[Motion]]  # by source
 STEPS = 4000
+COMMAND = "python -m motionlab train small"
 PEOPLE = 0.7  # standard deviation, in betas, of the bodies that the motions are put on
 
 
@@ -61,6 +62,7 @@ def make_pose_prior(train: Motions, held: Motions, out: Path, *, seed: int = 0, 
     drawn = pose_training.samples(model, 2000, torch.Generator().manual_seed(seed))
     recipe = {
         "what": "pose prior: variational autoencoder, 21 rotations to 32 latents",
+        "command": COMMAND,
         "data": {source: len(x) for source, x in found.items()},
         "corpus": asdict(corpus.Recipe()),
         "seed": seed,
@@ -88,6 +90,7 @@ def make_init_gmm(train: Motions, held: Motions, out: Path, *, seed: int = 0) ->
     tests = {name: first_states(some, 3) for name, some in held.items()}
     recipe = {
         "what": "mixture of Gaussians over joints and velocities of a single frame",
+        "command": COMMAND,
         "data": {source: sum(m.frames for m in some) for source, some in train.items()},
         "samples": len(samples),
         "corpus": asdict(corpus.Recipe()),

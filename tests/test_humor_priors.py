@@ -1,0 +1,96 @@
+"""The priors together, and checkpoints that are missing, damaged or of something else."""
+
+import shutil
+
+import pytest
+import torch
+
+from data_synth.actions import ACTIONS
+from data_synth.subjects import SUBJECTS
+from motionlab import train_small
+from motionlab.errors import DataError
+from motionlab.humor import checkpoint, init_gmm, priors, state
+
+
+def first_states(seed: int = 5) -> torch.Tensor:
+    """Features of the held-out subject, made for this test alone."""
+    takes = [ACTIONS[name](SUBJECTS[3], torch.Generator().manual_seed(seed)) for name in ("walk", "sit", "kick")]
+    return train_small.first_states([take.motion for take in takes], 5)
+
+
+def test_loaded_once_and_frozen():
+    found = priors.load()
+    assert priors.load() is found
+    assert found.motion.latent == 48
+    assert not any(p.requires_grad for model in (found.motion, found.pose) for p in model.parameters())
+    assert found.initial.means.shape == (12, 138)
+
+
+def test_unknown_name():
+    with pytest.raises(DataError, match="humor_nobody"):
+        priors.load("nobody")
+
+
+def test_mixture_tells_people_from_nonsense(generator):
+    gmm, real = priors.initial(), first_states()
+    likely = gmm.log_prob(real)
+    shuffled = real[:, torch.randperm(138, generator=generator)]
+    assert likely.isfinite().all()
+    assert (likely.median() - gmm.log_prob(shuffled).median()) > 100
+    noisy = real + 0.05 * torch.randn(real.shape, generator=generator)
+    assert (gmm.log_prob(noisy) < likely).float().mean() > 0.95
+
+
+def test_mixture_beats_a_single_gaussian_on_what_was_held_out():
+    recipe = checkpoint.read_recipe(checkpoint.SHIPPED / "init_gmm_compact")
+    gmm, real = priors.initial(), first_states()
+    away = gmm.means - (gmm.weights @ gmm.means)
+    covariance = torch.einsum("k,kij->ij", gmm.weights, gmm.covariances + away[:, :, None] * away[:, None])
+    single = init_gmm.InitGmm(torch.ones(1), (gmm.weights @ gmm.means)[None], covariance[None])  # the same two moments
+    assert gmm.log_prob(real).mean() > single.log_prob(real).mean() + 5
+    for test in recipe["held-out log-likelihood, nats per frame"].values():
+        assert test["mixture"] > test["single Gaussian"]
+
+
+def test_components_stay_positive_definite_as_stored():
+    tensors, _ = checkpoint.load(checkpoint.SHIPPED / "init_gmm_compact")
+    smallest = torch.linalg.eigvalsh(tensors["covariances"].double()).amin()
+    assert smallest > 0.5 * init_gmm.RIDGE
+
+
+def copy(name: str, folder) -> None:
+    for suffix in (".safetensors", ".json"):
+        shutil.copy(checkpoint.SHIPPED / f"{name}{suffix}", folder / f"{name}{suffix}")
+
+
+def test_damaged_and_foreign_checkpoints(tmp_path):
+    copy("pose_prior_compact", tmp_path)
+    copy("init_gmm_compact", tmp_path)
+    with pytest.raises(DataError, match="pose prior"):
+        priors.pose(str(tmp_path / "init_gmm_compact"))
+    with pytest.raises(DataError, match="weights"):
+        priors.initial(str(tmp_path / "pose_prior_compact"))
+    path = tmp_path / "init_gmm_compact.safetensors"
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(DataError, match="init_gmm"):
+        priors.initial(str(tmp_path / "init_gmm_compact"))
+
+
+def test_numbers_that_are_not_finite(tmp_path):
+    tensors, recipe = checkpoint.load(checkpoint.SHIPPED / "pose_prior_compact")
+    checkpoint.save(tmp_path / "spoilt", tensors | {"mean.bias": torch.full((32,), torch.inf)}, recipe)
+    with pytest.raises(DataError, match="finite"):
+        priors.pose(str(tmp_path / "spoilt"))
+
+
+def test_other_bodies_keep_angles_and_feet(generator):
+    motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(2)).motion.cut(0, 60)
+    other = train_small.other_body(motion, generator)
+    assert torch.equal(other.rot, motion.rot)
+    assert (other.skeleton.offsets.norm(dim=-1) / motion.skeleton.offsets.norm(dim=-1).clamp(min=1e-9))[1:].std() > 0.01
+    lowest = [m.positions[..., 2].amin(-1) for m in (motion, other)]
+    assert (lowest[0] - lowest[1]).abs().max() < 0.04
+    made = train_small.first_states([motion], 10, generator)
+    assert made.shape == (24, 138)  # itself, its mirror image, and both on other bodies
+    world = state.from_motion(motion)[::10]
+    assert torch.allclose(made[:6], init_gmm.features(state.localise(world, state.heading(world))), atol=1e-6)
