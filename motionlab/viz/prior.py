@@ -164,7 +164,7 @@ def drift(panels: Mapping[str, Mapping[str, Tensor]], roles: Mapping[str, str], 
             if not dotted:
                 ax.fill_between(t, low, high, color=paint[label], alpha=0.14, lw=0)
             ax.plot(t, middle, color=paint[label], lw=1.3 if dotted else 1.9, ls=":" if dotted else "-", label=label)
-        ax.set(title=f"{name} ({len(y)} clips)", xlabel="time (s)", yscale="log")
+        ax.set(title=f"{name}\n{len(y)} clips", xlabel="time (s)", yscale="log")
     axes[0].set(ylabel="joint error (cm)", ylim=(0.05, None))
     axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     return fig
