@@ -1,4 +1,4 @@
-"""The command line: ``python -m motionlab doctor | data | convert | train | report | regenerate``."""
+"""The command line: ``python -m motionlab doctor | data | convert | fit | train | report | regenerate``."""
 
 from __future__ import annotations
 
@@ -63,8 +63,9 @@ def _parser() -> argparse.ArgumentParser:
     command.set_defaults(run=_convert)
 
     if _installed("torch"):  # doctor must run without
-        from motionlab import train
+        from motionlab import fit, train
 
+        fit.add_command(commands)
         train.add_command(commands)
 
     command = commands.add_parser("report", help="run the notebooks into an HTML report")

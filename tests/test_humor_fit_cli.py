@@ -1,0 +1,285 @@
+"""``python -m motionlab fit``: outputs, reports, Ctrl-C, input that cannot be used; real input and its comparison."""
+
+import json
+import signal
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import torch
+from PIL import Image
+
+from data_synth.actions import ACTIONS
+from data_synth.subjects import SUBJECTS
+from motionlab.__main__ import main
+from motionlab.errors import DataError, ShapeError
+from motionlab.humor import priors, real_input, report_fit, shape, stages, testops
+from motionlab.io import amass, bvh, gltf
+from motionlab.io.camera import load_camera
+from motionlab.motion import Motion
+from motionlab.observation import BODY_25, Camera, Observation2D, look_at, project
+from motionlab.skeleton import STANDARD
+
+CAMERA = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=900.0, width=1280, height=720)
+FRAMES = 8
+
+
+@pytest.fixture(scope="module")
+def walk() -> Motion:
+    motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion.cut(20, 20 + FRAMES)
+    return replace(motion, root=motion.root - motion.root[:1] * torch.tensor([1.0, 1.0, 0.0]))
+
+
+def seen(motion: Motion) -> Observation2D:
+    """Perfect detections."""
+    pixels, _ = project(CAMERA, report_fit.landmarks_of(motion))
+    return Observation2D(pixels, torch.ones(pixels.shape[:-1]), BODY_25, motion.fps, CAMERA)
+
+
+def write_json(folder: Path, keypoints: torch.Tensor, confidence: torch.Tensor, first: int = 0) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    table = torch.cat((keypoints, confidence[..., None]), -1).flatten(1)
+    for frame, row in enumerate(table.tolist(), start=first):
+        people = [{"pose_keypoints_2d": row}] if any(row[2::3]) else []
+        (folder / f"view_{frame:04d}_keypoints.json").write_text(json.dumps({"version": 1.3, "people": people}))
+    return folder
+
+
+def write_camera(path: Path, camera: Camera = CAMERA, *, placed: bool = True) -> Path:
+    content = {"intrinsics": camera.intrinsics.tolist(), "width": camera.width, "height": camera.height}
+    if placed:
+        content |= {"rotation": camera.rotation.tolist(), "translation": camera.translation.tolist()}
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.fixture
+def keypoints(tmp_path, walk) -> Path:
+    observation = seen(walk)
+    return write_json(tmp_path / "keypoints", observation.keypoints, observation.confidence)
+
+
+def run(*words: object) -> int:
+    return main(["fit", *map(str, words)])
+
+
+def test_everything_is_written_and_said(tmp_path, keypoints, capsys):
+    out = {suffix: tmp_path / f"fit.{suffix}" for suffix in ("npz", "bvh", "glb", "gif")}
+    camera = write_camera(tmp_path / "camera.json")
+    words = ("--camera", camera, "--out", out["npz"], "--bvh", out["bvh"], "--glb", out["glb"], "--video", "--quick")
+    assert run("--keypoints", keypoints, *words) == 0
+    motions = [amass.load(out["npz"]), bvh.load(out["bvh"]), gltf.load(out["glb"])]
+    assert [m.frames for m in motions] == [FRAMES] * 3
+    where = [m.positions[:, m.skeleton.indices(list(STANDARD.names))] for m in motions[1:]]
+    assert (where[0] - where[1]).abs().max() < 1e-3
+    with Image.open(out["gif"]) as film:
+        assert film.n_frames == FRAMES // 2 and film.width == 480
+    said = capsys.readouterr().out
+    for word in ("reprojection", "acceleration", "contacts", "energy after stage 3", "joints2d"):
+        assert word in said
+    assert "assumed" not in said
+
+
+def test_assumed_camera_is_said_and_images_lie_below(tmp_path, keypoints, capsys):
+    pictures = tmp_path / "images"
+    pictures.mkdir()
+    for frame in range(FRAMES):
+        Image.new("RGB", (640, 360), (200, 30 * frame, 40)).save(pictures / f"{frame:03d}.png")
+    assert run("--keypoints", keypoints, "--out", tmp_path / "fit.npz", "--video", pictures, "--quick") == 0
+    assert "camera assumed: focal length" in capsys.readouterr().out
+    with Image.open(tmp_path / "fit.gif") as film:
+        corner = film.convert("RGB").getpixel((2, 2))
+    assert corner[0] > 150 and corner[2] < 90  # the picture, not the grey canvas
+
+
+def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monkeypatch):
+    calls, terms = [], stages.motion_terms
+
+    def interrupted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 4:
+            signal.raise_signal(signal.SIGINT)
+        return terms(*arguments, **options)
+
+    monkeypatch.setattr(stages, "motion_terms", interrupted)
+    assert run("--keypoints", keypoints, "--out", tmp_path / "fit.npz", "--quick") == 0
+    assert amass.load(tmp_path / "fit.npz").frames == FRAMES
+    assert "interrupted" in capsys.readouterr().out
+    assert len(calls) < 10
+
+
+def nobody(folder: Path, at: Observation2D) -> None:
+    write_json(folder, at.keypoints, torch.zeros_like(at.confidence))
+
+
+def only_hips(folder: Path, at: Observation2D) -> None:
+    hips = torch.zeros_like(at.confidence)
+    hips[:, [1, 9, 12]] = 1.0
+    write_json(folder, at.keypoints, hips)
+
+
+BAD = {
+    "empty folder": (lambda folder, at: folder.mkdir(), "no numbered JSON"),
+    "no folder": (lambda folder, at: None, "no such folder"),
+    "nobody": (nobody, "nobody was detected"),
+    "nothing that is used": (only_hips, "no keypoint that a fit uses"),
+    "one frame": (lambda folder, at: write_json(folder, at.keypoints[:1], at.confidence[:1]), "one frame"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_keypoints_that_cannot_be_used(tmp_path, walk, capsys, name):
+    make, message = BAD[name]
+    make(tmp_path / "keypoints", seen(walk))
+    words = ("--layout", "BODY_25", "--out", tmp_path / "fit.npz", "--quick")
+    assert run("--keypoints", tmp_path / "keypoints", *words) == 2
+    said = capsys.readouterr().err
+    assert message in said and "remedy" in said
+    assert not (tmp_path / "fit.npz").exists()
+
+
+def test_options_that_cannot_be_used(tmp_path, keypoints, capsys):
+    small = replace(CAMERA, width=200, height=200)
+    pictures = tmp_path / "images"
+    pictures.mkdir()
+    cases = {
+        "detections lie outside": ("--camera", write_camera(tmp_path / "small.json", small)),
+        "no width, height": ("--camera", tmp_path / "empty.json"),
+        "0 images": ("--video", pictures),
+        "expected a name that ends in .bvh": ("--bvh", tmp_path / "fit.txt"),
+        "nobody fits": ("--person", "7"),
+    }
+    (tmp_path / "empty.json").write_text('{"intrinsics": [[900, 0, 640], [0, 900, 360], [0, 0, 1]]}')
+    for message, words in cases.items():
+        assert run("--keypoints", keypoints, "--out", tmp_path / "fit.npz", "--quick", *words) == 2
+        said = capsys.readouterr().err
+        assert message in said and "remedy" in said
+    assert run("--keypoints", keypoints, "--out", tmp_path / "fit.json") == 2
+
+
+def test_cameras_of_a_file(tmp_path):
+    file = tmp_path / "Calib.qca.txt"
+    root = ElementTree.Element("calibration")
+    for serial, shift in (("cam_01", "0"), ("cam_02", "1000")):
+        node = ElementTree.SubElement(root, "camera", serial=serial)
+        ElementTree.SubElement(node, "fov_video", left="0", top="0", right="1279", bottom="719")
+        turn = {f"r{i}{j}": str(float(i == j)) for i in (1, 2, 3) for j in (1, 2, 3)}
+        ElementTree.SubElement(node, "transform", x=shift, y="0", z="0", **turn)
+        numbers = {"focalLengthU": "64000", "focalLengthV": "64000", "centerPointU": "40960", "centerPointV": "23040"}
+        ElementTree.SubElement(node, "intrinsic", **numbers)
+    ElementTree.ElementTree(root).write(file)
+    assert load_camera(file, "cam_02")[0].centre[0] == pytest.approx(1.0)
+    camera, placed = load_camera(file, None, "somewhere/cam01_json")
+    assert camera.centre[0] == pytest.approx(0.0) and placed
+    for name, views in ((None, "somewhere/left"), (None, None), ("cam_09", None)):
+        with pytest.raises(DataError, match="cam_01, cam_02") as caught:
+            load_camera(file, name, views)
+        assert caught.value.remedy
+    lens, placed = load_camera(write_camera(tmp_path / "lens.json", placed=False))
+    assert not placed and torch.equal(lens.intrinsics, CAMERA.intrinsics)
+    bent = replace(CAMERA, rotation=2 * CAMERA.rotation)
+    with pytest.raises(DataError, match="rotation matrix"):
+        load_camera(write_camera(tmp_path / "bent.json", bent))
+
+
+# ------------------------------------------------------------------------------------------ rates and comparisons
+def test_at_rate_halves_and_interpolates(walk):
+    observation = seen(walk)
+    fast = replace(observation, fps=60.0)
+    half = real_input.at_rate(fast)
+    assert torch.equal(half.keypoints, observation.keypoints[::2]) and half.fps == 30
+    same = real_input.at_rate(observation)
+    assert torch.equal(same.keypoints, observation.keypoints)
+    slow = real_input.at_rate(replace(observation, fps=15.0))
+    assert slow.frames == 2 * FRAMES - 1
+    middle = (observation.keypoints[:-1] + observation.keypoints[1:]) / 2
+    assert torch.allclose(slow.keypoints[1::2], middle, atol=1e-3)
+
+
+def test_at_rate_does_not_invent_detections(walk):
+    observation = seen(walk)
+    confidence = observation.confidence.clone()
+    confidence[3] = 0
+    gappy = replace(observation, confidence=confidence, keypoints=observation.keypoints.clone(), fps=15.0)
+    gappy.keypoints[3] = 1e4
+    found = real_input.at_rate(gappy)
+    visible = found.confidence > 0
+    assert not visible[6].any()
+    assert found.keypoints[visible].abs().max() < 3000
+
+
+def as_fit(motion: Motion, cameras: list[Camera]) -> testops.Fitted:
+    """A fit that found this motion."""
+    batch = replace(motion, root=motion.root[None], rot=motion.rot[None], contacts=None)
+    skeleton = replace(motion.skeleton, offsets=motion.skeleton.offsets.expand(1, 1, 22, 3))
+    batch = replace(batch, skeleton=skeleton)
+    nothing = torch.zeros(1, motion.frames, 9)
+    betas = shape.from_skeleton(motion.skeleton)[None]
+    return testops.Fitted(batch, {2: batch, 3: batch}, nothing, nothing, nothing, betas, cameras, {}, {})
+
+
+def views_of(motion: Motion) -> real_input.Views:
+    truth = real_input.compared(motion)
+    observation = seen(motion)
+    batch = replace(observation, keypoints=observation.keypoints[None], confidence=observation.confidence[None])
+    return real_input.Views(batch, [CAMERA], ("cam01",), truth)
+
+
+def test_rows_are_nought_for_the_truth_and_count_a_shift(walk):
+    views = views_of(walk)
+    exact = real_input.rows(as_fit(walk, [CAMERA]), views)
+    assert [(row["view"], row["stage"]) for row in exact] == [("cam01", 2), ("cam01", 3)]
+    assert max(exact[0][key] for key in ("px", "global", "root", "rigid", "procrustes")) < 1e-2
+    away = real_input.rows(as_fit(replace(walk, root=walk.root + torch.tensor([0.0, 0.1, 0.0])), [CAMERA]), views)[0]
+    assert away["global"] == pytest.approx(10, abs=1e-3)
+    assert away["root"] < 1e-2 and away["px"] > 1
+    smaller = replace(walk, skeleton=walk.skeleton.scaled(0.9), root=walk.root * 0.9)
+    shrunk = real_input.rows(as_fit(smaller, [CAMERA]), views)[0]
+    assert shrunk["procrustes"] < 1e-2 < 1 < shrunk["rigid"] < shrunk["global"] > shrunk["root"]
+    with pytest.raises(ShapeError):
+        real_input.rows(as_fit(walk, [CAMERA]), views._replace(names=("a", "b")))
+
+
+def test_another_room_does_not_change_what_the_camera_sees(walk):
+    """The same picture explained in a turned and shifted world: no error, as nothing was known of that world."""
+    from motionlab import rotation
+    from motionlab.frames import Frame, world_to_local
+
+    turn, shift = rotation.rotation_about("z", torch.tensor(0.7)), torch.tensor([1.0, -2.0, 0.0])
+    moved = world_to_local(Frame(turn, shift), replace(walk, contacts=None))
+    camera = replace(
+        CAMERA, rotation=CAMERA.rotation @ turn.mT, translation=CAMERA.translation - CAMERA.rotation @ shift
+    )
+    found = real_input.rows(as_fit(moved, [camera]), views_of(walk))[0]
+    assert max(found[key] for key in ("px", "global", "root")) < 1e-2
+
+
+def test_report_counts_only_what_was_seen(walk):
+    observation = seen(walk)
+    hidden = observation.confidence.clone()
+    hidden[:, BODY_25.index("left_wrist")] = 0
+    wrong = observation.keypoints.clone()
+    wrong[:, BODY_25.index("left_wrist")] = 1e4
+    wrong[:, BODY_25.index("right_knee")] += torch.tensor([3.0, 4.0])
+    found = report_fit.report(as_fit(walk, [CAMERA]), replace(observation, keypoints=wrong, confidence=hidden), clip=0)
+    assert found.pixels == pytest.approx(5 / 21, abs=1e-3)
+    assert found.median_pixels < 0.01
+    assert found.seen == pytest.approx(21 / 22)
+
+
+def test_known_camera_places_the_person(walk):
+    """A short fit of perfect detections by a known camera is near the truth; by a wrong one it is not."""
+    views = views_of(walk)
+    near = real_input.rows(real_input.fit_views(views, priors.load(), schedule=testops.Schedule.quick()), views)
+    wrong = replace(CAMERA, intrinsics=CAMERA.intrinsics * torch.tensor([[1.6, 1, 1], [1, 1.6, 1], [1, 1, 1]]))
+    other = views._replace(cameras=[wrong])
+    far = real_input.rows(real_input.fit_views(other, priors.load(), schedule=testops.Schedule.quick()), views)
+    assert near[0]["global"] < 30 < far[0]["global"]
+    with pytest.raises(ValueError, match="assumed"):
+        real_input.fit_views(views, priors.load(), camera="maybe")
+
+
+def test_pose2sim_folder_without_its_parts(tmp_path):
+    with pytest.raises(DataError, match="Calib"):
+        real_input.pose2sim(tmp_path)
