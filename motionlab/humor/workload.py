@@ -98,7 +98,7 @@ class Workload:
             self.problem.priors.pose.requires_grad_(not on.frozen)
             for x in unknown.values():
                 x.grad = None
-            with mark("terms"):
+            with mark("body"):
                 value = sum(stages.pose_terms(problem, unknown, part.stage).values())
             with mark("backward"):
                 value.sum().backward()

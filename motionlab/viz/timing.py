@@ -14,7 +14,8 @@ from motionlab.scaling import PowerLaw
 from motionlab.viz.palette import INK, LINE, blend, colour
 from motionlab.viz.plots import canvas, paints
 
-_PARTS = ("6d", "baseline", "stage2", "observation", "stage3")
+#: Colours of the parts of a closure, in the order in which they happen.
+_PARTS = {"first state": "stage2", "chain": "baseline", "body": "observation", "terms": "6d", "backward": "stage3"}
 GIB = 2**30
 
 
@@ -32,23 +33,23 @@ def phases(
     Every panel has an axis of its own: the sum is in its title.
     """
     figure, axes = canvas(1, len(minutes), size=size, sharey=True)
-    parts = list(dict.fromkeys(p for program in minutes.values() for phase in program.values() for p in phase))
-    paint = {part: colour(role) for part, role in zip(parts, _PARTS, strict=False)}
+    known = {p for program in minutes.values() for phase in program.values() for p in phase}
+    parts = [part for part in _PARTS if part in known]
     for ax, (program, table) in zip(axes, minutes.items(), strict=True):
         left = np.zeros(len(table))
         for part in parts:
             width = np.array([phase.get(part, 0.0) for phase in table.values()])
-            ax.barh(range(len(table)), width, 0.72, left, color=paint[part], label=part)
+            ax.barh(range(len(table)), width, 0.72, left, color=colour(_PARTS[part]), label=part)
             left += width
         for row, total in enumerate(left):
             ax.annotate(f" {total:.1f}", (total, row), va="center", fontsize=9, color=INK)
         ax.set_yticks(range(len(table)), list(table))
         ax.set_xlim(0, 1.15 * left.max())
-        ax.invert_yaxis()
         ax.grid(visible=False, axis="y")
         ax.set_title(f"{program}: {left.sum():.1f} min")
         ax.set_xlabel("minutes")
-    axes[-1].legend(loc="center right")
+    axes[0].invert_yaxis()
+    axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     return figure
 
 
@@ -75,7 +76,7 @@ def shares(
     ax.set_xlim(0, 100)
     ax.grid(visible=False, axis="y")
     ax.set_xlabel("share of the program's time (%)")
-    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     return figure
 
 
@@ -109,7 +110,7 @@ def growth(
         places = sorted({float(at) for x, _, _ in series.values() for at in x})
         ax.set_xticks(places, [f"{at:g}" for at in places])
         ax.minorticks_off()
-        ax.legend(loc="upper left")
+        ax.legend(loc="upper left", frameon=False)
     return figure
 
 
@@ -120,27 +121,28 @@ def memory(
     claimed: float,
     size: tuple[float, float] = (7.0, 3.4),
 ) -> Figure:
-    """Peak memory in GiB against clips in a batch, carried on straight to a limit in GiB.
+    """Peak memory in GiB against clips in a batch, both logarithmic, and where straight lines reach a limit in GiB.
 
     found: series -> (clips, bytes). claimed: clips that are said to fit.
     """
     figure, (ax,) = canvas(size=size)
     paint = paints(list(found), {"faithful": "baseline", "lean": "ours"})
-    most = max(max(clips) for clips, _ in found.values())
     for label, (clips, held) in found.items():
         y = np.asarray(held) / GIB
         slope, level = np.polyfit(clips, y, 1)
-        reach = max(most, min((limit - level) / slope, 3 * most) * 1.08)
-        x = np.array([0, reach])
+        x = np.geomspace(min(clips), (limit - level) / slope, 40)
         ax.plot(x, level + slope * x, color=paint[label], lw=1.4, ls="--")
+        ax.plot(x[-1], limit, "|", color=paint[label], ms=14, mew=2)
+        ax.annotate(f"{x[-1]:,.0f} clips", (x[-1], limit), (0, 10), textcoords="offset points", ha="center", fontsize=9)
         ax.plot(clips, y, "o", color=paint[label], ms=6, label=f"{label}: {1024 * slope:.0f} MiB a clip")
-    ax.axhline(limit, color=INK, lw=1.4)
-    ax.annotate(f"{limit:g} GiB", (0, limit), (4, 4), textcoords="offset points", fontsize=9, color=INK)
-    ax.axvline(claimed, color=LINE, lw=1.4)
-    ax.annotate("thesis", (claimed, 0), (4, 6), textcoords="offset points", fontsize=9, color=INK)
-    ax.set(xlabel="clips of 60 frames in the batch", ylabel="peak memory of a closure (GiB)", xlim=(0, None))
-    ax.set_ylim(0, 1.18 * limit)
-    ax.legend(loc="center right")
+    ax.axhline(limit, color=INK, lw=1.2)
+    ax.plot(claimed, limit, "v", color=INK, ms=8)
+    ax.annotate("thesis", (claimed, limit), (0, 10), textcoords="offset points", ha="center", fontsize=9, color=INK)
+    ax.set(xscale="log", yscale="log", xlabel="clips in the batch", ylabel="peak memory of a closure (GiB)")
+    ax.set_ylim(top=3 * limit)
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.legend(loc="lower right", frameon=False)
     return figure
 
 
@@ -160,7 +162,7 @@ def ladder(seconds: Mapping[str, Tensor], *, size: tuple[float, float] | None = 
         before = middle
     ax.set_yticks(range(len(seconds)), list(seconds))
     ax.invert_yaxis()
-    ax.set_xlim(0, 1.32 * first)
+    ax.set_xlim(0, 1.4 * first)
     ax.grid(visible=False, axis="y")
     ax.set_xlabel("processor time of one closure (ms)")
     return figure
