@@ -34,9 +34,12 @@ BACK = torch.argsort(LEAN)
 LEAN_RAW = torch.cat(
     [torch.arange(216)[DELTA_SLICES[name]] for name in (*_ADDED, "root_orient", "pose_body", "contacts")]
 )
-#: The 50 vectors that are positions; of them the joints.
-POSITION = torch.zeros(VECTORS // 3, 1)
-POSITION[0] = POSITION[3:25] = 1
+#: What the root's place on the floor is taken from: those of the 50 vectors that are positions.
+_PLACED = torch.zeros(VECTORS // 3, 3)
+_PLACED[0, :2] = _PLACED[3:25, :2] = 1
+#: The same as a matrix: (B, 150) @ _CENTRED has it taken off, in the transposed (backward) sense.
+_CENTRED = torch.eye(VECTORS)
+_CENTRED[:, :3] -= (_PLACED[:, :, None] * torch.eye(3)).flatten(0, 1)
 _QUATERNION = torch.zeros(4, 4, 3, 3)  # exp(v)^T = sum_ij q_i q_j _QUATERNION[i, j]
 _TURN = torch.zeros(3, 3, 3)  # A^T = sum_i (1, x, y)_i _TURN[i], A = [[x, y], [-y, x]]
 _TURN[0, 2, 2] = _TURN[1, 0, 0] = _TURN[1, 1, 1] = _TURN[2, 1, 0] = 1
@@ -94,9 +97,10 @@ class Stepper:
         self.decoder, self.spread = decoder, spread
         self.transposed = [weight.detach().mT.contiguous() for weight in decoder.weights]
         like = self.transposed[0]
-        self.position, self.quaternion = POSITION.to(like), _QUATERNION.view(16, 9).to(like)
+        self.placed, self.centred, self.quaternion = (c.to(like) for c in (_PLACED, _CENTRED, _QUATERNION.view(16, 9)))
         self.still, self.turns = _TURN[0].reshape(9).to(like), _TURN[1:].reshape(2, 9).to(like)
-        self.ahead = like.new_tensor([1.0, 0.0])
+        #: Added to the right axis on the floor: nothing, but where there is none the frame keeps its axes.
+        self.ahead = like.new_tensor([1e-18, 0.0])
         self.tiny = torch.finfo(like.dtype).tiny ** 0.5
 
     def __call__(self, x: Tensor, shares: list[Tensor]) -> Step:
@@ -114,13 +118,11 @@ class Stepper:
         turned = self.exp(raw[:, SUM:ROT].unflatten(1, (22, 3)))
         matrices = x[:, SUM:].unflatten(1, (22, 3, 3)) @ turned
         after = torch.cat((x[:, :SUM] + raw[:, :SUM], matrices.flatten(1)), dim=1)
-        right = -after[:, SUM : SUM + 2]
-        length = torch.linalg.vector_norm(right, dim=-1, keepdim=True)
-        none = length == 0
-        turn = torch.addmm(self.still, (right + none * self.ahead) / (length + none), self.turns).view(-1, 3, 3)
+        right = self.ahead - after[:, SUM : SUM + 2]
+        right = right / torch.linalg.vector_norm(right, dim=-1, keepdim=True)
+        turn = torch.addmm(self.still, right, self.turns).view(-1, 3, 3)
         vectors = after[:, :VECTORS].unflatten(1, (50, 3))
-        on_floor = torch.cat((after[:, :2], torch.zeros_like(length)), dim=1)[:, None]
-        moved = torch.addcmul(vectors, self.position, on_floor, value=-1)
+        moved = torch.addcmul(vectors, self.placed, after[:, None, :3], value=-1)
         moved = moved @ turn if self.spread is None else (moved + self.spread) @ turn - self.spread
         return Step(after, torch.cat((moved.flatten(1), after[:, VECTORS:]), dim=1), raw, turned, turn, layers)
 
@@ -156,70 +158,66 @@ class Recursion(torch.autograd.Function):
         """Gradients of first, spread, shares and, where asked for, weights, gains and shifts."""
         decoder, steps, spread = ctx.decoder, ctx.steps, ctx.step.spread
         count = len(d_past)
-        bend = right_jacobian(ctx.raw[..., SUM:ROT].unflatten(-1, (22, 3)))
-        right = -ctx.after[..., SUM : SUM + 2]
-        squared = right.square().sum(-1, keepdim=True)
-        # heading angle a = atan2(y, x): d a / d(root column) = (y, -x) / |right|^2, 0 where there is no heading
-        swing = torch.where(squared == 0, 0.0, right.flip(-1) * right.new_tensor([1.0, -1.0]) / squared)
-        matrices = ctx.after[..., SUM:].unflatten(-1, (22, 3, 3))
+        d_past, d_after, d_logits = (d.unbind(0) for d in (d_past, d_after, d_logits))
+        bend = right_jacobian(ctx.raw[..., SUM:ROT].unflatten(-1, (22, 3))).unbind(0)
+        matrices = ctx.after[..., SUM:].unflatten(-1, (22, 3, 3)).unbind(0)
+        swing, lever = (each.unbind(0) for each in _heading_slopes(ctx.past, ctx.after, spread))
+        outs = [torch.stack([s.layers[k][-1] for s in steps]) for k in range(len(decoder.gains))]
+        slopes = [((out > 0) * gain).unbind(0) for out, gain in zip(outs, decoder.gains, strict=True)]
         d_x, d_spread = torch.zeros_like(d_past[0]), None if spread is None else torch.zeros_like(spread)
         d_shares = [[None] * count for _ in decoder.weights]
-        d_normed = [[None] * count for _ in decoder.gains]
+        d_outs = [[None] * count for _ in decoder.gains]
         for t in reversed(range(count)):
-            d = d_x
+            d = d_after[t]
             if t < count - 1:  # the last state's own frame is nobody's input
-                g = d_x[:, :VECTORS].unflatten(1, (50, 3))
-                turned = ctx.past[t + 1, :, :VECTORS].unflatten(1, (50, 3))
-                turned = turned if spread is None else turned + spread
-                moment = g.mT @ turned
-                d_angle = (moment[:, 0, 1] - moment[:, 1, 0])[:, None]
-                back = g @ steps[t].turn.mT
+                d_angle = (d_x[:, :VECTORS] * lever[t + 1]).sum(-1, keepdim=True)
+                back = d_x[:, :VECTORS].unflatten(1, (50, 3)) @ steps[t].turn.mT
                 if spread is not None:
-                    d_spread += back - g
-                d = torch.cat((back.flatten(1), d_x[:, VECTORS:]), dim=1)
-                d[:, :2] -= (ctx.step.position.mT @ back)[:, 0, :2]
-                d[:, SUM : SUM + 2] += d_angle * swing[t]
-            d = d + d_after[t]
+                    d_spread += back - d_x[:, :VECTORS].unflatten(1, (50, 3))
+                d = torch.addcmul(d, d_angle, swing[t])
+                d = d + torch.cat((back.flatten(1) @ ctx.step.centred, d_x[:, VECTORS:]), dim=1)
             d_matrices = d[:, SUM:].unflatten(1, (22, 3, 3))
             torque = torch.linalg.cross(matrices[t], d_matrices).sum(-2, keepdim=True)
-            d_v = torque @ bend[t]
-            d_raw = torch.cat((d[:, :SUM], d_v.flatten(1), d_logits[t]), dim=1)
-            d_shares[-1][t] = d_raw
-            d_h = d_raw @ decoder.weights[-1]
+            d_shares[-1][t] = torch.cat((d[:, :SUM], (torque @ bend[t]).flatten(1), d_logits[t]), dim=1)
+            d_h = d_shares[-1][t] @ decoder.weights[-1]
             for k in reversed(range(len(decoder.gains))):
-                h, mean, scale, out = steps[t].layers[k]
-                d_out = torch.ops.aten.threshold_backward(d_h, out, 0)
-                d_normed[k][t] = d_out
+                h, mean, scale, _ = steps[t].layers[k]
+                d_outs[k][t] = d_h
                 d_in = torch.ops.aten.native_layer_norm_backward(
-                    (d_out * decoder.gains[k]).view_as(h),
-                    h,
-                    h.shape[-1:],
-                    mean,
-                    scale,
-                    None,
-                    None,
-                    [True, False, False],
+                    (d_h * slopes[k][t]).view_as(h), h, h.shape[-1:], mean, scale, None, None, [True, False, False]
                 )[0]
-                d_shares[k][t] = d_in = d_in.view_as(d_out)
-                d_h = d_in @ decoder.weights[k]
+                d_shares[k][t] = d_in.view_as(d_h)
+                d_h = d_shares[k][t] @ decoder.weights[k]
             d_x = d_h + d_past[t]
-            d_x[:, :SUM] += d[:, :SUM]
-            d_x[:, SUM:] += (d_matrices @ steps[t].turned.mT).flatten(1)
+            d_x += torch.cat((d[:, :SUM], (d_matrices @ steps[t].turned.mT).flatten(1)), dim=1)
         d_shares = [torch.stack(each) for each in d_shares]
-        d_weights = _of_weights(ctx, d_shares, d_normed) if any(ctx.needs_input_grad[3 + len(d_shares) :]) else ()
-        nothing = [None] * (len(d_shares) + 2 * len(d_normed) if not d_weights else 0)
-        return None, d_x, d_spread, *d_shares, *d_weights, *nothing
+        d_weights = [None] * (len(d_shares) + 2 * len(d_outs))
+        if any(ctx.needs_input_grad[3 + len(d_shares) :]):
+            d_weights = _of_weights(ctx, d_shares, [torch.stack(each) for each in d_outs])
+        return None, d_x, d_spread, *d_shares, *d_weights
 
 
-def _of_weights(ctx, d_shares: list[Tensor], d_normed: list[list[Tensor]]) -> list[Tensor]:
+def _heading_slopes(past: Tensor, after: Tensor, spread: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Of the heading a = atan2(y, x) of the right axis on the floor: da/d(after), (T, B, 339), 0 where there is none;
+    and d(the 50 vectors of past)/da, (T, B, 150)."""
+    right = -after[..., SUM : SUM + 2]
+    squared = right.square().sum(-1, keepdim=True)
+    swing = torch.zeros_like(after)
+    swing[..., SUM] = torch.where(squared == 0, 0.0, right / squared)[..., 1]
+    swing[..., SUM + 1] = -torch.where(squared == 0, 0.0, right / squared)[..., 0]
+    vectors = past[..., :VECTORS].unflatten(-1, (50, 3))
+    x, y, z = (vectors if spread is None else vectors + spread).unbind(-1)
+    return swing, torch.stack((y, -x, torch.zeros_like(z)), -1).flatten(-2)
+
+
+def _of_weights(ctx, d_shares: list[Tensor], d_outs: list[Tensor]) -> list[Tensor]:
     """Gradients of weights, gains and shifts, from all steps at once."""
     layers = [[torch.stack(part) for part in zip(*(s.layers[k] for s in ctx.steps), strict=True)] for k in range(3)]
     inputs = [ctx.past, *(out for *_, out in layers)]
     weights = [d.flatten(0, 1).mT @ x.flatten(0, 1) for d, x in zip(d_shares, inputs, strict=True)]
-    shifts = [torch.stack(each) for each in d_normed]
-    normed = [((h - mean) * scale).view_as(out) for h, mean, scale, out in layers]
-    gains = [(d * x).sum((0, 1)) for d, x in zip(shifts, normed, strict=True)]
-    return [*weights, *gains, *(d.sum((0, 1)) for d in shifts)]
+    shifts = [d * (out > 0) for d, (*_, out) in zip(d_outs, layers, strict=True)]
+    gains = [d * ((h - mean) * scale).view_as(d) for d, (h, mean, scale, _) in zip(shifts, layers, strict=True)]
+    return [*weights, *(d.sum((0, 1)) for d in (*gains, *shifts))]
 
 
 def right_jacobian(v: Tensor) -> Tensor:

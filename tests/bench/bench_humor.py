@@ -59,8 +59,11 @@ def in_turns(ways, rounds: int = ROUNDS) -> torch.Tensor:
 def roll_outs(width: int, batch: int, generator: torch.Generator) -> None:
     """One clip as an optimiser sees it, and batches."""
     net, (first, z) = model(width), inputs(batch, generator)
-    # of z: that of x0 differs, where the official form moves its pelvis offset with it
-    (_, ours), (_, theirs) = gradients(rollout, net, first, z), gradients(faithful.rollout, net, first, z, **EXACT)
+    # of z: that of x0 differs, where the official form moves its pelvis offset with it; and of a few steps, as random
+    # networks are chaotic
+    (_, ours), (_, theirs) = (
+        gradients(form, net, first, z[:, :4], **more) for form, more in ((rollout, {}), (faithful.rollout, EXACT))
+    )
     apart = (ours - theirs).norm() / theirs.norm()
     if not apart < 1e-2:
         raise SystemExit(f"width {width}, {batch} clips: gradients are {apart:.1e} apart")
