@@ -9,7 +9,7 @@ INSTALLED := $(VENV)/.motionlab-installed
 PREPARED := $(VENV)/.motionlab-prepared
 PIP := $(PY) -m pip --disable-pip-version-check install -c constraints.txt
 
-.PHONY: notebooks test lab full bench doctor setup pins clean
+.PHONY: notebooks test lab full train bench doctor setup pins clean
 .DEFAULT_GOAL := help
 
 help:
@@ -17,6 +17,7 @@ help:
 	@echo "make test        set up, lint, unit tests, notebooks checked by nbval"
 	@echo "make lab         set up, open the notebooks in JupyterLab with interactive 3-D"
 	@echo "make full        regenerate the committed notebooks and results"
+	@echo "make train       the shipped weights of the transition prior, trained again (half an hour)"
 	@echo "make bench       speed, as ratios measured in one run"
 	@echo "make doctor      what is installed, what is missing, and the remedy"
 
@@ -32,6 +33,9 @@ lab: setup
 
 full: setup
 	@$(PY) -m motionlab regenerate $(NOTEBOOKS)
+
+train: setup
+	@$(PY) -m motionlab train humor
 
 bench: setup
 	@$(PY) tests/bench/run.py
