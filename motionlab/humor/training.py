@@ -36,14 +36,14 @@ class Recipe:
     """
 
     width: int = 512
-    steps: int = 4500
+    steps: int = 3300
     batch: int = 160
     length: int = 10
     chain: int = 5
     lr: float = 4e-3
     supervised: float = 0.1
     sampled: float = 0.35
-    kl: float = 0.002
+    kl: float = 0.006
     annealed: float = 0.2
     kinematics: float = 0.5
     contact: float = 0.7
