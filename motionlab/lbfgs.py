@@ -140,19 +140,21 @@ class Memory:
 
     def direction(self, rows: Tensor, gradient: Tensor) -> Tensor:
         """Minus the approximate inverse Hessian times the gradients (n, N): the two-loop recursion."""
-        pairs, width = self.pairs[rows], gradient.shape[-1]
+        pairs = self.pairs[rows]
         kept = pairs.clamp(max=self.size)
         ages = torch.arange(int(kept.max()), device=rows.device)[:, None]
         known = ages < kept  # (ages, n), 0 the newest
-        at = torch.where(known, (pairs - 1 - ages) % self.size, 0) * len(self.pairs) + rows
-        rho = torch.where(known, self.rho.flatten()[at], 0.0)[..., None]
-        ways, changes = self.ways.view(-1, width), self.changes.view(-1, width)
+        slots = torch.where(known, (pairs - 1 - ages) % self.size, 0)
+        rho = torch.where(known, self.rho[slots, rows], 0.0)[..., None].unbind(0) if len(ages) else ()
+        if len(rows) == len(self.pairs) and bool((slots == slots[:, :1]).all()):  # in step: nothing to gather
+            ways, changes = ([ring[slot] for slot in slots[:, 0].tolist()] for ring in (self.ways, self.changes))
+        else:
+            ways, changes = (ring[slots, rows].unbind(0) if len(ages) else () for ring in (self.ways, self.changes))
         q, alphas = -gradient, []
-        for k in range(len(at)):
-            alphas.append((ways[at[k]] * q).sum(-1, keepdim=True) * rho[k])
-            q = q.addcmul(alphas[k], changes[at[k]], value=-1)
-        q = q * self.scale[rows, None]
-        for k in reversed(range(len(at))):
-            beta = (changes[at[k]] * q).sum(-1, keepdim=True) * rho[k]
-            q = q.addcmul(alphas[k] - beta, ways[at[k]])
+        for way, change, r in zip(ways, changes, rho, strict=True):
+            alphas.append((way * q).sum(-1, keepdim=True).mul_(r))
+            q.addcmul_(alphas[-1], change, value=-1)
+        q *= self.scale[rows, None]
+        for way, change, r in zip(reversed(ways), reversed(changes), reversed(rho), strict=True):
+            q.addcmul_(alphas.pop().addcmul((change * q).sum(-1, keepdim=True), r, value=-1), way)
         return q
