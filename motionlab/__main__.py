@@ -62,10 +62,28 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--body", action="store_true", help="dress the joints in the default body (.glb)")
     command.set_defaults(run=_convert)
 
-    if _installed("torch"):  # doctor must run without
-        from motionlab import fit, train
+    command = commands.add_parser("fit", help="a motion from the 2-D keypoints of one camera")
+    command.add_argument("--keypoints", type=Path, required=True, metavar="DIR", help="OpenPose JSON, a file per frame")
+    command.add_argument("--out", type=Path, required=True, metavar="OUT.npz", help="the motion as AMASS")
+    command.add_argument(
+        "--camera", type=Path, metavar="FILE", help='Qualisys XML, Captury .calib, or JSON: "intrinsics" (3x3, px), '
+        '"width", "height"; if known "rotation" (3x3) and "translation" from the world, z up, floor z = 0'
+    )  # fmt: skip
+    command.add_argument("--camera-name", help="which of the file's cameras (default: by the number in DIR's name)")
+    command.add_argument("--fps", type=float, default=30.0, help="of the keypoints, which do not store it (default 30)")
+    command.add_argument("--layout", help="of the keypoints: BODY_25, BODY_25B, COCO_17, COCO_18 (default: detected)")
+    command.add_argument("--person", default="longest", help="longest, largest, or a place in the list of people")
+    command.add_argument("--bvh", type=Path, help="the motion on the fitted bones")
+    command.add_argument("--glb", type=Path, help="the same, for a 3-D viewer")
+    command.add_argument(
+        "--video", nargs="?", const="", metavar="IMAGES", help="OUT.gif: the fit over a folder of images, or on grey"
+    )
+    command.add_argument("--quick", action="store_true", help="few steps: a first look")
+    command.set_defaults(run=_fit)
 
-        fit.add_command(commands)
+    if _installed("torch"):  # doctor must run without
+        from motionlab import train
+
         train.add_command(commands)
 
     command = commands.add_parser("report", help="run the notebooks into an HTML report")
@@ -196,6 +214,12 @@ def _has_standard_bones(skeleton: Skeleton) -> bool:
     from motionlab.skeleton import STANDARD
 
     return skeleton.names == STANDARD.names and bool((skeleton.offsets - STANDARD.offsets)[1:].abs().max() < 1e-4)
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from motionlab import fit
+
+    return fit.run(options)
 
 
 def _report(options: argparse.Namespace) -> int:

@@ -28,26 +28,8 @@ FILM = 12.0  # frames per second of the overlay, at most
 OUTSIDE = 0.2  # share of detections outside the image from which a camera does not fit
 
 
-def add_command(commands: argparse._SubParsersAction) -> None:
-    """``fit --keypoints DIR --out OUT.npz``."""
-    command = commands.add_parser("fit", help="a motion from the 2-D keypoints of one camera")
-    command.add_argument("--keypoints", type=Path, required=True, metavar="DIR", help="OpenPose JSON, a file per frame")
-    command.add_argument("--out", type=Path, required=True, metavar="OUT.npz", help="AMASS file of the motion")
-    command.add_argument("--camera", type=Path, metavar="FILE", help="Qualisys XML, Captury .calib, or JSON (README)")
-    command.add_argument("--camera-name", help="which of the file's cameras (default: told by the folder's number)")
-    command.add_argument("--fps", type=float, default=30.0, help="of the keypoints, which do not store it (30)")
-    command.add_argument("--layout", choices=sorted(openpose.LAYOUTS), help="of the keypoints (default: detected)")
-    command.add_argument("--person", default="longest", help="longest, largest, or a place in the list of people")
-    command.add_argument("--bvh", type=Path, help="the motion on the fitted bones")
-    command.add_argument("--glb", type=Path, help="the same, for a 3-D viewer")
-    command.add_argument(
-        "--video", nargs="?", const="", metavar="IMAGES", help="OUT.gif: the fit over a folder of images, or on grey"
-    )
-    command.add_argument("--quick", action="store_true", help="few steps: a first look")
-    command.set_defaults(run=_fit)
-
-
-def _fit(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """The command, with the options that ``__main__`` reads."""
     for path, suffix in ((options.out, ".npz"), (options.bvh, ".bvh"), (options.glb, ".glb")):
         _check_target(path, suffix)
     seen, first, floor = observation(options)
