@@ -14,6 +14,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.observation import BODY_25, Camera, Observation2D
+from motionlab.skeleton import STANDARD
 
 #: Keypoints of BODY_25 that the official code ignores: a detector's neck and hips are not the body model's.
 IGNORED = (1, 9, 12)
@@ -22,6 +23,23 @@ _SIZES = ((640, 480), (1280, 720), (1920, 1080), (3840, 2160))
 #: Camera axes (right, down, forward) of a level camera that looks along the world's +y: rows.
 LEVEL = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 ASSUMED_HEIGHT = 1.2  # metres above the floor, of a camera of which nothing is known
+
+UNSEEN = 0.03  # what stage 2 makes of a hidden joint counts so much, beside a seen one, in the start of stage 3
+
+
+def _shown() -> list[list[int]]:
+    """Three keypoints of BODY_25 for each of the 22 joints, any of which shows it."""
+    near = {"hip": "knee", "foot": "big_toe", "collar": "shoulder"}
+    trunk, rows = ["mid_hip", "left_shoulder", "right_shoulder"], []
+    for name in STANDARD.names:
+        side, _, part = name.rpartition("_")
+        point = f"{side}_{near.get(part, part)}"
+        found = ["nose", "left_ear", "right_ear"] if name in ("head", "neck") else [point] * 3 if side else trunk
+        rows.append([BODY_25.index(n) for n in found])
+    return rows
+
+
+_SHOWN = torch.tensor(_shown())
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +138,12 @@ class Evidence:
     def seen(self) -> Tensor:
         """Frames (B, T) in which anything was observed."""
         return (self.weight > 0).any(-1)
+
+    @property
+    def trust(self) -> Tensor:
+        """How far each joint (B, T, 22) was observed: 1 seen, ``UNSEEN`` not seen, 0 in frames without anything."""
+        seen = self.weight > 0 if self.view is None else (self.weight > 0)[..., _SHOWN].any(-1)
+        return torch.where(seen, 1.0, UNSEEN) * self.seen[..., None]
 
     def short(self, frames: int) -> Evidence:
         """The first frames."""

@@ -1,4 +1,4 @@
-"""Stages 1 and 2 in coordinates in which their energy is nearly round, so that L-BFGS needs few steps.
+"""The stages in coordinates in which their energy is nearly round, so that L-BFGS needs few steps.
 
 A sequence's Gauss-Newton matrix is nearly the same block H_d (data) for every frame, joined by the smoothness of its
 neighbours, H_s. The cosine transform of time makes that diagonal: for frequency k of T frames
@@ -6,7 +6,8 @@ neighbours, H_s. The cosine transform of time makes that diagonal: for frequency
     H_k = H_d + 4 sin^2(pi k / 2T) H_s + H_p = L_k L_k^T,      x = x_0 + C^T (L_k^-T u_k)
 
 with H_p of the priors, C the orthonormal transform and u the new unknowns. H_d and H_s are means over a few frames, by
-finite differences at the start. The minimum stays what it was.
+finite differences at the start. Stage 3 has a factor for every latent (``transitions.start``), and the other unknowns
+have the lengths over which they matter. The minimum stays what it was.
 """
 
 from __future__ import annotations
@@ -25,6 +26,31 @@ from motionlab.humor.variables import Variables
 
 FRAMES = ("trans", "orient", "latent")
 _SAMPLES, _STEP, _RIDGE = 8, 1e-3, 1e-3
+
+#: Square metres, summed over the joints of a frame, that a unit of each unknown of stage 3 moves; orders of magnitude.
+_REACH = {
+    "trans": 22.0, "orient": 2.0, "latent": 0.1, "trans_vel": 100.0, "root_orient_vel": 10.0, "joints_vel": 10.0,
+    "betas": 0.02,
+}  # fmt: skip
+_REACH_CAMERA = (400.0, 400.0, 25.0)  # tilt, roll, rise
+
+
+def rounded_motion(
+    unknown: Variables, moving: tuple[str, ...], factors: Tensor
+) -> tuple[dict[str, Tensor], Callable[[Variables], dict[str, Tensor]]]:
+    """As :func:`rounded`, for stage 3; factors (G, W, L - 1, 48, 48), of which as many count as z has transitions."""
+    frames = unknown["z"].shape[2] + 1
+    factors = factors[:, :, : frames - 1]
+    scale = {n: (reach * frames) ** -0.5 for n, reach in _REACH.items()}
+    scale["camera"] = (frames * unknown["trans"].new_tensor(_REACH_CAMERA)).rsqrt()
+
+    def old(new: Variables) -> dict[str, Tensor]:
+        found = {n: unknown[n] + scale[n] * x for n, x in new.items() if n != "z"}
+        if "z" in new:
+            found["z"] = unknown["z"] + (factors @ new["z"][..., None])[..., 0]
+        return {**unknown, **found}
+
+    return {n: torch.zeros_like(unknown[n]) for n in moving if unknown[n].numel()}, old
 
 
 def rounded(

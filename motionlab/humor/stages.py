@@ -169,32 +169,41 @@ def stage_1_and_2(problem: Problem, unknown: Variables, stage: int, **budget) ->
 
 
 def stage_3(
-    problem: Problem, unknown: Variables, *, steps: int, short: int, refine: tuple[int, int], **budget
-) -> tuple[dict[str, Tensor], list[object]]:
+    problem: Problem,
+    unknown: Variables,
+    factors: Tensor | None = None,
+    *,
+    steps: int,
+    short: int,
+    refine: tuple[int, int],
+    **budget,
+) -> tuple[dict[str, Tensor], list[BatchFit]]:
     """First the first ``short`` frames; then all, x0 frozen and without contact terms; then everything.
 
+    factors: of ``transitions.start``; without them the search is in the unknowns as they are.
     refine: the steps at which the second and the third sub-stage begin.
     """
     camera = ("camera",) if "camera" in unknown and problem.evidence.view.free else ()
-    everything, fits = (*FIRST, "z", "betas", *camera), []
-    frames, plan = unknown["z"].shape[2] + 1, [min(refine[0], steps), min(refine[1], steps), steps]
-    if frames > short:
-        head = {**unknown, "z": unknown["z"][:, :, : short - 1]}
-        head, fit = search(lambda at: motion_terms(problem, at, grown=False), head, everything, steps=plan[0], **budget)
-        unknown = {**head, "z": torch.cat((head["z"], unknown["z"][:, :, short - 1 :]), 2)}
+    everything = (*FIRST, "z", "betas", *camera)
+    fits: list[BatchFit] = []
+
+    def part(unknown: Variables, moving: tuple[str, ...], steps: int, **how) -> dict[str, Tensor]:
+        if steps <= 0 or (fits and interrupted(fits[-1])):
+            return dict(unknown)
+        new, old = dict(unknown), dict
+        if factors is not None:
+            new, old = preconditioned.rounded_motion(unknown, moving, factors)
+        found, fit = search(lambda at: motion_terms(problem, old(at), **how), new, moving, steps=steps, **budget)
         fits.append(fit)
-        if plan[1] > plan[0] and not interrupted(fit):
-            free = tuple(n for n in everything if n not in FIRST)
-            unknown, fit = search(
-                lambda at: motion_terms(problem, at, contacts=False), unknown, free, steps=plan[1] - plan[0], **budget
-            )
-            fits.append(fit)
-        plan = plan[1:]
-    left = plan[-1] - (plan[0] if fits else 0)
-    if left > 0 and not (fits and interrupted(fits[-1])):
-        unknown, fit = search(lambda at: motion_terms(problem, at), unknown, everything, steps=left, **budget)
-        fits.append(fit)
-    return unknown, fits
+        return {n: x.detach() for n, x in old(found).items()}
+
+    frames, plan = unknown["z"].shape[2] + 1, (min(refine[0], steps), min(refine[1], steps))
+    if frames <= short:
+        return part(unknown, everything, steps), fits
+    head = part({**unknown, "z": unknown["z"][:, :, : short - 1]}, everything, plan[0], grown=False)
+    unknown = {**head, "z": torch.cat((head["z"], unknown["z"][:, :, short - 1 :]), 2)}
+    unknown = part(unknown, tuple(n for n in everything if n not in FIRST), plan[1] - plan[0], contacts=False)
+    return part(unknown, everything, steps - plan[1]), fits
 
 
 def interrupted(fit) -> bool:

@@ -52,8 +52,8 @@ def start_2d(evidence: Evidence, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
     For an orientation the pinhole equations are linear in the position t: with q the turned landmark in the camera
     and (a, b) its pixel on the plane at depth one, t_x - a t_z = a q_z - q_x, t_y - b t_z = b q_z - q_y. Of 144
-    orientations (16 headings; upright, leaning 50 degrees each way, lying each way) the sequence with the least reprojection error
-    and turning is found over time (Viterbi), so that the person does not flip from frame to frame.
+    orientations (16 headings; upright, leaning 50 degrees each way, lying each way) the sequence with the least
+    reprojection error and turning is found over time (Viterbi): the person does not flip from frame to frame.
 
     rest (25, 3): landmarks of the mean pose, root at the origin, its orientation identity.
     """

@@ -190,12 +190,13 @@ class _Track:
         cuts = windows.plan(seen.values.shape[1], s.window, s.overlap)
         shared = {n: unknown[n] for n in variables.SHARED if n in unknown}
         latent = unknown["latent"][:, 0]
-        rolled = transitions.start(
-            self.stages[2], latent, shared, seen.seen, problem.priors, cuts, length, problem.mode
+        weight = problem.weights.motion_prior[2] / max(problem.weights.joint_consistency[2], 1e-9)
+        rolled, factors = transitions.start(
+            self.stages[2], latent, shared, seen.trust, problem.priors, cuts, length, problem.mode, weight
         )
         cut = replace(problem, evidence=seen.pieces(torch.tensor(cuts), length), starts=cuts)
         rolled, self.results[3] = stages.stage_3(
-            cut, rolled, steps=s.steps[2], short=s.short, refine=s.refine, **self.budget
+            cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **self.budget
         )
         with torch.no_grad():
             self.energies[3] = stages.motion_terms(cut, rolled)
