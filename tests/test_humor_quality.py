@@ -88,6 +88,19 @@ def test_a_still_body_is_plausible_and_a_sunk_one_is_not(still, take):
     assert (sunk["penetration"] == 1).all() and (sunk["sunk"] == 1).all()
 
 
+def test_bones_that_grow_are_found_and_bones_of_no_length_do_no_harm(still, take):
+    first, part = take[0][:2, 0].clone(), SLICES["joints"]
+    first[:, part.start + 3 : part.start + 6] = first[:, part.start : part.start + 3]  # a hip inside the pelvis
+    bones = quality.plausibility(still, first, 3, torch.Generator().manual_seed(0))["bones"]
+    assert (bones < 1e-2).all()
+    head = DELTA_SLICES["joints"].start + 3 * STANDARD.index("head")
+    still.decoder.net[-1].bias[head + 2] = 0.01  # the head rises by a centimetre a frame, its bone is about vertical
+    joints = first[:, part].unflatten(-1, (22, 3))
+    mean = (joints[:, 1:] - joints[:, list(STANDARD.parents[1:])]).norm(dim=-1).mean(-1)
+    bones = quality.plausibility(still, first, 3, torch.Generator().manual_seed(0))["bones"]
+    assert torch.allclose(bones, 100 * 0.02 / 21 / mean, rtol=0.1)
+
+
 def test_a_gliding_body_slides_where_it_touches(still, take):
     first = take[0][:2, 0]
     shift = DELTA_SLICES["joints"]

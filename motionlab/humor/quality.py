@@ -76,7 +76,7 @@ def plausibility(model: Cvae, first: Tensor, steps: int, generator: torch.Genera
 
     slide: mm per frame of joints that the sample says are in contact. penetration: share of frames with a toe more than
     2 cm below the floor. sunk: share of clips that end with the head below 30 cm or any joint 30 cm below the floor.
-    acceleration: m/s^2. bones: change of the predicted joints' bone lengths, per cent.
+    acceleration: m/s^2. bones: mean change of the predicted joints' bone lengths, per cent of their mean.
     """
     found = sample(model, first, steps, generator=generator)
     joints = unpack(found.states)["joints"]
@@ -93,7 +93,7 @@ def plausibility(model: Cvae, first: Tensor, steps: int, generator: torch.Genera
         "penetration": (toes < -0.02).float().mean(1),
         "sunk": ((end[:, STANDARD.index("head")] < 0.3) | (end.amin(-1) < -0.3)).float(),
         "acceleration": mean_acceleration(joints, FPS),
-        "bones": 100 * ((length - before).abs() / before).mean((1, 2)),
+        "bones": 100 * (length - before).abs().mean((1, 2)) / before.mean((1, 2)),
     }
 
 
