@@ -153,7 +153,7 @@ def latents(kl: Tensor, scores: Tensor, labels: Sequence[str], active: float) ->
 
 def drift(panels: Mapping[str, Mapping[str, Tensor]], roles: Mapping[str, str], fps: float = 30.0) -> Figure:
     """Joint error in cm (B, T) over time, a panel per source: medians over clips and quartiles, logarithmic."""
-    fig, axes = canvas(1, len(panels), size=(1.8 + 2.5 * len(panels), 3.4), sharey=True)
+    fig, axes = canvas(1, len(panels), size=(2.2 + 2.1 * len(panels), 3.3), sharey=True)
     for ax, (name, series) in zip(axes, panels.items(), strict=True):
         paint = paints(list(series), roles)
         for label, values in series.items():
