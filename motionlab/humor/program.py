@@ -84,13 +84,17 @@ def spend(
     contenders: Mapping[str, tuple[Workload, Savings]],
     *,
     n: int,
+    warm_up: int = 1,
     schedule: Schedule = OFFICIAL,
     clock: Callable[[], float] = time.process_time,
 ) -> dict[str, Spent]:
-    """Time one closure of each phase of each contender, in n rounds through all of them."""
+    """Time one closure of each phase of each contender, in n rounds through all of them after ``warm_up`` more."""
     tables = {name: phases(schedule, work.frames) for name, (work, _) in contenders.items()}
     calls = {name: [work.closure(phase.part, on) for phase in tables[name]] for name, (work, on) in contenders.items()}
-    rounds = [{name: [_parts(closure, clock) for closure in row] for name, row in calls.items()} for _ in range(n)]
+    rounds = []
+    for _ in range(warm_up + n):
+        rounds.append({name: [_parts(closure, clock) for closure in row] for name, row in calls.items()})
+    rounds = rounds[warm_up:]
     return {
         name: Spent(tuple(table), tuple(_columns(column) for column in zip(*(r[name] for r in rounds), strict=True)))
         for name, table in tables.items()
