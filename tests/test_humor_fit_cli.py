@@ -241,6 +241,20 @@ def test_rows_are_nought_for_the_truth_and_count_a_shift(walk):
         real_input.rows(as_fit(walk, [CAMERA]), views._replace(names=("a", "b")))
 
 
+def test_stage_2_is_seen_by_the_camera_it_was_fitted_with(walk):
+    """Stage 3 may move an unknown camera; what stage 2 found is not judged by that one."""
+    views = views_of(walk)
+    level = real_input.start_cameras(views.observation, cameras=[CAMERA], floor="guess")[0]
+    there = real_input.in_camera([CAMERA], walk.root[None, :, None])
+    world = (there - level.translation) @ level.rotation  # where the level camera puts the same person
+    turn = level.rotation.mT @ CAMERA.rotation
+    rot = torch.cat((turn @ walk.rot[:, :1], walk.rot[:, 1:]), 1)
+    leaning = replace(walk, root=world[0, :, 0], rot=rot)
+    found = real_input.rows(as_fit(leaning, [CAMERA]), views, "intrinsics")
+    assert found[0]["px"] < 0.1 and found[0]["root"] < 0.1  # stage 2
+    assert found[1]["px"] > 1  # the same motion, said to be stage 3's, through the wrong camera
+
+
 def test_another_room_does_not_change_what_the_camera_sees(walk):
     """The same picture explained in a turned and shifted world: no error, as nothing was known of that world."""
     from motionlab import rotation
@@ -251,7 +265,7 @@ def test_another_room_does_not_change_what_the_camera_sees(walk):
     camera = replace(
         CAMERA, rotation=CAMERA.rotation @ turn.mT, translation=CAMERA.translation - CAMERA.rotation @ shift
     )
-    found = real_input.rows(as_fit(moved, [camera]), views_of(walk))[0]
+    found = real_input.rows(as_fit(moved, [camera]), views_of(walk))[1]
     assert max(found[key] for key in ("px", "global", "root")) < 1e-2
 
 

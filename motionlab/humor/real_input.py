@@ -12,6 +12,7 @@ from torch import Tensor
 
 from motionlab.errors import DataError, ShapeError
 from motionlab.humor import testops
+from motionlab.humor.observed import evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.report_fit import distances, landmarks_of, pixels_of
 from motionlab.humor.testops import FPS, Fitted, Schedule
@@ -109,12 +110,23 @@ def fit_views(
     camera: "known": the calibration, and with it the floor. "intrinsics": level cameras at a guessed height with the
     calibration's intrinsics. "assumed": nothing, not even the focal length.
     """
+    return testops.fit(views.observation, priors, schedule=schedule, **_given(views, camera), **options)
+
+
+def _given(views: Views, camera: str) -> dict[str, object]:
     if camera not in ("known", "intrinsics", "assumed"):
         raise ValueError(f'camera: expected "known", "intrinsics" or "assumed", got {camera!r}')
-    size = (views.cameras[0].width, views.cameras[0].height)
-    given = {"cameras": None if camera == "assumed" else views.cameras, "size": size}
-    given["floor"] = "camera" if camera == "known" else "guess"
-    return testops.fit(views.observation, priors, schedule=schedule, **given, **options)
+    return {
+        "cameras": None if camera == "assumed" else views.cameras,
+        "size": (views.cameras[0].width, views.cameras[0].height),
+        "floor": "camera" if camera == "known" else "guess",
+    }
+
+
+def start_cameras(observation: Observation2D, **given: object) -> list[Camera]:
+    """The cameras that a fit starts from, and keeps until stage 3 moves them; arguments as of ``testops.fit``."""
+    seen = evidence(observation, **given)
+    return seen.view.cameras(seen.values.new_zeros(len(seen.values), 3))
 
 
 def compared(motion: Motion) -> Tensor:
@@ -140,22 +152,23 @@ def errors(predicted: Tensor, truth: Tensor) -> dict[str, Tensor]:
     return {name: 100 * (points - truth).norm(dim=-1).mean((-2, -1)) for name, points in found.items()}
 
 
-def rows(fitted: Fitted, views: Views) -> list[dict[str, object]]:
+def rows(fitted: Fitted, views: Views, camera: str = "known") -> list[dict[str, object]]:
     """One row per view and stage: px, and in cm the error of the twelve joints, in the axes of the view's camera.
 
     There the true and the found world agree, whatever is known of the camera: with a known one "global" is the error
-    in the room, else it holds the wrong distance too.
+    in the room, else it holds the wrong distance too. camera: as the fit had it.
     """
     if len(fitted.motion.root) != len(views.names):
         raise ShapeError(f"{len(fitted.motion.root)} fits of {len(views.names)} views")
     count = fitted.motion.frames
     truth = in_camera(views.cameras, views.reference[None, :count].expand(len(views.names), -1, -1, -1))
-    found = []
+    before, found = start_cameras(views.observation, **_given(views, camera)), []
     for stage, motion in fitted.stages.items():
         if stage == 1:
             continue
-        error = errors(in_camera(fitted.cameras, compared(motion)), truth)
-        away, weight = distances(pixels_of(motion, fitted.cameras), views.observation)
+        cameras = before if stage == 2 else fitted.cameras
+        error = errors(in_camera(cameras, compared(motion)), truth)
+        away, weight = distances(pixels_of(motion, cameras), views.observation)
         acceleration = pose.mean_acceleration(motion.positions, motion.fps)
         for v, view in enumerate(views.names):
             found.append(
@@ -172,7 +185,7 @@ def monocular_rows(
 ) -> list[dict[str, object]]:
     """Pose2Sim's person from each single view, stage 2 against stage 3; see :func:`rows` and :func:`fit_views`."""
     views = pose2sim(folder)
-    return rows(fit_views(views, priors, camera=camera, schedule=schedule, **options), views)
+    return rows(fit_views(views, priors, camera=camera, schedule=schedule, **options), views, camera)
 
 
 def webcam(folder: Path | str, start: int = 0, frames: int | None = None) -> Observation2D:
@@ -182,16 +195,17 @@ def webcam(folder: Path | str, start: int = 0, frames: int | None = None) -> Obs
     return replace(seen, keypoints=seen.keypoints[start:stop], confidence=seen.confidence[start:stop])
 
 
-def webcam_rows(fitted: Fitted, observation: Observation2D) -> list[dict[str, object]]:
+def webcam_rows(fitted: Fitted, observation: Observation2D, **given: object) -> list[dict[str, object]]:
     """One row per stage of a fit without reference: px, acceleration, and how far feet and pelvis are from the floor.
 
-    px: of what was detected. lowest: median over frames of the lowest joint's height in cm. pelvis: median height.
+    given: what the fit was given of the camera (cameras, floor, size). px: of what was detected. lowest: median over
+    frames of the lowest joint's height in cm. pelvis: its median height in cm.
     """
-    found = []
+    before, found = start_cameras(observation, **given), []
     for stage, motion in fitted.stages.items():
         if stage == 1:
             continue
-        away, weight = distances(pixels_of(motion, fitted.cameras), observation)
+        away, weight = distances(pixels_of(motion, before if stage == 2 else fitted.cameras), observation)
         height = motion.positions[..., 2]
         found.append({
             "stage": stage,
