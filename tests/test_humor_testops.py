@@ -1,0 +1,363 @@
+"""The three stages end to end, small: what they must find, and what they must survive."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from data_synth import actions, corrupt
+from data_synth.subjects import SUBJECTS
+from motionlab import rotation
+from motionlab.errors import DataError, ShapeError
+from motionlab.humor import preconditioned, priors, stages, starts, state, testops, transitions, variables, windows
+from motionlab.humor.observed import Evidence, Observation3D, evidence
+from motionlab.humor.rollout import rollout
+from motionlab.humor.shape import landmarks
+from motionlab.humor.testops import Schedule
+from motionlab.humor.weights import JOINTS, RGB
+from motionlab.motion import windows as windows_of
+from motionlab.observation import BODY_25, Observation2D, look_at, project
+
+QUICK = Schedule(steps=(1, 2, 3), inner=5, refine=(1, 2))
+POSES = Schedule(steps=(2, 4, 0), inner=20)
+
+
+@pytest.fixture(scope="module")
+def kit():
+    return priors.load()
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """Two clips of 24 frames, (2, 24): a walk of the second subject and what follows."""
+    motion = actions.walk(SUBJECTS[1], torch.Generator().manual_seed(3), seconds=4.0).motion
+    return windows_of(motion, 24, 40).clip(slice(0, 2))
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return look_at(torch.tensor([3.5, 2.0, 1.4]), torch.tensor([0.0, 1.5, 0.9]), focal=1000.0, width=1280, height=720)
+
+
+def joints(motion, hidden=None):
+    visible = torch.ones(motion.positions.shape[:-1], dtype=torch.bool)
+    points = motion.positions.clone()
+    if hidden is not None:
+        visible = visible & ~hidden
+        points[hidden] = torch.nan
+    return Observation3D(points, visible, motion.fps)
+
+
+def keypoints(motion, camera, **how):
+    turns = motion.world[1]
+    points = landmarks(motion.positions, turns, torch.zeros(*motion.root.shape[:-2], 8))
+    pixels, depth = project(camera, points)
+    assert (depth > 0).all()
+    return Observation2D(pixels, torch.full(pixels.shape[:-1], 0.9), BODY_25, motion.fps, camera)
+
+
+def finite(fitted):
+    tensors = [fitted.motion.root, fitted.motion.rot, fitted.contacts, fitted.z, fitted.first, fitted.betas]
+    tensors += [x for m in fitted.stages.values() for x in (m.root, m.rot, m.positions)]
+    tensors += [x for terms in fitted.energies.values() for x in terms.values()]
+    return all(x.isfinite().all() for x in tensors)
+
+
+def error(motion, truth):
+    return (motion.positions - truth.positions).norm(dim=-1).mean((1, 2))
+
+
+# --------------------------------------------------------------------------------------------------- what is found
+def test_stages_one_and_two_find_clean_joints(kit, walk):
+    fitted = testops.fit(joints(walk), kit, schedule=POSES, weights=replace(JOINTS, joints3d_smooth=(0.1, 0.1, 0.0)))
+    assert (error(fitted.stages[1], walk) < 0.15).all()
+    assert (error(fitted.stages[2], walk) < 0.02).all()
+    assert list(fitted.stages) == [1, 2]
+
+
+def test_stages_one_and_two_find_clean_keypoints(kit, walk, camera):
+    fitted = testops.fit(keypoints(walk, camera), kit, schedule=Schedule(steps=(3, 10, 0)))
+    relative = fitted.motion.positions - fitted.motion.root[..., None, :]
+    true = walk.positions - walk.root[..., None, :]
+    assert (relative - true).norm(dim=-1).mean() < 0.06
+    assert (error(fitted.motion, walk) < 0.5).all()
+
+
+def test_stage_three_is_a_roll_out_of_what_it_returns(kit, walk):
+    fitted = testops.fit(joints(walk), kit, schedule=QUICK)
+    again = rollout(kit.motion, fitted.first[:, 0], fitted.z[:, 0]).states
+    torch.testing.assert_close(state.unpack(again)["trans"], fitted.motion.root[:, 1:], atol=1e-5, rtol=0)
+    assert fitted.contacts.shape == (2, 24, 9)
+    assert (fitted.contacts[:, 0] == fitted.contacts[:, 1]).all()
+
+
+def test_stage_three_lowers_its_energy(kit, walk):
+    fitted = testops.fit(joints(walk), kit, schedule=QUICK)
+    short, whole, everything = fitted.results[3]
+    for fit in (short, whole, everything):
+        assert (fit.energy < fit.history[0]).all()
+    total = sum(fitted.energies[3].values())
+    torch.testing.assert_close(total, everything.energy, rtol=1e-3, atol=1e-3)
+
+
+def test_hidden_legs_get_a_roll_out_of_their_own(kit, walk):
+    hidden = walk.positions[..., 2] < 0.9
+    fitted = testops.fit(joints(walk, hidden), kit, schedule=QUICK)
+    assert finite(fitted)
+    assert fitted.motion.positions[..., 2].min() > -0.5
+
+
+def test_every_clip_is_fitted_as_it_would_be_alone(kit, walk):
+    """Not to the bit: sums of floats depend on how many rows there are."""
+    both = testops.fit(joints(walk), kit, schedule=Schedule(steps=(2, 2, 0), tolerance=0.0))
+    alone = testops.fit(joints(walk.clip(slice(0, 1))), kit, schedule=Schedule(steps=(2, 2, 0), tolerance=0.0))
+    assert (both.motion.positions[:1] - alone.motion.positions).norm(dim=-1).max() < 5e-3
+
+
+# ------------------------------------------------------------------------------------------------ what is survived
+@pytest.mark.parametrize("frames", [[0], [11], [23], list(range(5, 13)), list(range(24))])
+def test_missing_frames(kit, walk, frames):
+    hidden = torch.zeros(walk.positions.shape[:-1], dtype=torch.bool)
+    hidden[:, frames] = True
+    fitted = testops.fit(joints(walk, hidden), kit, schedule=QUICK)
+    assert finite(fitted)
+    if len(frames) < 10:
+        jump = fitted.stages[1].root.diff(dim=1).norm(dim=-1)
+        assert jump.max() < 0.15  # no frame is left where it began
+
+
+@pytest.mark.parametrize("frames", [[0], [12], list(range(24))])
+def test_missing_frames_of_keypoints(kit, walk, camera, frames):
+    seen, _ = corrupt.drop_frames(keypoints(walk, camera), frames)
+    fitted = testops.fit(seen, kit, schedule=QUICK)
+    assert finite(fitted)
+    if len(frames) == 1:
+        assert fitted.stages[1].root.diff(dim=1).norm(dim=-1).max() < 0.2
+
+
+def test_numbers_that_are_none_count_as_not_seen(kit, walk, camera):
+    seen = keypoints(walk, camera)
+    seen.keypoints[:, 3] = torch.nan
+    seen.confidence[:, 4, :5] = torch.inf
+    seen.confidence[:, 5, :5] = -1.0
+    found = evidence(seen)
+    assert not found.weight[:, 3].any() and not found.weight[:, 4:6, :5].any()
+    assert finite(testops.fit(seen, kit, schedule=QUICK))
+
+
+def test_somebody_who_leaves_the_image(kit, walk, camera):
+    seen = keypoints(walk, camera)
+    out = torch.arange(24) > 12
+    seen = replace(seen, confidence=torch.where(out[:, None], 0.0, seen.confidence))
+    assert finite(testops.fit(seen, kit, schedule=QUICK))
+
+
+def test_somebody_who_is_a_single_point(kit, walk, camera):
+    seen = keypoints(walk, camera)
+    only = torch.zeros(25)
+    only[BODY_25.index("nose")] = 0.9
+    assert finite(testops.fit(replace(seen, confidence=only.expand_as(seen.confidence)), kit, schedule=QUICK))
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 14, 15, 16])
+def test_short_clips(kit, walk, frames):
+    fitted = testops.fit(joints(walk.cut(0, frames)), kit, schedule=QUICK)
+    assert finite(fitted)
+    assert fitted.motion.frames == frames
+    assert (3 in fitted.stages) == (frames > 1)
+    assert any("one frame" in note for note in fitted.notes) == (frames == 1)
+
+
+def test_one_frame_seen_by_a_camera(kit, walk, camera):
+    assert finite(testops.fit(keypoints(walk.cut(0, 1), camera), kit, schedule=QUICK))
+
+
+def test_no_batch_axis(kit, walk):
+    assert testops.fit(joints(walk.clip(0)), kit, schedule=QUICK).motion.root.shape == (1, 24, 3)
+
+
+def test_an_unknown_camera_is_assumed_and_said(kit, walk, camera):
+    seen = replace(keypoints(walk, camera), camera=None)
+    fitted = testops.fit(seen, kit, schedule=QUICK)
+    assert finite(fitted)
+    assert "focal length" in fitted.notes[0]
+    assert fitted.cameras[0].width == 1280
+    assert "guessed" not in testops.fit(seen, kit, schedule=QUICK, size=(1280, 720)).notes[0]
+
+
+def test_the_floor_is_refined_where_asked(kit, walk, camera):
+    seen = keypoints(walk, camera)
+    fixed = testops.fit(seen, kit, schedule=QUICK)
+    free = testops.fit(seen, kit, schedule=QUICK, floor="refine")
+    torch.testing.assert_close(fixed.cameras[0].rotation, camera.rotation, atol=1e-6, rtol=0)
+    assert (free.cameras[0].rotation - camera.rotation).abs().max() > 1e-5
+    assert "floor_reg" in free.energies[3] and "floor_reg" not in fixed.energies[3]
+
+
+def test_ctrl_c_keeps_the_best_so_far(kit, walk, monkeypatch):
+    calls, real = [], stages.pose_terms
+
+    def tired(*args):
+        calls.append(1)
+        if len(calls) == 15:
+            raise KeyboardInterrupt
+        return real(*args)
+
+    monkeypatch.setattr(stages, "pose_terms", tired)
+    fitted = testops.fit(joints(walk), kit, schedule=QUICK)
+    assert finite(fitted)
+    assert 3 not in fitted.stages
+    assert any("interrupted" in note for note in fitted.notes)
+
+
+def test_bad_input_is_named(kit, walk, camera):
+    seen = keypoints(walk, camera)
+    with pytest.raises(DataError, match="frames per second"):
+        testops.fit(replace(joints(walk), fps=60.0), kit)
+    with pytest.raises(DataError, match="no keypoint"):
+        testops.fit(replace(seen, names=tuple(f"p{i}" for i in range(25))), kit)
+    with pytest.raises(DataError, match="needs a camera"):
+        testops.fit(replace(seen, camera=None), kit, floor="camera")
+    with pytest.raises(DataError, match="no frame"):
+        testops.fit(joints(walk.cut(0, 0)), kit)
+    with pytest.raises(ShapeError, match="cameras"):
+        testops.fit(seen, kit, cameras=[camera] * 3)
+    with pytest.raises(ShapeError, match="visible"):
+        Observation3D(walk.positions, torch.ones(2, 3, 22, dtype=torch.bool))
+    with pytest.raises(ValueError, match="mode"):
+        testops.fit(joints(walk), kit, mode="quick")
+
+
+# --------------------------------------------------------------------------------------------------- long recordings
+LONG = Schedule(steps=(1, 1, 2), inner=4, refine=(1, 1), short=5, window=16, overlap=4)
+
+
+def test_long_recordings_are_cut_and_stitched(kit, walk):
+    fitted = testops.fit(joints(walk), kit, schedule=LONG)
+    assert fitted.starts == (0, 8)
+    assert fitted.motion.frames == 24 and fitted.z.shape == (2, 2, 15, 48)
+    assert finite(fitted)
+    assert "overlap" in fitted.energies[3]
+    assert (fitted.motion.rot @ fitted.motion.rot.mT - torch.eye(3)).abs().max() < 1e-4
+
+
+def test_windows_cover_everything_once_planned():
+    for frames in (61, 70, 110, 111, 333):
+        plan = windows.plan(frames, 60, 10)
+        assert plan[0] == 0 and plan[-1] == frames - 60
+        steps = torch.tensor(plan).diff()
+        assert (steps > 0).all() and (steps <= 50).all()
+    assert windows.plan(60, 60, 10) == (0,)
+    with pytest.raises(ShapeError, match="overlap"):
+        windows.plan(100, 60, 60)
+
+
+def test_stitching_undoes_cutting():
+    x = torch.randn(2, 37, 5, generator=torch.Generator().manual_seed(0))
+    starts_ = windows.plan(37, 16, 4)
+    torch.testing.assert_close(windows.stitch(windows.cut(x, starts_, 16), starts_), x)
+    turns = rotation.random((2, 37, 4), torch.Generator().manual_seed(1))
+    again = windows.stitch(windows.cut(turns, starts_, 16), starts_, turns=True)
+    torch.testing.assert_close(again, turns, atol=1e-5, rtol=0)
+
+
+# ----------------------------------------------------------------------------------------------------------- the parts
+def problem(kit, observation, weights=JOINTS):
+    return stages.Problem(evidence(observation), kit, weights)
+
+
+def test_the_3d_start_is_exact_for_the_mean_pose(kit):
+    gen = torch.Generator().manual_seed(0)
+    rest = torch.randn(22, 3, generator=gen)
+    turn, trans = rotation.random((1, 6), gen), torch.randn(1, 6, 3, generator=gen)
+    points = (rest @ turn.mT) + trans[..., None, :]
+    weight = torch.ones(1, 6, 22)
+    weight[:, 5, 2:] = 0  # two points give no orientation
+    found_trans, found_turn, enough = starts.start_3d(Evidence(points, weight, 30.0), rest)
+    assert enough.tolist() == [[True] * 5 + [False]]
+    torch.testing.assert_close(found_turn[:, :5], turn[:, :5], atol=1e-4, rtol=0)
+    torch.testing.assert_close(found_trans[:, :5], trans[:, :5], atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 90.0, 180.0, 270.0])
+def test_the_2d_start_sees_front_and_back(kit, walk, yaw):
+    """Whichever way somebody faces, the start is on the right side, and about as far away as they are."""
+    start = walk.cut(0, 8)
+    turn = rotation.rotation_about("z", torch.deg2rad(torch.tensor(yaw)))
+    rot = start.rot.clone()
+    rot[..., 0, :, :] = turn @ rot[..., 0, :, :]
+    turned = replace(start, rot=rot, root=(turn @ start.root[..., None])[..., 0])
+    eye = turned.root[0, 0] + torch.tensor([4.0, 0.0, 0.3])
+    view = look_at(eye, turned.root[0, 0], focal=1000.0, width=1280, height=720)
+    unknown = testops._start(problem(kit, keypoints(turned.clip(slice(0, 1)), view), RGB))
+    off = rotation.geodesic(variables.to_matrix(unknown["orient"])[:, 0], rot[:1, :, 0])
+    assert off.max() < torch.pi / 3
+    assert (unknown["trans"][:, 0] - turned.root[:1]).norm(dim=-1).max() < 0.8
+
+
+def test_rounded_coordinates_begin_where_the_old_ones_are(kit, walk):
+    p = problem(kit, joints(walk))
+    unknown = testops._start(p)
+    moving = ("trans", "orient", "latent", "betas")
+    new, old = preconditioned.rounded(unknown, moving, kit, p.evidence, JOINTS.of(2))
+    for name, value in old(new).items():
+        torch.testing.assert_close(value, unknown[name])
+
+
+def test_rounded_coordinates_need_fewer_steps(kit, walk):
+    p = problem(kit, joints(walk))
+    budget = {"steps": 2, "inner": 20}
+    unknown = testops._start(p)
+    _, plain = stages.search(
+        lambda at: stages.pose_terms(p, at, 2), unknown, ("trans", "orient", "latent", "betas"), **budget
+    )
+    _, quick = stages.stage_1_and_2(p, unknown, 2, **budget)
+    assert (quick.energy < plain.energy).all()
+
+
+def test_the_start_of_stage_three_follows_stage_two(kit, walk):
+    """And the official start, from pairs of stage 2, drifts further: the control."""
+    fitted = testops.fit(joints(walk), kit, schedule=POSES)
+    states = state.from_motion(fitted.motion)
+    z, curvature, _ = transitions.followed(kit.motion, states, torch.ones(2, 24, 22), 1e-4)
+    drift = []
+    for latents in (z, transitions.infer(kit.motion, states)[0].mean):
+        rolled = state.unpack(rollout(kit.motion, states[:, 0], latents).states)["joints"]
+        drift.append((rolled - fitted.motion.positions[:, 1:]).norm(dim=-1).mean())
+    assert drift[0] < 0.1
+    assert drift[0] < drift[1]
+    assert torch.linalg.eigvalsh(curvature).min() > -1e-3
+
+
+def test_the_start_of_stage_three_takes_the_priors_mean_where_nothing_is_known(kit, walk):
+    states = state.from_motion(walk)
+    z, *_ = transitions.followed(kit.motion, states, torch.zeros(2, 24, 22), 1e-4)
+    torch.testing.assert_close(z[:, 0], kit.motion.prior(variables.local_first(states[:, 0])).mean, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("contacts", [True, False])
+def test_both_modes_have_one_energy(kit, walk, camera, contacts):
+    """Axis-angle, a full mesh and the prior in the loop, or none of it: the same number at the same point."""
+    lean = problem(kit, keypoints(walk, camera), RGB)
+    unknown = testops._start(lean) | {"betas": torch.full((2, 8), 0.3)}
+    other = unknown | {"orient": rotation.log(variables.to_matrix(unknown["orient"]))}
+    faithful = replace(lean, mode="faithful")
+    for name, value in stages.pose_terms(lean, unknown, 2).items():
+        torch.testing.assert_close(stages.pose_terms(faithful, other, 2)[name], value, rtol=2e-3, atol=1e-3)
+    motion = variables.motion_of(variables.pose(unknown, kit, lean.evidence), 30.0)
+    shared = {n: unknown[n] for n in variables.SHARED}
+    trust = lean.evidence.trust
+    rolled, _ = transitions.start(motion, unknown["latent"][:, 0], shared, trust, kit, (0,), 24)
+    other = rolled | {"orient": rotation.log(variables.to_matrix(rolled["orient"]))}
+    a = stages.motion_terms(lean, rolled, contacts=contacts)
+    b = stages.motion_terms(faithful, other, contacts=contacts)
+    assert a.keys() == b.keys() and ("contact_vel" in a) == contacts
+    for name, value in a.items():
+        torch.testing.assert_close(b[name], value, rtol=3e-2, atol=1e-2)  # its heading has guards
+
+
+def test_faithful_mode_runs(kit, walk):
+    schedule = Schedule(steps=(1, 1, 2), inner=3, refine=(1, 1))
+    fitted = testops.fit(joints(walk.clip(slice(0, 1)).cut(0, 17)), kit, schedule=schedule, mode="faithful")
+    assert finite(fitted)
+    assert sorted(fitted.stages) == [1, 2, 3]
