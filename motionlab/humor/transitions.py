@@ -25,8 +25,8 @@ from motionlab.skeleton import STANDARD
 
 FPS = 30.0
 _ITERATIONS, _STEP = 2, 1e-2
-_EAGER = 0.1  # of the prior's weight while following: a miss now is a miss in all frames to come
-_LASTING = 0.5  # p
+_EAGER = 0.02  # of the prior's weight while following: a miss now is a miss in all frames to come
+_LASTING = 1.0  # p
 _LEVER = 0.3**2  # square metres per squared radian
 #: The joint that tells most of a joint's rotation: its first child, or itself at the end of a limb.
 _CHILD = [next((c for c, p in enumerate(STANDARD.parents) if p == j), j) for j in range(len(STANDARD))]
