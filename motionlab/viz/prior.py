@@ -128,6 +128,8 @@ def learning(curve: Sequence[Mapping[str, float]]) -> Figure:
             y = [row.get(f"{name}: {key}", np.nan) for row in curve]
             ax.plot(step, y, ".-", ms=3, color=paint, lw=1.5, label=name)
         ax.set(title=title, xlabel="step", yscale="linear" if key == "kl" else "log")
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter("{x:g}")
     axes[-1].legend(loc="best", frameon=False, fontsize=8)
     return fig
 
