@@ -1,4 +1,5 @@
 from dataclasses import fields, replace
+from itertools import pairwise
 
 import pytest
 import torch
@@ -8,6 +9,7 @@ from motionlab import profiling
 from motionlab.errors import DataError
 from motionlab.humor import faithful_variables, ladder, program, stages, variables
 from motionlab.humor.ladder import FAITHFUL, LEAN, Savings
+from motionlab.humor.priors import load
 from motionlab.humor.testops import Schedule
 from motionlab.humor.workload import Part, random_priors, workload
 
@@ -47,6 +49,18 @@ def test_every_rung_and_every_saving_alone_has_the_same_terms(work, part):
     single = [replace(FAITHFUL, **{field.name: True}) for field in fields(Savings)]
     for on in [FAITHFUL, *single, *(on for _, on in ladder.rungs())]:
         assert apart(terms(work, on, part), lean) < 1e-4, on
+
+
+def test_a_trained_prior_sees_the_official_heading_and_nothing_else():
+    """People turn little between frames, where the acos of a guarded cosine is wrong by a milliradian."""
+    walk = clips.draw(1, seed(), actions=("walk",))[0].motion.cut(0, 12)
+    trained = workload(walk, load(), seed(), inferred=True)
+    found = {name: sum(terms(trained, on, Part(3, 12)).values()).item() for name, on in ladder.rungs()}
+    change = {}
+    for (_, before), (name, now) in pairwise(found.items()):
+        change[name] = abs(now / before - 1)
+    heading = change.pop(ladder.NAMES["exact_heading"])
+    assert max(change.values()) < 1e-4 < heading < 0.05
 
 
 def test_control_another_shape_is_another_energy(work):

@@ -22,6 +22,7 @@ from motionlab.humor.ladder import LEAN, Mark, Savings
 from motionlab.humor.observed import IGNORED, LEVEL, Evidence, View
 from motionlab.humor.pose_prior import PosePrior
 from motionlab.humor.priors import Priors
+from motionlab.humor.rollout import infer
 from motionlab.humor.shape import from_skeleton, landmarks
 from motionlab.humor.weights import RGB
 from motionlab.motion import Motion
@@ -107,10 +108,13 @@ class Workload:
         return pose
 
 
-def workload(clip: Motion, priors: Priors, generator: torch.Generator, batch: int = 1) -> Workload:
+def workload(
+    clip: Motion, priors: Priors, generator: torch.Generator, batch: int = 1, *, inferred: bool = False
+) -> Workload:
     """The same person ``batch`` times over, each time with detections and unknowns of its own.
 
     clip (T,): 22 joints, world; about 30 frames per second.
+    inferred: latents as the encoders of trained priors find them in the clip; otherwise noise.
     """
     check_shape(clip.root, "T 3", "clip.root")
     motion = replace(clip, root=clip.root.repeat(batch, 1, 1), rot=clip.rot.repeat(batch, 1, 1, 1, 1), contacts=None)
@@ -135,6 +139,11 @@ def workload(clip: Motion, priors: Priors, generator: torch.Generator, batch: in
         "joints_vel": first["joints_vel"].flatten(-2),
         "z": noise(batch, 1, motion.frames - 1, priors.motion.latent, scale=0.3),
     }
+    if inferred:
+        with torch.no_grad():
+            still["latent"] = priors.pose.encode(motion.rot[..., 1:, :, :]).mean[:, None]
+            moving["latent"] = still["latent"][:, :, 0]
+            moving["z"] = infer(priors.motion, state.from_motion(motion))[0].mean[:, None]
     problem = stages.Problem(_evidence(motion, betas, noise, generator), priors, RGB)
     return Workload(problem, still | shared, moving | shared)
 
