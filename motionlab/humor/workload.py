@@ -7,6 +7,7 @@ detected, so that the detections are the person's own with a few pixels of noise
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -68,6 +69,15 @@ class Workload:
     def frames(self) -> int:
         """T."""
         return self.problem.evidence.values.shape[1]
+
+    def double(self) -> Workload:
+        """The same in double precision, with priors of its own."""
+        priors, seen = self.problem.priors, self.problem.evidence
+        own = [deepcopy(model).double() for model in (priors.motion, priors.pose)]
+        view = {n: getattr(seen.view, n).double() for n in ("intrinsics", "rotation", "centre")}
+        seen = replace(seen, values=seen.values.double(), weight=seen.weight.double(), view=replace(seen.view, **view))
+        still, moving = ({n: x.double() for n, x in each.items()} for each in (self.still, self.moving))
+        return Workload(replace(self.problem, evidence=seen, priors=Priors(*own, priors.initial)), still, moving)
 
     def unknowns(self, part: Part, on: Savings) -> dict[str, Tensor]:
         """Leaves for a closure; as rotation vectors unless matrices are saved."""
