@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import torch
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
@@ -80,15 +81,16 @@ def through_the_camera(
     return np.concatenate(drawn, 1)
 
 
-def on_paper(
-    layers: Mapping[str, tuple[str, Tensor, Tensor]], frame: int, size: tuple[int, int], *, width: int = 460
-) -> np.ndarray:
-    """As :func:`through_the_camera` where there is no picture: layers over a blank image of ``size`` pixels."""
-    scale = width / size[0]
-    blank = np.full((round(size[1] * scale), width, 3), 246, np.uint8)
+def on_paper(layers: Mapping[str, tuple[str, Tensor, Tensor]], frame: int, *, height: int = 380) -> np.ndarray:
+    """As :func:`through_the_camera` where there is no picture: layers over blank paper, cut to where the points are."""
+    sure = torch.cat([pixels[frame][confidence[frame] > 0] for _, pixels, confidence in layers.values()])
+    low, high = sure.amin(0), sure.amax(0)
+    margin = 0.12 * (high - low).max()
+    scale = height / float((high - low)[1] + 2 * margin)
+    blank = np.full((height, max(round(float((high - low)[0] + 2 * margin) * scale), 200), 3), 246, np.uint8)
     drawn = []
     for label, (role, pixels, confidence) in layers.items():
-        seen = Observation2D(pixels * scale, confidence, BODY_25, 30.0)
+        seen = Observation2D((pixels - low + margin) * scale, confidence, BODY_25, 30.0)
         drawn.append(_labelled(overlay(seen, blank, frame, role, width=3.5), label))
     return np.concatenate(drawn, 1)
 
