@@ -9,7 +9,18 @@ from data_synth import actions, corrupt
 from data_synth.subjects import SUBJECTS
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
-from motionlab.humor import preconditioned, priors, stages, starts, state, testops, transitions, variables, windows
+from motionlab.humor import (
+    compare,
+    preconditioned,
+    priors,
+    stages,
+    starts,
+    state,
+    testops,
+    transitions,
+    variables,
+    windows,
+)
 from motionlab.humor.observed import Evidence, Observation3D, evidence
 from motionlab.humor.rollout import rollout
 from motionlab.humor.shape import landmarks
@@ -316,16 +327,17 @@ def test_rounded_coordinates_need_fewer_steps(kit, walk):
 
 
 def test_the_start_of_stage_three_follows_stage_two(kit, walk):
-    """And the official start, from pairs of stage 2, drifts further: the control."""
-    fitted = testops.fit(joints(walk), kit, schedule=POSES)
-    states = state.from_motion(fitted.motion)
-    z, curvature, _ = transitions.followed(kit.motion, states, torch.ones(2, 24, 22), 1e-4)
+    """Noise of 3 cm in stage 2; the control, the official start from pairs of stage 2, drifts further."""
+    gen = torch.Generator().manual_seed(0)
+    shaken = replace(walk, root=walk.root + 0.03 * torch.randn(walk.root.shape, generator=gen))
+    states = state.from_motion(shaken)
+    z, curvature, _ = transitions.followed(kit.motion, states, torch.ones(2, 24, 22), 2e-5)
     drift = []
     for latents in (z, transitions.infer(kit.motion, states)[0].mean):
         rolled = state.unpack(rollout(kit.motion, states[:, 0], latents).states)["joints"]
-        drift.append((rolled - fitted.motion.positions[:, 1:]).norm(dim=-1).mean())
+        drift.append((rolled - shaken.positions[:, 1:]).norm(dim=-1).mean())
     assert drift[0] < 0.1
-    assert drift[0] < drift[1]
+    assert drift[0] < 0.8 * drift[1], drift
     assert torch.linalg.eigvalsh(curvature).min() > -1e-3
 
 
@@ -361,3 +373,37 @@ def test_faithful_mode_runs(kit, walk):
     fitted = testops.fit(joints(walk.clip(slice(0, 1)).cut(0, 17)), kit, schedule=schedule, mode="faithful")
     assert finite(fitted)
     assert sorted(fitted.stages) == [1, 2, 3]
+
+
+# ----------------------------------------------------------------------------------------------------- the comparison
+def test_smoothers_take_noise_away_and_fill_gaps(kit, walk):
+    gen = torch.Generator().manual_seed(0)
+    rest = compare.mean_pose(kit.pose)
+    points, _ = corrupt.noisy_joints(walk.positions, gen)
+    seen = Observation3D(points, torch.ones(points.shape[:-1], dtype=torch.bool))
+    raw = (points - walk.positions).norm(dim=-1).mean()
+    for choice in (compare.SAVITZKY_GOLAY, compare.KALMAN):
+        best = compare.tuned(choice, seen, walk.positions, rest)
+        found = [(s(seen, rest) - walk.positions).norm(dim=-1).mean() for s in choice]
+        assert (best(seen, rest) - walk.positions).norm(dim=-1).mean() == min(found) < 0.7 * raw
+    hidden = walk.positions[..., 2] < 0.9
+    gone = joints(walk, hidden)
+    filled = compare.Smoother("savitzky-golay", 5, 3)(gone, rest)
+    assert filled.isfinite().all()
+    assert (filled - walk.positions).norm(dim=-1)[~hidden].mean() < 0.01
+    assert compare.Smoother("kalman", 0.04, 8.0)(joints(walk, torch.ones_like(hidden)), rest).isfinite().all()
+
+
+def test_the_table_knows_better_from_worse(kit, walk):
+    truth = walk.positions
+    found = {"right": compare.Found(truth, walk.contacts), "wrong": compare.Found(truth + 0.1)}
+    scores = compare.measures(found, walk, torch.ones(2, 24, 22, dtype=torch.bool))
+    assert scores["right"]["all cm"].max() < 1e-3
+    assert scores["right"]["contact F1"].tolist() == [1.0, 1.0]
+    torch.testing.assert_close(scores["wrong"]["legs cm"], torch.full((2,), 10 * 3**0.5), rtol=1e-4, atol=1e-4)
+    gen = torch.Generator().manual_seed(0)
+    rows = compare.paired_table(scores, "right", "wrong", gen)
+    assert {row["measure"] for row in rows} >= {"all cm", "legs cm"}
+    assert "hidden cm" not in {row["measure"] for row in rows}  # nothing is hidden
+    assert next(row for row in rows if row["measure"] == "all cm")["better in"] == "100 %"
+    assert compare.table(scores, gen)[0]["hidden cm"] == "-"

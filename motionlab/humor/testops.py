@@ -60,8 +60,8 @@ class Schedule:
 
     @classmethod
     def lean(cls) -> Schedule:
-        """What lean mode needs, with its start near the goal and its rounder coordinates: about a tenth."""
-        return cls(steps=(5, 10, 9), refine=(1, 3))
+        """What lean mode needs, with its start near the goal and its rounder coordinates: about a quarter."""
+        return cls(steps=(5, 10, 24), refine=(1, 3))
 
     @classmethod
     def quick(cls) -> Schedule:
