@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
         _check_target(path, suffix)
     seen, first, floor = observation(options)
     pictures = None if options.video is None else _pictures(options.video, first, seen, options.fps)
-    schedule = testops.Schedule.quick() if options.quick else testops.Schedule()
+    schedule = testops.Schedule.quick() if options.quick else None  # the lean one
     print(f"{seen.name}: {seen.frames} frames at 30 fps; Ctrl-C keeps the best so far")
     size = pictures[0].size if pictures else None
     fitted = testops.fit(seen, priors.load(), schedule=schedule, floor=floor, size=size, progress=True)

@@ -51,6 +51,8 @@ def windows(motions: list[Motion], frames: int = 61, most: int = 48) -> tuple[to
         (state.from_motion(m)[i : i + frames].float(), m.contacts[i : i + frames].float())
         for m in motions for i in range(0, m.frames - frames + 1, frames)
     ]  # fmt: skip
+    if not cuts:
+        return torch.zeros(0, frames, state.STATE), torch.zeros(0, frames, state.CONTACTS)
     x, c = zip(*library.spread(cuts, most), strict=True)
     return torch.stack(x), torch.stack(c)
 
@@ -68,7 +70,7 @@ def _train(options: argparse.Namespace) -> int:
     train, held = sources(options.data)
     data = examples.examples([m for motions in train.values() for m in motions], recipe.length + 1)
     run = training.resume(kept, data) if options.resume else training.Training(recipe, data)
-    judged = {name: windows(motions) for name, motions in held.items()}
+    judged = {name: found for name, motions in held.items() if len((found := windows(motions))[0])}
 
     def validate(model: Cvae) -> dict[str, float]:
         row = {}

@@ -137,6 +137,14 @@ def test_missing_frames(kit, walk, frames):
         assert jump.max() < 0.15  # no frame is left where it began
 
 
+def test_missing_frames_without_a_motion_prior(kit, walk):
+    """Nothing then says anything about the latent of an unseen transition."""
+    hidden = torch.zeros(walk.positions.shape[:-1], dtype=torch.bool)
+    hidden[:, 12] = True
+    weights = replace(JOINTS, motion_prior=(0, 0, 0), init_motion_prior=(0, 0, 0))
+    assert finite(testops.fit(joints(walk, hidden), kit, schedule=QUICK, weights=weights))
+
+
 @pytest.mark.parametrize("frames", [[0], [12], list(range(24))])
 def test_missing_frames_of_keypoints(kit, walk, camera, frames):
     seen, _ = corrupt.drop_frames(keypoints(walk, camera), frames)

@@ -93,7 +93,7 @@ def followed(model: Cvae, states: Tensor, trust: Tensor, weight: float) -> tuple
             miss, slope = _linearised(model, past, z, aim, root)
             gauss_newton = slope @ slope.mT
             pull = (slope @ miss[..., None])[..., 0] + weight * sharp * (z - prior.mean)
-            z = z - torch.linalg.solve(gauss_newton + weight * torch.diag_embed(sharp), pull)
+            z = z - torch.linalg.solve(gauss_newton + torch.diag_embed(weight * sharp + 1e-6), pull)
         now = state.globalise(state.apply(past, model.decode(past, z))[0], frame)
         found.append(z), curvature.append(gauss_newton), precision.append(sharp)
     return tuple(torch.stack(each, 1) for each in (found, curvature, precision))
