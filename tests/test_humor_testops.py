@@ -1,6 +1,7 @@
 """The three stages end to end, small: what they must find, and what they must survive."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
@@ -11,6 +12,8 @@ from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
 from motionlab.humor import (
     compare,
+    faithful_variables,
+    ladder,
     preconditioned,
     priors,
     stages,
@@ -356,8 +359,13 @@ def test_the_start_of_stage_three_takes_the_priors_mean_where_nothing_is_known(k
 
 
 @pytest.mark.parametrize("contacts", [True, False])
-def test_both_modes_have_one_energy(kit, walk, camera, contacts):
-    """Axis-angle, a full mesh and the prior in the loop, or none of it: the same number at the same point."""
+def test_both_modes_have_one_energy(kit, walk, camera, contacts, monkeypatch):
+    """Axis-angle, a full mesh and the prior in the loop, or none of it: the same number at the same point.
+
+    With the heading put right: the official one's own error, a milliradian a step, changes terms by some per cent.
+    """
+    official = faithful_variables.faithful.rollout
+    monkeypatch.setattr(faithful_variables.faithful, "rollout", partial(official, align=ladder.exact_alignment))
     lean = problem(kit, keypoints(walk, camera), RGB)
     unknown = testops._start(lean) | {"betas": torch.full((2, 8), 0.3)}
     other = unknown | {"orient": rotation.log(variables.to_matrix(unknown["orient"]))}
@@ -373,7 +381,7 @@ def test_both_modes_have_one_energy(kit, walk, camera, contacts):
     b = stages.motion_terms(faithful, other, contacts=contacts)
     assert a.keys() == b.keys() and ("contact_vel" in a) == contacts
     for name, value in a.items():
-        torch.testing.assert_close(b[name], value, rtol=3e-2, atol=1e-2)  # its heading has guards
+        torch.testing.assert_close(b[name], value, rtol=2e-3, atol=1e-3)
 
 
 def test_faithful_mode_runs(kit, walk):
