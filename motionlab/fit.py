@@ -12,7 +12,7 @@ from PIL import Image, UnidentifiedImageError
 
 from motionlab.errors import DataError
 from motionlab.humor import priors, report_fit, testops
-from motionlab.humor.observed import IGNORED
+from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.humor.real_input import at_rate
 from motionlab.io import amass, bvh, gltf, openpose
 from motionlab.io.camera import load_camera
@@ -58,7 +58,7 @@ def observation(options: argparse.Namespace) -> tuple[Observation2D, int, str | 
     seen = openpose.load(options.keypoints, fps=options.fps, layout=options.layout, person=person)
     first = int(seen.name.rsplit(" ", 1)[-1])
     seen = at_rate(openpose.to_body_25(seen, midpoints=True))
-    used = [k for k in range(len(BODY_25)) if k not in IGNORED]
+    used = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]
     if seen.frames < 2:
         raise DataError("one frame is no motion", path=options.keypoints, remedy="give two frames or more")
     if not (seen.confidence[:, used] > 0).any():

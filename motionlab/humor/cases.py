@@ -15,7 +15,7 @@ from torch import Tensor
 from motionlab import findings
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.observed import IGNORED
+from motionlab.humor.report_fit import distances
 from motionlab.humor.rollout import infer, rollout
 from motionlab.humor.shape import landmarks
 from motionlab.metrics import pose
@@ -132,10 +132,8 @@ def acceleration_ratio(fit: Motion, truth: Motion) -> Tensor:
 def pixel_distance(pixels: Tensor, observation: Observation2D) -> Tensor:
     """Mean distance in pixels of points (B, T, 25, 2) from the detections, weighted by confidence; neck and hips, which
     a fit ignores, left out."""
-    weight = observation.confidence.clone()
-    weight[..., list(IGNORED)] = 0.0
-    distance = (pixels - observation.keypoints).norm(dim=-1)
-    return (weight * distance).sum((-1, -2)) / weight.sum((-1, -2))
+    away, weight = distances(pixels, observation)
+    return (weight * away).sum((-1, -2)) / weight.sum((-1, -2))
 
 
 def image_of(fit: Motion, betas: Tensor, cameras: Sequence[Camera]) -> Tensor:

@@ -21,14 +21,13 @@ from motionlab import findings
 from motionlab.baselines import kalman, savitzky_golay
 from motionlab.contact import contacts_from_positions, resting_heights
 from motionlab.humor import starts
-from motionlab.humor.cases import paired
+from motionlab.humor.cases import legs, paired
 from motionlab.humor.observed import Observation3D, evidence
 from motionlab.humor.testops import Fitted
 from motionlab.metrics import contact, pose
 from motionlab.motion import Motion
 from motionlab.skeleton import FEET, STANDARD, fk
 
-LEGS = STANDARD.indices([f"{s}_{p}" for p in ("knee", "ankle", "foot") for s in ("left", "right")])
 CM = 100.0
 #: What :func:`measures` measures, and whether less is better.
 LESS_IS_BETTER = {
@@ -137,7 +136,7 @@ def _measures(found: Found, truth: Motion, visible: Tensor) -> dict[str, Tensor]
         "all cm": CM * pose.mpjpe(p, t, align="none"),
         "visible cm": CM * seen,
         "hidden cm": CM * hidden,
-        "legs cm": CM * pose.joint_errors(p, t, align="none")[..., LEGS].mean((-1, -2)),
+        "legs cm": CM * pose.joint_errors(p, t, align="none")[..., legs(truth)].mean((-1, -2)),
         "acceleration error m/s^2": pose.acceleration_error(p, t, truth.fps),
         "contact F1": contact.contact_scores(touching, truth.contacts).f1,
         "slide mm": contact.slide_where_truth_stands_mm(p[..., feet, :], t[..., feet, :]),

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from motionlab.errors import DataError
+from motionlab.humor import foreign
 from motionlab.humor.state import DELTA, STATE
 
 LATENT = 48
@@ -117,18 +118,8 @@ def load_official(path: Path | str) -> Cvae:
     Raises:
         DataError: not such a file, damaged, or with other names or shapes.
     """
-    path = Path(path)
     remedy = "take a checkpoint of the official HuMoR release (50 tensors, 'decoder.net.0.weight' and so on)"
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as error:
-        raise DataError("there is no such file", path=path, remedy=remedy) from error
-    except Exception as error:
-        raise DataError(f"not a plain torch checkpoint ({type(error).__name__})", path=path, remedy=remedy) from error
-    weights = content.get("model", content) if isinstance(content, dict) else None
-    if not isinstance(weights, dict) or not all(isinstance(value, Tensor) for value in weights.values()):
-        raise DataError("no state dict inside", path=path, remedy=remedy)
-    return from_weights({name.removeprefix("module."): value for name, value in weights.items()}, path, remedy)
+    return from_weights(foreign.tensors(path, "model", remedy), Path(path), remedy)
 
 
 def from_weights(weights: dict[str, Tensor], path: Path, remedy: str) -> Cvae:

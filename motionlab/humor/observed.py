@@ -13,11 +13,10 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError, check_shape
+from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.skeleton import STANDARD
 
-#: Keypoints of BODY_25 that the official code ignores: a detector's neck and hips are not the body model's.
-IGNORED = (1, 9, 12)
 #: Image sizes that are assumed where nobody says: the smallest that holds every detection.
 _SIZES = ((640, 480), (1280, 720), (1920, 1080), (3840, 2160))
 #: Camera axes (right, down, forward) of a level camera that looks along the world's +y: rows.
@@ -243,7 +242,7 @@ def _as_body_25(keypoints: Tensor, confidence: Tensor, names: Sequence[str]) -> 
     ours, theirs = [BODY_25.index(n) for n in known], [names.index(n) for n in known]
     values, weight = keypoints.new_zeros(*keypoints.shape[:2], 25, 2), keypoints.new_zeros(*keypoints.shape[:2], 25)
     values[..., ours, :], weight[..., ours] = keypoints[..., theirs, :], confidence[..., theirs].to(keypoints)
-    weight[..., list(IGNORED)] = 0.0
+    weight[..., list(UNUSED_BODY_25)] = 0.0
     good = values.isfinite().all(-1) & weight.isfinite() & (weight > 0)
     unused = [name for name in names if name not in BODY_25]
     notes = (f"keypoints that the body has none of: {', '.join(unused)}",) if unused else ()

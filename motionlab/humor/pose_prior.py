@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from motionlab import rotation
 from motionlab.errors import DataError, check_shape
+from motionlab.humor import foreign
 from motionlab.humor.cvae import Gaussian
 
 LATENT, JOINTS, WIDTH = 32, 21, 512
@@ -86,20 +86,9 @@ def load_vposer(path: Path | str) -> PosePrior:
     Raises:
         DataError: not such a file, damaged, or with other names, shapes or numbers.
     """
-    path = Path(path)
     remedy = "take a file of the snapshots folder of VPoser v1.0 or v2.0, from smpl-x.is.tue.mpg.de"
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as error:
-        raise DataError("there is no such file", path=path, remedy=remedy) from error
-    except Exception as error:
-        message = f"not a file of plain tensors ({type(error).__name__})"
-        raise DataError(message, path=path, remedy=f"{remedy}; or save its state_dict alone with torch.save") from error
-    content = content.get("state_dict", content) if isinstance(content, dict) else {}
-    found = {}
-    for name, value in content.items():
-        if isinstance(value, Tensor):
-            found[str(name).removeprefix("module.").removeprefix("vp_model.")] = value
+    named = foreign.tensors(path, "state_dict", remedy)
+    found = {name.removeprefix("vp_model."): value for name, value in named.items()}
     try:
         return _from_vposer(found)
     except (KeyError, RuntimeError, ValueError) as error:

@@ -12,12 +12,11 @@ from torch import Tensor
 from motionlab.humor.cvae import Cvae, kl
 from motionlab.humor.losses import pairs
 from motionlab.humor.rollout import infer, rollout, sample
-from motionlab.humor.state import apply, globalise, heading, localise, unpack
+from motionlab.humor.state import FPS, apply, globalise, heading, localise, unpack
 from motionlab.metrics.contact import contact_scores
 from motionlab.metrics.pose import mean_acceleration
 from motionlab.skeleton import STANDARD
 
-FPS = 30.0
 #: A dimension is active where it costs more than this on average, nats.
 ACTIVE = 0.05
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from motionlab.humor import shape
-from motionlab.humor.observed import IGNORED
+from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.humor.testops import Fitted
 from motionlab.metrics import pose
 from motionlab.motion import Motion
@@ -76,7 +76,7 @@ def distances(pixels: Tensor, observation: Observation2D) -> tuple[Tensor, Tenso
     keypoints, weight = observation.keypoints, observation.confidence.clone()
     if keypoints.ndim == 3:
         keypoints, weight = keypoints[None], weight[None]
-    weight[..., list(IGNORED)] = 0.0
+    weight[..., list(UNUSED_BODY_25)] = 0.0
     seen = (weight > 0) & keypoints.isfinite().all(-1)
     away = (pixels - torch.where(seen[..., None], keypoints, 0.0)).norm(dim=-1)
     return torch.where(seen, away, 0.0), torch.where(seen, weight, 0.0)
@@ -97,7 +97,7 @@ def report(fitted: Fitted, observation: Observation2D, clip: int = 0) -> Report:
         median_pixels=float(away[seen].median()) if seen.any() else float("nan"),
         acceleration=float(pose.mean_acceleration(motion.positions, motion.fps)),
         contacts=dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
-        seen=float(seen.sum() / (seen.numel() * (1 - len(IGNORED) / seen.shape[-1]))),
+        seen=float(seen.sum() / (seen.numel() * (1 - len(UNUSED_BODY_25) / seen.shape[-1]))),
         energy={n: {name: float(e[clip]) for name, e in terms.items()} for n, terms in fitted.energies.items()},
         reasons=tuple(each.reasons[min(clip, len(each.reasons) - 1)] for each in fits),
         notes=fitted.notes,

@@ -32,6 +32,8 @@ from motionlab.motion import Motion, velocity
 from motionlab.skeleton import Skeleton
 
 JOINTS, CONTACTS = 22, 9
+#: Frames per second that the prior knows: a transition takes a thirtieth of a second.
+FPS = 30.0
 #: The parts of a state and their shapes.
 SHAPES = {
     "trans": (3,), "trans_vel": (3,), "root_orient": (3, 3), "root_orient_vel": (3,),

@@ -32,7 +32,6 @@ from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.skeleton import STANDARD, fk
 
-FPS = 30.0  # the prior's: it knows steps of a thirtieth of a second
 MODES = ("lean", "official", "faithful")
 
 __all__ = ["Fitted", "Observation3D", "Schedule", "fit"]
@@ -127,9 +126,10 @@ def fit(
         raise ValueError(f"mode: expected one of {', '.join(MODES)}, got {mode!r}")
     schedule = schedule or (Schedule.lean() if mode == "lean" else Schedule())
     seen = evidence(observation, cameras=cameras, floor=floor, size=size)
-    if abs(seen.fps - FPS) > 0.02 * FPS:
+    if abs(seen.fps - state.FPS) > 0.02 * state.FPS:
         raise DataError(
-            f"{seen.fps:g} frames per second; the motion prior knows {FPS:g}", remedy="resample the observation first"
+            f"{seen.fps:g} frames per second; the motion prior knows {state.FPS:g}",
+            remedy="resample the observation first",
         )
     weights = weights or (JOINTS if seen.view is None else RGB)
     problem = Problem(seen, priors, weights, mode)

@@ -23,7 +23,6 @@ from motionlab.humor.variables import from_matrix
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
-FPS = 30.0
 _ITERATIONS, _STEP = 2, 1e-2
 _EAGER = 0.02  # of the prior's weight while following: a miss now is a miss in all frames to come
 _LASTING = 1.0  # p
@@ -122,11 +121,11 @@ def _importance(trust: Tensor) -> Tensor:
     child = torch.stack([trust[:, _CHILD[j]] for j in range(1, 22)], 1)
     parts = {
         "trans": whole.expand(-1, 3),
-        "trans_vel": (whole / FPS**2).expand(-1, 3),
+        "trans_vel": (whole / state.FPS**2).expand(-1, 3),
         "root_orient": (_LEVER * whole).expand(-1, 9),
-        "root_orient_vel": (_LEVER * whole / FPS**2).expand(-1, 3),
+        "root_orient_vel": (_LEVER * whole / state.FPS**2).expand(-1, 3),
         "pose_body": (_LEVER * child).repeat_interleave(9, 1),
         "joints": trust.repeat_interleave(3, 1),
-        "joints_vel": trust.repeat_interleave(3, 1) / FPS**2,
+        "joints_vel": trust.repeat_interleave(3, 1) / state.FPS**2,
     }
     return torch.cat([parts[name] for name in state.SHAPES], 1)

@@ -18,9 +18,10 @@ from torch.profiler import record_function
 from motionlab.errors import check_shape
 from motionlab.humor import ladder, stages, state, variables
 from motionlab.humor.cvae import Cvae
+from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.humor.init_gmm import SIZE, InitGmm
 from motionlab.humor.ladder import LEAN, Mark, Savings
-from motionlab.humor.observed import IGNORED, LEVEL, Evidence, View
+from motionlab.humor.observed import LEVEL, Evidence, View
 from motionlab.humor.pose_prior import PosePrior
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import infer
@@ -165,5 +166,5 @@ def _evidence(motion: Motion, betas: Tensor, noise: Noise, generator: torch.Gene
     view = View(k.expand(batch, 3, 3), LEVEL.expand(batch, 3, 3), centre, _SIZE, free=True)
     pixels = view.pixels(landmarks(*motion.world, betas), torch.zeros(batch, 3))
     weight = 0.5 + 0.5 * torch.rand(batch, frames, 25, generator=generator)
-    weight[..., list(IGNORED)] = 0.0
+    weight[..., list(UNUSED_BODY_25)] = 0.0
     return Evidence(pixels + noise(*pixels.shape, scale=_PIXELS), weight, motion.fps, view)
