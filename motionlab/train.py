@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from motionlab import library, train_small
-from motionlab.humor import checkpoint, examples, quality, state, training
+from motionlab.humor import checkpoint, examples, quality, state, training, variety
 from motionlab.humor.cvae import Cvae
 from motionlab.motion import Motion
 
@@ -45,6 +45,17 @@ def sources(folder: Path | str | None) -> tuple[dict[str, list[Motion]], dict[st
     return train, held
 
 
+def together(train: dict[str, list[Motion]], recipe: training.Recipe) -> list[Motion]:
+    """All motions and, of each, copies on other bodies and held otherwise, as many as the recipe says."""
+    generator = torch.Generator().manual_seed(recipe.seed)
+    copies = {name: recipe.varied if name == "synthetic" else recipe.varied_recordings for name in train}
+    return [
+        each
+        for name, motions in train.items() for motion in motions
+        for each in (motion, *(variety.varied(motion, generator) for _ in range(copies[name])))
+    ]  # fmt: skip
+
+
 def windows(motions: list[Motion], frames: int = 61, most: int = 48) -> tuple[torch.Tensor, torch.Tensor]:
     """States (W, frames, 339) and contacts (W, frames, 9), evenly over the motions; none where all are shorter."""
     cuts = [
@@ -68,7 +79,7 @@ def _train(options: argparse.Namespace) -> int:
     out = options.out or checkpoint.SHIPPED / f"humor_{options.preset}"
     kept = out.with_suffix(".partial.pt")
     train, held = sources(options.data)
-    data = examples.examples([m for motions in train.values() for m in motions], recipe.length + 1)
+    data = examples.examples(together(train, recipe), recipe.length + 1)
     run = training.resume(kept, data) if options.resume else training.Training(recipe, data)
     judged = {name: found for name, motions in held.items() if len((found := windows(motions))[0])}
 

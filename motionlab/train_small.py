@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from data_synth import anatomy, corpus
-from motionlab.humor import checkpoint, init_gmm, pose_training, shape, state
+from motionlab.humor import checkpoint, init_gmm, pose_training, state
 from motionlab.humor.init_gmm import InitGmm
+from motionlab.humor.variety import other_body
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
 
 Motions = Mapping[str, Sequence[Motion]]  # by source
 STEPS = 4000
 COMMAND = "python -m motionlab train small"
-PEOPLE = 0.7  # standard deviation, in betas, of the bodies that the motions are put on
 
 
 def poses(motions: Sequence[Motion], every: int = 1) -> Tensor:
@@ -37,16 +37,6 @@ def first_states(motions: Sequence[Motion], every: int, generator: torch.Generat
             world = state.from_motion(each)[::every]
             found.append(init_gmm.features(state.localise(world, state.heading(world))).float())
     return torch.cat(found)
-
-
-def other_body(motion: Motion, generator: torch.Generator) -> Motion:
-    """The same angles on a body drawn at random; the path grows with the legs, so that feet hardly slide."""
-    betas = PEOPLE * torch.randn(shape.BETAS, generator=generator)
-    scale = shape.scales(betas)[:, None]
-    offsets = motion.skeleton.offsets * scale
-    legs = motion.skeleton.indices(["left_knee", "left_ankle"])
-    grown = offsets[legs].norm(dim=-1).sum() / motion.skeleton.offsets[legs].norm(dim=-1).sum()
-    return replace(motion, skeleton=replace(motion.skeleton, offsets=offsets), root=motion.root * grown)
 
 
 def make_pose_prior(train: Motions, held: Motions, out: Path, *, seed: int = 0, steps: int = STEPS) -> dict:

@@ -9,7 +9,7 @@ from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
 from motionlab import train_small
 from motionlab.errors import DataError
-from motionlab.humor import checkpoint, init_gmm, priors, state
+from motionlab.humor import checkpoint, init_gmm, priors, state, variety
 
 
 def first_states(seed: int = 5) -> torch.Tensor:
@@ -85,7 +85,7 @@ def test_numbers_that_are_not_finite(tmp_path):
 
 def test_other_bodies_keep_angles_and_feet(generator):
     motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(2)).motion.cut(0, 60)
-    other = train_small.other_body(motion, generator)
+    other = variety.other_body(motion, generator)
     assert torch.equal(other.rot, motion.rot)
     assert (other.skeleton.offsets.norm(dim=-1) / motion.skeleton.offsets.norm(dim=-1).clamp(min=1e-9))[1:].std() > 0.01
     lowest = [m.positions[..., 2].amin(-1) for m in (motion, other)]

@@ -38,7 +38,7 @@ class Examples:
     def digest(self) -> str:
         """A hash of all numbers, for the recipe."""
         whole = hashlib.sha256()
-        for x in (self.states, self.contacts):
+        for x in (self.states, self.contacts, self.offsets):
             whole.update(x.numpy().tobytes())
         return whole.hexdigest()[:16]
 

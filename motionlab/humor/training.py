@@ -32,11 +32,13 @@ class Recipe:
     width: of the networks. steps: of the optimiser. batch: windows of ``length`` transitions each. chain: transitions
     that gradients flow through. supervised, sampled: shares of the steps that see the truth, and by which it has faded
     out. kl: weight per nat; annealed: share of the steps over which it grows to that. kinematics, contact, slide:
-    weights of those losses. average: of the weights, per step. official: its losses and scales.
+    weights of those losses. average: of the weights, per step. varied,
+    varied_recordings: copies on other bodies, held otherwise, of every synthetic motion and every recording (see
+    ``variety``). official: its losses and scales.
     """
 
     width: int = 512
-    steps: int = 3300
+    steps: int = 6600
     batch: int = 160
     length: int = 10
     chain: int = 5
@@ -49,6 +51,8 @@ class Recipe:
     contact: float = 0.7
     slide: float = 0.1
     average: float = 0.998
+    varied: int = 1
+    varied_recordings: int = 2
     seed: int = 0
     official: bool = False
 
@@ -58,7 +62,8 @@ PRESETS = {
     "compact": Recipe(),
     "official": Recipe(
         width=1024, steps=400_000, batch=200, chain=1, lr=1e-4, supervised=0.05, sampled=0.10, kl=4e-4, annealed=0.25,
-        kinematics=1.0, contact=0.01, slide=0.01, average=0.0, official=True,
+        kinematics=1.0, contact=0.01, slide=0.01, average=0.0, varied=0, varied_recordings=0,
+        official=True,
     ),
 }  # fmt: skip
 DECAYS = (0.25, 0.40, 0.70)
