@@ -60,7 +60,7 @@ def minimise_batch(
     inner: int = 20,
     memory: int = 100,
     tolerance_grad: float = 1e-7,
-    tolerance_change: float = 0.0,
+    tolerance_change: float | Tensor = 0.0,
     rows: bool = False,
     progress: bool = False,
 ) -> BatchFit:
@@ -76,22 +76,20 @@ def minimise_batch(
         max_closures: never evaluate more often; None: 5/4 of the iterations, as torch's L-BFGS.
         memory: pairs that L-BFGS remembers, per clip.
         tolerance_grad: a clip stops when the largest entry of its gradient is at most this.
-        tolerance_change: an iteration that lowers the energy by no more than this counts as none.
+        tolerance_change: an iteration that lowers the energy by no more than this counts as none; (B,) for one
+            number per clip.
         rows: call ``energy(variables of the n clips that still run (n, ...), their numbers (n,))`` -> (n,), so that
             clips that have stopped cost nothing more.
         progress: show a bar with the mean energy and the number of clips that still run.
 
     Raises:
         NotConverged: no clip has a finite energy and gradient at the start.
-        ShapeError: the energy is not (B,), or the variables differ in their first axis.
+        ShapeError: the energy or ``tolerance_change`` is not (B,), or the variables differ in their first axis.
         ValueError: no variable requires gradients, or those that do differ in type.
     """
     machine = _Machine(energy, variables, memory, rows=rows)
-    machine.iterations, machine.tolerance_grad, machine.tolerance_change = (
-        steps * inner,
-        tolerance_grad,
-        tolerance_change,
-    )
+    machine.iterations, machine.tolerance_grad = steps * inner, tolerance_grad
+    machine.tolerance_change = _per_clip(tolerance_change, len(machine.clips))
     budget = steps * inner * 5 // 4 if max_closures is None else max_closures
     began, rest = time.perf_counter(), "closures"
     bar = tqdm(total=budget, disable=not progress, leave=False)
@@ -113,6 +111,14 @@ def minimise_batch(
     return BatchFit(found, machine.best_energy, history, time.perf_counter() - began, reasons)
 
 
+def _per_clip(tolerance: float | Tensor, clips: int) -> list[float]:
+    if not isinstance(tolerance, Tensor) or not tolerance.ndim:
+        return [float(tolerance)] * clips
+    if tolerance.shape != (clips,):
+        raise ShapeError(f"tolerance_change: expected one number or ({clips},), got {tuple(tolerance.shape)}")
+    return tolerance.tolist()
+
+
 @dataclass
 class _Clip:
     """Where one clip stands: its running search, the step it asks for, and what the search began with."""
@@ -128,7 +134,8 @@ class _Clip:
 class _Machine:
     """All clips: points x, directions d and gradients g as rows of (B, N) tensors; one state machine each."""
 
-    iterations, tolerance_grad, tolerance_change = 0, 0.0, 0.0
+    iterations, tolerance_grad = 0, 0.0
+    tolerance_change: list[float]  # of each clip
 
     def __init__(self, energy: Callable[..., Tensor], variables: dict[str, Tensor], memory: int, *, rows: bool) -> None:
         moving = {name: value.detach() for name, value in variables.items() if value.requires_grad}
@@ -214,7 +221,7 @@ class _Machine:
         self.x[rows] += way
         self.g[rows] = gradient
         for b, clip, trial, steepest in zip(ended, clips, trials, gradient.abs().amax(-1).tolist(), strict=True):
-            in_vain = clip.search is not None and not trial.energy < clip.energy - self.tolerance_change
+            in_vain = clip.search is not None and not trial.energy < clip.energy - self.tolerance_change[b]
             clip.iterations += clip.search is not None
             if clip.reason is None and steepest <= self.tolerance_grad:
                 clip.reason = "gradient"

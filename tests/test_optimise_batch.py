@@ -259,6 +259,18 @@ def test_tolerance_of_change_stops_earlier():
     assert loose.closures < tight.closures and set(loose.reasons) <= {"no decrease", "gradient"}
 
 
+def test_tolerance_of_change_per_clip():
+    """Each clip goes as far as its own number lets it, as it would alone; with the mean of all, none of them does."""
+    x, tolerance = starts(4), torch.tensor([1e-1, 0.0, 1e-4, 10.0])
+    batch = minimise_batch(rosenbrock, {"x": x}, tolerance_change=tolerance)
+    alone = [minimise_batch(rosenbrock, {"x": row(x, b)}, tolerance_change=float(tolerance[b])) for b in range(4)]
+    assert all(torch.equal(batch.energy[b], alone[b].energy[0]) for b in range(4))
+    mean = minimise_batch(rosenbrock, {"x": x}, tolerance_change=tolerance.mean())  # the control
+    assert (mean.energy[:3] > batch.energy[:3]).all()
+    with pytest.raises(ShapeError, match="tolerance_change"):
+        minimise_batch(rosenbrock, {"x": x}, tolerance_change=tolerance[:3])
+
+
 @pytest.mark.parametrize("given, error", [("shape", ShapeError), ("axis", ShapeError), ("none", ValueError)])
 def test_what_cannot_be(given, error):
     x, y = torch.zeros(3, 2, requires_grad=True), torch.zeros(2, 2)

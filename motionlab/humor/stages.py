@@ -141,11 +141,11 @@ def search(
 ) -> tuple[dict[str, Tensor], BatchFit]:
     """Lower the sum of some terms by moving some unknowns, each recording for itself; all unknowns come back.
 
-    tolerance: share of the first energy, mean over recordings, that an iteration must gain.
+    tolerance: share of its own first energy that a recording must gain in an iteration, whatever its neighbours are.
     """
     point = {n: x.detach().clone().requires_grad_(n in moving and x.numel() > 0) for n, x in unknown.items()}
     with torch.no_grad():
-        first = float(sum(terms(point).values()).abs().nan_to_num(0.0, 0.0).mean())
+        first = sum(terms(point).values()).abs().nan_to_num(0.0, 0.0, 0.0)
     fit = minimise_batch(
         lambda at: sum(terms(at).values()),
         point,

@@ -44,7 +44,7 @@ class Schedule:
     steps: outer steps of the three stages, each up to ``inner`` iterations of L-BFGS. short: frames of stage 3's first
     sub-stage. refine: stage-3 steps at which all frames join (x0 frozen, no contact terms), and at which everything
     moves. window, overlap: frames of stage 3's windows, and the least that neighbours share. tolerance: a recording is
-    done with a stage when an iteration gains less than this share of the stage's first energy (the batch's mean).
+    done with a stage when an iteration gains less than this share of its own energy at the stage's start.
 
     Source: the official configurations: (30, 80, 70) for its video demo, (30, 70, 70) for 3-D data.
     """
