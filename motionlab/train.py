@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 
 from motionlab import library, train_small
+from motionlab.errors import DataError
 from motionlab.humor import checkpoint, examples, quality, state, training, variety
 from motionlab.humor.cvae import Cvae
 from motionlab.motion import Motion
@@ -20,14 +21,20 @@ def add_command(commands: argparse._SubParsersAction) -> None:
     command = commands.add_parser("train", help="train a model: a checkpoint with its recipe")
     command.add_argument("model", choices=("humor", "small"), help="transition prior; or pose and first states")
     command.add_argument("--preset", choices=sorted(training.PRESETS), default="compact")
-    command.add_argument("--steps", type=int, help="optimiser steps, the whole schedule (default: the preset's)")
-    command.add_argument("--seed", type=int, default=0)
+    command.add_argument("--steps", type=_count, help="optimiser steps, the whole schedule (default: the preset's)")
+    command.add_argument("--seed", type=int, help="default: 0")
     command.add_argument(
         "--data", default=os.environ.get("MOTIONLAB_DATA"), help="recordings, besides synthetic motion"
     )
     command.add_argument("--out", type=Path, help="default: the checkpoint that ships")
-    command.add_argument("--resume", action="store_true", help="go on with a run that was stopped")
+    command.add_argument("--resume", action="store_true", help="go on with a run that was stopped, as it was begun")
     command.set_defaults(run=_train)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number above 0, not {text!r}")
+    return int(text)
 
 
 def sources(folder: Path | str | None) -> tuple[dict[str, list[Motion]], dict[str, list[Motion]]]:
@@ -68,16 +75,34 @@ def windows(motions: list[Motion], frames: int = 61, most: int = 48) -> tuple[to
     return torch.stack(x), torch.stack(c)
 
 
+def wanted(options: argparse.Namespace, kept: Path) -> training.Recipe:
+    """The recipe asked for; with --resume that of the kept run, whose steps and seed need not be given again.
+
+    Raises:
+        DataError: the kept run is missing, damaged or of another recipe than the one asked for.
+    """
+    recipe, before = training.PRESETS[options.preset], training.kept_recipe(kept) if options.resume else None
+    for name in ("steps", "seed"):
+        value = getattr(options, name)
+        value = getattr(before or recipe, name) if value is None else value
+        recipe = replace(recipe, **{name: value})
+    if before and recipe != before:
+        was, now = asdict(before), asdict(recipe)
+        others = ", ".join(f"{name} {was[name]}, not {now[name]}" for name in was if was[name] != now[name])
+        remedy = "ask for the same, or start afresh, without --resume"
+        raise DataError(f"this run was begun with {others}", path=kept, remedy=remedy)
+    return recipe
+
+
 def _train(options: argparse.Namespace) -> int:
     if options.model == "small":
-        split, out = sources(options.data), options.out or checkpoint.SHIPPED
-        train_small.make_pose_prior(*split, out, seed=options.seed, steps=options.steps or train_small.STEPS)
-        train_small.make_init_gmm(*split, out, seed=options.seed)
+        split, out, seed = sources(options.data), options.out or checkpoint.SHIPPED, options.seed or 0
+        train_small.make_pose_prior(*split, out, seed=seed, steps=options.steps or train_small.STEPS)
+        train_small.make_init_gmm(*split, out, seed=seed)
         return 0
-    recipe = replace(training.PRESETS[options.preset], seed=options.seed)
-    recipe = replace(recipe, steps=options.steps) if options.steps else recipe
     out = options.out or checkpoint.SHIPPED / f"humor_{options.preset}"
     kept = out.with_suffix(".partial.pt")
+    recipe = wanted(options, kept)
     train, held = sources(options.data)
     data = examples.examples(together(train, recipe), recipe.length + 1)
     run = training.resume(kept, data) if options.resume else training.Training(recipe, data)
@@ -95,11 +120,13 @@ def _train(options: argparse.Namespace) -> int:
         return row
 
     run.run(keep=kept, validate=validate, progress=True)
-    minutes = {name: sum(m.seconds for m in motions) / 60 for name, motions in train.items()}
+    minutes = {name: sum(m.seconds for m in motions) / 60 for name, motions in train.items()}  # copies not counted
     about = {
-        "made by": f"python -m motionlab train humor --preset {options.preset} --steps {recipe.steps}",
-        "recipe": asdict(run.recipe), "minutes of motion, before mirroring": minutes, "examples": data.digest,
-        "recordings": list(library.SHIPPABLE) if "recordings" in train else [], "torch": torch.__version__,
+        "made by": f"python -m motionlab train humor --preset {options.preset} --steps {recipe.steps} "
+        f"--seed {recipe.seed}" + (" --data FOLDER" if "recordings" in train else ""),
+        "recipe": asdict(run.recipe), "minutes of motion, before mirroring": minutes,
+        "minutes of motion, with copies and mirror images": len(data.states) / 30 / 60, "examples": data.digest,
+        "recordings": found_in(options.data) if "recordings" in train else [], "torch": torch.__version__,
         "quality, held out": {name: quality.summary(run.prior, *found) for name, found in judged.items()},
         "curve": run.curve,
     }  # fmt: skip
@@ -107,3 +134,8 @@ def _train(options: argparse.Namespace) -> int:
     kept.unlink()
     print(f"{out.with_suffix('.safetensors')}: {run.step} steps")
     return 0
+
+
+def found_in(folder: Path | str) -> list[str]:
+    """Sources in a folder of recordings whose licences let weights be shipped."""
+    return [source for source in library.SHIPPABLE if (Path(folder) / source).is_dir()]

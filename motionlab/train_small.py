@@ -52,7 +52,7 @@ def make_pose_prior(train: Motions, held: Motions, out: Path, *, seed: int = 0, 
     drawn = pose_training.samples(model, 2000, torch.Generator().manual_seed(seed))
     recipe = {
         "what": "pose prior: variational autoencoder, 21 rotations to 32 latents",
-        "command": COMMAND,
+        "command": f"{COMMAND} --steps {steps} --seed {seed}",
         "data": {source: len(x) for source, x in found.items()},
         "corpus": asdict(corpus.Recipe()),
         "seed": seed,
@@ -80,7 +80,7 @@ def make_init_gmm(train: Motions, held: Motions, out: Path, *, seed: int = 0) ->
     tests = {name: first_states(some, 3) for name, some in held.items()}
     recipe = {
         "what": "mixture of Gaussians over joints and velocities of a single frame",
-        "command": COMMAND,
+        "command": f"{COMMAND} --seed {seed}",
         "data": {source: sum(m.frames for m in some) for source, some in train.items()},
         "samples": len(samples),
         "corpus": asdict(corpus.Recipe()),

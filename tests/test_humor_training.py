@@ -1,21 +1,23 @@
 """Training of the transition prior: examples, losses, schedules, and a run that a kill does not change."""
 
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from copy import deepcopy
+from dataclasses import asdict, replace
 
 import pytest
 import torch
 
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
-from motionlab import train
+from motionlab import train, train_small
 from motionlab.__main__ import main
 from motionlab.errors import DataError
-from motionlab.humor import checkpoint, losses, state, training
+from motionlab.humor import checkpoint, losses, priors, state, training
 from motionlab.humor.cvae import Cvae, Gaussian
 from motionlab.humor.examples import examples
 from motionlab.humor.losses import Predicted, Scales
@@ -23,7 +25,8 @@ from motionlab.humor.state import DELTA_SLICES, SLICES
 from motionlab.motion import mirror
 from motionlab.skeleton import STANDARD
 
-SMALL = training.Recipe(width=64, steps=12, batch=6, length=4, chain=2, seed=5)
+SMALL = training.Recipe(width=64, steps=8, batch=6, length=3, chain=2, seed=5)
+OFFICIAL = replace(SMALL, official=True, chain=1)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +71,11 @@ def test_a_draw_follows_its_generator_and_the_digest_the_numbers(motions, data):
     draws = [data.draw(9, torch.Generator().manual_seed(seed))[0] for seed in (1, 1, 2)]
     assert torch.equal(draws[0], draws[1]) and not torch.equal(draws[0], draws[2])
     other = replace(motions[0], root=motions[0].root + torch.tensor([0.0, 0.0, 1e-3]))
-    assert examples(motions, 5).digest == data.digest != examples([other, motions[1]], 5).digest
+    assert (
+        examples(motions, SMALL.length + 1).digest
+        == data.digest
+        != examples([other, motions[1]], SMALL.length + 1).digest
+    )
 
 
 @pytest.mark.parametrize(
@@ -185,7 +192,8 @@ def whole(data):
 
 
 def test_losses_fall(data):
-    run = training.Training(replace(SMALL, steps=80, batch=12, supervised=1.0, sampled=2.0), data)
+    recipe = replace(SMALL, steps=80, batch=24, length=1, chain=1, supervised=1.0, sampled=2.0)
+    run = training.Training(recipe, replace(data, length=2))
     begin = sum(run._advance()["reconstruction"] for _ in range(5))
     while run.step < 75:
         run._advance()
@@ -204,10 +212,9 @@ def same(one, two):
     return weights and torch.equal(one.generator.get_state(), two.generator.get_state())
 
 
-@pytest.mark.parametrize(("stop", "official"), [(1, False), (11, False), (4, True)])
-def test_a_stopped_run_goes_on_to_the_bit(data, tmp_path, stop, official):
-    recipe = replace(SMALL, official=official, chain=1 if official else 2)
-    whole = training.Training(recipe, data).run(every=4)
+@pytest.mark.parametrize(("stop", "recipe"), [(1, SMALL), (7, SMALL), (3, OFFICIAL)])
+def test_a_stopped_run_goes_on_to_the_bit(data, tmp_path, stop, recipe, request):
+    whole = request.getfixturevalue("whole") if recipe is SMALL else training.Training(recipe, data).run(every=4)
     training.Training(recipe, data).run(until=stop, keep=tmp_path / "run.pt", every=4)
     again = training.resume(tmp_path / "run.pt", data)
     assert again.step == stop and again.recipe == recipe
@@ -226,17 +233,18 @@ def test_control_a_forgotten_generator_changes_the_run(whole, data, tmp_path):
 CHILD = """
 import sys, torch
 torch.set_num_threads(1)
-sys.path.insert(0, {tests!r})
-from test_humor_training import SMALL, perform_sequence, Corpus, examples, training
-motions = [perform_sequence(Corpus(seconds=6.0, seed=3), index).motion for index in (0, 1)]
-training.Training(SMALL, examples(motions, 5)).run(keep={keep!r}, every=1)
+from motionlab.humor import examples, training
+data, recipe = torch.load(sys.argv[1]).values()
+training.Training(training.Recipe(**recipe), examples.Examples(**data)).run(keep=sys.argv[2], every=1)
 """
 
 
 def test_a_killed_process_leaves_a_run_that_can_go_on(whole, data, tmp_path):
-    keep = tmp_path / "run.pt"
-    program = CHILD.format(tests=os.path.dirname(__file__), keep=str(keep))
-    with subprocess.Popen([sys.executable, "-c", program], env=os.environ | {"OMP_NUM_THREADS": "1"}) as child:
+    keep, given = tmp_path / "run.pt", tmp_path / "given.pt"
+    torch.save({"data": vars(data), "recipe": vars(SMALL)}, given)
+    with subprocess.Popen(
+        [sys.executable, "-c", CHILD, given, keep], env=os.environ | {"OMP_NUM_THREADS": "1"}
+    ) as child:
         deadline = time.monotonic() + 100
         while not keep.exists() and time.monotonic() < deadline and child.poll() is None:
             time.sleep(0.002)
@@ -279,8 +287,116 @@ def test_a_run_does_not_go_on_with_other_examples(motions, data, tmp_path):
 
 def test_a_loss_that_is_not_finite_stops_the_run(data):
     run = training.Training(replace(SMALL, kl=float("nan")), data)
-    with pytest.raises(DataError, match="learning rate"):
+    with pytest.raises(DataError, match=r"the loss is not finite .*learning rate"):
         run.run()
+    assert run.step == 0 and not run.optimiser.state
+
+
+def spoil(monkeypatch, which, number=math.nan):
+    """Make the losses of some steps, counted from 0, another number."""
+    true, calls = losses.compare, iter(range(10_000))
+
+    def compare(*args, **how):
+        parts = true(*args, **how)
+        return parts | {"kl": parts["kl"] * number} if which(next(calls)) else parts
+
+    monkeypatch.setattr(losses, "compare", compare)
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_the_official_recipe_skips_a_batch_without_a_loss(data, monkeypatch, tmp_path, number):
+    spoil(monkeypatch, lambda call: call in (2, 3), number)
+    run = training.Training(OFFICIAL, data).run(until=2)
+    before = deepcopy((run.model.state_dict(), run.average, run.optimiser.state_dict()["state"]))
+    run.run(until=4, keep=tmp_path / "run.pt")
+    assert alike(before, (run.model.state_dict(), run.average, run.optimiser.state_dict()["state"]))
+    assert run.curve[-1] == {"step": 4, "skipped": 2} and run.in_a_row == 2
+    again = training.resume(tmp_path / "run.pt", data)
+    assert (again.skipped, again.in_a_row) == (2, 2)
+    run.run()
+    assert run.step == OFFICIAL.steps and run.curve[-1]["skipped"] == 2 and run.in_a_row == 0
+    assert not alike(before[0], run.model.state_dict())
+    assert all(value.isfinite().all() for value in run.model.state_dict().values())
+
+
+def alike(a, b):
+    """Nested numbers and tensors, equal to the bit."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(alike(a[key], b[key]) for key in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(alike, a, b))
+    return torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
+
+
+def test_gradients_that_are_not_finite_change_nothing_either(data):
+    for recipe in (OFFICIAL, SMALL):
+        run = training.Training(recipe, data).run(until=1)
+        before = deepcopy((run.model.state_dict(), run.optimiser.state_dict()["state"]))
+        weight = run.model.decoder.net[-1].bias
+        weight.register_hook(lambda gradient: gradient * math.nan)
+        if recipe is OFFICIAL:
+            run.run(until=2)
+            assert run.skipped == 1
+        else:
+            with pytest.raises(DataError, match="gradient is not finite"):
+                run.run(until=2)
+        assert alike(before, (run.model.state_dict(), run.optimiser.state_dict()["state"]))
+
+
+def test_the_official_recipe_gives_up_when_every_batch_fails(data, monkeypatch):
+    monkeypatch.setattr(training, "GIVE_UP", 3)
+    spoil(monkeypatch, lambda call: call != 2)  # two in a row are skipped, then a good one, then three
+    run = training.Training(OFFICIAL, data)
+    with pytest.raises(DataError, match="step 5: the loss is not finite, 3 batches in a row"):
+        run.run()
+    assert run.skipped == 5
+
+
+def test_only_the_compact_recipe_clips_its_gradients(data, monkeypatch):
+    def refuse(*args, **how):
+        raise AssertionError("clipped")
+
+    monkeypatch.setattr(torch.nn.utils, "clip_grad_norm_", refuse)
+    training.Training(OFFICIAL, data).run(until=1)
+    with pytest.raises(AssertionError, match="clipped"):
+        training.Training(SMALL, data).run(until=1)
+
+
+def test_clipped_gradients_are_at_most_of_length_one(data):
+    """Adamax hides the length in its first step, so look at the gradients themselves."""
+    for recipe in (SMALL, OFFICIAL):
+        run = training.Training(replace(recipe, kinematics=1e4), data).run(until=1)
+        norm = torch.nn.utils.get_total_norm([p.grad for p in run.model.parameters()])
+        assert norm <= 1.001 if recipe is SMALL else norm > 10
+
+
+def test_the_kl_weight_grows_from_nought_in_the_official_recipe_only(data, monkeypatch):
+    official, compact = (training.Training(recipe, data) for recipe in (OFFICIAL, SMALL))
+    end, full = SMALL.annealed, SMALL.kl
+    assert [official._kl(end * part) for part in (0, 0.5, 1, 2)] == pytest.approx([0, full / 2, full, full])
+    assert official._kl(0) == 0
+    assert [compact._kl(end * part) for part in (0, 0.5, 1)] == pytest.approx([0.1 * full, 0.6 * full, full])
+    spoil(monkeypatch, lambda call: True, 1e6)  # an enormous KL: without weight it changes nothing at the first step
+    rows = [run._advance() for run in (official, compact)]
+    for recipe, row in zip((OFFICIAL, SMALL), rows, strict=True):
+        weights = {"reconstruction": 1.0, "kinematics": recipe.kinematics, "contact": recipe.contact}
+        rest = sum(weight * row[name] for name, weight in (weights | {"slide": recipe.slide}).items())
+        assert (row["loss"] == pytest.approx(rest)) is (recipe is OFFICIAL)
+
+
+def test_truth_is_drawn_for_a_whole_batch_in_the_official_recipe(data, monkeypatch):
+    true, shapes = torch.rand, []
+
+    def rand(*shape, **how):
+        shapes.append(shape)
+        return true(*shape, **how)
+
+    monkeypatch.setattr(torch, "rand", rand)
+    for recipe, count in ((OFFICIAL, 1), (SMALL, SMALL.batch)):
+        run = training.Training(recipe, data)
+        shapes.clear()
+        run.run(until=1)
+        assert shapes == [(count, 1)] * recipe.length
 
 
 def test_rates_fall_as_written(data):
@@ -315,8 +431,8 @@ def test_what_ships_is_the_moving_average(data):
 @pytest.fixture
 def few(motions, monkeypatch):
     """The command with two short motions and a narrow model."""
-    long = [perform_sequence(Corpus(seconds=5.0, seed=4), 0).motion]
-    monkeypatch.setattr(train, "sources", lambda folder: ({"synthetic": motions}, {"synthetic, unseen": long}))
+    other = [perform_sequence(Corpus(seconds=5.0, seed=4), 0).motion.cut(0, 61)]
+    monkeypatch.setattr(train, "sources", lambda folder: ({"synthetic": motions}, {"synthetic, unseen": other}))
     monkeypatch.setitem(training.PRESETS, "compact", replace(SMALL, steps=9))
 
 
@@ -332,17 +448,87 @@ def test_the_command_writes_a_checkpoint_with_its_recipe(few, tmp_path, capsys):
     checkpoint.motion_prior(str(tmp_path / "mine"))
 
 
-def test_the_command_goes_on_where_it_was_stopped(few, tmp_path, monkeypatch):
-    arguments = ["train", "humor", "--steps", "4", "--out"]
-    assert main([*arguments, str(tmp_path / "whole")]) == 0
-    data = examples(train.sources(None)[0]["synthetic"], SMALL.length + 1)
-    run = training.Training(replace(training.PRESETS["compact"], seed=0, steps=4), data)
-    run.run(until=2, keep=tmp_path / "part.partial.pt")
-    assert main([*arguments, str(tmp_path / "part"), "--resume"]) == 0
-    whole, part = (checkpoint.load(tmp_path / name)[0] for name in ("whole", "part"))
+def test_the_command_goes_on_where_it_was_stopped(few, tmp_path):
+    """Steps and seed are those of the run that was begun, given again or not."""
+    assert main(["train", "humor", "--steps", "4", "--seed", "3", "--out", str(tmp_path / "whole")]) == 0
+    begin(tmp_path / "part.partial.pt")
+    assert main(["train", "humor", "--out", str(tmp_path / "part"), "--resume"]) == 0
+    (whole, recipe), (part, again) = (checkpoint.load(tmp_path / name) for name in ("whole", "part"))
     assert all(torch.equal(whole[name], part[name]) for name in whole)
+    assert again["made by"] == recipe["made by"] and "--steps 4 --seed 3" in again["made by"]
+    assert again["recipe"] == recipe["recipe"] and again["recipe"]["varied"] == 1
+
+
+def begin(kept):
+    recipe = replace(training.PRESETS["compact"], steps=4, seed=3)
+    data = examples(train.together(train.sources(None)[0], recipe), SMALL.length + 1)
+    return training.Training(recipe, data).run(until=2, keep=kept)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--steps", "5"], "begun with steps 4, not 5 "),
+        (["--steps", "4", "--seed", "0"], "begun with seed 3, not 0 "),
+        (["--preset", "official"], "begun with width 64, not 1024"),
+    ],
+)
+def test_a_stopped_run_does_not_go_on_as_another(few, tmp_path, capsys, monkeypatch, arguments, complaint):
+    kept = tmp_path / "part.partial.pt"
+    torch.save({"recipe": asdict(replace(training.PRESETS["compact"], steps=4, seed=3))}, kept)
+    monkeypatch.setattr(train, "sources", None)  # it is told before any motion is made
+    assert main(["train", "humor", "--out", str(tmp_path / "part"), "--resume", *arguments]) == 2
+    said = capsys.readouterr().err
+    assert complaint in said and str(kept) in said and "without --resume" in said
+    assert kept.exists() and not (tmp_path / "part.safetensors").exists()
+
+
+@pytest.mark.parametrize("steps", ["0", "-3", "many"])
+def test_the_command_wants_steps_that_can_be_counted(few, steps, capsys):
+    with pytest.raises(SystemExit):
+        main(["train", "humor", f"--steps={steps}"])
+    assert "above 0" in capsys.readouterr().err
 
 
 def test_the_command_says_what_is_missing(few, tmp_path, capsys):
     assert main(["train", "humor", "--out", str(tmp_path / "never"), "--resume"]) == 2
     assert "without --resume" in capsys.readouterr().err
+
+
+def test_the_recipe_names_the_recordings_that_were_there(tmp_path):
+    assert train.found_in(tmp_path) == []
+    for name in ("deepmimic", "bandai_namco"):  # the licence of the second does not let weights be shipped
+        (tmp_path / name).mkdir()
+    assert train.found_in(tmp_path) == ["deepmimic"]
+
+
+def test_copies_of_every_motion_as_many_as_the_recipe_says(motions):
+    split = {"synthetic": motions, "recordings": motions[:1]}
+    found = train.together(split, replace(SMALL, varied=1, varied_recordings=2))
+    assert [any(m is each for each in motions) for m in found] == [True, False, True, False, True, False, False]
+    again, other = (train.together(split, replace(SMALL, varied_recordings=2, seed=seed)) for seed in (5, 6))
+    assert torch.equal(found[1].rot, again[1].rot) and not torch.equal(found[1].rot, other[1].rot)
+    assert train.together(split, replace(SMALL, varied=0, varied_recordings=0)) == [*motions, motions[0]]
+
+
+# ------------------------------------------------------------------------------------------------ small priors
+def test_the_command_trains_the_small_priors(motions, tmp_path, monkeypatch):
+    """End to end with little data: both checkpoints load, and their recipes say what they are."""
+    some = [m for seed in (1, 2) for m in (perform_sequence(Corpus(seconds=6.0, seed=seed), 0).motion, *motions)]
+    monkeypatch.setattr(train, "sources", lambda folder: ({"synthetic": some}, {"unseen": motions[:1]}))
+    assert main(["train", "small", "--steps", "3", "--seed", "2", "--out", str(tmp_path)]) == 0
+    pose, initial = (
+        priors.pose(str(tmp_path / "pose_prior_compact")),
+        priors.initial(str(tmp_path / "init_gmm_compact")),
+    )
+    turns = pose.decode(torch.zeros(2, 32))
+    assert torch.allclose(turns @ turns.mT, torch.eye(3).expand_as(turns), atol=1e-5)
+    features = train_small.first_states(motions[:1], 20)
+    assert initial.log_prob(features).isfinite().all() and initial.means.shape == (12, 138)
+    recipes = [checkpoint.read_recipe(tmp_path / f"{name}_compact") for name in ("pose_prior", "init_gmm")]
+    assert [recipe["command"] for recipe in recipes] == [
+        "python -m motionlab train small --steps 3 --seed 2", "python -m motionlab train small --seed 2",
+    ]  # fmt: skip
+    assert recipes[0]["data"] == recipes[1]["data"] == {"synthetic": sum(m.frames for m in some)}
+    assert recipes[0]["steps"] == 3 and recipes[0]["held out"]["unseen"]["degrees"] > 0
+    assert recipes[1]["held-out log-likelihood, nats per frame"]["unseen"]["frames"] == -(-motions[0].frames // 3)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from motionlab.errors import DataError
+from motionlab.errors import DataError, ShapeError
 from motionlab.humor import foreign
 from motionlab.humor.state import DELTA, STATE
 
@@ -78,12 +78,19 @@ class Mlp(nn.Module):
 class Cvae(nn.Module):
     """The three networks. States are in the canonical frame of the past one.
 
-    width: of the hidden layers, 1024 in the official model (9,725,976 parameters); a multiple of 32.
+    width: of the hidden layers, 1024 in the official model (9,725,976 parameters); a multiple of 32, as the decoder's
+    last norm is half as wide and has 16 groups. At 32 each of these is a single number, which norms to nought, and what
+    is decoded depends on z alone: 64 is the least that can learn.
     There is no normalisation of inputs or outputs: what training uses is folded into the weights.
+
+    Raises:
+        ShapeError: the width is no multiple of 32.
     """
 
     def __init__(self, width: int = 1024, latent: int = LATENT) -> None:
         super().__init__()
+        if width < 32 or width % 32:
+            raise ShapeError(f"width: expected a multiple of 32, got {width}")
         self.width, self.latent = width, latent
         self.encoder = Mlp(2 * STATE, (width,) * 4, 2 * latent)
         self.prior_net = Mlp(STATE, (width,) * 4, 2 * latent)

@@ -3,14 +3,19 @@
 Source: HuMoR (Rempe et al. 2021), section 3.3 and its official training code: first every step sees the truth, then the
 truth with falling probability (scheduled sampling), then only the model's own states; Adamax; KL annealed.
 Differs, in the compact recipe: see ``losses``; gradients flow through ``chain`` steps before the state is cut off (the
-official code cuts off every one); cosine decay; the shipped weights are a moving average.
+official code cuts off every one) and are clipped; the KL weight starts at a tenth; truth or prediction is drawn per
+window, not per batch; cosine decay; the shipped weights are a moving average; a loss that is not finite ends the run.
+Differs, in both: steps instead of epochs, so that KL weight and truth change at every step; windows drawn evenly over
+all frames, not over clips, and from mirror images too; the last weights ship, not those with the least loss on
+validation; no loss on vertices; gradients that are infinite, not just NaN, are skipped too (official) or end the run.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -31,10 +36,10 @@ class Recipe:
 
     width: of the networks. steps: of the optimiser. batch: windows of ``length`` transitions each. chain: transitions
     that gradients flow through. supervised, sampled: shares of the steps that see the truth, and by which it has faded
-    out. kl: weight per nat; annealed: share of the steps over which it grows to that. kinematics, contact, slide:
-    weights of those losses. average: of the weights, per step. varied,
+    out. kl: weight per nat; annealed: share of the steps over which it grows to that (from a tenth it gets there a
+    little sooner). kinematics, contact, slide: weights of those losses. average: of the weights, per step. varied,
     varied_recordings: copies on other bodies, held otherwise, of every synthetic motion and every recording (see
-    ``variety``). official: its losses and scales.
+    ``variety``). official: its losses, scales, schedules and what it does about numbers that are not finite.
     """
 
     width: int = 512
@@ -67,13 +72,15 @@ PRESETS = {
     ),
 }  # fmt: skip
 DECAYS = (0.25, 0.40, 0.70)
+GIVE_UP = 100  # batches in a row whose loss or gradients are not finite
 
 
 @dataclass(eq=False)
 class Training:
     """A run: everything that decides how it goes on.
 
-    curve: rows of step, loss per part and, every ``every`` steps, what ``validate`` returned.
+    curve: every ``every`` steps a row of step, loss per part and what ``validate`` returned; with the official recipe
+    also the batches skipped so far, and no losses where the last one was. in_a_row: batches skipped since a good one.
     """
 
     recipe: Recipe
@@ -83,14 +90,18 @@ class Training:
     average: dict[str, Tensor] = field(init=False)
     curve: list[dict] = field(default_factory=list)
     step: int = 0
+    skipped: int = 0
+    in_a_row: int = 0
 
     def __post_init__(self) -> None:
         recipe, data = self.recipe, self.examples
         if data.length != recipe.length + 1:
             raise DataError(f"windows of {data.length} frames for {recipe.length} transitions")
         self.generator = torch.Generator().manual_seed(recipe.seed)
-        some, _, _ = data.draw(2000, torch.Generator().manual_seed(recipe.seed))
-        self.scales = losses.Scales.none() if recipe.official else losses.Scales.measure(*losses.pairs(some))
+        self.scales = losses.Scales.none()
+        if not recipe.official:
+            some, _, _ = data.draw(2000, torch.Generator().manual_seed(recipe.seed))
+            self.scales = losses.Scales.measure(*losses.pairs(some))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
             self.model = Cvae(recipe.width)
@@ -124,7 +135,7 @@ class Training:
             while self.step < last:
                 row = self._advance()
                 bar.update()
-                bar.set_postfix(loss=f"{row['loss']:.3f}", kl=f"{row['kl']:.1f}")
+                bar.set_postfix({name: f"{row[name]:.3f}" for name in ("loss", "kl", "skipped") if name in row})
                 if self.step % every == 0 or self.step == last:
                     row |= validate(self.prior) if validate else {}
                     self.curve.append({"step": self.step, **row})
@@ -146,7 +157,6 @@ class Training:
         for group in self.optimiser.param_groups:
             group["lr"] = recipe.lr * self._rate(share)
         truth = min(1.0, max(0.0, 1 - (share - recipe.supervised) / (recipe.sampled - recipe.supervised)))
-        weight = recipe.kl * min(1.0, 0.1 + share / recipe.annealed)
         states, contacts, offsets = self.examples.draw(recipe.batch, self.generator)
         x, steps, targets = states[:, 0], [], []
         for t in range(recipe.length):
@@ -156,7 +166,7 @@ class Training:
             found = losses.predict(self.model, self.scales, past, now, self.generator)
             steps.append(found)
             targets.append(now)
-            given = torch.rand(recipe.batch, 1, generator=self.generator) < truth
+            given = torch.rand(1 if recipe.official else recipe.batch, 1, generator=self.generator) < truth
             x = torch.where(given, states[:, t + 1], globalise(found.after, frame))
             if (t + 1) % recipe.chain == 0:
                 x = x.detach()
@@ -169,20 +179,46 @@ class Training:
             together, torch.cat(targets), contacts[:, 1:].transpose(0, 1).flatten(0, 1),
             offsets.repeat(recipe.length, 1, 1), official=recipe.official,
         )  # fmt: skip
-        weights = {"reconstruction": 1.0, "kinematics": recipe.kinematics, "kl": weight, "contact": recipe.contact}
-        loss = sum(w * parts[name] for name, w in (weights | {"slide": recipe.slide}).items())
-        if not loss.isfinite():
-            raise DataError("the loss is not finite", place=f"step {self.step}", remedy="lower the learning rate")
-        self.optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
-        self.optimiser.step()
+        weights = {
+            "reconstruction": 1.0, "kinematics": recipe.kinematics, "kl": self._kl(share), "contact": recipe.contact,
+            "slide": recipe.slide,
+        }  # fmt: skip
+        loss = sum(w * parts[name] for name, w in weights.items())
+        used = self._descend(loss)
         self.step += 1
-        keep = min(recipe.average, (1 + self.step) / (10 + self.step))
-        with torch.no_grad():
-            for name, value in self.model.state_dict().items():
-                self.average[name].lerp_(value, 1 - keep)
-        return {"loss": loss.item()} | {name: value.item() for name, value in parts.items()}
+        if used:
+            keep = min(recipe.average, (1 + self.step) / (10 + self.step))
+            with torch.no_grad():
+                for name, value in self.model.state_dict().items():
+                    self.average[name].lerp_(value, 1 - keep)
+        row = {"loss": loss.item()} | {name: value.item() for name, value in parts.items()} if used else {}
+        return row | ({"skipped": self.skipped} if recipe.official else {})
+
+    def _descend(self, loss: Tensor) -> bool:
+        """One step of the optimiser; False, and nothing changed, for a batch that the official recipe skips."""
+        parameters, official = list(self.model.parameters()), self.recipe.official
+        norm = torch.tensor(math.nan)
+        self.optimiser.zero_grad()
+        if loss.isfinite():
+            loss.backward()
+            norm = (
+                torch.nn.utils.get_total_norm([p.grad for p in parameters])
+                if official else torch.nn.utils.clip_grad_norm_(parameters, 1.0)
+            )  # fmt: skip
+        if norm.isfinite():
+            self.optimiser.step()
+            self.in_a_row = 0
+            return True
+        self.skipped, self.in_a_row = self.skipped + 1, self.in_a_row + 1
+        if official and self.in_a_row < GIVE_UP:
+            return False
+        what = "the gradient" if loss.isfinite() else "the loss"
+        what += f" is not finite, {GIVE_UP} batches in a row" if official else " is not finite"
+        raise DataError(what, place=f"step {self.step}", remedy="lower the learning rate")
+
+    def _kl(self, share: float) -> float:
+        """Weight of the KL divergence."""
+        return self.recipe.kl * min(1.0, (0.0 if self.recipe.official else 0.1) + share / self.recipe.annealed)
 
     def _rate(self, share: float) -> float:
         if self.recipe.official:
@@ -198,10 +234,23 @@ class Training:
                 "recipe": asdict(self.recipe), "examples": self.examples.digest, "step": self.step,
                 "curve": self.curve, "model": self.model.state_dict(), "average": self.average,
                 "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
+                "skipped": (self.skipped, self.in_a_row),
             },
             part,
         )  # fmt: skip
         part.replace(path)
+
+
+AFRESH = "start afresh, without --resume"
+
+
+def kept_recipe(path: Path | str) -> Recipe:
+    """The recipe of a saved run.
+
+    Raises:
+        DataError: the file is missing or damaged.
+    """
+    return _read(path)[0]
 
 
 def resume(path: Path | str, examples: Examples) -> Training:
@@ -210,19 +259,29 @@ def resume(path: Path | str, examples: Examples) -> Training:
     Raises:
         DataError: the file is missing, damaged, or was trained on other examples.
     """
-    remedy = "start afresh, without --resume"
-    try:
-        kept = torch.load(path, weights_only=True)
-        run = Training(Recipe(**kept["recipe"]), examples)
-        if kept["examples"] != examples.digest:
-            raise DataError("trained on other examples", path=path, remedy=remedy)
+    recipe, kept = _read(path)
+    if kept.get("examples") != examples.digest:
+        raise DataError("trained on other examples", path=path, remedy=AFRESH)
+    run = Training(recipe, examples)
+    with _reading(path):
         run.model.load_state_dict(kept["model"])
         run.average = kept["average"]
         run.optimiser.load_state_dict(kept["optimiser"])
         run.generator.set_state(kept["generator"])
         run.step, run.curve = kept["step"], kept["curve"]
-    except DataError:
-        raise
-    except Exception as error:
-        raise DataError(f"not a saved run ({type(error).__name__})", path=path, remedy=remedy) from error
+        run.skipped, run.in_a_row = kept.get("skipped", (0, 0))
     return run
+
+
+def _read(path: Path | str) -> tuple[Recipe, dict]:
+    with _reading(path):
+        kept = torch.load(path, weights_only=True)
+        return Recipe(**kept["recipe"]), kept
+
+
+@contextmanager
+def _reading(path: Path | str) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:
+        raise DataError(f"not a saved run ({type(error).__name__})", path=path, remedy=AFRESH) from error
