@@ -27,7 +27,7 @@ from motionlab.humor.official_start import start_facing
 from motionlab.humor.priors import Priors
 from motionlab.humor.shape import landmarks
 from motionlab.humor.stages import Problem
-from motionlab.humor.weights import JOINTS, RGB, Weights
+from motionlab.humor.weights import JOINTS, RGB, RGB_LIGHT, Weights
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.skeleton import STANDARD, fk
@@ -46,7 +46,7 @@ class Schedule:
     moves. window, overlap: frames of stage 3's windows, and the least that neighbours share. tolerance: a recording is
     done with a stage when an iteration gains less than this share of its own energy at the stage's start.
 
-    Source: the official configurations: (30, 80, 70) for its video demo, (30, 70, 70) for 3-D data.
+    Source: the official configurations.
     """
 
     steps: tuple[int, int, int] = (30, 70, 70)
@@ -61,6 +61,11 @@ class Schedule:
     def lean(cls) -> Schedule:
         """What lean mode needs, with its start near the goal and its rounder coordinates: about a quarter."""
         return cls(steps=(5, 10, 24), refine=(1, 3))
+
+    @classmethod
+    def official(cls, *, keypoints: bool) -> Schedule:
+        """The official configuration for keypoints (its video demo) or for 3-D joints."""
+        return cls(steps=(30, 80, 70) if keypoints else (30, 70, 70))
 
     @classmethod
     def quick(cls) -> Schedule:
@@ -110,8 +115,9 @@ def fit(
     Args:
         observation: keypoints (G, T, K, 2) seen by one static camera each, or joints (G, T, 22, 3) in the world; the
             batch axis may be left out. Missing entries have no weight.
-        weights: of the terms; ``RGB`` for keypoints and ``JOINTS`` for joints unless given.
-        schedule: ``Schedule.lean()`` in lean mode and the official ``Schedule()`` in faithful mode unless given.
+        weights: of the terms; unless given ``JOINTS`` for joints, and for keypoints ``RGB_LIGHT`` in lean mode, ``RGB``
+            in the others.
+        schedule: ``Schedule.lean()`` in lean mode and ``Schedule.official`` in the two others unless given.
         cameras: one per recording, instead of the observation's.
         floor: for keypoints, "camera" (the camera's pose is known, and so the floor), "refine" or "guess".
         size: of the image in pixels, where no camera says.
@@ -124,14 +130,14 @@ def fit(
     """
     if mode not in MODES:
         raise ValueError(f"mode: expected one of {', '.join(MODES)}, got {mode!r}")
-    schedule = schedule or (Schedule.lean() if mode == "lean" else Schedule())
     seen = evidence(observation, cameras=cameras, floor=floor, size=size)
     if abs(seen.fps - state.FPS) > 0.02 * state.FPS:
         raise DataError(
             f"{seen.fps:g} frames per second; the motion prior knows {state.FPS:g}",
             remedy="resample the observation first",
         )
-    weights = weights or (JOINTS if seen.view is None else RGB)
+    schedule = schedule or (Schedule.lean() if mode == "lean" else Schedule.official(keypoints=seen.view is not None))
+    weights = weights or (JOINTS if seen.view is None else RGB_LIGHT if mode == "lean" else RGB)
     problem = Problem(seen, priors, weights, mode)
     unknown = _start(problem)
     track = _Track(schedule, progress)
