@@ -9,7 +9,7 @@ from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
 from motionlab import train_small
 from motionlab.errors import DataError
-from motionlab.humor import checkpoint, init_gmm, priors, state, variety
+from motionlab.humor import checkpoint, init_gmm, priors
 
 
 def first_states(seed: int = 5) -> torch.Tensor:
@@ -81,16 +81,3 @@ def test_numbers_that_are_not_finite(tmp_path):
     checkpoint.save(tmp_path / "spoilt", tensors | {"mean.bias": torch.full((32,), torch.inf)}, recipe)
     with pytest.raises(DataError, match="finite"):
         priors.pose(str(tmp_path / "spoilt"))
-
-
-def test_other_bodies_keep_angles_and_feet(generator):
-    motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(2)).motion.cut(0, 60)
-    other = variety.other_body(motion, generator)
-    assert torch.equal(other.rot, motion.rot)
-    assert (other.skeleton.offsets.norm(dim=-1) / motion.skeleton.offsets.norm(dim=-1).clamp(min=1e-9))[1:].std() > 0.01
-    lowest = [m.positions[..., 2].amin(-1) for m in (motion, other)]
-    assert (lowest[0] - lowest[1]).abs().max() < 0.04
-    made = train_small.first_states([motion], 10, generator)
-    assert made.shape == (24, 138)  # itself, its mirror image, and both on other bodies
-    world = state.from_motion(motion)[::10]
-    assert torch.allclose(made[:6], init_gmm.features(state.localise(world, state.heading(world))), atol=1e-6)
