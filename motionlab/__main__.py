@@ -78,6 +78,13 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument(
         "--video", nargs="?", const="", metavar="IMAGES", help="OUT.gif: the fit over a folder of images, or on grey"
     )
+    command.add_argument("--prior", type=Path, metavar="FILE", help="of motion: an official HuMoR .pth, or your own")
+    command.add_argument("--pose-prior", type=Path, metavar="FILE", help="a VPoser snapshot, or your own")
+    command.add_argument("--initial", type=Path, metavar="FILE", help="of first states: official .npz, or your own")
+    command.add_argument(
+        "--pelvis", type=float, nargs=3, metavar=("X", "Y", "Z"),
+        help="needed with official files: the pelvis from SMPL's translation, J_0 of the mean body in metres",
+    )  # fmt: skip
     command.add_argument("--quick", action="store_true", help="few steps: a first look")
     command.set_defaults(run=_fit)
 

@@ -33,11 +33,17 @@ def run(options: argparse.Namespace) -> int:
     for path, suffix in ((options.out, ".npz"), (options.bvh, ".bvh"), (options.glb, ".glb")):
         _check_target(path, suffix)
     seen, first, floor = observation(options)
+    known = priors.load(
+        motion=options.prior,
+        pose=options.pose_prior,
+        initial=options.initial,
+        pelvis=None if options.pelvis is None else tuple(options.pelvis),
+    )
     pictures = None if options.video is None else _pictures(options.video, first, seen, options.fps)
     schedule = testops.Schedule.quick() if options.quick else None  # the lean one
     print(f"{seen.name}: {seen.frames} frames at 30 fps; Ctrl-C keeps the best so far")
     size = pictures[0].size if pictures else None
-    fitted = testops.fit(seen, priors.load(), schedule=schedule, floor=floor, size=size, progress=True)
+    fitted = testops.fit(seen, known, schedule=schedule, floor=floor, size=size, progress=True)
     motion = fitted.motion.clip(0)
     for line in report_fit.report(fitted, seen).lines():
         print(line)

@@ -15,6 +15,7 @@ from data_synth.subjects import SUBJECTS
 from motionlab.__main__ import main
 from motionlab.errors import DataError, ShapeError
 from motionlab.humor import priors, real_input, report_fit, shape, stages, testops
+from motionlab.humor.checkpoint import SHIPPED
 from motionlab.io import amass, bvh, gltf
 from motionlab.io.camera import load_camera
 from motionlab.motion import Motion
@@ -107,6 +108,25 @@ def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monk
     assert amass.load(tmp_path / "fit.npz").frames == FRAMES
     assert "interrupted" in capsys.readouterr().out
     assert len(calls) < 10
+
+
+def test_priors_from_files(tmp_path, keypoints, capsys, monkeypatch):
+    """What the options say is what is loaded; an official prior without its pelvis is refused before the fit."""
+    asked, real = [], priors.load
+    monkeypatch.setattr(priors, "load", lambda **given: asked.append(given) or real(**given))
+    monkeypatch.setattr(testops.Schedule, "quick", lambda: testops.Schedule(steps=(1, 1, 1), inner=2, refine=(0, 0)))
+    shipped = {n: SHIPPED / f"{n}.safetensors" for n in ("humor_compact", "pose_prior_compact", "init_gmm_compact")}
+    options = ("--prior", "--pose-prior", "--initial")
+    words = [word for pair in zip(options, shipped.values(), strict=True) for word in pair]
+    assert run("--keypoints", keypoints, "--out", tmp_path / "fit.npz", "--quick", *words) == 0
+    assert list(asked[0].values()) == [*shipped.values(), None]
+    torch.save({"model": {}}, tmp_path / "humor.pth")
+    words = ("--keypoints", keypoints, "--out", tmp_path / "other.npz", "--quick", "--prior", tmp_path / "humor.pth")
+    assert run(*words) == 2
+    assert "J_0" in capsys.readouterr().err
+    assert run(*words, "--pelvis", "0", "-0.2", "0.1") == 2
+    assert asked[2]["pelvis"] == (0.0, -0.2, 0.1)
+    assert "no state dict" in capsys.readouterr().err and not (tmp_path / "other.npz").exists()
 
 
 def nobody(folder: Path, at: Observation2D) -> None:
