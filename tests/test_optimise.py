@@ -7,6 +7,7 @@ import torch
 
 from motionlab.errors import NotConverged, ShapeError
 from motionlab.optimise import HUMOR, minimise
+from tests.interrupted import interrupted
 
 
 def rosenbrock(v):
@@ -105,25 +106,14 @@ def test_nan_at_the_start_raises_with_history():
 
 @pytest.mark.parametrize("method, lr", [("lbfgs", 1.0), ("adam", 0.3)])
 def test_interrupt_keeps_the_best(method, lr):
-    count = []
-
-    def energy(v):
-        count.append(1)
-        if len(count) == 10:
-            raise KeyboardInterrupt
-        return rosenbrock(v)
-
-    result = minimise(energy, start(-1.2, 1.0), method=method, lr=lr)
+    result = minimise(interrupted(rosenbrock, 10), start(-1.2, 1.0), method=method, lr=lr)
     assert result.reason == "interrupted" and result.closures == 9
     assert rosenbrock(result.variables).item() == min(result.history) == result.energy
 
 
 def test_interrupt_before_anything_is_known_goes_through():
-    def energy(v):
-        raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
-        minimise(energy, start(0.0))
+        minimise(interrupted(rosenbrock, 1), start(0.0, 0.0))
 
 
 def test_adam_that_overshoots_returns_the_best_not_the_last():

@@ -8,6 +8,7 @@ import torch
 from motionlab.errors import NotConverged, ShapeError
 from motionlab.optimise import minimise
 from motionlab.optimise_batch import minimise_batch
+from tests.interrupted import interrupted
 
 
 def rosenbrock(v):
@@ -223,21 +224,15 @@ def test_iterations_end_it_and_the_default_budget_is_that_of_torch():
 
 
 def test_interrupt_keeps_the_best():
-    count = []
-
-    def energy(v):
-        count.append(1)
-        if len(count) == 10:
-            raise KeyboardInterrupt
-        return rosenbrock(v)
-
-    found = minimise_batch(energy, {"x": starts()})
+    found = minimise_batch(interrupted(rosenbrock, 10), {"x": starts()})
     assert found.closures == 9 and set(found.reasons) == {"interrupted"}
     assert torch.equal(found.energy, found.history.amin(0))
     assert torch.allclose(rosenbrock(found.variables), found.energy)
+
+
+def test_interrupt_before_anything_is_known_goes_through():
     with pytest.raises(KeyboardInterrupt):
-        count[:] = [1] * 9
-        minimise_batch(energy, {"x": starts()})
+        minimise_batch(interrupted(rosenbrock, 1), {"x": starts()})
 
 
 def test_a_kink_ends_for_lack_of_progress():
