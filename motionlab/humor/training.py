@@ -135,7 +135,7 @@ class Training:
             while self.step < last:
                 row = self._advance()
                 bar.update()
-                bar.set_postfix({name: f"{row[name]:.3f}" for name in ("loss", "kl", "skipped") if name in row})
+                bar.set_postfix({name: f"{row[name]:.4g}" for name in ("loss", "kl", "skipped") if name in row})
                 if self.step % every == 0 or self.step == last:
                     row |= validate(self.prior) if validate else {}
                     self.curve.append({"step": self.step, **row})
