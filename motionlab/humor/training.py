@@ -100,7 +100,7 @@ class Training:
         self.generator = torch.Generator().manual_seed(recipe.seed)
         self.scales = losses.Scales.none()
         if not recipe.official:
-            some, _, _ = data.draw(min(2000, len(data.begins)), torch.Generator().manual_seed(recipe.seed))
+            some, _, _ = data.draw(2000, torch.Generator().manual_seed(recipe.seed))
             self.scales = losses.Scales.measure(*losses.pairs(some))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
