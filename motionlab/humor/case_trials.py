@@ -9,10 +9,13 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from motionlab import rotation
+from motionlab.baselines import savitzky_golay
 from motionlab.contact import with_contacts
 from motionlab.humor import cases
 from motionlab.humor.priors import Priors
-from motionlab.humor.testops import Fitted, fit
+from motionlab.humor.testops import Fitted, Schedule, fit
+from motionlab.humor.weights import RGB, Weights
 from motionlab.metrics import contact, pose
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
@@ -103,6 +106,44 @@ def scores(motion: Motion, truth: Motion, seen: Tensor) -> dict[str, Tensor]:
         "contact F1": contact.contact_scores(touching, truth.contacts).f1,
         "under floor": 100 * below,
     }
+
+
+def smoothed(motion: Motion, window: int, degree: int = 2) -> Motion:
+    """Root and rotations (as 6 numbers) through a Savitzky-Golay filter of ``window`` frames; 0: as it is."""
+    if not window:
+        return motion
+    sixd = savitzky_golay(rotation.matrix_to_sixd(motion.rot).flatten(-2), window, degree).unflatten(-1, (-1, 6))
+    root = savitzky_golay(motion.root, window, degree)
+    return replace(motion, root=root, rot=rotation.sixd_to_matrix(sixd), contacts=None)
+
+
+def stage_2_rows(
+    practice: Mapping[str, Seen],
+    priors: Priors,
+    schedule: Schedule,
+    *,
+    smoothness: Sequence[float] = (100.0, 25.0, 6.0, 1.5),
+    filters: Sequence[int] = (0, 5, 9, 15),
+) -> list[dict[str, float]]:
+    """Stage 2 at its best: mean errors over practice scenes (with ``truth`` and ``seen``) by weight and filter."""
+    rows, names = [], ("all", "legs", "world", "acceleration")
+    for weight in smoothness:
+        tried = fit_together(practice, priors, schedule=two_stages(schedule), weights=smooth(weight), batch=80)
+        for window in filters:
+            found = [scores(smoothed(tried[n].stages[2], window), s.truth, s.seen) for n, s in practice.items()]
+            mean = {name: torch.cat([each[name] for each in found]).nanmean().item() for name in names}
+            rows.append({"smoothness": weight, "filter, frames": window} | mean)
+    return rows
+
+
+def two_stages(schedule: Schedule) -> Schedule:
+    """The same without stage 3."""
+    return replace(schedule, steps=(*schedule.steps[:2], 0))
+
+
+def smooth(weight: float) -> Weights:
+    """The official weights for keypoints with another smoothness in stages 1 and 2."""
+    return replace(RGB, joints3d_smooth=(weight, weight, 0.0))
 
 
 def later_error(fit: Motion, truth: Motion, gap: Sequence[int]) -> tuple[Tensor, Tensor]:

@@ -15,7 +15,8 @@ from motionlab.humor import testops
 from motionlab.humor.observed import evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.report_fit import distances, landmarks_of, pixels_of
-from motionlab.humor.testops import FPS, Fitted, Schedule
+from motionlab.humor.state import FPS
+from motionlab.humor.testops import Fitted, Schedule
 from motionlab.io import calibration, openpose, trc
 from motionlab.metrics import pose
 from motionlab.motion import Motion
