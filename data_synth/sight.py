@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -30,6 +31,7 @@ class Shell:
     carrier: Tensor
 
 
+@lru_cache(maxsize=4)
 def shell(body: BodyModel, faces: int = 4000) -> Shell:
     """A skin of about ``faces`` triangles by decimation that keeps original vertices (Schroeder et al. 1992)."""
     import pyvista as pv  # takes a second or more to load

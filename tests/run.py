@@ -12,7 +12,8 @@ STEPS = {
     "lint": [BIN / "ruff", "check", "."],
     "format": [BIN / "ruff", "format", "--check", "--quiet", "."],
     "spelling": [BIN / "codespell"],
-    "unit tests": [sys.executable, "-m", "pytest", "-q", "-n", "2"],
+    # a file's tests on one worker: what they share is made once; nbval, of no use here, takes seconds to load
+    "unit tests": [sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "-p", "no:nbval"],
     "notebooks (nbval, smoke)": [
         *(sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "loadscope", "notebooks"),
         # lax: only cells that say so are compared. Warnings: those of the kernel are judged by
@@ -27,6 +28,7 @@ def main() -> int:
     environment |= {name: str(Path(os.environ[name]).resolve()) for name in ["MOTIONLAB_DATA"] if os.environ.get(name)}
     # two workers on the cores: without this each would start as many threads as there are cores
     environment.setdefault("OMP_NUM_THREADS", str(max(1, (os.cpu_count() or 2) // 2)))
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # our modules are compiled once, not by every process
     rows = []
     for name, command in STEPS.items():
         print(f"== {name}", flush=True)

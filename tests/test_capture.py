@@ -1,7 +1,5 @@
 """Capture: lines of sight against a slow twin, scenes with a known answer, and confidence that keeps its word."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -258,9 +256,3 @@ def test_wrong_use_is_named(body):
     for before in (occluders.desk_before, occluders.wall_before):
         with pytest.raises(ShapeError, match="right above"):
             before(standing(), above)
-
-
-def test_what_computes_without_a_picture_does_not_load_the_renderer():
-    code = "import sys, data_synth.capture, data_synth.body, data_synth.corpus; print('pyvista' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"

@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 
-import nbformat
 import pytest
 import torch
 
@@ -18,6 +17,8 @@ from motionlab.skeleton import STANDARD, UPRIGHT
 
 
 def notebook(*sources, **metadata):
+    import nbformat  # takes seconds to load
+
     book = nbformat.v4.new_notebook(
         metadata={"kernelspec": {"name": "python3", "display_name": "Python 3"}, **metadata}
     )
@@ -28,6 +29,8 @@ def notebook(*sources, **metadata):
 @pytest.fixture
 def suite(tmp_path, monkeypatch):
     """A suite of two notebooks, the first of which fails, with a ledger and one recorded finding."""
+    import nbformat
+
     folder = tmp_path / "notebooks"
     (folder / "results").mkdir(parents=True)
     nbformat.write(notebook("x = 1", "1 / 0", "print('never')"), folder / "00_fails.ipynb")

@@ -1,6 +1,7 @@
 """Scenes with truth: legs are hidden indeed, the truth stays outside, a failure changes nothing but the detections."""
 
 from dataclasses import fields, is_dataclass
+from functools import cache
 
 import pytest
 import torch
@@ -15,12 +16,7 @@ KNEES, HIPS = (["left_knee", "right_knee"], ["left_hip", "right_hip"])
 
 @pytest.fixture(scope="module")
 def shot():
-    made = {}
-
-    def of(case, count=3):
-        return made.setdefault((case, count), scenes.film(case, count))
-
-    return of
+    return cache(lambda case, count=3: scenes.film(case, count))
 
 
 def flexion(motion):

@@ -377,9 +377,10 @@ def test_the_window_has_a_name():
     assert render.check().endswith("RenderWindow")
 
 
-def test_plots_need_no_graphics_library_and_a_first_picture_writes_nothing_to_stderr():
+def test_plots_and_captures_need_no_graphics_library_and_a_first_picture_writes_nothing_to_stderr():
     code = (
-        "import sys, motionlab.viz.plots; print([m for m in sys.modules if m.startswith(('vtk', 'pyvista'))]);"
+        "import sys, motionlab.viz.plots, data_synth.capture, data_synth.body, data_synth.corpus;"
+        "print([m for m in sys.modules if m.startswith(('vtk', 'pyvista'))]);"
         "from motionlab.viz.scene import Scene; s = Scene((64, 48), panels=('a',)).floor();"
         "s.points([[0, 0, 1]], 'ours'); print(s.image().shape); s.close()"
     )
