@@ -1,17 +1,29 @@
-"""What every test shares."""
+"""What every test shares. Imports nothing heavy: the process that only hands out the tests reads it, too."""
+
+from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING
 
 import pytest
-import torch
+
+if TYPE_CHECKING:
+    import torch
 
 os.environ.setdefault("MOTIONLAB_BATCH", "1")  # nobody sits in front of a test
-torch.set_num_threads(1)  # the suite runs in parallel processes
 
-TOLERANCE = {torch.float64: 1e-10, torch.float32: 1e-5}  # exceptions stand beside their test, with the reason
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_thread() -> None:
+    """The suite runs in parallel processes."""
+    import torch
+
+    torch.set_num_threads(1)
 
 
 @pytest.fixture
 def generator() -> torch.Generator:
     """A fresh generator, the same in every run."""
+    import torch
+
     return torch.Generator().manual_seed(0)
