@@ -299,9 +299,16 @@ def test_the_newest_value_is_drawn_last_whatever_the_pace():
     assert drawn == sorted(drawn) and drawn[-1] == 99 and 2 < len(drawn) < 90
 
 
-def test_a_trame_view_starts_offline_and_is_sent_pictures():
+@pytest.fixture(scope="module")
+def fresh():
+    """Lines that a process of its own wrote, out and err: after imports, after a first picture, after a trame view."""
     code = """
-import asyncio, sys, torch
+import sys, warnings, motionlab.viz.plots, data_synth.capture, data_synth.body, data_synth.corpus
+print([m for m in sys.modules if m.startswith(("vtk", "pyvista"))])
+from motionlab.viz.scene import Scene
+s = Scene((64, 48), panels=("a",)).floor(); s.points([[0, 0, 1]], "ours"); print(s.image().shape); s.close()
+print("and now trame", file=sys.stderr, flush=True); warnings.simplefilter("default")
+import asyncio, torch
 from unittest import mock
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
@@ -315,8 +322,21 @@ async def main():
     print(push.call_count, "<iframe" in view.value, "trame_vtklocal" in sys.modules)
 asyncio.run(main())
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout == "1 True False\n" and "Error" not in done.stderr, done.stderr
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines(), done.stderr.partition("and now trame\n")
+
+
+def test_plots_and_captures_need_no_graphics_library(fresh):
+    assert fresh[0][0] == "[]"
+
+
+def test_a_first_picture_writes_nothing_to_stderr(fresh):
+    assert fresh[0][1] == "(48, 64, 3)" and fresh[1][0] == ""
+
+
+def test_a_trame_view_starts_offline_and_is_sent_pictures(fresh):
+    assert fresh[0][2:] == ["1 True False"] and "Error" not in fresh[1][2], fresh[1][2]
 
 
 def test_confidence_is_opacity_and_zero_is_nothing():
@@ -375,15 +395,3 @@ def test_bad_input_says_what_is_wrong(tmp_path):
 
 def test_the_window_has_a_name():
     assert render.check().endswith("RenderWindow")
-
-
-def test_plots_and_captures_need_no_graphics_library_and_a_first_picture_writes_nothing_to_stderr():
-    code = (
-        "import sys, motionlab.viz.plots, data_synth.capture, data_synth.body, data_synth.corpus;"
-        "print([m for m in sys.modules if m.startswith(('vtk', 'pyvista'))]);"
-        "from motionlab.viz.scene import Scene; s = Scene((64, 48), panels=('a',)).floor();"
-        "s.points([[0, 0, 1]], 'ours'); print(s.image().shape); s.close()"
-    )
-    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split("\n")[:2] == ["[]", "(48, 64, 3)"] and done.stderr == ""
