@@ -8,12 +8,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent
+PYTEST = [sys.executable, "-m", "pytest", "-q", "-n", "2", "-p", "no:nbval"]  # nbval takes seconds to load
+END_TO_END = [f"tests/test_humor_{name}.py" for name in ("testops", "fit_cli", "training")]
 STEPS = {
     "lint": [BIN / "ruff", "check", "."],
     "format": [BIN / "ruff", "format", "--check", "--quiet", "."],
     "spelling": [BIN / "codespell"],
-    # a file's tests on one worker: what they share is made once; nbval, of no use here, takes seconds to load
-    "unit tests": [sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "-p", "no:nbval"],
+    # a file's tests on one worker: what they share is made once
+    "unit tests": [*PYTEST, "--dist", "loadfile", *(f"--ignore={name}" for name in END_TO_END)],
+    "end to end (fits, training)": [*PYTEST, *END_TO_END],
     "notebooks (nbval, smoke)": [
         *(sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "loadscope", "notebooks"),
         # lax: only cells that say so are compared. Warnings: those of the kernel are judged by
@@ -37,7 +40,7 @@ def main() -> int:
         rows.append((name, status, time.perf_counter() - start))
     print("\n== make test")
     for name, status, seconds in rows:
-        print(f"{'ok ' if status == 0 else '-- '} {name:<26} {seconds:6.1f} s{'' if status == 0 else '  failed'}")
+        print(f"{'ok ' if status == 0 else '-- '} {name:<27} {seconds:6.1f} s{'' if status == 0 else '  failed'}")
     failed = [name for name, status, _ in rows if status]
     data = environment.get("MOTIONLAB_DATA")
     print(f"on {'the recordings in ' + data + ' and ' if data else ''}synthetic motion")
