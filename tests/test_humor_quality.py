@@ -1,8 +1,11 @@
 """Quality of a prior: models whose errors are known beforehand, and what the shipped one must reach."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
+from data_synth import scenes
 from data_synth.corpus import Recipe, perform_sequence
 from motionlab.humor import checkpoint, quality, state
 from motionlab.humor.cvae import Cvae
@@ -79,6 +82,7 @@ def test_a_shift_of_the_prior_costs_what_it_must(still, take):
 def test_a_still_body_is_plausible_and_a_sunk_one_is_not(still, take):
     first = take[0][:2, 0]
     draw = torch.Generator().manual_seed(0)
+    first = on_its_feet(first)
     calm = quality.plausibility(touching(still), first, 12, draw)
     assert calm["slide"].max() < 1e-2 and calm["bones"].max() < 1e-2 and calm["acceleration"].max() < 0.05
     assert (calm["penetration"] == 0).all() and (calm["sunk"] == 0).all()
@@ -101,14 +105,46 @@ def test_bones_that_grow_are_found_and_bones_of_no_length_do_no_harm(still, take
     assert torch.allclose(bones, 100 * 0.02 / 21 / mean, rtol=0.1)
 
 
-def test_a_gliding_body_slides_where_it_touches(still, take):
-    first = take[0][:2, 0]
-    shift = DELTA_SLICES["joints"]
+def on_its_feet(first):
+    """The same states with both balls of the feet 1 cm above their resting height."""
+    first, part = first.clone(), SLICES["joints"]
+    for name in ("left_foot", "right_foot"):
+        first[:, part.start + 3 * STANDARD.index(name) + 2] = STANDARD.sole + 0.01
+    return first
+
+
+def test_a_gliding_body_slides_whatever_it_says_of_its_contacts(still, take):
+    first, shift = on_its_feet(take[0][:2, 0]), DELTA_SLICES["joints"]
     still.decoder.net[-1].bias[shift.start + 1 : shift.stop : 3] = 0.004  # all joints 4 mm a frame ahead
-    gliding = quality.plausibility(touching(still), first, 12, torch.Generator().manual_seed(0))
-    assert torch.allclose(gliding["slide"], torch.tensor(4.0), atol=1e-2)
-    free = quality.plausibility(touching(still, []), first, 12, torch.Generator().manual_seed(0))
-    assert (free["slide"] == 0).all()
+    for said in (None, []):
+        gliding = quality.plausibility(touching(still, said), first, 12, torch.Generator().manual_seed(0))
+        assert torch.allclose(gliding["slide"], torch.tensor(4.0), atol=1e-2) and (gliding["feet up"] == 0).all()
+    first[:, SLICES["joints"].start + 2 : SLICES["joints"].stop : 3] += 0.5
+    floating = quality.plausibility(still, first, 12, torch.Generator().manual_seed(0))
+    assert floating["slide"].isnan().all() and (floating["feet up"] == 1).all()
+
+
+def test_samples_stand_beside_the_data(still, take):
+    states, contacts = take
+    row = quality.summary(still, states, contacts)
+    looks = quality.looks(states[:, 0], states[:, 1:])
+    assert {key.split("' ")[-1] for key in row if key.startswith("samples'")} == set(looks)
+    assert row["data's acceleration"] == pytest.approx(float(looks["acceleration"].mean()))
+    assert row["samples' acceleration"] < 0.05 < row["data's acceleration"] and row["data's bones"] < 0.1
+    assert row["samples' slide"] < 1e-2 < row["data's slide"] and 0 <= row["data's feet up"] < 0.5
+
+
+def test_who_knows_nothing_goes_on_or_stays():
+    walker = scenes.held_out(1, frames=61)
+    paths = quality.going_on(walker, 10, 50)
+    own = walker.positions
+    assert torch.equal(paths["hold"].positions[:, 0], own[:, 10]) and paths["hold"].positions.shape == (1, 51, 22, 3)
+    reached = own[:, 10] + 3 * (own[:, 11] - own[:, 9]) / 2
+    torch.testing.assert_close(paths["constant velocity"].positions[:, 3], reached)
+    assert quality.walks_on(walker, walker) == 1 and quality.walks_on(paths["constant velocity"], walker) == 1
+    assert quality.walks_on(paths["hold"], walker) == 0
+    slow = replace(walker, root=walker.root * 0.4)
+    assert quality.walks_on(slow, walker) == 0
 
 
 def test_contact_f1_of_constant_answers(still, take):
@@ -129,7 +165,7 @@ def test_the_shipped_prior_knows_more_than_its_baselines(take):
     for name in ("hold", "constant velocity", "prior mean"):
         assert row["2 s, posterior z, cm"] < 0.6 * row[f"2 s, {name}, cm"], name
     assert row["2 s, closed loop, cm"] < row["2 s, posterior z, cm"]
-    assert row["contact F1"] > 0.85
+    assert row["one step, posterior, contact F1"] > 0.85
     assert row["samples' sunk"] <= 0.2 and row["samples' bones"] < 10
 
 

@@ -141,19 +141,32 @@ def descent_share(decoded: Motion, reference: Motion) -> Tensor:
     return torch.where(own < -LEAST_DESCENT, made / own, torch.nan)
 
 
-def ahead_errors(model: Cvae, found: Decoded, steps: int) -> Tensor:
-    """Mean joint error (B, K) in cm, world, after 1..K steps from every state of the sequence that has K left."""
+def ahead_errors(model: Cvae, found: Decoded, steps: int) -> dict[str, Tensor]:
+    """Mean joint error (B, K) in cm, world, after 1..K steps from every state of the sequence that has K left.
+
+    "posterior": all K-step roll-outs at once, each with its own transitions' latents; "prior's mean": without them.
+    """
     last = found.states.shape[1] - steps
     if last < 1:
         raise ShapeError(f"steps: the clips have {found.states.shape[1] - 1} transitions, asked {steps}")
+    starts = found.states[:, :last]
     with torch.no_grad():
         ahead = decode_ahead(model, found.states[:, :-1], found.posterior.mean, steps)[:, :last]
+        blind = sample(model, starts.flatten(0, 1), steps).states.unflatten(0, (-1, last))
     at = torch.arange(last)[:, None] + 1 + torch.arange(steps)
     wanted = found.reference.positions[:, at]  # (B, last, K, 22, 3)
     skeleton = found.reference.skeleton
     if skeleton.offsets.ndim == 4:
         skeleton = replace(skeleton, offsets=skeleton.offsets[:, None])
-    return _mean_distance(state.to_motion(ahead, skeleton).positions, wanted).mean(1)
+    time = torch.arange(1.0, steps + 1)[:, None, None].to(wanted)
+    joints, moved = _straight_on(starts[:, :, None], found.reference.fps, time)
+    reached = {
+        "posterior": state.to_motion(ahead, skeleton).positions,
+        "prior's mean": state.to_motion(blind, skeleton).positions,
+        "constant velocity": moved,
+        "hold": joints,
+    }
+    return {name: _mean_distance(positions, wanted).mean(1) for name, positions in reached.items()}
 
 
 def vary(model: Cvae, first: Tensor, dimension: int, sizes: Tensor, steps: int) -> Tensor:

@@ -1,10 +1,12 @@
 """How good a transition prior is: one step, two seconds, and what it makes up by itself.
 
 Every number stands beside what a model that knows nothing would get: the pose held, or every joint going on as it goes.
-Centimetres are mean distances over the 22 predicted joints.
+Samples stand beside the data that they begin from. Centimetres are mean distances over the 22 predicted joints.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,11 +16,14 @@ from motionlab.humor.losses import pairs
 from motionlab.humor.rollout import infer, rollout, sample
 from motionlab.humor.state import FPS, apply, globalise, heading, localise, unpack
 from motionlab.metrics.contact import contact_scores
-from motionlab.metrics.pose import mean_acceleration
-from motionlab.skeleton import STANDARD
+from motionlab.metrics.pose import masked_mean, mean_acceleration
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, Skeleton
 
 #: A dimension is active where it costs more than this on average, nats.
 ACTIVE = 0.05
+#: A foot is down where its ball is less than this above its resting height, metres.
+DOWN = 0.03
 
 
 def _error(a: Tensor, b: Tensor) -> Tensor:
@@ -69,27 +74,30 @@ def drift(model: Cvae, states: Tensor) -> dict[str, Tensor]:
     }
 
 
-@torch.no_grad()
-def plausibility(model: Cvae, first: Tensor, steps: int, generator: torch.Generator) -> dict[str, Tensor]:
-    """What samples (W,) of ``steps`` frames from first states (W, 339) look like.
+def looks(first: Tensor, states: Tensor) -> dict[str, Tensor]:
+    """What motions look like that go on from first states (W, 339) with world states (W, T, 339), one number each (W,).
 
-    slide: mm per frame of joints that the sample says are in contact. penetration: share of frames with a toe more than
-    2 cm below the floor. sunk: share of clips that end with the head below 30 cm or any joint 30 cm below the floor.
-    acceleration: m/s^2. bones: mean change of the predicted joints' bone lengths, per cent of their mean.
+    All of it is measured from the joints, none from what a model says of its contacts; a foot is down where its ball is
+    lower than 3 cm above where it rests. slide: mm per frame over the floor of balls that are down in both frames, NaN
+    where none is; a foot that swings close to the floor counts as well, so compare with data. feet up: share of frames
+    with no foot down. penetration: share of frames with a ball more than 2 cm below where it rests. sunk: 1 where the
+    head ends below 30 cm or any joint 30 cm below the floor. acceleration: m/s^2. bones: mean change of the bone
+    lengths, per cent of their mean.
     """
-    found = sample(model, first, steps, generator=generator)
-    joints = unpack(found.states)["joints"]
-    touching = found.contact_logits[:, 1:].sigmoid() > 0.5
-    speed = 1000 * joints[:, :, STANDARD.contact_indices].diff(dim=1).norm(dim=-1)
-    toes = joints[:, :, STANDARD.indices(["left_foot", "right_foot"]), 2].amin(-1) - STANDARD.sole
+    joints = unpack(states)["joints"]
+    balls = joints[:, :, STANDARD.indices(["left_foot", "right_foot"])]
+    above = balls[..., 2] - STANDARD.sole
+    down = above < DOWN
+    speed = 1000 * balls[..., :2].diff(dim=1).norm(dim=-1)
     parents = list(STANDARD.parents[1:])
     length = (joints[:, :, 1:] - joints[:, :, parents]).norm(dim=-1)
     start = unpack(first)["joints"]
     before = (start[:, 1:] - start[:, parents]).norm(dim=-1)[:, None]
     end = joints[:, -1, :, 2]
     return {
-        "slide": (speed * touching).sum((1, 2)) / touching.sum((1, 2)).clamp(min=1),
-        "penetration": (toes < -0.02).float().mean(1),
+        "slide": masked_mean(speed, down[:, 1:] & down[:, :-1], 2),
+        "feet up": (~down.any(-1)).float().mean(1),
+        "penetration": (above.amin(-1) < -0.02).float().mean(1),
         "sunk": ((end[:, STANDARD.index("head")] < 0.3) | (end.amin(-1) < -0.3)).float(),
         "acceleration": mean_acceleration(joints, FPS),
         "bones": 100 * (length - before).abs().mean((1, 2)) / before.mean((1, 2)),
@@ -97,19 +105,60 @@ def plausibility(model: Cvae, first: Tensor, steps: int, generator: torch.Genera
 
 
 @torch.no_grad()
+def plausibility(model: Cvae, first: Tensor, steps: int, generator: torch.Generator) -> dict[str, Tensor]:
+    """:func:`looks` of samples (W,) of ``steps`` frames from first states (W, 339), z drawn from the prior."""
+    return looks(first, sample(model, first, steps, generator=generator).states)
+
+
+# ------------------------------------------------------------------------------------------------- do they go on?
+class Points(NamedTuple):
+    """As much of a motion (B, T) as the measures of ``cases`` read: of a model of points there is no more."""
+
+    positions: Tensor
+    rot: Tensor
+    skeleton: Skeleton
+    fps: float
+
+
+def going_on(motion: Motion, at: int, steps: int) -> dict[str, Points]:
+    """What knows nothing makes of frame ``at`` of motions (B, T), as (B, steps + 1): "hold", the pose stays; "constant
+    velocity", every joint goes on along a line with its velocity, the central difference that a state contains."""
+    joints, time = motion.positions, torch.arange(float(steps + 1))[:, None, None]
+    velocity = (joints[:, at + 1] - joints[:, at - 1])[:, None] / 2
+    held = joints[:, at, None].expand(-1, steps + 1, -1, -1)
+    rot = motion.rot[:, at, None].expand(-1, steps + 1, -1, -1, -1)
+    paths = {"hold": held, "constant velocity": held + time * velocity}
+    return {name: Points(path, rot, motion.skeleton, motion.fps) for name, path in paths.items()}
+
+
+def walks_on(found: Motion | Points, person: Motion, frames: int = 15) -> Tensor:
+    """1 where the pelvis's mean speed over the floor in the last ``frames`` steps is above half of the person's mean
+    speed over the whole of the clip, else 0: (B,)."""
+    ours, own = (m.positions[..., 0, :2].diff(dim=1).norm(dim=-1) * m.fps for m in (found, person))
+    return (ours[:, -frames:].mean(1) > 0.5 * own.mean(1)).to(ours)
+
+
+@torch.no_grad()
 def contact_f1(model: Cvae, states: Tensor, contacts: Tensor) -> float:
-    """F1 of the decoded contact labels against the true ones (W, T, 9), one step from the truth."""
+    """F1 of the decoded contact labels against the true ones (W, T, 9), one step from the truth, with the latent of a
+    posterior that saw the answer."""
     past, now = pairs(states)
     _, logits = apply(past, model.decode(past, model.posterior(past, now).mean))
     return float(contact_scores((logits > 0).float(), contacts[:, 1:].flatten(0, 1)).f1)
 
 
 def summary(model: Cvae, states: Tensor, contacts: Tensor | None = None, seed: int = 0) -> dict[str, float]:
-    """One row of the quality table of world states (W, 61, 339): means over windows."""
+    """One row of the quality table of world states (W, 61, 339): means over windows.
+
+    Rows that start with "samples' " are :func:`looks` of samples, those with "data's " of the windows themselves.
+    """
     step, way = one_step(model, states), drift(model, states)
     made = plausibility(model, states[:, 0], states.shape[1] - 1, torch.Generator().manual_seed(seed))
     row = {f"one step, {name}, cm": float(step[name].mean()) for name in step if name != "kl"}
+    if contacts is not None:
+        row["one step, posterior, contact F1"] = contact_f1(model, states, contacts)
     row |= {f"2 s, {name}, cm": float(way[name][:, -1].mean()) for name in way}
     row |= {"kl, nats": float(step["kl"].sum(-1).mean()), "active": int((step["kl"].mean(0) > ACTIVE).sum())}
-    row |= {f"samples' {name}": float(value.mean()) for name, value in made.items()}
-    return row if contacts is None else row | {"contact F1": contact_f1(model, states, contacts)}
+    for whose, found in (("samples'", made), ("data's", looks(states[:, 0], states[:, 1:]))):
+        row |= {f"{whose} {name}": float(value.nanmean()) for name, value in found.items()}
+    return row
