@@ -101,7 +101,13 @@ def _labelled(picture: np.ndarray, text: str) -> np.ndarray:
     return np.asarray(image)
 
 
-def pairs(cases: Mapping[str, tuple[Tensor, Tensor]], *, ylabel: str, columns: int = 5, marks: str = "2 3") -> Figure:
+def pairs(
+    cases: Mapping[str, tuple[Tensor, Tensor]],
+    *,
+    ylabel: str,
+    columns: int = 5,
+    marks: Sequence[str] = ("stage 2", "stage 3"),
+) -> Figure:
     """One panel per case: a line from every clip's value before (B,) to its value after, and the mean of each."""
     rows = -(-len(cases) // columns)
     fig, axes = canvas(rows, min(columns, len(cases)), size=(2.25 * min(columns, len(cases)), 2.7 * rows), sharey=True)
@@ -113,7 +119,7 @@ def pairs(cases: Mapping[str, tuple[Tensor, Tensor]], *, ylabel: str, columns: i
             ax.scatter([x] * len(values), values, s=14, color=paint, zorder=2)
             ax.plot((x - 0.18, x + 0.18), [values.nanmean()] * 2, color=paint, lw=3, zorder=3)
         ax.set_title(name, fontsize=9)
-        ax.set_xticks((0, 1), [f"stage {mark}" for mark in marks.split()])
+        ax.set_xticks((0, 1), list(marks))
         ax.set_xlim(-0.4, 1.4)
         ax.grid(axis="x", visible=False)
     for ax in axes[len(cases) :]:
