@@ -109,11 +109,14 @@ def parity(rows: Sequence[Row]) -> Figure:
     for ax, form in zip(axes, forms, strict=True):
         mine = sorted((row for row in rows if row.form == form), key=lambda row: row.error)
         x = np.arange(len(mine))
-        ax.scatter(x, [max(row.error, 1e-17) for row in mine], s=16, color=ROLE["ours"], label="error", zorder=3)
+        for kind, holds in (("ours", True), ("observation", False)):
+            shown = [(i, max(row.error, 1e-17)) for i, row in enumerate(mine) if row.holds == holds]
+            label = "within its tolerance" if holds else "misses it, cause known"
+            ax.scatter(*np.array(shown).reshape(-1, 2).T, s=16, color=ROLE[kind], label=label, zorder=3)
         ax.scatter(x, [row.tolerance for row in mine], marker="_", s=60, color=ROLE["axis-angle"], label="tolerance")
         ax.set(yscale="log", title=f"{form} form: {len(mine)} arrays", xlabel="arrays, by error", xticks=[])
     axes[0].set_ylabel("difference from the official code")
-    axes[1].legend(loc="upper left", frameon=False)
+    axes[0].legend(loc="upper left", frameon=False)
     return fig
 
 
