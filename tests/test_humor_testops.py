@@ -3,6 +3,7 @@
 import copy
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -148,14 +149,15 @@ def test_a_search_ends_by_its_own_energy(control, monkeypatch):
     if control:
         monkeypatch.setattr(stages, "minimise_batch", with_mean_tolerance(stages.minimise_batch))
 
-    def terms(at):
+    def terms(_, at):
         x, y = at["x"].unbind(-1)
         return {"valley": at["gain"] * ((1 - x).square() + 100 * (y - x.square()).square())}
 
     unknown = {"x": torch.tensor([[-1.2, 1.0]] * 2), "gain": torch.tensor([1.0, 1e6])}
     budget = {"steps": 5, "inner": 20, "tolerance": Schedule().tolerance}
-    both, _ = stages.search(terms, unknown, ("x",), **budget)
-    alone, _ = stages.search(terms, {n: v[:1] for n, v in unknown.items()}, ("x",), **budget)
+    anything = SimpleNamespace(rows=lambda index: None)
+    both, _ = stages.search(terms, anything, unknown, ("x",), **budget)
+    alone, _ = stages.search(terms, anything, {n: v[:1] for n, v in unknown.items()}, ("x",), **budget)
     assert torch.equal(both["x"][:1], alone["x"]) != control
 
 
@@ -250,11 +252,11 @@ def test_the_floor_is_refined_where_asked(kit, walk, camera):
 def test_ctrl_c_keeps_the_best_so_far(kit, walk, monkeypatch):
     calls, real = [], stages.pose_terms
 
-    def tired(*args):
+    def tired(*args, **how):
         calls.append(1)
         if len(calls) == 15:
             raise KeyboardInterrupt
-        return real(*args)
+        return real(*args, **how)
 
     monkeypatch.setattr(stages, "pose_terms", tired)
     fitted = testops.fit(joints(walk), kit, schedule=QUICK)
@@ -361,9 +363,8 @@ def test_rounded_coordinates_need_fewer_steps(kit, walk):
     p = problem(kit, joints(walk))
     budget = {"steps": 2, "inner": 20}
     unknown = testops._start(p)
-    _, plain = stages.search(
-        lambda at: stages.pose_terms(p, at, 2), unknown, ("trans", "orient", "latent", "betas"), **budget
-    )
+    moving = ("trans", "orient", "latent", "betas")
+    _, plain = stages.search(partial(stages.pose_terms, stage=2), p, unknown, moving, **budget)
     _, quick = stages.stage_1_and_2(p, unknown, 2, **budget)
     assert (quick.energy < plain.energy).all()
 

@@ -133,6 +133,11 @@ class Evidence:
     view: View | None = None
     notes: tuple[str, ...] = ()
 
+    def rows(self, index: Tensor) -> Evidence:
+        """The evidence of some clips, in the order of ``index``."""
+        view = None if self.view is None else self.view.rows(index)
+        return replace(self, values=self.values[index], weight=self.weight[index], view=view)
+
     @property
     def seen(self) -> Tensor:
         """Frames (B, T) in which anything was observed."""

@@ -24,6 +24,7 @@ from motionlab.humor.observed import Evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.variables import Variables
 
+Back = Callable[..., dict[str, Tensor]]
 FRAMES = ("trans", "orient", "latent")
 _SAMPLES, _STEP, _RIDGE = 8, 1e-3, 1e-3
 
@@ -35,28 +36,27 @@ _REACH = {
 _REACH_CAMERA = (400.0, 400.0, 25.0)  # tilt, roll, rise
 
 
-def rounded_motion(
-    unknown: Variables, moving: tuple[str, ...], factors: Tensor
-) -> tuple[dict[str, Tensor], Callable[[Variables], dict[str, Tensor]]]:
+def rounded_motion(unknown: Variables, moving: tuple[str, ...], factors: Tensor) -> tuple[dict[str, Tensor], Back]:
     """As :func:`rounded`, for stage 3; factors (G, W, L - 1, 48, 48), of which as many count as z has transitions."""
     frames = unknown["z"].shape[2] + 1
     factors = factors[:, :, : frames - 1]
     scale = {n: (reach * frames) ** -0.5 for n, reach in _REACH.items()}
     scale["camera"] = (frames * unknown["trans"].new_tensor(_REACH_CAMERA)).rsqrt()
 
-    def old(new: Variables) -> dict[str, Tensor]:
-        found = {n: unknown[n] + scale[n] * x for n, x in new.items() if n != "z"}
+    def old(new: Variables, rows: Tensor | slice = slice(None)) -> dict[str, Tensor]:
+        start = {n: x[rows] for n, x in unknown.items()}
+        found = {n: start[n] + scale[n] * x for n, x in new.items() if n != "z"}
         if "z" in new:
-            found["z"] = unknown["z"] + (factors @ new["z"][..., None])[..., 0]
-        return {**unknown, **found}
+            found["z"] = start["z"] + (factors[rows] @ new["z"][..., None])[..., 0]
+        return {**start, **found}
 
     return {n: torch.zeros_like(unknown[n]) for n in moving if unknown[n].numel()}, old
 
 
 def rounded(
     unknown: Variables, moving: tuple[str, ...], priors: Priors, evidence: Evidence, weights: dict[str, float]
-) -> tuple[dict[str, Tensor], Callable[[Variables], dict[str, Tensor]]]:
-    """New unknowns, zeros at the start, and the way from them to the old ones.
+) -> tuple[dict[str, Tensor], Back]:
+    """New unknowns, zeros at the start, and the way from them to the old ones, of all recordings or of some rows.
 
     unknown: of stages 1 and 2 with one window each, (G, 1, T, ...). moving: those that may change.
     """
@@ -75,11 +75,14 @@ def rounded(
     cosine = _cosine(frames).to(data)
     scale = (frames * (shape + 2 * weights.get("shape_prior", 0.0)) + 1e-3).rsqrt()
 
-    def old(new: Variables) -> dict[str, Tensor]:
-        change = cosine.mT @ (back @ new["frames"][..., None])[..., 0]
+    def old(new: Variables, rows: Tensor | slice = slice(None)) -> dict[str, Tensor]:
+        start = {n: x[rows] for n, x in unknown.items()}
+        change = cosine.mT @ (back[rows] @ new["frames"][..., None])[..., 0]
         parts = dict(zip(names, change.split(sizes, -1), strict=True))
-        found = {n: unknown[n] + parts[n][:, None] for n in names}
-        return {**unknown, **found} | ({"betas": unknown["betas"] + scale * new["betas"]} if "betas" in new else {})
+        found = {n: start[n] + parts[n][:, None] for n in names}
+        if "betas" in new:
+            found["betas"] = start["betas"] + scale[rows] * new["betas"]
+        return {**start, **found}
 
     zeros = {"frames": data.new_zeros(len(data), frames, sum(sizes))}
     return zeros | ({"betas": torch.zeros_like(unknown["betas"])} if "betas" in moving else {}), old

@@ -7,7 +7,8 @@ Differs: see :mod:`motionlab.humor.testops`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import torch
@@ -48,6 +49,11 @@ class Problem:
     def rolled_windows(self) -> int:
         """Windows W per recording."""
         return len(self.starts)
+
+    def rows(self, index: Tensor) -> Problem:
+        """The same for some recordings alone."""
+        every = index[:, None] * len(self.starts) + torch.arange(len(self.starts))
+        return replace(self, evidence=self.evidence.rows(every.flatten()))
 
 
 Terms = dict[str, Tensor]
@@ -130,9 +136,11 @@ def _overlap(joints: Tensor, starts: tuple[int, ...]) -> Tensor:
 
 
 def search(
-    terms: Callable[[Variables], Terms],
+    terms: Callable[[Problem, Variables], Terms],
+    problem: Problem,
     unknown: Variables,
     moving: tuple[str, ...],
+    old: preconditioned.Back = lambda new, rows: new,
     *,
     steps: int,
     inner: int,
@@ -141,14 +149,18 @@ def search(
 ) -> tuple[dict[str, Tensor], BatchFit]:
     """Lower the sum of some terms by moving some unknowns, each recording for itself; all unknowns come back.
 
+    A recording that is done costs nothing more.
+    old: the way from ``unknown`` of some recordings, and their numbers, to what the terms are functions of.
     tolerance: share of its own first energy that a recording must gain in an iteration, whatever its neighbours are.
     """
     point = {n: x.detach().clone().requires_grad_(n in moving and x.numel() > 0) for n, x in unknown.items()}
+    every = torch.arange(len(next(iter(unknown.values()))))
     with torch.no_grad():
-        first = sum(terms(point).values()).abs().nan_to_num(0.0, 0.0, 0.0)
+        first = sum(terms(problem, old(point, every)).values()).abs().nan_to_num(0.0, 0.0, 0.0)
     fit = minimise_batch(
-        lambda at: sum(terms(at).values()),
+        lambda at, rows: sum(terms(problem.rows(rows), old(at, rows)).values()),
         point,
+        rows=True,
         steps=steps,
         inner=inner,
         tolerance_change=tolerance * first,
@@ -161,10 +173,10 @@ def stage_1_and_2(problem: Problem, unknown: Variables, stage: int, **budget) ->
     """Root alone (1), or root, pose and shape (2); lean mode searches in rounder coordinates."""
     moving = ("trans", "orient") if stage == 1 else ("trans", "orient", "latent", "betas")
     if problem.mode != "lean":
-        return search(lambda at: pose_terms(problem, at, stage), unknown, moving, **budget)
+        return search(partial(pose_terms, stage=stage), problem, unknown, moving, **budget)
     weights = problem.weights.of(stage, listed=True)
     new, old = preconditioned.rounded(unknown, moving, problem.priors, problem.evidence, weights)
-    found, fit = search(lambda at: pose_terms(problem, old(at), stage), new, tuple(new), **budget)
+    found, fit = search(partial(pose_terms, stage=stage), problem, new, tuple(new), old, **budget)
     return {n: x.detach() for n, x in old(found).items()}, fit
 
 
@@ -190,12 +202,14 @@ def stage_3(
     def part(unknown: Variables, moving: tuple[str, ...], steps: int, **how) -> dict[str, Tensor]:
         if steps <= 0 or (fits and interrupted(fits[-1])):
             return dict(unknown)
-        new, old = dict(unknown), dict
-        if factors is not None:
+        if factors is None:
+            found, fit = search(partial(motion_terms, **how), problem, unknown, moving, steps=steps, **budget)
+        else:
             new, old = preconditioned.rounded_motion(unknown, moving, factors)
-        found, fit = search(lambda at: motion_terms(problem, old(at), **how), new, moving, steps=steps, **budget)
+            found, fit = search(partial(motion_terms, **how), problem, new, tuple(new), old, steps=steps, **budget)
+            found = old(found)
         fits.append(fit)
-        return {n: x.detach() for n, x in old(found).items()}
+        return {n: x.detach() for n, x in found.items()}
 
     frames, plan = unknown["z"].shape[2] + 1, (min(refine[0], steps), min(refine[1], steps))
     if frames <= short:
