@@ -149,5 +149,5 @@ def test_windows_agree_where_they_meet(kit, seen, fitted, monkeypatch):
     monkeypatch.setattr(stages, "OVERLAP", 0.0)
     free = testops.fit(seen, kit, schedule=LONG)
     assert (free.energies[3]["overlap"] == 0).all()
-    assert (gap(kit, fitted) < 0.02).all()
+    assert (gap(kit, fitted) < 0.03).all()
     assert (gap(kit, fitted) < 0.5 * gap(kit, free)).all(), (gap(kit, fitted), gap(kit, free))

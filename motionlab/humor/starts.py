@@ -55,7 +55,12 @@ def start_2d(evidence: Evidence, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     orientations (16 headings; upright, leaning 50 degrees each way, lying each way) the sequence with the least
     reprojection error and turning is found over time (Viterbi): the person does not flip from frame to frame.
 
+    A few keypoints close together leave the depth open: there the start may jump, and stage 1 has to undo that.
+
     rest (25, 3): landmarks of the mean pose, root at the origin, its orientation identity.
+
+    Returns:
+        trans (B, T, 3), orientation (B, T, 3, 3), and which frames (B, T) had enough to see, 4 keypoints.
     """
     view = evidence.view
     poses, upright_cost = _orientations()
@@ -69,9 +74,9 @@ def start_2d(evidence: Evidence, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def filled(trans: Tensor, turn: Tensor, known: Tensor, fps: float) -> tuple[Tensor, Tensor]:
-    """Root (B, T, 3) and orientation (B, T, 3, 3), interpolated where not ``known`` (B, T).
+    """Root (B, T, 3) and orientation (B, T, 3, 3), interpolated where not ``known`` (B, T); ends hold.
 
-    A clip of which nothing is known stands upright at the origin.
+    A clip of which nothing is known stands upright at the origin, its feet on the floor, and looks along +y.
     """
     none = ~known.any(-1)
     up, height = UPRIGHT.to(turn), STANDARD.standing_height().to(trans)

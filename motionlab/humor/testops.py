@@ -77,7 +77,8 @@ class Schedule:
 class Fitted:
     """What a fit found; G recordings of T frames, world coordinates.
 
-    motion (G, T): of the last stage, each on its own skeleton, with contact labels. stages: after stage 1, 2, 3.
+    motion (G, T): of the last stage, each on its own skeleton, with contact labels, and a body in every frame, seen or
+    not (the observation says which). stages: after stage 1, 2, 3.
     contacts (G, T, 9): probabilities, in the order of ``STANDARD.contact_names``; zeros where no stage 3 ran.
     z (G, W, L - 1, 48) and first (G, W, 339): latents and first states of W windows that begin at ``starts`` (one
     window where T is no more than ``Schedule.window``). betas (G, 8): shape in standard deviations.
@@ -110,7 +111,13 @@ def fit(
     size: tuple[int, int] | None = None,
     progress: bool = False,
 ) -> Fitted:
-    """Fit every recording of a batch. Ctrl-C keeps the best so far.
+    """Fit every recording of a batch. Ctrl-C keeps the best so far. Tensors are on the CPU.
+
+    What was not seen has no weight. Unseen joints: the priors decide. Unseen frames, also after somebody has left the
+    image: the start is interpolated and held at the ends (of keypoints, in lean mode alone); smoothness and the motion
+    prior decide from there. Where no frame shows 3 joints that give an orientation, or 4 keypoints, the start stands
+    upright at the origin (same exception), and goes on in stage 3 as the prior would if nothing at all was seen.
+    One frame has no stage 3, and a note says so.
 
     Args:
         observation: keypoints (G, T, K, 2) seen by one static camera each, or joints (G, T, 22, 3) in the world; the

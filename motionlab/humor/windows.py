@@ -1,5 +1,8 @@
 """Recordings longer than the roll-out can carry: cut into overlapping windows of one length, and put together again.
 
+In stage 3 neighbours are asked to agree over the frames they share (``stages.OVERLAP``); what is left of the gap
+between them is blended here.
+
 Source: the official code's ``use_split`` (windows of 60 frames, at least 10 shared, the remainder spread).
 Differs: neighbours are blended over the frames they share, where the official code keeps the earlier one's.
 """

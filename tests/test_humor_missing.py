@@ -1,0 +1,286 @@
+"""What a fit makes of what was not seen: joints, frames, ends, people who leave the image, whole clips.
+
+Bounds are set between what a fit finds and what a broken one (the controls) does. The walk's root moves up to 2.9 cm
+from frame to frame.
+"""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from data_synth import corrupt
+from motionlab import rotation
+from motionlab.humor import priors, starts, testops
+from motionlab.humor.observed import Observation3D, evidence
+from motionlab.humor.stages import Problem
+from motionlab.humor.testops import Schedule
+from motionlab.humor.weights import JOINTS, RGB_LIGHT
+from motionlab.observation import BODY_25
+from motionlab.skeleton import STANDARD, UPRIGHT
+from tests.fit_inputs import QUICK, error, errors, finite, joints, keypoints, side_camera, two_walks
+
+FEET = STANDARD.indices(["left_ankle", "right_ankle", "left_foot", "right_foot"])
+
+
+@pytest.fixture(scope="module")
+def kit():
+    return priors.load()
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return two_walks()
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return side_camera()
+
+
+@pytest.fixture(scope="module")
+def filmed(walk, camera):
+    return keypoints(walk, camera)
+
+
+@pytest.fixture(scope="module")
+def whole(kit, walk):
+    """The fit of all joints."""
+    return testops.fit(joints(walk), kit, schedule=QUICK)
+
+
+@pytest.fixture(scope="module")
+def whole_film(kit, filmed):
+    """The fit of all keypoints."""
+    return testops.fit(filmed, kit, schedule=QUICK)
+
+
+def without(walk, frames):
+    """Joints (B, T, 22) hidden in some frames."""
+    hidden = torch.zeros(walk.positions.shape[:-1], dtype=torch.bool)
+    hidden[:, frames] = True
+    return hidden
+
+
+def speed(motion):
+    """The root's greatest step (B,) from frame to frame, metres."""
+    return motion.root.diff(dim=1).norm(dim=-1).amax(1)
+
+
+def as_found(trans, turn, known, fps):
+    """A start that fills no gap, in the place of ``starts.filled``: frames stay where nothing was seen."""
+    return trans, turn
+
+
+# -------------------------------------------------------------------------------------------------------------- starts
+def test_unknown_frames_are_interpolated_and_ends_hold():
+    gen = torch.Generator().manual_seed(0)
+    known = torch.zeros(1, 9, dtype=torch.bool)
+    known[0, [2, 6]] = True
+    trans, turn = torch.randn(1, 9, 3, generator=gen), rotation.random((1, 9), gen)
+    found, turned = starts.filled(trans, turn, known, 30.0)
+    share = torch.tensor([0, 0, 0, 0.25, 0.5, 0.75, 1, 1, 1])
+    torch.testing.assert_close(found[0], torch.lerp(trans[0, 2], trans[0, 6], share[:, None]))
+    whole = rotation.geodesic(turn[0, 2], turn[0, 6])
+    torch.testing.assert_close(rotation.geodesic(turn[0, 2], turned[0]), share * whole, atol=1e-3, rtol=0)
+
+
+def test_of_whom_nothing_is_known_stands_upright_at_the_origin():
+    gen = torch.Generator().manual_seed(0)
+    trans, turn = torch.randn(2, 4, 3, generator=gen), rotation.random((2, 4), gen)
+    known = torch.tensor([[True], [False]]).expand(2, 4)
+    found, turned = starts.filled(trans, turn, known, 30.0)
+    assert torch.equal(found[0], trans[0]) and torch.equal(turned[0], turn[0])
+    height = STANDARD.standing_height()
+    torch.testing.assert_close(found[1], torch.stack((0 * height, 0 * height, height)).expand(4, 3))
+    torch.testing.assert_close(turned[1], UPRIGHT.expand(4, 3, 3))
+
+
+# --------------------------------------------------------------------------------------------------------------- joints
+@pytest.mark.parametrize(
+    ("frames", "broken"), [([0], False), (range(5), False), (range(5, 13), False), (range(16, 24), False),
+                           (range(5, 13), True), (range(16, 24), True)]
+)  # fmt: skip
+def test_missing_frames_continue_what_is_around_them(kit, walk, whole, frames, broken, monkeypatch):
+    """Nothing jumps; and the rest is found as well as without the gap. A start that fills no gap misses this."""
+    if broken:
+        monkeypatch.setattr(starts, "filled", as_found)
+    frames = list(frames)
+    fitted = testops.fit(joints(walk, without(walk, frames)), kit, schedule=QUICK)
+    seen = [t for t in range(24) if t not in frames]
+    moved = torch.stack([speed(fitted.stages[stage]) for stage in (1, 2, 3)])
+    lost = torch.stack([errors(fitted.stages[stage], walk)[:, frames].mean(1) for stage in (2, 3)])
+    assert finite(fitted)
+    if broken:
+        assert (moved > 0.3).any() and (lost > 0.4).any()
+        return
+    assert (moved[:2] < 0.04).all() and (moved[2] < 0.08).all()
+    assert fitted.motion.positions.diff(dim=1).norm(dim=-1).max() < 0.16  # of a joint; 0.095 in the walk
+    assert (lost < 0.25).all()
+    for stage, more in ((2, 0.015), (3, 0.05)):
+        here, there = (errors(f.stages[stage], walk)[:, seen].mean(1) for f in (fitted, whole))
+        assert (here < there + more).all()
+
+
+def test_missing_frames_without_a_motion_prior(kit, walk):
+    """Nothing then says anything about the latent of an unseen transition."""
+    weights = replace(JOINTS, motion_prior=(0, 0, 0), init_motion_prior=(0, 0, 0))
+    fitted = testops.fit(joints(walk, without(walk, [12])), kit, schedule=QUICK, weights=weights)
+    assert finite(fitted)
+    assert (error(fitted.motion, walk) < 0.05).all() and (speed(fitted.motion) < 0.06).all()
+
+
+@pytest.mark.parametrize("control", [False, True])
+def test_legs_never_seen_stand_on_the_floor(kit, walk, control):
+    """Which the priors know; without them (the control) feet are drawn up."""
+    hidden = walk.positions[..., 2] < 0.9
+    weights = replace(JOINTS, **dict.fromkeys(("pose_prior", "motion_prior", "init_motion_prior"), (0.0, 0.0, 0.0)))
+    fitted = testops.fit(joints(walk, hidden), kit, schedule=QUICK, weights=weights if control else None)
+    lower = fitted.motion.positions[..., FEET, 2].amin(-1)  # of the lower foot, in every frame
+    wrong = (fitted.motion.positions - walk.positions).norm(dim=-1)
+    assert wrong[~hidden].mean() < 0.05
+    if control:
+        assert lower.max() > 0.23 and wrong[hidden].mean() > 0.22
+    else:
+        assert -0.08 < lower.min() and lower.max() < 0.22 and wrong[hidden].mean() < 0.21
+
+
+def test_a_single_joint_is_followed_by_an_upright_body(kit, walk):
+    """The pelvis alone, 6 m away from where a fit without orientation begins."""
+    points = walk.positions + torch.tensor([5.0, -3.0, 0.0])
+    visible = torch.zeros(points.shape[:-1], dtype=torch.bool)
+    visible[..., 0] = True
+    fitted = testops.fit(Observation3D(points, visible), kit, schedule=QUICK)
+    assert finite(fitted)
+    assert ((fitted.motion.root - points[:, :, 0]).norm(dim=-1).mean(1) < 0.2).all()
+    assert (fitted.motion.rot[:, :, 0, 2, 1] > 0.85).all()  # the body's own up is within 30 degrees of it
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 14, 15, 16])
+def test_short_clips(kit, walk, frames):
+    clip = walk.cut(0, frames)
+    fitted = testops.fit(joints(clip), kit, schedule=QUICK)
+    assert finite(fitted)
+    assert fitted.motion.frames == frames
+    assert (3 in fitted.stages) == (frames > 1)
+    assert any("one frame" in note for note in fitted.notes) == (frames == 1)
+    assert (error(fitted.motion, clip) < 0.04).all()
+
+
+# ------------------------------------------------------------------------------------------------------- nobody is seen
+@pytest.mark.parametrize("kind", ["joints", "keypoints"])
+def test_somebody_never_seen_stands_at_the_origin_and_leaves_neighbours_alone(
+    kit, walk, filmed, whole, whole_film, kind
+):
+    """The second of two clips. Stages 1 and 2 leave it standing; stage 3 goes on as the motion prior would."""
+    hidden = torch.zeros(walk.positions.shape[:-1], dtype=torch.bool)
+    hidden[1] = True
+    confidence = filmed.confidence.clone()
+    confidence[1] = 0
+    seen, full = {
+        "joints": (joints(walk, hidden), whole),
+        "keypoints": (replace(filmed, confidence=confidence), whole_film),
+    }[kind]
+    fitted = testops.fit(seen, kit, schedule=QUICK)
+    assert finite(fitted)
+    for stage in (1, 2, 3):
+        torch.testing.assert_close(fitted.stages[stage].positions[0], full.stages[stage].positions[0])
+    start = torch.tensor([0.0, 0.0, STANDARD.standing_height()])
+    for stage in (1, 2):
+        found = fitted.stages[stage].clip(1)
+        torch.testing.assert_close(found.root, start.expand(24, 3))
+        torch.testing.assert_close(found.rot[:, 0], UPRIGHT.expand(24, 3, 3))
+        assert -0.01 < found.positions[..., 2].min() < 0.05
+    found = fitted.motion.clip(slice(1, 2))
+    assert (found.root[0, 0] - start).norm() < 0.02
+    assert speed(found) < 0.06 and found.positions[..., 2].min() > -0.1
+
+
+# ------------------------------------------------------------------------------------------------------------ keypoints
+@pytest.mark.parametrize(
+    ("frames", "broken"), [([0], False), (range(6), False), (range(9, 15), False), (range(9, 15), True)]
+)
+def test_missing_frames_of_keypoints(kit, walk, filmed, whole_film, frames, broken, monkeypatch):
+    """As for joints."""
+    if broken:
+        monkeypatch.setattr(starts, "filled", as_found)
+    frames = list(frames)
+    seen, _ = corrupt.drop_frames(filmed, frames)
+    fitted = testops.fit(seen, kit, schedule=QUICK)
+    moved = torch.stack([speed(fitted.stages[stage]) for stage in (1, 2, 3)])
+    lost = errors(fitted.motion, walk)[:, frames].mean(1)
+    assert finite(fitted)
+    if broken:
+        assert (moved[0] > 0.12).all() and (lost > 0.6).any()
+        return
+    assert (moved[:2] < 0.06).all() and (moved[2] < 0.12).all()
+    assert (lost < 0.5).all()
+    rest = [t for t in range(24) if t not in frames]
+    here, there = (errors(f.motion, walk)[:, rest].mean(1) for f in (fitted, whole_film))
+    assert (here < there + 0.1).all()
+
+
+def test_numbers_that_are_none_count_as_not_seen(kit, walk, filmed):
+    points, confidence = filmed.keypoints.clone(), filmed.confidence.clone()
+    points[:, 3] = torch.nan
+    confidence[:, 4, :5] = torch.inf
+    confidence[:, 5, :5] = -1.0
+    clean = filmed.confidence.clone()
+    clean[:, 3] = clean[:, 4:6, :5] = 0.0
+    seen = replace(filmed, keypoints=points, confidence=confidence)
+    found, same = evidence(seen), evidence(replace(filmed, confidence=clean))
+    assert torch.equal(found.weight, same.weight)
+    assert torch.equal(found.values * (found.weight > 0)[..., None], same.values * (same.weight > 0)[..., None])
+    fitted = testops.fit(seen, kit, schedule=QUICK)
+    assert finite(fitted) and (speed(fitted.motion) < 0.1).all()
+
+
+def test_frames_after_somebody_left_change_little_before(kit, walk, filmed, camera):
+    """Of 24 frames the last 11 are lost: the first 13 are found as in a clip that ends there; then nobody jumps."""
+    gone = torch.arange(24) > 12
+    seen = replace(filmed, confidence=torch.where(gone[:, None], 0.0, filmed.confidence))
+    fitted = testops.fit(seen, kit, schedule=QUICK)
+    short = walk.cut(0, 13)
+    alone = testops.fit(keypoints(short, camera), kit, schedule=QUICK)
+    for stage, apart in ((1, 0.03), (2, 0.03), (3, 0.08)):
+        assert (error(fitted.stages[stage].cut(0, 13), alone.stages[stage]) < apart).all()
+        assert (speed(fitted.stages[stage]) < 0.06).all()
+    assert (error(fitted.motion.cut(0, 13), short) < error(alone.motion, short) + 0.05).all()
+
+
+def test_somebody_who_walks_out_of_the_image(kit, walk, filmed):
+    """Over its edge, keypoint by keypoint: few are left after frame 11, none after frame 18. The start jumps by
+    more than a metre where a foot is all there is; stages 1 and 2 must undo that."""
+    clip = walk.clip(slice(1, 2))
+    inside = filmed.keypoints[1:, ..., 0] < 430
+    seen = replace(filmed, keypoints=filmed.keypoints[1:], confidence=torch.where(inside, filmed.confidence[1:], 0.0))
+    assert seen.confidence[0, :12].gt(0).sum(-1).min() >= 5 and not seen.confidence[0, 19:].any()
+    start = testops._start(Problem(evidence(seen), kit, RGB_LIGHT))["trans"][0, 0]
+    assert start.diff(dim=0).norm(dim=-1).max() > 1
+    fitted = testops.fit(seen, kit, schedule=Schedule(steps=(5, 10, 0)))
+    assert (speed(fitted.stages[1]) < 0.05).all() and (speed(fitted.stages[2]) < 0.04).all()
+    wrong = errors(fitted.motion, clip)[0]
+    assert wrong[:12].mean() < 0.35 and wrong[19:].max() < 0.45
+
+
+def test_somebody_who_is_a_single_point(kit, walk, filmed, camera):
+    """The body is brought behind it; how far away it is nobody knows."""
+    nose = BODY_25.index("nose")
+    only = torch.zeros(25)
+    only[nose] = 0.9
+    fitted = testops.fit(replace(filmed, confidence=only.expand_as(filmed.confidence)), kit, schedule=QUICK)
+    assert finite(fitted)
+    miss = (keypoints(fitted.motion, camera).keypoints - filmed.keypoints).norm(dim=-1)[..., nose].mean(1)
+    assert (miss < 40).all()
+    start = replace(fitted.motion, root=fitted.motion.root - fitted.motion.root[:, :1] + torch.tensor([0, 0, 0.99]))
+    assert (keypoints(start, camera).keypoints - filmed.keypoints).norm(dim=-1)[1, :, nose].mean() > 80
+
+
+def test_one_frame_seen_by_a_camera(kit, walk, camera):
+    clip = walk.cut(0, 1)
+    seen = keypoints(clip, camera)
+    fitted = testops.fit(seen, kit, schedule=QUICK)
+    assert finite(fitted)
+    assert ((keypoints(fitted.motion, camera).keypoints - seen.keypoints).norm(dim=-1).mean((1, 2)) < 6).all()
+    at_origin = [replace(m, root=torch.zeros_like(m.root)) for m in (fitted.motion, clip)]
+    assert (error(*at_origin) < 0.08).all()
