@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing import get_context
 from typing import Protocol
 
 import torch
@@ -44,18 +47,23 @@ class CaseFit:
     seconds: float
 
 
-def fit_together(seen: Mapping[str, Seen], priors: Priors, *, batch: int = 24, **how) -> dict[str, CaseFit]:
-    """Fit the clips of all cases in batches of ``batch``, whatever case they belong to; ``how`` goes to ``fit``."""
+def fit_together(
+    seen: Mapping[str, Seen], priors: Priors, *, batch: int = 24, workers: int = 1, **how
+) -> dict[str, CaseFit]:
+    """Fit the clips of all cases in batches of at most ``batch``, whatever case they belong to, in as many processes.
+
+    how: goes to ``fit``.
+    """
     names = list(seen)
     counts = [len(seen[n].cameras) for n in names]
     keypoints = torch.cat([seen[n].observation.keypoints for n in names])
     confidence = torch.cat([seen[n].observation.confidence for n in names])
     cameras = [camera for n in names for camera in seen[n].cameras]
-    like, found = seen[names[0]].observation, []
-    for start in range(0, len(cameras), batch):
-        part = slice(start, start + batch)
-        observation = replace(like, keypoints=keypoints[part], confidence=confidence[part])
-        found.append(fit(observation, priors, cameras=cameras[part], **how))
+    size = min(batch, -(-len(cameras) // workers))
+    parts = [slice(start, start + size) for start in range(0, len(cameras), size)]
+    like = seen[names[0]].observation
+    observations = [replace(like, keypoints=keypoints[part], confidence=confidence[part]) for part in parts]
+    found = _fits(observations, [cameras[part] for part in parts], partial(fit, priors=priors, **how), workers)
     stages = {stage: _joined([f.stages[stage] for f in found]) for stage in found[0].stages}
     contacts, betas = torch.cat([f.contacts for f in found]), torch.cat([f.betas for f in found])
     cameras, each = [c for f in found for c in f.cameras], sum(map(seconds, found)) / len(cameras)
@@ -67,6 +75,18 @@ def fit_together(seen: Mapping[str, Seen], priors: Priors, *, batch: int = 24, *
         )
         for n, count, end in zip(names, counts, ends, strict=True)
     }  # fmt: skip
+
+
+def _fits(
+    observations: Sequence[Observation2D], cameras: Sequence[Sequence[Camera]], one: Callable, workers: int
+) -> list[Fitted]:
+    """``one`` fit after the other, or so many at a time, each in a process of its own with one thread."""
+    if workers == 1:
+        return [one(seen, cameras=some) for seen, some in zip(observations, cameras, strict=True)]
+    spawn = get_context("spawn")
+    with ProcessPoolExecutor(workers, spawn, torch.set_num_threads, (1,)) as pool:
+        jobs = [pool.submit(one, seen, cameras=some) for seen, some in zip(observations, cameras, strict=True)]
+        return [job.result() for job in jobs]
 
 
 def seconds(fitted: Fitted) -> float:
@@ -124,11 +144,14 @@ def stage_2_rows(
     *,
     smoothness: Sequence[float] = (100.0, 25.0, 6.0, 1.5),
     filters: Sequence[int] = (0, 5, 9, 15),
+    workers: int = 1,
 ) -> list[dict[str, float]]:
     """Stage 2 at its best: mean errors over practice scenes (with ``truth`` and ``seen``) by weight and filter."""
     rows, names = [], ("all", "legs", "world", "acceleration")
     for weight in smoothness:
-        tried = fit_together(practice, priors, schedule=two_stages(schedule), weights=smooth(weight), batch=80)
+        tried = fit_together(
+            practice, priors, schedule=two_stages(schedule), weights=smooth(weight), batch=80, workers=workers
+        )
         for window in filters:
             found = [scores(smoothed(tried[n].stages[2], window), s.truth, s.seen) for n, s in practice.items()]
             mean = {name: torch.cat([each[name] for each in found]).nanmean().item() for name in names}

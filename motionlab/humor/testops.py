@@ -59,8 +59,8 @@ class Schedule:
 
     @classmethod
     def lean(cls) -> Schedule:
-        """What lean mode needs, with its start near the goal and its rounder coordinates: about a quarter."""
-        return cls(steps=(5, 10, 24), refine=(1, 3))
+        """What lean mode needs, with its start near the goal and its rounder coordinates: less than half."""
+        return cls(steps=(5, 10, 36), refine=(1, 3))
 
     @classmethod
     def official(cls, *, keypoints: bool) -> Schedule:
