@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from data_synth import scenes
-from motionlab.humor import case_trials
+from motionlab.humor import case_trials, priors
+from motionlab.humor.testops import Schedule
 
 
 @pytest.fixture(scope="module")
@@ -71,3 +72,39 @@ def test_later_error_looks_after_the_gap(filmed):
     assert before.abs().max() < 1e-3 and (after - 5).abs().max() < 1e-3
     assert (case_trials.later_error(fit, truth, [58, 59])[1] - 5).abs().max() < 1e-3
     assert case_trials.later_error(fit, truth, [0])[0].isnan().all()
+
+
+def test_smoothing_keeps_what_is_smooth_and_takes_noise_away(filmed):
+    motion = filmed["easy"].truth
+    assert case_trials.smoothed(motion, 0) is motion
+    time = torch.arange(60) / 30
+    fall = replace(motion, root=(time.square()[:, None] * torch.tensor([0.3, -0.2, 0.1])).expand(3, 60, 3))
+    assert (case_trials.smoothed(fall, 9).root - fall.root).abs().max() < 1e-4  # a parabola, to a parabola's filter
+    shaken = replace(
+        motion, root=motion.root + 0.02 * torch.randn(3, 60, 3, generator=torch.Generator().manual_seed(0))
+    )
+    before, after = ((m.root - motion.root).norm(dim=-1).mean() for m in (shaken, case_trials.smoothed(shaken, 9)))
+    assert after < 0.6 * before
+    turned = case_trials.smoothed(motion, 5).rot
+    assert (turned @ turned.mT - torch.eye(3)).abs().max() < 1e-5
+
+
+def test_two_processes_find_what_one_finds(filmed):
+    how = {"schedule": Schedule(steps=(1, 1, 0), inner=3)}
+    seen = {"dance": filmed["dance"]}
+    one, two = (case_trials.fit_together(seen, priors.load(), workers=n, **how)["dance"] for n in (1, 2))
+    assert (one.stages[2].positions - two.stages[2].positions).norm(dim=-1).max() < 1e-3
+
+
+def test_stage_2_is_tried_with_every_weight_and_filter(filmed, monkeypatch):
+    tried = []
+
+    def noted(seen, priors, *, schedule, weights, **how):
+        tried.append(weights.joints3d_smooth)
+        return {name: SimpleNamespace(stages={2: scene.truth}) for name, scene in seen.items()}
+
+    monkeypatch.setattr(case_trials, "fit_together", noted)
+    rows = case_trials.stage_2_rows(filmed, None, Schedule(), smoothness=(7.0, 3.0), filters=(0, 15))
+    assert tried == [(7.0, 7.0, 0.0), (3.0, 3.0, 0.0)]
+    assert [row["filter, frames"] for row in rows] == [0, 15, 0, 15]
+    assert rows[0]["all"] < 1e-3 < rows[1]["all"]  # the truth, and the truth blurred

@@ -4,6 +4,7 @@ The ratio counts evaluations of the energy until the lean search's energy is rea
 """
 
 import time
+from functools import partial
 
 import torch
 
@@ -33,7 +34,8 @@ def main() -> None:
     moving = ("trans", "orient", "latent", "betas")
     _, rounder = stages.stage_1_and_2(problem, unknown, 2, steps=10, inner=20, tolerance=1e-4)
     steps = CEILING * 4 // 5 // 20
-    _, plain = stages.search(lambda at: stages.pose_terms(problem, at, 2), unknown, moving, steps=steps, inner=20)
+    terms = partial(stages.pose_terms, stage=2)
+    _, plain = stages.search(terms, problem, unknown, moving, steps=steps, inner=20)
     for clip in range(CLIPS):
         goal = rounder.energy[clip] * 1.01
         ours, theirs = ((each.history[:, clip] <= goal).nonzero() for each in (rounder, plain))
