@@ -12,8 +12,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from motionlab import rotation
-from motionlab.baselines import savitzky_golay
+from motionlab.baselines import savitzky_golay, smooth
 from motionlab.contact import with_contacts
 from motionlab.humor import cases
 from motionlab.humor.priors import Priors
@@ -129,12 +128,8 @@ def scores(motion: Motion, truth: Motion, seen: Tensor) -> dict[str, Tensor]:
 
 
 def smoothed(motion: Motion, window: int, degree: int = 2) -> Motion:
-    """Root and rotations (as 6 numbers) through a Savitzky-Golay filter of ``window`` frames; 0: as it is."""
-    if not window:
-        return motion
-    sixd = savitzky_golay(rotation.matrix_to_sixd(motion.rot).flatten(-2), window, degree).unflatten(-1, (-1, 6))
-    root = savitzky_golay(motion.root, window, degree)
-    return replace(motion, root=root, rot=rotation.sixd_to_matrix(sixd), contacts=None)
+    """Root and rotations through a Savitzky-Golay filter of ``window`` frames; 0: as it is."""
+    return smooth(motion, lambda x: savitzky_golay(x, window, degree)) if window else motion
 
 
 def stage_2_rows(
@@ -150,7 +145,7 @@ def stage_2_rows(
     rows, names = [], ("all", "legs", "world", "acceleration")
     for weight in smoothness:
         tried = fit_together(
-            practice, priors, schedule=two_stages(schedule), weights=smooth(weight), batch=80, workers=workers
+            practice, priors, schedule=two_stages(schedule), weights=with_smoothness(weight), batch=80, workers=workers
         )
         for window in filters:
             found = [scores(smoothed(tried[n].stages[2], window), s.truth, s.seen) for n, s in practice.items()]
@@ -164,7 +159,7 @@ def two_stages(schedule: Schedule) -> Schedule:
     return replace(schedule, steps=(*schedule.steps[:2], 0))
 
 
-def smooth(weight: float) -> Weights:
+def with_smoothness(weight: float) -> Weights:
     """The official weights for keypoints with another smoothness in stages 1 and 2."""
     return replace(RGB, joints3d_smooth=(weight, weight, 0.0))
 
