@@ -47,6 +47,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.partial_fit": 6,
     # models
     "motionlab.humor": 6.7,
+    "motionlab.diffusion": 6.8,
     # showing
     "motionlab.viz": 7,
     "motionlab.notebook": 8,
