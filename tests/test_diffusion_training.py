@@ -4,6 +4,7 @@ import json
 import math
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -326,18 +327,19 @@ def test_two_processes_train_as_one(data, tmp_path):
     pytest.importorskip("accelerate")
     keep, given, recipe = tmp_path / "run.pt", tmp_path / "given.pt", replace(SMALL, dropout=0.0)
     torch.save({"data": vars(data), "recipe": asdict(recipe), "tiny": TINY}, given)
-    rendezvous = f"{29000 + os.getpid() % 2000}"
-    children = [
-        subprocess.Popen(
-            [sys.executable, "-c", PROCESS, given, keep],
-            env=os.environ | {
-                "OMP_NUM_THREADS": "1", "WORLD_SIZE": "2", "RANK": str(rank), "LOCAL_RANK": str(rank),
-                "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": rendezvous, "ACCELERATE_USE_CPU": "1",
-            },
-        )
-        for rank in range(2)
-    ]  # fmt: skip
-    assert [child.wait(timeout=120) for child in children] == [0, 0]
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    meet = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": f"{port}", "ACCELERATE_USE_CPU": "1"}
+    call = [sys.executable, "-c", PROCESS, given, keep]
+    ranks = [meet | {"RANK": rank, "LOCAL_RANK": rank, "OMP_NUM_THREADS": "1"} for rank in "01"]
+    children = [subprocess.Popen(call, env=os.environ | rank) for rank in ranks]
+    try:
+        assert [child.wait(timeout=240) for child in children] == [0, 0]
+    finally:
+        for child in children:
+            child.kill()
+            child.wait()
     one, two = training.Training(recipe, data).run(until=3), training.resume(keep, data)
     assert two.step == 3
     for name, value in one.average.items():
