@@ -147,6 +147,15 @@ def test_manifolds_agree_with_loops(k):
     assert (crowd.density, crowd.coverage) == pytest.approx(naive_density_coverage(x.tolist(), y.tolist(), k))
 
 
+def test_manifolds_by_hand_on_the_edge_of_a_ball():
+    """Real samples 0..4 on a line, k = 1: every ball has radius 1. Precision counts the edge, density does not."""
+    real = torch.arange(5.0)[:, None]
+    fake = torch.tensor([[1.0], [-1.0], [5.5]])
+    assert g.precision_recall(fake, real, 1).precision == pytest.approx(2 / 3)
+    crowd = g.density_coverage(fake, real, 1)
+    assert (crowd.density, crowd.coverage) == pytest.approx((1 / 3, 1 / 5))  # only 1 lies inside a ball, its own
+
+
 def test_equal_sets_score_one_and_disjoint_sets_zero():
     x = normal(80, 4, 3)
     far = x + 1000
