@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import DataError, ShapeError
-from motionlab.frames import stuck_root
-from motionlab.motion import Motion, mirror, windows
+from motionlab.frames import heading_frame, world_to_local_positions
+from motionlab.motion import Motion, mirror
 
 
 class Memorisation(NamedTuple):
@@ -105,16 +105,18 @@ def nearest_windows(
             raise ShapeError(f"library[{k}] {motion.name}: expected one recording with the queries' joints and rate")
     if not any(motion.frames >= queries.frames for motion in library):
         raise ShapeError(f"no recording of the library has the {queries.frames} frames of a query")
-    rows = [_rows(queries), _rows(mirror(queries))] if mirrored else [_rows(queries)]
+    both = [queries, mirror(queries)] if mirrored else [queries]
+    rows = [_rows(m.positions, m.root[:, 0], m.rot[:, 0, 0]) for m in both]
     count, where = len(rows[0]), []
 
     def batches() -> Iterator[tuple[Tensor, int]]:
         for k, motion in enumerate(library):
             if motion.frames < queries.frames:
                 continue
-            cuts = windows(motion, queries.frames, stride)
-            for first in range(0, len(cuts.root), batch):
-                part = _rows(cuts.clip(slice(first, first + batch)))
+            cuts = motion.positions.unfold(0, queries.frames, stride).movedim(-1, 1)  # (windows, T, J, 3), a view
+            roots, turns = (x[::stride][: len(cuts)] for x in (motion.root, motion.rot[:, 0]))
+            for first in range(0, len(cuts), batch):
+                part = _rows(*(x[first : first + batch] for x in (cuts, roots, turns)))
                 start = len(where)
                 where.extend((k, stride * (first + i)) for i in range(len(part)))
                 yield part, start
@@ -127,6 +129,7 @@ def nearest_windows(
     return Neighbours(distance / math.sqrt(size), recording, start, which == 1)
 
 
-def _rows(motion: Motion) -> Tensor:
-    """Windows (N, T) as rows (N, T J 3), metres, heading frame of the first frame."""
-    return stuck_root(motion)[0].positions.double().flatten(1)
+def _rows(positions: Tensor, root: Tensor, orientation: Tensor) -> Tensor:
+    """Windows (N, T, J, 3) as rows (N, T J 3), metres, in the heading frame of the first frame's root."""
+    frame = heading_frame(root.double(), orientation.double())
+    return world_to_local_positions(frame, positions.double().flatten(1, 2)).flatten(1)
