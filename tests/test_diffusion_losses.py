@@ -96,6 +96,20 @@ def test_every_part_is_that_of_a_loop(generator, layout, gate):
         assert value > 1e-5, name  # or the comparison says nothing
 
 
+def test_groups_count_alike_where_they_should(case):
+    estimate, truth, normaliser, bones = case
+    off = truth.clone()
+    off[..., LAYOUT.slices["root"]] += 2.0
+    plain, even = (
+        losses.compare(off, truth, LAYOUT, normaliser, bones, parts=["simple"], even=even)["simple"].item()
+        for even in (False, True)
+    )
+    assert plain == pytest.approx(4 * 3 / LAYOUT.size) and even == pytest.approx(4 / 4)
+    means = [(estimate - truth)[..., part].square().mean().item() for part in LAYOUT.slices.values()]
+    found = losses.compare(estimate, truth, LAYOUT, normaliser, bones, parts=["simple"], even=True)
+    assert found["simple"].item() == pytest.approx(sum(means) / 4)
+
+
 def test_the_truth_costs_nothing_but_its_own_sliding(case):
     _, truth, normaliser, bones = case
     found = losses.compare(truth, truth, LAYOUT, normaliser, bones)
@@ -170,7 +184,7 @@ def test_parts_are_switched(case):
         assert set(losses.compare(estimate, truth, LAYOUT, normaliser, bones, parts=[name])) == {name}
     weights = Weights(fk=2.0, late=0.5, velocity=0.0)
     assert weights.at(0.4, LAYOUT) == {"simple": 1.0}
-    assert weights.at(0.5, LAYOUT) == {"simple": 1.0, "fk": 2.0, "contact": 30.0}
+    assert weights.at(0.5, LAYOUT) == {"simple": 1.0, "fk": 2.0, "contact": 5.0}
     assert "known" in weights.at(0.0, LAYOUT, told=True)
     assert "contact" not in weights.at(1.0, Layout(contacts=False))
 

@@ -172,8 +172,8 @@ class Training:
             estimate = self.network(xt, stamps, *told).float()
         weights = recipe.weights.at(self.step / recipe.steps, self.layout, recipe.told)
         parts = losses.compare(
-            estimate, x0, self.layout, self.normaliser, offsets, parts=weights, gate=recipe.weights.gate, known=known,
-            trust=signal if recipe.weights.by_signal else None,
+            estimate, x0, self.layout, self.normaliser, offsets, parts=weights, gate=recipe.weights.gate,
+            even=recipe.weights.even, known=known, trust=signal if recipe.weights.by_signal else None,
         )  # fmt: skip
         loss = sum(weight * parts[name] for name, weight in weights.items())
         used = self._descend(loss)
