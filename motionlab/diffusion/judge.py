@@ -18,6 +18,8 @@ from motionlab.metrics.distribution import describe
 from motionlab.metrics.generation import kid
 from motionlab.motion import Motion
 
+FARTHEST = 4.0  # deviations; what lies further counts as that, or a few odd windows decide a cubic kernel
+
 
 def features(motion: Motion) -> list[Tensor]:
     """Blocks (N, D_i) of windows (N, T): mean and deviation over time of the joints in the first frame's heading frame,
@@ -35,13 +37,14 @@ class Scaled:
     def __init__(self, real: Motion) -> None:
         blocks = features(real)
         self.mean = [x.mean(0) for x in blocks]
-        self.scale = [x.std(0).clamp(min=1e-3) * (len(blocks) * x.shape[1]) ** 0.5 for x in blocks]
+        self.scale = [x.std(0).clamp(min=1e-3) for x in blocks]
         self.real = self(real)
 
     def __call__(self, motion: Motion) -> Tensor:
         """(N, D): the kernel's x . y / D is then the mean over blocks of the mean product of standardised numbers."""
         rows = zip(features(motion), self.mean, self.scale, strict=True)
-        joined = torch.cat([(x - mean) / scale for x, mean, scale in rows], -1)
+        blocks = [((x - mean) / scale).clamp(-FARTHEST, FARTHEST) for x, mean, scale in rows]
+        joined = torch.cat([x / (len(blocks) * x.shape[1]) ** 0.5 for x in blocks], -1)
         return joined * joined.shape[1] ** 0.5
 
 
