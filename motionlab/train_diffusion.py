@@ -22,11 +22,11 @@ from motionlab.motion import Motion
 
 Motions = Mapping[str, Sequence[Motion]]  # by source
 
+_WEIGHTS = Weights(late=0.1, even=True)
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: as free, in world
 #: space. pose: single poses. told: as free, told what is known.
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
 #: would have a hundred times the gradient of all else.
-_WEIGHTS = Weights(late=0.1, even=True)
 PRESETS = {
     "free": Recipe(weights=_WEIGHTS),
     "fixed": Recipe(version="A", contacts=False, travels=False, weights=_WEIGHTS),
