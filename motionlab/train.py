@@ -9,7 +9,9 @@ from pathlib import Path
 
 import torch
 
-from motionlab import library, train_small
+from motionlab import library, train_diffusion, train_small
+from motionlab.diffusion import training as diffusion_training
+from motionlab.diffusion.denoiser import SIZES
 from motionlab.errors import DataError
 from motionlab.humor import checkpoint, examples, quality, state, training, variety
 from motionlab.humor.cvae import Cvae
@@ -17,10 +19,17 @@ from motionlab.motion import Motion
 
 
 def add_command(commands: argparse._SubParsersAction) -> None:
-    """``train humor`` and ``train small``."""
+    """``train humor``, ``train small`` and ``train diffusion``."""
     command = commands.add_parser("train", help="train a model: a checkpoint with its recipe")
-    command.add_argument("model", choices=("humor", "small"), help="transition prior; or pose and first states")
-    command.add_argument("--preset", choices=sorted(training.PRESETS), default="compact")
+    command.add_argument(
+        "model", choices=("humor", "small", "diffusion"), help="transition prior; pose and first states; denoiser"
+    )
+    command.add_argument(
+        "--preset", choices=[name for presets in _presets().values() for name in presets],
+        help="; ".join(f"{model}: {', '.join(presets)}" for model, presets in _presets().items())
+        + " (default: the first)",
+    )  # fmt: skip
+    command.add_argument("--size", choices=sorted(SIZES), help="of the denoiser (default: the preset's)")
     command.add_argument("--steps", type=_count, help="optimiser steps, the whole schedule (default: the preset's)")
     command.add_argument("--seed", type=int, help="default: 0")
     command.add_argument(
@@ -29,6 +38,10 @@ def add_command(commands: argparse._SubParsersAction) -> None:
     command.add_argument("--out", type=Path, help="default: the checkpoint that ships")
     command.add_argument("--resume", action="store_true", help="go on with a run that was stopped, as it was begun")
     command.set_defaults(run=_train)
+
+
+def _presets() -> dict[str, dict]:
+    return {"humor": training.PRESETS, "diffusion": train_diffusion.PRESETS}
 
 
 def _count(text: str) -> int:
@@ -75,14 +88,23 @@ def windows(motions: list[Motion], frames: int = 61, most: int = 48) -> tuple[to
     return torch.stack(x), torch.stack(c)
 
 
-def wanted(options: argparse.Namespace, kept: Path) -> training.Recipe:
+def wanted(options: argparse.Namespace, kept: Path) -> training.Recipe | diffusion_training.Recipe:
     """The recipe asked for; with --resume that of the kept run, whose steps and seed need not be given again.
 
     Raises:
-        DataError: the kept run is missing, damaged or of another recipe than the one asked for.
+        DataError: no such preset or size of this model; or the kept run is missing, damaged or of another recipe.
     """
-    recipe, before = training.PRESETS[options.preset], training.kept_recipe(kept) if options.resume else None
-    for name in ("steps", "seed"):
+    presets = _presets()[options.model]
+    options.preset = options.preset or next(iter(presets))
+    if options.preset not in presets:
+        raise DataError(f"{options.model} has no preset {options.preset!r}", remedy=f"choose {', '.join(presets)}")
+    read = training.kept_recipe if options.model == "humor" else diffusion_training.kept_recipe
+    recipe, before = presets[options.preset], read(kept) if options.resume else None
+    if options.size and not hasattr(recipe, "size"):
+        raise DataError(f"{options.model} has no sizes", remedy="leave --size out")
+    for name in ("steps", "seed", "size"):
+        if not hasattr(recipe, name):
+            continue
         value = getattr(options, name)
         value = getattr(before or recipe, name) if value is None else value
         recipe = replace(recipe, **{name: value})
@@ -100,9 +122,16 @@ def _train(options: argparse.Namespace) -> int:
         train_small.make_pose_prior(*split, out, seed=seed, steps=options.steps or train_small.STEPS)
         train_small.make_init_gmm(*split, out, seed=seed)
         return 0
-    out = options.out or checkpoint.SHIPPED / f"humor_{options.preset}"
+    default = next(iter(_presets()[options.model]))
+    out = options.out or checkpoint.SHIPPED / f"{options.model}_{options.preset or default}"
     kept = out.with_suffix(".partial.pt")
     recipe = wanted(options, kept)
+    if options.model == "diffusion":
+        made = f"python -m motionlab train diffusion --preset {options.preset} --size {recipe.size}"
+        made += f" --steps {recipe.steps} --seed {recipe.seed}"
+        found = found_in(options.data) if options.data else []
+        train_diffusion.make(recipe, options.data, out, kept, resume=options.resume, command=made, recordings=found)
+        return 0
     train, held = sources(options.data)
     data = examples.examples(together(train, recipe), recipe.length + 1)
     run = training.resume(kept, data) if options.resume else training.Training(recipe, data)

@@ -47,18 +47,20 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.partial_fit": 6,
     # models
     "motionlab.humor": 6.7,
+    "motionlab.diffusion": 6.8,
     # showing
     "motionlab.viz": 7,
     "motionlab.notebook": 8,
     "motionlab.doctor": 8,
     "motionlab.train_small": 7.5,
+    "motionlab.train_diffusion": 7.5,
     "motionlab.train": 8,
     "motionlab.fit": 8,
     "motionlab.execute": 8.1,
     "motionlab.report": 8.2,
     "motionlab.__main__": 9,
 }
-COMPOSERS = ("motionlab.train", "motionlab.train_small")  # where commands bring synthetic motion and models together
+COMPOSERS = ("motionlab.train", "motionlab.train_small", "motionlab.train_diffusion")  # where commands bring synthetic motion and models together
 SYNTH_CEILING = 4  # data_synth makes ground truth: it may not know a measure or a model that is judged by it
 
 

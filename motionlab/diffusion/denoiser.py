@@ -1,0 +1,147 @@
+"""The network that guesses x_0 from x_t: a transformer encoder over frames, told the step by a token of its own.
+
+Source: thesis 4.1.2, Fig. 4.2; MDM (Tevet et al. 2022), official code, unconstrained model, whose weights load by key.
+Differs, where asked: the known part of the state and its mask as further inputs (CondMDI; thesis 4.4.1).
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from motionlab.errors import DataError, ShapeError, check_shape
+
+LONGEST = 5000  # frames and steps that the table of sines holds
+
+
+def sines(count: int, size: int) -> Tensor:
+    """(count, size): sin and cos of position times 10000^(-2i / size), interleaved (Vaswani et al. 2017)."""
+    position = torch.arange(count, dtype=torch.float32)[:, None]
+    rate = torch.exp(torch.arange(0, size, 2, dtype=torch.float32) * (-math.log(10000.0) / size))
+    table = torch.zeros(count, size)
+    table[:, 0::2], table[:, 1::2] = torch.sin(position * rate), torch.cos(position * rate)
+    return table
+
+
+class _Sines(nn.Module):
+    """Adds the table to tokens (L, B, size), with dropout."""
+
+    def __init__(self, size: int, dropout: float) -> None:
+        super().__init__()
+        self.dropout = nn.Dropout(dropout)
+        self.register_buffer("pe", sines(LONGEST, size)[:, None], persistent=False)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        return self.dropout(tokens + self.pe[: len(tokens)])
+
+
+class _Step(nn.Module):
+    """The step's token (1, B, size): its row of sines through two layers."""
+
+    def __init__(self, size: int, table: _Sines) -> None:
+        super().__init__()
+        self.sequence_pos_encoder = table
+        self.time_embed = nn.Sequential(nn.Linear(size, size), nn.SiLU(), nn.Linear(size, size))
+
+    def forward(self, stamps: Tensor) -> Tensor:
+        return self.time_embed(self.sequence_pos_encoder.pe[stamps]).transpose(0, 1)
+
+
+class _In(nn.Module):
+    def __init__(self, inputs: int, size: int) -> None:
+        super().__init__()
+        self.poseEmbedding = nn.Linear(inputs, size)
+
+
+class _Out(nn.Module):
+    def __init__(self, size: int, outputs: int) -> None:
+        super().__init__()
+        self.poseFinal = nn.Linear(size, outputs)
+
+
+class Denoiser(nn.Module):
+    """features: numbers per frame. size: of a token. told: with known values and their mask as inputs.
+
+    "compact" and "thesis" sizes: ``SIZES``.
+    """
+
+    def __init__(
+        self,
+        features: int,
+        *,
+        size: int = 512,
+        layers: int = 8,
+        heads: int = 4,
+        hidden: int = 1024,
+        dropout: float = 0.1,
+        told: bool = False,
+    ) -> None:
+        super().__init__()
+        self.features, self.told = features, told
+        self.input_process = _In(features * (3 if told else 1), size)
+        self.sequence_pos_encoder = _Sines(size, dropout)
+        layer = nn.TransformerEncoderLayer(size, heads, hidden, dropout, "gelu")
+        self.seqTransEncoder = nn.TransformerEncoder(layer, layers, enable_nested_tensor=False)
+        self.embed_timestep = _Step(size, self.sequence_pos_encoder)
+        self.output_process = _Out(size, features)
+
+    def forward(self, x: Tensor, stamps: Tensor, known: Tensor | None = None, mask: Tensor | None = None) -> Tensor:
+        """Estimate (B, T, D) of x_0 from x_t (B, T, D) and steps (B,).
+
+        known (B, T, D), mask (B, T, D) or (T, D): what is known of x_0 and where (1); for a model that is told.
+
+        Raises:
+            ShapeError: another number of features, or known parts for a model that is told nothing.
+        """
+        check_shape(x, f"B T {self.features}", "x")
+        if (known is not None) != (mask is not None) or (mask is not None and not self.told):
+            raise ShapeError("known and mask belong together, and to a model that is told of them")
+        if self.told:
+            mask = torch.zeros_like(x) if mask is None else mask.to(x).expand_as(x)
+            known = torch.zeros_like(x) if known is None else known * mask
+            x = torch.cat((x, known, mask), -1)
+        tokens = torch.cat((self.embed_timestep(stamps), self.input_process.poseEmbedding(x).transpose(0, 1)))
+        return self.output_process.poseFinal(self.seqTransEncoder(self.sequence_pos_encoder(tokens))[1:]).transpose(
+            0, 1
+        )
+
+
+#: "thesis": MDM's size, which the thesis follows closely. "compact": trains on two cores.
+SIZES = {
+    "thesis": {"size": 512, "layers": 8, "heads": 4, "hidden": 1024},
+    "compact": {"size": 256, "layers": 4, "heads": 4, "hidden": 512},
+}
+
+
+def load_official(path: Path | str) -> Denoiser:
+    """The unconstrained model of the official MDM release, 25 x 6 numbers per frame.
+
+    Six numbers are the first two *rows* of a rotation there (``rotation.sixd_to_other_layout``); the last six hold the
+    translation and zeros.
+
+    Raises:
+        DataError: not such a file, or tensors with other names or shapes.
+    """
+    path = Path(path)
+    remedy = "take model*.pt of MDM's unconstrained release"
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise DataError("there is no such file", path=path, remedy=remedy) from error
+    except Exception as error:  # torch names no type for a file that is none of its own
+        message = f"not a file of plain tensors ({type(error).__name__})"
+        raise DataError(message, path=path, remedy=remedy) from error
+    content = content.get("model_avg", content.get("model", content)) if isinstance(content, dict) else {}
+    weights = {k: v for k, v in content.items() if isinstance(v, Tensor) and not k.endswith("sequence_pos_encoder.pe")}
+    try:
+        features, size = weights["output_process.poseFinal.weight"].shape
+        layers = len({k.split(".")[2] for k in weights if k.startswith("seqTransEncoder.layers.")})
+        hidden = len(weights["seqTransEncoder.layers.0.linear1.weight"])
+        model = Denoiser(features, size=size, layers=layers, hidden=hidden)
+        model.load_state_dict(weights)
+    except (KeyError, RuntimeError, ValueError) as error:
+        raise DataError(f"not MDM's tensors: {error}"[:300], path=path, remedy=remedy) from error
+    return model.eval().requires_grad_(False)

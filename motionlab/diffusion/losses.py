@@ -1,0 +1,113 @@
+"""What the denoiser is trained by: its numbers, its joints, their changes, and feet that should stand.
+
+Source: thesis Eqs. 4.8 and 4.9; MDM (Tevet et al. 2022), the contacts of the truth; EDGE (Tseng et al. 2023), contacts
+that no gradient goes through; CondMDI (Cohan et al. 2024) and thesis 4.4.1, the known area.
+Differs: ``simple`` and ``velocity`` are means over the numbers of a frame, of normalised numbers (MDM), where the
+thesis sums: 1 is a network that knows nothing. Positions are metres, not normalised values (EDGE).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.errors import check_shape
+
+GATES = ("predicted", "held", "truth")
+PARTS = ("simple", "fk", "velocity", "contact", "known")
+LATE = ("fk", "contact")
+
+
+@dataclass(frozen=True)
+class Weights:
+    """How much each part counts; 0 switches it off, and it is not computed.
+
+    fk: per square metre. contact: per square metre moved in a frame. known: only for a model that is told. late: share
+    of the steps before ``fk`` and ``contact`` count: the kinematics of a guess that is no pose yet have huge gradients.
+    gate: contacts that "predicted" (Eq. 4.9), "held" (the same, no gradient through them) or "truth" (MDM) says.
+    by_signal: fk and contact of a window count by alpha_bar of its step, as a guess from pure noise is an average of
+    poses, not a pose; not in Eq. 4.9. even: in ``simple`` every group of numbers counts alike, so that the root's place
+    is a quarter of it and not 3 numbers of 144; not in Eq. 4.8.
+    """
+
+    simple: float = 1.0
+    fk: float = 0.05
+    velocity: float = 1.0
+    contact: float = 5.0
+    known: float = 1.0
+    late: float = 0.2
+    gate: str = "predicted"
+    by_signal: bool = False
+    even: bool = False
+
+    def __post_init__(self) -> None:
+        if self.gate not in GATES:
+            raise ValueError(f"gate: expected one of {', '.join(GATES)}, got {self.gate!r}")
+        if not all(getattr(self, name) >= 0 for name in (*PARTS, "late")):
+            raise ValueError("weights: expected numbers of 0 or more")
+
+    def at(self, share: float, layout: Layout, told: bool = False) -> dict[str, float]:
+        """The parts that count after a share (0 to 1) of the steps, with their weights."""
+        off = set() if share >= self.late else set(LATE)
+        off |= (set() if layout.contacts else {"contact"}) | (set() if told else {"known"})
+        return {name: w for name in PARTS if (w := getattr(self, name)) > 0 and name not in off}
+
+
+def compare(
+    estimate: Tensor,
+    truth: Tensor,
+    layout: Layout,
+    normaliser: Normaliser,
+    offsets: Tensor,
+    *,
+    parts: Collection[str] = PARTS[:4],
+    gate: str = "predicted",
+    even: bool = False,
+    known: Tensor | None = None,
+    trust: Tensor | None = None,
+) -> dict[str, Tensor]:
+    """The named parts, each one number: a mean over windows and frames.
+
+    simple: mean square of normalised numbers. velocity: of their change between frames, root and rotations only.
+    fk: squared distance of the joints from the truth's, summed over joints, m^2. contact: squared way between frames of
+    joints that touch the floor, times how surely they do, summed over joints, m^2. known: ``simple`` where known.
+
+    Args:
+        estimate, truth: x_0 (B, T, D), normalised. offsets: (B or 1, J, 3) metres, the bodies'. gate, even: see
+            ``Weights``. known: (B, T, D) or (T, D), 1 where known. trust: (B,) what fk and contact of each window
+            count; default 1.
+    Raises:
+        ShapeError: the rows are not the layout's.
+    """
+    check_shape(estimate, f"B T {layout.size}", "estimate")
+    check_shape(truth, f"B T {layout.size}", "truth")
+    error, found = estimate - truth, {}
+    trust = torch.ones_like(error[:, 0, 0]) if trust is None else trust.to(error)
+    still = error.new_zeros(()) if error.shape[1] < 2 else None  # one frame does not move
+    if "simple" in parts:
+        groups = layout.slices.values() if even else [slice(None)]
+        found["simple"] = sum(error[..., part].square().mean() for part in groups) / len(groups)
+    if "velocity" in parts:
+        moving = error[..., : layout.slices["pose"].stop]
+        found["velocity"] = still if still is not None else moving.diff(dim=1).square().mean()
+    if "known" in parts and known is not None:
+        known = known.to(error).expand_as(error)
+        found["known"] = (known * error.square()).sum() / known.sum().clamp(min=1.0)
+    if not set(parts) & set(LATE):
+        return found
+    skeleton, rows = replace(layout.skeleton, offsets=offsets[:, None]), normaliser.undo(estimate)
+    joints = layout.decode(rows, 1.0, skeleton).positions
+    if "fk" in parts:
+        true = layout.decode(normaliser.undo(truth), 1.0, skeleton).positions
+        found["fk"] = (trust[:, None] * (joints - true).square().sum((-1, -2))).mean()
+    if "contact" in parts:
+        sure = (normaliser.undo(truth) if gate == "truth" else rows)[..., layout.slices["contacts"]]
+        sure = sure.detach() if gate == "held" else sure
+        way = joints[..., skeleton.contact_indices, :].diff(dim=1)
+        slide = (way * sure[:, :-1, :, None].clamp(0, 1)).square().sum((-1, -2))
+        found["contact"] = still if still is not None else (trust[:, None] * slide).mean()
+    return found

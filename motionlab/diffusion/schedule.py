@@ -1,0 +1,108 @@
+"""The noising process: how much of the signal is left after every step, and the Gaussians that go with it.
+
+Steps are counted from 0: step t has been noised t + 1 times, the thesis's t + 1. All tables are float64.
+
+Source: thesis Eqs. 4.1-4.7; Ho et al. 2020; Nichol and Dhariwal 2021.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import ShapeError, check_shape
+
+MOST = 0.999  # of the variance that one step may replace
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """alpha_bar (T,): share of the signal's variance left at each step, falling. stamps (T,): the step numbers that a
+    denoiser is told, those of the schedule it was trained on.
+
+    Raises:
+        ShapeError: the tables differ in length, or alpha_bar does not fall from below 1 to above 0.
+    """
+
+    alpha_bar: Tensor
+    stamps: Tensor
+
+    def __post_init__(self) -> None:
+        check_shape(self.alpha_bar, "T", "alpha_bar")
+        check_shape(self.stamps, f"{len(self.alpha_bar)}", "stamps")
+        if not ((self.alpha_bar > 0) & (self.alpha_bar < 1)).all() or (self.alpha_bar.diff() >= 0).any():
+            raise ShapeError("alpha_bar: expected numbers that fall from below 1 to above 0")
+
+    def __len__(self) -> int:
+        return len(self.alpha_bar)
+
+    @property
+    def before(self) -> Tensor:
+        """alpha_bar (T,) one step earlier; 1 before the first."""
+        return torch.cat((self.alpha_bar.new_ones(1), self.alpha_bar[:-1]))
+
+    @property
+    def alpha(self) -> Tensor:
+        """(T,): share of the variance that a step leaves."""
+        return self.alpha_bar / self.before
+
+    @property
+    def beta(self) -> Tensor:
+        """(T,): variance that a step adds, Eq. 4.1."""
+        return 1 - self.alpha
+
+    def respaced(self, count: int) -> Schedule:
+        """The same process in fewer steps: evenly spaced from the first to the last, each with its old stamp.
+
+        Source: Nichol and Dhariwal 2021, ``space_timesteps``.
+        """
+        if not 1 <= count <= len(self):
+            raise ValueError(f"count: expected 1 to {len(self)} steps, got {count}")
+        last = len(self) - 1
+        keep = torch.tensor([round(i * last / (count - 1)) for i in range(count)] if count > 1 else [last])
+        return Schedule(self.alpha_bar[keep], self.stamps[keep])
+
+    def noised(self, x0: Tensor, t: Tensor | int, noise: Tensor) -> Tensor:
+        """x_t = sqrt(alpha_bar_t) x_0 + sqrt(1 - alpha_bar_t) noise, Eq. 4.3.
+
+        Args:
+            x0, noise: (B, ...) of any unit. t: (B,) or one step for all; -1 is the clean signal.
+        """
+        a = self._at(torch.cat((self.alpha_bar, self.alpha_bar.new_ones(1))), t, x0)
+        return a.sqrt() * x0 + (1 - a).sqrt() * noise
+
+    def posterior(self, x0: Tensor, xt: Tensor, t: Tensor | int) -> tuple[Tensor, Tensor]:
+        """Mean (B, ...) and variance (broadcasting) of q(x_{t-1} | x_t, x_0), Eqs. 4.6 and 4.7."""
+        scale = 1 / (1 - self.alpha_bar)
+        towards = self._at(self.before.sqrt() * self.beta * scale, t, xt)
+        stay = self._at(self.alpha.sqrt() * (1 - self.before) * scale, t, xt)
+        return towards * x0 + stay * xt, self._at((1 - self.before) * self.beta * scale, t, xt)
+
+    def noise_of(self, x0: Tensor, xt: Tensor, t: Tensor | int) -> Tensor:
+        """The noise (B, ...) that turned x_0 into x_t."""
+        a = self._at(self.alpha_bar, t, xt)
+        return (xt - a.sqrt() * x0) / (1 - a).sqrt()
+
+    def _at(self, table: Tensor, t: Tensor | int, like: Tensor) -> Tensor:
+        """Entries t of a table, as numbers that multiply (B, ...)."""
+        values = table[torch.as_tensor(t)].to(like)
+        return values.reshape(values.shape + (1,) * (like.ndim - values.ndim)) if values.ndim else values
+
+
+def cosine(steps: int = 1000, *, s: float = 0.008, power: float = 2.0) -> Schedule:
+    """alpha_bar(u) = (f(u) / f(0)), f(u) = cos^power((u + s) / (1 + s) pi / 2), u = (t + 1) / T, Eq. 4.4.
+
+    Each step replaces at most ``MOST`` of the variance.
+
+    Source: Nichol and Dhariwal 2021, Eq. 17. Differs from the thesis, which prints the cosine without its square
+    (``power=1``): then half of the signal's amplitude is left where it should be a quarter, and noise never wins.
+    """
+    if steps < 1:
+        raise ValueError(f"steps: expected 1 or more, got {steps}")
+    u = torch.arange(steps + 1, dtype=torch.float64) / steps
+    f = ((u + s) / (1 + s) * (math.pi / 2)).cos().clamp(min=0) ** power
+    beta = (1 - f[1:] / f[:-1]).clamp(max=MOST)
+    return Schedule((1 - beta).cumprod(0), torch.arange(steps))

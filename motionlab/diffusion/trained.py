@@ -1,0 +1,177 @@
+"""A trained denoiser with all that it takes to use it, and how it lies on disk.
+
+Two files (see ``humor.checkpoint``): tensors with the normaliser's, and the recipe, which says what is built around
+them. Nothing in them is executed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields
+from functools import cache
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from motionlab.diffusion import denoiser, schedule
+from motionlab.diffusion.denoiser import Denoiser
+from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.losses import Weights
+from motionlab.diffusion.sampling import ddim, noise_like
+from motionlab.diffusion.schedule import Schedule
+from motionlab.errors import DataError, check_shape
+from motionlab.humor import checkpoint
+from motionlab.motion import Motion
+from motionlab.skeleton import Skeleton
+
+FPS = 30.0
+LEVELS = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all noising steps: where the error of x_0 is measured
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a training run depends on, with its windows.
+
+    size: of the network (``denoiser.SIZES``). frames: of a window; 1: single poses. frame, velocities, contacts,
+    travels: see ``Layout``. told: with the known area as input. version: of the synthetic corpus. copies: of every
+    motion, held otherwise (``humor.variety``). noising: steps of the schedule. steps, batch, lr: of AdamW; the rate
+    rises over ``warm_up`` steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of the
+    weights, per step. bf16: the network in bfloat16.
+    """
+
+    size: str = "compact"
+    frames: int = 60
+    frame: str = "stuck"
+    velocities: bool = False
+    contacts: bool = True
+    travels: bool = True
+    told: bool = False
+    version: str = "B"
+    mirrored: bool = True
+    copies: int = 0
+    noising: int = 1000
+    steps: int = 30_000
+    batch: int = 32
+    lr: float = 4e-4
+    warm_up: int = 500
+    clip: float = 1.0
+    average: float = 0.999
+    dropout: float = 0.1
+    bf16: bool = False
+    weights: Weights = field(default_factory=Weights)
+    seed: int = 0
+
+    @classmethod
+    def read(cls, content: dict) -> Recipe:
+        """From ``asdict``, as JSON gives it back.
+
+        Raises:
+            TypeError: names that are no part of a recipe. ValueError: values that are none.
+        """
+        if missing := {f.name for f in fields(cls)} - set(content):
+            raise ValueError(f"no {', '.join(sorted(missing))}")
+        return cls(**content | {"weights": Weights(**content["weights"])})
+
+    @property
+    def layout(self) -> Layout:
+        """The numbers of a frame."""
+        return Layout(self.frame, self.velocities, self.contacts, self.travels)
+
+    @property
+    def schedule(self) -> Schedule:
+        """The noising process."""
+        return schedule.cosine(self.noising)
+
+    def denoiser(self) -> Denoiser:
+        """A new network; its weights come from torch's global generator.
+
+        Raises:
+            ValueError: no such size.
+        """
+        if self.size not in denoiser.SIZES:
+            raise ValueError(f"size: expected one of {', '.join(denoiser.SIZES)}, got {self.size!r}")
+        return Denoiser(self.layout.size, dropout=self.dropout, told=self.told, **denoiser.SIZES[self.size])
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """denoiser: frozen. schedule: it was trained on. layout, normaliser: motions <-> its numbers (B, T, D)."""
+
+    denoiser: Denoiser
+    schedule: Schedule
+    layout: Layout
+    normaliser: Normaliser
+    recipe: Recipe
+
+    def encode(self, motion: Motion) -> Tensor:
+        """Normalised numbers (..., T, D) of a motion on the 22 joints."""
+        return self.normaliser.apply(self.layout.encode(motion))
+
+    def decode(self, x: Tensor, skeleton: Skeleton | None = None) -> Motion:
+        """The motion (..., T) of normalised numbers, on the standard body or another."""
+        return self.layout.decode(self.normaliser.undo(x), FPS, skeleton)
+
+    def noise(self, count: int, generator: torch.Generator) -> Tensor:
+        """Pure noise (count, T, D), from which a sampler starts, where the denoiser is."""
+        where = next(self.denoiser.parameters()).device
+        return noise_like(torch.zeros(count, self.recipe.frames, self.layout.size, device=where), generator)
+
+    def sample(self, count: int, generator: torch.Generator, *, steps: int = 50) -> Motion:
+        """New motions (count, T) by DDIM, on the standard body."""
+        x = ddim(self.denoiser, self.schedule.respaced(min(steps, len(self.schedule))), self.noise(count, generator))
+        return self.decode(x.cpu())
+
+    @torch.no_grad()
+    def errors(self, motion: Motion, generator: torch.Generator) -> dict[str, float]:
+        """Mean square error of x_0, normalised, of windows (B, T), at ``LEVELS`` of the noising steps; nothing told."""
+        x0, last, where = self.encode(motion), len(self.schedule) - 1, next(self.denoiser.parameters()).device
+        found = {}
+        for share in LEVELS:
+            t = torch.full((len(x0),), round(share * last))
+            xt = self.schedule.noised(x0, t, noise_like(x0, generator))
+            x = self.denoiser(xt.to(where), self.schedule.stamps[t].to(where)).cpu()
+            found[f"x0 error at t = {int(t[0])}"] = float((x - x0).square().mean())
+        return found
+
+
+def save(path: Path | str, model: Trained, about: dict, *, half: bool = False) -> None:
+    """Write ``path`` (.safetensors) and its recipe (.json), with ``about`` beside it. half: weights as float16."""
+    weights = {f"denoiser.{name}": value for name, value in model.denoiser.state_dict().items()}
+    weights = {name: value.half() if half else value for name, value in weights.items()}
+    tensors = weights | {"mean": model.normaliser.mean, "scale": model.normaliser.scale}
+    checkpoint.save(path, tensors, about | {"recipe": asdict(model.recipe)})
+
+
+def load(path: Path | str) -> Trained:
+    """A model as ``save`` wrote it, frozen, on the CPU.
+
+    Raises:
+        DataError: a file is missing, damaged or half written, does not belong to the other, or is of another model.
+    """
+    path = Path(path).with_suffix(".safetensors")
+    tensors, about = checkpoint.load(path)
+    try:
+        recipe = Recipe.read(about["recipe"])
+        with torch.random.fork_rng(devices=[]):
+            model = recipe.denoiser()
+        weights = {k.removeprefix("denoiser."): v.float() for k, v in tensors.items() if k.startswith("denoiser.")}
+        model.load_state_dict(weights)
+        normaliser = Normaliser(tensors["mean"].float(), tensors["scale"].float())
+        for x in (normaliser.mean, normaliser.scale):
+            check_shape(x, f"{recipe.layout.size}", "normaliser")
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        message = f"not a motion diffusion model ({type(error).__name__}: {error})"[:300]
+        raise DataError(message, path=path, remedy=checkpoint.REMEDY) from error
+    if not all(value.isfinite().all() for value in tensors.values()):
+        raise DataError("numbers that are not finite", path=path, remedy=checkpoint.REMEDY)
+    return Trained(model.eval().requires_grad_(False), recipe.schedule, recipe.layout, normaliser, recipe)
+
+
+@cache
+def motion_model(name: str) -> Trained:
+    """A model that ships with the project, as "diffusion_free", or lies at a path; loaded once.
+
+    Raises:
+        DataError: no such checkpoint, or damaged.
+    """
+    return load(checkpoint.SHIPPED / name if Path(name).name == name else Path(name))

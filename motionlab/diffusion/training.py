@@ -1,0 +1,281 @@
+"""Training of a denoiser: guess x_0 from x_t at a random step; resumable to the bit, on one device or several.
+
+Source: thesis 4.1.2; MDM (Tevet et al. 2022): AdamW without decay of the weights, steps drawn evenly.
+Differs: warm-up, cosine decay and clipped gradients; the model that ships is a moving average, and that of the least
+KID on held-out windows where a judge gives one (MDM: by FID, by hand; thesis: by eye); dropout follows the run's own
+generator; a batch whose gradients are not finite is skipped, and ``GIVE_UP`` of them in a row end the run.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from motionlab.diffusion import losses, masks
+from motionlab.diffusion.denoiser import Denoiser
+from motionlab.diffusion.features import Normaliser
+from motionlab.diffusion.sampling import noise_like
+from motionlab.diffusion.trained import FPS, Recipe, Trained
+from motionlab.diffusion.windows import Windows
+from motionlab.errors import DataError
+from motionlab.motion import Motion
+
+GIVE_UP = 20  # batches in a row whose gradients are not finite
+CHOOSE = "kid"  # the judge's measure that chooses the checkpoint; less is better
+MEASURED = 2000  # windows that the normaliser is measured on
+
+Judge = Callable[[Trained], dict[str, float]]
+
+
+@dataclass(eq=False)
+class Training:
+    """A run: everything that decides how it goes on.
+
+    accelerator: of ``accelerate.Accelerator``, for several processes with a device each: all draw the same batch, each
+    takes its share, and gradients are averaged; None: one process, on ``device``. curve: rows of step, loss per part
+    and measures. best: step, KID and weights of the best average so far, if a judge said. skipped, in_a_row: batches.
+    """
+
+    recipe: Recipe
+    windows: Windows
+    device: torch.device | str = "cpu"
+    accelerator: object | None = None
+    normaliser: Normaliser = field(init=False)
+    model: Denoiser = field(init=False)
+    average: dict[str, Tensor] = field(init=False)
+    curve: list[dict] = field(default_factory=list)
+    best: dict | None = None
+    step: int = 0
+    skipped: int = 0
+    in_a_row: int = 0
+
+    def __post_init__(self) -> None:
+        recipe, data = self.recipe, self.windows
+        if data.length != recipe.frames or data.fps != FPS:
+            message = f"windows of {data.length} frames at {data.fps:g} fps; expected {recipe.frames} at {FPS:g}"
+            raise DataError(message, remedy="gather windows of the recipe's length from motions at 30 fps")
+        self.rank, self.share = 0, 1
+        if self.accelerator is not None:
+            self.device = self.accelerator.device
+            self.rank, self.share = self.accelerator.process_index, self.accelerator.num_processes
+        if recipe.batch % self.share:
+            message = f"a batch of {recipe.batch} does not divide among {self.share} processes"
+            raise DataError(message, remedy="choose a multiple")
+        self.layout, self.schedule = recipe.layout, recipe.schedule
+        some = data.draw(MEASURED, torch.Generator().manual_seed(0))
+        self.normaliser = Normaliser.measure(self.layout.encode(some), self.layout)
+        self.generator = torch.Generator().manual_seed(recipe.seed)
+        self.drawn_from, self.torn = self.generator.get_state(), False
+        with self._torch_seeded(recipe.seed):
+            self.model = recipe.denoiser().to(self.device)
+        self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
+        self.optimiser = torch.optim.AdamW(self.model.parameters(), lr=recipe.lr, weight_decay=0.0)
+        self.network = self.model if self.accelerator is None else self.accelerator.prepare_model(self.model)
+
+    @property
+    def averaged(self) -> Trained:
+        """The model of averaged weights, as it is now, frozen."""
+        return self._made(self.average)
+
+    @property
+    def shipped(self) -> Trained:
+        """The averaged model of the least KID; without a judge the last."""
+        return self._made(self.best["weights"] if self.best else self.average)
+
+    def _made(self, weights: dict[str, Tensor]) -> Trained:
+        model = deepcopy(self.model).eval().requires_grad_(False)
+        model.load_state_dict(weights)
+        return Trained(model, self.schedule, self.layout, self.normaliser, self.recipe)
+
+    def run(
+        self,
+        *,
+        until: int | None = None,
+        keep: Path | None = None,
+        held: Motion | None = None,
+        judge: Judge | None = None,
+        every: int = 500,
+        judge_every: int = 2500,
+        progress: bool = False,
+    ) -> Training:
+        """Train on to the last step, or to ``until``; write the state to ``keep`` every ``every`` steps and at the end.
+
+        Args:
+            held: windows (B, T) on which the error of x_0 is measured every ``every`` steps. judge: measures of the
+                averaged model, every ``judge_every`` steps (a multiple of ``every``) and at the last step.
+        Ctrl-C keeps what was reached (between weights and their average: what was written last) and raises on.
+        """
+        last = min(self.recipe.steps, until or self.recipe.steps)
+        keep = keep if self.rank == 0 else None
+        bar = tqdm(total=self.recipe.steps, initial=self.step, disable=not progress or self.rank > 0, unit="step")
+        began = time.monotonic()
+        try:
+            while self.step < last:
+                row = self._advance()
+                bar.update()
+                if self.step % every and self.step != last:
+                    continue
+                row |= self._measured(held, judge if self.step % judge_every == 0 or self.step == last else None)
+                self.curve.append({"step": self.step, **row})
+                bar.set_postfix({name: f"{value:.3g}" for name, value in row.items() if name in ("loss", CHOOSE)})
+                if keep:
+                    self.save(keep)
+        except KeyboardInterrupt:
+            if keep and not self.torn:
+                self.generator.set_state(self.drawn_from)
+                self.save(keep)
+            raise
+        finally:
+            bar.close()
+        self.seconds = time.monotonic() - began
+        return self
+
+    def _measured(self, held: Motion | None, judge: Judge | None) -> dict[str, float]:
+        if self.rank or (held is None and judge is None):
+            return {}
+        model, row = self.averaged, {}
+        if held is not None:
+            row |= model.errors(held, torch.Generator().manual_seed(0))
+        if judge is not None:
+            row |= judge(model)
+            if row.get(CHOOSE, math.inf) < (self.best[CHOOSE] if self.best else math.inf):
+                weights = {name: value.clone() for name, value in self.average.items()}
+                self.best = {"step": self.step, CHOOSE: row[CHOOSE], "weights": weights}
+        return row
+
+    def _advance(self) -> dict[str, float]:
+        recipe = self.recipe
+        for group in self.optimiser.param_groups:
+            group["lr"] = recipe.lr * self._rate()
+        motion = self.windows.draw(recipe.batch, self.generator)
+        x0 = self.normaliser.apply(self.layout.encode(motion))
+        t = torch.randint(len(self.schedule), (recipe.batch,), generator=self.generator)
+        xt = self.schedule.noised(x0, t, noise_like(x0, self.generator))
+        signal = self.schedule.alpha_bar[t].to(x0)
+        known = masks.draw(self.layout, recipe.frames, recipe.batch, self.generator) if recipe.told else None
+        seed = int(torch.randint(2**31, (), generator=self.generator)) + self.rank
+        batch = (x0, xt, self.schedule.stamps[t], motion.skeleton.offsets[:, 0], signal, known)
+        x0, xt, stamps, offsets, signal, known = (
+            None if each is None else each[self.rank :: self.share].to(self.device) for each in batch
+        )
+        told = (x0, known) if recipe.told else ()
+        with self._torch_seeded(seed), torch.autocast(torch.device(self.device).type, torch.bfloat16, recipe.bf16):
+            estimate = self.network(xt, stamps, *told).float()
+        weights = recipe.weights.at(self.step / recipe.steps, self.layout, recipe.told)
+        parts = losses.compare(
+            estimate, x0, self.layout, self.normaliser, offsets, parts=weights, gate=recipe.weights.gate,
+            even=recipe.weights.even, known=known, trust=signal if recipe.weights.by_signal else None,
+        )  # fmt: skip
+        loss = sum(weight * parts[name] for name, weight in weights.items())
+        used = self._descend(loss)
+        self.step += 1
+        if used:
+            keep = min(recipe.average, (1 + self.step) / (10 + self.step))
+            with torch.no_grad():
+                for name, value in self.model.state_dict().items():
+                    self.average[name].lerp_(value, 1 - keep)
+        self.drawn_from, self.torn = self.generator.get_state(), False
+        row = {"loss": loss.item()} | {name: value.item() for name, value in parts.items()} if used else {}
+        return row | {"skipped": self.skipped}
+
+    def _descend(self, loss: Tensor) -> bool:
+        """One step of the optimiser; False, and nothing changed, where the gradients are not finite."""
+        self.optimiser.zero_grad()
+        loss.backward() if self.accelerator is None else self.accelerator.backward(loss)
+        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.recipe.clip)
+        self.torn = True
+        if norm.isfinite():  # of averaged gradients: all processes agree
+            self.optimiser.step()
+            self.in_a_row = 0
+            return True
+        self.skipped, self.in_a_row = self.skipped + 1, self.in_a_row + 1
+        if self.in_a_row < GIVE_UP:
+            return False
+        message = f"loss or gradients are not finite, {GIVE_UP} batches in a row"
+        raise DataError(message, place=f"step {self.step}", remedy="lower the learning rate")
+
+    def _rate(self) -> float:
+        warm = min(1.0, (self.step + 1) / max(self.recipe.warm_up, 1))
+        return warm * (0.51 + 0.49 * math.cos(math.pi * self.step / self.recipe.steps))
+
+    @contextmanager
+    def _torch_seeded(self, seed: int) -> Iterator[None]:
+        """torch's global generators, which dropout and new layers draw from, seeded here and as before behind."""
+        device = torch.device(self.device)
+        with torch.random.fork_rng(devices=[device.index or 0] if device.type == "cuda" else []):
+            torch.manual_seed(seed)
+            yield
+
+    def save(self, path: Path) -> None:
+        """Write all that ``resume`` needs, whole or not at all."""
+        path = Path(path)
+        part = path.with_name(f".{path.name}.part")
+        torch.save(
+            {
+                "recipe": asdict(self.recipe), "windows": self.windows.digest, "step": self.step, "curve": self.curve,
+                "model": self.model.state_dict(), "average": self.average, "best": self.best,
+                "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
+                "skipped": (self.skipped, self.in_a_row),
+            },
+            part,
+        )  # fmt: skip
+        part.replace(path)
+
+
+AFRESH = "start afresh, without --resume"
+
+
+def kept_recipe(path: Path | str) -> Recipe:
+    """The recipe of a saved run.
+
+    Raises:
+        DataError: the file is missing or damaged.
+    """
+    return _read(path)[0]
+
+
+def resume(
+    path: Path | str, windows: Windows, device: torch.device | str = "cpu", accelerator: object | None = None
+) -> Training:
+    """A run as it was when it was saved; it goes on as if it had never stopped.
+
+    Raises:
+        DataError: the file is missing, damaged, or was trained on other windows.
+    """
+    recipe, kept = _read(path)
+    if kept.get("windows") != windows.digest:
+        raise DataError("trained on other windows", path=path, remedy=AFRESH)
+    run = Training(recipe, windows, device, accelerator)
+    with _reading(path):
+        run.model.load_state_dict(kept["model"])
+        for name, value in kept["average"].items():
+            run.average[name].copy_(value)
+        run.optimiser.load_state_dict(kept["optimiser"])
+        run.generator.set_state(kept["generator"])
+        run.drawn_from = run.generator.get_state()
+        run.step, run.curve, run.best = kept["step"], kept["curve"], kept["best"]
+        run.skipped, run.in_a_row = kept["skipped"]
+    return run
+
+
+def _read(path: Path | str) -> tuple[Recipe, dict]:
+    with _reading(path):
+        kept = torch.load(path, map_location="cpu", weights_only=True)
+        return Recipe.read(kept["recipe"]), kept
+
+
+@contextmanager
+def _reading(path: Path | str) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:
+        raise DataError(f"not a saved run ({type(error).__name__})", path=path, remedy=AFRESH) from error

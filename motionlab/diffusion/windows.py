@@ -1,0 +1,125 @@
+"""What the denoiser learns from: windows of motions, from any frame on, and their mirror images."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import DataError, ShapeError
+from motionlab.motion import Motion, mirror
+from motionlab.retarget import retarget
+from motionlab.skeleton import STANDARD
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """All frames of many motions in one row.
+
+    root (N, 3) metres, rot (N, 22, 3, 3), contacts (N, 9) or None; offsets (C, 22, 3) metres, one body per motion;
+    clip (N,): the motion of each frame. begins (M,): the frames from which ``length`` frames lie inside one motion.
+    mirrored: every second window drawn, by chance, is seen in the mirror.
+    """
+
+    root: Tensor
+    rot: Tensor
+    contacts: Tensor | None
+    offsets: Tensor
+    clip: Tensor
+    begins: Tensor
+    length: int
+    fps: float
+    mirrored: bool = True
+
+    def draw(self, count: int, generator: torch.Generator) -> Motion:
+        """Windows (count, length) chosen evenly over all begins, each with its own body, at random in the mirror."""
+        motion = self._cut(self.begins[torch.randint(len(self.begins), (count,), generator=generator)])
+        if not self.mirrored:
+            return motion
+        flip, other = torch.rand(count, generator=generator) < 0.5, mirror(motion)
+
+        def either(a: Tensor, b: Tensor) -> Tensor:
+            return torch.where(flip.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
+
+        return replace(
+            motion,
+            skeleton=replace(motion.skeleton, offsets=either(other.skeleton.offsets, motion.skeleton.offsets)),
+            root=either(other.root, motion.root),
+            rot=either(other.rot, motion.rot),
+            contacts=None if motion.contacts is None else either(other.contacts, motion.contacts),
+        )
+
+    def evenly(self, count: int) -> Motion:
+        """At most ``count`` windows, evenly over all begins, none in the mirror: the same at every call."""
+        count = min(count, len(self.begins))
+        return self._cut(self.begins[torch.linspace(0, len(self.begins) - 1, count).round().long()])
+
+    def _cut(self, begin: Tensor) -> Motion:
+        at = begin[:, None] + torch.arange(self.length)
+        skeleton = replace(STANDARD, offsets=self.offsets[self.clip[begin]][:, None])
+        contacts = None if self.contacts is None else self.contacts[at]
+        return Motion(skeleton, self.root[at], self.rot[at], self.fps, contacts)
+
+    @property
+    def minutes(self) -> float:
+        """Of motion, without mirror images."""
+        return len(self.root) / self.fps / 60
+
+    @property
+    def digest(self) -> str:
+        """A hash of all numbers, for the recipe."""
+        whole = hashlib.sha256(repr((self.length, self.fps, self.mirrored, self.contacts is None)).encode())
+        for x in (self.root, self.rot, self.contacts, self.offsets, self.clip):
+            whole.update(b"" if x is None else x.numpy().tobytes())
+        return whole.hexdigest()[:16]
+
+
+def gather(motions: Sequence[Motion], length: int, *, mirrored: bool = True) -> Windows:
+    """Windows of ``length`` frames of motions at one frame rate, all with contacts or none; shorter ones are left out.
+
+    Raises:
+        DataError: no motion is that long; frame rates differ; some have contacts and some not; numbers are not finite.
+        ShapeError: a motion is not on the 22 joints, or has batch axes.
+    """
+    if length < 1:
+        raise ValueError(f"length: expected 1 frame or more, got {length}")
+    used = [m for m in motions if m.frames >= length]
+    if not used:
+        raise DataError(f"no motion has {length} frames", remedy="give longer motions")
+    for m in used:
+        if m.skeleton.names != STANDARD.names or m.rot.ndim != 4:
+            raise ShapeError(f"{m.name or 'motion'}: expected one clip on the 22 joints; retarget first")
+        if m.fps != used[0].fps:
+            remedy = "motion.resample brings them to one"
+            raise DataError(f"frame rates of {used[0].fps:g} and {m.fps:g}", place=m.name, remedy=remedy)
+        if (m.contacts is None) != (used[0].contacts is None):
+            remedy = "contact.with_contacts labels a motion"
+            raise DataError("some motions have contacts and some not", place=m.name, remedy=remedy)
+        if not (m.root.isfinite().all() and m.rot.isfinite().all()):
+            raise DataError("numbers that are not finite", place=m.name, remedy="leave this motion out")
+    counts = torch.tensor([m.frames for m in used])
+    starts = counts.cumsum(0) - counts
+    return Windows(
+        root=torch.cat([m.root for m in used]).float(),
+        rot=torch.cat([m.rot for m in used]).float(),
+        contacts=None if used[0].contacts is None else torch.cat([m.contacts for m in used]).float(),
+        offsets=torch.stack([m.skeleton.offsets.reshape(-1, 3) for m in used]).float(),
+        clip=torch.repeat_interleave(torch.arange(len(used)), counts),
+        begins=torch.cat([at + torch.arange(n - length + 1) for at, n in zip(starts, counts, strict=True)]),
+        length=length,
+        fps=used[0].fps,
+        mirrored=mirrored,
+    )
+
+
+def on_standard(motion: Motion) -> Motion:
+    """The motion on the standard body: retargeted with feet planted, then scaled, path and all, to its size.
+
+    Source: thesis 4.1.2: "retargeted to a standard skeleton". Contacts stay as they were labelled.
+    """
+    moved = retarget(motion, proportions="standard").motion
+    here, there = (s.offsets[s.index("left_knee")].norm() for s in (moved.skeleton, STANDARD))
+    return replace(moved, skeleton=STANDARD, root=moved.root * (there / here), contacts=motion.contacts)

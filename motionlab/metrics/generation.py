@@ -1,0 +1,269 @@
+"""How far a set of generated motions is from real ones: measures between feature tensors (N, D), in float64.
+
+Every measure tells the sizes of its sets, as most of them change with it; :func:`floor` is what sampling alone gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import DataError, ShapeError, check_shape
+
+
+class Score(NamedTuple):
+    """One measure, with what it was measured on."""
+
+    value: float
+    n: int  #: generated samples that it was computed from
+    m: int  #: real samples
+    spread: float = float("nan")  #: standard deviation over the random subsets, where there are some
+
+
+def _checked(x: Tensor, y: Tensor, least: int = 2) -> tuple[Tensor, Tensor]:
+    """Both sets in float64, of one width, with at least so many finite rows."""
+    check_shape(y, f"M {check_shape(x, 'N D', 'generated')['D']}", "real")
+    if min(len(x), len(y)) < least:
+        raise ShapeError(f"needs at least {least} samples a side, got {len(x)} generated and {len(y)} real")
+    for name, z in (("generated", x), ("real", y)):
+        if not z.isfinite().all():
+            row = int((~z.isfinite().all(-1)).nonzero()[0])
+            raise DataError("NaN or infinity", place=f"{name}, row {row}", remedy="leave that sample out and say so")
+    return x.double(), y.double()
+
+
+# ------------------------------------------------------------------------------------------------- distances
+def frechet_of_gaussians(mean: Tensor, cov: Tensor, other_mean: Tensor, other_cov: Tensor) -> float:
+    """Squared Frechet distance |m1 - m2|^2 + tr(C1 + C2 - 2 (C1 C2)^1/2) of two Gaussians; means (D,), covs (D, D).
+
+    tr (C1 C2)^1/2 is the sum of the singular values of S1 S2, S the symmetric root by eigenvalues (those that rounding
+    makes negative count as zero): it needs no inverse, so singular covariances are no special case.
+
+    Source: Heusel et al. 2017. Differs: they take scipy's sqrtm and add 1e-6 to the diagonal where it fails.
+    """
+
+    def root(c: Tensor) -> Tensor:
+        values, vectors = torch.linalg.eigh((c + c.mT) / 2)
+        return vectors * values.clamp_min(0).sqrt() @ vectors.mT
+
+    shared = torch.linalg.svdvals(root(cov) @ root(other_cov)).sum()
+    apart = (mean - other_mean).square().sum()
+    return max(0.0, (apart + cov.trace() + other_cov.trace() - 2 * shared).item())
+
+
+def frechet(generated: Tensor, real: Tensor) -> Score:
+    """Frechet distance (FID) between sets (N, D) and (M, D), in squared units of the features; grows as N shrinks.
+
+    Raises:
+        ShapeError: fewer than two samples a side, or different D. DataError: a feature is not finite.
+    """
+    x, y = _checked(generated, real)
+    moments = [part for z in (x, y) for part in (z.mean(0), z.mT.cov().reshape(z.shape[1], z.shape[1]))]
+    return Score(frechet_of_gaussians(*moments), len(x), len(y))
+
+
+def frechet_by_n(
+    generated: Tensor, real: Tensor, sizes: Sequence[int], generator: torch.Generator, draws: int = 10
+) -> list[Score]:
+    """:func:`frechet` of random subsets of each size, both sets alike: mean and spread; how much of it is small N.
+
+    Raises:
+        ShapeError: a size is below 2 or above a set, or as for :func:`frechet`.
+    """
+    if not all(2 <= size <= min(len(generated), len(real)) for size in sizes) or draws < 1:
+        raise ShapeError(f"sizes {list(sizes)}: expected 2 to {min(len(generated), len(real))}, and draws above zero")
+    scores = []
+    for size in sizes:
+        found = [frechet(_pick(generated, size, generator), _pick(real, size, generator)).value for _ in range(draws)]
+        scores.append(_summary(found, size, size))
+    return scores
+
+
+def polynomial_mmd(x: Tensor, y: Tensor) -> float:
+    """Unbiased squared MMD between (N, D) and (M, D) under k(x, y) = (x . y / D + 1)^3; may be below zero."""
+
+    def kernel(a: Tensor, b: Tensor) -> Tensor:
+        return (a @ b.mT / a.shape[1] + 1) ** 3
+
+    def within(a: Tensor) -> Tensor:
+        k = kernel(a, a)
+        return (k.sum() - k.trace()) / (len(a) * (len(a) - 1))
+
+    return (within(x) + within(y) - 2 * kernel(x, y).mean()).item()
+
+
+def kid(
+    generated: Tensor,
+    real: Tensor,
+    generator: torch.Generator,
+    *,
+    subsets: int = 100,
+    size: int = 1000,
+    replacement: bool = False,
+) -> Score:
+    """Kernel distance: mean of :func:`polynomial_mmd` over random subsets, and its spread; its mean is free of N.
+
+    Subsets have ``size`` samples, or as many as the smaller set has; where neither set leaves a choice there is one
+    subset. The score's n and m are the sets', not the subsets'.
+
+    Args:
+        replacement: draw with replacement from a set larger than ``size``, as MDM does. Pairs that were drawn twice
+            then count as similar, which biases the score upwards.
+
+    Source: Binkowski et al. 2018; constants and the replacement of MDM (``eval/unconstrained/metrics/kid.py``).
+    Raises:
+        ShapeError: fewer than two samples a side, or different D. DataError: a feature is not finite.
+    """
+    x, y = _checked(generated, real)
+    size = min(size, len(x), len(y))
+    if size < 2 or subsets < 1:
+        raise ShapeError(f"expected subsets of at least 2 samples, and at least one; got {subsets} of {size}")
+    if size == len(x) == len(y):
+        return Score(polynomial_mmd(x, y), len(x), len(y))
+    found = [polynomial_mmd(*(_pick(z, size, generator, replacement) for z in (x, y))) for _ in range(subsets)]
+    return _summary(found, len(x), len(y))
+
+
+def _pick(x: Tensor, size: int, generator: torch.Generator, replacement: bool = False) -> Tensor:
+    """Random rows; with replacement only where there is a choice, as in MDM."""
+    if replacement and size < len(x):
+        return x[torch.randint(len(x), (size,), generator=generator)]
+    return x[torch.randperm(len(x), generator=generator)[:size]]
+
+
+def _summary(found: list[float], n: int, m: int) -> Score:
+    values = torch.tensor(found, dtype=torch.float64)
+    return Score(values.mean().item(), n, m, values.std(correction=0).item())
+
+
+# ------------------------------------------------------------------------------------------------- manifolds
+class Precision(NamedTuple):
+    """Shares in 0..1 of samples that lie on the other set's manifold."""
+
+    precision: float  #: of the generated, how many lie among the real
+    recall: float  #: of the real, how many lie among the generated
+    n: int
+    m: int
+
+
+class Coverage(NamedTuple):
+    """Fidelity and variety by the manifold of the real samples alone."""
+
+    density: float  #: neighbourhoods that a generated sample lies in, over k: about 1 for equal sets, may exceed 1
+    coverage: float  #: share in 0..1 of the real neighbourhoods that hold some generated sample
+    n: int
+    m: int
+
+
+def neighbour_radii(x: Tensor, k: int) -> Tensor:
+    """Distance (N,) of each sample to its k-th nearest other one of the same set (N, D).
+
+    Raises:
+        ShapeError: not more than k samples, or k below 1.
+    """
+    if not 1 <= k < len(x):
+        raise ShapeError(f"k = {k}: expected 1 up to one less than the {len(x)} samples")
+    return _distances(x, x).fill_diagonal_(0).kthvalue(k + 1, dim=1).values
+
+
+def _distances(x: Tensor, y: Tensor) -> Tensor:
+    """Exact distances: the quick expansion of the square would part equal samples by its rounding."""
+    return torch.cdist(x, y, compute_mode="donot_use_mm_for_euclid_dist")
+
+
+def precision_recall(generated: Tensor, real: Tensor, k: int = 3) -> Precision:
+    """Share of each set inside the balls around the other's samples that reach their k-th nearest neighbour.
+
+    Compare numbers only at equal sizes: a larger set covers more. MDM takes the first min(N, M) of each.
+
+    Source: Kynkaanniemi et al. 2019, with k = 3 of MDM.
+    Raises:
+        ShapeError: not more than k samples a side, or different D. DataError: a feature is not finite.
+    """
+    x, y = _checked(generated, real)
+    between = _distances(x, y)
+    on_real = (between <= neighbour_radii(y, k)).any(1)
+    on_generated = (between <= neighbour_radii(x, k)[:, None]).any(0)
+    return Precision(on_real.double().mean().item(), on_generated.double().mean().item(), len(x), len(y))
+
+
+def density_coverage(generated: Tensor, real: Tensor, k: int = 5) -> Coverage:
+    """How crowded with generated samples the neighbourhoods of the real ones are, and how many hold any.
+
+    density = 1 / (k N) sum_ij [g_i in B(r_j)], coverage = 1 / M sum_j [some g_i in B(r_j)], where B(r_j) is the open
+    ball that reaches the k-th nearest other real sample. An outlier among the generated has no ball of its own, so
+    it cannot add to either.
+
+    Source: Naeem et al. 2020, with their k = 5.
+    Raises:
+        ShapeError: not more than k real samples, or different D. DataError: a feature is not finite.
+    """
+    x, y = _checked(generated, real)
+    inside = _distances(x, y) < neighbour_radii(y, k)
+    return Coverage(inside.sum().item() / (k * len(x)), inside.any(0).double().mean().item(), len(x), len(y))
+
+
+def diversity(x: Tensor, generator: torch.Generator | None = None, pairs: int | None = None) -> Score:
+    """Mean distance between two samples of one set (N, D): over every pair, or over some drawn with replacement.
+
+    A high number may be noise and a low one collapse: read it beside the real set's own. n is the set's size, m the
+    number of pairs.
+
+    Args:
+        pairs: as in the literature (MDM: 200); a sample may meet itself there. None: all pairs, no randomness.
+
+    Raises:
+        ShapeError: fewer than two samples. ValueError: pairs without a generator.
+    """
+    x, _ = _checked(x, x)
+    if pairs is None:
+        total = _distances(x, x).sum().item()
+        count = len(x) * (len(x) - 1)
+        return Score(total / count, len(x), count // 2)
+    if generator is None or pairs < 1:
+        raise ValueError("pairs: expected at least one, and a generator to draw them with")
+    first, second = (x[torch.randint(len(x), (pairs,), generator=generator)] for _ in range(2))
+    gaps = torch.linalg.vector_norm(first - second, dim=1)
+    return Score(gaps.mean().item(), len(x), pairs, gaps.std(correction=0).item())
+
+
+# ----------------------------------------------------------------------------------------------------- floor
+class Floor(NamedTuple):
+    """A measure between halves of one real set."""
+
+    values: Tensor  #: (draws,)
+    n: Tensor  #: (draws,) samples in the half that stood for the generated set
+    m: Tensor  #: (draws,) samples in the other
+
+
+def floor(
+    x: Tensor,
+    groups: Tensor,
+    measure: Callable[[Tensor, Tensor], float],
+    generator: torch.Generator,
+    draws: int = 20,
+) -> Floor:
+    """``measure`` between random halves of one real set (N, D), split by group: what no generator can be asked to beat.
+
+    groups (N,): the recording, or better the person, of each sample; one group never stands on both sides, as
+    windows of one recording are alike. Halves are smaller than the whole: a measure that depends on N (FID) must be
+    compared at the floor's n and m.
+
+    Raises:
+        ShapeError: fewer than two groups, groups that do not fit, or no draw. DataError: a feature is not finite.
+    """
+    x, _ = _checked(x, x)
+    check_shape(groups, f"{len(x)}", "groups")
+    names = groups.unique()
+    if len(names) < 2 or draws < 1:
+        raise ShapeError(f"floor: needs at least two groups and one draw, got {len(names)} and {draws}")
+    values, sizes = [], []
+    for _ in range(draws):
+        mine = torch.isin(groups, names[torch.randperm(len(names), generator=generator)[: len(names) // 2]])
+        values.append(float(measure(x[mine], x[~mine])))
+        sizes.append(int(mine.sum()))
+    n = torch.tensor(sizes)
+    return Floor(torch.tensor(values, dtype=torch.float64), n, len(x) - n)

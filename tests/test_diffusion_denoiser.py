@@ -1,0 +1,117 @@
+"""MDM's network: its names, its size, and a twin written with plain matrices."""
+
+import math
+
+import pytest
+import torch
+
+from motionlab.diffusion.denoiser import SIZES, Denoiser, load_official
+from motionlab.errors import DataError, ShapeError
+
+OFFICIAL = {  # names and shapes of the official unconstrained model (its tables of sines are not loaded)
+    "input_process.poseEmbedding.weight": (512, 150), "output_process.poseFinal.weight": (150, 512),
+    "seqTransEncoder.layers.7.self_attn.in_proj_weight": (1536, 512),
+    "seqTransEncoder.layers.0.self_attn.out_proj.bias": (512,), "seqTransEncoder.layers.3.linear1.weight": (1024, 512),
+    "seqTransEncoder.layers.3.linear2.weight": (512, 1024), "seqTransEncoder.layers.7.norm2.weight": (512,),
+    "embed_timestep.time_embed.0.weight": (512, 512), "embed_timestep.time_embed.2.bias": (512,),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def small():
+    torch.manual_seed(0)
+    return Denoiser(10, size=16, layers=2, heads=4, hidden=24).eval()
+
+
+def twin(model, x, t):
+    """The same by hand: attention, post-norm, gelu, one clip at a time, in float64."""
+    w = {name: value.double() for name, value in model.state_dict().items()}
+    size, heads = 16, 4
+    rate = [10000 ** (-2 * (i // 2) / size) for i in range(size)]
+
+    def sines(k):
+        return torch.tensor([math.cos(k * r) if i % 2 else math.sin(k * r) for i, r in enumerate(rate)]).double()
+
+    def linear(v, name):
+        return v @ w[f"{name}.weight"].T + w[f"{name}.bias"]
+
+    def norm(v, name):
+        v = (v - v.mean(-1, keepdim=True)) / (v.var(-1, unbiased=False, keepdim=True) + 1e-5).sqrt()
+        return v * w[f"{name}.weight"] + w[f"{name}.bias"]
+
+    step = linear(sines(int(t)), "embed_timestep.time_embed.0")
+    step = linear(step * step.sigmoid(), "embed_timestep.time_embed.2")
+    tokens = torch.cat((step[None], linear(x.double(), "input_process.poseEmbedding")))
+    tokens = tokens + torch.stack([sines(k) for k in range(len(tokens))])
+    for n in range(2):
+        at = f"seqTransEncoder.layers.{n}."
+        qkv = tokens @ w[at + "self_attn.in_proj_weight"].T + w[at + "self_attn.in_proj_bias"]
+        q, k, v = (part.reshape(len(tokens), heads, -1).transpose(0, 1) for part in qkv.chunk(3, -1))
+        seen = ((q @ k.mT / math.sqrt(size / heads)).softmax(-1) @ v).transpose(0, 1).reshape(len(tokens), -1)
+        tokens = norm(tokens + linear(seen, at + "self_attn.out_proj"), at + "norm1")
+        inner = linear(tokens, at + "linear1")
+        inner = inner * 0.5 * (1 + torch.erf(inner / math.sqrt(2)))
+        tokens = norm(tokens + linear(inner, at + "linear2"), at + "norm2")
+    return linear(tokens[1:], "output_process.poseFinal")
+
+
+def test_the_twin_agrees(small, generator):
+    x, t = torch.randn(3, 12, 10, generator=generator), torch.tensor([0, 7, 999])
+    with torch.no_grad():
+        found = small(x, t)
+    for clip, step, ours in zip(x, t, found, strict=True):
+        assert (twin(small, clip, step) - ours).abs().max() < 1e-5
+    assert (twin(small, x[0], 500) - found[0]).abs().max() > 1e-3  # the step matters
+
+
+def test_names_shapes_and_size_are_mdm_s():
+    tensors = Denoiser(150, **SIZES["thesis"]).state_dict()
+    for name, shape in OFFICIAL.items():
+        assert tuple(tensors[name].shape) == shape, name
+    assert sum(x.numel() for x in tensors.values()) == 17_501_846
+    assert not any(name.endswith("sequence_pos_encoder.pe") for name in tensors)
+
+
+@pytest.mark.parametrize("wrapped", ["model_avg", "model", None])
+def test_official_files_load(small, tmp_path, generator, wrapped):
+    weights = small.state_dict() | {"sequence_pos_encoder.pe": torch.zeros(5000, 1, 16)}
+    torch.save({wrapped: weights} if wrapped else weights, tmp_path / "model.pt")
+    model = load_official(tmp_path / "model.pt")
+    x = torch.randn(2, 5, 10, generator=generator)
+    assert torch.equal(model(x, torch.tensor([3, 4])), small(x, torch.tensor([3, 4])))
+    assert not any(p.requires_grad for p in model.parameters())
+
+
+@pytest.mark.parametrize("bad", ["missing", "text", "other", "pickle", "shape"])
+def test_other_files_do_not(small, tmp_path, bad):
+    path = tmp_path / "model.pt"
+    if bad == "text":
+        path.write_text("hello")
+    elif bad == "other":
+        torch.save({"a": torch.zeros(3)}, path)
+    elif bad == "pickle":
+        torch.save({"model": Denoiser(4, size=8, layers=1, heads=2, hidden=8)}, path)
+    elif bad == "shape":
+        weights = small.state_dict()
+        weights["seqTransEncoder.layers.1.norm1.weight"] = torch.zeros(3)
+        torch.save(weights, path)
+    with pytest.raises(DataError) as error:
+        load_official(path)
+    assert "model.pt" in str(error.value) and "unconstrained" in str(error.value)
+
+
+def test_a_model_that_is_told_reads_what_is_known(generator):
+    torch.manual_seed(1)
+    model = Denoiser(6, size=16, layers=1, heads=2, hidden=16, told=True).eval()
+    x, t = torch.randn(2, 4, 6, generator=generator), torch.tensor([1, 1])
+    mask = torch.zeros(4, 6)
+    mask[0] = 1
+    known = torch.randn(2, 4, 6, generator=generator)
+    nothing, something = model(x, t), model(x, t, known, mask)
+    assert (nothing - something).abs().max() > 1e-3
+    other = torch.where(mask.bool(), known, known + 5)  # what the mask hides is not read
+    assert torch.equal(model(x, t, other, mask), something)
+    with pytest.raises(ShapeError):
+        model(x, t, known)
+    with pytest.raises(ShapeError):
+        Denoiser(6, size=16, layers=1, heads=2, hidden=16)(x, t, known, mask)

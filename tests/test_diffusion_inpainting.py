@@ -1,0 +1,144 @@
+"""Known parts put back: what is exact, what is noised, and what the seam looks like."""
+
+import pytest
+import torch
+
+from motionlab.diffusion import inpainting, sampling
+from motionlab.diffusion.gaussian import GaussianData
+from motionlab.diffusion.schedule import cosine
+
+T = 24
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Smooth curves (T numbers, one column): the covariance of a slow random walk."""
+    at = torch.arange(T, dtype=torch.float64)
+    return GaussianData(torch.zeros(T).double(), torch.exp(-0.5 * ((at[:, None] - at) / 6) ** 2) + 1e-4 * torch.eye(T))
+
+
+@pytest.fixture(scope="module")
+def denoise(data):
+    inner = data.denoiser(SCHEDULE)
+    return lambda x, stamps: inner(x[..., 0], stamps)[..., None]
+
+
+SCHEDULE = cosine(1000).respaced(60)
+M = torch.zeros(T, 1)
+M[:8], M[-3:] = 1, 1
+
+
+def curves(data, count, generator):
+    factor = torch.linalg.cholesky(data.covariance)
+    return (torch.randn(count, T, generator=generator, dtype=torch.float64) @ factor.T)[..., None]
+
+
+def made(denoise, after, count, generator, **how):
+    x = torch.randn(count, T, 1, generator=generator, dtype=torch.float64)
+    return sampling.ddpm(denoise, SCHEDULE, x, generator, after=after, **how)
+
+
+def test_the_known_part_is_noised_to_the_step_before(generator):
+    """Eq. 4.10: mean and spread of what is put back behind step t are those of x_{t-1}."""
+    known = torch.full((20_000, T, 1), 2.0, dtype=torch.float64)
+    after = inpainting.overwrite(SCHEDULE, known, M, generator)
+    for t in (1, 30, 59):
+        x = after(torch.full_like(known, -7.0), known, t)
+        a = SCHEDULE.alpha_bar[t - 1]
+        assert x[:, 0].mean() == pytest.approx(2 * a.sqrt().item(), abs=0.03)
+        assert x[:, 0].std() == pytest.approx((1 - a).sqrt().item(), abs=0.03)
+        assert (x[:, 12] == -7).all()
+    assert torch.equal(after(torch.zeros_like(known), known, 0)[:, :8], known[:, :8])
+
+
+def test_the_last_overwrite_makes_the_seam(data, denoise, generator):
+    """With it the known frames are exact and the curve jumps; without, the other way round (thesis 4.2.2)."""
+    known = curves(data, 400, generator)
+
+    def jump(x):
+        step = x.diff(dim=1)[..., 0]
+        return step[:, 7].square().mean().sqrt() / curves(data, 400, generator).diff(dim=1).square().mean().sqrt()
+
+    exact = made(denoise, inpainting.overwrite(SCHEDULE, known, M, generator), 400, generator)
+    smooth = made(denoise, inpainting.overwrite(SCHEDULE, known, M, generator, last=False), 400, generator)
+    assert torch.equal(exact[:, :8], known[:, :8]) and (smooth[:, :8] - known[:, :8]).abs().max() > 1e-3
+    assert jump(exact) > jump(smooth)
+
+
+def test_imputed_estimates_end_exact(data, denoise, generator):
+    known = curves(data, 5, generator)
+    x = made(inpainting.imputed(denoise, known, M), None, 5, generator)
+    assert (x[:, :8] - known[:, :8]).abs().max() < 1e-12 and (x[:, 12] - known[:, 12]).abs().max() > 1e-3
+
+
+def conditional(data, known):
+    """Mean (B, T) and standard deviation (T,) of the unknown given the known, exactly."""
+    sure = M[:, 0].bool()
+    a, b = data.covariance[~sure][:, sure], data.covariance[sure][:, sure]
+    gain = a @ torch.linalg.inv(b)
+    return known[:, sure, 0] @ gain.T, (data.covariance[~sure][:, ~sure] - gain @ a.T).diagonal().clamp(min=0).sqrt()
+
+
+def test_better_ways_come_nearer_to_the_exact_conditional(data, denoise, generator):
+    """Distance of the samples' mean from the true conditional mean, over many samples of each of a few curves."""
+    known = curves(data, 6, generator).repeat_interleave(150, 0)
+    truth, _ = conditional(data, known)
+
+    def miss(x):
+        mean = x[:, ~M[:, 0].bool(), 0].reshape(6, 150, -1).mean(1)
+        return (mean - truth[::150]).square().mean().sqrt().item()
+
+    over = inpainting.overwrite(SCHEDULE, known, M, generator)
+    plain = made(denoise, over, 900, generator)
+    start = torch.randn(900, T, 1, generator=generator, dtype=torch.float64)
+    again = sampling.resampled(denoise, SCHEDULE, start, generator, after=over, times=8, jump=6)
+    guided = made(inpainting.guided(denoise, SCHEDULE, known, M, 2.0), None, 900, generator)
+    ignorant = made(denoise, None, 900, generator)
+    assert max(miss(again), miss(guided)) < 0.85 * miss(plain) < 0.7 * miss(ignorant)
+
+
+def test_resampling_once_is_ddpm(data, denoise):
+    known = curves(data, 3, torch.Generator().manual_seed(1))
+    found = []
+    for walk in (sampling.ddpm, lambda *a, **k: sampling.resampled(*a, **k, times=1, jump=5)):
+        generator = torch.Generator().manual_seed(2)
+        over = inpainting.overwrite(SCHEDULE, known, M, generator)
+        found.append(walk(denoise, SCHEDULE, torch.zeros(3, T, 1, dtype=torch.float64), generator, after=over))
+    assert torch.equal(*found)
+
+
+def test_soft_masks_fall_beside_what_is_known():
+    m = torch.zeros(10, 2)
+    m[:3, 0] = 1
+    soft = inpainting.soft(m, 3)
+    assert soft[:, 0].tolist() == pytest.approx([1, 1, 1, 0.75, 0.5, 0.25, 0, 0, 0, 0])
+    assert soft[:, 1].abs().max() == 0
+    assert torch.equal(inpainting.soft(m, 0), m)
+
+
+def test_the_finish_is_exact_and_smooth():
+    """A line, known two units higher at both ends with another slope: no jump of value or velocity anywhere."""
+    time = torch.arange(60, dtype=torch.float64)
+    x = (0.1 * time)[None, :, None]
+    known = (2 + 0.2 * time)[None, :, None]
+    m = torch.zeros(60, 1)
+    m[:10], m[-10:] = 1, 1
+    found = inpainting.offset_decay(x, known, m, 15)
+    assert torch.equal(found[:, :10], known[:, :10]) and torch.equal(found[:, -10:], known[:, -10:])
+    assert torch.equal(found[:, 26:34], x[:, 26:34])  # beyond both fades
+    bend = found.diff(n=2, dim=1).abs().max()
+    pasted = torch.where(m.bool(), known, x).diff(n=2, dim=1).abs().max()
+    assert bend < 0.25 < 2 < pasted  # six offsets over the fade squared, at most
+
+
+def test_the_finish_in_a_short_gap_and_at_one_side(generator):
+    x, known = (torch.randn(2, 20, 3, generator=generator).cumsum(1) for _ in range(2))
+    m = torch.ones(20, 3)
+    m[8:11], m[15:, 2] = 0, 0
+    found = inpainting.offset_decay(x, known, m, 10)
+    sure = m.bool().expand_as(x)
+    assert torch.equal(found[sure], known[sure]) and found.isfinite().all()
+    same = inpainting.offset_decay(known, known, m, 10)
+    assert torch.equal(same, known)
+    nothing = inpainting.offset_decay(x, known, torch.zeros(20, 3), 10)
+    assert torch.equal(nothing, x)

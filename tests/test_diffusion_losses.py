@@ -1,0 +1,199 @@
+"""Losses of the denoiser: against loops, against what is known, and with gradients that stay finite."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from motionlab import rotation
+from motionlab.diffusion import losses
+from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.losses import Weights
+from motionlab.diffusion.schedule import cosine
+from motionlab.errors import ShapeError
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, UPRIGHT
+
+LAYOUT = Layout()
+EVERYTHING = Layout(velocities=True)
+
+
+def motion(generator, count=3, frames=5):
+    rot = rotation.exp(0.3 * torch.randn(count, frames, 22, 3, generator=generator, dtype=torch.float64))
+    rot[..., 0, :, :] = UPRIGHT.double() @ rot[..., 0, :, :]
+    root = torch.randn(count, frames, 3, generator=generator, dtype=torch.float64)
+    contacts = (torch.rand(count, frames, 9, generator=generator) < 0.5).double()
+    bones = STANDARD.offsets.double() * (1 + 0.1 * torch.rand(count, 1, 22, 1, generator=generator))
+    return Motion(replace(STANDARD, offsets=bones), root, rot, 30.0, contacts)
+
+
+@pytest.fixture
+def case(generator):
+    """Estimate and truth (3, 5, D), normaliser, bones (3, 22, 3)."""
+    return make(LAYOUT, generator)
+
+
+def make(layout, generator):
+    given = motion(generator)
+    rows = layout.encode(given)
+    normaliser = Normaliser.measure(rows, layout)
+    truth = normaliser.apply(rows)
+    estimate = truth + 0.3 * torch.randn(truth.shape, generator=generator, dtype=torch.float64)
+    return estimate, truth, normaliser, given.skeleton.offsets[:, 0]
+
+
+def joints_by_hand(row, layout, bones):
+    """Joint positions (22, 3) of one frame of plain numbers, one joint at a time."""
+    six = torch.cat((row[layout.slices["orient"]], row[layout.slices["pose"]])).reshape(22, 6)
+    places, turns = [], []
+    for j, parent in enumerate(STANDARD.parents):
+        a, b = six[j, :3], six[j, 3:]
+        x = a / a.norm()
+        y = b - (x @ b) * x
+        y = y / y.norm()
+        own = torch.stack((x, y, torch.linalg.cross(x, y)), -1)
+        turns.append(own if parent < 0 else turns[parent] @ own)
+        places.append(row[layout.slices["root"]] if parent < 0 else places[parent] + turns[parent] @ bones[j])
+    return torch.stack(places)
+
+
+def twin(estimate, truth, layout, normaliser, bones, gate, known):
+    """Eqs. 4.8 and 4.9 as they are printed, frame by frame; simple and velocity per number."""
+    parts = dict.fromkeys(losses.PARTS, 0.0)
+    (count, frames, size), asked = estimate.shape, 0
+    moving = layout.slices["pose"].stop
+    for i in range(count):
+        here, there = (x[i] * normaliser.scale + normaliser.mean for x in (estimate, truth))
+        for n in range(frames):
+            parts["simple"] += ((truth[i, n] - estimate[i, n]) ** 2).sum() / (size * frames * count)
+            off = joints_by_hand(there[n], layout, bones[i]) - joints_by_hand(here[n], layout, bones[i])
+            parts["fk"] += (off**2).sum() / (frames * count)
+            for d in range(size):
+                if known[n, d]:
+                    parts["known"] += (truth[i, n, d] - estimate[i, n, d]) ** 2
+                    asked += 1
+        for n in range(frames - 1):
+            change = (truth[i, n + 1] - truth[i, n]) - (estimate[i, n + 1] - estimate[i, n])
+            parts["velocity"] += (change[:moving] ** 2).sum() / (moving * (frames - 1) * count)
+            way = joints_by_hand(here[n + 1], layout, bones[i]) - joints_by_hand(here[n], layout, bones[i])
+            b = (there if gate == "truth" else here)[n, layout.slices["contacts"]].clamp(0, 1)
+            for c, j in enumerate(STANDARD.contact_indices):
+                parts["contact"] += ((way[j] * b[c]) ** 2).sum() / ((frames - 1) * count)
+    parts["known"] /= asked
+    return parts
+
+
+@pytest.mark.parametrize("layout", [LAYOUT, EVERYTHING], ids=["plain", "velocities"])
+@pytest.mark.parametrize("gate", losses.GATES)
+def test_every_part_is_that_of_a_loop(generator, layout, gate):
+    estimate, truth, normaliser, bones = make(layout, generator)
+    known = torch.rand(5, layout.size, generator=generator) < 0.4
+    found = losses.compare(estimate, truth, layout, normaliser, bones, parts=losses.PARTS, gate=gate, known=known)
+    wanted = twin(estimate, truth, layout, normaliser, bones, gate, known)
+    assert set(found) == set(losses.PARTS)
+    for name, value in found.items():
+        assert value.item() == pytest.approx(wanted[name].item(), rel=1e-9), name
+        assert value > 1e-5, name  # or the comparison says nothing
+
+
+def test_groups_count_alike_where_they_should(case):
+    estimate, truth, normaliser, bones = case
+    off = truth.clone()
+    off[..., LAYOUT.slices["root"]] += 2.0
+    plain, even = (
+        losses.compare(off, truth, LAYOUT, normaliser, bones, parts=["simple"], even=even)["simple"].item()
+        for even in (False, True)
+    )
+    assert plain == pytest.approx(4 * 3 / LAYOUT.size) and even == pytest.approx(4 / 4)
+    means = [(estimate - truth)[..., part].square().mean().item() for part in LAYOUT.slices.values()]
+    found = losses.compare(estimate, truth, LAYOUT, normaliser, bones, parts=["simple"], even=True)
+    assert found["simple"].item() == pytest.approx(sum(means) / 4)
+
+
+def test_the_truth_costs_nothing_but_its_own_sliding(case):
+    _, truth, normaliser, bones = case
+    found = losses.compare(truth, truth, LAYOUT, normaliser, bones)
+    assert all(found[name] == 0 for name in ("simple", "velocity", "fk"))
+    assert found["contact"] > 0
+
+
+def test_feet_that_stand_cost_nothing_and_no_contact_excuses_all(case):
+    _, truth, normaliser, bones = case
+    rows = normaliser.undo(truth)
+    standing = normaliser.apply(rows[:, :1].expand_as(rows))
+    assert losses.compare(standing, truth, LAYOUT, normaliser, bones, parts=["contact"])["contact"] == 0
+    rows[..., LAYOUT.slices["contacts"]] = 0
+    free = losses.compare(normaliser.apply(rows), truth, LAYOUT, normaliser, bones, parts=["contact"])["contact"]
+    assert free < 1e-20
+
+
+def test_a_metre_beside_the_truth_is_a_metre_for_every_joint(case):
+    _, truth, normaliser, bones = case
+    rows = normaliser.undo(truth)
+    rows[..., LAYOUT.slices["root"]] += torch.tensor([0.6, 0.0, 0.8], dtype=torch.float64)
+    off = losses.compare(normaliser.apply(rows), truth, LAYOUT, normaliser, bones)
+    assert off["fk"].item() == pytest.approx(22.0)
+    assert off["velocity"] < 1e-20  # a constant offset has no speed
+
+
+def test_the_gate_decides_what_a_gradient_may_excuse(case):
+    estimate, truth, normaliser, bones = case
+    part = LAYOUT.slices["contacts"]
+    for gate, moves in (("predicted", True), ("held", False), ("truth", False)):
+        at = estimate.clone().requires_grad_()
+        losses.compare(at, truth, LAYOUT, normaliser, bones, parts=["contact"], gate=gate)["contact"].backward()
+        assert bool((at.grad[..., part] != 0).any()) is moves, gate
+        assert (at.grad[..., LAYOUT.slices["pose"]] != 0).any()
+
+
+def test_trust_weighs_the_windows(case):
+    estimate, truth, normaliser, bones = case
+
+    def fk(trust):
+        found = losses.compare(estimate, truth, LAYOUT, normaliser, bones, trust=torch.tensor(trust))
+        return torch.stack((found["fk"], found["contact"])), found["simple"]
+
+    each = [fk([float(i == k) for i in range(3)])[0] for k in range(3)]
+    assert torch.allclose(sum(each), fk([1.0, 1.0, 1.0])[0]) and not torch.allclose(each[0], each[1])
+    assert fk([0.0, 0.0, 0.0])[1] == fk([1.0, 1.0, 1.0])[1]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_gradients_are_finite_where_nothing_is_left_of_the_signal(generator, dtype):
+    """What a network that knows nothing says at t = T: the mean, nought in plain numbers, noise; and x_T itself."""
+    _, truth, normaliser, bones = make(LAYOUT, generator)
+    truth = truth.to(dtype)
+    schedule, noise = cosine(1000), torch.randn(truth.shape, generator=generator).to(dtype)
+    nought = normaliser.apply(torch.zeros_like(truth))
+    for at in (torch.zeros_like(truth), nought, noise, schedule.noised(truth, 999, noise)):
+        at = at.clone().requires_grad_()
+        parts = losses.compare(at, truth, LAYOUT, normaliser, bones)
+        sum(parts.values()).backward()
+        assert at.grad.isfinite().all() and (at.grad != 0).any()
+
+
+def test_one_frame_does_not_move(case):
+    estimate, truth, normaliser, bones = case
+    found = losses.compare(estimate[:, :1], truth[:, :1], LAYOUT, normaliser, bones)
+    assert found["velocity"] == 0 and found["contact"] == 0 and found["fk"] > 0
+
+
+def test_parts_are_switched(case):
+    estimate, truth, normaliser, bones = case
+    for name in losses.PARTS[:4]:
+        assert set(losses.compare(estimate, truth, LAYOUT, normaliser, bones, parts=[name])) == {name}
+    weights = Weights(fk=2.0, late=0.5, velocity=0.0)
+    assert weights.at(0.4, LAYOUT) == {"simple": 1.0}
+    assert weights.at(0.5, LAYOUT) == {"simple": 1.0, "fk": 2.0, "contact": 5.0}
+    assert "known" in weights.at(0.0, LAYOUT, told=True)
+    assert "contact" not in weights.at(1.0, Layout(contacts=False))
+
+
+def test_bad_weights_and_rows_are_refused(case):
+    estimate, truth, normaliser, bones = case
+    with pytest.raises(ValueError, match="predicted"):
+        Weights(gate="guess")
+    with pytest.raises(ValueError, match="0 or more"):
+        Weights(fk=-1.0)
+    with pytest.raises(ShapeError, match="estimate"):
+        losses.compare(estimate[..., :-1], truth, LAYOUT, normaliser, bones)

@@ -1,0 +1,130 @@
+"""Samplers on data whose denoiser is exact, and beside diffusers step by step."""
+
+import pytest
+import torch
+from diffusers import DDIMScheduler, DDPMScheduler
+
+from motionlab.diffusion import sampling
+from motionlab.diffusion.gaussian import GaussianData
+from motionlab.diffusion.schedule import cosine
+
+F64 = torch.float64
+
+
+@pytest.fixture(scope="module")
+def data():
+    gen = torch.Generator().manual_seed(1)
+    a = torch.randn(5, 5, generator=gen, dtype=F64)
+    return GaussianData(torch.randn(5, generator=gen, dtype=F64), a @ a.T / 5 + 0.05 * torch.eye(5, dtype=F64))
+
+
+def noise(count, generator):
+    return torch.randn(count, 5, generator=generator, dtype=F64)
+
+
+def off(x, mean, covariance):
+    """Worst error of mean and covariance in standard errors of n samples."""
+    n, spread = len(x), covariance.diagonal().sqrt()
+    of_mean = ((x.mean(0) - mean) / spread * n**0.5).abs().max()
+    of_covariance = ((torch.cov(x.T) - covariance) / (spread[:, None] * spread) * (n / 2) ** 0.5).abs().max()
+    return max(of_mean.item(), of_covariance.item())
+
+
+def test_the_exact_denoiser_is_the_regression(data, generator):
+    """E[x_0 | x_t] by least squares on drawn pairs."""
+    schedule = cosine(100)
+    x0 = data.mean + noise(40_000, generator) @ torch.linalg.cholesky(data.covariance).T
+    xt = schedule.noised(x0, 60, noise(40_000, generator))
+    design = torch.cat((xt, torch.ones(len(xt), 1, dtype=F64)), 1)
+    fitted = design @ torch.linalg.lstsq(design, x0).solution
+    exact = data.denoiser(schedule)(xt, torch.full((len(xt),), 60))
+    assert (fitted - exact).square().mean().sqrt() < 0.02
+
+
+def test_many_steps_give_the_data_back(data):
+    mean, covariance = data.sampled(cosine(1000))
+    assert (mean - data.mean).abs().max() < 1e-6
+    assert (covariance - data.covariance).abs().max() < 0.02
+    _, few = data.sampled(cosine(1000).respaced(5))
+    assert (few - data.covariance).abs().max() > 0.1
+
+
+@pytest.mark.parametrize("steps", [50, 7])
+def test_ddpm_samples_are_distributed_as_computed(data, generator, steps):
+    schedule = cosine(1000).respaced(steps)
+    x = sampling.ddpm(data.denoiser(schedule), schedule, noise(20_000, generator), generator)
+    assert off(x, *data.sampled(schedule)) < 4.5
+    wrong = GaussianData(data.mean + 0.1, data.covariance)
+    assert off(x, *wrong.sampled(schedule)) > 6  # the control
+
+
+def test_ddpm_is_diffusers_draw_by_draw(data):
+    schedule = cosine(40)
+    denoise = data.denoiser(schedule)
+    start = noise(3, torch.Generator().manual_seed(5))
+    ours = sampling.ddpm(denoise, schedule, start, torch.Generator().manual_seed(6))
+    theirs = DDPMScheduler(
+        40,
+        trained_betas=schedule.beta.numpy(),
+        prediction_type="sample",
+        clip_sample=False,
+        variance_type="fixed_small",
+    )
+    theirs.alphas_cumprod, theirs.betas, theirs.alphas = schedule.alpha_bar, schedule.beta, schedule.alpha
+    gen, x = torch.Generator().manual_seed(6), start
+    for t in theirs.timesteps:
+        x = theirs.step(denoise(x, t.expand(3)), t, x, generator=gen).prev_sample
+    assert (ours - x).abs().max() < 1e-6
+
+
+def test_ddim_is_diffusers_step_by_step(data):
+    schedule = cosine(40)
+    denoise, start = data.denoiser(schedule), noise(3, torch.Generator().manual_seed(5))
+    theirs = DDIMScheduler(
+        40, trained_betas=schedule.beta.numpy(), prediction_type="sample", clip_sample=False, set_alpha_to_one=True
+    )
+    theirs.alphas_cumprod = schedule.alpha_bar
+    theirs.set_timesteps(40)
+    x = start
+    for t in theirs.timesteps:
+        x = theirs.step(denoise(x, t.expand(3)), t, x, eta=0.0).prev_sample
+    assert (sampling.ddim(denoise, schedule, start) - x).abs().max() < 1e-6
+
+
+def test_full_noise_ddim_has_ddpm_s_distribution(data, generator):
+    schedule = cosine(1000).respaced(30)
+    x = sampling.ddim(data.denoiser(schedule), schedule, noise(20_000, generator), generator, eta=1.0)
+    assert off(x, *data.sampled(schedule)) < 4.5
+
+
+@pytest.mark.parametrize("name", ["DPMSolverMultistepScheduler", "DDIMScheduler", "DDPMScheduler"])
+def test_any_scheduler_of_diffusers(data, generator, name):
+    """Twenty steps of each come near the data; with the estimate of another mean they come near that one."""
+    schedule = cosine(1000)
+    x = sampling.through(
+        sampling.scheduler(name, schedule), data.denoiser(schedule), noise(4000, generator), 20, generator
+    )
+    assert (x.mean(0) - data.mean).abs().max() < 0.15
+    assert (torch.cov(x.T).diagonal() / data.covariance.diagonal() - 1).abs().max() < 0.35
+
+
+def test_the_generator_decides(data):
+    schedule = cosine(20)
+    a, b, c = (
+        sampling.ddpm(data.denoiser(schedule), schedule, torch.zeros(2, 5, dtype=F64), torch.Generator().manual_seed(s))
+        for s in (1, 1, 2)
+    )
+    assert torch.equal(a, b) and not torch.equal(a, c)
+
+
+def test_a_start_in_the_middle_stays_near_what_it_got(data, generator):
+    """SDEdit: from a lightly noised signal, the same signal comes back but for that noise."""
+    schedule = cosine(1000).respaced(100)
+    x0 = data.mean + noise(500, generator) @ torch.linalg.cholesky(data.covariance).T
+    light, heavy = (
+        sampling.ddpm(
+            data.denoiser(schedule), schedule, schedule.noised(x0, t, noise(500, generator)), generator, start=t
+        )
+        for t in (5, 80)
+    )
+    assert (light - x0).square().mean() < 0.05 * (heavy - x0).square().mean()

@@ -1,0 +1,175 @@
+"""Windows that the denoiser learns from, and the masks of what it is told."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from data_synth.corpus import Recipe as Corpus
+from data_synth.corpus import perform_sequence
+from motionlab.diffusion import masks, windows
+from motionlab.diffusion.features import Layout
+from motionlab.errors import DataError, ShapeError
+from motionlab.frames import fix_root_horizontally
+from motionlab.metrics.contact import slide_in_contact_mm
+from motionlab.motion import mirror
+from motionlab.skeleton import STANDARD
+
+LAYOUT = Layout()
+
+
+@pytest.fixture(scope="module")
+def motions():
+    return [perform_sequence(Corpus(seconds=6.0, seed=3), index).motion for index in (0, 1)]
+
+
+# ------------------------------------------------------------------------------------------------- windows
+def test_windows_begin_at_every_frame_and_lie_inside_one_motion(motions):
+    data = windows.gather(motions, 20, mirrored=False)
+    assert len(data.begins) == sum(m.frames - 19 for m in motions)
+    assert torch.equal(data.clip[data.begins], data.clip[data.begins + 19])
+    every = data.evenly(10**6)
+    at = motions[0].frames - 19  # the first of the second motion
+    assert torch.equal(every.root[at], motions[1].root[:20].float())
+    assert torch.equal(every.rot[at - 1], motions[0].rot[-20:].float())
+    assert torch.equal(every.contacts[7], motions[0].contacts[7:27].float())
+    assert torch.equal(every.skeleton.offsets[at, 0], motions[1].skeleton.offsets)
+    assert data.minutes == pytest.approx(sum(m.seconds for m in motions) / 60)
+
+
+def test_half_of_what_is_drawn_is_seen_in_the_mirror(motions):
+    plain, both = (windows.gather(motions, 20, mirrored=mirrored) for mirrored in (False, True))
+    a, b = (data.draw(200, torch.Generator().manual_seed(0)) for data in (plain, both))  # the same begins
+    other = mirror(a)
+    seen = torch.tensor([torch.equal(x, y) for x, y in zip(b.root, other.root, strict=True)])
+    for x, same, turned in (
+        (b.root, a.root, other.root), (b.rot, a.rot, other.rot), (b.contacts, a.contacts, other.contacts),
+        (b.skeleton.offsets, a.skeleton.offsets, other.skeleton.offsets),
+    ):  # fmt: skip
+        assert torch.equal(x[seen], turned[seen]) and torch.equal(x[~seen], same[~seen])
+    assert 70 < seen.sum() < 130
+
+
+def test_a_draw_follows_its_generator_and_the_digest_the_numbers(motions):
+    data = windows.gather(motions, 20)
+    one, same, other = (data.draw(9, torch.Generator().manual_seed(seed)).root for seed in (1, 1, 2))
+    assert torch.equal(one, same) and not torch.equal(one, other)
+    moved = replace(motions[0], root=motions[0].root + 1e-3)
+    others = [
+        windows.gather([moved, motions[1]], 20), windows.gather(motions, 21), windows.gather(motions[:1], 20),
+        windows.gather(motions, 20, mirrored=False), windows.gather([fix_root_horizontally(m) for m in motions], 20),
+    ]  # fmt: skip
+    assert windows.gather(motions, 20).digest == data.digest
+    assert len({data.digest, *(x.digest for x in others)}) == 6
+
+
+def test_every_layout_encodes_what_is_drawn(motions, generator):
+    data = windows.gather(motions, 20)
+    drawn = data.draw(6, generator)
+    rows = LAYOUT.encode(drawn)
+    assert rows.shape == (6, 20, LAYOUT.size) and rows.isfinite().all()
+    start = rows[:, 0, LAYOUT.slices["root"]]
+    assert start[:, :2].abs().max() < 1e-5 and (start[:, 2] > 0.1).all()  # stuck to the first frame
+    assert Layout(frame="world").encode(drawn)[:, 0, :2].abs().max() > 0.1
+    fixed = windows.gather([fix_root_horizontally(m) for m in motions], 1)
+    pose = Layout(contacts=False, travels=False)
+    assert pose.encode(fixed.draw(6, generator)).shape == (6, 1, pose.size)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint", "error"),
+    [
+        (lambda m: m.cut(0, 8), "20 frames", DataError),
+        (lambda m: replace(m, root=m.root * torch.nan), "not finite", DataError),
+        (lambda m: replace(m, rot=m.rot[None], root=m.root[None], contacts=m.contacts[None]), "22 joints", ShapeError),
+    ],
+)
+def test_motions_that_cannot_be_learned_from(motions, change, complaint, error):
+    with pytest.raises(error, match=complaint):
+        windows.gather([change(motions[0])], 20)
+
+
+def test_motions_that_do_not_go_together(motions):
+    with pytest.raises(DataError, match=r"some not .*with_contacts"):
+        windows.gather([motions[0], replace(motions[1], contacts=None)], 20)
+    with pytest.raises(DataError, match="frame rates of 30 and 15"):
+        windows.gather([motions[0], motions[1].cut(step=2)], 20)
+    with pytest.raises(ValueError, match="1 frame"):
+        windows.gather(motions, 0)
+
+
+def test_on_the_standard_body_feet_stand_where_they_stood(motions):
+    joints = STANDARD.indices(["left_foot", "right_foot"])
+    feet = [STANDARD.contact_names.index(f"{side}_foot") for side in ("left", "right")]
+
+    def slide(motion):
+        return float(slide_in_contact_mm(motion.positions[:, joints], motions[1].contacts[:, feet]))
+
+    moved = windows.on_standard(motions[1])
+    assert moved.skeleton is STANDARD and torch.equal(moved.contacts, motions[1].contacts)
+    bare = replace(motions[1], skeleton=STANDARD)  # the same angles on another body: what it is better than
+    assert slide(moved) < 0.05 < 0.15 < slide(bare)
+    same = windows.on_standard(moved)
+    assert torch.allclose(same.positions, moved.positions, atol=1e-3)
+
+
+# --------------------------------------------------------------------------------------------------- masks
+def drawn(kind, generator, layout=LAYOUT, count=60, frames=20):
+    return masks.draw(layout, frames, count, generator, {kind: 1.0})
+
+
+def test_units_say_what_a_number_belongs_to():
+    layout = Layout(velocities=True)
+    owner = masks.units(layout)
+    assert owner.shape == (layout.size,)
+    assert (owner[layout.slices["root"]] == 22).all() and (owner[layout.slices["root_vel"]] == 22).all()
+    assert (owner[layout.slices["contacts"]] == 23).all()
+    for joint in (0, 5, 21):
+        mine = layout.mask(1, joints=[STANDARD.names[joint]])[0]
+        assert torch.equal(owner == joint, mine)
+
+
+def test_gaps_are_one_run_of_frames_with_something_known(generator):
+    m = drawn("gap", generator)
+    rows = m.all(-1)
+    assert torch.equal(rows, m.any(-1))  # whole frames
+    unknown = (~rows).int()
+    assert (unknown.sum(1) > 0).all() and (rows.sum(1) > 0).all()
+    edges = torch.nn.functional.pad(unknown, (1, 1)).diff(dim=1)
+    assert ((edges == 1).sum(1) == 1).all()
+    assert unknown.sum(1).min() < 6 and unknown.sum(1).max() > 14
+
+
+def test_frames_and_entries_change_from_frame_to_frame_and_joints_do_not(generator):
+    frames, entries, joints = (drawn(kind, generator) for kind in ("frames", "entries", "joints"))
+    assert torch.equal(frames.all(-1), frames.any(-1))
+    assert torch.equal(joints, joints[:, :1].expand_as(joints))
+    assert (entries != entries[:, :1]).any(-1).any(-1).float().mean() > 0.8
+    contacts = LAYOUT.slices["contacts"]
+    assert not entries[..., contacts].any() and not joints[..., contacts].any() and frames[..., contacts].any()
+    for m in (frames, entries, joints):
+        share = m.float().mean((1, 2))
+        assert share.min() < 0.25 and share.max() > 0.7
+
+
+def test_legs_are_asked_with_and_without_the_roots_place(generator):
+    m = drawn("legs", generator)
+    legs = LAYOUT.mask(20, joints=[n for n in STANDARD.names if n.endswith(("hip", "knee", "ankle", "foot"))])
+    others = LAYOUT.mask(20, groups=["orient", "pose"]) & ~legs
+    assert legs.sum() == 20 * 8 * 6 and not (m & legs).any() and (m | ~others).all()
+    root = m[..., LAYOUT.slices["root"]].all(-1).all(-1)
+    assert 10 < root.sum() < 50
+
+
+def test_kinds_come_by_their_odds_and_their_generator(generator):
+    m = masks.draw(LAYOUT, 20, 2000, generator, {"nothing": 1.0, "legs": 3.0})
+    assert m.dtype == torch.bool and (~m.any(-1).any(-1)).float().mean().item() == pytest.approx(0.25, abs=0.04)
+    one, same, other = (masks.draw(LAYOUT, 20, 30, torch.Generator().manual_seed(s)) for s in (1, 1, 2))
+    assert torch.equal(one, same) and not torch.equal(one, other)
+    assert masks.draw(LAYOUT, 1, 8, generator).shape == (8, 1, LAYOUT.size)
+
+
+@pytest.mark.parametrize("kinds", [{}, {"arms": 1.0}, {"gap": 0.0}])
+def test_unknown_kinds_are_refused(generator, kinds):
+    with pytest.raises(ValueError, match="expected odds above 0"):
+        masks.draw(LAYOUT, 20, 3, generator, kinds)

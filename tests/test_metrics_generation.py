@@ -1,0 +1,350 @@
+"""Distances, manifolds and memorisation: against loops, scipy, closed forms, and sets that are wrong on purpose."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.stats
+import torch
+
+from motionlab import rotation
+from motionlab.errors import DataError, ShapeError
+from motionlab.metrics import generation as g
+from motionlab.metrics import memorisation as mem
+from motionlab.motion import Motion, mirror, windows
+from motionlab.skeleton import STANDARD, UPRIGHT
+
+
+def seeded(seed):
+    return torch.Generator().manual_seed(seed)
+
+
+def normal(n, d, seed=0, scale=1.0, shift=0.0):
+    return scale * torch.randn(n, d, generator=seeded(seed), dtype=torch.float64) + shift
+
+
+def correlated(n, d, seed):
+    return normal(n, d, seed) @ normal(d, d, seed + 100)
+
+
+# --------------------------------------------------------------------------------------------------- Frechet
+@pytest.mark.parametrize(("n", "d"), [(200, 8), (60, 20), (30, 1)])
+def test_frechet_agrees_with_scipy(n, d):
+    x, y = correlated(n, d, 1), correlated(n + 7, d, 2) + 0.3
+    a, b = (np.atleast_2d(np.cov(z.numpy(), rowvar=False)) for z in (x, y))
+    root = scipy.linalg.sqrtm(a @ b).real
+    expected = ((x.mean(0) - y.mean(0)) ** 2).sum().item() + np.trace(a + b - 2 * root)
+    found = g.frechet(x, y)
+    assert found.value == pytest.approx(expected, rel=1e-9) and (found.n, found.m) == (n, n + 7)
+
+
+def test_frechet_of_gaussians_closed_forms():
+    mean, cov = torch.zeros(2).double(), torch.eye(2).double()
+    away = torch.tensor([3.0, 4.0]).double()
+    assert g.frechet_of_gaussians(mean, cov, away, cov) == pytest.approx(25)
+    wide = torch.diag(torch.tensor([4.0, 9.0])).double()  # (1 - 2)^2 + (1 - 3)^2
+    assert g.frechet_of_gaussians(mean, cov, mean, wide) == pytest.approx(5)
+    flat = torch.diag(torch.tensor([4.0, 0.0])).double()  # singular: (1 - 2)^2 + (1 - 0)^2
+    assert g.frechet_of_gaussians(mean, cov, mean, flat) == pytest.approx(2)
+
+
+def test_frechet_with_fewer_samples_than_features_is_zero_for_equal_sets():
+    x = correlated(20, 50, 3)
+    assert g.frechet(x, x).value < 1e-9 * x.var(0).sum().item()
+    assert g.frechet(x, x + 1).value == pytest.approx(50, rel=1e-9)
+
+
+def test_frechet_is_symmetric_and_blind_to_rotations():
+    x, y = correlated(100, 6, 4), correlated(90, 6, 5)
+    turn = torch.linalg.qr(normal(6, 6, 6)).Q
+    here = g.frechet(x, y).value
+    assert g.frechet(y, x).value == pytest.approx(here) == pytest.approx(g.frechet(x @ turn, y @ turn).value)
+    assert g.frechet(2 * x, 2 * y).value == pytest.approx(4 * here)
+
+
+def test_frechet_shrinks_with_n_towards_its_value():
+    scores = g.frechet_by_n(normal(2000, 10, 7), normal(2000, 10, 8), [25, 100, 400], seeded(9), draws=5)
+    assert scores[0].value > 3 * scores[1].value > 9 * scores[2].value > 0
+    assert [s.n for s in scores] == [25, 100, 400] and all(s.spread > 0 for s in scores)
+    with pytest.raises(ShapeError, match="sizes"):
+        g.frechet_by_n(normal(20, 3), normal(20, 3), [21], seeded(0))
+
+
+# ------------------------------------------------------------------------------------------------------- KID
+def naive_mmd(x, y):
+    def k(a, b):
+        return (sum(p * q for p, q in zip(a, b, strict=True)) / len(a) + 1) ** 3
+
+    n, m = len(x), len(y)
+    xx = sum(k(x[i], x[j]) for i in range(n) for j in range(n) if i != j) / (n * (n - 1))
+    yy = sum(k(y[i], y[j]) for i in range(m) for j in range(m) if i != j) / (m * (m - 1))
+    return xx + yy - 2 * sum(k(a, b) for a in x for b in y) / (n * m)
+
+
+def test_kid_agrees_with_loops():
+    x, y = normal(9, 4, 1), normal(7, 4, 2, shift=0.5)
+    expected = naive_mmd(x.tolist(), y.tolist())
+    assert g.polynomial_mmd(x, y) == pytest.approx(expected, rel=1e-12)
+    whole = g.kid(x[:7], y, seeded(0))
+    assert whole.value == pytest.approx(naive_mmd(x[:7].tolist(), y.tolist())) and math.isnan(whole.spread)
+
+
+def test_kid_of_shifted_gaussians_is_the_known_one():
+    # d = 1: E k(x, y) = E (xy + 1)^3 with y of mean s: 1 + 3 E xy + 3 E x^2 y^2 + E x^3 y^3, x of mean zero
+    def moments(s):
+        return s, 1 + s**2, s**3 + 3 * s
+
+    def mean_k(a, b):
+        return 1 + 3 * a[0] * b[0] + 3 * a[1] * b[1] + a[2] * b[2]
+
+    zero, shift = moments(0.0), moments(0.7)
+    truth = mean_k(zero, zero) + mean_k(shift, shift) - 2 * mean_k(zero, shift)
+    source = seeded(0)
+    sets = [torch.randn(2, 1000, 1, generator=source, dtype=torch.float64) for _ in range(20)]
+    found = [g.kid(x, y + 0.7, source, subsets=5, size=500) for x, y in sets]
+    values = np.array([score.value for score in found])
+    assert values.mean() == pytest.approx(truth, abs=3 * values.std() / math.sqrt(len(values)))
+    assert 0.1 > values.std() / math.sqrt(len(values)) / truth  # or the line before says nothing
+    assert all(score.spread > 0 and (score.n, score.m) == (1000, 1000) for score in found)
+
+
+def test_kid_is_unbiased_and_drawing_with_replacement_is_not():
+    fair, drawn, source = [], [], seeded(0)
+    for _ in range(200):
+        x, y = torch.randn(2, 30, 3, generator=source, dtype=torch.float64)
+        fair.append(g.kid(x, y, source, subsets=5, size=20).value)
+        drawn.append(g.kid(x, y, source, subsets=5, size=20, replacement=True).value)
+    error = np.std(fair) / math.sqrt(len(fair))
+    assert abs(np.mean(fair)) < 3 * error
+    assert np.mean(drawn) > np.mean(fair) + 3 * error
+    assert g.kid(x, y, seeded(0), size=40) == g.kid(x, y, seeded(0), size=40)
+
+
+# ------------------------------------------------------------------------------------------------- manifolds
+def naive_manifold(a, b, k):
+    """Share of b inside the balls around a that reach the k-th neighbour, itself counted as the 0-th."""
+    radii = [np.partition([math.dist(p, q) for q in a], k)[k] for p in a]
+    return np.mean([any(math.dist(p, q) <= r for p, r in zip(a, radii, strict=True)) for q in b])
+
+
+def naive_density_coverage(fake, real, k):
+    radii = [sorted(math.dist(p, q) for q in real)[k] for p in real]
+    inside = [[math.dist(p, f) < r for p, r in zip(real, radii, strict=True)] for f in fake]
+    density = sum(map(sum, inside)) / (k * len(fake))
+    return density, np.mean([any(row[j] for row in inside) for j in range(len(real))])
+
+
+@pytest.mark.parametrize("k", [1, 3, 5])
+def test_manifolds_agree_with_loops(k):
+    x, y = normal(40, 3, 1, scale=0.5, shift=1.0), normal(50, 3, 2)
+    found = g.precision_recall(x, y, k)
+    assert found.precision == pytest.approx(naive_manifold(y.tolist(), x.tolist(), k))
+    assert found.recall == pytest.approx(naive_manifold(x.tolist(), y.tolist(), k))
+    assert 0 < found.recall < 1 and (found.n, found.m) == (40, 50)
+    crowd = g.density_coverage(x, y, k)
+    assert (crowd.density, crowd.coverage) == pytest.approx(naive_density_coverage(x.tolist(), y.tolist(), k))
+
+
+def test_manifolds_by_hand_on_the_edge_of_a_ball():
+    """Real samples 0..4 on a line, k = 1: every ball has radius 1. Precision counts the edge, density does not."""
+    real = torch.arange(5.0)[:, None]
+    fake = torch.tensor([[1.0], [-1.0], [5.5]])
+    assert g.precision_recall(fake, real, 1).precision == pytest.approx(2 / 3)
+    crowd = g.density_coverage(fake, real, 1)
+    assert (crowd.density, crowd.coverage) == pytest.approx((1 / 3, 1 / 5))  # only 1 lies inside a ball, its own
+
+
+def test_equal_sets_score_one_and_disjoint_sets_zero():
+    x = normal(80, 4, 3)
+    far = x + 1000
+    assert g.precision_recall(x, x.clone())[:2] == (1, 1) and g.precision_recall(x, far)[:2] == (0, 0)
+    assert g.density_coverage(x, x.clone()).coverage == 1 and g.density_coverage(x, far)[:2] == (0, 0)
+    assert g.density_coverage(x, x.clone()).density == pytest.approx(1, abs=0.2)
+    turn, shift = torch.linalg.qr(normal(4, 4, 5)).Q, 7.0
+    y = normal(80, 4, 4)
+    assert g.precision_recall(3 * x @ turn + shift, 3 * y @ turn + shift) == g.precision_recall(x, y)
+
+
+def test_control_mode_collapse_costs_recall_coverage_and_diversity_but_not_precision():
+    """Half of a two-humped set is never generated."""
+    hump = torch.tensor([8.0, 0.0, 0.0])
+    real = torch.cat((normal(150, 3, 1), normal(150, 3, 2) + hump))
+    good = torch.cat((normal(150, 3, 3), normal(150, 3, 4) + hump))
+    collapsed = normal(300, 3, 5)
+    for fake, whole in ((good, True), (collapsed, False)):
+        both, crowd = g.precision_recall(fake, real), g.density_coverage(fake, real)
+        assert both.precision > 0.8
+        assert (both.recall > 0.8) == whole and (crowd.coverage > 0.8) == whole
+        assert (g.diversity(fake).value > 0.9 * g.diversity(real).value) == whole
+    assert g.precision_recall(collapsed, real).recall == pytest.approx(0.5, abs=0.06)
+
+
+def test_control_one_outlier_lifts_recall_and_not_coverage():
+    """Why both are told: a few wild generated samples cover half the space under Kynkaanniemi's recall."""
+    real, fake = normal(200, 2, 1), normal(200, 2, 2, scale=0.01)
+    wild = fake.clone()
+    wild[:4] = 50 * torch.tensor([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+    assert g.precision_recall(fake, real).recall < 0.1 and g.precision_recall(wild, real).recall > 0.9
+    assert g.density_coverage(wild, real).coverage <= g.density_coverage(fake, real).coverage
+
+
+def test_diversity_is_the_mean_distance_of_pairs():
+    x = normal(12, 3, 1)
+    pairs = [math.dist(x[i], x[j]) for i in range(12) for j in range(i)]
+    found = g.diversity(x)
+    assert found.value == pytest.approx(np.mean(pairs)) and (found.n, found.m) == (12, len(pairs))
+    drawn = g.diversity(x, seeded(0), pairs=20000)  # with replacement: one pair in twelve is a sample with itself
+    assert drawn.value == pytest.approx(found.value * 11 / 12, rel=0.02) and drawn.m == 20000
+    wide = g.diversity(normal(4000, 2, 2), seeded(1), pairs=4000).value
+    assert wide == pytest.approx(math.sqrt(math.pi), rel=0.03)  # E |N(0, 2 I_2)|
+    with pytest.raises(ValueError, match="pairs"):
+        g.diversity(x, pairs=3)
+
+
+# ----------------------------------------------------------------------------------------------------- floor
+def test_floor_is_what_halves_of_the_data_give_and_keeps_groups_whole():
+    centres = normal(12, 4, 1, scale=2).repeat_interleave(25, 0)  # twelve recordings that differ
+    x, groups = centres + 0.2 * normal(300, 4, 2), torch.arange(12).repeat_interleave(25)
+    seen = []
+
+    def measure(a, b):
+        seen.append((a, b))
+        return g.frechet(a, b).value
+
+    by_group = g.floor(x, groups, measure, seeded(3), draws=8)
+    by_window = g.floor(x, torch.arange(300), lambda a, b: g.frechet(a, b).value, seeded(3), draws=8)
+    assert by_group.values.mean() > 5 * by_window.values.mean()
+    assert set(by_group.n.tolist()) == {150} and torch.equal(by_group.n + by_group.m, torch.full((8,), 300))
+    owner = {tuple(row): group for row, group in zip(x.tolist(), groups.tolist(), strict=True)}
+    for halves in seen:
+        mine, other = ({owner[tuple(row)] for row in half.tolist()} for half in halves)
+        assert not mine & other and mine | other == set(range(12))
+    assert len({tuple(a[0].tolist()) for a, _ in seen}) > 1  # halves differ from draw to draw
+    again = g.floor(x, groups, measure, seeded(3), draws=8)
+    assert torch.equal(again.values, by_group.values)
+    with pytest.raises(ShapeError, match="two groups"):
+        g.floor(x, torch.zeros(300), measure, seeded(0))
+
+
+@pytest.mark.parametrize(
+    "measure",
+    [g.frechet, g.precision_recall, g.density_coverage, lambda x, y: g.kid(x, y, seeded(0))],
+)
+def test_bad_sets_are_refused(measure):
+    good = normal(10, 3)
+    for bad in (normal(10, 4), normal(1, 3), normal(10, 3)[0]):
+        with pytest.raises(ShapeError):
+            measure(bad, good)
+        with pytest.raises(ShapeError):
+            measure(good, bad)
+    spoilt = good.clone()
+    spoilt[4, 1] = torch.nan
+    with pytest.raises(DataError, match=r"row 4.*remedy"):
+        measure(good, spoilt)
+
+
+# ---------------------------------------------------------------------------------------------- memorisation
+def test_memorisation_agrees_with_scipy_and_loops():
+    x, y = normal(40, 1, 1)[:, 0].abs(), normal(60, 1, 2)[:, 0].abs() + 0.3
+    found = mem.memorisation(x, y)
+    wins = np.mean([(a < b) + 0.5 * (a == b) for a in x.tolist() for b in y.tolist()])
+    assert found.auc == pytest.approx(wins) and (found.n, found.m) == (40, 60)
+    assert found.ks == pytest.approx(scipy.stats.ks_2samp(x, y).statistic)
+    assert found.ratio == pytest.approx(np.median(x) / np.median(y))
+    assert found.copies == pytest.approx(np.mean(x.numpy() < np.quantile(y, 0.05)))
+    ties = mem.memorisation(torch.tensor([1.0, 1.0]), torch.tensor([1.0, 2.0]))
+    assert ties.auc == pytest.approx(0.75)
+
+
+def test_control_copies_are_flagged_and_new_samples_are_not():
+    train, held_out, new = normal(400, 5, 1), normal(200, 5, 2), normal(200, 5, 3)
+    usual, _ = mem.nearest_rows(held_out, train, batch=64)
+    fine = mem.memorisation(mem.nearest_rows(new, train)[0], usual)
+    assert 0.9 < fine.ratio < 1.1 and 0.42 < fine.auc < 0.58 and fine.copies < 0.12
+    copied = mem.memorisation(mem.nearest_rows(train[:200] + 0.01 * normal(200, 5, 4), train)[0], usual)
+    assert copied.ratio < 0.1 and copied.auc > 0.99 and copied.ks > 0.95 and copied.copies == 1
+    few = torch.cat((new[:180], train[:20]))  # one in ten: the bulk hides it, the share does not
+    some = mem.memorisation(mem.nearest_rows(few, train)[0], usual)
+    assert some.auc < 0.62 and some.copies > fine.copies + 0.07
+
+
+def test_memorisation_of_impossible_distances():
+    assert mem.memorisation(torch.ones(3), torch.zeros(3)).ratio == math.inf
+    with pytest.raises(DataError, match="generated"):
+        mem.memorisation(torch.tensor([math.nan]), torch.ones(3))
+    with pytest.raises(ShapeError):
+        mem.memorisation(torch.zeros(0), torch.ones(3))
+
+
+def test_nearest_rows_agree_with_loops_at_any_batch():
+    queries, library = normal(7, 4, 1), normal(50, 4, 2)
+    library[33] = queries[2]
+    expected = [min((math.dist(q, r), k) for k, r in enumerate(library.tolist())) for q in queries.tolist()]
+    for batch in (1, 8, 50, 4096):
+        distance, index = mem.nearest_rows(queries, library, batch)
+        assert index.tolist() == [k for _, k in expected]
+        assert distance.tolist() == pytest.approx([d for d, _ in expected]) and distance[2] == 0
+    with pytest.raises(ShapeError):
+        mem.nearest_rows(queries, library[:, :2])
+
+
+def recording(frames, seed):
+    """A body that wanders, turns and bends smoothly; every recording another one."""
+    t, source = torch.arange(frames, dtype=torch.float64) / 30, seeded(seed)
+    phase, rate = (torch.rand(22, 3, generator=source, dtype=torch.float64) for _ in range(2))
+    rot = rotation.exp(0.5 * (2 * math.pi * (phase + (0.3 + rate) * t[:, None, None])).sin())
+    rot[:, 0] = rotation.rotation_about("z", t * (1 + rate[0, 0])) @ UPRIGHT.double() @ rotation.exp(0.1 * phase[0])
+    root = torch.stack((t * rate[0, 1], (2 * t).sin() * rate[0, 2], 0.95 + 0.05 * (5 * t).sin()), -1)
+    return Motion(STANDARD.to(torch.float64), root, rot, 30.0, name=f"r{seed}")
+
+
+def placed_elsewhere(motion, angle=2.0):
+    turn = rotation.rotation_about("z", torch.tensor(angle, dtype=torch.float64))
+    rot = motion.rot.clone()
+    rot[..., 0, :, :] = turn @ rot[..., 0, :, :]
+    return replace(motion, root=motion.root @ turn.mT + torch.tensor([3.0, -4.0, 0.0]), rot=rot)
+
+
+def test_a_copied_window_is_found_at_its_shift_turned_moved_and_mirrored():
+    library = [recording(100, 1), recording(15, 2), recording(80, 3)]  # the second is shorter than a window
+    cuts = windows(library[2], 20, 1)
+    queries = replace(cuts, root=cuts.root[[7, 31]], rot=cuts.rot[[7, 31]])
+    for query, other in ((placed_elsewhere(queries), False), (placed_elsewhere(mirror(queries)), True)):
+        found = mem.nearest_windows(query, library, batch=13)
+        assert found.recording.tolist() == [2, 2] and found.start.tolist() == [7, 31]
+        assert found.mirrored.tolist() == [other, other] and found.distance.max() < 1e-9
+    blind = mem.nearest_windows(placed_elsewhere(mirror(queries)), library, mirrored=False)
+    coarse = mem.nearest_windows(queries, library, stride=10)
+    assert blind.distance.min() > 0.02 and coarse.distance.min() > 0.005 and coarse.start.remainder(10).max() == 0
+
+
+def test_nearest_windows_agree_with_loops():
+    library = [recording(40, 1), recording(33, 2)]
+    query = windows(recording(24, 5), 24, 1)
+
+    def local(motion):
+        heading = rotation.rotation_about("z", -rotation.yaw(motion.rot[0, 0]))
+        return (motion.positions - motion.root[0] * torch.tensor([1.0, 1.0, 0.0])) @ heading.mT
+
+    best = (math.inf, None, None, None)
+    for k, motion in enumerate(library):
+        for start in range(motion.frames - 23):
+            for flip in (False, True):
+                other = local(mirror(query.clip(0)) if flip else query.clip(0))
+                gap = (local(motion.cut(start, start + 24)) - other).square().sum(-1).mean().sqrt().item()
+                best = min(best, (gap, k, start, flip))
+    found = mem.nearest_windows(query, library, batch=5)
+    assert found.distance.item() == pytest.approx(best[0])
+    assert (found.recording.item(), found.start.item(), found.mirrored.item()) == best[1:]
+
+
+def test_nearest_windows_refuses_what_cannot_be_compared():
+    query, library = windows(recording(24, 5), 24, 1), [recording(40, 1)]
+    with pytest.raises(ShapeError, match="queries"):
+        mem.nearest_windows(recording(24, 5), library)
+    with pytest.raises(ShapeError, match="rate"):
+        mem.nearest_windows(query, [replace(library[0], fps=60.0)])
+    with pytest.raises(ShapeError, match="24 frames"):
+        mem.nearest_windows(query, [recording(10, 1)])
