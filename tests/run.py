@@ -9,7 +9,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent
 PYTEST = [sys.executable, "-m", "pytest", "-q", "-n", "2", "-p", "no:nbval"]  # nbval takes seconds to load
-END_TO_END = [f"tests/test_humor_{name}.py" for name in ("testops", "fit_cli", "training")]
+END_TO_END = [
+    *(f"tests/test_humor_{name}.py" for name in ("testops", "fit_cli", "training")),
+    "tests/test_diffusion_training.py",
+]
 STEPS = {
     "lint": [BIN / "ruff", "check", "."],
     "format": [BIN / "ruff", "format", "--check", "--quiet", "."],

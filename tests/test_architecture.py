@@ -60,7 +60,8 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.report": 8.2,
     "motionlab.__main__": 9,
 }
-COMPOSERS = ("motionlab.train", "motionlab.train_small", "motionlab.train_diffusion")  # where commands bring synthetic motion and models together
+# where commands bring synthetic motion and models together
+COMPOSERS = ("motionlab.train", "motionlab.train_small", "motionlab.train_diffusion")
 SYNTH_CEILING = 4  # data_synth makes ground truth: it may not know a measure or a model that is judged by it
 
 
