@@ -464,6 +464,7 @@ def test_single_poses_are_judged_by_their_joints(motions):
 @pytest.fixture
 def few(motions, monkeypatch):
     """The command with two short motions and a narrow model."""
+    monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
     other = [perform_sequence(Corpus(seconds=5.0, seed=4), 0).motion]
     monkeypatch.setattr(train_diffusion, "sources", lambda folder: ({"synthetic": motions}, {"unseen": other}))
     monkeypatch.setattr(train_diffusion, "HELD", 12)
