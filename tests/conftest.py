@@ -27,3 +27,27 @@ def generator() -> torch.Generator:
     import torch
 
     return torch.Generator().manual_seed(0)
+
+
+@pytest.fixture(scope="session")
+def kit():
+    """The priors that ship."""
+    from motionlab.humor import priors
+
+    return priors.load()
+
+
+@pytest.fixture(scope="session")
+def walk():
+    """Two clips of 24 frames."""
+    from tests.fit_inputs import two_walks
+
+    return two_walks()
+
+
+@pytest.fixture(scope="session")
+def camera():
+    """A camera that sees them from the side."""
+    from tests.fit_inputs import side_camera
+
+    return side_camera()

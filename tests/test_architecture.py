@@ -14,6 +14,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.errors": 0,
     # algebra and instruments
     "motionlab.writing": 0.5,
+    "motionlab.kept": 0.5,
     "motionlab.euler": 0.5,
     "motionlab.rotation": 1,
     "motionlab.findings": 1,

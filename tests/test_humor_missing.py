@@ -11,31 +11,16 @@ import torch
 
 from data_synth import corrupt
 from motionlab import rotation
-from motionlab.humor import priors, starts, testops
+from motionlab.humor import starts, testops
 from motionlab.humor.observed import Observation3D, evidence
 from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Schedule
 from motionlab.humor.weights import JOINTS, RGB_LIGHT
 from motionlab.observation import BODY_25
 from motionlab.skeleton import STANDARD, UPRIGHT
-from tests.fit_inputs import QUICK, error, errors, finite, joints, keypoints, side_camera, two_walks
+from tests.fit_inputs import QUICK, error, errors, finite, joints, keypoints
 
 FEET = STANDARD.indices(["left_ankle", "right_ankle", "left_foot", "right_foot"])
-
-
-@pytest.fixture(scope="module")
-def kit():
-    return priors.load()
-
-
-@pytest.fixture(scope="module")
-def walk():
-    return two_walks()
-
-
-@pytest.fixture(scope="module")
-def camera():
-    return side_camera()
 
 
 @pytest.fixture(scope="module")

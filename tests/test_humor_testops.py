@@ -29,24 +29,9 @@ from motionlab.humor.rollout import rollout
 from motionlab.humor.testops import Schedule
 from motionlab.humor.weights import JOINTS, RGB
 from motionlab.observation import look_at
-from tests.fit_inputs import QUICK, error, finite, joints, keypoints, side_camera, two_walks
+from tests.fit_inputs import QUICK, error, finite, joints, keypoints
 
 POSES = Schedule(steps=(2, 4, 0), inner=20)
-
-
-@pytest.fixture(scope="module")
-def kit():
-    return priors.load()
-
-
-@pytest.fixture(scope="module")
-def walk():
-    return two_walks()
-
-
-@pytest.fixture(scope="module")
-def camera():
-    return side_camera()
 
 
 # --------------------------------------------------------------------------------------------------- what is found

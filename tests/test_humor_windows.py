@@ -5,14 +5,14 @@ import torch
 
 from motionlab import rotation
 from motionlab.errors import ShapeError
-from motionlab.humor import priors, stages, state, testops, windows
+from motionlab.humor import stages, state, testops, windows
 from motionlab.humor.observed import Observation3D
 from motionlab.humor.rollout import rollout
 from motionlab.humor.testops import Schedule
 from motionlab.humor.variables import skeleton_of
 from motionlab.humor.weights import JOINTS
 from motionlab.skeleton import fk
-from tests.fit_inputs import error, finite, two_walks
+from tests.fit_inputs import error, finite
 
 LONG = Schedule(steps=(2, 3, 6), inner=8, refine=(1, 2), window=16, overlap=4)
 
@@ -91,16 +91,6 @@ def test_every_pair_of_neighbours_counts_with_the_frames_it_shares():
 
 
 # ------------------------------------------------------------------------------------------------------------ in a fit
-@pytest.fixture(scope="module")
-def kit():
-    return priors.load()
-
-
-@pytest.fixture(scope="module")
-def walk():
-    return two_walks()
-
-
 @pytest.fixture(scope="module")
 def seen(walk):
     """Joints with noise of 3 cm, the legs never seen: what two windows make of them, nothing but their overlap ties."""

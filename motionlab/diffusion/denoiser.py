@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from motionlab.errors import DataError, ShapeError, check_shape
+from motionlab.humor import foreign
 
 LONGEST = 5000  # frames and steps that the table of sines holds
 
@@ -127,15 +128,8 @@ def load_official(path: Path | str) -> Denoiser:
     """
     path = Path(path)
     remedy = "take model*.pt of MDM's unconstrained release"
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as error:
-        raise DataError("there is no such file", path=path, remedy=remedy) from error
-    except Exception as error:  # torch names no type for a file that is none of its own
-        message = f"not a file of plain tensors ({type(error).__name__})"
-        raise DataError(message, path=path, remedy=remedy) from error
-    content = content.get("model_avg", content.get("model", content)) if isinstance(content, dict) else {}
-    weights = {k: v for k, v in content.items() if isinstance(v, Tensor) and not k.endswith("sequence_pos_encoder.pe")}
+    found = foreign.tensors(path, ("model_avg", "model"), remedy)
+    weights = {name: x for name, x in found.items() if not name.endswith("sequence_pos_encoder.pe")}
     try:
         features, size = weights["output_process.poseFinal.weight"].shape
         layers = len({k.split(".")[2] for k in weights if k.startswith("seqTransEncoder.layers.")})

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from motionlab import kept
 from motionlab.diffusion import losses, masks
 from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Normaliser
@@ -217,21 +218,13 @@ class Training:
 
     def save(self, path: Path) -> None:
         """Write all that ``resume`` needs, whole or not at all."""
-        path = Path(path)
-        part = path.with_name(f".{path.name}.part")
-        torch.save(
-            {
-                "recipe": asdict(self.recipe), "windows": self.windows.digest, "step": self.step, "curve": self.curve,
-                "model": self.model.state_dict(), "average": self.average, "best": self.best,
-                "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
-                "skipped": (self.skipped, self.in_a_row),
-            },
-            part,
-        )  # fmt: skip
-        part.replace(path)
-
-
-AFRESH = "start afresh, without --resume"
+        content = {
+            "recipe": asdict(self.recipe), "windows": self.windows.digest, "step": self.step, "curve": self.curve,
+            "model": self.model.state_dict(), "average": self.average, "best": self.best,
+            "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
+            "skipped": (self.skipped, self.in_a_row),
+        }  # fmt: skip
+        kept.write(path, content)
 
 
 def kept_recipe(path: Path | str) -> Recipe:
@@ -251,31 +244,23 @@ def resume(
     Raises:
         DataError: the file is missing, damaged, or was trained on other windows.
     """
-    recipe, kept = _read(path)
-    if kept.get("windows") != windows.digest:
-        raise DataError("trained on other windows", path=path, remedy=AFRESH)
+    recipe, found = _read(path)
+    if found.get("windows") != windows.digest:
+        raise DataError("trained on other windows", path=path, remedy=kept.AFRESH)
     run = Training(recipe, windows, device, accelerator)
-    with _reading(path):
-        run.model.load_state_dict(kept["model"])
-        for name, value in kept["average"].items():
+    with kept.reading(path):
+        run.model.load_state_dict(found["model"])
+        for name, value in found["average"].items():
             run.average[name].copy_(value)
-        run.optimiser.load_state_dict(kept["optimiser"])
-        run.generator.set_state(kept["generator"])
+        run.optimiser.load_state_dict(found["optimiser"])
+        run.generator.set_state(found["generator"])
         run.drawn_from = run.generator.get_state()
-        run.step, run.curve, run.best = kept["step"], kept["curve"], kept["best"]
-        run.skipped, run.in_a_row = kept["skipped"]
+        run.step, run.curve, run.best = found["step"], found["curve"], found["best"]
+        run.skipped, run.in_a_row = found["skipped"]
     return run
 
 
 def _read(path: Path | str) -> tuple[Recipe, dict]:
-    with _reading(path):
-        kept = torch.load(path, map_location="cpu", weights_only=True)
-        return Recipe.read(kept["recipe"]), kept
-
-
-@contextmanager
-def _reading(path: Path | str) -> Iterator[None]:
-    try:
-        yield
-    except Exception as error:
-        raise DataError(f"not a saved run ({type(error).__name__})", path=path, remedy=AFRESH) from error
+    found = kept.read(path)
+    with kept.reading(path):
+        return Recipe.read(found["recipe"]), found

@@ -10,8 +10,9 @@ from torch import Tensor
 from motionlab.errors import DataError
 
 
-def tensors(path: Path | str, key: str, remedy: str) -> dict[str, Tensor]:
-    """The tensors of a state dict by name, without 'module.'; the file holds it under ``key``, or is one itself.
+def tensors(path: Path | str, keys: str | tuple[str, ...], remedy: str) -> dict[str, Tensor]:
+    """The tensors of a state dict by name, without 'module.'; the file holds it under one of ``keys``, the
+    first that is there, or is one itself.
 
     What else a training run has saved beside them is left alone.
 
@@ -25,8 +26,9 @@ def tensors(path: Path | str, key: str, remedy: str) -> dict[str, Tensor]:
     except Exception as error:  # torch names no type for a file that is none of its own
         message = f"not a file of plain tensors ({type(error).__name__})"
         raise DataError(message, path=path, remedy=f"{remedy}; or save its state_dict alone with torch.save") from error
-    inside = content.get(key, content) if isinstance(content, dict) else None
-    inside = inside if isinstance(inside, dict) else {}
+    content = content if isinstance(content, dict) else {}
+    names = (keys,) if isinstance(keys, str) else keys
+    inside = next((content[name] for name in names if isinstance(content.get(name), dict)), content)
     found = {str(name).removeprefix("module."): value for name, value in inside.items() if isinstance(value, Tensor)}
     if not found:
         raise DataError("no state dict inside", path=path, remedy=remedy)

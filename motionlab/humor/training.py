@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -23,6 +22,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from motionlab import kept
 from motionlab.errors import DataError
 from motionlab.humor import losses
 from motionlab.humor.cvae import Cvae, Gaussian
@@ -227,21 +227,13 @@ class Training:
 
     def save(self, path: Path) -> None:
         """Write all that ``resume`` needs, whole or not at all."""
-        path = Path(path)
-        part = path.with_name(f".{path.name}.part")
-        torch.save(
-            {
-                "recipe": asdict(self.recipe), "examples": self.examples.digest, "step": self.step,
-                "curve": self.curve, "model": self.model.state_dict(), "average": self.average,
-                "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
-                "skipped": (self.skipped, self.in_a_row),
-            },
-            part,
-        )  # fmt: skip
-        part.replace(path)
-
-
-AFRESH = "start afresh, without --resume"
+        content = {
+            "recipe": asdict(self.recipe), "examples": self.examples.digest, "step": self.step,
+            "curve": self.curve, "model": self.model.state_dict(), "average": self.average,
+            "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
+            "skipped": (self.skipped, self.in_a_row),
+        }  # fmt: skip
+        kept.write(path, content)
 
 
 def kept_recipe(path: Path | str) -> Recipe:
@@ -259,29 +251,21 @@ def resume(path: Path | str, examples: Examples) -> Training:
     Raises:
         DataError: the file is missing, damaged, or was trained on other examples.
     """
-    recipe, kept = _read(path)
-    if kept.get("examples") != examples.digest:
-        raise DataError("trained on other examples", path=path, remedy=AFRESH)
+    recipe, found = _read(path)
+    if found.get("examples") != examples.digest:
+        raise DataError("trained on other examples", path=path, remedy=kept.AFRESH)
     run = Training(recipe, examples)
-    with _reading(path):
-        run.model.load_state_dict(kept["model"])
-        run.average = kept["average"]
-        run.optimiser.load_state_dict(kept["optimiser"])
-        run.generator.set_state(kept["generator"])
-        run.step, run.curve = kept["step"], kept["curve"]
-        run.skipped, run.in_a_row = kept.get("skipped", (0, 0))
+    with kept.reading(path):
+        run.model.load_state_dict(found["model"])
+        run.average = found["average"]
+        run.optimiser.load_state_dict(found["optimiser"])
+        run.generator.set_state(found["generator"])
+        run.step, run.curve = found["step"], found["curve"]
+        run.skipped, run.in_a_row = found.get("skipped", (0, 0))
     return run
 
 
 def _read(path: Path | str) -> tuple[Recipe, dict]:
-    with _reading(path):
-        kept = torch.load(path, weights_only=True)
-        return Recipe(**kept["recipe"]), kept
-
-
-@contextmanager
-def _reading(path: Path | str) -> Iterator[None]:
-    try:
-        yield
-    except Exception as error:
-        raise DataError(f"not a saved run ({type(error).__name__})", path=path, remedy=AFRESH) from error
+    found = kept.read(path)
+    with kept.reading(path):
+        return Recipe(**found["recipe"]), found

@@ -159,9 +159,9 @@ def over_time(
                 np.arange(len(mask)) / fps, 0, 1, where=mask, color=LINE, alpha=0.35, lw=0, transform=_wide(ax)
             )
         ax.set(title=name, xlabel="time (s)")
-        if log_from:
-            ax.set_yscale("log")
-            ax.set_ylim(bottom=log_from)
+    if log_from:  # behind all panels: a limit stops the axis they share from growing
+        axes[0].set_yscale("log")
+        axes[0].set_ylim(bottom=log_from)
     axes[0].set_ylabel(ylabel)
     axes[-1].legend(loc="best")
     return fig
