@@ -3,61 +3,74 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import torch
 
 from data_synth import corpus
-from motionlab import library
+from motionlab import diffusion_data, library
 from motionlab.diffusion import trained, training
 from motionlab.diffusion.judge import judge
 from motionlab.diffusion.losses import Weights
 from motionlab.diffusion.trained import Recipe
-from motionlab.diffusion.windows import gather, on_standard
-from motionlab.frames import fix_root_horizontally
-from motionlab.humor import variety
+from motionlab.diffusion.windows import gather
+from motionlab.errors import DataError
 from motionlab.motion import Motion
 
-Motions = Mapping[str, Sequence[Motion]]  # by source
-
 _WEIGHTS = Weights(late=0.1, even=True)
+_BASE = Recipe(patch=2, spectral=True, weights=_WEIGHTS)
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: as free, in world
 #: space. pose: single poses. told: as free, told what is known.
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
 #: would have a hundred times the gradient of all else.
 PRESETS = {
-    "free": Recipe(weights=_WEIGHTS),
-    "fixed": Recipe(version="A", contacts=False, travels=False, weights=_WEIGHTS),
-    "world": Recipe(frame="world", weights=replace(_WEIGHTS, fk=0.002, contact=1.0)),
-    "pose": Recipe(frames=1, contacts=False, batch=256, weights=replace(_WEIGHTS, velocity=0.0, contact=0.0)),
-    "told": Recipe(told=True, weights=_WEIGHTS),
+    "free": _BASE,
+    "fixed": replace(_BASE, version="A", contacts=False, travels=False),
+    "world": replace(_BASE, frame="world", weights=replace(_WEIGHTS, fk=0.002, contact=1.0)),
+    "pose": replace(
+        _BASE, frames=1, patch=1, contacts=False, batch=256, weights=replace(_WEIGHTS, velocity=0.0, contact=0.0)
+    ),
+    "told": replace(_BASE, told=True),
 }
+_ARM = replace(_BASE, size="small", steps=3000)
+#: Small models, briefly trained, that differ from "all" in one thing each.
+ARMS = {
+    "all": _ARM,
+    "seed_1": replace(_ARM, seed=1),
+    "seed_2": replace(_ARM, seed=2),
+    "simple": replace(_ARM, weights=replace(_WEIGHTS, fk=0.0, velocity=0.0, contact=0.0)),
+    "no_fk": replace(_ARM, weights=replace(_WEIGHTS, fk=0.0)),
+    "no_velocity": replace(_ARM, weights=replace(_WEIGHTS, velocity=0.0)),
+    "no_contact": replace(_ARM, weights=replace(_WEIGHTS, contact=0.0)),
+    "plain": replace(_ARM, spectral=False),
+    "noising_10": replace(_ARM, noising=10),
+    "noising_50": replace(_ARM, noising=50),
+    "noising_200": replace(_ARM, noising=200),
+    "eighth": replace(_ARM, share=1 / 8),
+    "quarter": replace(_ARM, share=1 / 4),
+    "half": replace(_ARM, share=1 / 2),
+    "synthetic": replace(_ARM, source="synthetic"),
+    "recordings": replace(_ARM, source="recordings"),
+    "told": replace(_ARM, told=True),
+    "arrival": replace(_ARM, told=True, arrival=True),
+}
+PRESETS |= {f"arm_{name}": recipe for name, recipe in ARMS.items()}
 HELD = 256  # held-out windows that the checkpoint is chosen by
 
 
-def sources(folder: Path | str | None) -> tuple[dict[str, list[Motion]], dict[str, list[Motion]]]:
-    """Motions by source that train, and that choose the checkpoint.
+def chosen(found: dict[str, list[Motion]], recipe: Recipe) -> dict[str, list[Motion]]:
+    """Of the motions by source, those that the recipe trains on: its source, and every n-th motion of it.
 
-    The held-out subject of the corpus and every second held-out recording are in neither: results are reported on them.
+    Raises:
+        DataError: the recipe's source is not there.
     """
-    made = corpus.build(version="B")
-    train = {"synthetic": [s.motion for s in made.train]}
-    choose = {"synthetic, unseen sequence": [s.motion for s in made.heldout_sequences]}
-    used, left = library.trainable(folder)
-    if used:
-        train["recordings"], choose["recordings, unseen"] = used, left[::2]
-    return train, choose
-
-
-def prepared(motions: Sequence[Motion], recipe: Recipe, *, copies: int = 0) -> list[Motion]:
-    """On the standard body, of the recipe's version of the data, each with so many copies held otherwise."""
-    generator, found = torch.Generator().manual_seed(recipe.seed), []
-    for motion in map(on_standard, motions):
-        for each in (motion, *(variety.held_otherwise(motion, generator) for _ in range(copies))):
-            found.append(fix_root_horizontally(each) if recipe.version == "A" else each)
-    return found
+    if recipe.source not in ("all", *found):
+        message = f"no motions from {recipe.source!r}, only from {', '.join(found)}"
+        raise DataError(message, remedy="give --data with recordings, or another preset")
+    used = {name: motions for name, motions in found.items() if recipe.source in ("all", name)}
+    return {name: library.spread(motions, max(1, round(len(motions) * recipe.share))) for name, motions in used.items()}
 
 
 def make(
@@ -81,19 +94,17 @@ def make(
     Raises:
         DataError: nothing to learn from, or ``kept`` is not a run on these windows.
     """
-    train, choose = sources(folder)
-    data = gather(
-        prepared([m for motions in train.values() for m in motions], recipe, copies=recipe.copies), recipe.frames,
-        mirrored=recipe.mirrored,
-    )  # fmt: skip
-    held = gather(prepared([m for motions in choose.values() for m in motions], recipe), recipe.frames).evenly(HELD)
+    train = chosen(diffusion_data.sources(folder, "train"), recipe)
+    choose = diffusion_data.sources(folder, "choose")
+    data = gather(_together(train, recipe, recipe.copies), recipe.frames, mirrored=recipe.mirrored)
+    held = gather(_together(choose, recipe), recipe.frames).evenly(HELD)
     where = {"device": "cuda" if torch.cuda.is_available() else "cpu", "accelerator": _accelerator()}
     run = training.resume(kept, data, **where) if resume else training.Training(recipe, data, **where)
     run.run(keep=kept, held=held, judge=judge(held), progress=True)
     if run.rank:
         return
     about = {
-        "made by": command + (" --data FOLDER" if "recordings" in train else ""),
+        "made by": command + (" --data FOLDER" if diffusion_data.RECORDED in choose else ""),
         "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in train.items()},
         "minutes that chose the checkpoint": {k: sum(m.seconds for m in v) / 60 for k, v in choose.items()},
         "recordings": list(recordings),
@@ -106,6 +117,10 @@ def make(
     trained.save(out, _on_cpu(run.shipped), about, half=True)
     kept.unlink()
     print(f"{out.with_suffix('.safetensors')}: {run.step} steps, weights of step {about['chosen']['step']}")
+
+
+def _together(motions: dict[str, list[Motion]], recipe: Recipe, copies: int = 0) -> list[Motion]:
+    return diffusion_data.prepared([m for each in motions.values() for m in each], recipe, copies=copies)
 
 
 def _on_cpu(model: trained.Trained) -> trained.Trained:

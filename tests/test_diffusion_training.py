@@ -16,7 +16,7 @@ import torch
 
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
-from motionlab import train_diffusion
+from motionlab import diffusion_data, train_diffusion
 from motionlab.__main__ import main
 from motionlab.diffusion import denoiser, judge, losses, trained, training
 from motionlab.diffusion.features import Layout
@@ -466,7 +466,8 @@ def few(motions, monkeypatch):
     """The command with two short motions and a narrow model."""
     monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
     other = [perform_sequence(Corpus(seconds=5.0, seed=4), 0).motion]
-    monkeypatch.setattr(train_diffusion, "sources", lambda folder: ({"synthetic": motions}, {"unseen": other}))
+    parts = {"train": {"synthetic": motions}, "choose": {"unseen": other}}
+    monkeypatch.setattr(diffusion_data, "sources", lambda folder, part: parts[part])
     monkeypatch.setattr(train_diffusion, "HELD", 12)
     for name, recipe in train_diffusion.PRESETS.items():
         small = replace(recipe, size="tiny", frames=min(recipe.frames, 8), steps=9, batch=4, noising=20, warm_up=1)
@@ -493,7 +494,7 @@ def test_the_command_writes_a_checkpoint_of_every_preset(few, tmp_path, capsys, 
 def test_the_command_goes_on_where_it_was_stopped(few, motions, tmp_path):
     assert main(["train", "diffusion", "--steps", "4", "--seed", "3", "--out", str(tmp_path / "whole")]) == 0
     recipe = replace(train_diffusion.PRESETS["free"], steps=4, seed=3)
-    data = gather(train_diffusion.prepared(motions, recipe), recipe.frames)
+    data = gather(diffusion_data.prepared(motions, recipe), recipe.frames)
     training.Training(recipe, data).run(until=2, keep=tmp_path / "part.partial.pt")
     assert main(["train", "diffusion", "--out", str(tmp_path / "part"), "--resume"]) == 0
     (whole, about), (part, again) = (checkpoint.load(tmp_path / name) for name in ("whole", "part"))
@@ -516,9 +517,9 @@ def test_the_command_says_what_is_wrong(few, tmp_path, capsys, arguments, compla
 
 
 def test_copies_and_versions_of_the_data(motions):
-    plain, twice = (train_diffusion.prepared(motions, replace(SMALL, seed=1), copies=n) for n in (0, 1))
+    plain, twice = (diffusion_data.prepared(motions, replace(SMALL, seed=1), copies=n) for n in (0, 1))
     assert len(plain) == 2 and len(twice) == 4
     assert torch.equal(twice[0].rot, plain[0].rot) and not torch.equal(twice[1].rot, plain[0].rot)
-    fixed = train_diffusion.prepared(motions, replace(SMALL, version="A"))
+    fixed = diffusion_data.prepared(motions, replace(SMALL, version="A"))
     assert all(m.contacts is None and not m.root[:, :2].any() for m in fixed)
     assert torch.equal(fixed[0].rot, plain[0].rot)

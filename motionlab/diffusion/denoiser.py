@@ -1,7 +1,8 @@
 """The network that guesses x_0 from x_t: a transformer encoder over frames, told the step by a token of its own.
 
 Source: thesis 4.1.2, Fig. 4.2; MDM (Tevet et al. 2022), official code, unconstrained model, whose weights load by key.
-Differs, where asked: the known part of the state and its mask as further inputs (CondMDI; thesis 4.4.1).
+Differs, where asked: the known part of the state and its mask as further inputs (CondMDI; thesis 4.4.1); how long until
+the next known frame, added to every token (Harvey et al. 2020); several frames in one token, which halves the work.
 """
 
 from __future__ import annotations
@@ -64,9 +65,10 @@ class _Out(nn.Module):
 
 
 class Denoiser(nn.Module):
-    """features: numbers per frame. size: of a token. told: with known values and their mask as inputs.
+    """features: numbers per frame. size: of a token. told: with known values and their mask as inputs. arrival: told
+    also how far the next known frame is. patch: frames in a token.
 
-    "compact" and "thesis" sizes: ``SIZES``.
+    "small", "compact" and "thesis" sizes: ``SIZES``.
     """
 
     def __init__(
@@ -79,15 +81,19 @@ class Denoiser(nn.Module):
         hidden: int = 1024,
         dropout: float = 0.1,
         told: bool = False,
+        arrival: bool = False,
+        patch: int = 1,
     ) -> None:
         super().__init__()
-        self.features, self.told = features, told
-        self.input_process = _In(features * (3 if told else 1), size)
+        if arrival and not told:
+            raise ValueError("arrival: only a model that is told of known frames can count to them")
+        self.features, self.told, self.arrival, self.patch = features, told, arrival, patch
+        self.input_process = _In(features * patch * (3 if told else 1), size)
         self.sequence_pos_encoder = _Sines(size, dropout)
         layer = nn.TransformerEncoderLayer(size, heads, hidden, dropout, "gelu")
         self.seqTransEncoder = nn.TransformerEncoder(layer, layers, enable_nested_tensor=False)
         self.embed_timestep = _Step(size, self.sequence_pos_encoder)
-        self.output_process = _Out(size, features)
+        self.output_process = _Out(size, features * patch)
 
     def forward(self, x: Tensor, stamps: Tensor, known: Tensor | None = None, mask: Tensor | None = None) -> Tensor:
         """Estimate (B, T, D) of x_0 from x_t (B, T, D) and steps (B,).
@@ -97,23 +103,36 @@ class Denoiser(nn.Module):
         Raises:
             ShapeError: another number of features, or known parts for a model that is told nothing.
         """
-        check_shape(x, f"B T {self.features}", "x")
+        frames = check_shape(x, f"B T {self.features}", "x")["T"]
+        if frames % self.patch:
+            raise ShapeError(f"{frames} frames do not divide into tokens of {self.patch}")
         if (known is not None) != (mask is not None) or (mask is not None and not self.told):
             raise ShapeError("known and mask belong together, and to a model that is told of them")
         if self.told:
             mask = torch.zeros_like(x) if mask is None else mask.to(x).expand_as(x)
             known = torch.zeros_like(x) if known is None else known * mask
             x = torch.cat((x, known, mask), -1)
-        tokens = torch.cat((self.embed_timestep(stamps), self.input_process.poseEmbedding(x).transpose(0, 1)))
-        return self.output_process.poseFinal(self.seqTransEncoder(self.sequence_pos_encoder(tokens))[1:]).transpose(
-            0, 1
-        )
+        tokens = self.input_process.poseEmbedding(x.unflatten(1, (-1, self.patch)).flatten(2))
+        if self.arrival:
+            tokens = tokens + self.sequence_pos_encoder.pe[until_known(mask)[:, :: self.patch], 0]
+        tokens = torch.cat((self.embed_timestep(stamps), tokens.transpose(0, 1)))
+        said = self.output_process.poseFinal(self.seqTransEncoder(self.sequence_pos_encoder(tokens))[1:])
+        return said.transpose(0, 1).unflatten(2, (self.patch, -1)).flatten(1, 2)
 
 
-#: "thesis": MDM's size, which the thesis follows closely. "compact": trains on two cores.
+def until_known(mask: Tensor) -> Tensor:
+    """Frames (B, T) until the next frame that is known whole, 0 there, T where none comes; mask (B, T, D)."""
+    frames = mask.shape[1]
+    time = torch.arange(frames, device=mask.device)
+    following = torch.where((mask > 0).all(-1), time, 2 * frames).flip(-1).cummin(-1).values.flip(-1)
+    return (following - time).clamp(max=frames)
+
+
+#: "thesis": MDM's size, which the thesis follows closely. "compact": trains on two cores. "small": for ablations.
 SIZES = {
     "thesis": {"size": 512, "layers": 8, "heads": 4, "hidden": 1024},
     "compact": {"size": 256, "layers": 4, "heads": 4, "hidden": 512},
+    "small": {"size": 128, "layers": 3, "heads": 4, "hidden": 256},
 }
 
 

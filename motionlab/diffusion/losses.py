@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.schedule import Schedule
 from motionlab.errors import check_shape
 
 GATES = ("predicted", "held", "truth")
@@ -31,7 +32,8 @@ class Weights:
     gate: contacts that "predicted" (Eq. 4.9), "held" (the same, no gradient through them) or "truth" (MDM) says.
     by_signal: fk and contact of a window count by alpha_bar of its step, as a guess from pure noise is an average of
     poses, not a pose; not in Eq. 4.9. even: in ``simple`` every group of numbers counts alike, so that the root's place
-    is a quarter of it and not 3 numbers of 144; not in Eq. 4.8.
+    is a quarter of it and not 3 numbers of 144; not in Eq. 4.8. snr: windows count by their signal-to-noise ratio, up
+    to this (min-SNR, Hang et al. 2023): jitter and sliding are made of small errors at little noise; 0: alike.
     """
 
     simple: float = 1.0
@@ -43,11 +45,12 @@ class Weights:
     gate: str = "predicted"
     by_signal: bool = False
     even: bool = False
+    snr: float = 0.0
 
     def __post_init__(self) -> None:
         if self.gate not in GATES:
             raise ValueError(f"gate: expected one of {', '.join(GATES)}, got {self.gate!r}")
-        if not all(getattr(self, name) >= 0 for name in (*PARTS, "late")):
+        if not all(getattr(self, name) >= 0 for name in (*PARTS, "late", "snr")):
             raise ValueError("weights: expected numbers of 0 or more")
 
     def at(self, share: float, layout: Layout, told: bool = False) -> dict[str, float]:
@@ -55,6 +58,12 @@ class Weights:
         off = set() if share >= self.late else set(LATE)
         off |= (set() if layout.contacts else {"contact"}) | (set() if told else {"known"})
         return {name: w for name in PARTS if (w := getattr(self, name)) > 0 and name not in off}
+
+    def counts(self, schedule: Schedule) -> Tensor:
+        """What a window counts at each noising step (T,); 1 on average."""
+        a = schedule.alpha_bar
+        count = (a / (1 - a)).clamp(max=self.snr) if self.snr else torch.ones_like(a)
+        return count / count.mean()
 
 
 def compare(
@@ -69,6 +78,7 @@ def compare(
     even: bool = False,
     known: Tensor | None = None,
     trust: Tensor | None = None,
+    count: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """The named parts, each one number: a mean over windows and frames.
 
@@ -79,24 +89,27 @@ def compare(
     Args:
         estimate, truth: x_0 (B, T, D), normalised. offsets: (B or 1, J, 3) metres, the bodies'. gate, even: see
             ``Weights``. known: (B, T, D) or (T, D), 1 where known. trust: (B,) what fk and contact of each window
-            count; default 1.
+            count; default 1. count: (B,) what each window counts in all parts, 1 on average.
     Raises:
         ShapeError: the rows are not the layout's.
     """
     check_shape(estimate, f"B T {layout.size}", "estimate")
     check_shape(truth, f"B T {layout.size}", "truth")
     error, found = estimate - truth, {}
-    trust = torch.ones_like(error[:, 0, 0]) if trust is None else trust.to(error)
+    count = torch.ones_like(error[:, 0, 0]) if count is None else count.to(error)
+    trust = count if trust is None else trust.to(error) * count
+    squared = error.square() * count[:, None, None]
     still = error.new_zeros(()) if error.shape[1] < 2 else None  # one frame does not move
     if "simple" in parts:
         groups = layout.slices.values() if even else [slice(None)]
-        found["simple"] = sum(error[..., part].square().mean() for part in groups) / len(groups)
+        found["simple"] = sum(squared[..., part].mean() for part in groups) / len(groups)
     if "velocity" in parts:
         moving = error[..., : layout.slices["pose"].stop]
-        found["velocity"] = still if still is not None else moving.diff(dim=1).square().mean()
+        changed = moving.diff(dim=1).square() * count[:, None, None]
+        found["velocity"] = still if still is not None else changed.mean()
     if "known" in parts and known is not None:
         known = known.to(error).expand_as(error)
-        found["known"] = (known * error.square()).sum() / known.sum().clamp(min=1.0)
+        found["known"] = (known * squared).sum() / known.sum().clamp(min=1.0)
     if not set(parts) & set(LATE):
         return found
     skeleton, rows = replace(layout.skeleton, offsets=offsets[:, None]), normaliser.undo(estimate)

@@ -19,6 +19,7 @@ from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.losses import Weights
 from motionlab.diffusion.sampling import ddim, noise_like
 from motionlab.diffusion.schedule import Schedule
+from motionlab.diffusion.spectral import Spectral
 from motionlab.errors import DataError, check_shape
 from motionlab.humor import checkpoint
 from motionlab.motion import Motion
@@ -33,10 +34,12 @@ class Recipe:
     """What a training run depends on, with its windows.
 
     size: of the network (``denoiser.SIZES``). frames: of a window; 1: single poses. frame, velocities, contacts,
-    travels: see ``Layout``. told: with the known area as input. version: of the synthetic corpus. copies: of every
-    motion, held otherwise (``humor.variety``). noising: steps of the schedule. steps, batch, lr: of AdamW; the rate
-    rises over ``warm_up`` steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of the
-    weights, per step. bf16: the network in bfloat16.
+    travels: see ``Layout``. told: with the known area as input; arrival: and with the time to the next known frame.
+    patch: frames in a token. spectral: the network corrects a Wiener filter (``spectral``). version: of the synthetic
+    corpus. source: of what it trains on ("synthetic", "recordings" or "all"); share: of those motions. copies: of
+    every motion, held otherwise (``humor.variety``). noising: steps of the schedule. steps, batch, lr: of AdamW; the
+    rate rises over ``warm_up`` steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of
+    the weights, per step. bf16: the network in bfloat16.
     """
 
     size: str = "compact"
@@ -46,7 +49,12 @@ class Recipe:
     contacts: bool = True
     travels: bool = True
     told: bool = False
+    arrival: bool = False
+    patch: int = 1
+    spectral: bool = False
     version: str = "B"
+    source: str = "all"
+    share: float = 1.0
     mirrored: bool = True
     copies: int = 0
     noising: int = 1000
@@ -82,7 +90,7 @@ class Recipe:
         """The noising process."""
         return schedule.cosine(self.noising)
 
-    def denoiser(self) -> Denoiser:
+    def denoiser(self) -> Denoiser | Spectral:
         """A new network; its weights come from torch's global generator.
 
         Raises:
@@ -90,14 +98,20 @@ class Recipe:
         """
         if self.size not in denoiser.SIZES:
             raise ValueError(f"size: expected one of {', '.join(denoiser.SIZES)}, got {self.size!r}")
-        return Denoiser(self.layout.size, dropout=self.dropout, told=self.told, **denoiser.SIZES[self.size])
+        network = Denoiser(
+            self.layout.size, dropout=self.dropout, told=self.told, arrival=self.arrival, patch=self.patch,
+            **denoiser.SIZES[self.size],
+        )  # fmt: skip
+        if not self.spectral:
+            return network
+        return Spectral(network, self.schedule.alpha_bar, self.frames, self.layout.size)
 
 
 @dataclass(frozen=True, eq=False)
 class Trained:
     """denoiser: frozen. schedule: it was trained on. layout, normaliser: motions <-> its numbers (B, T, D)."""
 
-    denoiser: Denoiser
+    denoiser: Denoiser | Spectral
     schedule: Schedule
     layout: Layout
     normaliser: Normaliser
@@ -137,7 +151,7 @@ class Trained:
 def save(path: Path | str, model: Trained, about: dict, *, half: bool = False) -> None:
     """Write ``path`` (.safetensors) and its recipe (.json), with ``about`` beside it. half: weights as float16."""
     weights = {f"denoiser.{name}": value for name, value in model.denoiser.state_dict().items()}
-    weights = {name: value.half() if half else value for name, value in weights.items()}
+    weights = {k: v.half() if half and not k.endswith("spectrum") else v for k, v in weights.items()}
     tensors = weights | {"mean": model.normaliser.mean, "scale": model.normaliser.scale}
     checkpoint.save(path, tensors, about | {"recipe": asdict(model.recipe)})
 

@@ -25,6 +25,7 @@ from motionlab.diffusion import losses, masks
 from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Normaliser
 from motionlab.diffusion.sampling import noise_like
+from motionlab.diffusion.spectral import Spectral, power
 from motionlab.diffusion.trained import FPS, Recipe, Trained
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
@@ -51,7 +52,7 @@ class Training:
     device: torch.device | str = "cpu"
     accelerator: object | None = None
     normaliser: Normaliser = field(init=False)
-    model: Denoiser = field(init=False)
+    model: Denoiser | Spectral = field(init=False)
     average: dict[str, Tensor] = field(init=False)
     curve: list[dict] = field(default_factory=list)
     best: dict | None = None
@@ -72,12 +73,16 @@ class Training:
             message = f"a batch of {recipe.batch} does not divide among {self.share} processes"
             raise DataError(message, remedy="choose a multiple")
         self.layout, self.schedule = recipe.layout, recipe.schedule
-        some = data.draw(MEASURED, torch.Generator().manual_seed(0))
-        self.normaliser = Normaliser.measure(self.layout.encode(some), self.layout)
+        self._counts = recipe.weights.counts(self.schedule)
+        some = self.layout.encode(data.draw(MEASURED, torch.Generator().manual_seed(0)))
+        self.normaliser = Normaliser.measure(some, self.layout)
         self.generator = torch.Generator().manual_seed(recipe.seed)
         self.drawn_from, self.torn = self.generator.get_state(), False
         with self._torch_seeded(recipe.seed):
-            self.model = recipe.denoiser().to(self.device)
+            self.model = recipe.denoiser()
+        if recipe.spectral:
+            self.model.spectrum.copy_(power(self.normaliser.apply(some)))
+        self.model.to(self.device)
         self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
         self.optimiser = torch.optim.AdamW(self.model.parameters(), lr=recipe.lr, weight_decay=0.0)
         self.network = self.model if self.accelerator is None else self.accelerator.prepare_model(self.model)
@@ -161,11 +166,11 @@ class Training:
         x0 = self.normaliser.apply(self.layout.encode(motion))
         t = torch.randint(len(self.schedule), (recipe.batch,), generator=self.generator)
         xt = self.schedule.noised(x0, t, noise_like(x0, self.generator))
-        signal = self.schedule.alpha_bar[t].to(x0)
+        signal, count = self.schedule.alpha_bar[t].to(x0), self._counts[t].to(x0)
         known = masks.draw(self.layout, recipe.frames, recipe.batch, self.generator) if recipe.told else None
         seed = int(torch.randint(2**31, (), generator=self.generator)) + self.rank
-        batch = (x0, xt, self.schedule.stamps[t], motion.skeleton.offsets[:, 0], signal, known)
-        x0, xt, stamps, offsets, signal, known = (
+        batch = (x0, xt, self.schedule.stamps[t], motion.skeleton.offsets[:, 0], signal, count, known)
+        x0, xt, stamps, offsets, signal, count, known = (
             None if each is None else each[self.rank :: self.share].to(self.device) for each in batch
         )
         told = (x0, known) if recipe.told else ()
@@ -175,6 +180,7 @@ class Training:
         parts = losses.compare(
             estimate, x0, self.layout, self.normaliser, offsets, parts=weights, gate=recipe.weights.gate,
             even=recipe.weights.even, known=known, trust=signal if recipe.weights.by_signal else None,
+            count=count,
         )  # fmt: skip
         loss = sum(weight * parts[name] for name, weight in weights.items())
         used = self._descend(loss)

@@ -1,0 +1,122 @@
+"""Motions whose unknown parts a diffusion model fills in: every way of putting the known part back, by one call.
+
+Source: thesis 4.1.2 (Eq. 4.10), 4.2, 4.4.1. The ways themselves: ``inpainting`` and ``sampling``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from motionlab.diffusion import inpainting, sampling
+from motionlab.diffusion.sampling import Denoiser
+from motionlab.diffusion.trained import Trained
+from motionlab.errors import ShapeError
+from motionlab.frames import local_to_world, stuck_root
+from motionlab.motion import Motion
+
+PUTS = ("overwrite", "imputed", "nothing")
+SAMPLERS = ("ddpm", "ddim")
+
+
+@dataclass(frozen=True)
+class Way:
+    """How the known part comes in.
+
+    put: "overwrite" (Eq. 4.10), "imputed" (MDM), or "nothing", where only a model that is told, or guidance, knows it.
+    steps, sampler: of the respaced process. last: overwrite also behind the last step, as the thesis does. weight: of
+    reconstruction guidance; 0: none. times, jump: of RePaint's resampling; times 1: none. soft: frames over which the
+    mask's edges rise. finish: frames over which ``inpainting.offset_decay`` fades; 0: no finish, known parts stay as
+    the sampler left them.
+    """
+
+    put: str = "overwrite"
+    steps: int = 50
+    sampler: str = "ddim"
+    last: bool = True
+    weight: float = 0.0
+    times: int = 1
+    jump: int = 10
+    soft: int = 0
+    finish: int = 0
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("put", PUTS), ("sampler", SAMPLERS)):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name}: expected one of {', '.join(allowed)}, got {getattr(self, name)!r}")
+        if self.times > 1 and self.put != "overwrite":
+            raise ValueError("resampling goes with put = 'overwrite'")
+
+
+def fill(model: Trained, x0: Tensor, known: Tensor, generator: torch.Generator, way: Way) -> Tensor:
+    """Normalised numbers (B, T, D) whose known part is x0's (known: (B, T, D) or (T, D), bool) and whose rest is new.
+
+    What x0 holds where it is not known is never read. A model that is told gets the mask and the known values.
+    """
+    if known.shape[-2:] != x0.shape[-2:] or known.ndim > x0.ndim:
+        raise ShapeError(f"known: expected {tuple(x0.shape[-2:])} or {tuple(x0.shape)}, got {tuple(known.shape)}")
+    seen = torch.where(known, x0, 0.0)
+    schedule = model.schedule.respaced(min(way.steps, len(model.schedule)))
+    m = inpainting.soft(known, way.soft) if way.soft else known.to(x0)
+    if way.soft:  # where the mask is soft the nearest known value stands in
+        seen = _held(seen, known)
+    denoise: Denoiser = model.denoiser
+    if model.recipe.told:
+        denoise = lambda x, stamps: model.denoiser(x, stamps, seen, known.expand_as(x))  # noqa: E731
+    if way.weight:
+        denoise = inpainting.guided(denoise, schedule, seen, m, way.weight)
+    elif way.put == "imputed":
+        denoise = inpainting.imputed(denoise, seen, m)
+    after = None
+    if way.put == "overwrite":
+        after = inpainting.overwrite(schedule, seen, m, generator, last=way.last)
+    x = sampling.noise_like(x0, generator)
+    if way.times > 1:
+        x = sampling.resampled(denoise, schedule, x, generator, after=after, times=way.times, jump=way.jump)
+    elif way.sampler == "ddpm":
+        x = sampling.ddpm(denoise, schedule, x, generator, after=after)
+    else:
+        x = sampling.ddim(denoise, schedule, x, after=after)
+    return inpainting.offset_decay(x, seen, known, way.finish) if way.finish else x
+
+
+def repair(
+    model: Trained,
+    motion: Motion,
+    known: Tensor,
+    generator: torch.Generator,
+    way: Way | None = None,
+    *,
+    batch: int = 64,
+) -> Motion:
+    """Motions (B, T) with their unknown parts made anew, where they were in the world.
+
+    known: bool (B, T, D) or (T, D), True where known, as ``model.layout.mask`` makes it. A stuck layout takes the place
+    and heading of the first frame as given, known or not.
+    """
+    stuck = model.layout.frame == "stuck"
+    local, frame = stuck_root(motion) if stuck else (motion, None)
+    x0 = model.encode(motion)
+    whole = known.expand(len(x0), *known.shape[-2:])
+    parts = [fill(model, x0[part], whole[part], generator, way or Way()) for part in _batches(len(x0), batch)]
+    made = model.decode(torch.cat(parts), local.skeleton)
+    made = replace(made, contacts=made.contacts, name=motion.name)
+    return local_to_world(frame, made) if stuck else made
+
+
+def _batches(count: int, size: int) -> Iterator[slice]:
+    return (slice(at, at + size) for at in range(0, count, size))
+
+
+def _held(x: Tensor, known: Tensor) -> Tensor:
+    """Each unknown number takes the value of the known one nearest in time; 0 where its column knows none."""
+    known = known.expand_as(x)
+    time = torch.arange(x.shape[-2])[:, None].expand_as(x)
+    far = 10 * x.shape[-2]
+    before = torch.where(known, time, -far).cummax(-2).values
+    after = torch.where(known, time, far).flip(-2).cummin(-2).values.flip(-2)
+    nearest = torch.where(time - before <= after - time, before, after).clamp(0, x.shape[-2] - 1)
+    return torch.where(known.any(-2, keepdim=True), x.gather(-2, nearest), 0.0)

@@ -1,0 +1,55 @@
+"""What the data's spectrum alone says about x_0, and a network that only corrects it.
+
+In the cosine basis over time, X = C x, every number of a motion has its own power S (T, D). Were motions Gaussian with
+that power, the best guess of x_0 from x_t = sqrt(a) x_0 + sqrt(1 - a) noise would be the Wiener filter
+sqrt(a) S / (a S + 1 - a) X_t, wrong by the deviation sqrt(S (1 - a) / (a S + 1 - a)). The network gives what is
+missing, in units of that deviation: quick changes, of which motion has little, stay small whatever it says.
+
+Source: Karras et al. 2022 (EDM), preconditioning, whose data is white, S = 1; the filter: Wiener 1949.
+Differs from the thesis and MDM, whose network gives x_0 itself.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+LEAST = 1e-6  # of a power; a number that never changes has none
+
+
+def cosines(frames: int) -> Tensor:
+    """The orthonormal cosine transform C (T, T) over time (DCT-II): C @ x (T, D)."""
+    k = torch.arange(frames, dtype=torch.float64)
+    basis = (math.pi / frames * (k + 0.5) * k[:, None]).cos() * math.sqrt(2 / frames)
+    basis[0] /= math.sqrt(2)
+    return basis.float()
+
+
+def power(x0: Tensor) -> Tensor:
+    """Mean power S (T, D) of normalised motions (B, T, D) in the cosine basis."""
+    return (cosines(x0.shape[-2]).to(x0) @ x0).square().mean(0).clamp(min=LEAST)
+
+
+class Spectral(nn.Module):
+    """network: (x_t, stamps, ...) -> (B, T, D). alpha_bar: of all noising steps. frames, features: T and D.
+
+    ``spectrum`` (T, D) is data, measured by ``power`` and stored with the weights.
+    """
+
+    def __init__(self, network: nn.Module, alpha_bar: Tensor, frames: int, features: int) -> None:
+        super().__init__()
+        self.network, self.told = network, network.told
+        self.register_buffer("spectrum", torch.ones(frames, features))
+        self.register_buffer("alpha_bar", alpha_bar.float(), persistent=False)
+        self.register_buffer("cosines", cosines(frames), persistent=False)
+
+    def forward(self, x: Tensor, stamps: Tensor, known: Tensor | None = None, mask: Tensor | None = None) -> Tensor:
+        """Estimate (B, T, D) of x_0; arguments as for the network."""
+        a, s = self.alpha_bar[stamps][:, None, None].to(x), self.spectrum.to(x)
+        total = a * s + 1 - a
+        said = self.network(x, stamps, known, mask)
+        return self.cosines.T @ (
+            a.sqrt() * s / total * (self.cosines @ x) + (s * (1 - a) / total).sqrt() * (self.cosines @ said)
+        )
