@@ -1,0 +1,130 @@
+"""Repair by every way: what is known stays, what is hidden is never read, and a perfect denoiser repairs perfectly."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import nn
+
+from data_synth.corpus import Recipe as Corpus
+from data_synth.corpus import perform_sequence
+from motionlab.diffusion import repair
+from motionlab.diffusion.features import Normaliser
+from motionlab.diffusion.repair import Way
+from motionlab.diffusion.trained import Recipe, Trained
+from motionlab.diffusion.windows import gather, on_standard
+from motionlab.errors import ShapeError
+from motionlab.skeleton import STANDARD
+
+WAYS = {
+    "eq. 4.10": Way(),
+    "ddpm": Way(sampler="ddpm"),
+    "imputed": Way(put="imputed"),
+    "guided": Way(put="imputed", weight=1.0),
+    "repaint": Way(times=2, jump=3),
+    "soft": Way(soft=2, last=False, finish=4),  # its last overwrite would blend held values in
+    "finish": Way(last=False, finish=4),
+}
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """Six windows of 12 frames of a walk, anywhere in the room."""
+    cut = gather([on_standard(perform_sequence(Corpus(seconds=6.0, seed=3), 0).motion)], 12).evenly(6)
+    return replace(cut, skeleton=STANDARD)
+
+
+class Oracle(nn.Module):
+    """Knows the truth; ``told`` it notes what it was told."""
+
+    def __init__(self, x0, told=False):
+        super().__init__()
+        self.x0, self.told, self.heard = x0, told, None
+        self.weight = nn.Parameter(torch.zeros(()))
+
+    def forward(self, x, stamps, known=None, mask=None):
+        self.heard = (known, mask)
+        return self.x0 + 0 * x + self.weight
+
+
+def model_of(motion, told=False):
+    recipe = Recipe(frames=12, told=told, noising=50)
+    normaliser = Normaliser.measure(recipe.layout.encode(motion), recipe.layout)
+    x0 = normaliser.apply(recipe.layout.encode(motion))
+    return Trained(Oracle(x0, told), recipe.schedule, recipe.layout, normaliser, recipe)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_with_a_perfect_denoiser_every_way_returns_the_truth_where_it_was(motion, generator, way):
+    model = model_of(motion)
+    known = model.layout.mask(12, only=[0, 1, 2, 9, 10, 11])
+    made = repair.repair(model, motion, known, generator, replace(WAYS[way], steps=10))
+    assert (made.positions - motion.positions).abs().max() < 1e-3
+    assert made.fps == motion.fps and motion.root[..., :2].std() > 0.05  # they were not at the origin
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_hidden_numbers_are_never_read(motion, way):
+    model = model_of(motion)
+    known = model.layout.mask(12, joints=["spine1", "spine2", "neck"])
+    x0 = model.encode(motion)
+    spoilt = torch.where(known, x0, float("nan"))
+    first, second = (
+        repair.fill(model, x, known, torch.Generator().manual_seed(1), replace(WAYS[way], steps=5))
+        for x in (x0, spoilt)
+    )
+    assert first.isfinite().all() and torch.equal(first, second)
+
+
+def test_known_numbers_are_exact_unless_the_last_overwrite_is_left_out(motion, generator):
+    model = model_of(motion)
+    x0, known = model.encode(motion), model.layout.mask(12, only=[0, 11])
+    model.denoiser.x0 = torch.zeros_like(x0)  # a denoiser that is wrong everywhere
+    ways = {"last": Way(steps=9), "not": Way(steps=9, last=False), "finish": Way(last=False, finish=3)}
+    gaps = {
+        name: (repair.fill(model, x0, known, generator, way) - x0)[:, known].abs().max() for name, way in ways.items()
+    }
+    assert gaps["last"] < 1e-6 and gaps["finish"] < 1e-6 and gaps["not"] > 0.1
+
+
+def test_a_model_that_is_told_hears_the_mask_and_only_what_is_known(motion, generator):
+    model = model_of(motion, told=True)
+    x0, known = model.encode(motion), model.layout.mask(12, groups=["root"])
+    repair.fill(model, x0, known, generator, Way(put="nothing", steps=3))
+    heard, mask = model.denoiser.heard
+    assert torch.equal(mask, known.expand_as(x0)) and torch.equal(heard, torch.where(known, x0, 0.0))
+
+
+def test_small_batches_keep_every_window_in_its_place(motion):
+    model = model_of(motion)
+    truth = model.denoiser.x0
+
+    class InTurn(Oracle):
+        """Windows come two at a time, in order."""
+
+        def forward(self, x, stamps, known=None, mask=None):
+            self.calls = getattr(self, "calls", -1) + 1
+            at = 2 * (self.calls // 3)
+            return self.x0[at : at + 2]
+
+    inner = replace(model, denoiser=InTurn(truth))
+    known = model.layout.mask(12, only=[0])
+    made = repair.repair(inner, motion, known, torch.Generator().manual_seed(0), Way(steps=3), batch=2)
+    assert (made.positions - motion.positions).abs().max() < 1e-3
+
+
+def test_an_unknown_number_takes_the_nearest_known_value_for_a_soft_mask():
+    x = torch.arange(6.0)[None, :, None].expand(1, 6, 2).contiguous()
+    known = torch.zeros(6, 2, dtype=torch.bool)
+    known[[1, 5], 0] = True
+    held = repair._held(torch.where(known, x, 0.0), known)
+    assert held[0, :, 0].tolist() == [1, 1, 1, 1, 5, 5] and not held[0, :, 1].any()
+
+
+def test_what_makes_no_sense_is_refused(motion, generator):
+    model = model_of(motion)
+    with pytest.raises(ShapeError, match="known"):
+        repair.repair(model, motion, torch.ones(11, model.layout.size, dtype=torch.bool), generator)
+    for bad in ({"put": "paste"}, {"sampler": "euler"}, {"put": "imputed", "times": 2}):
+        with pytest.raises(ValueError, match=r"expected|overwrite"):
+            Way(**bad)

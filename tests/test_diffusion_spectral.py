@@ -1,0 +1,113 @@
+"""The preconditioned denoiser: against scipy's transform, the exact Gaussian denoiser, and the identity at no noise."""
+
+import numpy as np
+import pytest
+import scipy.fft
+import torch
+from torch import nn
+
+from motionlab.diffusion import spectral
+from motionlab.diffusion.denoiser import Denoiser, until_known
+from motionlab.diffusion.schedule import cosine
+from motionlab.errors import ShapeError
+
+
+class Says(nn.Module):
+    """A network that says the same number everywhere."""
+
+    told = False
+
+    def __init__(self, value: float) -> None:
+        super().__init__()
+        self.value = value
+
+    def forward(self, x, stamps, known=None, mask=None):
+        return torch.full_like(x, self.value)
+
+
+def made(spectrum, value=0.0):
+    frames, features = spectrum.shape
+    model = spectral.Spectral(Says(value), cosine(1000).alpha_bar, frames, features)
+    model.spectrum.copy_(spectrum)
+    return model
+
+
+def test_the_transform_is_scipys(generator):
+    x = torch.randn(3, 12, 5, generator=generator)
+    expected = scipy.fft.dct(x.numpy(), axis=1, norm="ortho")
+    assert np.abs((spectral.cosines(12) @ x).numpy() - expected).max() < 1e-5
+
+
+def test_without_a_network_it_is_the_exact_denoiser_of_gaussian_motion(generator):
+    """Against the conditional mean by the covariance in time, no transform used."""
+    frames, a = 8, cosine(1000).alpha_bar[400]
+    power = torch.linspace(2.0, 0.1, frames)[:, None]
+    basis = spectral.cosines(frames)
+    covariance = basis.T @ torch.diag(power[:, 0]) @ basis
+    x = torch.randn(4, frames, 1, generator=generator)
+    a = a.float()
+    gain = a.sqrt() * covariance @ torch.linalg.inv(a * covariance + (1 - a) * torch.eye(frames))
+    estimate = made(power)(x, torch.full((4,), 400))
+    assert torch.allclose(estimate, gain @ x, atol=1e-5)
+    assert not torch.allclose(made(torch.ones(frames, 1))(x, torch.full((4,), 400)), gain @ x, atol=1e-2)
+
+
+def test_what_the_network_says_counts_in_units_of_the_filters_uncertainty(generator):
+    """Over many Gaussian motions the filter's error has the deviation by which the network's word is scaled."""
+    frames, t = 6, 300
+    power = torch.linspace(1.5, 0.2, frames)[:, None].expand(frames, 2)
+    schedule = cosine(1000)
+    basis = spectral.cosines(frames)
+    x0 = basis.T @ (power.sqrt() * torch.randn(20_000, frames, 2, generator=generator))
+    xt = schedule.noised(x0, t, torch.randn(x0.shape, generator=generator))
+    stamps = torch.full((len(x0),), t)
+    error = (basis @ (x0 - made(power)(xt, stamps))).std(0)
+    scale = basis @ (made(power, 1.0)(xt, stamps) - made(power)(xt, stamps))[0]
+    units = scale / (basis @ torch.ones(frames, 2))
+    assert torch.allclose(error[:1], units[:1].abs(), rtol=0.03)  # a constant is in the first coefficient alone
+    assert torch.allclose(spectral.power(x0), power, rtol=0.06)
+
+
+def test_where_there_is_no_noise_the_network_hardly_matters(generator):
+    x = torch.randn(2, 10, 3, generator=generator)
+    model = made(torch.ones(10, 3), value=5.0)
+    first, last = (model(x, torch.full((2,), t)) - x for t in (0, 999))
+    assert first.abs().max() < 0.2 and last.abs().max() > 1.0
+
+
+# --------------------------------------------------------------------------------------------- several frames a token
+def test_tokens_of_several_frames_halve_the_sequence_and_keep_the_order(generator):
+    model = Denoiser(4, size=16, layers=1, heads=2, hidden=16, dropout=0.0, patch=3).eval()
+    lengths = []
+    model.seqTransEncoder.register_forward_hook(lambda module, tokens, _: lengths.append(len(tokens[0])))
+    x = torch.randn(2, 12, 4, generator=generator)
+    with torch.no_grad():
+        out = model(x, torch.tensor([3, 7]))
+        model.output_process.poseFinal.weight.zero_()
+        model.output_process.poseFinal.bias.copy_(torch.arange(12.0))
+        order = model(x, torch.tensor([3, 7]))
+    assert out.shape == x.shape and lengths[0] == 12 // 3 + 1
+    assert torch.equal(order[0, :3], torch.arange(12.0).reshape(3, 4)) and torch.equal(order[0, 3:6], order[0, :3])
+    with pytest.raises(ShapeError, match="tokens of 3"):
+        model(x[:, :10], torch.tensor([3, 7]))
+
+
+def test_frames_until_the_next_known_one_against_counting():
+    mask = torch.zeros(1, 9, 3)
+    mask[0, [0, 4]] = 1.0
+    mask[0, 6, :2] = 1.0  # not whole
+    assert until_known(mask).tolist() == [[0, 3, 2, 1, 0, 9, 9, 9, 9]]
+
+
+def test_a_model_that_counts_to_the_next_known_frame_notices_where_it_is(generator):
+    how = {"size": 16, "layers": 1, "heads": 2, "hidden": 16, "dropout": 0.0, "told": True}
+    x, mask = torch.randn(1, 8, 4, generator=generator), torch.zeros(1, 8, 4)
+    mask[:, 7] = 1.0
+    torch.manual_seed(0)
+    plain, counting = Denoiser(4, **how).eval(), Denoiser(4, **how, arrival=True).eval()
+    counting.load_state_dict(plain.state_dict())
+    stamps = torch.tensor([5])
+    with torch.no_grad():
+        assert not torch.allclose(plain(x, stamps, x, mask), counting(x, stamps, x, mask))
+    with pytest.raises(ValueError, match="arrival"):
+        Denoiser(4, size=16, layers=1, heads=2, hidden=16, arrival=True)
