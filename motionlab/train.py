@@ -19,11 +19,12 @@ from motionlab.motion import Motion
 
 
 def add_command(commands: argparse._SubParsersAction) -> None:
-    """``train humor``, ``train small`` and ``train diffusion``."""
+    """``train humor``, ``train small``, ``train diffusion`` and ``train features``."""
     command = commands.add_parser("train", help="train a model: a checkpoint with its recipe")
     command.add_argument(
-        "model", choices=("humor", "small", "diffusion"), help="transition prior; pose and first states; denoiser"
-    )
+        "model", choices=("humor", "small", "diffusion", "features"),
+        help="transition prior; pose and first states; denoiser; what generated motion is judged in",
+    )  # fmt: skip
     command.add_argument(
         "--preset", choices=[name for presets in _presets().values() for name in presets],
         help="; ".join(f"{model}: {', '.join(presets)}" for model, presets in _presets().items())
@@ -121,6 +122,11 @@ def _train(options: argparse.Namespace) -> int:
         split, out, seed = sources(options.data), options.out or checkpoint.SHIPPED, options.seed or 0
         train_small.make_pose_prior(*split, out, seed=seed, steps=options.steps or train_small.STEPS)
         train_small.make_init_gmm(*split, out, seed=seed)
+        return 0
+    if options.model == "features":
+        out, found = options.out or checkpoint.SHIPPED / "diffusion_features", options.data and found_in(options.data)
+        seed, steps = options.seed or 0, options.steps
+        train_small.make_features(options.data, out, seed=seed, steps=steps, recordings=found or ())
         return 0
     default = next(iter(_presets()[options.model]))
     out = options.out or checkpoint.SHIPPED / f"{options.model}_{options.preset or default}"

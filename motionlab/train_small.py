@@ -1,4 +1,4 @@
-"""The two small priors that ship with the project, over poses and over first states: data, training and recipes."""
+"""The small models that ship with the project: priors over poses and first states, and the features that judge."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ import torch
 from torch import Tensor
 
 from data_synth import anatomy, corpus
+from motionlab import diffusion_data
+from motionlab.diffusion import embedding
+from motionlab.diffusion.trained import Recipe
+from motionlab.diffusion.windows import gather
 from motionlab.humor import checkpoint, init_gmm, pose_training, state
 from motionlab.humor.init_gmm import InitGmm
 from motionlab.humor.variety import other_body
@@ -100,6 +104,34 @@ def make_init_gmm(train: Motions, held: Motions, out: Path, *, seed: int = 0) ->
     }
     checkpoint.save(out / "init_gmm_compact", gmm.tensors(), recipe)
     return recipe
+
+
+def make_features(
+    folder: Path | str | None, out: Path, *, seed: int = 0, steps: int | None = None, recordings: Sequence[str] = ()
+) -> dict:
+    """Train and write the features that generated motion is judged in (``diffusion.embedding``); their recipe.
+
+    folder: of recordings, or None. Trained on the training part of ``diffusion_data``, watched on the choosing part.
+    """
+    recipe = embedding.Recipe(seed=seed, **({"steps": steps} if steps else {}))
+    parts = {part: diffusion_data.sources(folder, part) for part in ("train", "choose")}
+    ready = {part: [m for some in found.values() for m in some] for part, found in parts.items()}
+    windows, held = (gather(diffusion_data.prepared(some, Recipe()), recipe.frames) for some in ready.values())
+    features, curve = embedding.train(windows, recipe, held.evenly(256), say=print)
+    with_data = " --data FOLDER" if diffusion_data.RECORDED in parts["train"] else ""
+    about = {
+        "what": "autoencoder over windows of 60 frames: the features that generated motion is judged in",
+        "command": f"python -m motionlab train features --steps {recipe.steps} --seed {seed}{with_data}",
+        "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in parts["train"].items()},
+        "recordings": list(recordings),
+        "corpus": asdict(corpus.Recipe()),
+        "windows": windows.digest,
+        "torch": torch.__version__,
+        "share of variance missed, held out": {k: round(v, 4) for k, v in features.missed(held.evenly(256)).items()},
+        "curve": curve,
+    }
+    embedding.save(out, features, about)
+    return about
 
 
 @torch.no_grad()
