@@ -28,14 +28,14 @@ TRAVELS = 0.2  # m/s over the floor, from which the root of a clip counts as mov
 # ---------------------------------------------------------------------------------------------- place and heading
 def somewhere(count: int, metres: float, generator: torch.Generator) -> Frame:
     """Moves (count, 1): any turn about the vertical, then a shift over the floor of up to ``metres`` in x and y."""
-    turn = 2 * torch.pi * torch.rand(count, 1, generator=generator)
-    shift = metres * (2 * torch.rand(count, 1, 3, generator=generator) - 1)
+    turn = 2 * torch.pi * torch.rand(count, 1, generator=generator, dtype=torch.float64)
+    shift = metres * (2 * torch.rand(count, 1, 3, generator=generator, dtype=torch.float64) - 1)
     return _move(turn, shift)
 
 
 def away(count: int, metres: float, generator: torch.Generator) -> Frame:
     """Moves (count, 1): a shift of exactly so many metres over the floor, in a random direction; no turn."""
-    turn = 2 * torch.pi * torch.rand(count, 1, generator=generator)
+    turn = 2 * torch.pi * torch.rand(count, 1, generator=generator, dtype=torch.float64)
     shift = metres * torch.stack((turn.cos(), turn.sin(), torch.zeros_like(turn)), -1)
     return _move(torch.zeros_like(turn), shift)
 
@@ -78,7 +78,7 @@ def turned_noise(noise: Tensor, move: Frame, layout: Layout) -> Tensor:
     """
     if layout.velocities:
         raise ShapeError("turned_noise: expected a layout without velocities")
-    out, turn = noise.clone(), move.turn
+    out, turn = noise.clone(), move.turn.to(noise)
     for name in ("root", "orient"):
         part = noise[..., layout.slices[name]].unflatten(-1, (-1, 3))  # 6-D: two columns of a matrix
         out[..., layout.slices[name]] = (part @ turn.mT).flatten(-2)
