@@ -1,7 +1,7 @@
 """Features that generated motion is judged in: the latent numbers of an autoencoder over windows of two seconds.
 
-It sees the root's path and the feet's sliding, and has learnt from training motion alone, as it must: what judges may not
-know what is held out.
+It sees the root's path and the feet's sliding. It has learnt from training motion alone, as it must: what judges may
+not know what is held out.
 
 Source: FID's features are those of a trained network (Heusel et al. 2017; for motion Guo et al. 2020, MDM).
 Differs: an autoencoder, as there are no labels; root and feet count as much as all other joints together.
@@ -58,8 +58,8 @@ def signals(motion: Motion) -> Tensor:
 
 @dataclass(frozen=True)
 class Recipe:
-    """frames: of a window, a multiple of 4. size: latent numbers. width: of the convolutions. steps, batch, lr: of Adam;
-    its rate falls by a cosine to nothing. seed: of weights and windows."""
+    """frames: of a window, a multiple of 4. size: latent numbers. width: of convolutions. steps, batch, lr: of Adam,
+    whose rate falls by a cosine. seed: of weights and windows."""
 
     frames: int = 60
     size: int = 96

@@ -1,0 +1,184 @@
+"""How good generated windows are beside real ones, in one call: every number with its sizes, its floor, its spread.
+
+Source: the open point of thesis 4.4.3. Measures: ``metrics.generation``, ``metrics.contact``, ``metrics.pose``;
+features: ``embedding``. Whether they are copies: ``metrics.memorisation``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.diffusion.embedding import Features
+from motionlab.diffusion.windows import Windows
+from motionlab.errors import DataError, ShapeError
+from motionlab.metrics import generation
+from motionlab.metrics.contact import skating_ratio
+from motionlab.metrics.memorisation import Neighbours, nearest_windows
+from motionlab.motion import Motion, mirror
+from motionlab.skeleton import STANDARD
+
+#: The joints that skate or do not: the balls of the feet, as in GMD.
+BALLS = ("left_foot", "right_foot")
+#: What :func:`score` measures and when it is good; frechet and kid in squared units of the features.
+MEASURES = {
+    "frechet": "low", "kid": "0", "precision": "high", "recall": "high", "density": "1", "coverage": "high",
+    "diversity ratio": "1", "skate ratio": "1", "acceleration ratio": "1",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What is measured of windows, once: latent (N, D) features; skate (N,): share of frames in which a foot slides;
+    acceleration (N,): mean of the joints' m/s^2."""
+
+    latent: Tensor
+    skate: Tensor
+    acceleration: Tensor
+
+    def some(self, rows: Tensor) -> Judged:
+        """Those rows."""
+        return Judged(self.latent[rows], self.skate[rows], self.acceleration[rows])
+
+    def __len__(self) -> int:
+        return len(self.latent)
+
+
+def judged(motion: Motion, features: Features) -> Judged:
+    """Measure windows (N, T) on the standard joints, feet on a floor at z = 0.
+
+    Raises:
+        DataError: a window is not finite. ShapeError: not windows as the features take them.
+    """
+    if not (motion.root.isfinite().all() and motion.rot.isfinite().all()):
+        raise DataError("a window is not finite", place=motion.name, remedy="leave it out and count it as a failure")
+    points, fps = motion.positions, motion.fps
+    bent = points.diff(n=2, dim=-3).norm(dim=-1).mean((-1, -2)) * fps**2
+    return Judged(features(motion), skating_ratio(points[..., motion.skeleton.indices(BALLS), :], fps), bent)
+
+
+def score(
+    made: Motion | Judged, real: Motion | Judged, features: Features, generator: torch.Generator
+) -> dict[str, float]:
+    """Every measure of ``MEASURES`` of generated windows against real ones, and the numbers that ratios are made of.
+
+    n, m: windows on either side. Precision, recall, density and coverage change with them: they are taken from the
+    first min(n, m) rows of both in an order that ``generator`` draws. skate: share of frames. acceleration: m/s^2.
+    """
+    x, y = (z if isinstance(z, Judged) else judged(z, features) for z in (made, real))
+    least = min(len(x), len(y))
+    a, b = (z.latent[torch.randperm(len(z), generator=generator)[:least]] for z in (x, y))
+    on, around = generation.precision_recall(a, b), generation.density_coverage(a, b)
+    variety, natural = (generation.diversity(z).value for z in (a, b))
+    row = {
+        "frechet": generation.frechet(x.latent, y.latent).value,
+        "kid": generation.kid(x.latent, y.latent, generator).value,
+        "precision": on.precision,
+        "recall": on.recall,
+        "density": around.density,
+        "coverage": around.coverage,
+        "diversity ratio": variety / natural,
+        "skate ratio": _over(x.skate, y.skate),
+        "acceleration ratio": _over(x.acceleration, y.acceleration),
+    }
+    means = {"skate": x.skate, "skate, real": y.skate, "acceleration": x.acceleration}
+    means |= {"acceleration, real": y.acceleration}
+    return row | {k: v.mean().item() for k, v in means.items()} | {"n": len(x), "m": len(y)}
+
+
+def _over(x: Tensor, y: Tensor) -> float:
+    """Mean over mean; 1 where both are nothing, infinite where only the second is."""
+    top, below = x.mean().item(), y.mean().item()
+    return top / below if below > 0 else (1.0 if top == 0 else float("inf"))
+
+
+def spread(
+    made: Judged, real: Judged, features: Features, generator: torch.Generator, draws: int = 20
+) -> dict[str, float]:
+    """Standard error of each measure of :func:`score`, from random halves of both sets without replacement.
+
+    The variance between halves of a set is about that of the whole set's estimate (Shao and Wu 1989, the delete-d
+    jackknife with d = n / 2). A bootstrap would draw windows twice, which these measures take for a lack of variety.
+    """
+    if min(len(made), len(real)) < 16 or draws < 2:
+        raise ShapeError(f"needs 16 windows a side and 2 draws, got {len(made)}, {len(real)} and {draws}")
+    rows = []
+    for _ in range(draws):
+        halves = [z.some(torch.randperm(len(z), generator=generator)[: len(z) // 2]) for z in (made, real)]
+        rows.append(score(*halves, features, generator))
+    return {name: torch.tensor([row[name] for row in rows]).std().item() for name in MEASURES}
+
+
+def together(rows: Sequence[Mapping[str, float]], errors: Sequence[Mapping[str, float]] = ()) -> dict[str, str]:
+    """One table row of several seeds' scores: mean, and deviation over the seeds (and the mean error of sampling)."""
+    found = {}
+    for name in MEASURES:
+        values = torch.tensor([row[name] for row in rows], dtype=torch.float64)
+        text = f"{values.mean():.3g}"
+        if len(rows) > 1:
+            text += f" ± {values.std():.1g}"
+        if errors:
+            text += f" ({sum(e[name] for e in errors) / len(errors):.1g})"
+        found[name] = text
+    sizes = sorted({(int(row["n"]), int(row["m"])) for row in rows})
+    return found | {"n / m": ", ".join(f"{n} / {m}" for n, m in sizes), "seeds": len(rows)}
+
+
+# ------------------------------------------------------------------------------------------ real motion, and spoilt
+def grouped(windows: Windows, count: int) -> tuple[Motion, Tensor]:
+    """Windows (count, T) evenly over all, on the standard body, and the motion (count,) that each was cut from."""
+    count = min(count, len(windows.begins))
+    at = torch.linspace(0, len(windows.begins) - 1, count).round().long()
+    return replace(windows.evenly(count), skeleton=STANDARD), windows.clip[windows.begins[at]]
+
+
+def spoilt(motion: Motion, generator: torch.Generator) -> dict[str, Motion]:
+    """Real windows with one fault each, which features must see, and mirrored ones, which are as real as before.
+
+    slid: the whole body drifts 20 cm/s over the floor in a random direction. trembling: every joint turns by 2 degrees
+    at random in every frame. frozen: the first frame throughout. backwards: in time. swapped: the legs of the next
+    window.
+    """
+    count, frames, joints = motion.rot.shape[:3]
+    way = torch.rand(count, generator=generator) * 2 * torch.pi
+    drift = 0.2 * torch.arange(frames) / motion.fps
+    path = torch.stack((drift * way.cos()[:, None], drift * way.sin()[:, None], 0 * drift * way[:, None]), -1)
+    tremble = rotation.exp(torch.randn(count, frames, joints, 3, generator=generator) * torch.pi / 90)
+    legs = [j for j, name in enumerate(STANDARD.names) if name.endswith(("hip", "knee", "ankle", "foot"))]
+    swapped = motion.rot.clone()
+    swapped[:, :, legs] = motion.rot.roll(1, 0)[:, :, legs]
+    bare = replace(motion, contacts=None)
+    return {
+        "slid 20 cm/s": replace(bare, root=motion.root + path.to(motion.root)),
+        "trembling 2 degrees": replace(bare, rot=motion.rot @ tremble.to(motion.rot)),
+        "frozen": replace(
+            bare, root=motion.root[:, :1].expand_as(motion.root), rot=motion.rot[:, :1].expand_as(motion.rot)
+        ),
+        "backwards": replace(bare, root=motion.root.flip(1), rot=motion.rot.flip(1)),
+        "legs of another": replace(bare, rot=swapped),
+        "mirrored": replace(mirror(motion), contacts=None),
+    }
+
+
+# ---------------------------------------------------------------------------------------------------- copies
+def neighbours(sets: Mapping[str, Motion], library: Sequence[Motion], *, stride: int = 1) -> dict[str, Neighbours]:
+    """The nearest training window of every window of several sets (N_i, T), at any shift and either hand; one search.
+
+    library: recordings (frames,) on the standard body.
+    """
+    parts = list(sets.values())
+    root, rot = (torch.cat([getattr(m, name) for m in parts]) for name in ("root", "rot"))
+    found = nearest_windows(Motion(STANDARD, root, rot, parts[0].fps), library, stride=stride)
+    split = [x.split([len(m.root) for m in parts]) for x in found]
+    return {name: Neighbours(*(x[k] for x in split)) for k, name in enumerate(sets)}
+
+
+def recalled(found: Neighbours, at: int, library: Sequence[Motion], frames: int) -> Motion:
+    """The training window (T,) that was found for one query, in the query's hand."""
+    start = int(found.start[at])
+    window = replace(library[int(found.recording[at])].cut(start, start + frames), contacts=None)
+    return mirror(window) if bool(found.mirrored[at]) else window
