@@ -40,6 +40,14 @@ def imputed(denoise: Denoiser, known: Tensor, m: Tensor) -> Denoiser:
     return lambda x, stamps: (1 - m) * denoise(x, stamps) + m * known
 
 
+def until_last(inner: Denoiser, denoise: Denoiser, last: int) -> Denoiser:
+    """``inner``, but ``denoise`` alone at the step that is told ``last``, so that the network has the last word.
+
+    Source: CondMDI, ``--stop_imputation_at 1``.
+    """
+    return lambda x, stamps: (denoise if int(stamps[0]) == last else inner)(x, stamps)
+
+
 def guided(denoise: Denoiser, schedule: Schedule, known: Tensor, m: Tensor, weight: float) -> Denoiser:
     """Known parts imputed; the rest of the x_0 estimate less weight sqrt(alpha_bar) / 2 times the gradient in x_t of
     |m (x_0 estimate - known)|^2, so that it moves to where the network's own estimate agrees with what is known."""

@@ -27,10 +27,10 @@ class Way:
     """How the known part comes in.
 
     put: "overwrite" (Eq. 4.10), "imputed" (MDM), or "nothing", where only a model that is told, or guidance, knows it.
-    steps, sampler: of the respaced process. last: overwrite also behind the last step, as the thesis does. weight: of
-    reconstruction guidance; 0: none. times, jump: of RePaint's resampling; times 1: none. soft: frames over which the
-    mask's edges rise. finish: frames over which ``inpainting.offset_decay`` fades; 0: no finish, known parts stay as
-    the sampler left them.
+    steps, sampler: of the respaced process. last: overwrite (or impute) also in the last step, as the thesis does.
+    weight: of reconstruction guidance; 0: none. times, jump: of RePaint's resampling; times 1: none. soft: frames over
+    which the mask's edges rise. finish: frames over which ``inpainting.offset_decay`` fades; 0: no finish, known parts
+    stay as the sampler left them.
     """
 
     put: str = "overwrite"
@@ -66,10 +66,13 @@ def fill(model: Trained, x0: Tensor, known: Tensor, generator: torch.Generator, 
     denoise: Denoiser = model.denoiser
     if model.recipe.told:
         denoise = lambda x, stamps: model.denoiser(x, stamps, seen, known.expand_as(x))  # noqa: E731
+    alone = denoise
     if way.weight:
         denoise = inpainting.guided(denoise, schedule, seen, m, way.weight)
     elif way.put == "imputed":
         denoise = inpainting.imputed(denoise, seen, m)
+    if denoise is not alone and not way.last:
+        denoise = inpainting.until_last(denoise, alone, int(schedule.stamps[0]))
     after = None
     if way.put == "overwrite":
         after = inpainting.overwrite(schedule, seen, m, generator, last=way.last)
