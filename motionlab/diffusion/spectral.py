@@ -3,7 +3,8 @@
 In the cosine basis over time, X = C x, every number of a motion has its own power S (T, D). Were motions Gaussian with
 that power, the best guess of x_0 from x_t = sqrt(a) x_0 + sqrt(1 - a) noise would be the Wiener filter
 sqrt(a) S / (a S + 1 - a) X_t, wrong by the deviation sqrt(S (1 - a) / (a S + 1 - a)). The network gives what is
-missing, in units of that deviation: quick changes, of which motion has little, stay small whatever it says.
+missing, in units of that deviation: quick changes, of which motion has little, stay small whatever it says. And it is
+shown the guess, brought to unit size, in place of x_t: there is less noise in it.
 
 Source: Karras et al. 2022 (EDM), preconditioning, whose data is white, S = 1; the filter: Wiener 1949.
 Differs from the thesis and MDM, whose network gives x_0 itself.
@@ -45,11 +46,11 @@ class Spectral(nn.Module):
         self.register_buffer("alpha_bar", alpha_bar.float(), persistent=False)
         self.register_buffer("cosines", cosines(frames), persistent=False)
 
-    def forward(self, x: Tensor, stamps: Tensor, known: Tensor | None = None, mask: Tensor | None = None) -> Tensor:
+    def forward(self, x: Tensor, stamps: Tensor, *known: Tensor | None, **told: Tensor | None) -> Tensor:
         """Estimate (B, T, D) of x_0; arguments as for the network."""
         a, s = self.alpha_bar[stamps][:, None, None].to(x), self.spectrum.to(x)
         total = a * s + 1 - a
-        said = self.network(x, stamps, known, mask)
-        return self.cosines.T @ (
-            a.sqrt() * s / total * (self.cosines @ x) + (s * (1 - a) / total).sqrt() * (self.cosines @ said)
-        )
+        guess = a.sqrt() * s / total * (self.cosines @ x)
+        size = (a * s.square() / total).mean((1, 2), keepdim=True).sqrt()
+        said = self.network(self.cosines.T @ guess / size, stamps, *known, **told)
+        return self.cosines.T @ (guess + (s * (1 - a) / total).sqrt() * (self.cosines @ said))
