@@ -1,8 +1,9 @@
 """Where what was given meets what was made: the jump there, and every cure of it, on one scale.
 
-A cure is a way of sampling and an end. Every way is sampled without a last overwriting, so that the network has the last
+A cure is a way of sampling and an end. A way is sampled without a last overwriting, so that the network has the last
 word, and ended in three ways: "left" as it is (smooth; known frames are only near), "pasted" (known frames put in: the
-thesis's last overwriting, exactly), "faded" (put in, and their offset faded out beside them: ``offset_decay``).
+thesis's last overwriting, exactly), "faded" (put in, and their offset faded out beside them: ``offset_decay``). Soft
+masks blend in the last step, too: these are "pasted" by themselves.
 
 Source: thesis 4.2.2 (the jump), 4.2.5 (blending), 4.4.1 (cures).
 """
@@ -70,14 +71,17 @@ def ended(
     fade: int = FADE,
     batch: int = 64,
 ) -> dict[str, Motion]:
-    """Motions (B, T), in the world, with the frames that are not known (T,) made anew, one for each of ``ENDS``."""
+    """Motions (B, T), in the world, with the frames that are not known (T,) made anew: for each of ``ENDS`` one."""
     stuck = model.layout.frame == "stuck"
     local, frame = stuck_root(motion) if stuck else (motion, None)
     x0, frames = model.encode(motion), known.nonzero()[:, 0].tolist()
     mask = model.layout.mask(len(known), only=frames)
     parts = [slice(at, at + batch) for at in range(0, len(x0), batch)]
-    x = torch.cat([repair.fill(model, x0[part], mask, generator, replace(way, last=False)) for part in parts])
-    rows = {"left": x, "pasted": torch.where(mask, x0, x), "faded": inpainting.offset_decay(x, x0, mask, fade)}
+    way = replace(way, last=way.soft > 0)
+    x = torch.cat([repair.fill(model, x0[part], mask, generator, way) for part in parts])
+    rows = {"pasted": torch.where(mask, x0, x)}
+    if not way.soft:
+        rows = {"left": x} | rows | {"faded": inpainting.offset_decay(x, x0, mask, fade)}
     found = {}
     for end, row in rows.items():
         made = model.decode(row, local.skeleton)

@@ -1,8 +1,8 @@
 """A solver for few steps that knows the data's spectrum: exact in any number of steps where motion is Gaussian.
 
 Let y = x / sqrt(a), sigma^2 = (1 - a) / a, all in the cosine basis over time, S the power of each number
-(``spectral``). The flow dy / dsigma = (y - x_0 estimate) / sigma has, with z = y / sqrt(S + sigma^2) of unit variance at
-every sigma and the angle theta = atan(sigma / sqrt(S)), the form
+(``spectral``). With z = y / sqrt(S + sigma^2), of unit variance at every sigma, and the angle
+theta = atan(sigma / sqrt(S)), the flow dy / dsigma = (y - x_0 estimate) / sigma has the form
 
     dz / dtheta = -n,    x_0 estimate = sqrt(S) (cos(theta) z + sin(theta) n).
 
