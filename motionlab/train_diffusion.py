@@ -19,23 +19,29 @@ from motionlab.diffusion.windows import gather
 from motionlab.errors import DataError
 from motionlab.motion import Motion
 
-_WEIGHTS = Weights(late=0.1, even=True)
-_BASE = Recipe(patch=2, spectral=True, weights=_WEIGHTS)
+_WEIGHTS = Weights(late=0.1, even=True, snr=5.0)
+_BASE = Recipe(patch=2, spectral=True, steps=12_000, batch=16, lr=1e-3, weights=_WEIGHTS)
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: as free, in world
-#: space. pose: single poses. told: as free, told what is known.
+#: space. pose: single poses. handles: single poses, told where some joints should be. told: as free, told what is
+#: known.
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
 #: would have a hundred times the gradient of all else.
+_POSE = replace(
+    _BASE, frames=1, patch=1, contacts=False, dropout=0.0, batch=256, steps=5000,
+    weights=replace(_WEIGHTS, velocity=0.0, contact=0.0),
+)  # fmt: skip
+_HELD = replace(_POSE, handles=64, weights=replace(_POSE.weights, handles=20.0))
 PRESETS = {
     "free": _BASE,
     "fixed": replace(_BASE, version="A", contacts=False, travels=False),
     "world": replace(_BASE, frame="world", weights=replace(_WEIGHTS, fk=0.002, contact=1.0)),
-    "pose": replace(
-        _BASE, frames=1, patch=1, contacts=False, batch=256, weights=replace(_WEIGHTS, velocity=0.0, contact=0.0)
-    ),
+    "pose": _POSE,
+    "handles": _HELD,
     "told": replace(_BASE, told=True),
 }
 _ARM = replace(_BASE, size="small", steps=3000)
-#: Small models, briefly trained, that differ from "all" in one thing each.
+_ARM_HELD = replace(_HELD, size="small", steps=3000)
+#: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles".
 ARMS = {
     "all": _ARM,
     "seed_1": replace(_ARM, seed=1),
@@ -55,6 +61,9 @@ ARMS = {
     "recordings": replace(_ARM, source="recordings"),
     "told": replace(_ARM, told=True),
     "arrival": replace(_ARM, told=True, arrival=True),
+    "handles": _ARM_HELD,
+    "handles_no_loss": replace(_ARM_HELD, weights=_POSE.weights),
+    "handles_no_embedding": replace(_ARM_HELD, handles=0),
 }
 PRESETS |= {f"arm_{name}": recipe for name, recipe in ARMS.items()}
 HELD = 256  # held-out windows that the checkpoint is chosen by

@@ -2,7 +2,8 @@
 
 Source: thesis 4.1.2, Fig. 4.2; MDM (Tevet et al. 2022), official code, unconstrained model, whose weights load by key.
 Differs, where asked: the known part of the state and its mask as further inputs (CondMDI; thesis 4.4.1); how long until
-the next known frame, added to every token (Harvey et al. 2020); several frames in one token, which halves the work.
+the next known frame, added to every token (Harvey et al. 2020); several frames in one token, which halves the work;
+where chosen joints should be, through a linear layer, beside the input (thesis 4.2.4, "handle conditioning").
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from torch import Tensor, nn
 
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.humor import foreign
+from motionlab.skeleton import STANDARD
 
 LONGEST = 5000  # frames and steps that the table of sines holds
+HANDLE = 4  # numbers of a joint: the place it should have, metres, and 1 where it is a handle
 
 
 def sines(count: int, size: int) -> Tensor:
@@ -66,7 +69,8 @@ class _Out(nn.Module):
 
 class Denoiser(nn.Module):
     """features: numbers per frame. size: of a token. told: with known values and their mask as inputs. arrival: told
-    also how far the next known frame is. patch: frames in a token.
+    also how far the next known frame is. patch: frames in a token. handles: numbers per frame that the places of
+    handles are embedded in; 0: it hears of none.
 
     "small", "compact" and "thesis" sizes: ``SIZES``.
     """
@@ -83,25 +87,35 @@ class Denoiser(nn.Module):
         told: bool = False,
         arrival: bool = False,
         patch: int = 1,
+        handles: int = 0,
     ) -> None:
         super().__init__()
         if arrival and not told:
             raise ValueError("arrival: only a model that is told of known frames can count to them")
         self.features, self.told, self.arrival, self.patch = features, told, arrival, patch
-        self.input_process = _In(features * patch * (3 if told else 1), size)
+        self.handles = nn.Linear(HANDLE * len(STANDARD), handles) if handles else None
+        self.input_process = _In((features * (3 if told else 1) + handles) * patch, size)
         self.sequence_pos_encoder = _Sines(size, dropout)
         layer = nn.TransformerEncoderLayer(size, heads, hidden, dropout, "gelu")
         self.seqTransEncoder = nn.TransformerEncoder(layer, layers, enable_nested_tensor=False)
         self.embed_timestep = _Step(size, self.sequence_pos_encoder)
         self.output_process = _Out(size, features * patch)
 
-    def forward(self, x: Tensor, stamps: Tensor, known: Tensor | None = None, mask: Tensor | None = None) -> Tensor:
+    def forward(
+        self,
+        x: Tensor,
+        stamps: Tensor,
+        known: Tensor | None = None,
+        mask: Tensor | None = None,
+        handles: Tensor | None = None,
+    ) -> Tensor:
         """Estimate (B, T, D) of x_0 from x_t (B, T, D) and steps (B,).
 
-        known (B, T, D), mask (B, T, D) or (T, D): what is known of x_0 and where (1); for a model that is told.
+        known (B, T, D), mask (B, T, D) or (T, D): what is known of x_0 and where (1); for a model that is told. handles
+        (B, T, 22, 4): see ``HANDLE``; zeros, as in None, for joints that are free.
 
         Raises:
-            ShapeError: another number of features, or known parts for a model that is told nothing.
+            ShapeError: another number of features, or known parts or handles for a model that is told of none.
         """
         frames = check_shape(x, f"B T {self.features}", "x")["T"]
         if frames % self.patch:
@@ -112,6 +126,11 @@ class Denoiser(nn.Module):
             mask = torch.zeros_like(x) if mask is None else mask.to(x).expand_as(x)
             known = torch.zeros_like(x) if known is None else known * mask
             x = torch.cat((x, known, mask), -1)
+        if handles is not None and self.handles is None:
+            raise ShapeError("handles: this model hears of none")
+        if self.handles is not None:
+            held = x.new_zeros(*x.shape[:2], self.handles.in_features) if handles is None else handles.flatten(2)
+            x = torch.cat((x, self.handles(held.to(x))), -1)
         tokens = self.input_process.poseEmbedding(x.unflatten(1, (-1, self.patch)).flatten(2))
         if self.arrival:
             tokens = tokens + self.sequence_pos_encoder.pe[until_known(mask)[:, :: self.patch], 0]

@@ -1,7 +1,7 @@
 """What the denoiser is trained by: its numbers, its joints, their changes, and feet that should stand.
 
 Source: thesis Eqs. 4.8 and 4.9; MDM (Tevet et al. 2022), the contacts of the truth; EDGE (Tseng et al. 2023), contacts
-that no gradient goes through; CondMDI (Cohan et al. 2024) and thesis 4.4.1, the known area.
+that no gradient goes through; CondMDI (Cohan et al. 2024) and thesis 4.4.1, the known area; thesis 4.2.4, handles.
 Differs: ``simple`` and ``velocity`` are means over the numbers of a frame, of normalised numbers (MDM), where the
 thesis sums: 1 is a network that knows nothing. Positions are metres, not normalised values (EDGE).
 """
@@ -19,16 +19,17 @@ from motionlab.diffusion.schedule import Schedule
 from motionlab.errors import check_shape
 
 GATES = ("predicted", "held", "truth")
-PARTS = ("simple", "fk", "velocity", "contact", "known")
-LATE = ("fk", "contact")
+PARTS = ("simple", "fk", "velocity", "contact", "known", "handles")
+LATE = ("fk", "contact", "handles")
 
 
 @dataclass(frozen=True)
 class Weights:
     """How much each part counts; 0 switches it off, and it is not computed.
 
-    fk: per square metre. contact: per square metre moved in a frame. known: only for a model that is told. late: share
-    of the steps before ``fk`` and ``contact`` count: the kinematics of a guess that is no pose yet have huge gradients.
+    fk: per square metre. contact: per square metre moved in a frame. known: only for a model that is told. handles: per
+    square metre. late: share of the steps before ``fk``, ``contact`` and ``handles`` count: the kinematics of a guess
+    that is no pose yet have huge gradients.
     gate: contacts that "predicted" (Eq. 4.9), "held" (the same, no gradient through them) or "truth" (MDM) says.
     by_signal: fk and contact of a window count by alpha_bar of its step, as a guess from pure noise is an average of
     poses, not a pose; not in Eq. 4.9. even: in ``simple`` every group of numbers counts alike, so that the root's place
@@ -41,6 +42,7 @@ class Weights:
     velocity: float = 1.0
     contact: float = 5.0
     known: float = 1.0
+    handles: float = 0.0
     late: float = 0.2
     gate: str = "predicted"
     by_signal: bool = False
@@ -77,6 +79,7 @@ def compare(
     gate: str = "predicted",
     even: bool = False,
     known: Tensor | None = None,
+    handles: Tensor | None = None,
     trust: Tensor | None = None,
     count: Tensor | None = None,
 ) -> dict[str, Tensor]:
@@ -85,11 +88,13 @@ def compare(
     simple: mean square of normalised numbers. velocity: of their change between frames, root and rotations only.
     fk: squared distance of the joints from the truth's, summed over joints, m^2. contact: squared way between frames of
     joints that touch the floor, times how surely they do, summed over joints, m^2. known: ``simple`` where known.
+    handles: squared distance of handles from where they should be, summed over handles, m^2.
 
     Args:
         estimate, truth: x_0 (B, T, D), normalised. offsets: (B or 1, J, 3) metres, the bodies'. gate, even: see
-            ``Weights``. known: (B, T, D) or (T, D), 1 where known. trust: (B,) what fk and contact of each window
-            count; default 1. count: (B,) what each window counts in all parts, 1 on average.
+            ``Weights``. known: (B, T, D) or (T, D), 1 where known. handles: (B, T, J, 4), as ``denoiser.HANDLE``.
+        trust: (B,) what fk, contact and handles of each window count; default 1. count: (B,) what each window counts in
+            all parts, 1 on average.
     Raises:
         ShapeError: the rows are not the layout's.
     """
@@ -117,6 +122,9 @@ def compare(
     if "fk" in parts:
         true = layout.decode(normaliser.undo(truth), 1.0, skeleton).positions
         found["fk"] = (trust[:, None] * (joints - true).square().sum((-1, -2))).mean()
+    if "handles" in parts and handles is not None:
+        far = (joints - handles[..., :3]).square().sum(-1) * handles[..., 3]
+        found["handles"] = (trust[:, None] * far.sum(-1)).mean()
     if "contact" in parts:
         sure = (normaliser.undo(truth) if gate == "truth" else rows)[..., layout.slices["contacts"]]
         sure = sure.detach() if gate == "held" else sure

@@ -26,6 +26,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
 
 FPS = 30.0
+LATER = {"handles"}  # came after models had been made: recipes without it had none
 LEVELS = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all noising steps: where the error of x_0 is measured
 
 
@@ -35,11 +36,12 @@ class Recipe:
 
     size: of the network (``denoiser.SIZES``). frames: of a window; 1: single poses. frame, velocities, contacts,
     travels: see ``Layout``. told: with the known area as input; arrival: and with the time to the next known frame.
-    patch: frames in a token. spectral: the network corrects a Wiener filter (``spectral``). version: of the synthetic
-    corpus. source: of what it trains on ("synthetic", "recordings" or "all"); share: of those motions. copies: of
-    every motion, held otherwise (``humor.variety``). noising: steps of the schedule. steps, batch, lr: of AdamW; the
-    rate rises over ``warm_up`` steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of
-    the weights, per step. bf16: the network in bfloat16.
+    patch: frames in a token. handles: numbers that the places of handles are embedded in; 0: they are not heard of.
+    spectral: the network corrects a Wiener filter (``spectral``). version: of the synthetic corpus. source: of what it
+    trains on ("synthetic", "recordings" or "all"); share: of those motions. copies: of every motion, held otherwise
+    (``humor.variety``). noising: steps of the schedule. steps, batch, lr: of AdamW; the rate rises over ``warm_up``
+    steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of the weights, per step. bf16:
+    the network in bfloat16.
     """
 
     size: str = "compact"
@@ -51,6 +53,7 @@ class Recipe:
     told: bool = False
     arrival: bool = False
     patch: int = 1
+    handles: int = 0
     spectral: bool = False
     version: str = "B"
     source: str = "all"
@@ -76,7 +79,7 @@ class Recipe:
         Raises:
             TypeError: names that are no part of a recipe. ValueError: values that are none.
         """
-        if missing := {f.name for f in fields(cls)} - set(content):
+        if missing := {f.name for f in fields(cls)} - set(content) - LATER:
             raise ValueError(f"no {', '.join(sorted(missing))}")
         return cls(**content | {"weights": Weights(**content["weights"])})
 
@@ -100,7 +103,7 @@ class Recipe:
             raise ValueError(f"size: expected one of {', '.join(denoiser.SIZES)}, got {self.size!r}")
         network = Denoiser(
             self.layout.size, dropout=self.dropout, told=self.told, arrival=self.arrival, patch=self.patch,
-            **denoiser.SIZES[self.size],
+            handles=self.handles, **denoiser.SIZES[self.size],
         )  # fmt: skip
         if not self.spectral:
             return network

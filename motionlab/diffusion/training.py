@@ -21,7 +21,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from motionlab import kept
-from motionlab.diffusion import losses, masks
+from motionlab.diffusion import handles, losses, masks
 from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Normaliser
 from motionlab.diffusion.sampling import noise_like
@@ -168,18 +168,20 @@ class Training:
         xt = self.schedule.noised(x0, t, noise_like(x0, self.generator))
         signal, count = self.schedule.alpha_bar[t].to(x0), self._counts[t].to(x0)
         known = masks.draw(self.layout, recipe.frames, recipe.batch, self.generator) if recipe.told else None
+        held = handles.draw(motion, self.generator) if recipe.handles or recipe.weights.handles else None
         seed = int(torch.randint(2**31, (), generator=self.generator)) + self.rank
-        batch = (x0, xt, self.schedule.stamps[t], motion.skeleton.offsets[:, 0], signal, count, known)
-        x0, xt, stamps, offsets, signal, count, known = (
+        batch = (x0, xt, self.schedule.stamps[t], motion.skeleton.offsets[:, 0], signal, count, known, held)
+        x0, xt, stamps, offsets, signal, count, known, held = (
             None if each is None else each[self.rank :: self.share].to(self.device) for each in batch
         )
-        told = (x0, known) if recipe.told else ()
+        told = {"known": x0, "mask": known} if recipe.told else {}
+        told |= {"handles": held} if recipe.handles else {}
         with self._torch_seeded(seed), torch.autocast(torch.device(self.device).type, torch.bfloat16, recipe.bf16):
-            estimate = self.network(xt, stamps, *told).float()
+            estimate = self.network(xt, stamps, **told).float()
         weights = recipe.weights.at(self.step / recipe.steps, self.layout, recipe.told)
         parts = losses.compare(
             estimate, x0, self.layout, self.normaliser, offsets, parts=weights, gate=recipe.weights.gate,
-            even=recipe.weights.even, known=known, trust=signal if recipe.weights.by_signal else None,
+            even=recipe.weights.even, known=known, handles=held, trust=signal if recipe.weights.by_signal else None,
             count=count,
         )  # fmt: skip
         loss = sum(weight * parts[name] for name, weight in weights.items())

@@ -1,0 +1,143 @@
+"""Pose completion: a whole pose from a few joints, its handles, by diffusion of single poses.
+
+Three ways. ``keep``: the thesis's baseline, inpainting (Eq. 4.10) with rotations kept. ``complete`` with ``guidance``:
+every estimate of x_0 is pulled to where its handles are at their targets (reconstruction guidance, Ho et al. 2022,
+through forward kinematics). ``complete`` of a model that hears of handles: thesis 4.2.4, "handle conditioning".
+Behind any of them a few steps of inverse kinematics bring the handles home (``reach``).
+
+Targets and poses are in the pose's own stuck frame (see ``handles``).
+Source: thesis 4.2.4. Differs: the finish by inverse kinematics; handles are told with the places they should have.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from motionlab.diffusion.features import Layout
+from motionlab.diffusion.handles import told
+from motionlab.diffusion.masks import units
+from motionlab.diffusion.reach import reach
+from motionlab.diffusion.repair import Way, repair
+from motionlab.diffusion.sampling import Denoiser, ddim
+from motionlab.diffusion.trained import Trained
+from motionlab.errors import DataError, ShapeError, check_shape
+from motionlab.metrics.pose import masked_mean
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD
+
+STEPS = 50  # of the sampler
+FINISH = 30  # steps of inverse kinematics, at most
+
+
+def complete(
+    model: Trained,
+    targets: Tensor,
+    which: Tensor,
+    generator: torch.Generator,
+    *,
+    steps: int = STEPS,
+    finish: bool = True,
+    guidance: float = 0.0,
+) -> Motion:
+    """Poses (B, 1) on the standard body whose handles are at their targets, or near them without ``finish``.
+
+    A model that hears of no handles, without guidance, makes poses that know nothing of them.
+
+    Args:
+        model: of single poses. targets: (B, 22, 3) metres; those of free joints are not read. which: bool (B, 22),
+            the handles. steps: of DDIM. guidance: weight of the pull, in squared units of x per square metre.
+
+    Raises:
+        DataError: a model of longer motions, or a target that is not finite. ShapeError: other shapes.
+    """
+    _check(model, targets, which)
+    targets = torch.where(which[..., None], targets, 0.0)
+    denoise: Denoiser = model.denoiser
+    if model.recipe.handles:
+        denoise = lambda x, stamps: model.denoiser(x, stamps, handles=told(targets, which)[:, None])  # noqa: E731
+    if guidance:
+        denoise = pulled(denoise, model, targets, which, guidance)
+    schedule = model.schedule.respaced(min(steps, len(model.schedule)))
+    made = model.decode(ddim(denoise, schedule, model.noise(len(targets), generator)))
+    return finished(made, targets, which) if finish else made
+
+
+def pulled(denoise: Denoiser, model: Trained, targets: Tensor, which: Tensor, weight: float) -> Denoiser:
+    """The x_0 estimate less weight sqrt(alpha_bar) / 2 times the gradient in x_t of the handles' squared distances from
+    their targets, after forward kinematics of the estimate."""
+    level = dict(zip(model.schedule.stamps.tolist(), model.schedule.alpha_bar.tolist(), strict=True))
+
+    def better(x: Tensor, stamps: Tensor) -> Tensor:
+        with torch.enable_grad():
+            at = x.detach().requires_grad_()
+            x0 = denoise(at, stamps)
+            far = (model.decode(x0).positions[:, 0] - targets).square().sum(-1)
+            (slope,) = torch.autograd.grad((far * which).sum(), at)
+        a = x.new_tensor([level[int(t)] for t in stamps])[:, None, None]
+        return x0.detach() - weight * a.sqrt() / 2 * slope
+
+    return better
+
+
+def finished(motion: Motion, targets: Tensor, which: Tensor, steps: int = FINISH) -> Motion:
+    """Poses (B, 1) with their handles brought to the targets (B, 22, 3) by inverse kinematics."""
+    goal = torch.where(which[..., None], targets, torch.nan)
+    return reach(motion, motion.skeleton.names, goal[:, None], steps=steps)
+
+
+def keep(
+    model: Trained,
+    motion: Motion,
+    which: Tensor,
+    generator: torch.Generator,
+    *,
+    chains: bool = True,
+    steps: int = STEPS,
+) -> Motion:
+    """Poses (B, 1) made anew around what is ``kept`` of others: the thesis's inpainting, Eq. 4.10."""
+    _check(model, motion.positions[:, 0], which)
+    return repair(model, motion, kept(model.layout, which, chains), generator, Way(steps=steps))
+
+
+def kept(layout: Layout, which: Tensor, chains: bool = True) -> Tensor:
+    """Which numbers (B, 1, D) are known for handles (B, 22): the rotations of the handles, and with ``chains`` those of
+    all joints above them up to the pelvis; its height only where the pelvis is a handle.
+
+    With chains the handles then stand to each other as they should, and are off by the pelvis's height alone.
+    """
+    joints = which.clone()
+    if chains:
+        for joint in range(len(STANDARD) - 1, 0, -1):
+            joints[:, STANDARD.parents[joint]] |= joints[:, joint]
+    root, contacts = which[:, :1], torch.zeros_like(which[:, :1])
+    return torch.cat((joints, root, contacts), -1)[:, None, units(layout)]
+
+
+def missed(motion: Motion, targets: Tensor, which: Tensor) -> Tensor:
+    """Distance (B, 22) in metres of every handle of poses (B, 1) from its target; NaN where no handle is."""
+    return torch.where(which, (motion.positions[:, 0] - targets).norm(dim=-1), torch.nan)
+
+
+def unobserved(motion: Motion, truth: Motion, which: Tensor) -> Tensor:
+    """Mean error (B,) in metres of the joints of poses (B, 1) that are no handles."""
+    return masked_mean((motion.positions - truth.positions)[:, 0].norm(dim=-1), ~which, 1)
+
+
+def spread(positions: Tensor, which: Tensor) -> Tensor:
+    """How much completions differ (B,): mean distance in metres of a free joint in one of K poses (K, B, 22, 3) from
+    itself in another."""
+    far = (positions[:, None] - positions).norm(dim=-1)
+    count = len(positions)
+    return masked_mean(far.sum((0, 1)) / (count * (count - 1)), ~which, 1)
+
+
+def _check(model: Trained, targets: Tensor, which: Tensor) -> None:
+    if model.recipe.frames != 1:
+        remedy = 'take trained.motion_model("diffusion_handles") or "diffusion_pose"'
+        raise DataError(f"a model of {model.recipe.frames} frames", place="completion", remedy=remedy)
+    check_shape(targets, f"B {len(STANDARD)} 3", "targets")
+    if which.shape != targets.shape[:-1] or which.dtype != torch.bool:
+        raise ShapeError(f"which: expected bool {tuple(targets.shape[:-1])}, got {which.dtype} {tuple(which.shape)}")
+    if not torch.where(which[..., None], targets, 0.0).isfinite().all():
+        raise DataError("a target is not finite", place="targets", remedy="let that joint be free")
