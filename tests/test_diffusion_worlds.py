@@ -170,3 +170,18 @@ def test_noise_of_velocities_is_refused(clips, generator):
     move = worlds.somewhere(1, 1.0, generator)
     with pytest.raises(ShapeError, match="without velocities"):
         worlds.turned_noise(torch.zeros(1, 2, 3), move, Layout(velocities=True))
+
+
+def test_root_and_body_errors_are_told_apart(clips):
+    shifted = replace(clips, root=clips.root + torch.linspace(0, 1, 40)[:, None] * torch.tensor([1.0, 0.0, 0.0]))
+    path, body = worlds.errors(shifted, clips)
+    assert torch.allclose(path, torch.tensor(0.5), atol=1e-4) and body.max() < 1e-5
+    path, body = worlds.errors(replace(clips, rot=clips.rot.roll(1, 0)), clips)
+    assert path.max() == 0 and body.min() > 0.001
+
+
+def test_batches_join_and_pairs_leave_out_what_is_no_number(clips):
+    joined = worlds.together([clips, clips.clip(slice(0, 3))])
+    assert joined.root.shape[0] == 43 and torch.equal(joined.contacts[40:], clips.contacts[:3])
+    assert worlds.together([clips, replace(clips, contacts=None)]).contacts is None
+    assert worlds.both(torch.tensor([3.0, torch.nan, 1.0]), torch.tensor([1.0, 1.0, torch.nan])).tolist() == [2.0]

@@ -1,0 +1,46 @@
+"""The figures of notebook 12: whether roots and legs know of each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from motionlab.viz.palette import INK, colour
+from motionlab.viz.plots import canvas
+
+
+def roots_and_legs(panels: Mapping[str, tuple[Tensor, Tensor]], roles: Mapping[str, str], most: int = 300) -> Figure:
+    """Speed of the root (N,) over speed of the feet about the pelvis (N,), m/s: a panel per source, a dot per clip, and
+    the correlation of all of them. At most ``most`` dots, evenly."""
+    fig, axes = canvas(1, len(panels), size=(2.4 * len(panels) + 0.6, 2.8), sharex=True, sharey=True)
+    for ax, (name, pair) in zip(axes, panels.items(), strict=True):
+        root, legs = (x.double().numpy(force=True) for x in pair)
+        pick = np.linspace(0, len(root) - 1, min(most, len(root))).round().astype(int)
+        ax.scatter(legs[pick], root[pick], s=11, color=colour(roles[name]), alpha=0.55, lw=0)
+        ax.set_title(f"{name}: r = {np.corrcoef(root, legs)[0, 1]:.2f}", color=INK, fontsize=9)
+        ax.set_xlabel("feet about the pelvis (m/s)", color=INK)
+    axes[0].set_ylabel("root over the floor (m/s)", color=INK)
+    high = [np.percentile(np.concatenate([p[k].numpy(force=True) for p in panels.values()]), 99.5) for k in (0, 1)]
+    axes[0].set_xlim(0, 1.08 * high[1])
+    axes[0].set_ylim(0, 1.08 * high[0])
+    return fig
+
+
+def ways(panels: Mapping[str, Tensor], roles: Mapping[str, str], metres: float | None = None) -> Figure:
+    """Roots (N, T, 3) seen from above, a panel per source, to one scale; dots: where they begin."""
+    fig, axes = canvas(1, len(panels), size=(2.7 * len(panels), 2.9))
+    for ax, (name, roots) in zip(axes, panels.items(), strict=True):
+        x = roots[..., :2].numpy(force=True)
+        ax.plot(*x.transpose(2, 1, 0), color=colour(roles[name]), lw=1.0, alpha=0.6)
+        ax.scatter(*x[:, 0].T, s=8, color=INK, zorder=3, lw=0)
+        ax.set_title(name, color=INK, fontsize=9)
+        ax.set_aspect("equal")
+        if metres:
+            ax.set_xlim(-metres, metres)
+            ax.set_ylim(-metres, metres)
+        ax.set_xlabel("x (m)", color=INK)
+    axes[0].set_ylabel("y (m)", color=INK)
+    return fig
