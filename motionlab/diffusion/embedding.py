@@ -30,12 +30,13 @@ MOVING = ("pelvis", "head", "left_wrist", "right_wrist", *FEET)
 #: Numbers of a frame: the root's place, the joints about it, velocities, and how fast each foot joint slides.
 GROUPS = {"place": 3, "joints": 3 * (len(STANDARD) - 1), "moving": 3 * len(MOVING), "sliding": len(FEET)}
 LOW, EDGE = 0.03, 0.01  # metres above its resting height: a foot joint is low there, and how soft the edge is
+SLOW = 0.05  # m/s: of a sliding foot's speed the logarithm counts, from about here on, or a swinging one hides it
 
 
 def signals(motion: Motion) -> Tensor:
     """Rows (N, T, 94) of windows (N, T) on the standard joints, in the heading frame of their first frames.
 
-    Metres and metres per second; sliding: the speed over the floor, faded out where the joint is not low.
+    Metres and metres per second; sliding: log(1 + speed over the floor / SLOW), faded out where the joint is not low.
 
     Raises:
         ShapeError: not windows of two or more frames on the 22 joints.
@@ -51,7 +52,7 @@ def signals(motion: Motion) -> Tensor:
         points[..., 0, :],
         (points[..., 1:, :] - points[..., :1, :]).flatten(-2),
         speed[..., motion.skeleton.indices(MOVING), :].flatten(-2),
-        low * speed[..., feet, :2].norm(dim=-1),
+        low * (speed[..., feet, :2].norm(dim=-1) / SLOW).log1p(),
     )
     return torch.cat(parts, -1)
 
@@ -62,7 +63,7 @@ class Recipe:
     whose rate falls by a cosine. seed: of weights and windows."""
 
     frames: int = 60
-    size: int = 96
+    size: int = 64
     width: int = 96
     steps: int = 1600
     batch: int = 64
