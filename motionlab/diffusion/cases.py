@@ -8,7 +8,8 @@ Source: thesis 4.2.1. Differs: numbers instead of looking.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -24,6 +25,7 @@ from motionlab.skeleton import FEET, STANDARD
 JOINTS = len(STANDARD)
 HIDDEN = tuple(name for name in STANDARD.names if name.endswith(LEGS))  # rotations that occluded legs lose
 LOWER = tuple(name for name in HIDDEN if not name.endswith("hip"))  # joints whose places follow from them
+T = TypeVar("T")
 BANDS = (0.5, 2.0, 4.0, 8.0, 15.0)  # Hz
 
 
@@ -88,6 +90,18 @@ def error_cm(made: Motion, truth: Motion, known: Tensor, joints: tuple[str, ...]
     if not where.any(-1).all():
         raise DataError("a window of which all is known", remedy="hide something of every window")
     return (errors.mean(-1) * where).sum(-1) / where.sum(-1)
+
+
+def chosen(
+    options: Sequence[T],
+    make: Callable[[T], Motion],
+    truth: Motion,
+    known: Tensor | None = None,
+    joints: tuple[str, ...] | None = None,
+) -> T:
+    """The option that leaves the least error, on windows that settings are chosen on; known None: nothing is known."""
+    hidden = torch.zeros(*truth.root.shape[:2], JOINTS + 2, dtype=torch.bool) if known is None else known
+    return min(options, key=lambda option: float(error_cm(make(option), truth, hidden, joints).mean()))
 
 
 def acceleration_ratio(made: Motion, truth: Motion) -> Tensor:

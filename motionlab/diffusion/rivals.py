@@ -18,14 +18,14 @@ import torch
 from torch import Tensor
 
 from motionlab import baselines, rotation
-from motionlab.diffusion.cases import JOINTS, columns
+from motionlab.diffusion.cases import JOINTS, chosen, columns
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.errors import ShapeError
 from motionlab.frames import Frame, local_to_world, stuck_root, world_to_local
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
-RIDGES = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)  # variances, beside numbers of about unit size
+RIDGES = (0.01, 0.1, 1.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # variances; the known numbers say much alike
 FILTERS: Mapping[str, tuple[Callable, Mapping[str, Sequence]]] = {
     "Savitzky-Golay": (
         lambda x, fps, window, degree: baselines.savitzky_golay(x, window, degree),
@@ -54,7 +54,7 @@ class Rivals:
     rows: Tensor
     mean_row: Tensor
     factor: Tensor
-    ridge: float = 0.003
+    ridge: float = 10.0
 
     @classmethod
     def fit(cls, windows: Motion, generator: torch.Generator, *, parts: int = 384, travels: bool = True) -> Rivals:
@@ -95,14 +95,10 @@ class Rivals:
 
         return self._filled(motion, known, find)
 
-    def tuned(self, truth: Motion, known: Tensor, ridges: Sequence[float] = RIDGES) -> Rivals:
-        """With the ridge that leaves the least joint error on other windows, those that settings are chosen on."""
-
-        def error(ridge: float) -> float:
-            made = replace(self, ridge=ridge).regression(truth, known)
-            return float((made.positions - truth.positions).norm(dim=-1).mean())
-
-        return replace(self, ridge=min(ridges, key=error))
+    def tuned(self, truth: Motion, known: Tensor, joints: tuple[str, ...] | None = None) -> Rivals:
+        """With the ridge that leaves ``regression`` the least joint error on windows that settings are chosen on."""
+        best = chosen(RIDGES, lambda w: replace(self, ridge=w).regression(truth, known), truth, known, joints)
+        return replace(self, ridge=best)
 
     # ------------------------------------------------------------------------------------------------- take noise away
     def wiener(self, motion: Motion, rough: Motion, turn: float, shift: float) -> Motion:
@@ -181,11 +177,7 @@ def tune(name: str, noisy: Motion, truth: Motion) -> dict[str, float]:
     """The settings of a filter that leave the least joint error on windows that settings are chosen on."""
     _, grid = FILTERS[name]
     options = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
-
-    def error(settings: dict[str, float]) -> float:
-        return float((filtered(noisy, name, **settings).positions - truth.positions).norm(dim=-1).mean())
-
-    return min(options, key=error)
+    return chosen(options, lambda settings: filtered(noisy, name, **settings), truth)
 
 
 def interpolated(motion: Motion, known: Tensor) -> Motion:

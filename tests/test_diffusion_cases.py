@@ -1,0 +1,243 @@
+"""The test cases: what they hide, what they measure, noise and its removal, and motions that are joined."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import nn
+
+from data_synth.corpus import Recipe as Corpus
+from data_synth.corpus import perform_sequence
+from motionlab import rotation
+from motionlab.diffusion import cases, denoising, switching
+from motionlab.diffusion.denoising import Noise, Start
+from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.trained import Recipe, Trained
+from motionlab.diffusion.windows import gather, on_standard
+from motionlab.errors import DataError, ShapeError
+from motionlab.metrics.inbetween import natural_changes
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, UPRIGHT
+
+FRAMES = 20
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """Six windows of 20 frames of somebody who walks about."""
+    cut = gather([on_standard(perform_sequence(Corpus(seconds=6.0, seed=3), 0).motion)], FRAMES).evenly(6)
+    return replace(cut, skeleton=STANDARD)
+
+
+def walker(speed: float, count: int = 2, frames: int = FRAMES, turn: float = 0.0) -> Motion:
+    """Somebody who glides at ``speed`` m/s straight ahead; ``turn`` radians off +y."""
+    time = torch.arange(frames) / 30.0
+    about = rotation.rotation_about("z", torch.tensor(turn))
+    path = torch.stack((0 * time, speed * time, 0 * time + 1.0), -1) @ about.mT
+    rot = torch.eye(3).repeat(frames, len(STANDARD), 1, 1)
+    rot[:, 0] = about @ UPRIGHT
+    whole = Motion(STANDARD, path, rot, 30.0, torch.zeros(frames, len(STANDARD.contact_names)))
+    return replace(
+        whole,
+        root=whole.root.repeat(count, 1, 1),
+        rot=whole.rot.repeat(count, 1, 1, 1, 1),
+        contacts=whole.contacts.repeat(count, 1, 1),
+    )
+
+
+# ------------------------------------------------------------------------------------------------------- what is known
+def test_occluded_legs_hide_eight_rotations_and_contacts_and_nothing_else():
+    known = cases.columns(Layout(), cases.legs(3, 5))
+    expected = Layout().mask(5, groups=("root",), joints=[n for n in STANDARD.names if n not in cases.HIDDEN])
+    assert len(cases.HIDDEN) == 8 and torch.equal(known, expected.expand(3, -1, -1))
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5])
+def test_every_frame_has_its_own_joints_and_every_joint_its_frame(generator, share):
+    known = cases.every_frame(40, 60, share, generator)
+    joints = known[..., : cases.JOINTS]
+    assert joints.float().mean() == pytest.approx(share, abs=0.02)
+    assert joints.any(1).all() and (joints[:, 1:] != joints[:, :-1]).any()
+    assert torch.equal(known[..., cases.JOINTS], known[..., 0]) and not known[..., -1].any()
+    assert cases.every_frame(1, 4, 0.0, generator)[..., : cases.JOINTS].sum(1).eq(1).all()
+
+
+def test_a_whole_window_keeps_the_same_joints_and_just_so_many(generator):
+    known = cases.whole_window(40, 60, 0.25, generator)
+    assert (known == known[:, :1]).all() and known[:, 0, : cases.JOINTS].sum(-1).eq(6).all()  # 5.5 rounds to even
+    assert len(known[:, 0].unique(dim=0)) > 30
+    assert cases.whole_window(5, 2, 0.0, generator)[:, 0, : cases.JOINTS].sum(-1).eq(1).all()
+
+
+def test_a_gap_lies_in_the_middle_and_leaves_both_ends():
+    known = cases.gap(2, 60, 45)[0, :, 0]
+    assert (~known).sum() == 45 and (~known).nonzero()[0] == 7 and known[-8:].all()
+    for length in (0, 59, 60):
+        with pytest.raises(ShapeError, match="gap"):
+            cases.gap(2, 60, length)
+
+
+# ------------------------------------------------------------------------------------------------------------ measures
+def test_error_counts_the_joints_asked_for_in_the_frames_that_hide_something(motion):
+    known = cases.gap(len(motion.root), FRAMES, 4)
+    assert cases.error_cm(motion, motion, known).abs().max() == 0
+    root = motion.root.clone()
+    root[:, 8:12] += torch.tensor([0.0, 0.0, 0.03])  # all joints of the gap 3 cm up
+    assert cases.error_cm(replace(motion, root=root), motion, known, cases.LOWER).numpy() == pytest.approx(3, abs=1e-3)
+    outside = motion.root.clone()
+    outside[:, :8] += 1
+    assert cases.error_cm(replace(motion, root=outside), motion, known).abs().max() < 1e-4
+    with pytest.raises(DataError, match="all is known"):
+        cases.error_cm(motion, motion, torch.ones_like(known))
+
+
+def test_a_walk_played_backwards_is_a_walk_reversed_and_one_on_the_spot_is_not():
+    time = torch.arange(60) / 30.0
+    swing = 0.5 * torch.sin(2 * torch.pi * time)
+    rot = walker(0.0, frames=60).rot.clone()
+    for side, sign in (("left", 1), ("right", -1)):
+        rot[:, :, STANDARD.index(f"{side}_hip")] = rotation.rotation_about("x", sign * swing)
+        bent = (-sign * torch.cos(2 * torch.pi * time)).clamp(min=0)  # the knee that is bent belongs to the foot ahead
+        rot[:, :, STANDARD.index(f"{side}_knee")] = rotation.rotation_about("x", bent)
+    true = replace(walker(0.0, frames=60), rot=rot)
+    back = replace(true, rot=rot.flip(1))
+    speed = cases.stance_speed(true)
+    assert speed.abs().min() > 0.3 and cases.stance_speed(back).numpy() == pytest.approx(-speed.numpy(), abs=1e-3)
+    assert cases.reversed_walk(back, true).eq(1).all() and cases.reversed_walk(true, true).eq(0).all()
+    gone = replace(true, root=walker(1.3, frames=60).root)
+    assert cases.stance_speed(gone).numpy() == pytest.approx(speed.numpy(), abs=1e-4)  # the root does not count
+    assert cases.reversed_walk(back, walker(1.0, frames=60)).isnan().all()  # nobody walks there
+
+
+def test_what_is_chosen_has_the_least_error(motion):
+    def moved(metres):
+        return replace(motion, root=motion.root + metres)
+
+    assert cases.chosen((0.3, -0.1, 0.2), moved, motion) == -0.1
+
+
+# ----------------------------------------------------------------------------------------------------------- denoising
+class Fixed(nn.Module):
+    """An x_0 estimate that is given, or what it got, without the factor of its step."""
+
+    def __init__(self, schedule, x0=None):
+        super().__init__()
+        self.schedule, self.x0, self.seen = schedule, x0, []
+        self.weight = nn.Parameter(torch.zeros(()))
+
+    def forward(self, x, stamps, known=None, mask=None):
+        self.seen.append(int(stamps[0]))
+        return self.x0 if self.x0 is not None else x / self.schedule.alpha_bar[stamps[0]].sqrt().to(x)
+
+
+def model_of(motion, x0=None):
+    recipe = Recipe(frames=FRAMES)
+    normaliser = Normaliser.measure(recipe.layout.encode(motion), recipe.layout)
+    return Trained(Fixed(recipe.schedule, x0), recipe.schedule, recipe.layout, normaliser, recipe)
+
+
+def test_noise_has_the_size_it_says_and_lasts_as_long(motion, generator):
+    long = replace(motion, root=motion.root.repeat(40, 1, 1), rot=motion.rot.repeat(40, 1, 1, 1, 1), contacts=None)
+    noise = Noise.of(5, 2, lasting=0.9)
+    noisy = noise.on(long, generator)
+    angle = rotation.geodesic(noisy.rot, long.rot)
+    assert angle.square().mean().sqrt().rad2deg() == pytest.approx(5 * 3**0.5, rel=0.02)
+    shift = noisy.root - long.root
+    assert shift.std() == pytest.approx(0.02, rel=0.05)
+    assert (shift[:, 1:] * shift[:, :-1]).mean() / shift.square().mean() == pytest.approx(0.9, abs=0.02)
+    fresh = Noise.of(5, 2).on(long, generator).root - long.root
+    assert (fresh[:, 1:] * fresh[:, :-1]).mean() / fresh.square().mean() == pytest.approx(0, abs=0.05)
+
+
+@pytest.mark.parametrize("size", [0.05, 0.3, 2.0])
+def test_the_reverse_process_begins_where_it_is_as_noisy(size):
+    schedule = Recipe().schedule
+    a = schedule.alpha_bar[denoising.begin(schedule, size)]
+    assert ((1 - a) / a).sqrt() == pytest.approx(size, rel=0.05)
+
+
+def test_denoising_comes_back_to_the_world_and_reads_the_noisy_motion(motion, generator):
+    noise = Noise.of(5, 2)
+    noisy = noise.on(motion, generator)
+    same = denoising.denoise(model_of(motion), noisy, motion, noise, generator, Start(topped=False))
+    assert (same.positions - noisy.positions).abs().max() < 1e-4  # taken as it is, it stays as it was
+    topped = denoising.denoise(model_of(motion), noisy, motion, noise, generator, Start())
+    assert (topped.positions - noisy.positions).norm(dim=-1).mean() > 0.005
+
+
+@pytest.mark.parametrize("start", [Start(), Start(steps=5), Start(looks=3, level=2.0)])
+def test_a_perfect_denoiser_gives_the_truth_from_the_step_it_should_start_at(motion, generator, start):
+    noise, plain = Noise.of(5, 2), model_of(motion)
+    model = model_of(motion, plain.encode(motion))
+    made = denoising.denoise(model, noise.on(motion, generator), motion, noise, generator, start)
+    assert (made.positions - motion.positions).abs().max() < 1e-4
+    seen = model.denoiser.seen
+    layout = Layout("world")
+    noisy = layout.encode(replace(noise.on(motion, generator), contacts=motion.contacts))
+    off = ((noisy - layout.encode(motion)) / model.normaliser.scale)[..., : layout.slices["contacts"].start]
+    size = off.square().mean().sqrt().item()
+    assert len(seen) == start.steps * start.looks
+    assert max(seen) == pytest.approx(denoising.begin(model.schedule, start.level * size), abs=40)
+
+
+def test_the_pull_moves_an_estimate_to_the_measurement(motion, generator):
+    noise = Noise.of(5, 2)
+    noisy = noise.on(motion, generator)
+    wrong = model_of(motion).encode(motion.clip([1, 2, 3, 4, 5, 0]))
+    errors = []
+    for pull in (0.0, 0.1, 1e6):
+        made = denoising.denoise(model_of(motion, wrong), noisy, motion, noise, generator, Start(pull=pull))
+        errors.append((made.positions - noisy.positions).norm(dim=-1).mean().item())
+    assert errors[0] > errors[1] > errors[2] and errors[2] < 1e-3
+
+
+def test_denoising_says_what_it_cannot_do(motion, generator):
+    with pytest.raises(DataError, match="no noise"):
+        denoising.denoise(model_of(motion), motion, motion, Noise(0.0, 0.0), generator)
+    moving = replace(model_of(motion), layout=Layout(velocities=True))
+    with pytest.raises(DataError, match="velocities"):
+        denoising.denoise(moving, motion, motion, Noise.of(5, 2), generator)
+
+
+# ----------------------------------------------------------------------------------------------------------- switching
+@pytest.mark.parametrize("gap", [1, 6])
+def test_who_walks_straight_on_is_put_where_he_will_be(gap):
+    whole = walker(1.2, turn=0.7)
+    before, after = whole.cut(0, 8), whole.cut(8 + gap)
+    elsewhere = walker(1.2, turn=-2.0).cut(8 + gap)
+    for suffix in (after, elsewhere):
+        found = switching.placed(suffix, before, gap)
+        assert (found.positions - after.positions).abs().max() < 1e-5
+    slower = switching.placed(walker(0.6, turn=1.0).cut(8 + gap), before, gap)
+    way = (slower.root[:, 0] - before.root[:, -1]).norm(dim=-1)
+    assert way.numpy() == pytest.approx((gap + 1) / 30 * 0.9, abs=1e-5)  # the mean of both paces
+
+
+def test_joined_motions_keep_both_ends_and_everyone_follows_another(motion, generator):
+    made, known = switching.pairs(motion, 6, generator)
+    assert made.frames == FRAMES and (~known).sum(1).eq(6).all() and not known[:, 7:13].any()
+    assert torch.equal(made.root[:, :7], motion.root[:, :7])
+    ends, sources = made.rot[:, 13:, 1:], motion.rot[:, 13:, 1:]
+    same = (ends[:, None] - sources[None]).abs().flatten(2).amax(-1) < 1e-6
+    assert torch.equal(same.sum(1), torch.ones(6, dtype=torch.long)) and not same.diagonal().any()
+    assert torch.equal(same.sum(0), torch.ones(6, dtype=torch.long))
+    facing = [rotation.yaw(made.rot[:, t, 0]) for t in (6, 13)]
+    assert torch.allclose(*facing, atol=1e-4)
+    with pytest.raises(ShapeError, match="nothing to join"):
+        switching.pairs(motion.clip(slice(0, 1)), 6, generator)
+
+
+def test_a_jump_is_measured_where_it_is(motion):
+    known = torch.ones(6, FRAMES, dtype=torch.bool)
+    known[:, 7:13] = False
+    natural = natural_changes(motion.positions, motion.fps)
+    jumped = motion.root.clone()
+    jumped[:, 7:13] += torch.tensor([0.2, 0.0, 0.0])
+    smooth, rough = (switching.measures(m, known, natural) for m in (motion, replace(motion, root=jumped)))
+    assert (rough["seam, m/s"] - smooth["seam, m/s"] > 3).all()  # 0.2 m in a thirtieth of a second
+    assert rough["seam, percentile of natural"].min() == 100
+    assert (rough["acceleration, m/s^2"] > smooth["acceleration, m/s^2"]).all()
+    outside = motion.root.clone()
+    outside[:, :3] += 1
+    again = switching.measures(replace(motion, root=outside), known, natural)
+    assert torch.allclose(again["acceleration, m/s^2"], smooth["acceleration, m/s^2"], atol=1e-3)
