@@ -67,10 +67,10 @@ def test_official_tensors_are_those_of_the_thesis_size():
 
 
 def test_the_twin_agrees_with_the_step_it_was_told(generator):
-    torch.manual_seed(0)
-    model = Denoiser(10, size=16, layers=2, heads=4, hidden=24).eval().requires_grad_(False)
+    model, other = (network_checks.seeded(10, seed, size=16, layers=2, heads=4, hidden=24) for seed in (0, 1))
     x = torch.randn(2, 12, 10, generator=generator)
     found = model(x, torch.tensor([7, 999]))
     for window, step, ours in zip(x, (7, 999), found, strict=True):
         assert (network_checks.twin(model, window, step) - ours).abs().max() < 1e-5
     assert (network_checks.twin(model, x[0], 500) - found[0]).abs().max() > 1e-3
+    assert (network_checks.twin(other, x[0], 7) - found[0]).abs().max() > 1e-3

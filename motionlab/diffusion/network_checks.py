@@ -9,7 +9,9 @@ import math
 from collections.abc import Mapping
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+
+from motionlab.diffusion.denoiser import Denoiser
 
 PARAMETERS = 17_501_846  # of the official unconstrained model
 
@@ -40,9 +42,9 @@ def differing(tensors: Mapping[str, Tensor], expected: Mapping[str, tuple[int, .
     return sorted(name for name in ours.keys() | expected.keys() if ours.get(name) != expected.get(name))
 
 
-def twin(model: nn.Module, x: Tensor, step: int) -> Tensor:
-    """What a ``denoiser.Denoiser`` that is told nothing says of one window x (T, D) at a step, with no layer of torch:
-    matrices, softmax and erf, float64, one token per frame."""
+def twin(model: Denoiser, x: Tensor, step: int) -> Tensor:
+    """What a network that is told nothing says of one window x (T, D) at a step, with no layer of torch: matrices,
+    softmax and erf, float64, one token per frame."""
     w = {name: value.double() for name, value in model.state_dict().items()}
     heads = model.seqTransEncoder.layers[0].self_attn.num_heads
     size = w["input_process.poseEmbedding.weight"].shape[0]
@@ -72,3 +74,10 @@ def twin(model: nn.Module, x: Tensor, step: int) -> Tensor:
         inner = inner * 0.5 * (1 + torch.erf(inner / math.sqrt(2)))
         tokens = norm(tokens + linear(inner, at + "linear2"), at + "norm2")
     return linear(tokens[1:], "output_process.poseFinal")
+
+
+def seeded(features: int, seed: int, **size: int) -> Denoiser:
+    """A network with random weights, frozen; torch's global generator is as before behind."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return Denoiser(features, **size).eval().requires_grad_(False)
