@@ -22,6 +22,7 @@ from motionlab.metrics import lafan
 from motionlab.metrics.memorisation import memorisation
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
+from motionlab.viz import generated as draw
 
 FRAMES = 12
 
@@ -129,6 +130,21 @@ def test_spread_is_about_the_deviation_of_fresh_sets(features, data, generator):
     assert 0.5 < said / true < 2
 
 
+def test_a_trial_draws_with_every_generator_and_scores_against_every_set(features, data, model):
+    def seeds():
+        return [torch.Generator().manual_seed(k) for k in range(3)]
+
+    real = {name: evaluation.judged(data.draw(40, torch.Generator().manual_seed(9)), features) for name in ("a", "b")}
+    found = evaluation.trial(trivial.copying(data), 32, seeds(), real, features, draws=3)
+    assert {k: len(v) for k, v in found.rows.items()} == {"a": 3, "b": 3} and set(found.errors) == {"a", "b"}
+    assert len({row["frechet"] for row in found.rows["a"]}) == 3  # three different draws
+    again = evaluation.trial(trivial.copying(data), 32, seeds(), real, features, draws=3)
+    assert again.rows == found.rows and again.errors == found.errors
+    torch.testing.assert_close(evaluation.judged(found.first, features).latent, found.sets[0].latent)
+    made = evaluation.sampler(model, 4)(3, torch.Generator().manual_seed(0))
+    assert made.root.shape == (3, FRAMES, 3) and made.root.isfinite().all()
+
+
 def test_windows_that_are_not_finite_are_refused(features, real):
     root = real[0].root.clone()
     root[3, 2, 1] = torch.nan
@@ -150,6 +166,41 @@ def test_groups_are_the_motions_that_windows_come_from(library, data):
     for at in (0, 49):
         starts = library[int(groups[at])].root
         assert (starts - motion.root[at, 0]).norm(dim=-1).min() < 1e-6
+
+
+# --------------------------------------------------------------------------------------------------------- plots
+def test_scores_have_a_dot_per_seed_and_lines_for_floor_and_aim():
+    rows = {
+        "real": [{"frechet": 1.0, "skate ratio": 1.0}],
+        "ours": [{"frechet": x, "skate ratio": x} for x in (2, 3.0)],
+    }
+    fig = draw.scores(rows, {"frechet": "low", "skate ratio": "1"}, floor={"frechet": 1.5}, columns=2)
+    dots = [[line for line in ax.get_lines() if line.get_marker() == "o"] for ax in fig.axes]
+    assert [[len(line.get_xdata()) for line in lines] for lines in dots] == [[1, 2], [1, 2]]
+    assert [line.get_xdata()[0] for line in fig.axes[0].get_lines() if line.get_linestyle() == "--"] == [1.5]
+    assert [line.get_xdata()[0] for line in fig.axes[1].get_lines() if line.get_linestyle() == ":"] == [1.0]
+    assert fig.axes[0].get_xscale() == "log" and fig.axes[1].get_xscale() == "linear"
+    with pytest.raises(ShapeError, match="nothing"):
+        draw.scores({}, {"frechet": "low"})
+
+
+def test_cumulative_ends_at_all_and_marks_the_quantile():
+    fig = draw.cumulative({"real": torch.arange(1.0, 101), "made": torch.ones(4)}, xlabel="m", quantile=("real", 0.05))
+    real, made, mark = fig.axes[0].get_lines()
+    assert real.get_ydata()[-1] == 100 and made.get_ydata().tolist() == [25, 50, 75, 100]
+    assert abs(mark.get_xdata()[0] - 5.95) < 1e-6
+
+
+def test_gaps_have_a_panel_each_in_centimetres():
+    gaps = {gap: {"ours": torch.full((4, gap), 0.02), "theirs": torch.rand(4, gap)} for gap in (5, 15)}
+    fig = draw.through_gaps(gaps, fps=30)
+    assert [ax.get_title() for ax in fig.axes] == ["gap of 5 frames", "gap of 15 frames"]
+    assert np.allclose(fig.axes[1].get_lines()[0].get_ydata(), 2) and len(fig.axes[1].get_lines()[0].get_xdata()) == 15
+
+
+def test_the_curve_of_the_features_is_drawn_in_percent():
+    fig = draw.learning([{"step": k, "place": 1 / k} for k in (1, 2)], ["place"])
+    assert fig.axes[0].get_lines()[0].get_ydata().tolist() == [100, 50]
 
 
 # -------------------------------------------------------------------------------------------------------- copies

@@ -14,6 +14,8 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.diffusion.embedding import Features
+from motionlab.diffusion.trained import Trained
+from motionlab.diffusion.trivial import Generate
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError, ShapeError
 from motionlab.metrics import generation
@@ -126,6 +128,45 @@ def together(rows: Sequence[Mapping[str, float]], errors: Sequence[Mapping[str, 
         found[name] = text
     sizes = sorted({(int(row["n"]), int(row["m"])) for row in rows})
     return found | {"n / m": ", ".join(f"{n} / {m}" for n, m in sizes), "seeds": len(rows)}
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One generator, drawn from with several seeds, n windows each.
+
+    rows: real set -> one :func:`score` per seed. errors: real set -> :func:`spread` of the first seed. first: Motion of
+    the first seed's windows. sets: what was measured of them all.
+    """
+
+    rows: dict[str, list[dict[str, float]]]
+    errors: dict[str, dict[str, float]]
+    first: Motion
+    sets: list[Judged]
+
+
+def trial(
+    generate: Generate,
+    count: int,
+    generators: Sequence[torch.Generator],
+    real: Mapping[str, Judged],
+    features: Features,
+    *,
+    draws: int = 20,
+) -> Trial:
+    """Draw ``count`` windows with each generator and score them against every real set."""
+    drawn, first = [], None
+    for generator in generators:
+        motion = replace(generate(count, generator), contacts=None)
+        drawn.append(judged(motion, features))
+        first = first or replace(motion)  # a copy, without the joint positions that the other keeps
+    rows = {k: [score(x, y, features, g) for x, g in zip(drawn, generators, strict=True)] for k, y in real.items()}
+    errors = {k: spread(drawn[0], y, features, generators[0], draws) for k, y in real.items()}
+    return Trial(rows, errors, first, drawn)
+
+
+def sampler(model: Trained, steps: int) -> Generate:
+    """A trained model as a generator: DDIM in so many steps."""
+    return lambda count, generator: model.sample(count, generator, steps=steps)
 
 
 # ------------------------------------------------------------------------------------------ real motion, and spoilt
