@@ -74,7 +74,7 @@ def test_signals_refuse_what_are_no_windows(some):
 
 def test_training_learns_and_is_the_same_again(data, some, trained):
     features, curve = trained
-    assert curve[-1]["loss"] < 0.6 * curve[0]["loss"]
+    assert curve[-1]["loss"] < 0.8 * curve[0]["loss"] and curve[-1]["place"] < 0.3
     assert curve[-1]["joints"] < curve[0]["joints"]
     again, _ = embedding.train(data, TINY, some)
     assert torch.equal(again(some), features(some))
