@@ -18,7 +18,9 @@ import torch
 from torch import Tensor
 
 from motionlab import baselines
+from motionlab.contact import with_contacts
 from motionlab.diffusion import inpainting, repair
+from motionlab.diffusion.evaluation import BALLS
 from motionlab.diffusion.repair import Way
 from motionlab.diffusion.trained import Trained
 from motionlab.errors import ShapeError
@@ -27,7 +29,6 @@ from motionlab.metrics.contact import skating_ratio
 from motionlab.metrics.inbetween import keyframe_error, natural_changes, percentile, step_changes
 from motionlab.metrics.pose import joint_errors, masked_mean
 from motionlab.motion import Motion
-from motionlab.skeleton import FEET
 
 ENDS = ("left", "pasted", "faded")
 EXACT = ENDS[1:]
@@ -72,6 +73,8 @@ def ended(
     batch: int = 64,
 ) -> dict[str, Motion]:
     """Motions (B, T), in the world, with the frames that are not known (T,) made anew: for each of ``ENDS`` one."""
+    if model.layout.contacts and motion.contacts is None:
+        motion = with_contacts(motion)
     stuck = model.layout.frame == "stuck"
     local, frame = stuck_root(motion) if stuck else (motion, None)
     x0, frames = model.encode(motion), known.nonzero()[:, 0].tolist()
@@ -122,7 +125,7 @@ def measure(made: Motion, truth: Motion, known: Tensor, natural: Tensor) -> dict
     jump = masked_mean(change, seams, 1)
     errors = joint_errors(p, t, align="none")
     bend, real = ((x.diff(n=2, dim=-3) * fps**2).norm(dim=-1).mean((-1, -2)) for x in (p, t))
-    feet = made.skeleton.indices(FEET)
+    feet = made.skeleton.indices(BALLS)
     return {
         "jump": jump,
         "jump / natural": jump / natural.quantile(0.95),

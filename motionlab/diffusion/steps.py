@@ -7,22 +7,22 @@ al. 2022) and UniPC (Zhao et al. 2023), both of diffusers; ``whitened``, ours.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from motionlab.diffusion import sampling, whitened
-from motionlab.diffusion.judge import Scaled
+from motionlab.diffusion.evaluation import BALLS
 from motionlab.diffusion.schedule import Schedule
 from motionlab.diffusion.trained import Trained
 from motionlab.errors import ShapeError
 from motionlab.metrics.contact import skating_ratio
 from motionlab.metrics.generation import diversity, frechet, kid, precision_recall
 from motionlab.motion import Motion
-from motionlab.skeleton import FEET
 
+See = Callable[[Motion], Tensor]  # windows (N, T) -> features (N, D)
 #: Below this log of signal over noise (amplitudes) nothing is left of the signal: solvers in that logarithm begin here.
 QUIETEST = -5.1
 _MULTISTEP = "DPMSolverMultistepScheduler"
@@ -89,7 +89,7 @@ def walk(
 class Point:
     """Samples of one sampler in one number of steps, described.
 
-    features (N, D): on the judge's scale. acceleration (N,): of the joints, m/s^2. skate (N,): share of frames in which
+    features (N, D): of a network or not, as ``embedding``. acceleration (N,): of the joints, m/s^2. skate (N,): share of frames in which
     a foot slides. seconds: that sampling took.
     """
 
@@ -101,23 +101,21 @@ class Point:
     seconds: float = float("nan")
 
 
-def describe(
-    motion: Motion, judge: Scaled, sampler: str = "data", steps: int = 0, seconds: float = float("nan")
-) -> Point:
+def describe(motion: Motion, see: See, sampler: str = "data", steps: int = 0, seconds: float = float("nan")) -> Point:
     """What is measured of motions (N, T), made or real."""
     p, fps = motion.positions, motion.fps
     bend = (p.diff(n=2, dim=-3) * fps**2).norm(dim=-1).mean((-1, -2))
-    slide = skating_ratio(p[..., motion.skeleton.indices(FEET), :], fps)
-    return Point(sampler, steps, judge(motion), bend, slide, seconds)
+    slide = skating_ratio(p[..., motion.skeleton.indices(BALLS), :], fps)
+    return Point(sampler, steps, see(motion), bend, slide, seconds)
 
 
 def point(
-    model: Trained, judge: Scaled, sampler: str, steps: int, count: int, generator: torch.Generator, *, batch: int = 128
+    model: Trained, see: See, sampler: str, steps: int, count: int, generator: torch.Generator, *, batch: int = 128
 ) -> Point:
     """:func:`draw`, then :func:`describe`."""
     start = time.perf_counter()
     motion = draw(model, sampler, steps, count, generator, batch=batch)
-    return describe(motion, judge, sampler, steps, time.perf_counter() - start)
+    return describe(motion, see, sampler, steps, time.perf_counter() - start)
 
 
 def row(at: Point, data: Point, generator: torch.Generator) -> dict[str, object]:
