@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -89,8 +89,8 @@ def walk(
 class Point:
     """Samples of one sampler in one number of steps, described.
 
-    features (N, D): of a network or not, as ``embedding``. acceleration (N,): of the joints, m/s^2. skate (N,): share of frames in which
-    a foot slides. seconds: that sampling took.
+    features (N, D): of a network or not, as ``embedding``. acceleration (N,): of the joints, m/s^2. skate (N,): share
+    of frames in which a foot slides. seconds: that sampling took.
     """
 
     sampler: str
@@ -198,13 +198,3 @@ def seconds(
         draw(model, sampler, steps, batch, generator, batch=batch)
         found.append(time.perf_counter() - start)
     return torch.tensor(found, dtype=torch.float64)
-
-
-def together(motions: Sequence[Motion]) -> Motion:
-    """Sets of windows (N_i, T) of one skeleton as one; contacts are dropped."""
-    return replace(
-        motions[0],
-        root=torch.cat([m.root for m in motions]),
-        rot=torch.cat([m.rot for m in motions]),
-        contacts=None,
-    )
