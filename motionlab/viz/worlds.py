@@ -29,18 +29,20 @@ def roots_and_legs(panels: Mapping[str, tuple[Tensor, Tensor]], roles: Mapping[s
     return fig
 
 
-def ways(panels: Mapping[str, Tensor], roles: Mapping[str, str], metres: float | None = None) -> Figure:
-    """Roots (N, T, 3) seen from above, a panel per source, to one scale; dots: where they begin."""
+def ways(panels: Mapping[str, Tensor], roles: Mapping[str, str]) -> Figure:
+    """Roots (N, T, 3) seen from above, a panel per source, all to one scale; dots: where they begin."""
     fig, axes = canvas(1, len(panels), size=(2.7 * len(panels), 2.9))
-    for ax, (name, roots) in zip(axes, panels.items(), strict=True):
-        x = roots[..., :2].numpy(force=True)
+    found = {name: roots[..., :2].numpy(force=True) for name, roots in panels.items()}
+    ends = {name: (x.min((0, 1)), x.max((0, 1))) for name, x in found.items()}
+    half = 0.55 * max((high - low).max() for low, high in ends.values())
+    for ax, (name, x) in zip(axes, found.items(), strict=True):
         ax.plot(*x.transpose(2, 1, 0), color=colour(roles[name]), lw=1.0, alpha=0.6)
         ax.scatter(*x[:, 0].T, s=8, color=INK, zorder=3, lw=0)
         ax.set_title(name, color=INK, fontsize=9)
         ax.set_aspect("equal")
-        if metres:
-            ax.set_xlim(-metres, metres)
-            ax.set_ylim(-metres, metres)
+        middle = sum(ends[name]) / 2
+        ax.set_xlim(middle[0] - half, middle[0] + half)
+        ax.set_ylim(middle[1] - half, middle[1] + half)
         ax.set_xlabel("x (m)", color=INK)
     axes[0].set_ylabel("y (m)", color=INK)
     return fig
