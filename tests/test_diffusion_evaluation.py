@@ -106,6 +106,13 @@ def test_spoilt_windows_are_what_they_say(real, generator):
     assert torch.equal(found["legs of another"].rot[1, :, 1], motion.rot[0, :, 1])
 
 
+def test_every_fault_is_told_in_floors(features, data, generator):
+    found = evaluation.seen(replace(data.draw(256, generator), skeleton=STANDARD), features, generator, draws=3)
+    assert all(len(values) == 3 for values in found.values()) and (found["as they are"] > 0).all()
+    assert found["slid 20 cm/s"].min() > 1.5 and found["trembling 2 degrees"].min() > 3
+    assert found["mirrored"].max() < 3
+
+
 def test_spread_shrinks_with_the_sets_and_knows_its_least(features, data, generator):
     def error(count):
         x, y = (evaluation.judged(data.draw(count, generator), features) for _ in range(2))
@@ -305,6 +312,7 @@ def test_dances_are_split_by_kind_and_put_on_the_floor(library, tmp_path):
     assert [d.motion.name for d in split["test"]] == ["dance_c_1", "dance_w_1", "dance_w_4"]
     assert [d.motion.name for d in split["train"]] == ["dance_c_2", "dance_w_2", "dance_w_3"]
     assert all(d.motion.fps == 30 for part in split.values() for d in part)
+    assert [len(part) for part in dances.load(tmp_path, most=2).values()] == [2, 2]
     cut = dances.cut(split["train"], 30, 10)
     feet = cut.positions[..., STANDARD.indices(dances.FEET), 2]
     assert cut.root.shape[1:] == (30, 3) and 0 < feet.amin((1, 2)).min() < feet.amin((1, 2)).max() < 0.09

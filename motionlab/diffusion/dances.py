@@ -14,7 +14,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from motionlab import rotation
+from motionlab import library, rotation
 from motionlab.contact import resting_heights
 from motionlab.errors import ShapeError
 from motionlab.io.anidance import NAMES
@@ -40,19 +40,21 @@ class Danced:
     residual: float
 
 
-def load(folder: Path | str) -> dict[str, list[Danced]]:
-    """All dances of ``folder`` / anidance, "train" and "test": every third of a kind (cha-cha, rumba, waltz) is test.
+def load(folder: Path | str, *, most: int | None = None) -> dict[str, list[Danced]]:
+    """Dances of ``folder`` / anidance, "train" and "test": every third of a kind (cha-cha, rumba, waltz) is test.
+
+    most: so many of each part, evenly over it; None: all.
 
     Raises:
         MissingData: there are none. DataError: a file is at fault.
     """
-    found: dict[str, list[Danced]] = {"train": [], "test": []}
+    found: dict[str, list] = {"train": [], "test": []}
     kinds: dict[str, int] = {}
     for _, path, loader in recordings(folder, "anidance"):
         kind = path.stem.split("_")[1]
         kinds[kind] = kinds.get(kind, -1) + 1
-        found["train" if kinds[kind] % 3 else "test"].append(danced(loader(path)))
-    return found
+        found["train" if kinds[kind] % 3 else "test"].append((path, loader))
+    return {part: [danced(loader(path)) for path, loader in library.spread(some, most)] for part, some in found.items()}
 
 
 def cut(dances: Sequence[Danced], length: int, count: int) -> Motion:

@@ -205,6 +205,25 @@ def spoilt(motion: Motion, generator: torch.Generator) -> dict[str, Motion]:
     }
 
 
+def seen(motion: Motion, features: Features, generator: torch.Generator, draws: int = 5) -> dict[str, Tensor]:
+    """How far off the features find each fault of :func:`spoilt`: fault -> (draws,).
+
+    Frechet distance of one half of the windows, spoilt, to the other half as it is, over that of the same halves both
+    as they are; "as they are": that floor itself, in squared units of the features.
+    """
+    plain, faults = judged(motion, features), spoilt(motion, generator)
+    wrong = {name: judged(m, features).latent for name, m in faults.items()}
+    found: dict[str, list[float]] = {name: [] for name in ("as they are", *wrong)}
+    for _ in range(draws):
+        order = torch.randperm(len(plain), generator=generator)
+        one, other = order[: len(order) // 2], order[len(order) // 2 :]
+        floor = generation.frechet(plain.latent[one], plain.latent[other]).value
+        found["as they are"].append(floor)
+        for name, latent in wrong.items():
+            found[name].append(generation.frechet(latent[one], plain.latent[other]).value / floor)
+    return {name: torch.tensor(values, dtype=torch.float64) for name, values in found.items()}
+
+
 # ---------------------------------------------------------------------------------------------------- copies
 def neighbours(sets: Mapping[str, Motion], library: Sequence[Motion], *, stride: int = 1) -> dict[str, Neighbours]:
     """The nearest training window of every window of several sets (N_i, T), at any shift and either hand; one search.
