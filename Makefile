@@ -17,7 +17,7 @@ help:
 	@echo "make test        set up, lint, unit tests, notebooks checked by nbval"
 	@echo "make lab         set up, open the notebooks in JupyterLab with interactive 3-D"
 	@echo "make full        regenerate the committed notebooks and results"
-	@echo "make train       the shipped weights of the transition prior, trained again (an hour)"
+	@echo "make train       the shipped weights, trained again (three hours)"
 	@echo "make bench       speed, as ratios measured in one run"
 	@echo "make doctor      what is installed, what is missing, and the remedy"
 
@@ -36,6 +36,9 @@ full: setup
 
 train: setup
 	@$(PY) -m motionlab train humor
+	@$(PY) -m motionlab train diffusion --preset free --out build/free
+	@$(PY) -m motionlab train diffusion --preset finish --start build/free --out motionlab/checkpoints/diffusion_free
+	@for preset in told fixed world pose handles; do $(PY) -m motionlab train diffusion --preset $$preset || exit 1; done
 
 bench: setup
 	@$(PY) tests/bench/run.py

@@ -37,6 +37,7 @@ def add_command(commands: argparse._SubParsersAction) -> None:
         "--data", default=os.environ.get("MOTIONLAB_DATA"), help="recordings, besides synthetic motion"
     )
     command.add_argument("--out", type=Path, help="default: the checkpoint that ships")
+    command.add_argument("--start", type=Path, help="diffusion: a checkpoint to begin from (default: new weights)")
     command.add_argument("--resume", action="store_true", help="go on with a run that was stopped, as it was begun")
     command.set_defaults(run=_train)
 
@@ -134,9 +135,10 @@ def _train(options: argparse.Namespace) -> int:
     recipe = wanted(options, kept)
     if options.model == "diffusion":
         made = f"python -m motionlab train diffusion --preset {options.preset} --size {recipe.size}"
-        made += f" --steps {recipe.steps} --seed {recipe.seed}"
+        made += f" --steps {recipe.steps} --seed {recipe.seed}" + (" --start CHECKPOINT" if options.start else "")
         found = found_in(options.data) if options.data else []
-        train_diffusion.make(recipe, options.data, out, kept, resume=options.resume, command=made, recordings=found)
+        how = {"resume": options.resume, "command": made, "recordings": found, "start": options.start}
+        train_diffusion.make(recipe, options.data, out, kept, **how)
         return 0
     train, held = sources(options.data)
     data = examples.examples(together(train, recipe), recipe.length + 1)

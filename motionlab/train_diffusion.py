@@ -17,29 +17,34 @@ from motionlab.diffusion.losses import Weights
 from motionlab.diffusion.trained import Recipe
 from motionlab.diffusion.windows import gather
 from motionlab.errors import DataError
+from motionlab.humor import checkpoint
 from motionlab.motion import Motion
 
-_WEIGHTS = Weights(late=0.1, even=True, snr=5.0)
+_WEIGHTS = Weights(velocity=20.0, contact=100.0, late=0.1, even=True, snr=10.0)
+_GENTLE = Weights(late=0.1, even=True, snr=5.0)
 _BASE = Recipe(patch=2, spectral=True, steps=12_000, batch=16, lr=1e-3, weights=_WEIGHTS)
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: as free, in world
 #: space. pose: single poses. handles: single poses, told where some joints should be. told: as free, told what is
 #: known.
+#: finish: free, begun (--start) from what ``free`` made, whose losses alone left it sliding.
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
 #: would have a hundred times the gradient of all else.
+_FAR = replace(_WEIGHTS, fk=0.002, contact=20.0)
 _POSE = replace(
     _BASE, frames=1, patch=1, contacts=False, dropout=0.0, batch=256, steps=5000,
-    weights=replace(_WEIGHTS, velocity=0.0, contact=0.0),
+    weights=replace(_WEIGHTS, velocity=0.0, contact=0.0, snr=5.0),
 )  # fmt: skip
-_HELD = replace(_POSE, handles=64, weights=replace(_POSE.weights, handles=20.0))
+_HELD = replace(_POSE, linear=True, handles=64, weights=replace(_POSE.weights, handles=20.0))
 PRESETS = {
-    "free": _BASE,
+    "free": replace(_BASE, weights=_GENTLE),
+    "finish": replace(_BASE, lr=6e-4, steps=4500, weights=replace(_WEIGHTS, late=0.0)),
     "fixed": replace(_BASE, version="A", contacts=False, travels=False),
-    "world": replace(_BASE, frame="world", weights=replace(_WEIGHTS, fk=0.002, contact=1.0)),
+    "world": replace(_BASE, frame="world", weights=_FAR),
     "pose": _POSE,
     "handles": _HELD,
     "told": replace(_BASE, told=True),
 }
-_ARM = replace(_BASE, size="small", steps=3000)
+_ARM = replace(_BASE, size="small", steps=1500)
 _ARM_HELD = replace(_HELD, size="small", steps=3000)
 #: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles".
 ARMS = {
@@ -57,11 +62,13 @@ ARMS = {
     "eighth": replace(_ARM, share=1 / 8),
     "quarter": replace(_ARM, share=1 / 4),
     "half": replace(_ARM, share=1 / 2),
+    "world": replace(_ARM, frame="world", weights=_FAR),
     "synthetic": replace(_ARM, source="synthetic"),
     "recordings": replace(_ARM, source="recordings"),
     "told": replace(_ARM, told=True),
     "arrival": replace(_ARM, told=True, arrival=True),
     "handles": _ARM_HELD,
+    "handles_thesis": replace(_ARM_HELD, linear=False),
     "handles_no_loss": replace(_ARM_HELD, weights=_POSE.weights),
     "handles_no_embedding": replace(_ARM_HELD, handles=0),
 }
@@ -91,6 +98,7 @@ def make(
     resume: bool,
     command: str,
     recordings: Sequence[str] = (),
+    start: Path | None = None,
 ) -> None:
     """Train (or go on with ``kept``), write the checkpoint of the least KID to ``out``, with its recipe.
 
@@ -98,7 +106,7 @@ def make(
 
     Args:
         folder: of recordings, or None. resume: go on with ``kept``. command, recordings: for the recipe: what was
-            typed, and which sources were found.
+            typed, and which sources were found. start: the checkpoint to begin from; None: new weights.
 
     Raises:
         DataError: nothing to learn from, or ``kept`` is not a run on these windows.
@@ -108,7 +116,8 @@ def make(
     data = gather(_together(train, recipe, recipe.copies), recipe.frames, mirrored=recipe.mirrored)
     held = gather(_together(choose, recipe), recipe.frames).evenly(HELD)
     where = {"device": "cuda" if torch.cuda.is_available() else "cpu", "accelerator": _accelerator()}
-    run = training.resume(kept, data, **where) if resume else training.Training(recipe, data, **where)
+    first = trained.load(start) if start else None
+    run = training.resume(kept, data, **where) if resume else training.Training(recipe, data, **where, start=first)
     run.run(keep=kept, held=held, judge=judge(held), progress=True)
     if run.rank:
         return
@@ -122,6 +131,7 @@ def make(
         "torch": torch.__version__,
         "chosen": {"step": run.best["step"], "kid": run.best["kid"]} if run.best else {"step": run.step},
         "curve": run.curve,
+        **({"began from": checkpoint.read_recipe(start)} if start else {}),
     }
     trained.save(out, _on_cpu(run.shipped), about, half=True)
     kept.unlink()

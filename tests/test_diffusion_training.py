@@ -19,7 +19,7 @@ from data_synth.corpus import perform_sequence
 from motionlab import diffusion_data, train_diffusion
 from motionlab.__main__ import main
 from motionlab.diffusion import denoiser, judge, losses, trained, training
-from motionlab.diffusion.features import Layout
+from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.losses import Weights
 from motionlab.diffusion.trained import Recipe
 from motionlab.diffusion.windows import gather, on_standard
@@ -523,3 +523,18 @@ def test_copies_and_versions_of_the_data(motions):
     fixed = diffusion_data.prepared(motions, replace(SMALL, version="A"))
     assert all(m.contacts is None and not m.root[:, :2].any() for m in fixed)
     assert torch.equal(fixed[0].rot, plain[0].rot)
+
+
+def test_a_run_can_begin_from_another_model_and_goes_on_with_its_normaliser(data, tmp_path):
+    first = training.Training(SMALL, data).run(until=2).averaged
+    other = replace(first, normaliser=Normaliser(first.normaliser.mean + 1.0, first.normaliser.scale * 2.0))
+    run = training.Training(SMALL, data, start=other)
+    assert all(torch.equal(run.model.state_dict()[k], v) for k, v in other.denoiser.state_dict().items())
+    run.run(until=1, keep=tmp_path / "run.pt")
+    again = training.resume(tmp_path / "run.pt", data)
+    assert torch.equal(run.shipped.normaliser.mean, other.normaliser.mean)
+    assert torch.equal(again.normaliser.scale, other.normaliser.scale)
+    with pytest.raises(DataError, match="another one"):
+        training.Training(replace(SMALL, told=True), data, start=other)
+    with pytest.raises(DataError, match="other features"):
+        training.Training(replace(SMALL, frame="world"), data, start=other)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from motionlab.contact import with_contacts
 from motionlab.diffusion import inpainting, sampling
 from motionlab.diffusion.sampling import Denoiser
 from motionlab.diffusion.trained import Trained
@@ -98,8 +99,10 @@ def repair(
     """Motions (B, T) with their unknown parts made anew, where they were in the world.
 
     known: bool (B, T, D) or (T, D), True where known, as ``model.layout.mask`` makes it. A stuck layout takes the place
-    and heading of the first frame as given, known or not.
+    and heading of the first frame as given, known or not. Contacts that a motion lacks are labelled.
     """
+    if model.layout.contacts and motion.contacts is None:
+        motion = with_contacts(motion)
     stuck = model.layout.frame == "stuck"
     local, frame = stuck_root(motion) if stuck else (motion, None)
     x0 = model.encode(motion)

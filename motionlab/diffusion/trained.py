@@ -16,6 +16,7 @@ from torch import Tensor
 from motionlab.diffusion import denoiser, schedule
 from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.linear import Linear
 from motionlab.diffusion.losses import Weights
 from motionlab.diffusion.sampling import ddim, noise_like
 from motionlab.diffusion.schedule import Schedule
@@ -26,7 +27,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
 
 FPS = 30.0
-LATER = {"handles"}  # came after models had been made: recipes without it had none
+LATER = {"handles", "linear"}  # came after models had been made: recipes without it had none
 LEVELS = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all noising steps: where the error of x_0 is measured
 
 
@@ -37,7 +38,8 @@ class Recipe:
     size: of the network (``denoiser.SIZES``). frames: of a window; 1: single poses. frame, velocities, contacts,
     travels: see ``Layout``. told: with the known area as input; arrival: and with the time to the next known frame.
     patch: frames in a token. handles: numbers that the places of handles are embedded in; 0: they are not heard of.
-    spectral: the network corrects a Wiener filter (``spectral``). version: of the synthetic corpus. source: of what it
+    spectral: the network corrects a Wiener filter (``spectral``); linear: it corrects what a Gaussian would say, of
+    single poses, handles and all (``linear``). version: of the synthetic corpus. source: of what it
     trains on ("synthetic", "recordings" or "all"); share: of those motions. copies: of every motion, held otherwise
     (``humor.variety``). noising: steps of the schedule. steps, batch, lr: of AdamW; the rate rises over ``warm_up``
     steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of the weights, per step. bf16:
@@ -55,6 +57,7 @@ class Recipe:
     patch: int = 1
     handles: int = 0
     spectral: bool = False
+    linear: bool = False
     version: str = "B"
     source: str = "all"
     share: float = 1.0
@@ -93,7 +96,7 @@ class Recipe:
         """The noising process."""
         return schedule.cosine(self.noising)
 
-    def denoiser(self) -> Denoiser | Spectral:
+    def denoiser(self) -> Denoiser | Spectral | Linear:
         """A new network; its weights come from torch's global generator.
 
         Raises:
@@ -105,6 +108,8 @@ class Recipe:
             self.layout.size, dropout=self.dropout, told=self.told, arrival=self.arrival, patch=self.patch,
             handles=self.handles, **denoiser.SIZES[self.size],
         )  # fmt: skip
+        if self.linear:
+            return Linear(network, self.schedule.alpha_bar, self.layout)
         if not self.spectral:
             return network
         return Spectral(network, self.schedule.alpha_bar, self.frames, self.layout.size)
@@ -114,7 +119,7 @@ class Recipe:
 class Trained:
     """denoiser: frozen. schedule: it was trained on. layout, normaliser: motions <-> its numbers (B, T, D)."""
 
-    denoiser: Denoiser | Spectral
+    denoiser: Denoiser | Spectral | Linear
     schedule: Schedule
     layout: Layout
     normaliser: Normaliser
@@ -154,7 +159,8 @@ class Trained:
 def save(path: Path | str, model: Trained, about: dict, *, half: bool = False) -> None:
     """Write ``path`` (.safetensors) and its recipe (.json), with ``about`` beside it. half: weights as float16."""
     weights = {f"denoiser.{name}": value for name, value in model.denoiser.state_dict().items()}
-    weights = {k: v.half() if half and not k.endswith("spectrum") else v for k, v in weights.items()}
+    data = {f"denoiser.{name}" for name, _ in model.denoiser.named_buffers()}
+    weights = {k: v.half() if half and k not in data else v for k, v in weights.items()}
     tensors = weights | {"mean": model.normaliser.mean, "scale": model.normaliser.scale}
     checkpoint.save(path, tensors, about | {"recipe": asdict(model.recipe)})
 

@@ -43,7 +43,8 @@ class Training:
     """A run: everything that decides how it goes on.
 
     accelerator: of ``accelerate.Accelerator``, for several processes with a device each: all draw the same batch, each
-    takes its share, and gradients are averaged; None: one process, on ``device``. curve: rows of step, loss per part
+    takes its share, and gradients are averaged; None: one process, on ``device``. start: the model to begin from, with
+    its normaliser, as for motions of one's own; None: new weights. curve: rows of step, loss per part
     and measures. best: step, KID and weights of the best average so far, if a judge said. skipped, in_a_row: batches.
     """
 
@@ -51,6 +52,7 @@ class Training:
     windows: Windows
     device: torch.device | str = "cpu"
     accelerator: object | None = None
+    start: Trained | None = None
     normaliser: Normaliser = field(init=False)
     model: Denoiser | Spectral = field(init=False)
     average: dict[str, Tensor] = field(init=False)
@@ -80,12 +82,26 @@ class Training:
         self.drawn_from, self.torn = self.generator.get_state(), False
         with self._torch_seeded(recipe.seed):
             self.model = recipe.denoiser()
-        if recipe.spectral:
+        if recipe.linear:
+            self.model.measure(self.normaliser.apply(some), self.normaliser)
+        elif recipe.spectral:
             self.model.spectrum.copy_(power(self.normaliser.apply(some)))
+        if self.start is not None:
+            self._begin(self.start)
         self.model.to(self.device)
         self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
         self.optimiser = torch.optim.AdamW(self.model.parameters(), lr=recipe.lr, weight_decay=0.0)
         self.network = self.model if self.accelerator is None else self.accelerator.prepare_model(self.model)
+
+    def _begin(self, other: Trained) -> None:
+        try:
+            self.model.load_state_dict(other.denoiser.state_dict())
+        except RuntimeError as error:
+            message = f"the model to begin from is another one: {error}"[:300]
+            raise DataError(message, remedy="choose the preset and size that it was made with") from error
+        if other.layout != self.layout:
+            raise DataError("the model to begin from has other features", remedy="choose the preset it was made with")
+        self.normaliser = other.normaliser
 
     @property
     def averaged(self) -> Trained:
@@ -231,6 +247,7 @@ class Training:
             "model": self.model.state_dict(), "average": self.average, "best": self.best,
             "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
             "skipped": (self.skipped, self.in_a_row),
+            "normaliser": (self.normaliser.mean, self.normaliser.scale),
         }  # fmt: skip
         kept.write(path, content)
 
@@ -265,6 +282,7 @@ def resume(
         run.drawn_from = run.generator.get_state()
         run.step, run.curve, run.best = found["step"], found["curve"], found["best"]
         run.skipped, run.in_a_row = found["skipped"]
+        run.normaliser = Normaliser(*found["normaliser"])
     return run
 
 

@@ -1,0 +1,104 @@
+"""What a single pose must be by its noisy numbers and its handles, were poses Gaussian; a network only corrects it.
+
+Poses x (D) have covariance U diag(L) U^T and joints p = A U^T x + rest, the rest with covariance R: what of a joint's
+place is not linear in the pose. Given x_t = sqrt(a) x_0 + sqrt(1 - a) noise, U^T x_0 has mean m = sqrt(a) L / s U^T x_t
+and variance v = (1 - a) L / s, s = a L + 1 - a (Wiener, as ``spectral``); handles at y move it by the gain
+v A^T (A v A^T + R + r)^-1 (y - p): ridge regression of the pose on its handles where there is only noise. A few steps
+of steepest descent in |U^T (x - m)|^2 / v + |y - p(x)|^2 / r, by the exact kinematics, follow: what moves is what is
+not known yet. The network gives what is missing, in units of sqrt(v).
+
+Source: the Gaussian's conditional mean; Karras et al. 2022 (preconditioning); thesis 4.2.4 has the network alone.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.errors import ShapeError
+
+LEAST = 1e-6  # of a variance; less is a number that never changes
+CLOSE = 1e-2**2 / 4  # r, square metres: how near a handle has to come
+ROUNDS = 2
+
+
+class Linear(nn.Module):
+    """network: (x, stamps, ...) -> (B, 1, D); it sees the estimate, not x_t. alpha_bar: of all noising steps.
+
+    The buffers are data: U (D, D), L (D,), A (66, D), R (66, 66), the mean of the joints (66,) in metres, and the
+    normaliser's mean and scale (D,). ``measure`` fills them in.
+    """
+
+    def __init__(self, network: nn.Module, alpha_bar: Tensor, layout: Layout) -> None:
+        super().__init__()
+        self.network, self.told, self.layout = network, network.told, layout
+        size, places = layout.size, 3 * len(layout.skeleton)
+        shapes = {"basis": (size, size), "power": (size,), "slope": (places, size), "rest": (places, places)}
+        for name, shape in (shapes | {"middle": (places,), "mean": (size,), "scale": (size,)}).items():
+            self.register_buffer(name, torch.ones(shape))
+        self.register_buffer("alpha_bar", alpha_bar.float(), persistent=False)
+
+    @torch.no_grad()
+    def measure(self, x: Tensor, normaliser: Normaliser) -> None:
+        """From normalised poses (N, 1, D)."""
+        self.mean.copy_(normaliser.mean)
+        self.scale.copy_(normaliser.scale)
+        x, joints = x[:, 0].double(), self._joints(x[:, 0]).double()
+        centred = joints - joints.mean(0)
+        power, basis = torch.linalg.eigh(x.mT @ x / len(x))
+        coordinates = x @ basis
+        slope = (centred.mT @ coordinates / len(x)) / power.clamp(min=LEAST)
+        rest = centred - coordinates @ slope.mT
+        found = (basis, power.clamp(min=LEAST), slope, rest.mT @ rest / len(x), joints.mean(0))
+        for buffer, value in zip((self.basis, self.power, self.slope, self.rest, self.middle), found, strict=True):
+            buffer.copy_(value)
+
+    def forward(self, x: Tensor, stamps: Tensor, handles: Tensor | None = None) -> Tensor:
+        """Estimate (B, 1, D) of x_0 from x_t (B, 1, D), steps (B,) and handles (B, 1, 22, 4), as for the network."""
+        if x.ndim != 3 or x.shape[1] != 1:
+            raise ShapeError(f"x: expected single poses (B, 1, {self.layout.size}), got {tuple(x.shape)}")
+        a = self.alpha_bar[stamps][:, None].to(x)
+        s = a * self.power + 1 - a
+        mean, variance = a.sqrt() * self.power / s * (x[:, 0] @ self.basis), (1 - a) * self.power / s
+        told = {}
+        if handles is not None:
+            mean = self._moved(mean, variance, handles[:, 0])
+            told = {"handles": handles}
+        said = self.network((mean @ self.basis.mT)[:, None], stamps, **told)[:, 0]
+        return ((mean + variance.sqrt() * said) @ self.basis.mT)[:, None]
+
+    def _joints(self, x: Tensor) -> Tensor:
+        """Places (B, 66), metres, of normalised poses (B, D) on the layout's body."""
+        return self.layout.decode(x[:, None] * self.scale + self.mean, 1.0).positions.reshape(len(x), -1)
+
+    def _moved(self, mean: Tensor, variance: Tensor, handles: Tensor) -> Tensor:
+        """Coordinates (B, D) that know of handles (B, 22, 4)."""
+        targets, seen = handles[..., :3].flatten(1), handles[..., 3].repeat_interleave(3, -1)
+        spread = (self.slope * variance[:, None]) @ self.slope.mT + self.rest
+        eye = torch.eye(len(self.middle)).to(spread)
+        square = seen[:, :, None] * (spread + CLOSE * eye) * seen[:, None] + torch.diag_embed(1 - seen)
+        off = seen * (targets - self.middle - mean @ self.slope.mT)
+        start = mean + variance * (torch.linalg.solve(square, off) @ self.slope)
+        step = torch.zeros_like(start)
+        for _ in range(ROUNDS):
+            step = step + self._descended(
+                (start + step).detach(), (start + step - mean).detach(), variance, targets, seen
+            )
+        return start + step
+
+    def _descended(self, at: Tensor, gone: Tensor, variance: Tensor, targets: Tensor, seen: Tensor) -> Tensor:
+        """A step (B, D) from coordinates ``at``, ``gone`` from the mean: down the slope in units of the variance, as
+        far as is best were the kinematics linear."""
+        with torch.enable_grad():
+            here = at.requires_grad_()
+            joints = self._joints(here @ self.basis.mT)
+            off = seen * (targets - joints)
+            (pull,) = torch.autograd.grad(off.square().sum() / (2 * CLOSE), here)
+        down = -(variance * pull + gone)
+        with torch.no_grad():
+            small = 1e-2 / down.abs().amax(-1, keepdim=True).clamp(min=1e-6)
+            change = seen * (self._joints((at + small * down) @ self.basis.mT) - joints) / small
+            square = down / variance.sqrt()
+            best = square.square().sum(-1) / (square.square().sum(-1) + change.square().sum(-1) / CLOSE).clamp(min=1e-9)
+            return best[:, None] * down
