@@ -100,6 +100,23 @@ def test_every_method_keeps_the_upper_body_and_makes_its_own_legs(fitted, model,
     assert met.motions["stage 3"] is fitted.stages[3]
 
 
+def test_noise_wants_a_filter_and_clean_joints_none(clips, kit, generator):
+    schedule = Schedule(steps=(2, 4, 0), inner=10)
+    chosen = {}
+    for noise in (0.0, 0.05):
+        seen = meeting.above_the_knees(clips, noise, generator)
+        chosen[noise] = meeting.best_window(clips, seen, kit, schedule, windows=(0, 5, 9))
+    assert chosen[0.05] > chosen[0.0] - 1 and chosen[0.05] > 0
+
+
+def test_methods_begin_with_the_filtered_estimate(fitted):
+    met = meeting.meet(fitted, {"as given": lambda start: start}, window=5)
+    given, rough = met.motions["as given"], meeting.known_above(fitted.stages[2])
+    assert torch.equal(given.rot, met.motions["stage 2, filtered"].rot)
+    jerk = [m.root.diff(n=3, dim=1).norm(dim=-1).mean() for m in (given, rough)]
+    assert jerk[0] < jerk[1]
+
+
 def test_nobody_reads_the_legs_of_the_estimate(fitted, model, windows, generator):
     """Other legs in stage 2's estimate, the same result."""
     rivals = Rivals.fit(windows, generator, parts=16)

@@ -10,7 +10,7 @@ Source: thesis 3.2.5 and 5: HuMoR is promising but too slow; diffusion was chose
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -21,6 +21,7 @@ from motionlab.diffusion.repair import Way, repair
 from motionlab.diffusion.rivals import Rivals
 from motionlab.diffusion.trained import Trained
 from motionlab.errors import DataError
+from motionlab.humor.case_trials import smoothed, two_stages
 from motionlab.humor.observed import Observation3D
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule, fit
@@ -80,6 +81,26 @@ def known_above(stage: Motion) -> Motion:
     return Motion(STANDARD, stage.root, stage.rot, stage.fps, contacts, stage.name)
 
 
+def best_window(
+    practice: Motion,
+    seen: Observation3D,
+    priors: Priors,
+    schedule: Schedule,
+    *,
+    weights: Weights = KEYPOINTS,
+    windows: Sequence[int] = (0, 5, 7, 9, 13),
+) -> int:
+    """Frames of the Savitzky-Golay filter that brings stage 2 of other clips nearest to the truth where it was seen, on
+    the standard body; 0: none. Jitter in what counts as known is passed on to the legs."""
+    rough = fit(seen, priors, schedule=two_stages(schedule), weights=weights).stages[2]
+
+    def error(window: int) -> float:
+        found = known_above(smoothed(rough, window)).positions
+        return float((found - practice.positions).norm(dim=-1)[seen.visible].mean())
+
+    return min(windows, key=error)
+
+
 def by_diffusion(model: Trained, way: Way, generator: torch.Generator) -> Method:
     """Legs by a diffusion model, told or not."""
 
@@ -107,11 +128,11 @@ class Met:
     seconds: dict[str, float]
 
 
-def meet(fitted: Optimised, methods: Mapping[str, Method]) -> Met:
-    """Stages 2 and 3 beside every method, which begins with stage 2's estimate."""
-    start, count = known_above(fitted.stages[2]), len(fitted.stages[2].root)
-    motions = {"stage 2": fitted.stages[2], "stage 3": fitted.stages[3]}
-    seconds = {"stage 2": 0.0, "stage 3": fitted.after / count}
+def meet(fitted: Optimised, methods: Mapping[str, Method], window: int = 0) -> Met:
+    """Stages 2 and 3 beside every method, which begins with stage 2's estimate through a filter of so many frames."""
+    start, count = known_above(smoothed(fitted.stages[2], window)), len(fitted.stages[2].root)
+    motions = {"stage 2": fitted.stages[2], "stage 2, filtered": start, "stage 3": fitted.stages[3]}
+    seconds = {"stage 2": 0.0, "stage 2, filtered": 0.0, "stage 3": fitted.after / count}
     for name, method in methods.items():
         began = time.perf_counter()
         motions[name] = method(start)
