@@ -31,10 +31,10 @@ _BASE = Recipe(patch=2, spectral=True, steps=12_000, batch=16, lr=1e-3, weights=
 #: would have a hundred times the gradient of all else.
 _FAR = replace(_WEIGHTS, fk=0.002, contact=20.0)
 _POSE = replace(
-    _BASE, frames=1, patch=1, contacts=False, dropout=0.0, batch=256, steps=5000,
-    weights=replace(_WEIGHTS, velocity=0.0, contact=0.0, snr=5.0),
+    _BASE, frames=1, patch=1, contacts=False, spectral=False, linear=True, dropout=0.0, batch=128, steps=8000,
+    weights=replace(_WEIGHTS, velocity=0.0, contact=0.0, snr=0.0),
 )  # fmt: skip
-_HELD = replace(_POSE, linear=True, handles=64, weights=replace(_POSE.weights, handles=20.0))
+_HELD = replace(_POSE, handles=64, weights=replace(_POSE.weights, handles=20.0))
 PRESETS = {
     "free": replace(_BASE, weights=_GENTLE),
     "finish": replace(_BASE, lr=6e-4, steps=4500, weights=replace(_WEIGHTS, late=0.0)),
@@ -68,7 +68,7 @@ ARMS = {
     "told": replace(_ARM, told=True),
     "arrival": replace(_ARM, told=True, arrival=True),
     "handles": _ARM_HELD,
-    "handles_thesis": replace(_ARM_HELD, linear=False),
+    "handles_thesis": replace(_ARM_HELD, linear=False, spectral=True),
     "handles_no_loss": replace(_ARM_HELD, weights=_POSE.weights),
     "handles_no_embedding": replace(_ARM_HELD, handles=0),
 }

@@ -18,7 +18,7 @@ from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
 
 POSES = Recipe(
-    size="tiny", frames=1, contacts=False, spectral=True, dropout=0.0, noising=100, steps=150, batch=32, lr=5e-3,
+    size="tiny", frames=1, contacts=False, linear=True, dropout=0.0, noising=100, steps=60, batch=32, lr=5e-3,
     warm_up=20, average=0.97, weights=Weights(fk=0.05, velocity=0.0, late=0.1), seed=5,
 )  # fmt: skip
 FIVE = handles.SETS["five effectors"]
@@ -60,7 +60,7 @@ def test_handles_are_met_to_the_millimetre(models, truth, name, which_model):
     assert (made.rot @ made.rot.mT - torch.eye(3)).abs().max() < 1e-4
     assert completion.missed(made, joints, which).nan_to_num().max() < 1e-3
     rough = completion.complete(models[which_model], joints, which, seeded(), steps=20, finish=False)
-    assert completion.missed(rough, joints, which).nanmean() > 1e-2  # it is the finish that does it
+    assert completion.missed(rough, joints, which).nanmean() > 2e-3  # it is the finish that does it
 
 
 def test_completions_follow_the_generator_and_the_handles_alone(models, truth):

@@ -129,9 +129,9 @@ def test_handles_go_with_known_areas_and_patches(generator):
 def test_recipes_from_before_handles_can_be_read():
     content = asdict(POSES)
     assert Recipe.read(content) == POSES
-    del content["handles"], content["weights"]["handles"]
+    del content["handles"], content["linear"], content["weights"]["handles"]
     before = Recipe.read(content)
-    assert before.handles == 0 and before.weights.handles == 0
+    assert before.handles == 0 and not before.linear and before.weights.handles == 0
     del content["patch"]
     with pytest.raises(ValueError, match="no patch"):
         Recipe.read(content)
@@ -181,5 +181,6 @@ def test_the_arms_differ_in_one_thing():
     assert whole.handles and whole.weights.handles
     assert replace(silent, weights=replace(silent.weights, handles=whole.weights.handles)) == whole
     assert replace(deaf, handles=whole.handles) == whole
+    assert replace(arms["handles_thesis"], linear=True, spectral=False) == whole and whole.linear
     assert silent.weights.handles == 0 and deaf.handles == 0
     assert train_diffusion.PRESETS["pose"].layout == train_diffusion.PRESETS["handles"].layout == Layout(contacts=False)

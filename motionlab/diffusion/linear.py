@@ -44,6 +44,7 @@ class Linear(nn.Module):
         """From normalised poses (N, 1, D)."""
         self.mean.copy_(normaliser.mean)
         self.scale.copy_(normaliser.scale)
+        self.basis.copy_(torch.eye(len(self.basis)))
         x, joints = x[:, 0].double(), self._joints(x[:, 0]).double()
         centred = joints - joints.mean(0)
         power, basis = torch.linalg.eigh(x.mT @ x / len(x))
@@ -68,37 +69,45 @@ class Linear(nn.Module):
         said = self.network((mean @ self.basis.mT)[:, None], stamps, **told)[:, 0]
         return ((mean + variance.sqrt() * said) @ self.basis.mT)[:, None]
 
-    def _joints(self, x: Tensor) -> Tensor:
-        """Places (B, 66), metres, of normalised poses (B, D) on the layout's body."""
+    def _joints(self, coordinates: Tensor) -> Tensor:
+        """Places (B, 66), metres, of the joints of poses by their coordinates U^T x (B, D), on the layout's body."""
+        x = coordinates @ self.basis.mT
         return self.layout.decode(x[:, None] * self.scale + self.mean, 1.0).positions.reshape(len(x), -1)
 
     def _moved(self, mean: Tensor, variance: Tensor, handles: Tensor) -> Tensor:
-        """Coordinates (B, D) that know of handles (B, 22, 4)."""
-        targets, seen = handles[..., :3].flatten(1), handles[..., 3].repeat_interleave(3, -1)
-        spread = (self.slope * variance[:, None]) @ self.slope.mT + self.rest
-        eye = torch.eye(len(self.middle)).to(spread)
-        square = seen[:, :, None] * (spread + CLOSE * eye) * seen[:, None] + torch.diag_embed(1 - seen)
-        off = seen * (targets - self.middle - mean @ self.slope.mT)
-        start = mean + variance * (torch.linalg.solve(square, off) @ self.slope)
+        """Coordinates (B, D) that know of handles (B, 22, 4), of which no pose has more than K."""
+        count = int((handles[..., 3] > 0).sum(1).max())
+        if count == 0:
+            return mean
+        order = handles[..., 3].argsort(1, descending=True)[:, :count]  # (B, K): handles first
+        held = handles.gather(1, order[..., None].expand(-1, -1, 4))
+        targets, seen = held[..., :3].flatten(1), held[..., 3].repeat_interleave(3, -1)
+        places = (3 * order[..., None] + torch.arange(3, device=order.device)).flatten(1)  # (B, 3 K) among the 66
+        slope, rest = self.slope[places], self.rest[places[:, :, None], places[:, None]]
+        eye = torch.eye(3 * count).to(rest)
+        spread = (slope * variance[:, None]) @ slope.mT + rest + CLOSE * eye
+        square = seen[:, :, None] * spread * seen[:, None] + torch.diag_embed(1 - seen)
+        off = seen * (targets - self.middle[places] - (slope @ mean[..., None])[..., 0])
+        weight = torch.cholesky_solve(off[..., None], torch.linalg.cholesky(square))
+        start = mean + variance * (slope.mT @ weight)[..., 0]
         step = torch.zeros_like(start)
         for _ in range(ROUNDS):
-            step = step + self._descended(
-                (start + step).detach(), (start + step - mean).detach(), variance, targets, seen
-            )
+            at = (start + step).detach()
+            step = step + self._descended(at, at - mean.detach(), variance, targets, seen, places)
         return start + step
 
-    def _descended(self, at: Tensor, gone: Tensor, variance: Tensor, targets: Tensor, seen: Tensor) -> Tensor:
+    def _descended(
+        self, at: Tensor, gone: Tensor, variance: Tensor, targets: Tensor, seen: Tensor, places: Tensor
+    ) -> Tensor:
         """A step (B, D) from coordinates ``at``, ``gone`` from the mean: down the slope in units of the variance, as
         far as is best were the kinematics linear."""
         with torch.enable_grad():
-            here = at.requires_grad_()
-            joints = self._joints(here @ self.basis.mT)
-            off = seen * (targets - joints)
-            (pull,) = torch.autograd.grad(off.square().sum() / (2 * CLOSE), here)
-        down = -(variance * pull + gone)
+            here = at.clone().requires_grad_()
+            joints = self._joints(here).gather(1, places)
+            (pull,) = torch.autograd.grad((seen * (targets - joints)).square().sum() / (2 * CLOSE), here)
         with torch.no_grad():
+            down = -(variance * pull + gone)
             small = 1e-2 / down.abs().amax(-1, keepdim=True).clamp(min=1e-6)
-            change = seen * (self._joints((at + small * down) @ self.basis.mT) - joints) / small
-            square = down / variance.sqrt()
-            best = square.square().sum(-1) / (square.square().sum(-1) + change.square().sum(-1) / CLOSE).clamp(min=1e-9)
-            return best[:, None] * down
+            change = seen * (self._joints(at + small * down).gather(1, places) - joints) / small
+            square = (down.square() / variance).sum(-1)
+            return down * (square / (square + change.square().sum(-1) / CLOSE).clamp(min=1e-9))[:, None]

@@ -93,9 +93,7 @@ def table(found: Mapping[tuple[str, str], Found], ways: Mapping[str, Way]) -> li
     rows = []
     for way in ways:
         mean = {m: over_sets(found, way, m) for m in ("before", "rough", "free", "known")}
-        before, after = (
-            [getattr(f, m) for (_, label), f in found.items() if label == way] for m in ("before", "after")
-        )
+        mine = [f for (_, label), f in found.items() if label == way]
         rows.append(
             {
                 "way": way,

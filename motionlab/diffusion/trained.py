@@ -39,8 +39,8 @@ class Recipe:
     travels: see ``Layout``. told: with the known area as input; arrival: and with the time to the next known frame.
     patch: frames in a token. handles: numbers that the places of handles are embedded in; 0: they are not heard of.
     spectral: the network corrects a Wiener filter (``spectral``); linear: it corrects what a Gaussian would say, of
-    single poses, handles and all (``linear``). version: of the synthetic corpus. source: of what it
-    trains on ("synthetic", "recordings" or "all"); share: of those motions. copies: of every motion, held otherwise
+    single poses, handles and all (``linear``). version: of the synthetic corpus. source: of what it trains on
+    ("synthetic", "recordings" or "all"); share: of those motions. copies: of every motion, held otherwise
     (``humor.variety``). noising: steps of the schedule. steps, batch, lr: of AdamW; the rate rises over ``warm_up``
     steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of the weights, per step. bf16:
     the network in bfloat16.
@@ -100,7 +100,7 @@ class Recipe:
         """A new network; its weights come from torch's global generator.
 
         Raises:
-            ValueError: no such size.
+            ValueError: no such size, or parts that do not go together.
         """
         if self.size not in denoiser.SIZES:
             raise ValueError(f"size: expected one of {', '.join(denoiser.SIZES)}, got {self.size!r}")
@@ -109,6 +109,8 @@ class Recipe:
             handles=self.handles, **denoiser.SIZES[self.size],
         )  # fmt: skip
         if self.linear:
+            if self.frames != 1 or self.told:
+                raise ValueError("linear: only for single poses that are told of nothing but handles")
             return Linear(network, self.schedule.alpha_bar, self.layout)
         if not self.spectral:
             return network
