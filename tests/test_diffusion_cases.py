@@ -9,9 +9,10 @@ from torch import nn
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
 from motionlab import rotation
-from motionlab.diffusion import cases, denoising, switching
+from motionlab.diffusion import case_trials, cases, denoising, switching
 from motionlab.diffusion.denoising import Noise, Start
 from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.rivals import RIDGES, Rivals
 from motionlab.diffusion.trained import Recipe, Trained
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError, ShapeError
@@ -241,3 +242,83 @@ def test_a_jump_is_measured_where_it_is(motion):
     outside[:, :3] += 1
     again = switching.measures(replace(motion, root=outside), known, natural)
     assert torch.allclose(again["acceleration, m/s^2"], smooth["acceleration, m/s^2"], atol=1e-3)
+
+
+# ----------------------------------------------------------------------------------------------------------- all of it
+@pytest.fixture(scope="module")
+def bench(motion):
+    """Models that know nothing, and rivals fitted to the windows themselves."""
+    recipe = Recipe(size="small", frames=FRAMES, patch=2, spectral=True)
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        networks = [replace(recipe, told=told).denoiser().eval().requires_grad_(False) for told in (False, True)]
+    plain, told = (replace(model_of(motion), denoiser=n, recipe=replace(recipe, told=n.told)) for n in networks)
+    rivals = Rivals.fit(motion, torch.Generator().manual_seed(0), parts=4)
+    return case_trials.Bench(plain, told, rivals, steps=2)
+
+
+@pytest.mark.parametrize("name", case_trials.WAYS)
+def test_every_way_keeps_what_is_known_to_the_bit(motion, bench, name, generator):
+    known = cases.every_frame(6, FRAMES, 0.5, generator)
+    made = bench.fill(name, motion, known, generator)
+    joints, place = known[..., : cases.JOINTS], known[..., cases.JOINTS]
+    assert torch.equal(made.rot[joints], motion.rot[joints]) and torch.equal(made.root[place], motion.root[place])
+    assert not torch.allclose(made.rot[~joints], motion.rot[~joints], atol=1e-3)
+
+
+def test_without_the_last_overwrite_what_is_known_moves_and_with_a_finish_it_does_not(motion, bench, generator):
+    known = cases.gap(6, FRAMES, 6)
+    loose = bench.fill("Eq. 4.10", motion, known, generator, last=False)
+    ended = bench.fill("Eq. 4.10", motion, known, generator, last=False, finish=2)
+    ends = known[..., 0]
+    assert (loose.root[ends] - motion.root[ends]).abs().max() > 1e-4
+    assert torch.equal(ended.root[ends], motion.root[ends])
+
+
+def test_a_contest_has_the_rivals_it_was_asked_for(motion, bench, generator):
+    known = cases.gap(6, FRAMES, 6)
+    how = {"plain": "imputed", "told": "told"}
+    names = ["mean", "nearest", "ridge", "Eq. 4.10", "not told", "told"]
+    assert list(bench.contest(motion, known, generator, **how)) == names
+    found = bench.contest(motion, known, generator, **how, regression=False, through_time=True)
+    assert list(found) == ["hold", "slerp", *names[3:]]
+
+
+def test_all_settings_of_a_cleaning_are_chosen_and_used(motion, bench, generator):
+    long = replace(
+        motion,
+        root=motion.root.repeat(1, 2, 1),
+        rot=motion.rot.repeat(1, 2, 1, 1, 1),
+        contacts=motion.contacts.repeat(1, 2, 1),
+    )  # the longest filter is longer than these windows
+    rivals = Rivals.fit(long, torch.Generator().manual_seed(0), parts=4)
+    here = replace(bench, rivals=rivals, free=model_of(long))
+    chosen = case_trials.Cleaning.chosen(Noise.of(5, 2), here, long, generator)
+    assert chosen.best in chosen.filters and chosen.start in case_trials.STARTS and chosen.ridge in RIDGES
+    made = case_trials.cleaned(chosen.clean(chosen.noise.on(long, generator), here, generator), long)
+    assert list(made) == ["noisy", *chosen.filters, "linear", "diffusion"]
+    assert made[chosen.best]["error, cm"].mean() < made["noisy"]["error, cm"].mean()
+    assert made["noisy"]["power"].shape == (6, len(cases.BANDS) - 1)
+
+
+def test_groups_of_real_windows_are_near_and_those_of_others_are_far(motion):
+    many = replace(
+        motion, root=motion.root.repeat(3, 1, 1), rot=motion.rot.repeat(3, 1, 1, 1, 1), contacts=None
+    )  # eighteen
+    high = replace(many, root=many.root + torch.tensor([0.0, 0.0, 0.5]))
+    near, far = (case_trials.kernel_distances(m, many, torch.Generator().manual_seed(0), 3) for m in (many, high))
+    assert near.shape == (3,) and far.min() > near.max()
+    with pytest.raises(ShapeError, match="groups"):
+        case_trials.kernel_distances(motion, many, torch.Generator(), 8)
+
+
+def test_windows_are_cut_from_the_middle_and_put_together(motion):
+    one = motion.clip(0)
+    (cut,) = case_trials.middle([one, one.cut(0, 5)], 6, around=2)
+    assert torch.equal(cut.root, one.root[5:15])
+    both = case_trials.joined(motion, replace(motion, contacts=None))
+    assert len(both.root) == 12 and both.contacts is None
+    assert case_trials.joined(motion, motion).contacts is not None
+    assert torch.equal(case_trials.spread(motion, 2).root, motion.root[[0, 5]])
+    with pytest.raises(ShapeError, match="one length"):
+        case_trials.joined(motion, motion.cut(0, 5))
