@@ -100,7 +100,8 @@ def make(
     recordings: Sequence[str] = (),
     start: Path | None = None,
 ) -> None:
-    """Train (or go on with ``kept``), write the checkpoint of the least KID to ``out``, with its recipe.
+    """Train (or go on with ``kept``), write the checkpoint of the least KID (of handles: the last) to
+    ``out``, with its recipe.
 
     Under ``accelerate launch`` every process calls this, and the first one writes.
 
@@ -118,7 +119,8 @@ def make(
     where = {"device": "cuda" if torch.cuda.is_available() else "cpu", "accelerator": _accelerator()}
     first = trained.load(start) if start else None
     run = training.resume(kept, data, **where) if resume else training.Training(recipe, data, **where, start=first)
-    run.run(keep=kept, held=held, judge=judge(held), progress=True)
+    free = not (recipe.handles or recipe.weights.handles)  # what is made without handles says little of a model of them
+    run.run(keep=kept, held=held, judge=judge(held) if free else None, progress=True)
     if run.rank:
         return
     about = {
