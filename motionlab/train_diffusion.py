@@ -12,7 +12,7 @@ import torch
 from data_synth import corpus
 from motionlab import diffusion_data, library
 from motionlab.diffusion import trained, training
-from motionlab.diffusion.judge import judge
+from motionlab.diffusion.judge import filling, judge
 from motionlab.diffusion.losses import Weights
 from motionlab.diffusion.trained import Recipe
 from motionlab.diffusion.windows import gather
@@ -119,8 +119,7 @@ def make(
     where = {"device": "cuda" if torch.cuda.is_available() else "cpu", "accelerator": _accelerator()}
     first = trained.load(start) if start else None
     run = training.resume(kept, data, **where) if resume else training.Training(recipe, data, **where, start=first)
-    free = not (recipe.handles or recipe.weights.handles)  # what is made without handles says little of a model of them
-    run.run(keep=kept, held=held, judge=judge(held) if free else None, progress=True)
+    run.run(keep=kept, held=held, judge=_judge(recipe, held), progress=True)
     if run.rank:
         return
     about = {
@@ -131,13 +130,20 @@ def make(
         "corpus": asdict(corpus.Recipe()) | {"version": recipe.version},
         "windows": data.digest,
         "torch": torch.__version__,
-        "chosen": {"step": run.best["step"], "kid": run.best["kid"]} if run.best else {"step": run.step},
+        "chosen": {k: v for k, v in run.best.items() if k != "weights"} if run.best else {"step": run.step},
         "curve": run.curve,
         **({"began from": checkpoint.read_recipe(start)} if start else {}),
     }
     trained.save(out, _on_cpu(run.shipped), about, half=True)
     kept.unlink()
     print(f"{out.with_suffix('.safetensors')}: {run.step} steps, weights of step {about['chosen']['step']}")
+
+
+def _judge(recipe: Recipe, held: Motion) -> training.Judge | None:
+    """Of what the model is for; what is made without handles says little of a model of them."""
+    if recipe.handles or recipe.weights.handles:
+        return None
+    return filling(held) if recipe.told else judge(held)
 
 
 def _together(motions: dict[str, list[Motion]], recipe: Recipe, copies: int = 0) -> list[Motion]:

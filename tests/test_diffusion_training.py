@@ -454,6 +454,26 @@ def test_the_judge_prefers_motion_like_the_held_out(motions):
     assert found[0] < min(found[1:]) and found[0] < 1e-3 and all(math.isfinite(x) for x in found)
 
 
+def test_models_that_are_told_are_judged_by_what_they_fill_in(data):
+    """One that knows the truth, one that says the mean, and one that spoils only what it was given."""
+    held = data.evenly(40)
+    model = training.Training(TOLD, data).averaged
+    x0 = model.encode(held)
+
+    class Says(torch.nn.Linear):
+        def __init__(self, answer):
+            super().__init__(1, 1)
+            self.answer = answer
+
+        def forward(self, x, stamps, known, mask):
+            assert torch.equal(known, torch.where(mask, x0, 0.0)) and (stamps == 49).all()
+            return self.answer(x0, mask)
+
+    answers = [lambda x, m: x, lambda x, m: 0 * x, lambda x, m: torch.where(m, x + 9.0, x)]
+    errors = [judge.filling(held)(replace(model, denoiser=Says(a)))["filling error"] for a in answers]
+    assert errors[0] == errors[2] == 0.0 and 0.2 < errors[1] < 5.0
+
+
 def test_single_poses_are_judged_by_their_joints(motions):
     held = gather([on_standard(motions[0])], 1).evenly(50)
     scaled = judge.Scaled(held)
@@ -483,7 +503,8 @@ def test_the_command_writes_a_checkpoint_of_every_preset(few, tmp_path, capsys, 
     assert model.recipe == replace(train_diffusion.PRESETS[preset], steps=3, seed=8)
     assert f"--preset {preset}" in about["made by"] and "--steps 3 --seed 8" in about["made by"]
     assert about["curve"][-1]["step"] == 3 and about["windows"] and about["recordings"] == []
-    assert about["chosen"] == {"step": 3, "kid": about["curve"][-1]["kid"]}
+    by = "filling error" if preset == "told" else "kid"
+    assert about["chosen"] == {"step": 3, by: about["curve"][-1][by]}
     assert not list(tmp_path.glob("*.pt"))
     drawn = model.sample(2, torch.Generator().manual_seed(0), steps=3)
     assert (drawn.contacts is None) == (preset in ("fixed", "pose"))

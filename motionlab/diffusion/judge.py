@@ -12,6 +12,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from motionlab.diffusion import masks
+from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.trained import Trained
 from motionlab.frames import stuck_root
 from motionlab.metrics.distribution import describe
@@ -48,8 +50,28 @@ class Scaled:
         return joined * joined.shape[1] ** 0.5
 
 
+def filling(real: Motion, *, seed: int = 0) -> Callable[[Trained], dict[str, float]]:
+    """A judge of models that are told what is known: {"filling error": mean square error of what is not known}.
+
+    x_0 is guessed in one step from pure noise, the same noise and the same masks (``masks.draw``) for every model, on
+    real windows (N, T); normalised numbers. A told model may fill in well and generate badly, or the other way round.
+    """
+
+    @torch.no_grad()
+    def measure(model: Trained) -> dict[str, float]:
+        generator = torch.Generator().manual_seed(seed)
+        x0, where = model.encode(real), next(model.denoiser.parameters()).device
+        known = masks.draw(model.layout, real.frames, len(x0), generator)
+        stamps = model.schedule.stamps[-1].expand(len(x0))
+        given = (noise_like(x0, generator), stamps, torch.where(known, x0, 0.0), known)
+        error = (model.denoiser(*(x.to(where) for x in given)).cpu() - x0).square()
+        return {"filling error": float(error[~known].mean())}
+
+    return measure
+
+
 def judge(real: Motion, *, count: int = 256, steps: int = 25, seed: int = 0) -> Callable[[Trained], dict[str, float]]:
-    """A judge for ``Training.run``: {"kid": ...} of ``count`` samples in ``steps`` DDIM steps against real windows.
+    """A judge of what is made anew: {"kid": ...} of ``count`` samples in ``steps`` DDIM steps against real windows.
 
     real: (N, T), held out, from what trains no weights and reports no result. The same noise for every model.
     """

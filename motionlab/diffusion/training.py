@@ -32,7 +32,7 @@ from motionlab.errors import DataError
 from motionlab.motion import Motion
 
 GIVE_UP = 20  # batches in a row whose gradients are not finite
-CHOOSE = "kid"  # the judge's measure that chooses the checkpoint; less is better
+CHOOSE = ("kid", "filling error")  # the judge's measure, one of these, that chooses the checkpoint; less is better
 MEASURED = 2000  # windows that the normaliser is measured on
 
 Judge = Callable[[Trained], dict[str, float]]
@@ -148,7 +148,7 @@ class Training:
                     continue
                 row |= self._measured(held, judge if self.step % judge_every == 0 or self.step == last else None)
                 self.curve.append({"step": self.step, **row})
-                bar.set_postfix({name: f"{value:.3g}" for name, value in row.items() if name in ("loss", CHOOSE)})
+                bar.set_postfix({name: f"{value:.3g}" for name, value in row.items() if name in ("loss", *CHOOSE)})
                 if keep:
                     self.save(keep)
         except KeyboardInterrupt:
@@ -169,9 +169,10 @@ class Training:
             row |= model.errors(held, torch.Generator().manual_seed(0))
         if judge is not None:
             row |= judge(model)
-            if row.get(CHOOSE, math.inf) < (self.best[CHOOSE] if self.best else math.inf):
+            chosen = next((name for name in CHOOSE if name in row), None)
+            if chosen and row[chosen] < (self.best[chosen] if self.best else math.inf):
                 weights = {name: value.clone() for name, value in self.average.items()}
-                self.best = {"step": self.step, CHOOSE: row[CHOOSE], "weights": weights}
+                self.best = {"step": self.step, chosen: row[chosen], "weights": weights}
         return row
 
     def _advance(self) -> dict[str, float]:
