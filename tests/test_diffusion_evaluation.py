@@ -164,6 +164,7 @@ def test_rows_of_seeds_become_one(features, real, generator):
     both = [row, row | {"frechet": 2.0, "skate ratio": 3.0}]
     found = evaluation.together(both, [dict.fromkeys(evaluation.MEASURES, 0.25)])
     assert found["skate ratio"] == "2 ± 1 (0.2)" and found["n / m"] == "64 / 64" and found["seeds"] == 2
+    assert [evaluation.rough(x) for x in (12.4, 0.0432, 4e-14, float("nan"))] == ["10", "0.04", "0", "-"]
     assert list(found)[: len(evaluation.MEASURES)] == list(evaluation.MEASURES)
 
 

@@ -6,6 +6,7 @@ features: ``embedding``. Whether they are copies: ``metrics.memorisation``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -122,9 +123,9 @@ def together(rows: Sequence[Mapping[str, float]], errors: Sequence[Mapping[str, 
         values = torch.tensor([row[name] for row in rows], dtype=torch.float64)
         text = f"{values.mean():.3g}"
         if len(rows) > 1:
-            text += f" ± {values.std():.1g}"
+            text += f" ± {rough(values.std().item())}"
         if errors:
-            text += f" ({sum(e[name] for e in errors) / len(errors):.1g})"
+            text += f" ({rough(sum(e[name] for e in errors) / len(errors))})"
         found[name] = text
     sizes = sorted({(int(row["n"]), int(row["m"])) for row in rows})
     return found | {"n / m": ", ".join(f"{n} / {m}" for n, m in sizes), "seeds": len(rows)}
@@ -167,6 +168,13 @@ def trial(
 def sampler(model: Trained, steps: int) -> Generate:
     """A trained model as a generator: DDIM in so many steps."""
     return lambda count, generator: model.sample(count, generator, steps=steps)
+
+
+def rough(x: float) -> str:
+    """One digit of a number, as errors are read: 0.04, 30; 0 for what rounding left, a dash for what is not finite."""
+    if not math.isfinite(x):
+        return "-"
+    return f"{float(f'{x:.1g}'):g}" if abs(x) > 1e-9 else "0"
 
 
 # ------------------------------------------------------------------------------------------ real motion, and spoilt

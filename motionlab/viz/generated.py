@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 from torch import Tensor
 
 from motionlab.errors import ShapeError
@@ -47,8 +48,12 @@ def scores(
         if good.replace(".", "", 1).isdecimal():
             ax.axvline(float(good), color=LINE, lw=1.5, ls=":", zorder=1)
         positive = all(row[name] > 0 for some in rows.values() for row in some)
-        ax.set_xscale("log" if name in log and positive else "linear")
-        ax.set_title(f"{name} ({'should be ' if good[0].isdigit() else ''}{good})")
+        if name in log and positive:
+            ax.set_xscale("log")
+            ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            ax.xaxis.set_major_formatter("{x:g}")
+            ax.xaxis.set_minor_locator(NullLocator())
+        ax.set_title(f"{name} ({f'should be {good}' if good[0].isdigit() else f'{good} is good'})")
         ax.grid(visible=False, axis="y")
     axes[0].set_yticks(range(len(rows)), list(rows))
     axes[0].set_ylim(len(rows) - 0.4, -0.6)
@@ -100,7 +105,8 @@ def through_gaps(
         ax.set_xlabel("time after the last known frame (s)", fontsize=8.5)
         ax.set_ylim(bottom=0)
     axes[0].set_ylabel("joint error (cm)")
-    axes[0].legend(frameon=False, fontsize=8.5, labelcolor=INK)
+    lines = axes[0].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=2 * len(gaps), frameon=False, fontsize=8.5, labelcolor=INK)
     return figure
 
 
@@ -114,5 +120,7 @@ def learning(curve: Sequence[Mapping[str, float]], parts: Sequence[str]) -> Figu
         )
     ax.axhline(100, color=ROLE["observation"], lw=1, ls=":")
     ax.set(xlabel="step", ylabel="variance missed, held out (%)", yscale="log")
-    ax.legend(frameon=False, fontsize=9, labelcolor=INK)
+    ax.set_yticks(ticks := (1, 3, 10, 30, 100), [f"{x:g}" for x in ticks])
+    ax.minorticks_off()
+    ax.legend(frameon=False, fontsize=9, labelcolor=INK, loc="center right")
     return ax.figure
