@@ -12,7 +12,7 @@ from torch import Tensor
 from motionlab.diffusion.late import Path
 from motionlab.diffusion.seams import Line
 from motionlab.diffusion.steps import Point, contributions
-from motionlab.viz import movie
+from motionlab.viz import fits, movie
 from motionlab.viz.palette import INK, LINE, ROLE, colour
 from motionlab.viz.plots import canvas, paints
 
@@ -90,6 +90,14 @@ def cures(lines: Sequence[Line]) -> Figure:
     axes[1].set_xlim(left=0)
     axes[2].set_xlim(left=0)
     axes[2].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    return fig
+
+
+def around(change: Mapping[str, Mapping[str, Tensor]], known: Tensor, roles: Mapping[str, str], fps: float) -> Figure:
+    """How much velocities change from frame to frame: a panel per source, label -> (B, T - 1) m/s; the gap is grey."""
+    hidden, how = dict.fromkeys(change, ~known[1:]), {"fps": fps, "roles": roles, "log_from": 0.01}
+    fig = fits.over_time(change, ylabel="change of velocity (m/s)", hidden=hidden, **how)
+    fig.axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     return fig
 
 
