@@ -39,7 +39,8 @@ def schedules(
     left.set(xlabel="share of the steps", ylabel="signal left, alpha-bar", title="Eq. 4.4")
     middle.set(xlabel="share of the steps", ylabel="signal / noise, power", title="its end, logarithmic")
     right.set(xlabel="sampling steps", ylabel="error of the covariance", title="DDPM with the exact denoiser")
-    right.xaxis.set_minor_formatter("")
+    for axis in (right.xaxis, right.yaxis):
+        axis.set_minor_formatter("")
     left.legend(loc="lower left")
     return fig
 
@@ -78,13 +79,14 @@ def training(curves: Mapping[str, Sequence[Mapping[str, float]]], chosen: Mappin
         kid.axvline(chosen.get(name, np.nan), color=ROLE["axis-angle"], lw=1.2, ls=":")
         losses.set(ylabel=name, yscale="log")
         errors.set(yscale="log")
-        kid.set(yscale="log")
+        kid.set_ylim(bottom=0)
         if row == 0:
             losses.set_title("parts of the loss, training")
             errors.set_title("error of x0, held out")
             kid.set_title("KID of samples, held out; dotted: chosen")
-            losses.legend(fontsize=7.5, ncols=2)
-            errors.legend(fontsize=7.5, loc="upper right")
+            for ax, columns in ((losses, 2), (errors, 3)):
+                ax.set_ylim(top=6 * ax.get_ylim()[1])  # room for the legend
+                ax.legend(fontsize=7.5, ncols=columns, loc="upper right")
     for ax in axes[-3:]:
         ax.set_xlabel("step")
     return fig
@@ -97,7 +99,12 @@ def _trace(ax: Axes, curve: Sequence[Mapping[str, float]], key: str, paint, labe
 
 
 def by_level(
-    panels: Mapping[str, Mapping[str, Tensor]], levels: Sequence[float], *, ylabel: str, roles: Mapping[str, str]
+    panels: Mapping[str, Mapping[str, Tensor]],
+    levels: Sequence[float],
+    *,
+    ylabel: str,
+    roles: Mapping[str, str],
+    log: bool = True,
 ) -> Figure:
     """Errors over the level of noise, a panel per source: label -> (B, L), mean over windows and its 95 % interval."""
     fig, axes = canvas(1, len(panels), size=(4.2 * len(panels) + 0.8, 3.1), sharey=True)
@@ -105,10 +112,12 @@ def by_level(
         for label, paint in paints(list(series), roles).items():
             y = series[label].double().numpy()
             middle, half = y.mean(0), 1.96 * y.std(0) / len(y) ** 0.5
-            ax.fill_between(levels, np.maximum(middle - half, 1e-9), middle + half, color=paint, alpha=0.18, lw=0)
+            low = np.maximum(middle - half, 1e-9) if log else middle - half
+            ax.fill_between(levels, low, middle + half, color=paint, alpha=0.18, lw=0)
             ax.plot(levels, middle, "o-", ms=4, lw=1.7, color=paint, label=label)
         count = len(next(iter(series.values())))
-        ax.set(title=f"{name}, {count} windows", xlabel="level of noise (share of the steps)", yscale="log")
+        ax.set(title=f"{name}, {count} windows", xlabel="level of noise (share of the steps)")
+        ax.set_yscale("log" if log else "linear")
     axes[0].set_ylabel(ylabel)
     axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return fig
@@ -120,8 +129,13 @@ def ablation(
     """One panel per measure, one line per model: name -> measure -> value. The band spans ``seeds``, models that differ
     only in their seed; ``truth``: the data's own value."""
     measures = list(dict.fromkeys(m for row in table.values() for m in row))
-    fig, axes = canvas(1, len(measures), size=(1.4 + 1.85 * len(measures), 0.9 + 0.27 * len(table)), sharey=True)
-    for ax, measure in zip(axes, measures, strict=True):
+    columns = min(4, len(measures))
+    rows = -(-len(measures) // columns)
+    size = (1.4 + 2.1 * columns, rows * (0.8 + 0.24 * len(table)))
+    fig, axes = canvas(rows, columns, size=size, sharey=True)
+    for ax in axes[len(measures) :]:
+        ax.set_axis_off()
+    for ax, measure in zip(axes[: len(measures)], measures, strict=True):
         value = [row.get(measure, np.nan) for row in table.values()]
         spread = [table[name][measure] for name in seeds if name in table]
         if spread:
