@@ -118,8 +118,8 @@ def measure(made: Motion, truth: Motion, known: Tensor, natural: Tensor) -> dict
 
     jump: change of the velocity at the seams, mean over both; jump / natural: over the 95th percentile of ``natural``
     (K,) m/s; percentile: its place there; worst / natural: the largest change anywhere in the gap and at its seams, as
-    a cure may move the jump instead of curing it. known off: the farthest joint of a known frame. gap error: mean over joints
-    and unknown frames. skating, acceleration: of the whole window; the latter over the mean of the truth's windows.
+    a cure may move the jump instead of curing it. known off: the farthest joint of a known frame. gap error: mean over
+    joints and unknown frames. skating, acceleration: of the whole window; the latter over the mean of the truth's.
     """
     p, t, fps = made.positions, truth.positions, made.fps
     change = step_changes(p, fps)
