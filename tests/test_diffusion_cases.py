@@ -162,6 +162,8 @@ def test_denoising_comes_back_to_the_world_and_reads_the_noisy_motion(motion, ge
     noisy = noise.on(motion, generator)
     same = denoising.denoise(model_of(motion), noisy, motion, noise, generator, Start(topped=False))
     assert (same.positions - noisy.positions).abs().max() < 1e-4  # taken as it is, it stays as it was
+    rough = denoising.denoise(model_of(motion), noisy, motion, noise, generator, Start(topped=False, filtered=True))
+    assert (rough.positions - motion.positions).abs().max() < 1e-4
     topped = denoising.denoise(model_of(motion), noisy, motion, noise, generator, Start())
     assert (topped.positions - noisy.positions).norm(dim=-1).mean() > 0.005
 

@@ -38,6 +38,8 @@ STARTS = (
     *(Start(level=level, topped=False) for level in (0.7, 1.0, 1.4, 2.0)),
     *(Start(level=level, topped=False, steps=5) for level in (1.0, 1.4)),
     *(Start(level=2.0, steps=8, pull=pull) for pull in (0.01, 0.03, 0.1)),
+    *(Start(level=level, topped=False, filtered=True) for level in (0.2, 0.35, 0.5)),
+    *(Start(level=level, looks=4, filtered=True) for level in (0.2, 0.35, 0.5)),
 )
 FINISH = 8  # frames over which the offset at a gap's ends fades
 

@@ -54,6 +54,7 @@ class Start:
     level: noise at its first step, over that of the motion. topped: numbers less noisy than that get more. steps: DDIM
     steps down from there; 1: one look, the network's mean of all that may be. looks: with other noise, averaged.
     pull: of the measurement on every estimate of x_0, by r^2 / (r^2 + noise^2), r^2 = pull (1 - alpha_bar); 0: none.
+    filtered: the rough motion is what begins, not the noisy one.
     """
 
     level: float = 1.0
@@ -61,6 +62,7 @@ class Start:
     steps: int = 1
     looks: int = 1
     pull: float = 0.0
+    filtered: bool = False
 
 
 def begin(schedule: Schedule, size: float) -> int:
@@ -89,7 +91,8 @@ def denoise(
         raise DataError("no noise", place="noise", remedy="give how much a joint turns or the root moves")
     whole = size[size > 0].square().mean().sqrt().item() * start.level
     frame = stuck_root(rough)[1] if model.layout.frame == "stuck" else None
-    local = world_to_local(frame, noisy) if frame else noisy
+    given = rough if start.filtered else noisy
+    local = world_to_local(frame, given) if frame else given
     if model.layout.contacts:
         local = replace(local, contacts=with_contacts(rough).contacts)
     y = model.normaliser.apply(replace(model.layout, frame="world").encode(local))

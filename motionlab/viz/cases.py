@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, ScalarFormatter
 from torch import Tensor
 
 from motionlab import findings
@@ -63,7 +64,7 @@ def by_setting(
     panels: Mapping[str, Mapping[str, Mapping[str, Tensor]]], *, xlabel: str, ylabel: str, log: bool = False
 ) -> Figure:
     """A panel per source, a curve per method over its settings: means (method -> setting -> (N,)), 95 % intervals."""
-    fig, axes = canvas(1, len(panels), size=(1.6 + 2.7 * len(panels), 3.3), sharey=True)
+    fig, axes = canvas(1, len(panels), size=(1.6 + 2.9 * len(panels), 3.3), sharey=True)
     generator = torch.Generator().manual_seed(0)
     for ax, (source, methods) in zip(axes, panels.items(), strict=True):
         paint = paints(list(methods), {name: ROLES[name] for name in methods if name in ROLES})
@@ -72,11 +73,15 @@ def by_setting(
             x = np.arange(len(settings)) + 0.05 * (k - (len(methods) - 1) / 2)
             ax.plot(x, value, "o-", ms=4, lw=1.4, color=paint[name], label=name)
             ax.vlines(x, low, high, color=paint[name], lw=1.4)
-        ax.set_xticks(range(len(settings)), list(settings))
+        ax.set_xticks(range(len(settings)), [str(setting).replace(", ", "\n") for setting in settings])
         ax.set_title(source, fontsize=9)
         ax.set_xlabel(xlabel)
         ax.set_yscale("log" if log else "linear")
-        if not log:
+        ax.set_xlim(-0.4, len(settings) - 0.6)
+        if log:
+            ax.yaxis.set_major_formatter(ScalarFormatter())
+            ax.yaxis.set_minor_formatter(FuncFormatter(lambda y, _: f"{y:g}" if f"{y:e}"[0] in "25" else ""))
+        else:
             ax.set_ylim(bottom=0)
     axes[0].set_ylabel(ylabel)
     axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
