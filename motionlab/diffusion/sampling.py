@@ -80,11 +80,16 @@ def ddim(
 
 
 @torch.no_grad()
-def through(scheduler, denoise: Denoiser, x: Tensor, count: int, generator: torch.Generator | None = None) -> Tensor:
-    """Samples (B, ...) by ``count`` steps of any scheduler of diffusers that takes x_0 estimates (``scheduler``)."""
+def through(
+    scheduler, denoise: Denoiser, x: Tensor, count: int | list[int], generator: torch.Generator | None = None
+) -> Tensor:
+    """Samples (B, ...) by ``count`` steps of any scheduler of diffusers that takes x_0 estimates (``scheduler``).
+
+    count: how many, or the steps themselves, falling, where the scheduler lets them be chosen.
+    """
     with warnings.catch_warnings():  # numpy 2 and the way some schedulers read tensors
         warnings.simplefilter("ignore", DeprecationWarning)
-        scheduler.set_timesteps(count)
+        scheduler.set_timesteps(**({"num_inference_steps": count} if isinstance(count, int) else {"timesteps": count}))
     takes = {"generator": generator} if "generator" in signature(scheduler.step).parameters else {}
     for t in scheduler.timesteps:
         x0 = denoise(scheduler.scale_model_input(x, t), t.to(x.device).expand(len(x)))

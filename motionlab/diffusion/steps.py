@@ -32,8 +32,8 @@ SOLVERS: dict[str, tuple[str, dict[str, object]]] = {
     "DPM-Solver++ SDE": (_MULTISTEP, {"lambda_min_clipped": QUIETEST, "algorithm_type": "sde-dpmsolver++"}),
     "UniPC": ("UniPCMultistepScheduler", {}),
 }
-#: Ours, for models that know the spectrum of their data (``spectral``): DDIM on steps of equal angle, and ``whitened``.
-SPECTRAL = ("DDIM, equal angles", "whitened flow")
+#: Ours, for models that know their data's spectrum (``spectral``): steps of equal angles, and the flow (``whitened``).
+SPECTRAL = ("SDE, equal angles", "whitened flow")
 SAMPLERS = ("DDPM", "DDIM", *SOLVERS, *SPECTRAL)
 
 
@@ -81,7 +81,10 @@ def walk(
     if spectrum is None:
         raise ValueError(f"{sampler}: only for a model that knows its data's spectrum")
     few = whitened.spaced(schedule, spectrum, steps)
-    return sampling.ddim(denoise, few, x) if "DDIM" in sampler else whitened.flow(denoise, few, spectrum, x)
+    if "SDE" not in sampler:
+        return whitened.flow(denoise, few, spectrum, x)
+    solver = sampling.scheduler(_MULTISTEP, schedule, algorithm_type="sde-dpmsolver++")
+    return sampling.through(solver, denoise, x, few.stamps.flip(0).tolist(), generator)
 
 
 # ---------------------------------------------------------------------------------------------- how good they are
