@@ -122,5 +122,6 @@ def learning(curve: Sequence[Mapping[str, float]], parts: Sequence[str]) -> Figu
     ax.set(xlabel="step", ylabel="variance missed, held out (%)", yscale="log")
     ax.set_yticks(ticks := (1, 3, 10, 30, 100), [f"{x:g}" for x in ticks])
     ax.minorticks_off()
-    ax.legend(frameon=False, fontsize=9, labelcolor=INK, loc="center right")
+    ax.set_ylim(top=300)
+    ax.legend(frameon=False, fontsize=9, labelcolor=INK, loc="upper right", ncols=len(parts))
     return ax.figure
