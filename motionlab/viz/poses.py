@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
 from motionlab.motion import Motion
 from motionlab.viz.palette import colour
-from motionlab.viz.plots import canvas
+from motionlab.viz.plots import canvas, paints
 from motionlab.viz.scene import Scene
 
 HANDLE = (0.835, 0.369, 0.0)  # vermillion: seen beside every role
@@ -67,6 +66,17 @@ def errors(
     return fig
 
 
-def first(motion: Motion, index: int) -> Motion:
-    """One pose (1,) of poses (B, 1)."""
-    return motion.clip(torch.tensor(index))
+def over_steps(panels: Mapping[str, Mapping[str, Tensor]], steps: Sequence[int], roles: Mapping[str, str]) -> Figure:
+    """A panel per measure, a line per source: means over poses (B, S) at every number of steps, quartiles shaded."""
+    fig, axes = canvas(1, len(panels), size=(4.3 * len(panels), 3.0))
+    for ax, (name, series) in zip(axes, panels.items(), strict=True):
+        for source, paint in paints(list(series), roles).items():
+            values = series[source].numpy()
+            ax.fill_between(steps, *np.percentile(values, (25, 75), axis=0), color=paint, alpha=0.15, lw=0)
+            ax.plot(steps, values.mean(0), "o-", ms=4, color=paint, lw=1.8, label=source)
+        ax.set(xscale="log", xlabel="steps", ylabel=f"{name} (cm)")
+        ax.set_xticks(list(steps), [str(n) for n in steps])
+        ax.minorticks_off()
+        ax.set_ylim(bottom=0)
+    axes[0].legend()
+    return fig
