@@ -22,6 +22,7 @@ def roots_and_legs(panels: Mapping[str, tuple[Tensor, Tensor]], roles: Mapping[s
         ax.scatter(legs[pick], root[pick], s=11, color=colour(roles[name]), alpha=0.55, lw=0)
         ax.set_title(f"{name}: r = {np.corrcoef(root, legs)[0, 1]:.2f}", color=INK, fontsize=9)
         ax.set_xlabel("feet about the pelvis (m/s)", color=INK)
+        ax.locator_params(nbins=4)
     axes[0].set_ylabel("root over the floor (m/s)", color=INK)
     high = [np.percentile(np.concatenate([p[k].numpy(force=True) for p in panels.values()]), 99.5) for k in (0, 1)]
     axes[0].set_xlim(0, 1.08 * high[1])
