@@ -31,8 +31,8 @@ _BASE = Recipe(patch=2, spectral=True, steps=12_000, batch=16, lr=1e-3, weights=
 #: would have a hundred times the gradient of all else.
 _FAR = replace(_WEIGHTS, fk=0.002, contact=20.0)
 _POSE = replace(
-    _BASE, frames=1, patch=1, contacts=False, spectral=False, linear=True, dropout=0.0, batch=128, steps=8000,
-    weights=replace(_WEIGHTS, velocity=0.0, contact=0.0, snr=0.0),
+    _BASE, frames=1, patch=1, contacts=False, spectral=False, linear=True, dropout=0.0, batch=128, steps=5000,
+    weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, snr=0.0),
 )  # fmt: skip
 _HELD = replace(_POSE, handles=64, weights=replace(_POSE.weights, handles=20.0))
 PRESETS = {
@@ -45,7 +45,7 @@ PRESETS = {
     "told": replace(_BASE, told=True),
 }
 _ARM = replace(_BASE, size="small", steps=1500)
-_ARM_HELD = replace(_HELD, size="small", steps=3000)
+_ARM_HELD = replace(_HELD, size="small", steps=1500)
 #: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles".
 ARMS = {
     "all": _ARM,

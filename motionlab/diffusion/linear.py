@@ -20,7 +20,8 @@ from motionlab.errors import ShapeError
 
 LEAST = 1e-6  # of a variance; less is a number that never changes
 CLOSE = 1e-2**2 / 4  # r, square metres: how near a handle has to come
-ROUNDS = 2
+ROUNDS = 8  # steps of descent
+LEARNING = 2  # of them while it is trained, where time counts more
 
 
 class Linear(nn.Module):
@@ -91,7 +92,7 @@ class Linear(nn.Module):
         weight = torch.cholesky_solve(off[..., None], torch.linalg.cholesky(square))
         start = mean + variance * (slope.mT @ weight)[..., 0]
         step = torch.zeros_like(start)
-        for _ in range(ROUNDS):
+        for _ in range(min(LEARNING, ROUNDS) if self.training else ROUNDS):
             at = (start + step).detach()
             step = step + self._descended(at, at - mean.detach(), variance, targets, seen, places)
         return start + step
