@@ -116,6 +116,8 @@ def point(
     model: Trained, see: See, sampler: str, steps: int, count: int, generator: torch.Generator, *, batch: int = 128
 ) -> Point:
     """:func:`draw`, then :func:`describe`."""
+    if sampler not in ("DDPM", "DDIM"):
+        sampling.scheduler(_MULTISTEP, model.schedule)  # diffusers is slow to import: that is not the sampler's time
     start = time.perf_counter()
     motion = draw(model, sampler, steps, count, generator, batch=batch)
     return describe(motion, see, sampler, steps, time.perf_counter() - start)
