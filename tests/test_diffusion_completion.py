@@ -8,7 +8,7 @@ import torch
 
 from data_synth import scenes
 from motionlab import rotation
-from motionlab.diffusion import completion, denoiser, handles, known_poses, training
+from motionlab.diffusion import completion, denoiser, handles, known_poses, pose_trials, training
 from motionlab.diffusion.losses import Weights
 from motionlab.diffusion.trained import Recipe
 from motionlab.diffusion.windows import gather, on_standard
@@ -241,3 +241,29 @@ def test_known_poses_are_single_and_on_one_body(windows):
     motion = Motion(STANDARD, torch.zeros(2, 5, 3), torch.eye(3).expand(2, 5, 22, 3, 3), 30.0)
     with pytest.raises(ShapeError, match="one body"):
         known_poses.known(motion)
+
+
+# ------------------------------------------------------------------------------------------------------ all ways
+def test_every_way_on_the_same_handles(models, truth, library):
+    ways = pose_trials.rivals(library) | {
+        "kept": pose_trials.kept(models[0], 5),
+        "told": pose_trials.completed(models[1], 5),
+        "told again": pose_trials.completed(models[1], 5),
+    }
+    sets = {"hands": handles.SETS["hands"], "two": 2}
+    found = pose_trials.all_tried(ways, truth, library, lambda name: seeded(len(name)), sets)
+    assert list(found) == [(name, way) for name in sets for way in ways]
+    one = found["hands", "nearest neighbour"]
+    which = handles.chosen(sets["hands"], 24, seeded())
+    rough = library.nearest(truth.positions[:, 0], which)
+    assert torch.allclose(
+        one.before, (rough.positions - truth.positions)[:, 0].norm(dim=-1)[which].reshape(24, 2).mean(1)
+    )
+    assert torch.allclose(one.free, completion.unobserved(one.poses, truth, which))
+    assert torch.equal(one.known, library.distance(one.poses)) and one.after.max() < 1e-3
+    assert torch.equal(found["two", "told"].poses.rot, found["two", "told again"].poses.rot)
+    both = (found["hands", "told"].before + found["two", "told"].before) / 2
+    assert torch.allclose(pose_trials.over_sets(found, "told", "before"), both)
+    row = pose_trials.table(found, ways)[4]
+    assert row["way"] == "told" and row["handles, cm"] == pytest.approx(100 * both.mean().item(), rel=1e-5)
+    assert row["after the finish, worst, mm"] < 1
