@@ -27,7 +27,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
 STEPS = 50  # of the sampler
-FINISH = 30  # steps of inverse kinematics, at most
+FINISH = 20  # steps of inverse kinematics, at most
 
 
 def complete(
