@@ -33,8 +33,9 @@ class Weights:
     gate: contacts that "predicted" (Eq. 4.9), "held" (the same, no gradient through them) or "truth" (MDM) says.
     by_signal: fk and contact of a window count by alpha_bar of its step, as a guess from pure noise is an average of
     poses, not a pose; not in Eq. 4.9. even: in ``simple`` every group of numbers counts alike, so that the root's place
-    is a quarter of it and not 3 numbers of 144; not in Eq. 4.8. snr: windows count by their signal-to-noise ratio, up
-    to this (min-SNR, Hang et al. 2023): jitter and sliding are made of small errors at little noise; 0: alike.
+    is a quarter of it and not 3 numbers of 144; not in Eq. 4.8. snr: windows count 1 + min(snr, signal / noise), so
+    that the small errors at little noise, which jitter and sliding are made of, count too; 0: all count alike. Hang et
+    al. 2023 have no 1: then nothing is learned where there is hardly any signal, and samples begin with a mistake.
     """
 
     simple: float = 1.0
@@ -64,7 +65,7 @@ class Weights:
     def counts(self, schedule: Schedule) -> Tensor:
         """What a window counts at each noising step (T,); 1 on average."""
         a = schedule.alpha_bar
-        count = (a / (1 - a)).clamp(max=self.snr) if self.snr else torch.ones_like(a)
+        count = 1 + (a / (1 - a)).clamp(max=self.snr)
         return count / count.mean()
 
 
