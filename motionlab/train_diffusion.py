@@ -32,7 +32,7 @@ _BASE = Recipe(patch=2, spectral=True, steps=12_000, batch=16, lr=1e-3, weights=
 _FAR = replace(_WEIGHTS, fk=0.002, contact=20.0)
 _POSE = replace(
     _BASE, frames=1, patch=1, contacts=False, spectral=False, linear=True, dropout=0.0, batch=128, steps=5000,
-    weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, snr=0.0),
+    weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
 _HELD = replace(_POSE, handles=64, weights=replace(_POSE.weights, handles=20.0))
 PRESETS = {
