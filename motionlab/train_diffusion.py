@@ -20,7 +20,7 @@ from motionlab.errors import DataError
 from motionlab.humor import checkpoint
 from motionlab.motion import Motion
 
-_WEIGHTS = Weights(velocity=20.0, contact=100.0, late=0.1, by_signal=True, even=True, snr=10.0)
+_WEIGHTS = Weights(velocity=20.0, contact=100.0, late=0.1, even=True, snr=10.0)
 _GENTLE = Weights(late=0.1, even=True, snr=5.0)
 _BASE = Recipe(patch=2, spectral=True, steps=12_000, batch=16, lr=1e-3, weights=_WEIGHTS)
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: as free, in world
