@@ -16,6 +16,7 @@ from motionlab.skeleton import STANDARD, UPRIGHT
 
 LAYOUT = Layout()
 EVERYTHING = Layout(velocities=True)
+PARTS = losses.PARTS[:5]  # that of handles: tests/test_diffusion_handles.py
 
 
 def motion(generator, count=3, frames=5):
@@ -59,7 +60,7 @@ def joints_by_hand(row, layout, bones):
 
 def twin(estimate, truth, layout, normaliser, bones, gate, known):
     """Eqs. 4.8 and 4.9 as they are printed, frame by frame; simple and velocity per number."""
-    parts = dict.fromkeys(losses.PARTS, 0.0)
+    parts = dict.fromkeys(PARTS, 0.0)
     (count, frames, size), asked = estimate.shape, 0
     moving = layout.slices["pose"].stop
     for i in range(count):
@@ -88,12 +89,37 @@ def twin(estimate, truth, layout, normaliser, bones, gate, known):
 def test_every_part_is_that_of_a_loop(generator, layout, gate):
     estimate, truth, normaliser, bones = make(layout, generator)
     known = torch.rand(5, layout.size, generator=generator) < 0.4
-    found = losses.compare(estimate, truth, layout, normaliser, bones, parts=losses.PARTS, gate=gate, known=known)
+    found = losses.compare(estimate, truth, layout, normaliser, bones, parts=PARTS, gate=gate, known=known)
     wanted = twin(estimate, truth, layout, normaliser, bones, gate, known)
-    assert set(found) == set(losses.PARTS)
+    assert set(found) == set(PARTS)
     for name, value in found.items():
         assert value.item() == pytest.approx(wanted[name].item(), rel=1e-9), name
         assert value > 1e-5, name  # or the comparison says nothing
+
+
+def test_windows_count_as_they_are_told_to(case):
+    """Half of what the first window gives, and one and a half of the second: against each alone."""
+    estimate, truth, normaliser, bones = (x[:2] if torch.is_tensor(x) else x for x in case)
+    count = torch.tensor([0.5, 1.5])
+    how = {"parts": PARTS, "known": torch.ones(LAYOUT.size, dtype=torch.bool)}
+
+    def of(rows, **more):
+        return losses.compare(estimate[rows], truth[rows], LAYOUT, normaliser, bones[rows], **how, **more)
+
+    both, alone = of(slice(2), count=count), [of(slice(i, i + 1)) for i in (0, 1)]
+    for name in PARTS:
+        wanted = (0.5 * alone[0][name] + 1.5 * alone[1][name]) / 2
+        assert both[name].item() == pytest.approx(wanted.item(), rel=1e-5), name
+
+
+def test_less_noise_counts_more_and_pure_noise_still_counts():
+    schedule = cosine(1000)
+    counts = Weights(snr=5.0).counts(schedule)
+    assert counts.mean() == pytest.approx(1.0) and (counts.diff() <= 1e-12).all()
+    assert counts[0] / counts[-1] == pytest.approx(6.0, rel=1e-3)
+    middle = int((schedule.alpha_bar - 0.5).abs().argmin())  # as much signal as noise
+    assert counts[middle] / counts[-1] == pytest.approx(2.0, rel=0.01)
+    assert torch.equal(Weights().counts(schedule), torch.ones(1000).double())
 
 
 def test_groups_count_alike_where_they_should(case):
