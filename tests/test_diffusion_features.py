@@ -100,3 +100,13 @@ def test_what_does_not_fit(motion):
         Layout(frame="moon")
     with pytest.raises(KeyError):
         Layout().mask(3, groups=["tail"])
+
+
+def test_a_unit_of_the_root_can_be_given_in_metres(generator):
+    layout = Layout()
+    rows = torch.randn(50, layout.size, generator=generator)
+    plain, ours = Normaliser.measure(rows, layout), Normaliser.measure(rows, layout, root_unit=0.08)
+    root = layout.slices["root"]
+    assert (ours.scale[root] == torch.tensor(0.08)).all() and (plain.scale[root] > 0.5).all()
+    assert torch.equal(ours.scale[root.stop :], plain.scale[root.stop :])
+    assert torch.allclose(ours.undo(ours.apply(rows)), rows, atol=1e-5)

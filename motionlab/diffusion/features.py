@@ -149,13 +149,19 @@ class Normaliser:
     scale: Tensor
 
     @classmethod
-    def measure(cls, rows: Tensor, layout: Layout) -> Normaliser:
-        """From rows (..., D) of the training set. A group that never changes keeps its size."""
+    def measure(cls, rows: Tensor, layout: Layout, *, root_unit: float = 0.0) -> Normaliser:
+        """From rows (..., D) of the training set. A group that never changes keeps its size.
+
+        root_unit: metres that are one unit of the root's place; 0: its deviation, which is mostly how far people walk,
+        so that noise of a tenth hides centimetres of a step while it moves a hand by millimetres.
+        """
         flat = rows.reshape(-1, rows.shape[-1])
         mean, scale = flat.mean(0), torch.ones_like(flat[0])
         for part in layout.slices.values():
             spread = (flat[:, part] - mean[part]).square().mean().sqrt()
             scale[part] = spread if spread > 1e-6 else 1.0
+        if root_unit:
+            scale[layout.slices["root"]] = root_unit
         return cls(mean, scale)
 
     def apply(self, rows: Tensor) -> Tensor:

@@ -27,7 +27,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
 
 FPS = 30.0
-LATER = {"handles", "linear"}  # came after models had been made: recipes without it had none
+LATER = {"handles", "linear", "root_unit"}  # came after models had been made: recipes without it had none
 LEVELS = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all noising steps: where the error of x_0 is measured
 
 
@@ -36,10 +36,11 @@ class Recipe:
     """What a training run depends on, with its windows.
 
     size: of the network (``denoiser.SIZES``). frames: of a window; 1: single poses. frame, velocities, contacts,
-    travels: see ``Layout``. told: with the known area as input; arrival: and with the time to the next known frame.
-    patch: frames in a token. handles: numbers that the places of handles are embedded in; 0: they are not heard of.
-    spectral: the network corrects a Wiener filter (``spectral``); linear: it corrects what a Gaussian would say, of
-    single poses, handles and all (``linear``). version: of the synthetic corpus. source: of what it trains on
+    travels: see ``Layout``. root_unit: metres that are one unit of the root's place; 0: its deviation. told:
+    with the known area as input; arrival: and with the time to the next known frame. patch: frames in a token.
+    handles: numbers that the places of handles are embedded in; 0: they are not heard of. spectral: the network
+    corrects a Wiener filter (``spectral``); linear: it corrects what a Gaussian would say, of single poses, handles and
+    all (``linear``). version: of the synthetic corpus. source: of what it trains on
     ("synthetic", "recordings" or "all"); share: of those motions. copies: of every motion, held otherwise
     (``humor.variety``). noising: steps of the schedule. steps, batch, lr: of AdamW; the rate rises over ``warm_up``
     steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of the weights, per step. bf16:
@@ -52,6 +53,7 @@ class Recipe:
     velocities: bool = False
     contacts: bool = True
     travels: bool = True
+    root_unit: float = 0.0
     told: bool = False
     arrival: bool = False
     patch: int = 1

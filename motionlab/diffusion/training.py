@@ -77,7 +77,7 @@ class Training:
         self.layout, self.schedule = recipe.layout, recipe.schedule
         self._counts = recipe.weights.counts(self.schedule)
         some = self.layout.encode(data.draw(MEASURED, torch.Generator().manual_seed(0)))
-        self.normaliser = Normaliser.measure(some, self.layout)
+        self.normaliser = Normaliser.measure(some, self.layout, root_unit=recipe.root_unit)
         self.generator = torch.Generator().manual_seed(recipe.seed)
         self.drawn_from, self.torn = self.generator.get_state(), False
         with self._torch_seeded(recipe.seed):
