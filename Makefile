@@ -36,9 +36,7 @@ full: setup
 
 train: setup
 	@$(PY) -m motionlab train humor
-	@$(PY) -m motionlab train diffusion --preset free --out build/free
-	@$(PY) -m motionlab train diffusion --preset finish --start build/free --out motionlab/checkpoints/diffusion_free
-	@for preset in told fixed world pose handles; do $(PY) -m motionlab train diffusion --preset $$preset || exit 1; done
+	@for preset in free told fixed world pose handles; do $(PY) -m motionlab train diffusion --preset $$preset || exit 1; done
 
 bench: setup
 	@$(PY) tests/bench/run.py

@@ -21,23 +21,23 @@ from motionlab.humor import checkpoint
 from motionlab.motion import Motion
 
 _WEIGHTS = Weights(velocity=20.0, contact=100.0, late=0.1, even=True, snr=10.0)
-_GENTLE = Weights(late=0.1, even=True, snr=5.0)
-_BASE = Recipe(patch=2, spectral=True, steps=12_000, batch=16, lr=1e-3, weights=_WEIGHTS)
+_BASE = Recipe(
+    patch=2, spectral=True, root_unit=0.08, dropout=0.0, steps=12_000, batch=16, lr=1e-3, weights=_WEIGHTS
+)  # fmt: skip
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: as free, in world
 #: space. pose: single poses. handles: single poses, told where some joints should be. told: as free, told what is
 #: known.
-#: finish: free, begun (--start) from what ``free`` made, whose losses alone left it sliding.
+#: root_unit: so that a unit of noise moves the root about as far as it moves a hand (CHANGELOG).
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
 #: would have a hundred times the gradient of all else.
 _FAR = replace(_WEIGHTS, fk=0.002, contact=20.0)
 _POSE = replace(
-    _BASE, frames=1, patch=1, contacts=False, spectral=False, linear=True, dropout=0.0, batch=128, steps=5000,
+    _BASE, frames=1, patch=1, root_unit=0.0, contacts=False, spectral=False, linear=True, batch=128, steps=5000,
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
 _HELD = replace(_POSE, handles=64, weights=replace(_POSE.weights, handles=20.0))
 PRESETS = {
-    "free": replace(_BASE, weights=_GENTLE),
-    "finish": replace(_BASE, lr=6e-4, steps=4500, weights=replace(_WEIGHTS, late=0.0)),
+    "free": _BASE,
     "fixed": replace(_BASE, version="A", contacts=False, travels=False),
     "world": replace(_BASE, frame="world", weights=_FAR),
     "pose": _POSE,
