@@ -1,11 +1,10 @@
 """MDM's network: its names, its size, and a twin written with plain matrices."""
 
-import math
-
 import pytest
 import torch
 
 from motionlab.diffusion.denoiser import SIZES, Denoiser, load_official
+from motionlab.diffusion.network_checks import twin
 from motionlab.errors import DataError, ShapeError
 
 OFFICIAL = {  # names and shapes of the official unconstrained model (its tables of sines are not loaded)
@@ -21,38 +20,6 @@ OFFICIAL = {  # names and shapes of the official unconstrained model (its tables
 def small():
     torch.manual_seed(0)
     return Denoiser(10, size=16, layers=2, heads=4, hidden=24).eval()
-
-
-def twin(model, x, t):
-    """The same by hand: attention, post-norm, gelu, one clip at a time, in float64."""
-    w = {name: value.double() for name, value in model.state_dict().items()}
-    size, heads = 16, 4
-    rate = [10000 ** (-2 * (i // 2) / size) for i in range(size)]
-
-    def sines(k):
-        return torch.tensor([math.cos(k * r) if i % 2 else math.sin(k * r) for i, r in enumerate(rate)]).double()
-
-    def linear(v, name):
-        return v @ w[f"{name}.weight"].T + w[f"{name}.bias"]
-
-    def norm(v, name):
-        v = (v - v.mean(-1, keepdim=True)) / (v.var(-1, unbiased=False, keepdim=True) + 1e-5).sqrt()
-        return v * w[f"{name}.weight"] + w[f"{name}.bias"]
-
-    step = linear(sines(int(t)), "embed_timestep.time_embed.0")
-    step = linear(step * step.sigmoid(), "embed_timestep.time_embed.2")
-    tokens = torch.cat((step[None], linear(x.double(), "input_process.poseEmbedding")))
-    tokens = tokens + torch.stack([sines(k) for k in range(len(tokens))])
-    for n in range(2):
-        at = f"seqTransEncoder.layers.{n}."
-        qkv = tokens @ w[at + "self_attn.in_proj_weight"].T + w[at + "self_attn.in_proj_bias"]
-        q, k, v = (part.reshape(len(tokens), heads, -1).transpose(0, 1) for part in qkv.chunk(3, -1))
-        seen = ((q @ k.mT / math.sqrt(size / heads)).softmax(-1) @ v).transpose(0, 1).reshape(len(tokens), -1)
-        tokens = norm(tokens + linear(seen, at + "self_attn.out_proj"), at + "norm1")
-        inner = linear(tokens, at + "linear1")
-        inner = inner * 0.5 * (1 + torch.erf(inner / math.sqrt(2)))
-        tokens = norm(tokens + linear(inner, at + "linear2"), at + "norm2")
-    return linear(tokens[1:], "output_process.poseFinal")
 
 
 def test_the_twin_agrees(small, generator):
