@@ -31,6 +31,8 @@ _BASE = Recipe(
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
 #: would have a hundred times the gradient of all else.
 _FAR = replace(_WEIGHTS, fk=0.002, contact=20.0)
+#: Of a model that is told, what matters is where the joints that it fills in are, from the first look on.
+_FILL = replace(_WEIGHTS, fk=0.3, snr=3.0)
 _POSE = replace(
     _BASE, frames=1, patch=1, root_unit=0.0, contacts=False, spectral=False, linear=True, batch=128, steps=5000,
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
@@ -42,7 +44,7 @@ PRESETS = {
     "world": replace(_BASE, frame="world", weights=_FAR),
     "pose": _POSE,
     "handles": _HELD,
-    "told": replace(_BASE, told=True),
+    "told": replace(_BASE, told=True, weights=_FILL),
 }
 _ARM = replace(_BASE, size="small", steps=1500)
 _ARM_HELD = replace(_HELD, size="small", steps=1500)
@@ -65,8 +67,8 @@ ARMS = {
     "world": replace(_ARM, frame="world", weights=_FAR),
     "synthetic": replace(_ARM, source="synthetic"),
     "recordings": replace(_ARM, source="recordings"),
-    "told": replace(_ARM, told=True),
-    "arrival": replace(_ARM, told=True, arrival=True),
+    "told": replace(_ARM, told=True, weights=_FILL),
+    "arrival": replace(_ARM, told=True, arrival=True, weights=_FILL),
     "handles": _ARM_HELD,
     "handles_thesis": replace(_ARM_HELD, linear=False, spectral=True),
     "handles_no_loss": replace(_ARM_HELD, weights=_POSE.weights),

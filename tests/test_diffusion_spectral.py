@@ -6,7 +6,7 @@ import scipy.fft
 import torch
 from torch import nn
 
-from motionlab.diffusion import spectral
+from motionlab.diffusion import between, spectral
 from motionlab.diffusion.denoiser import Denoiser, until_known
 from motionlab.diffusion.schedule import cosine
 from motionlab.errors import ShapeError
@@ -73,6 +73,38 @@ def test_where_there_is_no_noise_the_network_hardly_matters(generator):
     model = made(torch.ones(10, 3), value=5.0)
     first, last = (model(x, torch.full((2,), t)) - x for t in (0, 999))
     assert first.abs().max() < 0.2 and last.abs().max() > 1.0
+
+
+# ------------------------------------------------------------------------------------------------- told what is known
+@pytest.fixture
+def told(generator):
+    """x_t, its step, the known values (NaN elsewhere) and their mask."""
+    known = torch.zeros(2, 12, 3, dtype=torch.bool)
+    known[:, [1, 5]] = True
+    known[1, :, 2] = False
+    values = torch.randn(2, 12, 3, generator=generator)
+    return torch.randn(2, 12, 3, generator=generator), torch.tensor([350, 600]), values, known
+
+
+def test_what_is_known_comes_out_and_what_is_not_is_never_read(told):
+    x, stamps, values, known = told
+    model = made(torch.rand(12, 3) + 0.1, value=2.0)
+    out = model(x, stamps, torch.where(known, values, torch.nan), known)
+    assert torch.allclose(out[known], values[known], atol=1e-6) and out.isfinite().all()
+    assert not torch.allclose(model(x, stamps)[known], values[known], atol=1e-2)
+
+
+def test_with_a_flat_spectrum_it_is_bayes_rule_number_by_number(told):
+    """Prior N(line, doubt^2 s), one observation x_t: mean and deviation by precisions, as in any textbook."""
+    x, stamps, values, known = told
+    s, a = 0.7, cosine(1000).alpha_bar.float()[stamps][:, None, None]
+    line, prior = between.between(values, known), between.doubt(known).square() * s
+    precision = 1 / prior + a / (1 - a)
+    mean = (line / prior + a.sqrt() * x / (1 - a)) / precision
+    silent, loud = (made(torch.full((12, 3), s), value=v)(x, stamps, values, known) for v in (0.0, 1.0))
+    free = ~known
+    assert torch.allclose(silent[free], mean[free], atol=1e-5)
+    assert torch.allclose((loud - silent)[free], precision.rsqrt()[free], atol=1e-5)
 
 
 # --------------------------------------------------------------------------------------------- several frames a token

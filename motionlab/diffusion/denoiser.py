@@ -14,6 +14,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from motionlab.diffusion.between import between
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.humor import foreign
 from motionlab.skeleton import STANDARD
@@ -111,8 +112,8 @@ class Denoiser(nn.Module):
     ) -> Tensor:
         """Estimate (B, T, D) of x_0 from x_t (B, T, D) and steps (B,).
 
-        known (B, T, D), mask (B, T, D) or (T, D): what is known of x_0 and where (1); for a model that is told. handles
-        (B, T, 22, 4): see ``HANDLE``; zeros, as in None, for joints that are free.
+        known (B, T, D), mask (B, T, D) or (T, D): what is known of x_0 and where (1); for a model that is told, which
+        sees straight lines through it (``between``). handles (B, T, 22, 4): see ``HANDLE``; zeros, as in None, for joints that are free.
 
         Raises:
             ShapeError: another number of features, or known parts or handles for a model that is told of none.
@@ -124,7 +125,7 @@ class Denoiser(nn.Module):
             raise ShapeError("known and mask belong together, and to a model that is told of them")
         if self.told:
             mask = torch.zeros_like(x) if mask is None else mask.to(x).expand_as(x)
-            known = torch.zeros_like(x) if known is None else known * mask
+            known = torch.zeros_like(x) if known is None else between(known, mask > 0)
             x = torch.cat((x, known, mask), -1)
         if handles is not None and self.handles is None:
             raise ShapeError("handles: this model hears of none")

@@ -70,8 +70,8 @@ def filling(real: Motion, *, seed: int = 0) -> Callable[[Trained], dict[str, flo
     return measure
 
 
-def judge(real: Motion, *, count: int = 256, steps: int = 25, seed: int = 0) -> Callable[[Trained], dict[str, float]]:
-    """A judge of what is made anew: {"kid": ...} of ``count`` samples in ``steps`` DDIM steps against real windows.
+def judge(real: Motion, *, count: int = 512, steps: int = 50, seed: int = 0) -> Callable[[Trained], dict[str, float]]:
+    """A judge of what is made anew: {"kid": ...} of ``count`` samples in ``steps`` DDPM steps against real windows.
 
     real: (N, T), held out, from what trains no weights and reports no result. The same noise for every model.
     """

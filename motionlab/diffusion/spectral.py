@@ -6,6 +6,9 @@ sqrt(a) S / (a S + 1 - a) X_t, wrong by the deviation sqrt(S (1 - a) / (a S + 1 
 missing, in units of that deviation: quick changes, of which motion has little, stay small whatever it says. And it is
 shown the guess, brought to unit size, in place of x_t: there is less noise in it.
 
+A model that is told what is known corrects straight lines through it instead of the mean (``between``), and the more
+freely the farther what is known: the same filter and deviation, with a power that ``doubt`` makes smaller.
+
 Source: Karras et al. 2022 (EDM), preconditioning, whose data is white, S = 1; the filter: Wiener 1949.
 Differs from the thesis and MDM, whose network gives x_0 itself.
 """
@@ -16,6 +19,8 @@ import math
 
 import torch
 from torch import Tensor, nn
+
+from motionlab.diffusion.between import between, doubt
 
 LEAST = 1e-6  # of a power; a number that never changes has none
 
@@ -46,11 +51,25 @@ class Spectral(nn.Module):
         self.register_buffer("alpha_bar", alpha_bar.float(), persistent=False)
         self.register_buffer("cosines", cosines(frames), persistent=False)
 
-    def forward(self, x: Tensor, stamps: Tensor, *known: Tensor | None, **told: Tensor | None) -> Tensor:
-        """Estimate (B, T, D) of x_0; arguments as for the network."""
+    def forward(
+        self, x: Tensor, stamps: Tensor, known: Tensor | None = None, mask: Tensor | None = None, **told: Tensor | None
+    ) -> Tensor:
+        """Estimate (B, T, D) of x_0; arguments as for the network. Where mask says so it is ``known``, exactly."""
         a, s = self.alpha_bar[stamps][:, None, None].to(x), self.spectrum.to(x)
         total = a * s + 1 - a
-        guess = a.sqrt() * s / total * (self.cosines @ x)
+        start, open_ = 0.0, 1.0
+        if mask is not None:
+            given = mask.expand_as(x) > 0
+            start, open_ = between(known, given), self._open(doubt(given), a)
+        wiener = a.sqrt() * s / total * (self.cosines @ (x - a.sqrt() * start))
+        guess = open_**2 * (self.cosines.T @ wiener)
         size = (a * s.square() / total).mean((1, 2), keepdim=True).sqrt()
-        said = self.network(self.cosines.T @ guess / size, stamps, *known, **told)
-        return self.cosines.T @ (guess + (s * (1 - a) / total).sqrt() * (self.cosines @ said))
+        said = self.network(guess / size, stamps, known, mask, **told)
+        missing = self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said))
+        return start + guess + open_ * missing
+
+    def _open(self, doubt: Tensor, a: Tensor) -> Tensor:
+        """(B, T, D), of the deviation that x_t leaves open, what is still open where that of x_0 is only ``doubt`` of
+        what it is where nothing is known; were the spectrum flat. ``doubt`` itself at pure noise, 1 without noise."""
+        s = self.spectrum.mean(0)
+        return doubt * ((a * s + 1 - a) / (a * doubt**2 * s + 1 - a)).sqrt()

@@ -18,7 +18,7 @@ from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.linear import Linear
 from motionlab.diffusion.losses import Weights
-from motionlab.diffusion.sampling import ddim, noise_like
+from motionlab.diffusion.sampling import ddpm, noise_like
 from motionlab.diffusion.schedule import Schedule
 from motionlab.diffusion.spectral import Spectral
 from motionlab.errors import DataError, check_shape
@@ -143,9 +143,10 @@ class Trained:
         return noise_like(torch.zeros(count, self.recipe.frames, self.layout.size, device=where), generator)
 
     def sample(self, count: int, generator: torch.Generator, *, steps: int = 50) -> Motion:
-        """New motions (count, T) by DDIM, on the standard body."""
-        x = ddim(self.denoiser, self.schedule.respaced(min(steps, len(self.schedule))), self.noise(count, generator))
-        return self.decode(x.cpu())
+        """New motions (count, T) by DDPM, which at 50 steps makes better ones than DDIM (notebook 13), on the standard
+        body."""
+        x, respaced = self.noise(count, generator), self.schedule.respaced(min(steps, len(self.schedule)))
+        return self.decode(ddpm(self.denoiser, respaced, x, generator).cpu())
 
     @torch.no_grad()
     def errors(self, motion: Motion, generator: torch.Generator) -> dict[str, float]:

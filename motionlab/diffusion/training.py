@@ -33,6 +33,7 @@ from motionlab.motion import Motion
 
 GIVE_UP = 20  # batches in a row whose gradients are not finite
 CHOOSE = ("kid", "filling error")  # the judge's measure, one of these, that chooses the checkpoint; less is better
+CHOOSE_FROM = 0.6  # of all steps: an earlier average is not chosen; KID is too uncertain to tell it from a better one
 MEASURED = 2000  # windows that the normaliser is measured on
 
 Judge = Callable[[Trained], dict[str, float]]
@@ -170,7 +171,8 @@ class Training:
         if judge is not None:
             row |= judge(model)
             chosen = next((name for name in CHOOSE if name in row), None)
-            if chosen and row[chosen] < (self.best[chosen] if self.best else math.inf):
+            late = self.step >= CHOOSE_FROM * self.recipe.steps
+            if chosen and late and row[chosen] < (self.best[chosen] if self.best else math.inf):
                 weights = {name: value.clone() for name, value in self.average.items()}
                 self.best = {"step": self.step, chosen: row[chosen], "weights": weights}
         return row
