@@ -22,7 +22,7 @@ from motionlab.motion import Motion
 
 _WEIGHTS = Weights(velocity=20.0, contact=100.0, late=0.1, even=True, snr=10.0)
 _BASE = Recipe(
-    patch=2, spectral=True, root_unit=0.08, dropout=0.0, steps=12_000, batch=16, lr=1e-3, weights=_WEIGHTS
+    patch=2, spectral=True, root_unit=0.08, dropout=0.0, steps=18_000, batch=16, lr=1e-3, weights=_WEIGHTS
 )  # fmt: skip
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: as free, in world
 #: space. pose: single poses. handles: single poses, told where some joints should be. told: as free, told what is
@@ -76,6 +76,9 @@ ARMS = {
 }
 PRESETS |= {f"arm_{name}": recipe for name, recipe in ARMS.items()}
 HELD = 256  # held-out windows that the checkpoint is chosen by
+#: Of all steps: no earlier average is chosen. Training was still gaining at its end wherever it was looked at, and KID
+#: is too uncertain to tell a lucky early average from a better late one (CHANGELOG).
+JUDGE_FROM = 0.6
 
 
 def chosen(found: dict[str, list[Motion]], recipe: Recipe) -> dict[str, list[Motion]]:
@@ -121,7 +124,7 @@ def make(
     where = {"device": "cuda" if torch.cuda.is_available() else "cpu", "accelerator": _accelerator()}
     first = trained.load(start) if start else None
     run = training.resume(kept, data, **where) if resume else training.Training(recipe, data, **where, start=first)
-    run.run(keep=kept, held=held, judge=_judge(recipe, held), progress=True)
+    run.run(keep=kept, held=held, judge=_judge(recipe, held), judge_from=JUDGE_FROM, progress=True)
     if run.rank:
         return
     about = {

@@ -269,6 +269,13 @@ def test_the_judge_chooses_the_weights_that_ship(data, tmp_path):
     assert not torch.equal(seen[1]["output_process.poseFinal.bias"], again.average["output_process.poseFinal.bias"])
 
 
+def test_early_averages_are_not_judged(data):
+    run = training.Training(SMALL, data).run(every=1, judge_every=2, judge_from=0.6, judge=lambda model: {"kid": 1.0})
+    judged = [row["step"] for row in run.curve if "kid" in row]
+    assert judged == [step for step in range(2, SMALL.steps + 1, 2) if step >= 0.6 * SMALL.steps]
+    assert run.best["step"] == judged[0] > 2
+
+
 def test_without_a_judge_the_last_average_ships(whole, data):
     shipped = whole.shipped
     assert all(torch.equal(whole.average[name], value) for name, value in shipped.denoiser.state_dict().items())

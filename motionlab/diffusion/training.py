@@ -33,7 +33,6 @@ from motionlab.motion import Motion
 
 GIVE_UP = 20  # batches in a row whose gradients are not finite
 CHOOSE = ("kid", "filling error")  # the judge's measure, one of these, that chooses the checkpoint; less is better
-CHOOSE_FROM = 0.6  # of all steps: an earlier average is not chosen; KID is too uncertain to tell it from a better one
 MEASURED = 2000  # windows that the normaliser is measured on
 
 Judge = Callable[[Trained], dict[str, float]]
@@ -128,13 +127,15 @@ class Training:
         judge: Judge | None = None,
         every: int = 500,
         judge_every: int = 2500,
+        judge_from: float = 0.0,
         progress: bool = False,
     ) -> Training:
         """Train on to the last step, or to ``until``; write the state to ``keep`` every ``every`` steps and at the end.
 
         Args:
             held: windows (B, T) on which the error of x_0 is measured every ``every`` steps. judge: measures of the
-                averaged model, every ``judge_every`` steps (a multiple of ``every``) and at the last step.
+                averaged model, every ``judge_every`` steps (a multiple of ``every``) and at the last step; none in the
+                first ``judge_from`` of all steps.
         Ctrl-C keeps what was reached (between weights and their average: what was written last) and raises on.
         """
         last = min(self.recipe.steps, until or self.recipe.steps)
@@ -147,7 +148,8 @@ class Training:
                 bar.update()
                 if self.step % every and self.step != last:
                     continue
-                row |= self._measured(held, judge if self.step % judge_every == 0 or self.step == last else None)
+                due = self.step % judge_every == 0 and self.step >= judge_from * self.recipe.steps
+                row |= self._measured(held, judge if due or self.step == last else None)
                 self.curve.append({"step": self.step, **row})
                 bar.set_postfix({name: f"{value:.3g}" for name, value in row.items() if name in ("loss", *CHOOSE)})
                 if keep:
@@ -171,8 +173,7 @@ class Training:
         if judge is not None:
             row |= judge(model)
             chosen = next((name for name in CHOOSE if name in row), None)
-            late = self.step >= CHOOSE_FROM * self.recipe.steps
-            if chosen and late and row[chosen] < (self.best[chosen] if self.best else math.inf):
+            if chosen and row[chosen] < (self.best[chosen] if self.best else math.inf):
                 weights = {name: value.clone() for name, value in self.average.items()}
                 self.best = {"step": self.step, chosen: row[chosen], "weights": weights}
         return row
