@@ -37,7 +37,7 @@ _POSE = replace(
     _BASE, frames=1, patch=1, root_unit=0.0, contacts=False, spectral=False, linear=True, batch=128, steps=5000,
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
-_HELD = replace(_POSE, handles=64, weights=replace(_POSE.weights, handles=20.0))
+_HELD = replace(_POSE, handles=64, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
 PRESETS = {
     "free": _BASE,
     "fixed": replace(_BASE, version="A", contacts=False, travels=False),
@@ -71,7 +71,7 @@ ARMS = {
     "arrival": replace(_ARM, told=True, arrival=True, weights=_FILL),
     "handles": _ARM_HELD,
     "handles_thesis": replace(_ARM_HELD, linear=False, spectral=True),
-    "handles_no_loss": replace(_ARM_HELD, weights=_POSE.weights),
+    "handles_no_loss": replace(_ARM_HELD, weights=replace(_HELD.weights, handles=0.0)),
     "handles_no_embedding": replace(_ARM_HELD, handles=0),
 }
 PRESETS |= {f"arm_{name}": recipe for name, recipe in ARMS.items()}

@@ -113,7 +113,8 @@ class Denoiser(nn.Module):
         """Estimate (B, T, D) of x_0 from x_t (B, T, D) and steps (B,).
 
         known (B, T, D), mask (B, T, D) or (T, D): what is known of x_0 and where (1); for a model that is told, which
-        sees straight lines through it (``between``). handles (B, T, 22, 4): see ``HANDLE``; zeros, as in None, for joints that are free.
+        sees straight lines through it (``between``). handles (B, T, 22, 4): see ``HANDLE``; zeros, as in None, for
+        joints that are free.
 
         Raises:
             ShapeError: another number of features, or known parts or handles for a model that is told of none.
