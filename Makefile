@@ -17,7 +17,7 @@ help:
 	@echo "make test        set up, lint, unit tests, notebooks checked by nbval"
 	@echo "make lab         set up, open the notebooks in JupyterLab with interactive 3-D"
 	@echo "make full        regenerate the committed notebooks and results"
-	@echo "make train       the shipped weights, trained again (three hours)"
+	@echo "make train       the shipped weights, trained again (six hours)"
 	@echo "make bench       speed, as ratios measured in one run"
 	@echo "make doctor      what is installed, what is missing, and the remedy"
 
@@ -36,7 +36,9 @@ full: setup
 
 train: setup
 	@$(PY) -m motionlab train humor
-	@for preset in free told fixed world pose handles; do $(PY) -m motionlab train diffusion --preset $$preset || exit 1; done
+	@$(PY) -m motionlab train features
+	@for preset in $$($(PY) -c "from motionlab.train_diffusion import PRESETS; print(*PRESETS)"); do \
+		$(PY) -m motionlab train diffusion --preset $$preset || exit 1; done
 
 bench: setup
 	@$(PY) tests/bench/run.py

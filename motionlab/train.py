@@ -130,7 +130,9 @@ def _train(options: argparse.Namespace) -> int:
         train_small.make_features(options.data, out, seed=seed, steps=steps, recordings=found or ())
         return 0
     default = next(iter(_presets()[options.model]))
-    out = options.out or checkpoint.SHIPPED / f"{options.model}_{options.preset or default}"
+    preset = options.preset or default
+    name = preset if preset.startswith("arm_") else f"{options.model}_{preset}"
+    out = options.out or checkpoint.SHIPPED / name
     kept = out.with_suffix(".partial.pt")
     recipe = wanted(options, kept)
     if options.model == "diffusion":

@@ -24,30 +24,33 @@ _WEIGHTS = Weights(velocity=20.0, contact=100.0, late=0.1, even=True, snr=10.0)
 _BASE = Recipe(
     patch=2, spectral=True, root_unit=0.08, dropout=0.0, steps=18_000, batch=16, lr=1e-3, weights=_WEIGHTS
 )  # fmt: skip
-#: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: as free, in world
-#: space. pose: single poses. handles: single poses, told where some joints should be. told: as free, told what is
-#: known.
-#: root_unit: so that a unit of noise moves the root about as far as it moves a hand (CHANGELOG).
+#: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: in world space;
+#: stuck: its twin in the stuck frame, all else equal. pose: single poses. handles: single poses, told where some joints
+#: should be. told: as free, told what is known; what matters is where the joints are that it fills in at first look.
+#: root_unit: so that a unit of noise moves the root about as far as it moves a hand (CHANGELOG); not where the frame
+#: is the question, or where the root is mostly known.
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
 #: would have a hundred times the gradient of all else.
 _FAR = replace(_WEIGHTS, fk=0.002, contact=20.0)
-#: Of a model that is told, what matters is where the joints that it fills in are, from the first look on.
-_FILL = replace(_WEIGHTS, fk=0.3, snr=3.0)
 _POSE = replace(
     _BASE, frames=1, patch=1, root_unit=0.0, contacts=False, spectral=False, linear=True, batch=128, steps=5000,
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
 _HELD = replace(_POSE, handles=64, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
+_TOLD = replace(_BASE, told=True, blind=0.6, root_unit=0.0, steps=12_000, weights=replace(_WEIGHTS, fk=0.3))
+_PLACE = replace(_BASE, root_unit=0.0, steps=9000, weights=_FAR)
 PRESETS = {
     "free": _BASE,
     "fixed": replace(_BASE, version="A", contacts=False, travels=False),
-    "world": replace(_BASE, frame="world", weights=_FAR),
+    "world": replace(_PLACE, frame="world"),
+    "stuck": _PLACE,
     "pose": _POSE,
     "handles": _HELD,
-    "told": replace(_BASE, told=True, weights=_FILL),
+    "told": _TOLD,
 }
-_ARM = replace(_BASE, size="small", steps=1500)
-_ARM_HELD = replace(_HELD, size="small", steps=1500)
+_ARM = replace(_BASE, size="small", steps=1200)
+_ARM_TOLD = replace(_TOLD, size="small", steps=1200)
+_ARM_HELD = replace(_HELD, size="small", steps=1200)
 #: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles".
 ARMS = {
     "all": _ARM,
@@ -64,13 +67,13 @@ ARMS = {
     "eighth": replace(_ARM, share=1 / 8),
     "quarter": replace(_ARM, share=1 / 4),
     "half": replace(_ARM, share=1 / 2),
-    "world": replace(_ARM, frame="world", weights=_FAR),
+    "no_unit": replace(_ARM, root_unit=0.0),
     "synthetic": replace(_ARM, source="synthetic"),
     "recordings": replace(_ARM, source="recordings"),
-    "told": replace(_ARM, told=True, weights=_FILL),
-    "arrival": replace(_ARM, told=True, arrival=True, weights=_FILL),
+    "told": _ARM_TOLD,
+    "arrival": replace(_ARM_TOLD, arrival=True),
     "handles": _ARM_HELD,
-    "handles_thesis": replace(_ARM_HELD, linear=False, spectral=True),
+    "handles_thesis": replace(_ARM_HELD, linear=False),
     "handles_no_loss": replace(_ARM_HELD, weights=replace(_HELD.weights, handles=0.0)),
     "handles_no_embedding": replace(_ARM_HELD, handles=0),
 }
@@ -79,6 +82,7 @@ HELD = 256  # held-out windows that the checkpoint is chosen by
 #: Of all steps: no earlier average is chosen. Training was still gaining at its end wherever it was looked at, and KID
 #: is too uncertain to tell a lucky early average from a better late one (CHANGELOG).
 JUDGE_FROM = 0.6
+SHORT = 6000  # steps; fewer are not judged
 
 
 def chosen(found: dict[str, list[Motion]], recipe: Recipe) -> dict[str, list[Motion]]:
@@ -145,8 +149,9 @@ def make(
 
 
 def _judge(recipe: Recipe, held: Motion) -> training.Judge | None:
-    """Of what the model is for; what is made without handles says little of a model of them."""
-    if recipe.handles or recipe.weights.handles:
+    """Of what the model is for. None, and the last weights ship, where there is one candidate only, and for a model of
+    handles, of which what is made without says little."""
+    if recipe.handles or recipe.weights.handles or recipe.steps < SHORT:
         return None
     return filling(held) if recipe.told else judge(held)
 

@@ -143,9 +143,9 @@ def physics(motion: Motion) -> dict[str, Tensor]:
 
 
 def distances(made: Tensor, real: Tensor, generator: torch.Generator) -> dict[str, float]:
-    """Features of samples (N, D) against those of real windows (M, D), the first min(N, M) of each."""
+    """Features of samples (N, D) against those of real windows (M, D): as many of each, drawn from the larger set."""
     n = min(len(made), len(real))
-    made, real = made[:n], real[:n]
+    made, real = (x[torch.randperm(len(x), generator=generator)[:n]] for x in (made, real))
     near, crowd = generation.precision_recall(made, real), generation.density_coverage(made, real)
     return {
         "KID": generation.kid(made, real, generator).value,

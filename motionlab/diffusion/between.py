@@ -1,14 +1,20 @@
-"""What the known part alone says of the rest: each number straight from one frame where it is known to the next.
+"""What the known part says of the rest without a network: the start of a model that is told.
 
-``between`` is what a model that is told starts from, ``doubt`` how far from it the truth may be.
-Differs from CondMDI, where what is not known is zero, and the network has to find out about straight lines by itself.
+Two rivals of such models at once: windows as a Gaussian of few principal parts say what goes with what (ridge
+regression, one for every mask), and what they leave goes straight from one known frame to the next (``between``).
+``doubt``: how far from that the truth may be.
+Source: Bishop 2006, 12.2, as ``rivals``. Differs from CondMDI, where what is not known is zero, and the network has to
+find out about means, correlations and straight lines by itself.
 """
 
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from motionlab.errors import ShapeError
+
+PARTS, RIDGE = 64, 30.0  # principal parts; variance of a known number about them, which say much alike
 SURE = 10.0  # frames: at that distance from what is known, half of what could be known without it is open
 
 
@@ -43,3 +49,38 @@ def _around(known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     before = torch.where(before < 0, first, before)
     after = torch.where(after == frames, last, after)
     return before, after, known.any(-2, keepdim=True)
+
+
+class Start(nn.Module):
+    """What is known (B, T, D) -> a guess of all of x_0, exact where it is known. frames, features: T and D.
+
+    ``mean`` (T D,) and ``factor`` F (T D, ``PARTS``) are data, measured by ``measure`` and stored with the weights.
+    """
+
+    def __init__(self, frames: int, features: int) -> None:
+        super().__init__()
+        self.shape = frames, features
+        self.register_buffer("mean", torch.zeros(frames * features))
+        self.register_buffer("factor", torch.zeros(frames * features, PARTS))
+
+    @torch.no_grad()
+    def measure(self, x: Tensor) -> None:
+        """From normalised windows (N, T, D), some dozens more than ``PARTS``."""
+        rows = x.flatten(1)
+        if len(rows) <= PARTS:
+            raise ShapeError(f"x: expected more than {PARTS} windows, got {len(rows)}")
+        self.mean.copy_(rows.mean(0))
+        _, size, parts = torch.linalg.svd(rows - self.mean, full_matrices=False)
+        self.factor.copy_(parts[:PARTS].mT * size[:PARTS] / (len(rows) - 1) ** 0.5)
+
+    @torch.no_grad()
+    def forward(self, known: Tensor, mask: Tensor) -> Tensor:
+        """known, mask (bool): (B, T, D). What ``known`` holds elsewhere is never read."""
+        if known.shape[1:] != self.shape:
+            raise ShapeError(f"known: expected {self.shape[0]} frames of {self.shape[1]} numbers, got {known.shape}")
+        seen = mask.flatten(1).to(known) / RIDGE
+        off = torch.where(mask.flatten(1), known.flatten(1) - self.mean, 0.0)
+        square = (self.factor.mT * seen[:, None]) @ self.factor + torch.eye(PARTS).to(known)
+        z = torch.linalg.solve(square, (seen * off) @ self.factor)
+        guess = (self.mean + z @ self.factor.mT).unflatten(1, self.shape)
+        return guess + between(known - guess, mask)

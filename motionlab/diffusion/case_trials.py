@@ -26,7 +26,6 @@ WAYS: Mapping[str, tuple[str, Way]] = {
     "imputed": ("free", Way(put="imputed")),
     "guided": ("free", Way(put="imputed", weight=5.0)),
     "told": ("told", Way(put="imputed")),
-    "told, guided": ("told", Way(put="imputed", weight=2.0)),
     "told, 5 steps": ("told", Way(put="imputed", steps=5)),
     "told, one look": ("told", Way(put="imputed", steps=1)),
 }

@@ -1,8 +1,8 @@
 """The network that guesses x_0 from x_t: a transformer encoder over frames, told the step by a token of its own.
 
 Source: thesis 4.1.2, Fig. 4.2; MDM (Tevet et al. 2022), official code, unconstrained model, whose weights load by key.
-Differs, where asked: the known part of the state and its mask as further inputs (CondMDI; thesis 4.4.1); how long until
-the next known frame, added to every token (Harvey et al. 2020); several frames in one token, which halves the work;
+Differs, where asked: the known part of the state, with straight lines through it, and its mask as further inputs
+(CondMDI; thesis 4.4.1); how long until the next known frame, added to every token (Harvey et al. 2020); several frames in one token, which halves the work;
 where chosen joints should be, through a linear layer, beside the input (thesis 4.2.4, "handle conditioning").
 """
 

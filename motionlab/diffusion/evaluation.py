@@ -166,7 +166,7 @@ def trial(
 
 
 def sampler(model: Trained, steps: int) -> Generate:
-    """A trained model as a generator: DDIM in so many steps."""
+    """A trained model as a generator: DDPM in so many steps."""
     return lambda count, generator: model.sample(count, generator, steps=steps)
 
 

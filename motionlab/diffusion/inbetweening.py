@@ -33,11 +33,13 @@ NEAR = (PAST - 3, PAST - 2, PAST - 1)  # frames of the past that the linear mode
 _LAYOUT = Layout(contacts=False)
 
 
-def canonical(cuts: Motion, past: int = PAST) -> Motion:
-    """Windows (N, T): mean root over the origin, the last past frame heading along +y."""
+def canonical(cuts: Motion, past: int = PAST, truth: Motion | None = None) -> Motion:
+    """Windows (N, T): mean root over the origin, the last past frame heading along +y; of ``truth``, where given, so
+    that what was filled in is moved as what it is compared with."""
+    truth = cuts if truth is None else truth
     on_floor = cuts.root.new_tensor([1.0, 1.0, 0.0])
-    root = cuts.root - cuts.root.mean(-2, keepdim=True) * on_floor
-    turn = rotation.rotation_about("z", -rotation.yaw(cuts.rot[..., past - 1, 0, :, :]))[..., None, :, :]
+    root = cuts.root - truth.root.mean(-2, keepdim=True) * on_floor
+    turn = rotation.rotation_about("z", -rotation.yaw(truth.rot[..., past - 1, 0, :, :]))[..., None, :, :]
     rot = torch.cat(((turn @ cuts.rot[..., 0, :, :])[..., None, :, :], cuts.rot[..., 1:, :, :]), -3)
     return replace(cuts, root=(turn @ root[..., None])[..., 0], rot=rot, contacts=None)
 

@@ -27,9 +27,9 @@ LATE = ("fk", "contact", "handles")
 class Weights:
     """How much each part counts; 0 switches it off, and it is not computed.
 
-    fk: per square metre. contact: per square metre moved in a frame. known: only for a model that is told. handles: per
-    square metre. late: share of the steps before ``fk``, ``contact`` and ``handles`` count: the kinematics of a guess
-    that is no pose yet have huge gradients.
+    fk: per square metre. contact: per square metre moved in a frame. known: only for a model that is told; one that
+    starts from what it is told (``spectral``) cannot miss it. handles: per square metre. late: share of the steps
+    before ``fk``, ``contact`` and ``handles`` count: the kinematics of a guess that is no pose yet have huge gradients.
     gate: contacts that "predicted" (Eq. 4.9), "held" (the same, no gradient through them) or "truth" (MDM) says.
     by_signal: fk and contact of a window count by alpha_bar of its step, as a guess from pure noise is an average of
     poses, not a pose; not in Eq. 4.9. even: in ``simple`` every group of numbers counts alike, so that the root's place

@@ -42,7 +42,7 @@ def completed(model: Trained, steps: int, guidance: float = 0.0) -> Way:
 class Found:
     """What one way did, a number per pose (B,), metres. before: mean distance of its handles from their targets. after:
     of its worst handle, behind the finish. rough, free: mean error of free joints before and behind the finish. known:
-    distance behind the finish to the nearest known pose. poses (B, 1): behind the finish."""
+    distance to the nearest known pose, before the finish. poses (B, 1): behind the finish."""
 
     poses: Motion
     before: Tensor
@@ -63,7 +63,7 @@ def tried(way: Way, truth: Motion, which: Tensor, library: Poses, generator: tor
         completion.missed(done, targets, which).nan_to_num(0.0).amax(-1),
         completion.unobserved(made, truth, which),
         completion.unobserved(done, truth, which),
-        library.distance(done),
+        library.distance(made),
     )
 
 

@@ -36,7 +36,7 @@ class Way:
 
     put: str = "overwrite"
     steps: int = 50
-    sampler: str = "ddim"
+    sampler: str = "ddpm"
     last: bool = True
     weight: float = 0.0
     times: int = 1

@@ -33,7 +33,7 @@ from motionlab.motion import Motion
 ENDS = ("left", "pasted", "faded")
 EXACT = ENDS[1:]
 FADE = 10  # frames
-_PLAIN = Way(sampler="ddpm", last=False)
+_PLAIN = Way(last=False)
 #: Name -> (model: "free", "told", ..., way). The first is the thesis's.
 CURES: dict[str, tuple[str, Way]] = {
     "overwrite (thesis)": ("free", _PLAIN),
@@ -43,7 +43,6 @@ CURES: dict[str, tuple[str, Way]] = {
     "blended (thesis)": ("free", replace(_PLAIN, soft=10)),
     "told": ("told", replace(_PLAIN, put="nothing")),
     "told, overwrite": ("told", _PLAIN),
-    "told, guided": ("told", replace(_PLAIN, put="nothing", weight=5.0)),
     "small, told": ("arm_told", replace(_PLAIN, put="nothing")),
     "small, told with arrival": ("arm_arrival", replace(_PLAIN, put="nothing")),
 }

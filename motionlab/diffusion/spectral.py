@@ -6,8 +6,9 @@ sqrt(a) S / (a S + 1 - a) X_t, wrong by the deviation sqrt(S (1 - a) / (a S + 1 
 missing, in units of that deviation: quick changes, of which motion has little, stay small whatever it says. And it is
 shown the guess, brought to unit size, in place of x_t: there is less noise in it.
 
-A model that is told what is known corrects straight lines through it instead of the mean (``between``), and the more
-freely the farther what is known: the same filter and deviation, with a power that ``doubt`` makes smaller.
+A model that is told what is known corrects what that says (``between.Start``) instead of the mean, and the more freely
+the farther what is known: the same filter and deviation, with a power that ``doubt`` makes smaller. It sees the guess
+as it is, since at much noise that is the start, and noise of unit size would only hide it.
 
 Source: Karras et al. 2022 (EDM), preconditioning, whose data is white, S = 1; the filter: Wiener 1949.
 Differs from the thesis and MDM, whose network gives x_0 itself.
@@ -20,7 +21,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from motionlab.diffusion.between import between, doubt
+from motionlab.diffusion.between import Start, doubt
 
 LEAST = 1e-6  # of a power; a number that never changes has none
 
@@ -48,6 +49,7 @@ class Spectral(nn.Module):
         super().__init__()
         self.network, self.told = network, network.told
         self.register_buffer("spectrum", torch.ones(frames, features))
+        self.start = Start(frames, features) if self.told else None
         self.register_buffer("alpha_bar", alpha_bar.float(), persistent=False)
         self.register_buffer("cosines", cosines(frames), persistent=False)
 
@@ -60,13 +62,12 @@ class Spectral(nn.Module):
         start, open_ = 0.0, 1.0
         if mask is not None:
             given = mask.expand_as(x) > 0
-            start, open_ = between(known, given), self._open(doubt(given), a)
+            start, open_ = self.start(known, given), self._open(doubt(given), a)
         wiener = a.sqrt() * s / total * (self.cosines @ (x - a.sqrt() * start))
-        guess = open_**2 * (self.cosines.T @ wiener)
-        size = (a * s.square() / total).mean((1, 2), keepdim=True).sqrt()
+        guess = start + open_**2 * (self.cosines.T @ wiener)
+        size = 1.0 if self.told else (a * s.square() / total).mean((1, 2), keepdim=True).sqrt()
         said = self.network(guess / size, stamps, known, mask, **told)
-        missing = self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said))
-        return start + guess + open_ * missing
+        return guess + open_ * (self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said)))
 
     def _open(self, doubt: Tensor, a: Tensor) -> Tensor:
         """(B, T, D), of the deviation that x_t leaves open, what is still open where that of x_0 is only ``doubt`` of

@@ -126,7 +126,8 @@ def point(
 def row(at: Point, data: Point, generator: torch.Generator) -> dict[str, object]:
     """The measures of a point against those of real windows, for a table; the name of a measure holds its unit."""
     distance = kid(at.features, data.features, generator)
-    found = precision_recall(at.features, data.features[: len(at.features)])
+    drawn = torch.randperm(len(data.features), generator=generator)[: len(at.features)]  # equal n; data lie by source
+    found = precision_recall(at.features, data.features[drawn])
     return {
         "sampler": at.sampler,
         "steps": at.steps,

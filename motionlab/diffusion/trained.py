@@ -27,7 +27,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
 
 FPS = 30.0
-LATER = {"handles", "linear", "root_unit"}  # came after models had been made: recipes without it had none
+LATER = {"blind", "handles", "linear", "root_unit"}  # came after models had been made: recipes without it had none
 LEVELS = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all noising steps: where the error of x_0 is measured
 
 
@@ -42,9 +42,9 @@ class Recipe:
     corrects a Wiener filter (``spectral``); linear: it corrects what a Gaussian would say, of single poses, handles and
     all (``linear``). version: of the synthetic corpus. source: of what it trains on
     ("synthetic", "recordings" or "all"); share: of those motions. copies: of every motion, held otherwise
-    (``humor.variety``). noising: steps of the schedule. steps, batch, lr: of AdamW; the rate rises over ``warm_up``
-    steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of the weights, per step. bf16:
-    the network in bfloat16.
+    (``humor.variety``). noising: steps of the schedule. blind: share of training windows that are asked from pure
+    noise. steps, batch, lr: of AdamW; the rate rises over ``warm_up`` steps and falls by a cosine to a fiftieth. clip:
+    of the gradient's norm. average: of the weights, per step. bf16: the network in bfloat16.
     """
 
     size: str = "compact"
@@ -66,6 +66,7 @@ class Recipe:
     mirrored: bool = True
     copies: int = 0
     noising: int = 1000
+    blind: float = 0.0
     steps: int = 30_000
     batch: int = 32
     lr: float = 4e-4
@@ -110,6 +111,9 @@ class Recipe:
             self.layout.size, dropout=self.dropout, told=self.told, arrival=self.arrival, patch=self.patch,
             handles=self.handles, **denoiser.SIZES[self.size],
         )  # fmt: skip
+        if self.told and self.spectral:  # it begins as what it corrects
+            torch.nn.init.zeros_(network.output_process.poseFinal.weight)
+            torch.nn.init.zeros_(network.output_process.poseFinal.bias)
         if self.linear:
             if self.frames != 1 or self.told:
                 raise ValueError("linear: only for single poses that are told of nothing but handles")

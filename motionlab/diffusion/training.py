@@ -2,8 +2,9 @@
 
 Source: thesis 4.1.2; MDM (Tevet et al. 2022): AdamW without decay of the weights, steps drawn evenly.
 Differs: warm-up, cosine decay and clipped gradients; the model that ships is a moving average, and that of the least
-KID on held-out windows where a judge gives one (MDM: by FID, by hand; thesis: by eye); dropout follows the run's own
-generator; a batch whose gradients are not finite is skipped, and ``GIVE_UP`` of them in a row end the run.
+KID on held-out windows, or other measure of ``CHOOSE``, where a judge gives one (MDM: by FID, by hand; thesis: by eye);
+dropout follows the run's own generator; a batch whose gradients are not finite is skipped, and ``GIVE_UP`` of them in a
+row end the run.
 """
 
 from __future__ import annotations
@@ -86,6 +87,8 @@ class Training:
             self.model.measure(self.normaliser.apply(some), self.normaliser)
         elif recipe.spectral:
             self.model.spectrum.copy_(power(self.normaliser.apply(some)))
+            if recipe.told:
+                self.model.start.measure(self.normaliser.apply(some))
         if self.start is not None:
             self._begin(self.start)
         self.model.to(self.device)
@@ -185,6 +188,9 @@ class Training:
         motion = self.windows.draw(recipe.batch, self.generator)
         x0 = self.normaliser.apply(self.layout.encode(motion))
         t = torch.randint(len(self.schedule), (recipe.batch,), generator=self.generator)
+        if recipe.blind:
+            blind = torch.rand(recipe.batch, generator=self.generator) < recipe.blind
+            t = torch.where(blind, len(self.schedule) - 1, t)
         xt = self.schedule.noised(x0, t, noise_like(x0, self.generator))
         signal, count = self.schedule.alpha_bar[t].to(x0), self._counts[t].to(x0)
         known = masks.draw(self.layout, recipe.frames, recipe.batch, self.generator) if recipe.told else None
