@@ -33,12 +33,12 @@ _BASE = Recipe(
 #: would have a hundred times the gradient of all else.
 _FAR = replace(_WEIGHTS, fk=0.002, contact=20.0)
 _POSE = replace(
-    _BASE, frames=1, patch=1, root_unit=0.0, contacts=False, spectral=False, linear=True, batch=128, steps=5000,
+    _BASE, frames=1, patch=1, root_unit=0.0, contacts=False, spectral=False, linear=True, batch=128, steps=3000,
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
-_HELD = replace(_POSE, handles=64, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
+_HELD = replace(_POSE, handles=64, steps=5000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
 _TOLD = replace(_BASE, told=True, blind=0.6, root_unit=0.0, steps=12_000, weights=replace(_WEIGHTS, fk=0.3))
-_PLACE = replace(_BASE, root_unit=0.0, steps=9000, weights=_FAR)
+_PLACE = replace(_BASE, root_unit=0.0, steps=6000, weights=_FAR)
 PRESETS = {
     "free": _BASE,
     "fixed": replace(_BASE, version="A", contacts=False, travels=False),
@@ -48,9 +48,9 @@ PRESETS = {
     "handles": _HELD,
     "told": _TOLD,
 }
-_ARM = replace(_BASE, size="small", steps=1200)
-_ARM_TOLD = replace(_TOLD, size="small", steps=1200)
-_ARM_HELD = replace(_HELD, size="small", steps=1200)
+_ARM = replace(_BASE, size="small", steps=1000)
+_ARM_TOLD = replace(_TOLD, size="small", steps=1000)
+_ARM_HELD = replace(_HELD, size="small", steps=1000)
 #: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles".
 ARMS = {
     "all": _ARM,

@@ -15,19 +15,17 @@ from motionlab.errors import ShapeError
 class Says(nn.Module):
     """A network that says the same number everywhere."""
 
-    told = False
-
-    def __init__(self, value: float) -> None:
+    def __init__(self, value: float, told: bool) -> None:
         super().__init__()
-        self.value = value
+        self.value, self.told = value, told
 
     def forward(self, x, stamps, known=None, mask=None):
         return torch.full_like(x, self.value)
 
 
-def made(spectrum, value=0.0):
+def made(spectrum, value=0.0, told=False):
     frames, features = spectrum.shape
-    model = spectral.Spectral(Says(value), cosine(1000).alpha_bar, frames, features)
+    model = spectral.Spectral(Says(value, told), cosine(1000).alpha_bar, frames, features)
     model.spectrum.copy_(spectrum)
     return model
 
@@ -88,7 +86,7 @@ def told(generator):
 
 def test_what_is_known_comes_out_and_what_is_not_is_never_read(told):
     x, stamps, values, known = told
-    model = made(torch.rand(12, 3) + 0.1, value=2.0)
+    model = made(torch.rand(12, 3) + 0.1, value=2.0, told=True)
     out = model(x, stamps, torch.where(known, values, torch.nan), known)
     assert torch.allclose(out[known], values[known], atol=1e-6) and out.isfinite().all()
     assert not torch.allclose(model(x, stamps)[known], values[known], atol=1e-2)
@@ -101,7 +99,7 @@ def test_with_a_flat_spectrum_it_is_bayes_rule_number_by_number(told):
     line, prior = between.between(values, known), between.doubt(known).square() * s
     precision = 1 / prior + a / (1 - a)
     mean = (line / prior + a.sqrt() * x / (1 - a)) / precision
-    silent, loud = (made(torch.full((12, 3), s), value=v)(x, stamps, values, known) for v in (0.0, 1.0))
+    silent, loud = (made(torch.full((12, 3), s), v, told=True)(x, stamps, values, known) for v in (0.0, 1.0))
     free = ~known
     assert torch.allclose(silent[free], mean[free], atol=1e-5)
     assert torch.allclose((loud - silent)[free], precision.rsqrt()[free], atol=1e-5)

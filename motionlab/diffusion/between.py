@@ -51,6 +51,20 @@ def _around(known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return before, after, known.any(-2, keepdim=True)
 
 
+def principal(rows: Tensor, parts: int, generator: torch.Generator) -> Tensor:
+    """F (D, K) with F F^T about the covariance of centred rows (N, D): its largest K axes, times their deviation.
+
+    Source: Halko et al. 2011, randomised range finder with two power iterations.
+    """
+    parts = min(parts, len(rows) - 1, rows.shape[1])
+    basis = rows.mT @ torch.randn(len(rows), min(parts + 16, *rows.shape), generator=generator)
+    for _ in range(2):
+        basis = rows.mT @ (rows @ torch.linalg.qr(basis).Q)
+    basis = torch.linalg.qr(basis).Q
+    values, axes = torch.linalg.eigh((rows @ basis).mT.cov(correction=0))
+    return basis @ axes[:, -parts:] * values[-parts:].clamp(min=0).sqrt()
+
+
 class Start(nn.Module):
     """What is known (B, T, D) -> a guess of all of x_0, exact where it is known. frames, features: T and D.
 
@@ -64,14 +78,13 @@ class Start(nn.Module):
         self.register_buffer("factor", torch.zeros(frames * features, PARTS))
 
     @torch.no_grad()
-    def measure(self, x: Tensor) -> None:
-        """From normalised windows (N, T, D), some dozens more than ``PARTS``."""
+    def measure(self, x: Tensor, generator: torch.Generator) -> None:
+        """From normalised windows (N, T, D), more than ``PARTS``."""
         rows = x.flatten(1)
         if len(rows) <= PARTS:
             raise ShapeError(f"x: expected more than {PARTS} windows, got {len(rows)}")
         self.mean.copy_(rows.mean(0))
-        _, size, parts = torch.linalg.svd(rows - self.mean, full_matrices=False)
-        self.factor.copy_(parts[:PARTS].mT * size[:PARTS] / (len(rows) - 1) ** 0.5)
+        self.factor.copy_(principal(rows - self.mean, PARTS, generator))
 
     @torch.no_grad()
     def forward(self, known: Tensor, mask: Tensor) -> Tensor:

@@ -2,8 +2,9 @@
 
 Source: thesis 4.1.2, Fig. 4.2; MDM (Tevet et al. 2022), official code, unconstrained model, whose weights load by key.
 Differs, where asked: the known part of the state, with straight lines through it, and its mask as further inputs
-(CondMDI; thesis 4.4.1); how long until the next known frame, added to every token (Harvey et al. 2020); several frames in one token, which halves the work;
-where chosen joints should be, through a linear layer, beside the input (thesis 4.2.4, "handle conditioning").
+(CondMDI; thesis 4.4.1); how long until the next known frame, added to every token (Harvey et al. 2020); several frames
+in one token, which halves the work; where chosen joints should be, through a linear layer, beside the input (thesis
+4.2.4, "handle conditioning").
 """
 
 from __future__ import annotations

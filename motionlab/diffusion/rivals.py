@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from motionlab import baselines, rotation
+from motionlab.diffusion.between import principal
 from motionlab.diffusion.cases import JOINTS, chosen, columns
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.errors import ShapeError
@@ -64,7 +65,7 @@ class Rivals:
         normaliser = Normaliser.measure(numbers, layout)
         rows = normaliser.apply(numbers).flatten(1)
         mean = rows.mean(0)
-        return cls(layout, normaliser, rows, mean, _principal(rows - mean, parts, generator))
+        return cls(layout, normaliser, rows, mean, principal(rows - mean, parts, generator))
 
     # ----------------------------------------------------------------------------------------- fill what is hidden
     def mean(self, motion: Motion, known: Tensor) -> Motion:
@@ -138,20 +139,6 @@ class Rivals:
     def _decoded(self, x: Tensor, motion: Motion, frame: Frame) -> Motion:
         numbers = self.normaliser.undo(x.unflatten(1, (motion.frames, -1)))
         return local_to_world(frame, self.layout.decode(numbers, motion.fps, STANDARD))
-
-
-def _principal(rows: Tensor, parts: int, generator: torch.Generator) -> Tensor:
-    """F (D, K) with F F^T about the covariance of centred rows (N, D): its largest K axes, times their deviation.
-
-    Source: Halko et al. 2011, randomised range finder with two power iterations.
-    """
-    parts = min(parts, len(rows) - 1, rows.shape[1])
-    basis = rows.mT @ torch.randn(len(rows), min(parts + 16, *rows.shape), generator=generator)
-    for _ in range(2):
-        basis = rows.mT @ (rows @ torch.linalg.qr(basis).Q)
-    basis = torch.linalg.qr(basis).Q
-    values, axes = torch.linalg.eigh((rows @ basis).mT.cov(correction=0))
-    return basis @ axes[:, -parts:] * values[-parts:].clamp(min=0).sqrt()
 
 
 def noise_size(layout: Layout, normaliser: Normaliser, turn: float, shift: float) -> Tensor:

@@ -88,7 +88,7 @@ class Training:
         elif recipe.spectral:
             self.model.spectrum.copy_(power(self.normaliser.apply(some)))
             if recipe.told:
-                self.model.start.measure(self.normaliser.apply(some))
+                self.model.start.measure(self.normaliser.apply(some), torch.Generator().manual_seed(0))
         if self.start is not None:
             self._begin(self.start)
         self.model.to(self.device)
