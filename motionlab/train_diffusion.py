@@ -37,7 +37,7 @@ _POSE = replace(
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
 _HELD = replace(_POSE, handles=64, steps=5000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
-_TOLD = replace(_BASE, told=True, blind=0.6, root_unit=0.0, steps=12_000, weights=replace(_WEIGHTS, fk=0.3))
+_TOLD = replace(_BASE, told=True, blind=0.6, recalls=8000, root_unit=0.0, steps=5000, weights=replace(_WEIGHTS, fk=0.3))
 _PLACE = replace(_BASE, root_unit=0.0, steps=6000, weights=_FAR)
 PRESETS = {
     "free": _BASE,
@@ -49,7 +49,7 @@ PRESETS = {
     "told": _TOLD,
 }
 _ARM = replace(_BASE, size="small", steps=1000)
-_ARM_TOLD = replace(_TOLD, size="small", steps=1000)
+_ARM_TOLD = replace(_TOLD, size="small", recalls=2000, steps=1000)
 _ARM_HELD = replace(_HELD, size="small", steps=1000)
 #: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles".
 ARMS = {
@@ -82,7 +82,7 @@ HELD = 256  # held-out windows that the checkpoint is chosen by
 #: Of all steps: no earlier average is chosen. Training was still gaining at its end wherever it was looked at, and KID
 #: is too uncertain to tell a lucky early average from a better late one (CHANGELOG).
 JUDGE_FROM = 0.6
-SHORT = 6000  # steps; fewer are not judged
+SHORT = 5000  # steps; fewer are not judged
 
 
 def chosen(found: dict[str, list[Motion]], recipe: Recipe) -> dict[str, list[Motion]]:

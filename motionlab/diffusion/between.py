@@ -1,10 +1,10 @@
 """What the known part says of the rest without a network: the start of a model that is told.
 
-Two rivals of such models at once: windows as a Gaussian of few principal parts say what goes with what (ridge
-regression, one for every mask), and what they leave goes straight from one known frame to the next (``between``).
+The rivals of such models at once: training windows that are like what is known, or a Gaussian of few principal parts,
+say what goes with what (``Start``), and what they leave goes straight from one known frame to the next (``between``).
 ``doubt``: how far from that the truth may be.
-Source: Bishop 2006, 12.2, as ``rivals``. Differs from CondMDI, where what is not known is zero, and the network has to
-find out about means, correlations and straight lines by itself.
+Source: Bishop 2006, 12.2 and 2.5.1; ReMoDiffuse (Zhang et al. 2023), which also recalls training motion for a diffusion
+model. Differs from CondMDI, where what is not known is zero, and the network has to find all this out by itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from torch import Tensor, nn
 
 from motionlab.errors import ShapeError
 
-PARTS, RIDGE = 64, 30.0  # principal parts; variance of a known number about them, which say much alike
+PARTS, RIDGE = 96, 40.0  # principal parts; variance of a known number about them, as known numbers say much alike
+LEARNING = 4  # every so many-th is recalled while the network is trained, where time counts more
+NEAR = 0.2  # variance of z about that of a training window that is recalled
 SURE = 10.0  # frames: at that distance from what is known, half of what could be known without it is open
 
 
@@ -68,32 +70,55 @@ def principal(rows: Tensor, parts: int, generator: torch.Generator) -> Tensor:
 class Start(nn.Module):
     """What is known (B, T, D) -> a guess of all of x_0, exact where it is known. frames, features: T and D.
 
-    ``mean`` (T D,) and ``factor`` F (T D, ``PARTS``) are data, measured by ``measure`` and stored with the weights.
+    Windows are m + F z + noise of variance ``RIDGE``, F of the principal parts. z ~ N(0, I), which is ridge regression;
+    or, with ``recalls`` > 0, one of so many training windows' z_i + N(0, s I), s = ``NEAR`` (Parzen 1962), both
+    nearest neighbour and ridge regression around it: given x_K, with P = F_K^T F_K / RIDGE, A = (P + I / s)^-1 and
+    b = F_K^T (x_K - m_K) / RIDGE, the mean of z is sum_i w_i A (b + z_i / s), where
+    log w_i = z_i^T A b / s - z_i^T (I / s - A / s^2) z_i / 2. Buffers are data, filled by ``measure`` and stored with
+    the weights.
     """
 
-    def __init__(self, frames: int, features: int) -> None:
+    def __init__(self, frames: int, features: int, recalls: int = 0) -> None:
         super().__init__()
-        self.shape = frames, features
+        self.shape, self.recalls, self.variance = (frames, features), recalls, NEAR if recalls else 1.0
         self.register_buffer("mean", torch.zeros(frames * features))
         self.register_buffer("factor", torch.zeros(frames * features, PARTS))
+        self.register_buffer("codes", torch.zeros(max(recalls, 1), PARTS))  # z_i
+        self.register_buffer("clips", torch.full((max(recalls, 1),), -1.0))  # the motions they are of
 
     @torch.no_grad()
-    def measure(self, x: Tensor, generator: torch.Generator) -> None:
-        """From normalised windows (N, T, D), more than ``PARTS``."""
+    def measure(self, x: Tensor, clips: Tensor, generator: torch.Generator) -> None:
+        """From normalised windows (N, T, D), more than ``PARTS`` and at least ``recalls``, and their motions (N,)."""
         rows = x.flatten(1)
-        if len(rows) <= PARTS:
-            raise ShapeError(f"x: expected more than {PARTS} windows, got {len(rows)}")
+        if len(rows) <= max(PARTS, self.recalls - 1):
+            raise ShapeError(f"x: expected {max(PARTS + 1, self.recalls)} windows or more, got {len(rows)}")
         self.mean.copy_(rows.mean(0))
         self.factor.copy_(principal(rows - self.mean, PARTS, generator))
+        if self.recalls:
+            rows, self.clips[:] = rows[: self.recalls] - self.mean, clips[: self.recalls]
+            self.codes.copy_(torch.linalg.solve(self.factor.mT @ self.factor, (rows @ self.factor).mT).mT)
 
     @torch.no_grad()
-    def forward(self, known: Tensor, mask: Tensor) -> Tensor:
-        """known, mask (bool): (B, T, D). What ``known`` holds elsewhere is never read."""
+    def forward(self, known: Tensor, mask: Tensor, own: Tensor | None = None) -> Tensor:
+        """known, mask (bool): (B, T, D). What ``known`` holds elsewhere is never read. own (B,): motions that must not
+        be recalled, as what a window was cut from when it is trained on."""
         if known.shape[1:] != self.shape:
             raise ShapeError(f"known: expected {self.shape[0]} frames of {self.shape[1]} numbers, got {known.shape}")
-        seen = mask.flatten(1).to(known) / RIDGE
-        off = torch.where(mask.flatten(1), known.flatten(1) - self.mean, 0.0)
-        square = (self.factor.mT * seen[:, None]) @ self.factor + torch.eye(PARTS).to(known)
-        z = torch.linalg.solve(square, (seen * off) @ self.factor)
-        guess = (self.mean + z @ self.factor.mT).unflatten(1, self.shape)
+        weight, off = mask.flatten(1).to(known) / RIDGE, known.flatten(1) - self.mean
+        off, eye = torch.where(mask.flatten(1), off, 0.0), torch.eye(PARTS).to(known) / self.variance
+        inverse = torch.linalg.inv((self.factor.mT * weight[:, None]) @ self.factor + eye)
+        seen = (inverse @ ((weight * off) @ self.factor)[..., None])[..., 0]
+        near = self._recalled(inverse, seen, eye, own)
+        guess = self.mean + (seen + (inverse @ near[..., None])[..., 0] / self.variance) @ self.factor.mT
+        guess = guess.unflatten(1, self.shape)
         return guess + between(known - guess, mask)
+
+    def _recalled(self, inverse: Tensor, seen: Tensor, eye: Tensor, own: Tensor | None) -> Tensor:
+        """sum_i w_i z_i (B, K)."""
+        every = slice(None, None, LEARNING if self.training else 1)
+        codes, clips = self.codes[every], self.clips[every]
+        square = (codes @ (eye - inverse / self.variance**2) * codes).sum(-1)
+        odds = seen @ codes.mT / self.variance - square / 2
+        if own is not None:
+            odds = odds.masked_fill(clips == own[:, None], -torch.inf)
+        return odds.softmax(-1).nan_to_num(0.0) @ codes

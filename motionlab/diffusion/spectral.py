@@ -40,29 +40,39 @@ def power(x0: Tensor) -> Tensor:
 
 
 class Spectral(nn.Module):
-    """network: (x_t, stamps, ...) -> (B, T, D). alpha_bar: of all noising steps. frames, features: T and D.
+    """network: (x_t, stamps, ...) -> (B, T, D). alpha_bar: of all noising steps. frames, features: T and D. recalls:
+    see ``between.Start``.
 
     ``spectrum`` (T, D) is data, measured by ``power`` and stored with the weights.
     """
 
-    def __init__(self, network: nn.Module, alpha_bar: Tensor, frames: int, features: int) -> None:
+    def __init__(self, network: nn.Module, alpha_bar: Tensor, frames: int, features: int, recalls: int = 0) -> None:
         super().__init__()
         self.network, self.told = network, network.told
         self.register_buffer("spectrum", torch.ones(frames, features))
-        self.start = Start(frames, features) if self.told else None
+        self.start = Start(frames, features, recalls) if self.told else None
         self.register_buffer("alpha_bar", alpha_bar.float(), persistent=False)
         self.register_buffer("cosines", cosines(frames), persistent=False)
 
     def forward(
-        self, x: Tensor, stamps: Tensor, known: Tensor | None = None, mask: Tensor | None = None, **told: Tensor | None
+        self,
+        x: Tensor,
+        stamps: Tensor,
+        known: Tensor | None = None,
+        mask: Tensor | None = None,
+        own: Tensor | None = None,
+        **told: Tensor | None,
     ) -> Tensor:
-        """Estimate (B, T, D) of x_0; arguments as for the network. Where mask says so it is ``known``, exactly."""
+        """Estimate (B, T, D) of x_0; arguments as for the network. Where mask says so it is ``known``, exactly.
+
+        own (B,): in training, the motions that the windows were cut from, not to be recalled.
+        """
         a, s = self.alpha_bar[stamps][:, None, None].to(x), self.spectrum.to(x)
         total = a * s + 1 - a
         start, open_ = 0.0, 1.0
         if mask is not None:
             given = mask.expand_as(x) > 0
-            start, open_ = self.start(known, given), self._open(doubt(given), a)
+            start, open_ = self.start(known, given, own), self._open(doubt(given), a)
         wiener = a.sqrt() * s / total * (self.cosines @ (x - a.sqrt() * start))
         guess = start + open_**2 * (self.cosines.T @ wiener)
         size = 1.0 if self.told else (a * s.square() / total).mean((1, 2), keepdim=True).sqrt()

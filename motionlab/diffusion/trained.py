@@ -27,7 +27,13 @@ from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
 
 FPS = 30.0
-LATER = {"blind", "handles", "linear", "root_unit"}  # came after models had been made: recipes without it had none
+LATER = {
+    "blind",
+    "handles",
+    "linear",
+    "recalls",
+    "root_unit",
+}  # came after models had been made: recipes without it had none
 LEVELS = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all noising steps: where the error of x_0 is measured
 
 
@@ -43,8 +49,9 @@ class Recipe:
     all (``linear``). version: of the synthetic corpus. source: of what it trains on
     ("synthetic", "recordings" or "all"); share: of those motions. copies: of every motion, held otherwise
     (``humor.variety``). noising: steps of the schedule. blind: share of training windows that are asked from pure
-    noise. steps, batch, lr: of AdamW; the rate rises over ``warm_up`` steps and falls by a cosine to a fiftieth. clip:
-    of the gradient's norm. average: of the weights, per step. bf16: the network in bfloat16.
+    noise. recalls: training windows that a told model starts from (``between.Start``). steps, batch, lr: of AdamW; the
+    rate rises over ``warm_up`` steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of the
+    weights, per step. bf16: the network in bfloat16.
     """
 
     size: str = "compact"
@@ -67,6 +74,7 @@ class Recipe:
     copies: int = 0
     noising: int = 1000
     blind: float = 0.0
+    recalls: int = 0
     steps: int = 30_000
     batch: int = 32
     lr: float = 4e-4
@@ -120,7 +128,7 @@ class Recipe:
             return Linear(network, self.schedule.alpha_bar, self.layout)
         if not self.spectral:
             return network
-        return Spectral(network, self.schedule.alpha_bar, self.frames, self.layout.size)
+        return Spectral(network, self.schedule.alpha_bar, self.frames, self.layout.size, self.recalls)
 
 
 @dataclass(frozen=True, eq=False)

@@ -88,7 +88,9 @@ class Training:
         elif recipe.spectral:
             self.model.spectrum.copy_(power(self.normaliser.apply(some)))
             if recipe.told:
-                self.model.start.measure(self.normaliser.apply(some), torch.Generator().manual_seed(0))
+                many, clips = data.drawn(max(MEASURED, recipe.recalls), torch.Generator().manual_seed(1))
+                many = self.normaliser.apply(self.layout.encode(many))
+                self.model.start.measure(many, clips, torch.Generator().manual_seed(0))
         if self.start is not None:
             self._begin(self.start)
         self.model.to(self.device)
@@ -185,7 +187,7 @@ class Training:
         recipe = self.recipe
         for group in self.optimiser.param_groups:
             group["lr"] = recipe.lr * self._rate()
-        motion = self.windows.draw(recipe.batch, self.generator)
+        motion, clips = self.windows.drawn(recipe.batch, self.generator)
         x0 = self.normaliser.apply(self.layout.encode(motion))
         t = torch.randint(len(self.schedule), (recipe.batch,), generator=self.generator)
         if recipe.blind:
@@ -196,11 +198,12 @@ class Training:
         known = masks.draw(self.layout, recipe.frames, recipe.batch, self.generator) if recipe.told else None
         held = handles.draw(motion, self.generator) if recipe.handles or recipe.weights.handles else None
         seed = int(torch.randint(2**31, (), generator=self.generator)) + self.rank
-        batch = (x0, xt, self.schedule.stamps[t], motion.skeleton.offsets[:, 0], signal, count, known, held)
-        x0, xt, stamps, offsets, signal, count, known, held = (
+        batch = (x0, xt, self.schedule.stamps[t], motion.skeleton.offsets[:, 0], signal, count, known, held, clips)
+        x0, xt, stamps, offsets, signal, count, known, held, clips = (
             None if each is None else each[self.rank :: self.share].to(self.device) for each in batch
         )
         told = {"known": x0, "mask": known} if recipe.told else {}
+        told |= {"own": clips} if recipe.recalls else {}
         told |= {"handles": held} if recipe.handles else {}
         with self._torch_seeded(seed), torch.autocast(torch.device(self.device).type, torch.bfloat16, recipe.bf16):
             estimate = self.network(xt, stamps, **told).float()

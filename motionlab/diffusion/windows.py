@@ -36,21 +36,27 @@ class Windows:
 
     def draw(self, count: int, generator: torch.Generator) -> Motion:
         """Windows (count, length) chosen evenly over all begins, each with its own body, at random in the mirror."""
-        motion = self._cut(self.begins[torch.randint(len(self.begins), (count,), generator=generator)])
+        return self.drawn(count, generator)[0]
+
+    def drawn(self, count: int, generator: torch.Generator) -> tuple[Motion, Tensor]:
+        """As :meth:`draw`, and the motions (count,) that the windows are of."""
+        begin = self.begins[torch.randint(len(self.begins), (count,), generator=generator)]
+        motion = self._cut(begin)
         if not self.mirrored:
-            return motion
+            return motion, self.clip[begin]
         flip, other = torch.rand(count, generator=generator) < 0.5, mirror(motion)
 
         def either(a: Tensor, b: Tensor) -> Tensor:
             return torch.where(flip.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
 
-        return replace(
+        motion = replace(
             motion,
             skeleton=replace(motion.skeleton, offsets=either(other.skeleton.offsets, motion.skeleton.offsets)),
             root=either(other.root, motion.root),
             rot=either(other.rot, motion.rot),
             contacts=None if motion.contacts is None else either(other.contacts, motion.contacts),
         )
+        return motion, self.clip[begin]
 
     def evenly(self, count: int) -> Motion:
         """At most ``count`` windows, evenly over all begins, none in the mirror: the same at every call."""
