@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+import scipy.special
+import scipy.stats
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
@@ -42,6 +44,9 @@ def test_doubt_grows_with_the_gap():
 
 
 # -------------------------------------------------------------------------------------------------- with correlations
+CLIPS = torch.arange(200) // 10
+
+
 @pytest.fixture
 def windows(generator):
     """Correlated rows (N, T, D), more of them than principal parts."""
@@ -49,36 +54,70 @@ def windows(generator):
     return 2.0 + mixed.unflatten(1, (8, 12)) + 0.1 * torch.randn(200, 8, 12, generator=generator)
 
 
-def test_the_start_is_ridge_regression_and_lines_through_what_it_leaves(windows, generator):
-    """Against the Gaussian's conditional mean by its covariance, in NumPy."""
-    start = Start(8, 12)
-    start.measure(windows, generator)
+def measured(windows, generator, recalls=0):
+    start = Start(8, 12, recalls)
+    start.measure(windows, CLIPS, generator)
+    return start.eval()
+
+
+def by_bayes(start, x, mask, left_out=()):
+    """The mixture's conditional mean by its densities and covariances, component by component, in SciPy."""
+    mean, factor, codes = (v.double().numpy() for v in (start.mean, start.factor, start.codes))
+    f, noise = factor[mask], RIDGE * np.eye(mask.sum())
+    square = start.variance * f @ f.T + noise
+    odds, means = [], []
+    for i, code in enumerate(codes):
+        if i not in left_out:
+            at = mean[mask] + f @ code
+            odds.append(scipy.stats.multivariate_normal.logpdf(x[mask], at, square))
+            means.append(code + start.variance * f.T @ np.linalg.solve(square, x[mask] - at))
+    guess = mean + factor @ (scipy.special.softmax(odds) @ np.array(means))
+    left = torch.from_numpy(x - guess).reshape(1, 8, 12)
+    return guess.reshape(8, 12) + between(left, torch.from_numpy(mask).reshape(1, 8, 12))[0].numpy()
+
+
+@pytest.mark.parametrize("recalls", [0, 150])
+def test_the_start_is_bayes_rule_and_lines_through_what_it_leaves(windows, generator, recalls):
+    start = measured(windows, generator, recalls)
     known = torch.rand(3, 8, 12, generator=generator) < 0.4
     found = start(torch.where(known, windows[:3], torch.nan), known)
-    rows = windows.flatten(1).double().numpy()
-    centred = rows - rows.mean(0)
-    size, parts = np.linalg.eigh(np.cov(centred.T, bias=True))
-    size, parts = size[-PARTS:], parts[:, -PARTS:]
-    covariance = (parts * size) @ parts.T
-    for x, mask, line in zip(rows, known.flatten(1).numpy(), found, strict=False):
-        square = covariance[np.ix_(mask, mask)] + RIDGE * np.eye(mask.sum())
-        guess = rows.mean(0) + covariance[:, mask] @ np.linalg.solve(square, (x - rows.mean(0))[mask])
-        left = torch.from_numpy(x - guess).reshape(8, 12)
-        expected = guess.reshape(8, 12) + between(left, torch.from_numpy(mask).reshape(8, 12)).numpy()
-        np.testing.assert_allclose(line, expected, atol=2e-3)
+    for x, mask, line in zip(windows, known.flatten(1), found, strict=False):
+        expected = by_bayes(start, x.flatten().double().numpy(), mask.numpy())
+        np.testing.assert_allclose(line, expected, atol=5e-3)
     assert torch.allclose(found[known], windows[:3][known], atol=1e-4)
 
 
+def test_without_recalling_it_is_ridge_regression(windows, generator):
+    start = measured(windows, generator)
+    known = torch.zeros(1, 8, 12, dtype=torch.bool)
+    known[..., 3:] = True  # columns known throughout, so that lines add nothing elsewhere
+    rows, mask = windows.flatten(1).double().numpy(), known.flatten().numpy()
+    f, off = start.factor.double().numpy(), rows - start.mean.double().numpy()
+    stacked = np.concatenate((f[mask], RIDGE**0.5 * np.eye(PARTS)))  # ridge as least squares
+    learnt = np.linalg.lstsq(stacked, np.concatenate((off[0, mask], np.zeros(PARTS))))[0]
+    expected = start.mean.double().numpy() + f @ learnt
+    np.testing.assert_allclose(start(windows[:1], known)[0, :, :3], expected.reshape(8, 12)[:, :3], atol=5e-3)
+
+
+def test_the_motion_a_window_is_of_is_not_recalled_where_it_must_not_be(windows, generator):
+    start = measured(windows, generator, 200)
+    known = torch.rand(1, 8, 12, generator=generator) < 0.5
+    x, mask = windows[:1], known.flatten().numpy()
+    free, kept = start(x, known), start(x, known, torch.tensor([0]))
+    expected = by_bayes(start, x.flatten().double().numpy(), mask, left_out=range(10))
+    np.testing.assert_allclose(kept[0], expected, atol=5e-3)
+    assert (free - x).square().mean() < (kept - x).square().mean()
+
+
 def test_where_nothing_is_known_the_start_is_the_mean(windows, generator):
-    start = Start(8, 12)
-    start.measure(windows, generator)
     nothing = torch.zeros(1, 8, 12, dtype=torch.bool)
-    assert torch.allclose(start(torch.full((1, 8, 12), torch.nan), nothing)[0], windows.mean(0), atol=1e-4)
+    for recalls in (0, 200):
+        found = measured(windows, generator, recalls)(torch.full((1, 8, 12), torch.nan), nothing)[0]
+        assert torch.allclose(found, windows.mean(0), atol=1e-2)
 
 
 def test_what_goes_together_is_found_where_lines_know_nothing(windows, generator):
-    start = Start(8, 12)
-    start.measure(windows, generator)
+    start = measured(windows, generator)
     known = torch.ones(200, 8, 12, dtype=torch.bool)
     known[..., :3] = False  # columns of which nothing is known
     error = (start(windows, known) - windows)[~known].square().mean()
@@ -88,7 +127,9 @@ def test_what_goes_together_is_found_where_lines_know_nothing(windows, generator
 
 def test_other_windows_are_refused(windows, generator):
     start = Start(8, 12)
-    with pytest.raises(ShapeError, match="more than"):
-        start.measure(windows[:PARTS], generator)
+    with pytest.raises(ShapeError, match="97 windows or more"):
+        start.measure(windows[:PARTS], CLIPS[:PARTS], generator)
+    with pytest.raises(ShapeError, match="300 windows or more"):
+        Start(8, 12, 300).measure(windows, CLIPS, generator)
     with pytest.raises(ShapeError, match="8 frames of 12"):
         start(windows[:, :6], windows[:, :6] > 0)
