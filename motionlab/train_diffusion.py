@@ -22,7 +22,7 @@ from motionlab.motion import Motion
 
 _WEIGHTS = Weights(velocity=20.0, contact=100.0, late=0.1, even=True, snr=10.0)
 _BASE = Recipe(
-    patch=2, spectral=True, root_unit=0.08, dropout=0.0, steps=18_000, batch=16, lr=1e-3, weights=_WEIGHTS
+    patch=2, spectral=True, root_unit=0.08, dropout=0.0, steps=12_000, batch=16, lr=1e-3, weights=_WEIGHTS
 )  # fmt: skip
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: in world space;
 #: stuck: its twin in the stuck frame, all else equal. pose: single poses. handles: single poses, told where some joints
@@ -36,9 +36,9 @@ _POSE = replace(
     _BASE, frames=1, patch=1, root_unit=0.0, contacts=False, spectral=False, linear=True, batch=128, steps=3000,
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
-_HELD = replace(_POSE, handles=64, steps=5000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
+_HELD = replace(_POSE, handles=64, steps=4000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
 _TOLD = replace(_BASE, told=True, blind=0.6, recalls=8000, root_unit=0.0, steps=5000, weights=replace(_WEIGHTS, fk=0.3))
-_PLACE = replace(_BASE, root_unit=0.0, steps=6000, weights=_FAR)
+_PLACE = replace(_BASE, root_unit=0.0, steps=4000, weights=_FAR)
 PRESETS = {
     "free": _BASE,
     "fixed": replace(_BASE, version="A", contacts=False, travels=False),

@@ -8,7 +8,7 @@ import torch
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
 from motionlab.diffusion import baseline_trials as trials
-from motionlab.diffusion import denoiser
+from motionlab.diffusion import denoiser, trained
 from motionlab.diffusion.features import Normaliser
 from motionlab.diffusion.spectral import power
 from motionlab.diffusion.trained import LEVELS, Recipe, Trained
@@ -68,14 +68,14 @@ def test_a_model_that_knows_guesses_without_error(model, motion):
 
 
 def test_the_filter_is_what_a_silenced_network_leaves(model, motion):
-    silent = trials.filter_alone(model)
+    silent = trained.silenced(model)
     found = trials.guesses(silent, motion, seeded(), (0.0, 0.2, 1.0))["x0"].mean(0)
     assert 5 * found[0] < found[1] < found[2] / 5 and found[2] == pytest.approx(1.0, abs=0.1)
     told = trials.guesses(model, motion, seeded(), (0.2,))["x0"].mean()
     assert (told - found[1]).abs() > 1e-3  # the network still speaks where it was not silenced
     plain = replace(model, denoiser=denoiser.Denoiser(model.layout.size, **TINY))
     with pytest.raises(ShapeError):
-        trials.filter_alone(plain)
+        trained.silenced(plain)
 
 
 def test_pools_follow_the_minutes(motion):

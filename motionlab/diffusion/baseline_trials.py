@@ -6,11 +6,10 @@ Models are compared on the same windows with the same noise: give every one a fr
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from dataclasses import replace
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from motionlab import rotation
 from motionlab.diffusion import masks
@@ -21,7 +20,6 @@ from motionlab.diffusion.spectral import Spectral
 from motionlab.diffusion.trained import LEVELS, Recipe, Trained
 from motionlab.diffusion.training import Training
 from motionlab.diffusion.windows import Windows
-from motionlab.errors import ShapeError
 from motionlab.frames import stuck_root
 from motionlab.metrics import generation
 from motionlab.metrics.contact import skating_ratio, slide_in_contact_mm
@@ -55,32 +53,6 @@ def guesses(
         rows["joints"].append(1000 * off.norm(dim=-1).mean((1, 2)))
         rows["velocity"].append((off.diff(dim=1) * motion.fps).norm(dim=-1).mean((1, 2)))
     return {name: torch.stack(columns, -1) for name, columns in rows.items()}
-
-
-class _Silent(nn.Module):
-    """A network that adds nothing."""
-
-    told = False
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.none = nn.Parameter(torch.zeros(()), requires_grad=False)
-
-    def forward(self, x: Tensor, stamps: Tensor, known: Tensor | None = None, mask: Tensor | None = None) -> Tensor:
-        return torch.zeros_like(x)
-
-
-def filter_alone(model: Trained) -> Trained:
-    """A model whose network is silenced: what is left is the Wiener filter with the training data's spectrum.
-
-    Raises:
-        ShapeError: the model has no such filter.
-    """
-    if not isinstance(model.denoiser, Spectral):
-        raise ShapeError("filter_alone: expected a model with spectral = True")
-    made = deepcopy(model.denoiser)
-    made.network, made.told = _Silent(), False
-    return replace(model, denoiser=made)
 
 
 # --------------------------------------------------------------------------------------------- motion and no motion

@@ -14,7 +14,7 @@ from motionlab.diffusion.denoising import Noise, Start, denoise
 from motionlab.diffusion.judge import Scaled
 from motionlab.diffusion.repair import Way, repair
 from motionlab.diffusion.rivals import RIDGES, Rivals
-from motionlab.diffusion.trained import Trained
+from motionlab.diffusion.trained import Trained, silenced
 from motionlab.errors import ShapeError
 from motionlab.metrics.generation import kid
 from motionlab.metrics.pose import acceleration_error, power_spectrum_ratio
@@ -103,7 +103,14 @@ class Bench:
             found |= {"hold": rivals.held(motion, known), "slerp": rivals.interpolated(motion, known)}
         found["Eq. 4.10"] = self.fill("Eq. 4.10", motion, known, generator)
         found["not told"] = self.fill(plain, motion, known, generator, **changes)
+        found["start alone"] = self.start(motion, known, generator)
         return found | {"told": self.fill(told, motion, known, generator, **changes)}
+
+    def start(self, motion: Motion, known: Tensor, generator: torch.Generator) -> Motion:
+        """What the told model would say without its network: training motion recalled, and straight lines."""
+        model = silenced(self.told)
+        way = WAYS["told, one look"][1]
+        return pasted(repair(model, motion, cases.columns(model.layout, known), generator, way), motion, known)
 
 
 def reversals(model: Trained, walks: Motion, generator: torch.Generator, steps: int) -> Tensor:

@@ -6,12 +6,13 @@ them. Nothing in them is executed.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from copy import copy
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from motionlab.diffusion import denoiser, schedule
 from motionlab.diffusion.denoiser import Denoiser
@@ -21,7 +22,7 @@ from motionlab.diffusion.losses import Weights
 from motionlab.diffusion.sampling import ddpm, noise_like
 from motionlab.diffusion.schedule import Schedule
 from motionlab.diffusion.spectral import Spectral
-from motionlab.errors import DataError, check_shape
+from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.humor import checkpoint
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
@@ -119,7 +120,7 @@ class Recipe:
             self.layout.size, dropout=self.dropout, told=self.told, arrival=self.arrival, patch=self.patch,
             handles=self.handles, **denoiser.SIZES[self.size],
         )  # fmt: skip
-        if self.told and self.spectral:  # it begins as what it corrects
+        if self.spectral or self.linear:  # it begins as what it corrects; with random words it soon falls silent for good
             torch.nn.init.zeros_(network.output_process.poseFinal.weight)
             torch.nn.init.zeros_(network.output_process.poseFinal.bias)
         if self.linear:
@@ -171,6 +172,31 @@ class Trained:
             x = self.denoiser(xt.to(where), self.schedule.stamps[t].to(where)).cpu()
             found[f"x0 error at t = {int(t[0])}"] = float((x - x0).square().mean())
         return found
+
+
+class _Silent(nn.Module):
+    """A network that adds nothing."""
+
+    def __init__(self, told: bool) -> None:
+        super().__init__()
+        self.told, self.none = told, nn.Parameter(torch.zeros(()), requires_grad=False)
+
+    def forward(self, x: Tensor, stamps: Tensor, known: Tensor | None = None, mask: Tensor | None = None) -> Tensor:
+        return torch.zeros_like(x)
+
+
+def silenced(model: Trained) -> Trained:
+    """A model whose network adds nothing: what is left is the Wiener filter with the training data's spectrum and, of a
+    model that is told what is known, what it starts from.
+
+    Raises:
+        ShapeError: there is nothing but a network.
+    """
+    if not isinstance(model.denoiser, Spectral):
+        raise ShapeError("silenced: expected a model with spectral = True")
+    made = copy(model.denoiser)
+    made._modules = model.denoiser._modules | {"network": _Silent(model.recipe.told)}
+    return replace(model, denoiser=made)
 
 
 def save(path: Path | str, model: Trained, about: dict, *, half: bool = False) -> None:
