@@ -20,9 +20,9 @@ from motionlab.errors import DataError
 from motionlab.humor import checkpoint
 from motionlab.motion import Motion
 
-_WEIGHTS = Weights(velocity=20.0, contact=100.0, late=0.1, even=True, snr=10.0)
+_WEIGHTS = Weights(velocity=20.0, contact=100.0, late=0.1, by_signal=True, even=True, snr=10.0)
 _BASE = Recipe(
-    patch=2, spectral=True, root_unit=0.08, dropout=0.0, steps=12_000, batch=16, lr=1e-3, weights=_WEIGHTS
+    patch=2, spectral=True, root_unit=0.08, dropout=0.0, steps=12_000, batch=16, lr=4e-4, warm_up=300, weights=_WEIGHTS
 )  # fmt: skip
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: in world space;
 #: stuck: its twin in the stuck frame, all else equal. pose: single poses. handles: single poses, told where some joints
@@ -37,7 +37,15 @@ _POSE = replace(
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
 _HELD = replace(_POSE, handles=64, steps=4000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
-_TOLD = replace(_BASE, told=True, blind=0.6, recalls=8000, root_unit=0.0, steps=5000, weights=replace(_WEIGHTS, fk=0.3))
+_TOLD = replace(
+    _BASE,
+    told=True,
+    blind=0.6,
+    recalls=8000,
+    root_unit=0.0,
+    steps=5000,
+    weights=replace(_WEIGHTS, fk=0.3, by_signal=False),
+)
 _PLACE = replace(_BASE, root_unit=0.0, steps=4000, weights=_FAR)
 PRESETS = {
     "free": _BASE,
@@ -48,8 +56,8 @@ PRESETS = {
     "handles": _HELD,
     "told": _TOLD,
 }
-_ARM = replace(_BASE, size="small", steps=1000)
-_ARM_TOLD = replace(_TOLD, size="small", recalls=2000, steps=1000)
+_ARM = replace(_BASE, size="small", steps=1000, lr=8e-4, warm_up=100)
+_ARM_TOLD = replace(_TOLD, size="small", recalls=2000, steps=1000, lr=8e-4, warm_up=100)
 _ARM_HELD = replace(_HELD, size="small", steps=1000)
 #: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles".
 ARMS = {

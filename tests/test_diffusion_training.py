@@ -21,7 +21,7 @@ from motionlab.__main__ import main
 from motionlab.diffusion import denoiser, judge, losses, trained, training
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.losses import Weights
-from motionlab.diffusion.trained import Recipe
+from motionlab.diffusion.trained import Recipe, silenced
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.humor import checkpoint
@@ -267,6 +267,15 @@ def test_the_judge_chooses_the_weights_that_ship(data, tmp_path):
         assert each.best["step"] == 4 and each.best["kid"] == 1.0
         assert all(torch.equal(seen[1][name], value) for name, value in each.shipped.denoiser.state_dict().items())
     assert not torch.equal(seen[1]["output_process.poseFinal.bias"], again.average["output_process.poseFinal.bias"])
+
+
+def test_a_network_that_corrects_begins_as_what_it_corrects(data):
+    run = training.Training(replace(TOLD, spectral=True), data)
+    assert run.averaged.errors(data.evenly(8), torch.Generator().manual_seed(0)) == silenced(run.averaged).errors(
+        data.evenly(8), torch.Generator().manual_seed(0)
+    )
+    run.run(until=2)
+    assert run.averaged.denoiser.network.output_process.poseFinal.weight.abs().max() > 0
 
 
 def test_early_averages_are_not_judged(data):

@@ -120,7 +120,7 @@ class Recipe:
             self.layout.size, dropout=self.dropout, told=self.told, arrival=self.arrival, patch=self.patch,
             handles=self.handles, **denoiser.SIZES[self.size],
         )  # fmt: skip
-        if self.spectral or self.linear:  # it begins as what it corrects; with random words it soon falls silent for good
+        if self.spectral or self.linear:  # begins as what it corrects: with random words it soon falls silent for good
             torch.nn.init.zeros_(network.output_process.poseFinal.weight)
             torch.nn.init.zeros_(network.output_process.poseFinal.bias)
         if self.linear:
