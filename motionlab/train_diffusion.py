@@ -90,6 +90,7 @@ HELD = 256  # held-out windows that the checkpoint is chosen by
 #: Of all steps: no earlier average is chosen. Training was still gaining at its end wherever it was looked at, and KID
 #: is too uncertain to tell a lucky early average from a better late one (CHANGELOG).
 JUDGE_FROM = 0.6
+SILENT = 0.01  # gain over the filter; less says that the network has collapsed
 SHORT = 5000  # steps; fewer are not judged
 
 
@@ -153,6 +154,8 @@ def make(
     }
     trained.save(out, _on_cpu(run.shipped), about, half=True)
     kept.unlink()
+    if (gain := run.curve[-1].get(training.GAIN, 1.0)) <= SILENT:
+        print(f"the network adds nothing to its filter (gain {gain:.3f}): try a lower rate or a longer warm-up")
     print(f"{out.with_suffix('.safetensors')}: {run.step} steps, weights of step {about['chosen']['step']}")
 
 

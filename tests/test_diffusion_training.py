@@ -278,6 +278,16 @@ def test_a_network_that_corrects_begins_as_what_it_corrects(data):
     assert run.averaged.denoiser.network.output_process.poseFinal.weight.abs().max() > 0
 
 
+def test_the_curve_says_what_the_network_adds(data):
+    run = training.Training(replace(TOLD, spectral=True), data)
+    held = data.evenly(8)
+    assert run._measured(held, None)[training.GAIN] == 0.0
+    run.average["network.output_process.poseFinal.bias"] += 1.0  # nonsense, everywhere
+    row = run._measured(held, None)
+    assert row[training.GAIN] < -0.1
+    assert training.GAIN not in training.Training(SMALL, data)._measured(held, None)
+
+
 def test_early_averages_are_not_judged(data):
     run = training.Training(SMALL, data).run(every=1, judge_every=2, judge_from=0.6, judge=lambda model: {"kid": 1.0})
     judged = [row["step"] for row in run.curve if "kid" in row]

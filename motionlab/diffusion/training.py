@@ -27,13 +27,14 @@ from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Normaliser
 from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.spectral import Spectral, power
-from motionlab.diffusion.trained import FPS, Recipe, Trained
+from motionlab.diffusion.trained import FPS, Recipe, Trained, silenced
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.motion import Motion
 
 GIVE_UP = 20  # batches in a row whose gradients are not finite
 CHOOSE = ("kid", "filling error")  # the judge's measure, one of these, that chooses the checkpoint; less is better
+GAIN = "gain over the filter"  # of the error of x_0 on held-out windows: 0 where the network has fallen silent
 MEASURED = 2000  # windows that the normaliser is measured on
 
 Judge = Callable[[Trained], dict[str, float]]
@@ -156,7 +157,8 @@ class Training:
                 due = self.step % judge_every == 0 and self.step >= judge_from * self.recipe.steps
                 row |= self._measured(held, judge if due or self.step == last else None)
                 self.curve.append({"step": self.step, **row})
-                bar.set_postfix({name: f"{value:.3g}" for name, value in row.items() if name in ("loss", *CHOOSE)})
+                shown = {name: f"{row[name]:.3g}" for name in ("loss", GAIN, *CHOOSE) if name in row}
+                bar.set_postfix(shown)
                 if keep:
                     self.save(keep)
         except KeyboardInterrupt:
@@ -175,6 +177,9 @@ class Training:
         model, row = self.averaged, {}
         if held is not None:
             row |= model.errors(held, torch.Generator().manual_seed(0))
+            if self.recipe.spectral:
+                alone = silenced(model).errors(held, torch.Generator().manual_seed(0))
+                row[GAIN] = 1 - sum(row[name] for name in alone) / sum(alone.values())
         if judge is not None:
             row |= judge(model)
             chosen = next((name for name in CHOOSE if name in row), None)
