@@ -40,13 +40,14 @@ _HELD = replace(_POSE, handles=64, steps=4000, weights=replace(_POSE.weights, fk
 _TOLD = replace(
     _BASE,
     told=True,
-    blind=0.6,
+    before=True,
+    blind=0.4,
     recalls=8000,
     root_unit=0.0,
     steps=5000,
-    weights=replace(_WEIGHTS, fk=0.3, by_signal=False),
+    weights=replace(_WEIGHTS, velocity=5.0, contact=20.0, fk=0.3, by_signal=False),
 )
-_PLACE = replace(_BASE, root_unit=0.0, steps=4000, weights=_FAR)
+_PLACE = replace(_BASE, root_unit=0.0, steps=2500, weights=_FAR)
 PRESETS = {
     "free": _BASE,
     "fixed": replace(_BASE, version="A", contacts=False, travels=False),

@@ -72,7 +72,8 @@ class _Out(nn.Module):
 class Denoiser(nn.Module):
     """features: numbers per frame. size: of a token. told: with known values and their mask as inputs. arrival: told
     also how far the next known frame is. patch: frames in a token. handles: numbers per frame that the places of
-    handles are embedded in; 0: it hears of none.
+    handles are embedded in; 0: it hears of none. before: tokens are normalised before attention, not behind it as in
+    MDM, and once more at the end: trains where little of what is asked can be learned (Xiong et al. 2020).
 
     "small", "compact" and "thesis" sizes: ``SIZES``.
     """
@@ -90,6 +91,7 @@ class Denoiser(nn.Module):
         arrival: bool = False,
         patch: int = 1,
         handles: int = 0,
+        before: bool = False,
     ) -> None:
         super().__init__()
         if arrival and not told:
@@ -98,8 +100,9 @@ class Denoiser(nn.Module):
         self.handles = nn.Linear(HANDLE * len(STANDARD), handles) if handles else None
         self.input_process = _In((features * (3 if told else 1) + handles) * patch, size)
         self.sequence_pos_encoder = _Sines(size, dropout)
-        layer = nn.TransformerEncoderLayer(size, heads, hidden, dropout, "gelu")
-        self.seqTransEncoder = nn.TransformerEncoder(layer, layers, enable_nested_tensor=False)
+        layer = nn.TransformerEncoderLayer(size, heads, hidden, dropout, "gelu", norm_first=before)
+        norm = nn.LayerNorm(size) if before else None
+        self.seqTransEncoder = nn.TransformerEncoder(layer, layers, norm, enable_nested_tensor=False)
         self.embed_timestep = _Step(size, self.sequence_pos_encoder)
         self.output_process = _Out(size, features * patch)
 

@@ -29,6 +29,7 @@ from motionlab.skeleton import Skeleton
 
 FPS = 30.0
 LATER = {
+    "before",
     "blind",
     "handles",
     "linear",
@@ -45,9 +46,9 @@ class Recipe:
     size: of the network (``denoiser.SIZES``). frames: of a window; 1: single poses. frame, velocities, contacts,
     travels: see ``Layout``. root_unit: metres that are one unit of the root's place; 0: its deviation. told:
     with the known area as input; arrival: and with the time to the next known frame. patch: frames in a token.
-    handles: numbers that the places of handles are embedded in; 0: they are not heard of. spectral: the network
-    corrects a Wiener filter (``spectral``); linear: it corrects what a Gaussian would say, of single poses, handles and
-    all (``linear``). version: of the synthetic corpus. source: of what it trains on
+    handles: numbers that the places of handles are embedded in; 0: they are not heard of. before: see ``Denoiser``.
+    spectral: the network corrects a Wiener filter (``spectral``); linear: it corrects what a Gaussian would say, of
+    single poses, handles and all (``linear``). version: of the synthetic corpus. source: of what it trains on
     ("synthetic", "recordings" or "all"); share: of those motions. copies: of every motion, held otherwise
     (``humor.variety``). noising: steps of the schedule. blind: share of training windows that are asked from pure
     noise. recalls: training windows that a told model starts from (``between.Start``). steps, batch, lr: of AdamW; the
@@ -66,6 +67,7 @@ class Recipe:
     arrival: bool = False
     patch: int = 1
     handles: int = 0
+    before: bool = False
     spectral: bool = False
     linear: bool = False
     version: str = "B"
@@ -118,7 +120,7 @@ class Recipe:
             raise ValueError(f"size: expected one of {', '.join(denoiser.SIZES)}, got {self.size!r}")
         network = Denoiser(
             self.layout.size, dropout=self.dropout, told=self.told, arrival=self.arrival, patch=self.patch,
-            handles=self.handles, **denoiser.SIZES[self.size],
+            handles=self.handles, before=self.before, **denoiser.SIZES[self.size],
         )  # fmt: skip
         if self.spectral or self.linear:  # begins as what it corrects: with random words it soon falls silent for good
             torch.nn.init.zeros_(network.output_process.poseFinal.weight)
