@@ -37,7 +37,18 @@ _POSE = replace(
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
 _HELD = replace(_POSE, handles=64, steps=4000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
-_TOLD = replace(_BASE, told=True, blind=0.2, recalls=8000, root_unit=0.0, steps=4500)
+_TOLD = replace(
+    _BASE,
+    size="small",
+    told=True,
+    before=True,
+    blind=0.2,
+    recalls=8000,
+    root_unit=0.0,
+    steps=4000,
+    lr=8e-4,
+    warm_up=100,
+)
 _PLACE = replace(_BASE, root_unit=0.0, steps=2500, weights=_FAR)
 PRESETS = {
     "free": _BASE,
