@@ -45,7 +45,7 @@ _TOLD = replace(
     blind=0.2,
     recalls=8000,
     root_unit=0.0,
-    steps=4000,
+    steps=3000,
     lr=8e-4,
     warm_up=100,
 )

@@ -30,8 +30,8 @@ def test_doubt_is_zero_where_known_and_one_where_nothing_is():
     known[0, [2, 7], 0] = True
     found = doubt(known)
     assert (found[0, [2, 7], 0] == 0).all() and (found[0, :, 1] == 1).all()
-    assert found[0, 4, 0] == pytest.approx((2 * 3 / 5) / (2 * 3 / 5 + SURE))  # 2 and 3 frames from what is known
-    assert found[0, 11, 0] == pytest.approx(4 / (4 + SURE))  # known on one side only
+    assert found[0, 4, 0] == pytest.approx(((2 * 3 / 5) / (2 * 3 / 5 + SURE)) ** 2)  # 2 and 3 frames from what is known
+    assert found[0, 11, 0] == pytest.approx((4 / (4 + SURE)) ** 2)  # known on one side only
 
 
 def test_doubt_grows_with_the_gap():

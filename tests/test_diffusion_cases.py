@@ -280,7 +280,7 @@ def test_without_the_last_overwrite_what_is_known_moves_and_with_a_finish_it_doe
 def test_a_contest_has_the_rivals_it_was_asked_for(motion, bench, generator):
     known = cases.gap(6, FRAMES, 6)
     how = {"plain": "imputed", "told": "told"}
-    names = ["mean", "nearest", "ridge", "Eq. 4.10", "not told", "told"]
+    names = ["mean", "nearest", "ridge", "Eq. 4.10", "not told", "start alone", "told"]
     assert list(bench.contest(motion, known, generator, **how)) == names
     found = bench.contest(motion, known, generator, **how, regression=False, through_time=True)
     assert list(found) == ["hold", "slerp", *names[3:]]

@@ -517,11 +517,13 @@ def few(motions, monkeypatch):
     monkeypatch.setattr(train_diffusion, "HELD", 12)
     for name, recipe in train_diffusion.PRESETS.items():
         small = replace(recipe, size="tiny", frames=min(recipe.frames, 8), steps=9, batch=4, noising=20, warm_up=1)
+        small = replace(small, recalls=min(recipe.recalls, 20))
         monkeypatch.setitem(train_diffusion.PRESETS, name, small)
 
 
 @pytest.mark.parametrize("preset", ["free", "fixed", "world", "pose", "told"])
-def test_the_command_writes_a_checkpoint_of_every_preset(few, tmp_path, capsys, preset):
+def test_the_command_writes_a_checkpoint_of_every_preset(few, tmp_path, capsys, preset, monkeypatch):
+    monkeypatch.setattr(train_diffusion, "SHORT", 3)
     out = tmp_path / "mine"
     assert main(["train", "diffusion", "--preset", preset, "--steps", "3", "--seed", "8", "--out", str(out)]) == 0
     assert "mine.safetensors" in capsys.readouterr().out

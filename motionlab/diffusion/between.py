@@ -17,7 +17,7 @@ from motionlab.errors import ShapeError
 PARTS, RIDGE = 96, 40.0  # principal parts; variance of a known number about them, as known numbers say much alike
 LEARNING = 4  # every so many-th is recalled while the network is trained, where time counts more
 NEAR = 0.2  # variance of z about that of a training window that is recalled
-SURE = 10.0  # frames: at that distance from what is known, half of what could be known without it is open
+SURE = 10.0  # frames: at that distance from what is known a quarter of the deviation is open
 
 
 def between(x: Tensor, known: Tensor) -> Tensor:
@@ -31,14 +31,15 @@ def between(x: Tensor, known: Tensor) -> Tensor:
 
 
 def doubt(known: Tensor) -> Tensor:
-    """(B, T, D), 0 where known, 1 in a column that knows nothing, else h / (h + ``SURE``): h, frames, half the harmonic
-    mean of the distances to what is known on both sides, as of a Brownian bridge; on one side only, that distance."""
+    """(B, T, D), 0 where known, 1 in a column that knows nothing, else (h / (h + ``SURE``))^2: h, frames, half the
+    harmonic mean of the distances to what is known on both sides, as of a Brownian bridge; on one side only, that
+    distance."""
     before, after, any_known = _around(known)
     time = torch.arange(known.shape[-2], device=known.device)[:, None]
     left, right = (time - before).abs().float(), (after - time).abs().float()
     inside = (before <= time) & (time <= after)
     h = torch.where(inside, left * right / (left + right).clamp(min=1.0), torch.minimum(left, right))
-    return torch.where(any_known, h / (h + SURE), 1.0)
+    return torch.where(any_known, (h / (h + SURE)).square(), 1.0)
 
 
 def _around(known: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -36,6 +36,7 @@ LATER = {
     "recalls",
     "root_unit",
 }  # came after models had been made: recipes without it had none
+GAIN = "gain over the filter"  # 0 where the network has fallen silent
 LEVELS = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all noising steps: where the error of x_0 is measured
 
 
@@ -199,6 +200,12 @@ def silenced(model: Trained) -> Trained:
     made = copy(model.denoiser)
     made._modules = model.denoiser._modules | {"network": _Silent(model.recipe.told)}
     return replace(model, denoiser=made)
+
+
+def gain(model: Trained, motion: Motion, errors: dict[str, float]) -> dict[str, float]:
+    """{``GAIN``: what the network takes off the filter's error of windows (B, T), a share}; errors: the model's own."""
+    alone = silenced(model).errors(motion, torch.Generator().manual_seed(0))
+    return {GAIN: 1 - sum(errors[name] for name in alone) / sum(alone.values())}
 
 
 def save(path: Path | str, model: Trained, about: dict, *, half: bool = False) -> None:

@@ -1,16 +1,13 @@
 """Training of a denoiser: guess x_0 from x_t at a random step; resumable to the bit, on one device or several.
 
 Source: thesis 4.1.2; MDM (Tevet et al. 2022): AdamW without decay of the weights, steps drawn evenly.
-Differs: warm-up, cosine decay and clipped gradients; the model that ships is a moving average, and that of the least
-KID on held-out windows, or other measure of ``CHOOSE``, where a judge gives one (MDM: by FID, by hand; thesis: by eye);
-dropout follows the run's own generator; a batch whose gradients are not finite is skipped, and ``GIVE_UP`` of them in a
-row end the run.
+Differs: warm-up, cosine decay, clipped gradients; what ships is a moving average, chosen by a judge where there is one
+(MDM: by FID, by hand; thesis: by eye); dropout follows the run's own generator; not finite gradients are skipped.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
@@ -27,14 +24,13 @@ from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Normaliser
 from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.spectral import Spectral, power
-from motionlab.diffusion.trained import FPS, Recipe, Trained, silenced
+from motionlab.diffusion.trained import FPS, GAIN, Recipe, Trained, gain
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.motion import Motion
 
 GIVE_UP = 20  # batches in a row whose gradients are not finite
 CHOOSE = ("kid", "filling error")  # the judge's measure, one of these, that chooses the checkpoint; less is better
-GAIN = "gain over the filter"  # of the error of x_0 on held-out windows: 0 where the network has fallen silent
 MEASURED = 2000  # windows that the normaliser is measured on
 
 Judge = Callable[[Trained], dict[str, float]]
@@ -100,13 +96,13 @@ class Training:
         self.network = self.model if self.accelerator is None else self.accelerator.prepare_model(self.model)
 
     def _begin(self, other: Trained) -> None:
+        remedy = "choose the preset and size that it was made with"
+        if other.layout != self.layout:
+            raise DataError("the model to begin from has other features", remedy=remedy)
         try:
             self.model.load_state_dict(other.denoiser.state_dict())
         except RuntimeError as error:
-            message = f"the model to begin from is another one: {error}"[:300]
-            raise DataError(message, remedy="choose the preset and size that it was made with") from error
-        if other.layout != self.layout:
-            raise DataError("the model to begin from has other features", remedy="choose the preset it was made with")
+            raise DataError(f"the model to begin from is another one: {error}"[:300], remedy=remedy) from error
         self.normaliser = other.normaliser
 
     @property
@@ -147,7 +143,6 @@ class Training:
         last = min(self.recipe.steps, until or self.recipe.steps)
         keep = keep if self.rank == 0 else None
         bar = tqdm(total=self.recipe.steps, initial=self.step, disable=not progress or self.rank > 0, unit="step")
-        began = time.monotonic()
         try:
             while self.step < last:
                 row = self._advance()
@@ -157,8 +152,7 @@ class Training:
                 due = self.step % judge_every == 0 and self.step >= judge_from * self.recipe.steps
                 row |= self._measured(held, judge if due or self.step == last else None)
                 self.curve.append({"step": self.step, **row})
-                shown = {name: f"{row[name]:.3g}" for name in ("loss", GAIN, *CHOOSE) if name in row}
-                bar.set_postfix(shown)
+                bar.set_postfix({name: f"{row[name]:.3g}" for name in ("loss", GAIN, *CHOOSE) if name in row})
                 if keep:
                     self.save(keep)
         except KeyboardInterrupt:
@@ -168,7 +162,6 @@ class Training:
             raise
         finally:
             bar.close()
-        self.seconds = time.monotonic() - began
         return self
 
     def _measured(self, held: Motion | None, judge: Judge | None) -> dict[str, float]:
@@ -176,10 +169,8 @@ class Training:
             return {}
         model, row = self.averaged, {}
         if held is not None:
-            row |= model.errors(held, torch.Generator().manual_seed(0))
-            if self.recipe.spectral:
-                alone = silenced(model).errors(held, torch.Generator().manual_seed(0))
-                row[GAIN] = 1 - sum(row[name] for name in alone) / sum(alone.values())
+            row = model.errors(held, torch.Generator().manual_seed(0))
+            row |= gain(model, held, row) if self.recipe.spectral else {}
         if judge is not None:
             row |= judge(model)
             chosen = next((name for name in CHOOSE if name in row), None)
@@ -227,8 +218,8 @@ class Training:
                 for name, value in self.model.state_dict().items():
                     self.average[name].lerp_(value, 1 - keep)
         self.drawn_from, self.torn = self.generator.get_state(), False
-        row = {"loss": loss.item()} | {name: value.item() for name, value in parts.items()} if used else {}
-        return row | {"skipped": self.skipped}
+        row = {"loss": loss.item()} | {name: value.item() for name, value in parts.items()}
+        return (row if used else {}) | {"skipped": self.skipped}
 
     def _descend(self, loss: Tensor) -> bool:
         """One step of the optimiser; False, and nothing changed, where the gradients are not finite."""
@@ -264,8 +255,7 @@ class Training:
             "recipe": asdict(self.recipe), "windows": self.windows.digest, "step": self.step, "curve": self.curve,
             "model": self.model.state_dict(), "average": self.average, "best": self.best,
             "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
-            "skipped": (self.skipped, self.in_a_row),
-            "normaliser": (self.normaliser.mean, self.normaliser.scale),
+            "skipped": (self.skipped, self.in_a_row), "normaliser": (self.normaliser.mean, self.normaliser.scale),
         }  # fmt: skip
         kept.write(path, content)
 
