@@ -82,3 +82,20 @@ def test_a_model_that_is_told_reads_what_is_known(generator):
         model(x, t, known)
     with pytest.raises(ShapeError):
         Denoiser(6, size=16, layers=1, heads=2, hidden=16)(x, t, known, mask)
+
+
+def test_normalised_before_attention_tokens_pass_unchanged_where_nothing_is_added(generator):
+    """The residual way is free: with silent attention and feed-forward only the last norm stands before the output."""
+    model = Denoiser(4, size=16, layers=2, heads=2, hidden=16, dropout=0.0, before=True).eval()
+    with torch.no_grad():
+        for layer in model.seqTransEncoder.layers:
+            for part in (layer.self_attn.out_proj, layer.linear2):
+                part.weight.zero_(), part.bias.zero_()
+        x, stamps = torch.randn(2, 5, 4, generator=generator), torch.tensor([3, 9])
+        tokens = model.input_process.poseEmbedding(x) + model.sequence_pos_encoder.pe[1:6, 0]
+        expected = model.output_process.poseFinal(torch.nn.functional.layer_norm(tokens, (16,)))
+        assert torch.allclose(model(x, stamps), expected, atol=1e-5)
+    behind = Denoiser(4, size=16, layers=2, heads=2, hidden=16)
+    assert set(model.state_dict()) - set(behind.state_dict()) == {
+        f"seqTransEncoder.norm.{k}" for k in ("weight", "bias")
+    }
