@@ -26,7 +26,7 @@ _BASE = Recipe(
 )  # fmt: skip
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: in world space;
 #: stuck: its twin in the stuck frame, all else equal. pose: single poses. handles: single poses, told where some joints
-#: should be. told: as free, told what is known; what matters is where the joints are that it fills in at first look.
+#: should be. told: as free, told what is known; small, as a compact one fell silent at these rates.
 #: root_unit: so that a unit of noise moves the root about as far as it moves a hand (CHANGELOG); not where the frame
 #: is the question, or where the root is mostly known.
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact

@@ -6,7 +6,7 @@ them. Nothing in them is executed.
 
 from __future__ import annotations
 
-from copy import copy
+from copy import deepcopy
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
@@ -28,14 +28,8 @@ from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
 
 FPS = 30.0
-LATER = {
-    "before",
-    "blind",
-    "handles",
-    "linear",
-    "recalls",
-    "root_unit",
-}  # came after models had been made: recipes without it had none
+#: Fields that came after models had been made: recipes without them had none.
+LATER = {"before", "blind", "handles", "linear", "recalls", "root_unit"}
 GAIN = "gain over the filter"  # 0 where the network has fallen silent
 LEVELS = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all noising steps: where the error of x_0 is measured
 
@@ -159,8 +153,7 @@ class Trained:
         return noise_like(torch.zeros(count, self.recipe.frames, self.layout.size, device=where), generator)
 
     def sample(self, count: int, generator: torch.Generator, *, steps: int = 50) -> Motion:
-        """New motions (count, T) by DDPM, which at 50 steps makes better ones than DDIM (notebook 13), on the standard
-        body."""
+        """New motions (count, T) by DDPM, on the standard body."""
         x, respaced = self.noise(count, generator), self.schedule.respaced(min(steps, len(self.schedule)))
         return self.decode(ddpm(self.denoiser, respaced, x, generator).cpu())
 
@@ -197,8 +190,8 @@ def silenced(model: Trained) -> Trained:
     """
     if not isinstance(model.denoiser, Spectral):
         raise ShapeError("silenced: expected a model with spectral = True")
-    made = copy(model.denoiser)
-    made._modules = model.denoiser._modules | {"network": _Silent(model.recipe.told)}
+    made = deepcopy(model.denoiser)
+    made.network = _Silent(model.recipe.told)
     return replace(model, denoiser=made)
 
 
