@@ -22,7 +22,8 @@ from motionlab.motion import Motion
 
 _WEIGHTS = Weights(velocity=20.0, contact=100.0, late=0.1, by_signal=True, even=True, snr=10.0)
 _BASE = Recipe(
-    patch=2, spectral=True, root_unit=0.08, dropout=0.0, steps=12_000, batch=16, lr=4e-4, warm_up=300, weights=_WEIGHTS
+    patch=2, spectral=True, before=True, root_unit=0.08, dropout=0.0, steps=36_000, batch=16, lr=4e-4, warm_up=300,
+    weights=_WEIGHTS,
 )  # fmt: skip
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: in world space;
 #: stuck: its twin in the stuck frame, all else equal. pose: single poses. handles: single poses, told where some joints
@@ -36,31 +37,22 @@ _POSE = replace(
     _BASE, frames=1, patch=1, root_unit=0.0, contacts=False, spectral=False, linear=True, batch=128, steps=3000,
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
-_HELD = replace(_POSE, handles=64, steps=4000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
+_HELD = replace(_POSE, handles=64, recalls=12_000, steps=4000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
 _TOLD = replace(
-    _BASE,
-    size="small",
-    told=True,
-    before=True,
-    blind=0.2,
-    recalls=8000,
-    root_unit=0.0,
-    steps=3000,
-    lr=8e-4,
-    warm_up=100,
-)
-_PLACE = replace(_BASE, root_unit=0.0, steps=2500, weights=_FAR)
+    _BASE, size="small", told=True, blind=0.2, recalls=12_000, root_unit=0.0, steps=4000, lr=8e-4, warm_up=100
+)  # fmt: skip
+_PLACE = replace(_BASE, root_unit=0.0, steps=6000, weights=_FAR)
 PRESETS = {
     "free": _BASE,
-    "fixed": replace(_BASE, version="A", contacts=False, travels=False),
+    "fixed": replace(_BASE, version="A", contacts=False, travels=False, steps=6000),
     "world": replace(_PLACE, frame="world"),
     "stuck": _PLACE,
     "pose": _POSE,
     "handles": _HELD,
     "told": _TOLD,
 }
-_ARM = replace(_BASE, size="small", steps=1000, lr=8e-4, warm_up=100)
-_ARM_TOLD = replace(_TOLD, size="small", recalls=2000, steps=1000, lr=8e-4, warm_up=100)
+_ARM = replace(_BASE, size="small", steps=2500, lr=8e-4, warm_up=100)
+_ARM_TOLD = replace(_TOLD, recalls=2000, steps=1000)
 _ARM_HELD = replace(_HELD, size="small", steps=1000)
 #: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles".
 ARMS = {

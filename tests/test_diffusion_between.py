@@ -1,4 +1,4 @@
-"""What a model that is told begins with: straight lines, and how far from them the truth may be."""
+"""What a model that is told begins with: lines, recalled motion, and how far from them the truth may be."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionlab.diffusion.between import PARTS, RIDGE, SURE, Start, between, doubt
+from motionlab.diffusion.curves import curves
 from motionlab.errors import ShapeError
 
 
@@ -73,11 +74,11 @@ def by_bayes(start, x, mask, left_out=()):
             means.append(code + start.variance * f.T @ np.linalg.solve(square, x[mask] - at))
     guess = mean + factor @ (scipy.special.softmax(odds) @ np.array(means))
     left = torch.from_numpy(x - guess).reshape(1, 8, 12)
-    return guess.reshape(8, 12) + between(left, torch.from_numpy(mask).reshape(1, 8, 12))[0].numpy()
+    return guess.reshape(8, 12) + curves(left, torch.from_numpy(mask).reshape(1, 8, 12))[0].numpy()
 
 
 @pytest.mark.parametrize("recalls", [0, 150])
-def test_the_start_is_bayes_rule_and_lines_through_what_it_leaves(windows, generator, recalls):
+def test_the_start_is_bayes_rule_and_curves_through_what_it_leaves(windows, generator, recalls):
     start = measured(windows, generator, recalls)
     known = torch.rand(3, 8, 12, generator=generator) < 0.4
     found = start(torch.where(known, windows[:3], torch.nan), known)
@@ -90,7 +91,7 @@ def test_the_start_is_bayes_rule_and_lines_through_what_it_leaves(windows, gener
 def test_without_recalling_it_is_ridge_regression(windows, generator):
     start = measured(windows, generator)
     known = torch.zeros(1, 8, 12, dtype=torch.bool)
-    known[..., 3:] = True  # columns known throughout, so that lines add nothing elsewhere
+    known[..., 3:] = True  # columns known throughout, so that curves add nothing elsewhere
     rows, mask = windows.flatten(1).double().numpy(), known.flatten().numpy()
     f, off = start.factor.double().numpy(), rows - start.mean.double().numpy()
     stacked = np.concatenate((f[mask], RIDGE**0.5 * np.eye(PARTS)))  # ridge as least squares
@@ -116,13 +117,28 @@ def test_where_nothing_is_known_the_start_is_the_mean(windows, generator):
         assert torch.allclose(found, windows.mean(0), atol=1e-2)
 
 
-def test_what_goes_together_is_found_where_lines_know_nothing(windows, generator):
+def test_what_goes_together_is_found_where_curves_know_nothing(windows, generator):
     start = measured(windows, generator)
     known = torch.ones(200, 8, 12, dtype=torch.bool)
     known[..., :3] = False  # columns of which nothing is known
     error = (start(windows, known) - windows)[~known].square().mean()
     assert error < 0.2 * (windows.mean(0) - windows)[~known].square().mean()
-    assert error < 0.2 * (between(windows, known) - windows)[~known].square().mean()
+    assert error < 0.2 * (curves(windows, known) - windows)[~known].square().mean()
+
+
+def test_a_guess_is_kept_for_as_long_as_the_question_is_the_same(windows, generator, monkeypatch):
+    start, other = measured(windows, generator), measured(windows[:150], generator)
+    asked, guess = [], Start._guess
+    monkeypatch.setattr(Start, "_guess", lambda self, *given: asked.append(1) or guess(self, *given))
+    known = torch.rand(3, 8, 12, generator=generator) < 0.4
+    first = start(windows[:3], known)
+    assert torch.equal(start(torch.where(known, windows[:3], torch.nan), known.clone()), first) and len(asked) == 1
+    for x, mask in ((windows[3:6], known), (windows[:3], ~known), (windows[:2], known[:2])):
+        assert torch.equal(start(x, mask), guess(start, torch.where(mask, x, 0.0), mask, None))
+    assert len(asked) == 4
+    start.load_state_dict(other.state_dict())
+    assert torch.equal(start(windows[:2], known[:2]), other(windows[:2], known[:2]))
+    assert not torch.allclose(start(windows[:3], known), first)
 
 
 def test_other_windows_are_refused(windows, generator):

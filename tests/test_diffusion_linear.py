@@ -117,6 +117,45 @@ def test_the_network_corrects_what_noise_leaves_open(model, truth):
     assert change[0] < 0.1 * change[1] < 0.1 * change[2]
 
 
+def test_recalled_poses_are_a_mixture_s_conditional_mean(windows, truth, monkeypatch):
+    """By Bayes' rule, one component at a time: poses z_i, a Gaussian about each, seen through noise; and handles."""
+    monkeypatch.setattr(linear, "ROUNDS", 0)
+    monkeypatch.setitem(denoiser.SIZES, "tiny", {"size": 16, "layers": 1, "heads": 2, "hidden": 16})
+    model = training.Training(replace(POSES, recalls=200), windows).averaged
+    told = model.denoiser
+    xt, steps = noisy(model, truth, 40)
+    a, at = model.schedule.alpha_bar[40], (xt[:, 0] @ told.basis).double()
+    codes, power = told.codes.double(), linear.NEAR * told.power.double()
+    seen = a * power + 1 - a
+    odds = torch.stack([-((at - a.sqrt() * z) ** 2 / seen).sum(-1) / 2 for z in codes], -1)
+    each = torch.stack([(a.sqrt() * power * at + (1 - a) * z) / seen for z in codes], 1)
+
+    def mean(odds):
+        return (odds.softmax(-1)[..., None] * each).sum(1) @ told.basis.double().mT
+
+    assert (model.denoiser(xt, steps)[:, 0] - mean(odds)).abs().max() < 1e-3
+    mine = windows.drawn(max(training.MEASURED, 200), torch.Generator().manual_seed(1))[1][:200]
+    assert torch.equal(told.clips, mine)
+    other = torch.where(told.clips == 3, -torch.inf, odds)
+    own = torch.full((len(xt),), 3)
+    assert (model.denoiser(xt, steps, own=own)[:, 0] - mean(other)).abs().max() < 1e-3
+    assert (mean(odds) - mean(other)).abs().max() > 1e-2  # control
+    which = handles.chosen(("head", "left_foot"), len(truth.root), torch.Generator().manual_seed(0))
+    places = truth.positions[:, 0]
+    far = (which[:, None, :, None] * (places[:, None] - told.joints.float().unflatten(-1, (-1, 3)))).square()
+    far = far.sum((-1, -2)).double()
+    width = linear.FIRM + linear.LOOSE * far.amin(-1, keepdim=True) / 6
+    handed = told._recalled(at.float(), a.float(), power.float(), handles.told(places, which)[:, None], None)
+    by_hand = (odds - far / (2 * width)).softmax(-1) @ codes
+    assert (handed - by_hand).abs().max() < 1e-3
+
+
+def test_a_start_needs_as_many_poses_as_it_recalls(model):
+    with pytest.raises(ShapeError, match="expected 9 poses or more, got 8"):
+        made = linear.Linear(model.denoiser.network, model.schedule.alpha_bar, model.layout, 9)
+        made.recall(torch.zeros(8, 1, model.layout.size), torch.zeros(8))
+
+
 def test_data_stays_whole_on_disk(model, tmp_path, monkeypatch):
     monkeypatch.setitem(denoiser.SIZES, "tiny", {"size": 16, "layers": 1, "heads": 2, "hidden": 16})
     trained.save(tmp_path / "m", model, {}, half=True)

@@ -6,7 +6,7 @@ import scipy.fft
 import torch
 from torch import nn
 
-from motionlab.diffusion import between, spectral
+from motionlab.diffusion import between, curves, spectral
 from motionlab.diffusion.denoiser import Denoiser, until_known
 from motionlab.diffusion.schedule import cosine
 from motionlab.errors import ShapeError
@@ -96,7 +96,7 @@ def test_with_a_flat_spectrum_it_is_bayes_rule_number_by_number(told):
     """Prior N(line, doubt^2 s), one observation x_t: mean and deviation by precisions, as in any textbook."""
     x, stamps, values, known = told
     s, a = 0.7, cosine(1000).alpha_bar.float()[stamps][:, None, None]
-    line, prior = between.between(values, known), between.doubt(known).square() * s
+    line, prior = curves.curves(values, known), between.doubt(known).square() * s
     precision = 1 / prior + a / (1 - a)
     mean = (line / prior + a.sqrt() * x / (1 - a)) / precision
     silent, loud = (made(torch.full((12, 3), s), v, told=True)(x, stamps, values, known) for v in (0.0, 1.0))

@@ -1,13 +1,19 @@
-"""What a single pose must be by its noisy numbers and its handles, were poses Gaussian; a network only corrects it.
+"""What a single pose must be by its noisy numbers and its handles; a network only corrects it.
 
 Poses x (D) have covariance U diag(L) U^T and joints p = A U^T x + rest, the rest with covariance R: what of a joint's
-place is not linear in the pose. Given x_t = sqrt(a) x_0 + sqrt(1 - a) noise, U^T x_0 has mean m = sqrt(a) L / s U^T x_t
-and variance v = (1 - a) L / s, s = a L + 1 - a (Wiener, as ``spectral``); handles at y move it by the gain
-v A^T (A v A^T + R + r)^-1 (y - p): ridge regression of the pose on its handles where there is only noise. A few steps
-of steepest descent in |U^T (x - m)|^2 / v + |y - p(x)|^2 / r, by the exact kinematics, follow: what moves is what is
-not known yet. The network gives what is missing, in units of sqrt(v).
+place is not linear in the pose. Were they Gaussian: given x_t = sqrt(a) x_0 + sqrt(1 - a) noise, U^T x_0 has mean
+m = sqrt(a) L / s U^T x_t and variance v = (1 - a) L / s, s = a L + 1 - a (Wiener, as ``spectral``); handles at y move
+it by the gain v A^T (A v A^T + R + r)^-1 (y - p): ridge regression of the pose on its handles where there is only
+noise. A few steps of steepest descent in |U^T (x - m)|^2 / v + |y - p(x)|^2 / r, by the exact kinematics, follow: what
+moves is what is not known yet. The network gives what is missing, in units of sqrt(v).
 
-Source: the Gaussian's conditional mean; Karras et al. 2022 (preconditioning); thesis 4.2.4 has the network alone.
+They are not, and with ``recalls`` they are a mixture: some training pose z_i, and about it a Gaussian of ``NEAR`` the
+covariance. By how near x_t and the handles are to sqrt(a) z_i and its joints p_i, |y - p_i|^2 / (2 h^2), the z_i are
+averaged, and the rest is as above around that mean. h grows with the distance of the nearest: what is like nothing
+known is told from many.
+
+Source: the Gaussian's conditional mean; Parzen 1962; Karras et al. 2022 (preconditioning); thesis 4.2.4 has the network
+alone.
 """
 
 from __future__ import annotations
@@ -21,23 +27,31 @@ from motionlab.errors import ShapeError
 LEAST = 1e-6  # of a variance; less is a number that never changes
 CLOSE = 1e-2**2 / 4  # r, square metres: how near a handle has to come
 ROUNDS = 8  # steps of descent
-LEARNING = 2  # of them while it is trained, where time counts more
+LEARNING = 2  # of them while it is trained, where time counts more; and every so many-th pose is recalled
+NEAR = 0.2  # of the covariance: that about a pose that is recalled
+FIRM, LOOSE = 1e-2**2, 2.0  # h^2 = FIRM + LOOSE times the least mean square over handles' coordinates, square metres
 
 
 class Linear(nn.Module):
     """network: (x, stamps, ...) -> (B, 1, D); it sees the estimate, not x_t. alpha_bar: of all noising steps.
 
     The buffers are data: U (D, D), L (D,), A (66, D), R (66, 66), the mean of the joints (66,) in metres, and the
-    normaliser's mean and scale (D,). ``measure`` fills them in.
+    normaliser's mean and scale (D,); of poses recalled the coordinates U^T z_i (N, D), joints (N, 66) and motions (N,).
+    ``measure`` and ``recall`` fill them in.
     """
 
-    def __init__(self, network: nn.Module, alpha_bar: Tensor, layout: Layout) -> None:
+    def __init__(self, network: nn.Module, alpha_bar: Tensor, layout: Layout, recalls: int = 0) -> None:
         super().__init__()
-        self.network, self.told, self.layout = network, network.told, layout
+        self.network, self.told, self.layout, self.recalls = network, network.told, layout, recalls
         size, places = layout.size, 3 * len(layout.skeleton)
         shapes = {"basis": (size, size), "power": (size,), "slope": (places, size), "rest": (places, places)}
-        for name, shape in (shapes | {"middle": (places,), "mean": (size,), "scale": (size,)}).items():
+        shapes |= {"middle": (places,), "mean": (size,), "scale": (size,)}
+        for name, shape in shapes.items():
             self.register_buffer(name, torch.ones(shape))
+        if recalls:
+            self.register_buffer("codes", torch.zeros(recalls, size, dtype=torch.half))
+            self.register_buffer("joints", torch.zeros(recalls, places, dtype=torch.half))
+            self.register_buffer("clips", torch.full((recalls,), -1))
         self.register_buffer("alpha_bar", alpha_bar.float(), persistent=False)
 
     @torch.no_grad()
@@ -56,19 +70,50 @@ class Linear(nn.Module):
         for buffer, value in zip((self.basis, self.power, self.slope, self.rest, self.middle), found, strict=True):
             buffer.copy_(value)
 
-    def forward(self, x: Tensor, stamps: Tensor, handles: Tensor | None = None) -> Tensor:
-        """Estimate (B, 1, D) of x_0 from x_t (B, 1, D), steps (B,) and handles (B, 1, 22, 4), as for the network."""
+    @torch.no_grad()
+    def recall(self, x: Tensor, clips: Tensor) -> None:
+        """The first of normalised poses (N, 1, D), at least ``recalls``, and their motions (N,); once measured."""
+        if len(x) < self.recalls:
+            raise ShapeError(f"x: expected {self.recalls} poses or more, got {len(x)}")
+        codes = x[: self.recalls, 0] @ self.basis
+        self.codes.copy_(codes)
+        self.joints.copy_(self._joints(codes))
+        self.clips.copy_(clips[: self.recalls])
+
+    def forward(self, x: Tensor, stamps: Tensor, handles: Tensor | None = None, own: Tensor | None = None) -> Tensor:
+        """Estimate (B, 1, D) of x_0 from x_t (B, 1, D), steps (B,) and handles (B, 1, 22, 4), as for the network.
+        own (B,): motions that must not be recalled, in training those that the poses were cut from."""
         if x.ndim != 3 or x.shape[1] != 1:
             raise ShapeError(f"x: expected single poses (B, 1, {self.layout.size}), got {tuple(x.shape)}")
         a = self.alpha_bar[stamps][:, None].to(x)
-        s = a * self.power + 1 - a
-        mean, variance = a.sqrt() * self.power / s * (x[:, 0] @ self.basis), (1 - a) * self.power / s
+        power, recalled, at = self.power, 0.0, x[:, 0] @ self.basis
+        if self.recalls:
+            power = NEAR * power
+            recalled = self._recalled(at, a, power, handles, own)
+        s = a * power + 1 - a
+        mean, variance = (a.sqrt() * power * at + (1 - a) * recalled) / s, (1 - a) * power / s
         told = {}
         if handles is not None:
             mean = self._moved(mean, variance, handles[:, 0])
             told = {"handles": handles}
         said = self.network((mean @ self.basis.mT)[:, None], stamps, **told)[:, 0]
         return ((mean + variance.sqrt() * said) @ self.basis.mT)[:, None]
+
+    def _recalled(self, at: Tensor, a: Tensor, power: Tensor, handles: Tensor | None, own: Tensor | None) -> Tensor:
+        """Coordinates (B, D), the mean of the z_i by what x_t, of coordinates ``at`` (B, D), and the handles say."""
+        every = slice(None, None, LEARNING if self.training else 1)
+        codes, joints, clips = self.codes[every].to(at), self.joints[every].to(at), self.clips[every]
+        sharp = 1 / (a * power + 1 - a)
+        odds = (a.sqrt() * at * sharp) @ codes.mT - (a * sharp) @ codes.square().mT / 2
+        if own is not None:
+            odds = odds.masked_fill(clips == own[:, None], -torch.inf)
+        if handles is not None:
+            seen = handles[:, 0, :, 3].repeat_interleave(3, -1)
+            goal = seen * handles[:, 0, :, :3].flatten(1)
+            far = (goal.square().sum(-1, keepdim=True) - 2 * goal @ joints.mT + seen @ joints.square().mT).clamp(min=0)
+            near = far.amin(-1, keepdim=True) / seen.sum(-1, keepdim=True).clamp(min=1)
+            odds = odds - far / (2 * (FIRM + LOOSE * near))
+        return odds.softmax(-1).nan_to_num(0.0) @ codes
 
     def _joints(self, coordinates: Tensor) -> Tensor:
         """Places (B, 66), metres, of the joints of poses by their coordinates U^T x (B, D), on the layout's body."""

@@ -79,6 +79,10 @@ class Spectral(nn.Module):
         said = self.network(guess / size, stamps, known, mask, **told)
         return guess + open_ * (self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said)))
 
+    def recall(self, x: Tensor, clips: Tensor) -> None:
+        """See ``between.Start.measure``."""
+        self.start.measure(x, clips, torch.Generator().manual_seed(0))
+
     def _open(self, doubt: Tensor, a: Tensor) -> Tensor:
         """(B, T, D), of the deviation that x_t leaves open, what is still open where that of x_0 is only ``doubt`` of
         what it is where nothing is known; were the spectrum flat. ``doubt`` itself at pure noise, 1 without noise."""

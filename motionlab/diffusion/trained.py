@@ -46,9 +46,9 @@ class Recipe:
     single poses, handles and all (``linear``). version: of the synthetic corpus. source: of what it trains on
     ("synthetic", "recordings" or "all"); share: of those motions. copies: of every motion, held otherwise
     (``humor.variety``). noising: steps of the schedule. blind: share of training windows that are asked from pure
-    noise. recalls: training windows that a told model starts from (``between.Start``). steps, batch, lr: of AdamW; the
-    rate rises over ``warm_up`` steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of the
-    weights, per step. bf16: the network in bfloat16.
+    noise. recalls: training windows that a told model starts from (``between.Start``), poses that a linear one does.
+    steps, batch, lr: of AdamW; the rate rises over ``warm_up`` steps and falls by a cosine to a fiftieth. clip: of the
+    gradient's norm. average: of the weights, per step. bf16: the network in bfloat16.
     """
 
     size: str = "compact"
@@ -123,7 +123,7 @@ class Recipe:
         if self.linear:
             if self.frames != 1 or self.told:
                 raise ValueError("linear: only for single poses that are told of nothing but handles")
-            return Linear(network, self.schedule.alpha_bar, self.layout)
+            return Linear(network, self.schedule.alpha_bar, self.layout, self.recalls)
         if not self.spectral:
             return network
         return Spectral(network, self.schedule.alpha_bar, self.frames, self.layout.size, self.recalls)

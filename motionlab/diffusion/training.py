@@ -84,10 +84,9 @@ class Training:
             self.model.measure(self.normaliser.apply(some), self.normaliser)
         elif recipe.spectral:
             self.model.spectrum.copy_(power(self.normaliser.apply(some)))
-            if recipe.told:
-                many, clips = data.drawn(max(MEASURED, recipe.recalls), torch.Generator().manual_seed(1))
-                many = self.normaliser.apply(self.layout.encode(many))
-                self.model.start.measure(many, clips, torch.Generator().manual_seed(0))
+        if (recipe.linear and recipe.recalls) or (recipe.spectral and recipe.told):
+            many, clips = data.drawn(max(MEASURED, recipe.recalls), torch.Generator().manual_seed(1))
+            self.model.recall(self.normaliser.apply(self.layout.encode(many)), clips)
         if self.start is not None:
             self._begin(self.start)
         self.model.to(self.device)
