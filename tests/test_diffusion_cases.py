@@ -1,5 +1,6 @@
 """The test cases: what they hide, what they measure, noise and its removal, and motions that are joined."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import pytest
@@ -10,6 +11,7 @@ from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
 from motionlab import rotation
 from motionlab.diffusion import case_trials, cases, denoising, switching
+from motionlab.diffusion.curves import curves
 from motionlab.diffusion.denoising import Noise, Start
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.rivals import RIDGES, Rivals
@@ -283,7 +285,22 @@ def test_a_contest_has_the_rivals_it_was_asked_for(motion, bench, generator):
     names = ["mean", "nearest", "ridge", "Eq. 4.10", "not told", "start alone", "told"]
     assert list(bench.contest(motion, known, generator, **how)) == names
     found = bench.contest(motion, known, generator, **how, regression=False, through_time=True)
-    assert list(found) == ["hold", "slerp", *names[3:]]
+    assert list(found) == ["hold", "slerp", "curves", *names[3:]]
+
+
+def test_curves_know_nothing_but_the_mean_and_what_is_known(motion, bench, generator):
+    known = cases.gap(6, FRAMES, 6)
+    bench = replace(bench, told=replace(bench.told, denoiser=deepcopy(bench.told.denoiser)))
+    for part in (bench.told.denoiser.start.factor, bench.told.denoiser.start.mean):
+        part.normal_(generator=generator)
+    found, start = (getattr(bench, name)(motion, known, generator) for name in ("curves", "start"))
+    x, given = bench.told.encode(motion), cases.columns(bench.told.layout, known).expand(6, -1, -1)
+    mean = bench.told.denoiser.start.mean.unflatten(0, x.shape[1:])
+    expected = bench.told.decode(mean + curves(x - mean, given))
+    assert (found.rot - expected.rot)[:, ~known[0, :, 0], 1:].abs().max() < 1e-4  # the pelvis turns with the frame
+    assert (found.rot - start.rot).abs().max() > 1e-2
+    again = bench.start(motion, known, generator)
+    assert torch.allclose(again.rot, start.rot, atol=1e-3)  # what was asked of one is not the other's
 
 
 def test_all_settings_of_a_cleaning_are_chosen_and_used(motion, bench, generator):

@@ -101,14 +101,25 @@ class Bench:
             found["ridge"] = self.rivals.regression(motion, known)
         if through_time:
             found |= {"hold": rivals.held(motion, known), "slerp": rivals.interpolated(motion, known)}
+            found["curves"] = self.curves(motion, known, generator)
         found["Eq. 4.10"] = self.fill("Eq. 4.10", motion, known, generator)
         found["not told"] = self.fill(plain, motion, known, generator, **changes)
         found["start alone"] = self.start(motion, known, generator)
         return found | {"told": self.fill(told, motion, known, generator, **changes)}
 
     def start(self, motion: Motion, known: Tensor, generator: torch.Generator) -> Motion:
-        """What the told model would say without its network: training motion recalled, and straight lines."""
+        """What the told model would say without its network: training motion recalled, and smooth curves."""
+        return self._silent(silenced(self.told), motion, known, generator)
+
+    def curves(self, motion: Motion, known: Tensor, generator: torch.Generator) -> Motion:
+        """Smooth curves through what is known, drawn to the mean of all training windows: a start without recall."""
         model = silenced(self.told)
+        model.denoiser.start.factor.zero_()
+        model.denoiser.start.last = None
+        return self._silent(model, motion, known, generator)
+
+    @staticmethod
+    def _silent(model: Trained, motion: Motion, known: Tensor, generator: torch.Generator) -> Motion:
         way = WAYS["told, one look"][1]
         return pasted(repair(model, motion, cases.columns(model.layout, known), generator, way), motion, known)
 
