@@ -135,7 +135,7 @@ def test_recalled_poses_are_a_mixture_s_conditional_mean(windows, truth, monkeyp
 
     assert (model.denoiser(xt, steps)[:, 0] - mean(odds)).abs().max() < 1e-3
     mine = windows.drawn(max(training.MEASURED, 200), torch.Generator().manual_seed(1))[1][:200]
-    assert torch.equal(told.clips, mine)
+    assert torch.equal(told.clips.long(), mine)
     other = torch.where(told.clips == 3, -torch.inf, odds)
     own = torch.full((len(xt),), 3)
     assert (model.denoiser(xt, steps, own=own)[:, 0] - mean(other)).abs().max() < 1e-3

@@ -128,3 +128,40 @@ def test_what_makes_no_sense_is_refused(motion, generator):
     for bad in ({"put": "paste"}, {"sampler": "euler"}, {"put": "imputed", "times": 2}):
         with pytest.raises(ValueError, match=r"expected|overwrite"):
             Way(**bad)
+
+
+def test_from_a_guess_it_goes_on_and_from_noise_it_forgets(motion, generator):
+    """A denoiser that says what it sees stays near where it began, the nearer the later that was."""
+    model, guess = model_of(motion), motion.clip([1, 2, 3, 4, 5, 0])
+    model.denoiser.forward = lambda x, stamps, *_: x / model.schedule.alpha_bar[stamps].sqrt()[:, None, None].float()
+    known = model.layout.mask(12, only=[0, 11])
+    x0, goal = model.encode(motion), model.encode(guess)
+    off = []
+    for begin in (0.1, 0.5, 0.9):
+        made = repair.fill(model, x0, known, generator, Way(steps=20, put="imputed", begin=begin), goal)
+        assert torch.equal(made[:, known], x0[:, known])
+        off.append((made - goal)[:, ~known].square().mean())
+    assert off[0] < 0.1 < off[1] < off[2]
+
+
+def test_the_guess_is_where_it_was_in_the_world(motion, generator):
+    model, known = model_of(motion), model_of(motion).layout.mask(12, only=[0, 11])
+    way = Way(steps=10, put="imputed", begin=0.5)
+    made = repair.repair(model, motion, known, generator, way, guess=motion, batch=6)
+    assert (made.positions - motion.positions).abs().max() < 1e-3
+    heard = []
+    fill = repair.fill
+    with pytest.MonkeyPatch.context() as m:
+        m.setattr(repair, "fill", lambda *given: heard.append(given[-1]) or fill(*given))
+        repair.repair(model, motion, known, generator, way, guess=motion)
+    assert torch.allclose(heard[0], model.encode(motion))
+
+
+def test_a_beginning_needs_a_guess_and_a_guess_a_beginning(motion, generator):
+    model, known = model_of(motion), model_of(motion).layout.mask(12, only=[0, 11])
+    for way, guess in ((Way(begin=0.5), None), (Way(), motion)):
+        with pytest.raises(ValueError, match="below 1 with a guess"):
+            repair.repair(model, motion, known, generator, way, guess=guess)
+    for wrong in ({"begin": 0.0}, {"begin": 1.5}, {"begin": 0.5, "sampler": "ddim"}, {"begin": 0.5, "times": 2}):
+        with pytest.raises(ValueError, match="begin"):
+            Way(**wrong)

@@ -28,9 +28,10 @@ WAYS: Mapping[str, tuple[str, Way]] = {
     "told": ("told", Way(put="imputed")),
     "told, 5 steps": ("told", Way(put="imputed", steps=5)),
     "told, one look": ("told", Way(put="imputed", steps=1)),
+    "start, guided": ("free", Way(put="imputed", weight=5.0, begin=0.75)),
 }
-PLAIN = tuple(name for name, (model, _) in WAYS.items() if model == "free")
-TOLD = tuple(name for name, (model, _) in WAYS.items() if model == "told")
+PLAIN = ("Eq. 4.10", "imputed", "guided")
+TOLD = tuple(name for name in WAYS if name not in PLAIN)  # the last: what the told model starts from goes to the other
 #: How denoising may begin; which is best is found on other windows.
 STARTS = (
     *(Start(level=level, looks=4) for level in (0.7, 1.0, 1.4)),
@@ -62,7 +63,8 @@ class Bench:
         which, way = WAYS[name]
         way = replace(way, steps=min(way.steps, self.steps), **changes)
         model = self.free if which == "free" else self.told
-        made = repair(model, motion, cases.columns(model.layout, known), generator, way)
+        guess = self.start(motion, known, generator) if way.begin < 1 else None
+        made = repair(model, motion, cases.columns(model.layout, known), generator, way, guess=guess)
         return made if way.put == "overwrite" and not way.last and not way.finish else pasted(made, motion, known)
 
     def best(

@@ -5,7 +5,8 @@ place is not linear in the pose. Were they Gaussian: given x_t = sqrt(a) x_0 + s
 m = sqrt(a) L / s U^T x_t and variance v = (1 - a) L / s, s = a L + 1 - a (Wiener, as ``spectral``); handles at y move
 it by the gain v A^T (A v A^T + R + r)^-1 (y - p): ridge regression of the pose on its handles where there is only
 noise. A few steps of steepest descent in |U^T (x - m)|^2 / v + |y - p(x)|^2 / r, by the exact kinematics, follow: what
-moves is what is not known yet. The network gives what is missing, in units of sqrt(v).
+moves is what is not known yet. The network gives what is missing, in units of sqrt(v), and a few more steps bring the
+handles back.
 
 They are not, and with ``recalls`` they are a mixture: some training pose z_i, and about it a Gaussian of ``NEAR`` the
 covariance. By how near x_t and the handles are to sqrt(a) z_i and its joints p_i, |y - p_i|^2 / (2 h^2), the z_i are
@@ -27,7 +28,8 @@ from motionlab.errors import ShapeError
 LEAST = 1e-6  # of a variance; less is a number that never changes
 CLOSE = 1e-2**2 / 4  # r, square metres: how near a handle has to come
 ROUNDS = 8  # steps of descent
-LEARNING = 2  # of them while it is trained, where time counts more; and every so many-th pose is recalled
+LEARNING = 2  # of them before the network, the rest behind it, and none while it is trained, where time counts more
+THIN = 2  # every so many-th pose is recalled while it is trained
 NEAR = 0.2  # of the covariance: that about a pose that is recalled
 FIRM, LOOSE = 1e-2**2, 2.0  # h^2 = FIRM + LOOSE times the least mean square over handles' coordinates, square metres
 
@@ -51,7 +53,7 @@ class Linear(nn.Module):
         if recalls:
             self.register_buffer("codes", torch.zeros(recalls, size, dtype=torch.half))
             self.register_buffer("joints", torch.zeros(recalls, places, dtype=torch.half))
-            self.register_buffer("clips", torch.full((recalls,), -1))
+            self.register_buffer("clips", torch.full((recalls,), -1.0))
         self.register_buffer("alpha_bar", alpha_bar.float(), persistent=False)
 
     @torch.no_grad()
@@ -92,16 +94,20 @@ class Linear(nn.Module):
             recalled = self._recalled(at, a, power, handles, own)
         s = a * power + 1 - a
         mean, variance = (a.sqrt() * power * at + (1 - a) * recalled) / s, (1 - a) * power / s
-        told = {}
+        told, held = {}, None if handles is None else _held(handles[:, 0])
         if handles is not None:
-            mean = self._moved(mean, variance, handles[:, 0])
             told = {"handles": handles}
+        if held is not None:
+            mean = self._down(self._moved(mean, variance, *held), mean, variance, held, min(LEARNING, ROUNDS))
         said = self.network((mean @ self.basis.mT)[:, None], stamps, **told)[:, 0]
-        return ((mean + variance.sqrt() * said) @ self.basis.mT)[:, None]
+        made = mean + variance.sqrt() * said
+        if held is not None and not self.training:
+            made = self._down(made, made, variance, held, ROUNDS - LEARNING)
+        return (made @ self.basis.mT)[:, None]
 
     def _recalled(self, at: Tensor, a: Tensor, power: Tensor, handles: Tensor | None, own: Tensor | None) -> Tensor:
         """Coordinates (B, D), the mean of the z_i by what x_t, of coordinates ``at`` (B, D), and the handles say."""
-        every = slice(None, None, LEARNING if self.training else 1)
+        every = slice(None, None, THIN if self.training else 1)
         codes, joints, clips = self.codes[every].to(at), self.joints[every].to(at), self.clips[every]
         sharp = 1 / (a * power + 1 - a)
         odds = (a.sqrt() * at * sharp) @ codes.mT - (a * sharp) @ codes.square().mT / 2
@@ -120,26 +126,24 @@ class Linear(nn.Module):
         x = coordinates @ self.basis.mT
         return self.layout.decode(x[:, None] * self.scale + self.mean, 1.0).positions.reshape(len(x), -1)
 
-    def _moved(self, mean: Tensor, variance: Tensor, handles: Tensor) -> Tensor:
-        """Coordinates (B, D) that know of handles (B, 22, 4), of which no pose has more than K."""
-        count = int((handles[..., 3] > 0).sum(1).max())
-        if count == 0:
-            return mean
-        order = handles[..., 3].argsort(1, descending=True)[:, :count]  # (B, K): handles first
-        held = handles.gather(1, order[..., None].expand(-1, -1, 4))
-        targets, seen = held[..., :3].flatten(1), held[..., 3].repeat_interleave(3, -1)
-        places = (3 * order[..., None] + torch.arange(3, device=order.device)).flatten(1)  # (B, 3 K) among the 66
+    def _moved(self, mean: Tensor, variance: Tensor, targets: Tensor, seen: Tensor, places: Tensor) -> Tensor:
+        """Coordinates (B, D) that know of handles (``_held``), were joints linear in them."""
         slope, rest = self.slope[places], self.rest[places[:, :, None], places[:, None]]
-        eye = torch.eye(3 * count).to(rest)
+        eye = torch.eye(places.shape[1]).to(rest)
         spread = (slope * variance[:, None]) @ slope.mT + rest + CLOSE * eye
         square = seen[:, :, None] * spread * seen[:, None] + torch.diag_embed(1 - seen)
         off = seen * (targets - self.middle[places] - (slope @ mean[..., None])[..., 0])
         weight = torch.cholesky_solve(off[..., None], torch.linalg.cholesky(square))
-        start = mean + variance * (slope.mT @ weight)[..., 0]
+        return mean + variance * (slope.mT @ weight)[..., 0]
+
+    def _down(
+        self, start: Tensor, mean: Tensor, variance: Tensor, held: tuple[Tensor, Tensor, Tensor], rounds: int
+    ) -> Tensor:
+        """Coordinates (B, D) after so many steps from ``start``, the mean still being the mean."""
         step = torch.zeros_like(start)
-        for _ in range(min(LEARNING, ROUNDS) if self.training else ROUNDS):
+        for _ in range(rounds):
             at = (start + step).detach()
-            step = step + self._descended(at, at - mean.detach(), variance, targets, seen, places)
+            step = step + self._descended(at, at - mean.detach(), variance, *held)
         return start + step
 
     def _descended(
@@ -157,3 +161,15 @@ class Linear(nn.Module):
             change = seen * (self._joints(at + small * down).gather(1, places) - joints) / small
             square = (down.square() / variance).sum(-1)
             return down * (square / (square + change.square().sum(-1) / CLOSE).clamp(min=1e-9))[:, None]
+
+
+def _held(handles: Tensor) -> tuple[Tensor, Tensor, Tensor] | None:
+    """Of handles (B, 22, 4), of which no pose has more than K: targets (B, 3 K) and which of them count, 0 or 1, and
+    their places among the 66. None where there are none."""
+    count = int((handles[..., 3] > 0).sum(1).max())
+    if count == 0:
+        return None
+    order = handles[..., 3].argsort(1, descending=True)[:, :count]  # (B, K): handles first
+    held = handles.gather(1, order[..., None].expand(-1, -1, 4))
+    places = (3 * order[..., None] + torch.arange(3, device=order.device)).flatten(1)
+    return held[..., :3].flatten(1), held[..., 3].repeat_interleave(3, -1), places

@@ -1,6 +1,7 @@
 """Motions whose unknown parts a diffusion model fills in: every way of putting the known part back, by one call.
 
-Source: thesis 4.1.2 (Eq. 4.10), 4.2, 4.4.1. The ways themselves: ``inpainting`` and ``sampling``.
+Source: thesis 4.1.2 (Eq. 4.10), 4.2, 4.4.1; SDEdit (Meng et al. 2022), to begin from a guess.
+The ways themselves: ``inpainting`` and ``sampling``.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ class Way:
 
     put: "overwrite" (Eq. 4.10), "imputed" (MDM), or "nothing", where only a model that is told, or guidance, knows it.
     steps, sampler: of the respaced process. last: overwrite (or impute) also in the last step, as the thesis does.
-    weight: of reconstruction guidance; 0: none. times, jump: of RePaint's resampling; times 1: none. soft: frames over
+    weight: of reconstruction guidance; 0: none. begin: at which share of the steps to begin from a guess; 1 without
+    one: from noise. times, jump: of RePaint's resampling; times 1: none. soft: frames over
     which the mask's edges rise. finish: frames over which ``inpainting.offset_decay`` fades; 0: no finish, known parts
     stay as the sampler left them.
     """
@@ -39,6 +41,7 @@ class Way:
     sampler: str = "ddpm"
     last: bool = True
     weight: float = 0.0
+    begin: float = 1.0
     times: int = 1
     jump: int = 10
     soft: int = 0
@@ -50,13 +53,20 @@ class Way:
                 raise ValueError(f"{name}: expected one of {', '.join(allowed)}, got {getattr(self, name)!r}")
         if self.times > 1 and self.put != "overwrite":
             raise ValueError("resampling goes with put = 'overwrite'")
+        if not 0 < self.begin <= 1 or (self.begin < 1 and (self.times > 1 or self.sampler != "ddpm")):
+            raise ValueError("begin: a share of the steps of plain DDPM, above 0")
 
 
-def fill(model: Trained, x0: Tensor, known: Tensor, generator: torch.Generator, way: Way) -> Tensor:
+def fill(
+    model: Trained, x0: Tensor, known: Tensor, generator: torch.Generator, way: Way, guess: Tensor | None = None
+) -> Tensor:
     """Normalised numbers (B, T, D) whose known part is x0's (known: (B, T, D) or (T, D), bool) and whose rest is new.
 
-    What x0 holds where it is not known is never read. A model that is told gets the mask and the known values.
+    What x0 holds where it is not known is never read. A model that is told gets the mask and the known values. guess
+    (B, T, D): of the rest; sampling begins with it, noised to step ``way.begin`` (SDEdit).
     """
+    if (guess is None) != (way.begin == 1):
+        raise ValueError("begin: below 1 with a guess, 1 without")
     if known.shape[-2:] != x0.shape[-2:] or known.ndim > x0.ndim:
         raise ShapeError(f"known: expected {tuple(x0.shape[-2:])} or {tuple(x0.shape)}, got {tuple(known.shape)}")
     seen = torch.where(known, x0, 0.0)
@@ -77,11 +87,13 @@ def fill(model: Trained, x0: Tensor, known: Tensor, generator: torch.Generator, 
     after = None
     if way.put == "overwrite":
         after = inpainting.overwrite(schedule, seen, m, generator, last=way.last)
-    x = sampling.noise_like(x0, generator)
+    x, begin = sampling.noise_like(x0, generator), round(way.begin * (len(schedule) - 1))
+    if guess is not None:
+        x = schedule.noised(torch.where(known, x0, guess), begin, x)
     if way.times > 1:
         x = sampling.resampled(denoise, schedule, x, generator, after=after, times=way.times, jump=way.jump)
     elif way.sampler == "ddpm":
-        x = sampling.ddpm(denoise, schedule, x, generator, after=after)
+        x = sampling.ddpm(denoise, schedule, x, generator, after=after, start=begin)
     else:
         x = sampling.ddim(denoise, schedule, x, after=after)
     return inpainting.offset_decay(x, seen, known, way.finish) if way.finish else x
@@ -94,9 +106,12 @@ def repair(
     generator: torch.Generator,
     way: Way | None = None,
     *,
+    guess: Motion | None = None,
     batch: int = 64,
 ) -> Motion:
     """Motions (B, T) with their unknown parts made anew, where they were in the world.
+
+    guess: of the whole motions, for ways that begin with one, in the world.
 
     known: bool (B, T, D) or (T, D), True where known, as ``model.layout.mask`` makes it. A stuck layout takes the place
     and heading of the first frame as given, known or not. Contacts that a motion lacks are labelled.
@@ -106,8 +121,12 @@ def repair(
     stuck = model.layout.frame == "stuck"
     local, frame = stuck_root(motion) if stuck else (motion, None)
     x0 = model.encode(motion)
-    whole = known.expand(len(x0), *known.shape[-2:])
-    parts = [fill(model, x0[part], whole[part], generator, way or Way()) for part in _batches(len(x0), batch)]
+    whole, way = known.expand(len(x0), *known.shape[-2:]), way or Way()
+    guessed = None if guess is None else model.encode(guess)
+    parts = [
+        fill(model, x0[at], whole[at], generator, way, None if guess is None else guessed[at])
+        for at in _batches(len(x0), batch)
+    ]
     made = model.decode(torch.cat(parts), local.skeleton)
     made = replace(made, contacts=made.contacts, name=motion.name)
     return local_to_world(frame, made) if stuck else made

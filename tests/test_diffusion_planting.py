@@ -1,0 +1,68 @@
+"""Feet that stand stay: in synthetic walks that were made to slide, and nothing else moves."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from data_synth import scenes
+from motionlab.contact import with_contacts
+from motionlab.diffusion.planting import ANKLES, BALLS, planted
+from motionlab.errors import DataError
+
+
+@pytest.fixture(scope="module")
+def walk():
+    clips = scenes.held_out(6)
+    both = [with_contacts(clips.clip(i).cut(0, 60)) for i in range(6)]
+    return replace(
+        both[0],
+        root=torch.stack([m.root for m in both]),
+        rot=torch.stack([m.rot for m in both]),
+        contacts=torch.stack([m.contacts for m in both]),
+        skeleton=replace(both[0].skeleton, offsets=both[0].skeleton.offsets),
+    )
+
+
+@pytest.fixture(scope="module")
+def sliding(walk):
+    """The same people, drifting 15 cm/s to the side, who think that their feet stand."""
+    drift = 0.15 * torch.arange(60) / walk.fps
+    return replace(walk, root=walk.root + drift[:, None] * torch.tensor([0.0, 1.0, 0.0]))
+
+
+def steps(motion):
+    """Metres that the balls move from frame to frame while both frames stand."""
+    skeleton = motion.skeleton
+    stands = motion.contacts[..., [skeleton.contact_names.index(n) for n in BALLS]] > 0.5
+    moved = motion.positions[..., skeleton.indices(BALLS), :].diff(dim=1).norm(dim=-1)
+    return moved[stands[:, 1:] & stands[:, :-1]]
+
+
+def test_feet_that_stand_stay_where_they_are(sliding):
+    made = planted(sliding)
+    assert steps(sliding).mean() > 4e-3 and len(steps(sliding)) > 100
+    assert steps(made).mean() < 0.05 * steps(sliding).mean()
+
+
+def test_only_hips_knees_and_ankles_turn_and_feet_keep_their_orientation(sliding):
+    made, skeleton = planted(sliding), sliding.skeleton
+    turned = (made.rot - sliding.rot).abs().amax((0, 1, 3, 4)) > 1e-5
+    legs = skeleton.indices([f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")])
+    assert turned.nonzero()[:, 0].tolist() == sorted(legs)
+    assert torch.equal(made.root, sliding.root)
+    here, there = (m.world[1][..., skeleton.indices(ANKLES), :, :] for m in (made, sliding))
+    assert torch.allclose(here, there, atol=1e-4)
+
+
+def test_between_runs_the_foot_does_not_jump(sliding):
+    fastest = [m.positions[..., m.skeleton.indices(BALLS), :].diff(dim=1).norm(dim=-1).max() for m in
+               (planted(sliding), sliding)]  # fmt: skip
+    assert fastest[0] < 1.3 * fastest[1]
+
+
+def test_who_never_stands_is_left_alone_and_who_says_nothing_is_refused(sliding):
+    flying = replace(sliding, contacts=torch.zeros_like(sliding.contacts))
+    assert (planted(flying).positions - sliding.positions).abs().max() < 1e-3
+    with pytest.raises(DataError, match="with_contacts"):
+        planted(replace(sliding, contacts=None))
