@@ -76,7 +76,7 @@ ARMS = {
     "told": _ARM_TOLD,
     "arrival": replace(_ARM_TOLD, arrival=True),
     "handles": _ARM_HELD,
-    "handles_thesis": replace(_ARM_HELD, linear=False),
+    "handles_thesis": replace(_ARM_HELD, linear=False, recalls=0),
     "handles_no_loss": replace(_ARM_HELD, weights=replace(_HELD.weights, handles=0.0)),
     "handles_no_embedding": replace(_ARM_HELD, handles=0),
 }

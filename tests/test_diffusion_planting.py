@@ -7,6 +7,7 @@ import torch
 
 from data_synth import scenes
 from motionlab.contact import with_contacts
+from motionlab.diffusion import evaluation
 from motionlab.diffusion.planting import ANKLES, BALLS, planted
 from motionlab.errors import DataError
 
@@ -66,3 +67,8 @@ def test_who_never_stands_is_left_alone_and_who_says_nothing_is_refused(sliding)
     assert (planted(flying).positions - sliding.positions).abs().max() < 1e-3
     with pytest.raises(DataError, match="with_contacts"):
         planted(replace(sliding, contacts=None))
+
+
+def test_a_generator_is_planted_as_its_motions_are(sliding):
+    generate = evaluation.on_its_feet(lambda count, generator: sliding.clip(slice(0, count)))
+    assert torch.equal(generate(2, torch.Generator()).rot, planted(sliding.clip(slice(0, 2))).rot)

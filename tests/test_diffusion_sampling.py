@@ -128,3 +128,28 @@ def test_a_start_in_the_middle_stays_near_what_it_got(data, generator):
         for t in (5, 80)
     )
     assert (light - x0).square().mean() < 0.05 * (heavy - x0).square().mean()
+
+
+def test_steps_that_are_not_walked_leave_the_mean_of_what_they_would_make(data, generator):
+    """Against many walks of the same last steps: the exact denoiser's estimate is their mean, and varies less."""
+    schedule, denoise = cosine(20), data.denoiser(cosine(20))
+    x = noise(8, generator)
+    early = sampling.ddpm(denoise, schedule, x, torch.Generator().manual_seed(0), rest=6)
+    middle = sampling.ddpm(lambda x, stamps: denoise(x, stamps), schedule, x, torch.Generator().manual_seed(0), rest=7)
+    assert not torch.allclose(early, middle)
+    same = torch.Generator().manual_seed(0)
+    at = x
+    for t in range(19, 6, -1):  # by hand, down to step 6
+        mean, variance = schedule.posterior(denoise(at, torch.full((8,), t)), at, t)
+        at = mean + variance.sqrt() * sampling.noise_like(at, same)
+    walks = torch.stack([sampling.ddpm(denoise, schedule, at, generator, start=6) for _ in range(4000)])
+    assert ((walks.mean(0) - early) / (walks.std(0) / 4000**0.5)).abs().max() < 5
+    everything = sampling.ddpm(denoise, schedule, noise(20_000, generator), generator)
+    rested = sampling.ddpm(denoise, schedule, noise(20_000, generator), generator, rest=6)
+    assert torch.cov(rested.T).trace() < 0.99 * torch.cov(everything.T).trace()
+
+
+def test_known_parts_come_back_where_the_last_steps_are_not_walked(data, generator):
+    put = lambda x, x0, t: torch.where(torch.arange(5) < 2, 7.0, x)  # noqa: E731
+    made = sampling.ddpm(data.denoiser(cosine(20)), cosine(20), noise(3, generator), generator, after=put, rest=4)
+    assert (made[:, :2] == 7).all() and (made[:, 2:] != 7).all()

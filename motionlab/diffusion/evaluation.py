@@ -15,6 +15,7 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.diffusion.embedding import Features
+from motionlab.diffusion.planting import planted
 from motionlab.diffusion.trained import Trained
 from motionlab.diffusion.trivial import Generate
 from motionlab.diffusion.windows import Windows
@@ -165,9 +166,14 @@ def trial(
     return Trial(rows, errors, first, drawn)
 
 
-def sampler(model: Trained, steps: int) -> Generate:
-    """A trained model as a generator: DDPM in so many steps."""
-    return lambda count, generator: model.sample(count, generator, steps=steps)
+def sampler(model: Trained, steps: int, *, rest: float = 0.0) -> Generate:
+    """A trained model as a generator: DDPM in so many steps. rest: see ``Trained.sample``."""
+    return lambda count, generator: model.sample(count, generator, steps=steps, rest=rest)
+
+
+def on_its_feet(generate: Generate) -> Generate:
+    """A generator of motions with contacts, its feet ``planted``."""
+    return lambda count, generator: planted(generate(count, generator))
 
 
 def rough(x: float) -> str:

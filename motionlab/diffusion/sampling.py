@@ -40,16 +40,21 @@ def ddpm(
     *,
     after: After | None = None,
     start: int | None = None,
+    rest: int = 0,
     progress: bool = False,
 ) -> Tensor:
     """Samples (B, ...) of p(x_0) by x_{t-1} ~ q(x_{t-1} | x_t, x_0 estimate), Eq. 4.6; no noise in the last step.
 
     Args:
         x: x_T (B, ...), or x_start where the signal is already partly there. start: its step; default the last.
+        rest: of the last steps so many are not walked: the estimate of x_0 before them is the result, which is the mean
+            of all that those steps might still make of it, and calmer than any.
     """
     steps = range(len(schedule) - 1 if start is None else start, -1, -1)
     for t in tqdm(steps, disable=not progress, leave=False, unit="step"):
         x0 = denoise(x, _stamps(schedule, t, x))
+        if t and t == rest:
+            return after(x0, x0, 0) if after else x0
         mean, variance = schedule.posterior(x0, x, t)
         x = mean + variance.sqrt() * noise_like(x, generator) if t else mean
         x = after(x, x0, t) if after else x

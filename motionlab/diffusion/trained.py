@@ -152,10 +152,11 @@ class Trained:
         where = next(self.denoiser.parameters()).device
         return noise_like(torch.zeros(count, self.recipe.frames, self.layout.size, device=where), generator)
 
-    def sample(self, count: int, generator: torch.Generator, *, steps: int = 50) -> Motion:
-        """New motions (count, T) by DDPM, on the standard body."""
+    def sample(self, count: int, generator: torch.Generator, *, steps: int = 50, rest: float = 0.0) -> Motion:
+        """New motions (count, T) by DDPM, on the standard body. rest: share of the steps, the last ones, that are not
+        walked (``sampling.ddpm``)."""
         x, respaced = self.noise(count, generator), self.schedule.respaced(min(steps, len(self.schedule)))
-        return self.decode(ddpm(self.denoiser, respaced, x, generator).cpu())
+        return self.decode(ddpm(self.denoiser, respaced, x, generator, rest=round(rest * len(respaced))).cpu())
 
     @torch.no_grad()
     def errors(self, motion: Motion, generator: torch.Generator) -> dict[str, float]:
