@@ -17,7 +17,7 @@ help:
 	@echo "make test        set up, lint, unit tests, notebooks checked by nbval"
 	@echo "make lab         set up, open the notebooks in JupyterLab with interactive 3-D"
 	@echo "make full        regenerate the committed notebooks and results"
-	@echo "make train       the shipped weights, trained again (about three hours)"
+	@echo "make train       the shipped weights, trained again (about five hours)"
 	@echo "make bench       speed, as ratios measured in one run"
 	@echo "make doctor      what is installed, what is missing, and the remedy"
 
