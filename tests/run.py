@@ -22,7 +22,6 @@ STEPS = {
     "end to end (fits, training)": [*PYTEST, *END_TO_END],
     "notebooks (nbval, smoke)": [
         *(sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "loadscope", "notebooks"),
-        "--ignore=notebooks/drafts",  # written, not yet run in full; they move up with their results
         # lax: only cells that say so are compared. Warnings: those of the kernel are judged by
         # test_notebook_hygiene, those of the machinery around it are not ours.
         *("--nbval-lax", "--nbval-current-env", "--nbval-cell-timeout=300", "-W", "default"),
