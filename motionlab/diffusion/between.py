@@ -43,6 +43,10 @@ def doubt(known: Tensor) -> Tensor:
     return torch.where(any_known, (h / (h + SURE)).square(), 1.0)
 
 
+def _same(a: Tensor, b: Tensor) -> bool:
+    return a.device == b.device and a.dtype == b.dtype and torch.equal(a, b)
+
+
 def _around(known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """The known frames next before and after (B, T, D), both the nearest one at the ends; which columns know any."""
     frames = known.shape[-2]
@@ -77,7 +81,8 @@ class Start(nn.Module):
     nearest neighbour and ridge regression around it: given x_K, with P = F_K^T F_K / RIDGE, A = (P + I / s)^-1 and
     b = F_K^T (x_K - m_K) / RIDGE, the mean of z is sum_i w_i A (b + z_i / s), where
     log w_i = z_i^T A b / s - z_i^T (I / s - A / s^2) z_i / 2. Buffers are data, filled by ``measure`` and stored with
-    the weights.
+    the weights. They change by ``measure`` and ``load_state_dict`` only; whoever changes them otherwise sets
+    ``last`` to None.
     """
 
     def __init__(self, frames: int, features: int, recalls: int = 0) -> None:
@@ -112,11 +117,9 @@ class Start(nn.Module):
         known = torch.where(mask, known, 0.0)
         if self.training or own is not None:
             return self._guess(known, mask, own)
-        if self.last is None or not all(
-            a.device == b.device and torch.equal(a, b) for a, b in zip(self.last, (mask, known), strict=False)
-        ):
+        if self.last is None or not all(_same(a, b) for a, b in zip(self.last, (mask, known), strict=False)):
             self.last = (mask.clone(), known, self._guess(known, mask, None))
-        return self.last[2]
+        return self.last[2].clone()
 
     def _guess(self, known: Tensor, mask: Tensor, own: Tensor | None) -> Tensor:
         weight, off = mask.flatten(1).to(known) / RIDGE, known.flatten(1) - self.mean

@@ -99,8 +99,9 @@ class Bench:
         """
         found = {}
         if regression:
-            found |= {"mean": self.rivals.mean(motion, known), "nearest": self.rivals.nearest(motion, known)}
-            found["ridge"] = self.rivals.regression(motion, known)
+            finish = int(changes.get("finish", 0))
+            for name, fill in {"mean": "mean", "nearest": "nearest", "ridge": "regression"}.items():
+                found[name] = getattr(self.rivals, fill)(motion, known, finish)
         if through_time:
             found |= {"hold": rivals.held(motion, known), "slerp": rivals.interpolated(motion, known)}
             found["curves"] = self.curves(motion, known, generator)
@@ -236,7 +237,7 @@ def kernel_distances(made: Motion, real: Motion, generator: torch.Generator, gro
     if len(made.root) < 2 * groups:
         raise ShapeError(f"{len(made.root)} windows in {groups} groups: two are needed in each")
     scaled = Scaled(real)
-    features, goal = scaled(made), scaled.real
+    features, goal = scaled(made)[torch.randperm(len(made.root), generator=generator)], scaled.real
     return torch.tensor(
         [kid(part, goal, generator, subsets=1, size=len(goal)).value for part in features.chunk(groups)]
     )

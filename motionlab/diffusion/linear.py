@@ -117,7 +117,8 @@ class Linear(nn.Module):
             seen = handles[:, 0, :, 3].repeat_interleave(3, -1)
             goal = seen * handles[:, 0, :, :3].flatten(1)
             far = (goal.square().sum(-1, keepdim=True) - 2 * goal @ joints.mT + seen @ joints.square().mT).clamp(min=0)
-            near = far.amin(-1, keepdim=True) / seen.sum(-1, keepdim=True).clamp(min=1)
+            others = far if own is None else far.masked_fill(clips == own[:, None], torch.inf)
+            near = others.amin(-1, keepdim=True).clamp(max=1.0) / seen.sum(-1, keepdim=True).clamp(min=1)
             odds = odds - far / (2 * (FIRM + LOOSE * near))
         return odds.softmax(-1).nan_to_num(0.0) @ codes
 

@@ -4,7 +4,7 @@ Every run of frames of contact gets one place, the mean of where the ball was in
 takes goes in a line from one run to the next; the ankle is shifted alike, and hip and knee bend by two-bone inverse
 kinematics, the foot turned as before.
 Source: Kovar et al. 2002, "Footskate cleanup for motion capture editing". Differs: runs get their mean place, the root
-never moves (it is known where this is used), and a target out of reach is approached, not reached.
+never moves, and a target out of reach is approached, not reached.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import replace
 import torch
 
 from motionlab.diffusion.between import between
-from motionlab.errors import DataError
+from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
 from motionlab.retarget.legs import reach
 
@@ -23,11 +23,13 @@ ANKLES, BALLS = ("left_ankle", "right_ankle"), ("left_foot", "right_foot")
 
 
 def planted(motion: Motion) -> Motion:
-    """Motions (B, T) whose balls of the feet stay in place wherever their contacts say so.
+    """Motions (B, T) on one body whose balls of the feet stay in place wherever their contacts say so.
 
     Raises:
-        DataError: no contacts.
+        DataError: no contacts. ShapeError: a single clip, or a body for each.
     """
+    if motion.root.ndim != 3 or motion.skeleton.offsets.ndim != 2:
+        raise ShapeError(f"expected motions (B, T) on one body, got root {tuple(motion.root.shape)}")
     if motion.contacts is None:
         raise DataError("no contacts", place=motion.name, remedy="contact.with_contacts labels a motion")
     skeleton = motion.skeleton

@@ -17,7 +17,7 @@ from motionlab.diffusion import inpainting, sampling
 from motionlab.diffusion.sampling import Denoiser
 from motionlab.diffusion.trained import Trained
 from motionlab.errors import ShapeError
-from motionlab.frames import local_to_world, stuck_root
+from motionlab.frames import local_to_world, stuck_root, world_to_local
 from motionlab.motion import Motion
 
 PUTS = ("overwrite", "imputed", "nothing")
@@ -54,7 +54,7 @@ class Way:
         if self.times > 1 and self.put != "overwrite":
             raise ValueError("resampling goes with put = 'overwrite'")
         if not 0 < self.begin <= 1 or (self.begin < 1 and (self.times > 1 or self.sampler != "ddpm")):
-            raise ValueError("begin: a share of the steps of plain DDPM, above 0")
+            raise ValueError(f"begin: expected a share of the steps of plain DDPM, above 0, got {self.begin}")
 
 
 def fill(
@@ -122,7 +122,9 @@ def repair(
     local, frame = stuck_root(motion) if stuck else (motion, None)
     x0 = model.encode(motion)
     whole, way = known.expand(len(x0), *known.shape[-2:]), way or Way()
-    guessed = None if guess is None else model.encode(guess)
+    if guess is not None:  # in the frame of the motion's first frame, not of its own
+        inside = replace(world_to_local(frame, guess), contacts=guess.contacts) if stuck else guess
+        guessed = model.normaliser.apply(replace(model.layout, frame="world").encode(inside))
     parts = [
         fill(model, x0[at], whole[at], generator, way, None if guess is None else guessed[at])
         for at in _batches(len(x0), batch)

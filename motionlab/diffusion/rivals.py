@@ -21,6 +21,7 @@ from motionlab import baselines, rotation
 from motionlab.diffusion.between import principal
 from motionlab.diffusion.cases import JOINTS, chosen, columns
 from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.inpainting import offset_decay
 from motionlab.errors import ShapeError
 from motionlab.frames import Frame, local_to_world, stuck_root, world_to_local
 from motionlab.motion import Motion
@@ -68,11 +69,12 @@ class Rivals:
         return cls(layout, normaliser, rows, mean, principal(rows - mean, parts, generator))
 
     # ----------------------------------------------------------------------------------------- fill what is hidden
-    def mean(self, motion: Motion, known: Tensor) -> Motion:
+    # finish: frames beside what is known over which the offset from it fades (``inpainting.offset_decay``); 0: it jumps
+    def mean(self, motion: Motion, known: Tensor, finish: int = 0) -> Motion:
         """The mean training window."""
-        return self._filled(motion, known, lambda x, mask: self.mean_row.expand_as(x))
+        return self._filled(motion, known, lambda x, mask: self.mean_row.expand_as(x), finish)
 
-    def nearest(self, motion: Motion, known: Tensor) -> Motion:
+    def nearest(self, motion: Motion, known: Tensor, finish: int = 0) -> Motion:
         """The training window whose numbers are nearest where they are known."""
 
         def find(x: Tensor, mask: Tensor) -> Tensor:
@@ -80,9 +82,9 @@ class Rivals:
             apart = weight @ self.rows.square().mT - 2 * (weight * x) @ self.rows.mT
             return self.rows[apart.argmin(-1)]
 
-        return self._filled(motion, known, find)
+        return self._filled(motion, known, find, finish)
 
-    def regression(self, motion: Motion, known: Tensor) -> Motion:
+    def regression(self, motion: Motion, known: Tensor, finish: int = 0) -> Motion:
         """Ridge regression of the hidden numbers on the known ones: one regression for each mask."""
 
         def find(x: Tensor, mask: Tensor) -> Tensor:
@@ -94,7 +96,7 @@ class Rivals:
                 found[mine] = self.mean_row + z @ self.factor.mT
             return found
 
-        return self._filled(motion, known, find)
+        return self._filled(motion, known, find, finish)
 
     def tuned(self, truth: Motion, known: Tensor, joints: tuple[str, ...] | None = None) -> Rivals:
         """With the ridge that leaves ``regression`` the least joint error on windows that settings are chosen on."""
@@ -125,13 +127,19 @@ class Rivals:
         square = self.factor.mT @ seen + torch.eye(self.factor.shape[1])
         return torch.linalg.solve(square, (gap @ seen).mT).mT
 
-    def _filled(self, motion: Motion, known: Tensor, find: Callable[[Tensor, Tensor], Tensor]) -> Motion:
+    def _filled(
+        self, motion: Motion, known: Tensor, find: Callable[[Tensor, Tensor], Tensor], finish: int = 0
+    ) -> Motion:
         if known.shape[:2] != motion.root.shape[:2]:
             raise ShapeError(f"known: expected {tuple(motion.root.shape[:2])} windows, got {tuple(known.shape)}")
         _, frame = stuck_root(motion)
         mask = columns(self.layout, known).flatten(1)
         x = torch.where(mask, self.encode_in(frame, motion), 0.0)
-        made = self._decoded(torch.where(mask, x, find(x, mask)), motion, frame)
+        rows = find(x, mask)
+        if finish:
+            windows = [rows_.unflatten(1, (motion.frames, -1)) for rows_ in (rows, x, mask.to(x))]
+            rows = offset_decay(*windows, finish).flatten(1)
+        made = self._decoded(torch.where(mask, x, rows), motion, frame)
         joints = known[..., :JOINTS, None, None]  # through a layout and back a rotation is itself to rounding
         root = torch.where(known[..., JOINTS, None], motion.root, made.root)
         return replace(made, rot=torch.where(joints, motion.rot, made.rot), root=root)

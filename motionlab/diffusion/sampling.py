@@ -47,11 +47,16 @@ def ddpm(
 
     Args:
         x: x_T (B, ...), or x_start where the signal is already partly there. start: its step; default the last.
-        rest: of the last steps so many are not walked: the estimate of x_0 before them is the result, which is the mean
-            of all that those steps might still make of it, and calmer than any.
+        rest: of the last steps so many are not walked: the estimate of x_0 before them is the result; with an exact
+            denoiser the mean of all that those steps might still make of it.
+
+    Raises:
+        ValueError: rest is no step before the first one.
     """
-    steps = range(len(schedule) - 1 if start is None else start, -1, -1)
-    for t in tqdm(steps, disable=not progress, leave=False, unit="step"):
+    first = len(schedule) - 1 if start is None else start
+    if not 0 <= rest <= max(first, 0):
+        raise ValueError(f"rest: expected 0 to {first}, got {rest}")
+    for t in tqdm(range(first, -1, -1), disable=not progress, leave=False, unit="step"):
         x0 = denoise(x, _stamps(schedule, t, x))
         if t and t == rest:
             return after(x0, x0, 0) if after else x0

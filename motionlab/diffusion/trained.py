@@ -178,19 +178,19 @@ class _Silent(nn.Module):
         super().__init__()
         self.told, self.none = told, nn.Parameter(torch.zeros(()), requires_grad=False)
 
-    def forward(self, x: Tensor, stamps: Tensor, known: Tensor | None = None, mask: Tensor | None = None) -> Tensor:
+    def forward(self, x: Tensor, stamps: Tensor, *told: Tensor | None, **more: Tensor | None) -> Tensor:
         return torch.zeros_like(x)
 
 
 def silenced(model: Trained) -> Trained:
     """A model whose network adds nothing: what is left is the Wiener filter with the training data's spectrum and, of a
-    model that is told what is known, what it starts from.
+    model that is told what is known, or of handles, what it starts from.
 
     Raises:
         ShapeError: there is nothing but a network.
     """
-    if not isinstance(model.denoiser, Spectral):
-        raise ShapeError("silenced: expected a model with spectral = True")
+    if not isinstance(model.denoiser, Spectral | Linear):
+        raise ShapeError("silenced: expected a model with spectral = True or linear = True")
     made = deepcopy(model.denoiser)
     made.network = _Silent(model.recipe.told)
     return replace(model, denoiser=made)

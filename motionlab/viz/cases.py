@@ -21,7 +21,8 @@ ROLES = {
     "truth": "truth", "noisy": "observation", "mean": "observation", "hold": "observation",
     "nearest": "6d", "linear": "6d", "ridge": "quaternion", "slerp": "baseline", "Kalman smoother": "baseline",
     "Savitzky-Golay": "axis-angle", "one euro": "quaternion", "Eq. 4.10": "axis-angle", "not told": "stage2",
-    "told": "ours", "told, planted": "ours", "ridge, planted": "quaternion", "start alone": "stage3",
+    "told": "ours", "told, planted": "ours", "ridge, planted": "quaternion", "nearest, planted": "6d",
+    "mean, planted": "observation", "not told, planted": "stage2", "start alone": "stage3",
     "curves": "real", "diffusion": "ours", "no last overwrite": "stage3",
 }  # fmt: skip
 
