@@ -27,7 +27,7 @@ _BASE = Recipe(
 )  # fmt: skip
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: in world space;
 #: stuck: its twin in the stuck frame, all else equal. pose: single poses. handles: single poses, told where some joints
-#: should be. told: as free, told what is known; small, as a compact one fell silent at these rates.
+#: should be. told: as free, told what is known. What ships as fixed is small and of an earlier recipe (CHANGELOG).
 #: root_unit: so that a unit of noise moves the root about as far as it moves a hand (CHANGELOG); not where the frame
 #: is the question, or where the root is mostly known.
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
@@ -82,8 +82,8 @@ ARMS = {
 }
 PRESETS |= {f"arm_{name}": recipe for name, recipe in ARMS.items()}
 HELD = 256  # held-out windows that the checkpoint is chosen by
-#: Of all steps: no earlier average is chosen. Training was still gaining at its end wherever it was looked at, and KID
-#: is too uncertain to tell a lucky early average from a better late one (CHANGELOG).
+#: Of all steps: no earlier average is chosen. The error of x_0 falls to the end, and KID is too uncertain to tell a lucky
+#: early average from a better late one (CHANGELOG).
 JUDGE_FROM = 0.6
 SILENT = 0.01  # gain over the filter; less says that the network has collapsed
 SHORT = 5000  # steps; fewer are not judged

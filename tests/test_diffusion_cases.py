@@ -341,3 +341,22 @@ def test_windows_are_cut_from_the_middle_and_put_together(motion):
     assert torch.equal(case_trials.spread(motion, 2).root, motion.root[[0, 5]])
     with pytest.raises(ShapeError, match="one length"):
         case_trials.joined(motion, motion.cut(0, 5))
+
+
+def test_groups_do_not_depend_on_the_order_of_windows(motion):
+    many = replace(motion, root=motion.root.repeat(3, 1, 1), rot=motion.rot.repeat(3, 1, 1, 1, 1), contacts=None)
+    high = torch.arange(18) < 6  # of three groups in a row one would be far
+    many = replace(many, root=many.root + 0.5 * high[:, None, None] * torch.tensor([0.0, 0.0, 1.0]))
+    spread = [case_trials.kernel_distances(many, many, torch.Generator().manual_seed(k), 3).std() for k in range(4)]
+    assert min(spread) < 0.5 * max(spread)
+
+
+def test_a_finish_brings_rivals_to_what_is_known_without_a_jump(motion, bench, generator):
+    known = cases.gap(6, FRAMES, 6)
+    jumps = []
+    for finish in (0, 3):
+        found = bench.contest(motion, known, generator, plain="imputed", told="told", last=False, finish=finish)
+        made = found["mean"]
+        assert torch.equal(made.root[known[..., cases.JOINTS]], motion.root[known[..., cases.JOINTS]])
+        jumps.append(made.positions.diff(n=2, dim=1).norm(dim=-1).amax((1, 2)).mean())
+    assert jumps[1] < 0.7 * jumps[0]

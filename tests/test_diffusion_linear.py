@@ -148,6 +148,12 @@ def test_recalled_poses_are_a_mixture_s_conditional_mean(windows, truth, monkeyp
     handed = told._recalled(at.float(), a.float(), power.float(), handles.told(places, which)[:, None], None)
     by_hand = (odds - far / (2 * width)).softmax(-1) @ codes
     assert (handed - by_hand).abs().max() < 1e-3
+    theirs = told.clips[far.argmin(-1)]  # left out, the nearest says nothing of how wide to look, either
+    others = far.masked_fill(told.clips == theirs[:, None], torch.inf)
+    width = linear.FIRM + linear.LOOSE * others.amin(-1, keepdim=True) / 6
+    handed = told._recalled(at.float(), a.float(), power.float(), handles.told(places, which)[:, None], theirs)
+    by_hand = (odds - others / (2 * width)).softmax(-1) @ codes
+    assert (handed - by_hand).abs().max() < 1e-3
 
 
 def test_a_start_needs_as_many_poses_as_it_recalls(model):
@@ -170,3 +176,14 @@ def test_only_single_poses(model):
     for wrong in (replace(POSES, frames=60, size="small"), replace(POSES, told=True, size="small")):
         with pytest.raises(ValueError, match="single poses"):
             wrong.denoiser()
+
+
+def test_silenced_it_is_its_start(model, truth):
+    loud = training.deepcopy(model.denoiser)
+    loud.network.output_process.poseFinal.bias.fill_(1.0)
+    xt, steps = noisy(model, truth, 40)
+    which = handles.chosen(("head",), len(truth.root), torch.Generator().manual_seed(0))
+    told = handles.told(truth.positions[:, 0], which)[:, None]
+    start = trained.silenced(replace(model, denoiser=loud)).denoiser(xt, steps, handles=told)
+    assert torch.equal(start, model.denoiser(xt, steps, handles=told))
+    assert (start - loud(xt, steps, handles=told)).abs().max() > 1e-2

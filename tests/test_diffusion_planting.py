@@ -9,7 +9,7 @@ from data_synth import scenes
 from motionlab.contact import with_contacts
 from motionlab.diffusion import evaluation
 from motionlab.diffusion.planting import ANKLES, BALLS, planted
-from motionlab.errors import DataError
+from motionlab.errors import DataError, ShapeError
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,6 @@ def walk():
         root=torch.stack([m.root for m in both]),
         rot=torch.stack([m.rot for m in both]),
         contacts=torch.stack([m.contacts for m in both]),
-        skeleton=replace(both[0].skeleton, offsets=both[0].skeleton.offsets),
     )
 
 
@@ -67,6 +66,12 @@ def test_who_never_stands_is_left_alone_and_who_says_nothing_is_refused(sliding)
     assert (planted(flying).positions - sliding.positions).abs().max() < 1e-3
     with pytest.raises(DataError, match="with_contacts"):
         planted(replace(sliding, contacts=None))
+    for wrong in (
+        sliding.clip(0),
+        replace(sliding, skeleton=replace(sliding.skeleton, offsets=torch.zeros(6, 1, 22, 3))),
+    ):
+        with pytest.raises(ShapeError, match="on one body"):
+            planted(wrong)
 
 
 def test_a_generator_is_planted_as_its_motions_are(sliding):

@@ -135,7 +135,7 @@ def test_steps_that_are_not_walked_leave_the_mean_of_what_they_would_make(data, 
     schedule, denoise = cosine(20), data.denoiser(cosine(20))
     x = noise(8, generator)
     early = sampling.ddpm(denoise, schedule, x, torch.Generator().manual_seed(0), rest=6)
-    middle = sampling.ddpm(lambda x, stamps: denoise(x, stamps), schedule, x, torch.Generator().manual_seed(0), rest=7)
+    middle = sampling.ddpm(denoise, schedule, x, torch.Generator().manual_seed(0), rest=7)
     assert not torch.allclose(early, middle)
     same = torch.Generator().manual_seed(0)
     at = x
@@ -153,3 +153,9 @@ def test_known_parts_come_back_where_the_last_steps_are_not_walked(data, generat
     put = lambda x, x0, t: torch.where(torch.arange(5) < 2, 7.0, x)  # noqa: E731
     made = sampling.ddpm(data.denoiser(cosine(20)), cosine(20), noise(3, generator), generator, after=put, rest=4)
     assert (made[:, :2] == 7).all() and (made[:, 2:] != 7).all()
+
+
+def test_what_rests_must_lie_before_the_first_step(data, generator):
+    for rest, start in ((-1, None), (20, None), (6, 5)):
+        with pytest.raises(ValueError, match="rest: expected"):
+            sampling.ddpm(data.denoiser(cosine(20)), cosine(20), noise(2, generator), generator, rest=rest, start=start)

@@ -75,8 +75,12 @@ def training(curves: Mapping[str, Sequence[Mapping[str, float]]], chosen: Mappin
         for k, key in enumerate(keys):
             tone = 0.25 + 0.65 * k / max(len(keys) - 1, 1)
             _trace(errors, curve, key, (1 - tone, 0.75 - 0.5 * tone, 0.85), key.removeprefix("x0 error at "))
-        _trace(kid, curve, "kid", ROLE["ours"], "", marker=".")
-        kid.axvline(chosen.get(name, np.nan), color=ROLE["axis-angle"], lw=1.2, ls=":")
+        if any("kid" in entry for entry in curve):
+            _trace(kid, curve, "kid", ROLE["ours"], "", marker=".")
+            kid.axvline(chosen.get(name, np.nan), color=ROLE["axis-angle"], lw=1.2, ls=":")
+        else:
+            kid.set_axis_off()
+            kid.text(0.5, 0.5, "not judged by KID", ha="center", fontsize=8.5, transform=kid.transAxes)
         losses.set(ylabel=name, yscale="log")
         errors.set(yscale="log")
         kid.set_ylim(bottom=0)
@@ -92,8 +96,11 @@ def training(curves: Mapping[str, Sequence[Mapping[str, float]]], chosen: Mappin
     return fig
 
 
+TINY = 1e-9  # what a loss of known numbers leaves that come out exactly: not drawn
+
+
 def _trace(ax: Axes, curve: Sequence[Mapping[str, float]], key: str, paint, label: str, marker: str = "") -> None:
-    points = [(row["step"], row[key]) for row in curve if key in row]
+    points = [(row["step"], row[key]) for row in curve if row.get(key, 0.0) > TINY]
     if points:
         ax.plot(*np.array(points).T, color=paint, lw=1.4, label=label or None, marker=marker)
 
