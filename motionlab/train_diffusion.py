@@ -82,8 +82,8 @@ ARMS = {
 }
 PRESETS |= {f"arm_{name}": recipe for name, recipe in ARMS.items()}
 HELD = 256  # held-out windows that the checkpoint is chosen by
-#: Of all steps: no earlier average is chosen. The error of x_0 falls to the end, and KID is too uncertain to tell a lucky
-#: early average from a better late one (CHANGELOG).
+#: Of all steps: no earlier average is chosen. The error of x_0 falls to the end, and KID is too uncertain to tell a
+#: lucky early average from a better late one (CHANGELOG).
 JUDGE_FROM = 0.6
 SILENT = 0.01  # gain over the filter; less says that the network has collapsed
 SHORT = 5000  # steps; fewer are not judged
