@@ -28,6 +28,7 @@ from motionlab.skeleton import STANDARD
 
 STEPS = 50  # of the sampler
 FINISH = 20  # steps of inverse kinematics, at most
+ROUNDS, LEAST = 64, 8  # of a start's descent towards its handles, over all steps of the sampler; in one step
 
 
 def complete(
@@ -55,7 +56,10 @@ def complete(
     targets = torch.where(which[..., None], targets, 0.0)
     denoise: Denoiser = model.denoiser
     if model.recipe.handles:
-        denoise = lambda x, stamps: model.denoiser(x, stamps, handles=told(targets, which)[:, None])  # noqa: E731
+        heard = {"handles": told(targets, which)[:, None]}
+        if model.recipe.linear:
+            heard["rounds"] = max(LEAST, ROUNDS // steps)
+        denoise = lambda x, stamps: model.denoiser(x, stamps, **heard)  # noqa: E731
     if guidance:
         denoise = pulled(denoise, model, targets, which, guidance)
     schedule = model.schedule.respaced(min(steps, len(model.schedule)))

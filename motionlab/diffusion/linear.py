@@ -82,9 +82,18 @@ class Linear(nn.Module):
         self.joints.copy_(self._joints(codes))
         self.clips.copy_(clips[: self.recalls])
 
-    def forward(self, x: Tensor, stamps: Tensor, handles: Tensor | None = None, own: Tensor | None = None) -> Tensor:
+    def forward(
+        self,
+        x: Tensor,
+        stamps: Tensor,
+        handles: Tensor | None = None,
+        own: Tensor | None = None,
+        rounds: int | None = None,
+    ) -> Tensor:
         """Estimate (B, 1, D) of x_0 from x_t (B, 1, D), steps (B,) and handles (B, 1, 22, 4), as for the network.
-        own (B,): motions that must not be recalled, in training those that the poses were cut from."""
+        own (B,): motions that must not be recalled, in training those that the poses were cut from. rounds: steps of
+        descent, ``ROUNDS`` unless said."""
+        rounds = ROUNDS if rounds is None else rounds
         if x.ndim != 3 or x.shape[1] != 1:
             raise ShapeError(f"x: expected single poses (B, 1, {self.layout.size}), got {tuple(x.shape)}")
         a = self.alpha_bar[stamps][:, None].to(x)
@@ -98,11 +107,11 @@ class Linear(nn.Module):
         if handles is not None:
             told = {"handles": handles}
         if held is not None:
-            mean = self._down(self._moved(mean, variance, *held), mean, variance, held, min(LEARNING, ROUNDS))
+            mean = self._down(self._moved(mean, variance, *held), mean, variance, held, min(LEARNING, rounds))
         said = self.network((mean @ self.basis.mT)[:, None], stamps, **told)[:, 0]
         made = mean + variance.sqrt() * said
         if held is not None and not self.training:
-            made = self._down(made, made, variance, held, ROUNDS - LEARNING)
+            made = self._down(made, made, variance, held, rounds - LEARNING)
         return (made @ self.basis.mT)[:, None]
 
     def _recalled(self, at: Tensor, a: Tensor, power: Tensor, handles: Tensor | None, own: Tensor | None) -> Tensor:
