@@ -31,7 +31,8 @@ WAYS: Mapping[str, tuple[str, Way]] = {
     "start, guided": ("free", Way(put="imputed", weight=5.0, begin=0.75)),
 }
 PLAIN = ("Eq. 4.10", "imputed", "guided")
-TOLD = tuple(name for name in WAYS if name not in PLAIN)  # the last: what the told model starts from goes to the other
+#: Of these "start, guided" is the free model, begun from what the told one starts from.
+TOLD = tuple(name for name in WAYS if name not in PLAIN)
 #: How denoising may begin; which is best is found on other windows.
 STARTS = (
     *(Start(level=level, looks=4) for level in (0.7, 1.0, 1.4)),

@@ -28,7 +28,8 @@ from motionlab.skeleton import STANDARD
 
 STEPS = 50  # of the sampler
 FINISH = 20  # steps of inverse kinematics, at most
-ROUNDS, LEAST = 64, 8  # of a start's descent towards its handles, over all steps of the sampler; in one step
+ROUNDS = 64  # of a start's descent towards its handles, shared out over the steps of the sampler
+LEAST = 8  # of them in every step
 
 
 def complete(

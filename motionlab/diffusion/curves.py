@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 FRAMES = 30.0  # the process's length: its covariance falls to a half in so many frames
-NOISE = 1e-5  # of its variance: of what is known, so that float32 can solve for it
+NOISE = 1e-5  # of its variance: of what is known, so that every pattern can be solved for
 
 
 def matern(frames: int) -> Tensor:

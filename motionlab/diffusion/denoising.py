@@ -95,7 +95,7 @@ def denoise(
     local = world_to_local(frame, given) if frame else given
     if model.layout.contacts:
         local = replace(local, contacts=with_contacts(rough).contacts)
-    y = model.normaliser.apply(replace(model.layout, frame="world").encode(local))
+    y = model.encode_local(local)
     t = begin(model.schedule, whole)
     schedule = Schedule(model.schedule.alpha_bar[: t + 1], model.schedule.stamps[: t + 1])
     schedule = schedule.respaced(min(start.steps, t + 1))

@@ -28,7 +28,7 @@ from motionlab.errors import ShapeError
 LEAST = 1e-6  # of a variance; less is a number that never changes
 CLOSE = 1e-2**2 / 4  # r, square metres: how near a handle has to come
 ROUNDS = 8  # steps of descent
-LEARNING = 2  # of them before the network, the rest behind it, and none while it is trained, where time counts more
+BEFORE = 2  # of them before the network; the rest is behind it, and left out while it is trained
 THIN = 2  # every so many-th pose is recalled while it is trained
 NEAR = 0.2  # of the covariance: that about a pose that is recalled
 FIRM, LOOSE = 1e-2**2, 2.0  # h^2 = FIRM + LOOSE times the least mean square over handles' coordinates, square metres
@@ -107,11 +107,11 @@ class Linear(nn.Module):
         if handles is not None:
             told = {"handles": handles}
         if held is not None:
-            mean = self._down(self._moved(mean, variance, *held), mean, variance, held, min(LEARNING, rounds))
+            mean = self._down(self._moved(mean, variance, *held), mean, variance, held, min(BEFORE, rounds))
         said = self.network((mean @ self.basis.mT)[:, None], stamps, **told)[:, 0]
         made = mean + variance.sqrt() * said
         if held is not None and not self.training:
-            made = self._down(made, made, variance, held, rounds - LEARNING)
+            made = self._down(made, made, variance, held, rounds - BEFORE)
         return (made @ self.basis.mT)[:, None]
 
     def _recalled(self, at: Tensor, a: Tensor, power: Tensor, handles: Tensor | None, own: Tensor | None) -> Tensor:

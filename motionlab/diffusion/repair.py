@@ -124,7 +124,7 @@ def repair(
     whole, way = known.expand(len(x0), *known.shape[-2:]), way or Way()
     if guess is not None:  # in the frame of the motion's first frame, not of its own
         inside = replace(world_to_local(frame, guess), contacts=guess.contacts) if stuck else guess
-        guessed = model.normaliser.apply(replace(model.layout, frame="world").encode(inside))
+        guessed = model.encode_local(inside)
     parts = [
         fill(model, x0[at], whole[at], generator, way, None if guess is None else guessed[at])
         for at in _batches(len(x0), batch)

@@ -158,6 +158,10 @@ class Trained:
         x, respaced = self.noise(count, generator), self.schedule.respaced(min(steps, len(self.schedule)))
         return self.decode(ddpm(self.denoiser, respaced, x, generator, rest=round(rest * len(respaced))).cpu())
 
+    def encode_local(self, local: Motion) -> Tensor:
+        """Normalised numbers (B, T, D) of motions that are in the layout's frame already."""
+        return self.normaliser.apply(replace(self.layout, frame="world").encode(local))
+
     @torch.no_grad()
     def errors(self, motion: Motion, generator: torch.Generator) -> dict[str, float]:
         """Mean square error of x_0, normalised, of windows (B, T), at ``LEVELS`` of the noising steps; nothing told."""

@@ -173,7 +173,7 @@ def by_minutes(
     ax.set_xticks(ticks, [f"{t:.0f}" for t in ticks])
     ax.xaxis.set_minor_formatter("")
     ax.set(xlabel="minutes of training motion, before mirroring", ylabel=ylabel)
-    ax.legend()
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside the curves
     return fig
 
 

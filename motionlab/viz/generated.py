@@ -103,8 +103,8 @@ def through_gaps(
             ax.plot(time, middle, color=paint[label], lw=1.8, label=label)
         ax.set_title(f"gap of {gap} frames")
         ax.set_xlabel("time after the last known frame (s)", fontsize=8.5)
-        ax.set_ylim(bottom=0)
     axes[0].set_ylabel("joint error (cm)")
+    axes[0].set_ylim(bottom=0)  # shared; set earlier it would hold the top where the first gap has it
     lines = axes[0].get_legend_handles_labels()
     figure.legend(*lines, loc="outside lower center", ncols=2 * len(gaps), frameon=False, fontsize=8.5, labelcolor=INK)
     return figure
