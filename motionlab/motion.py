@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -164,6 +165,27 @@ def windows(motion: Motion, length: int, stride: int) -> Motion:
         rot=unfold(motion.rot, 3),
         contacts=None if motion.contacts is None else unfold(motion.contacts, 1),
     )
+
+
+def joined(motions: Iterable[Motion]) -> Motion:
+    """Windows (N_i, T) on one body as one batch; contacts only where all have them.
+
+    Raises:
+        ShapeError: none, or other bodies, lengths or rates than the first one's.
+    """
+    motions = list(motions)
+    if not motions:
+        raise ShapeError("joined: none to join")
+    first = motions[0]
+    for other in motions[1:]:
+        here, there = first.skeleton.offsets, other.skeleton.offsets
+        same_body = here.shape == there.shape and torch.allclose(here, there, atol=1e-6)
+        if not same_body or other.frames != first.frames or other.fps != first.fps:
+            raise ShapeError("joined: expected windows of one length and rate on one body")
+    labelled = all(m.contacts is not None for m in motions)
+    contacts = torch.cat([m.contacts for m in motions]) if labelled else None
+    root, rot = (torch.cat([getattr(m, name) for m in motions]) for name in ("root", "rot"))
+    return replace(first, root=root, rot=rot, contacts=contacts)
 
 
 def mirror(motion: Motion) -> Motion:

@@ -88,8 +88,6 @@ def test_pools_follow_the_minutes(motion):
     assert len(pool.root) == 12 + 4 and pool.contacts.shape[0] == 16
     assert torch.equal(pool.root[0], a.root[0])
     assert torch.equal(pool.root[6, :, 0], -a.root[1, :, 0])  # every second one is seen in the mirror
-    bare = replace(b, contacts=None)
-    assert trials.joined([a, bare]).contacts is None
 
 
 def test_trivial_generators_are_what_they_are_called(model, motion):

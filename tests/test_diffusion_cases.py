@@ -331,16 +331,11 @@ def test_groups_of_real_windows_are_near_and_those_of_others_are_far(motion):
         case_trials.kernel_distances(motion, many, torch.Generator(), 8)
 
 
-def test_windows_are_cut_from_the_middle_and_put_together(motion):
+def test_windows_are_cut_from_the_middle_and_spread(motion):
     one = motion.clip(0)
     (cut,) = case_trials.middle([one, one.cut(0, 5)], 6, around=2)
     assert torch.equal(cut.root, one.root[5:15])
-    both = case_trials.joined(motion, replace(motion, contacts=None))
-    assert len(both.root) == 12 and both.contacts is None
-    assert case_trials.joined(motion, motion).contacts is not None
     assert torch.equal(case_trials.spread(motion, 2).root, motion.root[[0, 5]])
-    with pytest.raises(ShapeError, match="one length"):
-        case_trials.joined(motion, motion.cut(0, 5))
 
 
 def test_groups_do_not_depend_on_the_order_of_windows(motion):

@@ -180,8 +180,5 @@ def test_root_and_body_errors_are_told_apart(clips):
     assert path.max() == 0 and body.min() > 0.001
 
 
-def test_batches_join_and_pairs_leave_out_what_is_no_number(clips):
-    joined = worlds.together([clips, clips.clip(slice(0, 3))])
-    assert joined.root.shape[0] == 43 and torch.equal(joined.contacts[40:], clips.contacts[:3])
-    assert worlds.together([clips, replace(clips, contacts=None)]).contacts is None
+def test_pairs_leave_out_what_is_no_number():
     assert worlds.both(torch.tensor([3.0, torch.nan, 1.0]), torch.tensor([1.0, 1.0, torch.nan])).tolist() == [2.0]

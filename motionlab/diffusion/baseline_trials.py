@@ -24,10 +24,9 @@ from motionlab.frames import stuck_root
 from motionlab.metrics import generation
 from motionlab.metrics.contact import skating_ratio, slide_in_contact_mm
 from motionlab.metrics.pose import mean_acceleration
-from motionlab.motion import Motion, mirror
-from motionlab.skeleton import FEET, STANDARD
+from motionlab.motion import Motion, joined, mirror
+from motionlab.skeleton import BALLS, FEET
 
-BALLS = ("left_foot", "right_foot")  # whose sliding the skating ratio counts
 KINDS = ("legs", "joints", "gap", "frames", "entries")  # of masks, ``masks.KINDS`` without "nothing"
 
 
@@ -61,14 +60,6 @@ def pooled(found: Mapping[str, Motion], minutes: Mapping[str, float], count: int
     whole = sum(minutes[name] for name in found)
     parts = [_spread(motion, max(2, round(count * minutes[name] / whole))) for name, motion in found.items()]
     return joined([joined([part.clip(slice(0, None, 2)), mirror(part.clip(slice(1, None, 2)))]) for part in parts])
-
-
-def joined(motions: Sequence[Motion]) -> Motion:
-    """Windows (N_i, T) of the standard body as one batch; contacts only where all have them."""
-    labelled = all(m.contacts is not None for m in motions)
-    contacts = torch.cat([m.contacts for m in motions]) if labelled else None
-    root, rot = (torch.cat([getattr(m, name) for m in motions]) for name in ("root", "rot"))
-    return Motion(STANDARD, root, rot, motions[0].fps, contacts)
 
 
 def _spread(motion: Motion, count: int) -> Motion:

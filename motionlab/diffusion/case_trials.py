@@ -158,26 +158,6 @@ def spread(motion: Motion, count: int) -> Motion:
     return motion.clip(picked)
 
 
-def joined(*parts: Motion) -> Motion:
-    """Windows (N, T) of several sources as one batch, on one body.
-
-    Raises:
-        ShapeError: different bodies, lengths or rates.
-    """
-    first = parts[0]
-    for part in parts[1:]:
-        same = part.skeleton.offsets.shape == first.skeleton.offsets.shape and part.fps == first.fps
-        if not same or not torch.equal(part.skeleton.offsets, first.skeleton.offsets) or part.frames != first.frames:
-            raise ShapeError("joined: expected windows of one length and rate on one body")
-    has_contacts = all(part.contacts is not None for part in parts)
-    return replace(
-        first,
-        root=torch.cat([part.root for part in parts]),
-        rot=torch.cat([part.rot for part in parts]),
-        contacts=torch.cat([part.contacts for part in parts]) if has_contacts else None,
-    )
-
-
 # -------------------------------------------------------------------------------------------------- denoising
 @dataclass(frozen=True)
 class Cleaning:

@@ -24,10 +24,9 @@ from motionlab.metrics import generation
 from motionlab.metrics.contact import skating_ratio
 from motionlab.metrics.memorisation import Neighbours, nearest_windows
 from motionlab.motion import Motion, mirror
-from motionlab.skeleton import STANDARD
+from motionlab.skeleton import BALLS, STANDARD
 
 #: The joints that skate or do not: the balls of the feet, as in GMD.
-BALLS = ("left_foot", "right_foot")
 #: What :func:`score` measures and when it is good; frechet and kid in squared units of the features.
 MEASURES = {
     "frechet": "low", "kid": "0", "precision": "high", "recall": "high", "density": "1", "coverage": "high",

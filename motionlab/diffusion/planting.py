@@ -17,9 +17,9 @@ from motionlab.diffusion.between import between
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
 from motionlab.retarget.legs import reach
+from motionlab.skeleton import ANKLES, BALLS
 
 STANDS = 0.5  # of a contact: more is one
-ANKLES, BALLS = ("left_ankle", "right_ankle"), ("left_foot", "right_foot")
 
 
 def planted(motion: Motion) -> Motion:

@@ -20,7 +20,6 @@ from torch import Tensor
 from motionlab import baselines
 from motionlab.contact import with_contacts
 from motionlab.diffusion import inpainting, repair
-from motionlab.diffusion.evaluation import BALLS
 from motionlab.diffusion.repair import Way
 from motionlab.diffusion.trained import Trained
 from motionlab.errors import ShapeError
@@ -29,6 +28,7 @@ from motionlab.metrics.contact import skating_ratio
 from motionlab.metrics.inbetween import keyframe_error, natural_changes, percentile, step_changes
 from motionlab.metrics.pose import joint_errors, masked_mean
 from motionlab.motion import Motion
+from motionlab.skeleton import BALLS
 
 ENDS = ("left", "pasted", "faded")
 EXACT = ENDS[1:]

@@ -14,13 +14,13 @@ import torch
 from torch import Tensor
 
 from motionlab.diffusion import sampling, whitened
-from motionlab.diffusion.evaluation import BALLS
 from motionlab.diffusion.schedule import Schedule
 from motionlab.diffusion.trained import Trained
 from motionlab.errors import ShapeError
 from motionlab.metrics.contact import skating_ratio
 from motionlab.metrics.generation import diversity, frechet, kid, precision_recall
 from motionlab.motion import Motion
+from motionlab.skeleton import BALLS
 
 See = Callable[[Motion], Tensor]  # windows (N, T) -> features (N, D)
 #: Below this log of signal over noise (amplitudes) nothing is left of the signal: solvers in that logarithm begin here.

@@ -5,7 +5,6 @@ Source: thesis 4.1.2 (the two frames) and 4.2.3, which explains the sliding of i
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -237,15 +236,6 @@ def errors(a: Motion, truth: Motion) -> tuple[Tensor, Tensor]:
     path = torch.linalg.vector_norm((a.root - a.root[..., :1, :]) - (truth.root - truth.root[..., :1, :]), dim=-1)
     body = pose.mpjpe(a.positions, truth.positions, align="root")
     return path.mean(-1), body
-
-
-def together(motions: Iterable[Motion]) -> Motion:
-    """Windows (N, T) of one skeleton as one batch; contacts only where all have them."""
-    motions = list(motions)
-    first, labelled = motions[0], all(m.contacts is not None for m in motions)
-    contacts = torch.cat([m.contacts for m in motions]) if labelled else None
-    root, rot = torch.cat([m.root for m in motions]), torch.cat([m.rot for m in motions])
-    return replace(first, root=root, rot=rot, contacts=contacts)
 
 
 def both(a: Tensor, b: Tensor) -> Tensor:
