@@ -41,7 +41,7 @@ _HELD = replace(_POSE, handles=64, recalls=12_000, steps=4000, weights=replace(_
 _TOLD = replace(
     _BASE, size="small", told=True, blind=0.2, recalls=12_000, root_unit=0.0, steps=4000, lr=8e-4, warm_up=100
 )  # fmt: skip
-_PLACE = replace(_BASE, before=False, root_unit=0.0, steps=2500, weights=_FAR)
+_PLACE = replace(_BASE, root_unit=0.0, steps=10_000, weights=_FAR)
 PRESETS = {
     "free": _BASE,
     "fixed": replace(_BASE, version="A", contacts=False, travels=False, steps=6000),

@@ -6,10 +6,13 @@ import pytest
 import torch
 
 from data_synth import scenes
+from motionlab import rotation
 from motionlab.contact import with_contacts
 from motionlab.diffusion import evaluation
-from motionlab.diffusion.planting import ANKLES, BALLS, planted
+from motionlab.diffusion.planting import planted
 from motionlab.errors import DataError, ShapeError
+from motionlab.motion import Motion
+from motionlab.skeleton import ANKLES, BALLS, STANDARD, UPRIGHT
 
 
 @pytest.fixture(scope="module")
@@ -45,14 +48,48 @@ def test_feet_that_stand_stay_where_they_are(sliding):
     assert steps(made).mean() < 0.05 * steps(sliding).mean()
 
 
-def test_only_hips_knees_and_ankles_turn_and_feet_keep_their_orientation(sliding):
+def test_only_hips_knees_and_ankles_turn_and_feet_hardly(walk, sliding):
+    sliding = replace(walk, root=walk.root + 0.1 * (sliding.root - walk.root))  # legs stay long enough
     made, skeleton = planted(sliding), sliding.skeleton
     turned = (made.rot - sliding.rot).abs().amax((0, 1, 3, 4)) > 1e-5
     legs = skeleton.indices([f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")])
     assert turned.nonzero()[:, 0].tolist() == sorted(legs)
     assert torch.equal(made.root, sliding.root)
     here, there = (m.world[1][..., skeleton.indices(ANKLES), :, :] for m in (made, sliding))
-    assert torch.allclose(here, there, atol=1e-4)
+    angles = rotation.geodesic(here, there).rad2deg()
+    assert angles.mean() < 6 and angles.max() < 45
+
+
+def test_a_heel_on_the_floor_stays_though_its_foot_trembles(walk):
+    trembling = walk.rot.clone()
+    ankles, generator = STANDARD.indices(ANKLES), torch.Generator().manual_seed(0)
+    trembling[..., ankles, :, :] @= rotation.exp(0.05 * torch.randn(*walk.root.shape[:2], 2, 3, generator=generator))
+    shaken = replace(walk, rot=trembling, root=walk.root + 0.003 * torch.randn(walk.root.shape, generator=generator))
+    heels = [STANDARD.contact_names.index(n) for n in ANKLES]
+    down = walk.contacts[..., heels] > 0.5
+    both = down[:, 1:] & down[:, :-1]
+
+    def slide(motion):
+        return motion.positions[..., ankles, :].diff(dim=1).norm(dim=-1)[both].mean()
+
+    assert slide(shaken) > 4e-3 and slide(planted(shaken)) < 0.2 * slide(shaken)
+
+
+def test_out_of_reach_the_heel_lifts_and_the_ball_stays():
+    """Who stands with straight legs and rises by 3 cm without leaving the floor is on the balls of the feet."""
+    rises = STANDARD.standing_height() + 0.03 * torch.linspace(0, 1, 60)
+    rot = torch.eye(3).repeat(1, 60, len(STANDARD), 1, 1)
+    rot[:, :, 0] = UPRIGHT
+    root = torch.stack((torch.zeros(60), torch.zeros(60), rises), -1)[None]
+    said = torch.zeros(1, 60, len(STANDARD.contact_names))
+    said[..., [STANDARD.contact_names.index(n) for n in BALLS]] = 1.0
+    up = Motion(STANDARD, root, rot, 30.0, said)
+    made = planted(up)
+    heels, balls = (made.positions[..., STANDARD.indices(names), 2] for names in (ANKLES, BALLS))
+    assert (balls.amax(1) - balls.amin(1)).max() < 1e-4
+    assert (heels[:, -1] - heels[:, 0]).min() > 0.01  # the ball rests half-way up
+    thigh = made.positions[..., STANDARD.indices(("left_knee", "right_knee")), 2]
+    assert (thigh > heels).all()
 
 
 def test_between_runs_the_foot_does_not_jump(sliding):
@@ -62,8 +99,9 @@ def test_between_runs_the_foot_does_not_jump(sliding):
 
 
 def test_who_never_stands_is_left_alone_and_who_says_nothing_is_refused(sliding):
-    flying = replace(sliding, contacts=torch.zeros_like(sliding.contacts))
-    assert (planted(flying).positions - sliding.positions).abs().max() < 1e-3
+    up = torch.tensor([0.0, 0.0, 1.0])
+    flying = replace(sliding, root=sliding.root + up, contacts=torch.zeros_like(sliding.contacts))
+    assert (planted(flying).positions - flying.positions).abs().max() < 1e-3
     with pytest.raises(DataError, match="with_contacts"):
         planted(replace(sliding, contacts=None))
     for wrong in (
