@@ -584,6 +584,20 @@ def test_a_run_can_begin_from_another_model_and_goes_on_with_its_normaliser(data
     assert torch.equal(run.shipped.normaliser.mean, other.normaliser.mean)
     assert torch.equal(again.normaliser.scale, other.normaliser.scale)
     with pytest.raises(DataError, match="another one"):
-        training.Training(replace(SMALL, told=True), data, start=other)
+        training.Training(replace(SMALL, patch=2), data, start=other)
     with pytest.raises(DataError, match="other features"):
         training.Training(replace(SMALL, frame="world"), data, start=other)
+
+
+def test_a_model_that_is_told_can_begin_from_one_that_is_told_nothing(data):
+    first = training.Training(replace(SMALL, spectral=True), data).run(until=4).averaged
+    run = training.Training(replace(TOLD, spectral=True), data, start=first)
+    x = torch.randn(3, SMALL.frames, run.layout.size, generator=torch.Generator().manual_seed(0))
+    stamps, mask = torch.tensor([1, 20, 40]), torch.rand(x.shape, generator=torch.Generator().manual_seed(1)) < 0.5
+    with torch.no_grad():
+        here, there = run.averaged.denoiser.network(x, stamps, x, mask), first.denoiser.network(x, stamps)
+    assert torch.allclose(here, there, atol=1e-5) and there.abs().max() > 1e-3
+    assert run.model.start.factor.abs().max() > 0 and run.normaliser is first.normaliser
+    before = run.model.network.input_process.poseEmbedding.weight.clone()
+    run.run(until=3)
+    assert not torch.equal(run.model.network.input_process.poseEmbedding.weight, before)

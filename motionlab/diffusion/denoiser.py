@@ -10,6 +10,7 @@ in one token, which halves the work; where chosen joints should be, through a li
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -113,12 +114,13 @@ class Denoiser(nn.Module):
         known: Tensor | None = None,
         mask: Tensor | None = None,
         handles: Tensor | None = None,
+        guess: Tensor | None = None,
     ) -> Tensor:
         """Estimate (B, T, D) of x_0 from x_t (B, T, D) and steps (B,).
 
         known (B, T, D), mask (B, T, D) or (T, D): what is known of x_0 and where (1); for a model that is told, which
-        sees straight lines through it (``between``). handles (B, T, 22, 4): see ``HANDLE``; zeros, as in None, for
-        joints that are free.
+        sees straight lines through it (``between``), or guess (B, T, D), if there is one. handles (B, T, 22, 4): see
+        ``HANDLE``; zeros, as in None, for joints that are free.
 
         Raises:
             ShapeError: another number of features, or known parts or handles for a model that is told of none.
@@ -130,7 +132,7 @@ class Denoiser(nn.Module):
             raise ShapeError("known and mask belong together, and to a model that is told of them")
         if self.told:
             mask = torch.zeros_like(x) if mask is None else mask.to(x).expand_as(x)
-            known = torch.zeros_like(x) if known is None else between(known, mask > 0)
+            known = torch.zeros_like(x) if known is None else between(known, mask > 0) if guess is None else guess
             x = torch.cat((x, known, mask), -1)
         if handles is not None and self.handles is None:
             raise ShapeError("handles: this model hears of none")
@@ -151,6 +153,16 @@ def until_known(mask: Tensor) -> Tensor:
     time = torch.arange(frames, device=mask.device)
     following = torch.where((mask > 0).all(-1), time, 2 * frames).flip(-1).cummin(-1).values.flip(-1)
     return (following - time).clamp(max=frames)
+
+
+def widened(weights: Mapping[str, Tensor], features: int) -> dict[str, Tensor]:
+    """A network's state for its twin that is told what is known: what that one sees besides x_t counts nothing yet."""
+    found = dict(weights)
+    for name, value in weights.items():
+        if name.endswith("poseEmbedding.weight"):
+            each = value.unflatten(1, (-1, features))
+            found[name] = torch.cat((each, torch.zeros_like(each), torch.zeros_like(each)), -1).flatten(1)
+    return found
 
 
 #: "thesis": MDM's size, which the thesis follows closely. "compact": trains on two cores. "small": for ablations.

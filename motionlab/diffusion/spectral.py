@@ -7,8 +7,8 @@ missing, in units of that deviation: quick changes, of which motion has little, 
 shown the guess, brought to unit size, in place of x_t: there is less noise in it.
 
 A model that is told what is known corrects what that says (``between.Start``) instead of the mean, and the more freely
-the farther what is known: the same filter and deviation, with a power that ``doubt`` makes smaller. It sees the guess
-as it is, since at much noise that is the start, and noise of unit size would only hide it.
+the farther what is known: the same filter and deviation, with a power that ``doubt`` makes smaller. It sees the start
+besides, and what a model that is told nothing sees: it can go on from the weights of one.
 
 Source: Karras et al. 2022 (EDM), preconditioning, whose data is white, S = 1; the filter: Wiener 1949.
 Differs from the thesis and MDM, whose network gives x_0 itself.
@@ -69,14 +69,20 @@ class Spectral(nn.Module):
         """
         a, s = self.alpha_bar[stamps][:, None, None].to(x), self.spectrum.to(x)
         total = a * s + 1 - a
-        start, open_ = 0.0, 1.0
-        if mask is not None:
+
+        def wiener(x: Tensor) -> Tensor:
+            return self.cosines.T @ (a.sqrt() * s / total * (self.cosines @ x))
+
+        guess, open_ = wiener(x), 1.0
+        shown = guess / (a * s.square() / total).mean((1, 2), keepdim=True).sqrt()
+        if self.told:
+            if mask is None:
+                known, mask = torch.zeros_like(x), torch.zeros_like(x)
             given = mask.expand_as(x) > 0
             start, open_ = self.start(known, given, own), self._open(doubt(given), a)
-        wiener = a.sqrt() * s / total * (self.cosines @ (x - a.sqrt() * start))
-        guess = start + open_**2 * (self.cosines.T @ wiener)
-        size = 1.0 if self.told else (a * s.square() / total).mean((1, 2), keepdim=True).sqrt()
-        said = self.network(guess / size, stamps, known, mask, **told)
+            guess = start + open_**2 * wiener(x - a.sqrt() * start)
+            told["guess"] = start
+        said = self.network(shown, stamps, known, mask, **told)
         return guess + open_ * (self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said)))
 
     def recall(self, x: Tensor, clips: Tensor) -> None:

@@ -6,6 +6,7 @@ them. Nothing in them is executed.
 
 from __future__ import annotations
 
+import math
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
@@ -104,6 +105,11 @@ class Recipe:
     def schedule(self) -> Schedule:
         """The noising process."""
         return schedule.cosine(self.noising)
+
+    def rate(self, step: int) -> float:
+        """The learning rate at a step."""
+        warm = min(1.0, (step + 1) / max(self.warm_up, 1))
+        return self.lr * warm * (0.51 + 0.49 * math.cos(math.pi * step / self.steps))
 
     def denoiser(self) -> Denoiser | Spectral | Linear:
         """A new network; its weights come from torch's global generator.

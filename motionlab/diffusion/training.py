@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from motionlab import kept
 from motionlab.diffusion import handles, losses, masks
-from motionlab.diffusion.denoiser import Denoiser
+from motionlab.diffusion.denoiser import Denoiser, widened
 from motionlab.diffusion.features import Normaliser
 from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.spectral import Spectral, power
@@ -31,6 +31,7 @@ from motionlab.motion import Motion
 
 GIVE_UP = 20  # batches in a row whose gradients are not finite
 CHOOSE = ("kid", "filling error")  # the judge's measure, one of these, that chooses the checkpoint; less is better
+BEGIN = "choose the preset and size that it was made with"
 MEASURED = 2000  # windows that the normaliser is measured on
 
 Judge = Callable[[Trained], dict[str, float]]
@@ -75,7 +76,10 @@ class Training:
         self.layout, self.schedule = recipe.layout, recipe.schedule
         self._counts = recipe.weights.counts(self.schedule)
         some = self.layout.encode(data.draw(MEASURED, torch.Generator().manual_seed(0)))
-        self.normaliser = Normaliser.measure(some, self.layout, root_unit=recipe.root_unit)
+        if self.start is not None and self.start.layout != self.layout:
+            raise DataError("the model to begin from has other features", remedy=BEGIN)
+        unit = recipe.root_unit
+        self.normaliser = self.start.normaliser if self.start else Normaliser.measure(some, self.layout, root_unit=unit)
         self.generator = torch.Generator().manual_seed(recipe.seed)
         self.drawn_from, self.torn = self.generator.get_state(), False
         with self._torch_seeded(recipe.seed):
@@ -95,14 +99,14 @@ class Training:
         self.network = self.model if self.accelerator is None else self.accelerator.prepare_model(self.model)
 
     def _begin(self, other: Trained) -> None:
-        remedy = "choose the preset and size that it was made with"
-        if other.layout != self.layout:
-            raise DataError("the model to begin from has other features", remedy=remedy)
+        """Weights of a model of the same kind; or, for one that is told what is known, of one that is told nothing."""
+        weights = other.denoiser.state_dict()
+        if self.recipe.told and not other.recipe.told:
+            weights = self.model.state_dict() | widened(weights, self.layout.size)
         try:
-            self.model.load_state_dict(other.denoiser.state_dict())
+            self.model.load_state_dict(weights)
         except RuntimeError as error:
-            raise DataError(f"the model to begin from is another one: {error}"[:300], remedy=remedy) from error
-        self.normaliser = other.normaliser
+            raise DataError(f"the model to begin from is another one: {error}"[:300], remedy=BEGIN) from error
 
     @property
     def averaged(self) -> Trained:
@@ -181,7 +185,7 @@ class Training:
     def _advance(self) -> dict[str, float]:
         recipe = self.recipe
         for group in self.optimiser.param_groups:
-            group["lr"] = recipe.lr * self._rate()
+            group["lr"] = recipe.rate(self.step)
         motion, clips = self.windows.drawn(recipe.batch, self.generator)
         x0 = self.normaliser.apply(self.layout.encode(motion))
         t = torch.randint(len(self.schedule), (recipe.batch,), generator=self.generator)
@@ -235,10 +239,6 @@ class Training:
             return False
         message = f"loss or gradients are not finite, {GIVE_UP} batches in a row"
         raise DataError(message, place=f"step {self.step}", remedy="lower the learning rate")
-
-    def _rate(self) -> float:
-        warm = min(1.0, (self.step + 1) / max(self.recipe.warm_up, 1))
-        return warm * (0.51 + 0.49 * math.cos(math.pi * self.step / self.recipe.steps))
 
     @contextmanager
     def _torch_seeded(self, seed: int) -> Iterator[None]:
