@@ -37,7 +37,9 @@ def add_command(commands: argparse._SubParsersAction) -> None:
         "--data", default=os.environ.get("MOTIONLAB_DATA"), help="recordings, besides synthetic motion"
     )
     command.add_argument("--out", type=Path, help="default: the checkpoint that ships")
-    command.add_argument("--start", type=Path, help="diffusion: a checkpoint to begin from (default: new weights)")
+    command.add_argument(
+        "--start", type=Path, help="diffusion: a checkpoint to begin from (default: new weights, or the preset's)"
+    )
     command.add_argument("--resume", action="store_true", help="go on with a run that was stopped, as it was begun")
     command.set_defaults(run=_train)
 
@@ -139,7 +141,12 @@ def _train(options: argparse.Namespace) -> int:
         made = f"python -m motionlab train diffusion --preset {options.preset} --size {recipe.size}"
         made += f" --steps {recipe.steps} --seed {recipe.seed}" + (" --start CHECKPOINT" if options.start else "")
         found = found_in(options.data) if options.data else []
-        how = {"resume": options.resume, "command": made, "recordings": found, "start": options.start}
+        how = {
+            "resume": options.resume,
+            "command": made,
+            "recordings": found,
+            "start": options.start or train_diffusion.begins(options.preset, recipe),
+        }
         train_diffusion.make(recipe, options.data, out, kept, **how)
         return 0
     train, held = sources(options.data)

@@ -27,7 +27,7 @@ _BASE = Recipe(
 )  # fmt: skip
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: in world space;
 #: stuck: its twin in the stuck frame, all else equal. pose: single poses. handles: single poses, told where some joints
-#: should be. told: as free, told what is known. What ships as fixed is small and of an earlier recipe (CHANGELOG).
+#: should be. told: as stuck, from whose weights it goes on, told what is known.
 #: root_unit: so that a unit of noise moves the root about as far as it moves a hand (CHANGELOG); not where the frame
 #: is the question, or where the root is mostly known.
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
@@ -38,8 +38,10 @@ _POSE = replace(
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
 _HELD = replace(_POSE, handles=64, recalls=12_000, steps=4000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
+#: What is asked of it from pure noise is what it is used for: such windows are many, and count as much as others.
 _TOLD = replace(
-    _BASE, size="small", told=True, blind=0.2, recalls=12_000, root_unit=0.0, steps=4000, lr=8e-4, warm_up=100
+    _BASE, told=True, blind=0.3, recalls=12_000, root_unit=0.0, steps=10_000,
+    weights=replace(_WEIGHTS, fk=0.5, contact=20.0, snr=2.0),
 )  # fmt: skip
 _PLACE = replace(_BASE, root_unit=0.0, steps=10_000, weights=_FAR)
 PRESETS = {
@@ -52,7 +54,7 @@ PRESETS = {
     "told": _TOLD,
 }
 _ARM = replace(_BASE, size="small", steps=2000, lr=8e-4, warm_up=100)
-_ARM_TOLD = replace(_TOLD, recalls=2000, steps=1000)
+_ARM_TOLD = replace(_TOLD, size="small", recalls=2000, steps=2000, warm_up=100)
 _ARM_HELD = replace(_HELD, size="small", steps=1000)
 #: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles".
 ARMS = {
@@ -81,6 +83,8 @@ ARMS = {
     "handles_no_embedding": replace(_ARM_HELD, handles=0),
 }
 PRESETS |= {f"arm_{name}": recipe for name, recipe in ARMS.items()}
+#: Models that go on from the weights of another one that ships, told of nothing.
+FROM = {"told": "diffusion_stuck", "arm_told": "arm_no_unit", "arm_arrival": "arm_no_unit"}
 HELD = 256  # held-out windows that the checkpoint is chosen by
 #: Of all steps: no earlier average is chosen. The error of x_0 falls to the end, and KID is too uncertain to tell a
 #: lucky early average from a better late one (CHANGELOG).
@@ -100,6 +104,12 @@ def chosen(found: dict[str, list[Motion]], recipe: Recipe) -> dict[str, list[Mot
         raise DataError(message, remedy="give --data with recordings, or another preset")
     used = {name: motions for name, motions in found.items() if recipe.source in ("all", name)}
     return {name: library.spread(motions, max(1, round(len(motions) * recipe.share))) for name, motions in used.items()}
+
+
+def begins(preset: str, recipe: Recipe) -> Path | None:
+    """The checkpoint that a preset goes on from; None for new weights, and for a size that is not the preset's."""
+    as_usual = recipe.size == PRESETS[preset].size
+    return checkpoint.SHIPPED / FROM[preset] if preset in FROM and as_usual else None
 
 
 def make(

@@ -241,6 +241,24 @@ def test_rate_average_and_late_losses_follow_the_recipe(data):
     assert rates[-1] == pytest.approx(0.51 + 0.49 * math.cos(math.pi * 7 / 8))
 
 
+def test_kinematics_count_by_the_signal_or_by_what_is_known(data, monkeypatch):
+    seen, compare = {}, losses.compare
+
+    def spied(*args, **how):
+        seen.update(how)
+        return compare(*args, **how)
+
+    monkeypatch.setattr(losses, "compare", spied)
+    weights = Weights(by_signal=True, late=0.0)
+    told = replace(TOLD, weights=weights, blind=1.0, batch=16)  # all from pure noise, where there is no signal
+    training.Training(told, data)._advance()
+    share = seen["known"].float().mean((1, 2))
+    assert share.max() > 0.3 and share.min() == 0
+    assert torch.allclose(seen["trust"], share, atol=1e-3)
+    training.Training(replace(told, told=False), data)._advance()
+    assert seen["trust"].max() < 1e-3
+
+
 @pytest.mark.parametrize("by_signal", [False, True])
 def test_the_loss_is_the_weighted_sum_of_its_parts(data, by_signal):
     weights = Weights(fk=2.0, velocity=0.5, known=3.0, contact=7.0, late=0.0, by_signal=by_signal)
@@ -515,6 +533,7 @@ def few(motions, monkeypatch):
     parts = {"train": {"synthetic": motions}, "choose": {"unseen": other}}
     monkeypatch.setattr(diffusion_data, "sources", lambda folder, part: parts[part])
     monkeypatch.setattr(train_diffusion, "HELD", 12)
+    monkeypatch.setattr(train_diffusion, "FROM", {})
     for name, recipe in train_diffusion.PRESETS.items():
         small = replace(recipe, size="tiny", frames=min(recipe.frames, 8), steps=9, batch=4, noising=20, warm_up=1)
         small = replace(small, recalls=min(recipe.recalls, 20))
@@ -538,6 +557,27 @@ def test_the_command_writes_a_checkpoint_of_every_preset(few, tmp_path, capsys, 
     assert (drawn.contacts is None) == (preset in ("fixed", "pose"))
     if preset == "fixed":
         assert drawn.root[..., :2].abs().max() < 0.2  # barely trained numbers of unit size, metres
+
+
+def test_a_preset_goes_on_from_what_ships_unless_its_size_is_another(few, tmp_path, monkeypatch):
+    monkeypatch.setattr(train_diffusion, "FROM", {"told": "diffusion_stuck"})
+    monkeypatch.setattr(checkpoint, "SHIPPED", tmp_path)
+    assert main(["train", "diffusion", "--preset", "stuck", "--steps", "2"]) == 0
+    assert main(["train", "diffusion", "--preset", "told", "--steps", "2"]) == 0
+    about = checkpoint.read_recipe(tmp_path / "diffusion_told")
+    assert about["began from"]["recipe"]["told"] is False and about["recipe"]["told"] is True
+    told = train_diffusion.PRESETS["told"]
+    assert train_diffusion.begins("told", replace(told, size="small")) is None
+    assert train_diffusion.begins("stuck", told) is None
+
+
+def test_what_ships_was_made_by_its_preset():
+    for name, recipe in train_diffusion.PRESETS.items():
+        about = checkpoint.read_recipe(checkpoint.SHIPPED / (name if "arm_" in name else f"diffusion_{name}"))
+        assert Recipe.read(about["recipe"]) == recipe, name
+        begun = train_diffusion.begins(name, recipe)
+        assert ("began from" in about) == (begun is not None), name
+        assert not begun or about["began from"]["sha256"] == checkpoint.read_recipe(begun)["sha256"], name
 
 
 def test_the_command_goes_on_where_it_was_stopped(few, motions, tmp_path):

@@ -32,10 +32,11 @@ class Weights:
     before ``fk``, ``contact`` and ``handles`` count: the kinematics of a guess that is no pose yet have huge gradients.
     gate: contacts that "predicted" (Eq. 4.9), "held" (the same, no gradient through them) or "truth" (MDM) says.
     by_signal: fk and contact of a window count by alpha_bar of its step, as a guess from pure noise is an average of
-    poses, not a pose; not in Eq. 4.9. even: in ``simple`` every group of numbers counts alike, so that the root's place
-    is a quarter of it and not 3 numbers of 144; not in Eq. 4.8. snr: windows count 1 + min(snr, signal / noise), so
-    that the small errors at little noise, which jitter and sliding are made of, count too; 0: all count alike. Hang et
-    al. 2023 have no 1: then nothing is learned where there is hardly any signal, and samples begin with a mistake.
+    poses, not a pose, or by the share of it that is known, if that is more; not in Eq. 4.9. even: in ``simple`` every
+    group of numbers counts alike, so that the root's place is a quarter of it and not 3 numbers of 144; not in Eq. 4.8.
+    snr: windows count 1 + min(snr, signal / noise), so that the small errors at little noise, which jitter and sliding
+    are made of, count too; 0: all count alike. Hang et al. 2023 have no 1: then nothing is learned where there is
+    hardly any signal, and samples begin with a mistake.
     """
 
     simple: float = 1.0

@@ -13,7 +13,7 @@ from torch import Tensor
 from motionlab.diffusion.features import Layout
 
 #: How often each kind is drawn.
-KINDS = {"nothing": 0.3, "frames": 0.05, "gap": 0.2, "joints": 0.2, "entries": 0.05, "legs": 0.2}
+KINDS = {"nothing": 0.15, "frames": 0.05, "gap": 0.25, "joints": 0.2, "entries": 0.05, "legs": 0.3}
 LEGS = ("hip", "knee", "ankle", "foot")
 
 

@@ -207,9 +207,10 @@ class Training:
         with self._torch_seeded(seed), torch.autocast(torch.device(self.device).type, torch.bfloat16, recipe.bf16):
             estimate = self.network(xt, stamps, **told).float()
         weights = recipe.weights.at(self.step / recipe.steps, self.layout, recipe.told)
+        trust = signal if known is None else torch.maximum(signal, known.float().mean((1, 2)))
         parts = losses.compare(
             estimate, x0, self.layout, self.normaliser, offsets, parts=weights, gate=recipe.weights.gate,
-            even=recipe.weights.even, known=known, handles=held, trust=signal if recipe.weights.by_signal else None,
+            even=recipe.weights.even, known=known, handles=held, trust=trust if recipe.weights.by_signal else None,
             count=count,
         )  # fmt: skip
         loss = sum(weight * parts[name] for name, weight in weights.items())
