@@ -177,6 +177,8 @@ def joined(motions: Iterable[Motion]) -> Motion:
     if not motions:
         raise ShapeError("joined: none to join")
     first = motions[0]
+    if first.root.ndim != 3 or first.skeleton.offsets.ndim != 2:
+        raise ShapeError(f"joined: expected windows (N, T) on one body, got root {tuple(first.root.shape)}")
     for other in motions[1:]:
         here, there = first.skeleton.offsets, other.skeleton.offsets
         same_body = here.shape == there.shape and torch.allclose(here, there, atol=1e-6)

@@ -197,6 +197,6 @@ def _standard() -> Skeleton:
 
 #: The 22-joint standard: SMPL's body joints in SMPL's order.
 STANDARD = _standard()
-#: The contact joints of the feet, in the order of ``STANDARD.contact_names``.
 ANKLES, BALLS = ("left_ankle", "right_ankle"), ("left_foot", "right_foot")  # a "foot" joint is its ball
+#: The contact joints of the feet, in the order of ``STANDARD.contact_names``.
 FEET = (*ANKLES, *BALLS)

@@ -27,7 +27,7 @@ _BASE = Recipe(
 )  # fmt: skip
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: in world space;
 #: stuck: its twin in the stuck frame, all else equal. pose: single poses. handles: single poses, told where some joints
-#: should be. told: as stuck, from whose weights it goes on, told what is known.
+#: should be. told: told what is known, from the weights of stuck, whose units it shares.
 #: root_unit: so that a unit of noise moves the root about as far as it moves a hand (CHANGELOG); not where the frame
 #: is the question, or where the root is mostly known.
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
@@ -38,7 +38,7 @@ _POSE = replace(
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
 _HELD = replace(_POSE, handles=64, recalls=12_000, steps=4000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
-#: What is asked of it from pure noise is what it is used for: such windows are many, and count as much as others.
+#: What is asked of it from pure noise is what it is used for: such windows are many, and count nearly as others do.
 _TOLD = replace(
     _BASE, told=True, blind=0.3, recalls=12_000, root_unit=0.0, steps=10_000,
     weights=replace(_WEIGHTS, fk=0.5, contact=20.0, snr=2.0),
@@ -56,7 +56,8 @@ PRESETS = {
 _ARM = replace(_BASE, size="small", steps=2000, lr=8e-4, warm_up=100)
 _ARM_TOLD = replace(_TOLD, size="small", recalls=2000, steps=2000, warm_up=100)
 _ARM_HELD = replace(_HELD, size="small", steps=1000)
-#: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles".
+#: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles", and
+#: "arrival" from "told".
 ARMS = {
     "all": _ARM,
     "seed_1": replace(_ARM, seed=1),
@@ -140,7 +141,7 @@ def make(
     data = gather(_together(train, recipe, recipe.copies), recipe.frames, mirrored=recipe.mirrored)
     held = gather(_together(choose, recipe), recipe.frames).evenly(HELD)
     where = {"device": "cuda" if torch.cuda.is_available() else "cpu", "accelerator": _accelerator()}
-    first = trained.load(start) if start else None
+    first = trained.load(start) if start and not resume else None
     run = training.resume(kept, data, **where) if resume else training.Training(recipe, data, **where, start=first)
     run.run(keep=kept, held=held, judge=_judge(recipe, held), judge_from=JUDGE_FROM, progress=True)
     if run.rank:

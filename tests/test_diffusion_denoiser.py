@@ -76,6 +76,9 @@ def test_a_model_that_is_told_reads_what_is_known(generator):
     known = torch.randn(2, 4, 6, generator=generator)
     nothing, something = model(x, t), model(x, t, known, mask)
     assert (nothing - something).abs().max() > 1e-3
+    guess = torch.randn(2, 4, 6, generator=generator)
+    assert not torch.allclose(model(x, t, known, mask, guess=guess), something, atol=1e-3)
+    assert torch.equal(model(x, t, known + 5, mask, guess=guess), model(x, t, known, mask, guess=guess))
     other = torch.where(mask.bool(), known, known + 5)  # what the mask hides is not read
     assert torch.equal(model(x, t, other, mask), something)
     with pytest.raises(ShapeError):

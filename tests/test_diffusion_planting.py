@@ -9,7 +9,7 @@ from data_synth import scenes
 from motionlab import rotation
 from motionlab.contact import with_contacts
 from motionlab.diffusion import evaluation
-from motionlab.diffusion.planting import planted
+from motionlab.diffusion.planting import FADE, _stands, planted
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
 from motionlab.skeleton import ANKLES, BALLS, STANDARD, UPRIGHT
@@ -48,7 +48,7 @@ def test_feet_that_stand_stay_where_they_are(sliding):
     assert steps(made).mean() < 0.05 * steps(sliding).mean()
 
 
-def test_only_hips_knees_and_ankles_turn_and_feet_hardly(walk, sliding):
+def test_only_hips_knees_and_ankles_turn_and_a_foot_on_its_ball_keeps_its_orientation(walk, sliding):
     sliding = replace(walk, root=walk.root + 0.1 * (sliding.root - walk.root))  # legs stay long enough
     made, skeleton = planted(sliding), sliding.skeleton
     turned = (made.rot - sliding.rot).abs().amax((0, 1, 3, 4)) > 1e-5
@@ -57,7 +57,35 @@ def test_only_hips_knees_and_ankles_turn_and_feet_hardly(walk, sliding):
     assert torch.equal(made.root, sliding.root)
     here, there = (m.world[1][..., skeleton.indices(ANKLES), :, :] for m in (made, sliding))
     angles = rotation.geodesic(here, there).rad2deg()
+    heels = sliding.positions[..., skeleton.indices(ANKLES), :]
+    low = _stands(sliding, ANKLES).float().mT
+    away = torch.nn.functional.max_pool1d(low, 2 * FADE + 3, 1, FADE + 1).mT == 0  # heels in the air, and no fading
+    hips = sliding.positions[..., skeleton.indices(("left_hip", "right_hip")), :]
+    bent = (heels - hips).norm(dim=-1) < 0.97 * (heels - hips).norm(dim=-1).max()
+    assert (away & bent).sum() > 20 and angles[away & bent].max() < 0.1
     assert angles.mean() < 6 and angles.max() < 45
+
+
+def test_feet_that_no_label_names_stand_if_they_are_low_and_slow_and_only_then(walk):
+    unlabelled = replace(walk, contacts=torch.zeros_like(walk.contacts))
+    creeping = replace(
+        unlabelled, root=walk.root + 0.1 * torch.arange(60)[:, None] / 30 * torch.tensor([0.0, 1.0, 0.0])
+    )
+    stands = _stands(walk, BALLS)
+    both = stands[:, 1:] & stands[:, :-1]
+
+    def slide(motion):
+        return motion.positions[..., STANDARD.indices(BALLS), :].diff(dim=1).norm(dim=-1)
+
+    assert slide(creeping)[both].mean() > 3e-3 and slide(planted(creeping))[both].mean() < 5e-4
+    running = replace(unlabelled, root=walk.root + 2.0 * torch.arange(60)[:, None] / 30 * torch.tensor([0.0, 1.0, 0.0]))
+    assert (planted(running).positions - running.positions).norm(dim=-1).mean() < 2e-3  # low, but at 2 m/s
+
+
+def test_true_motion_is_hardly_moved(walk):
+    """The control: what a finish takes from motion that needs none."""
+    moved = (planted(walk).positions - walk.positions).norm(dim=-1)[..., STANDARD.indices(BALLS)]
+    assert moved.mean() < 0.01
 
 
 def test_a_heel_on_the_floor_stays_though_its_foot_trembles(walk):
@@ -88,8 +116,8 @@ def test_out_of_reach_the_heel_lifts_and_the_ball_stays():
     heels, balls = (made.positions[..., STANDARD.indices(names), 2] for names in (ANKLES, BALLS))
     assert (balls.amax(1) - balls.amin(1)).max() < 1e-4
     assert (heels[:, -1] - heels[:, 0]).min() > 0.01  # the ball rests half-way up
-    thigh = made.positions[..., STANDARD.indices(("left_knee", "right_knee")), 2]
-    assert (thigh > heels).all()
+    hips, ankles = (made.positions[..., STANDARD.indices(n), :] for n in (("left_hip", "right_hip"), ANKLES))
+    assert ((ankles - hips).norm(dim=-1).diff(dim=1) < 1e-3).all()  # no leg grows
 
 
 def test_between_runs_the_foot_does_not_jump(sliding):

@@ -92,6 +92,18 @@ def test_what_is_known_comes_out_and_what_is_not_is_never_read(told):
     assert not torch.allclose(model(x, stamps)[known], values[known], atol=1e-2)
 
 
+def test_the_network_sees_its_start_and_what_a_model_that_is_told_nothing_sees(told):
+    x, stamps, values, known = told
+    model, plain = made(torch.rand(12, 3) + 0.1, told=True), made(torch.ones(12, 3))
+    plain.spectrum.copy_(model.spectrum)
+    seen = []
+    for each in (model, plain):
+        each.network.register_forward_pre_hook(lambda _, given, how: seen.append((given[0], how)), with_kwargs=True)
+    model(x, stamps, values, known), plain(x, stamps)
+    assert torch.equal(seen[0][0], seen[1][0]) and "guess" not in seen[1][1]
+    assert torch.equal(seen[0][1]["guess"], model.start(values, known))
+
+
 def test_with_a_flat_spectrum_it_is_bayes_rule_number_by_number(told):
     """Prior N(line, doubt^2 s), one observation x_t: mean and deviation by precisions, as in any textbook."""
     x, stamps, values, known = told

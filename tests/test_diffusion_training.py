@@ -638,6 +638,9 @@ def test_a_model_that_is_told_can_begin_from_one_that_is_told_nothing(data):
         here, there = run.averaged.denoiser.network(x, stamps, x, mask), first.denoiser.network(x, stamps)
     assert torch.allclose(here, there, atol=1e-5) and there.abs().max() > 1e-3
     assert run.model.start.factor.abs().max() > 0 and run.normaliser is first.normaliser
-    before = run.model.network.input_process.poseEmbedding.weight.clone()
+    size, weight = run.layout.size, run.model.network.input_process.poseEmbedding.weight
+    assert not weight[:, size:].any()
     run.run(until=3)
-    assert not torch.equal(run.model.network.input_process.poseEmbedding.weight, before)
+    assert weight[:, size : 2 * size].any() and weight[:, 2 * size :].any()  # the start and the mask are heard
+    with pytest.raises(DataError, match="another one"):
+        training.Training(replace(TOLD, spectral=True, before=True), data, start=first)

@@ -126,6 +126,8 @@ def test_windows_join_on_one_body(generator):
             joined([motion, other])
     with pytest.raises(ShapeError, match="none"):
         joined([])
+    with pytest.raises(ShapeError, match=r"windows \(N, T\)"):
+        joined([motion.clip(0), motion.clip(1)])  # not one after the other
 
 
 def test_mirror_mirrors_every_joint_and_twice_is_nothing(generator):

@@ -2,7 +2,7 @@
 
 The rivals of such models at once: training windows that are like what is known, or a Gaussian of few principal parts,
 say what goes with what (``Start``), and what they leave goes smoothly from one known frame to the next (``curves``).
-``doubt``: how far from that the truth may be. ``between``: straight lines, which the network sees.
+``doubt``: how far from that the truth may be. ``between``: straight lines, which a network sees that has no start.
 Source: Bishop 2006, 12.2 and 2.5.1; ReMoDiffuse (Zhang et al. 2023), which also recalls training motion for a diffusion
 model. Differs from CondMDI, where what is not known is zero, and the network has to find all this out by itself.
 """

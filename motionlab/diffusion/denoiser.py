@@ -1,10 +1,10 @@
 """The network that guesses x_0 from x_t: a transformer encoder over frames, told the step by a token of its own.
 
 Source: thesis 4.1.2, Fig. 4.2; MDM (Tevet et al. 2022), official code, unconstrained model, whose weights load by key.
-Differs, where asked: the known part of the state, with straight lines through it, and its mask as further inputs
-(CondMDI; thesis 4.4.1); how long until the next known frame, added to every token (Harvey et al. 2020); several frames
-in one token, which halves the work; where chosen joints should be, through a linear layer, beside the input (thesis
-4.2.4, "handle conditioning").
+Differs, where asked: the known part of the state, with straight lines through it or a guess, and its mask as further
+inputs (CondMDI; thesis 4.4.1); how long until the next known frame, added to every token (Harvey et al. 2020); several
+frames in one token, which halves the work; where chosen joints should be, through a linear layer, beside the input
+(thesis 4.2.4, "handle conditioning").
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ class Denoiser(nn.Module):
             raise ShapeError("known and mask belong together, and to a model that is told of them")
         if self.told:
             mask = torch.zeros_like(x) if mask is None else mask.to(x).expand_as(x)
-            known = torch.zeros_like(x) if known is None else between(known, mask > 0) if guess is None else guess
+            known = guess if guess is not None else torch.zeros_like(x) if known is None else between(known, mask > 0)
             x = torch.cat((x, known, mask), -1)
         if handles is not None and self.handles is None:
             raise ShapeError("handles: this model hears of none")
@@ -156,7 +156,10 @@ def until_known(mask: Tensor) -> Tensor:
 
 
 def widened(weights: Mapping[str, Tensor], features: int) -> dict[str, Tensor]:
-    """A network's state for its twin that is told what is known: what that one sees besides x_t counts nothing yet."""
+    """A network's state for its twin that is told what is known: what that one sees besides x_t counts nothing yet.
+
+    The columns of a token, for each of its frames: x_t (``features``), the known part, the mask.
+    """
     found = dict(weights)
     for name, value in weights.items():
         if name.endswith("poseEmbedding.weight"):

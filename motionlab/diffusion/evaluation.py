@@ -26,7 +26,6 @@ from motionlab.metrics.memorisation import Neighbours, nearest_windows
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import BALLS, STANDARD
 
-#: The joints that skate or do not: the balls of the feet, as in GMD.
 #: What :func:`score` measures and when it is good; frechet and kid in squared units of the features.
 MEASURES = {
     "frechet": "low", "kid": "0", "precision": "high", "recall": "high", "density": "1", "coverage": "high",

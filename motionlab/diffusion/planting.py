@@ -1,8 +1,9 @@
-"""A finish for feet: where the ball of a foot or an ankle is said to stand, or hardly moves, it stands.
+"""A finish for feet: where the ball of a foot or an ankle is said to stand, or is low and slow, it stands.
 
-Every run of such frames gets one place, the mean of where the joint was in it. In between, the shift of the ball
-goes in a line from one run to the next; what the ankle needs besides, for a foot flat on the floor, fades at the run's
-ends. Where the leg is too short the heel lifts, the ball stays. Hip and knee bend by two-bone inverse kinematics.
+Every run of such frames gets one place, the mean of where the ball was in it. In between, the shift of the ball goes in
+a line from one run to the next. The ankle stays at its own mean as far as the foot's length lets it; what it needs
+besides the shift fades at its run's ends. Where the leg is too short the heel lifts, the ball stays. Hip and knee bend
+by two-bone inverse kinematics.
 Source: Kovar et al. 2002, "Footskate cleanup for motion capture editing". Differs: runs get their mean place, the root
 never moves, and a ball out of reach of leg and foot is approached, not reached.
 """
@@ -26,7 +27,7 @@ from motionlab.skeleton import ANKLES, BALLS
 STANDS = 0.5  # of a contact: more is one
 LOW = 0.2  # metres above where a joint rests: lower and slow, it stands, too
 SLOW = {ANKLES: (0.25, 0.5), BALLS: (0.35, 0.7)}  # m/s, strict and loose (``contact.hysteresis``)
-FADE = 4  # frames over which a foot turns to lie flat
+FADE = 4  # frames beside a run in which a foot turns to lie flat
 STRETCHED = 0.998  # of a straight leg: longer is out of reach, unless it was
 HIPS, KNEES = ("left_hip", "right_hip"), ("left_knee", "right_knee")
 
@@ -37,7 +38,7 @@ def planted(motion: Motion) -> Motion:
     A motion that was made knows its contacts no better than its legs, and what stands on a step has none.
 
     Raises:
-        DataError: no contacts. ShapeError: a single clip, or a body for each.
+        DataError: no contacts. ShapeError: a single clip, a body for each, or one frame, which has no speed.
     """
     if motion.root.ndim != 3 or motion.skeleton.offsets.ndim != 2:
         raise ShapeError(f"expected motions (B, T) on one body, got root {tuple(motion.root.shape)}")

@@ -99,10 +99,10 @@ class Training:
         self.network = self.model if self.accelerator is None else self.accelerator.prepare_model(self.model)
 
     def _begin(self, other: Trained) -> None:
-        """Weights of a model of the same kind; or, for one that is told what is known, of one that is told nothing."""
-        weights = other.denoiser.state_dict()
+        weights = other.denoiser.state_dict()  # of the same kind; or, if this is told what is known, told nothing
         if self.recipe.told and not other.recipe.told:
-            weights = self.model.state_dict() | widened(weights, self.layout.size)
+            own = {name: x for name, x in self.model.state_dict().items() if name.startswith("start.")}
+            weights = own | widened(weights, self.layout.size)
         try:
             self.model.load_state_dict(weights)
         except RuntimeError as error:
