@@ -170,8 +170,8 @@ def sampler(model: Trained, steps: int, *, rest: float = 0.0) -> Generate:
 
 
 def on_its_feet(generate: Generate) -> Generate:
-    """A generator of motions with contacts, its feet ``planted``."""
-    return lambda count, generator: planted(generate(count, generator))
+    """A generator of motions with contacts, its feet ``planted`` where they say so."""
+    return lambda count, generator: planted(generate(count, generator), slow=False)
 
 
 def rough(x: float) -> str:

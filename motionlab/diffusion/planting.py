@@ -32,10 +32,11 @@ STRETCHED = 0.998  # of a straight leg: longer is out of reach, unless it was
 HIPS, KNEES = ("left_hip", "right_hip"), ("left_knee", "right_knee")
 
 
-def planted(motion: Motion) -> Motion:
-    """Motions (B, T) on one body whose feet stay in place wherever their contacts say so or they are low and slow.
+def planted(motion: Motion, *, slow: bool = True) -> Motion:
+    """Motions (B, T) on one body whose feet stay in place wherever their contacts say so.
 
-    A motion that was made knows its contacts no better than its legs, and what stands on a step has none.
+    slow: and where they are low and slow: motion that was filled in knows its contacts no better than its legs, and
+    what stands on a step has none. A sample, whose contacts were made with its legs, only grows calmer by that.
 
     Raises:
         DataError: no contacts. ShapeError: a single clip, a body for each, or one frame, which has no speed.
@@ -46,7 +47,7 @@ def planted(motion: Motion) -> Motion:
         raise DataError("no contacts", place=motion.name, remedy="contact.with_contacts labels a motion")
     skeleton = motion.skeleton
     hip, ankle, ball = (motion.positions[..., skeleton.indices(names), :] for names in (HIPS, ANKLES, BALLS))
-    heel_down, ball_down = (_stands(motion, names) for names in (ANKLES, BALLS))
+    heel_down, ball_down = (_stands(motion, names, slow) for names in (ANKLES, BALLS))
     shift = _lines(_place(ball, ball_down) - ball, ball_down)
     flat = torch.where(heel_down[..., None], _place(ankle, heel_down) - ankle - shift, 0.0)
     flat = _lines(flat, heel_down | ~_near(heel_down))
@@ -58,12 +59,14 @@ def planted(motion: Motion) -> Motion:
     return _turned(motion, heel, there)
 
 
-def _stands(motion: Motion, names: tuple[str, ...]) -> Tensor:
+def _stands(motion: Motion, names: tuple[str, ...], slow: bool = True) -> Tensor:
     skeleton, points = motion.skeleton, motion.positions[..., motion.skeleton.indices(names), :]
     columns = [skeleton.contact_names.index(name) for name in names]
+    says = motion.contacts[..., columns] > STANDS
+    if not slow:
+        return says
     rest = resting_heights(skeleton)[columns]
-    slow = contacts_from_positions(points, motion.fps, rest, height=(LOW, LOW), speed=SLOW[names]) > 0
-    return slow | (motion.contacts[..., columns] > STANDS)
+    return says | (contacts_from_positions(points, motion.fps, rest, height=(LOW, LOW), speed=SLOW[names]) > 0)
 
 
 def _place(points: Tensor, stands: Tensor) -> Tensor:

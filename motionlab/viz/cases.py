@@ -23,6 +23,7 @@ ROLES = {
     "Savitzky-Golay": "axis-angle", "one euro": "quaternion", "Eq. 4.10": "axis-angle", "not told": "stage2",
     "told": "ours", "told, planted": "ours", "ridge, planted": "quaternion", "nearest, planted": "6d",
     "mean, planted": "observation", "not told, planted": "stage2", "start alone": "stage3",
+    "start alone, planted": "stage3",
     "curves": "real", "diffusion": "ours", "no last overwrite": "stage3",
 }  # fmt: skip
 
