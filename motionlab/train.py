@@ -141,12 +141,8 @@ def _train(options: argparse.Namespace) -> int:
         made = f"python -m motionlab train diffusion --preset {options.preset} --size {recipe.size}"
         made += f" --steps {recipe.steps} --seed {recipe.seed}" + (" --start CHECKPOINT" if options.start else "")
         found = found_in(options.data) if options.data else []
-        how = {
-            "resume": options.resume,
-            "command": made,
-            "recordings": found,
-            "start": options.start or train_diffusion.begins(options.preset, recipe),
-        }
+        start = options.start or train_diffusion.begins(options.preset, recipe)
+        how = {"resume": options.resume, "command": made, "recordings": found, "start": start}
         train_diffusion.make(recipe, options.data, out, kept, **how)
         return 0
     train, held = sources(options.data)

@@ -38,7 +38,7 @@ _POSE = replace(
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
 _HELD = replace(_POSE, handles=64, recalls=12_000, steps=4000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
-#: What is asked of it from pure noise is what it is used for: such windows are many, and count nearly as others do.
+#: What is asked of it from pure noise is what it is used for: such windows are many, and count a third of the clearest.
 _TOLD = replace(
     _BASE, told=True, blind=0.3, recalls=12_000, root_unit=0.0, steps=10_000,
     weights=replace(_WEIGHTS, fk=0.5, contact=20.0, snr=2.0),
