@@ -11,6 +11,7 @@ from data_synth.corpus import perform_sequence
 from motionlab.diffusion import baseline_trials as trials
 from motionlab.diffusion import denoiser, trained
 from motionlab.diffusion.features import Normaliser
+from motionlab.diffusion.planting import planted
 from motionlab.diffusion.spectral import power
 from motionlab.diffusion.trained import LEVELS, Recipe, Trained
 from motionlab.diffusion.windows import gather, on_standard
@@ -135,3 +136,20 @@ def test_stopped_keeps_two_sets_of_weights(data, motion):
     best = min(curve, key=lambda row: row["kid"])["step"]
     same = all(torch.equal(a, b) for a, b in zip(*(m.denoiser.parameters() for m in models.values()), strict=True))
     assert same == (best == 6)
+
+
+def test_rests_walk_less_and_are_measured_as_samples_are(motion):
+    recipe = Recipe(size="tiny", frames=16, spectral=True, noising=100, contacts=True)
+    torch.manual_seed(0)
+    normaliser = Normaliser.measure(recipe.layout.encode(motion), recipe.layout)
+    network = recipe.denoiser().eval().requires_grad_(False)
+    made = Trained(network, recipe.schedule, recipe.layout, normaliser, recipe)
+    network.spectrum.copy_(power(made.encode(motion)))
+    rows = trials.rests(made, motion, (0.5, 0.0, 0.5), 4, seeded(), steps=10)
+    assert [row["not walked"] for row in rows] == [0.5, 0.0, 0.5]
+    assert rows[0] == rows[2] != rows[1], "the same noise each"
+    alone = trials.physics(planted(made.sample(4, seeded(), steps=10), slow=False))
+    real = trials.physics(motion)
+    for what, key in (("skating", "skating, %"), ("acceleration", "acceleration, m/s^2")):
+        assert rows[1][what] == pytest.approx((alone[key].mean() / real[key].mean()).item())
+    assert rows[0]["acceleration"] < rows[1]["acceleration"], "what is not walked cannot tremble"

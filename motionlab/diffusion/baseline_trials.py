@@ -14,6 +14,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.diffusion import masks
 from motionlab.diffusion.judge import judge
+from motionlab.diffusion.planting import planted
 from motionlab.diffusion.repair import Way, fill
 from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.spectral import Spectral
@@ -103,6 +104,28 @@ def physics(motion: Motion) -> dict[str, Tensor]:
     found["acceleration, m/s^2"] = mean_acceleration(p, motion.fps)
     found["speed, m/s"] = (p.diff(dim=1) * motion.fps).norm(dim=-1).mean((1, 2))
     return found
+
+
+def rests(
+    model: Trained, real: Motion, shares: Sequence[float], count: int, generator: torch.Generator, *, steps: int
+) -> list[dict[str, float]]:
+    """How samples move when a last share of ``steps`` is not walked (``Trained.sample``), from the same noise each.
+
+    Skating ratio and acceleration of ``count`` samples with planted feet over those of real windows (N, T).
+    """
+
+    def move(motion: Motion) -> tuple[Tensor, Tensor]:
+        row = physics(motion)
+        return row["skating, %"].nanmean(), row["acceleration, m/s^2"].nanmean()
+
+    (skate, quick), begin, rows = move(real), generator.get_state(), []
+    for share in shares:
+        generator.set_state(begin)
+        made = move(planted(model.sample(count, generator, steps=steps, rest=share), slow=False))
+        rows.append(
+            {"not walked": share, "skating": (made[0] / skate).item(), "acceleration": (made[1] / quick).item()}
+        )
+    return rows
 
 
 def distances(made: Tensor, real: Tensor, generator: torch.Generator) -> dict[str, float]:
