@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     schedule = testops.Schedule.quick() if options.quick else None  # the lean one
     print(f"{seen.name}: {seen.frames} frames at 30 fps; Ctrl-C keeps the best so far")
     size = pictures[0].size if pictures else None
-    fitted = testops.fit(seen, known, schedule=schedule, floor=floor, size=size, progress=True)
+    fitted = testops.fit(seen, known, schedule=schedule, solver=options.solver, floor=floor, size=size, progress=True)
     motion = fitted.motion.clip(0)
     for line in report_fit.report(fitted, seen).lines():
         print(line)

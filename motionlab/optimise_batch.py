@@ -62,6 +62,7 @@ def minimise_batch(
     tolerance_grad: float = 1e-7,
     tolerance_change: float | Tensor = 0.0,
     rows: bool = False,
+    unit: bool = False,
     progress: bool = False,
 ) -> BatchFit:
     """Lower B energies by moving the variables (B, ...) that require gradients; the others are constants.
@@ -80,6 +81,8 @@ def minimise_batch(
             number per clip.
         rows: call ``energy(variables of the n clips that still run (n, ...), their numbers (n,))`` -> (n,), so that
             clips that have stopped cost nothing more.
+        unit: the variables are such that a step along minus the gradient is Newton's, or nearly: a first search begins
+            with it, instead of a step that moves nothing by more than 1.
         progress: show a bar with the mean energy and the number of clips that still run.
 
     Raises:
@@ -88,7 +91,7 @@ def minimise_batch(
         ValueError: no variable requires gradients, or those that do differ in type.
     """
     machine = _Machine(energy, variables, memory, rows=rows)
-    machine.iterations, machine.tolerance_grad = steps * inner, tolerance_grad
+    machine.iterations, machine.tolerance_grad, machine.unit = steps * inner, tolerance_grad, unit
     machine.tolerance_change = _per_clip(tolerance_change, len(machine.clips))
     budget = steps * inner * 5 // 4 if max_closures is None else max_closures
     began, rest = time.perf_counter(), "closures"
@@ -134,7 +137,7 @@ class _Clip:
 class _Machine:
     """All clips: points x, directions d and gradients g as rows of (B, N) tensors; one state machine each."""
 
-    iterations, tolerance_grad = 0, 0.0
+    iterations, tolerance_grad, unit = 0, 0.0, False
     tolerance_change: list[float]  # of each clip
 
     def __init__(self, energy: Callable[..., Tensor], variables: dict[str, Tensor], memory: int, *, rows: bool) -> None:
@@ -245,7 +248,7 @@ class _Machine:
                 self.x[rows[k]], direction[k], clip.step = self.best[rows[k]], 0.0, 0.0
                 continue
             clip.energy, clip.steepest = trial.energy, pairs == 0
-            first = 1.0 if pairs else min(1.0, 1.0 / total)
+            first = 1.0 if pairs or self.unit else min(1.0, 1.0 / total)
             clip.search = strong_wolfe(Trial(0.0, trial.energy, slant, trial.gradient), first, size, eps)
             clip.step = next(clip.search)
         self.d[rows] = direction

@@ -52,7 +52,7 @@ def rollout(
     Raises:
         ShapeError: first and z do not fit each other.
     """
-    _check(model, first, z)
+    check(model, first, z)
     decoder = Decoder.of(model)
     start = heading(first)
     x = localise(first, start, offset)[:, LEAN.to(first.device)]
@@ -62,11 +62,12 @@ def rollout(
     prior = None
     if with_prior:
         prior = Gaussian(*(part.transpose(0, 1) for part in model.prior(past[..., back])))
-    states = _to_world(start, after[..., back].transpose(0, 1), offset)
+    states = to_world(start, after[..., back].transpose(0, 1), offset)
     return Rollout(states, logits.transpose(0, 1), z, prior)
 
 
-def _check(model: Cvae, first: Tensor, z: Tensor) -> None:
+def check(model: Cvae, first: Tensor, z: Tensor) -> None:
+    """Raises ShapeError where first states (B, 339) and latents (B, T, 48) do not fit each other."""
     check_shape(first, f"B {STATE}", "first")
     check_shape(z, f"B T {model.latent}", "z")
     if len(first) != len(z):
@@ -80,7 +81,7 @@ def _spread(offset: Tensor | None) -> Tensor | None:
     return None if offset is None else F.pad(offset[:, None].expand(-1, 22, -1), (0, 0, 3, 25))
 
 
-def _to_world(start: Frame, local: Tensor, offset: Tensor | None) -> Tensor:
+def to_world(start: Frame, local: Tensor, offset: Tensor | None) -> Tensor:
     """States (B, T, 339), each in the frame of the state before it, in the coordinates that ``start`` (B) is given in.
 
     x_{k+1} = A_k (x_k + s_k), so that x_k = turn_k (x + shift_k) with turn_{k+1} = A_k turn_k and
@@ -115,7 +116,7 @@ def sample(
             after.append(now.after), logits.append(now.raw[:, ROT:]), zs.append(z)
             means.append(prior.mean), variances.append(prior.log_var)
         after, logits, zs, means, variances = (torch.stack(each, 1) for each in (after, logits, zs, means, variances))
-        return Rollout(_to_world(start, after[..., back], offset), logits, zs, Gaussian(means, variances))
+        return Rollout(to_world(start, after[..., back], offset), logits, zs, Gaussian(means, variances))
 
 
 def infer(model: Cvae, states: Tensor, *, offset: Tensor | None = None) -> tuple[Gaussian, Gaussian]:

@@ -52,7 +52,7 @@ class Problem:
 
     def rows(self, index: Tensor) -> Problem:
         """The same for some recordings alone."""
-        every = index[:, None] * len(self.starts) + torch.arange(len(self.starts))
+        every = index[:, None] * len(self.starts) + torch.arange(len(self.starts), device=index.device)
         return replace(self, evidence=self.evidence.rows(every.flatten()))
 
 

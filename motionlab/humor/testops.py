@@ -9,23 +9,26 @@ Differs, in "lean" mode: rotations are 6 numbers; joints come from forward kinem
 recording whole, only stage 3 cuts it into windows; the start is found in closed form and interpolated where nothing
 was seen; stage 1 is smooth; transitions of which nothing was seen start at the prior's mean. "official" mode has the
 official code's unknowns, start of a video and missing masks, evaluated as cheaply as the lean one; "faithful" does what
-the official code does, at its price.
+the official code does, at its price. Stage 3 has two solvers: "rollout", the original schedule, and in lean mode
+"shooting" (``shooting``), the same energy at a fraction of the time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
 from motionlab.errors import DataError
 from motionlab.humor import energies, stages, starts, state, transitions, variables, windows
+from motionlab.humor.judged import Judged, of_rollout
 from motionlab.humor.observed import Observation3D, evidence
 from motionlab.humor.official_start import start_facing
 from motionlab.humor.priors import Priors
 from motionlab.humor.shape import landmarks
+from motionlab.humor.shooting import Plan, solve
 from motionlab.humor.stages import Problem
 from motionlab.humor.weights import JOINTS, RGB, RGB_LIGHT, Weights
 from motionlab.motion import Motion
@@ -33,6 +36,7 @@ from motionlab.observation import Camera, Observation2D
 from motionlab.skeleton import STANDARD, fk
 
 MODES = ("lean", "official", "faithful")
+SOLVERS = ("rollout", "shooting")
 
 __all__ = ["Fitted", "Observation3D", "Schedule", "fit"]
 
@@ -44,7 +48,9 @@ class Schedule:
     steps: outer steps of the three stages, each up to ``inner`` iterations of L-BFGS. short: frames of stage 3's first
     sub-stage. refine: stage-3 steps at which all frames join (x0 frozen, no contact terms), and at which everything
     moves. window, overlap: frames of stage 3's windows, and the least that neighbours share. tolerance: a recording is
-    done with a stage when an iteration gains less than this share of its own energy at the stage's start.
+    done with a stage when an iteration gains less than this share of its own energy at the stage's start. shooting: the
+    work of that solver in stage 3, instead of short, refine, window and the third number of steps (which, at 0, still
+    leaves stage 3 out).
 
     Source: the official configurations.
     """
@@ -56,6 +62,7 @@ class Schedule:
     window: int = 60
     overlap: int = 10
     tolerance: float = 1e-5
+    shooting: Plan = field(default_factory=Plan)
 
     @classmethod
     def lean(cls) -> Schedule:
@@ -70,7 +77,7 @@ class Schedule:
     @classmethod
     def quick(cls) -> Schedule:
         """Few steps, for tests and first looks."""
-        return cls(steps=(2, 3, 3), inner=8, refine=(1, 2))
+        return cls(steps=(2, 3, 3), inner=8, refine=(1, 2), shooting=Plan(rounds=2, closures=8))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +90,8 @@ class Fitted:
     z (G, W, L - 1, 48) and first (G, W, 339): latents and first states of W windows that begin at ``starts`` (one
     window where T is no more than ``Schedule.window``). betas (G, 8): shape in standard deviations.
     cameras: one per recording, as found; None for 3-D observations. energies: per stage, each term weighted, (G,).
-    results: the optimiser's report of each stage; of stage 3 one per sub-stage. notes: what was assumed or left out.
+    results: the optimiser's report of each stage; of stage 3 one per sub-stage or round. notes: what was assumed, left
+    out or is doubtful. judged: what stage 3 says of its windows (G W,); None where none ran.
     """
 
     motion: Motion
@@ -97,6 +105,7 @@ class Fitted:
     results: dict[int, list[object]]
     starts: tuple[int, ...] = (0,)
     notes: tuple[str, ...] = ()
+    judged: Judged | None = None
 
 
 def fit(
@@ -106,6 +115,7 @@ def fit(
     weights: Weights | None = None,
     schedule: Schedule | None = None,
     mode: str = "lean",
+    solver: str = "rollout",
     cameras: Sequence[Camera] | None = None,
     floor: str | None = None,
     size: tuple[int, int] | None = None,
@@ -125,6 +135,8 @@ def fit(
         weights: of the terms; unless given ``JOINTS`` for joints, and for keypoints ``RGB_LIGHT`` in lean mode, ``RGB``
             in the others.
         schedule: ``Schedule.lean()`` in lean mode and ``Schedule.official`` in the two others unless given.
+        solver: of stage 3: "rollout", whose numbers most notebooks hold, or in lean mode "shooting", which is faster
+            and takes a recording whole.
         cameras: one per recording, instead of the observation's.
         floor: for keypoints, "camera" (the camera's pose is known, and so the floor), "refine" or "guess".
         size: of the image in pixels, where no camera says.
@@ -133,10 +145,12 @@ def fit(
     Raises:
         DataError: nothing to fit, or a frame rate other than the prior's.
         ShapeError: arrays that do not fit each other.
-        ValueError: no such mode.
+        ValueError: no such mode or solver, or shooting in another than lean mode.
     """
     if mode not in MODES:
         raise ValueError(f"mode: expected one of {', '.join(MODES)}, got {mode!r}")
+    if solver not in SOLVERS or (solver == "shooting" and mode != "lean"):
+        raise ValueError(f"solver: expected one of {', '.join(SOLVERS)}, the last in lean mode alone, got {solver!r}")
     seen = evidence(observation, cameras=cameras, floor=floor, size=size)
     if abs(seen.fps - state.FPS) > 0.02 * state.FPS:
         raise DataError(
@@ -154,7 +168,7 @@ def fit(
     if seen.values.shape[1] < 2 or track.stopped or not schedule.steps[2]:
         why = "one frame has no transition" if seen.values.shape[1] < 2 else "no steps for it"
         return track.without_stage_3(problem, unknown, why)
-    return track.motion_stage(problem, unknown)
+    return track.motion_stage(problem, unknown, solver)
 
 
 def _start(problem: Problem) -> dict[str, Tensor]:
@@ -203,10 +217,12 @@ class _Track:
         self.results[stage] = [report]
         return unknown
 
-    def motion_stage(self, problem: Problem, unknown: dict[str, Tensor]) -> Fitted:
+    def motion_stage(self, problem: Problem, unknown: dict[str, Tensor], solver: str) -> Fitted:
         s, seen = self.schedule, problem.evidence
-        length = min(s.window, seen.values.shape[1])
-        cuts = windows.plan(seen.values.shape[1], s.window, s.overlap)
+        frames = seen.values.shape[1]
+        whole = solver == "shooting"
+        length = frames if whole else min(s.window, frames)
+        cuts = (0,) if whole else windows.plan(frames, s.window, s.overlap)
         shared = {n: unknown[n] for n in variables.SHARED if n in unknown}
         latent = unknown["latent"][:, 0]
         weight = problem.weights.motion_prior[2] / max(problem.weights.joint_consistency[2], 1e-9)
@@ -214,24 +230,29 @@ class _Track:
             self.stages[2], latent, shared, seen.trust, problem.priors, cuts, length, problem.mode, weight
         )
         cut = replace(problem, evidence=seen.pieces(torch.tensor(cuts), length), starts=cuts)
-        rolled, self.results[3] = stages.stage_3(
-            cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **self.budget
-        )
+        if whole:
+            rolled, self.results[3] = solve(cut, rolled, s.shooting, progress=self.budget["progress"])
+        else:
+            rolled, self.results[3] = stages.stage_3(
+                cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **self.budget
+            )
         with torch.no_grad():
             self.energies[3] = stages.motion_terms(cut, rolled)
             found = variables.roll(rolled, problem.priors, cut.evidence)
         touching = energies.contact_probabilities(found.rollout.contact_logits)
 
-        def whole(x: Tensor, **how) -> Tensor:
+        def joined(x: Tensor, **how) -> Tensor:
             return windows.stitch(x.unflatten(0, (-1, len(cuts))), cuts, **how)
 
-        contacts = whole(touching)
+        contacts = joined(touching)
         body = found.body._replace(
-            root=whole(found.body.root), rot=whole(found.body.rot, turns=True), betas=rolled["betas"]
+            root=joined(found.body.root), rot=joined(found.body.rot, turns=True), betas=rolled["betas"]
         )
         self.stages[3] = variables.motion_of(body, seen.fps, contacts=(contacts > 0.5).to(contacts))
         first = found.states[:, 0].unflatten(0, (-1, len(cuts)))
-        return self._fitted(problem, rolled, contacts, rolled["z"], first, cuts)
+        says = of_rollout(found, cut.evidence)
+        fitted = self._fitted(problem, rolled, contacts, rolled["z"], first, cuts, *says.doubts())
+        return replace(fitted, judged=says)
 
     def without_stage_3(self, problem: Problem, unknown: dict[str, Tensor], why: str) -> Fitted:
         why = "interrupted" if self.stopped else why

@@ -107,7 +107,11 @@ def first_state(variables: Variables, priors: Priors) -> Tensor:
 def roll(variables: Variables, priors: Priors, evidence: Evidence) -> Rolled:
     """Stage 3: the motion that a first state and latents z (G, W, T - 1, 48) decode to."""
     first = first_state(variables, priors)
-    rolled = rollout(priors.motion, first, rows(variables, "z"))
+    return rolled_from(first, rollout(priors.motion, first, rows(variables, "z")), variables, evidence)
+
+
+def rolled_from(first: Tensor, rolled: Rollout, variables: Variables, evidence: Evidence) -> Rolled:
+    """A roll-out from first states (B, 339) with the body that it poses."""
     states = torch.cat((first[:, None], rolled.states), 1)
     parts = state.unpack(states)
     rot = torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), -3)

@@ -1,0 +1,184 @@
+"""Gauss-Newton rows of stage 3's energy: how each residual of a frame answers to a small change of it.
+
+A change of a frame has n = 210 + S numbers: xi and gamma (``slopes``), then S shared by all frames of a clip, 8 betas
+and, where the camera is unknown, its 3. Rows carry the square root of their weight, so that H = R^T R is the
+Gauss-Newton matrix of the energy as it is. Robust terms count with the weight that they have at the point; contact
+probabilities are constants; contact heights, hinges without curvature, have no rows.
+
+Source: HuMoR (Rempe et al. 2021), section 4 (the energies); derivatives by hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from motionlab.humor import energies, state
+from motionlab.humor.observed import Evidence, View
+from motionlab.humor.recursion import SUM
+from motionlab.humor.shape import _CARRIERS, _GROUP, _ORDER, _PLACE, BETAS, SPREAD, offsets, scales
+from motionlab.humor.slopes import CHANGE, XI, about_z
+from motionlab.skeleton import STANDARD, fk
+
+J = state.JOINTS
+_OWN = slice(9, 75)  # of the joints that the roll-out carries, in xi
+_STEP = 1e-3
+
+
+def _above() -> Tensor:
+    """(22, 22): entry [k, j] is 1 where joint k's rotation moves joint j, which lies below it."""
+    table = torch.zeros(J, J)
+    for j in range(J):
+        k = STANDARD.parents[j]
+        while k >= 0:
+            table[k, j], k = 1.0, STANDARD.parents[k]
+    return table
+
+
+_ABOVE = _above()
+_HANGS = _ABOVE + torch.eye(J)  # [k, j]: the bone to k is on the way to j
+_IN_GROUP = F.one_hot(torch.tensor(_GROUP), BETAS).float()
+
+
+class Body(NamedTuple):
+    """N frames of a posed body in their own heading frames: points (N, P, 3) and how they move (N, P, 3, n)."""
+
+    joints: Tensor
+    slopes: Tensor
+
+
+class Rows(NamedTuple):
+    """of_frame (N, m, n): of single frames. before, after (N - B, k, n): of pairs of neighbours, their former and their
+    latter frame's part."""
+
+    of_frame: Tensor
+    before: Tensor
+    after: Tensor
+
+
+def posed(x: Tensor, betas: Tensor, *, size: int, marks: bool = False) -> Body:
+    """The joints of N states (N, 339), own heading frames, in the order of ``recursion``, or the 25 landmarks.
+
+    betas (N, 8). size: n.
+    """
+    rot = x[:, SUM:].unflatten(1, (J, 3, 3)).mT
+    bones = offsets(betas)
+    p, turns = fk(replace(STANDARD, offsets=bones), x[:, :3], rot)
+    parents = torch.tensor([max(k, 0) for k in STANDARD.parents], device=x.device)
+    axes = turns[:, parents].clone()
+    axes[:, 0] = torch.eye(3, dtype=x.dtype, device=x.device)
+    points, above, hangs = p, _ABOVE.to(x), _HANGS.to(x)
+    stretch = SPREAD * (axes @ bones[..., None])[..., 0]  # (N, 22, 3): of the bone to each joint, per beta of its group
+    if marks:
+        place = scales(betas)[:, _CARRIERS, None] * _PLACE.to(x)
+        way = (turns[:, _CARRIERS] @ place[..., None])[..., 0]
+        points = torch.cat((p, p[:, _CARRIERS] + way), 1)
+        above = torch.cat((above, hangs[:, _CARRIERS]), 1)
+        hangs = torch.cat((hangs, hangs[:, _CARRIERS]), 1)
+    out = x.new_zeros(len(x), points.shape[1], 3, size)
+    out[..., :3] = torch.eye(3, dtype=x.dtype, device=x.device)
+    lever = points[:, None] - p[:, :, None]  # (N, 22, P, 3)
+    turned = torch.linalg.cross(axes.mT[:, :, None], lever[..., None, :].expand(-1, -1, -1, 3, -1))  # (N, 22, P, 3a, 3)
+    turned = turned * above[:, :, None, None]
+    out[..., SUM:XI] = turned.permute(0, 2, 4, 1, 3).flatten(3)
+    out[..., XI] = about_z(points)
+    out[..., 0, XI + 1] = out[..., 1, XI + 2] = 1.0
+    longer = torch.einsum("nkc,kp,kg->npcg", stretch, hangs, _IN_GROUP.to(x))
+    if marks:
+        longer[:, J:] += SPREAD * way[..., None] * _IN_GROUP.to(x)[_CARRIERS][:, None]
+        points, out, longer = points[:, _ORDER], out[:, _ORDER], longer[:, _ORDER]
+    out[..., CHANGE : CHANGE + BETAS] = longer
+    return Body(points, out)
+
+
+def own_joints(x: Tensor, size: int) -> Body:
+    """The joints that the roll-out carries beside the pose, as :func:`posed`."""
+    joints = x[:, _OWN].unflatten(1, (J, 3))
+    out = x.new_zeros(len(x), J, 3, size)
+    out[..., _OWN] = torch.eye(66, dtype=x.dtype, device=x.device).unflatten(0, (J, 3))
+    out[..., XI] = about_z(joints)
+    out[..., 0, XI + 1] = out[..., 1, XI + 2] = 1.0
+    return Body(joints, out)
+
+
+def rows(
+    x: Tensor,
+    turn: Tensor,
+    shift: Tensor,
+    steps: Tensor,
+    betas: Tensor,
+    camera: Tensor | None,
+    touching: Tensor,
+    evidence: Evidence,
+    weights: dict[str, float],
+) -> Rows:
+    """All rows of B clips of T frames.
+
+    x (B, T, 339): states in their own frames, order of ``recursion``. turn (B, T, 3, 3), shift (B, T, 3): world to own,
+    own = turn (world + shift). steps (B, T - 1, 3, 3): from one frame's axes to the next one's, row vectors from the
+    right. betas (B, 8); camera (B, 3). touching (B, T, 9): probabilities.
+    """
+    clips, frames = x.shape[:2]
+    free = evidence.view is not None and evidence.view.free
+    size = CHANGE + BETAS + (3 if free else 0)
+    flat, shape = x.flatten(0, 1), betas.repeat_interleave(frames, 0)
+    body, own = posed(flat, shape, size=size), own_joints(flat, size)
+    found = [weights.get("joint_consistency", 0.0) ** 0.5 * (body.slopes - own.slopes).flatten(1, 2)]
+    if evidence.view is None:
+        seen = (evidence.weight * weights.get("joints3d", 0.0)).sqrt().flatten(0, 1)
+        found.append((seen[..., None, None] * body.slopes).flatten(1, 2))
+    else:
+        marks = posed(flat, shape, size=size, marks=True)
+        found.append(_pixel_rows(marks, turn, shift, camera, evidence, weights.get("joints2d", 0.0), clips, free))
+    of_frame = torch.cat(found, 1).unflatten(0, (clips, frames))
+
+    lengths = _length_rows(own).mul_(weights.get("bone_length", 0.0) ** 0.5).unflatten(0, (clips, frames))
+    feet = list(energies.CONTACT_JOINTS)
+    where = body.slopes[:, feet].unflatten(0, (clips, frames))
+    held = (touching[:, 1:] * weights.get("contact_vel", 0.0)).sqrt()[..., None, None]
+    before = held * where[:, :-1]
+    after = held * (steps[:, :, None] @ where[:, 1:])  # back into the axes of the former frame
+    pairs = (
+        torch.cat((-lengths[:, :-1], -before.flatten(2, 3)), 2),
+        torch.cat((lengths[:, 1:], after.flatten(2, 3)), 2),
+    )
+    return Rows(of_frame, *pairs)
+
+
+def _length_rows(own: Body) -> Tensor:
+    """Lengths of the 21 bones between carried joints: (N, 21, n)."""
+    parents = list(energies.BONE_PARENTS)
+    bones = own.joints[:, 1:] - own.joints[:, parents]
+    way = bones / bones.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+    return (way[..., None] * (own.slopes[:, 1:] - own.slopes[:, parents])).sum(-2)
+
+
+def _pixel_rows(marks: Body, turn, shift, camera, evidence: Evidence, weight: float, clips: int, free: bool) -> Tensor:
+    view: View = evidence.view
+    frames = evidence.values.shape[1]
+    points = marks.joints.unflatten(0, (clips, frames))
+    world = points @ turn - shift[:, :, None]  # own = turn (world + shift)
+    turned, centre = view.moved(camera)
+    local = (world - centre[:, None, None]) @ turned[:, None].mT
+    depth = local[..., 2:].clamp(min=0.05)
+    plane = local[..., :2] / depth
+    focal = torch.stack((view.intrinsics[:, 0, 0], view.intrinsics[:, 1, 1]), -1)[:, None, None]
+    eye = torch.eye(2, dtype=points.dtype, device=points.device).expand(*plane.shape[:-1], 2, 2)
+    project = torch.cat((eye, -plane[..., None]), -1) * (focal / depth)[..., None]  # (B, T, 25, 2, 3)
+    project = torch.where((local[..., 2:] > 0.05)[..., None], project, 0.0)
+    whole = project @ (turned[:, None] @ turn.mT)[:, :, None]
+    pixels = view.pixels(world, camera)
+    slopes = whole @ marks.slopes.unflatten(0, (clips, frames))
+    if free:
+        for k in range(3):
+            moved = camera.clone()
+            moved[:, k] += _STEP
+            slopes[..., -3 + k] = (view.pixels(world, moved) - pixels) / _STEP
+    residual = (pixels - evidence.values).square()
+    robust = (energies.SIGMA**2 / (energies.SIGMA**2 + residual)).square()
+    root = (2 * weight * evidence.weight.square()[..., None] * robust).sqrt()
+    return (root[..., None] * slopes).flatten(2, 3).flatten(0, 1)

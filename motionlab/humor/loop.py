@@ -1,0 +1,231 @@
+"""Coordinates around a roll-out in which stage 3's energy is nearly half their square.
+
+    z_t = z^_t + K_t (x_t - x^_t) + L_t^-T nu_t,        first state and what is shared = L_0^-T nu_0
+
+with gains K_t and factors L_t of the clip's Gauss-Newton matrix (``riccati``). Any z has its nu, and what comes out is
+an exact roll-out: the matrix only shapes the search, so that what it leaves out costs closures, not correctness. The
+networks' slopes change slowly and may be taken at every few frames only, straight lines between.
+
+Source: differential dynamic programming (Jacobson and Mayne 1970); thesis 3.3.4 asks for such a formulation.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.frames import Frame
+from motionlab.humor import curvature, energies, init_gmm, riccati, slopes, state, variables
+from motionlab.humor.closed_loop import INPUT, steered_rollout
+from motionlab.humor.cvae import Gaussian
+from motionlab.humor.recursion import LEAN, SUM, Decoder
+from motionlab.humor.shape import BETAS
+from motionlab.humor.slopes import CHANGE, GAMMA, LATENTS, XI
+from motionlab.humor.stages import Problem
+from motionlab.humor.variables import Rolled, Variables
+
+#: The first state's unknowns and their sizes, its rotation as a vector.
+FIRST = {"trans": 3, "orient": 3, "latent": 32, "trans_vel": 3, "root_orient_vel": 3, "joints_vel": 66}
+_FIRST = sum(FIRST.values())
+#: Where the features of ``init_gmm`` stand in xi: joints, joints_vel, trans_vel, root_orient_vel.
+_FEATURES = [*range(9, 141), *range(3, 9)]
+_STEP = 1e-3
+_INFORMATION = 0.25 * 0.5
+_SHARPEST = 1e2  # 1 / sigma of the prior counts no more than this in the matrix
+
+
+class Loop(NamedTuple):
+    """Coordinates around a roll-out.
+
+    base (B, T - 1, 48): its z - K X. gains (B, T - 1, 48, 345): on X of ``closed_loop``; shared (B, T - 1, 48, S): on
+    what all frames share. shapers (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T.
+    """
+
+    base: Tensor
+    gains: Tensor
+    shared: Tensor
+    shapers: Tensor
+    first: Tensor
+
+
+def opened(problem: Problem, unknown: Variables, loop: Loop, new: Variables) -> tuple[dict[str, Tensor], Rolled]:
+    """Unknowns and their exact roll-out, from the coordinates around a loop."""
+    change = (loop.first @ new["first"][..., None])[..., 0]
+    at = moved(unknown, change)
+    first = variables.first_state(at, problem.priors)
+    shared = change[:, _FIRST:]
+    u = loop.base + (loop.shapers @ new["nu"][..., None])[..., 0] + (loop.shared @ shared[:, None, :, None])[..., 0]
+    rollout, _ = steered_rollout(problem.priors.motion, first, u, loop.gains)
+    return at, variables.rolled_from(first, rollout, at, problem.evidence)
+
+
+def moved(unknown: Variables, change: Tensor) -> dict[str, Tensor]:
+    """Unknowns after a change (G, f) of the first state and of what is shared."""
+    parts = dict(zip(FIRST, change[:, None, :_FIRST].split(list(FIRST.values()), -1), strict=True))
+    new = {n: unknown[n] + parts[n] for n in FIRST if n != "orient"}
+    turn = rotation.exp(parts["orient"]) @ variables.to_matrix(unknown["orient"])
+    new["orient"] = variables.from_matrix(turn, "lean" if unknown["orient"].shape[-1] == 6 else "faithful")
+    new["betas"] = unknown["betas"] + change[:, _FIRST : _FIRST + BETAS]
+    if "camera" in unknown:
+        free = change[:, _FIRST + BETAS :]
+        new["camera"] = unknown["camera"] + (free if free.shape[1] else 0.0)
+    return {**unknown, **new}
+
+
+# -------------------------------------------------------------------------------------------------- the linearisation
+@torch.no_grad()
+def linearised(problem: Problem, unknown: Variables, *, ridge: float = 1e-6, stride: int = 4) -> Loop:
+    """The coordinates around the roll-out of unknowns (G, 1, ...); the networks' slopes at every ``stride`` frames."""
+    z, model = unknown["z"][:, 0], problem.priors.motion
+    clips, frames = z.shape[0], z.shape[1] + 1
+    first = variables.first_state(unknown, problem.priors)
+    nothing = z.new_zeros(clips, frames - 1, LATENTS, INPUT)
+    rollout, inputs = steered_rollout(model, first, z, nothing)
+    states = torch.cat((first[:, None], rollout.states), 1)
+    frame = state.heading(states)
+    x = state.localise(states, frame)[..., LEAN.to(z.device)]
+    past, keys = x[:, :-1], _keys(frames - 1, stride).to(z.device)
+    some, between = past[:, keys].flatten(0, 1), partial(_between, keys=keys, clips=clips)
+    decoder = Decoder.of(model)
+    decoded = between(slopes.decoder_slopes(decoder, some, z[:, keys].flatten(0, 1)))
+    moves = slopes.transition(decoder, past.flatten(0, 1), z.flatten(0, 1), decoded)
+    prior_slopes = between(slopes.prior_slopes(model, some)[1])
+    weights = problem.weights.of(3, frames=frames)
+    found = curvature.rows(
+        x, frame.turn, frame.shift, moves.turn.unflatten(0, (clips, -1)), unknown["betas"], unknown.get("camera"),
+        energies.contact_probabilities(rollout.contact_logits), problem.evidence, weights,
+    )  # fmt: skip
+    a, b = _padded_moves(moves, clips, found.of_frame.shape[-1])
+    toward = _prior_rows(z.flatten(0, 1), rollout.prior, prior_slopes, a.shape[-1], weights.get("motion_prior", 0.0))
+    pairs = torch.cat((found.after @ a + found.before, found.after @ b), -1)
+    both = torch.cat((pairs, toward.unflatten(0, (clips, -1))), -2)
+    swept = riccati.sweep(found.of_frame.mT @ found.of_frame, a, b, both.mT @ both, ridge)
+    gains, shared = _embedded(swept.gains, past, frame)
+    base = z - (gains @ inputs[..., None])[..., 0]
+    return Loop(base, gains, shared, swept.shapers, _first_shaper(problem, unknown, swept.first, frames))
+
+
+def _padded_moves(moves: slopes.Transition, clips: int, n: int) -> tuple[Tensor, Tensor]:
+    """A (B, T - 1, n, n) and B (B, T - 1, n, 48); what is shared stays as it is."""
+    of_change, of_z = (x.unflatten(0, (clips, -1)) for x in (moves.of_change, moves.of_z))
+    a, b = of_change.new_zeros(*of_change.shape[:2], n, n), of_z.new_zeros(*of_z.shape[:2], n, LATENTS)
+    a[..., :CHANGE, :CHANGE], b[..., :CHANGE, :] = of_change, of_z
+    a[..., CHANGE:, CHANGE:] = torch.eye(n - CHANGE, dtype=a.dtype, device=a.device)
+    return a, b
+
+
+def _prior_rows(z: Tensor, prior: Gaussian, slopes_: Tensor, n: int, weight: float) -> Tensor:
+    """Rows (N, 96, n + 48) of w (-log N(z; mu(x), sigma(x))): of (z - mu) / sigma, and of log sigma^2 with a quarter of
+    Fisher's information of it, 1/2: tried, with none and all of it, on clips that no table uses."""
+    mean, log_var = (x.flatten(0, 1) for x in prior)
+    of_mean, of_log_var = slopes_.chunk(2, 1)
+    sharp = (-0.5 * log_var).exp().clamp(max=_SHARPEST) * weight**0.5
+    rows = z.new_zeros(len(z), 2 * LATENTS, n + LATENTS)
+    off = (z - mean) * sharp
+    rows[:, :LATENTS, :XI] = -sharp[..., None] * of_mean - 0.5 * off[..., None] * of_log_var
+    rows[:, :LATENTS, n:] = torch.diag_embed(sharp)
+    rows[:, LATENTS:, :XI] = (_INFORMATION * weight) ** 0.5 * of_log_var
+    return rows
+
+
+def _keys(count: int, stride: int) -> Tensor:
+    return torch.unique(torch.cat((torch.arange(0, count, stride), torch.tensor([count - 1]))))
+
+
+def _between(x: Tensor, keys: Tensor, clips: int) -> Tensor:
+    """(B keys, ...) -> (B frames, ...): straight lines between keys."""
+    count = int(keys[-1]) + 1
+    if len(keys) == count:
+        return x
+    at = torch.arange(count, device=x.device)
+    after = torch.searchsorted(keys, at).clamp(min=1)
+    share = (at - keys[after - 1]) / (keys[after] - keys[after - 1])
+    x = x.unflatten(0, (clips, -1))
+    return torch.lerp(x[:, after - 1], x[:, after], share.to(x).reshape(-1, *(1,) * (x.ndim - 2))).flatten(0, 1)
+
+
+def _embedded(gains: Tensor, x: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
+    """Gains on small changes (B, T - 1, 48, n) as gains on X (..., 345) and on what is shared (..., S)."""
+    m = x[..., SUM:].unflatten(-1, (22, 3, 3))
+    omega = gains[..., SUM:XI].unflatten(-1, (22, 3))
+    # omega ~ half the vector of R R^^T - R^ R^T, linear in M = R^T: k . omega = -1/2 sum (M^ [k]) M
+    turns = -0.5 * (m[:, :, None] @ slopes.skew(omega))
+    cos, sin = frame.turn[:, :-1, 0, 0], frame.turn[:, :-1, 0, 1]
+    angle, way = gains[..., XI], gains[..., XI + 1 : XI + GAMMA]
+    place = gains.new_zeros(*gains.shape[:-1], 6)
+    place[..., 0], place[..., 3] = -angle * sin[..., None], angle * cos[..., None]
+    place[..., 2] = way[..., 0] * cos[..., None] - way[..., 1] * sin[..., None]
+    place[..., 5] = way[..., 0] * sin[..., None] + way[..., 1] * cos[..., None]
+    return torch.cat((gains[..., :SUM], turns.flatten(-3), place), -1), gains[..., CHANGE:]
+
+
+def _first_shaper(problem: Problem, unknown: Variables, cost: Tensor, frames: int) -> Tensor:
+    """L^-T (B, f, f) of the first state and what is shared: their own terms and P_0 through ``moved``."""
+    weights, view = problem.weights.of(3, frames=frames), problem.evidence.view
+    shared = cost.shape[-1] - CHANGE
+    count = _FIRST + shared
+    slope = _first_slopes(problem, unknown, count)  # (B, n, f)
+    h = slope.mT @ cost @ slope
+    features = slope[:, _FEATURES]
+    gmm = problem.priors.initial
+    now = init_gmm.features(variables.local_first(variables.first_state(unknown, problem.priors)))
+    share = gmm.each(now).softmax(-1).to(h)
+    precision = torch.linalg.inv(gmm.covariances.double()).to(h)
+    pull = torch.einsum("bk,kij->bij", share, precision)
+    h = h + weights.get("init_motion_prior", 0.0) * features.mT @ pull @ features
+    betas = slice(_FIRST, _FIRST + BETAS)
+    h[:, betas, betas].diagonal(dim1=-2, dim2=-1).add_(2 * frames * weights.get("shape_prior", 0.0))
+    if view is not None and view.free:
+        camera = unknown["camera"]
+        moves = torch.stack(
+            [(view.floor(camera + _STEP * e) - view.floor(camera)) / _STEP for e in torch.eye(3).to(camera)], -1
+        )
+        part = slice(_FIRST + BETAS, None)
+        h[:, part, part] += frames * weights.get("floor_reg", 0.0) * moves.mT @ moves
+    diagonal = h.diagonal(dim1=-2, dim2=-1)
+    ridge = 1e-4 * diagonal + 1e-5 * diagonal.mean(-1, keepdim=True) + 1e-8
+    factor = riccati.factorised((h + torch.diag_embed(ridge)).double())
+    unit = torch.eye(count, dtype=factor.dtype, device=factor.device).expand_as(factor)
+    return torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(h)
+
+
+def _first_slopes(problem: Problem, unknown: Variables, count: int) -> Tensor:
+    """How the change (B, n) of frame 0 answers to the first state's unknowns and what is shared: (B, n, f)."""
+    clips = len(unknown["betas"])
+    steps = _STEP * torch.eye(count, dtype=unknown["betas"].dtype, device=unknown["betas"].device)
+    many = {n: x.repeat_interleave(count, 0) for n, x in unknown.items() if n != "z"}
+
+    def at(sign: float) -> Tensor:
+        return variables.first_state(moved(many, sign * steps.repeat(clips, 1)), problem.priors)
+
+    up, down = at(1.0), at(-1.0)
+    frame = state.heading(variables.first_state(unknown, problem.priors))
+    spread = Frame(frame.turn.repeat_interleave(count, 0), frame.shift.repeat_interleave(count, 0))
+    return _padded(_change(up, down, spread) / (2 * _STEP), clips, count)
+
+
+def _padded(change: Tensor, clips: int, count: int) -> Tensor:
+    """(B f, 210) as (B, n, f), what is shared passed on."""
+    shared = count - _FIRST
+    out = change.new_zeros(clips, CHANGE + shared, count)
+    out[:, :CHANGE] = change.unflatten(0, (clips, count)).mT
+    out[:, CHANGE:, _FIRST:] = torch.eye(shared, dtype=change.dtype, device=change.device)
+    return out
+
+
+def _change(up: Tensor, down: Tensor, frame: Frame) -> Tensor:
+    """The small change (N, 210) between world states (N, 339), as seen from a frame near both."""
+    lean = LEAN.to(up.device)
+    own = [state.heading(x) for x in (up, down)]
+    local = [state.localise(x, f)[:, lean] for x, f in zip((up, down), own, strict=True)]
+    m = [x[:, SUM:].unflatten(1, (22, 3, 3)) for x in local]
+    spin = (m[0].mT @ m[1] - m[1].mT @ m[0]) / 2
+    omega = torch.stack((spin[..., 2, 1], spin[..., 0, 2], spin[..., 1, 0]), -1)
+    cross = own[0].turn @ own[1].turn.mT  # the later frame's axes from the former's
+    angle = torch.atan2(cross[:, 1, 0], cross[:, 0, 0]) * -1
+    way = (frame.turn @ (own[1].shift - own[0].shift)[..., None])[:, :2, 0]
+    return torch.cat((local[0][:, :SUM] - local[1][:, :SUM], omega.flatten(1), angle[:, None], way), 1)

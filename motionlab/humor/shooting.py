@@ -1,0 +1,132 @@
+"""Stage 3 by closed-loop Gauss-Newton: few, expensive looks at the whole roll-out instead of many cheap ones.
+
+Repeat: differentiate all transitions at once, factorise the Gauss-Newton matrix of the whole clip (``loop``), and lower
+the energy by L-BFGS in the coordinates in which that matrix is the identity, on exact roll-outs that steer themselves.
+Gradients are exact and of every term. The unknowns, the energy and its minima are those of ``stages.stage_3``.
+
+Source: thesis 3.3.4 (open); Diehl et al. 2006 (multiple shooting), Jacobson and Mayne 1970 (the closed loop).
+Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift apart.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import ShapeError
+from motionlab.humor.judged import Judged, judged
+from motionlab.humor.loop import Loop, linearised, moved, opened
+from motionlab.humor.stages import Problem, interrupted, rolled_terms
+from motionlab.humor.variables import Variables
+from motionlab.optimise_batch import BatchFit, minimise_batch
+
+__all__ = ["Judged", "Loop", "Plan", "Report", "judged", "linearised", "moved", "opened", "solve"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much work.
+
+    rounds: linearisations at most. closures: of L-BFGS after each. tolerance: a clip is done when a round gains less
+    than this share of its energy's size. stride: frames between those at which the networks are differentiated.
+    """
+
+    rounds: int = 8
+    closures: int = 20
+    tolerance: float = 5e-3
+    stride: int = 4
+    ridge: float = 1e-6
+
+
+@dataclass
+class Report:
+    """What a fit spent: after each closure the energies (B,) of its clips (those that are done stay at their last) and
+    the seconds until it was begun, by ``clock``; seconds of each linearisation."""
+
+    history: list[Tensor] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    linearised: list[float] = field(default_factory=list)
+    clock: Callable[[], float] = time.perf_counter
+    began: float = 0.0
+
+
+def solve(
+    problem: Problem,
+    unknown: Variables,
+    plan: Plan | None = None,
+    report: Report | None = None,
+    *,
+    progress: bool = False,
+) -> tuple[dict[str, Tensor], list[BatchFit]]:
+    """Lower stage 3's energy from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
+
+    Returns:
+        the unknowns of lowest energy, and the optimiser's reports of all rounds, of all clips: one that is done has the
+        reason "no decrease".
+    Raises:
+        ShapeError: recordings in several windows, or of one frame.
+        NotConverged: no clip has a finite energy and gradient at the start.
+    """
+    if unknown["z"].shape[1] != 1:
+        raise ShapeError(f"z: expected one window per recording, got {unknown['z'].shape[1]}")
+    plan, report = plan or Plan(), report or Report()
+    unknown = {n: x.detach().clone() for n, x in unknown.items()}
+    mark, fits = time.perf_counter(), []
+    report.began = report.clock()
+    energy = unknown["betas"].new_full((len(unknown["betas"]),), float("inf"))
+    live = torch.arange(len(energy), device=energy.device)
+    for _ in range(plan.rounds):
+        try:
+            found, fit = _round(problem.rows(live), {n: x[live] for n, x in unknown.items()}, plan, report, progress)
+        except KeyboardInterrupt:
+            if not fits:
+                raise
+            fits[-1] = replace(fits[-1], reasons=["interrupted"] * len(energy))
+            break
+        gain = energy[live] - fit.energy
+        better = gain > 0
+        for n, x in found.items():
+            unknown[n][live[better]] = x[better]
+        energy[live[better]] = fit.energy[better]
+        fits.append(_widened(fit, live, energy, time.perf_counter() - mark))
+        report.history += fits[-1].history.unbind(0)
+        mark, live = time.perf_counter(), live[gain > plan.tolerance * energy[live].abs()]
+        if interrupted(fit) or not len(live):
+            break
+    return unknown, fits
+
+
+def _round(
+    problem: Problem, unknown: Variables, plan: Plan, report: Report, progress: bool
+) -> tuple[dict[str, Tensor], BatchFit]:
+    """One linearisation and the search in its coordinates."""
+    began = report.clock()
+    loop = linearised(problem, unknown, ridge=plan.ridge, stride=plan.stride)
+    report.linearised.append(report.clock() - began)
+
+    def energy(new: Variables, rows: Tensor) -> Tensor:
+        some = problem.rows(rows)
+        at, rolled = opened(some, {n: x[rows] for n, x in unknown.items()}, Loop(*(x[rows] for x in loop)), new)
+        report.seconds.append(report.clock() - report.began)
+        return sum(rolled_terms(some, at, rolled).values())
+
+    start = {"nu": torch.zeros_like(unknown["z"][:, 0]), "first": loop.first.new_zeros(loop.first.shape[:2])}
+    start = {n: x.requires_grad_() for n, x in start.items()}
+    how = {"steps": 1, "inner": plan.closures, "max_closures": plan.closures}
+    fit = minimise_batch(energy, start, rows=True, unit=True, progress=progress, **how)
+    with torch.no_grad():
+        at, rolled = opened(problem, unknown, loop, fit.variables)
+    return {**at, "z": rolled.rollout.z[:, None]}, fit
+
+
+def _widened(fit: BatchFit, live: Tensor, energy: Tensor, seconds: float) -> BatchFit:
+    """The report of some clips as one of all: the others stay at their energy."""
+    history = energy.expand(len(fit.history), -1).index_copy(1, live, fit.history)
+    reasons = ["no decrease"] * len(energy)
+    for at, reason in zip(live.tolist(), fit.reasons, strict=True):
+        reasons[at] = reason
+    return BatchFit({}, energy.clone(), history, seconds, reasons)

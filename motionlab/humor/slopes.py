@@ -1,0 +1,224 @@
+"""Derivatives of a transition and of the prior, for all frames of all clips at once.
+
+A small change of a frame is 210 numbers: its state's in its own heading frame,
+
+    xi 207 = trans | trans_vel | root_orient_vel | joints 66 | joints_vel 66 | omega 66
+
+where omega turns the 22 rotations from the left, R -> exp(omega) R, and gamma = (turn, x, y), how its heading frame
+itself turns about z and moves on the floor, in its own axes. Networks are differentiated layer by layer, forward
+where there are fewer inputs than outputs (the decoder) and backward where there are more (the prior's mean).
+
+Source: HuMoR (Rempe et al. 2021), the networks and ``roll_out``; derivatives by hand.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.humor.cvae import Cvae, Gaussian
+from motionlab.humor.recursion import BACK, ROT, SUM, Decoder
+
+XI, GAMMA, LATENTS = 207, 3, 48
+CHANGE = XI + GAMMA
+PIECE = 16  # frames at a time
+_POSITIONS = torch.zeros(47, dtype=torch.bool)  # of the 47 vectors of xi those that are places: trans, joints
+_POSITIONS[0] = _POSITIONS[3:25] = True
+
+
+class Transition(NamedTuple):
+    """What z and a small change of frame t make of frame t + 1, N transitions.
+
+    of_change (N, 210, 210) and of_z (N, 210, 48): columns are causes. turn (N, 3, 3): from the axes of frame t to
+    those of frame t + 1 (as row vectors from the right, ``recursion.Step.turn``).
+    """
+
+    of_change: Tensor
+    of_z: Tensor
+    turn: Tensor
+
+
+def skew(v: Tensor) -> Tensor:
+    """[v] (..., 3, 3), [v] w = v x w."""
+    o = torch.zeros_like(v[..., 0])
+    x, y, z = v.unbind(-1)
+    return torch.stack((o, -z, y, z, o, -x, -y, x, o), -1).unflatten(-1, (3, 3))
+
+
+def about_z(v: Tensor) -> Tensor:
+    """e_z x v (..., 3)."""
+    return torch.stack((-v[..., 1], v[..., 0], torch.zeros_like(v[..., 0])), -1)
+
+
+def transition(decoder: Decoder, x: Tensor, z: Tensor, slopes: Tensor | None = None) -> Transition:
+    """Derivatives at N states (N, 339) in the order of ``recursion``, own heading frames, with latents z (N, 48).
+
+    slopes: of the decoder (``decoder_slopes``), or what shall stand for them; changed in place.
+    """
+    raw, slopes = _raw(decoder, x, z), decoder_slopes(decoder, x, z) if slopes is None else slopes
+    count, columns = slopes.shape[:2]
+    v = raw[:, SUM:ROT].unflatten(1, (22, 3))
+    turned = rotation.exp(v)
+    slopes[:, :SUM, :SUM].diagonal(dim1=-2, dim2=-1).add_(1.0)
+    omega = slopes[..., SUM:].unflatten(-1, (22, 3))
+    omega = (omega.transpose(1, 2) @ left_jacobian(v).mT).transpose(1, 2).contiguous()  # (N, 255, 22, 3)
+    each = torch.arange(22, device=x.device)
+    omega[:, SUM:XI].unflatten(1, (22, 3))[:, each, :, each] += turned.mT.transpose(0, 1)
+    # the frame of the new state
+    matrices = x[:, SUM:].unflatten(1, (22, 3, 3)).mT
+    root = turned[:, 0] @ matrices[:, 0]
+    axis = -root[:, :, 0]
+    flat = axis[:, :2].square().sum(-1, keepdim=True).clamp(min=1e-18)
+    cos, sin = (axis[:, :2] / flat.sqrt()).unbind(-1)
+    turn = rotation_z(cos, sin)  # row vectors: v @ turn is in the new axes
+    lean = axis[:, 2:] * axis[:, :2] / flat
+    d_angle = omega[:, :, 0, 2] - (omega[:, :, 0, :2] * lean[:, None]).sum(-1)  # (N, 255)
+    after = x[:, :SUM] + raw[:, :SUM]
+    centre = torch.cat((after[:, :2], torch.zeros_like(after[:, :1])), 1)
+    vectors = slopes[..., :SUM].unflatten(-1, (47, 3))
+    moved_by = torch.cat((vectors[:, :, 0, :2], torch.zeros_like(vectors[:, :, 0, :1])), -1)
+    places = _POSITIONS.to(x.device)
+    vectors = vectors - places[:, None] * moved_by[:, :, None]
+    own = (after.unflatten(1, (47, 3)) - places[:, None] * centre[:, None]) @ turn
+    new = (vectors.flatten(1, 2) @ turn).unflatten(1, (columns, 47))
+    new = new - d_angle[:, :, None, None] * about_z(own)[:, None]
+    omega[:, :, 0] = omega[:, :, 0] @ turn
+    omega[:, :, 0, 2] -= d_angle
+    gamma = torch.cat((d_angle[..., None], (moved_by @ turn)[..., :2]), -1)
+    out = torch.cat((new.flatten(2), omega.flatten(2), gamma), -1)  # (N, 255, 210), rows are causes
+    of_change = x.new_zeros(count, CHANGE, CHANGE)
+    of_change[:, :, :XI] = out[:, :XI].mT
+    of_change[:, XI, XI] = 1.0
+    of_change[:, XI + 1 :, XI] = (about_z(centre)[:, None] @ turn)[:, 0, :2]
+    of_change[:, XI + 1 :, XI + 1 :] = turn[:, :2, :2].mT
+    return Transition(of_change, out[:, XI:].mT.contiguous(), turn)
+
+
+def rotation_z(cos: Tensor, sin: Tensor) -> Tensor:
+    """Matrices (N, 3, 3) that take row vectors, from the right, into axes turned by the angle about z."""
+    o, one = torch.zeros_like(cos), torch.ones_like(cos)
+    return torch.stack((cos, -sin, o, sin, cos, o, o, o, one), -1).unflatten(-1, (3, 3))
+
+
+def left_jacobian(v: Tensor) -> Tensor:
+    """J (..., 3, 3): exp(v + dv) = exp(J dv) exp(v)."""
+    squared = v.square().sum(-1)[..., None, None]
+    small = squared < 0.01
+    s = torch.where(small, 1.0, squared)
+    t = s.sqrt()
+    b = torch.where(small, 1 / 2 - squared / 24 * (1 - squared / 30), (1 - t.cos()) / s)
+    c = torch.where(small, 1 / 6 - squared / 120 * (1 - squared / 42), (t - t.sin()) / (s * t))
+    eye = torch.eye(3, dtype=v.dtype, device=v.device)
+    return eye + b * skew(v) + c * (v[..., :, None] * v[..., None, :] - squared * eye)
+
+
+# ------------------------------------------------------------------------------------------------------ the networks
+def _rotation_inputs(x: Tensor) -> Tensor:
+    """How the 22 transposed matrices of states (N, 339) change with omega: (22, N 3, 9)."""
+    m = x[:, SUM:].unflatten(1, (22, 3, 3))
+    basis = skew(torch.eye(3, dtype=x.dtype, device=x.device))
+    change = -m[:, :, None] @ basis  # R -> (1 + [w]) R is M -> M (1 - [w])
+    return change.transpose(0, 1).flatten(1, 2).flatten(-2)
+
+
+def _norm_slope(h: Tensor, gain: Tensor, shift: Tensor, groups: int, eps: float):
+    """relu(norm(h)) (N, C), and what applies its derivative to rows (N, R, C)."""
+    grouped = h.unflatten(-1, (groups, -1))
+    mean, variance = grouped.mean(-1, keepdim=True), grouped.var(-1, keepdim=True, correction=0)
+    scale = (variance + eps).rsqrt()
+    normed = (grouped - mean) * scale
+    out = torch.addcmul(shift, normed.flatten(-2), gain)
+    alive = ((out > 0) * gain).unflatten(-1, (groups, -1))
+    size, eye = grouped.shape[-1], torch.eye(groups, dtype=h.dtype, device=h.device)
+    ones = torch.ones_like(normed)
+
+    def spread(part: Tensor) -> Tensor:  # (N, G, s) -> (N, C, G), block diagonal
+        return (part[..., None] * eye[:, None]).flatten(1, 2)
+
+    gather = torch.cat((spread(ones), spread(normed)), -1) / size
+    return out.relu(), (alive * scale).flatten(-2), gather, spread_rows(alive * scale, normed, eye)
+
+
+def spread_rows(alive: Tensor, normed: Tensor, eye: Tensor) -> Tensor:
+    """(N, 2 G, C): what is taken off for each mean that ``gather`` finds."""
+    both = torch.stack((alive, alive * normed), 1)  # (N, 2, G, s)
+    return (both[:, :, :, None] * eye[:, :, None]).flatten(-2).flatten(1, 2)
+
+
+def _through(rows: Tensor, scale: Tensor, gather: Tensor, taken: Tensor) -> Tensor:
+    """Directional derivatives (N, R, C) through norm and ReLU."""
+    return torch.baddbmm(rows * scale[:, None], rows @ gather, taken, alpha=-1)
+
+
+def _back_through(rows: Tensor, scale: Tensor, gather: Tensor, taken: Tensor) -> Tensor:
+    """Adjoints (N, R, C) back through norm and ReLU."""
+    return torch.baddbmm(rows * scale[:, None], rows @ taken.mT, gather.mT, alpha=-1)
+
+
+def _raw(decoder: Decoder, x: Tensor, z: Tensor) -> Tensor:
+    """Raw changes (N, 216)."""
+    h, (*shares, last) = x, decoder.shares(z)
+    for weight, share, gain, shift in zip(decoder.weights, shares, decoder.gains, decoder.shifts, strict=False):
+        grouped = (h @ weight.mT + share).unflatten(-1, (decoder.groups, -1))
+        normed = torch.nn.functional.layer_norm(grouped, grouped.shape[-1:], eps=decoder.eps).flatten(-2)
+        h = torch.addcmul(shift, normed, gain).relu()
+    return h @ decoder.weights[-1].mT + last
+
+
+def decoder_slopes(decoder: Decoder, x: Tensor, z: Tensor) -> Tensor:
+    """How the first 207 raw changes answer to xi and z, (N, 207 + 48, 207), rows are causes. In pieces: the cache."""
+    return torch.cat([_decoder_slopes(decoder, *piece) for piece in zip(x.split(PIECE), z.split(PIECE), strict=True)])
+
+
+def _decoder_slopes(decoder: Decoder, x: Tensor, z: Tensor) -> Tensor:
+    first = decoder.weights[0]
+    count = len(x)
+    turns = (_rotation_inputs(x) @ first[:, SUM:].mT.unflatten(0, (22, 9))).unflatten(1, (count, 3))
+    rows = torch.cat(
+        (
+            first[:, :SUM].mT.expand(count, -1, -1),
+            turns.transpose(0, 1).flatten(1, 2),
+            decoder.z_weights[0].mT.expand(count, -1, -1),
+        ),
+        1,
+    )
+    shares = decoder.shares(z)
+    h = x @ first.mT + shares[0]
+    norm = partial(_norm_slope, groups=decoder.groups, eps=decoder.eps)
+    for k, (gain, shift) in enumerate(zip(decoder.gains, decoder.shifts, strict=True), start=1):
+        out, *slope = norm(h, gain, shift)
+        weight, keep = decoder.weights[k], ROT if k == len(decoder.gains) else None
+        rows = _through(rows, *slope) @ weight[:keep].mT
+        rows[:, XI:] += decoder.z_weights[k][:keep].mT
+        h = out @ weight.mT + shares[k]
+    return rows
+
+
+def prior_slopes(model: Cvae, x: Tensor) -> tuple[Gaussian, Tensor]:
+    """p(z | x) at N states (N, 339) in the order of ``recursion``, and the slopes (N, 96, 207) in xi of its mean and of
+    its log variance. In pieces, for the cache."""
+    means, variances, rows = zip(*(_prior_slopes(model, piece) for piece in x.split(PIECE)), strict=True)
+    return Gaussian(torch.cat(means), torch.cat(variances)), torch.cat(rows)
+
+
+def _prior_slopes(model: Cvae, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    linear = [layer for layer in model.prior_net.net if isinstance(layer, torch.nn.Linear)]
+    norms = [layer for layer in model.prior_net.net if isinstance(layer, torch.nn.GroupNorm)]
+    h, slopes = x[:, BACK.to(x.device)], []
+    for layer, norm in zip(linear, norms, strict=False):
+        h, *slope = _norm_slope(layer(h), norm.weight, norm.bias, norm.num_groups, norm.eps)
+        slopes.append(slope)
+    prior = Gaussian(*linear[-1](h).chunk(2, -1))
+    rows = linear[-1].weight.expand(len(x), -1, -1)
+    for layer, slope in zip(reversed(linear[:-1]), reversed(slopes), strict=True):
+        rows = _back_through(rows, *slope) @ layer.weight
+    lean = torch.argsort(BACK).to(x.device)
+    rows = rows[..., lean]
+    turns = rows[..., SUM:].unflatten(-1, (22, 9)).permute(2, 0, 1, 3)  # (22, N, 96, 9)
+    inputs = _rotation_inputs(x).unflatten(1, (len(x), 3))  # (22, N, 3, 9)
+    omega = (turns @ inputs.mT).permute(1, 2, 0, 3).flatten(2)
+    return *prior, torch.cat((rows[..., :SUM], omega), -1)

@@ -1,0 +1,211 @@
+"""The roll-out that steers itself: against the plain one, a naive loop and differences; no clip sees another."""
+
+import pytest
+import torch
+
+from motionlab import rotation
+from motionlab.humor import state
+from motionlab.humor.closed_loop import INPUT, steered_rollout
+from motionlab.humor.recursion import LEAN
+from motionlab.humor.rollout import rollout
+from tests.rolled_inputs import F64, first_states, network
+
+CLIPS, STEPS = 2, 5
+
+
+def draw(seed, *shape):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return network()
+
+
+@pytest.fixture(scope="module")
+def first():
+    return first_states(torch.Generator().manual_seed(0), CLIPS)
+
+
+@pytest.fixture(scope="module")
+def u():
+    return 0.5 * draw(1, CLIPS, STEPS, 48)
+
+
+@pytest.fixture(scope="module")
+def gains():
+    return 0.02 * draw(2, CLIPS, STEPS, 48, INPUT)
+
+
+def naive(model, first, u, gains):
+    """Transition by transition in the world, every frame's place read off its own heading."""
+    world, found = first, []
+    for now, gain in zip(u.unbind(1), gains.unbind(1), strict=True):
+        frame = state.heading(world)
+        past = state.localise(world, frame)
+        place = torch.cat((frame.turn.mT[:, :2, :2], -frame.shift[:, :2, None]), -1)  # own = turn (world + shift)
+        inputs = torch.cat((past[:, LEAN], place.flatten(1)), -1)  # cos, -sin, x, sin, cos, y
+        z = now + (gain @ inputs[..., None])[..., 0]
+        after, logits = state.apply(past, model.decode(past, z))
+        world = state.globalise(after, frame)
+        found.append((world, logits, z, *model.prior(past), inputs))
+    return [torch.stack(each, 1) for each in zip(*found, strict=True)]
+
+
+def parts(found):
+    rolled, inputs = found
+    return [rolled.states, rolled.contact_logits, rolled.z, *rolled.prior, inputs]
+
+
+def loss(found):
+    """A function of everything that comes out."""
+    return sum((value * draw(10 + k, *value.shape) + 0.05 * value.square()).sum() for k, value in enumerate(found))
+
+
+def on_manifold(first, change):
+    """First states (B, 339) after changes (B, 207): 141 numbers that are added to, and 22 turns."""
+    each, turns = state.unpack(first), rotation.exp(change[:, 141:].unflatten(1, (22, 3)))
+    rot = turns @ torch.cat((each["root_orient"][:, None], each["pose_body"]), 1)
+    names = ("trans", "trans_vel", "root_orient_vel", "joints", "joints_vel")
+    added = change[:, :141].split([each[n][0].numel() for n in names], 1)
+    moved = {n: each[n] + way.view_as(each[n]) for n, way in zip(names, added, strict=True)}
+    return state.pack(moved | {"root_orient": rot[:, 0], "pose_body": rot[:, 1:]})
+
+
+def test_without_gains_it_is_the_plain_roll_out(model, first, u):
+    found, inputs = steered_rollout(model, first, u, torch.zeros(CLIPS, STEPS, 48, INPUT, dtype=F64))
+    plain = rollout(model, first, u)
+    assert torch.equal(found.z, u)
+    for ours, theirs in (
+        (found.states, plain.states),
+        (found.contact_logits, plain.contact_logits),
+        (found.prior.mean, plain.prior.mean),
+        (found.prior.log_var, plain.prior.log_var),
+    ):
+        torch.testing.assert_close(ours, theirs, atol=1e-11, rtol=1e-11)
+    assert inputs.shape == (CLIPS, STEPS, INPUT)
+
+
+def test_it_is_a_plain_roll_out_of_its_own_latents(model, first, u, gains):
+    found, _ = steered_rollout(model, first, u, gains)
+    torch.testing.assert_close(rollout(model, first, found.z).states, found.states, atol=1e-11, rtol=1e-11)
+    assert (found.z - u).abs().max() > 0.1  # control: there were gains
+
+
+def test_any_latents_are_reached_whatever_the_gains(model, first, u, gains):
+    """u = z - K X of the plain roll-out; with the X of another it goes elsewhere."""
+    plain, inputs = steered_rollout(model, first, u, torch.zeros_like(gains))
+    found, again = steered_rollout(model, first, u - (gains @ inputs[..., None])[..., 0], gains)
+    torch.testing.assert_close(found.states, plain.states, atol=1e-11, rtol=1e-11)
+    torch.testing.assert_close(found.z, u, atol=1e-11, rtol=1e-11)
+    torch.testing.assert_close(again, inputs, atol=1e-11, rtol=1e-11)
+    elsewhere, _ = steered_rollout(model, first, u - (gains @ inputs.flip(0)[..., None])[..., 0], gains)
+    assert (elsewhere.states - plain.states).abs().max() > 1e-2
+
+
+@pytest.mark.parametrize("steps", [1, STEPS])
+def test_values_and_gradients_are_those_of_a_naive_loop(model, first, u, gains, steps):
+    u, gains, found = u[:, :steps], gains[:, :steps], []
+    for way in (lambda *each: parts(steered_rollout(model, *each)), lambda *each: naive(model, *each)):
+        leaves = [x.clone().requires_grad_() for x in (torch.zeros(CLIPS, 207, dtype=F64), u)]
+        values = way(on_manifold(first, leaves[0]), leaves[1], gains)
+        found.append([*values, *torch.autograd.grad(loss(values), leaves)])
+    for ours, theirs in zip(*found, strict=True):
+        torch.testing.assert_close(ours, theirs, atol=1e-9, rtol=1e-9)
+
+
+@pytest.mark.parametrize("alone", range(6))
+def test_the_gradient_of_each_output_alone(model, first, u, gains, alone):
+    """States, contact logits, z, the prior's two, and X."""
+    found = []
+    for way in (lambda *each: parts(steered_rollout(model, *each)), lambda *each: naive(model, *each)):
+        leaves = [x.clone().requires_grad_() for x in (torch.zeros(CLIPS, 207, dtype=F64), u)]
+        value = way(on_manifold(first, leaves[0]), leaves[1], gains)[alone]
+        found.append(torch.autograd.grad((value * draw(3, *value.shape)).sum(), leaves))
+    for ours, theirs in zip(*found, strict=True):
+        torch.testing.assert_close(ours, theirs, atol=1e-9, rtol=1e-9)
+        assert ours.abs().max() > 1e-3
+
+
+def test_gradients_are_finite_differences(model, first, u, gains):
+    """Of the latents, and of a first state on its manifold."""
+    nothing, step = torch.zeros(CLIPS, 207, dtype=F64), 1e-8
+
+    def value(change, u):
+        return loss(parts(steered_rollout(model, on_manifold(first, change), u, gains)))
+
+    leaves = [x.clone().requires_grad_() for x in (nothing, u)]
+    slopes = torch.autograd.grad(value(*leaves), leaves)
+    for k, way in enumerate((draw(4, CLIPS, 207), draw(5, CLIPS, STEPS, 48))):
+        up, down = ([x + s * way if j == k else x for j, x in enumerate((nothing, u))] for s in (step, -step))
+        measured = (value(*up) - value(*down)) / (2 * step)
+        torch.testing.assert_close((slopes[k] * way).sum(), measured, rtol=1e-5, atol=1e-4)
+
+
+def test_control_a_gain_that_the_way_back_forgets_is_noticed(model, first, u, gains):
+    """The gradient of u where z is taken as given differs: what is steered comes back through the gains."""
+    leaf = u.clone().requires_grad_()
+    found, _ = steered_rollout(model, first, leaf, gains)
+    (ours,) = torch.autograd.grad((found.states * draw(3, *found.states.shape)).sum(), leaf)
+    z = found.z.detach().clone().requires_grad_()
+    (given,) = torch.autograd.grad((rollout(model, first, z).states * draw(3, *found.states.shape)).sum(), z)
+    assert (ours[:, -1] - given[:, -1]).abs().max() < 1e-9 and (ours - given)[:, 0].abs().max() > 0.01
+
+
+def test_control_the_order_of_what_gains_see_matters(model, first, u, gains):
+    """Sine in the place of minus the sine, or y before x, and the naive loop is another."""
+    good = naive(model, first, u, gains)[0]
+    torch.testing.assert_close(steered_rollout(model, first, u, gains)[0].states, good, atol=1e-9, rtol=0)
+    for swap in ([0, 3, 2, 1, 4, 5], [0, 1, 5, 3, 4, 2]):
+        wrong = torch.cat((gains[..., : state.STATE], gains[..., state.STATE :][..., swap]), -1)
+        assert (steered_rollout(model, first, u, wrong)[0].states - good).abs().max() > 1e-3
+
+
+def test_only_gains_on_the_place_in_the_world_see_the_world(model, first, u, gains):
+    """Make the world matter: turned and moved, the rest of them gives the same motion turned and moved."""
+    blind = gains.clone()
+    blind[..., state.STATE :] = 0.0
+    frame = state.Frame(
+        rotation.rotation_about("z", torch.tensor([0.7, -2.9], dtype=F64)),
+        torch.tensor([[3.0, -1.0, 0.0], [0.2, 4.0, 0.0]], dtype=F64),
+    )
+    wide = state.Frame(frame.turn[:, None], frame.shift[:, None])
+    for each, same in ((blind, True), (gains, False)):
+        here, _ = steered_rollout(model, first, u, each)
+        there, _ = steered_rollout(model, state.localise(first, frame), u, each)
+        gap = (state.globalise(there.states, wide) - here.states).abs().max()
+        assert gap < 1e-9 if same else gap > 1e-2
+
+
+def test_clips_do_not_see_each_other(model, first, u, gains):
+    leaf = u.clone().requires_grad_()
+    together = parts(steered_rollout(model, first, leaf, gains))
+    (slope,) = torch.autograd.grad(loss(together), leaf)
+    for b in range(CLIPS):
+        alone = parts(steered_rollout(model, first[b : b + 1], u[b : b + 1], gains[b : b + 1]))
+        for ours, theirs in zip(alone, together, strict=True):
+            torch.testing.assert_close(ours[0], theirs[b], atol=1e-11, rtol=1e-11)
+    broken = u.clone()
+    broken[1, 2] = torch.nan
+    leaf = broken.requires_grad_()
+    found, _ = steered_rollout(model, first, leaf, gains)
+    assert torch.equal(found.states[0], together[0][0]) and found.states[1, 2:].isnan().any()
+    (other,) = torch.autograd.grad(found.states[0].sum() + found.states[1, :2].sum(), leaf)
+    assert other[0].isfinite().all() and slope.isfinite().all()
+
+
+def test_single_precision_is_near(model, first, u, gains):
+    net = network().float()
+    found, _ = steered_rollout(net, *(x.float() for x in (first, u, gains)))
+    assert found.states.dtype == torch.float32
+    assert (found.states - steered_rollout(model, first, u, gains)[0].states).abs().max() < 1e-3
+
+
+def test_its_gains_and_weights_have_no_gradients(first, u, gains):
+    """They are constants here: a search moves u."""
+    net = network().requires_grad_(requires_grad=True)
+    leaf, k = u.clone().requires_grad_(), gains.clone().requires_grad_()
+    found, _ = steered_rollout(net, first, leaf, k)
+    weights = tuple(net.decoder.parameters())
+    slopes = torch.autograd.grad(found.states.sum(), (leaf, k, *weights), allow_unused=True)
+    assert slopes[0] is not None and all(slope is None for slope in slopes[1:])

@@ -1,0 +1,132 @@
+"""The sweep against one dense matrix of everything."""
+
+import pytest
+import torch
+
+from motionlab.humor.riccati import sweep
+
+F64 = torch.float64
+CLIPS, FRAMES, N, Z = 2, 5, 6, 3
+MANY = (FRAMES - 1) * Z
+
+
+def draw(seed, *shape):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Slopes, and rows R_t and N_t of an energy whose frames alone say nothing about some directions."""
+    return {
+        "a": torch.eye(N, dtype=F64) + 0.3 * draw(0, CLIPS, FRAMES - 1, N, N),
+        "b": draw(1, CLIPS, FRAMES - 1, N, Z),
+        "frame": draw(2, CLIPS, FRAMES, 2, N),
+        "pair": draw(3, CLIPS, FRAMES - 1, 4, N + Z),
+    }
+
+
+def swept(case, ridge=1e-6):
+    frame, pair = case["frame"], case["pair"]
+    return sweep(frame.mT @ frame, case["a"], case["b"], pair.mT @ pair, ridge)
+
+
+def energy(case, y, z, ridge=0.0):
+    """1/2 sum of squares (B,), frame by frame along y_{t+1} = A y + B z; y (B, N), z (B, T - 1, Z)."""
+    total = 0.5 * ridge * z.square().sum((1, 2))
+    for t in range(FRAMES):
+        total = total + 0.5 * (case["frame"][:, t] @ y[..., None]).square().sum((1, 2))
+        if t < FRAMES - 1:
+            both = torch.cat((y, z[:, t]), -1)[..., None]
+            total = total + 0.5 * (case["pair"][:, t] @ both).square().sum((1, 2))
+            y = (torch.cat((case["a"][:, t], case["b"][:, t]), -1) @ both)[..., 0]
+    return total
+
+
+def dense(case, ridge):
+    """The Hessian (B, N + (T - 1) Z, the same) of that energy."""
+    unit = torch.eye(N + MANY, dtype=F64)
+    single = [energy(case, *split(row.expand(CLIPS, -1)), ridge) for row in unit]
+    rows = []
+    for i, row in enumerate(unit):
+        both = [energy(case, *split((row + other).expand(CLIPS, -1)), ridge) for other in unit]
+        rows.append(torch.stack([e - single[i] - single[j] for j, e in enumerate(both)], -1))
+    return torch.stack(rows, 1)
+
+
+def split(v):
+    return v[:, :N], v[:, N:].unflatten(1, (FRAMES - 1, Z))
+
+
+def steered(case, found, y, nu):
+    """z (B, T - 1, Z) that the gains make of nu on the way."""
+    zs = []
+    for t in range(FRAMES - 1):
+        z = (found.gains[:, t] @ y[..., None] + found.shapers[:, t] @ nu[:, t, :, None])[..., 0]
+        y = (case["a"][:, t] @ y[..., None] + case["b"][:, t] @ z[..., None])[..., 0]
+        zs.append(z)
+    return torch.stack(zs, 1)
+
+
+@pytest.mark.parametrize("ridge", [1e-6, 0.5])
+def test_what_the_first_change_costs_is_a_schur_complement(case, ridge):
+    h = dense(case, ridge)
+    yy, yz, zz = h[:, :N, :N], h[:, :N, N:], h[:, N:, N:]
+    schur = yy - yz @ torch.linalg.solve(zz, yz.mT)
+    found = swept(case, ridge)
+    torch.testing.assert_close(found.first, schur, atol=1e-9, rtol=1e-9)
+    assert (yy - schur).norm() > 0.1 * yy.norm()  # control: what the z can still mend is much
+
+
+def test_gains_are_the_dense_solutions_first_step(case):
+    h, y = dense(case, 1e-6), draw(4, CLIPS, N)
+    best = -torch.linalg.solve(h[:, N:, N:], h[:, N:, :N] @ y[..., None])[..., 0]
+    ours = steered(case, swept(case), y, torch.zeros(CLIPS, FRAMES - 1, Z, dtype=F64))
+    torch.testing.assert_close(ours.flatten(1), best, atol=1e-9, rtol=1e-9)
+
+
+def test_gains_and_shapers_whiten(case):
+    """The energy is 1/2 |nu|^2 + 1/2 y P y, exactly; and with one wrong gain or shaper it is not."""
+    found, y, nu = swept(case), draw(5, CLIPS, N), draw(6, CLIPS, FRAMES - 1, Z)
+
+    def gap(each):
+        claimed = 0.5 * nu.square().sum((1, 2)) + 0.5 * torch.einsum("bi,bij,bj->b", y, each.first, y)
+        return (energy(case, y, steered(case, each, y, nu), 1e-6) / claimed - 1).abs().max()
+
+    assert gap(found) < 1e-10
+    wrong = found.gains.clone()
+    wrong[:, 2] *= 1.1
+    assert gap(found._replace(gains=wrong)) > 1e-3
+    assert gap(found._replace(gains=-found.gains)) > 0.1
+    assert gap(found._replace(shapers=found.shapers.mT)) > 1e-2
+    assert gap(found._replace(first=1.1 * found.first)) > 1e-3
+
+
+def test_the_hessian_in_nu_is_the_identity(case):
+    found, h = swept(case), dense(case, 1e-6)
+    nothing = torch.zeros(CLIPS, N, dtype=F64)
+    unit = torch.eye(MANY, dtype=F64).unflatten(1, (FRAMES - 1, Z))
+    way = torch.stack([steered(case, found, nothing, nu.expand(CLIPS, -1, -1)).flatten(1) for nu in unit], -1)
+    identity = torch.eye(MANY, dtype=F64).expand(CLIPS, -1, -1)
+    torch.testing.assert_close(way.mT @ h[:, N:, N:] @ way, identity, atol=1e-9, rtol=0)
+
+
+def test_clips_do_not_see_each_other(case):
+    both = swept(case)
+    for k in range(CLIPS):
+        alone = swept({name: value[k : k + 1] for name, value in case.items()})
+        for ours, theirs in zip(alone, both, strict=True):
+            torch.testing.assert_close(ours[0], theirs[k], atol=1e-12, rtol=1e-10)
+
+
+def test_latents_of_which_nothing_is_known_stay_where_they_are(case):
+    """Only the ridge keeps them: no gain, and a finite shaper."""
+    idle = case | {"b": torch.zeros_like(case["b"]), "pair": torch.zeros_like(case["pair"])}
+    found = swept(idle, 1e-4)
+    assert not found.gains.any()
+    torch.testing.assert_close(found.shapers, 100.0 * torch.eye(Z, dtype=F64).expand_as(found.shapers))
+
+
+def test_single_precision_is_near(case):
+    found, single = swept(case), swept({name: value.float() for name, value in case.items()})
+    for ours, theirs in zip(single, found, strict=True):
+        assert ours.dtype == torch.float32 and (ours - theirs).norm() < 1e-4 * theirs.norm()

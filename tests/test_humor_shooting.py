@@ -1,0 +1,476 @@
+"""Stage 3 by closed-loop Gauss-Newton: its coordinates are round, its roll-outs exact, its energies never rise."""
+
+from copy import deepcopy
+from dataclasses import replace
+from itertools import count
+
+import pytest
+import torch
+
+from data_synth import clips
+from motionlab import rotation
+from motionlab.errors import NotConverged, ShapeError
+from motionlab.humor import energies, init_gmm, observed, shooting, stages, state, variables
+from motionlab.humor.init_gmm import InitGmm
+from motionlab.humor.loop import FIRST
+from motionlab.humor.observed import Evidence, Observation3D
+from motionlab.humor.priors import Priors
+from motionlab.humor.rollout import sample
+from motionlab.humor.shooting import Loop, Plan, Report, linearised, moved, opened, solve
+from motionlab.humor.stages import Problem, motion_terms, stage_3
+from motionlab.humor.weights import JOINTS, RGB
+from motionlab.humor.workload import random_priors, workload
+from tests.interrupted import interrupted
+from tests.rolled_inputs import F64, network
+
+FRAMES, CLIPS = 5, 2
+KINDS = ("joints", "fixed", "free")
+STEADY = Plan(rounds=2, closures=6, tolerance=0.0, stride=1)
+
+
+def seed(number=0):
+    return torch.Generator().manual_seed(number)
+
+
+@pytest.fixture(scope="module")
+def cases(kit):
+    """By name: a problem and unknowns a little beside its truth."""
+    return made(kit.pose)
+
+
+@pytest.fixture(scope="module")
+def smooth(kit):
+    """The same with a pose prior without kinks, as the first state's slopes are differences, and without the hinges of
+    contact heights."""
+    pose, found = deepcopy(kit.pose), {}
+    pose.slopes = (1.0, 1.0, 1.0)
+    for kind, (problem, unknown) in made(pose).items():
+        weights = replace(problem.weights, contact_height=(0.0, 0.0, 0.0))
+        found[kind] = replace(problem, weights=weights), unknown
+    return found
+
+
+def made(pose):
+    """Problems whose truth is a roll-out of their prior itself, a random network with soft norms; the Gaussians of its
+    first state are no balls."""
+    model = network(64)
+    model.decoder.net[-1].weight *= 0.3
+    for layer in model.modules():
+        if isinstance(layer, torch.nn.GroupNorm):
+            layer.eps = 1.0
+    walk = clips.draw(1, seed(), actions=("walk",))[0].motion.cut(0, FRAMES)
+    work = workload(walk, random_priors(seed(), width=32), seed(), batch=CLIPS).double()
+    priors = Priors(model, deepcopy(pose).double(), None)
+    first = variables.first_state(work.moving, priors)
+    start = init_gmm.features(variables.local_first(first)).mean(0)
+    spread = 0.05 * torch.randn(12, init_gmm.SIZE, init_gmm.SIZE, generator=seed(1), dtype=F64)
+    spread = spread @ spread.mT + 0.05 * torch.eye(init_gmm.SIZE, dtype=F64)
+    mixture = InitGmm(torch.full((12,), 1 / 12, dtype=F64), noisy(start.expand(12, -1), 0.1, 2), spread)
+    priors = replace(priors, initial=mixture)
+    truth = work.moving | {"z": noisy(sample(model, first, FRAMES - 1).z[:, None], 0.3, 3)}
+    seen = work.problem.evidence
+    joints = Evidence(torch.zeros(CLIPS, FRAMES, 22, 3, dtype=F64), torch.ones(CLIPS, FRAMES, 22, dtype=F64), walk.fps)
+    kinds = {"joints": joints, "fixed": replace(seen, view=replace(seen.view, free=False)), "free": seen}
+    found = {}
+    for kind, evidence in kinds.items():
+        spread = {"z": 0.3, "trans": 0.02, "orient": 0.05, "camera": 0.01 * (kind == "free")}
+        unknown = {n: noisy(x, spread.get(n, 0.2), 5) for n, x in truth.items() if n != "camera" or kind != "joints"}
+        there = variables.roll(truth, priors, evidence).body.observed
+        evidence = replace(evidence, values=noisy(there, 0.01 if kind == "joints" else 3.0, 4))
+        weights = JOINTS if kind == "joints" else RGB
+        found[kind] = Problem(evidence, priors, weights), unknown
+    return found
+
+
+def noisy(x, scale, number):
+    return x + scale * torch.randn(x.shape, generator=seed(number), dtype=F64)
+
+
+def total(problem, unknown):
+    """Stage 3's energies (B,) as every other search computes them."""
+    with torch.no_grad():
+        return sum(motion_terms(problem, unknown).values())
+
+
+def one(problem, unknown, rows):
+    """Some recordings alone."""
+    rows = torch.tensor(rows)
+    return problem.rows(rows), {n: x[rows] for n, x in unknown.items()}
+
+
+def nought(loop):
+    return {"nu": torch.zeros_like(loop.base), "first": torch.zeros_like(loop.first[..., 0])}
+
+
+# ---------------------------------------------------------------------------------------------------- the coordinates
+def residuals(problem, at, rolled, touching, robust, whites):
+    """What the Gauss-Newton matrix is of, in one vector (B, m), term by term from the paper; terms without squares
+    as the weights have them at the middle."""
+    frames = rolled.states.shape[1]
+    weights, view = problem.weights.of(3, frames=frames), problem.evidence.view
+    body, carried = rolled.body, state.unpack(rolled.states)["joints"]
+    prior, z = rolled.rollout.prior, rolled.rollout.z
+    bones = carried[:, :, 1:] - carried[:, :, list(energies.BONE_PARENTS)]
+    slip = body.joints[:, :, list(energies.CONTACT_JOINTS)].diff(dim=1)
+    start = init_gmm.features(variables.local_first(rolled.states[:, 0]))
+    found = {
+        "joint_consistency": body.joints - carried,
+        "bone_length": bones.norm(dim=-1).diff(dim=1),
+        "contact_vel": touching[:, 1:, :, None].sqrt() * slip,
+        "motion_prior": torch.cat(((z - prior.mean) * (-0.5 * prior.log_var).exp(), 0.5**0.5 * prior.log_var), -1),
+        "init_motion_prior": start @ whites,
+        "shape_prior": (2 * frames) ** 0.5 * at["betas"],
+        "joints3d" if view is None else "joints2d": robust * (body.observed - problem.evidence.values),
+    }
+    if view is not None and view.free:
+        found["floor_reg"] = frames**0.5 * view.floor(at["camera"])
+    return torch.cat([(weights[n] ** 0.5 * r).flatten(1) for n, r in found.items()], 1)
+
+
+def hessian(problem, unknown, loop):
+    """J^T J (N, N) of the first recording in its coordinates, nu before first, by central differences of roll-outs."""
+    problem, unknown = one(problem, unknown, [0])
+    loop = Loop(*(part[:1] for part in loop))
+    _, middle = opened(problem, unknown, loop, nought(loop))
+    touching = energies.contact_probabilities(middle.rollout.contact_logits)
+    robust = problem.evidence.weight[..., None]
+    if problem.evidence.view is not None:
+        off = middle.body.observed - problem.evidence.values
+        robust = 2**0.5 * robust * 100.0**2 / (100.0**2 + off.square())
+    gmm = problem.priors.initial
+    share = gmm.each(init_gmm.features(variables.local_first(middle.states[:, 0]))).softmax(-1)[0]
+    whites = torch.linalg.cholesky(torch.einsum("k,kij->ij", share, torch.linalg.inv(gmm.covariances.double())))
+    sizes = loop.base[0].numel(), loop.first.shape[1]
+    step, unit = 1e-7, torch.eye(sum(sizes), dtype=F64)
+    many = {n: x.expand(len(unit), *x.shape[1:]) for n, x in unknown.items()}
+    wide = Loop(*(part.expand(len(unit), *part.shape[1:]) for part in loop))
+    rows = problem.rows(torch.zeros(len(unit), dtype=torch.long))
+
+    def at(s):
+        nu, first = (s * unit).split(sizes, 1)
+        new = {"nu": nu.unflatten(1, loop.base.shape[1:]), "first": first}
+        return residuals(rows, *opened(rows, many, wide, new), touching, robust, whites)
+
+    slopes = (at(step) - at(-step)) / (2 * step)
+    return slopes @ slopes.mT, sizes[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_gauss_newton_matrix_is_the_identity_in_the_new_coordinates(smooth, kind):
+    """Of nu; nothing couples it to the first state, whose own matrix is that of its shaper but for a ridge."""
+    problem, unknown = smooth[kind]
+    with torch.no_grad():
+        loop = linearised(problem, unknown, stride=1)
+        h, n = hessian(problem, unknown, loop)
+        tight = 1e-2 if kind == "free" else 2e-3  # the camera's slopes are differences
+        torch.testing.assert_close(h[:n, :n], torch.eye(n, dtype=F64), atol=2e-3, rtol=0)
+        assert h[:n, n:].abs().max() < tight
+        values = torch.linalg.eigvalsh(h[n:, n:])  # small where its ridge is all that holds a direction
+        assert values.min() > 0 and values.max() < 1 + tight and (values > 0.9).float().mean() > 0.8
+        back = torch.linalg.inv(loop.first[0])
+        ours, theirs = back.mT @ back, back.mT @ h[n:, n:] @ back
+        gap = (ours - theirs) / (ours.diagonal()[:, None] * ours.diagonal()).sqrt()
+        assert (gap - gap.diagonal().diag()).abs().max() < tight and gap.diagonal().min() > -tight
+
+
+@pytest.mark.parametrize("part", ["gains", "shared", "shapers"])
+def test_control_with_one_part_of_the_coordinates_missing_they_are_not_round(smooth, part):
+    problem, unknown = smooth["joints"]
+    with torch.no_grad():
+        loop = linearised(problem, unknown, stride=1)
+        wrong = {"gains": 0 * loop.gains, "shared": 0 * loop.shared, "shapers": 1.2 * loop.shapers}[part]
+        base = unknown["z"][:, 0] if part == "gains" else loop.base
+        h, n = hessian(problem, unknown, loop._replace(base=base, **{part: wrong}))
+        assert (h[:n] - torch.eye(len(h), dtype=F64)[:n]).abs().max() > 0.05
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nought_is_where_one_stands(cases, kind):
+    """The unknowns' own roll-out and energy, whatever the gains."""
+    problem, unknown = cases[kind]
+    with torch.no_grad():
+        loop = linearised(problem, unknown, stride=1)
+        at, rolled = opened(problem, unknown, loop, nought(loop))
+        theirs = variables.roll(unknown, problem.priors, problem.evidence)
+    torch.testing.assert_close(rolled.rollout.z, unknown["z"][:, 0], atol=1e-10, rtol=0)
+    torch.testing.assert_close(rolled.states, theirs.states, atol=1e-10, rtol=0)
+    torch.testing.assert_close(rolled.body.observed, theirs.body.observed, atol=1e-6, rtol=0)
+    for name, x in at.items():
+        if name == "orient":
+            torch.testing.assert_close(variables.to_matrix(x), variables.to_matrix(unknown[name]))
+        else:
+            assert torch.equal(x, unknown[name])
+
+
+@pytest.mark.parametrize(("kind", "stride"), [("joints", 1), ("fixed", 3), ("free", 1), ("free", 100)])
+def test_anywhere_is_an_exact_roll_out_of_the_unknowns_there(cases, kind, stride):
+    """However seldom the networks are differentiated."""
+    problem, unknown = cases[kind]
+    with torch.no_grad():
+        loop = linearised(problem, unknown, stride=stride)
+        new = {n: 0.3 * torch.randn(x.shape, generator=seed(3), dtype=F64) for n, x in nought(loop).items()}
+        at, rolled = opened(problem, unknown, loop, new)
+        there = {**at, "z": rolled.rollout.z[:, None]}
+        theirs = variables.roll(there, problem.priors, problem.evidence)
+        found = sum(stages.rolled_terms(problem, at, rolled).values())
+    torch.testing.assert_close(rolled.states, theirs.states, atol=1e-9, rtol=0)
+    torch.testing.assert_close(found, total(problem, there), atol=0, rtol=1e-9)
+    assert (theirs.states - variables.roll(unknown, problem.priors, problem.evidence).states).abs().max() > 1e-3
+
+
+def test_gradients_in_the_coordinates_are_finite_differences(cases):
+    problem, unknown = cases["free"]
+    loop = linearised(problem, unknown, stride=1)
+    point = {n: 0.1 * torch.randn(x.shape, generator=seed(4), dtype=F64) for n, x in nought(loop).items()}
+
+    def value(new):
+        return sum(stages.rolled_terms(problem, *opened(problem, unknown, loop, new)).values()).sum()
+
+    leaves = {n: x.clone().requires_grad_() for n, x in point.items()}
+    slopes = dict(zip(leaves, torch.autograd.grad(value(leaves), leaves.values()), strict=True))
+    for name, slope in slopes.items():
+        way, step = torch.randn(slope.shape, generator=seed(5), dtype=F64), 1e-7
+        with torch.no_grad():
+            up, down = (value(point | {name: point[name] + s * way}) for s in (step, -step))
+        torch.testing.assert_close((slope * way).sum(), (up - down) / (2 * step), rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_unknowns_move_by_what_they_are_told(cases, kind):
+    """Part by part; rotations on their manifold, the camera only where it is free."""
+    _, unknown = cases[kind]
+    sizes = list(FIRST.values()) + [8] + [3] * (kind == "free")
+    change = 0.3 * torch.randn(CLIPS, sum(sizes), generator=seed(6), dtype=F64)
+    names = [*FIRST, "betas", "camera"]
+    parts = dict(zip(names, change.split(sizes, 1), strict=False))
+    found = moved(unknown, change)
+    assert found.keys() == unknown.keys() and torch.equal(found["z"], unknown["z"])
+    for name, x in unknown.items():
+        if name == "orient":
+            turn = rotation.exp(parts[name][:, None]) @ variables.to_matrix(x)
+            torch.testing.assert_close(variables.to_matrix(found[name]), turn, atol=1e-12, rtol=0)
+        elif name != "z":
+            way = parts.get(name, torch.zeros(1, dtype=F64))
+            torch.testing.assert_close(
+                found[name], x + (way if way.shape == x.shape or len(way) == 1 else way[:, None])
+            )
+
+
+# ----------------------------------------------------------------------------------------------------------- the search
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_comes_back_has_the_reported_energy_and_it_is_lower(cases, kind):
+    problem, unknown = cases[kind]
+    kept = {n: x.clone() for n, x in unknown.items()}
+    began = total(problem, unknown)
+    found, fits = solve(problem, unknown, STEADY)
+    assert found.keys() == unknown.keys() and all(found[n].shape == unknown[n].shape for n in unknown)
+    torch.testing.assert_close(fits[0].history[0], began, atol=0, rtol=1e-9)
+    torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
+    assert (fits[0].energy < 0.8 * began).all() and (fits[1].energy <= fits[0].energy).all()
+    torch.testing.assert_close(fits[1].history[0], fits[0].energy, atol=0, rtol=1e-9)
+    assert all(torch.equal(unknown[n], kept[n]) for n in kept)  # what was passed in stays
+    if kind == "fixed":
+        assert torch.equal(found["camera"], unknown["camera"])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_as_many_closures_go_at_least_as_far_as_those_of_stage_3(cases, kind):
+    problem, unknown = cases[kind]
+    found, fits = solve(problem, unknown, replace(STEADY, closures=12))
+    spent = sum(fit.closures for fit in fits)
+    plain, (fit,) = stage_3(problem, unknown, steps=1, inner=spent, short=FRAMES, refine=(1, 1))
+    assert fit.closures >= spent
+    assert (total(problem, found) < 0.95 * total(problem, plain)).all()
+    assert (total(problem, plain) < total(problem, unknown)).all()  # which has not failed
+
+
+def test_rows_of_a_batch_get_what_they_get_alone(cases):
+    problem, unknown = cases["free"]
+    together, fits = solve(problem, unknown, STEADY)
+    assert not torch.allclose(fits[-1].energy[0], fits[-1].energy[1])
+    for b in range(CLIPS):
+        alone, own = solve(*one(problem, unknown, [b]), STEADY)
+        torch.testing.assert_close(own[-1].energy[0], fits[-1].energy[b], atol=0, rtol=1e-5)
+        for name in ("trans", "z", "betas"):
+            assert (alone[name][0] - together[name][b]).abs().max() < 1e-3
+
+
+def test_a_clip_whose_round_gained_little_is_done_and_stays(cases):
+    """One of the two starts where it ends, the other does not."""
+    problem, unknown = cases["joints"]
+    ahead, _ = solve(*one(problem, unknown, [0]), replace(STEADY, closures=12))
+    mixed = {n: torch.cat((ahead[n], unknown[n][1:])) for n in unknown}
+    found, fits = solve(problem, mixed, replace(STEADY, rounds=3, closures=5, tolerance=0.1))
+    assert len(fits) > 2 and fits[-1].reasons[0] == "no decrease"
+    assert torch.equal(fits[1].energy[0], fits[-1].energy[0])
+    torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
+    assert all(fit.history.shape[1] == CLIPS and fit.energy.shape == (CLIPS,) for fit in fits)
+
+
+def test_slopes_at_few_frames_make_nearly_the_same_coordinates(cases):
+    """At all of them exactly the same, whatever the stride is called."""
+    problem, unknown = cases["joints"]
+    every, whole, few = (linearised(problem, unknown, stride=stride) for stride in (1, FRAMES, 2))
+    for part, other, third in zip(every, whole, few, strict=True):
+        assert part.shape == other.shape == third.shape and third.isfinite().all()
+        assert (third - part).norm() < 0.5 * part.norm()
+    assert 0 < (few.gains - every.gains).norm() < (whole.gains - every.gains).norm()
+    pair, start = one(problem, {n: x[:, :, :2] if n == "z" else x for n, x in unknown.items()}, [0])
+    pair = replace(pair, evidence=pair.evidence.short(3))
+    first, second = (linearised(pair, start, stride=stride) for stride in (1, 7))  # two transitions: both are ends
+    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_a_round_that_ends_higher_is_thrown_away(cases, monkeypatch):
+    """As rounding may have it; and it is not what is reported."""
+    problem, unknown = cases["joints"]
+    right, calls = shooting.minimise_batch, []
+
+    def worse(*args, **how):
+        calls.append(1)
+        fit = right(*args, **how)
+        if len(calls) == 1:
+            return fit
+        return replace(fit, energy=fit.energy + 1e3, variables={n: x + 1.0 for n, x in fit.variables.items()})
+
+    monkeypatch.setattr(shooting, "minimise_batch", worse)
+    found, fits = solve(problem, unknown, replace(STEADY, closures=4))
+    torch.testing.assert_close(total(problem, found), fits[0].energy, atol=0, rtol=1e-9)
+    assert len(fits) == 2 and torch.equal(fits[1].energy, fits[0].energy)
+
+
+def test_a_report_says_what_every_closure_found_and_when(cases):
+    problem, unknown = cases["joints"]
+    now = count()
+    report = Report(clock=lambda: float(next(now)))
+    _, fits = solve(problem, unknown, STEADY, report)
+    spent = sum(fit.closures for fit in fits)
+    assert len(report.history) == len(report.seconds) == spent and len(report.linearised) == len(fits)
+    assert torch.equal(torch.stack(report.history), torch.cat([fit.history for fit in fits]))
+    assert report.seconds == sorted(report.seconds) and min(report.linearised) > 0
+
+
+@pytest.mark.parametrize("change", ["windows", "steps"])
+def test_shapes_that_do_not_fit(cases, change):
+    """One window, and at least one transition."""
+    problem, unknown = cases["joints"]
+    z = unknown["z"].repeat(1, 2, 1, 1) if change == "windows" else unknown["z"][:, :, :0]
+    with pytest.raises(ShapeError):
+        solve(problem, unknown | {"z": z}, STEADY)
+
+
+def test_rotations_may_be_vectors(cases):
+    """As "faithful" unknowns are."""
+    problem, unknown = cases["joints"]
+    vectors = unknown | {"orient": rotation.log(variables.to_matrix(unknown["orient"]))}
+    found, fits = solve(problem, vectors, replace(STEADY, closures=4))
+    torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
+    assert (fits[-1].energy < total(problem, unknown)).all()
+
+
+def test_single_precision_and_two_frames():
+    """The least that there is; in float32, as fits have it."""
+    walk = clips.draw(1, seed(), actions=("walk",))[0].motion.cut(0, 2)
+    work = workload(walk, random_priors(seed(), width=64), seed(), batch=1)
+    began = total(work.problem, work.moving)
+    found, fits = solve(work.problem, work.moving, STEADY)
+    assert found["z"].shape == (1, 1, 1, 48) and found["z"].dtype == torch.float32
+    assert (fits[-1].energy < began).all()
+    torch.testing.assert_close(total(work.problem, found), fits[-1].energy, atol=0, rtol=1e-3)
+    assert all(x.isfinite().all() for x in found.values())
+
+
+# ----------------------------------------------------------------------------------------------- what is missing or bad
+def test_numbers_of_what_was_not_seen_do_not_matter(cases):
+    """NaN, or joints a thousand kilometres away."""
+    problem, unknown = cases["joints"]
+    visible = torch.rand(CLIPS, FRAMES, 22, generator=seed(7)) > 0.3
+    results = []
+    for hidden in (torch.nan, 1e6):
+        points = problem.evidence.values.clone()
+        points[~visible] = hidden
+        seen = replace(problem, evidence=observed.evidence(Observation3D(points, visible)))
+        results.append(solve(seen, unknown, Plan(rounds=1, closures=4))[0])
+    assert all(x.isfinite().all() for x in results[0].values())
+    assert all(torch.equal(each[n], results[0][n]) for each in results for n in unknown)
+    everything, _ = solve(problem, unknown, Plan(rounds=1, closures=4))  # control: what is seen does
+    assert not torch.equal(everything["z"], results[0]["z"])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_keypoints_without_weight_do_not_matter_and_a_clip_may_have_none(cases, kind):
+    problem, unknown = cases[kind]
+    weight, values = problem.evidence.weight.clone(), problem.evidence.values.clone()
+    weight[0, 1:3], weight[1] = 0.0, 0.0
+    found = []
+    for gone in (0.0, 500.0):
+        values[weight == 0] = gone
+        seen = replace(problem, evidence=replace(problem.evidence, values=values.clone(), weight=weight))
+        began = total(seen, unknown)
+        there, fits = solve(seen, unknown, Plan(rounds=1, closures=4))
+        assert (fits[-1].energy <= began).all() and fits[-1].energy[0] < began[0]
+        assert all(x.isfinite().all() for x in there.values())
+        found.append(there)
+    for name in unknown:
+        torch.testing.assert_close(found[0][name], found[1][name], atol=1e-9, rtol=1e-9)
+
+
+def test_networks_that_are_not_finite_are_no_fit(cases):
+    problem, unknown = cases["joints"]
+    with torch.no_grad():
+        broken = network(64)
+        broken.decoder.net[-1].bias[5] = torch.nan
+    with pytest.raises(NotConverged):
+        solve(replace(problem, priors=replace(problem.priors, motion=broken)), unknown, STEADY)
+
+
+@pytest.mark.parametrize("name", ["z", "trans"])
+def test_one_bad_clip_leaves_the_others_alone(cases, name):
+    problem, unknown = cases["joints"]
+    bad = {n: x.clone() for n, x in unknown.items()}
+    bad[name][1, ..., 0] = torch.nan
+    found, fits = solve(problem, bad, STEADY)
+    alone, own = solve(*one(problem, unknown, [0]), STEADY)
+    torch.testing.assert_close(fits[-1].energy[:1], own[-1].energy, atol=0, rtol=1e-5)
+    assert (found["z"][0] - alone["z"][0]).abs().max() < 1e-3
+
+
+@pytest.mark.parametrize("at", [2, 5, 9])
+def test_an_interrupt_ends_at_the_best_so_far(cases, at, monkeypatch):
+    """Ctrl-C in the first round or the second: one is enough."""
+    problem, unknown = cases["joints"]
+    began = total(problem, unknown)
+    monkeypatch.setattr(shooting, "rolled_terms", interrupted(stages.rolled_terms, at))
+    found, fits = solve(problem, unknown, Plan(rounds=4, closures=6, tolerance=0.0))
+    assert stages.interrupted(fits[-1]) and sum(fit.closures for fit in fits) == at - 1
+    assert (total(problem, found) <= began * (1 + 1e-9)).all()
+    torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
+
+
+def test_an_interrupt_while_differentiating_keeps_what_the_first_round_found(cases, monkeypatch):
+    problem, unknown = cases["joints"]
+    began = total(problem, unknown)
+    right, calls = shooting.linearised, []
+
+    def tired(*args, **how):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return right(*args, **how)
+
+    monkeypatch.setattr(shooting, "linearised", tired)
+    try:
+        found, fits = solve(problem, unknown, STEADY)
+    except KeyboardInterrupt:  # which would end the tests
+        pytest.fail("the first round is lost")
+    assert len(fits) == 1 and (total(problem, found) < began).all()
+
+
+def test_without_a_motion_prior_or_contacts_there_is_still_a_fit(cases):
+    """A weight of nought is no weight."""
+    problem, unknown = cases["joints"]
+    for name in ("motion_prior", "contact_vel", "joint_consistency", "bone_length", "joints3d"):
+        without = replace(problem, weights=replace(JOINTS, **{name: (0.0, 0.0, 0.0)}))
+        began = total(without, unknown)
+        found, fits = solve(without, unknown, Plan(rounds=1, closures=4))
+        assert (fits[-1].energy <= began).all() and all(x.isfinite().all() for x in found.values())
