@@ -3,7 +3,8 @@
 A change of a frame has n = 210 + S numbers: xi and gamma (``slopes``), then S shared by all frames of a clip, 8 betas
 and, where the camera is unknown, its 3. Rows carry the square root of their weight, so that H = R^T R is the
 Gauss-Newton matrix of the energy as it is. Robust terms count with the weight that they have at the point; contact
-probabilities are constants; contact heights, hinges without curvature, have no rows.
+probabilities are constants. Contact heights, hinges without curvature, count as the parabolas that touch them from
+above: without them a camera that nobody fixed and its body would rise together at no cost.
 
 Source: HuMoR (Rempe et al. 2021), section 4 (the energies); derivatives by hand.
 """
@@ -134,10 +135,15 @@ def rows(
     else:
         marks = posed(flat, shape, size=size, marks=True)
         found.append(_pixel_rows(marks, turn, shift, camera, evidence, weights.get("joints2d", 0.0), clips, free))
+    feet = list(energies.CONTACT_JOINTS)
+    high = body.joints[:, feet, 2].abs()
+    pull = (
+        weights.get("contact_height", 0.0) * touching.flatten(0, 1) * (high > energies.TOUCHING) / high.clamp(min=1e-6)
+    )
+    found.append(pull.nan_to_num().sqrt()[..., None] * body.slopes[:, feet, 2])
     of_frame = torch.cat(found, 1).unflatten(0, (clips, frames))
 
     lengths = _length_rows(own).mul_(weights.get("bone_length", 0.0) ** 0.5).unflatten(0, (clips, frames))
-    feet = list(energies.CONTACT_JOINTS)
     where = body.slopes[:, feet].unflatten(0, (clips, frames))
     held = (touching[:, 1:] * weights.get("contact_vel", 0.0)).sqrt()[..., None, None]
     before = held * where[:, :-1]

@@ -35,7 +35,7 @@ class Plan:
     than this share of its energy's size. stride: frames between those at which the networks are differentiated.
     """
 
-    rounds: int = 8
+    rounds: int = 20
     closures: int = 20
     tolerance: float = 5e-3
     stride: int = 4
