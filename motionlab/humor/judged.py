@@ -13,8 +13,8 @@ from motionlab.humor.stages import Problem
 from motionlab.humor.variables import Rolled, Variables
 
 #: From here on a fit is doubtful. On clips that no table uses, of moves that the prior has seen, surprise was 0.05 to
-#: 0.47 and misfit 6 to 13 pixels, or 7 cm where every joint had N(0, 4 cm) of noise.
-SURPRISED, MISFIT_PIXELS, MISFIT_METRES = 0.5, 20.0, 0.12
+#: 0.47 and misfit 6 to 13 pixels of 1280, or 7 cm where every joint had N(0, 4 cm) of noise.
+SURPRISED, MISFIT_METRES, MISFIT_WIDTH = 0.5, 0.12, 1 / 64  # the last of the image's width: 20 pixels of 1280
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,18 +23,18 @@ class Judged:
 
     surprise: mean square of (z - mu) / sigma over all transitions and latents: 1 for motion drawn from the prior, less
     for motion like that of its training, which its latents overfit; large where a motion is not one that it would make.
-    misfit: root mean square distance of what was seen, metres or, with ``pixels``, pixels.
+    misfit: root mean square distance of what was seen, metres or pixels; from ``bound`` on it is doubtful.
     """
 
     surprise: Tensor
     misfit: Tensor
+    bound: float
     pixels: bool
 
     @property
     def doubtful(self) -> Tensor:
         """(B,) true where either is not finite or above its bound."""
-        bound = MISFIT_PIXELS if self.pixels else MISFIT_METRES
-        return ~((self.surprise <= SURPRISED) & (self.misfit <= bound))
+        return ~((self.surprise <= SURPRISED) & (self.misfit <= self.bound))
 
     def doubts(self) -> tuple[str, ...]:
         """A sentence for every clip that is doubtful."""
@@ -55,7 +55,8 @@ def of_rollout(rolled: Rolled, evidence: Evidence) -> Judged:
     surprise = ((rolled.rollout.z - prior.mean).square() * (-prior.log_var).exp()).mean((1, 2))
     off = (rolled.body.observed - evidence.values).square().sum(-1)
     missed = torch.where(weight > 0, off, 0.0).sum((1, 2)) / weight.sum((1, 2)).clamp(min=1)
-    return Judged(surprise, missed.sqrt(), evidence.view is not None)
+    bound = MISFIT_METRES if evidence.view is None else MISFIT_WIDTH * evidence.view.size[0]
+    return Judged(surprise, missed.sqrt(), bound, evidence.view is not None)
 
 
 @torch.no_grad()
