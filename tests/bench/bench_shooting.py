@@ -1,0 +1,129 @@
+"""The fast solver's parts: slopes by hand against autograd's, a closed-loop closure against a plain one, one look at a
+whole roll-out in closures, and the sweep against a dense factorisation.
+
+Ratios of processor time in one run, ways measured in turns; what is compared must give the same numbers before it is
+timed.
+"""
+
+import sys
+import time
+
+import torch
+
+from data_synth import clips
+from motionlab.humor import loop, riccati, slopes, state
+from motionlab.humor.priors import load
+from motionlab.humor.recursion import LEAN, SUM, Decoder
+from motionlab.humor.rollout import infer
+from motionlab.humor.stages import motion_terms, rolled_terms
+from motionlab.humor.workload import workload
+from motionlab.profiling import interleaved
+
+FRAMES, ROUNDS = 60, 3
+
+
+def in_turns(*ways) -> list[torch.Tensor]:
+    """Seconds of processor time of each way, (rounds,)."""
+    found = interleaved({str(k): way for k, way in enumerate(ways)}, n=ROUNDS, clock=time.process_time)
+    return [torch.as_tensor(seconds).float() for seconds in found.values()]
+
+
+def said(what: str, slow: torch.Tensor, fast: torch.Tensor) -> None:
+    low, middle, high = (slow / fast).quantile(torch.tensor([0.0, 0.5, 1.0])).tolist()
+    times = f"{1e3 * slow.median():.0f} / {1e3 * fast.median():.0f} ms"
+    print(f"{what}: {times}, ratio {middle:.2f} [{low:.2f}, {high:.2f}]")
+
+
+def by_hand(motion) -> None:
+    """The network's part of a transition's slopes."""
+    model = load().motion
+    states = state.from_motion(motion)[None]
+    z, decoder = infer(model, states)[0].mean[0], Decoder.of(model)
+    x = state.localise(states, state.heading(states))[0, :-1][:, LEAN]
+
+    def raw(x, z):
+        return slopes._raw(decoder, x[None], z[None])[0, :207]
+
+    def autograd():
+        return torch.func.vmap(torch.func.jacrev(raw, argnums=(0, 1)))(x, z)
+
+    of_x, of_z = autograd()
+    ours = slopes.decoder_slopes(decoder, x, z)
+    for mine, theirs in ((ours[:, :SUM], of_x[..., :SUM].mT), (ours[:, 207:], of_z.mT)):
+        if not torch.allclose(mine, theirs, atol=1e-3 * float(theirs.abs().max())):
+            raise SystemExit("slopes by hand are not autograd's")
+    said(
+        "decoder slopes of 59 transitions, autograd / by hand",
+        *in_turns(autograd, lambda: slopes.decoder_slopes(decoder, x, z)),
+    )
+
+
+def closures(motion, clips_: int) -> None:
+    """A closure in the loop against a plain one, and a linearisation against a closure."""
+    work = workload(motion, load(), torch.Generator().manual_seed(0), clips_, inferred=True)
+    unknown = {n: x.detach() for n, x in work.moving.items()}
+    around = loop.linearised(work.problem, unknown)
+    zero = {"nu": torch.zeros_like(unknown["z"][:, 0]), "first": torch.zeros_like(around.first[:, 0])}
+
+    def plain():
+        moving = {n: x.clone().requires_grad_() for n, x in unknown.items()}
+        energy = sum(motion_terms(work.problem, moving).values())
+        return energy, torch.autograd.grad(energy.sum(), list(moving.values()), allow_unused=True)
+
+    def closed():
+        moving = {n: x.clone().requires_grad_() for n, x in zero.items()}
+        at, rolled = loop.opened(work.problem, unknown, around, moving)
+        energy = sum(rolled_terms(work.problem, at, rolled).values())
+        return energy, torch.autograd.grad(energy.sum(), list(moving.values()))
+
+    if not torch.allclose(plain()[0], closed()[0], rtol=1e-3):
+        raise SystemExit(f"the loop's energy {closed()[0]} is not that of the roll-out {plain()[0]}")
+    whole, some, slow, fast = in_turns(
+        lambda: loop.linearised(work.problem, unknown, stride=1),
+        lambda: loop.linearised(work.problem, unknown),
+        closed,
+        plain,
+    )
+    name = f"{clips_:2d} clips x {FRAMES}"
+    said(f"{name}: closure in the loop / plain", slow, fast)
+    said(f"{name}: linearisation / closure", some, slow)
+    said(f"{name}: linearisation, networks at every frame / every fourth", whole, some)
+
+
+def sweeps() -> None:
+    """The sweep against the dense matrix of the same quadratic, in double precision."""
+    n, size, frames = 60, 12, 40
+    draw = torch.Generator().manual_seed(0)
+    a, b = (0.12 * torch.randn(1, frames - 1, n, m, generator=draw, dtype=torch.float64) for m in (n, size))
+    rows = torch.randn(1, frames, 20, n, generator=draw, dtype=torch.float64)
+    of_pair = torch.diag_embed(torch.cat((torch.zeros(n), torch.ones(size))).double()).expand(1, frames - 1, -1, -1)
+
+    def dense():
+        answer, parts = torch.eye(n, n + size * (frames - 1), dtype=torch.float64), []
+        for t in range(frames):
+            parts.append(rows[0, t] @ answer)
+            if t < frames - 1:
+                answer = a[0, t] @ answer
+                answer[:, n + size * t : n + size * (t + 1)] += b[0, t]
+        whole = torch.cat(parts)
+        h = whole.mT @ whole
+        h[n:, n:] += torch.eye(size * (frames - 1), dtype=torch.float64)
+        factor = torch.linalg.cholesky(h[n:, n:])
+        half = torch.linalg.solve_triangular(factor, h[n:, :n], upper=False)
+        return h[:n, :n] - half.mT @ half
+
+    def ours():
+        return riccati.sweep(rows.mT @ rows, a, b, of_pair, ridge=0.0)
+
+    if not torch.allclose(dense(), ours().first[0], rtol=1e-6, atol=1e-6):
+        raise SystemExit("the sweep's cost of the first change is not the dense one")
+    said(f"dense factorisation / sweep, {frames} frames of {n} + {size}", *in_turns(dense, ours))
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    walk = clips.draw(1, torch.Generator().manual_seed(0), actions=("walk",))[0].motion.cut(0, FRAMES)
+    by_hand(walk)
+    for many in (1,) if "--quick" in sys.argv else (1, 16):
+        closures(walk, many)
+    sweeps()
