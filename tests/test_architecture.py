@@ -49,6 +49,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     # models
     "motionlab.humor": 6.7,
     "motionlab.diffusion": 6.8,
+    "motionlab.posterior": 6.9,
     # showing
     "motionlab.viz": 7,
     "motionlab.notebook": 8,

@@ -1,0 +1,1 @@
+"""What observations leave open: posteriors over the few numbers that matter, by emcee."""
