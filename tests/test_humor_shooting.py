@@ -474,3 +474,26 @@ def test_without_a_motion_prior_or_contacts_there_is_still_a_fit(cases):
         began = total(without, unknown)
         found, fits = solve(without, unknown, Plan(rounds=1, closures=4))
         assert (fits[-1].energy <= began).all() and all(x.isfinite().all() for x in found.values())
+
+
+def test_a_last_clip_that_cannot_be_differentiated_keeps_what_it_had(cases, monkeypatch):
+    """NaN gains in the second round, of all clips that still run."""
+    problem, unknown = cases["joints"]
+    began = total(problem, unknown)
+    right, calls = shooting.linearised, []
+
+    def broken(*args, **how):
+        calls.append(1)
+        found = right(*args, **how)
+        return found._replace(gains=found.gains * torch.nan) if len(calls) == 2 else found
+
+    monkeypatch.setattr(shooting, "linearised", broken)
+    found, fits = solve(problem, unknown, STEADY)
+    assert len(fits) == 1 and (total(problem, found) < began).all()
+    torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("bad", [{"stride": 0}, {"closures": 0}, {"rounds": 0}])
+def test_a_plan_without_work(bad):
+    with pytest.raises(ValueError, match="1 or more"):
+        Plan(**bad)

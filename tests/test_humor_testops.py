@@ -202,7 +202,7 @@ def test_the_2d_start_sees_front_and_back(kit, walk, yaw):
     turned = replace(start, rot=rot, root=(turn @ start.root[..., None])[..., 0])
     eye = turned.root[0, 0] + torch.tensor([4.0, 0.0, 0.3])
     view = look_at(eye, turned.root[0, 0], focal=1000.0, width=1280, height=720)
-    unknown = testops._start(problem(kit, keypoints(turned.clip(slice(0, 1)), view), RGB))
+    unknown = testops.start(problem(kit, keypoints(turned.clip(slice(0, 1)), view), RGB))
     off = rotation.geodesic(variables.to_matrix(unknown["orient"])[:, 0], rot[:1, :, 0])
     assert off.max() < torch.pi / 3
     assert (unknown["trans"][:, 0] - turned.root[:1]).norm(dim=-1).max() < 0.8
@@ -210,7 +210,7 @@ def test_the_2d_start_sees_front_and_back(kit, walk, yaw):
 
 def test_rounded_coordinates_begin_where_the_old_ones_are(kit, walk):
     p = problem(kit, joints(walk))
-    unknown = testops._start(p)
+    unknown = testops.start(p)
     moving = ("trans", "orient", "latent", "betas")
     new, old = preconditioned.rounded(unknown, moving, kit, p.evidence, JOINTS.of(2))
     for name, value in old(new).items():
@@ -220,7 +220,7 @@ def test_rounded_coordinates_begin_where_the_old_ones_are(kit, walk):
 def test_rounded_coordinates_need_fewer_steps(kit, walk):
     p = problem(kit, joints(walk))
     budget = {"steps": 2, "inner": 20}
-    unknown = testops._start(p)
+    unknown = testops.start(p)
     moving = ("trans", "orient", "latent", "betas")
     _, plain = stages.search(partial(stages.pose_terms, stage=2), p, unknown, moving, **budget)
     _, quick = stages.stage_1_and_2(p, unknown, 2, **budget)
@@ -257,7 +257,7 @@ def test_both_modes_have_one_energy(kit, walk, camera, contacts, monkeypatch):
     official = faithful_variables.faithful.rollout
     monkeypatch.setattr(faithful_variables.faithful, "rollout", partial(official, align=ladder.exact_alignment))
     lean = problem(kit, keypoints(walk, camera), RGB)
-    unknown = testops._start(lean) | {"betas": torch.full((2, 8), 0.3)}
+    unknown = testops.start(lean) | {"betas": torch.full((2, 8), 0.3)}
     other = unknown | {"orient": rotation.log(variables.to_matrix(unknown["orient"]))}
     faithful = replace(lean, mode="faithful")
     for name, value in stages.pose_terms(lean, unknown, 2).items():
@@ -287,7 +287,7 @@ def in_float64(p):
 def official_and_faithful(kit, seen, weights):
     """Per stage and mode: weighted terms and gradients in all unknowns, at one point, which noise has moved."""
     p = replace(problem(kit, seen, weights), mode="official")
-    unknown = testops._start(p) | {"betas": torch.full((2, 8), 0.3)}
+    unknown = testops.start(p) | {"betas": torch.full((2, 8), 0.3)}
     motion = variables.motion_of(variables.pose(unknown, kit, p.evidence), 30.0)
     shared = {n: unknown[n] for n in variables.SHARED if n in unknown}
     rolled, _ = transitions.start(motion, unknown["latent"][:, 0], shared, p.evidence.trust, kit, (0,), 24, p.mode)

@@ -25,7 +25,7 @@ from motionlab.humor.recursion import (
     Decoder,
     Step,
     Stepper,
-    _heading_slopes,
+    heading_slopes,
     right_jacobian,
 )
 from motionlab.humor.rollout import Rollout, check, to_world
@@ -87,7 +87,7 @@ class Steered(torch.autograd.Function):
         d_past, d_after, d_logits, d_z = (d.unbind(0) for d in (d_past, d_after, d_logits, d_z))
         bend = right_jacobian(ctx.raw[..., SUM:ROT].unflatten(-1, (22, 3))).unbind(0)
         matrices = ctx.after[..., SUM:].unflatten(-1, (22, 3, 3)).unbind(0)
-        swing, lever = (each.unbind(0) for each in _heading_slopes(ctx.past[..., :STATE], ctx.after, None))
+        swing, lever = (each.unbind(0) for each in heading_slopes(ctx.past[..., :STATE], ctx.after, None))
         outs = [torch.stack([s.layers[k][-1] for s in steps]) for k in range(len(decoder.gains))]
         slopes = [((out > 0) * gain).unbind(0) for out, gain in zip(outs, decoder.gains, strict=True)]
         spins = (torch.stack([s.turn for s in steps]) @ _SPIN.to(ctx.past)).unbind(0)

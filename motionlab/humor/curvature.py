@@ -21,7 +21,7 @@ from torch.nn import functional as F
 from motionlab.humor import energies, state
 from motionlab.humor.observed import Evidence, View
 from motionlab.humor.recursion import SUM
-from motionlab.humor.shape import _CARRIERS, _GROUP, _ORDER, _PLACE, BETAS, SPREAD, offsets, scales
+from motionlab.humor.shape import BETAS, CARRIERS, GROUP_OF, ORDER, PLACE, SPREAD, offsets, scales
 from motionlab.humor.slopes import CHANGE, XI, about_z
 from motionlab.skeleton import STANDARD, fk
 
@@ -42,7 +42,7 @@ def _above() -> Tensor:
 
 _ABOVE = _above()
 _HANGS = _ABOVE + torch.eye(J)  # [k, j]: the bone to k is on the way to j
-_IN_GROUP = F.one_hot(torch.tensor(_GROUP), BETAS).float()
+_IN_GROUP = F.one_hot(torch.tensor(GROUP_OF), BETAS).float()
 
 
 class Body(NamedTuple):
@@ -75,11 +75,11 @@ def posed(x: Tensor, betas: Tensor, *, size: int, marks: bool = False) -> Body:
     points, above, hangs = p, _ABOVE.to(x), _HANGS.to(x)
     stretch = SPREAD * (axes @ bones[..., None])[..., 0]  # (N, 22, 3): of the bone to each joint, per beta of its group
     if marks:
-        place = scales(betas)[:, _CARRIERS, None] * _PLACE.to(x)
-        way = (turns[:, _CARRIERS] @ place[..., None])[..., 0]
-        points = torch.cat((p, p[:, _CARRIERS] + way), 1)
-        above = torch.cat((above, hangs[:, _CARRIERS]), 1)
-        hangs = torch.cat((hangs, hangs[:, _CARRIERS]), 1)
+        place = scales(betas)[:, CARRIERS, None] * PLACE.to(x)
+        way = (turns[:, CARRIERS] @ place[..., None])[..., 0]
+        points = torch.cat((p, p[:, CARRIERS] + way), 1)
+        above = torch.cat((above, hangs[:, CARRIERS]), 1)
+        hangs = torch.cat((hangs, hangs[:, CARRIERS]), 1)
     out = x.new_zeros(len(x), points.shape[1], 3, size)
     out[..., :3] = torch.eye(3, dtype=x.dtype, device=x.device)
     lever = points[:, None] - p[:, :, None]  # (N, 22, P, 3)
@@ -90,8 +90,8 @@ def posed(x: Tensor, betas: Tensor, *, size: int, marks: bool = False) -> Body:
     out[..., 0, XI + 1] = out[..., 1, XI + 2] = 1.0
     longer = torch.einsum("nkc,kp,kg->npcg", stretch, hangs, _IN_GROUP.to(x))
     if marks:
-        longer[:, J:] += SPREAD * way[..., None] * _IN_GROUP.to(x)[_CARRIERS][:, None]
-        points, out, longer = points[:, _ORDER], out[:, _ORDER], longer[:, _ORDER]
+        longer[:, J:] += SPREAD * way[..., None] * _IN_GROUP.to(x)[CARRIERS][:, None]
+        points, out, longer = points[:, ORDER], out[:, ORDER], longer[:, ORDER]
     out[..., CHANGE : CHANGE + BETAS] = longer
     return Body(points, out)
 

@@ -161,7 +161,7 @@ class Recursion(torch.autograd.Function):
         d_past, d_after, d_logits = (d.unbind(0) for d in (d_past, d_after, d_logits))
         bend = right_jacobian(ctx.raw[..., SUM:ROT].unflatten(-1, (22, 3))).unbind(0)
         matrices = ctx.after[..., SUM:].unflatten(-1, (22, 3, 3)).unbind(0)
-        swing, lever = (each.unbind(0) for each in _heading_slopes(ctx.past, ctx.after, spread))
+        swing, lever = (each.unbind(0) for each in heading_slopes(ctx.past, ctx.after, spread))
         outs = [torch.stack([s.layers[k][-1] for s in steps]) for k in range(len(decoder.gains))]
         slopes = [((out > 0) * gain).unbind(0) for out, gain in zip(outs, decoder.gains, strict=True)]
         d_x, d_spread = torch.zeros_like(d_past[0]), None if spread is None else torch.zeros_like(spread)
@@ -197,7 +197,7 @@ class Recursion(torch.autograd.Function):
         return None, d_x, d_spread, *d_shares, *d_weights
 
 
-def _heading_slopes(past: Tensor, after: Tensor, spread: Tensor | None) -> tuple[Tensor, Tensor]:
+def heading_slopes(past: Tensor, after: Tensor, spread: Tensor | None) -> tuple[Tensor, Tensor]:
     """Of the heading a = atan2(y, x) of the right axis on the floor: da/d(after), (T, B, 339), 0 where there is none;
     and d(the 50 vectors of past)/da, (T, B, 150)."""
     right = -after[..., SUM : SUM + 2]

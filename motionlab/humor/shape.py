@@ -58,18 +58,19 @@ def _landmark(name: str) -> tuple[int, tuple[float, float, float]]:
     return STANDARD.index(carrier), place
 
 
-_GROUP = _group_of()
+#: Group of each joint's bone; then of the keypoints that are no joints: their carriers, and their places there.
+GROUP_OF = _group_of()
 _SURFACE = [name for name in BODY_25 if any(_landmark(name)[1])]
-_CARRIERS = [_landmark(name)[0] for name in _SURFACE]
-_PLACE = torch.tensor([_landmark(name)[1] for name in _SURFACE])
+CARRIERS = [_landmark(name)[0] for name in _SURFACE]
+PLACE = torch.tensor([_landmark(name)[1] for name in _SURFACE])
 #: Where each keypoint stands among the joints and the surface points behind them.
-_ORDER = [len(STANDARD) + _SURFACE.index(name) if name in _SURFACE else _landmark(name)[0] for name in BODY_25]
+ORDER = [len(STANDARD) + _SURFACE.index(name) if name in _SURFACE else _landmark(name)[0] for name in BODY_25]
 
 
 def scales(betas: Tensor) -> Tensor:
     """Factor (..., 22) on the bone that leads to each joint."""
     check_shape(betas, f"... {BETAS}", "betas")
-    return (SPREAD * betas).exp()[..., _GROUP]
+    return (SPREAD * betas).exp()[..., GROUP_OF]
 
 
 def offsets(betas: Tensor) -> Tensor:
@@ -85,9 +86,9 @@ def landmarks(joints: Tensor, turns: Tensor, betas: Tensor) -> Tensor:
         betas: (..., 8), one shape for all frames of a clip. Head and feet grow with their bones.
     """
     check_shape(joints, "... T 22 3", "joints")
-    place = scales(betas)[..., None, _CARRIERS, None] * _PLACE.to(betas)
-    surface = joints[..., _CARRIERS, :] + (turns[..., _CARRIERS, :, :] * place[..., None, :]).sum(-1)
-    return torch.cat((joints, surface), dim=-2)[..., _ORDER, :]
+    place = scales(betas)[..., None, CARRIERS, None] * PLACE.to(betas)
+    surface = joints[..., CARRIERS, :] + (turns[..., CARRIERS, :, :] * place[..., None, :]).sum(-1)
+    return torch.cat((joints, surface), dim=-2)[..., ORDER, :]
 
 
 def from_skeleton(skeleton: Skeleton) -> Tensor:
@@ -111,7 +112,7 @@ def from_lengths(lengths: Tensor) -> Tensor:
     """
     check_shape(lengths, f"... {len(STANDARD)}", "lengths")
     standard = STANDARD.offsets.to(lengths).norm(dim=-1)
-    member = torch.nn.functional.one_hot(torch.tensor(_GROUP), BETAS).to(lengths) * (standard > 0)[:, None]
+    member = torch.nn.functional.one_hot(torch.tensor(GROUP_OF), BETAS).to(lengths) * (standard > 0)[:, None]
     known = lengths.isfinite()
     ours = torch.where(known, lengths, 0.0) * standard @ member
     theirs = known * standard.square() @ member

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from motionlab.errors import ShapeError
+from motionlab.errors import NotConverged, ShapeError
 from motionlab.humor.judged import Judged, judged
 from motionlab.humor.loop import Loop, linearised, moved, opened
 from motionlab.humor.stages import Problem, interrupted, rolled_terms
@@ -41,11 +41,15 @@ class Plan:
     stride: int = 4
     ridge: float = 1e-6
 
+    def __post_init__(self) -> None:
+        if min(self.rounds, self.closures, self.stride) < 1:
+            raise ValueError(f"rounds, closures and stride: expected 1 or more, got {self}")
+
 
 @dataclass
 class Report:
     """What a fit spent: after each closure the energies (B,) of its clips (those that are done stay at their last) and
-    the seconds until it was begun, by ``clock``; seconds of each linearisation."""
+    the seconds until it had them, without its gradient, by ``clock``; seconds of each linearisation."""
 
     history: list[Tensor] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
@@ -82,11 +86,12 @@ def solve(
     for _ in range(plan.rounds):
         try:
             found, fit = _round(problem.rows(live), {n: x[live] for n, x in unknown.items()}, plan, report, progress)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, NotConverged) as ended:
             if not fits:
                 raise
-            fits[-1] = replace(fits[-1], reasons=["interrupted"] * len(energy))
-            break
+            if isinstance(ended, KeyboardInterrupt):
+                fits[-1] = replace(fits[-1], reasons=["interrupted"] * len(energy))
+            break  # else what is left cannot be differentiated: it stays where it was
         gain = energy[live] - fit.energy
         better = gain > 0
         for n, x in found.items():
@@ -111,8 +116,9 @@ def _round(
     def energy(new: Variables, rows: Tensor) -> Tensor:
         some = problem.rows(rows)
         at, rolled = opened(some, {n: x[rows] for n, x in unknown.items()}, Loop(*(x[rows] for x in loop)), new)
+        found = sum(rolled_terms(some, at, rolled).values())
         report.seconds.append(report.clock() - report.began)
-        return sum(rolled_terms(some, at, rolled).values())
+        return found
 
     start = {"nu": torch.zeros_like(unknown["z"][:, 0]), "first": loop.first.new_zeros(loop.first.shape[:2])}
     start = {n: x.requires_grad_() for n, x in start.items()}

@@ -37,6 +37,7 @@ from motionlab.skeleton import STANDARD, fk
 
 MODES = ("lean", "official", "faithful")
 SOLVERS = ("rollout", "shooting")
+WHOLE = 600  # frames that shooting takes at once: it keeps 3 MB of each
 
 __all__ = ["Fitted", "Observation3D", "Schedule", "fit"]
 
@@ -136,7 +137,7 @@ def fit(
             in the others.
         schedule: ``Schedule.lean()`` in lean mode and ``Schedule.official`` in the two others unless given.
         solver: of stage 3: "rollout", whose numbers most notebooks hold, or in lean mode "shooting", which is faster
-            and takes a recording whole.
+            and takes a recording whole; one of more than 600 frames goes to "rollout", in windows, and a note says so.
         cameras: one per recording, instead of the observation's.
         floor: for keypoints, "camera" (the camera's pose is known, and so the floor), "refine" or "guess".
         size: of the image in pixels, where no camera says.
@@ -160,7 +161,7 @@ def fit(
     schedule = schedule or (Schedule.lean() if mode == "lean" else Schedule.official(keypoints=seen.view is not None))
     weights = weights or (JOINTS if seen.view is None else RGB_LIGHT if mode == "lean" else RGB)
     problem = Problem(seen, priors, weights, mode)
-    unknown = _start(problem)
+    unknown = start(problem)
     track = _Track(schedule, progress)
     for stage in (1, 2):
         if not track.stopped:
@@ -171,7 +172,7 @@ def fit(
     return track.motion_stage(problem, unknown, solver)
 
 
-def _start(problem: Problem) -> dict[str, Tensor]:
+def start(problem: Problem) -> dict[str, Tensor]:
     """Unknowns of stage 1: the mean pose, laid onto the observation."""
     seen, priors = problem.evidence, problem.priors
     groups, frames = seen.values.shape[:2]
@@ -220,7 +221,7 @@ class _Track:
     def motion_stage(self, problem: Problem, unknown: dict[str, Tensor], solver: str) -> Fitted:
         s, seen = self.schedule, problem.evidence
         frames = seen.values.shape[1]
-        whole = solver == "shooting"
+        whole = solver == "shooting" and frames <= WHOLE
         length = frames if whole else min(s.window, frames)
         cuts = (0,) if whole else windows.plan(frames, s.window, s.overlap)
         shared = {n: unknown[n] for n in variables.SHARED if n in unknown}
@@ -251,7 +252,8 @@ class _Track:
         self.stages[3] = variables.motion_of(body, seen.fps, contacts=(contacts > 0.5).to(contacts))
         first = found.states[:, 0].unflatten(0, (-1, len(cuts)))
         says = of_rollout(found, cut.evidence)
-        fitted = self._fitted(problem, rolled, contacts, rolled["z"], first, cuts, *says.doubts())
+        long = (f"more than {WHOLE} frames: stage 3 by rollout, in windows",) * (solver == "shooting" and not whole)
+        fitted = self._fitted(problem, rolled, contacts, rolled["z"], first, cuts, *long, *says.doubts())
         return replace(fitted, judged=says)
 
     def without_stage_3(self, problem: Problem, unknown: dict[str, Tensor], why: str) -> Fitted:

@@ -120,7 +120,8 @@ def chosen(modes: Modes, truth: Motion) -> Tensor:
 
 
 def rows(modes: Modes, truth: Motion, share: Tensor, names: Sequence[str]) -> list[dict[str, object]]:
-    """A table: for each clip the energies of both results, the pass between, and which has the true foot forward."""
+    """A table: for each clip the energies of both results, the highest on the straight way between, which is an upper
+    bound of the barrier, and which of the two has the true foot forward."""
     found = []
     for i, name in enumerate(names):
         way = modes.between(i, share)

@@ -1,7 +1,8 @@
 """Draws from a posterior over a few numbers by emcee's walkers, and a refusal to report chains that are too short.
 
-All walkers of a move are evaluated in one batch. What a chain says is worth its length in autocorrelation times:
-walkers of an ensemble are not independent, so that R-hat across them says nothing.
+All walkers of a move are evaluated in one batch. What a chain says is worth its length in autocorrelation times. With
+the stretch and differential-evolution moves walkers are not independent, so that R-hat across them says nothing; with
+Metropolis-Hastings moves alone (``mixed``) they are chains of their own in one batch.
 
 Source: Foreman-Mackey et al. 2013 (emcee); Goodman & Weare 2010; the 50 autocorrelation times are emcee's own rule.
 """
