@@ -1,0 +1,251 @@
+"""What the decoupled stage 3 is tried on, how it is judged, and what its parts cost.
+
+Source: thesis 3.3.3. The judge is the same for all variants: the exact roll-out of the x_0 and z that were found.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from motionlab import findings, profiling
+from motionlab.humor import cases, ladder, state, testops
+from motionlab.humor.case_trials import CM, Seen, two_stages
+from motionlab.humor.cvae import Cvae
+from motionlab.humor.decoupled import Form, Unknown, posed, prior_of, rolled_out, terms, to_persistent, to_states
+from motionlab.humor.decoupled_search import Found, Plan, adam
+from motionlab.humor.observed import evidence
+from motionlab.humor.priors import Priors
+from motionlab.humor.rollout import decode_ahead, infer, rollout
+from motionlab.humor.stages import Problem
+from motionlab.humor.testops import Fitted, Schedule
+from motionlab.humor.variables import motion_of
+from motionlab.humor.weights import RGB_LIGHT
+from motionlab.metrics import pose
+from motionlab.motion import Motion
+
+
+class Filmed(Seen):
+    """A scene with its truth (B, T) of the 22 joints."""
+
+    truth: Motion
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """B clips at the end of stage 2.
+
+    problem: the energy of stage 3. start: the persistent states of stage 2, the posterior's mean for each of its
+    transitions, its shape. truth, stage_2: motions (B, T). fitted: what a whole fit by single shooting made of the
+    clips, and in how many seconds of processor time, where one was asked for.
+    """
+
+    problem: Problem
+    start: dict[str, Tensor]
+    truth: Motion
+    stage_2: Motion
+    fitted: Fitted | None = None
+    seconds: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.start["x"])
+
+    def rows(self, index: Tensor) -> Case:
+        """Some of the clips, or some several times, in the order of ``index``; without the whole fit."""
+        return Case(
+            self.problem.rows(index), {n: x[index] for n, x in self.start.items()}, self.truth.clip(index),
+            self.stage_2.clip(index),
+        )  # fmt: skip
+
+    @property
+    def model(self) -> Cvae:
+        """The motion prior."""
+        return self.problem.priors.motion
+
+
+def case(scene: Filmed, priors: Priors, schedule: Schedule, *, frames: int, whole: bool = False) -> Case:
+    """The first ``frames`` of a scene with its camera known, after stages 1 and 2; ``whole``: and after stage 3."""
+    seen = replace(
+        scene.observation,
+        keypoints=scene.observation.keypoints[:, :frames],
+        confidence=scene.observation.confidence[:, :frames],
+    )
+    schedule, how = replace(schedule, window=frames), {"cameras": scene.cameras}
+    begun = testops.fit(seen, priors, schedule=two_stages(schedule), **how)
+    states = state.from_motion(begun.stages[2])
+    with torch.no_grad():
+        z = infer(priors.motion, states)[0].mean
+    start = {"x": to_persistent(states), "z": z, "betas": begun.betas}
+    problem, truth = Problem(evidence(seen, **how), priors, RGB_LIGHT), scene.truth.cut(0, frames)
+    if not whole:
+        return Case(problem, start, truth, begun.stages[2])
+    began = time.process_time()
+    fitted = testops.fit(seen, priors, schedule=schedule, **how)
+    return Case(problem, start, truth, begun.stages[2], fitted, time.process_time() - began)
+
+
+def reference(known: Case) -> dict[str, Tensor]:
+    """What single shooting found, as decoupled unknowns: the states of its roll-out, its z, its shape."""
+    with torch.no_grad():
+        first, z = known.fitted.first[:, 0], known.fitted.z[:, 0]
+        states = torch.cat((first[:, None], rollout(known.model, first, z, with_prior=False).states), 1)
+    return {"x": to_persistent(states), "z": z, "betas": known.fitted.betas}
+
+
+# ------------------------------------------------------------------------------------------------------- the judge
+def motions(known: Case, unknown: Unknown) -> dict[str, Motion]:
+    """ "kept": the persistent states as they are. "rolled": the exact roll-out of x_0 and z."""
+    fps = known.truth.fps
+    with torch.no_grad():
+        kept = posed(to_states(unknown["x"]), unknown["betas"], known.problem.evidence)
+        _, rolled = rolled_out(known.problem, unknown)
+    return {"kept": motion_of(kept, fps), "rolled": motion_of(rolled.body, fps)}
+
+
+def judged(known: Case, unknown: Unknown) -> dict[str, Tensor]:
+    """Measures (B,) of what was found.
+
+    "energy": of stage 3, of the exact roll-out. "legs", "kept legs": error in cm of knees, ankles and feet, pelvis on
+    the true one, of the exact roll-out and of the persistent states. "sits", "kept sits": 1 where somebody sits in the
+    last ten frames. "gap": mean distance in cm of the joints of the two, in the world.
+    """
+    energies, _ = rolled_out(known.problem, unknown)
+    found = motions(known, unknown)
+    low = cases.legs(known.truth)
+
+    def legs(motion: Motion) -> Tensor:
+        error = pose.joint_errors(motion.positions, known.truth.positions, align="root")
+        return CM * error[..., low].mean((-1, -2))
+
+    return {
+        "energy": sum(energies.values()),
+        "legs": legs(found["rolled"]),
+        "sits": cases.sits(found["rolled"]),
+        "kept legs": legs(found["kept"]),
+        "kept sits": cases.sits(found["kept"]),
+        "gap": CM * pose.mpjpe(found["kept"].positions, found["rolled"].positions, align="none"),
+    }
+
+
+def bending(model: Cvae, states: Tensor, z: Tensor, known: Case) -> Tensor:
+    """Knee flexion (B,) that z says: summed over one-step decodes from states (B, T, 339), degrees, mean of legs."""
+    skeleton, fps = known.stage_2.skeleton, known.truth.fps
+    with torch.no_grad():
+        after = decode_ahead(model, states[:, :-1], z)[:, :, 0]
+    before, after = (cases.tilt_and_bend(state.to_motion(x, skeleton, fps))[1] for x in (states[:, :-1], after))
+    return (after - before).mean(-1).sum(-1)
+
+
+def to_tolerance(history: Tensor, share: float = 0.99) -> Tensor:
+    """Evaluations (B,) after which a clip's lowest energy so far has made ``share`` of its whole fall."""
+    lowest = history.cummin(0).values
+    reached = lowest[0] - lowest >= share * (lowest[0] - lowest[-1])
+    return 1.0 + reached.double().argmax(0)
+
+
+def text(values: Tensor, generator: torch.Generator, statistic: str = "median", digits: int = 1) -> str:
+    """A statistic of clips with its 95 % bootstrap interval, as a person reads it."""
+    middle, low, high = findings.interval(values, statistic, generator)
+    return f"{middle:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def row(found: Mapping[str, Tensor], generator: torch.Generator) -> dict[str, str]:
+    """The measures of :func:`judged` as cells of a table: medians over clips with intervals, and counts."""
+    return {
+        "energy of the roll-out": text(found["energy"], generator, digits=0),
+        "its legs, cm": text(found["legs"], generator),
+        "it sits": f"{found['sits'].sum():.0f} of {len(found['sits'])}",
+        "legs of x, cm": text(found["kept legs"], generator),
+        "x sits": f"{found['kept sits'].sum():.0f} of {len(found['sits'])}",
+        "from x to roll-out, cm": text(found["gap"], generator),
+    }
+
+
+# ----------------------------------------------------------------------------------------------------------- costs
+OFFICIAL, LEAN = ladder.Savings(frozen=True), ladder.LEAN
+FORMS = {"official": OFFICIAL, "lean": LEAN}
+
+
+def decodes(model: Cvae, states: Tensor, z: Tensor, steps: int | None, on: ladder.Savings) -> Callable[[], Tensor]:
+    """One evaluation: forwards, to the sum of the squares of what is decoded and the prior's nats, without the body.
+
+    states (B, T, 339), z (B, T - 1, 48). steps: K from every state at once; None: the roll-out of all T - 1. In
+    official form the prior is asked at every step, as that code does; in lean form once for each transition.
+    """
+    x, z = states.detach().requires_grad_(), z.detach().requires_grad_()
+    frames = x.shape[1]
+    at = (torch.arange(frames - 1)[:, None] + torch.arange(steps or 1)).clamp(max=frames - 2)
+
+    def value() -> Tensor:
+        if steps is None:
+            found = ladder.chain(model, x[:, 0], z, on)
+        elif on.lean_layout:
+            found = rollout(model, x[:, :-1].flatten(0, 1), z[:, at].flatten(0, 1), with_prior=False)
+            found = found._replace(prior=prior_of(model, x), z=z)
+        else:
+            found = ladder.chain(model, x[:, :-1].flatten(0, 1), z[:, at].flatten(0, 1), on)
+        return found.states.square().sum() + found.contact_logits.square().sum() + found.prior.nll(found.z).sum()
+
+    return value
+
+
+@dataclass(frozen=True, eq=False)
+class Costs:
+    """seconds: processor time of evaluations with their gradients (n,), nodes: steps of autograd; both by
+    (form, clips, K or None)."""
+
+    seconds: dict[tuple[str, int, int | None], Tensor]
+    nodes: dict[tuple[str, int, int | None], int]
+
+    def gain(self, form: str, clips: int, steps: int) -> Tensor:
+        """Time of the roll-out over that of K steps from all states at once, round by round (n,)."""
+        return self.seconds[form, clips, None] / self.seconds[form, clips, steps]
+
+
+def costs(model: Cvae, states: Tensor, batches: Sequence[int], steps: Sequence[int], rounds: int) -> Costs:
+    """Times of the roll-out and of K steps, both forms, all in turns. states (1, T, 339) of any motion."""
+    with torch.no_grad():
+        z = infer(model, states)[0].mean
+    calls = {
+        (form, b, k): decodes(model, states.expand(b, -1, -1), z.expand(b, -1, -1), k, on)
+        for form, on in FORMS.items()
+        for b in batches
+        for k in (None, *steps)
+    }
+    nodes = {key: profiling.graph_nodes(value()) for key, value in calls.items()}
+    timed = {key: (lambda value=value: value().backward()) for key, value in calls.items()}
+    return Costs(profiling.interleaved(timed, n=rounds, clock=time.process_time), nodes)
+
+
+def closures(known: Case, forms: Mapping[str, Form], rounds: int) -> dict[str, Tensor]:
+    """Processor time in seconds (rounds,) of the whole decoupled energy with its gradients, forms in turns."""
+    point = {n: x.clone().requires_grad_() for n, x in known.start.items()}
+
+    def closure(form: Form) -> Callable[[], object]:
+        return lambda: torch.autograd.grad(sum(terms(known.problem, point, form)[0].values()).sum(), [*point.values()])
+
+    return profiling.interleaved({n: closure(f) for n, f in forms.items()}, n=rounds, clock=time.process_time)
+
+
+# ------------------------------------------------------------------------------------------------- z towards HuMoR's
+def latent_error(z: Tensor, wanted: Tensor) -> Tensor:
+    """Mean absolute difference (B,) of latents (B, T, 48): "latent_motion error". Source: thesis Fig. 3.13."""
+    return (z - wanted).abs().mean((-1, -2))
+
+
+def towards(known: Case, plan: Plan, iterations: int, at: Sequence[int]) -> tuple[Found, Tensor]:
+    """x and shape fixed at the solution of single shooting, z from the posterior's mean of stage 2 on.
+
+    Also the latent error (len(at), B) over the search.
+    """
+    solution = reference(known)
+    start = {**solution, "z": known.start["z"]}
+    found = adam(
+        known.problem, start, plan, iterations,
+        watch=lambda u: {"error": latent_error(u["z"], solution["z"])}, at=at,
+    )  # fmt: skip
+    return found, torch.stack([found.watched[i]["error"] for i in at])

@@ -1,0 +1,246 @@
+"""The decoupled energy: against loops over single transitions, at an exact roll-out, and what it tells whom."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from motionlab import rotation
+from motionlab.errors import ShapeError
+from motionlab.humor import decoupled, stages, state
+from motionlab.humor.decoupled import Form, consistency, sequences, terms, to_persistent, to_states
+from motionlab.humor.observed import evidence
+from motionlab.humor.rollout import decode_ahead, infer, rollout
+from motionlab.humor.stages import Problem
+from motionlab.humor.weights import KEYPOINTS, RGB_LIGHT
+from tests.fit_inputs import joints, keypoints
+
+
+@pytest.fixture(scope="module")
+def problem(kit, walk):
+    return Problem(evidence(joints(walk)), kit, KEYPOINTS)
+
+
+@pytest.fixture(scope="module")
+def start(
+    kit,
+    walk,
+):
+    """States, latents and shape of two walks, a little off."""
+    noise = torch.Generator().manual_seed(1)
+    states = state.from_motion(walk)
+    with torch.no_grad():
+        z = infer(kit.motion, states)[0].mean
+    x = to_persistent(states)
+    x = x + 0.01 * torch.randn(x.shape, generator=noise)
+    return {"x": x, "z": z + 0.1 * torch.randn(z.shape, generator=noise), "betas": torch.zeros(2, 8)}
+
+
+@pytest.fixture(scope="module")
+def exact(kit, start):
+    """The same, x an exact roll-out."""
+    first = to_states(start["x"][:, 0])
+    with torch.no_grad():
+        states = torch.cat((first[:, None], rollout(kit.motion, first, start["z"]).states), 1)
+    return {**start, "x": to_persistent(states)}
+
+
+def leaves(unknown, *moving):
+    return {n: x.clone().requires_grad_(n in moving) for n, x in unknown.items()}
+
+
+def by_hand(model, states, z, steps):
+    """x^K_t: min(K, t) single transitions from the state so many frames before, one after the other."""
+    found = torch.empty_like(states)
+    for b in range(len(states)):
+        for t in range(states.shape[1]):
+            begin = max(t - steps, 0)
+            x = states[b : b + 1, begin]
+            for k in range(begin, t):
+                frame = state.heading(x)
+                local = state.localise(x, frame)
+                x = state.globalise(state.apply(local, model.decode(local, z[b : b + 1, k]))[0], frame)
+            found[b, t] = x[0]
+    return found
+
+
+def test_persistent_states_come_back(walk):
+    states = state.from_motion(walk)
+    x = to_persistent(states)
+    assert x.shape[-1] == decoupled.PERSISTENT == 273
+    torch.testing.assert_close(to_states(x), states, atol=1e-5, rtol=0)
+    longer = to_states(x * 1.0 + 0.05 * torch.randn(x.shape, generator=torch.Generator().manual_seed(0)))
+    turns = state.unpack(longer)["pose_body"]
+    torch.testing.assert_close(turns.mT @ turns, torch.eye(3).expand_as(turns), atol=1e-5, rtol=0)
+
+
+def test_six_numbers_do_not_flip_where_a_rotation_vector_does():
+    """A turn of a little less and a little more than pi: one vector flips, the six numbers hardly move."""
+    angles = torch.tensor([3.10, 3.18])
+    matrices = rotation.exp(angles[:, None] * torch.tensor([1.0, 0.0, 0.0]))
+    vectors, numbers = rotation.log(matrices), rotation.matrix_to_sixd(matrices)
+    assert (vectors[0] - vectors[1]).norm() > 6
+    assert (numbers[0] - numbers[1]).norm() < 0.12
+
+
+@pytest.mark.parametrize("steps", [1, 2, 5])
+def test_sequences_are_single_transitions_in_a_loop(kit, start, steps):
+    states = to_states(start["x"])[:, :9]
+    with torch.no_grad():
+        found = sequences(kit.motion, states, start["z"][:, :8], steps)
+        for k in range(1, steps + 1):
+            wanted = by_hand(kit.motion, states, start["z"], k)
+            torch.testing.assert_close(found.states[:, k - 1], wanted, atol=2e-5, rtol=1e-5)
+    assert found.contact_logits.shape == (2, steps, 8, 9)
+
+
+def test_sequences_agree_with_decode_ahead_where_that_has_them(kit, start):
+    states, z = to_states(start["x"]), start["z"]
+    with torch.no_grad():
+        ahead = decode_ahead(kit.motion, states[:, :-1], z, 3)
+        found = sequences(kit.motion, states, z, 3)
+    torch.testing.assert_close(found.states[:, 2, 3:], ahead[:, :-2, 2], atol=1e-5, rtol=1e-5)
+
+
+def test_as_many_steps_as_frames_is_the_roll_out(kit, start):
+    states, z = to_states(start["x"]), start["z"]
+    with torch.no_grad():
+        found = sequences(kit.motion, states, z, states.shape[1] - 1)
+        rolled = rollout(kit.motion, states[:, 0], z)
+    torch.testing.assert_close(found.states[:, -1, 1:], rolled.states, atol=5e-5, rtol=1e-4)
+    torch.testing.assert_close(found.contact_logits[:, -1], rolled.contact_logits, atol=1e-3, rtol=1e-3)
+
+
+def test_sequences_refuse_what_does_not_fit(kit, start):
+    states = to_states(start["x"])
+    for z, steps in ((start["z"][:, 1:], 1), (start["z"], 0), (start["z"], states.shape[1])):
+        with pytest.raises(ShapeError, match="steps"):
+            sequences(kit.motion, states, z, steps)
+
+
+@pytest.mark.parametrize("steps", [1, 4, 23])
+def test_at_an_exact_roll_out_the_energy_is_that_of_stage_3(problem, exact, steps):
+    judged, _ = decoupled.rolled_out(problem, exact)
+    with torch.no_grad():
+        found, _ = terms(problem, exact, Form(steps))
+    assert (found.pop("consistency") < 0.02).all()  # a sum of 24 x 339 differences that are rounding
+    assert set(found) == set(judged)
+    for name, value in judged.items():
+        torch.testing.assert_close(found[name], value, atol=2e-4, rtol=2e-4)
+
+
+def test_control_off_the_roll_out_the_consistency_is_there(problem, start, exact):
+    with torch.no_grad():
+        off, on = (terms(problem, u, Form())[0]["consistency"] for u in (start, exact))
+    assert (off > 100 * on).all()
+
+
+def test_rolled_out_is_stage_3_of_a_fit(kit, walk, camera):
+    """The judge and ``stages.motion_terms`` say the same of the same first state and latents."""
+    problem = Problem(evidence(keypoints(walk, camera), cameras=[camera] * 2), kit, RGB_LIGHT)
+    states = state.from_motion(walk)
+    parts = state.unpack(states[:, 0])
+    with torch.no_grad():
+        latent = kit.pose.encode(walk.rot[:, 0, 1:]).mean
+        z = infer(kit.motion, states)[0].mean
+    unknown = {
+        "trans": parts["trans"], "orient": rotation.matrix_to_sixd(parts["root_orient"]), "latent": latent,
+        "trans_vel": parts["trans_vel"], "root_orient_vel": parts["root_orient_vel"],
+        "joints_vel": parts["joints_vel"].flatten(-2), "z": z,
+    }  # fmt: skip
+    unknown = {n: x[:, None] for n, x in unknown.items()} | {"betas": torch.zeros(2, 8), "camera": torch.zeros(2, 3)}
+    wanted = stages.motion_terms(problem, unknown)
+    first = stages.variables.first_state(unknown, kit)
+    x = to_persistent(torch.cat((first[:, None], states[:, 1:]), 1))
+    found, _ = decoupled.rolled_out(problem, {"x": x, "z": z, "betas": torch.zeros(2, 8)})
+    assert set(found) == set(wanted)
+    for name, value in wanted.items():
+        torch.testing.assert_close(found[name], value, atol=1e-3, rtol=1e-4)
+
+
+def test_consistency_is_a_sum_of_absolute_differences(start):
+    a, b = to_states(start["x"]), to_states(start["x"].roll(1, 0))
+    decoded = torch.stack((a, b), 1)
+    wanted = torch.stack([(a[i] - b[i]).abs().sum() / 2 for i in range(2)])
+    torch.testing.assert_close(consistency(a, decoded), wanted)
+    metres = consistency(a, decoded, "metres")
+    slow = state.unpack((a - b).abs())
+    wanted = 0.5 * sum(
+        weight * slow[name].flatten(1).sum(1)
+        for name, weight in (("trans", 1), ("trans_vel", 1 / 30), ("root_orient", 0.3), ("root_orient_vel", 0.01),
+                             ("pose_body", 0.3), ("joints", 1), ("joints_vel", 1 / 30))
+    )  # fmt: skip
+    torch.testing.assert_close(metres, wanted)
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_detached_latents_get_nothing_from_the_consistency(problem, start, steps):
+    for detached in (True, False):
+        point = leaves(start, "x", "z")
+        value = terms(problem, point, Form(steps, detached=detached))[0]["consistency"].sum()
+        in_x, in_z = torch.autograd.grad(value, [point["x"], point["z"]], allow_unused=True)
+        assert (in_x != 0).any()
+        assert (in_z is None or not in_z.any()) if detached else (in_z != 0).any()
+
+
+def test_detaching_changes_no_value_and_no_other_gradient(problem, start):
+    found = {}
+    for detached in (True, False):
+        point = leaves(start, "x", "z")
+        parts = terms(problem, point, Form(2, detached=detached))[0]
+        rest = sum(v for n, v in parts.items() if n != "consistency").sum()
+        found[detached] = (parts["consistency"].detach(), torch.autograd.grad(rest, point["z"])[0])
+    for a, b in zip(found[True], found[False], strict=True):
+        torch.testing.assert_close(a, b)
+
+
+def test_one_step_sees_no_farther_than_its_neighbours(problem, start):
+    """With K = 1 what is asked of frame 12 tells the states of frames before 11 and after it nothing."""
+    point = leaves(start, "x", "z")
+    states, z = to_states(point["x"]), point["z"]
+    decoded = sequences(problem.priors.motion, states, z, 1).states[:, 0]
+    in_x, in_z = torch.autograd.grad(decoded[:, 12].sum(), [point["x"], point["z"]])
+    assert in_x.abs().sum((0, 2)).nonzero().flatten().tolist() == [11]
+    assert in_z.abs().sum((0, 2)).nonzero().flatten().tolist() == [11]
+    decoded = sequences(problem.priors.motion, to_states(point["x"]), point["z"], 4).states[:, 3]
+    in_x, in_z = torch.autograd.grad(decoded[:, 12].sum(), [point["x"], point["z"]])
+    assert in_x.abs().sum((0, 2)).nonzero().flatten().tolist() == [8]
+    assert in_z.abs().sum((0, 2)).nonzero().flatten().tolist() == [8, 9, 10, 11]
+
+
+def test_clips_do_not_touch_each_other(problem, start):
+    with torch.no_grad():
+        both = terms(problem, start, Form(2))[0]
+        one = torch.tensor([1])
+        alone = terms(problem.rows(one), {n: x[one] for n, x in start.items()}, Form(2))[0]
+    for name, value in alone.items():
+        torch.testing.assert_close(value, both[name][1:], atol=1e-4, rtol=1e-4)
+
+
+def test_gradient_against_differences(kit, walk):
+    """In double precision, along random directions."""
+    from copy import deepcopy
+
+    priors = replace(kit, motion=deepcopy(kit.motion).double(), pose=deepcopy(kit.pose).double())
+    seen = evidence(joints(walk.cut(0, 6)))
+    seen = replace(seen, values=seen.values.double(), weight=seen.weight.double())
+    problem = Problem(seen, priors, KEYPOINTS)
+    noise = torch.Generator().manual_seed(2)
+    x = to_persistent(state.from_motion(walk.cut(0, 6))).double()
+    point = {
+        "x": x + 0.05 * torch.randn(x.shape, generator=noise, dtype=x.dtype),
+        "z": torch.randn(2, 5, 48, generator=noise, dtype=x.dtype),
+        "betas": torch.zeros(2, 8, dtype=x.dtype),
+    }
+
+    def energy(point):
+        return sum(terms(problem, point, Form(2, 3.0))[0].values()).sum()
+
+    moved = leaves(point, "x", "z", "betas")
+    gradient = dict(zip(point, torch.autograd.grad(energy(moved), list(moved.values())), strict=True))
+    for name, value in point.items():
+        way = torch.randn(value.shape, generator=noise, dtype=value.dtype)
+        h = 1e-6
+        with torch.no_grad():
+            up, down = (energy({**point, name: value + sign * h * way}) for sign in (1, -1))
+        assert ((up - down) / (2 * h)).item() == pytest.approx((gradient[name] * way).sum().item(), rel=1e-4)
