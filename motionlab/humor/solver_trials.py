@@ -1,0 +1,274 @@
+"""Stage 3 by several solvers from the same start: what energy each has reached after how much processor time.
+
+All of them lower the same energy, that of an exact roll-out (``stages.motion_terms``), from the same unknowns, those
+of ``transitions.start`` after stages 1 and 2. Nothing that is measured here depends on wall time: the processor's time
+of this process counts, with one thread.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import DataError
+from motionlab.humor import preconditioned, shooting, stages, testops, transitions, variables
+from motionlab.humor.observed import evidence
+from motionlab.humor.priors import Priors
+from motionlab.humor.stages import CONTACT_TERMS, FIRST, Problem
+from motionlab.humor.testops import Schedule
+from motionlab.humor.weights import Weights
+from motionlab.motion import Motion
+from motionlab.observation import Camera
+from motionlab.optimise_batch import minimise_batch
+
+CM = 100.0
+clock = time.process_time
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """B clips of T frames at the end of stage 2.
+
+    unknown, factors: of ``transitions.start``. latent (B, T, 32): pose latents of stage 2. truth, rough: motions
+    (B, T), the true one and stage 2's. seconds: processor time of stages 1 and 2 and the start.
+    """
+
+    name: str
+    problem: Problem
+    unknown: dict[str, Tensor]
+    factors: Tensor
+    latent: Tensor
+    truth: Motion
+    rough: Motion
+    seconds: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.latent)
+
+    def rows(self, index: Sequence[int] | Tensor) -> Task:
+        """Some clips, in the order of ``index``."""
+        at = torch.as_tensor(index)
+        return replace(
+            self, problem=self.problem.rows(at), unknown={n: x[at] for n, x in self.unknown.items()},
+            factors=self.factors[at], latent=self.latent[at], truth=self.truth.clip(at), rough=self.rough.clip(at),
+        )  # fmt: skip
+
+    def energy(self, unknown: dict[str, Tensor]) -> Tensor:
+        """Stage 3's energy (B,) of unknowns, by a roll-out of their z."""
+        with torch.no_grad():
+            return sum(stages.motion_terms(self.problem, unknown).values())
+
+    def motion(self, unknown: dict[str, Tensor]) -> Motion:
+        """What unknowns roll out to."""
+        with torch.no_grad():
+            body = variables.roll(unknown, self.problem.priors, self.problem.evidence).body
+        return variables.motion_of(body, self.problem.evidence.fps)
+
+    def error(self, motion: Motion) -> Tensor:
+        """Distance of all joints from the true ones in the world, mean over joints and frames (B,), cm."""
+        return CM * (motion.positions - self.truth.positions).norm(dim=-1).mean((-1, -2))
+
+
+def prepare(
+    name: str,
+    observation,
+    priors: Priors,
+    weights: Weights,
+    truth: Motion,
+    *,
+    cameras: Sequence[Camera] | None = None,
+    schedule: Schedule | None = None,
+) -> Task:
+    """Stages 1 and 2 and the start of stage 3, in lean mode, for clips with their truth."""
+    began, schedule = clock(), schedule or Schedule.lean()
+    seen = evidence(observation, cameras=cameras)
+    problem = Problem(seen, priors, weights)
+    unknown = testops.start(problem)
+    for stage in (1, 2):
+        unknown, _ = stages.stage_1_and_2(
+            problem, unknown, stage, steps=schedule.steps[stage - 1], inner=schedule.inner, tolerance=schedule.tolerance
+        )
+    with torch.no_grad():
+        rough = variables.motion_of(variables.pose(unknown, priors, seen), seen.fps)
+    shared = {n: unknown[n] for n in variables.SHARED if n in unknown}
+    latent, frames = unknown["latent"][:, 0], seen.values.shape[1]
+    start, factors = transitions.start(
+        rough, latent, shared, seen.trust, priors, (0,), frames, "lean", pull_of(weights)
+    )
+    start = {n: x.detach() for n, x in start.items()}
+    return Task(name, problem, start, factors, latent.detach(), truth, rough, clock() - began)
+
+
+def pull_of(weights: Weights) -> float:
+    """The motion prior's weight beside a square metre."""
+    return weights.motion_prior[2] / max(weights.joint_consistency[2], 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a solver did: the lowest energies (N, B) so far, seconds (N,) of processor time at which each was known.
+
+    unknown: what it ended with, and its energy ``end`` (B,) by a roll-out of its own. spent: seconds of the whole run,
+    linearised: of them in linearisations.
+    """
+
+    energies: Tensor
+    seconds: Tensor
+    unknown: dict[str, Tensor]
+    end: Tensor
+    spent: float
+    linearised: float = 0.0
+
+    def within(self, best: Tensor, share: float) -> Tensor:
+        """Seconds (B,) until the energy is within ``share`` of |best| (B,) of it; inf where it never is."""
+        good = self.energies <= best + share * best.abs()
+        at = good.double().argmax(0)
+        return torch.where(good.any(0), self.seconds[at], torch.inf)
+
+    def at(self, seconds: Tensor | float) -> Tensor:
+        """The lowest energy (B,) that was known after so many seconds; inf before the first."""
+        count = int((self.seconds <= seconds).sum())
+        return self.energies[count - 1] if count else torch.full_like(self.end, torch.inf)
+
+    def rows(self, index: Sequence[int] | Tensor) -> Run:
+        """Some of the clips; the seconds stay those of the whole batch."""
+        at = torch.as_tensor(index)
+        own = {n: x[at] for n, x in self.unknown.items()}
+        return Run(self.energies[:, at], self.seconds, own, self.end[at], self.spent, self.linearised)
+
+
+@dataclass
+class Log:
+    """Notes lowest energies and the time; what it does itself costs the contender microseconds."""
+
+    clips: int
+    limit: float = torch.inf
+    began: float = field(default_factory=clock)
+    energies: list[Tensor] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def note(self, found: Tensor, rows: Tensor) -> None:
+        """Energies (n,) of some clips."""
+        before = self.energies[-1] if self.energies else torch.full((self.clips,), torch.inf)
+        found = found.detach().to(before).nan_to_num(torch.inf, torch.inf, torch.inf)
+        self.seconds.append(clock() - self.began)
+        self.energies.append(before.index_copy(0, rows, torch.minimum(before[rows], found)))
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is up."""
+        return clock() - self.began > self.limit
+
+    def run(self, task: Task, unknown: dict[str, Tensor], spent: float) -> Run:
+        """The whole run."""
+        unknown = {n: x.detach() for n, x in unknown.items()}
+        energies = torch.stack(self.energies)
+        return Run(energies, torch.tensor(self.seconds).double(), unknown, task.energy(unknown), spent)
+
+
+# --------------------------------------------------------------------------------------------------- the contenders
+@dataclass(frozen=True)
+class Single:
+    """How single shooting searches: iterations of its three parts (the first 15 frames; all, the first state frozen,
+    without contacts; everything), pairs that L-BFGS remembers, and the share of its own first energy that an iteration
+    must gain. The default is that of ``testops.fit`` in lean mode."""
+
+    iterations: tuple[int, int, int] = (20, 40, 660)
+    memory: int = 100
+    tolerance: float = 1e-5
+
+
+def single_shooting(task: Task, how: Single | None = None, *, seconds: float = torch.inf) -> Run:
+    """Lean single shooting: L-BFGS on first state and z in the rounder coordinates of ``transitions.start``.
+
+    seconds: after which it stops. The first part sees 15 frames only and has no energy to note.
+    """
+    how, log = how or Single(), Log(len(task), seconds)
+    camera = ("camera",) if "camera" in task.unknown and task.problem.evidence.view.free else ()
+    every = (*FIRST, "z", "betas", *camera)
+    frames = task.unknown["z"].shape[2] + 1
+    short = min(15, frames)
+    head = {**task.unknown, "z": task.unknown["z"][:, :, : short - 1]}
+    parts = [(every, {"grown": False}), (tuple(n for n in every if n not in FIRST), {"contacts": False}), (every, {})]
+    unknown = dict(task.unknown)
+    for (moving, what), inner in zip(parts, how.iterations, strict=True):
+        if inner <= 0:
+            continue
+        first = "grown" in what
+        found = _descended(task, head if first else unknown, moving, inner, how, log, what)
+        z = torch.cat((found["z"], unknown["z"][:, :, short - 1 :]), 2) if first else found["z"]
+        unknown = {**found, "z": z}
+    return log.run(task, unknown, clock() - log.began)
+
+
+def _descended(task, unknown, moving, inner, how: Single, log: Log, what: dict):
+    """One part of single shooting; notes the whole energy wherever the part sees all frames."""
+    new, old = preconditioned.rounded_motion(unknown, moving, task.factors)
+
+    short, calls = {"grown": False} if "grown" in what else {}, []
+
+    def energy(at: dict[str, Tensor], rows: Tensor) -> Tensor:
+        calls.append(1)
+        if len(calls) > 1 and log.late:
+            raise KeyboardInterrupt  # what stops a search at its best point
+        terms = stages.motion_terms(task.problem.rows(rows), old(at, rows), **short)
+        if not short:
+            log.note(sum(terms.values()), rows)
+        return sum(x for n, x in terms.items() if n not in CONTACT_TERMS or what.get("contacts", True))
+
+    point = {n: x.clone().requires_grad_() for n, x in new.items()}
+    with torch.no_grad():
+        begun = sum(stages.motion_terms(task.problem, old(point), **what).values())
+    fit = minimise_batch(
+        energy, point, steps=1, inner=inner, memory=how.memory, rows=True,
+        tolerance_change=how.tolerance * begun.abs().nan_to_num(0.0, 0.0, 0.0),
+    )  # fmt: skip
+    return {n: x.detach() for n, x in old(fit.variables).items()}
+
+
+def shot(task: Task, plan: shooting.Plan | None = None, start: dict[str, Tensor] | None = None) -> Run:
+    """Closed-loop Gauss-Newton (``shooting``) from the task's start, or from another."""
+    began, report = clock(), shooting.Report(clock=clock)
+    unknown, _ = shooting.solve(task.problem, start or task.unknown, plan, report)
+    spent = clock() - began
+    energies = torch.stack(report.history).detach().nan_to_num(torch.inf, torch.inf, torch.inf)
+    seconds = torch.tensor(report.seconds).double()
+    if len(energies) != len(seconds):
+        raise DataError(f"{len(seconds)} times for {len(energies)} closures", remedy="note every closure once")
+    unknown = {n: x.detach() for n, x in unknown.items()}
+    end, derived = task.energy(unknown), sum(report.linearised)
+    return Run(energies.cummin(0).values, seconds, unknown, end, spent, derived)
+
+
+@contextmanager
+def altered(change: Callable[[shooting.Loop, dict[str, Tensor]], shooting.Loop] | None) -> Iterator[None]:
+    """Inside, ``shooting`` works with coordinates that were changed: for ablations. None: as they are."""
+    real = shooting.linearised
+
+    def other(problem: Problem, unknown: dict[str, Tensor], *rest, **how) -> shooting.Loop:
+        loop = real(problem, unknown, *rest, **how)
+        return change(loop, unknown) if change else loop
+
+    shooting.linearised = other
+    try:
+        yield
+    finally:
+        shooting.linearised = real
+
+
+def without_feedback(loop: shooting.Loop, unknown: dict[str, Tensor]) -> shooting.Loop:
+    """The same shapers, but z = z^ + L^-T nu: later latents do not answer to what earlier ones changed."""
+    z = unknown["z"][:, 0]
+    return loop._replace(base=z, gains=torch.zeros_like(loop.gains), shared=torch.zeros_like(loop.shared))
+
+
+def without_shape(loop: shooting.Loop, unknown: dict[str, Tensor]) -> shooting.Loop:
+    """The same feedback, but nu moves z in the prior's own units: every shaper is one number times 1."""
+    size = loop.shapers.diagonal(dim1=-2, dim2=-1).mean(-1)[..., None, None]
+    eye = torch.eye(loop.shapers.shape[-1], dtype=size.dtype, device=size.device)
+    return loop._replace(shapers=(size * eye).expand_as(loop.shapers).contiguous())
