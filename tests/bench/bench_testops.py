@@ -30,7 +30,7 @@ def main() -> None:
     print(f"whole fit {whole:.1f} s; {whole / CLIPS:.1f} s per clip of 2 s")
 
     problem = stages.Problem(evidence(seen), kit, JOINTS)
-    unknown = testops._start(problem)
+    unknown = testops.start(problem)
     moving = ("trans", "orient", "latent", "betas")
     _, rounder = stages.stage_1_and_2(problem, unknown, 2, steps=10, inner=20, tolerance=1e-4)
     steps = CEILING * 4 // 5 // 20
