@@ -181,3 +181,6 @@ def test_figures_draw_what_never_arrives(runs):
     never = torch.tensor([float("inf"), 3.0])
     legend = draw.paired_times({"noisy": (never, torch.tensor([1.0, 2.0]))}).axes[0].get_legend()
     assert "1 of 2" in legend.texts[0].get_text()
+    axes = draw.paired_times({"noisy": (never, torch.tensor([1.0, 2.0]))}, (10.0, 4.0)).axes[0]
+    circles = axes.collections[-1].get_offsets()
+    assert circles.shape == (1, 2) and circles[0, 0] > 10.0 and circles[0, 1] == 1.0

@@ -49,22 +49,35 @@ def energy_over_time(
 
 def paired_times(
     tasks: Mapping[str, tuple[Tensor, Tensor]],
+    spent: tuple[float, float] | None = None,
     *,
     factors: Sequence[float] = (1, 5, 10),
     size: tuple[float, float] = (5.6, 4.2),
 ) -> Figure:
-    """A dot per clip: seconds of shooting against seconds of single shooting (B,) to the same energy; only those clips
-    that both bring there (the legend says how many)."""
+    """A dot per clip: seconds of shooting against seconds of single shooting (B,) to the same energy.
+
+    Clips that one of them never brings there (infinite) are left out, and the legend says how many are shown; with
+    ``spent``, the seconds that each had, they are circles beyond them.
+    """
     fig, (ax,) = canvas(size=size)
-    paint, both = paints(list(tasks)), {n: slow.isfinite() & fast.isfinite() for n, (slow, fast) in tasks.items()}
-    slow = torch.cat([x[both[n]] for n, (x, _) in tasks.items()] or [torch.ones(1)])
+    paint = paints(list(tasks))
+    beyond = None if spent is None else [1.35 * seconds for seconds in spent]
+    shown = {}
+    for name, pair in tasks.items():
+        there = pair[0].isfinite() & pair[1].isfinite()
+        if beyond is not None:
+            pair = tuple(torch.where(x.isfinite(), x, x.new_tensor(end)) for x, end in zip(pair, beyond, strict=True))
+        keep = there if beyond is None else torch.ones_like(there)
+        shown[name] = (*(x[keep] for x in pair), there[keep], len(there))
+    slow = torch.cat([x for x, *_ in shown.values()] or [torch.ones(1)])
     low, high = (0.6 * slow.min().item(), 1.6 * slow.max().item()) if len(slow) else (1.0, 10.0)
     for factor in factors:
         ax.plot((low, high), (low / factor, high / factor), color=LINE, lw=1.2, zorder=0)
         ax.annotate(f" {factor:g} x", (high, high / factor), fontsize=9, color=INK, va="center")
-    for name, (x, y) in tasks.items():
-        label = f"{name} ({int(both[name].sum())} of {len(x)})"
-        ax.scatter(x[both[name]], y[both[name]], s=30, color=paint[name], label=label, alpha=0.8, lw=0)
+    for name, (x, y, there, count) in shown.items():
+        label = f"{name} ({int(there.sum())} of {count})"
+        ax.scatter(x[there], y[there], s=30, color=paint[name], label=label, alpha=0.8, lw=0)
+        ax.scatter(x[~there], y[~there], s=30, facecolors="none", edgecolors=paint[name])
     ax.set(xscale="log", yscale="log", xlim=(low, 1.25 * high))
     ax.set(xlabel="single shooting (s)", ylabel="shooting (s)")
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
