@@ -46,10 +46,13 @@ def parts_of_a_fit(task: Task, plan: shooting.Plan) -> dict[str, float]:
 
 
 def apart(spent: dict[str, float]) -> dict[str, float]:
-    """The seconds of the linearisations of a fit as parts that lie side by side and add up to them."""
+    """The same seconds as parts that lie side by side and add up to the whole fit."""
     inside = [name for name in list(PARTS)[:4] if name in spent]
     found = {name: spent[name] for name in inside}
-    return found | {"rest: coordinates, copies": spent["the whole linearisation"] - sum(found.values())}
+    found["rest of the linearisation"] = spent["the whole linearisation"] - sum(found.values())
+    found["closures"] = spent["closures"]
+    found["everything else"] = spent["everything"] - sum(found.values())
+    return found
 
 
 def closed_closure(problem: Problem, unknown: dict[str, Tensor], loop: shooting.Loop) -> Callable[[], Tensor]:

@@ -85,7 +85,7 @@ def paired_times(
 
 
 def shares(parts: Mapping[str, Mapping[str, float]], *, size: tuple[float, float] = (8.0, 2.4)) -> Figure:
-    """Shares of parts that add up to a whole, side by side in one bar each: whole -> part -> seconds."""
+    """Shares of the parts of whole fits, side by side in one bar each: fit -> part -> seconds."""
     fig, (ax,) = canvas(size=size)
     names = list(dict.fromkeys(part for fit in parts.values() for part in fit))
     paint = paints(names)
@@ -95,7 +95,7 @@ def shares(parts: Mapping[str, Mapping[str, float]], *, size: tuple[float, float
         ax.barh(range(len(parts)), width, 0.65, left, color=paint[name], label=name)
         left += width
     ax.set_yticks(range(len(parts)), [f"{name} ({sum(fit.values()):.1f} s)" for name, fit in parts.items()])
-    ax.set(xlabel="share (%)", xlim=(0, 100))
+    ax.set(xlabel="share of a whole stage 3 (%)", xlim=(0, 100))
     ax.invert_yaxis()
     ax.grid(visible=False, axis="y")
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
