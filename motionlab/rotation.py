@@ -16,6 +16,7 @@ from torch import Tensor
 
 from motionlab.errors import check_shape
 from motionlab.euler import euler_to_matrix, matrix_to_euler, rotation_about
+from motionlab.unrolling import unroll_axis_angle, unroll_quaternion
 
 __all__ = [
     "axis_angle_to_matrix",
@@ -24,6 +25,7 @@ __all__ = [
     "euler_to_matrix",
     "exp",
     "geodesic",
+    "left_jacobian",
     "log",
     "matrix_to_axis_angle",
     "matrix_to_euler",
@@ -62,6 +64,21 @@ def skew(v: Tensor) -> Tensor:
     x, y, z = v.unbind(-1)
     o = torch.zeros_like(x)
     return torch.stack((o, -z, y, z, o, -x, -y, x, o), dim=-1).unflatten(-1, (3, 3))
+
+
+def left_jacobian(v: Tensor) -> Tensor:
+    """J (..., 3, 3) of rotation vectors (..., 3): exp(v + dv) = exp(J dv) exp(v).
+
+    J = I + b [v] + c [v]^2, b = (1 - cos t) / t^2, c = (t - sin t) / t^3, t = |v|; where t^2 < 0.01 series.
+    """
+    squared = v.square().sum(-1)[..., None, None]
+    small = squared < 0.01
+    s = torch.where(small, 1.0, squared)
+    t = s.sqrt()
+    b = torch.where(small, 1 / 2 - squared / 24 * (1 - squared / 30 * (1 - squared / 56)), (1 - t.cos()) / s)
+    c = torch.where(small, 1 / 6 - squared / 120 * (1 - squared / 42 * (1 - squared / 72)), (t - t.sin()) / (s * t))
+    eye = torch.eye(3, dtype=v.dtype, device=v.device)
+    return eye + b * skew(v) + c * (v[..., :, None] * v[..., None, :] - squared * eye)
 
 
 def exp(tangent: Tensor) -> Tensor:
@@ -258,40 +275,3 @@ def random(shape: tuple[int, ...], generator: torch.Generator, *, dtype: torch.d
     """Rotations (*shape, 3, 3) drawn uniformly (Haar measure)."""
     q = torch.randn(*shape, 4, generator=generator, dtype=dtype, device=generator.device)
     return quaternion_to_matrix(q)
-
-
-def unroll_quaternion(quaternion: Tensor, dim: int = -2) -> Tensor:
-    """Signs chosen along the time axis ``dim`` so that each quaternion (..., T, 4) is the nearer one to the last."""
-    check_shape(quaternion, "... 4", "quaternion")
-    q = quaternion.movedim(dim, 0)
-    turn = torch.where((q[1:] * q[:-1]).sum(-1, keepdim=True) < 0, -1.0, 1.0).to(q)
-    return torch.cat((q[:1], q[1:] * turn.cumprod(0))).movedim(0, dim).contiguous()
-
-
-def unroll_axis_angle(aa: Tensor, dim: int = -2) -> Tensor:
-    """Of all vectors of each rotation, (|a| + 2 pi k) a/|a|, the one nearest to the frame before, (..., T, 3).
-
-    The first frame stays; a body that spins on leaves the ball of radius pi. No choice is continuous everywhere:
-    when a path that has left that ball passes near the zero rotation (|a| near 2 pi k, k > 0), its axis may
-    swing round in one frame and the vector jump with it. A zero rotation (to rounding) takes the axis of the
-    frame before. Sweeps over all frames at once: a cumulative sum unwraps the angles along a sign-continuous axis,
-    then k is corrected until no frame has a nearer choice.
-    """
-    check_shape(aa, "... 3", "axis_angle")
-    x = aa.movedim(dim, 0)
-    angle = torch.linalg.vector_norm(x, dim=-1, keepdim=True)
-    known = angle > 8 * torch.finfo(x.dtype).eps
-    unit = torch.where(known, x / torch.where(known, angle, 1.0), 0.0)
-    sign = torch.where((unit[1:] * unit[:-1]).sum(-1, keepdim=True) < 0, -1.0, 1.0).to(x).cumprod(0)
-    jump = torch.diff(sign * angle[1:], dim=0, prepend=angle[:1]) / math.tau
-    signed = angle[1:] - sign * math.tau * jump.round().cumsum(0)
-    unrolled = torch.cat((x[:1], unit[1:] * signed))
-    for _ in range(len(x)):
-        before = unrolled[:-1]
-        axis = torch.where(known[1:], unit[1:], torch.nn.functional.normalize(before, dim=-1))
-        turns = (((axis * before).sum(-1, keepdim=True) - angle[1:]) / math.tau).round()
-        update = torch.cat((x[:1], axis * (angle[1:] + math.tau * turns)))
-        if torch.equal(update, unrolled):
-            break
-        unrolled = update
-    return unrolled.movedim(0, dim).contiguous()

@@ -16,6 +16,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.writing": 0.5,
     "motionlab.kept": 0.5,
     "motionlab.euler": 0.5,
+    "motionlab.unrolling": 0.5,
     "motionlab.rotation": 1,
     "motionlab.findings": 1,
     "motionlab.profiling": 1,

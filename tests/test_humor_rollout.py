@@ -204,7 +204,7 @@ def test_the_exponential_and_its_derivative_at_any_angle(model, generator, size,
     leaf = v.to(F64).requires_grad_()
     (truth,) = torch.autograd.grad((rotation.exp(leaf) * slope).sum(), leaf)
     torque = torch.linalg.cross(exact, slope, dim=-2).sum(-1, keepdim=True).mT
-    found = torque.to(dtype) @ recursion.right_jacobian(v)
+    found = torque.to(dtype) @ rotation.left_jacobian(v)
     assert (found[..., 0, :].to(F64) - truth).abs().max() < 200 * eps
 
 

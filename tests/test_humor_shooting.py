@@ -447,18 +447,26 @@ def test_an_interrupt_ends_at_the_best_so_far(cases, at, monkeypatch):
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
 
 
+def change_the_second(monkeypatch, change):
+    """Of the linearisations of a fit."""
+    right, calls = shooting.linearised, []
+
+    def linearised(*args, **how):
+        calls.append(1)
+        loop = right(*args, **how)
+        return change(loop) if len(calls) == 2 else loop
+
+    monkeypatch.setattr(shooting, "linearised", linearised)
+
+
 def test_an_interrupt_while_differentiating_keeps_what_the_first_round_found(cases, monkeypatch):
     problem, unknown = cases["joints"]
     began = total(problem, unknown)
-    right, calls = shooting.linearised, []
 
-    def tired(*args, **how):
-        calls.append(1)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        return right(*args, **how)
+    def tired(loop):
+        raise KeyboardInterrupt
 
-    monkeypatch.setattr(shooting, "linearised", tired)
+    change_the_second(monkeypatch, tired)
     try:
         found, fits = solve(problem, unknown, STEADY)
     except KeyboardInterrupt:  # which would end the tests
@@ -480,14 +488,7 @@ def test_a_last_clip_that_cannot_be_differentiated_keeps_what_it_had(cases, monk
     """NaN gains in the second round, of all clips that still run."""
     problem, unknown = cases["joints"]
     began = total(problem, unknown)
-    right, calls = shooting.linearised, []
-
-    def broken(*args, **how):
-        calls.append(1)
-        found = right(*args, **how)
-        return found._replace(gains=found.gains * torch.nan) if len(calls) == 2 else found
-
-    monkeypatch.setattr(shooting, "linearised", broken)
+    change_the_second(monkeypatch, lambda loop: loop._replace(gains=loop.gains * torch.nan))
     found, fits = solve(problem, unknown, STEADY)
     assert len(fits) == 1 and (total(problem, found) < began).all()
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)

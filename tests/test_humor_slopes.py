@@ -150,7 +150,7 @@ def test_prior_and_its_slopes_are_those_of_autograd(model, inputs):
 def test_the_left_jacobian_at_any_angle(generator, size):
     """dR = [J dv] R; by autograd through ours, and by scipy's rotations."""
     v = size * torch.nn.functional.normalize(torch.randn(5, 3, generator=generator, dtype=F64), dim=-1)
-    ours = slopes.left_jacobian(v)
+    ours = rotation.left_jacobian(v)
     slope = jacrev(lambda d: rotation.exp(v + d))(torch.zeros(3, dtype=F64))  # (5, 3, 3, 3 causes)
     claimed = rotation.skew(ours.mT) @ rotation.exp(v)[:, None]  # (5, 3 causes, 3, 3)
     torch.testing.assert_close(claimed, slope.movedim(-1, 1), atol=1e-10, rtol=0)
@@ -183,7 +183,7 @@ def test_single_precision_is_near(model, inputs, found):
 
 def test_skew_and_about_z_are_cross_products(generator):
     v, w = torch.randn(2, 7, 3, generator=generator, dtype=F64)
-    torch.testing.assert_close((slopes.skew(v) @ w[..., None])[..., 0], torch.linalg.cross(v, w))
+    torch.testing.assert_close((rotation.skew(v) @ w[..., None])[..., 0], torch.linalg.cross(v, w))
     up = torch.tensor([0.0, 0.0, 1.0], dtype=F64).expand(7, 3)
     torch.testing.assert_close(slopes.about_z(v), torch.linalg.cross(up, v))
     assert state.STATE == SUM + 198 and CHANGE == XI + GAMMA

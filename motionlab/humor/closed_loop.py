@@ -16,18 +16,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from motionlab.humor.cvae import Cvae, Gaussian
-from motionlab.humor.recursion import (
-    BACK,
-    LEAN,
-    ROT,
-    SUM,
-    VECTORS,
-    Decoder,
-    Step,
-    Stepper,
-    heading_slopes,
-    right_jacobian,
-)
+from motionlab.humor.recursion import BACK, LEAN, ROT, Decoder, Step, Stepper, WayBack
 from motionlab.humor.rollout import Rollout, check, to_world
 from motionlab.humor.state import STATE, heading, localise
 
@@ -83,40 +72,22 @@ class Steered(torch.autograd.Function):
     @once_differentiable
     def backward(ctx, d_past: Tensor, d_after: Tensor, d_logits: Tensor, d_z: Tensor):
         """Gradients of X_0 and u."""
-        decoder, steps, count = ctx.decoder, ctx.steps, len(ctx.past)
+        count = len(ctx.past)
         d_past, d_after, d_logits, d_z = (d.unbind(0) for d in (d_past, d_after, d_logits, d_z))
-        bend = right_jacobian(ctx.raw[..., SUM:ROT].unflatten(-1, (22, 3))).unbind(0)
-        matrices = ctx.after[..., SUM:].unflatten(-1, (22, 3, 3)).unbind(0)
-        swing, lever = (each.unbind(0) for each in heading_slopes(ctx.past[..., :STATE], ctx.after, None))
-        outs = [torch.stack([s.layers[k][-1] for s in steps]) for k in range(len(decoder.gains))]
-        slopes = [((out > 0) * gain).unbind(0) for out, gain in zip(outs, decoder.gains, strict=True)]
-        spins = (torch.stack([s.turn for s in steps]) @ _SPIN.to(ctx.past)).unbind(0)
+        way = WayBack(ctx.step, ctx.steps, ctx.past[..., :STATE], ctx.after, ctx.raw)
+        spins = (torch.stack([s.turn for s in ctx.steps]) @ _SPIN.to(ctx.past)).unbind(0)
         d_x, d_u = torch.zeros_like(d_past[0]), [None] * count
         for t in reversed(range(count)):
             d, d_place = d_after[t], torch.nn.functional.pad(d_x[:, STATE:].unflatten(1, (2, 3)), (0, 0, 0, 1))
             if t < count - 1:  # the last state's own frame is nobody's input
-                d_angle = (d_x[:, :VECTORS] * lever[t + 1]).sum(-1, keepdim=True)
-                back = d_x[:, :VECTORS].unflatten(1, (50, 3)) @ steps[t].turn.mT
+                d_angle, back = way.of_frame(t, d_x)
                 d_way = ctx.places[t].mT @ d_place
-                d_angle = d_angle + (d_way * spins[t]).sum((1, 2))[:, None]
-                d = torch.addcmul(d, d_angle, swing[t])
-                d = d + torch.cat((back.flatten(1) @ ctx.step.centred, d_x[:, VECTORS:STATE]), dim=1)
+                d = way.of_after(t, d, d_x, d_angle + (d_way * spins[t]).sum((1, 2))[:, None], back)
                 d[:, :2] += d_way[:, :2, 2]
                 d_place = d_place @ ctx.ways[t].mT
-            d_matrices = d[:, SUM:].unflatten(1, (22, 3, 3))
-            torque = torch.linalg.cross(matrices[t], d_matrices).sum(-2, keepdim=True)
-            shares = [torch.cat((d[:, :SUM], (torque @ bend[t]).flatten(1), d_logits[t]), dim=1)]
-            d_h = shares[0] @ decoder.weights[-1]
-            for k in reversed(range(len(decoder.gains))):
-                h, mean, scale, _ = steps[t].layers[k]
-                d_in = torch.ops.aten.native_layer_norm_backward(
-                    (d_h * slopes[k][t]).view_as(h), h, h.shape[-1:], mean, scale, None, None, [True, False, False]
-                )[0].view_as(d_h)
-                shares.append(d_in)
-                d_h = d_in @ decoder.weights[k]
-            d_u[t] = torch.addmm(d_z[t], torch.cat(shares[::-1], 1), ctx.joint)
-            local = d_h + torch.cat((d[:, :SUM], (d_matrices @ steps[t].turned.mT).flatten(1)), dim=1)
-            d_x = torch.cat((local, d_place[:, :2].flatten(1)), 1) + d_past[t]
+            d_shares, _, d_state = way.of_step(t, d, d_logits[t])
+            d_u[t] = torch.addmm(d_z[t], torch.cat(d_shares, 1), ctx.joint)
+            d_x = torch.cat((d_state, d_place[:, :2].flatten(1)), 1) + d_past[t]
             d_x = torch.baddbmm(d_x[:, None], d_u[t][:, None], ctx.gains[t])[:, 0]
         return None, d_x, torch.stack(d_u), None
 

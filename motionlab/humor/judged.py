@@ -12,7 +12,7 @@ from motionlab.humor.observed import Evidence
 from motionlab.humor.stages import Problem
 from motionlab.humor.variables import Rolled, Variables
 
-#: From here on a fit is doubtful. On clips that no table uses, of moves that the prior has seen, surprise was 0.05 to
+#: From here on a fit is doubtful. On practice clips, of moves that the prior has seen, surprise was 0.05 to
 #: 0.47 and misfit 6 to 13 pixels of 1280, or 7 cm where every joint had N(0, 4 cm) of noise.
 SURPRISED, MISFIT_METRES, MISFIT_WIDTH = 0.5, 0.12, 1 / 64  # the last of the image's width: 20 pixels of 1280
 

@@ -120,7 +120,7 @@ def _padded_moves(moves: slopes.Transition, clips: int, n: int) -> tuple[Tensor,
 
 def _prior_rows(z: Tensor, prior: Gaussian, slopes_: Tensor, n: int, weight: float) -> Tensor:
     """Rows (N, 96, n + 48) of w (-log N(z; mu(x), sigma(x))): of (z - mu) / sigma, and of log sigma^2 with a quarter of
-    Fisher's information of it, 1/2: tried, with none and all of it, on clips that no table uses."""
+    Fisher's information of it, 1/2: tried by hand, with none and all of it, on eight practice clips."""
     mean, log_var = (x.flatten(0, 1) for x in prior)
     of_mean, of_log_var = slopes_.chunk(2, 1)
     sharp = (-0.5 * log_var).exp().clamp(max=_SHARPEST) * weight**0.5
@@ -153,7 +153,7 @@ def _embedded(gains: Tensor, x: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
     m = x[..., SUM:].unflatten(-1, (22, 3, 3))
     omega = gains[..., SUM:XI].unflatten(-1, (22, 3))
     # omega ~ half the vector of R R^^T - R^ R^T, linear in M = R^T: k . omega = -1/2 sum (M^ [k]) M
-    turns = -0.5 * (m[:, :, None] @ slopes.skew(omega))
+    turns = -0.5 * (m[:, :, None] @ rotation.skew(omega))
     cos, sin = frame.turn[:, :-1, 0, 0], frame.turn[:, :-1, 0, 1]
     angle, way = gains[..., XI], gains[..., XI + 1 : XI + GAMMA]
     place = gains.new_zeros(*gains.shape[:-1], 6)

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from motionlab import rotation
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.state import DELTA_SLICES, SLICES, STATE
 
@@ -159,45 +160,71 @@ class Recursion(torch.autograd.Function):
         decoder, steps, spread = ctx.decoder, ctx.steps, ctx.step.spread
         count = len(d_past)
         d_past, d_after, d_logits = (d.unbind(0) for d in (d_past, d_after, d_logits))
-        bend = right_jacobian(ctx.raw[..., SUM:ROT].unflatten(-1, (22, 3))).unbind(0)
-        matrices = ctx.after[..., SUM:].unflatten(-1, (22, 3, 3)).unbind(0)
-        swing, lever = (each.unbind(0) for each in heading_slopes(ctx.past, ctx.after, spread))
-        outs = [torch.stack([s.layers[k][-1] for s in steps]) for k in range(len(decoder.gains))]
-        slopes = [((out > 0) * gain).unbind(0) for out, gain in zip(outs, decoder.gains, strict=True)]
+        way = WayBack(ctx.step, steps, ctx.past, ctx.after, ctx.raw)
         d_x, d_spread = torch.zeros_like(d_past[0]), None if spread is None else torch.zeros_like(spread)
-        d_shares = [[None] * count for _ in decoder.weights]
-        d_outs = [[None] * count for _ in decoder.gains]
+        d_shares, d_outs = [None] * count, [None] * count
         for t in reversed(range(count)):
             d = d_after[t]
             if t < count - 1:  # the last state's own frame is nobody's input
-                d_angle = (d_x[:, :VECTORS] * lever[t + 1]).sum(-1, keepdim=True)
-                back = d_x[:, :VECTORS].unflatten(1, (50, 3)) @ steps[t].turn.mT
+                d_angle, back = way.of_frame(t, d_x)
                 if spread is not None:
                     d_spread += back - d_x[:, :VECTORS].unflatten(1, (50, 3))
-                d = torch.addcmul(d, d_angle, swing[t])
-                d = d + torch.cat((back.flatten(1) @ ctx.step.centred, d_x[:, VECTORS:]), dim=1)
-            d_matrices = d[:, SUM:].unflatten(1, (22, 3, 3))
-            torque = torch.linalg.cross(matrices[t], d_matrices).sum(-2, keepdim=True)
-            d_shares[-1][t] = torch.cat((d[:, :SUM], (torque @ bend[t]).flatten(1), d_logits[t]), dim=1)
-            d_h = d_shares[-1][t] @ decoder.weights[-1]
-            for k in reversed(range(len(decoder.gains))):
-                h, mean, scale, _ = steps[t].layers[k]
-                d_outs[k][t] = d_h
-                d_in = torch.ops.aten.native_layer_norm_backward(
-                    (d_h * slopes[k][t]).view_as(h), h, h.shape[-1:], mean, scale, None, None, [True, False, False]
-                )[0]
-                d_shares[k][t] = d_in.view_as(d_h)
-                d_h = d_shares[k][t] @ decoder.weights[k]
-            d_x = d_h + d_past[t]
-            d_x += torch.cat((d[:, :SUM], (d_matrices @ steps[t].turned.mT).flatten(1)), dim=1)
-        d_shares = [torch.stack(each) for each in d_shares]
-        d_weights = [None] * (len(d_shares) + 2 * len(d_outs))
+                d = way.of_after(t, d, d_x, d_angle, back)
+            d_shares[t], d_outs[t], d_x = way.of_step(t, d, d_logits[t])
+            d_x = d_x + d_past[t]
+        d_shares = [torch.stack(each) for each in zip(*d_shares, strict=True)]
+        d_weights = [None] * (len(d_shares) + 2 * len(decoder.gains))
         if any(ctx.needs_input_grad[3 + len(d_shares) :]):
-            d_weights = _of_weights(ctx, d_shares, [torch.stack(each) for each in d_outs])
+            d_weights = _of_weights(ctx, d_shares, [torch.stack(each) for each in zip(*d_outs, strict=True)])
         return None, d_x, d_spread, *d_shares, *d_weights
 
 
-def heading_slopes(past: Tensor, after: Tensor, spread: Tensor | None) -> tuple[Tensor, Tensor]:
+class WayBack:
+    """The chain, walked backwards: what does not depend on the step before is computed for all steps at once.
+
+    past, after (T, B, 339), raw (T, B, 216): of the steps.
+    """
+
+    def __init__(self, step: Stepper, steps: list[Step], past: Tensor, after: Tensor, raw: Tensor) -> None:
+        self.decoder, self.steps, self.centred = step.decoder, steps, step.centred
+        self.bend = rotation.left_jacobian(raw[..., SUM:ROT].unflatten(-1, (22, 3))).unbind(0)
+        self.matrices = after[..., SUM:].unflatten(-1, (22, 3, 3)).unbind(0)
+        self.swing, self.lever = (each.unbind(0) for each in _heading_slopes(past, after, step.spread))
+        outs = [torch.stack([s.layers[k][-1] for s in steps]) for k in range(len(self.decoder.gains))]
+        self.slopes = [((out > 0) * gain).unbind(0) for out, gain in zip(outs, self.decoder.gains, strict=True)]
+
+    def of_frame(self, t: int, d_x: Tensor) -> tuple[Tensor, Tensor]:
+        """From the next state in its own frame (B, 339): of the turn of that frame (B, 1) and of the vectors before it
+        (B, 50, 3)."""
+        vectors = d_x[:, :VECTORS]
+        d_angle = (vectors * self.lever[t + 1]).sum(-1, keepdim=True)
+        return d_angle, vectors.unflatten(1, (50, 3)) @ self.steps[t].turn.mT
+
+    def of_after(self, t: int, d: Tensor, d_x: Tensor, d_angle: Tensor, back: Tensor) -> Tensor:
+        """Of the next state in the old frame (B, 339): what it has already, and what comes through its own frame."""
+        d = torch.addcmul(d, d_angle, self.swing[t])
+        return d + torch.cat((back.flatten(1) @ self.centred, d_x[:, VECTORS:STATE]), dim=1)
+
+    def of_step(self, t: int, d: Tensor, d_logits: Tensor) -> tuple[list[Tensor], list[Tensor], Tensor]:
+        """Of the shares, of the outputs of the norms and of the state (B, 339) that step t began with."""
+        decoder, step = self.decoder, self.steps[t]
+        d_matrices = d[:, SUM:].unflatten(1, (22, 3, 3))
+        torque = torch.linalg.cross(self.matrices[t], d_matrices).sum(-2, keepdim=True)
+        d_shares = [torch.cat((d[:, :SUM], (torque @ self.bend[t]).flatten(1), d_logits), dim=1)]
+        d_h, d_outs = d_shares[0] @ decoder.weights[-1], []
+        for k in reversed(range(len(decoder.gains))):
+            h, mean, scale, _ = step.layers[k]
+            d_outs.append(d_h)
+            d_in = torch.ops.aten.native_layer_norm_backward(
+                (d_h * self.slopes[k][t]).view_as(h), h, h.shape[-1:], mean, scale, None, None, [True, False, False]
+            )[0]
+            d_shares.append(d_in.view_as(d_h))
+            d_h = d_shares[-1] @ decoder.weights[k]
+        d_x = d_h + torch.cat((d[:, :SUM], (d_matrices @ step.turned.mT).flatten(1)), dim=1)
+        return d_shares[::-1], d_outs[::-1], d_x
+
+
+def _heading_slopes(past: Tensor, after: Tensor, spread: Tensor | None) -> tuple[Tensor, Tensor]:
     """Of the heading a = atan2(y, x) of the right axis on the floor: da/d(after), (T, B, 339), 0 where there is none;
     and d(the 50 vectors of past)/da, (T, B, 150)."""
     right = -after[..., SUM : SUM + 2]
@@ -218,22 +245,3 @@ def _of_weights(ctx, d_shares: list[Tensor], d_outs: list[Tensor]) -> list[Tenso
     shifts = [d * (out > 0) for d, (*_, out) in zip(d_outs, layers, strict=True)]
     gains = [d * ((h - mean) * scale).view_as(d) for d, (h, mean, scale, _) in zip(shifts, layers, strict=True)]
     return [*weights, *(d.sum((0, 1)) for d in (*gains, *shifts))]
-
-
-def right_jacobian(v: Tensor) -> Tensor:
-    """J (..., 3, 3), as a row vector from the left: dL/dv = w J, where dL = w . (turn of exp(v) in its own left frame).
-
-    exp(v + dv) = exp(J_l dv) exp(v), so that dL/dv = J_l^T w = w J_l, J_l = I + b [v] + c [v]^2 with
-    b = (1 - cos t) / t^2, c = (t - sin t) / t^3. Where t^2 < 0.01 series.
-    """
-    squared = v.square().sum(-1)[..., None, None]
-    small = squared < 0.01
-    s = torch.where(small, 1.0, squared)
-    t = s.sqrt()
-    b = torch.where(small, 1 / 2 - squared / 24 * (1 - squared / 30 * (1 - squared / 56)), (1 - t.cos()) / s)
-    c = torch.where(small, 1 / 6 - squared / 120 * (1 - squared / 42 * (1 - squared / 72)), (t - t.sin()) / (s * t))
-    x, y, z = v.unbind(-1)
-    o = torch.zeros_like(x)
-    cross = torch.stack((o, -z, y, z, o, -x, -y, x, o), -1).unflatten(-1, (3, 3))
-    eye = torch.eye(3, dtype=v.dtype, device=v.device)
-    return eye + b * cross + c * (v[..., :, None] * v[..., None, :] - squared * eye)

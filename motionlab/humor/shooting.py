@@ -4,8 +4,9 @@ Repeat: differentiate all transitions at once, factorise the Gauss-Newton matrix
 the energy by L-BFGS in the coordinates in which that matrix is the identity, on exact roll-outs that steer themselves.
 Gradients are exact and of every term. The unknowns, the energy and its minima are those of ``stages.stage_3``.
 
-Source: thesis 3.3.4 (open); Diehl et al. 2006 (multiple shooting), Jacobson and Mayne 1970 (the closed loop).
-Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift apart.
+Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop).
+Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift apart. Not multiple shooting: the states
+are no unknowns of their own, and the loop begins at a roll-out (``transitions``) rather than at a homotopy's end.
 """
 
 from __future__ import annotations

@@ -42,13 +42,6 @@ class Transition(NamedTuple):
     turn: Tensor
 
 
-def skew(v: Tensor) -> Tensor:
-    """[v] (..., 3, 3), [v] w = v x w."""
-    o = torch.zeros_like(v[..., 0])
-    x, y, z = v.unbind(-1)
-    return torch.stack((o, -z, y, z, o, -x, -y, x, o), -1).unflatten(-1, (3, 3))
-
-
 def about_z(v: Tensor) -> Tensor:
     """e_z x v (..., 3)."""
     return torch.stack((-v[..., 1], v[..., 0], torch.zeros_like(v[..., 0])), -1)
@@ -65,7 +58,7 @@ def transition(decoder: Decoder, x: Tensor, z: Tensor, slopes: Tensor | None = N
     turned = rotation.exp(v)
     slopes[:, :SUM, :SUM].diagonal(dim1=-2, dim2=-1).add_(1.0)
     omega = slopes[..., SUM:].unflatten(-1, (22, 3))
-    omega = (omega.transpose(1, 2) @ left_jacobian(v).mT).transpose(1, 2).contiguous()  # (N, 255, 22, 3)
+    omega = (omega.transpose(1, 2) @ rotation.left_jacobian(v).mT).transpose(1, 2).contiguous()  # (N, 255, 22, 3)
     each = torch.arange(22, device=x.device)
     omega[:, SUM:XI].unflatten(1, (22, 3))[:, each, :, each] += turned.mT.transpose(0, 1)
     # the frame of the new state
@@ -104,23 +97,11 @@ def rotation_z(cos: Tensor, sin: Tensor) -> Tensor:
     return torch.stack((cos, -sin, o, sin, cos, o, o, o, one), -1).unflatten(-1, (3, 3))
 
 
-def left_jacobian(v: Tensor) -> Tensor:
-    """J (..., 3, 3): exp(v + dv) = exp(J dv) exp(v)."""
-    squared = v.square().sum(-1)[..., None, None]
-    small = squared < 0.01
-    s = torch.where(small, 1.0, squared)
-    t = s.sqrt()
-    b = torch.where(small, 1 / 2 - squared / 24 * (1 - squared / 30), (1 - t.cos()) / s)
-    c = torch.where(small, 1 / 6 - squared / 120 * (1 - squared / 42), (t - t.sin()) / (s * t))
-    eye = torch.eye(3, dtype=v.dtype, device=v.device)
-    return eye + b * skew(v) + c * (v[..., :, None] * v[..., None, :] - squared * eye)
-
-
 # ------------------------------------------------------------------------------------------------------ the networks
 def _rotation_inputs(x: Tensor) -> Tensor:
     """How the 22 transposed matrices of states (N, 339) change with omega: (22, N 3, 9)."""
     m = x[:, SUM:].unflatten(1, (22, 3, 3))
-    basis = skew(torch.eye(3, dtype=x.dtype, device=x.device))
+    basis = rotation.skew(torch.eye(3, dtype=x.dtype, device=x.device))
     change = -m[:, :, None] @ basis  # R -> (1 + [w]) R is M -> M (1 - [w])
     return change.transpose(0, 1).flatten(1, 2).flatten(-2)
 

@@ -97,16 +97,9 @@ def prepare(
         rough = variables.motion_of(variables.pose(unknown, priors, seen), seen.fps)
     shared = {n: unknown[n] for n in variables.SHARED if n in unknown}
     latent, frames = unknown["latent"][:, 0], seen.values.shape[1]
-    start, factors = transitions.start(
-        rough, latent, shared, seen.trust, priors, (0,), frames, "lean", pull_of(weights)
-    )
+    start, factors = transitions.start(rough, latent, shared, seen.trust, priors, (0,), frames, "lean", weights.pull)
     start = {n: x.detach() for n, x in start.items()}
     return Task(name, problem, start, factors, latent.detach(), truth, rough, clock() - began)
-
-
-def pull_of(weights: Weights) -> float:
-    """The motion prior's weight beside a square metre."""
-    return weights.motion_prior[2] / max(weights.joint_consistency[2], 1e-9)
 
 
 @dataclass(frozen=True, eq=False)

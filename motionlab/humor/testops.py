@@ -226,9 +226,16 @@ class _Track:
         cuts = (0,) if whole else windows.plan(frames, s.window, s.overlap)
         shared = {n: unknown[n] for n in variables.SHARED if n in unknown}
         latent = unknown["latent"][:, 0]
-        weight = problem.weights.motion_prior[2] / max(problem.weights.joint_consistency[2], 1e-9)
         rolled, factors = transitions.start(
-            self.stages[2], latent, shared, seen.trust, problem.priors, cuts, length, problem.mode, weight
+            self.stages[2],
+            latent,
+            shared,
+            seen.trust,
+            problem.priors,
+            cuts,
+            length,
+            problem.mode,
+            problem.weights.pull,
         )
         cut = replace(problem, evidence=seen.pieces(torch.tensor(cuts), length), starts=cuts)
         if whole:

@@ -39,6 +39,11 @@ class Weights:
     contact_height: Triple = (0.0, 0.0, 0.0)
     floor_reg: Triple = (0.0, 0.0, 0.0)
 
+    @property
+    def pull(self) -> float:
+        """The motion prior's weight in stage 3 beside a square metre between joints."""
+        return self.motion_prior[2] / max(self.joint_consistency[2], 1e-9)
+
     def of(self, stage: int, *, frames: int | None = None, listed: bool = False) -> dict[str, float]:
         """The weights above zero of one stage, by term.
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import torch
 
 from motionlab.humor import stages, transitions, variables, windows
-from motionlab.humor.solver_trials import Run, Task, clock, pull_of
+from motionlab.humor.solver_trials import Run, Task, clock
 from motionlab.humor.testops import Schedule
 
 
@@ -24,7 +24,7 @@ def windowed(task: Task, *, window: int = 20, overlap: int = 5, steps: int = 36,
     problem, frames = task.problem, task.rough.frames
     cuts, length = windows.plan(frames, window, overlap), min(window, frames)
     shared = {n: task.unknown[n] for n in variables.SHARED if n in task.unknown}
-    how = (problem.priors, cuts, length, "lean", pull_of(problem.weights))
+    how = (problem.priors, cuts, length, "lean", problem.weights.pull)
     unknown, factors = transitions.start(task.rough, task.latent, shared, problem.evidence.trust, *how)
     pieces = replace(problem, evidence=problem.evidence.pieces(torch.tensor(cuts), length), starts=cuts)
     unknown, _ = stages.stage_3(

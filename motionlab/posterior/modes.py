@@ -88,9 +88,8 @@ def other_foot(
     with torch.no_grad():
         latent = priors.pose.encode(begin.rot[:, :, 1:]).mean
     shared = {"betas": fitted.betas[twice], "camera": torch.zeros(2 * count, 3)}
-    weight = weights.motion_prior[2] / weights.joint_consistency[2]
     trust = torch.ones_like(problem.evidence.trust)  # the legs it starts from are what we want it to follow
-    unknown, factors = transitions.start(begin, latent, shared, trust, priors, (0,), begin.frames, "lean", weight)
+    unknown, factors = transitions.start(begin, latent, shared, trust, priors, (0,), begin.frames, "lean", weights.pull)
     found, _ = stages.stage_3(
         problem, unknown, factors, steps=schedule.steps[2], short=schedule.short, refine=schedule.refine,
         inner=schedule.inner, tolerance=schedule.tolerance,
