@@ -447,28 +447,27 @@ def test_an_interrupt_ends_at_the_best_so_far(cases, at, monkeypatch):
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
 
 
-def change_the_second(monkeypatch, change):
-    """Of the linearisations of a fit."""
-    right, calls = shooting.linearised, []
+def second(change):
+    """Linearisations, of which the second of a fit is changed."""
+    calls = []
 
     def linearised(*args, **how):
         calls.append(1)
-        loop = right(*args, **how)
+        loop = shooting.linearised(*args, **how)
         return change(loop) if len(calls) == 2 else loop
 
-    monkeypatch.setattr(shooting, "linearised", linearised)
+    return linearised
 
 
-def test_an_interrupt_while_differentiating_keeps_what_the_first_round_found(cases, monkeypatch):
+def test_an_interrupt_while_differentiating_keeps_what_the_first_round_found(cases):
     problem, unknown = cases["joints"]
     began = total(problem, unknown)
 
     def tired(loop):
         raise KeyboardInterrupt
 
-    change_the_second(monkeypatch, tired)
     try:
-        found, fits = solve(problem, unknown, STEADY)
+        found, fits = solve(problem, unknown, STEADY, linearise=second(tired))
     except KeyboardInterrupt:  # which would end the tests
         pytest.fail("the first round is lost")
     assert len(fits) == 1 and (total(problem, found) < began).all()
@@ -484,12 +483,12 @@ def test_without_a_motion_prior_or_contacts_there_is_still_a_fit(cases):
         assert (fits[-1].energy <= began).all() and all(x.isfinite().all() for x in found.values())
 
 
-def test_a_last_clip_that_cannot_be_differentiated_keeps_what_it_had(cases, monkeypatch):
+def test_a_last_clip_that_cannot_be_differentiated_keeps_what_it_had(cases):
     """NaN gains in the second round, of all clips that still run."""
     problem, unknown = cases["joints"]
     began = total(problem, unknown)
-    change_the_second(monkeypatch, lambda loop: loop._replace(gains=loop.gains * torch.nan))
-    found, fits = solve(problem, unknown, STEADY)
+    broken = second(lambda loop: loop._replace(gains=loop.gains * torch.nan))
+    found, fits = solve(problem, unknown, STEADY, linearise=broken)
     assert len(fits) == 1 and (total(problem, found) < began).all()
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
 

@@ -65,9 +65,12 @@ def solve(
     plan: Plan | None = None,
     report: Report | None = None,
     *,
+    linearise: Callable[..., Loop] = linearised,
     progress: bool = False,
 ) -> tuple[dict[str, Tensor], list[BatchFit]]:
     """Lower stage 3's energy from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
+
+    linearise: where the coordinates come from, called as ``loop.linearised``; another for ablations.
 
     Returns:
         the unknowns of lowest energy, and the optimiser's reports of all rounds, of all clips: one that is done has the
@@ -86,7 +89,9 @@ def solve(
     live = torch.arange(len(energy), device=energy.device)
     for _ in range(plan.rounds):
         try:
-            found, fit = _round(problem.rows(live), {n: x[live] for n, x in unknown.items()}, plan, report, progress)
+            found, fit = _round(
+                problem.rows(live), {n: x[live] for n, x in unknown.items()}, plan, report, linearise, progress
+            )
         except (KeyboardInterrupt, NotConverged) as ended:
             if not fits:
                 raise
@@ -107,11 +112,11 @@ def solve(
 
 
 def _round(
-    problem: Problem, unknown: Variables, plan: Plan, report: Report, progress: bool
+    problem: Problem, unknown: Variables, plan: Plan, report: Report, linearise: Callable[..., Loop], progress: bool
 ) -> tuple[dict[str, Tensor], BatchFit]:
     """One linearisation and the search in its coordinates."""
     began = report.clock()
-    loop = linearised(problem, unknown, ridge=plan.ridge, stride=plan.stride)
+    loop = linearise(problem, unknown, ridge=plan.ridge, stride=plan.stride)
     report.linearised.append(report.clock() - began)
 
     def energy(new: Variables, rows: Tensor) -> Tensor:
