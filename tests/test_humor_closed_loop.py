@@ -1,16 +1,25 @@
-"""The roll-out that steers itself: against the plain one, a naive loop and differences; no clip sees another."""
+"""The roll-out that steers itself: against the plain one, a naive loop and differences; no clip sees another.
+
+Everything twice: as compiled loops, and as tensors.
+"""
 
 import pytest
 import torch
 
 from motionlab import rotation
-from motionlab.humor import state
+from motionlab.humor import compiled, state
 from motionlab.humor.closed_loop import INPUT, steered_rollout
 from motionlab.humor.recursion import LEAN
 from motionlab.humor.rollout import rollout
 from tests.rolled_inputs import F64, first_states, network
 
 CLIPS, STEPS = 2, 5
+
+
+@pytest.fixture(autouse=True, params=["loops", "tensors"])
+def chain(request, monkeypatch):
+    monkeypatch.setattr(compiled, "FEW", CLIPS if request.param == "loops" else 0)
+    return request.param
 
 
 def draw(seed, *shape):
@@ -209,3 +218,60 @@ def test_its_gains_and_weights_have_no_gradients(first, u, gains):
     weights = tuple(net.decoder.parameters())
     slopes = torch.autograd.grad(found.states.sum(), (leaf, k, *weights), allow_unused=True)
     assert slopes[0] is not None and all(slope is None for slope in slopes[1:])
+
+
+def both(monkeypatch, call):
+    """What a call gives as loops and as tensors."""
+    found = []
+    for few in (100, 0):
+        monkeypatch.setattr(compiled, "FEW", few)
+        found.append(call())
+    return found
+
+
+def test_loops_and_tensors_say_the_same(model, first, u, gains, monkeypatch):
+    def slopes():
+        leaves = [x.clone().requires_grad_() for x in (first, u)]
+        found = parts(steered_rollout(model, *leaves, gains))
+        return [*found, *torch.autograd.grad(loss(found), leaves)]
+
+    loops, tensors = both(monkeypatch, slopes)
+    for ours, theirs in zip(loops, tensors, strict=True):
+        torch.testing.assert_close(ours, theirs, atol=1e-11, rtol=1e-11)
+
+
+def test_no_gains_are_gains_of_nought(model, first, u):
+    leaves = [x.clone().requires_grad_() for x in (u, u)]
+    found = [
+        parts(steered_rollout(model, first, leaves[0])),
+        parts(steered_rollout(model, first, leaves[1], torch.zeros(CLIPS, STEPS, 48, INPUT, dtype=F64))),
+    ]
+    slopes = [torch.autograd.grad(loss(x), leaf)[0] for x, leaf in zip(found, leaves, strict=True)]
+    for ours, theirs in zip([*found[0], slopes[0]], [*found[1], slopes[1]], strict=True):
+        torch.testing.assert_close(ours, theirs, atol=1e-12, rtol=1e-12)
+
+
+def test_a_body_on_its_side_has_a_frame_and_finite_slopes(model, first, u, gains, monkeypatch):
+    """The right axis of the first state points up: there is no heading, and the frame keeps its axes."""
+    up = torch.tensor([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]], dtype=F64)
+    lying = state.unpack(first)
+    lying = state.pack(lying | {"root_orient": up.expand(CLIPS, 3, 3)})
+    still = torch.zeros_like(u)
+
+    def slopes():
+        leaf = still.clone().requires_grad_()
+        found = parts(steered_rollout(model, lying, leaf, gains))
+        return [*found, *torch.autograd.grad(loss(found), leaf)]
+
+    loops, tensors = both(monkeypatch, slopes)
+    for ours, theirs in zip(loops, tensors, strict=True):
+        assert ours.isfinite().all()
+        torch.testing.assert_close(ours, theirs, atol=1e-10, rtol=1e-10)
+
+
+def test_a_number_that_is_none_stays_in_its_clip(model, first, u, gains):
+    broken = u.clone()
+    broken[1, 2] = torch.nan
+    found, whole = (parts(steered_rollout(model, first, each, gains)) for each in (broken, u))
+    for ours, theirs in zip(found, whole, strict=True):
+        assert torch.equal(ours[0], theirs[0]) and ours[1, 3:].isnan().any()

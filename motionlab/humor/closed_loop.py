@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from motionlab.humor import compiled
 from motionlab.humor.cvae import Cvae, Gaussian
 from motionlab.humor.recursion import BACK, LEAN, ROT, Decoder, Step, Stepper, WayBack
 from motionlab.humor.rollout import Rollout, check, to_world
@@ -24,8 +25,8 @@ INPUT = STATE + 6
 _SPIN = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # d/da of a turn, from the right
 
 
-def steered_rollout(model: Cvae, first: Tensor, u: Tensor, gains: Tensor) -> tuple[Rollout, Tensor]:
-    """Decode T transitions from first states (B, 339), world, with u (B, T, 48) and gains (B, T, 48, 345).
+def steered_rollout(model: Cvae, first: Tensor, u: Tensor, gains: Tensor | None = None) -> tuple[Rollout, Tensor]:
+    """Decode T transitions from first states (B, 339), world, with u (B, T, 48) and gains (B, T, 48, 345) or none.
 
     Returns:
         the roll-out, its z included, and X (B, T, 345), from which each z was steered.
@@ -34,7 +35,11 @@ def steered_rollout(model: Cvae, first: Tensor, u: Tensor, gains: Tensor) -> tup
     decoder, start = Decoder.of(model), heading(first)
     x = localise(first, start)[:, LEAN.to(first.device)]
     place = torch.cat((start.turn.mT[:, :2, :2], -start.shift[:, :2, None]), -1).flatten(1)
-    past, after, logits, z = Steered.apply(decoder, torch.cat((x, place), 1), u.transpose(0, 1), gains.transpose(0, 1))
+    few = first.device.type == "cpu" and len(first) <= compiled.FEW
+    if gains is None:
+        gains = u.new_zeros(*u.shape, 0 if few else INPUT)
+    chain = compiled.Chain if few else Steered
+    past, after, logits, z = chain.apply(decoder, torch.cat((x, place), 1), u.transpose(0, 1), gains.transpose(0, 1))
     back = BACK.to(first.device)
     prior = Gaussian(*(part.transpose(0, 1) for part in model.prior(past[..., :STATE][..., back])))
     states = to_world(start, after[..., back].transpose(0, 1), None)

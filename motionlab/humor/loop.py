@@ -20,7 +20,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.frames import Frame
 from motionlab.humor import curvature, energies, init_gmm, riccati, slopes, state, variables
-from motionlab.humor.closed_loop import INPUT, steered_rollout
+from motionlab.humor.closed_loop import steered_rollout
 from motionlab.humor.cvae import Gaussian
 from motionlab.humor.recursion import LEAN, SUM, Decoder
 from motionlab.humor.shape import BETAS
@@ -83,8 +83,7 @@ def linearised(problem: Problem, unknown: Variables, *, ridge: float = 1e-6, str
     z, model = unknown["z"][:, 0], problem.priors.motion
     clips, frames = z.shape[0], z.shape[1] + 1
     first = variables.first_state(unknown, problem.priors)
-    nothing = z.new_zeros(clips, frames - 1, LATENTS, INPUT)
-    rollout, inputs = steered_rollout(model, first, z, nothing)
+    rollout, inputs = steered_rollout(model, first, z)
     states = torch.cat((first[:, None], rollout.states), 1)
     frame = state.heading(states)
     x = state.localise(states, frame)[..., LEAN.to(z.device)]
