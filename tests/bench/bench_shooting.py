@@ -11,7 +11,7 @@ import time
 import torch
 
 from data_synth import clips
-from motionlab.humor import loop, riccati, slopes, state
+from motionlab.humor import compiled, loop, riccati, slopes, state
 from motionlab.humor.priors import load
 from motionlab.humor.recursion import LEAN, SUM, Decoder
 from motionlab.humor.rollout import infer
@@ -76,16 +76,25 @@ def closures(motion, clips_: int) -> None:
         energy = sum(rolled_terms(work.problem, at, rolled).values())
         return energy, torch.autograd.grad(energy.sum(), list(moving.values()))
 
+    def tensors():
+        few, compiled.FEW = compiled.FEW, 0
+        try:
+            return closed()
+        finally:
+            compiled.FEW = few
+
     if not torch.allclose(plain()[0], closed()[0], rtol=1e-3):
         raise SystemExit(f"the loop's energy {closed()[0]} is not that of the roll-out {plain()[0]}")
-    whole, some, slow, fast = in_turns(
+    whole, some, slow, fast, called = in_turns(
         lambda: loop.linearised(work.problem, unknown, stride=1),
         lambda: loop.linearised(work.problem, unknown),
         closed,
         plain,
+        tensors,
     )
     name = f"{clips_:2d} clips x {FRAMES}"
     said(f"{name}: closure in the loop / plain", slow, fast)
+    said(f"{name}: closure in the loop, as tensors / as compiled loops", called, slow)
     said(f"{name}: linearisation / closure", some, slow)
     said(f"{name}: linearisation, networks at every frame / every fourth", whole, some)
 
