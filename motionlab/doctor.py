@@ -152,7 +152,7 @@ def table(checks: list[Check]) -> str:
 
 
 def prepare() -> bool:
-    """Make rendering work where we may, bake the body, compile loops; say what a person must do if that is not enough."""
+    """Make rendering work where we may, bake the body, compile loops; say what a person must do where we may not."""
     from motionlab.viz import render
 
     rendering = check_rendering()

@@ -6,7 +6,7 @@ Everything twice: as compiled loops, and as tensors.
 import pytest
 import torch
 
-from motionlab import rotation
+from motionlab import doctor, rotation
 from motionlab.humor import compiled, state
 from motionlab.humor.closed_loop import INPUT, steered_rollout
 from motionlab.humor.recursion import LEAN
@@ -275,3 +275,15 @@ def test_a_number_that_is_none_stays_in_its_clip(model, first, u, gains):
     found, whole = (parts(steered_rollout(model, first, each, gains)) for each in (broken, u))
     for ours, theirs in zip(found, whole, strict=True):
         assert torch.equal(ours[0], theirs[0]) and ours[1, 3:].isnan().any()
+
+
+def test_doctor_compiles_what_a_fit_needs(first, u, gains, monkeypatch):
+    """Afterwards a roll-out of float32 numbers, with gains and without, compiles nothing more."""
+    monkeypatch.setattr(compiled, "FEW", 100)
+    doctor.compile_loops()
+    kinds = [list(loop.signatures) for loop in (compiled._onward, compiled._back)]
+    net = network().float()
+    for each in (gains.float(), None):
+        leaf = u.float().requires_grad_()
+        steered_rollout(net, first.float(), leaf, each)[0].states.sum().backward()
+    assert kinds[0] and kinds == [list(loop.signatures) for loop in (compiled._onward, compiled._back)]

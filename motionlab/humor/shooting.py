@@ -36,9 +36,9 @@ class Plan:
     than this share of its energy's size. stride: frames between those at which the networks are differentiated.
     """
 
-    rounds: int = 20
+    rounds: int = 25
     closures: int = 20
-    tolerance: float = 5e-3
+    tolerance: float = 2e-3
     stride: int = 4
     ridge: float = 1e-6
 
