@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from data_synth import scenes
-from motionlab.errors import DataError
+from motionlab import findings
 from motionlab.humor import priors, shooting, solver_costs, stages, three_d
 from motionlab.humor import solver_trials as trials
 from motionlab.humor.solver_trials import Run, Single
 from motionlab.humor.weights import JOINTS
-from motionlab.humor.windowed import windowed
+from motionlab.humor.windowed import Windows, windowed
 from motionlab.viz import solver as draw
 
 FRAMES, CLIPS = 18, 2
@@ -73,11 +73,35 @@ def test_a_clip_alone_is_that_clip_in_a_batch(task, runs):
 
 
 def test_windows_end_in_an_exact_roll_out(task):
-    run = windowed(task, window=10, overlap=3, steps=2)
+    run = windowed(task, Windows(10, 3, SHORT))
     assert run.energies.shape == (1, CLIPS)
     assert run.end.isfinite().all()
     assert run.unknown["z"].shape == task.unknown["z"].shape
     assert torch.allclose(run.end, task.energy(run.unknown))
+    polished = windowed(task, Windows(10, 3, SHORT, Single(iterations=(0, 0, 4))))
+    assert torch.allclose(polished.energies[0], run.end, rtol=1e-3, atol=1e-3)  # begins where the windows ended
+    assert (polished.end < run.end).all()
+    assert torch.allclose(polished.end, polished.energies[-1], rtol=1e-4, atol=1e-4)
+    assert (polished.seconds.diff() > 0).all() and polished.seconds[-1] <= polished.spent
+    hasty = windowed(task, Windows(10, 3, SHORT, Single(iterations=(0, 0, 4))), seconds=0.0)
+    assert hasty.energies.shape == (1, CLIPS)  # no time for the polish
+    assert (hasty.end >= run.end).all()
+
+
+def test_windows_share_the_iterations_of_single_shooting():
+    for polish in (0.0, 0.5):
+        how = Windows.sharing(720, polish, window=30)
+        after = sum(how.polish.iterations) if how.polish else 0
+        assert (sum(how.inside.iterations) + after, after, how.window) == (720, round(720 * polish), 30)
+    assert Single.budget(720) == Single()
+    assert sum(Single.budget(7).iterations) == 7
+
+
+def test_patience_is_stopped_by_time_alone(task, runs):
+    waited = trials.single_shooting(task, SHORT.patient, seconds=3 * runs["single"].spent)
+    assert len(waited.seconds) > len(runs["single"].seconds)
+    assert (waited.end <= runs["single"].end).all()
+    assert waited.spent < 6 * runs["single"].spent
 
 
 def test_error_is_a_distance_in_centimetres(task):
@@ -96,6 +120,13 @@ def test_within_takes_the_first_time_and_inf_where_never():
 def test_within_of_a_negative_best_energy_is_above_it():
     run = made([[-0.9], [-0.96], [-1.0]], [1.0, 2.0, 3.0])
     assert run.within(torch.tensor([-1.0]).double(), 0.05).tolist() == [2.0]
+
+
+def test_within_a_share_of_another_size():
+    run = made([[10.0], [1.5], [1.04]], [1.0, 2.0, 3.0])
+    best = torch.tensor([1.0]).double()
+    assert run.within(best, 0.05, torch.tensor([10.0]).double()).tolist() == [2.0]
+    assert run.within(best, 0.05).tolist() == [3.0]  # control
 
 
 def test_at_is_what_was_known_then():
@@ -125,11 +156,55 @@ def test_lowest_knows_ends_and_ways():
     assert solver_costs.lowest([broken, b]).tolist() == [3.0, -9.0]
 
 
-def test_pooled_keeps_every_clip_s_end():
+def test_pooled_keeps_every_clip_s_end_and_its_own_times():
     a, b = made([[3.0], [1.0]], [1.0, 2.0], 2.0), made([[5.0]], [3.0], 3.0)
     both = solver_costs.pooled([a, b])
     assert both.energies.tolist() == [[3.0, 5.0], [1.0, 5.0]]
     assert both.end.tolist() == [1.0, 5.0]
+    assert both.spent.tolist() == [2.0, 3.0]
+    best = torch.tensor([1.0, 5.0]).double()
+    assert both.within(best, 0.05).tolist() == [2.0, 3.0]
+    assert both.at(2.5).tolist() == [1.0, float("inf")]
+    late = solver_costs.pooled([made([[9.0]], [4.0], 8.0), made([[9.0]], [4.0], 30.0)])
+    assert solver_costs.gain(late, both, best, 0.05).tolist() == [4.0, 10.0]  # each with its own whole time
+
+
+def test_middle_is_that_of_the_findings():
+    x = torch.tensor([4.0, 1.0, 3.0, 8.0])
+    assert solver_costs.middle(x) == findings.interval(x, "median", torch.Generator())[0] == 3.5
+    assert x.median() == 3.0  # control: torch takes the lower one
+    half = torch.tensor([1.0, 2.0, float("inf"), float("inf")])
+    assert solver_costs.middle(half).isinf() and solver_costs.middle(half[:3]) == 2.0
+    assert solver_costs.middle(half[2:]).isinf()
+    assert solver_costs.seconds_text(half, 9.0) == "> 9 (2 of 4 never)"
+    assert solver_costs.seconds_text(half[:3], 9.0) == "2.0 (1 of 3 never)"
+
+
+def test_curve_goes_through_what_was_known():
+    run = solver_costs.pooled([made([[3.0], [1.0]], [1.0, 4.0]), made([[6.0]], [2.0])])
+    times, gaps = solver_costs.curve(run, torch.tensor([1.0, -2.0]).double(), points=3)
+    assert times.tolist() == pytest.approx([1.0, 2.0, 4.0])
+    assert gaps.tolist() == [[2.0, float("inf")], [2.0, 4.0], [0.0, 4.0]]
+    ends = solver_costs.curve(made([[3.0], [1.0]], [0.7, 4.1]), torch.tensor([1.0]), points=2)[1]
+    assert ends.tolist() == [[2.0], [0.0]]  # rounded times would miss the first, or the last
+    assert len(solver_costs.curve(made([[6.0]], [2.0]), torch.tensor([1.0]))[0]) == 1
+
+
+def test_table_measures_nearness_in_two_ways():
+    runs = {"a": made([[3.0], [1.5]], [1.0, 2.0], 2.0)}
+    best, start = torch.tensor([1.0]).double(), torch.tensor([101.0]).double()
+    (row,) = solver_costs.times_table(runs, best, start, {"a": torch.tensor([4.0])})
+    assert row["s to within 5 %"] == "> 2 (1 of 1 never)"
+    assert row["1 % of the fall"] == "2.0"
+    assert (row["ends above the best, %"], row["% of the fall"]) == (50.0, 0.5)
+
+
+def test_cost_of_a_fit_is_by_clip_and_by_second(task, runs):
+    row = solver_costs.fit_row(task, runs["shot"])
+    assert row["s per clip"] == pytest.approx(row["s"] / CLIPS)
+    assert row["s per second of motion"] == pytest.approx(row["s"] / (CLIPS * FRAMES / task.truth.fps))
+    assert row["end"] * FRAMES == pytest.approx(runs["shot"].end.mean().item(), rel=1e-4)
+    assert row["end"] < row["energy per frame: start"]
 
 
 def test_log_takes_only_the_rows_it_is_given():
@@ -150,15 +225,11 @@ def test_ablations_start_where_shooting_starts(task, change):
     assert any(not torch.equal(a, b) for a, b in zip(loop, other, strict=True))
 
 
-def test_ablation_ends_with_its_block(task, runs):
-    real = shooting.linearised
-    with pytest.raises(DataError), trials.altered(trials.without_feedback):
-        assert shooting.linearised is not real
-        raise DataError("on the way")
-    assert shooting.linearised is real
-    with trials.altered(trials.without_feedback):
-        lame = trials.shot(task, PLAN)
-    assert (lame.end > runs["shot"].end).any()  # control: the change reaches the solver
+def test_a_change_reaches_the_solver(task, runs):
+    same = trials.shot(task, PLAN, change=lambda loop, unknown: loop)
+    assert torch.equal(same.end, runs["shot"].end)
+    lame = trials.shot(task, PLAN, change=trials.without_feedback)
+    assert (lame.end > runs["shot"].end).any()  # control
 
 
 def test_parts_of_a_fit_lie_within_it(task):
@@ -170,14 +241,12 @@ def test_parts_of_a_fit_lie_within_it(task):
     assert min(beside.values()) >= 0
 
 
-def test_official_budget_of_stage_3_is_1750_closures():
-    assert sum(phase.closures for phase in solver_costs.faithful_phases(60)) == 1750
-
-
 def test_figures_draw_what_never_arrives(runs):
     best = solver_costs.lowest(list(runs.values()))
-    gaps = {n: (r.seconds, (r.energies - best) / best.abs()) for n, r in runs.items()}
-    assert draw.energy_over_time({"noisy": gaps}).axes
+    gaps = {n: solver_costs.curve(r, best) for n, r in runs.items()}
+    dot = Run(best[None], torch.tensor([3.0]).double(), {}, best, 3.0)
+    (axes,) = draw.energy_over_time({"noisy": gaps | {"windows": solver_costs.curve(dot, best - 1)}}).axes
+    assert [text.get_text() for text in axes.get_legend().texts] == ["single", "shot", "windows"]
     never = torch.tensor([float("inf"), 3.0])
     legend = draw.paired_times({"noisy": (never, torch.tensor([1.0, 2.0]))}).axes[0].get_legend()
     assert "1 of 2" in legend.texts[0].get_text()

@@ -93,16 +93,6 @@ def recursed(a: Tensor, c: Tensor) -> Tensor:
     return torch.stack(found)
 
 
-def scanned(a: Tensor, c: Tensor) -> Tensor:
-    """The same in log2 T rounds of products of matrices: what a parallel machine would do."""
-    reach = 1
-    while reach < len(c):
-        c = torch.cat((c[:reach], c[reach:] + (a[reach:] @ c[:-reach, :, None])[..., 0]))
-        a = torch.cat((a[:reach], a[reach:] @ a[:-reach]))
-        reach *= 2
-    return c
-
-
 def damped(a: Tensor, c: Tensor, weight: float) -> Tensor:
     """The least-squares form (T, n) with weight lambda, by block-tridiagonal elimination."""
     eye = torch.eye(c.shape[1], dtype=a.dtype, device=a.device)

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import cProfile
+import math
 import pstats
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from torch import Tensor
 
 from motionlab.errors import DataError
 from motionlab.humor import shooting, stages
-from motionlab.humor.ladder import LEAN
-from motionlab.humor.program import OFFICIAL, Phase, phases
 from motionlab.humor.solver_trials import Run, Task, clock
-from motionlab.humor.stages import Problem
-from motionlab.humor.testops import Schedule
-from motionlab.humor.workload import Part, Workload
+from motionlab.humor.stages import FIRST, Problem
+from motionlab.humor.workload import Workload
 
 #: Functions of a fit whose own and deeper time is one row of the table: label -> (file, function).
 PARTS = {
@@ -69,6 +67,18 @@ def closed_closure(problem: Problem, unknown: dict[str, Tensor], loop: shooting.
     return run
 
 
+def plain_closure(problem: Problem, unknown: dict[str, Tensor]) -> Callable[[], Tensor]:
+    """One closure of single shooting: exact roll-out of z, energy (B,), gradient."""
+    moving = {n: x.clone().requires_grad_(n in (*FIRST, "z", "betas")) for n, x in unknown.items()}
+
+    def run() -> Tensor:
+        value = sum(stages.motion_terms(problem, moving).values())
+        torch.autograd.grad(value.sum(), [x for x in moving.values() if x.requires_grad])
+        return value.detach()
+
+    return run
+
+
 def three_costs(work: Workload) -> dict[str, Callable[[], object]]:
     """What is to be timed of a workload: a linearisation, and a closure with and without feedback."""
     unknown = {n: x.detach() for n, x in work.moving.items()}
@@ -76,16 +86,17 @@ def three_costs(work: Workload) -> dict[str, Callable[[], object]]:
     return {
         "linearisation": lambda: shooting.linearised(work.problem, unknown),
         "closed-loop closure": closed_closure(work.problem, unknown, loop),
-        "single-shooting closure": work.closure(Part(3, work.frames), LEAN),
+        "single-shooting closure": plain_closure(work.problem, unknown),
     }
 
 
-def faithful_phases(frames: int) -> list[Phase]:
-    """Stage 3 of the official schedule: closures at most, 25 for each of 70 outer steps."""
-    return phases(Schedule(steps=(0, 0, OFFICIAL.steps[2])), frames)
-
-
 # ------------------------------------------------------------------------------------------------ who was how fast
+def middle(x: Tensor) -> Tensor:
+    """The median of (B,) as the findings take it, the mean of the two in the middle; infinite where one of them is."""
+    ordered = x.flatten().sort().values
+    return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
+
+
 def lowest(runs: Sequence[Run]) -> Tensor:
     """The lowest energy (B,) that any run found on each clip, by a roll-out or on the way."""
     ends = [torch.where(run.end.isfinite(), run.end, torch.inf) for run in runs]
@@ -99,7 +110,7 @@ def gain(slow: Run, fast: Run, best: Tensor, share: float) -> Tensor:
     fast run that never is counts 0, whatever the slow one does.
     """
     before, after = slow.within(best, share), fast.within(best, share)
-    before = torch.where(before.isfinite(), before, torch.full_like(before, slow.spent))
+    before = torch.where(before.isfinite(), before, torch.as_tensor(slow.spent).to(before))
     return torch.where(after.isfinite(), before / after, 0.0)
 
 
@@ -113,32 +124,32 @@ def solved(run: Run, best: Tensor, share: float = 0.05) -> Tensor:
     return run.end <= best + share * best.abs()
 
 
-def seconds_text(seconds: Tensor, spent: float) -> str:
+def seconds_text(seconds: Tensor, spent: float | Tensor) -> str:
     """Median seconds of (B,), and how many of them never arrived within the time spent."""
-    never = int(seconds.isinf().sum())
-    middle = seconds.quantile(0.5, interpolation="higher")
-    text = f"{middle:.1f}" if middle.isfinite() else f"> {spent:.0f}"
+    never, half = int(seconds.isinf().sum()), middle(seconds)
+    text = f"{half:.1f}" if half.isfinite() else f"> {middle(torch.as_tensor(spent)):.0f}"
     return text + (f" ({never} of {len(seconds)} never)" if never else "")
 
 
 def times_table(
-    runs: dict[str, Run],
-    best: Tensor,
-    errors: dict[str, Tensor],
-    times: dict[str, tuple[Tensor, Tensor]] | None = None,
+    runs: Mapping[str, Run], best: Tensor, start: Tensor, errors: Mapping[str, Tensor]
 ) -> list[dict[str, object]]:
     """A row per contender of one task: when it is near the best energy, where it ends, how far from the truth.
 
-    times: seconds (B,) to within 5 and 1 % where they are not those of the runs, such as of clips run alone.
+    Near is measured twice, since |best| depends on where the energy has its zero: in parts of |best|, and of the fall
+    from the start's energy. start (B,): that of the common start.
     """
-    rows = []
+    rows, fall = [], start - best
     for name, run in runs.items():
-        above = 100 * (run.end - best) / best.abs().clamp(min=1e-9)
-        five, one = (times or {}).get(name) or (run.within(best, 0.05), run.within(best, 0.01))
+        above = run.end - best
         rows.append(
-            {"contender": name, "clips": len(best), "s to within 5 %": seconds_text(five, run.spent),
-             "to within 1 %": seconds_text(one, run.spent), "s in all": run.spent,
-             "ends above the best, % (median)": above.quantile(0.5).item(),
+            {"contender": name, "clips": len(best),
+             "s to within 5 %": seconds_text(run.within(best, 0.05), run.spent),
+             "1 %": seconds_text(run.within(best, 0.01), run.spent),
+             "1 % of the fall": seconds_text(run.within(best, 0.01, fall), run.spent),
+             "s in all": middle(torch.as_tensor(run.spent)).item(),
+             "ends above the best, %": middle(100 * above / best.abs().clamp(min=1e-9)).item(),
+             "% of the fall": middle(100 * above / fall.clamp(min=1e-9)).item(),
              "within 5 %": f"{int(solved(run, best).sum())} of {len(best)}",
              "error, cm (mean)": errors[name].mean().item()}
         )  # fmt: skip
@@ -146,18 +157,41 @@ def times_table(
 
 
 def pooled(runs: Sequence[Run]) -> Run:
-    """Clips that were run alone, one after the other, as one run: its energies at the mean time of each closure.
+    """Clips that were run one at a time, as one run in which every clip keeps its own times.
 
-    Clips that took fewer closures stay where they ended. For the curves alone: times of single clips are in the runs.
+    Clips that took fewer closures stay where they ended.
     """
     count = max(len(run.seconds) for run in runs)
 
     def longer(x: Tensor) -> Tensor:
         return torch.cat((x, x[-1:].expand(count - len(x), *x.shape[1:])))
 
-    energies = torch.cat([longer(run.energies) for run in runs], 1)
-    seconds = torch.stack([longer(run.seconds) for run in runs]).mean(0)
+    energies, seconds = (torch.cat([longer(x) for x in each], 1) for each in
+                         ([run.energies for run in runs], [run.each for run in runs]))  # fmt: skip
     unknown = {n: torch.cat([run.unknown[n] for run in runs]) for n in runs[0].unknown}
     end = torch.cat([run.end for run in runs])
-    spent, linearised = (sum(getattr(run, name) for run in runs) / len(runs) for name in ("spent", "linearised"))
+    spent, linearised = (
+        torch.cat([torch.as_tensor(getattr(run, name)).double().expand(len(run.end)) for run in runs])
+        for name in ("spent", "linearised")
+    )
     return Run(energies, seconds, unknown, end, spent, linearised)
+
+
+def curve(run: Run, best: Tensor, *, points: int = 300) -> tuple[Tensor, Tensor]:
+    """Times (P,), evenly in their logarithm, and how far above the best each clip is then, of |best| (P, B)."""
+    first, last = run.seconds.min().item(), run.seconds.max().item()
+    times = torch.logspace(math.log10(first), math.log10(last), points if last > first else 1, dtype=torch.float64)
+    times[-1], times[0] = last, first  # not rounded to before the first
+    return times, torch.stack([(run.at(now) - best) / best.abs() for now in times])
+
+
+def fit_row(task: Task, run: Run) -> dict[str, object]:
+    """What a whole fit costs by clip and by frame, and what it finds: of runs of different lengths and batches."""
+    frames = task.truth.frames
+    end, began = (x.mean().item() / frames for x in (run.end, task.energy(task.unknown)))
+    return {
+        "clips": len(task), "frames": frames, "s": float(run.spent), "s per clip": float(run.spent) / len(task),
+        "s per second of motion": float(run.spent) / (len(task) * frames / task.truth.fps),
+        "linearisations, % of it": 100 * float(run.linearised) / float(run.spent), "closures": len(run.seconds),
+        "energy per frame: start": began, "end": end, "error, cm": task.error(task.motion(run.unknown)).mean().item(),
+    }  # fmt: skip

@@ -8,8 +8,7 @@ of this process counts, with one thread.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -104,35 +103,37 @@ def prepare(
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a solver did: the lowest energies (N, B) so far, seconds (N,) of processor time at which each was known.
+    """What a solver did: the lowest energies (N, B) so far, and the processor time at which each was known: seconds
+    (N,) of the whole batch, or (N, B) where clips were run one at a time.
 
     unknown: what it ended with, and its energy ``end`` (B,) by a roll-out of its own. spent: seconds of the whole run,
-    linearised: of them in linearisations.
+    or (B,) of each clip's; linearised: of them in linearisations.
     """
 
     energies: Tensor
     seconds: Tensor
     unknown: dict[str, Tensor]
     end: Tensor
-    spent: float
-    linearised: float = 0.0
+    spent: float | Tensor
+    linearised: float | Tensor = 0.0
 
-    def within(self, best: Tensor, share: float) -> Tensor:
-        """Seconds (B,) until the energy is within ``share`` of |best| (B,) of it; inf where it never is."""
-        good = self.energies <= best + share * best.abs()
-        at = good.double().argmax(0)
-        return torch.where(good.any(0), self.seconds[at], torch.inf)
+    @property
+    def each(self) -> Tensor:
+        """The seconds of every clip (N, B)."""
+        return self.seconds if self.seconds.ndim == 2 else self.seconds[:, None].expand_as(self.energies)
+
+    def within(self, best: Tensor, share: float, size: Tensor | None = None) -> Tensor:
+        """Seconds (B,) until the energy is within ``share`` of a size (B,), else of |best|, of the best (B,); inf where
+        it never is."""
+        good = self.energies <= best + share * (best.abs() if size is None else size)
+        seconds = self.each.gather(0, good.double().argmax(0)[None])[0]
+        return torch.where(good.any(0), seconds, torch.inf)
 
     def at(self, seconds: Tensor | float) -> Tensor:
         """The lowest energy (B,) that was known after so many seconds; inf before the first."""
-        count = int((self.seconds <= seconds).sum())
-        return self.energies[count - 1] if count else torch.full_like(self.end, torch.inf)
-
-    def rows(self, index: Sequence[int] | Tensor) -> Run:
-        """Some of the clips; the seconds stay those of the whole batch."""
-        at = torch.as_tensor(index)
-        own = {n: x[at] for n, x in self.unknown.items()}
-        return Run(self.energies[:, at], self.seconds, own, self.end[at], self.spent, self.linearised)
+        count = (self.each <= seconds).sum(0)
+        known = self.energies.gather(0, (count - 1).clamp(min=0)[None])[0]
+        return torch.where(count > 0, known, torch.inf)
 
 
 @dataclass
@@ -174,6 +175,17 @@ class Single:
     iterations: tuple[int, int, int] = (20, 40, 660)
     memory: int = 100
     tolerance: float = 1e-5
+
+    @classmethod
+    def budget(cls, iterations: int) -> Single:
+        """So many iterations in all, in the default's parts where there are enough of them."""
+        first, second = min(20, iterations // 4), min(40, iterations // 4)
+        return cls((first, second, iterations - first - second))
+
+    @property
+    def patient(self) -> Single:
+        """The same with neither an end to its iterations nor a tolerance: only time stops it, or the lack of gain."""
+        return replace(self, iterations=(*self.iterations[:2], 10**6), tolerance=0.0)
 
 
 def single_shooting(task: Task, how: Single | None = None, *, seconds: float = torch.inf) -> Run:
@@ -224,10 +236,24 @@ def _descended(task, unknown, moving, inner, how: Single, log: Log, what: dict):
     return {n: x.detach() for n, x in old(fit.variables).items()}
 
 
-def shot(task: Task, plan: shooting.Plan | None = None, start: dict[str, Tensor] | None = None) -> Run:
-    """Closed-loop Gauss-Newton (``shooting``) from the task's start, or from another."""
+def shot(
+    task: Task,
+    plan: shooting.Plan | None = None,
+    start: dict[str, Tensor] | None = None,
+    *,
+    change: Callable[[shooting.Loop, dict[str, Tensor]], shooting.Loop] | None = None,
+) -> Run:
+    """Closed-loop Gauss-Newton (``shooting``) from the task's start, or from another.
+
+    change: what becomes of the coordinates of every linearisation, for ablations.
+    """
+
+    def linearise(problem: Problem, unknown: dict[str, Tensor], **how) -> shooting.Loop:
+        loop = shooting.linearised(problem, unknown, **how)
+        return change(loop, unknown) if change else loop
+
     began, report = clock(), shooting.Report(clock=clock)
-    unknown, _ = shooting.solve(task.problem, start or task.unknown, plan, report)
+    unknown, _ = shooting.solve(task.problem, start or task.unknown, plan, report, linearise=linearise)
     spent = clock() - began
     energies = torch.stack(report.history).detach().nan_to_num(torch.inf, torch.inf, torch.inf)
     seconds = torch.tensor(report.seconds).double()
@@ -236,22 +262,6 @@ def shot(task: Task, plan: shooting.Plan | None = None, start: dict[str, Tensor]
     unknown = {n: x.detach() for n, x in unknown.items()}
     end, derived = task.energy(unknown), sum(report.linearised)
     return Run(energies.cummin(0).values, seconds, unknown, end, spent, derived)
-
-
-@contextmanager
-def altered(change: Callable[[shooting.Loop, dict[str, Tensor]], shooting.Loop] | None) -> Iterator[None]:
-    """Inside, ``shooting`` works with coordinates that were changed: for ablations. None: as they are."""
-    real = shooting.linearised
-
-    def other(problem: Problem, unknown: dict[str, Tensor], *rest, **how) -> shooting.Loop:
-        loop = real(problem, unknown, *rest, **how)
-        return change(loop, unknown) if change else loop
-
-    shooting.linearised = other
-    try:
-        yield
-    finally:
-        shooting.linearised = real
 
 
 def without_feedback(loop: shooting.Loop, unknown: dict[str, Tensor]) -> shooting.Loop:

@@ -1,4 +1,4 @@
-"""Single shooting in short windows, and what one exact roll-out makes of the stitched motion.
+"""Single shooting in short windows, one exact roll-out of the stitched motion, and single shooting from there.
 
 A window of 20 frames has a chain a third as long, and all windows run as one batch. Neighbours are asked to agree over
 the frames that they share; what comes out of it is no roll-out yet. The judge is the same as for every other solver.
@@ -6,31 +6,48 @@ the frames that they share; what comes out of it is no roll-out yet. The judge i
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import torch
 
-from motionlab.humor import stages, transitions, variables, windows
-from motionlab.humor.solver_trials import Run, Task, clock
-from motionlab.humor.testops import Schedule
+from motionlab.humor import transitions, variables, windows
+from motionlab.humor.solver_trials import Run, Single, Task, clock, single_shooting
 
 
-def windowed(task: Task, *, window: int = 20, overlap: int = 5, steps: int = 36, inner: int = 20) -> Run:
-    """Single shooting in short windows that are asked to agree, stitched, followed by one exact roll-out.
+@dataclass(frozen=True)
+class Windows:
+    """How windows search: their frames, those that neighbours share at least, single shooting inside them, and its
+    polish of the whole roll-out (None: none)."""
 
-    The only energy that counts is that of the roll-out, so that there is one point in time: the end.
+    window: int = 20
+    overlap: int = 5
+    inside: Single = field(default_factory=Single)
+    polish: Single | None = None
+
+    @classmethod
+    def sharing(cls, iterations: int, polish: float = 0.0, *, window: int = 20, overlap: int = 5) -> Windows:
+        """So many iterations in all, a share of them for the polish."""
+        after = round(polish * iterations)
+        parts = Single.budget(iterations - after)
+        return cls(window, overlap, parts, Single(iterations=(0, 0, after)) if after else None)
+
+
+def windowed(task: Task, how: Windows | None = None, *, seconds: float = torch.inf) -> Run:
+    """Single shooting in short windows that are asked to agree, stitched, rolled out, and polished.
+
+    The only energy that counts is that of a roll-out of the whole clip: the first point in time is the end of the
+    windows. seconds: after which windows and polish stop.
     """
-    began, schedule = clock(), Schedule.lean()
+    began, how = clock(), how or Windows()
     problem, frames = task.problem, task.rough.frames
-    cuts, length = windows.plan(frames, window, overlap), min(window, frames)
+    cuts, length = windows.plan(frames, how.window, how.overlap), min(how.window, frames)
     shared = {n: task.unknown[n] for n in variables.SHARED if n in task.unknown}
-    how = (problem.priors, cuts, length, "lean", problem.weights.pull)
-    unknown, factors = transitions.start(task.rough, task.latent, shared, problem.evidence.trust, *how)
+    rest = (problem.priors, cuts, length, "lean", problem.weights.pull)
+    unknown, factors = transitions.start(task.rough, task.latent, shared, problem.evidence.trust, *rest)
     pieces = replace(problem, evidence=problem.evidence.pieces(torch.tensor(cuts), length), starts=cuts)
-    unknown, _ = stages.stage_3(
-        pieces, unknown, factors, steps=steps, short=schedule.short, refine=schedule.refine, inner=inner,
-        tolerance=schedule.tolerance,
-    )  # fmt: skip
+    unknown = {n: x.detach() for n, x in unknown.items()}
+    inner = replace(task, problem=pieces, unknown=unknown, factors=factors)
+    unknown = single_shooting(inner, how.inside, seconds=seconds).unknown
     with torch.no_grad():
         body = variables.roll(unknown, problem.priors, pieces.evidence).body
     root, rot = (x.unflatten(0, (-1, len(cuts))) for x in (body.root, body.rot))
@@ -41,8 +58,13 @@ def windowed(task: Task, *, window: int = 20, overlap: int = 5, steps: int = 36,
     shared = {n: unknown[n] for n in shared}
     latent = unknown["latent"][:, :1].flatten(0, 1)[:, None].expand(-1, frames, -1)
     sure = torch.ones_like(problem.evidence.trust)
-    found, _ = transitions.start(stitched, latent, shared, sure, problem.priors, (0,), frames, "lean", how[-1])
-    spent = clock() - began
+    found, factors = transitions.start(stitched, latent, shared, sure, problem.priors, (0,), frames, *rest[3:])
     found = {n: x.detach() for n, x in found.items()}
     end = task.energy(found)
-    return Run(end[None], torch.tensor([spent]).double(), found, end, spent)
+    spent = clock() - began
+    if how.polish is None or spent > seconds:
+        return Run(end[None], torch.tensor([spent]).double(), found, end, spent)
+    after = single_shooting(replace(task, unknown=found, factors=factors), how.polish, seconds=seconds - spent)
+    energies = torch.cat((end[None].to(after.energies), after.energies)).cummin(0).values
+    times = torch.cat((after.seconds.new_tensor([spent]), spent + after.seconds))
+    return Run(energies, times, after.unknown, after.end, spent + after.spent)

@@ -14,8 +14,8 @@ from motionlab.viz.plots import canvas, paints
 
 #: Colours of the contenders.
 ROLES = {
-    "single shooting": "baseline", "single shooting, twice as long": "axis-angle", "shooting": "ours",
-    "windows": "6d", "linearisation": "stage3", "closed-loop closure": "ours", "single-shooting closure": "baseline",
+    "single shooting": "baseline", "shooting": "ours", "multiple shooting": "quaternion", "windows": "6d",
+    "linearisation": "stage3", "closed-loop closure": "ours", "single-shooting closure": "baseline",
 }  # fmt: skip
 _FLOOR = 1e-4
 
@@ -25,7 +25,8 @@ def energy_over_time(
 ) -> Figure:
     """How far above the best energy each contender is after so many seconds: median over clips, quartiles as a band.
 
-    panels: task -> contender -> (seconds (N,), gaps (N, B): (energy - best) / |best|); one point: a dot.
+    panels: task -> contender -> (seconds (N,), gaps (N, B): (energy - best) / |best|, infinite before the first
+    energy); one point: a dot.
     """
     fig, axes = canvas(1, len(panels), size=size, sharey=True)
     for ax, (task, contenders) in zip(axes, panels.items(), strict=True):
@@ -111,7 +112,7 @@ def scaling(
         paint = paints(list(steps), ROLES)
         for name, found in steps.items():
             sizes = sorted(found)
-            ax.plot(sizes, [1e3 * found[k].median().item() for k in sizes], color=paint[name], lw=1.6, label=name)
+            ax.plot(sizes, [1e3 * found[k].quantile(0.5).item() for k in sizes], color=paint[name], lw=1.6, label=name)
             for k in sizes:
                 ax.plot([k] * len(found[k]), 1e3 * found[k], "o", color=paint[name], ms=4, mec="white", mew=0.5)
         ax.set(xscale="log", yscale="log", xlabel=xlabel)
