@@ -124,7 +124,7 @@ def test_a_short_step_is_the_one_that_the_sweep_walks(cases, kind):
     slope, found, before = derived(problem, point, penalty)
     model, short = modelled(problem, point, found, 1), 1e-5
     way = swept(problem, point, model, slope, penalty, before.new_full((CLIPS,), 1e-2))
-    first = multiple.loop._first_slopes(problem, point.unknown, way.change.shape[1])
+    first = multiple.loop.first_slopes(problem, point.unknown, way.change.shape[1])
     y, controls = way.swept.walked(
         model.a, torch.cat((model.b, model.free), -1), (first @ way.change[..., None])[..., 0]
     )

@@ -87,8 +87,8 @@ def linearised(problem: Problem, unknown: Variables, *, ridge: float = 1e-6, str
     states = torch.cat((first[:, None], rollout.states), 1)
     frame = state.heading(states)
     x = state.localise(states, frame)[..., LEAN.to(z.device)]
-    past, keys = x[:, :-1], _keys(frames - 1, stride).to(z.device)
-    some, between = past[:, keys].flatten(0, 1), partial(_between, keys=keys, clips=clips)
+    past, keys = x[:, :-1], key_frames(frames - 1, stride).to(z.device)
+    some, between = past[:, keys].flatten(0, 1), partial(between_keys, keys=keys, clips=clips)
     decoder = Decoder.of(model)
     decoded = between(slopes.decoder_slopes(decoder, some, z[:, keys].flatten(0, 1)))
     moves = slopes.transition(decoder, past.flatten(0, 1), z.flatten(0, 1), decoded)
@@ -98,17 +98,17 @@ def linearised(problem: Problem, unknown: Variables, *, ridge: float = 1e-6, str
         x, frame.turn, frame.shift, moves.turn.unflatten(0, (clips, -1)), unknown["betas"], unknown.get("camera"),
         energies.contact_probabilities(rollout.contact_logits), problem.evidence, weights,
     )  # fmt: skip
-    a, b = _padded_moves(moves, clips, found.of_frame.shape[-1])
-    toward = _prior_rows(z.flatten(0, 1), rollout.prior, prior_slopes, a.shape[-1], weights.get("motion_prior", 0.0))
+    a, b = padded_moves(moves, clips, found.of_frame.shape[-1])
+    toward = prior_rows(z.flatten(0, 1), rollout.prior, prior_slopes, a.shape[-1], weights.get("motion_prior", 0.0))
     pairs = torch.cat((found.after @ a + found.before, found.after @ b), -1)
     both = torch.cat((pairs, toward.unflatten(0, (clips, -1))), -2)
     swept = riccati.sweep(found.of_frame.mT @ found.of_frame, a, b, both.mT @ both, ridge)
     gains, shared = _embedded(swept.gains, past, frame)
     base = z - (gains @ inputs[..., None])[..., 0]
-    return Loop(base, gains, shared, swept.shapers, _first_shaper(problem, unknown, swept.first, frames))
+    return Loop(base, gains, shared, swept.shapers, first_shaper(problem, unknown, swept.first, frames))
 
 
-def _padded_moves(moves: slopes.Transition, clips: int, n: int) -> tuple[Tensor, Tensor]:
+def padded_moves(moves: slopes.Transition, clips: int, n: int) -> tuple[Tensor, Tensor]:
     """A (B, T - 1, n, n) and B (B, T - 1, n, 48); what is shared stays as it is."""
     of_change, of_z = (x.unflatten(0, (clips, -1)) for x in (moves.of_change, moves.of_z))
     a, b = of_change.new_zeros(*of_change.shape[:2], n, n), of_z.new_zeros(*of_z.shape[:2], n, LATENTS)
@@ -117,7 +117,7 @@ def _padded_moves(moves: slopes.Transition, clips: int, n: int) -> tuple[Tensor,
     return a, b
 
 
-def _prior_rows(z: Tensor, prior: Gaussian, slopes_: Tensor, n: int, weight: float) -> Tensor:
+def prior_rows(z: Tensor, prior: Gaussian, slopes_: Tensor, n: int, weight: float) -> Tensor:
     """Rows (N, 96, n + 48) of w (-log N(z; mu(x), sigma(x))): of (z - mu) / sigma, and of log sigma^2 with a quarter of
     Fisher's information of it, 1/2: tried by hand, with none and all of it, on eight practice clips."""
     mean, log_var = (x.flatten(0, 1) for x in prior)
@@ -131,11 +131,12 @@ def _prior_rows(z: Tensor, prior: Gaussian, slopes_: Tensor, n: int, weight: flo
     return rows
 
 
-def _keys(count: int, stride: int) -> Tensor:
+def key_frames(count: int, stride: int) -> Tensor:
+    """Every ``stride``-th of so many frames, and the last."""
     return torch.unique(torch.cat((torch.arange(0, count, stride), torch.tensor([count - 1]))))
 
 
-def _between(x: Tensor, keys: Tensor, clips: int) -> Tensor:
+def between_keys(x: Tensor, keys: Tensor, clips: int) -> Tensor:
     """(B keys, ...) -> (B frames, ...): straight lines between keys."""
     count = int(keys[-1]) + 1
     if len(keys) == count:
@@ -162,12 +163,12 @@ def _embedded(gains: Tensor, x: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
     return torch.cat((gains[..., :SUM], turns.flatten(-3), place), -1), gains[..., CHANGE:]
 
 
-def _first_shaper(problem: Problem, unknown: Variables, cost: Tensor, frames: int) -> Tensor:
+def first_shaper(problem: Problem, unknown: Variables, cost: Tensor, frames: int) -> Tensor:
     """L^-T (B, f, f) of the first state and what is shared: their own terms and P_0 through ``moved``."""
     weights, view = problem.weights.of(3, frames=frames), problem.evidence.view
     shared = cost.shape[-1] - CHANGE
     count = _FIRST + shared
-    slope = _first_slopes(problem, unknown, count)  # (B, n, f)
+    slope = first_slopes(problem, unknown, count)  # (B, n, f)
     h = slope.mT @ cost @ slope
     features = slope[:, _FEATURES]
     gmm = problem.priors.initial
@@ -192,7 +193,7 @@ def _first_shaper(problem: Problem, unknown: Variables, cost: Tensor, frames: in
     return torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(h)
 
 
-def _first_slopes(problem: Problem, unknown: Variables, count: int) -> Tensor:
+def first_slopes(problem: Problem, unknown: Variables, count: int) -> Tensor:
     """How the change (B, n) of frame 0 answers to the first state's unknowns and what is shared: (B, n, f)."""
     clips = len(unknown["betas"])
     steps = _STEP * torch.eye(count, dtype=unknown["betas"].dtype, device=unknown["betas"].device)

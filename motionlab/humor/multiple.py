@@ -213,8 +213,8 @@ def modelled(problem: Problem, point: Point, found: Measured, stride: int) -> Mo
     unknown, z, model = point.unknown, point.unknown["z"][:, 0], problem.priors.motion
     clips, frames = z.shape[0], z.shape[1] + 1
     x, frame = own(point.all_states(problem))
-    past, keys = x[:, :-1], loop._keys(frames - 1, stride).to(z.device)
-    some, spread = past[:, keys].flatten(0, 1), partial(loop._between, keys=keys, clips=clips)
+    past, keys = x[:, :-1], loop.key_frames(frames - 1, stride).to(z.device)
+    some, spread = past[:, keys].flatten(0, 1), partial(loop.between_keys, keys=keys, clips=clips)
     decoder = Decoder.of(model)
     decoded = spread(slopes.decoder_slopes(decoder, some, z[:, keys].flatten(0, 1)))
     moves = slopes.transition(decoder, past.flatten(0, 1), z.flatten(0, 1), decoded)
@@ -224,10 +224,10 @@ def modelled(problem: Problem, point: Point, found: Measured, stride: int) -> Mo
         energies.contact_probabilities(found.logits), problem.evidence, weights,
     )  # fmt: skip
     n = rows.of_frame.shape[-1]
-    a, b = loop._padded_moves(moves, clips, n)
+    a, b = loop.padded_moves(moves, clips, n)
     bend = spread(slopes.prior_slopes(model, some)[1])
     pull = weights.get("motion_prior", 0.0)
-    toward = loop._prior_rows(z.flatten(0, 1), found.prior, bend, n, pull)
+    toward = loop.prior_rows(z.flatten(0, 1), found.prior, bend, n, pull)
     bent = F.pad((_INFORMATION * pull) ** 0.5 * bend[:, LATENTS:], (0, toward.shape[-1] - XI))
     toward = torch.cat((toward, bent), 1)
     of_frame = rows.of_frame.mT @ rows.of_frame
@@ -257,8 +257,8 @@ def swept(problem: Problem, point: Point, model: Model, slope: Slopes, penalty: 
     of_frame = model.of_frame + damping[:, None, None, None] * torch.diag(white)
     along, of_z = F.pad(slope.y, (0, shared, 1, 0)), F.pad(slope.z, (0, b.shape[-1] - LATENTS))
     found = riccati.affine_sweep(of_frame, model.a, b, rows, held, along, of_z)
-    shaper = loop._first_shaper(problem, point.unknown, found.first, frames)
-    first = loop._first_slopes(problem, point.unknown, shaper.shape[-1])  # (B, n, f)
+    shaper = loop.first_shaper(problem, point.unknown, found.first, frames)
+    first = loop.first_slopes(problem, point.unknown, shaper.shape[-1])  # (B, n, f)
     down = slope.first + (found.slope[:, None] @ first)[:, 0]
     return Way(-(shaper @ (shaper.mT @ down[..., None]))[..., 0], found)
 
