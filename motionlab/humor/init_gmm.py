@@ -65,7 +65,7 @@ class InitGmm:
         """Rows that whiten, (K D, D), the means in these coordinates (K D,), and each component's constant (K,)."""
         weights, means, covariances = (x.double() for x in (self.weights, self.means, self.covariances))
         factor = torch.linalg.cholesky((covariances + covariances.mT) / 2)
-        unit = torch.eye(means.shape[1], dtype=torch.float64).expand_as(factor)
+        unit = torch.eye(means.shape[1], dtype=torch.float64, device=factor.device).expand_as(factor)
         rows = torch.linalg.solve_triangular(factor, unit, upper=False)
         logdet = factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         constant = (weights / weights.sum()).log() - logdet - 0.5 * means.shape[1] * math.log(2 * math.pi)

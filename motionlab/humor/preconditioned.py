@@ -70,7 +70,7 @@ def rounded(
     diagonal = h.diagonal(dim1=-2, dim2=-1)
     ridge = _RIDGE * diagonal + prior + 1e-6 + _RIDGE * diagonal.mean(-1, keepdim=True)
     factor = torch.linalg.cholesky((h + torch.diag_embed(ridge)).double())
-    unit = torch.eye(factor.shape[-1], dtype=factor.dtype)
+    unit = torch.eye(factor.shape[-1], dtype=factor.dtype, device=factor.device)
     back = torch.linalg.solve_triangular(factor.mT, unit.expand_as(factor), upper=True).to(data)
     cosine = _cosine(frames).to(data)
     scale = (frames * (shape + 2 * weights.get("shape_prior", 0.0)) + 1e-3).rsqrt()

@@ -122,7 +122,8 @@ def fit(
     size: tuple[int, int] | None = None,
     progress: bool = False,
 ) -> Fitted:
-    """Fit every recording of a batch. Ctrl-C keeps the best so far. Tensors are on the CPU.
+    """Fit every recording of a batch. Ctrl-C keeps the best so far. On the observation's device, where the priors and
+    the cameras have to be, too.
 
     What was not seen has no weight. Unseen joints: the priors decide. Unseen frames, also after somebody has left the
     image: the start is interpolated and held at the ends (of keypoints, in lean mode alone); smoothness and the motion
@@ -179,8 +180,9 @@ def start(problem: Problem) -> dict[str, Tensor]:
     latent = seen.values.new_zeros(groups, 1, frames, 32)
     shape = seen.values.new_zeros(groups, 8)
     with torch.no_grad():
-        body = torch.cat((torch.eye(3)[None], priors.pose.decode(latent[0, 0, 0])))
-        joints, turns = fk(STANDARD, torch.zeros(3), body)
+        decoded = priors.pose.decode(latent[0, 0, 0])
+        body = torch.cat((torch.eye(3).to(decoded)[None], decoded))
+        joints, turns = fk(STANDARD, body.new_zeros(3), body)
         if seen.view is None:
             guess = starts.start_3d(seen, joints)
         else:

@@ -102,7 +102,7 @@ def _factors(curvature: Tensor, sharp: Tensor, weight: float) -> Tensor:
     left = torch.arange(curvature.shape[1], 0, -1).to(sharp) ** _LASTING
     whole = left[:, None, None] * curvature + torch.diag_embed(weight * sharp + 1e-6)
     factor = torch.linalg.cholesky(whole.double())
-    unit = torch.eye(whole.shape[-1], dtype=factor.dtype).expand_as(factor)
+    unit = torch.eye(whole.shape[-1], dtype=factor.dtype, device=factor.device).expand_as(factor)
     return torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(sharp)
 
 
