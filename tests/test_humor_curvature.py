@@ -1,6 +1,7 @@
 """Gauss-Newton rows against autograd through naive residuals; and what the energies themselves say."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -8,11 +9,15 @@ from torch.func import grad, jacrev
 
 from motionlab.frames import Frame
 from motionlab.humor import curvature, energies, state
+from motionlab.humor.cvae import Gaussian
 from motionlab.humor.energies import BONE_PARENTS, CONTACT_JOINTS, JOINTS, RGB
 from motionlab.humor.observed import LEVEL, Evidence, View
 from motionlab.humor.recursion import BACK, SUM
+from motionlab.humor.rollout import Rollout
 from motionlab.humor.shape import landmarks, offsets
 from motionlab.humor.slopes import CHANGE, XI
+from motionlab.humor.variables import Posed, Rolled
+from motionlab.posterior import curvature as posterior
 from motionlab.skeleton import STANDARD, fk
 from tests.rolled_inputs import F64, first_states, own, placed, still, turned
 
@@ -269,3 +274,38 @@ def test_a_body_behind_the_camera_has_finite_rows_that_do_not_pull_it(case):
     near = replace(evidence.view, centre=evidence.view.centre + torch.tensor([0.0, 7.0, 0.0], dtype=F64))
     through = curvature.rows(**case, evidence=replace(evidence, view=near), weights=weights)
     assert all(part.isfinite().all() for part in through)
+
+
+# -------------------------------------------------------------------------------------------- the posterior's residuals
+def rolled_as(case, change, evidence):
+    """What ``posterior.curvature`` takes, of changed frames; latents at their prior's mean, shape and camera given."""
+    body, carried, points = world(case, change, evidence, case["camera"])
+    states = torch.zeros(CLIPS, FRAMES, state.STATE, dtype=F64)
+    states[..., state.SLICES["joints"]] = carried.flatten(-2)
+    nought = torch.zeros(CLIPS, FRAMES - 1, 48, dtype=F64)
+    rollout = Rollout(states[:, 1:], case["touching"][:, 1:].logit(), nought, Gaussian(nought, nought))
+    return Rolled(states, rollout, Posed(None, None, body, points, torch.zeros(CLIPS, 8, dtype=F64), None))
+
+
+def rises(case, evidence, weights, change):
+    """Half the square of what a small change (B, T, n) does to the residuals of notebook 09, weighted energy (B,)."""
+    problem = SimpleNamespace(evidence=evidence, weights=weights, priors=None)
+    here, ahead, behind = (rolled_as(case, step * change, evidence) for step in (0.0, 1e-6, -1e-6))
+    a, b = (posterior.residuals(problem, None, rolled, here) for rolled in (ahead, behind))
+    return weights.motion_prior[2] * 0.5 * ((a - b) / 2e-6).square().sum(1)
+
+
+@pytest.mark.parametrize("kind", ["joints", "fixed"])
+def test_rows_and_the_residuals_of_notebook_09_have_one_gauss_newton_matrix(case, kind):
+    """Two derivations of one curvature: the solver's by hand, frame by frame, and the posterior's by differences of the
+    whole. Heights of contacts are in the first alone, the priors of latents, shape and first state in the second."""
+    weights = replace(JOINTS if kind == "joints" else RGB, init_motion_prior=(0, 0, 0), contact_height=(0, 0, 0))
+    evidence, named = seen(case, kind)
+    h = assembled(curvature.rows(**case, evidence=evidence, weights=named))
+    for seed in range(20, 24):
+        change = draw(seed, CLIPS, FRAMES, CHANGE + 8)
+        ours = 0.5 * torch.einsum("btn,btnsk,bsk->b", change, h, change)
+        torch.testing.assert_close(rises(case, evidence, weights, change), ours, rtol=1e-6, atol=0)
+        for name in ("joints3d" if kind == "joints" else "joints2d", "joint_consistency", "bone_length", "contact_vel"):
+            other = replace(weights, **{name: tuple(1.1 * w for w in getattr(weights, name))})  # control: each is seen
+            assert ((rises(case, evidence, other, change) - ours) / ours).min() > 1e-5, name

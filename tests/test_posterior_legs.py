@@ -6,7 +6,7 @@ import torch
 from motionlab.errors import DataError
 from motionlab.humor import cases, testops
 from motionlab.humor.weights import JOINTS
-from motionlab.posterior import curvature, legs, modes, trials
+from motionlab.posterior import curvature, legs, modes, rivals, trials
 from motionlab.posterior.legs import LEGS
 from motionlab.skeleton import STANDARD
 from tests.fit_inputs import QUICK, joints, keypoints
@@ -151,10 +151,54 @@ def test_scatter_of_the_other_directions_has_their_size(clip, generator):
     assert draws.mean(0).abs().max() < 0.1 * draws.std(0).max() + 1e-6
 
 
+def away_along(clip, basis):
+    """A truth whose error is 1 cm in one direction (M,)."""
+    there = clip.roll(torch.zeros(1, clip.size, dtype=torch.float64))[0][0]
+    return there + 0.01 * basis.reshape(there.shape).float()
+
+
+def test_no_rival_holds_more_of_the_variance_than_the_energys_own_directions(clip, walk):
+    found = rivals.compared([clip], [legs.truth_about_pelvis(walk.clip(0))], torch.Generator().manual_seed(0))
+    ours = found[rivals.OURS][0][0]
+    assert ours == pytest.approx(clip.directions.share, abs=1e-6)
+    for name, ((variance, error),) in found.items():
+        assert 0 < variance <= ours + 1e-9 and 0 < error < 1, name
+    for name, basis in rivals.bases(clip).items():
+        assert torch.allclose(basis.mT @ basis, torch.eye(4).double(), atol=1e-6), name
+        assert basis.reshape(24, 6, 3, 4)[~clip.point.hidden].abs().max() < 1e-9, name
+
+
+def test_whoever_has_the_errors_direction_holds_all_of_it_and_others_do_not(clip):
+    for name, basis in rivals.bases(clip).items():
+        truth = away_along(clip, basis[:, 0])
+        found = rivals.compared([clip], [truth], torch.Generator().manual_seed(0))
+        assert found[name][0][1] == pytest.approx(1.0, abs=1e-3), name
+        assert found[rivals.RANDOM][0][1] < 0.9  # control
+
+
+def test_a_gait_that_comes_later_is_in_the_gaits_directions(clip):
+    """And legs that stand still, a fault of neither phase nor size, are not."""
+    (rolled,) = clip.roll(torch.zeros(1, clip.size))[1]
+    path = rolled.body.joints[0][:, list(LEGS)] - rolled.body.joints[0][:, :1]
+    basis = rivals.gait(clip)
+    for truth, least, most in ((torch.roll(path, 1, 0), 0.8, 1.0), (path + torch.tensor([0.0, 0, 0.1]), 0.0, 0.3)):
+        away = ((truth - path) * clip.point.hidden[..., None]).flatten().double()
+        assert least <= rivals.shares(basis, clip, away)[1] <= most
+
+
+def test_rivals_are_counted_clip_by_clip():
+    found = {rivals.OURS: [(0.6, 0.6), (0.5, 0.2)], "other": [(0.4, 0.1), (0.3, 0.5)]}
+    ours, other = rivals.rows(found)
+    assert other["clips in which the energy's hold more of the error"] == "1 of 2"
+    assert ours["of the energy's own variance, %"] == "55 (52 to 58)"
+
+
 def test_emcee_on_a_hot_clip_reports_a_long_chain(clip):
     generator = torch.Generator().manual_seed(1)
     found = trials.sampled(clip, generator, temperature=30.0, walkers=8, steps=600, draws=20)
     assert found.chain.long_enough and found.c.shape == (20, 4) and found.ways.shape == (20, 24, 6, 3)
+    with torch.no_grad():
+        assert torch.allclose(found.energy, -30.0 * clip.log_prob(found.c, 30.0), rtol=1e-4)
     assert found.coordinates.std() > 1.0  # a heat of 30 opens it by some standard deviations
     assert trials.sampled(clip, torch.Generator().manual_seed(2), walkers=8, steps=20) is None  # control: too short
 

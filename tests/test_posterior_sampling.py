@@ -71,6 +71,23 @@ def test_control_short_chain_of_a_slow_sampler_is_refused(generator):
         assert caught.value.history == found.times.tolist()
 
 
+def test_control_one_look_at_a_long_chain_is_not_enough(generator):
+    """The first look is long by the same estimate that decides when to stop; the next one has to agree."""
+    how = {"names": "abc", "generator": generator, "moves": mixed(MEAN, torch.linalg.cholesky(COV))}
+    once = sample(gaussian, near(generator), steps=1000, block=1000, **how)
+    assert (once.lengths >= sampling.LEAST).all() and once.looks == 1 and not once.long_enough
+    with pytest.raises(NotConverged, match="2 looks in a row, it had them at 1"):
+        once.draws()
+    assert sample(gaussian, near(generator), steps=2000, block=1000, **how).long_enough
+
+
+def test_a_short_look_between_two_long_ones_begins_the_count_anew(generator, monkeypatch):
+    looks = iter([True, False, True, True, True])
+    monkeypatch.setattr(sampling, "_long", lambda lengths: next(looks))
+    found = sample(gaussian, near(generator), names="abc", generator=generator, steps=1000, block=10)
+    assert found.looks == 2 and len(found.chain) + found.burned == 40
+
+
 def test_control_walker_that_never_moves_is_refused(generator):
     still = [(emcee.moves.MHMove(lambda points, random: (points + 1e6, np.zeros(len(points)))), 1.0)]
     found = sample(gaussian, near(generator), names="abc", generator=generator, steps=200, moves=still)

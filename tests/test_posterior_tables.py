@@ -1,3 +1,4 @@
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -26,6 +27,29 @@ def test_depth_counts_the_truths_inside_and_names_the_width(generator):
     half = tables.half_widths([placed(generator, inside)], torch.tensor([4.0]))
     assert half["Laplace"].item() == pytest.approx(100 * 1.645 * 0.05 * 4, rel=1e-6)
     assert half["emcee"].item() == pytest.approx(32.9, rel=0.05)
+
+
+def test_ensembles_that_disagree_are_named_worst_and_single_ones_are_not_compared(generator):
+    one, same, other = (chain(generator, (0.1, 0.05, 1.0)) for _ in range(3))
+    other = replace(other, chain=other.chain + torch.tensor([0.0, 0.2, 0.0]))
+    good, bad = tables.agreement_rows({"good": [(one, same), (one,)], "bad": [(one, same), (one, other)]})
+    assert float(good["worst"]) < 1.01 and good["at most 1.01"] == "1 of 1 clips"
+    assert float(bad["worst"]) > 2 and bad["at most 1.01"] == "1 of 2 clips"
+    assert bad["R-hat of a chain's own walkers"].startswith("1.0")  # which knows nothing of the other
+    (alone,) = tables.agreement_rows({"alone": [(one,)]})
+    assert alone["worst"] == "-" and alone["at most 1.01"] == "0 of 0 clips"
+    again = replace(placed(generator, torch.zeros(3).double()), again=(other,))
+    assert float(tables.depth_rows({"image": [again]})[0]["worst R-hat of ensembles"]) > 2
+
+
+def test_coverage_says_between_which_temperatures_and_on_how_many_clips(generator):
+    clips, exact = [clip()] * 3, [torch.zeros(4).double()] * 3
+    found = tables.judged(clips, [draws(generator), None, draws(generator)], exact)
+    cold, warm = tables.coverage_rows(
+        {"cold": found, "warm": found}, generator, {"warm": torch.tensor([50.0, 9.0, 70.0])}
+    )
+    assert cold["temperature"] == "1" and warm["temperature"] == "50 to 70"
+    assert warm["n"] == 2 and warm["90 % holds"].startswith("100 % [34, 100]")
 
 
 def clip(size=4):

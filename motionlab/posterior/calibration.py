@@ -6,6 +6,7 @@ the posterior right, u is uniform on 0..1. One truth per clip is one sample, how
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import torch
@@ -59,14 +60,27 @@ def held(draws: Tensor, truth: Tensor, levels: Sequence[float] = LEVELS, factor:
     return torch.stack(found)
 
 
-def fold_factors(stretches: Tensor, level: float = 0.9, folds: int = 4) -> Tensor:
-    """For each clip (C,) the factor on the spread that holds ``level`` of the clips in the *other* folds.
+def needed(level: float, others: int) -> int:
+    """How many of so many other clips a region must hold for one more clip like them to be held with probability
+    ``level``: its rank among them is as likely to be any; all of them where they are too few to promise that much."""
+    return min(others, math.ceil(level * (others + 1) - 1e-9))
 
-    Clip i is in fold i modulo ``folds``. A single wild clip among the others does not decide, as it would in conformal
-    prediction with fewer than 1 / (1 - level)^2 of them.
-    """
-    fold = torch.arange(len(stretches)) % folds
-    return torch.stack([stretches[fold != mine].nanquantile(level) for mine in fold])
+
+def others_of(count: int, folds: int | None = None) -> Tensor:
+    """(C, C) bool: [i, j] where clip j is another clip than i (``folds`` None: leave one out), or of another fold; clip
+    i is in fold i modulo ``folds``."""
+    fold = torch.arange(count) % (folds or count)
+    return fold[:, None] != fold
+
+
+def fold_factors(stretches: Tensor, level: float = 0.9, folds: int | None = None) -> Tensor:
+    """For each clip (C,) the factor on the spread that holds ``needed`` of the *other* clips. NaN among the stretches
+    (C,) is a clip that does not count; where no other counts, NaN is the answer."""
+    found = []
+    for mask in others_of(len(stretches), folds):
+        others = stretches[mask & stretches.isfinite()].sort().values
+        found.append(others[needed(level, len(others)) - 1] if len(others) else stretches.new_tensor(torch.nan))
+    return torch.stack(found)
 
 
 def coverage(levels_of: Tensor, generator: torch.Generator, levels: Sequence[float] = LEVELS) -> list[dict]:

@@ -2,7 +2,8 @@
 
 Where legs are hidden from the first frame on, both phases of a walk explain the image. A fit finds one. Here stage 3
 starts again from its result, as it is and with left and right leg exchanged, and the energy is followed along the
-straight way between the two results, which is what walkers around one of them would have to cross.
+straight way between the two results. The highest point of that way is an upper bound of the barrier that walkers around
+one of them would have to cross: a way that bends may be lower, and none was searched for.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ class Modes:
     energies: Tensor
 
     def between(self, index: int, share: Tensor) -> Tensor:
-        """Energy (S,) of one clip along the straight way from the first result (0) to the second (1), nats."""
+        """Energy (S,) of one clip along the straight way from the first result (0) to the second (1), nats. Its highest
+        point bounds the barrier from above and says nothing from below."""
         a, b = (each[index] for each in self.unknowns)
         problem = self.problems[0][index]
         unknown = {n: torch.stack([torch.lerp(a[n][0], b[n][0], float(s)) for s in share]) for n in a}
@@ -130,7 +132,7 @@ def rows(modes: Modes, truth: Motion, share: Tensor, names: Sequence[str]) -> li
                 "clip": name,
                 "frames with the other foot forward, %": f"{100 * modes.apart()[i]:.0f}",
                 "energy of the second less the first, nats": f"{modes.energies[1, i] - modes.energies[0, i]:+.0f}",
-                "highest point between, nats": f"{float(way.max()) - low:.0f}",
+                "highest point between, nats (the barrier is no higher)": f"{float(way.max()) - low:.0f}",
                 "true foot forward in the first, %": f"{100 * right_foot(modes.motions[0], truth)[i]:.0f}",
                 "in the second, %": f"{100 * right_foot(modes.motions[1], truth)[i]:.0f}",
             }

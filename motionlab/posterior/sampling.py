@@ -1,7 +1,8 @@
 """Draws from a posterior over a few numbers by emcee's walkers, and a refusal to report chains that are too short.
 
-All walkers of a move are evaluated in one batch. What a chain says is worth its length in autocorrelation times. With
-the stretch and differential-evolution moves walkers are not independent, so that R-hat across them says nothing; with
+All walkers of a move are evaluated in one batch. What a chain says is worth its length in autocorrelation times, and a
+chain that never saw a second mode thinks them short: ``agreement`` compares ensembles that began apart. With the
+stretch and differential-evolution moves walkers are not independent, so that R-hat across walkers says nothing; with
 Metropolis-Hastings moves alone (``mixed``) they are chains of their own in one batch.
 
 Source: Foreman-Mackey et al. 2013 (emcee); Goodman & Weare 2010; the 50 autocorrelation times are emcee's own rule.
@@ -11,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import emcee
 import numpy as np
@@ -23,6 +24,7 @@ from tqdm.auto import tqdm
 from motionlab.errors import DataError, NotConverged, ShapeError, check_shape
 
 LEAST = 50  # autocorrelation times that a chain must be long
+LOOKS = 2  # looks in a row at which it must be: of many looks at a noisy estimate one is low by chance
 BURN = 5  # autocorrelation times that are thrown away at its beginning
 _FEW = 0.35  # of independent proposals: below, the Gaussian behind them is a bad one
 _BULK, _TAIL = 1.15, 8.0  # of the independent proposal: wider than the Gaussian, degrees of freedom of its tails
@@ -35,7 +37,8 @@ class Posterior:
     """A chain of W walkers in n numbers, its beginning cut off.
 
     chain (S, W, n), log_prob (S, W): float64. times (n,): autocorrelation times, in steps. acceptance: mean share of
-    accepted proposals. names, units: of the numbers. burned: steps cut off. stopped: a person stopped it.
+    accepted proposals. names, units: of the numbers. burned: steps cut off. stopped: a person stopped it. looks: in a
+    row and up to the last one, at which the chain was long enough.
     """
 
     chain: Tensor
@@ -46,6 +49,7 @@ class Posterior:
     units: tuple[str, ...]
     burned: int
     stopped: bool = False
+    looks: int = LOOKS
 
     @property
     def lengths(self) -> Tensor:
@@ -54,8 +58,8 @@ class Posterior:
 
     @property
     def long_enough(self) -> bool:
-        """Whether the chain is ``LEAST`` autocorrelation times long in every number."""
-        return bool((self.lengths >= LEAST).all())  # not so where a time is not finite
+        """Whether the chain is ``LEAST`` autocorrelation times long in every number, and was at the look before."""
+        return self.looks >= LOOKS and _long(self.lengths)
 
     def draws(self, count: int | None = None) -> Tensor:
         """Draws (N, n), all or ``count`` of them evenly along the chain.
@@ -69,7 +73,8 @@ class Posterior:
             )
             raise NotConverged(
                 f"the chain is {len(self.chain)} steps long, in autocorrelation times: {short}; a report needs {LEAST} "
-                "(remedy: more steps, walkers nearer the posterior, or other moves)",
+                f"at {LOOKS} looks in a row, it had them at {self.looks} (remedy: more steps, walkers nearer the "
+                "posterior, or other moves)",
                 self.times.tolist(),
             )
         flat = self.chain.flatten(0, 1)
@@ -120,7 +125,8 @@ def sample(
     moves: Sequence[tuple[moves.Move, float]] | None = None,
     progress: bool = False,
 ) -> Posterior:
-    """Walk until the chain is long enough to report, at most ``steps``. Ctrl-C keeps what there is.
+    """Walk until the chain is long enough to report at ``LOOKS`` looks in a row, at most ``steps``. Ctrl-C keeps what
+    there is.
 
     Args:
         log_prob: of points (k, n), float64, in nats up to a constant, (k,); what is not finite counts as impossible.
@@ -157,7 +163,7 @@ def sample(
 
 
 def _until_long(sampler, state, names, units, steps: int, block: int, progress: bool) -> Posterior:
-    stopped, found = False, None
+    stopped, found, looks = False, None, 0
     with tqdm(total=LEAST, desc="autocorrelation times", disable=not progress, bar_format="{l_bar}{bar}") as bar:
         while sampler.iteration < steps and not stopped:
             try:
@@ -167,6 +173,8 @@ def _until_long(sampler, state, names, units, steps: int, block: int, progress: 
             if not sampler.iteration:
                 raise KeyboardInterrupt
             found = _posterior(sampler, names, units, stopped)
+            looks = looks + 1 if _long(found.lengths) else 0
+            found = replace(found, looks=looks)
             bar.n = min(LEAST, round(found.lengths.nan_to_num(0.0).amin().item(), 1))
             bar.refresh()
             if found.long_enough:
@@ -186,6 +194,10 @@ def _posterior(sampler, names, units, stopped: bool) -> Posterior:
         kept, torch.from_numpy(log_prob[burned:].copy()), times(kept), float(sampler.acceptance_fraction.mean()),
         names, units, burned, stopped,
     )  # fmt: skip
+
+
+def _long(lengths: Tensor) -> bool:
+    return bool((lengths >= LEAST).all())  # not so where a time is not finite
 
 
 def times(chain: Tensor) -> Tensor:

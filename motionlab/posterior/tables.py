@@ -8,8 +8,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from motionlab.posterior import calibration, trials
+from motionlab.posterior import agreement, calibration, trials
 from motionlab.posterior.legs import Open
+from motionlab.posterior.sampling import Posterior
 from motionlab.posterior.trials import CM, Draws, Placed
 
 _NORMAL_90 = 1.645  # standard deviations to either side that hold 90 % of a Gaussian
@@ -46,6 +47,32 @@ def depth_rows(place: Mapping[str, Sequence[Placed]]) -> list[dict[str, object]]
                 "truth in the central 90 %: distance": f"{inside[1]} of {len(each)}",
                 "size": f"{inside[0]} of {len(each)}",
                 "longest autocorrelation time": max(p.chain.times.max().item() for p in each),
+                "worst R-hat of ensembles": agreed([(p.chain, *p.again) for p in each]),
+            }
+        )
+    return rows
+
+
+def agreed(clips: Sequence[Sequence[Posterior]]) -> str:
+    """The largest R-hat of any clip and number between the clip's independent ensembles."""
+    several = [agreement.worst(each) for each in clips if len(each) > 1]
+    return f"{max(several):.4f}" if several else "-"
+
+
+def agreement_rows(found: Mapping[str, Sequence[Sequence[Posterior]]]) -> list[dict[str, object]]:
+    """A row per posterior, from the ensembles of each clip, one or several: what a chain knows of itself (its
+    autocorrelation time, R-hat of its own walkers) beside what only another can tell."""
+    rows = []
+    for name, clips in found.items():
+        several = [agreement.worst(each) for each in clips if len(each) > 1]
+        rows.append(
+            {
+                "posterior": name,
+                "longest autocorrelation time, steps": quartiles([each[0].times.max() for each in clips], 1),
+                "R-hat of a chain's own walkers": quartiles([agreement.of_walkers(each[0]) for each in clips], 3),
+                "R-hat of independent ensembles": quartiles(several, 3),
+                "worst": agreed(clips),
+                f"at most {agreement.AGREED}": f"{sum(r <= agreement.AGREED for r in several)} of {len(several)} clips",
             }
         )
     return rows
@@ -119,15 +146,19 @@ def held(judged: Judged | None, generator: torch.Generator, level: float = 0.9) 
     return f"{100 * row['share']:.0f} % [{100 * row['low']:.0f}, {100 * row['high']:.0f}], n = {row['n']}"
 
 
-def coverage_rows(posteriors: Mapping[str, Judged], generator: torch.Generator) -> list[dict[str, object]]:
-    """A row per posterior: coverage at each level, and how wide it is."""
+def coverage_rows(
+    posteriors: Mapping[str, Judged], generator: torch.Generator, temperatures: Mapping[str, Tensor]
+) -> list[dict[str, object]]:
+    """A row per posterior: its clips' temperatures (C,), 1 unless given, coverage at each level, and how wide it is."""
     rows = []
     for name, found in posteriors.items():
         said = {
             f"{100 * r['level']:g} % holds": f"{100 * r['share']:.0f} % [{100 * r['low']:.0f}, {100 * r['high']:.0f}]"
             for r in calibration.coverage(found.levels, generator)
         }
-        rows.append({"posterior": name, "n": len(found.clips)} | said | {"s.d. of a joint, cm": found.width})
+        heat = temperatures.get(name, torch.ones(max(found.clips) + 1))[found.clips]
+        warm = {"temperature": " to ".join(dict.fromkeys(f"{t:.0f}" for t in (heat.min(), heat.max())))}
+        rows.append({"posterior": name} | warm | {"n": len(found.clips)} | said | {"s.d. of a joint, cm": found.width})
     return rows
 
 

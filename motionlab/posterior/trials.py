@@ -23,13 +23,14 @@ class Draws:
     """Legs that one clip's posterior thinks possible.
 
     chain: None for a Gaussian. c (D, k): in the directions. ways (D, T, 6, 3): the hidden legs about the pelvis,
-    metres; coordinates (D, k): of these, along the directions.
+    metres; coordinates (D, k): of these, along the directions. energy (D,): nats, None for a Gaussian.
     """
 
     chain: Posterior | None
     c: Tensor
     ways: Tensor
     coordinates: Tensor
+    energy: Tensor | None = None
 
 
 def sampled(
@@ -52,9 +53,10 @@ def sampled(
     )  # fmt: skip
     if not chain.long_enough:
         return None
-    c = chain.draws(draws)
-    ways = clip.roll(c)[0]
-    return Draws(chain, c, ways, clip.coordinates(ways))
+    c, energy = chain.draws(), -temperature * chain.log_prob.flatten()
+    some = torch.linspace(0, len(c) - 1, min(draws, len(c))).round().long()
+    ways = clip.roll(c[some])[0]
+    return Draws(chain, c[some], ways, clip.coordinates(ways), energy[some])
 
 
 def gaussian(clip: Open, generator: torch.Generator, *, temperature: float = 1.0, draws: int = 200) -> Draws:
@@ -105,12 +107,16 @@ def fixed_ball(clips: Sequence[Open], truths: Sequence[Tensor], level: float = 0
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Where one clip's person may stand: the chain of depth's three numbers, Laplace's mean and factor, the truth."""
+    """Where one clip's person may stand: the chain of depth's three numbers, Laplace's mean and factor, the truth.
+
+    again: more chains of the same, each with a guess, a warm-up and walkers of its own.
+    """
 
     chain: Posterior
     mean: Tensor
     factor: Tensor
     truth: Tensor
+    again: tuple[Posterior, ...] = ()
 
 
 def placed(
@@ -125,6 +131,7 @@ def placed(
     *,
     walkers: int = 24,
     steps: int = 2000,
+    ensembles: int = 2,
 ) -> Placed:
     """One clip under one state of knowledge, its camera's height measured as wrong as that says (at most 5 cm)."""
     error = min(known.camera, 0.05) * float(torch.randn((), generator=generator, dtype=torch.float64))
@@ -132,8 +139,11 @@ def placed(
     exact = depth.true_numbers(view, truth, camera, frames) - torch.tensor([0.0, 0.0, error])
     view = view.moved(error)
     mean, factor = view.laplace(known)
-    chain = walk(
-        lambda theta: view.log_prob(theta, known), mean, factor, walkers=walkers, generator=generator, steps=steps,
-        names=depth.NAMES, units=depth.UNITS,
+    chain, *again = (
+        walk(
+            lambda theta: view.log_prob(theta, known), mean, factor, walkers=walkers, generator=generator, steps=steps,
+            names=depth.NAMES, units=depth.UNITS,
+        )
+        for _ in range(ensembles)
     )  # fmt: skip
-    return Placed(chain, mean, factor, exact)
+    return Placed(chain, mean, factor, exact, tuple(again))
