@@ -7,8 +7,9 @@ import torch
 
 from motionlab import rotation
 from motionlab.errors import ShapeError
-from motionlab.humor import decoupled, stages, state
-from motionlab.humor.decoupled import Form, consistency, sequences, terms, to_persistent, to_states
+from motionlab.humor import stages, state
+from motionlab.humor.decoupled import energy
+from motionlab.humor.decoupled.energy import Form, consistency, sequences, terms, to_persistent, to_states
 from motionlab.humor.observed import evidence
 from motionlab.humor.rollout import decode_ahead, infer, rollout
 from motionlab.humor.stages import Problem
@@ -67,7 +68,7 @@ def by_hand(model, states, z, steps):
 def test_persistent_states_come_back(walk):
     states = state.from_motion(walk)
     x = to_persistent(states)
-    assert x.shape[-1] == decoupled.PERSISTENT == 273
+    assert x.shape[-1] == energy.PERSISTENT == 273
     torch.testing.assert_close(to_states(x), states, atol=1e-5, rtol=0)
     longer = to_states(x * 1.0 + 0.05 * torch.randn(x.shape, generator=torch.Generator().manual_seed(0)))
     turns = state.unpack(longer)["pose_body"]
@@ -120,7 +121,7 @@ def test_sequences_refuse_what_does_not_fit(kit, start):
 
 @pytest.mark.parametrize("steps", [1, 4, 23])
 def test_at_an_exact_roll_out_the_energy_is_that_of_stage_3(problem, exact, steps):
-    judged, _ = decoupled.rolled_out(problem, exact)
+    judged, _ = energy.rolled_out(problem, exact)
     with torch.no_grad():
         found, _ = terms(problem, exact, Form(steps))
     assert (found.pop("consistency") < 0.02).all()  # a sum of 24 x 339 differences that are rounding
@@ -152,7 +153,7 @@ def test_rolled_out_is_stage_3_of_a_fit(kit, walk, camera):
     wanted = stages.motion_terms(problem, unknown)
     first = stages.variables.first_state(unknown, kit)
     x = to_persistent(torch.cat((first[:, None], states[:, 1:]), 1))
-    found, _ = decoupled.rolled_out(problem, {"x": x, "z": z, "betas": torch.zeros(2, 8)})
+    found, _ = energy.rolled_out(problem, {"x": x, "z": z, "betas": torch.zeros(2, 8)})
     assert set(found) == set(wanted)
     for name, value in wanted.items():
         torch.testing.assert_close(found[name], value, atol=1e-3, rtol=1e-4)

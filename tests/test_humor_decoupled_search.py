@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab.humor import decoupled_search as search
 from motionlab.humor import state
-from motionlab.humor.decoupled import Form, terms, to_persistent, to_states
-from motionlab.humor.decoupled_search import BOTH, Plan, X, Z, adam, alternate, lbfgs
+from motionlab.humor.decoupled import search
+from motionlab.humor.decoupled.energy import Form, terms, to_persistent, to_states
+from motionlab.humor.decoupled.search import BOTH, Plan, X, Z, adam, alternate, lbfgs
 from motionlab.humor.observed import evidence
 from motionlab.humor.rollout import infer
 from motionlab.humor.stages import Problem

@@ -1,4 +1,4 @@
-"""What the decoupled stage 3 is tried on, how it is judged, and what its parts cost.
+"""What the decoupled stage 3 is tried on, and how it is judged.
 
 Source: thesis 3.3.3. The judge is the same for all variants: the exact roll-out of the x_0 and z that were found.
 """
@@ -6,18 +6,18 @@ Source: thesis 3.3.3. The judge is the same for all variants: the exact roll-out
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from motionlab import findings, profiling
-from motionlab.humor import cases, ladder, state, testops
+from motionlab import findings
+from motionlab.humor import cases, state, testops
 from motionlab.humor.case_trials import CM, Seen, two_stages
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.decoupled import Form, Unknown, posed, prior_of, rolled_out, terms, to_persistent, to_states
-from motionlab.humor.decoupled_search import Found, Plan, adam
+from motionlab.humor.decoupled.energy import Unknown, posed, rolled_out, to_persistent, to_states
+from motionlab.humor.decoupled.search import Found, Plan, adam
 from motionlab.humor.observed import evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import decode_ahead, infer, rollout
@@ -40,8 +40,8 @@ class Case:
     """B clips at the end of stage 2.
 
     problem: the energy of stage 3. start: the persistent states of stage 2, the posterior's mean for each of its
-    transitions, its shape. truth, stage_2: motions (B, T). fitted: what a whole fit by single shooting made of the
-    clips, and in how many seconds of processor time, where one was asked for.
+    transitions, its shape. truth, stage_2: motions (B, T). fitted: what a whole fit made of the clips, and in how many
+    seconds of processor time, where one was asked for.
     """
 
     problem: Problem
@@ -67,8 +67,9 @@ class Case:
         return self.problem.priors.motion
 
 
-def case(scene: Filmed, priors: Priors, schedule: Schedule, *, frames: int, whole: bool = False) -> Case:
-    """The first ``frames`` of a scene with its camera known, after stages 1 and 2; ``whole``: and after stage 3."""
+def case(scene: Filmed, priors: Priors, schedule: Schedule, *, frames: int, solver: str | None = None) -> Case:
+    """The first ``frames`` of a scene with its camera known, after stages 1 and 2; with a ``solver`` fitted whole, too:
+    by "rollout", which is single shooting, or by "shooting", which is faster."""
     seen = replace(
         scene.observation,
         keypoints=scene.observation.keypoints[:, :frames],
@@ -81,15 +82,15 @@ def case(scene: Filmed, priors: Priors, schedule: Schedule, *, frames: int, whol
         z = infer(priors.motion, states)[0].mean
     start = {"x": to_persistent(states), "z": z, "betas": begun.betas}
     problem, truth = Problem(evidence(seen, **how), priors, RGB_LIGHT), scene.truth.cut(0, frames)
-    if not whole:
+    if solver is None:
         return Case(problem, start, truth, begun.stages[2])
     began = time.process_time()
-    fitted = testops.fit(seen, priors, schedule=schedule, **how)
+    fitted = testops.fit(seen, priors, schedule=schedule, solver=solver, **how)
     return Case(problem, start, truth, begun.stages[2], fitted, time.process_time() - began)
 
 
 def reference(known: Case) -> dict[str, Tensor]:
-    """What single shooting found, as decoupled unknowns: the states of its roll-out, its z, its shape."""
+    """What the whole fit found, as decoupled unknowns: the states of its roll-out, its z, its shape."""
     with torch.no_grad():
         first, z = known.fitted.first[:, 0], known.fitted.z[:, 0]
         states = torch.cat((first[:, None], rollout(known.model, first, z, with_prior=False).states), 1)
@@ -115,27 +116,35 @@ def judged(known: Case, unknown: Unknown) -> dict[str, Tensor]:
     """
     energies, _ = rolled_out(known.problem, unknown)
     found = motions(known, unknown)
-    low = cases.legs(known.truth)
-
-    def legs(motion: Motion) -> Tensor:
-        error = pose.joint_errors(motion.positions, known.truth.positions, align="root")
-        return CM * error[..., low].mean((-1, -2))
-
     return {
         "energy": sum(energies.values()),
-        "legs": legs(found["rolled"]),
+        "legs": legs(known, found["rolled"]),
         "sits": cases.sits(found["rolled"]),
-        "kept legs": legs(found["kept"]),
+        "kept legs": legs(known, found["kept"]),
         "kept sits": cases.sits(found["kept"]),
         "gap": CM * pose.mpjpe(found["kept"].positions, found["rolled"].positions, align="none"),
     }
 
 
-def bending(model: Cvae, states: Tensor, z: Tensor, known: Case) -> Tensor:
-    """Knee flexion (B,) that z says: summed over one-step decodes from states (B, T, 339), degrees, mean of legs."""
+def legs(known: Case, motion: Motion, frames: int | None = None) -> Tensor:
+    """Error (B,) in cm of knees, ankles and feet, pelvis on the true one, over the first ``frames`` or all."""
+    error = pose.joint_errors(motion.positions, known.truth.positions, align="root")
+    return CM * error[:, :frames, cases.legs(known.truth)].mean((-1, -2))
+
+
+#: The thesis's premise (3.3.3): z "encode a sitting motion". Half of the flexion from which on somebody sits, degrees.
+ENCODES = 30.0
+
+
+def bending(known: Case, z: Tensor, states: Tensor | None = None) -> Tensor:
+    """Knee flexion (B,) that z says: summed over one-step decodes from states (B, T, 339), degrees, mean of legs.
+
+    states: unless given those of stage 2.
+    """
     skeleton, fps = known.stage_2.skeleton, known.truth.fps
+    states = to_states(known.start["x"]) if states is None else states
     with torch.no_grad():
-        after = decode_ahead(model, states[:, :-1], z)[:, :, 0]
+        after = decode_ahead(known.model, states[:, :-1], z)[:, :, 0]
     before, after = (cases.tilt_and_bend(state.to_motion(x, skeleton, fps))[1] for x in (states[:, :-1], after))
     return (after - before).mean(-1).sum(-1)
 
@@ -165,87 +174,33 @@ def row(found: Mapping[str, Tensor], generator: torch.Generator) -> dict[str, st
     }
 
 
-# ----------------------------------------------------------------------------------------------------------- costs
-OFFICIAL, LEAN = ladder.Savings(frozen=True), ladder.LEAN
-FORMS = {"official": OFFICIAL, "lean": LEAN}
+# ------------------------------------------------------------------------------------------------ one of the two fixed
+def with_z_fixed(known: Case, z: Tensor, plan: Plan, evaluations: int, at: Sequence[int], frames: int) -> Found:
+    """x from that of stage 2 on, z fixed; watched: :func:`judged`, and "first legs", the same as "kept legs" but of the
+    first ``frames`` alone, so that a long clip can be compared with a short one where both have frames."""
+
+    def look(unknown: Unknown) -> dict[str, Tensor]:
+        return judged(known, unknown) | {"first legs": legs(known, motions(known, unknown)["kept"], frames)}
+
+    return adam(known.problem, {**known.start, "z": z}, plan, evaluations, watch=look, at=at)
 
 
-def decodes(model: Cvae, states: Tensor, z: Tensor, steps: int | None, on: ladder.Savings) -> Callable[[], Tensor]:
-    """One evaluation: forwards, to the sum of the squares of what is decoded and the prior's nats, without the body.
-
-    states (B, T, 339), z (B, T - 1, 48). steps: K from every state at once; None: the roll-out of all T - 1. In
-    official form the prior is asked at every step, as that code does; in lean form once for each transition.
-    """
-    x, z = states.detach().requires_grad_(), z.detach().requires_grad_()
-    frames = x.shape[1]
-    at = (torch.arange(frames - 1)[:, None] + torch.arange(steps or 1)).clamp(max=frames - 2)
-
-    def value() -> Tensor:
-        if steps is None:
-            found = ladder.chain(model, x[:, 0], z, on)
-        elif on.lean_layout:
-            found = rollout(model, x[:, :-1].flatten(0, 1), z[:, at].flatten(0, 1), with_prior=False)
-            found = found._replace(prior=prior_of(model, x), z=z)
-        else:
-            found = ladder.chain(model, x[:, :-1].flatten(0, 1), z[:, at].flatten(0, 1), on)
-        return found.states.square().sum() + found.contact_logits.square().sum() + found.prior.nll(found.z).sum()
-
-    return value
-
-
-@dataclass(frozen=True, eq=False)
-class Costs:
-    """seconds: processor time of evaluations with their gradients (n,), nodes: steps of autograd; both by
-    (form, clips, K or None)."""
-
-    seconds: dict[tuple[str, int, int | None], Tensor]
-    nodes: dict[tuple[str, int, int | None], int]
-
-    def gain(self, form: str, clips: int, steps: int) -> Tensor:
-        """Time of the roll-out over that of K steps from all states at once, round by round (n,)."""
-        return self.seconds[form, clips, None] / self.seconds[form, clips, steps]
-
-
-def costs(model: Cvae, states: Tensor, batches: Sequence[int], steps: Sequence[int], rounds: int) -> Costs:
-    """Times of the roll-out and of K steps, both forms, all in turns. states (1, T, 339) of any motion."""
-    with torch.no_grad():
-        z = infer(model, states)[0].mean
-    calls = {
-        (form, b, k): decodes(model, states.expand(b, -1, -1), z.expand(b, -1, -1), k, on)
-        for form, on in FORMS.items()
-        for b in batches
-        for k in (None, *steps)
-    }
-    nodes = {key: profiling.graph_nodes(value()) for key, value in calls.items()}
-    timed = {key: (lambda value=value: value().backward()) for key, value in calls.items()}
-    return Costs(profiling.interleaved(timed, n=rounds, clock=time.process_time), nodes)
-
-
-def closures(known: Case, forms: Mapping[str, Form], rounds: int) -> dict[str, Tensor]:
-    """Processor time in seconds (rounds,) of the whole decoupled energy with its gradients, forms in turns."""
-    point = {n: x.clone().requires_grad_() for n, x in known.start.items()}
-
-    def closure(form: Form) -> Callable[[], object]:
-        return lambda: torch.autograd.grad(sum(terms(known.problem, point, form)[0].values()).sum(), [*point.values()])
-
-    return profiling.interleaved({n: closure(f) for n, f in forms.items()}, n=rounds, clock=time.process_time)
-
-
-# ------------------------------------------------------------------------------------------------- z towards HuMoR's
 def latent_error(z: Tensor, wanted: Tensor) -> Tensor:
-    """Mean absolute difference (B,) of latents (B, T, 48): "latent_motion error". Source: thesis Fig. 3.13."""
+    """Mean absolute difference (..., B) of latents (..., B, T, 48): "latent_motion error". Source: thesis Fig. 3.13."""
     return (z - wanted).abs().mean((-1, -2))
 
 
 def towards(known: Case, plan: Plan, iterations: int, at: Sequence[int]) -> tuple[Found, Tensor]:
     """x and shape fixed at the solution of single shooting, z from the posterior's mean of stage 2 on.
 
-    Also the latent error (len(at), B) over the search.
+    Also, as a control beside them, the latent errors (2, len(at), B) over the search: from the z of the clip's own
+    solution, and from that of the next clip's, with which this x has nothing to do.
     """
     solution = reference(known)
+    wanted = torch.stack((solution["z"], solution["z"].roll(-1, 0)))
     start = {**solution, "z": known.start["z"]}
     found = adam(
         known.problem, start, plan, iterations,
-        watch=lambda u: {"error": latent_error(u["z"], solution["z"])}, at=at,
+        watch=lambda u: {"error": latent_error(u["z"], wanted)}, at=at,
     )  # fmt: skip
-    return found, torch.stack([found.watched[i]["error"] for i in at])
+    return found, torch.stack([found.watched[i]["error"] for i in at], 1)

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from motionlab.humor.decoupled import Form, Sequences, Unknown, terms, to_persistent
+from motionlab.humor.decoupled.energy import Form, Sequences, Unknown, terms, to_persistent
 from motionlab.humor.stages import Problem
 from motionlab.optimise_batch import minimise_batch
 

@@ -1,0 +1,187 @@
+"""The settings of every decoupled search, chosen on clips that no table uses, by searches as long as they are used.
+
+A walk over ladders: a setting and its neighbours, one rung up or down on each ladder, are tried in one batch; the best
+of them is where the next look begins; the walk ends where no neighbour is better, so that what it chooses lies at no
+edge of what was tried. A search is judged by what all searches are judged by, the stage-3 energy of the exact roll-out,
+unless another measure is named; ties and numbers that are not finite lose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from motionlab.humor.decoupled.energy import Form, Unknown
+from motionlab.humor.decoupled.search import Found, Plan, X, adam, alternate, lbfgs
+from motionlab.humor.decoupled.trials import Case, judged
+
+Setting = dict[str, float]
+#: The rungs of steps and of weights, and of the share of x that is overwritten.
+LADDER = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9)
+
+
+@dataclass(frozen=True)
+class Search:
+    """A way to search. make: its plan from one number, or one tensor (n,), for each name in ``begin``.
+
+    begin: where the walk begins. method: what does the searching. ladders: other rungs than ``LADDER``, by name.
+    """
+
+    make: Callable[..., Plan]
+    begin: Mapping[str, float]
+    method: Callable[..., Found] = adam
+    ladders: Mapping[str, Sequence[float]] | None = None
+    measure: str = "energy"
+
+    def neighbours(self, at: Mapping[str, float]) -> Iterator[Setting]:
+        """The settings one rung up or down from another, one ladder at a time; none beyond a ladder's end."""
+        for name, value in at.items():
+            ladder = (self.ladders or {}).get(name, LADDER)
+            k = ladder.index(value)
+            yield from ({**at, name: ladder[j]} for j in (k - 1, k + 1) if 0 <= j < len(ladder))
+
+
+def _loss(rate_x, rate_z, weight) -> Plan:
+    return Plan(Form(1, weight), rate_x=rate_x, rate_z=rate_z)
+
+
+def _detached(rate_x, rate_z, weight) -> Plan:
+    return Plan(Form(1, weight, detached=True), rate_x=rate_x, rate_z=rate_z)
+
+
+def _copied(rate_x, rate_z) -> Plan:
+    return Plan(Form(1, 0.0), rate_x=rate_x, rate_z=rate_z, share=1.0)
+
+
+def _blended(rate_x, rate_z, share) -> Plan:
+    return Plan(Form(1, 0.0), rate_x=rate_x, rate_z=rate_z, share=share)
+
+
+def _weighed(weight) -> Plan:
+    return Plan(Form(1, weight))
+
+
+def _x_alone(rate_x, weight) -> Plan:
+    return Plan(Form(1, weight), moving=X, rate_x=rate_x, settle=False)
+
+
+#: K = 1 throughout; L1 takes every number of a state alike, as the thesis does.
+#: The walks begin where trials on the same practice clips ended.
+SEARCHES = {
+    "copy": Search(_copied, {"rate_x": 1e-4, "rate_z": 0.001}),
+    "blend": Search(_blended, {"rate_x": 0.001, "rate_z": 0.001, "share": 0.3}, ladders={"share": SHARES}),
+    "L1": Search(_loss, {"rate_x": 0.03, "rate_z": 0.03, "weight": 30.0}),
+    "L1, z detached": Search(_detached, {"rate_x": 0.03, "rate_z": 0.003, "weight": 100.0}),
+    "L1, L-BFGS": Search(_weighed, {"weight": 3.0}, method=lbfgs),
+}
+#: For clips of its own length, and by what it is wanted for: the legs of the persistent states.
+FIXED_Z = Search(_x_alone, {"rate_x": 0.03, "weight": 10.0}, measure="kept legs")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a walk chose. rows: every setting tried, with its measures, means over the clips. ended: the chosen setting
+    has neighbours on either side and none is better; otherwise the walk was cut off, or came to the end of a ladder."""
+
+    setting: Setting
+    rows: list[dict[str, float]]
+    ended: bool
+
+
+def tune(
+    practice: Case, search: Search, evaluations: int, *, rounds: int = 4, start: Mapping[str, Tensor] | None = None
+) -> Choice:
+    """Walk to the setting with the least mean of the measure over the practice clips, ``rounds`` looks at most.
+
+    start: unknowns to search from, unless those of the practice clips.
+    """
+    at, tried = dict(search.begin), {}
+    for _ in range(rounds):
+        new = [s for s in (at, *search.neighbours(at)) if tuple(s.values()) not in tried]
+        found = _tried(practice, search, new, evaluations, start or practice.start)
+        tried |= {tuple(s.values()): row for s, row in zip(new, found, strict=True)}
+        best = min(tried, key=lambda k: tried[k][search.measure])
+        if best == tuple(at.values()):
+            inside = len(list(search.neighbours(at))) == 2 * len(at)
+            return Choice(at, list(tried.values()), ended=inside)
+        at = dict(zip(search.begin, best, strict=True))
+    return Choice(at, list(tried.values()), ended=False)
+
+
+def _tried(
+    practice: Case, search: Search, settings: Sequence[Setting], evaluations: int, start: Unknown
+) -> list[dict[str, float]]:
+    index = torch.arange(len(practice)).repeat(len(settings))
+    many = practice.rows(index)
+    columns = {n: torch.tensor([s[n] for s in settings]).repeat_interleave(len(practice)) for n in search.begin}
+    begun = {n: x[index] for n, x in start.items()}
+    return _rows(settings, many, search.method(many.problem, begun, search.make(**columns), evaluations), len(practice))
+
+
+def _rows(settings: Sequence[Mapping], many: Case, found: Found, clips: int) -> list[dict[str, float]]:
+    means = {
+        n: x.unflatten(0, (-1, clips)).mean(-1).nan_to_num(nan=float("inf")).tolist()
+        for n, x in judged(many, found.unknown).items()
+    }
+    return [{**s, **{n: means[n][k] for n in ("energy", "legs", "kept legs", "gap")}} for k, s in enumerate(settings)]
+
+
+#: Ways to move z and x in turns: the method of a block, its evaluations (0: half of all), which of the two begins.
+_WAYS = (("adam", 25, "z"), ("adam", 75, "z"), ("adam", 0, "z"), ("adam", 75, "x"), ("lbfgs", 75, "z"))
+TURNS = tuple({"method": m, "inner": n, "first": f} for m, n, f in _WAYS)
+
+
+def in_turns(known: Case, plan: Plan, way: Mapping, evaluations: int) -> Found:
+    """:func:`alternate` in one of the ways of ``TURNS``, with as many evaluations in all."""
+    inner = max(1, min(way["inner"] or evaluations, evaluations // 2))
+    turns = max(1, evaluations // (2 * inner))
+    return alternate(
+        known.problem, known.start, plan, turns=turns, inner=inner, method=way["method"], first=way["first"]
+    )
+
+
+def best_turns(practice: Case, plan: Plan, evaluations: int) -> tuple[dict, list[dict]]:
+    """The way of ``TURNS`` with the least mean energy on practice clips, and a row for every way."""
+    rows = [_rows([way], practice, in_turns(practice, plan, way, evaluations), len(practice))[0] for way in TURNS]
+    best = min(range(len(rows)), key=lambda k: rows[k]["energy"])
+    return TURNS[best], rows
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What the practice clips chose: a plan for each of ``SEARCHES``, a way of ``TURNS``; and a row for every search,
+    as a table shows it."""
+
+    plans: dict[str, Plan]
+    way: dict
+    rows: list[dict[str, object]]
+
+
+def tune_all(practice: Case, evaluations: int, rounds: int = 4) -> Tuned:
+    """Every search on the same clips, each with as many evaluations."""
+    plans, rows = {}, []
+    for name, search in SEARCHES.items():
+        choice = tune(practice, search, evaluations, rounds=rounds)
+        plans[name] = search.make(**choice.setting)
+        rows.append(told(name, choice))
+    way, tried = best_turns(practice, plans["L1"], evaluations)
+    rows.append(told("z and x in turns", Choice(way, tried, ended=True)) | {"no neighbour better": "-"})  # all tried
+    return Tuned(plans, way, rows)
+
+
+def told(name: str, choice: Choice, measure: str = "energy") -> dict[str, object]:
+    """A walk as a row of a table: what it chose, how much that is better than the runner-up, and where it ended."""
+    found = sorted(row[measure] for row in choice.rows)
+    return {
+        "search": name, "chosen": text(choice.setting), "settings tried": len(found), measure: found[0],
+        "next best": found[1] if len(found) > 1 else "-", "worst": found[-1], "no neighbour better": choice.ended,
+    }  # fmt: skip
+
+
+def text(values: Mapping[str, object]) -> str:
+    """A setting as a person reads it: "rate_x 0.01, weight 10"."""
+    return ", ".join(f"{n} {x:g}" if isinstance(x, float) else f"{n} {x}" for n, x in values.items())
