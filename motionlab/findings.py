@@ -200,6 +200,9 @@ class Record:
     provenance: dict[str, str] = field(default_factory=dict)
 
 
+_NUMBERS = ("value", "low", "high")  # of a finding; NaN where there was nothing to measure
+
+
 def save_record(path: Path | str, record: Record) -> None:
     """Write a record, and the folder it goes into; a reader never sees half a file.
 
@@ -208,7 +211,10 @@ def save_record(path: Path | str, record: Record) -> None:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, json.dumps(asdict(record), indent=1, ensure_ascii=False) + "\n")
+    found = asdict(record)
+    for row in found["findings"]:  # JSON knows no NaN
+        row |= {name: None for name in _NUMBERS if math.isnan(row[name])}
+    write_whole(path, json.dumps(found, indent=1, ensure_ascii=False) + "\n")
 
 
 def load_record(path: Path | str) -> Record:
@@ -220,7 +226,8 @@ def load_record(path: Path | str) -> Record:
     path = Path(path)
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
-        return Record(**{**raw, "findings": tuple(Finding(**row) for row in raw["findings"])})
+        rows = [row | {name: math.nan for name in _NUMBERS if row[name] is None} for row in raw["findings"]]
+        return Record(**{**raw, "findings": tuple(Finding(**row) for row in rows)})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(str(error), path=path, remedy="run `make full` to measure again") from error
 

@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -85,6 +86,15 @@ def test_record_round_trip(tmp_path):
     assert findings.load_record(tmp_path / "02.json") == record
     assert findings.load_results(tmp_path) == list(record.findings)
     assert not list(tmp_path.glob("*.part"))
+
+
+def test_nothing_measured_is_json_and_comes_back_as_nan(tmp_path):
+    nothing = replace(finding(UNJUDGED), value=math.nan, low=math.nan, high=math.nan, n=0)
+    findings.save_record(tmp_path / "02.json", Record("02_x", "abc", (nothing, finding(HOLDS))))
+    text = (tmp_path / "02.json").read_text()
+    assert "NaN" not in text and text.count('"value": null') == 1
+    back, other = findings.load_record(tmp_path / "02.json").findings
+    assert all(math.isnan(x) for x in (back.value, back.low, back.high)) and other == finding(HOLDS)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"findings": [{"test": 1}]}', '{"notebook": "x"'])
