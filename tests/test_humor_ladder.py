@@ -7,7 +7,7 @@ import torch
 from data_synth import clips
 from motionlab import profiling
 from motionlab.errors import DataError
-from motionlab.humor import faithful_variables, ladder, program, stages, variables
+from motionlab.humor import compiled, faithful_variables, ladder, program, stages, variables
 from motionlab.humor.ladder import FAITHFUL, LEAN, Savings
 from motionlab.humor.priors import load
 from motionlab.humor.testops import Schedule
@@ -72,7 +72,8 @@ def test_control_another_shape_is_another_energy(work):
     assert apart(found, terms(work, LEAN)) > 1e-3
 
 
-def test_last_rung_is_what_every_fit_uses_and_the_first_is_the_faithful_mode(work):
+def test_last_rung_is_what_every_fit_uses_and_the_first_is_the_faithful_mode(work, monkeypatch):
+    monkeypatch.setattr(compiled, "FEW", 0)  # in tensors
     for on, mode in ((LEAN, "lean"), (FAITHFUL, "faithful")):
         unknown = work.unknowns(WHOLE, on)
         work.problem.priors.motion.requires_grad_(not on.frozen)
