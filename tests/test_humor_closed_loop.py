@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from motionlab import doctor, rotation
-from motionlab.humor import compiled, state
+from motionlab.humor import compiled, recursion, state
 from motionlab.humor.closed_loop import INPUT, steered_rollout
 from motionlab.humor.recursion import LEAN
 from motionlab.humor.rollout import rollout
@@ -287,3 +287,18 @@ def test_doctor_compiles_what_a_fit_needs(first, u, gains, monkeypatch):
         leaf = u.float().requires_grad_()
         steered_rollout(net, first.float(), leaf, each)[0].states.sum().backward()
     assert kinds[0] and kinds == [list(loop.signatures) for loop in (compiled._onward, compiled._back)]
+
+
+def test_the_loops_numbers_are_those_of_the_state():
+    """They stand there once more, so that what is compiled and kept does not outlive them."""
+    assert (compiled.SUM, compiled.VECTORS, compiled.ROT) == (recursion.SUM, recursion.VECTORS, recursion.ROT)
+    assert compiled.STATE == state.STATE
+
+
+def test_what_no_loop_takes_goes_as_tensors(first, u, gains, monkeypatch):
+    """Half precision has no loops, mixed precision is torch's to refuse."""
+    monkeypatch.setattr(compiled, "FEW", 100)
+    assert compiled.fits(first, u) and not compiled.fits(first.half(), u.half())
+    assert not compiled.fits(first, u.float()) and not compiled.fits(first.to("meta"), u.to("meta"))
+    with pytest.raises(RuntimeError):
+        steered_rollout(network(), first, u.float(), gains)

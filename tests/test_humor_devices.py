@@ -41,7 +41,7 @@ def asked(kind, walk, camera):
 @pytest.mark.parametrize("kind", ["joints", "keypoints"])
 def test_nothing_of_a_fit_is_left_on_the_cpu_and_it_is_the_same_fit(kind, solver, walk, camera, kit, monkeypatch):
     """A made-up device: what a GPU would refuse is written down and computed all the same."""
-    monkeypatch.setattr(compiled, "fits", lambda first: False)  # loops of the CPU, whose roundings are their own
+    monkeypatch.setattr(compiled, "fits", lambda *each: False)  # loops of the CPU, whose roundings are their own
     observation, how = asked(kind, walk, camera)
     how |= {"schedule": FEW, "solver": solver}
     here = testops.fit(observation, kit, **how)

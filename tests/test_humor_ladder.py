@@ -190,3 +190,15 @@ def test_unknowns_stand_where_the_clip_does(work):
     assert (rolled.states[:, 0, :3] - work.still["trans"][:, 0, 0]).abs().max() < 1e-6
     still = work.unknowns(Part(1, FRAMES), FAITHFUL)
     assert still["orient"].shape[-1] == 3 and still["orient"].requires_grad and not still["latent"].requires_grad
+
+
+def test_weights_that_are_trained_get_their_gradients(work):
+    """Compiled loops have none to give."""
+    decoder = work.problem.priors.motion.decoder
+    decoder.requires_grad_(True)
+    try:
+        energy = sum(stages.motion_terms(work.problem, work.unknowns(WHOLE, LEAN)).values()).sum()
+        (slope,) = torch.autograd.grad(energy, decoder.net[-1].weight)
+    finally:
+        decoder.requires_grad_(False)
+    assert slope.isfinite().all() and slope.abs().max() > 0

@@ -27,6 +27,7 @@ _SPIN = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # d/
 
 def steered_rollout(model: Cvae, first: Tensor, u: Tensor, gains: Tensor | None = None) -> tuple[Rollout, Tensor]:
     """Decode T transitions from first states (B, 339), world, with u (B, T, 48) and gains (B, T, 48, 345) or none.
+    No derivatives of the decoder's weights.
 
     Returns:
         the roll-out, its z included, and X (B, T, 345), from which each z was steered.
@@ -35,7 +36,7 @@ def steered_rollout(model: Cvae, first: Tensor, u: Tensor, gains: Tensor | None 
     decoder, start = Decoder.of(model), heading(first)
     x = localise(first, start)[:, LEAN.to(first.device)]
     place = torch.cat((start.turn.mT[:, :2, :2], -start.shift[:, :2, None]), -1).flatten(1)
-    chain = compiled.Chain if compiled.fits(first) else Steered
+    chain = compiled.Chain if compiled.fits(first, u) else Steered
     if gains is None:
         gains = u.new_zeros(*u.shape, 0 if chain is compiled.Chain else INPUT)
     past, after, logits, z = chain.apply(decoder, torch.cat((x, place), 1), u.transpose(0, 1), gains.transpose(0, 1))

@@ -18,18 +18,19 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from motionlab import rotation
-from motionlab.humor.recursion import ROT, SUM, VECTORS, Decoder
-from motionlab.humor.state import STATE
+from motionlab.humor.recursion import Decoder
 
+#: Of ``recursion`` and ``state``, once more: what is compiled is kept for as long as this file stays as it is.
+SUM, VECTORS, ROT, STATE = 141, 150, 207, 339
 INPUT = STATE + 6
-FEW = 16  # clips
+FEW, _KINDS = 16, (torch.float32, torch.float64)
 _TINY = 1e-18  # what a turn or a right axis on the floor is at least, so that none divides by 0
 _loops = njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # NaN stays NaN
 
 
-def fits(first: Tensor) -> bool:
-    """Whether first states (B, 339) are on the CPU, and so few that torch's matrix products are not faster."""
-    return first.device.type == "cpu" and len(first) <= FEW
+def fits(first: Tensor, z: Tensor) -> bool:
+    """Whether a roll-out is for loops: on the CPU, and of so few clips that torch is no faster (one thread)."""
+    return first.device.type == "cpu" and len(first) <= FEW and first.dtype == z.dtype and first.dtype in _KINDS
 
 
 class Chain(torch.autograd.Function):

@@ -135,9 +135,10 @@ class Penalty(NamedTuple):
 
     @classmethod
     def of(cls, problem: Problem, point: Point) -> Penalty:
-        """Of a whitened gap beside a whitened latent: w is the motion prior's weight. As yet without multipliers."""
+        """Of a whitened gap beside a whitened latent: w is the motion prior's weight, 1 where that is 0. As yet no
+        multipliers."""
         deviation = torch.tensor(DEVIATION).to(point.states)
-        weight = problem.weights.of(3).get("motion_prior", 0.0)
+        weight = problem.weights.of(3).get("motion_prior", 0.0) or 1.0
         return cls(weight / deviation.square(), 0.0, torch.zeros_like(point.states[..., :CHANGE]))
 
     def cost(self, gaps: Tensor) -> Tensor:

@@ -104,6 +104,7 @@ def linearised(problem: Problem, unknown: Variables, *, ridge: float = 1e-6, str
     both = torch.cat((pairs, toward.unflatten(0, (clips, -1))), -2)
     swept = riccati.sweep(found.of_frame.mT @ found.of_frame, a, b, both.mT @ both, ridge)
     gains, shared = _embedded(swept.gains, past, frame)
+    gains = gains.transpose(0, 1).contiguous().transpose(0, 1)  # as roll-outs read them
     base = z - (gains @ inputs[..., None])[..., 0]
     return Loop(base, gains, shared, swept.shapers, first_shaper(problem, unknown, swept.first, frames))
 

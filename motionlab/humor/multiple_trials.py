@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 
 from motionlab.humor import multiple, shooting, state
-from motionlab.humor.solver_trials import Run, Task, clock
+from motionlab.humor.solver_trials import Run, Task, clock, so_far
 from motionlab.humor.solver_trials import shot as finished
 
 
@@ -20,7 +20,7 @@ def shot(task: Task, plan: multiple.Plan | None = None, finish: shooting.Plan | 
     unknown = multiple.start(task.problem, task.unknown, state.from_motion(task.rough), plan, report)
     spent = clock() - began
     run = finished(task, finish, unknown)
-    energies = torch.cat((report.end[None].to(run.energies), run.energies)).cummin(0).values
+    energies = so_far(torch.cat((report.end[None].to(run.energies), run.energies)))
     seconds = torch.cat((run.seconds.new_tensor([spent]), spent + run.seconds))
     linearised = run.linearised + sum(report.linearised)
     return replace(run, energies=energies, seconds=seconds, spent=spent + run.spent, linearised=linearised)

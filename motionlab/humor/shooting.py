@@ -93,6 +93,7 @@ def solve(
                 problem.rows(live), {n: x[live] for n, x in unknown.items()}, plan, report, linearise, progress
             )
         except (KeyboardInterrupt, NotConverged) as ended:
+            del report.seconds[len(report.history) :]
             if not fits:
                 raise
             if isinstance(ended, KeyboardInterrupt):
@@ -120,8 +121,11 @@ def _round(
     report.linearised.append(report.clock() - began)
 
     def energy(new: Variables, rows: Tensor) -> Tensor:
-        some = problem.rows(rows)
-        at, rolled = opened(some, {n: x[rows] for n, x in unknown.items()}, Loop(*(x[rows] for x in loop)), new)
+        some, here, around = problem, unknown, loop
+        if len(rows) < len(unknown["betas"]):  # gains are large: no copies while all run
+            some, here = problem.rows(rows), {n: x[rows] for n, x in unknown.items()}
+            around = Loop(*(x[rows] for x in loop))
+        at, rolled = opened(some, here, around, new)
         found = sum(rolled_terms(some, at, rolled).values())
         report.seconds.append(report.clock() - report.began)
         return found

@@ -136,6 +136,11 @@ class Run:
         return torch.where(count > 0, known, torch.inf)
 
 
+def so_far(energies: Tensor) -> Tensor:
+    """The lowest of energies (N, B) up to each; what is not a number is infinite."""
+    return energies.detach().nan_to_num(torch.inf, torch.inf, torch.inf).cummin(0).values
+
+
 @dataclass
 class Log:
     """Notes lowest energies and the time; what it does itself costs the contender microseconds."""
@@ -255,13 +260,13 @@ def shot(
     began, report = clock(), shooting.Report(clock=clock)
     unknown, _ = shooting.solve(task.problem, start or task.unknown, plan, report, linearise=linearise)
     spent = clock() - began
-    energies = torch.stack(report.history).detach().nan_to_num(torch.inf, torch.inf, torch.inf)
+    energies = torch.stack(report.history)
     seconds = torch.tensor(report.seconds).double()
     if len(energies) != len(seconds):
         raise DataError(f"{len(seconds)} times for {len(energies)} closures", remedy="note every closure once")
     unknown = {n: x.detach() for n, x in unknown.items()}
     end, derived = task.energy(unknown), sum(report.linearised)
-    return Run(energies.cummin(0).values, seconds, unknown, end, spent, derived)
+    return Run(so_far(energies), seconds, unknown, end, spent, derived)
 
 
 def without_feedback(loop: shooting.Loop, unknown: dict[str, Tensor]) -> shooting.Loop:

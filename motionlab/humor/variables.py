@@ -108,8 +108,9 @@ def first_state(variables: Variables, priors: Priors) -> Tensor:
 def roll(variables: Variables, priors: Priors, evidence: Evidence) -> Rolled:
     """Stage 3: the motion that a first state and latents z (G, W, T - 1, 48) decode to."""
     first, z = first_state(variables, priors), rows(variables, "z")
-    few = compiled.fits(first)
-    found = steered_rollout(priors.motion, first, z)[0] if few else rollout(priors.motion, first, z)
+    frozen = not any(weight.requires_grad for weight in priors.motion.decoder.parameters())
+    fast = frozen and compiled.fits(first, z)
+    found = steered_rollout(priors.motion, first, z)[0] if fast else rollout(priors.motion, first, z)
     return rolled_from(first, found, variables, evidence)
 
 

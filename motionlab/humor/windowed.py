@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import torch
 
 from motionlab.humor import transitions, variables, windows
-from motionlab.humor.solver_trials import Run, Single, Task, clock, single_shooting
+from motionlab.humor.solver_trials import Run, Single, Task, clock, single_shooting, so_far
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,6 @@ def windowed(task: Task, how: Windows | None = None, *, seconds: float = torch.i
     if how.polish is None or spent > seconds:
         return Run(end[None], torch.tensor([spent]).double(), found, end, spent)
     after = single_shooting(replace(task, unknown=found, factors=factors), how.polish, seconds=seconds - spent)
-    energies = torch.cat((end[None].to(after.energies), after.energies)).cummin(0).values
+    energies = so_far(torch.cat((end[None].to(after.energies), after.energies)))
     times = torch.cat((after.seconds.new_tensor([spent]), spent + after.seconds))
     return Run(energies, times, after.unknown, after.end, spent + after.spent)
