@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from torch import Tensor
 
 from motionlab.viz.palette import INK, LINE, colour
@@ -43,6 +44,7 @@ def energy_over_time(
             ax.axhline(share, color=INK, lw=0.8, ls=(0, (4, 3)))
             ax.annotate(f"{100 * share:g} %", (1.0, share), xycoords=("axes fraction", "data"), ha="right", va="bottom")
         ax.set(title=task, xlabel="processor time (s)", xscale="log", yscale="log", ylim=(_FLOOR, 30))
+        ax.xaxis.set_minor_formatter(NullFormatter())  # their labels overlap where there is less than a decade
     axes[0].set_ylabel("energy above the best, of |best|")
     axes[-1].legend(loc="lower left")
     return fig
