@@ -164,14 +164,6 @@ def test_consistency_is_a_sum_of_absolute_differences(start):
     decoded = torch.stack((a, b), 1)
     wanted = torch.stack([(a[i] - b[i]).abs().sum() / 2 for i in range(2)])
     torch.testing.assert_close(consistency(a, decoded), wanted)
-    metres = consistency(a, decoded, "metres")
-    slow = state.unpack((a - b).abs())
-    wanted = 0.5 * sum(
-        weight * slow[name].flatten(1).sum(1)
-        for name, weight in (("trans", 1), ("trans_vel", 1 / 30), ("root_orient", 0.3), ("root_orient_vel", 0.01),
-                             ("pose_body", 0.3), ("joints", 1), ("joints_vel", 1 / 30))
-    )  # fmt: skip
-    torch.testing.assert_close(metres, wanted)
 
 
 @pytest.mark.parametrize("steps", [1, 3])

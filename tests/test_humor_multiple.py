@@ -9,8 +9,9 @@ import torch
 from data_synth import scenes
 from motionlab.errors import NotConverged, ShapeError
 from motionlab.humor import free_states, multiple, multiple_trials, priors, shooting, solver_trials, three_d, variables
-from motionlab.humor.free_states import Penalty, Point, between, derived, freedom, measured, merit, own, retracted
+from motionlab.humor.free_states import Penalty, Point, derived, freedom, measured, merit, retracted
 from motionlab.humor.multiple import Plan, Report, modelled, start, steered, swept
+from motionlab.humor.slopes import between, own
 from motionlab.humor.weights import JOINTS
 from tests.rolled_inputs import F64
 from tests.test_humor_shooting import CLIPS, FRAMES, made, noisy, one, seed, total

@@ -23,7 +23,8 @@ from motionlab.humor.recursion import Decoder
 #: Of ``recursion`` and ``state``, once more: what is compiled is kept for as long as this file stays as it is.
 SUM, VECTORS, ROT, STATE = 141, 150, 207, 339
 INPUT = STATE + 6
-FEW, _KINDS = 16, (torch.float32, torch.float64)
+FEW = 16  # clips: with one thread, loops and tensors take the same time for as many
+_KINDS = torch.float32, torch.float64
 _TINY = 1e-18  # what a turn or a right axis on the floor is at least, so that none divides by 0
 _loops = njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # NaN stays NaN
 
@@ -240,11 +241,9 @@ def _back_frame(d_x, x, after, place, d):
         back_right, back_ahead = p * cos - q * sin, p * sin + q * cos
         if v == 0 or 3 <= v < 25:
             right, ahead = right + back_right, ahead + back_ahead
-        d[3 * v], d[3 * v + 1], d[3 * v + 2] = (
-            d[3 * v] + back_right,
-            d[3 * v + 1] + back_ahead,
-            d[3 * v + 2] + d_x[3 * v + 2],
-        )
+        d[3 * v] += back_right
+        d[3 * v + 1] += back_ahead
+        d[3 * v + 2] += d_x[3 * v + 2]
     d[VECTORS:] += d_x[VECTORS:STATE]
     for r in range(2):
         at = STATE + 3 * r

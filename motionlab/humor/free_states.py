@@ -20,10 +20,10 @@ from motionlab import rotation
 from motionlab.frames import Frame
 from motionlab.humor import loop, state, variables
 from motionlab.humor.cvae import Gaussian
-from motionlab.humor.recursion import BACK, LEAN, SUM
+from motionlab.humor.recursion import BACK, SUM
 from motionlab.humor.rollout import Rollout
 from motionlab.humor.shape import BETAS
-from motionlab.humor.slopes import CHANGE, GAMMA, XI
+from motionlab.humor.slopes import CHANGE, GAMMA, XI, between, own
 from motionlab.humor.stages import Problem, rolled_terms
 from motionlab.humor.variables import Variables
 
@@ -71,28 +71,6 @@ def retracted(states: Tensor, y: Tensor) -> Tensor:
     way = (frame.turn.mT @ F.pad(y[..., XI + 1 : XI + GAMMA], (0, 1))[..., None])[..., 0]
     placed = Frame(rotation.rotation_about("z", -y[..., XI]) @ frame.turn, frame.shift - way)
     return state.globalise(x[..., BACK.to(states.device)], placed)
-
-
-def own(states: Tensor) -> tuple[Tensor, Frame]:
-    """World states (..., 339) in their own heading frames, order of ``recursion``, and these frames."""
-    frame = state.heading(states)
-    return state.localise(states, frame)[..., LEAN.to(states.device)], frame
-
-
-def between(states: Tensor, others: Tensor) -> Tensor:
-    """The change (..., 210) that takes others to states (..., 339), world; of first order in rotations."""
-    return own_between(*own(states), *own(others))
-
-
-def own_between(x: Tensor, ours: Frame, y: Tensor, theirs: Frame) -> Tensor:
-    """:func:`between` states that are in their own frames already."""
-    spin = x[..., SUM:].unflatten(-1, (22, 3, 3)).mT @ y[..., SUM:].unflatten(-1, (22, 3, 3))  # R_x R_y^T
-    spin = (spin - spin.mT) / 2
-    omega = torch.stack((spin[..., 2, 1], spin[..., 0, 2], spin[..., 1, 0]), -1)
-    cross = theirs.turn @ ours.turn.mT
-    angle = torch.atan2(cross[..., 1, 0], cross[..., 0, 0])
-    way = (theirs.turn @ (theirs.shift - ours.shift)[..., None])[..., :2, 0]
-    return torch.cat((x[..., :SUM] - y[..., :SUM], omega.flatten(-2), angle[..., None], way), -1)
 
 
 def freedom(x: Tensor, n: int) -> Tensor:

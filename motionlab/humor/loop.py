@@ -203,10 +203,7 @@ def first_slopes(problem: Problem, unknown: Variables, count: int) -> Tensor:
     def at(sign: float) -> Tensor:
         return variables.first_state(moved(many, sign * steps.repeat(clips, 1)), problem.priors)
 
-    up, down = at(1.0), at(-1.0)
-    frame = state.heading(variables.first_state(unknown, problem.priors))
-    spread = Frame(frame.turn.repeat_interleave(count, 0), frame.shift.repeat_interleave(count, 0))
-    return _padded(_change(up, down, spread) / (2 * _STEP), clips, count)
+    return _padded(slopes.between(at(1.0), at(-1.0)) / (2 * _STEP), clips, count)
 
 
 def _padded(change: Tensor, clips: int, count: int) -> Tensor:
@@ -216,17 +213,3 @@ def _padded(change: Tensor, clips: int, count: int) -> Tensor:
     out[:, :CHANGE] = change.unflatten(0, (clips, count)).mT
     out[:, CHANGE:, _FIRST:] = torch.eye(shared, dtype=change.dtype, device=change.device)
     return out
-
-
-def _change(up: Tensor, down: Tensor, frame: Frame) -> Tensor:
-    """The small change (N, 210) between world states (N, 339), as seen from a frame near both."""
-    lean = LEAN.to(up.device)
-    own = [state.heading(x) for x in (up, down)]
-    local = [state.localise(x, f)[:, lean] for x, f in zip((up, down), own, strict=True)]
-    m = [x[:, SUM:].unflatten(1, (22, 3, 3)) for x in local]
-    spin = (m[0].mT @ m[1] - m[1].mT @ m[0]) / 2
-    omega = torch.stack((spin[..., 2, 1], spin[..., 0, 2], spin[..., 1, 0]), -1)
-    cross = own[0].turn @ own[1].turn.mT  # the later frame's axes from the former's
-    angle = torch.atan2(cross[:, 1, 0], cross[:, 0, 0]) * -1
-    way = (frame.turn @ (own[1].shift - own[0].shift)[..., None])[:, :2, 0]
-    return torch.cat((local[0][:, :SUM] - local[1][:, :SUM], omega.flatten(1), angle[:, None], way), 1)

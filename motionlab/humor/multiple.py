@@ -42,13 +42,11 @@ from motionlab.humor.free_states import (
     freedom,
     measured,
     merit,
-    own,
-    own_between,
     retracted,
 )
 from motionlab.humor.recursion import BACK, Decoder
 from motionlab.humor.rollout import infer
-from motionlab.humor.slopes import CHANGE, LATENTS, XI
+from motionlab.humor.slopes import CHANGE, LATENTS, XI, own, own_between
 from motionlab.humor.stages import Problem, motion_terms
 from motionlab.humor.variables import Variables
 

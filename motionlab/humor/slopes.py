@@ -20,8 +20,10 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
+from motionlab.frames import Frame
+from motionlab.humor import state
 from motionlab.humor.cvae import Cvae, Gaussian
-from motionlab.humor.recursion import BACK, ROT, SUM, Decoder
+from motionlab.humor.recursion import BACK, LEAN, ROT, SUM, Decoder
 
 XI, GAMMA, LATENTS = 207, 3, 48
 CHANGE = XI + GAMMA
@@ -203,3 +205,26 @@ def _prior_slopes(model: Cvae, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     inputs = _rotation_inputs(x).unflatten(1, (len(x), 3))  # (22, N, 3, 9)
     omega = (turns @ inputs.mT).permute(1, 2, 0, 3).flatten(2)
     return *prior, torch.cat((rows[..., :SUM], omega), -1)
+
+
+# ------------------------------------------------------------------------------------------------ changes of states
+def own(states: Tensor) -> tuple[Tensor, Frame]:
+    """World states (..., 339) in their own heading frames, order of ``recursion``, and these frames."""
+    frame = state.heading(states)
+    return state.localise(states, frame)[..., LEAN.to(states.device)], frame
+
+
+def between(states: Tensor, others: Tensor) -> Tensor:
+    """The change (..., 210) that takes others to states (..., 339), world; of first order in rotations."""
+    return own_between(*own(states), *own(others))
+
+
+def own_between(x: Tensor, ours: Frame, y: Tensor, theirs: Frame) -> Tensor:
+    """:func:`between` states that are in their own frames already."""
+    spin = x[..., SUM:].unflatten(-1, (22, 3, 3)).mT @ y[..., SUM:].unflatten(-1, (22, 3, 3))  # R_x R_y^T
+    spin = (spin - spin.mT) / 2
+    omega = torch.stack((spin[..., 2, 1], spin[..., 0, 2], spin[..., 1, 0]), -1)
+    cross = theirs.turn @ ours.turn.mT
+    angle = torch.atan2(cross[..., 1, 0], cross[..., 0, 0])
+    way = (theirs.turn @ (theirs.shift - ours.shift)[..., None])[..., :2, 0]
+    return torch.cat((x[..., :SUM] - y[..., :SUM], omega.flatten(-2), angle[..., None], way), -1)

@@ -31,7 +31,7 @@ from motionlab.humor.observed import Evidence
 from motionlab.humor.rollout import Rollout, rollout
 from motionlab.humor.shape import landmarks
 from motionlab.humor.stages import Problem, Terms
-from motionlab.humor.state import SHAPES, SLICES, STATE
+from motionlab.humor.state import SHAPES, STATE
 from motionlab.humor.variables import Posed, Rolled, skeleton_of
 from motionlab.skeleton import fk
 
@@ -39,14 +39,6 @@ TURNS = {"root_orient": 1, "pose_body": 21}
 #: Numbers of a persistent state: as ``state``, but six for each rotation.
 PERSISTENT = STATE - 3 * sum(TURNS.values())
 _SIZES = {n: 6 * TURNS[n] if n in TURNS else torch.Size(shape).numel() for n, shape in SHAPES.items()}
-#: What a unit of each part moves a joint in a frame, metres: rotations by a lever, velocities over a thirtieth second.
-_METRES = {"trans": 1.0, "trans_vel": 1 / 30, "root_orient": 0.3, "root_orient_vel": 0.01, "pose_body": 0.3,
-           "joints": 1.0, "joints_vel": 1 / 30}  # fmt: skip
-#: By what the consistency multiplies each of the 339 differences.
-SCALES = {
-    "plain": torch.ones(STATE),
-    "metres": torch.cat([torch.full((SLICES[n].stop - SLICES[n].start,), x) for n, x in _METRES.items()]),
-}
 
 
 def to_persistent(states: Tensor) -> Tensor:
@@ -93,13 +85,12 @@ def sequences(model: Cvae, states: Tensor, z: Tensor, steps: int = 1) -> Sequenc
 
 @dataclass(frozen=True)
 class Form:
-    """Which decoupled energy. steps: K. detached: the consistency does not move z. scale: of ``SCALES``. weight: w,
-    one number or one per clip (B,)."""
+    """Which decoupled energy. steps: K. detached: the consistency does not move z. weight: w, one number or one per
+    clip (B,)."""
 
     steps: int = 1
     weight: float | Tensor = 1.0
     detached: bool = False
-    scale: str = "plain"
 
 
 Unknown = Mapping[str, Tensor]
@@ -118,17 +109,16 @@ def terms(problem: Problem, unknown: Unknown, form: Form) -> tuple[Terms, Sequen
     compared = decoded
     if form.detached and z.requires_grad:
         compared = sequences(problem.priors.motion, states, z.detach(), form.steps)
-    found["consistency"] = form.weight * consistency(states, compared.states, form.scale)
+    found["consistency"] = form.weight * consistency(states, compared.states)
     return found, decoded
 
 
-def consistency(states: Tensor, decoded: Tensor, scale: str = "plain") -> Tensor:
+def consistency(states: Tensor, decoded: Tensor) -> Tensor:
     """C (B,): sum of |x_t - x^k_t| over frames and the 339 numbers of a state, mean over k.
 
     states (B, T, 339), decoded (B, K, T, 339). Source: thesis 3.3.3, the L1 loss.
     """
-    difference = (states[:, None] - decoded).abs() * SCALES[scale].to(states)
-    return difference.sum((-1, -2)).mean(1)
+    return (states[:, None] - decoded).abs().sum((-1, -2)).mean(1)
 
 
 def _objective(problem: Problem, whole: Tensor, logits: Tensor, z: Tensor, betas: Tensor) -> Terms:
