@@ -109,7 +109,7 @@ def over_evaluations(
 
     lines: panel -> label -> a level to compare with. top: panel -> where its axis ends, whatever lies above.
     """
-    figure, axes = canvas(1, len(panels), size=size or (4.2 * len(panels), 3.0))
+    figure, axes = canvas(1, len(panels), size=size or (4.2 * len(panels), 3.6))
     names = list(dict.fromkeys(name for series in panels.values() for name in series))
     paint = paints(names, roles)
     for ax, (title, series), ylabel in zip(axes, panels.items(), ylabels, strict=True):
@@ -122,7 +122,7 @@ def over_evaluations(
         if top and title in top:
             ax.set_ylim(top=top[title])
         ax.set(title=title, xlabel=xlabel, ylabel=ylabel)
-        ax.legend(loc="best")
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.24), fontsize=8)  # below: it would lie on curves
     return figure
 
 
