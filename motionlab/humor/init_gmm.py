@@ -79,6 +79,14 @@ class InitGmm:
         white = (features.double() @ rows.mT - shift).unflatten(-1, self.means.shape)
         return constant - 0.5 * white.square().sum(-1)
 
+    def whitened(self, features: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """W_k (features - m_k) (B, K, D) and W_k slopes (B, K, D, n), slopes (B, D, n), and the constants c_k (K,), so
+        that ``each`` is c_k - 1/2 |W_k (features - m_k)|^2; float64."""
+        rows, shift, constant = (x.to(features.device) for x in self._white)
+        sizes = self.means.shape
+        off = (features.double() @ rows.mT - shift).unflatten(-1, sizes)
+        return off, (rows @ slopes.double()).unflatten(1, sizes), constant
+
     def log_prob(self, features: Tensor) -> Tensor:
         """log p(features) (...), nats; inside in float64."""
         return self.each(features).logsumexp(-1).to(features)

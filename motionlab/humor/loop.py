@@ -42,7 +42,8 @@ class Loop(NamedTuple):
     """Coordinates around a roll-out.
 
     base (B, T - 1, 48): its z - K X. gains (B, T - 1, 48, 345): on X of ``closed_loop``; shared (B, T - 1, 48, S): on
-    what all frames share. shapers (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T.
+    what all frames share. shapers (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T. Of the first state and what is
+    shared, in these coordinates: rest (B, f, f), the matrix without ``init_gmm``, whose features move by (B, 138, f).
     """
 
     base: Tensor
@@ -50,6 +51,13 @@ class Loop(NamedTuple):
     shared: Tensor
     shapers: Tensor
     first: Tensor
+    rest: Tensor
+    features: Tensor
+
+    def rows(self, index: Tensor) -> Loop:
+        """Those of some clips, or of some several times; gains as roll-outs read them."""
+        gains = self.gains.transpose(0, 1)[:, index].transpose(0, 1)
+        return Loop(*(x[index] for x in self._replace(gains=self.base)))._replace(gains=gains)
 
 
 def opened(problem: Problem, unknown: Variables, loop: Loop, new: Variables) -> tuple[dict[str, Tensor], Rolled]:
@@ -78,8 +86,26 @@ def moved(unknown: Variables, change: Tensor) -> dict[str, Tensor]:
 
 # -------------------------------------------------------------------------------------------------- the linearisation
 @torch.no_grad()
-def linearised(problem: Problem, unknown: Variables, *, ridge: float = 1e-6, stride: int = 4) -> Loop:
-    """The coordinates around the roll-out of unknowns (G, 1, ...); the networks' slopes at every ``stride`` frames."""
+def linearised(problem: Problem, unknown: Variables, *, ridge: float = 1e-6, stride: int = 1) -> Loop:
+    """The coordinates around the roll-out of unknowns (G, 1, ...); the networks' slopes at every ``stride`` frames.
+
+    On a CPU one clip after another: the matrices of one stay in its cache.
+    """
+    clips = len(unknown["z"])
+    if not _one_by_one(unknown["z"]):
+        return _together(problem, unknown, ridge, stride)
+    each = [torch.tensor([i]) for i in range(clips)]
+    parts = [_together(problem.rows(i), {n: x[i] for n, x in unknown.items()}, ridge, stride) for i in each]
+    whole = Loop(*(torch.cat(x) for x in zip(*(p._replace(gains=p.base) for p in parts), strict=True)))
+    gains = torch.cat([p.gains.transpose(0, 1) for p in parts], 1).transpose(0, 1)  # as roll-outs read them
+    return whole._replace(gains=gains)
+
+
+def _one_by_one(z: Tensor) -> bool:
+    return z.device.type == "cpu" and len(z) > 1
+
+
+def _together(problem: Problem, unknown: Variables, ridge: float, stride: int) -> Loop:
     z, model = unknown["z"][:, 0], problem.priors.motion
     clips, frames = z.shape[0], z.shape[1] + 1
     first = variables.first_state(unknown, problem.priors)
@@ -106,7 +132,7 @@ def linearised(problem: Problem, unknown: Variables, *, ridge: float = 1e-6, str
     gains, shared = _embedded(swept.gains, past, frame)
     gains = gains.transpose(0, 1).contiguous().transpose(0, 1)  # as roll-outs read them
     base = z - (gains @ inputs[..., None])[..., 0]
-    return Loop(base, gains, shared, swept.shapers, first_shaper(problem, unknown, swept.first, frames))
+    return Loop(base, gains, shared, swept.shapers, *first_shaper(problem, unknown, swept.first, frames))
 
 
 def padded_moves(moves: slopes.Transition, clips: int, n: int) -> tuple[Tensor, Tensor]:
@@ -164,20 +190,14 @@ def _embedded(gains: Tensor, x: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
     return torch.cat((gains[..., :SUM], turns.flatten(-3), place), -1), gains[..., CHANGE:]
 
 
-def first_shaper(problem: Problem, unknown: Variables, cost: Tensor, frames: int) -> Tensor:
-    """L^-T (B, f, f) of the first state and what is shared: their own terms and P_0 through ``moved``."""
+def first_shaper(problem: Problem, unknown: Variables, cost: Tensor, frames: int) -> tuple[Tensor, Tensor, Tensor]:
+    """L^-T (B, f, f) of the first state and what is shared: their own terms and P_0 through ``moved``; and, in its
+    coordinates, the matrix of all but ``init_gmm`` (B, f, f), and how the features of that move (B, 138, f)."""
     weights, view = problem.weights.of(3, frames=frames), problem.evidence.view
     shared = cost.shape[-1] - CHANGE
     count = _FIRST + shared
     slope = first_slopes(problem, unknown, count)  # (B, n, f)
     h = slope.mT @ cost @ slope
-    features = slope[:, _FEATURES]
-    gmm = problem.priors.initial
-    now = init_gmm.features(variables.local_first(variables.first_state(unknown, problem.priors)))
-    share = gmm.each(now).softmax(-1).to(h)
-    precision = torch.linalg.inv(gmm.covariances.double()).to(h)
-    pull = torch.einsum("bk,kij->bij", share, precision)
-    h = h + weights.get("init_motion_prior", 0.0) * features.mT @ pull @ features
     betas = slice(_FIRST, _FIRST + BETAS)
     h[:, betas, betas].diagonal(dim1=-2, dim2=-1).add_(2 * frames * weights.get("shape_prior", 0.0))
     if view is not None and view.free:
@@ -187,11 +207,19 @@ def first_shaper(problem: Problem, unknown: Variables, cost: Tensor, frames: int
         )
         part = slice(_FIRST + BETAS, None)
         h[:, part, part] += frames * weights.get("floor_reg", 0.0) * moves.mT @ moves
-    diagonal = h.diagonal(dim1=-2, dim2=-1)
+    features = slope[:, _FEATURES]
+    gmm = problem.priors.initial
+    now = init_gmm.features(variables.local_first(variables.first_state(unknown, problem.priors)))
+    share = gmm.each(now).softmax(-1).to(h)
+    precision = torch.linalg.inv(gmm.covariances.double()).to(h)
+    pull = torch.einsum("bk,kij->bij", share, precision)
+    whole = h + weights.get("init_motion_prior", 0.0) * features.mT @ pull @ features
+    diagonal = whole.diagonal(dim1=-2, dim2=-1)
     ridge = 1e-4 * diagonal + 1e-5 * diagonal.mean(-1, keepdim=True) + 1e-8
-    factor = riccati.factorised((h + torch.diag_embed(ridge)).double())
+    factor = riccati.factorised((whole + torch.diag_embed(ridge)).double())
     unit = torch.eye(count, dtype=factor.dtype, device=factor.device).expand_as(factor)
-    return torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(h)
+    shaper = torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(h)
+    return shaper, shaper.mT @ h @ shaper, features @ shaper
 
 
 def first_slopes(problem: Problem, unknown: Variables, count: int) -> Tensor:

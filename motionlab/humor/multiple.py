@@ -255,7 +255,7 @@ def swept(problem: Problem, point: Point, model: Model, slope: Slopes, penalty: 
     of_frame = model.of_frame + damping[:, None, None, None] * torch.diag(white)
     along, of_z = F.pad(slope.y, (0, shared, 1, 0)), F.pad(slope.z, (0, b.shape[-1] - LATENTS))
     found = riccati.affine_sweep(of_frame, model.a, b, rows, held, along, of_z)
-    shaper = loop.first_shaper(problem, point.unknown, found.first, frames)
+    shaper, *_ = loop.first_shaper(problem, point.unknown, found.first, frames)
     first = loop.first_slopes(problem, point.unknown, shaper.shape[-1])  # (B, n, f)
     down = slope.first + (found.slope[:, None] @ first)[:, 0]
     return Way(-(shaper @ (shaper.mT @ down[..., None]))[..., 0], found)

@@ -2,7 +2,9 @@
 
 Repeat: differentiate all transitions at once, factorise the Gauss-Newton matrix of the whole clip (``loop``), and lower
 the energy by L-BFGS in the coordinates in which that matrix is the identity, on exact roll-outs that steer themselves.
-Gradients are exact and of every term. The unknowns, the energy and its minima are those of ``stages.stage_3``.
+Gradients are exact and of every term. The unknowns, the energy and its minima are those of ``stages.stage_3``. Its
+valleys, too: a round searches several of them at once (``leaps``), since closures of a few roll-outs cost hardly more
+than of one.
 
 Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop).
 Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift apart. Not multiple shooting: the states
@@ -19,6 +21,7 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import NotConverged, ShapeError
+from motionlab.humor import leaps
 from motionlab.humor.judged import Judged, judged
 from motionlab.humor.loop import Loop, linearised, moved, opened
 from motionlab.humor.stages import Problem, interrupted, rolled_terms
@@ -33,18 +36,20 @@ class Plan:
     """How much work.
 
     rounds: linearisations at most. closures: of L-BFGS after each. tolerance: a clip is done when a round gains less
-    than this share of its energy's size. stride: frames between those at which the networks are differentiated.
+    than this share of its energy's size. stride: frames between those at which the networks are differentiated. leaps:
+    other components of the first state's mixture that a clip tries in a round (``leaps``), of those that promise more.
     """
 
     rounds: int = 25
     closures: int = 20
     tolerance: float = 2e-3
-    stride: int = 4
+    stride: int = 1
+    leaps: int = 3
     ridge: float = 1e-6
 
     def __post_init__(self) -> None:
-        if min(self.rounds, self.closures, self.stride) < 1:
-            raise ValueError(f"rounds, closures and stride: expected 1 or more, got {self}")
+        if min(self.rounds, self.closures, self.stride) < 1 or self.leaps < 0:
+            raise ValueError(f"rounds, closures and stride: expected 1 or more, leaps: 0 or more, got {self}")
 
 
 @dataclass
@@ -115,28 +120,62 @@ def solve(
 def _round(
     problem: Problem, unknown: Variables, plan: Plan, report: Report, linearise: Callable[..., Loop], progress: bool
 ) -> tuple[dict[str, Tensor], BatchFit]:
-    """One linearisation and the search in its coordinates."""
+    """One linearisation and the searches in its coordinates: from where a clip is, and from where it may leap to."""
     began = report.clock()
     loop = linearise(problem, unknown, ridge=plan.ridge, stride=plan.stride)
+    who, first = leaps.starts(problem, unknown, loop, plan.leaps, plan.tolerance)
     report.linearised.append(report.clock() - began)
 
-    def energy(new: Variables, rows: Tensor) -> Tensor:
-        some, here, around = problem, unknown, loop
-        if len(rows) < len(unknown["betas"]):  # gains are large: no copies while all run
-            some, here = problem.rows(rows), {n: x[rows] for n, x in unknown.items()}
-            around = Loop(*(x[rows] for x in loop))
-        at, rolled = opened(some, here, around, new)
-        found = sum(rolled_terms(some, at, rolled).values())
+    def note() -> None:
         report.seconds.append(report.clock() - report.began)
+
+    rows, fit = searched(problem, unknown, loop, who, first, plan.closures, note=note, progress=progress)
+    best, fit = _of_clips(fit, who)
+    return {n: x[best] for n, x in rows.items()}, fit
+
+
+def searched(
+    problem: Problem,
+    unknown: Variables,
+    loop: Loop,
+    who: Tensor,
+    first: Tensor,
+    closures: int,
+    *,
+    note: Callable[[], None] = lambda: None,
+    progress: bool = False,
+) -> tuple[dict[str, Tensor], BatchFit]:
+    """R searches in the coordinates around a loop: row r is of clip who[r] and begins at first (R, f).
+
+    note: called whenever energies are known.
+    """
+    some, here, around = problem.rows(who), {n: x[who] for n, x in unknown.items()}, loop.rows(who)
+
+    def energy(new: Variables, rows: Tensor) -> Tensor:
+        these, at, near = some, here, around
+        if len(rows) < len(who):  # gains are large: no copies while all run
+            these, at, near = some.rows(rows), {n: x[rows] for n, x in here.items()}, around.rows(rows)
+        at, rolled = opened(these, at, near, new)
+        found = sum(rolled_terms(these, at, rolled).values())
+        note()
         return found
 
-    start = {"nu": torch.zeros_like(unknown["z"][:, 0]), "first": loop.first.new_zeros(loop.first.shape[:2])}
-    start = {n: x.requires_grad_() for n, x in start.items()}
-    how = {"steps": 1, "inner": plan.closures, "max_closures": plan.closures}
+    start = {"nu": torch.zeros_like(here["z"][:, 0]).requires_grad_(), "first": first.clone().requires_grad_()}
+    how = {"steps": 1, "inner": closures, "max_closures": closures}
     fit = minimise_batch(energy, start, rows=True, unit=True, progress=progress, **how)
     with torch.no_grad():
-        at, rolled = opened(problem, unknown, loop, fit.variables)
+        at, rolled = opened(some, here, around, fit.variables)
     return {**at, "z": rolled.rollout.z[:, None]}, fit
+
+
+def _of_clips(fit: BatchFit, who: Tensor) -> tuple[Tensor, BatchFit]:
+    """Of each clip the row (G,) of lowest energy, and the report of rows as one of clips ``who``."""
+    clips = int(who.max()) + 1
+    mine = who == torch.arange(clips, device=who.device)[:, None]  # (G, R)
+    best = torch.where(mine, fit.energy, torch.inf).argmin(1)
+    best = torch.where(fit.energy[best].isfinite(), best, mine.double().argmax(1))
+    history = torch.where(mine, fit.history[:, None], torch.inf).amin(-1)
+    return best, BatchFit({}, fit.energy[best], history, fit.seconds, [fit.reasons[k] for k in best.tolist()])
 
 
 def _widened(fit: BatchFit, live: Tensor, energy: Tensor, seconds: float) -> BatchFit:

@@ -23,6 +23,7 @@ PARTS = {
     "rows of the energies": ("curvature.py", "rows"),
     "Riccati sweep": ("riccati.py", "sweep"),
     "the whole linearisation": ("loop.py", "linearised"),
+    "valleys": ("leaps.py", "starts"),
     "closures": ("optimise_batch.py", "evaluate"),
     "everything": ("shooting.py", "solve"),
 }
@@ -48,7 +49,7 @@ def apart(spent: dict[str, float]) -> dict[str, float]:
     inside = [name for name in list(PARTS)[:4] if name in spent]
     found = {name: spent[name] for name in inside}
     found["rest of the linearisation"] = spent["the whole linearisation"] - sum(found.values())
-    found["closures"] = spent["closures"]
+    found |= {name: spent[name] for name in ("valleys", "closures")}
     found["everything else"] = spent["everything"] - sum(found.values())
     return found
 

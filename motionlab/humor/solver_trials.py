@@ -40,7 +40,7 @@ class Task:
     name: str
     problem: Problem
     unknown: dict[str, Tensor]
-    factors: Tensor
+    factors: Tensor | None
     latent: Tensor
     truth: Motion
     rough: Motion
@@ -56,6 +56,13 @@ class Task:
             self, problem=self.problem.rows(at), unknown={n: x[at] for n, x in self.unknown.items()},
             factors=self.factors[at], latent=self.latent[at], truth=self.truth.clip(at), rough=self.rough.clip(at),
         )  # fmt: skip
+
+    def begun(self, eager: float) -> Task:
+        """The same at another start (``transitions.start``)."""
+        shared, frames = {n: self.unknown[n] for n in variables.SHARED if n in self.unknown}, self.truth.frames
+        how = (self.problem.evidence.trust, self.problem.priors, (0,), frames, "lean", self.problem.weights.pull, eager)
+        start, factors = transitions.start(self.rough, self.latent, shared, *how)
+        return replace(self, unknown={n: x.detach() for n, x in start.items()}, factors=factors)
 
     def energy(self, unknown: dict[str, Tensor]) -> Tensor:
         """Stage 3's energy (B,) of unknowns, by a roll-out of their z."""
@@ -83,7 +90,7 @@ def prepare(
     cameras: Sequence[Camera] | None = None,
     schedule: Schedule | None = None,
 ) -> Task:
-    """Stages 1 and 2 and the start of stage 3, in lean mode, for clips with their truth."""
+    """Stages 1 and 2 and the start of stage 3, in lean mode and calm, for clips with their truth."""
     began, schedule = clock(), schedule or Schedule.lean()
     seen = evidence(observation, cameras=cameras)
     problem = Problem(seen, priors, weights)
@@ -94,11 +101,9 @@ def prepare(
         )
     with torch.no_grad():
         rough = variables.motion_of(variables.pose(unknown, priors, seen), seen.fps)
-    shared = {n: unknown[n] for n in variables.SHARED if n in unknown}
-    latent, frames = unknown["latent"][:, 0], seen.values.shape[1]
-    start, factors = transitions.start(rough, latent, shared, seen.trust, priors, (0,), frames, "lean", weights.pull)
-    start = {n: x.detach() for n, x in start.items()}
-    return Task(name, problem, start, factors, latent.detach(), truth, rough, clock() - began)
+    shared = {n: unknown[n].detach() for n in variables.SHARED if n in unknown}
+    task = Task(name, problem, shared, None, unknown["latent"][:, 0].detach(), truth, rough)
+    return replace(task.begun(transitions.CALM), seconds=clock() - began)
 
 
 @dataclass(frozen=True, eq=False)

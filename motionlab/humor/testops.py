@@ -238,6 +238,7 @@ class _Track:
             length,
             problem.mode,
             problem.weights.pull,
+            transitions.CALM if whole else transitions.EAGER,
         )
         cut = replace(problem, evidence=seen.pieces(torch.tensor(cuts), length), starts=cuts)
         if whole:

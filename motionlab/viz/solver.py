@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
-import torch
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from torch import Tensor
@@ -16,6 +15,7 @@ from motionlab.viz.plots import canvas, paints
 #: Colours of the contenders.
 ROLES = {
     "single shooting": "baseline", "shooting": "ours", "multiple shooting": "quaternion", "windows": "6d",
+    "shooting, no leaps": "stage3",
     "linearisation": "stage3", "closed-loop closure": "ours", "single-shooting closure": "baseline",
 }  # fmt: skip
 _FLOOR = 1e-4
@@ -50,40 +50,17 @@ def energy_over_time(
     return fig
 
 
-def paired_times(
-    tasks: Mapping[str, tuple[Tensor, Tensor]],
-    spent: tuple[float, float] | None = None,
-    *,
-    factors: Sequence[float] = (1, 5, 10),
-    size: tuple[float, float] = (5.6, 4.2),
-) -> Figure:
-    """A dot per clip: seconds of shooting against seconds of single shooting (B,) to the same energy.
-
-    Clips that one of them never brings there (infinite) are left out, and the legend says how many are shown; with
-    ``spent``, the seconds that each had, they are circles beyond them.
-    """
-    fig, (ax,) = canvas(size=size)
-    paint = paints(list(tasks))
-    beyond = None if spent is None else [1.35 * seconds for seconds in spent]
-    shown = {}
-    for name, pair in tasks.items():
-        there = pair[0].isfinite() & pair[1].isfinite()
-        if beyond is not None:
-            pair = tuple(torch.where(x.isfinite(), x, x.new_tensor(end)) for x, end in zip(pair, beyond, strict=True))
-        keep = there if beyond is None else torch.ones_like(there)
-        shown[name] = (*(x[keep] for x in pair), there[keep], len(there))
-    slow = torch.cat([x for x, *_ in shown.values()] or [torch.ones(1)])
-    low, high = (0.6 * slow.min().item(), 1.6 * slow.max().item()) if len(slow) else (1.0, 10.0)
-    for factor in factors:
-        ax.plot((low, high), (low / factor, high / factor), color=LINE, lw=1.2, zorder=0)
-        ax.annotate(f" {factor:g} x", (high, high / factor), fontsize=9, color=INK, va="center")
-    for name, (x, y, there, count) in shown.items():
-        label = f"{name} ({int(there.sum())} of {count})"
-        ax.scatter(x[there], y[there], s=30, color=paint[name], label=label, alpha=0.8, lw=0)
-        ax.scatter(x[~there], y[~there], s=30, facecolors="none", edgecolors=paint[name])
-    ax.set(xscale="log", yscale="log", xlim=(low, 1.25 * high))
-    ax.set(xlabel="single shooting (s)", ylabel="shooting (s)")
-    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+def promises(tasks: Mapping[str, tuple[Tensor, Tensor]], *, size: tuple[float, float] = (8.0, 3.6)) -> Figure:
+    """A panel per task, a dot per valley: by how much it was said to be lower, and by how much it is."""
+    fig, axes = canvas(1, len(tasks), size=size)
+    for ax, (name, (promised, found)) in zip(axes, tasks.items(), strict=True):
+        low = min(0.0, promised.min().item(), found.min().item())
+        high = max(promised.max().item(), found.max().item(), 1e-3)
+        room = 0.08 * (high - low)
+        ax.plot((low, high), (low, high), color=LINE, lw=1.2, zorder=0)
+        ax.scatter(promised.flatten(), found.flatten(), s=26, color=colour("ours"), alpha=0.7, lw=0)
+        ax.set(xlim=(low - room, high + room), ylim=(low - room, high + room), title=name)
+        ax.set(xlabel="energy lower by, promised", ylabel="found" if ax is axes[0] else "")
     return fig
 
 

@@ -1,0 +1,22 @@
+"""Whether leaps keep their promise: how deep a valley was said to be, and how deep a search finds it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from motionlab.humor import leaps, shooting
+from motionlab.humor.solver_trials import Task
+
+
+def promised_and_found(task: Task, unknown: dict[str, Tensor], most: int, closures: int) -> tuple[Tensor, Tensor]:
+    """By how much the energy should be lower, and is after a search, in the ``most`` deepest valleys of each clip: (B, n).
+
+    All searches share the coordinates around ``unknown``, where ``closures`` are spent on each.
+    """
+    loop = shooting.linearised(task.problem, unknown)
+    energy, gain, first = leaps.valleys(task.problem, unknown, loop)
+    gain, which = gain.topk(min(most, gain.shape[1]), 1)
+    who = torch.arange(len(gain)).repeat_interleave(gain.shape[1])
+    _, fit = shooting.searched(task.problem, unknown, loop, who, first[who, which.flatten()], closures)
+    return gain, energy[:, None] - fit.energy.unflatten(0, gain.shape)

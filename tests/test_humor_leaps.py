@@ -1,0 +1,158 @@
+"""Leaps between the valleys that the components of the first state's mixture make."""
+
+from copy import deepcopy
+from dataclasses import replace
+
+import pytest
+import torch
+
+from motionlab.humor import init_gmm, leaps, variables
+from motionlab.humor.init_gmm import InitGmm
+from motionlab.humor.loop import linearised, opened
+from motionlab.humor.shooting import Plan, solve
+from motionlab.humor.stages import rolled_terms
+from tests.rolled_inputs import F64
+from tests.test_humor_shooting import CLIPS, made, noisy, nought, seed, total
+
+ALONE = Plan(rounds=8, closures=20, tolerance=1e-5, leaps=0)
+
+
+@pytest.fixture(scope="module")
+def case(kit):
+    """Joints, unknowns, and a mixture of two balls: one around the first states, and one with other velocities, three
+    standard deviations of each away and a million million times as likely."""
+    problem, unknown = made(smoothed(kit.pose))["joints"]
+    first = variables.first_state(unknown, problem.priors)
+    middle = init_gmm.features(variables.local_first(first)).mean(0)
+    other = middle.clone()
+    other[66:] += noisy(torch.zeros(72, dtype=F64), 0.3, 8)
+    balls = 0.1**2 * torch.eye(init_gmm.SIZE, dtype=F64).expand(2, -1, -1)
+    mixture = InitGmm(torch.tensor([1e-12, 1 - 1e-12], dtype=F64), torch.stack((middle, other)), balls)
+    weights = replace(problem.weights, init_motion_prior=(0.0, 0.0, 0.3), contact_height=(0.0, 0.0, 0.0))
+    return replace(problem, priors=replace(problem.priors, initial=mixture), weights=weights), unknown
+
+
+def smoothed(pose):
+    """A pose prior without kinks, as the first state's slopes are differences."""
+    pose = deepcopy(pose)
+    pose.slopes = (1.0, 1.0, 1.0)
+    return pose
+
+
+@pytest.fixture(scope="module")
+def settled(case):
+    """Where a search without leaps ends."""
+    problem, unknown = case
+    return solve(problem, unknown, ALONE)[0]
+
+
+def component(problem, unknown):
+    features = init_gmm.features(variables.local_first(variables.first_state(unknown, problem.priors)))
+    return problem.priors.initial.each(features).argmax(-1)
+
+
+def test_whitened_features_are_the_density_and_its_slopes(case):
+    problem, _ = case
+    gmm, x = problem.priors.initial, torch.randn(3, init_gmm.SIZE, generator=seed(1), dtype=F64)
+    way = torch.randn(3, init_gmm.SIZE, 2, generator=seed(2), dtype=F64)
+    off, slopes, constant = gmm.whitened(x, way)
+    torch.testing.assert_close(constant - 0.5 * off.square().sum(-1), gmm.each(x))
+    change = torch.tensor([0.3, -0.2], dtype=F64)
+    moved = constant - 0.5 * (off + slopes @ change).square().sum(-1)
+    torch.testing.assert_close(moved, gmm.each(x + way @ change))
+
+
+def test_the_matrix_is_that_of_the_rest_and_of_the_mixture(case):
+    """Together they are round, but for the ridge that holds what nothing else does."""
+    problem, unknown = case
+    with torch.no_grad():
+        loop = linearised(problem, unknown)
+        f = init_gmm.features(variables.local_first(variables.first_state(unknown, problem.priors)))
+        gmm = problem.priors.initial
+        share = gmm.each(f).softmax(-1)
+        pull = torch.einsum("bk,kij->bij", share, torch.linalg.inv(gmm.covariances))
+        weight = problem.weights.of(3, frames=unknown["z"].shape[2] + 1)["init_motion_prior"]
+        whole = loop.rest + weight * loop.features.mT @ pull @ loop.features
+        values = torch.linalg.eigvalsh(whole)
+        assert values.max() < 1 + 1e-6 and (values > 0.9).float().mean() > 0.8
+        step, way = 1e-5, torch.randn(loop.first.shape[0], loop.first.shape[2], generator=seed(3), dtype=F64)
+        ends = []
+        for s in (step, -step):
+            at, _ = opened(problem, unknown, loop, nought(loop) | {"first": s * way})
+            ends.append(init_gmm.features(variables.local_first(variables.first_state(at, problem.priors))))
+        slope = (ends[0] - ends[1]) / (2 * step)
+        torch.testing.assert_close((loop.features @ way[..., None])[..., 0], slope, atol=1e-3, rtol=1e-3)
+
+
+def test_where_a_search_has_ended_its_own_valley_promises_nothing(case, settled):
+    problem, _ = case
+    with torch.no_grad():
+        loop = linearised(problem, settled)
+    energy, gain, _ = leaps.valleys(problem, settled, loop)
+    torch.testing.assert_close(energy, total(problem, settled))
+    own = component(problem, settled)
+    assert (own == 0).all()
+    assert gain[:, 0].abs().max() < 0.01 * energy.abs().min()
+    assert (gain[:, 1] > 0.1).all()  # and the other much
+
+
+def test_the_depth_of_a_valley_is_known_before_it_is_entered(case, settled):
+    """What is promised, against what a search finds that begins with the other component alone."""
+    problem, _ = case
+    with torch.no_grad():
+        loop = linearised(problem, settled)
+    energy, gain, _ = leaps.valleys(problem, settled, loop)
+    gmm = problem.priors.initial
+    other = replace(
+        problem,
+        priors=replace(problem.priors, initial=InitGmm(torch.ones(1, dtype=F64), gmm.means[1:], gmm.covariances[1:])),
+    )
+    found, _ = solve(other, settled, replace(ALONE, rounds=12, closures=30))
+    there = total(problem, found)
+    assert (component(problem, found) == 1).all()
+    fell = energy - there
+    assert (fell > 0.1).all() and ((gain[:, 1] - fell) / fell).abs().max() < 0.3
+
+
+def test_a_search_that_leaps_ends_in_the_deeper_valley_and_one_that_does_not_stays(case, settled):
+    problem, unknown = case
+    found, fits = solve(problem, unknown, replace(ALONE, leaps=1))
+    assert (component(problem, settled) == 0).all() and (component(problem, found) == 1).all()
+    assert (total(problem, found) < total(problem, settled) - 0.1).all()
+    torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
+    assert all(fit.energy.shape == (CLIPS,) and fit.history.shape[1] == CLIPS for fit in fits)
+
+
+def test_no_more_leaps_than_asked_for_and_none_that_promises_little(case, settled):
+    problem, _ = case
+    with torch.no_grad():
+        loop = linearised(problem, settled)
+    who, first = leaps.starts(problem, settled, loop, 3, 0.01)
+    assert who.tolist() == [0, 1, 0, 1] and not first[:CLIPS].any() and first[CLIPS:].any(1).all()
+    for most, share in ((0, 0.01), (3, 1e3)):
+        who, first = leaps.starts(problem, settled, loop, most, share)
+        assert who.tolist() == [0, 1] and not first.any()
+
+
+def test_the_rows_of_a_clip_are_one_clip_in_what_is_reported(case):
+    """A leap's energies are its clip's: the lowest of its rows after each closure."""
+    problem, unknown = case
+    with torch.no_grad():
+        loop = linearised(problem, unknown)
+        who, first = leaps.starts(problem, unknown, loop, 1, 1e-3)
+        starts = [
+            sum(rolled_terms(problem, *opened(problem, unknown, loop, nought(loop) | {"first": first[i]})).values())
+            for i in (slice(0, CLIPS), slice(CLIPS, 2 * CLIPS))
+        ]
+    assert who.tolist() == [0, 1, 0, 1]
+    _, fits = solve(problem, unknown, replace(ALONE, rounds=1, leaps=1))
+    torch.testing.assert_close(fits[0].history[0], torch.minimum(*starts), rtol=1e-9, atol=0)
+
+
+def test_a_mixture_without_weight_has_no_valleys(case):
+    problem, unknown = case
+    still = replace(problem, weights=replace(problem.weights, init_motion_prior=(0.0, 0.0, 0.0)))
+    with torch.no_grad():
+        loop = linearised(still, unknown)
+    _, gain, _ = leaps.valleys(still, unknown, loop)
+    assert torch.equal(gain[:, 0], gain[:, 1])
