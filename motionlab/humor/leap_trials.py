@@ -10,7 +10,7 @@ from motionlab.humor.solver_trials import Task
 
 
 def promised_and_found(task: Task, unknown: dict[str, Tensor], most: int, closures: int) -> tuple[Tensor, Tensor]:
-    """By how much the energy should be lower, and is after a search, in the ``most`` deepest valleys of each clip: (B, n).
+    """By how much the energy should be lower, and is after a search, in the deepest valleys of each clip: (B, most).
 
     All searches share the coordinates around ``unknown``, where ``closures`` are spent on each.
     """

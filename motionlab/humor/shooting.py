@@ -38,6 +38,7 @@ class Plan:
     rounds: linearisations at most. closures: of L-BFGS after each. tolerance: a clip is done when a round gains less
     than this share of its energy's size. stride: frames between those at which the networks are differentiated. leaps:
     other components of the first state's mixture that a clip tries in a round (``leaps``), of those that promise more.
+    trial: rounds that a second start goes along, before the first leaps.
     """
 
     rounds: int = 25
@@ -45,11 +46,12 @@ class Plan:
     tolerance: float = 2e-3
     stride: int = 1
     leaps: int = 3
+    trial: int = 2
     ridge: float = 1e-6
 
     def __post_init__(self) -> None:
-        if min(self.rounds, self.closures, self.stride) < 1 or self.leaps < 0:
-            raise ValueError(f"rounds, closures and stride: expected 1 or more, leaps: 0 or more, got {self}")
+        if min(self.rounds, self.closures, self.stride) < 1 or min(self.leaps, self.trial) < 0:
+            raise ValueError(f"rounds, closures, stride: expected 1 or more, leaps, trial: 0 or more, got {self}")
 
 
 @dataclass
@@ -70,51 +72,75 @@ def solve(
     plan: Plan | None = None,
     report: Report | None = None,
     *,
+    rival: Variables | None = None,
     linearise: Callable[..., Loop] = linearised,
     progress: bool = False,
 ) -> tuple[dict[str, Tensor], list[BatchFit]]:
     """Lower stage 3's energy from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
 
-    linearise: where the coordinates come from, called as ``loop.linearised``; another for ablations.
+    rival: a second start of the same recordings; after the plan's trial the lower one of each goes on. linearise: where
+    the coordinates come from, called as ``loop.linearised``; another for ablations.
 
     Returns:
         the unknowns of lowest energy, and the optimiser's reports of all rounds, of all clips: one that is done has the
         reason "no decrease".
     Raises:
-        ShapeError: recordings in several windows, or of one frame.
+        ShapeError: recordings in several windows, or of one frame; a second start of other recordings.
         NotConverged: no clip has a finite energy and gradient at the start.
     """
     if unknown["z"].shape[1] != 1:
         raise ShapeError(f"z: expected one window per recording, got {unknown['z'].shape[1]}")
-    plan, report = plan or Plan(), report or Report()
+    plan, report, clips = plan or Plan(), report or Report(), len(unknown["z"])
     unknown = {n: x.detach().clone() for n, x in unknown.items()}
+    trial = 0 if rival is None else plan.trial
+    if trial:
+        unknown = _beside(unknown, rival)
     mark, fits = time.perf_counter(), []
     report.began = report.clock()
     energy = unknown["betas"].new_full((len(unknown["betas"]),), float("inf"))
     live = torch.arange(len(energy), device=energy.device)
-    for _ in range(plan.rounds):
+    for count in range(plan.rounds):
+        if count == trial:
+            live = live[torch.isin(live, _lower(energy, clips))]
+        if not len(live):
+            break
+        now = replace(plan, leaps=plan.leaps if count >= trial else 0)
+        here = {n: x[live] for n, x in unknown.items()}
         try:
-            found, fit = _round(
-                problem.rows(live), {n: x[live] for n, x in unknown.items()}, plan, report, linearise, progress
-            )
+            found, fit = _round(problem.rows(live % clips), here, now, report, linearise, progress)
         except (KeyboardInterrupt, NotConverged) as ended:
             del report.seconds[len(report.history) :]
             if not fits:
                 raise
             if isinstance(ended, KeyboardInterrupt):
-                fits[-1] = replace(fits[-1], reasons=["interrupted"] * len(energy))
+                fits[-1] = replace(fits[-1], reasons=["interrupted"] * clips)
             break  # else what is left cannot be differentiated: it stays where it was
         gain = energy[live] - fit.energy
         better = gain > 0
         for n, x in found.items():
             unknown[n][live[better]] = x[better]
         energy[live[better]] = fit.energy[better]
-        fits.append(_widened(fit, live, energy, time.perf_counter() - mark))
+        whole = _widened(fit, live, energy, time.perf_counter() - mark)
+        fits.append(_of_clips(whole, torch.arange(len(energy), device=energy.device) % clips)[1])
         report.history += fits[-1].history.unbind(0)
-        mark, live = time.perf_counter(), live[gain > plan.tolerance * energy[live].abs()]
-        if interrupted(fit) or not len(live):
+        gained = gain > plan.tolerance * energy[live].abs()
+        mark, live = time.perf_counter(), live[gained] if count >= trial else live
+        if interrupted(fit):
             break
-    return unknown, fits
+    return {n: x[_lower(energy, clips)] for n, x in unknown.items()}, fits
+
+
+def _beside(unknown: dict[str, Tensor], rival: Variables) -> dict[str, Tensor]:
+    """Two starts of G clips as 2 G rows."""
+    for n, x in unknown.items():
+        if n not in rival or rival[n].shape != x.shape:
+            raise ShapeError(f"rival {n}: expected shape {tuple(x.shape)}, got {n in rival and tuple(rival[n].shape)}")
+    return {n: torch.cat((x, rival[n].detach())) for n, x in unknown.items()}
+
+
+def _lower(energy: Tensor, clips: int) -> Tensor:
+    """Of each clip the row (G,) with the lower energy, the former where there is none."""
+    return energy.unflatten(0, (-1, clips)).argmin(0) * clips + torch.arange(clips, device=energy.device)
 
 
 def _round(

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from motionlab.errors import DataError
 from motionlab.humor import shooting, stages
-from motionlab.humor.solver_trials import Run, Task, clock
+from motionlab.humor.solver_trials import Run, Task, clock, shot
 from motionlab.humor.stages import FIRST, Problem
 from motionlab.humor.workload import Workload
 
@@ -34,7 +34,7 @@ def parts_of_a_fit(task: Task, plan: shooting.Plan) -> dict[str, float]:
     watch = cProfile.Profile(clock)
     watch.enable()
     try:
-        shooting.solve(task.problem, task.unknown, plan, shooting.Report())
+        shot(task, plan)
     finally:
         watch.disable()
     found = {(file.rsplit("/", 1)[-1], name): row[3] for (file, _, name), row in pstats.Stats(watch).stats.items()}

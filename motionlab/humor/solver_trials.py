@@ -253,7 +253,7 @@ def shot(
     *,
     change: Callable[[shooting.Loop, dict[str, Tensor]], shooting.Loop] | None = None,
 ) -> Run:
-    """Closed-loop Gauss-Newton (``shooting``) from the task's start, or from another.
+    """Closed-loop Gauss-Newton (``shooting``) from the task's start and the eager one, or from another alone.
 
     change: what becomes of the coordinates of every linearisation, for ablations.
     """
@@ -263,10 +263,12 @@ def shot(
         return change(loop, unknown) if change else loop
 
     began, report = clock(), shooting.Report(clock=clock)
-    unknown, _ = shooting.solve(task.problem, start or task.unknown, plan, report, linearise=linearise)
+    rival = None if start else task.begun(transitions.EAGER).unknown
+    ready = clock() - began
+    unknown, _ = shooting.solve(task.problem, start or task.unknown, plan, report, rival=rival, linearise=linearise)
     spent = clock() - began
     energies = torch.stack(report.history)
-    seconds = torch.tensor(report.seconds).double()
+    seconds = ready + torch.tensor(report.seconds).double()
     if len(energies) != len(seconds):
         raise DataError(f"{len(seconds)} times for {len(energies)} closures", remedy="note every closure once")
     unknown = {n: x.detach() for n, x in unknown.items()}

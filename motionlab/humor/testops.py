@@ -228,21 +228,12 @@ class _Track:
         cuts = (0,) if whole else windows.plan(frames, s.window, s.overlap)
         shared = {n: unknown[n] for n in variables.SHARED if n in unknown}
         latent = unknown["latent"][:, 0]
-        rolled, factors = transitions.start(
-            self.stages[2],
-            latent,
-            shared,
-            seen.trust,
-            problem.priors,
-            cuts,
-            length,
-            problem.mode,
-            problem.weights.pull,
-            transitions.CALM if whole else transitions.EAGER,
-        )
+        begun = (self.stages[2], latent, shared, seen.trust, problem.priors, cuts, length, problem.mode)
+        rolled, factors = transitions.start(*begun, problem.weights.pull)
         cut = replace(problem, evidence=seen.pieces(torch.tensor(cuts), length), starts=cuts)
         if whole:
-            rolled, self.results[3] = solve(cut, rolled, s.shooting, progress=self.budget["progress"])
+            calm, _ = transitions.start(*begun, problem.weights.pull, transitions.CALM)
+            rolled, self.results[3] = solve(cut, calm, s.shooting, rival=rolled, progress=self.budget["progress"])
         else:
             rolled, self.results[3] = stages.stage_3(
                 cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **self.budget
