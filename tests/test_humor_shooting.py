@@ -11,6 +11,7 @@ from data_synth import clips
 from motionlab import rotation
 from motionlab.errors import NotConverged, ShapeError
 from motionlab.humor import energies, init_gmm, observed, shooting, stages, state, variables
+from motionlab.humor import loop as loop_module
 from motionlab.humor.init_gmm import InitGmm
 from motionlab.humor.loop import FIRST
 from motionlab.humor.observed import Evidence, Observation3D
@@ -319,6 +320,53 @@ def test_slopes_at_few_frames_make_nearly_the_same_coordinates(cases):
     pair = replace(pair, evidence=pair.evidence.short(3))
     first, second = (linearised(pair, start, stride=stride) for stride in (1, 7))  # two transitions: both are ends
     assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def rows_of(linearise, sizes):
+    """The same, and notes how many clips it was asked for."""
+
+    def noted(problem, unknown, **how):
+        sizes.append(len(unknown["z"]))
+        return linearise(problem, unknown, **how)
+
+    return noted
+
+
+def test_of_two_starts_the_lower_goes_on(cases):
+    """Clip by clip, and what is found and reported is what each start would have found by itself."""
+    problem, unknown = cases["joints"]
+    far = {n: noisy(x, 0.3, 9) if n == "z" else x for n, x in unknown.items()}
+    here, there = ({n: torch.stack((a[n][0], b[n][1])) for n in unknown} for a, b in ((unknown, far), (far, unknown)))
+    plan, sizes, report = replace(STEADY, leaps=0, trial=1), [], Report()
+    found, fits = solve(problem, here, plan, report, rival=there, linearise=rows_of(linearised, sizes))
+    assert sizes == [2 * CLIPS, CLIPS]
+    alone = [solve(problem, begin, plan) for begin in (here, there)]
+    first = torch.minimum(*(fits[0].energy for _, fits in alone))
+    torch.testing.assert_close(fits[0].energy, first, atol=0, rtol=1e-6)
+    lower = torch.stack([fits[0].energy for _, fits in alone]).argmin(0)
+    ends = torch.stack([fits[-1].energy for _, fits in alone]).gather(0, lower[None])[0]
+    torch.testing.assert_close(total(problem, found), ends, atol=0, rtol=1e-4)
+    torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
+    assert all(x.shape == (CLIPS,) for x in report.history) and len(report.history) == len(report.seconds)
+
+
+def test_a_second_start_of_other_recordings_is_refused(cases):
+    problem, unknown = cases["joints"]
+    with pytest.raises(ShapeError, match="rival z"):
+        solve(problem, unknown, STEADY, rival={**unknown, "z": unknown["z"][:1]})
+    with pytest.raises(ShapeError, match="rival betas"):
+        solve(problem, unknown, STEADY, rival={n: x for n, x in unknown.items() if n != "betas"})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_clips_differentiated_one_by_one_are_those_of_a_batch(cases, kind, monkeypatch):
+    problem, unknown = cases[kind]
+    apart = linearised(problem, unknown)
+    monkeypatch.setattr(loop_module, "_one_by_one", lambda z: False)
+    for ours, theirs in zip(apart, linearised(problem, unknown), strict=True):
+        torch.testing.assert_close(ours, theirs, atol=1e-9, rtol=1e-7)
+    assert apart.gains.transpose(0, 1).is_contiguous()  # as roll-outs read them
+    assert apart.rows(torch.tensor([1, 0, 1])).gains.transpose(0, 1).is_contiguous()
 
 
 def test_a_round_that_ends_higher_is_thrown_away(cases, monkeypatch):

@@ -3,8 +3,10 @@ from dataclasses import replace
 import pytest
 import torch
 
+from motionlab import rotation
 from motionlab.errors import DataError
-from motionlab.humor import cases, testops
+from motionlab.humor import cases, loop, testops, variables
+from motionlab.humor.closed_loop import steered_rollout
 from motionlab.humor.weights import JOINTS
 from motionlab.posterior import curvature, legs, modes, rivals, trials
 from motionlab.posterior.legs import LEGS
@@ -110,6 +112,44 @@ def test_half_the_square_of_the_residuals_is_the_energy(points):
         constant = 0.5 * (rolled.rollout.prior.log_var + torch.tensor(2 * torch.pi).log()).double().sum((1, 2))
         assert torch.allclose(found + constant, point.energy(where), atol=0.05)
     assert found.std() > 1  # control: they differ from each other
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_the_curvature_is_the_solvers(points, monkeypatch, share):
+    """Along any direction: by differences of residuals, and by the coordinates of ``loop``, in which the matrix is the
+    identity. Control: with the solver's share of what log sigma tells, which is left out here, it is not."""
+    monkeypatch.setattr(loop, "_INFORMATION", share)
+    weights = replace(JOINTS, contact_height=(0, 0, 0))  # which the solver counts as parabolas
+    point, step = replace(points[0], problem=replace(points[0].problem, weights=weights)), 1e-3
+    around = loop.linearised(point.problem, point.unknown)
+    here = variables.to_matrix(point.unknown["orient"])
+
+    def coordinates(q):
+        task, unknown = point.at(q)
+        first = variables.first_state(unknown, task.priors)
+        _, x = steered_rollout(task.priors.motion, first, unknown["z"][:, 0])
+        turn = rotation.log(variables.to_matrix(unknown["orient"]) @ here.mT)
+        parts = [turn if n == "orient" else unknown[n] - point.unknown[n] for n in loop.FIRST]
+        change = torch.cat([part.flatten(1) for part in parts] + [unknown["betas"] - point.unknown["betas"]], 1)
+        gap = unknown["z"][:, 0] - around.base - (around.gains @ x[..., None])[..., 0]
+        gap = gap - (around.shared @ change[:, None, -8:, None])[..., 0]
+        nu = torch.linalg.solve(around.shapers.double(), gap.double()[..., None])
+        return torch.cat(
+            (nu.flatten(1), torch.linalg.solve(around.first.double(), change.double()[..., None])[..., 0]), 1
+        )
+
+    def residuals(q):
+        like = point.roll(torch.zeros_like(q))
+        return curvature.residuals(point.at(q)[0], point.at(q)[1], point.roll(q), like).double()
+
+    way = torch.randn(6, point.size, generator=torch.Generator().manual_seed(6))
+    way[3:, : -4 * 48] = 0.0  # latents alone
+    with torch.no_grad():
+        ours, theirs = (
+            ((f(step * way) - f(-step * way)) / (2 * step)).square().sum(1) for f in (residuals, coordinates)
+        )
+    off = (theirs / point.nat / ours - 1).abs().max()
+    assert off < 0.01 if share == 0 else off > 0.02, off
 
 
 def test_cosines_are_orthonormal_and_latents_move_in_units_of_their_prior(points):
