@@ -15,7 +15,13 @@ from tests.fit_inputs import joints, keypoints
 
 FRAMES = 6
 FEW = Schedule(
-    steps=(1, 1, 1), inner=1, short=3, refine=(0, 0), window=4, overlap=1, shooting=Plan(rounds=1, closures=2)
+    steps=(1, 1, 1),
+    inner=1,
+    short=3,
+    refine=(0, 0),
+    window=4,
+    overlap=1,
+    shooting=Plan(rounds=2, closures=2, trial=1, tolerance=-1e3),  # a second start, then leaps wherever they lead
 )
 
 

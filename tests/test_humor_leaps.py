@@ -6,11 +6,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab.humor import init_gmm, leaps, variables
+from motionlab.humor import init_gmm, leaps, shooting, variables
 from motionlab.humor.init_gmm import InitGmm
 from motionlab.humor.loop import linearised, opened
 from motionlab.humor.shooting import Plan, solve
 from motionlab.humor.stages import rolled_terms
+from motionlab.optimise_batch import BatchFit
 from tests.rolled_inputs import F64
 from tests.test_humor_shooting import CLIPS, made, noisy, nought, seed, total
 
@@ -154,5 +155,37 @@ def test_a_mixture_without_weight_has_no_valleys(case):
     still = replace(problem, weights=replace(problem.weights, init_motion_prior=(0.0, 0.0, 0.0)))
     with torch.no_grad():
         loop = linearised(still, unknown)
-    _, gain, _ = leaps.valleys(still, unknown, loop)
-    assert torch.equal(gain[:, 0], gain[:, 1])
+    assert leaps.starts(still, unknown, loop, 2, -1.0)[0].tolist() == [0, 1]
+    assert leaps.starts(problem, unknown, loop, 2, -1.0)[0].tolist() == [0, 1, 0, 0, 1, 1]  # control
+    assert leaps.starts(problem, unknown, loop, 1, -1.0)[0].tolist() == [0, 1, 0, 1]
+
+
+def rows_of(reasons, history):
+    energy = history.nan_to_num(nan=torch.inf).amin(0)
+    return BatchFit({}, energy, history, 1.0, reasons)
+
+
+def test_a_person_who_stops_one_row_stops_its_clip_and_what_is_not_finite_is_nobodys():
+    history = torch.tensor([[3.0, 5.0, torch.nan], [2.0, 5.0, 4.0]])
+    best, fit = shooting._of_clips(
+        rows_of(["no decrease", "gradient", "interrupted"], history), torch.tensor([0, 1, 0])
+    )
+    assert best.tolist() == [0, 1] and fit.reasons == ["interrupted", "gradient"]
+    assert fit.history.tolist() == [[3.0, 5.0], [2.0, 5.0]] and fit.energy.tolist() == [2.0, 5.0]
+
+
+def test_a_leap_to_nowhere_leaves_the_clip_where_it_was(case, monkeypatch):
+    """Not a number, or so far that nothing is finite."""
+    problem, unknown = case
+    alone, _ = solve(problem, unknown, replace(ALONE, rounds=1))
+
+    def nowhere(problem, unknown, loop, most, share):
+        stay = torch.arange(CLIPS).repeat(3)
+        first = torch.zeros(3 * CLIPS, loop.first.shape[1], dtype=F64)
+        first[CLIPS : 2 * CLIPS], first[2 * CLIPS :] = torch.nan, 1e30
+        return stay, first
+
+    monkeypatch.setattr(leaps, "starts", nowhere)
+    found, fits = solve(problem, unknown, replace(ALONE, rounds=1, leaps=2))
+    torch.testing.assert_close(total(problem, found), total(problem, alone), rtol=1e-9, atol=0)
+    assert fits[0].history.isfinite().all()

@@ -335,7 +335,7 @@ def rows_of(linearise, sizes):
 def test_of_two_starts_the_lower_goes_on(cases):
     """Clip by clip, and what is found and reported is what each start would have found by itself."""
     problem, unknown = cases["joints"]
-    far = {n: noisy(x, 0.3, 9) if n == "z" else x for n, x in unknown.items()}
+    far = {n: noisy(x, 2.0, 9) if n == "z" else x for n, x in unknown.items()}
     here, there = ({n: torch.stack((a[n][0], b[n][1])) for n in unknown} for a, b in ((unknown, far), (far, unknown)))
     plan, sizes, report = replace(STEADY, leaps=0, trial=1), [], Report()
     found, fits = solve(problem, here, plan, report, rival=there, linearise=rows_of(linearised, sizes))
@@ -344,10 +344,33 @@ def test_of_two_starts_the_lower_goes_on(cases):
     first = torch.minimum(*(fits[0].energy for _, fits in alone))
     torch.testing.assert_close(fits[0].energy, first, atol=0, rtol=1e-6)
     lower = torch.stack([fits[0].energy for _, fits in alone]).argmin(0)
+    assert lower.tolist() == [0, 1]
     ends = torch.stack([fits[-1].energy for _, fits in alone]).gather(0, lower[None])[0]
     torch.testing.assert_close(total(problem, found), ends, atol=0, rtol=1e-4)
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
     assert all(x.shape == (CLIPS,) for x in report.history) and len(report.history) == len(report.seconds)
+
+
+@pytest.mark.parametrize("bad", [0, 1])
+def test_a_start_that_is_not_finite_leaves_the_other(cases, bad):
+    problem, unknown = cases["joints"]
+    starts = [unknown, {**unknown, "z": torch.full_like(unknown["z"], torch.nan)}]
+    plan = replace(STEADY, trial=1)
+    found, _ = solve(problem, starts[bad], plan, rival=starts[1 - bad])
+    torch.testing.assert_close(
+        total(problem, found), total(problem, solve(problem, unknown, plan)[0]), rtol=1e-3, atol=0
+    )
+
+
+def test_a_plan_without_a_trial_has_one_start_and_one_of_fewer_rounds_ends_with_the_lower(cases):
+    problem, unknown = cases["joints"]
+    far = {n: noisy(x, 2.0, 9) if n == "z" else x for n, x in unknown.items()}
+    sizes: list[int] = []
+    for plan in (replace(STEADY, trial=0), replace(STEADY, rounds=1, trial=3)):
+        found, _ = solve(problem, far, plan, rival=unknown, linearise=rows_of(linearised, sizes))
+        best = solve(problem, far if plan.trial == 0 else unknown, replace(plan, trial=0))[0]
+        torch.testing.assert_close(total(problem, found), total(problem, best), rtol=1e-6, atol=0)
+    assert sizes == [CLIPS, CLIPS, 2 * CLIPS]
 
 
 def test_a_second_start_of_other_recordings_is_refused(cases):

@@ -117,7 +117,7 @@ def test_half_the_square_of_the_residuals_is_the_energy(points):
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_the_curvature_is_the_solvers(points, monkeypatch, share):
     """Along any direction: by differences of residuals, and by the coordinates of ``loop``, in which the matrix is the
-    identity. Control: with the solver's share of what log sigma tells, which is left out here, it is not."""
+    identity. Control: with rows for what log sigma tells, which are left out here, it is not."""
     monkeypatch.setattr(loop, "_INFORMATION", share)
     weights = replace(JOINTS, contact_height=(0, 0, 0))  # which the solver counts as parabolas
     point, step = replace(points[0], problem=replace(points[0].problem, weights=weights)), 1e-3

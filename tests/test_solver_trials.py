@@ -249,4 +249,6 @@ def test_figures_draw_what_never_arrives(runs):
     assert [text.get_text() for text in axes.get_legend().texts] == ["single", "shot", "windows"]
     found = torch.tensor([[0.4, -0.1], [0.2, 0.0]])
     (axes,) = draw.promises({"noisy": (found + 0.1, found)}).axes
+    less = found.index_fill(0, torch.tensor([1]), -torch.inf)
+    assert len(draw.promises({"noisy": (found, less)}).axes[0].collections[0].get_offsets()) == 2
     assert axes.collections[0].get_offsets().shape == (4, 2) and axes.get_ylim()[0] < -0.1 < 0.5 < axes.get_xlim()[1]

@@ -12,11 +12,12 @@ from motionlab.humor.solver_trials import Task
 def promised_and_found(task: Task, unknown: dict[str, Tensor], most: int, closures: int) -> tuple[Tensor, Tensor]:
     """By how much the energy should be lower, and is after a search, in the deepest valleys of each clip: (B, most).
 
-    All searches share the coordinates around ``unknown``, where ``closures`` are spent on each.
+    All searches share the coordinates around ``unknown``, where ``closures`` are spent on each. What these find without
+    a leap is not taken off: on 16 practice clips that had settled 0.003 at most, where leaps found up to 0.4.
     """
     loop = shooting.linearised(task.problem, unknown)
     energy, gain, first = leaps.valleys(task.problem, unknown, loop)
     gain, which = gain.topk(min(most, gain.shape[1]), 1)
-    who = torch.arange(len(gain)).repeat_interleave(gain.shape[1])
+    who = torch.arange(len(gain), device=gain.device).repeat_interleave(gain.shape[1])
     _, fit = shooting.searched(task.problem, unknown, loop, who, first[who, which.flatten()], closures)
     return gain, energy[:, None] - fit.energy.unflatten(0, gain.shape)

@@ -1,12 +1,15 @@
 """Leaps from valley to valley: the first state's mixture has components, and each makes a valley of stage 3's energy.
 
-Where ``init_gmm`` says that one of its components made the first state, a search stays with that component: on the way
-to another the density is next to nothing. All other terms are, around a roll-out, nearly quadratic in the first state
-and what is shared, d, since later latents give way (``riccati``: P_0). So the least of the energy with component k,
+Where ``init_gmm`` says that one of its components made the first state, a search stays with that component: on the
+way to another the density is next to nothing. All other terms are, around a roll-out, nearly quadratic in the change d
+of the first state and of what is shared, while nu = 0 and later latents give way. So the least of the energy with
+component k alone,
 
-    min_d   g d + 1/2 d H d + w (1/2 |W_k (f + F d - m_k)|^2 - c_k),
+    E_k = min_d  g d + 1/2 d H d + w (1/2 |W_k (f + F d - m_k)|^2 - c_k),
 
-is a linear system, and how deep a valley is is known, nearly, before it is entered.
+is a linear system, and how deep its valley is is known, nearly, before it is entered. g: gradient of all terms but the
+mixture's. H: their matrix (``Loop.rest``). f, F: the first state's features and how they move. W_k, m_k, c_k: whitener,
+mean and constant of the component; w: the mixture's weight.
 
 Source: none; HuMoR (Rempe et al. 2021) has the mixture, and its optimiser stays where stage 2 puts it.
 """
@@ -27,14 +30,15 @@ _RIDGE = 1e-4
 def starts(problem: Problem, unknown: Variables, loop: Loop, most: int, share: float) -> tuple[Tensor, Tensor]:
     """Where searches begin: R rows, first those of all clips where they are, then leaps.
 
-    most: leaps of a clip; only to where its energy should be lower by more than ``share`` of its size.
+    most: leaps of a clip; only to where the energy should be lower than now by more than ``share`` of its size, the
+    valley of its own component included.
 
     Returns:
         whose each row is (R,), and its coordinates of the first state and what is shared (R, f).
     """
     clips, size = loop.first.shape[:2]
     stay, here = torch.arange(clips, device=loop.first.device), loop.first.new_zeros(clips, size)
-    if not most:
+    if not most or not _weight(problem, unknown):
         return stay, here
     energy, gain, first = valleys(problem, unknown, loop)
     gain, which = gain.topk(min(most, gain.shape[1]), 1)
@@ -43,12 +47,12 @@ def starts(problem: Problem, unknown: Variables, loop: Loop, most: int, share: f
 
 
 def valleys(problem: Problem, unknown: Variables, loop: Loop) -> tuple[Tensor, Tensor, Tensor]:
-    """The energy (B,), by how much each component's valley should be lower (B, K), and where it is (B, K, f)."""
+    """The energy (B,), by how much each component's valley should be lower (B, K), and where it is (B, K, f).
+
+    Where rounding left no valley the point is a saddle, and a search from there a waste.
+    """
     clips, size = loop.first.shape[:2]
-    weight, gmm = (
-        problem.weights.of(3, frames=unknown["z"].shape[2] + 1).get("init_motion_prior", 0.0),
-        problem.priors.initial,
-    )
+    weight, gmm = _weight(problem, unknown), problem.priors.initial
     new = {"nu": torch.zeros_like(unknown["z"][:, 0]), "first": loop.first.new_zeros(clips, size).requires_grad_()}
     with torch.enable_grad():
         terms = rolled_terms(problem, *opened(problem, unknown, loop, new))
@@ -61,8 +65,13 @@ def valleys(problem: Problem, unknown: Variables, loop: Loop) -> tuple[Tensor, T
         h = loop.rest.double() + _RIDGE * torch.eye(size, dtype=torch.float64, device=g.device)
         matrix = h[:, None] + weight * way.mT @ way
         toward = -g[:, None] - weight * (way.mT @ off[..., None])[..., 0]
-        d = torch.linalg.solve_ex(matrix, toward[..., None])[0][..., 0]  # NaN where there is none
+        d = torch.linalg.solve_ex(matrix, toward[..., None])[0][..., 0]
         change = 0.5 * (d[..., None, :] @ h[:, None] @ d[..., None])[..., 0, 0] + (d * g[:, None]).sum(-1)
         least = change + weight * (0.5 * (off + (way @ d[..., None])[..., 0]).square().sum(-1) - constant)
         now = -weight * gmm.log_prob(f).double()
-    return whole.detach(), (now[:, None] - least).to(whole), d.to(loop.first)
+    gain = (now[:, None] - least).nan_to_num(nan=-torch.inf)
+    return whole.detach(), gain.to(whole), d.to(loop.first)
+
+
+def _weight(problem: Problem, unknown: Variables) -> float:
+    return problem.weights.of(3, frames=unknown["z"].shape[2] + 1).get("init_motion_prior", 0.0)

@@ -3,8 +3,8 @@
 Repeat: differentiate all transitions at once, factorise the Gauss-Newton matrix of the whole clip (``loop``), and lower
 the energy by L-BFGS in the coordinates in which that matrix is the identity, on exact roll-outs that steer themselves.
 Gradients are exact and of every term. The unknowns, the energy and its minima are those of ``stages.stage_3``. Its
-valleys, too: a round searches several of them at once (``leaps``), since closures of a few roll-outs cost hardly more
-than of one.
+valleys, too: there may be a second start, of which the lower one goes on after some rounds; and a round searches
+several valleys at once (``leaps``), since closures of a few roll-outs cost hardly more than of one.
 
 Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop).
 Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift apart. Not multiple shooting: the states
@@ -37,8 +37,8 @@ class Plan:
 
     rounds: linearisations at most. closures: of L-BFGS after each. tolerance: a clip is done when a round gains less
     than this share of its energy's size. stride: frames between those at which the networks are differentiated. leaps:
-    other components of the first state's mixture that a clip tries in a round (``leaps``), of those that promise more.
-    trial: rounds that a second start goes along, before the first leaps.
+    components of the first state's mixture whose valleys a clip tries in a round (``leaps``), if they promise more.
+    trial: rounds that a second start goes along, before the first leaps; with 0 it is not used.
     """
 
     rounds: int = 25
@@ -57,7 +57,7 @@ class Plan:
 @dataclass
 class Report:
     """What a fit spent: after each closure the energies (B,) of its clips (those that are done stay at their last) and
-    the seconds until it had them, without its gradient, by ``clock``; seconds of each linearisation."""
+    the seconds until it had them, without its gradient, by ``clock``; seconds of each linearisation and its leaps."""
 
     history: list[Tensor] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
@@ -92,9 +92,8 @@ def solve(
         raise ShapeError(f"z: expected one window per recording, got {unknown['z'].shape[1]}")
     plan, report, clips = plan or Plan(), report or Report(), len(unknown["z"])
     unknown = {n: x.detach().clone() for n, x in unknown.items()}
-    trial = 0 if rival is None else plan.trial
-    if trial:
-        unknown = _beside(unknown, rival)
+    trial, both = 0 if rival is None else plan.trial, unknown if rival is None else _beside(unknown, rival)
+    unknown = both if trial else unknown
     mark, fits = time.perf_counter(), []
     report.began = report.clock()
     energy = unknown["betas"].new_full((len(unknown["betas"]),), float("inf"))
@@ -123,6 +122,7 @@ def solve(
         whole = _widened(fit, live, energy, time.perf_counter() - mark)
         fits.append(_of_clips(whole, torch.arange(len(energy), device=energy.device) % clips)[1])
         report.history += fits[-1].history.unbind(0)
+        del report.seconds[len(report.history) :]  # Ctrl-C between an energy and its gradient
         gained = gain > plan.tolerance * energy[live].abs()
         mark, live = time.perf_counter(), live[gained] if count >= trial else live
         if interrupted(fit):
@@ -195,13 +195,16 @@ def searched(
 
 
 def _of_clips(fit: BatchFit, who: Tensor) -> tuple[Tensor, BatchFit]:
-    """Of each clip the row (G,) of lowest energy, and the report of rows as one of clips ``who``."""
+    """Of each clip the row (G,) of lowest energy, and the report of rows as one of clips ``who``; a person who stops
+    one row of a clip stops the clip."""
     clips = int(who.max()) + 1
     mine = who == torch.arange(clips, device=who.device)[:, None]  # (G, R)
     best = torch.where(mine, fit.energy, torch.inf).argmin(1)
     best = torch.where(fit.energy[best].isfinite(), best, mine.double().argmax(1))
-    history = torch.where(mine, fit.history[:, None], torch.inf).amin(-1)
-    return best, BatchFit({}, fit.energy[best], history, fit.seconds, [fit.reasons[k] for k in best.tolist()])
+    history = torch.where(mine, fit.history.nan_to_num(nan=torch.inf)[:, None], torch.inf).amin(-1)
+    stopped = {w for w, reason in zip(who.tolist(), fit.reasons, strict=True) if reason == "interrupted"}
+    reasons = ["interrupted" if clip in stopped else fit.reasons[row] for clip, row in enumerate(best.tolist())]
+    return best, BatchFit({}, fit.energy[best], history, fit.seconds, reasons)
 
 
 def _widened(fit: BatchFit, live: Tensor, energy: Tensor, seconds: float) -> BatchFit:

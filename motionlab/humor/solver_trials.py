@@ -1,8 +1,8 @@
-"""Stage 3 by several solvers from the same start: what energy each has reached after how much processor time.
+"""Stage 3 by several solvers from the same stages 1 and 2: what energy each has reached after how much processor time.
 
-All of them lower the same energy, that of an exact roll-out (``stages.motion_terms``), from the same unknowns, those
-of ``transitions.start`` after stages 1 and 2. Nothing that is measured here depends on wall time: the processor's time
-of this process counts, with one thread.
+All of them lower the same energy, that of an exact roll-out (``stages.motion_terms``), in the same unknowns, from a
+start of ``transitions`` or, by ``shooting``, from two. Nothing that is measured here depends on wall time: the
+processor's time of this process counts, with one thread.
 """
 
 from __future__ import annotations
@@ -263,7 +263,8 @@ def shot(
         return change(loop, unknown) if change else loop
 
     began, report = clock(), shooting.Report(clock=clock)
-    rival = None if start else task.begun(transitions.EAGER).unknown
+    both = start is None and (plan or shooting.Plan()).trial
+    rival = task.begun(transitions.EAGER).unknown if both else None
     ready = clock() - began
     unknown, _ = shooting.solve(task.problem, start or task.unknown, plan, report, rival=rival, linearise=linearise)
     spent = clock() - began

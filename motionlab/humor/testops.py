@@ -78,7 +78,7 @@ class Schedule:
     @classmethod
     def quick(cls) -> Schedule:
         """Few steps, for tests and first looks."""
-        return cls(steps=(2, 3, 3), inner=8, refine=(1, 2), shooting=Plan(rounds=2, closures=8))
+        return cls(steps=(2, 3, 3), inner=8, refine=(1, 2), shooting=Plan(rounds=2, closures=8, trial=1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from motionlab.skeleton import STANDARD
 
 _ITERATIONS, _STEP = 2, 1e-2
 #: Of the prior's weight while following. Little, since a miss now is a miss in all frames to come; with more of it what
-#: was not seen moves more as the prior would. ``shooting`` begins from both.
+#: was not seen moves more as the prior would. Fits by ``shooting`` begin with both.
 EAGER, CALM = 0.02, 0.3
 _LASTING = 1.0  # p
 _LEVER = 0.3**2  # square metres per squared radian

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import torch
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from torch import Tensor
@@ -51,14 +52,19 @@ def energy_over_time(
 
 
 def promises(tasks: Mapping[str, tuple[Tensor, Tensor]], *, size: tuple[float, float] = (8.0, 3.6)) -> Figure:
-    """A panel per task, a dot per valley: by how much it was said to be lower, and by how much it is."""
+    """A panel per task, a dot per valley: by how much it was said to be lower, and by how much it is; only those of
+    which both are numbers."""
     fig, axes = canvas(1, len(tasks), size=size)
-    for ax, (name, (promised, found)) in zip(axes, tasks.items(), strict=True):
+    for ax, (name, pair) in zip(axes, tasks.items(), strict=True):
+        whole = torch.stack([x.flatten() for x in pair])
+        promised, found = whole[:, whole.isfinite().all(0)]
+        if not len(found):
+            continue
         low = min(0.0, promised.min().item(), found.min().item())
         high = max(promised.max().item(), found.max().item(), 1e-3)
         room = 0.08 * (high - low)
         ax.plot((low, high), (low, high), color=LINE, lw=1.2, zorder=0)
-        ax.scatter(promised.flatten(), found.flatten(), s=26, color=colour("ours"), alpha=0.7, lw=0)
+        ax.scatter(promised, found, s=26, color=colour("ours"), alpha=0.7, lw=0)
         ax.set(xlim=(low - room, high + room), ylim=(low - room, high + room), title=name)
         ax.set(xlabel="energy lower by, promised", ylabel="found" if ax is axes[0] else "")
     return fig
