@@ -317,3 +317,8 @@ def test_known_camera_places_the_person(walk):
 def test_pose2sim_folder_without_its_parts(tmp_path):
     with pytest.raises(DataError, match="Calib"):
         real_input.pose2sim(tmp_path)
+
+
+def test_why_searches_ended_is_said_once_for_each_run_of_the_same():
+    said = report_fit._runs(("no decrease", "closures", "closures", "no decrease"))
+    assert said == "no decrease, closures (2), no decrease" and report_fit._runs(()) == ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 
 import torch
 from torch import Tensor
@@ -42,12 +43,18 @@ class Report:
         return [
             *(f"note: {note}" for note in self.notes),
             *(f"energy after stage {n}: {sum(e.values()):.1f} ({_terms(e)})" for n, e in self.energy.items()),
-            f"search ended: {', '.join(self.reasons)}",
+            f"search ended: {_runs(self.reasons)}",
             f"detections: {100 * self.seen:.0f} % of the keypoints",
             f"reprojection: {self.pixels:.1f} px mean, {self.median_pixels:.1f} px median",
             f"acceleration: {self.acceleration:.2f} m/s^2 mean",
             f"contacts: {touch}",
         ]
+
+
+def _runs(words: tuple[str, ...]) -> str:
+    """Words in a row, each run of the same once with its length: "steps, closures (9)"."""
+    counts = [(word, len(list(same))) for word, same in groupby(words)]
+    return ", ".join(f"{word} ({n})" if n > 1 else word for word, n in counts)
 
 
 def _terms(energy: dict[str, float]) -> str:
