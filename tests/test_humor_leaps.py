@@ -8,7 +8,7 @@ import torch
 
 from motionlab.humor import init_gmm, leaps, shooting, variables
 from motionlab.humor.init_gmm import InitGmm
-from motionlab.humor.loop import linearised, opened
+from motionlab.humor.loop import linearised, mixed_features, opened
 from motionlab.humor.shooting import Plan, solve
 from motionlab.humor.stages import rolled_terms
 from motionlab.optimise_batch import BatchFit
@@ -48,8 +48,7 @@ def settled(case):
 
 
 def component(problem, unknown):
-    features = init_gmm.features(variables.local_first(variables.first_state(unknown, problem.priors)))
-    return problem.priors.initial.each(features).argmax(-1)
+    return problem.priors.initial.each(mixed_features(problem, unknown)).argmax(-1)
 
 
 def test_whitened_features_are_the_density_and_its_slopes(case):
@@ -68,7 +67,7 @@ def test_the_matrix_is_that_of_the_rest_and_of_the_mixture(case):
     problem, unknown = case
     with torch.no_grad():
         loop = linearised(problem, unknown)
-        f = init_gmm.features(variables.local_first(variables.first_state(unknown, problem.priors)))
+        f = mixed_features(problem, unknown)
         gmm = problem.priors.initial
         share = gmm.each(f).softmax(-1)
         pull = torch.einsum("bk,kij->bij", share, torch.linalg.inv(gmm.covariances))
@@ -80,7 +79,7 @@ def test_the_matrix_is_that_of_the_rest_and_of_the_mixture(case):
         ends = []
         for s in (step, -step):
             at, _ = opened(problem, unknown, loop, nought(loop) | {"first": s * way})
-            ends.append(init_gmm.features(variables.local_first(variables.first_state(at, problem.priors))))
+            ends.append(mixed_features(problem, at))
         slope = (ends[0] - ends[1]) / (2 * step)
         torch.testing.assert_close((loop.features @ way[..., None])[..., 0], slope, atol=1e-3, rtol=1e-3)
 

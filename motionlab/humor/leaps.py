@@ -19,8 +19,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from motionlab.humor import init_gmm, variables
-from motionlab.humor.loop import Loop, opened
+from motionlab.humor.loop import Loop, mixed_features, opened
 from motionlab.humor.stages import Problem, rolled_terms
 from motionlab.humor.variables import Variables
 
@@ -60,7 +59,7 @@ def valleys(problem: Problem, unknown: Variables, loop: Loop) -> tuple[Tensor, T
         rest = whole - terms.get("init_motion_prior", 0.0)
         g = torch.autograd.grad(rest.sum(), new["first"])[0].double()
     with torch.no_grad():
-        f = init_gmm.features(variables.local_first(variables.first_state(unknown, problem.priors)))
+        f = mixed_features(problem, unknown)
         off, way, constant = gmm.whitened(f, loop.features)
         h = loop.rest.double() + _RIDGE * torch.eye(size, dtype=torch.float64, device=g.device)
         matrix = h[:, None] + weight * way.mT @ way

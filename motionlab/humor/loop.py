@@ -209,7 +209,7 @@ def first_shaper(problem: Problem, unknown: Variables, cost: Tensor, frames: int
         h[:, part, part] += frames * weights.get("floor_reg", 0.0) * moves.mT @ moves
     features = slope[:, _FEATURES]
     gmm = problem.priors.initial
-    now = init_gmm.features(variables.local_first(variables.first_state(unknown, problem.priors)))
+    now = mixed_features(problem, unknown)
     share = gmm.each(now).softmax(-1).to(h)
     precision = torch.linalg.inv(gmm.covariances.double()).to(h)
     pull = torch.einsum("bk,kij->bij", share, precision)
@@ -220,6 +220,11 @@ def first_shaper(problem: Problem, unknown: Variables, cost: Tensor, frames: int
     unit = torch.eye(count, dtype=factor.dtype, device=factor.device).expand_as(factor)
     shaper = torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(h)
     return shaper, shaper.mT @ h @ shaper, features @ shaper
+
+
+def mixed_features(problem: Problem, unknown: Variables) -> Tensor:
+    """Features (B, 138) of the first state, of which ``init_gmm`` is the mixture."""
+    return init_gmm.features(variables.local_first(variables.first_state(unknown, problem.priors)))
 
 
 def first_slopes(problem: Problem, unknown: Variables, count: int) -> Tensor:

@@ -92,8 +92,10 @@ def solve(
         raise ShapeError(f"z: expected one window per recording, got {unknown['z'].shape[1]}")
     plan, report, clips = plan or Plan(), report or Report(), len(unknown["z"])
     unknown = {n: x.detach().clone() for n, x in unknown.items()}
-    trial, both = 0 if rival is None else plan.trial, unknown if rival is None else _beside(unknown, rival)
-    unknown = both if trial else unknown
+    trial = 0
+    if rival is not None:
+        both, trial = _beside(unknown, rival), plan.trial
+        unknown = both if trial else unknown
     mark, fits = time.perf_counter(), []
     report.began = report.clock()
     energy = unknown["betas"].new_full((len(unknown["betas"]),), float("inf"))

@@ -19,7 +19,7 @@ from motionlab.humor.workload import Workload
 #: Functions of a fit whose own and deeper time is one row of the table: label -> (file, function).
 PARTS = {
     "derivatives of the decoder": ("slopes.py", "decoder_slopes"),
-    "of the step around it": ("slopes.py", "transition"),
+    "derivatives of the step": ("slopes.py", "transition"),
     "derivatives of the prior": ("slopes.py", "prior_slopes"),
     "rows of the energies": ("curvature.py", "rows"),
     "Riccati sweep": ("riccati.py", "sweep"),
@@ -28,6 +28,9 @@ PARTS = {
     "closures": ("optimise_batch.py", "evaluate"),
     "everything": ("shooting.py", "solve"),
 }
+
+#: Those that lie within the linearisation.
+_INSIDE = list(PARTS)[: list(PARTS).index("the whole linearisation")]
 
 
 def parts_of_a_fit(task: Task, plan: shooting.Plan) -> dict[str, float]:
@@ -47,7 +50,7 @@ def parts_of_a_fit(task: Task, plan: shooting.Plan) -> dict[str, float]:
 
 def apart(spent: dict[str, float]) -> dict[str, float]:
     """The same seconds as parts that lie side by side and add up to the whole fit."""
-    inside = [name for name in list(PARTS)[:5] if name in spent]
+    inside = [name for name in _INSIDE if name in spent]
     found = {name: spent[name] for name in inside}
     found["rest of the linearisation"] = spent["the whole linearisation"] - sum(found.values())
     found |= {name: spent[name] for name in ("valleys", "closures")}
