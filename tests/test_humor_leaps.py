@@ -15,7 +15,7 @@ from motionlab.optimise_batch import BatchFit
 from tests.rolled_inputs import F64
 from tests.test_humor_shooting import CLIPS, made, noisy, nought, seed, total
 
-ALONE = Plan(rounds=8, closures=20, tolerance=1e-5, leaps=0)
+ALONE = Plan(rounds=12, closures=20, tolerance=1e-5, leaps=0)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_where_a_search_has_ended_its_own_valley_promises_nothing(case, settled)
     problem, _ = case
     with torch.no_grad():
         loop = linearised(problem, settled)
-    energy, gain, _ = leaps.valleys(problem, settled, loop)
+    energy, gain, *_ = leaps.valleys(problem, settled, loop)
     torch.testing.assert_close(energy, total(problem, settled))
     own = component(problem, settled)
     assert (own == 0).all()
@@ -101,7 +101,7 @@ def test_the_depth_of_a_valley_is_known_before_it_is_entered(case, settled):
     problem, _ = case
     with torch.no_grad():
         loop = linearised(problem, settled)
-    energy, gain, _ = leaps.valleys(problem, settled, loop)
+    energy, gain, *_ = leaps.valleys(problem, settled, loop)
     gmm = problem.priors.initial
     other = replace(
         problem,
@@ -127,11 +127,11 @@ def test_no_more_leaps_than_asked_for_and_none_that_promises_little(case, settle
     problem, _ = case
     with torch.no_grad():
         loop = linearised(problem, settled)
-    who, first = leaps.starts(problem, settled, loop, 3, 0.01)
+    who, _, first = leaps.starts(problem, settled, loop, 3, 0.01)
     assert who.tolist() == [0, 1, 0, 1] and not first[:CLIPS].any() and first[CLIPS:].any(1).all()
     for most, share in ((0, 0.01), (3, 1e3)):
-        who, first = leaps.starts(problem, settled, loop, most, share)
-        assert who.tolist() == [0, 1] and not first.any()
+        who, shaper, first = leaps.starts(problem, settled, loop, most, share)
+        assert who.tolist() == [0, 1] and not first.any() and torch.equal(shaper, loop.first)
 
 
 def test_the_rows_of_a_clip_are_one_clip_in_what_is_reported(case):
@@ -139,14 +139,36 @@ def test_the_rows_of_a_clip_are_one_clip_in_what_is_reported(case):
     problem, unknown = case
     with torch.no_grad():
         loop = linearised(problem, unknown)
-        who, first = leaps.starts(problem, unknown, loop, 1, 1e-3)
+        who, shaper, first = leaps.starts(problem, unknown, loop, 1, 1e-3)
         starts = [
-            sum(rolled_terms(problem, *opened(problem, unknown, loop, nought(loop) | {"first": first[i]})).values())
+            sum(rolled_terms(problem, *opened(problem, unknown, loop._replace(first=shaper[i]), new)).values())
             for i in (slice(0, CLIPS), slice(CLIPS, 2 * CLIPS))
+            if (new := nought(loop) | {"first": first[i]})
         ]
     assert who.tolist() == [0, 1, 0, 1]
     _, fits = solve(problem, unknown, replace(ALONE, rounds=1, leaps=1))
     torch.testing.assert_close(fits[0].history[0], torch.minimum(*starts), rtol=1e-9, atol=0)
+
+
+def test_a_leap_has_coordinates_of_its_own_component(case, settled):
+    """They reach the same place, and the matrix of the valley is the identity in them: with another component of other
+    widths it is far from that in the coordinates that the search left."""
+    problem, _ = case
+    gmm, wide = problem.priors.initial, torch.tensor([0.05, 0.2], dtype=F64).repeat(init_gmm.SIZE // 2)
+    uneven = InitGmm(gmm.weights, gmm.means, torch.stack((gmm.covariances[0], wide.square().diag())))
+    problem = replace(problem, priors=replace(problem.priors, initial=uneven))
+    with torch.no_grad():
+        loop = linearised(problem, settled)
+    found = leaps.valleys(problem, settled, loop)
+    who, which = torch.tensor([1, 0, 1]), torch.tensor([1, 1, 0])
+    shaper, begin = leaps.entered(loop, found, who, which)
+    where = loop.first[who] @ found.where[who, which, :, None]
+    torch.testing.assert_close(shaper @ begin[..., None], where, atol=1e-8, rtol=1e-8)
+    inside = torch.linalg.solve(loop.first[who], shaper)
+    one = inside.mT @ found.matrix[who, which] @ inside
+    torch.testing.assert_close(one, torch.eye(one.shape[-1], dtype=F64).expand_as(one), atol=1e-6, rtol=0)
+    before = torch.linalg.eigvalsh(found.matrix[[0, 1], 1])  # control
+    assert (before[:, -1] > 3).all() and (before[:, 0] < 0.5).all()
 
 
 def test_a_mixture_without_weight_has_no_valleys(case):
@@ -182,7 +204,7 @@ def test_a_leap_to_nowhere_leaves_the_clip_where_it_was(case, monkeypatch):
         stay = torch.arange(CLIPS).repeat(3)
         first = torch.zeros(3 * CLIPS, loop.first.shape[1], dtype=F64)
         first[CLIPS : 2 * CLIPS], first[2 * CLIPS :] = torch.nan, 1e30
-        return stay, first
+        return stay, loop.first[stay], first
 
     monkeypatch.setattr(leaps, "starts", nowhere)
     found, fits = solve(problem, unknown, replace(ALONE, rounds=1, leaps=2))

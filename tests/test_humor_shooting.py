@@ -17,7 +17,7 @@ from motionlab.humor.loop import FIRST
 from motionlab.humor.observed import Evidence, Observation3D
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import sample
-from motionlab.humor.shooting import Loop, Plan, Report, linearised, moved, opened, solve
+from motionlab.humor.shooting import Loop, Plan, Report, linearised, moved, opened, searched, solve
 from motionlab.humor.stages import Problem, motion_terms, stage_3
 from motionlab.humor.weights import JOINTS, RGB
 from motionlab.humor.workload import random_priors, workload
@@ -26,7 +26,7 @@ from tests.rolled_inputs import F64, network
 
 FRAMES, CLIPS = 5, 2
 KINDS = ("joints", "fixed", "free")
-STEADY = Plan(rounds=2, closures=6, tolerance=0.0, stride=1)
+STEADY = Plan(rounds=2, closures=6, tolerance=0.0, stride=1, coarse=1)
 
 
 def seed(number=0):
@@ -360,6 +360,34 @@ def test_a_start_that_is_not_finite_leaves_the_other(cases, bad):
     torch.testing.assert_close(
         total(problem, found), total(problem, solve(problem, unknown, plan)[0]), rtol=1e-3, atol=0
     )
+
+
+def test_a_trial_looks_coarsely_and_what_follows_as_it_is_told(cases):
+    problem, unknown = cases["joints"]
+    strides = []
+
+    def noted(problem, unknown, *, ridge, stride):
+        strides.append(stride)
+        return linearised(problem, unknown, ridge=ridge, stride=stride)
+
+    for plan in (Plan(rounds=3, closures=2, coarse=3), Plan(rounds=3, closures=2, stride=5, coarse=3)):
+        solve(problem, unknown, replace(plan, tolerance=0.0), rival=unknown, linearise=noted)
+    solve(problem, unknown, Plan(rounds=1, closures=2, coarse=3), linearise=noted)  # one start: no trial
+    assert strides == [3, 3, 1, 5, 5, 5, 1]
+
+
+def test_a_search_ends_where_steps_gain_too_little(cases):
+    problem, unknown = cases["joints"]
+    loop, every = linearised(problem, unknown), torch.arange(CLIPS)
+    nowhere = torch.zeros_like(loop.first[..., 0])
+    alone = [searched(problem, unknown, loop, every, loop.first, nowhere, 12, enough=e)[1] for e in (0.0, 1e9)]
+    assert alone[0].closures == 12 and alone[0].reasons == ["closures"] * CLIPS
+    assert alone[1].closures < 6 and alone[1].reasons == ["no decrease"] * CLIPS  # one step, and one down the gradient
+    one_of_two = torch.tensor([0.0, 1e9], dtype=loop.first.dtype)
+    mixed = searched(problem, unknown, loop, every, loop.first, nowhere, 12, enough=one_of_two)[1]
+    assert mixed.reasons == ["closures", "no decrease"]
+    torch.testing.assert_close(mixed.energy[0], alone[0].energy[0])
+    torch.testing.assert_close(mixed.energy[1], alone[1].energy[1])
 
 
 def test_a_plan_without_a_trial_has_one_start_and_one_of_fewer_rounds_ends_with_the_lower(cases):

@@ -16,37 +16,64 @@ Source: none; HuMoR (Rempe et al. 2021) has the mixture, and its optimiser stays
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from motionlab.humor.loop import Loop, mixed_features, opened
+from motionlab.humor.riccati import factorised
 from motionlab.humor.stages import Problem, rolled_terms
 from motionlab.humor.variables import Variables
 
 _RIDGE = 1e-4
 
 
-def starts(problem: Problem, unknown: Variables, loop: Loop, most: int, share: float) -> tuple[Tensor, Tensor]:
+def starts(problem: Problem, unknown: Variables, loop: Loop, most: int, share: float) -> tuple[Tensor, Tensor, Tensor]:
     """Where searches begin: R rows, first those of all clips where they are, then leaps.
 
     most: leaps of a clip; only to where the energy should be lower than now by more than ``share`` of its size, the
     valley of its own component included.
 
     Returns:
-        whose each row is (R,), and its coordinates of the first state and what is shared (R, f).
+        whose each row is (R,), shapers (R, f, f) of the first state and what is shared, as ``Loop.first``, in which the
+        matrix of the row's own valley is the identity, and where in these coordinates it begins (R, f).
     """
     clips, size = loop.first.shape[:2]
     stay, here = torch.arange(clips, device=loop.first.device), loop.first.new_zeros(clips, size)
     if not most or not _weight(problem, unknown):
-        return stay, here
-    energy, gain, first = valleys(problem, unknown, loop)
-    gain, which = gain.topk(min(most, gain.shape[1]), 1)
-    who, k = (gain > share * energy.abs()[:, None]).nonzero().unbind(1)
-    return torch.cat((stay, who)), torch.cat((here, first[who, which[who, k]]))
+        return stay, loop.first, here
+    found = valleys(problem, unknown, loop)
+    gain, which = found.gain.topk(min(most, found.gain.shape[1]), 1)
+    who, k = (gain > share * found.energy.abs()[:, None]).nonzero().unbind(1)
+    shaper, begin = entered(loop, found, who, which[who, k])
+    return torch.cat((stay, who)), torch.cat((loop.first, shaper)), torch.cat((here, begin))
 
 
-def valleys(problem: Problem, unknown: Variables, loop: Loop) -> tuple[Tensor, Tensor, Tensor]:
-    """The energy (B,), by how much each component's valley should be lower (B, K), and where it is (B, K, f).
+class Valleys(NamedTuple):
+    """energy (B,); by how much each component's valley should be lower, gain (B, K); where it is (B, K, f), and its
+    matrix (B, K, f, f), both in the coordinates of ``Loop.first``."""
+
+    energy: Tensor
+    gain: Tensor
+    where: Tensor
+    matrix: Tensor
+
+
+def entered(loop: Loop, found: Valleys, who: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:
+    """Shapers (R, f, f) and beginnings (R, f) of searches in the valleys of components which (R,) of clips who (R,).
+
+    Components differ in width by orders of magnitude: in the coordinates of another a step of Newton's misses by as
+    much, and the search leaves the valley again.
+    """
+    factor = factorised(found.matrix[who, which])
+    shaper = torch.linalg.solve_triangular(factor.mT, loop.first[who].to(factor), upper=True, left=False)
+    begin = (factor.mT @ found.where[who, which, :, None])[..., 0]
+    return shaper.to(loop.first), begin.to(loop.first)
+
+
+def valleys(problem: Problem, unknown: Variables, loop: Loop) -> Valleys:
+    """All components' valleys.
 
     Where rounding left no valley the point is a saddle, and a search from there a waste.
     """
@@ -69,7 +96,7 @@ def valleys(problem: Problem, unknown: Variables, loop: Loop) -> tuple[Tensor, T
         least = change + weight * (0.5 * (off + (way @ d[..., None])[..., 0]).square().sum(-1) - constant)
         now = -weight * gmm.log_prob(f).double()
     gain = (now[:, None] - least).nan_to_num(nan=-torch.inf)
-    return whole.detach(), gain.to(whole), d.to(loop.first)
+    return Valleys(whole.detach(), gain.to(whole), d, matrix)
 
 
 def _weight(problem: Problem, unknown: Variables) -> float:

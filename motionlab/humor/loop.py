@@ -210,10 +210,9 @@ def first_shaper(problem: Problem, unknown: Variables, cost: Tensor, frames: int
     features = slope[:, _FEATURES]
     gmm = problem.priors.initial
     now = mixed_features(problem, unknown)
-    share = gmm.each(now).softmax(-1).to(h)
-    precision = torch.linalg.inv(gmm.covariances.double()).to(h)
-    pull = torch.einsum("bk,kij->bij", share, precision)
-    whole = h + weights.get("init_motion_prior", 0.0) * features.mT @ pull @ features
+    share = gmm.each(now).softmax(-1)
+    way = (share.sqrt()[..., None, None] * gmm.whitened(now, features)[1]).flatten(1, 2)  # (B, K D, f)
+    whole = h + weights.get("init_motion_prior", 0.0) * (way.mT @ way).to(h)
     diagonal = whole.diagonal(dim1=-2, dim2=-1)
     ridge = 1e-4 * diagonal + 1e-5 * diagonal.mean(-1, keepdim=True) + 1e-8
     factor = riccati.factorised((whole + torch.diag_embed(ridge)).double())

@@ -28,6 +28,8 @@ from motionlab.humor.stages import Problem, interrupted, rolled_terms
 from motionlab.humor.variables import Variables
 from motionlab.optimise_batch import BatchFit, minimise_batch
 
+_ENOUGH = 0.05  # of what a round must gain: less, and a step ends its search
+
 __all__ = ["Judged", "Loop", "Plan", "Report", "judged", "linearised", "moved", "opened", "solve"]
 
 
@@ -36,22 +38,24 @@ class Plan:
     """How much work.
 
     rounds: linearisations at most. closures: of L-BFGS after each. tolerance: a clip is done when a round gains less
-    than this share of its energy's size. stride: frames between those at which the networks are differentiated. leaps:
-    components of the first state's mixture whose valleys a clip tries in a round (``leaps``), if they promise more.
-    trial: rounds that a second start goes along, before the first leaps; with 0 it is not used.
+    than this share of its energy's size, and a search when a step of it gains less than a twentieth of that. stride:
+    frames between those at which the networks are differentiated. leaps: components of the first state's mixture whose
+    valleys a clip tries in a round (``leaps``), if they promise more. trial: rounds that a second start goes along,
+    before the first leaps; with 0 it is not used. coarse: the stride of these rounds.
     """
 
     rounds: int = 25
-    closures: int = 20
+    closures: int = 30
     tolerance: float = 2e-3
     stride: int = 1
     leaps: int = 3
     trial: int = 2
+    coarse: int = 4
     ridge: float = 1e-6
 
     def __post_init__(self) -> None:
-        if min(self.rounds, self.closures, self.stride) < 1 or min(self.leaps, self.trial) < 0:
-            raise ValueError(f"rounds, closures, stride: expected 1 or more, leaps, trial: 0 or more, got {self}")
+        if min(self.rounds, self.closures, self.stride, self.coarse) < 1 or min(self.leaps, self.trial) < 0:
+            raise ValueError(f"rounds, closures, strides: expected 1 or more, leaps, trial: 0 or more, got {self}")
 
 
 @dataclass
@@ -105,10 +109,11 @@ def solve(
             live = live[torch.isin(live, _lower(energy, clips))]
         if not len(live):
             break
-        now = replace(plan, leaps=plan.leaps if count >= trial else 0)
+        now = plan if count >= trial else replace(plan, leaps=0, stride=max(plan.stride, plan.coarse))
         here = {n: x[live] for n, x in unknown.items()}
         try:
-            found, fit = _round(problem.rows(live % clips), here, now, report, linearise, progress)
+            size = energy[live].abs().nan_to_num(posinf=0.0)  # 0: not known yet
+            found, fit = _round(problem.rows(live % clips), here, size, now, report, linearise, progress)
         except (KeyboardInterrupt, NotConverged) as ended:
             del report.seconds[len(report.history) :]
             if not fits:
@@ -146,18 +151,28 @@ def _lower(energy: Tensor, clips: int) -> Tensor:
 
 
 def _round(
-    problem: Problem, unknown: Variables, plan: Plan, report: Report, linearise: Callable[..., Loop], progress: bool
+    problem: Problem,
+    unknown: Variables,
+    size: Tensor,
+    plan: Plan,
+    report: Report,
+    linearise: Callable[..., Loop],
+    progress: bool,
 ) -> tuple[dict[str, Tensor], BatchFit]:
-    """One linearisation and the searches in its coordinates: from where a clip is, and from where it may leap to."""
+    """One linearisation and the searches in its coordinates: from where a clip is, and from where it may leap to.
+
+    size (B,): of each clip's energy.
+    """
     began = report.clock()
     loop = linearise(problem, unknown, ridge=plan.ridge, stride=plan.stride)
-    who, first = leaps.starts(problem, unknown, loop, plan.leaps, plan.tolerance)
+    who, shaper, first = leaps.starts(problem, unknown, loop, plan.leaps, plan.tolerance)
     report.linearised.append(report.clock() - began)
 
     def note() -> None:
         report.seconds.append(report.clock() - report.began)
 
-    rows, fit = searched(problem, unknown, loop, who, first, plan.closures, note=note, progress=progress)
+    how = {"note": note, "progress": progress, "enough": (_ENOUGH * plan.tolerance * size)[who]}
+    rows, fit = searched(problem, unknown, loop, who, shaper, first, plan.closures, **how)
     best, fit = _of_clips(fit, who)
     return {n: x[best] for n, x in rows.items()}, fit
 
@@ -167,17 +182,22 @@ def searched(
     unknown: Variables,
     loop: Loop,
     who: Tensor,
+    shaper: Tensor,
     first: Tensor,
     closures: int,
     *,
+    enough: float | Tensor = 0.0,
     note: Callable[[], None] = lambda: None,
     progress: bool = False,
 ) -> tuple[dict[str, Tensor], BatchFit]:
-    """R searches in the coordinates around a loop: row r is of clip who[r] and begins at first (R, f).
+    """R searches in the coordinates around a loop: row r is of clip who[r] and begins at first (R, f), in coordinates
+    of its own, shaper (R, f, f), in place of ``Loop.first``.
 
-    note: called whenever energies are known.
+    enough: a row is done when a step gains no more than this, (R,) or one number. note: called whenever energies are
+    known.
     """
-    some, here, around = problem.rows(who), {n: x[who] for n, x in unknown.items()}, loop.rows(who)
+    some, here = problem.rows(who), {n: x[who] for n, x in unknown.items()}
+    around = loop.rows(who)._replace(first=shaper)
 
     def energy(new: Variables, rows: Tensor) -> Tensor:
         these, at, near = some, here, around
@@ -189,7 +209,7 @@ def searched(
         return found
 
     start = {"nu": torch.zeros_like(here["z"][:, 0]).requires_grad_(), "first": first.clone().requires_grad_()}
-    how = {"steps": 1, "inner": closures, "max_closures": closures}
+    how = {"steps": 1, "inner": closures, "max_closures": closures, "tolerance_change": enough}
     fit = minimise_batch(energy, start, rows=True, unit=True, progress=progress, **how)
     with torch.no_grad():
         at, rolled = opened(some, here, around, fit.variables)

@@ -55,42 +55,56 @@ def transition(decoder: Decoder, x: Tensor, z: Tensor, slopes: Tensor | None = N
     slopes: of the decoder (``decoder_slopes``), or what shall stand for them; changed in place.
     """
     raw, slopes = _raw(decoder, x, z), decoder_slopes(decoder, x, z) if slopes is None else slopes
-    count, columns = slopes.shape[:2]
     v = raw[:, SUM:ROT].unflatten(1, (22, 3))
     turned = rotation.exp(v)
-    slopes[:, :SUM, :SUM].diagonal(dim1=-2, dim2=-1).add_(1.0)
-    omega = slopes[..., SUM:].unflatten(-1, (22, 3))
-    omega = (omega.transpose(1, 2) @ rotation.left_jacobian(v).mT).transpose(1, 2).contiguous()  # (N, 255, 22, 3)
-    each = torch.arange(22, device=x.device)
-    omega[:, SUM:XI].unflatten(1, (22, 3))[:, each, :, each] += turned.mT.transpose(0, 1)
-    # the frame of the new state
-    matrices = x[:, SUM:].unflatten(1, (22, 3, 3)).mT
-    root = turned[:, 0] @ matrices[:, 0]
-    axis = -root[:, :, 0]
-    flat = axis[:, :2].square().sum(-1, keepdim=True).clamp(min=1e-18)
-    cos, sin = (axis[:, :2] / flat.sqrt()).unbind(-1)
-    turn = rotation_z(cos, sin)  # row vectors: v @ turn is in the new axes
-    lean = axis[:, 2:] * axis[:, :2] / flat
-    d_angle = omega[:, :, 0, 2] - (omega[:, :, 0, :2] * lean[:, None]).sum(-1)  # (N, 255)
+    root = turned[:, 0] @ x[:, SUM : SUM + 9].unflatten(1, (3, 3)).mT
     after = x[:, :SUM] + raw[:, :SUM]
-    centre = torch.cat((after[:, :2], torch.zeros_like(after[:, :1])), 1)
-    vectors = slopes[..., :SUM].unflatten(-1, (47, 3))
-    moved_by = torch.cat((vectors[:, :, 0, :2], torch.zeros_like(vectors[:, :, 0, :1])), -1)
-    places = _POSITIONS.to(x.device)
-    vectors = vectors - places[:, None] * moved_by[:, :, None]
-    own = (after.unflatten(1, (47, 3)) - places[:, None] * centre[:, None]) @ turn
-    new = (vectors.flatten(1, 2) @ turn).unflatten(1, (columns, 47))
-    new = new - d_angle[:, :, None, None] * about_z(own)[:, None]
-    omega[:, :, 0] = omega[:, :, 0] @ turn
-    omega[:, :, 0, 2] -= d_angle
-    gamma = torch.cat((d_angle[..., None], (moved_by @ turn)[..., :2]), -1)
-    out = torch.cat((new.flatten(2), omega.flatten(2), gamma), -1)  # (N, 255, 210), rows are causes
-    of_change = x.new_zeros(count, CHANGE, CHANGE)
-    of_change[:, :, :XI] = out[:, :XI].mT
+    turn, of_root, of_raw, centre = _into_new_frame(after, root, rotation.left_jacobian(v))
+    slopes[:, :SUM, :SUM].diagonal(dim1=-2, dim2=-1).add_(1.0)
+    out = of_raw.mT @ slopes.mT  # (N, 210, 255)
+    out[..., SUM : SUM + 3] += of_root.mT @ turned[:, 0]  # what turns a joint before the step turns it after
+    body = torch.arange(1, 22, device=x.device)
+    out[:, SUM:XI, SUM:XI].unflatten(1, (22, 3)).unflatten(3, (22, 3))[:, body, :, body] += turned[:, 1:].transpose(
+        0, 1
+    )
+    of_change = x.new_zeros(len(x), CHANGE, CHANGE)
+    of_change[..., :XI] = out[..., :XI]
     of_change[:, XI, XI] = 1.0
     of_change[:, XI + 1 :, XI] = (about_z(centre)[:, None] @ turn)[:, 0, :2]
     of_change[:, XI + 1 :, XI + 1 :] = turn[:, :2, :2].mT
-    return Transition(of_change, out[:, XI:].mT.contiguous(), turn)
+    return Transition(of_change, out[..., XI:], turn)
+
+
+def _into_new_frame(after: Tensor, root: Tensor, bend: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """What small changes in the old axes become in the frame of the new state, which they move.
+
+    after (N, 141): its vectors in the old axes. root (N, 3, 3): its orientation. bend (N, 22, 3, 3): from changes of
+    the rotation vectors to omega.
+
+    Returns:
+        turn (N, 3, 3); maps from the right to changes (..., 210), of the root's omega (N, 3, 210) and of the raw
+        changes (N, 207, 210); and the new frame's place (N, 3) in the old axes.
+    """
+    axis, places = -root[:, :, 0], _POSITIONS.to(after.device)
+    flat = axis[:, :2].square().sum(-1, keepdim=True).clamp(min=1e-18)
+    turn = rotation_z(*(axis[:, :2] / flat.sqrt()).unbind(-1))  # row vectors: v @ turn is in the new axes
+    angle = torch.cat((-axis[:, 2:] * axis[:, :2] / flat, torch.ones_like(flat)), -1)  # of the frame, per omega
+    centre = torch.cat((after[:, :2], torch.zeros_like(after[:, :1])), 1)
+    own = (after.unflatten(1, (47, 3)) - places[:, None] * centre[:, None]) @ turn
+    of_root = after.new_zeros(len(after), 3, CHANGE)
+    of_root[..., :SUM] = -angle[..., None] * about_z(own).flatten(1)[:, None]
+    of_root[..., SUM : SUM + 3] = turn
+    of_root[..., SUM + 2] -= angle
+    of_root[..., XI] = angle
+    of_raw, each = after.new_zeros(len(after), XI, CHANGE), torch.arange(47, device=after.device)
+    vectors = of_raw[:, :SUM, :SUM].unflatten(1, (47, 3)).unflatten(3, (47, 3))
+    vectors[:, each, :, each] = turn
+    vectors[:, 0, :2] -= places[:, None] * turn[:, :2, None]  # positions: from the new frame's place
+    of_raw[:, :2, XI + 1 :] = turn[:, :2, :2]
+    body, bent = each[1:22], bend.mT
+    of_raw[:, SUM:, SUM:XI].unflatten(1, (22, 3)).unflatten(3, (22, 3))[:, body, :, body] = bent[:, 1:].transpose(0, 1)
+    of_raw[:, SUM : SUM + 3] = bent[:, 0] @ of_root
+    return turn, of_root, of_raw, centre
 
 
 def rotation_z(cos: Tensor, sin: Tensor) -> Tensor:
@@ -134,12 +148,12 @@ def spread_rows(alive: Tensor, normed: Tensor, eye: Tensor) -> Tensor:
 
 def _through(rows: Tensor, scale: Tensor, gather: Tensor, taken: Tensor) -> Tensor:
     """Directional derivatives (N, R, C) through norm and ReLU."""
-    return torch.baddbmm(rows * scale[:, None], rows @ gather, taken, alpha=-1)
+    return (rows * scale[:, None]).baddbmm_(rows @ gather, taken, alpha=-1)
 
 
 def _back_through(rows: Tensor, scale: Tensor, gather: Tensor, taken: Tensor) -> Tensor:
     """Adjoints (N, R, C) back through norm and ReLU."""
-    return torch.baddbmm(rows * scale[:, None], rows @ taken.mT, gather.mT, alpha=-1)
+    return (rows * scale[:, None]).baddbmm_(rows @ taken.mT, gather.mT, alpha=-1)
 
 
 def _raw(decoder: Decoder, x: Tensor, z: Tensor) -> Tensor:

@@ -1,0 +1,60 @@
+"""The faithful schedule beside shooting, in little; and its record."""
+
+import json
+
+import pytest
+
+from motionlab.doctor import ROOT
+from motionlab.errors import DataError
+from motionlab.humor import faithful_trials
+from motionlab.humor.faithful_trials import compared, in_full, load
+from motionlab.humor.shooting import Plan
+from motionlab.humor.testops import Schedule
+
+FEW = Schedule(steps=(1, 1, 3), refine=(1, 2), inner=3)
+RECORD = ROOT / "notebooks" / "results" / "long" / "faithful.json"
+
+
+@pytest.fixture(scope="module")
+def task():
+    return next(faithful_trials.tasks(1, frames=18))
+
+
+def test_the_faithful_form_lowers_the_energy_that_all_solvers_lower(task):
+    """From the same stage 2, in rotation vectors; its end rolled out by the lean form is the same number."""
+    unknown, closures = in_full(task, FEW)
+    assert unknown["orient"].shape[-1] == 3 and closures == 3 * 3
+    more, _ = in_full(task, Schedule(steps=(1, 1, 6), refine=(1, 2), inner=3))
+    begun, _ = in_full(task, Schedule(steps=(1, 1, 1), refine=(0, 0), inner=1))
+    assert task.energy(more) < task.energy(unknown) < task.energy(begun)
+
+
+def test_both_are_measured_on_the_same_clips(task):
+    row = compared(task, FEW, Plan(rounds=2, closures=8, trial=1))
+    assert row["task"] == "noisy joints" and row["shooting"]["energy"][0] < row["faithful"]["energy"][0]
+    assert row["start"]["error"] == pytest.approx(task.error(task.rough).tolist(), abs=1e-3)
+    assert all(len(row[who]["energy"]) == len(row[who]["error"]) == 1 for who in ("faithful", "shooting", "start"))
+    unknown, _ = in_full(task, FEW)
+    assert row["faithful"]["energy"] == pytest.approx(
+        task.energy(unknown).tolist(), rel=1e-2, abs=1e-2
+    )  # rotation vectors
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"tasks": [{}]}', '{"tasks": [{"faithful": 1}]}'])
+def test_a_record_of_another_kind_is_refused(tmp_path, text):
+    path = tmp_path / "faithful.json"
+    with pytest.raises(DataError, match=r"faithful\.json.*remedy"):
+        load(path)
+    path.write_text(text)
+    with pytest.raises(DataError, match=r"faithful\.json.*remedy"):
+        load(path)
+
+
+def test_the_record_is_of_the_recipe_that_the_code_has():
+    recipe = json.loads(RECORD.read_text())["recipe"]
+    assert (recipe["seed"], recipe["frames"], recipe["clips"]) == (
+        faithful_trials.SEED, faithful_trials.FRAMES, faithful_trials.CLIPS,
+    )  # fmt: skip
+    rows = load(RECORD)
+    assert [row["task"] for row in rows] == ["noisy joints", "low joints hidden", faithful_trials.WALK]
+    assert all(len(row["faithful"]["energy"]) == faithful_trials.CLIPS for row in rows)
