@@ -58,6 +58,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.train_small": 7.5,
     "motionlab.diffusion_data": 7.2,
     "motionlab.train_diffusion": 7.5,
+    "motionlab.run_faithful": 7.5,
     "motionlab.train": 8,
     "motionlab.fit": 8,
     "motionlab.execute": 8.1,
@@ -65,7 +66,13 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.__main__": 9,
 }
 # where commands bring synthetic motion and models together
-COMPOSERS = ("motionlab.train", "motionlab.train_small", "motionlab.train_diffusion", "motionlab.diffusion_data")
+COMPOSERS = (
+    "motionlab.train",
+    "motionlab.train_small",
+    "motionlab.train_diffusion",
+    "motionlab.diffusion_data",
+    "motionlab.run_faithful",
+)
 SYNTH_CEILING = 4  # data_synth makes ground truth: it may not know a measure or a model that is judged by it
 
 

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
+from motionlab import run_faithful
 from motionlab.doctor import ROOT
 from motionlab.errors import DataError
-from motionlab.humor import faithful_trials
-from motionlab.humor.faithful_trials import compared, in_full, load
+from motionlab.humor.faithful_trials import compared, in_full, load, table
 from motionlab.humor.shooting import Plan
 from motionlab.humor.testops import Schedule
 
@@ -17,7 +17,7 @@ RECORD = ROOT / "notebooks" / "results" / "long" / "faithful.json"
 
 @pytest.fixture(scope="module")
 def task():
-    return next(faithful_trials.tasks(1, frames=18))
+    return next(run_faithful.tasks(1, frames=18))
 
 
 def test_the_faithful_form_lowers_the_energy_that_all_solvers_lower(task):
@@ -53,8 +53,11 @@ def test_a_record_of_another_kind_is_refused(tmp_path, text):
 def test_the_record_is_of_the_recipe_that_the_code_has():
     recipe = json.loads(RECORD.read_text())["recipe"]
     assert (recipe["seed"], recipe["frames"], recipe["clips"]) == (
-        faithful_trials.SEED, faithful_trials.FRAMES, faithful_trials.CLIPS,
+        run_faithful.SEED, run_faithful.FRAMES, run_faithful.CLIPS,
     )  # fmt: skip
     rows = load(RECORD)
-    assert [row["task"] for row in rows] == ["noisy joints", "low joints hidden", faithful_trials.WALK]
-    assert all(len(row["faithful"]["energy"]) == faithful_trials.CLIPS for row in rows)
+    assert [row["task"] for row in rows] == ["noisy joints", "low joints hidden", run_faithful.WALK]
+    assert all(len(row["faithful"]["energy"]) == run_faithful.CLIPS for row in rows)
+    notebook = next((ROOT / "notebooks").glob("08*.ipynb")).read_text(encoding="utf-8")
+    for line in table(rows).splitlines():
+        assert json.dumps(line, ensure_ascii=False)[1:-1] in notebook
