@@ -21,7 +21,7 @@ def task():
 
 
 def test_the_faithful_form_lowers_the_energy_that_all_solvers_lower(task):
-    """From the same stage 2, in rotation vectors; its end rolled out by the lean form is the same number."""
+    """From the same stage 2, in rotation vectors."""
     unknown, closures = in_full(task, FEW)
     assert unknown["orient"].shape[-1] == 3 and closures == 3 * 3
     more, _ = in_full(task, Schedule(steps=(1, 1, 6), refine=(1, 2), inner=3))
@@ -35,12 +35,21 @@ def test_both_are_measured_on_the_same_clips(task):
     assert row["start"]["error"] == pytest.approx(task.error(task.rough).tolist(), abs=1e-3)
     assert all(len(row[who]["energy"]) == len(row[who]["error"]) == 1 for who in ("faithful", "shooting", "start"))
     unknown, _ = in_full(task, FEW)
-    assert row["faithful"]["energy"] == pytest.approx(
-        task.energy(unknown).tolist(), rel=1e-2, abs=1e-2
-    )  # rotation vectors
+    lean = task.energy(unknown).tolist()
+    assert row["faithful"]["energy"] == pytest.approx(lean, rel=5e-3)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"tasks": [{}]}', '{"tasks": [{"faithful": 1}]}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"tasks": [{}]}',
+        '{"tasks": [{"faithful": 1}]}',
+        '{"tasks": [{"faithful": {"energy": []}, "shooting": {"energy": []}}]}',
+    ],
+)
 def test_a_record_of_another_kind_is_refused(tmp_path, text):
     path = tmp_path / "faithful.json"
     with pytest.raises(DataError, match=r"faithful\.json.*remedy"):
@@ -51,10 +60,7 @@ def test_a_record_of_another_kind_is_refused(tmp_path, text):
 
 
 def test_the_record_is_of_the_recipe_that_the_code_has():
-    recipe = json.loads(RECORD.read_text())["recipe"]
-    assert (recipe["seed"], recipe["frames"], recipe["clips"]) == (
-        run_faithful.SEED, run_faithful.FRAMES, run_faithful.CLIPS,
-    )  # fmt: skip
+    assert json.loads(RECORD.read_text())["recipe"] == run_faithful.RECIPE
     rows = load(RECORD)
     assert [row["task"] for row in rows] == ["noisy joints", "low joints hidden", run_faithful.WALK]
     assert all(len(row["faithful"]["energy"]) == run_faithful.CLIPS for row in rows)

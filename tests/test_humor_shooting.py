@@ -382,7 +382,11 @@ def test_a_search_ends_where_steps_gain_too_little(cases):
     nowhere = torch.zeros_like(loop.first[..., 0])
     alone = [searched(problem, unknown, loop, every, loop.first, nowhere, 12, enough=e)[1] for e in (0.0, 1e9)]
     assert alone[0].closures == 12 and alone[0].reasons == ["closures"] * CLIPS
-    assert alone[1].closures < 6 and alone[1].reasons == ["no decrease"] * CLIPS  # one step, and one down the gradient
+    assert alone[1].closures < 6 and alone[1].reasons == ["no decrease"] * CLIPS  # the first goes down the gradient
+    gains = -alone[0].history.cummin(0).values.diff(dim=0)
+    some = searched(problem, unknown, loop, every, loop.first, nowhere, 12, enough=0.3 * gains.amax(0))[1]
+    assert 3 < some.closures <= 12 and "no decrease" in some.reasons
+    assert ((some.energy < alone[1].energy) & (some.energy >= alone[0].energy)).all()
     one_of_two = torch.tensor([0.0, 1e9], dtype=loop.first.dtype)
     mixed = searched(problem, unknown, loop, every, loop.first, nowhere, 12, enough=one_of_two)[1]
     assert mixed.reasons == ["closures", "no decrease"]
@@ -592,7 +596,7 @@ def test_a_last_clip_that_cannot_be_differentiated_keeps_what_it_had(cases):
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
 
 
-@pytest.mark.parametrize("bad", [{"stride": 0}, {"closures": 0}, {"rounds": 0}])
+@pytest.mark.parametrize("bad", [{"stride": 0}, {"closures": 0}, {"rounds": 0}, {"coarse": 0}, {"leaps": -1}])
 def test_a_plan_without_work(bad):
     with pytest.raises(ValueError, match="1 or more"):
         Plan(**bad)

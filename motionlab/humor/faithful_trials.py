@@ -25,7 +25,7 @@ from motionlab.humor.testops import Schedule
 
 
 def compared(task: Task, schedule: Schedule, plan: Plan | None = None, *, progress: bool = False) -> dict[str, object]:
-    """Energies and errors (cm) of all clips by both, and of a batch the seconds of one core and the closures."""
+    """Energies and errors (cm) of all clips by both, and of a batch seconds of one core and the faithful closures."""
     began = clock()
     unknown, closures = in_full(task, schedule, progress=progress)
     spent, run = clock() - began, solver_trials.shot(task, plan)
@@ -72,7 +72,8 @@ def load(path: Path | str) -> list[dict]:
         for row in rows:
             pair = row["faithful"]["energy"], row["shooting"]["energy"]
             if len(pair[0]) != len(pair[1]):
-                raise KeyError("clips")
+                raise ValueError(f"{len(pair[0])} clips and {len(pair[1])}")
+        table(rows)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(f"not a record of faithful fits ({error})", path=path, remedy=remedy) from error
     return rows

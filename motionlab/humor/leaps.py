@@ -7,7 +7,8 @@ component k alone,
 
     E_k = min_d  g d + 1/2 d H d + w (1/2 |W_k (f + F d - m_k)|^2 - c_k),
 
-is a linear system, and how deep its valley is is known, nearly, before it is entered. g: gradient of all terms but the
+is a linear system, and how deep its valley is is known, nearly, before it is entered; its matrix gives a leap the
+coordinates to search in. g: gradient of all terms but the
 mixture's. H: their matrix (``Loop.rest``). f, F: the first state's features and how they move. W_k, m_k, c_k: whitener,
 mean and constant of the component; w: the mixture's weight.
 
@@ -36,8 +37,9 @@ def starts(problem: Problem, unknown: Variables, loop: Loop, most: int, share: f
     valley of its own component included.
 
     Returns:
-        whose each row is (R,), shapers (R, f, f) of the first state and what is shared, as ``Loop.first``, in which the
-        matrix of the row's own valley is the identity, and where in these coordinates it begins (R, f).
+        whose each row is (R,), its shaper (R, f, f) of the first state and what is shared, and where it begins in these
+        coordinates (R, f). Rows that stay have ``Loop.first``; those of leaps one that makes the matrix of their valley
+        the identity.
     """
     clips, size = loop.first.shape[:2]
     stay, here = torch.arange(clips, device=loop.first.device), loop.first.new_zeros(clips, size)

@@ -3,8 +3,9 @@
 Repeat: differentiate all transitions at once, factorise the Gauss-Newton matrix of the whole clip (``loop``), and lower
 the energy by L-BFGS in the coordinates in which that matrix is the identity, on exact roll-outs that steer themselves.
 Gradients are exact and of every term. The unknowns, the energy and its minima are those of ``stages.stage_3``. Its
-valleys, too: there may be a second start, of which the lower one goes on after some rounds; and a round searches
-several valleys at once (``leaps``), since closures of a few roll-outs cost hardly more than of one.
+valleys, too: there may be a second start, of which the lower one goes on after some rounds, with slopes at few frames
+until then; and later rounds search several valleys at once (``leaps``), each in its own coordinates, since closures of a
+few roll-outs cost hardly more than of one.
 
 Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop).
 Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift apart. Not multiple shooting: the states
@@ -28,7 +29,7 @@ from motionlab.humor.stages import Problem, interrupted, rolled_terms
 from motionlab.humor.variables import Variables
 from motionlab.optimise_batch import BatchFit, minimise_batch
 
-_ENOUGH = 0.05  # of what a round must gain: less, and a step ends its search
+_LEAST_STEP = 0.05  # of what a round must gain
 
 __all__ = ["Judged", "Loop", "Plan", "Report", "judged", "linearised", "moved", "opened", "solve"]
 
@@ -38,10 +39,10 @@ class Plan:
     """How much work.
 
     rounds: linearisations at most. closures: of L-BFGS after each. tolerance: a clip is done when a round gains less
-    than this share of its energy's size, and a search when a step of it gains less than a twentieth of that. stride:
-    frames between those at which the networks are differentiated. leaps: components of the first state's mixture whose
-    valleys a clip tries in a round (``leaps``), if they promise more. trial: rounds that a second start goes along,
-    before the first leaps; with 0 it is not used. coarse: the stride of these rounds.
+    than this share of its energy's size, and a round when a step, and then one down the gradient, gain less than a
+    twentieth of that. stride: frames between those at which the networks are differentiated. leaps: components of the
+    first state's mixture whose valleys a clip tries in a round (``leaps``), if they promise more. trial: rounds that a
+    second start goes along, before the first leaps; with 0 it is not used. coarse: the stride of these rounds, at least.
     """
 
     rounds: int = 25
@@ -159,7 +160,7 @@ def _round(
     linearise: Callable[..., Loop],
     progress: bool,
 ) -> tuple[dict[str, Tensor], BatchFit]:
-    """One linearisation and the searches in its coordinates: from where a clip is, and from where it may leap to.
+    """One linearisation and the searches around it: from where a clip is, and from where it may leap to.
 
     size (B,): of each clip's energy.
     """
@@ -171,7 +172,7 @@ def _round(
     def note() -> None:
         report.seconds.append(report.clock() - report.began)
 
-    how = {"note": note, "progress": progress, "enough": (_ENOUGH * plan.tolerance * size)[who]}
+    how = {"note": note, "progress": progress, "enough": (_LEAST_STEP * plan.tolerance * size)[who]}
     rows, fit = searched(problem, unknown, loop, who, shaper, first, plan.closures, **how)
     best, fit = _of_clips(fit, who)
     return {n: x[best] for n, x in rows.items()}, fit
@@ -191,10 +192,10 @@ def searched(
     progress: bool = False,
 ) -> tuple[dict[str, Tensor], BatchFit]:
     """R searches in the coordinates around a loop: row r is of clip who[r] and begins at first (R, f), in coordinates
-    of its own, shaper (R, f, f), in place of ``Loop.first``.
+    of its own: shaper (R, f, f) in place of ``Loop.first``.
 
-    enough: a row is done when a step gains no more than this, (R,) or one number. note: called whenever energies are
-    known.
+    enough: a row is done when a step, and then one down the gradient, gain no more than this, (R,) or one number. note:
+    called whenever energies are known.
     """
     some, here = problem.rows(who), {n: x[who] for n, x in unknown.items()}
     around = loop.rows(who)._replace(first=shaper)
