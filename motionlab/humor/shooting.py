@@ -4,8 +4,8 @@ Repeat: differentiate all transitions at once, factorise the Gauss-Newton matrix
 the energy by L-BFGS in the coordinates in which that matrix is the identity, on exact roll-outs that steer themselves.
 Gradients are exact and of every term. The unknowns, the energy and its minima are those of ``stages.stage_3``. Its
 valleys, too: there may be a second start, of which the lower one goes on after some rounds, with slopes at few frames
-until then; and later rounds search several valleys at once (``leaps``), each in its own coordinates, since closures of a
-few roll-outs cost hardly more than of one.
+until then; and later rounds search several valleys at once (``leaps``), each in its own coordinates, since closures of
+a few roll-outs cost hardly more than of one.
 
 Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop).
 Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift apart. Not multiple shooting: the states
@@ -42,7 +42,7 @@ class Plan:
     than this share of its energy's size, and a round when a step, and then one down the gradient, gain less than a
     twentieth of that. stride: frames between those at which the networks are differentiated. leaps: components of the
     first state's mixture whose valleys a clip tries in a round (``leaps``), if they promise more. trial: rounds that a
-    second start goes along, before the first leaps; with 0 it is not used. coarse: the stride of these rounds, at least.
+    second start goes along, before the first leaps; with 0 it is not used. coarse: the least stride of these rounds.
     """
 
     rounds: int = 25
