@@ -12,9 +12,9 @@ from motionlab.humor.solver_trials import Task
 def promised_and_found(task: Task, unknown: dict[str, Tensor], most: int, closures: int) -> tuple[Tensor, Tensor]:
     """By how much the energy should be lower, and is after a search, in the deepest valleys of each clip: (B, most).
 
-    All are around the roll-out of ``unknown``, each in coordinates of its valley, with ``closures`` of its own. What these
-    find without a leap is not taken off: on 16 practice clips that had settled 0.003 at most, where leaps found up to
-    0.4.
+    All are around the roll-out of ``unknown``, each in coordinates of its valley, with ``closures`` of its own. What
+    these find without a leap is not taken off: 0.003 at most on 16 practice clips that had settled, where leaps found
+    up to 0.4.
     """
     loop = shooting.linearised(task.problem, unknown)
     found = leaps.valleys(task.problem, unknown, loop)
