@@ -1,6 +1,6 @@
-"""Run the faithful schedule to its end on a few clips (``humor.faithful_trials``), a task after another:
+"""Run the faithful schedule to its end on a few clips (``humor.faithful_trials``), a task after another.
 
-python -m motionlab.run_faithful notebooks/results/long/faithful.json
+``python -m motionlab.run_faithful notebooks/results/long/faithful.json``
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ def promised_and_found(task: Task, unknown: dict[str, Tensor], most: int, closur
     """
     loop = shooting.linearised(task.problem, unknown)
     found = leaps.valleys(task.problem, unknown, loop)
-    gain, which = found.gain.topk(min(most, found.gain.shape[1]), 1)
+    gain, which = found.deepest(most)
     who = torch.arange(len(gain), device=gain.device).repeat_interleave(gain.shape[1])
     at = leaps.entered(loop, found, who, which.flatten())
     _, fit = shooting.searched(task.problem, unknown, loop, who, *at, closures)

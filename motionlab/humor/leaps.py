@@ -8,9 +8,9 @@ component k alone,
     E_k = min_d  g d + 1/2 d H d + w (1/2 |W_k (f + F d - m_k)|^2 - c_k),
 
 is a linear system, and how deep its valley is is known, nearly, before it is entered; its matrix gives a leap the
-coordinates to search in. g: gradient of all terms but the
-mixture's. H: their matrix (``Loop.rest``). f, F: the first state's features and how they move. W_k, m_k, c_k: whitener,
-mean and constant of the component; w: the mixture's weight.
+coordinates to search in. g: gradient of all terms but the mixture's. H: their matrix (``Loop.rest``). f, F: the first
+state's features and how they move. W_k, m_k, c_k: whitener, mean and constant of the component; w: the mixture's
+weight.
 
 Source: none; HuMoR (Rempe et al. 2021) has the mixture, and its optimiser stays where stage 2 puts it.
 """
@@ -46,7 +46,7 @@ def starts(problem: Problem, unknown: Variables, loop: Loop, most: int, share: f
     if not most or not _weight(problem, unknown):
         return stay, loop.first, here
     found = valleys(problem, unknown, loop)
-    gain, which = found.gain.topk(min(most, found.gain.shape[1]), 1)
+    gain, which = found.deepest(most)
     who, k = (gain > share * found.energy.abs()[:, None]).nonzero().unbind(1)
     shaper, begin = entered(loop, found, who, which[who, k])
     return torch.cat((stay, who)), torch.cat((loop.first, shaper)), torch.cat((here, begin))
@@ -60,6 +60,10 @@ class Valleys(NamedTuple):
     gain: Tensor
     where: Tensor
     matrix: Tensor
+
+    def deepest(self, most: int) -> tuple[Tensor, Tensor]:
+        """Gains (B, most) of those that promise most, and which components they are."""
+        return self.gain.topk(min(most, self.gain.shape[1]), 1)
 
 
 def entered(loop: Loop, found: Valleys, who: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:

@@ -64,9 +64,8 @@ def transition(decoder: Decoder, x: Tensor, z: Tensor, slopes: Tensor | None = N
     out = of_raw.mT @ slopes.mT  # (N, 210, 255)
     out[..., SUM : SUM + 3] += of_root.mT @ turned[:, 0]  # what turns a joint before the step turns it after
     body = torch.arange(1, 22, device=x.device)
-    out[:, SUM:XI, SUM:XI].unflatten(1, (22, 3)).unflatten(3, (22, 3))[:, body, :, body] += turned[:, 1:].transpose(
-        0, 1
-    )
+    blocks = out[:, SUM:XI, SUM:XI].unflatten(1, (22, 3)).unflatten(3, (22, 3))
+    blocks[:, body, :, body] += turned[:, 1:].transpose(0, 1)
     of_change = x.new_zeros(len(x), CHANGE, CHANGE)
     of_change[..., :XI] = out[..., :XI]
     of_change[:, XI, XI] = 1.0
