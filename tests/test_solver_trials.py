@@ -252,3 +252,11 @@ def test_figures_draw_what_never_arrives(runs):
     less = found.index_fill(0, torch.tensor([1]), -torch.inf)
     assert len(draw.promises({"noisy": (found, less)}).axes[0].collections[0].get_offsets()) == 2
     assert axes.collections[0].get_offsets().shape == (4, 2) and axes.get_ylim()[0] < -0.1 < 0.5 < axes.get_xlim()[1]
+
+
+def test_errors_are_compared_clip_by_clip():
+    theirs = torch.tensor([1.0, 2.0, 30.0, 4.0, 5.0])
+    row = solver_costs.paired(theirs - 0.5, theirs, torch.Generator().manual_seed(0))
+    assert row == {"clips": 5, "smaller on": 5, "median": "-0.50 [-0.50, -0.50]", "mean": "-0.50 [-0.50, -0.50]"}
+    other = solver_costs.paired(theirs + torch.tensor([1.0, -1, 0, 0, 10]), theirs, torch.Generator().manual_seed(0))
+    assert other["smaller on"] == 1 and other["median"].startswith("0.00 [-1.00") and other["mean"].startswith("2.00")

@@ -47,7 +47,7 @@ class Plan:
 
     rounds: int = 25
     closures: int = 30
-    tolerance: float = 2e-3
+    tolerance: float = 1e-3
     stride: int = 1
     leaps: int = 3
     trial: int = 2

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import DataError
+from motionlab.findings import interval
 from motionlab.humor import shooting, stages
 from motionlab.humor.solver_trials import Run, Task, clock, shot
 from motionlab.humor.stages import FIRST, Problem
@@ -127,6 +128,15 @@ def fallen(run: Run, other: Run, start: Tensor, best: Tensor) -> Tensor:
 def solved(run: Run, best: Tensor, share: float = 0.05) -> Tensor:
     """(B,) whether a run ends within ``share`` of |best|."""
     return run.end <= best + share * best.abs()
+
+
+def paired(mine: Tensor, theirs: Tensor, generator: torch.Generator) -> dict[str, object]:
+    """A table's row of what one run's errors (B,) are less another's on the same clips."""
+    less, row = mine - theirs, {"clips": len(mine), "smaller on": int((mine < theirs).sum())}
+    for statistic in ("median", "mean"):
+        value, low, high = interval(less, statistic, generator)
+        row[statistic] = f"{value:.2f} [{low:.2f}, {high:.2f}]"
+    return row
 
 
 def seconds_text(seconds: Tensor, spent: float | Tensor) -> str:

@@ -1,0 +1,76 @@
+"""A contest: every solver that notebook 08 compares, on the same clips, and contests beside one another on many cores.
+
+What is timed is one process with one thread; the processor's clock of each does not see the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+
+from motionlab.humor import multiple, multiple_trials, shooting, solver_costs
+from motionlab.humor.solver_trials import Run, Single, Task, shot, single_shooting
+from motionlab.humor.windowed import Windows, windowed
+
+T = TypeVar("T")
+NO_LEAPS = "shooting, no leaps"
+
+
+@dataclass(frozen=True)
+class Contest:
+    """How the contenders of one task play, by what practice clips of its kind say.
+
+    single, eager: single shooting's search and its start (``transitions.start``). windows, soft: those of windows and
+    of multiple shooting. plan: of shooting, which finishes multiple shooting too.
+    """
+
+    single: Single
+    eager: float
+    windows: Windows
+    soft: multiple.Plan
+    plan: shooting.Plan
+
+    def patient(self, task: Task, seconds: float) -> Run:
+        """Single shooting until the time is up, or nothing is gained."""
+        return single_shooting(task.begun(self.eager), self.single.patient, seconds=seconds)
+
+    def alone(self, task: Task, seconds: float) -> dict[str, Run]:
+        """All contenders in turn, single shooting with so many seconds."""
+        return {
+            "single shooting": self.patient(task, seconds),
+            "shooting": shot(task, self.plan),
+            "windows": windowed(task, self.windows),
+            "multiple shooting": multiple_trials.shot(task, self.soft, self.plan),
+        }
+
+    def together(self, task: Task, seconds: float, further: shooting.Plan) -> tuple[dict[str, Run], Tensor]:
+        """Those that play in batches, and the lowest energy (B,) that they, or shooting carried on by ``further`` from
+        where each of them ends, found on each clip."""
+        runs = {
+            "single shooting": self.patient(task, seconds),
+            "shooting": shot(task, self.plan),
+            NO_LEAPS: shot(task, replace(self.plan, leaps=0)),
+        }
+        more = [shot(task, further, run.unknown) for run in runs.values()]
+        return runs, solver_costs.lowest([*runs.values(), *more])
+
+
+def groups(clips: int, size: int) -> list[range]:
+    """Clips in batches of ``size``; the last may be smaller."""
+    return [range(k, min(k + size, clips)) for k in range(0, clips, size)]
+
+
+def beside(jobs: Sequence[Callable[[], T]], workers: int) -> list[T]:
+    """What the jobs return, in their order: so many at a time, each in a process of its own with one thread; with one
+    worker here, one after the other."""
+    if workers == 1:
+        return [job() for job in jobs]
+    with ProcessPoolExecutor(workers, get_context("spawn"), torch.set_num_threads, (1,)) as pool:
+        futures = [pool.submit(job) for job in jobs]
+        return [future.result() for future in futures]
