@@ -1,14 +1,17 @@
 """A contest: every solver that notebook 08 compares, on the same clips, and contests beside one another on many cores.
 
-What is timed is one process with one thread; the processor's clock of each does not see the others.
+What is timed is one process with one thread, by its own processor time. Others beside it take a share of the memory's
+bandwidth, from all contenders alike.
 """
 
 from __future__ import annotations
 
+import pickle
+import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from typing import TypeVar
 
 import torch
@@ -24,7 +27,7 @@ NO_LEAPS = "shooting, no leaps"
 
 @dataclass(frozen=True)
 class Contest:
-    """How the contenders of one task play, by what practice clips of its kind say.
+    """How the contenders of one task play.
 
     single, eager: single shooting's search and its start (``transitions.start``). windows, soft: those of windows and
     of multiple shooting. plan: of shooting, which finishes multiple shooting too.
@@ -50,14 +53,15 @@ class Contest:
         }
 
     def together(self, task: Task, seconds: float, further: shooting.Plan) -> tuple[dict[str, Run], Tensor]:
-        """Those that play in batches, and the lowest energy (B,) that they, or shooting carried on by ``further`` from
-        where each of them ends, found on each clip."""
+        """Those that play in batches, and the lowest energy (B,) that anybody found on each clip: they, multiple
+        shooting, or shooting carried on by ``further`` from where single shooting and shooting end."""
         runs = {
             "single shooting": self.patient(task, seconds),
             "shooting": shot(task, self.plan),
             NO_LEAPS: shot(task, replace(self.plan, leaps=0)),
         }
-        more = [shot(task, further, run.unknown) for run in runs.values()]
+        more = [shot(task, further, runs[who].unknown) for who in ("single shooting", "shooting")]
+        more.append(multiple_trials.shot(task, self.soft, self.plan))
         return runs, solver_costs.lowest([*runs.values(), *more])
 
 
@@ -68,9 +72,26 @@ def groups(clips: int, size: int) -> list[range]:
 
 def beside(jobs: Sequence[Callable[[], T]], workers: int) -> list[T]:
     """What the jobs return, in their order: so many at a time, each in a process of its own with one thread; with one
-    worker here, one after the other."""
+    worker here, one after the other. One that fails, or Ctrl-C, ends them all."""
     if workers == 1:
         return [job() for job in jobs]
-    with ProcessPoolExecutor(workers, get_context("spawn"), torch.set_num_threads, (1,)) as pool:
-        futures = [pool.submit(job) for job in jobs]
-        return [future.result() for future in futures]
+    others = set(active_children())
+    with ProcessPoolExecutor(workers, get_context("spawn"), _alone) as pool:
+        futures = [pool.submit(_called, pickle.dumps(job)) for job in jobs]
+        try:
+            return [pickle.loads(future.result()) for future in futures]
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in set(active_children()) - others:
+                worker.terminate()
+            raise
+
+
+def _alone() -> None:
+    torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a fit would take it for "stop at your best"; who waits ends it
+
+
+def _called(job: bytes) -> bytes:
+    """Bytes, since tensors between processes would keep a file open each."""
+    return pickle.dumps(pickle.loads(job)())
