@@ -60,8 +60,9 @@ def earlier(path: Path) -> dict[str, dict]:
     """The rows of a record of this recipe by task; none where there is no such record."""
     if not path.exists():
         return {}
-    rows = {row["task"]: row for row in load(path)}
-    return rows if json.loads(path.read_text(encoding="utf-8")).get("recipe") == RECIPE else {}
+    rows = load(path)
+    same = json.loads(path.read_text(encoding="utf-8")).get("recipe") == RECIPE
+    return {row["task"]: row for row in rows if same}
 
 
 def command(arguments: Sequence[str] | None = None) -> None:

@@ -37,7 +37,8 @@ def compared(
     Each by its own form's roll-out. They differ by a thousandth, since the official heading is off by as much
     (``faithful_rotation.alignment``).
 
-    before: a row of an earlier run of the same schedule: if it began where this task begins, only shooting is run.
+    before: a row of an earlier run of the same schedule: if it began where this task begins, only shooting is run, and
+    the faithful seconds are those of then.
     """
     start = _row(task.energy(task.unknown), task.error(task.rough))
     if before is None or before["start"] != start:
@@ -80,7 +81,7 @@ def load(path: Path | str) -> list[dict]:
     Raises:
         DataError: no such file, or another kind of file.
     """
-    remedy = f"run python -m motionlab.run_faithful {path}"
+    remedy = f"delete it, if it is there, and run python -m motionlab.run_faithful {path}"
     try:
         rows = json.loads(Path(path).read_text(encoding="utf-8"))["tasks"]
         for row in rows:
