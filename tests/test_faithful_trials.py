@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -70,6 +71,25 @@ def test_a_faithful_fit_is_not_run_again_where_it_began_alike(task, tmp_path, mo
         path.write_text(json.dumps({"recipe": recipe, "tasks": [first]}))
         assert list(run_faithful.earlier(path)) == known
     assert run_faithful.earlier(tmp_path / "none.json") == {}
+
+
+def test_a_run_replaces_rows_one_by_one_and_keeps_those_that_it_has_not_reached(tmp_path, monkeypatch):
+    """So that a run that is stopped loses no faithful fit."""
+    path = tmp_path / "faithful.json"
+    ends = {"energy": [1.0], "error": [1.0]}
+    old = [{"task": name, "faithful": ends, "shooting": ends, "start": ends} for name in ("a", "b")]
+    path.write_text(json.dumps({"recipe": run_faithful.RECIPE, "tasks": old}))
+
+    def stopped(task, *_, before, **__):
+        if task.name == "b":
+            raise KeyboardInterrupt
+        return before | {"shooting": ends | {"energy": [0.5]}}
+
+    monkeypatch.setattr(run_faithful, "compared", stopped)
+    monkeypatch.setattr(run_faithful, "tasks", lambda: [SimpleNamespace(name=n) for n in ("a", "b")])
+    with pytest.raises(KeyboardInterrupt):
+        run_faithful.main(path)
+    assert [(row["task"], row["shooting"]["energy"]) for row in load(path)] == [("a", [0.5]), ("b", [1.0])]
 
 
 @pytest.mark.parametrize(

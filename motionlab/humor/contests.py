@@ -76,7 +76,7 @@ def beside(jobs: Sequence[Callable[[], T]], workers: int) -> list[T]:
     if workers == 1:
         return [job() for job in jobs]
     others = set(active_children())
-    with ProcessPoolExecutor(workers, get_context("spawn"), _alone) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), _worker) as pool:
         futures = [pool.submit(_called, pickle.dumps(job)) for job in jobs]
         try:
             return [pickle.loads(future.result()) for future in futures]
@@ -87,7 +87,7 @@ def beside(jobs: Sequence[Callable[[], T]], workers: int) -> list[T]:
             raise
 
 
-def _alone() -> None:
+def _worker() -> None:
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a fit would take it for "stop at your best"; who waits ends it
 
