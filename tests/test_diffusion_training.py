@@ -365,9 +365,11 @@ run = training.Training(trained.Recipe.read(recipe), windows.Windows(**data), ac
 run.run(until=3, keep=sys.argv[2], every=3)
 torch.distributed.destroy_process_group()
 """
+BIAS = "seqTransEncoder.layers.0.self_attn.in_proj_bias"
 
 
 def test_two_processes_train_as_one(data, tmp_path):
+    """But for keys' biases: attention does not feel them, so their gradients are rounding, which Adam scales up."""
     pytest.importorskip("accelerate")
     keep, given, recipe = tmp_path / "run.pt", tmp_path / "given.pt", replace(SMALL, dropout=0.0)
     torch.save({"data": vars(data), "recipe": asdict(recipe), "tiny": TINY}, given)
@@ -386,9 +388,12 @@ def test_two_processes_train_as_one(data, tmp_path):
             child.wait()
     one, two = training.Training(recipe, data).run(until=3), training.resume(keep, data)
     assert two.step == 3
-    for name, value in one.average.items():
-        assert torch.allclose(two.average[name], value, atol=2e-4), name
     fresh = training.Training(recipe, data)
+    keys = slice(len(one.average[BIAS]) // 3, 2 * len(one.average[BIAS]) // 3)
+    for run in (one, two):
+        run.average[BIAS][keys] = 0.0
+    for name, value in one.average.items():
+        assert torch.allclose(two.average[name], value, rtol=0, atol=1e-6), name
     assert any((two.average[n] - fresh.average[n]).abs().max() > 2e-3 for n in fresh.average)  # it did train
 
 
