@@ -57,10 +57,11 @@ class Task:
             factors=self.factors[at], latent=self.latent[at], truth=self.truth.clip(at), rough=self.rough.clip(at),
         )  # fmt: skip
 
-    def begun(self, eager: float) -> Task:
-        """The same at another start (``transitions.start``)."""
+    def begun(self, eager: float, trust: Tensor | None = None) -> Task:
+        """The same at another start (``transitions.start``), of joints believed as the evidence has them or as told."""
         shared, frames = {n: self.unknown[n] for n in variables.SHARED if n in self.unknown}, self.truth.frames
-        how = (self.problem.evidence.trust, self.problem.priors, (0,), frames, "lean", self.problem.weights.pull, eager)
+        trust = self.problem.evidence.trust if trust is None else trust
+        how = (trust, self.problem.priors, (0,), frames, "lean", self.problem.weights.pull, eager)
         start, factors = transitions.start(self.rough, self.latent, shared, *how)
         return replace(self, unknown={n: x.detach() for n, x in start.items()}, factors=factors)
 
