@@ -86,8 +86,9 @@ def _parser() -> argparse.ArgumentParser:
         help="needed with official files: the pelvis from SMPL's translation, J_0 of the mean body in metres",
     )  # fmt: skip
     command.add_argument(
-        "--solver", choices=("shooting", "rollout"), default="shooting", help="of stage 3: rollout is HuMoR's schedule"
-    )
+        "--solver", choices=("shooting", "rollout"), default="shooting",
+        help="of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights: minutes a clip",
+    )  # fmt: skip
     command.add_argument("--quick", action="store_true", help="few steps: a first look")
     command.set_defaults(run=_fit)
 

@@ -25,6 +25,7 @@ from motionlab.viz.overlay import overlay
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
 FILM = 12.0  # frames per second of the overlay, at most
+MODES = {"shooting": "lean", "rollout": "official"}  # of a fit by each solver: with rollout all of it is the original
 OUTSIDE = 0.2  # share of detections outside the image from which a camera does not fit
 
 
@@ -40,10 +41,11 @@ def run(options: argparse.Namespace) -> int:
         pelvis=None if options.pelvis is None else tuple(options.pelvis),
     )
     pictures = None if options.video is None else _pictures(options.video, first, seen, options.fps)
-    schedule = testops.Schedule.quick() if options.quick else None  # the lean one
+    schedule = testops.Schedule.quick() if options.quick else None  # the mode's own
     print(f"{seen.name}: {seen.frames} frames at 30 fps; Ctrl-C keeps the best so far")
     size = pictures[0].size if pictures else None
-    fitted = testops.fit(seen, known, schedule=schedule, solver=options.solver, floor=floor, size=size, progress=True)
+    how = {"mode": MODES[options.solver], "solver": options.solver, "schedule": schedule, "floor": floor, "size": size}
+    fitted = testops.fit(seen, known, progress=True, **how)
     motion = fitted.motion.clip(0)
     for line in report_fit.report(fitted, seen).lines():
         print(line)

@@ -76,7 +76,7 @@ def test_a_faithful_fit_is_not_run_again_where_it_began_alike(task, tmp_path, mo
 def test_a_run_replaces_rows_one_by_one_and_keeps_those_that_it_has_not_reached(tmp_path, monkeypatch):
     """So that a run that is stopped loses no faithful fit."""
     path = tmp_path / "faithful.json"
-    ends = {"energy": [1.0], "error": [1.0]}
+    ends = {"energy": [1.0], "error": [1.0], "seconds": 1.0, "closures": 1}
     old = [{"task": name, "faithful": ends, "shooting": ends, "start": ends} for name in ("a", "b")]
     path.write_text(json.dumps({"recipe": run_faithful.RECIPE, "tasks": old}))
 

@@ -16,6 +16,7 @@ from motionlab.__main__ import main
 from motionlab.errors import DataError, ShapeError
 from motionlab.humor import priors, real_input, report_fit, shape, stages, testops
 from motionlab.humor.checkpoint import SHIPPED
+from motionlab.humor.weights import RGB, RGB_LIGHT
 from motionlab.io import amass, bvh, gltf
 from motionlab.io.camera import load_camera
 from motionlab.motion import Motion
@@ -92,6 +93,35 @@ def test_assumed_camera_is_said_and_images_lie_below(tmp_path, keypoints, capsys
     with Image.open(tmp_path / "fit.gif") as film:
         corner = film.convert("RGB").getpixel((2, 2))
     assert corner[0] > 150 and corner[2] < 90  # the picture, not the grey canvas
+
+
+@pytest.mark.parametrize(
+    "words, mode, solver, weights",
+    [((), "lean", "shooting", RGB_LIGHT), (("--solver", "rollout"), "official", "rollout", RGB)],
+)
+def test_the_fast_solver_unless_the_original_schedule_is_asked_for(
+    tmp_path, keypoints, monkeypatch, words, mode, solver, weights
+):
+    """The steps, unknowns and weights that a fit is given; it then takes few steps."""
+    asked = {}
+
+    class Track(testops._Track):
+        def __init__(self, schedule, progress):
+            asked["schedule"] = schedule
+            super().__init__(testops.Schedule.quick(), progress)
+
+        def motion_stage(self, problem, unknown, by):
+            asked.update(mode=problem.mode, weights=problem.weights, solver=by)
+            return super().motion_stage(problem, unknown, by)
+
+    monkeypatch.setattr(testops, "_Track", Track)
+    assert run("--keypoints", keypoints, "--out", tmp_path / "fit.npz", *words) == 0
+    lean, official = testops.Schedule.lean(), testops.Schedule.official(keypoints=True)
+    assert asked == {
+        "mode": mode, "weights": weights, "solver": solver, "schedule": lean if mode == "lean" else official
+    }  # fmt: skip
+    assert official.steps == (30, 80, 70) and official.inner == 20 and official.refine == (30, 55)  # as published
+    assert amass.load(tmp_path / "fit.npz").frames == FRAMES
 
 
 def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monkeypatch):

@@ -1,7 +1,7 @@
 """The faithful schedule run to its end, and shooting on the same clips: where do they end?
 
-The official budget takes a quarter of an hour of one core for a clip, too long for a notebook: ``run_faithful`` leaves
-a record, which notebook 08 shows.
+The official budget takes a quarter to half an hour of one core for a clip, too long for a notebook: ``run_faithful``
+leaves a record, which notebook 08 shows.
 
 Both lower the same energy of stage 3, from the same stages 1 and 2: one by the official form's code, its rotation
 vectors, its start by the posterior's mean and its three sub-stages, the other as fits do.
@@ -95,11 +95,16 @@ def load(path: Path | str) -> list[dict]:
 
 
 def table(rows: Sequence[dict]) -> str:
-    """A Markdown table: where each of them ends, clip by clip."""
-    head = ("task", "energy: at shooting's start", "faithful", "shooting", "error, cm: stage 2", "faithful", "shooting")
+    """A Markdown table: where each of them ends, clip by clip, and what that takes, all clips of a task together."""
+    head = (
+        "task", "energy: at shooting's start", "faithful", "shooting", "error, cm: stage 2", "faithful", "shooting",
+        "closures, faithful", "s together: faithful", "shooting",
+    )  # fmt: skip
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for row in rows:
         pairs = [(what, who) for what in ("energy", "error") for who in ("start", "faithful", "shooting")]
         cells = [", ".join(f"{value:.3g}" for value in row[who][what]) for what, who in pairs]
+        spent = [f"{row[who]['seconds']:.0f}" for who in ("faithful", "shooting")]
+        cells += [f"{row['faithful']['closures']:,}", *spent]
         lines.append("| " + " | ".join([row["task"], *cells]) + " |")
     return "\n".join(lines)

@@ -4,8 +4,8 @@ Repeat: differentiate all transitions at once, factorise the Gauss-Newton matrix
 the energy by L-BFGS in the coordinates in which that matrix is the identity, on exact roll-outs that steer themselves.
 Gradients are exact and of every term. The unknowns, the energy and its minima are those of ``stages.stage_3``. Its
 valleys, too: there may be a second start, of which the lower one goes on after some rounds, with slopes at few frames
-until then; and later rounds search several valleys at once (``leaps``), each in its own coordinates, since closures of
-a few roll-outs cost hardly more than of one.
+until then; and later rounds search several valleys at once (``leaps``), each in its own coordinates, since a closure of
+four roll-outs takes about twice as long as one of one, not four times.
 
 Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop).
 Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift apart. Not multiple shooting: the states

@@ -9,7 +9,7 @@ Differs, in "lean" mode: rotations are 6 numbers; joints come from forward kinem
 recording whole, only stage 3 cuts it into windows; the start is found in closed form and interpolated where nothing
 was seen; stage 1 is smooth; transitions of which nothing was seen start at the prior's mean. "official" mode has the
 official code's unknowns, start of a video and missing masks, evaluated as cheaply as the lean one; "faithful" does what
-the official code does, at its price. Stage 3 has two solvers: "rollout", the original schedule, and in lean mode
+the official code does, at its price. Stage 3 has two solvers: "rollout", the original sub-stages, and in lean mode
 "shooting" (``shooting``), the same energy at a fraction of the time.
 """
 
