@@ -49,7 +49,8 @@ def test_control_ensembles_in_two_places_pass_by_their_times_and_not_by_each_oth
         found = [found[0], *other]
     assert all(each.long_enough for each in found)
     assert agreement.worst(found) > 5
-    assert max(agreement.of_walkers(each) for each in found) < 1.1 or moves == "stretch"
+    if moves == "ours":  # each looks done by its own walkers, too
+        assert max(agreement.of_walkers(each) for each in found) < 1.1
 
 
 def test_formula_by_hand():
