@@ -87,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     command.add_argument(
         "--solver", choices=("shooting", "rollout"), default="shooting",
-        help="of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights: a minute or more a clip",
+        help="of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more",
     )  # fmt: skip
     command.add_argument("--quick", action="store_true", help="few steps: a first look")
     command.set_defaults(run=_fit)
