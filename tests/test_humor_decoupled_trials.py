@@ -113,21 +113,90 @@ def test_every_search_makes_a_plan_of_numbers_and_of_tensors(known, name):
     assert ("z" in plan.moving) != (name == "fixed z")
 
 
-def test_turns_are_chosen_by_energy(known):
-    way, rows = tuning.best_turns(known, Plan(Form(1, 3.0), rate_x=0.01, rate_z=0.01), 8)
-    assert way in tuning.TURNS and len(rows) == len(tuning.TURNS)
-    assert {n: min(rows, key=lambda r: r["energy"])[n] for n in way} == way
+def test_turns_are_chosen_by_energy_among_all_weights_and_paces(known):
+    plan = Plan(Form(1, 30.0), rate_x=0.03, rate_z=0.03)
+    rows = [row for way in (tuning.TURNS[0], tuning.TURNS[-1]) for row in tuning.turned(known, plan, way, 50)]
+    many = len(tuning.WEIGHTS) * len(tuning.PACES)
+    assert len(rows) == many + len(tuning.WEIGHTS)  # L-BFGS has no pace
+    chosen = tuning.best_turns(rows)
+    assert min(row["energy"] for row in rows) == next(
+        row["energy"] for row in rows if {n: row[n] for n in chosen.setting} == chosen.setting
+    )
+    row = rows[many - 1]  # all in one batch, as each alone
+    alone = tuning.in_turns(known, plan, row, 50)
+    mean = trials.judged(known, alone.unknown)["energy"].mean().item()
+    assert row["energy"] == pytest.approx(mean, rel=1e-2, abs=1.0)
+    assert len({round(row["energy"], 2) for row in rows}) > many / 2  # they differ
 
 
-def test_everything_is_tuned_and_told(known, monkeypatch):
-    monkeypatch.setattr(tuning, "SEARCHES", {n: tuning.SEARCHES[n] for n in ("copy", "L1")})
-    monkeypatch.setattr(tuning, "TURNS", tuning.TURNS[:1])
-    found = tuning.tune_all(known, 2, 1)
-    assert list(found.plans) == ["copy", "L1"] and found.way == tuning.TURNS[0]
-    assert [row["search"] for row in found.rows] == ["copy", "L1", "z and x in turns"]
-    assert len({tuple(row) for row in found.rows}) == 1 and found.rows[0]["settings tried"] == 5
-    assert found.rows[2]["next best"] == "-"
+@pytest.mark.parametrize(
+    "method, weight, pace, inside",
+    [("adam", 0.1, 1.0, True), ("adam", 0.1, 0.3, False), ("adam", 1.0, 1.0, False), ("lbfgs", 0.1, 1.0, True)],
+)
+def test_a_choice_at_an_edge_of_what_was_tried_says_so(method, weight, pace, inside):
+    way = {"method": method, "inner": 25, "first": "z", "weight": weight, "pace": pace}
+    found = tuning.best_turns([way | {"energy": 1.0}, way | {"energy": 2.0, "inner": 0}])
+    assert found.setting == way and found.ended == inside
+
+
+def test_turns_begin_where_they_are_told_and_are_looked_at_after_every_block(known):
+    plan, way = Plan(Form(1, 3.0), rate_x=0.01, rate_z=0.01), {**tuning.TURNS[0], "weight": 1.0, "pace": 1.0}
+    begun = known.start | {"z": known.start["z"] + 0.1}
+    found = tuning.in_turns(known, plan, way | {"inner": 2}, 8, start=begun, watch=True)
+    assert list(found.watched) == [0, 2, 4, 6, 8]
+    for at, unknown in ((0, begun), (8, found.unknown)):
+        torch.testing.assert_close(found.watched[at]["energy"], trials.judged(known, unknown)["energy"])
+    assert not tuning.in_turns(known, plan, way, 8).watched
+
+
+def test_a_step_for_z_is_chosen_by_the_energy_that_it_lowers(known):
+    found = tuning.rate_of_z(known, Form(2, 1.0), 20)
+    assert list(found) == list(tuning.RATES)
+    best = min(found, key=found.get)
+    start = {**trials.reference(known), "z": known.start["z"]}
+    for rate in (best, tuning.RATES[0]):
+        alone = adam(known.problem, start, Plan(Form(2, 1.0), moving=Z, rate_z=rate, settle=False), 20)
+        assert found[rate] == pytest.approx(alone.history[-2:].mean().item(), rel=1e-2)
+    assert found[best] < 0.9 * found[tuning.RATES[0]]
+
+
+def test_what_is_told_of_a_walk(known):
+    search = tuning.SEARCHES["copy"]
+    row = tuning.told("copy", tuning.tune(known, search, 2, rounds=1))
+    assert row["search"] == "copy" and row["settings tried"] == 5
+    assert row["energy"] <= row["next best"] <= row["worst"]
     assert tuning.text({"a": 0.03, "b": "x"}) == "a 0.03, b x"
+
+
+@pytest.mark.parametrize("name", ["L1", "L1, L-BFGS"])
+def test_a_search_is_looked_at_if_it_can_be(known, name):
+    search = tuning.SEARCHES[name]
+    plan = search.make(**search.begin)
+    found = trials.searched(known, known.start, plan, 3, method=search.method, at=(0, 3))
+    assert list(found.watched) == ([0, 3] if name == "L1" else [])
+    if found.watched:
+        torch.testing.assert_close(found.watched[0]["energy"], trials.judged(known, known.start)["energy"])
+
+
+def test_how_far_on_the_way():
+    seen = {0: [10.0, 10.0, 10.0], 5: [8.0, 9.0, torch.nan], 20: [4.0, 9.5, 12.0]}
+    watched = {n: {"energy": torch.tensor(x)} for n, x in seen.items()}
+    goal = torch.tensor([0.0, 0.0, 0.0])
+    inf = torch.inf
+    for share, after in ((0.1, [5, 5, inf]), (0.2, [5, inf, inf]), (0.5, [20, inf, inf]), (0.9, [inf] * 3)):
+        assert trials.gone(watched, goal, share).tolist() == after
+    assert trials.gone(watched, torch.full((3,), 20.0), 0.5).tolist() == [0, 0, 0]  # no way to go
+
+
+def test_energies_of_the_whole_fit_end_where_it_does(known):
+    found = trials.whole_energies(known)
+    *early, last = known.fitted.results[3]
+    assert list(found)[-1] == sum(r.closures for r in early) + len(last.history)
+    lowest = torch.stack([x["energy"] for x in found.values()])
+    torch.testing.assert_close(lowest[-1], sum(known.fitted.energies[3].values()), atol=0.05, rtol=1e-3)
+    assert (lowest[1:].diff(dim=0) <= 0).all()
+    goal = trials.judged(known, trials.reference(known))["energy"]
+    assert trials.gone(found, goal, 0.5).isfinite().all()
 
 
 def test_with_z_fixed_only_x_moves_and_the_first_frames_are_seen(known):

@@ -147,16 +147,26 @@ def lbfgs(problem: Problem, start: Unknown, plan: Plan, evaluations: int) -> Fou
 
 
 def alternate(
-    problem: Problem, start: Unknown, plan: Plan, *, turns: int, inner: int, method: str = "adam", first: str = "z"
+    problem: Problem,
+    start: Unknown,
+    plan: Plan,
+    *,
+    turns: int,
+    inner: int,
+    method: str = "adam",
+    first: str = "z",
+    watch: Watch | None = None,
 ) -> Found:
     """Flip-flop: ``inner`` evaluations with x fixed, as many with z fixed, and so on, ``turns`` of either.
 
     Every block lowers the same energy. A clip whose energy a block has not lowered goes back to where it was, so that
-    the energy never rises from block to block. history holds the energies at the ends of the blocks, and at the start.
+    the energy never rises from block to block. history holds the energies at the ends of the blocks, and at the start;
+    watch is called at the same places.
     Source: thesis 3.3.3, "flip flop optimising z_{1:T} then x_{0:T}".
     """
     now = {n: x.detach().clone() for n, x in start.items()}
     spent, kept = 0.0, [energy_of(problem, now, plan.form)]
+    watched = {0: watch(now)} if watch else {}
     blocks = (Z, X) if first == "z" else (X, Z)
     for turn in range(2 * turns):
         part = replace(plan, moving=blocks[turn % 2])
@@ -167,7 +177,9 @@ def alternate(
         now = {n: torch.where(_like(lower, x), found.unknown[n], x) for n, x in now.items()}
         kept.append(torch.where(lower, after, kept[-1]))
         spent += found.seconds
-    return Found(now, torch.stack(kept), spent)
+        if watch:
+            watched[(turn + 1) * inner] = watch(now)
+    return Found(now, torch.stack(kept), spent, watched)
 
 
 def energy_of(problem: Problem, unknown: Unknown, form: Form) -> Tensor:

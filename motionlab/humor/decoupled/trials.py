@@ -6,8 +6,9 @@ Source: thesis 3.3.3. The judge is the same for all variants: the exact roll-out
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -27,6 +28,8 @@ from motionlab.humor.variables import motion_of
 from motionlab.humor.weights import RGB_LIGHT
 from motionlab.metrics import pose
 from motionlab.motion import Motion
+
+Method = Callable[[Problem, Unknown, Plan, int], Found]
 
 
 class Filmed(Seen):
@@ -147,6 +150,32 @@ def bending(known: Case, z: Tensor, states: Tensor | None = None) -> Tensor:
         after = decode_ahead(known.model, states[:, :-1], z)[:, :, 0]
     before, after = (cases.tilt_and_bend(state.to_motion(x, skeleton, fps))[1] for x in (states[:, :-1], after))
     return (after - before).mean(-1).sum(-1)
+
+
+def searched(
+    known: Case, start: Unknown, plan: Plan, evaluations: int, *, method: Method = adam, at: Sequence[int] = ()
+) -> Found:
+    """A search of one of the two methods; watched, of Adam: :func:`judged` after ``at`` evaluations."""
+    how = {"watch": partial(judged, known), "at": at} if method is adam else {}
+    return method(known.problem, start, plan, evaluations, **how)
+
+
+def gone(watched: Mapping[int, Mapping[str, Tensor]], goal: Tensor, share: float) -> Tensor:
+    """Evaluations (B,) until the roll-out's energy was seen to have made ``share`` of the way from where it was first
+    to a goal (B,); inf where it never was. As coarse as what was watched."""
+    energy = torch.stack([seen["energy"] for seen in watched.values()])
+    at = torch.tensor([float(n) for n in watched], device=energy.device)
+    there = energy <= energy[0] + share * (goal - energy[0])
+    return torch.where(there, at[:, None], torch.inf).amin(0)
+
+
+def whole_energies(known: Case) -> dict[int, dict[str, Tensor]]:
+    """Energies of the whole fit's stage 3, as a search's ``watched``: of its start, and of its last sub-stage alone, as
+    those before see fewer frames or terms; their evaluations count."""
+    *early, last = known.fitted.results[3]
+    before = sum(result.closures for result in early)
+    lowest = last.history.cummin(0).values
+    return {0: judged(known, known.start)} | {before + k + 1: {"energy": row} for k, row in enumerate(lowest)}
 
 
 def to_tolerance(history: Tensor, share: float = 0.99) -> Tensor:

@@ -1,4 +1,4 @@
-"""The settings of every decoupled search, chosen on clips that no table uses, by searches as long as they are used.
+"""The settings of every decoupled search, chosen on clips that no table uses.
 
 A walk over ladders: a setting and its neighbours, one rung up or down on each ladder, are tried in one batch; the best
 of them is where the next look begins; the walk ends where no neighbour is better, so that what it chooses lies at no
@@ -9,14 +9,15 @@ unless another measure is named; ties and numbers that are not finite lose.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
 
 from motionlab.humor.decoupled.energy import Form, Unknown
-from motionlab.humor.decoupled.search import Found, Plan, X, adam, alternate, lbfgs
-from motionlab.humor.decoupled.trials import Case, judged
+from motionlab.humor.decoupled.search import Found, Plan, X, Z, adam, alternate, lbfgs
+from motionlab.humor.decoupled.trials import Case, judged, reference
 
 Setting = dict[str, float]
 #: The rungs of steps and of weights, and of the share of x that is overwritten.
@@ -130,47 +131,57 @@ def _rows(settings: Sequence[Mapping], many: Case, found: Found, clips: int) -> 
     return [{**s, **{n: means[n][k] for n in ("energy", "legs", "kept legs", "gap")}} for k, s in enumerate(settings)]
 
 
-#: Ways to move z and x in turns: the method of a block, its evaluations (0: half of all), which of the two begins.
-_WAYS = (("adam", 25, "z"), ("adam", 75, "z"), ("adam", 0, "z"), ("adam", 75, "x"), ("lbfgs", 75, "z"))
+#: Ways to move z and x in turns: the method of a block, its evaluations (0: half of all), which of the two begins; and
+#: in what the loss of the joint search is then changed: its weight, and its steps, by these factors.
+_WAYS = (("adam", 25, "z"), ("adam", 25, "x"), ("adam", 100, "z"), ("adam", 0, "z"), ("lbfgs", 50, "z"))
 TURNS = tuple({"method": m, "inner": n, "first": f} for m, n, f in _WAYS)
+WEIGHTS, PACES = (0.03, 0.1, 0.3, 1.0), (0.3, 1.0, 3.0)
 
 
-def in_turns(known: Case, plan: Plan, way: Mapping, evaluations: int) -> Found:
-    """:func:`alternate` in one of the ways of ``TURNS``, with as many evaluations in all."""
+def in_turns(
+    known: Case, plan: Plan, way: Mapping, evaluations: int, *, start: Unknown | None = None, watch: bool = False
+) -> Found:
+    """:func:`alternate` in one of the ways of ``TURNS``, with its "weight" and "pace" (numbers, or one per clip) and as
+    many evaluations in all. watch: judge after every block."""
     inner = max(1, min(way["inner"] or evaluations, evaluations // 2))
     turns = max(1, evaluations // (2 * inner))
-    return alternate(
-        known.problem, known.start, plan, turns=turns, inner=inner, method=way["method"], first=way["first"]
-    )
+    form = replace(plan.form, weight=plan.form.weight * way["weight"])
+    plan = replace(plan, form=form, rate_x=plan.rate_x * way["pace"], rate_z=plan.rate_z * way["pace"])
+    how = {"turns": turns, "inner": inner, "method": way["method"], "first": way["first"]}
+    look = partial(judged, known) if watch else None
+    return alternate(known.problem, start or known.start, plan, **how, watch=look)
 
 
-def best_turns(practice: Case, plan: Plan, evaluations: int) -> tuple[dict, list[dict]]:
-    """The way of ``TURNS`` with the least mean energy on practice clips, and a row for every way."""
-    rows = [_rows([way], practice, in_turns(practice, plan, way, evaluations), len(practice))[0] for way in TURNS]
-    best = min(range(len(rows)), key=lambda k: rows[k]["energy"])
-    return TURNS[best], rows
+def turned(practice: Case, plan: Plan, way: Mapping, evaluations: int) -> list[dict]:
+    """A row for every weight and pace of one way, all in one batch on the practice clips."""
+    paces = PACES if way["method"] == "adam" else (1.0,)  # L-BFGS finds its steps
+    settings = [{**way, "weight": w, "pace": p} for w in WEIGHTS for p in paces]
+    many = practice.rows(torch.arange(len(practice)).repeat(len(settings)))
+    columns = {n: torch.tensor([s[n] for s in settings]).repeat_interleave(len(practice)) for n in ("weight", "pace")}
+    return _rows(settings, many, in_turns(many, plan, {**way, **columns}, evaluations), len(practice))
 
 
-@dataclass(frozen=True)
-class Tuned:
-    """What the practice clips chose: a plan for each of ``SEARCHES``, a way of ``TURNS``; and a row for every search,
-    as a table shows it."""
-
-    plans: dict[str, Plan]
-    way: dict
-    rows: list[dict[str, object]]
+def best_turns(rows: Sequence[Mapping]) -> Choice:
+    """The way with the least mean energy among rows of :func:`turned`. ended: it lies at no edge of what was tried."""
+    best = min(rows, key=lambda row: row["energy"])
+    setting = {n: best[n] for n in ("method", "inner", "first", "weight", "pace")}
+    inside = min(WEIGHTS) < best["weight"] < max(WEIGHTS)
+    return Choice(setting, list(rows), inside and (best["method"] != "adam" or min(PACES) < best["pace"] < max(PACES)))
 
 
-def tune_all(practice: Case, evaluations: int, rounds: int = 4) -> Tuned:
-    """Every search on the same clips, each with as many evaluations."""
-    plans, rows = {}, []
-    for name, search in SEARCHES.items():
-        choice = tune(practice, search, evaluations, rounds=rounds)
-        plans[name] = search.make(**choice.setting)
-        rows.append(told(name, choice))
-    way, tried = best_turns(practice, plans["L1"], evaluations)
-    rows.append(told("z and x in turns", Choice(way, tried, ended=True)) | {"no neighbour better": "-"})  # all tried
-    return Tuned(plans, way, rows)
+#: Steps of z that are tried where x is fixed.
+RATES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
+
+
+def rate_of_z(practice: Case, form: Form, evaluations: int) -> dict[float, float]:
+    """Steps of constant size for z, x fixed at the whole fit: for each of ``RATES`` the decoupled energy, mean of the
+    practice clips and of the last tenth of the evaluations. The truth has no part in it."""
+    index = torch.arange(len(practice)).repeat(len(RATES))
+    begun = {n: x[index] for n, x in {**reference(practice), "z": practice.start["z"]}.items()}
+    rates = torch.tensor(RATES).repeat_interleave(len(practice))
+    found = adam(practice.rows(index).problem, begun, Plan(form, moving=Z, rate_z=rates, settle=False), evaluations)
+    last = found.history[-max(1, evaluations // 10) :].mean(0).nan_to_num(nan=float("inf"))
+    return dict(zip(RATES, last.unflatten(0, (len(RATES), -1)).mean(1).tolist(), strict=True))
 
 
 def told(name: str, choice: Choice, measure: str = "energy") -> dict[str, object]:
