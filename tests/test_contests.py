@@ -72,8 +72,8 @@ def test_a_job_that_fails_ends_the_others():
     began = time.perf_counter()
     with pytest.raises(DataError, match="no such clip"):
         contests.beside([fails, partial(time.sleep, 120)], 2)
-    for worker in active_children():
-        worker.join(30)
+    while active_children() and time.perf_counter() - began < 60:  # the pool's own thread may be reaping them just now
+        time.sleep(0.05)
     assert time.perf_counter() - began < 60 and not active_children()
 
 
