@@ -122,6 +122,8 @@ def test_the_record_is_of_the_recipe_that_the_code_has():
     for line in table(rows).splitlines():
         assert json.dumps(line, ensure_ascii=False)[1:-1] in notebook
     assert "ends higher on all nine clips, and farther from the truth on all nine" in notebook
+    times = [round(row["faithful"]["seconds"] / row["shooting"]["seconds"]) for row in rows]
+    assert "{1}, {0} and {2} times shooting's seconds".format(*times) in notebook
     for what in ("energy", "error"):
         assert all(a > b for row in rows for a, b in zip(row["faithful"][what], row["shooting"][what], strict=True))
 
