@@ -1,5 +1,7 @@
 """What the decoupled stage 3 is tried on and judged by."""
 
+from functools import partial
+
 import pytest
 import torch
 
@@ -84,7 +86,7 @@ def test_a_ladder_ends():
     search = tuning.Search(both, {"rate": 1.0, "weight": 1.0}, ladders={"rate": (0.1, 1.0)})
     assert [s["rate"] for s in search.neighbours({"rate": 1.0, "weight": 1.0})] == [0.1, 1.0, 1.0]
     every = search.neighbours({"rate": 0.1, "weight": tuning.LADDER[0]})
-    assert list(every) == [{"rate": 1.0, "weight": 1e-5}, {"rate": 0.1, "weight": 3e-5}]
+    assert list(every) == [{"rate": 1.0, "weight": 1e-6}, {"rate": 0.1, "weight": 3e-6}]
 
 
 def test_control_a_choice_at_a_ladders_end_has_not_ended(known):
@@ -113,40 +115,39 @@ def test_every_search_makes_a_plan_of_numbers_and_of_tensors(known, name):
     assert ("z" in plan.moving) != (name == "fixed z")
 
 
-def test_turns_are_chosen_by_energy_among_all_weights_and_paces(known):
-    plan = Plan(Form(1, 30.0), rate_x=0.03, rate_z=0.03)
-    rows = [row for way in (tuning.TURNS[0], tuning.TURNS[-1]) for row in tuning.turned(known, plan, way, 50)]
-    many = len(tuning.WEIGHTS) * len(tuning.PACES)
-    assert len(rows) == many + len(tuning.WEIGHTS)  # L-BFGS has no pace
-    chosen = tuning.best_turns(rows)
-    assert min(row["energy"] for row in rows) == next(
-        row["energy"] for row in rows if {n: row[n] for n in chosen.setting} == chosen.setting
-    )
-    row = rows[many - 1]  # all in one batch, as each alone
-    alone = tuning.in_turns(known, plan, row, 50)
+@pytest.mark.parametrize("way", tuning.TURNS)
+def test_turns_are_tuned_in_one_batch_as_each_alone(known, way):
+    search = tuning.TURNS[way]
+    found = tuning.tune(
+        known, search, 8, rounds=1
+    )  # few: later, rounding decides where lines end and which blocks are kept
+    assert len(found.rows) == 1 + 2 * len(search.begin)
+    row = found.rows[-1]
+    alone = search.method(known.problem, known.start, search.make(**{n: row[n] for n in search.begin}), 8)
     mean = trials.judged(known, alone.unknown)["energy"].mean().item()
     assert row["energy"] == pytest.approx(mean, rel=1e-2, abs=1.0)
-    assert len({round(row["energy"], 2) for row in rows}) > many / 2  # they differ
+    assert len({round(row["energy"], 2) for row in found.rows}) == len(found.rows)  # settings matter
+
+
+def test_the_best_of_the_chosen_is_that_with_the_least_energy():
+    def chose(*energies):
+        return tuning.Choice({}, [{"energy": x} for x in energies], True)
+
+    assert tuning.best({"a": chose(3.0, 2.0), "b": chose(5.0, 1.0), "c": chose(1.5)}) == "b"
 
 
 @pytest.mark.parametrize(
-    "method, weight, pace, inside",
-    [("adam", 0.1, 1.0, True), ("adam", 0.1, 0.3, False), ("adam", 1.0, 1.0, False), ("lbfgs", 0.1, 1.0, True)],
+    "inner, evaluations, looks", [(2, 8, [0, 2, 4, 6, 8]), (3, 8, [0, 3, 6]), (0, 8, [0, 4, 8]), (25, 8, [0, 4, 8])]
 )
-def test_a_choice_at_an_edge_of_what_was_tried_says_so(method, weight, pace, inside):
-    way = {"method": method, "inner": 25, "first": "z", "weight": weight, "pace": pace}
-    found = tuning.best_turns([way | {"energy": 1.0}, way | {"energy": 2.0, "inner": 0}])
-    assert found.setting == way and found.ended == inside
-
-
-def test_turns_begin_where_they_are_told_and_are_looked_at_after_every_block(known):
-    plan, way = Plan(Form(1, 3.0), rate_x=0.01, rate_z=0.01), {**tuning.TURNS[0], "weight": 1.0, "pace": 1.0}
+def test_turns_begin_where_they_are_told_and_are_looked_at_after_every_block(known, inner, evaluations, looks):
+    plan = Plan(Form(1, 3.0), rate_x=0.01, rate_z=0.01)
     begun = known.start | {"z": known.start["z"] + 0.1}
-    found = tuning.in_turns(known, plan, way | {"inner": 2}, 8, start=begun, watch=True)
-    assert list(found.watched) == [0, 2, 4, 6, 8]
-    for at, unknown in ((0, begun), (8, found.unknown)):
+    method = partial(tuning.in_turns, method="adam", inner=inner, first="z")
+    found = trials.searched(known, begun, plan, evaluations, method=method)
+    assert list(found.watched) == looks
+    for at, unknown in ((0, begun), (looks[-1], found.unknown)):
         torch.testing.assert_close(found.watched[at]["energy"], trials.judged(known, unknown)["energy"])
-    assert not tuning.in_turns(known, plan, way, 8).watched
+    assert not method(known.problem, begun, plan, evaluations).watched
 
 
 def test_a_step_for_z_is_chosen_by_the_energy_that_it_lowers(known):

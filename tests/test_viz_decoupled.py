@@ -35,10 +35,10 @@ def test_variants_have_a_dot_per_clip_and_a_median():
 def test_curves_over_evaluations_and_their_levels():
     y = torch.tensor([[3.0, 5.0, 4.0], [1.0, 2.0, 3.0]])
     fig = draw.over_evaluations(
-        {"a": {"L1": ((1, 10), y)}}, ("cm",), {"L1": "ours"}, lines={"a": {"reference": 1.0}}, top={"a": 3.5}
+        {"a": {"L1": ((1, 10), y)}}, ("cm",), {"L1": "ours"}, lines={"a": {"reference": 1.0}}, between={"a": (0.5, 3.5)}
     )
     (ax,) = fig.axes
-    assert ax.get_ylim()[1] == 3.5
+    assert ax.get_ylim() == (0.5, 3.5)
     assert list(ax.lines[0].get_ydata()) == [4.0, 2.0] and list(ax.lines[1].get_ydata()) == [1.0, 1.0]
     assert [t.get_text() for t in ax.get_legend().get_texts()] == ["L1", "reference"]
 

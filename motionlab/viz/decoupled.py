@@ -101,13 +101,13 @@ def over_evaluations(
     roles: Mapping[str, str],
     *,
     lines: Mapping[str, Mapping[str, float]] | None = None,
-    top: Mapping[str, float] | None = None,
+    between: Mapping[str, tuple[float, float]] | None = None,
     xlabel: str = "evaluations",
     size: tuple[float, float] | None = None,
 ) -> Figure:
     """Median over clips and quartiles of series (evaluations (n,), values (n, B)), a panel each.
 
-    lines: panel -> label -> a level to compare with. top: panel -> where its axis ends, whatever lies above.
+    lines: panel -> label -> a level to compare with. between: panel -> where its axis ends, whatever lies beyond.
     """
     figure, axes = canvas(1, len(panels), size=size or (4.2 * len(panels), 3.6))
     names = list(dict.fromkeys(name for series in panels.values() for name in series))
@@ -119,8 +119,8 @@ def over_evaluations(
             ax.plot(x, middle, color=paint[name], lw=1.8, label=name)
         for k, (label, level) in enumerate(((lines or {}).get(title) or {}).items()):
             ax.axhline(level, color=INK, lw=1.2, ls=((0, (4, 2)), (0, (1, 1.5)))[k % 2], label=label)
-        if top and title in top:
-            ax.set_ylim(top=top[title])
+        if between and title in between:
+            ax.set_ylim(*between[title])
         ax.set(title=title, xlabel=xlabel, ylabel=ylabel)
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.24), fontsize=8)  # below: it would lie on curves
     return figure

@@ -18,7 +18,7 @@ from motionlab.humor import cases, state, testops
 from motionlab.humor.case_trials import CM, Seen, two_stages
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.decoupled.energy import Unknown, posed, rolled_out, to_persistent, to_states
-from motionlab.humor.decoupled.search import Found, Plan, adam
+from motionlab.humor.decoupled.search import Found, Plan, adam, lbfgs
 from motionlab.humor.observed import evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import decode_ahead, infer, rollout
@@ -155,8 +155,9 @@ def bending(known: Case, z: Tensor, states: Tensor | None = None) -> Tensor:
 def searched(
     known: Case, start: Unknown, plan: Plan, evaluations: int, *, method: Method = adam, at: Sequence[int] = ()
 ) -> Found:
-    """A search of one of the two methods; watched, of Adam: :func:`judged` after ``at`` evaluations."""
-    how = {"watch": partial(judged, known), "at": at} if method is adam else {}
+    """A search, watched by :func:`judged`: Adam after ``at`` evaluations, turns after every block, L-BFGS not."""
+    look = {"watch": partial(judged, known)}
+    how = {adam: look | {"at": at}, lbfgs: {}}.get(method, look)
     return method(known.problem, start, plan, evaluations, **how)
 
 

@@ -9,20 +9,21 @@ unless another measure is named; ties and numbers that are not finite lose.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import torch
 from torch import Tensor
 
 from motionlab.humor.decoupled.energy import Form, Unknown
-from motionlab.humor.decoupled.search import Found, Plan, X, Z, adam, alternate, lbfgs
+from motionlab.humor.decoupled.search import Found, Plan, Watch, X, Z, adam, alternate, lbfgs
 from motionlab.humor.decoupled.trials import Case, judged, reference
+from motionlab.humor.stages import Problem
 
 Setting = dict[str, float]
 #: The rungs of steps and of weights, and of the share of x that is overwritten.
-LADDER = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
-SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9)
+LADDER = (1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+SHARES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9)
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,10 @@ def _weighed(weight) -> Plan:
     return Plan(Form(1, weight))
 
 
+def _at_one_pace(rate, weight) -> Plan:
+    return _loss(rate, rate, weight)
+
+
 def _x_alone(rate_x, weight) -> Plan:
     return Plan(Form(1, weight), moving=X, rate_x=rate_x, settle=False)
 
@@ -74,13 +79,44 @@ def _x_alone(rate_x, weight) -> Plan:
 #: The walks begin where trials on the same practice clips ended.
 SEARCHES = {
     "copy": Search(_copied, {"rate_x": 1e-4, "rate_z": 0.001}),
-    "blend": Search(_blended, {"rate_x": 0.001, "rate_z": 0.001, "share": 0.3}, ladders={"share": SHARES}),
+    "blend": Search(_blended, {"rate_x": 3e-5, "rate_z": 0.001, "share": 0.01}, ladders={"share": SHARES}),
     "L1": Search(_loss, {"rate_x": 0.03, "rate_z": 0.03, "weight": 30.0}),
-    "L1, z detached": Search(_detached, {"rate_x": 0.03, "rate_z": 0.003, "weight": 100.0}),
+    "L1, z detached": Search(_detached, {"rate_x": 0.03, "rate_z": 1e-4, "weight": 100.0}),
     "L1, L-BFGS": Search(_weighed, {"weight": 3.0}, method=lbfgs),
 }
 #: For clips of its own length, and by what it is wanted for: the legs of the persistent states.
-FIXED_Z = Search(_x_alone, {"rate_x": 0.03, "weight": 10.0}, measure="kept legs")
+FIXED_Z = Search(_x_alone, {"rate_x": 0.1, "weight": 10.0}, measure="kept legs")
+
+
+def in_turns(
+    problem: Problem,
+    start: Unknown,
+    plan: Plan,
+    evaluations: int,
+    *,
+    method: str,
+    inner: int,
+    first: str,
+    watch: Watch | None = None,
+) -> Found:
+    """:func:`alternate` with no more evaluations than so many in all; ``inner`` of them a block, 0 for half of all."""
+    inner = max(1, min(inner or evaluations, evaluations // 2))
+    turns = max(1, evaluations // (2 * inner))
+    return alternate(problem, start, plan, turns=turns, inner=inner, method=method, first=first, watch=watch)
+
+
+#: Ways to move z and x in turns, both by steps of one length: what searches within a block, the evaluations of a block,
+#: and which of the two begins. L-BFGS finds its steps.
+TURNS = {
+    f"turns: {inner or 'half'}, {first} first": Search(
+        _at_one_pace, {"rate": 0.03, "weight": 3.0}, method=partial(in_turns, method="adam", inner=inner, first=first)
+    )
+    for inner, first in ((25, "z"), (25, "x"), (100, "z"), (0, "z"))
+} | {
+    "turns: L-BFGS, 50, z first": Search(
+        _weighed, {"weight": 3.0}, method=partial(in_turns, method="lbfgs", inner=50, first="z")
+    )
+}
 
 
 @dataclass(frozen=True)
@@ -105,25 +141,23 @@ def tune(
         new = [s for s in (at, *search.neighbours(at)) if tuple(s.values()) not in tried]
         found = _tried(practice, search, new, evaluations, start or practice.start)
         tried |= {tuple(s.values()): row for s, row in zip(new, found, strict=True)}
-        best = min(tried, key=lambda k: tried[k][search.measure])
-        if best == tuple(at.values()):
+        least = min(tried, key=lambda k: tried[k][search.measure])
+        if least == tuple(at.values()):
             inside = len(list(search.neighbours(at))) == 2 * len(at)
             return Choice(at, list(tried.values()), ended=inside)
-        at = dict(zip(search.begin, best, strict=True))
+        at = dict(zip(search.begin, least, strict=True))
     return Choice(at, list(tried.values()), ended=False)
 
 
 def _tried(
     practice: Case, search: Search, settings: Sequence[Setting], evaluations: int, start: Unknown
 ) -> list[dict[str, float]]:
-    index = torch.arange(len(practice)).repeat(len(settings))
+    clips = len(practice)
+    index = torch.arange(clips).repeat(len(settings))
     many = practice.rows(index)
-    columns = {n: torch.tensor([s[n] for s in settings]).repeat_interleave(len(practice)) for n in search.begin}
+    columns = {n: torch.tensor([s[n] for s in settings]).repeat_interleave(clips) for n in search.begin}
     begun = {n: x[index] for n, x in start.items()}
-    return _rows(settings, many, search.method(many.problem, begun, search.make(**columns), evaluations), len(practice))
-
-
-def _rows(settings: Sequence[Mapping], many: Case, found: Found, clips: int) -> list[dict[str, float]]:
+    found = search.method(many.problem, begun, search.make(**columns), evaluations)
     means = {
         n: x.unflatten(0, (-1, clips)).mean(-1).nan_to_num(nan=float("inf")).tolist()
         for n, x in judged(many, found.unknown).items()
@@ -131,42 +165,9 @@ def _rows(settings: Sequence[Mapping], many: Case, found: Found, clips: int) -> 
     return [{**s, **{n: means[n][k] for n in ("energy", "legs", "kept legs", "gap")}} for k, s in enumerate(settings)]
 
 
-#: Ways to move z and x in turns: the method of a block, its evaluations (0: half of all), which of the two begins; and
-#: in what the loss of the joint search is then changed: its weight, and its steps, by these factors.
-_WAYS = (("adam", 25, "z"), ("adam", 25, "x"), ("adam", 100, "z"), ("adam", 0, "z"), ("lbfgs", 50, "z"))
-TURNS = tuple({"method": m, "inner": n, "first": f} for m, n, f in _WAYS)
-WEIGHTS, PACES = (0.03, 0.1, 0.3, 1.0), (0.3, 1.0, 3.0)
-
-
-def in_turns(
-    known: Case, plan: Plan, way: Mapping, evaluations: int, *, start: Unknown | None = None, watch: bool = False
-) -> Found:
-    """:func:`alternate` in one of the ways of ``TURNS``, with its "weight" and "pace" (numbers, or one per clip) and as
-    many evaluations in all. watch: judge after every block."""
-    inner = max(1, min(way["inner"] or evaluations, evaluations // 2))
-    turns = max(1, evaluations // (2 * inner))
-    form = replace(plan.form, weight=plan.form.weight * way["weight"])
-    plan = replace(plan, form=form, rate_x=plan.rate_x * way["pace"], rate_z=plan.rate_z * way["pace"])
-    how = {"turns": turns, "inner": inner, "method": way["method"], "first": way["first"]}
-    look = partial(judged, known) if watch else None
-    return alternate(known.problem, start or known.start, plan, **how, watch=look)
-
-
-def turned(practice: Case, plan: Plan, way: Mapping, evaluations: int) -> list[dict]:
-    """A row for every weight and pace of one way, all in one batch on the practice clips."""
-    paces = PACES if way["method"] == "adam" else (1.0,)  # L-BFGS finds its steps
-    settings = [{**way, "weight": w, "pace": p} for w in WEIGHTS for p in paces]
-    many = practice.rows(torch.arange(len(practice)).repeat(len(settings)))
-    columns = {n: torch.tensor([s[n] for s in settings]).repeat_interleave(len(practice)) for n in ("weight", "pace")}
-    return _rows(settings, many, in_turns(many, plan, {**way, **columns}, evaluations), len(practice))
-
-
-def best_turns(rows: Sequence[Mapping]) -> Choice:
-    """The way with the least mean energy among rows of :func:`turned`. ended: it lies at no edge of what was tried."""
-    best = min(rows, key=lambda row: row["energy"])
-    setting = {n: best[n] for n in ("method", "inner", "first", "weight", "pace")}
-    inside = min(WEIGHTS) < best["weight"] < max(WEIGHTS)
-    return Choice(setting, list(rows), inside and (best["method"] != "adam" or min(PACES) < best["pace"] < max(PACES)))
+def best(choices: Mapping[str, Choice]) -> str:
+    """The search whose chosen setting has the least energy."""
+    return min(choices, key=lambda name: min(row["energy"] for row in choices[name].rows))
 
 
 #: Steps of z that are tried where x is fixed.
