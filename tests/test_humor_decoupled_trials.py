@@ -251,3 +251,16 @@ def test_latents_go_towards_the_reference(known):
         [False] * 2,
         [True] * 2,
     ]
+
+
+def test_from_a_good_z_short_steps_keep_what_longer_ones_lose(known):
+    """Notebook 07, H21: what turns keep of single shooting's z a joint search with steps as short keeps as well."""
+    given = known.start | {"z": trials.reference(known)["z"]}
+    begun, bad = (trials.judged(known, u)["energy"] for u in (given, known.start))
+
+    def ends(rate, weight):
+        plan = tuning.SEARCHES["L1"].make(rate_x=rate, rate_z=rate, weight=weight)
+        return trials.judged(known, trials.searched(known, given, plan, 100).unknown)["energy"]
+
+    assert (begun < bad).all() and (ends(1e-4, 1.0) <= begun).all()
+    assert (ends(0.01, 30.0) > begun + 20).all()
