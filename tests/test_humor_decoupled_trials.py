@@ -118,9 +118,8 @@ def test_every_search_makes_a_plan_of_numbers_and_of_tensors(known, name):
 @pytest.mark.parametrize("way", tuning.TURNS)
 def test_turns_are_tuned_in_one_batch_as_each_alone(known, way):
     search = tuning.TURNS[way]
-    found = tuning.tune(
-        known, search, 8, rounds=1
-    )  # few: later, rounding decides where lines end and which blocks are kept
+    # few evaluations: later, rounding decides where lines end and which blocks are kept
+    found = tuning.tune(known, search, 8, rounds=1)
     assert len(found.rows) == 1 + 2 * len(search.begin)
     row = found.rows[-1]
     alone = search.method(known.problem, known.start, search.make(**{n: row[n] for n in search.begin}), 8)
