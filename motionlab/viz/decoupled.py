@@ -133,7 +133,7 @@ def by_steps(panels: Mapping[str, Mapping[int, Tensor]], *, size: tuple[float, f
         places = range(len(found))
         for at, x in zip(places, found.values(), strict=True):
             ax.scatter([at] * len(x), x.numpy(force=True), s=13, color=colour("ours"), alpha=0.6, lw=0)
-        ax.plot(places, [x.median().item() for x in found.values()], color=colour("ours"), lw=1.8)
+        ax.plot(places, [np.median(x.numpy(force=True)) for x in found.values()], color=colour("ours"), lw=1.8)
         ax.set_xticks(places, [str(k) for k in found])
         ax.set(xlabel="decoding steps K", ylabel=measure)
     return figure

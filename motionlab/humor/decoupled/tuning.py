@@ -47,8 +47,8 @@ class Search:
             yield from ({**at, name: ladder[j]} for j in (k - 1, k + 1) if 0 <= j < len(ladder))
 
 
-def _loss(rate_x, rate_z, weight) -> Plan:
-    return Plan(Form(1, weight), rate_x=rate_x, rate_z=rate_z)
+def _loss(rate_x, rate_z, weight, steps=1) -> Plan:
+    return Plan(Form(steps, weight), rate_x=rate_x, rate_z=rate_z)
 
 
 def _detached(rate_x, rate_z, weight) -> Plan:
@@ -67,8 +67,8 @@ def _weighed(weight) -> Plan:
     return Plan(Form(1, weight))
 
 
-def _at_one_pace(rate, weight) -> Plan:
-    return _loss(rate, rate, weight)
+def _at_one_pace(rate, weight, steps=1) -> Plan:
+    return _loss(rate, rate, weight, steps)
 
 
 def _x_alone(rate_x, weight) -> Plan:
@@ -76,13 +76,13 @@ def _x_alone(rate_x, weight) -> Plan:
 
 
 #: K = 1 throughout; L1 takes every number of a state alike, as the thesis does.
-#: The walks begin where trials on the same practice clips ended.
+#: The walks begin where earlier ones on the same practice clips, begun elsewhere, ended.
 SEARCHES = {
-    "copy": Search(_copied, {"rate_x": 1e-4, "rate_z": 0.001}),
-    "blend": Search(_blended, {"rate_x": 3e-5, "rate_z": 0.001, "share": 0.01}, ladders={"share": SHARES}),
-    "L1": Search(_loss, {"rate_x": 0.03, "rate_z": 0.03, "weight": 30.0}),
-    "L1, z detached": Search(_detached, {"rate_x": 0.03, "rate_z": 1e-4, "weight": 100.0}),
-    "L1, L-BFGS": Search(_weighed, {"weight": 3.0}, method=lbfgs),
+    "copy": Search(_copied, {"rate_x": 3e-5, "rate_z": 0.001}),
+    "blend": Search(_blended, {"rate_x": 3e-5, "rate_z": 3e-4, "share": 0.01}, ladders={"share": SHARES}),
+    "L1": Search(_loss, {"rate_x": 0.01, "rate_z": 0.01, "weight": 30.0}),
+    "L1, z detached": Search(_detached, {"rate_x": 0.01, "rate_z": 1e-4, "weight": 100.0}),
+    "L1, L-BFGS": Search(_weighed, {"weight": 10.0}, method=lbfgs),
 }
 #: For clips of its own length, and by what it is wanted for: the legs of the persistent states.
 FIXED_Z = Search(_x_alone, {"rate_x": 0.1, "weight": 10.0}, measure="kept legs")
@@ -106,17 +106,29 @@ def in_turns(
 
 
 #: Ways to move z and x in turns, both by steps of one length: what searches within a block, the evaluations of a block,
-#: and which of the two begins. L-BFGS finds its steps.
+#: and which of the two begins. L-BFGS finds its steps. The walks begin where earlier ones ended.
 TURNS = {
     f"turns: {inner or 'half'}, {first} first": Search(
-        _at_one_pace, {"rate": 0.03, "weight": 3.0}, method=partial(in_turns, method="adam", inner=inner, first=first)
+        _at_one_pace,
+        {"rate": rate, "weight": weight},
+        method=partial(in_turns, method="adam", inner=inner, first=first),
     )
-    for inner, first in ((25, "z"), (25, "x"), (100, "z"), (0, "z"))
+    for inner, first, rate, weight in (
+        (25, "z", 0.01, 10.0),
+        (25, "x", 0.01, 10.0),
+        (100, "z", 0.01, 3.0),
+        (0, "z", 0.03, 10.0),
+    )
 } | {
     "turns: L-BFGS, 50, z first": Search(
         _weighed, {"weight": 3.0}, method=partial(in_turns, method="lbfgs", inner=50, first="z")
     )
 }
+
+
+def of_steps(steps: int) -> Search:
+    """The L1 search with K decoding steps, x and z by steps of one length, as those of K = 1 came to be."""
+    return Search(partial(_at_one_pace, steps=steps), {"rate": 0.01, "weight": 30.0})
 
 
 @dataclass(frozen=True)
@@ -130,15 +142,23 @@ class Choice:
 
 
 def tune(
-    practice: Case, search: Search, evaluations: int, *, rounds: int = 4, start: Mapping[str, Tensor] | None = None
+    practice: Case,
+    search: Search,
+    evaluations: int,
+    *,
+    rounds: int = 4,
+    start: Mapping[str, Tensor] | None = None,
+    also: Sequence[Setting] = (),
 ) -> Choice:
     """Walk to the setting with the least mean of the measure over the practice clips, ``rounds`` looks at most.
 
-    start: unknowns to search from, unless those of the practice clips.
+    start: unknowns to search from, unless those of the practice clips. also: settings far from the search's own
+    beginning that the first look tries, too, so that the walk goes on from the best of several places.
     """
     at, tried = dict(search.begin), {}
     for _ in range(rounds):
-        new = [s for s in (at, *search.neighbours(at)) if tuple(s.values()) not in tried]
+        look = {tuple(s.values()): s for s in (at, *search.neighbours(at), *also)}
+        new = [s for key, s in look.items() if key not in tried]
         found = _tried(practice, search, new, evaluations, start or practice.start)
         tried |= {tuple(s.values()): row for s, row in zip(new, found, strict=True)}
         least = min(tried, key=lambda k: tried[k][search.measure])
