@@ -1,5 +1,6 @@
 """What the decoupled stage 3 is tried on and judged by."""
 
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -80,6 +81,29 @@ def test_control_a_walk_that_is_cut_off_says_so(known):
     """From steps so long that nothing good is near, one look finds a better neighbour and nothing of its own."""
     found = tuning.tune(known, tuning.Search(both, {"rate": 30.0, "weight": 10.0}), 4, rounds=1)
     assert not found.ended and len(found.rows) == 5
+
+
+def test_a_walk_goes_on_from_the_best_of_several_places(known):
+    """From steps so long that nothing good is near; a place elsewhere finds the way, one that is worse does not."""
+    search = tuning.Search(both, {"rate": 30.0, "weight": 10.0})
+    near, far = {"rate": 0.003, "weight": 10.0}, {"rate": 300.0, "weight": 300.0}
+    lost = tuning.tune(known, search, 4, rounds=2)
+    found = tuning.tune(known, search, 4, rounds=2, also=(near, far, {"rate": 10.0, "weight": 10.0}))
+    assert found.setting["rate"] <= 0.01 < 1.0 <= lost.setting["rate"]
+    assert len(found.rows) == 5 + 2 + 4  # the third is a neighbour of the beginning: tried once
+    least = [min(row["energy"] for row in walk.rows) for walk in (found, lost)]
+    assert least[0] < least[1]
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_more_steps_are_tuned_as_they_are_searched(known, steps):
+    search = tuning.of_steps(steps)
+    row = tuning.tune(known, search, 4, rounds=1).rows[0]
+    plan = Plan(Form(steps, search.begin["weight"]), rate_x=search.begin["rate"], rate_z=search.begin["rate"])
+    found = {k: adam(known.problem, known.start, replace(plan, form=replace(plan.form, steps=k)), 4) for k in (1, 3)}
+    means = {k: trials.judged(known, run.unknown)["energy"].mean().item() for k, run in found.items()}
+    assert row["energy"] == pytest.approx(means.pop(steps), rel=1e-2, abs=1.0)
+    assert row["energy"] != pytest.approx(*means.values(), rel=1e-2, abs=1.0)
 
 
 def test_a_ladder_ends():

@@ -44,9 +44,9 @@ def test_curves_over_evaluations_and_their_levels():
 
 
 def test_measures_by_steps():
-    found = {1: torch.tensor([1.0, 3.0, 2.0]), 5: torch.tensor([4.0, 4.0, 4.0])}
+    found = {1: torch.tensor([1.0, 3.0, 2.0, 9.0]), 5: torch.tensor([4.0, 4.0, 4.0])}
     fig = draw.by_steps({"gap (cm)": found, "s": found})
-    assert list(fig.axes[0].lines[0].get_ydata()) == [2.0, 4.0] and len(fig.axes[1].collections) == 2
+    assert list(fig.axes[0].lines[0].get_ydata()) == [2.5, 4.0] and len(fig.axes[1].collections) == 2
 
 
 def test_last_poses_fill_rows():
