@@ -277,7 +277,8 @@ def test_latents_go_towards_the_reference(known):
 
 
 def test_from_a_good_z_short_steps_keep_what_longer_ones_lose(known):
-    """Notebook 07, H21: what turns keep of single shooting's z a joint search with steps as short keeps as well."""
+    """Notebook 07, H17: from single shooting's z short steps with a small weight do not raise the roll-out's energy;
+    longer ones with a large weight do."""
     given = known.start | {"z": trials.reference(known)["z"]}
     begun, bad = (trials.judged(known, u)["energy"] for u in (given, known.start))
 
