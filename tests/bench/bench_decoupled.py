@@ -35,12 +35,12 @@ def main() -> None:
                 assert torch.equal(found[unknown], known.start[unknown]) == (f"{unknown} fixed" in name), name
         seconds = interleaved(runs, n=ROUNDS, clock=time.process_time)
         for name, x in seconds.items():
-            x, whole = 1e3 * x / STEPS, 1e3 * seconds["K = 1, both"] / STEPS
-            low, middle, high = x.quantile(torch.tensor([0.25, 0.5, 0.75]).to(x)).tolist()
-            ratio = (x / whole).median()
+            low, middle, high = (1e3 * x / STEPS).quantile(torch.tensor([0.25, 0.5, 0.75]).to(x)).tolist()
+            joint = f"{name.split(',')[0]}, both"
+            ratio = (x / seconds[joint]).median()
             print(
-                f"{clips:2d} clips of {frames:3d} frames, {name:15s} {middle:5.0f} ms [{low:.0f}, {high:.0f}] an "
-                f"evaluation, {ratio:.2f} of K = 1, both; {ROUNDS} rounds of {STEPS}",
+                f"{clips:2d} clips of {frames:3d} frames, {name:14s} {middle:4.0f} ms [{low:.0f}, {high:.0f}] an "
+                f"evaluation, {ratio:.2f} of {joint}; {ROUNDS} rounds of {STEPS}",
                 flush=True,
             )
 
