@@ -9,7 +9,7 @@ INSTALLED := $(VENV)/.motionlab-installed
 PREPARED := $(VENV)/.motionlab-prepared
 PIP := $(PY) -m pip --disable-pip-version-check install -c constraints.txt
 
-.PHONY: notebooks test lab full train bench doctor setup pins clean
+.PHONY: notebooks test lab full records train bench doctor setup pins clean
 .DEFAULT_GOAL := help
 
 help:
@@ -17,6 +17,7 @@ help:
 	@echo "make test        set up, lint, unit tests, notebooks checked by nbval"
 	@echo "make lab         set up, open the notebooks in JupyterLab with interactive 3-D"
 	@echo "make full        regenerate the committed notebooks and results"
+	@echo "make records     what notebooks 07 and 08 read and takes hours: what is on record of this recipe is kept"
 	@echo "make train       the shipped weights, trained again (about five hours)"
 	@echo "make bench       speed, as ratios measured in one run"
 	@echo "make doctor      what is installed, what is missing, and the remedy"
@@ -33,6 +34,10 @@ lab: setup
 
 full: setup
 	@$(PY) -m motionlab regenerate $(NOTEBOOKS)
+
+records: setup
+	@OMP_NUM_THREADS=1 $(PY) -m motionlab.run_tuning notebooks/results/long/tuning.json
+	@OMP_NUM_THREADS=1 $(PY) -m motionlab.run_faithful notebooks/results/long/faithful.json
 
 train: setup
 	@$(PY) -m motionlab train humor

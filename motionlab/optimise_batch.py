@@ -63,6 +63,7 @@ def minimise_batch(
     tolerance_change: float | Tensor = 0.0,
     rows: bool = False,
     unit: bool = False,
+    watch: Callable[[int, dict[str, Tensor]], object] | None = None,
     progress: bool = False,
 ) -> BatchFit:
     """Lower B energies by moving the variables (B, ...) that require gradients; the others are constants.
@@ -83,6 +84,7 @@ def minimise_batch(
             clips that have stopped cost nothing more.
         unit: the variables are such that a step along minus the gradient is Newton's, or nearly: a first search begins
             with it, instead of a step that moves nothing by more than 1.
+        watch: called after every evaluation with their number so far and, by name, every clip's best point so far.
         progress: show a bar with the mean energy and the number of clips that still run.
 
     Raises:
@@ -100,6 +102,8 @@ def minimise_batch(
         while machine.running() and len(machine.history) < budget:
             machine.advance()
             bar.update()
+            if watch:
+                watch(len(machine.history), machine.named(machine.best))
             if progress:
                 bar.set_postfix(energy=f"{machine.best_energy.mean():.4g}", clips=len(machine.running()))
     except KeyboardInterrupt:

@@ -11,7 +11,7 @@ from motionlab import profiling
 from motionlab.humor import state
 from motionlab.humor.decoupled import costs, trials, tuning
 from motionlab.humor.decoupled.energy import Form, to_persistent, to_states
-from motionlab.humor.decoupled.search import Plan, Z, adam
+from motionlab.humor.decoupled.search import BOTH, Plan, X, Z, adam
 from motionlab.humor.rollout import infer
 from motionlab.humor.testops import Schedule
 
@@ -67,14 +67,18 @@ def both(rate, weight):
 def test_a_walk_ends_where_no_neighbour_is_better(known):
     search = tuning.Search(both, {"rate": 0.1, "weight": 10.0})
     found = tuning.tune(known, search, 6, rounds=8)
-    assert found.ended and found.setting["rate"] < 0.1
+    assert found.ended and found.setting["rate"] < 0.1 and found.seconds > 0
     tried = {(r["rate"], r["weight"]): r["energy"] for r in found.rows}
     best = tuple(found.setting.values())
     around = [tuple(s.values()) for s in search.neighbours(found.setting)]
     assert len(around) == 4 and all(tried[best] <= tried[s] for s in around)
     alone = adam(known.problem, known.start, both(*best), 6)
     mean = trials.judged(known, alone.unknown)["energy"].mean().item()
-    assert min(tried.values()) == tried[best] == pytest.approx(mean, rel=1e-2, abs=1.0)
+    assert tuning.least(found) == tried[best] == pytest.approx(mean, rel=1e-2, abs=1.0)
+    again = tuning.again(known, search, found, 6)
+    assert again["energy"] == pytest.approx(mean, rel=1e-2, abs=1.0)
+    elsewhere = {**known.start, "z": known.start["z"] + 1.0}
+    assert tuning.again(known, search, found, 6, elsewhere)["energy"] > again["energy"] + 10
 
 
 def test_control_a_walk_that_is_cut_off_says_so(known):
@@ -88,7 +92,8 @@ def test_a_walk_goes_on_from_the_best_of_several_places(known):
     search = tuning.Search(both, {"rate": 30.0, "weight": 10.0})
     near, far = {"rate": 0.003, "weight": 10.0}, {"rate": 300.0, "weight": 300.0}
     lost = tuning.tune(known, search, 4, rounds=2)
-    found = tuning.tune(known, search, 4, rounds=2, also=(near, far, {"rate": 10.0, "weight": 10.0}))
+    several = replace(search, also=(near, far, {"rate": 10.0, "weight": 10.0}))
+    found = tuning.tune(known, several, 4, rounds=2)
     assert found.setting["rate"] <= 0.01 < 1.0 <= lost.setting["rate"]
     assert len(found.rows) == 5 + 2 + 4  # the third is a neighbour of the beginning: tried once
     least = [min(row["energy"] for row in walk.rows) for walk in (found, lost)]
@@ -99,7 +104,8 @@ def test_a_walk_goes_on_from_the_best_of_several_places(known):
 def test_more_steps_are_tuned_as_they_are_searched(known, steps):
     search = tuning.of_steps(steps)
     row = tuning.tune(known, search, 4, rounds=1).rows[0]
-    plan = Plan(Form(steps, search.begin["weight"]), rate_x=search.begin["rate"], rate_z=search.begin["rate"])
+    plan = search.make(**search.begin)
+    assert plan.form.steps == steps and plan.moving == BOTH
     found = {k: adam(known.problem, known.start, replace(plan, form=replace(plan.form, steps=k)), 4) for k in (1, 3)}
     means = {k: trials.judged(known, run.unknown)["energy"].mean().item() for k, run in found.items()}
     assert row["energy"] == pytest.approx(means.pop(steps), rel=1e-2, abs=1.0)
@@ -145,7 +151,8 @@ def test_turns_are_tuned_in_one_batch_as_each_alone(known, way):
     # few evaluations: later, rounding decides where lines end and which blocks are kept
     found = tuning.tune(known, search, 8, rounds=1)
     assert len(found.rows) == 1 + 2 * len(search.begin)
-    row = found.rows[-1]
+    row = found.rows[1]  # a shorter step of x than of z, where either has one
+    assert "rate_x" not in row or row["rate_x"] < row["rate_z"]
     alone = search.method(known.problem, known.start, search.make(**{n: row[n] for n in search.begin}), 8)
     mean = trials.judged(known, alone.unknown)["energy"].mean().item()
     assert row["energy"] == pytest.approx(mean, rel=1e-2, abs=1.0)
@@ -193,13 +200,15 @@ def test_what_is_told_of_a_walk(known):
 
 
 @pytest.mark.parametrize("name", ["L1", "L1, L-BFGS"])
-def test_a_search_is_looked_at_if_it_can_be(known, name):
+def test_a_search_is_looked_at(known, name):
     search = tuning.SEARCHES[name]
     plan = search.make(**search.begin)
-    found = trials.searched(known, known.start, plan, 3, method=search.method, at=(0, 3))
-    assert list(found.watched) == ([0, 3] if name == "L1" else [])
-    if found.watched:
-        torch.testing.assert_close(found.watched[0]["energy"], trials.judged(known, known.start)["energy"])
+    found = trials.searched(known, known.start, plan, 6, method=search.method, at=(0, 3, 6))
+    assert list(found.watched) == [0, 3, 6]
+    for at, unknown in ((0, known.start), (6, found.unknown)):
+        torch.testing.assert_close(found.watched[at]["energy"], trials.judged(known, unknown)["energy"])
+    blind = search.method(known.problem, known.start, plan, 6)
+    assert not blind.watched and torch.equal(blind.unknown["z"], found.unknown["z"])  # looking changes nothing
 
 
 def test_how_far_on_the_way():
@@ -236,9 +245,10 @@ def test_with_z_fixed_only_x_moves_and_the_first_frames_are_seen(known):
 
 
 def test_closures_are_timed_in_turns(known):
-    found = costs.closures(known, {"1": Form(1), "4": Form(4)}, 3)
-    assert {n: x.shape for n, x in found.items()} == {"1": (3,), "4": (3,)}
-    assert found["4"].median() > found["1"].median()
+    plans = {(k, moving): Plan(Form(k), moving=moving) for k in (1, 4) for moving in (BOTH, X, Z)}
+    found = costs.closures(known, plans, 3)
+    assert {n: x.shape for n, x in found.items()} == dict.fromkeys(plans, (3,))
+    assert all(found[4, moving].median() > found[1, moving].median() for moving in (BOTH, X, Z))
 
 
 @pytest.mark.parametrize("form", ["official", "lean"])

@@ -281,6 +281,20 @@ def test_types_that_differ_are_refused():
         minimise_batch(rosenbrock, x)
 
 
+def test_watched_are_the_best_points_after_every_evaluation():
+    x, seen = starts(), []
+    constant = torch.arange(7.0)
+
+    def look(n, best):
+        assert torch.equal(best["c"], constant) and not best["x"].requires_grad
+        seen.append((n, rosenbrock(best)))
+
+    fit = minimise_batch(rosenbrock, {"x": x, "c": constant}, steps=2, watch=look)
+    assert [n for n, _ in seen] == list(range(1, fit.closures + 1))
+    torch.testing.assert_close(torch.stack([value for _, value in seen]), fit.history.cummin(0).values)
+    assert torch.equal(minimise_batch(rosenbrock, {"x": x}, steps=2).history, fit.history)
+
+
 def test_progress_shows_and_changes_nothing(capsys):
     shown = minimise_batch(rosenbrock, {"x": starts()}, progress=True)
     assert "clips" in capsys.readouterr().err

@@ -9,7 +9,7 @@ from __future__ import annotations
 import pickle
 import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from multiprocessing import active_children, get_context
 from typing import TypeVar
@@ -70,16 +70,28 @@ def groups(clips: int, size: int) -> list[range]:
     return [range(k, min(k + size, clips)) for k in range(0, clips, size)]
 
 
-def beside(jobs: Sequence[Callable[[], T]], workers: int) -> list[T]:
+def beside(
+    jobs: Sequence[Callable[[], T]], workers: int, done: Callable[[int, T], object] = lambda k, found: None
+) -> list[T]:
     """What the jobs return, in their order: so many at a time, each in a process of its own with one thread; with one
-    worker here, one after the other. One that fails, or Ctrl-C, ends them all."""
+    worker here, one after the other. One that fails, or Ctrl-C, ends them all.
+
+    done: called here with the number of a job and what it returned, as soon as it has."""
+    found = {}
     if workers == 1:
-        return [job() for job in jobs]
+        for k, job in enumerate(jobs):
+            found[k] = job()
+            done(k, found[k])
+        return list(found.values())
     others = set(active_children())
     with ProcessPoolExecutor(workers, get_context("spawn"), _worker) as pool:
-        futures = [pool.submit(_called, pickle.dumps(job)) for job in jobs]
+        futures = {pool.submit(_called, pickle.dumps(job)): k for k, job in enumerate(jobs)}
         try:
-            return [pickle.loads(future.result()) for future in futures]
+            for future in as_completed(futures):
+                k = futures[future]
+                found[k] = pickle.loads(future.result())
+                done(k, found[k])
+            return [found[k] for k in range(len(jobs))]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             for worker in set(active_children()) - others:

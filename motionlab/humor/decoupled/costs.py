@@ -6,8 +6,9 @@ Source: thesis 3.3.1. Times are processor time.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -15,10 +16,12 @@ from torch import Tensor
 from motionlab import profiling
 from motionlab.humor import ladder
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.decoupled.energy import Form, prior_of, terms
+from motionlab.humor.decoupled.energy import prior_of, terms
+from motionlab.humor.decoupled.search import Plan
 from motionlab.humor.decoupled.trials import Case
 from motionlab.humor.rollout import infer, rollout
 
+Name = TypeVar("Name", bound=Hashable)
 OFFICIAL, LEAN = ladder.Savings(frozen=True), ladder.LEAN
 FORMS = {"official": OFFICIAL, "lean": LEAN}
 
@@ -74,11 +77,13 @@ def costs(model: Cvae, states: Tensor, batches: Sequence[int], steps: Sequence[i
     return Costs(profiling.interleaved(timed, n=rounds, clock=time.process_time), nodes)
 
 
-def closures(known: Case, forms: Mapping[str, Form], rounds: int) -> dict[str, Tensor]:
-    """Processor time in seconds (rounds,) of the whole decoupled energy with its gradients, forms in turns."""
-    point = {n: x.clone().requires_grad_() for n, x in known.start.items()}
+def closures(known: Case, plans: Mapping[Name, Plan], rounds: int) -> dict[Name, Tensor]:
+    """Processor time in seconds (rounds,) of the whole decoupled energy with the gradients of what moves, plans in
+    turns."""
 
-    def closure(form: Form) -> Callable[[], object]:
-        return lambda: torch.autograd.grad(sum(terms(known.problem, point, form)[0].values()).sum(), [*point.values()])
+    def closure(plan: Plan) -> Callable[[], object]:
+        point = {n: x.clone().requires_grad_(n in plan.moving) for n, x in known.start.items()}
+        moving = [point[n] for n in plan.moving]
+        return lambda: torch.autograd.grad(sum(terms(known.problem, point, plan.form)[0].values()).sum(), moving)
 
-    return profiling.interleaved({n: closure(f) for n, f in forms.items()}, n=rounds, clock=time.process_time)
+    return profiling.interleaved({n: closure(p) for n, p in plans.items()}, n=rounds, clock=time.process_time)

@@ -131,8 +131,19 @@ def _like(value: Number, x: Tensor) -> Tensor:
     return value.reshape(-1, *(1,) * (x.ndim - 1)) if value.ndim else value
 
 
-def lbfgs(problem: Problem, start: Unknown, plan: Plan, evaluations: int) -> Found:
-    """L-BFGS with strong Wolfe, clip by clip. Of a plan its form and what moves count; nothing is overwritten."""
+def lbfgs(
+    problem: Problem,
+    start: Unknown,
+    plan: Plan,
+    evaluations: int,
+    *,
+    watch: Watch | None = None,
+    at: Sequence[int] = (),
+) -> Found:
+    """L-BFGS with strong Wolfe, clip by clip. Of a plan its form and what moves count; nothing is overwritten.
+
+    watch: called with the lowest points so far after ``at`` evaluations (0: at the start) and at the end; not timed.
+    """
     leaves = {n: x.detach().clone().requires_grad_(n in plan.moving) for n, x in start.items()}
 
     def energy(point: Unknown, rows: Tensor) -> Tensor:
@@ -140,10 +151,21 @@ def lbfgs(problem: Problem, start: Unknown, plan: Plan, evaluations: int) -> Fou
         form = replace(plan.form, weight=weight[rows]) if isinstance(weight, Tensor) and weight.ndim else plan.form
         return sum(terms(problem.rows(rows), point, form)[0].values())
 
-    began = time.process_time()
-    fit = minimise_batch(energy, leaves, steps=evaluations, inner=1, max_closures=evaluations, rows=True)
-    found = {n: fit.variables.get(n, x.detach()) for n, x in start.items()}
-    return Found(found, fit.history, time.process_time() - began)
+    watched, began, away = {0: watch(start)} if watch and 0 in at else {}, time.process_time(), 0.0
+
+    def look(n: int, lowest: Unknown) -> None:
+        nonlocal away
+        if watch and n in at:
+            left = time.process_time()
+            watched[n] = watch(lowest)
+            away += time.process_time() - left
+
+    how = {"steps": evaluations, "inner": 1, "max_closures": evaluations, "rows": True, "watch": look}
+    fit = minimise_batch(energy, leaves, **how)
+    spent = time.process_time() - began - away
+    if watch:
+        watched[fit.closures] = watch(fit.variables)
+    return Found(fit.variables, fit.history, spent, watched)
 
 
 def alternate(

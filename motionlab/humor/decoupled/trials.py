@@ -155,10 +155,9 @@ def bending(known: Case, z: Tensor, states: Tensor | None = None) -> Tensor:
 def searched(
     known: Case, start: Unknown, plan: Plan, evaluations: int, *, method: Method = adam, at: Sequence[int] = ()
 ) -> Found:
-    """A search, watched by :func:`judged`: Adam after ``at`` evaluations, turns after every block, L-BFGS not."""
-    look = {"watch": partial(judged, known)}
-    how = {adam: look | {"at": at}, lbfgs: {}}.get(method, look)
-    return method(known.problem, start, plan, evaluations, **how)
+    """A search, watched by :func:`judged`: Adam and L-BFGS after ``at`` evaluations, turns after every block."""
+    look = {"watch": partial(judged, known)} | ({"at": at} if method in (adam, lbfgs) else {})
+    return method(known.problem, start, plan, evaluations, **look)
 
 
 def gone(watched: Mapping[int, Mapping[str, Tensor]], goal: Tensor, share: float) -> Tensor:

@@ -8,8 +8,9 @@ unless another measure is named; ties and numbers that are not finite lose.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
@@ -31,6 +32,8 @@ class Search:
     """A way to search. make: its plan from one number, or one tensor (n,), for each name in ``begin``.
 
     begin: where the walk begins. method: what does the searching. ladders: other rungs than ``LADDER``, by name.
+    measure: what is to be least. also: settings far from the beginning that the first look tries, too, so that the walk
+    goes on from the best of several places.
     """
 
     make: Callable[..., Plan]
@@ -38,6 +41,7 @@ class Search:
     method: Callable[..., Found] = adam
     ladders: Mapping[str, Sequence[float]] | None = None
     measure: str = "energy"
+    also: Sequence[Setting] = ()
 
     def neighbours(self, at: Mapping[str, float]) -> Iterator[Setting]:
         """The settings one rung up or down from another, one ladder at a time; none beyond a ladder's end."""
@@ -67,10 +71,6 @@ def _weighed(weight) -> Plan:
     return Plan(Form(1, weight))
 
 
-def _at_one_pace(rate, weight, steps=1) -> Plan:
-    return _loss(rate, rate, weight, steps)
-
-
 def _x_alone(rate_x, weight) -> Plan:
     return Plan(Form(1, weight), moving=X, rate_x=rate_x, settle=False)
 
@@ -85,7 +85,7 @@ SEARCHES = {
     "L1, L-BFGS": Search(_weighed, {"weight": 10.0}, method=lbfgs),
 }
 #: For clips of its own length, and by what it is wanted for: the legs of the persistent states.
-FIXED_Z = Search(_x_alone, {"rate_x": 0.1, "weight": 10.0}, measure="kept legs")
+FIXED_Z = Search(_x_alone, {"rate_x": 0.03, "weight": 10.0}, measure="kept legs")
 
 
 def in_turns(
@@ -105,19 +105,19 @@ def in_turns(
     return alternate(problem, start, plan, turns=turns, inner=inner, method=method, first=first, watch=watch)
 
 
-#: Ways to move z and x in turns, both by steps of one length: what searches within a block, the evaluations of a block,
-#: and which of the two begins. L-BFGS finds its steps. The walks begin where earlier ones ended.
+#: Ways to move z and x in turns: what searches within a block, the evaluations of a block, and which of the two begins.
+#: L-BFGS finds its steps. The walks begin where earlier ones, with steps of one length for both, ended.
 TURNS = {
     f"turns: {inner or 'half'}, {first} first": Search(
-        _at_one_pace,
-        {"rate": rate, "weight": weight},
+        _loss,
+        {"rate_x": rate, "rate_z": rate, "weight": weight},
         method=partial(in_turns, method="adam", inner=inner, first=first),
     )
     for inner, first, rate, weight in (
         (25, "z", 0.01, 10.0),
         (25, "x", 0.01, 10.0),
         (100, "z", 0.01, 3.0),
-        (0, "z", 0.03, 10.0),
+        (0, "z", 0.003, 10.0),
     )
 } | {
     "turns: L-BFGS, 50, z first": Search(
@@ -127,18 +127,39 @@ TURNS = {
 
 
 def of_steps(steps: int) -> Search:
-    """The L1 search with K decoding steps, x and z by steps of one length, as those of K = 1 came to be."""
-    return Search(partial(_at_one_pace, steps=steps), {"rate": 0.01, "weight": 30.0})
+    """The L1 search with K decoding steps, x and z with a step each; it begins where earlier walks ended."""
+    rate, weight = {5: (0.1, 10.0), 10: (0.03, 3.0)}.get(steps, (0.01, 10.0))
+    return Search(partial(_loss, steps=steps), {"rate_x": rate, "rate_z": rate, "weight": weight})
+
+
+def _of_loss(rate_x: float, rate_z: float, weight: float) -> Setting:
+    return {"rate_x": rate_x, "rate_z": rate_z, "weight": weight}
+
+
+#: From a z that encodes sitting, where long steps lose what is given: the searches that begin there, with short steps
+#: of z, and the places far from these that they look at as well, such as where walks from stage 2's z end.
+FAR = (_of_loss(1e-5, 1e-5, 1.0), _of_loss(1e-4, 1e-4, 1.0), _of_loss(0.03, 1e-4, 1.0), _of_loss(0.01, 0.01, 10.0))
+GOOD_Z = {
+    "L1": replace(SEARCHES["L1"], begin=_of_loss(0.01, 3e-6, 1.0), also=FAR),
+    "L1, z detached": replace(SEARCHES["L1, z detached"], begin=_of_loss(3e-5, 1e-4, 0.1), also=FAR),
+} | {
+    name: replace(way, begin=_of_loss(0.01, 1e-5, 1.0), also=(_of_loss(3e-5, 3e-5, 0.01), *FAR))
+    if way.make is _loss
+    else replace(way, also=({"weight": 0.03}, {"weight": 100.0}))
+    for name, way in TURNS.items()
+}
 
 
 @dataclass(frozen=True)
 class Choice:
     """What a walk chose. rows: every setting tried, with its measures, means over the clips. ended: the chosen setting
-    has neighbours on either side and none is better; otherwise the walk was cut off, or came to the end of a ladder."""
+    has neighbours on either side and none is better; otherwise the walk was cut off, or came to the end of a ladder.
+    seconds: processor time of the walk."""
 
     setting: Setting
     rows: list[dict[str, float]]
     ended: bool
+    seconds: float = 0.0
 
 
 def tune(
@@ -148,25 +169,23 @@ def tune(
     *,
     rounds: int = 4,
     start: Mapping[str, Tensor] | None = None,
-    also: Sequence[Setting] = (),
 ) -> Choice:
     """Walk to the setting with the least mean of the measure over the practice clips, ``rounds`` looks at most.
 
-    start: unknowns to search from, unless those of the practice clips. also: settings far from the search's own
-    beginning that the first look tries, too, so that the walk goes on from the best of several places.
+    start: unknowns to search from, unless those of the practice clips.
     """
-    at, tried = dict(search.begin), {}
+    at, tried, began = dict(search.begin), {}, time.process_time()
     for _ in range(rounds):
-        look = {tuple(s.values()): s for s in (at, *search.neighbours(at), *also)}
+        look = {tuple(s.values()): s for s in (at, *search.neighbours(at), *search.also)}
         new = [s for key, s in look.items() if key not in tried]
         found = _tried(practice, search, new, evaluations, start or practice.start)
         tried |= {tuple(s.values()): row for s, row in zip(new, found, strict=True)}
         least = min(tried, key=lambda k: tried[k][search.measure])
         if least == tuple(at.values()):
             inside = len(list(search.neighbours(at))) == 2 * len(at)
-            return Choice(at, list(tried.values()), ended=inside)
+            return Choice(at, list(tried.values()), inside, time.process_time() - began)
         at = dict(zip(search.begin, least, strict=True))
-    return Choice(at, list(tried.values()), ended=False)
+    return Choice(at, list(tried.values()), False, time.process_time() - began)
 
 
 def _tried(
@@ -185,9 +204,21 @@ def _tried(
     return [{**s, **{n: means[n][k] for n in ("energy", "legs", "kept legs", "gap")}} for k, s in enumerate(settings)]
 
 
+def again(
+    practice: Case, search: Search, choice: Choice, evaluations: int, start: Mapping[str, Tensor] | None = None
+) -> dict[str, float]:
+    """The chosen setting once more, with its measures: a walk on record against the code that reads it."""
+    return _tried(practice, search, [choice.setting], evaluations, start or practice.start)[0]
+
+
+def least(choice: Choice, measure: str = "energy") -> float:
+    """The measure of what was chosen."""
+    return min(row[measure] for row in choice.rows)
+
+
 def best(choices: Mapping[str, Choice]) -> str:
     """The search whose chosen setting has the least energy."""
-    return min(choices, key=lambda name: min(row["energy"] for row in choices[name].rows))
+    return min(choices, key=lambda name: least(choices[name]))
 
 
 #: Steps of z that are tried where x is fixed.
