@@ -30,7 +30,8 @@ class BatchFit:
     """What a batched minimisation found.
 
     variables: the point of lowest energy that each clip saw. energy: (B,), inf where a clip never was finite.
-    history: (closures, B) energies in order; a clip that has stopped stays at its lowest. seconds: wall time.
+    history: (closures, B) energies in order; a clip that has stopped stays at its lowest. seconds: wall time,
+    with what watches.
     reasons: per clip "gradient", "no decrease", "steps", "closures", "non-finite" or "interrupted".
     """
 

@@ -6,14 +6,15 @@ import gc
 import os
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 from torch.profiler import ProfilerActivity, profile
 
+Name = TypeVar("Name", bound=Hashable)
 os.environ.setdefault("KINETO_LOG_LEVEL", "6")  # torch's profiler announces itself on stderr at any lower one
 
 
@@ -59,12 +60,12 @@ def timed(
 
 
 def interleaved(
-    calls: Mapping[str, Callable[[], object]],
+    calls: Mapping[Name, Callable[[], object]],
     *,
     n: int = 7,
     warm_up: int = 1,
     clock: Callable[[], float] = time.perf_counter,
-) -> dict[str, Tensor]:
+) -> dict[Name, Tensor]:
     """Seconds (n,) of every call, by name: n rounds through all of them, so that a machine that slows down slows all.
 
     Garbage collection is off; each call runs ``warm_up`` times before the first round. clock: as for :func:`timed`.

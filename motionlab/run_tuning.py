@@ -18,7 +18,6 @@ from motionlab.humor.decoupled import trials, tuning, walks
 from motionlab.humor.decoupled.walks import Recipe
 from motionlab.humor.testops import Schedule
 
-CASE = "sitting, legs hidden"
 #: As notebook 07 has it.
 RECIPE = Recipe(
     seed=1, clips=3, frames=60, short=30, long=100, schedule="lean", search=800, fixed=2000, rounds=8,
@@ -28,18 +27,20 @@ RECIPE = Recipe(
 
 def practised(recipe: Recipe) -> Callable[..., trials.Case]:
     """The practice clips, as (frames=, solver=) says (``trials.case``)."""
-    coach = scenes.film(CASE, recipe.clips, seed=recipe.seed, frames=recipe.long)
+    coach = scenes.film(recipe.scene, recipe.clips, seed=recipe.seed, frames=recipe.long)
     return partial(trials.case, coach, priors.load("compact"), getattr(Schedule, recipe.schedule)())
 
 
 def main(path: Path, *, recipe: Recipe = RECIPE, workers: int = 2) -> None:
     """Walk; what is done is on disk, and a run that was stopped goes on from there."""
     torch.set_num_threads(1)
-    fitted = practised(recipe)
-    known = walks.load(path, recipe)
-    print(f"{len(known)} of {len(walks.searches(recipe))} walks are on record; fitting the practice clips", flush=True)
-    practice = fitted(frames=recipe.frames, solver="rollout")
+    known, every = walks.load(path, recipe), walks.searches(recipe)
+    print(f"{len(known)} of {len(every)} walks are on record", flush=True)
+    if len(known) == len(every):
+        return
     path.parent.mkdir(parents=True, exist_ok=True)
+    fitted = practised(recipe)
+    practice = fitted(frames=recipe.frames, solver="rollout")
 
     def done(found: dict[walks.Key, tuning.Choice]) -> None:
         walks.save(path, recipe, found)

@@ -59,6 +59,7 @@ FLOORS = {  # module or package -> floor; an import goes strictly down, or stays
     "motionlab.diffusion_data": 7.2,
     "motionlab.train_diffusion": 7.5,
     "motionlab.run_faithful": 7.5,
+    "motionlab.run_tuning": 7.5,
     "motionlab.train": 8,
     "motionlab.fit": 8,
     "motionlab.execute": 8.1,
@@ -72,6 +73,7 @@ COMPOSERS = (
     "motionlab.train_diffusion",
     "motionlab.diffusion_data",
     "motionlab.run_faithful",
+    "motionlab.run_tuning",
 )
 SYNTH_CEILING = 4  # data_synth makes ground truth: it may not know a measure or a model that is judged by it
 

@@ -1,5 +1,6 @@
 """The searches over decoupled unknowns: against torch's own Adam, and what each of them must not do."""
 
+import time
 from dataclasses import replace
 
 import pytest
@@ -161,6 +162,43 @@ def test_watching_costs_no_time_and_changes_nothing(problem, start):
     assert list(seen.watched) == [0, 2, 4]
     assert torch.equal(seen.watched[0]["z"], start["z"]) and torch.equal(seen.watched[4]["z"], seen.unknown["z"])
     assert torch.equal(seen.unknown["x"], plain.unknown["x"])
+
+
+@pytest.mark.parametrize("run", [adam, lbfgs])
+def test_watching_is_not_timed(problem, start, run):
+    def burn(_):
+        began = time.process_time()
+        while time.process_time() - began < 1.0:
+            pass
+        return {}
+
+    plain, seen = run(problem, start, Plan(), 4), run(problem, start, Plan(), 4, watch=burn, at=(0, 1, 2, 4))
+    assert list(seen.watched) == [0, 1, 2, 4] and 0 < seen.seconds < plain.seconds + 1.0
+
+
+def test_lbfgs_shows_the_lowest_point_so_far_on_the_way(problem, start):
+    seen = lbfgs(problem, start, Plan(), 8, watch=lambda u: {n: x.clone() for n, x in u.items()}, at=(0, 3, 5))
+    assert list(seen.watched) == [0, 3, 5, 8]
+    for n, unknown in seen.watched.items():
+        alone = lbfgs(problem, start, Plan(), n).unknown if n else start
+        for name, x in alone.items():
+            torch.testing.assert_close(unknown[name], x, atol=1e-5, rtol=1e-4)
+    assert not torch.equal(seen.watched[3]["z"], seen.watched[8]["z"])
+
+
+def test_lbfgs_that_is_stopped_is_no_result(problem, start, monkeypatch):
+    calls, whole = [], search.terms
+
+    def stopped(*arguments):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return whole(*arguments)
+
+    monkeypatch.setattr(search, "terms", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        lbfgs(problem, start, Plan(), 8)
+    assert len(calls) == 3
 
 
 @pytest.mark.parametrize("steps", [1, 3])

@@ -33,6 +33,24 @@ def test_a_case_is_stage_2_and_its_latents(known, kit):
     assert not torch.equal(known.start["betas"], known.fitted.betas)
 
 
+def test_a_fit_that_is_stopped_is_no_case(kit, monkeypatch):
+    whole, seen = trials.testops.fit, []
+
+    def stopped(*arguments, **how):
+        found = whole(*arguments, **how)
+        seen.append(found.results)
+        if len(seen) == 2:
+            report = found.results[3][-1]
+            found.results[3][-1] = replace(report, reasons=["interrupted", *report.reasons[1:]])
+        return found
+
+    film = scenes.film("sitting, legs hidden", 2, seed=5, frames=24)
+    monkeypatch.setattr(trials.testops, "fit", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        trials.case(film, kit, Schedule.quick(), frames=16, solver="rollout")
+    assert len(seen) == 2
+
+
 def test_the_reference_has_the_energy_that_the_fit_reports(known):
     found = trials.judged(known, trials.reference(known))
     torch.testing.assert_close(found["energy"], sum(known.fitted.energies[3].values()), atol=0.05, rtol=1e-3)
@@ -90,7 +108,7 @@ def test_control_a_walk_that_is_cut_off_says_so(known):
 def test_a_walk_goes_on_from_the_best_of_several_places(known):
     """From steps so long that nothing good is near; a place elsewhere finds the way, one that is worse does not."""
     search = tuning.Search(both, {"rate": 30.0, "weight": 10.0})
-    near, far = {"rate": 0.003, "weight": 10.0}, {"rate": 300.0, "weight": 300.0}
+    near, far = {"weight": 10.0, "rate": 0.003}, {"rate": 300.0, "weight": 300.0}  # in any order of their names
     lost = tuning.tune(known, search, 4, rounds=2)
     several = replace(search, also=(near, far, {"rate": 10.0, "weight": 10.0}))
     found = tuning.tune(known, several, 4, rounds=2)
@@ -102,10 +120,12 @@ def test_a_walk_goes_on_from_the_best_of_several_places(known):
 
 @pytest.mark.parametrize("steps", [1, 3])
 def test_more_steps_are_tuned_as_they_are_searched(known, steps):
-    search = tuning.of_steps(steps)
+    search = tuning.l1_of(steps)
     row = tuning.tune(known, search, 4, rounds=1).rows[0]
     plan = search.make(**search.begin)
     assert plan.form.steps == steps and plan.moving == BOTH
+    one = search.make(rate_x=0.003, rate_z=0.02, weight=7.0)
+    assert (one.rate_x, one.rate_z, one.form.weight) == (0.003, 0.02, 7.0)
     found = {k: adam(known.problem, known.start, replace(plan, form=replace(plan.form, steps=k)), 4) for k in (1, 3)}
     means = {k: trials.judged(known, run.unknown)["energy"].mean().item() for k, run in found.items()}
     assert row["energy"] == pytest.approx(means.pop(steps), rel=1e-2, abs=1.0)

@@ -15,7 +15,7 @@ from motionlab.humor.decoupled.walks import FIXED, GIVEN, STAGE_2, Recipe
 NOTEBOOKS = ROOT / "notebooks"
 RECORD = NOTEBOOKS / "results" / "long" / "tuning.json"
 LITTLE = Recipe(
-    seed=1, clips=1, frames=12, short=11, long=13, schedule="quick", search=2, fixed=2, rounds=1, steps=(1, 2)
+    seed=1, clips=1, frames=12, short=11, long=13, schedule="quick", search=2, fixed=3, rounds=1, steps=(1, 2)
 )  # fmt: skip
 
 
@@ -75,18 +75,39 @@ def test_a_run_that_is_stopped_goes_on_where_it_was(tuned):
 
 
 def test_walks_begin_at_the_z_that_they_say(tuned):
-    """Every row of a walk, searched alone from that z, has the energy on record; from the other z it has not."""
-    path, _ = tuned
-    practice = run_tuning.practised(LITTLE)(frames=LITTLE.frames, solver="rollout")
-    given = practice.start | {"z": trials.reference(practice)["z"]}
-    for z, start, other in ((STAGE_2, practice.start, given), (GIVEN, given, practice.start)):
-        row = walks.load(path, LITTLE)[z, "L1"].rows[0]
-        choice = Choice({n: row[n] for n in tuning.SEARCHES["L1"].begin}, [], True)
-        again = [
-            tuning.again(practice, tuning.SEARCHES["L1"], choice, LITTLE.search, s)["energy"] for s in (start, other)
-        ]
-        assert again[0] == pytest.approx(row["energy"], rel=1e-3, abs=0.05)
-        assert again[1] != pytest.approx(row["energy"], rel=1e-3, abs=0.05)
+    """A row of a walk, searched alone from that z, has the measure on record; from another z it has not."""
+    found, fitted = walks.load(tuned[0], LITTLE), run_tuning.practised(LITTLE)
+    practice = fitted(frames=LITTLE.frames, solver="rollout")
+    starts = {STAGE_2: practice.start, GIVEN: practice.start | {"z": trials.reference(practice)["z"]}}
+    for (z, start), other in zip(starts.items(), reversed(starts.values()), strict=True):
+        key = z, "L1"
+        assert near(key, found[key], practice, LITTLE.search, start)
+        assert not near(key, found[key], practice, LITTLE.search, other)
+    for frames in (LITTLE.short, LITTLE.long):
+        case, key = fitted(frames=frames, solver="shooting"), (FIXED, str(frames))
+        start = case.start | {"z": trials.reference(case)["z"]}
+        assert near(key, found[key], case, LITTLE.fixed, start)
+        assert not near(key, found[key], case, LITTLE.fixed, case.start | {"z": case.start["z"] + 0.3})
+        assert not near(key, found[key], case, LITTLE.fixed - 2, start)
+
+
+def near(key, walk, case, evaluations, start):
+    search, row = walks.searches(LITTLE)[key], walk.rows[2]  # the longer step of x
+    again = tuning.again(case, search, Choice({n: row[n] for n in search.begin}, [], True), evaluations, start)
+    return again[search.measure] == pytest.approx(row[search.measure], rel=1e-4, abs=1e-3)
+
+
+def test_with_all_on_record_nothing_is_fitted(tuned, monkeypatch, capsys):
+    path, before = tuned[0], tuned[0].read_bytes()
+    monkeypatch.setattr(run_tuning, "RECIPE", LITTLE)
+    monkeypatch.setattr(run_tuning, "practised", None)  # not to be called
+    monkeypatch.setattr(run_tuning.main, "__kwdefaults__", {"recipe": LITTLE, "workers": 2})
+    run_tuning.command([str(path), "--workers", "1"])
+    assert path.read_bytes() == before and "20 of 20 walks are on record" in capsys.readouterr().out
+    with pytest.raises(TypeError):  # control: one is missing
+        path_of_few = path.with_name("few.json")
+        walks.save(path_of_few, LITTLE, dict(list(walks.load(path, LITTLE).items())[:-1]))
+        run_tuning.command([str(path_of_few)])
 
 
 def test_what_is_known_is_not_walked_and_strangers_are_left_out(tuned):
@@ -97,15 +118,15 @@ def test_what_is_known_is_not_walked_and_strangers_are_left_out(tuned):
 
 def test_a_record_of_another_recipe_is_not_used(tuned):
     path, _ = tuned
-    for other in (replace(LITTLE, seed=2), replace(LITTLE, search=3), replace(LITTLE, steps=(1, 2, 3))):
-        assert walks.load(path, other) == {}
+    for other in ({"seed": 2}, {"search": 3}, {"steps": (1, 2, 3)}, {"scene": "sitting"}, {"prior": "another"}):
+        assert walks.load(path, replace(LITTLE, **other)) == {}
     assert walks.load(path.with_name("none.json"), LITTLE) == {}
 
 
 def test_numbers_that_are_not_finite_survive_a_record(tmp_path):
     path, rows = tmp_path / "tuning.json", [{"weight": 1.0, "energy": 2.0}, {"weight": 3.0, "energy": float("inf")}]
-    kept = {(STAGE_2, "L1"): Choice({"weight": 1.0}, rows, True, 1.5)}
-    walks.save(path, LITTLE, kept)
+    kept = {(STAGE_2, "L1, L-BFGS"): Choice({"weight": 1.0}, rows, True, 1.5)}
+    walks.save(path, LITTLE, kept | {("nowhere", "L1"): kept[STAGE_2, "L1, L-BFGS"]})  # a stranger is left out
     assert walks.load(path, LITTLE) == kept
     json.loads(path.read_text(), parse_constant=pytest.fail)  # JSON, not Python's
 
@@ -115,12 +136,21 @@ def broken(record, change):
     return json.dumps(record)
 
 
+def better(walk):
+    """Something else that was tried is made the best."""
+    other = next(row for row in walk["tried"] if any(row[n] != x for n, x in walk["chosen"].items()))
+    other.update({m: -1e9 for m in ("energy", "kept legs")})
+
+
 CHANGES = {
     "no recipe": lambda r: r.pop("recipe"),
     "a recipe with less": lambda r: r["recipe"].pop("seed"),
     "steps of another kind": lambda r: r["recipe"].update(steps=1),
     "walks of another kind": lambda r: r.update(walks=[1]),
     "chosen, never tried": lambda r: r["walks"][0]["chosen"].update(weight=77.0),
+    "chosen nothing": lambda r: r["walks"][0].update(chosen={}),
+    "chosen, but not the best": lambda r: better(r["walks"][0]),
+    "without the measure": lambda r: [r["walks"][0]["tried"][0].pop(m) for m in ("energy", "kept legs")],
     "ended, in words": lambda r: r["walks"][0].update(ended="yes"),
     "no seconds": lambda r: r["walks"][0].pop("seconds"),
     "tried nothing": lambda r: r["walks"][0].update(tried=[]),
@@ -134,8 +164,11 @@ def test_a_record_that_is_none_is_refused(tuned, tmp_path, what):
     plain = {"half": text[: len(text) // 2], "empty": "", "a list": "[]"}
     path = tmp_path / "tuning.json"
     path.write_text(plain[what] if what in plain else broken(json.loads(text), CHANGES[what]))
-    with pytest.raises(DataError, match=r"tuning\.json.*remedy.*run_tuning"):
+    place = "recipe" if "recipe" in what or "steps" in what or what in plain else "walk 0"
+    with pytest.raises(DataError, match=rf"tuning\.json, {place}.*remedy.*delete it and run.*run_tuning"):
         walks.load(path, LITTLE)
+    path.unlink()
+    assert walks.load(path, LITTLE) == {}  # the remedy is one
 
 
 def test_the_record_is_of_the_recipe_that_command_and_notebook_have():
@@ -151,7 +184,7 @@ def test_the_record_is_of_the_recipe_that_command_and_notebook_have():
     )
     found = walks.load(RECORD, recipe)
     assert set(found) == set(walks.searches(recipe))
-    assert f'"{run_tuning.CASE}"' in cells["c02"]
+    assert f'"{run_tuning.RECIPE.scene}"' in cells["c02"]
 
 
 def test_on_record_every_chosen_setting_is_the_best_of_its_neighbours():

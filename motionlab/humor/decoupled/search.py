@@ -18,7 +18,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from motionlab.humor.decoupled.energy import Form, Sequences, Unknown, terms, to_persistent
-from motionlab.humor.stages import Problem
+from motionlab.humor.stages import Problem, interrupted
 from motionlab.optimise_batch import minimise_batch
 
 X, Z, BOTH = ("x", "betas"), ("z",), ("x", "betas", "z")
@@ -143,6 +143,9 @@ def lbfgs(
     """L-BFGS with strong Wolfe, clip by clip. Of a plan its form and what moves count; nothing is overwritten.
 
     watch: called with the lowest points so far after ``at`` evaluations (0: at the start) and at the end; not timed.
+
+    Raises:
+        KeyboardInterrupt: somebody stopped it; a search that was cut short is none to compare with.
     """
     leaves = {n: x.detach().clone().requires_grad_(n in plan.moving) for n, x in start.items()}
 
@@ -163,6 +166,8 @@ def lbfgs(
     how = {"steps": evaluations, "inner": 1, "max_closures": evaluations, "rows": True, "watch": look}
     fit = minimise_batch(energy, leaves, **how)
     spent = time.process_time() - began - away
+    if interrupted(fit):
+        raise KeyboardInterrupt
     if watch:
         watched[fit.closures] = watch(fit.variables)
     return Found(fit.variables, fit.history, spent, watched)

@@ -22,7 +22,7 @@ from motionlab.humor.decoupled.search import Found, Plan, adam, lbfgs
 from motionlab.humor.observed import evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import decode_ahead, infer, rollout
-from motionlab.humor.stages import Problem
+from motionlab.humor.stages import Problem, interrupted
 from motionlab.humor.testops import Fitted, Schedule
 from motionlab.humor.variables import motion_of
 from motionlab.humor.weights import RGB_LIGHT
@@ -72,14 +72,18 @@ class Case:
 
 def case(scene: Filmed, priors: Priors, schedule: Schedule, *, frames: int, solver: str | None = None) -> Case:
     """The first ``frames`` of a scene with its camera known, after stages 1 and 2; with a ``solver`` fitted whole, too:
-    by "rollout", which is single shooting, or by "shooting", which is faster."""
+    by "rollout", which is single shooting, or by "shooting", which is faster.
+
+    Raises:
+        KeyboardInterrupt: somebody stopped a fit; half of one is none to compare with.
+    """
     seen = replace(
         scene.observation,
         keypoints=scene.observation.keypoints[:, :frames],
         confidence=scene.observation.confidence[:, :frames],
     )
     schedule, how = replace(schedule, window=frames), {"cameras": scene.cameras}
-    begun = testops.fit(seen, priors, schedule=two_stages(schedule), **how)
+    begun = _to_the_end(testops.fit(seen, priors, schedule=two_stages(schedule), **how))
     states = state.from_motion(begun.stages[2])
     with torch.no_grad():
         z = infer(priors.motion, states)[0].mean
@@ -88,8 +92,14 @@ def case(scene: Filmed, priors: Priors, schedule: Schedule, *, frames: int, solv
     if solver is None:
         return Case(problem, start, truth, begun.stages[2])
     began = time.process_time()
-    fitted = testops.fit(seen, priors, schedule=schedule, solver=solver, **how)
+    fitted = _to_the_end(testops.fit(seen, priors, schedule=schedule, solver=solver, **how))
     return Case(problem, start, truth, begun.stages[2], fitted, time.process_time() - began)
+
+
+def _to_the_end(fitted: Fitted) -> Fitted:
+    if any(interrupted(report) for reports in fitted.results.values() for report in reports):
+        raise KeyboardInterrupt
+    return fitted
 
 
 def reference(known: Case) -> dict[str, Tensor]:

@@ -126,7 +126,7 @@ TURNS = {
 }
 
 
-def of_steps(steps: int) -> Search:
+def l1_of(steps: int) -> Search:
     """The L1 search with K decoding steps, x and z with a step each; it begins where earlier walks ended."""
     rate, weight = {5: (0.1, 10.0), 10: (0.03, 3.0)}.get(steps, (0.01, 10.0))
     return Search(partial(_loss, steps=steps), {"rate_x": rate, "rate_z": rate, "weight": weight})
@@ -154,7 +154,7 @@ GOOD_Z = {
 class Choice:
     """What a walk chose. rows: every setting tried, with its measures, means over the clips. ended: the chosen setting
     has neighbours on either side and none is better; otherwise the walk was cut off, or came to the end of a ladder.
-    seconds: processor time of the walk."""
+    seconds: processor time of the walk, without the fits of its clips."""
 
     setting: Setting
     rows: list[dict[str, float]]
@@ -175,13 +175,17 @@ def tune(
     start: unknowns to search from, unless those of the practice clips.
     """
     at, tried, began = dict(search.begin), {}, time.process_time()
+
+    def key(setting: Setting) -> tuple[float, ...]:
+        return tuple(setting[n] for n in search.begin)
+
     for _ in range(rounds):
-        look = {tuple(s.values()): s for s in (at, *search.neighbours(at), *search.also)}
-        new = [s for key, s in look.items() if key not in tried]
+        look = {key(s): s for s in (at, *search.neighbours(at), *search.also)}
+        new = [s for k, s in look.items() if k not in tried]
         found = _tried(practice, search, new, evaluations, start or practice.start)
-        tried |= {tuple(s.values()): row for s, row in zip(new, found, strict=True)}
+        tried |= {key(s): row for s, row in zip(new, found, strict=True)}
         least = min(tried, key=lambda k: tried[k][search.measure])
-        if least == tuple(at.values()):
+        if least == key(at):
             inside = len(list(search.neighbours(at))) == 2 * len(at)
             return Choice(at, list(tried.values()), inside, time.process_time() - began)
         at = dict(zip(search.begin, least, strict=True))

@@ -1,4 +1,4 @@
-"""All walks of notebook 07, which take an hour and a half of two cores: apart from it, side by side, and on record.
+"""All walks of notebook 07, nearly three hours of one core: apart from it, side by side, and on record.
 
 A walk is known by where z begins and by the search that it tunes. ``run_tuning`` leaves the record; the notebook reads
 it, and walks itself where a record is missing or was made by another recipe.
@@ -6,15 +6,17 @@ it, and walks itself where a record is missing or was made by another recipe.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 
 from motionlab import writing
 from motionlab.errors import DataError
+from motionlab.humor.checkpoint import SHIPPED
 from motionlab.humor.contests import beside
 from motionlab.humor.decoupled import tuning
 from motionlab.humor.decoupled.trials import Case, reference
@@ -29,8 +31,9 @@ STAGE_2, GIVEN, FIXED = "stage 2", "single shooting", "shooting, z fixed"
 class Recipe:
     """What the walks have in common.
 
-    seed: of the practice scene. clips: of it. frames: of a clip; with z fixed ``short`` and ``long``. schedule: of the
+    seed, clips: of the practice scene. frames: of a clip; with z fixed ``short`` and ``long``. schedule: of the
     fits, by name. search, fixed: evaluations of a search. rounds: looks of a walk at most. steps: K that have a walk.
+    scene: its name. prior: digest of the weights of the "compact" priors.
     """
 
     seed: int
@@ -43,14 +46,22 @@ class Recipe:
     fixed: int
     rounds: int
     steps: tuple[int, ...]
+    scene: str = "sitting, legs hidden"
+    prior: str = field(default_factory=lambda: digest("compact"))
+
+
+def digest(name: str) -> str:
+    """Of the weights of the three shipped priors of a name: 16 digits of SHA-256."""
+    files = [SHIPPED / f"{kind}_{name}.safetensors" for kind in ("humor", "pose_prior", "init_gmm")]
+    return hashlib.sha256(b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)).hexdigest()[:16]
 
 
 def searches(recipe: Recipe) -> dict[Key, Search]:
-    """Every search that is tuned, the walks that take longest first."""
-    many = {(STAGE_2, name): tuning.of_steps(k) for k, name in reversed(of_steps(recipe.steps).items()) if k > 1}
+    """Every search that is tuned; the walks that take longest come first, by and large."""
+    many = {(STAGE_2, name): tuning.l1_of(k) for k, name in reversed(of_steps(recipe.steps).items()) if k > 1}
     fixed = {(FIXED, str(frames)): tuning.FIXED_Z for frames in (recipe.long, recipe.short)}
     given = {(GIVEN, name): search for name, search in tuning.GOOD_Z.items()}
-    return fixed | many | given | {(STAGE_2, name): s for name, s in (tuning.SEARCHES | tuning.TURNS).items()}
+    return many | fixed | given | {(STAGE_2, name): s for name, s in (tuning.SEARCHES | tuning.TURNS).items()}
 
 
 def of_steps(steps: tuple[int, ...]) -> dict[int, str]:
@@ -121,28 +132,36 @@ def _written(row: Mapping[str, float]) -> dict[str, float | None]:
 
 
 def load(path: Path | str, recipe: Recipe) -> dict[Key, Choice]:
-    """The walks on record; none where there is no file, or one of another recipe.
+    """The walks on record; none where there is no file, or one of another recipe. Walks that the recipe does not have
+    are left out.
 
     Raises:
         DataError: another kind of file, or a damaged one.
     """
     if not Path(path).exists():
         return {}
+    place, found, wanted = "recipe", {}, searches(recipe)
     try:
         record = json.loads(Path(path).read_text(encoding="utf-8"))
-        made = Recipe(**record["recipe"] | {"steps": tuple(record["recipe"]["steps"])})
-        found = {(row["z"], row["search"]): _read(row) for row in record["walks"]}
+        if Recipe(**record["recipe"] | {"steps": tuple(record["recipe"]["steps"])}) != recipe:
+            return {}
+        for k, row in enumerate(record["walks"]):
+            place = f"walk {k}"
+            key = row["z"], row["search"]
+            if key in wanted:
+                found[key] = _read(row, wanted[key])
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        remedy = f"delete it, or restore it from version control, or run python -m motionlab.run_tuning {path}"
-        raise DataError(f"not a record of walks ({error!r})", path=path, remedy=remedy) from error
-    return found if made == recipe else {}
+        remedy = f"restore it from version control, or delete it and run python -m motionlab.run_tuning {path}"
+        raise DataError(f"not a record of walks ({error!r})", path=path, place=place, remedy=remedy) from error
+    return found
 
 
-def _read(row: Mapping[str, object]) -> Choice:
-    setting = {str(n): float(x) for n, x in row["chosen"].items()}
+def _read(row: Mapping[str, object], search: Search) -> Choice:
+    setting = {n: float(row["chosen"][n]) for n in search.begin}
     tried = [{n: math.inf if x is None else float(x) for n, x in one.items()} for one in row["tried"]]
-    if not any(all(one[n] == x for n, x in setting.items()) for one in tried):
-        raise ValueError(f"{row['search']}: what was chosen was not tried")
+    found = {tuple(one[n] for n in search.begin): one[search.measure] for one in tried}
+    if found[tuple(setting.values())] != min(found.values()):
+        raise ValueError(f"{row['search']}: something else that was tried is better than what was chosen")
     if not isinstance(row["ended"], bool):
         raise ValueError(f"{row['search']}: ended is {row['ended']!r}")
     return Choice(setting, tried, row["ended"], float(row["seconds"]))
