@@ -57,7 +57,7 @@ def command(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("record", type=Path, help="JSON file, notebooks/results/long/tuning.json")
     parser.add_argument("--workers", type=int, default=2, help="walks at a time, a core each (2)")
     given = parser.parse_args(arguments)
-    main(given.record, workers=given.workers)
+    main(given.record, recipe=RECIPE, workers=given.workers)
 
 
 if __name__ == "__main__":

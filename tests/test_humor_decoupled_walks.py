@@ -101,7 +101,6 @@ def test_with_all_on_record_nothing_is_fitted(tuned, monkeypatch, capsys):
     path, before = tuned[0], tuned[0].read_bytes()
     monkeypatch.setattr(run_tuning, "RECIPE", LITTLE)
     monkeypatch.setattr(run_tuning, "practised", None)  # not to be called
-    monkeypatch.setattr(run_tuning.main, "__kwdefaults__", {"recipe": LITTLE, "workers": 2})
     run_tuning.command([str(path), "--workers", "1"])
     assert path.read_bytes() == before and "20 of 20 walks are on record" in capsys.readouterr().out
     with pytest.raises(TypeError):  # control: one is missing

@@ -6,9 +6,8 @@ Source: thesis 3.3.1. Times are processor time.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -20,8 +19,8 @@ from motionlab.humor.decoupled.energy import prior_of, terms
 from motionlab.humor.decoupled.search import Plan
 from motionlab.humor.decoupled.trials import Case
 from motionlab.humor.rollout import infer, rollout
+from motionlab.profiling import Name
 
-Name = TypeVar("Name", bound=Hashable)
 OFFICIAL, LEAN = ladder.Savings(frozen=True), ladder.LEAN
 FORMS = {"official": OFFICIAL, "lean": LEAN}
 
