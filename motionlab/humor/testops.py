@@ -108,6 +108,15 @@ class Fitted:
     notes: tuple[str, ...] = ()
     judged: Judged | None = None
 
+    @property
+    def stopped(self) -> bool:
+        """Whether a person stopped a stage."""
+        return _stopped(self.results)
+
+
+def _stopped(results: dict[int, list[object]]) -> bool:
+    return any(stages.interrupted(each) for found in results.values() for each in found)
+
 
 def fit(
     observation: Observation2D | Observation3D,
@@ -208,7 +217,7 @@ class _Track:
 
     @property
     def stopped(self) -> bool:
-        return any(stages.interrupted(each) for found in self.results.values() for each in found)
+        return _stopped(self.results)
 
     def pose_stage(self, problem: Problem, unknown: dict[str, Tensor], stage: int) -> dict[str, Tensor]:
         steps = self.schedule.steps[stage - 1]

@@ -22,7 +22,7 @@ from motionlab.humor.decoupled.search import Found, Plan, adam, lbfgs
 from motionlab.humor.observed import evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import decode_ahead, infer, rollout
-from motionlab.humor.stages import Problem, interrupted
+from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Fitted, Schedule
 from motionlab.humor.variables import motion_of
 from motionlab.humor.weights import RGB_LIGHT
@@ -97,7 +97,7 @@ def case(scene: Filmed, priors: Priors, schedule: Schedule, *, frames: int, solv
 
 
 def _to_the_end(fitted: Fitted) -> Fitted:
-    if any(interrupted(report) for reports in fitted.results.values() for report in reports):
+    if fitted.stopped:
         raise KeyboardInterrupt
     return fitted
 
