@@ -36,13 +36,13 @@ full: setup
 	@$(PY) -m motionlab regenerate $(NOTEBOOKS)
 
 records: setup
-	@OMP_NUM_THREADS=1 $(PY) -m motionlab.run_tuning notebooks/results/long/tuning.json
-	@OMP_NUM_THREADS=1 $(PY) -m motionlab.run_faithful notebooks/results/long/faithful.json
+	@PYTHONPATH=notebooks OMP_NUM_THREADS=1 $(PY) -m studies.nb07_decoupled.make_record notebooks/results/long/tuning.json
+	@PYTHONPATH=notebooks OMP_NUM_THREADS=1 $(PY) -m studies.nb08_fast.make_record notebooks/results/long/faithful.json
 
 train: setup
 	@$(PY) -m motionlab train humor
 	@$(PY) -m motionlab train features
-	@for preset in $$($(PY) -c "from motionlab.train_diffusion import PRESETS; print(*PRESETS)"); do \
+	@for preset in $$($(PY) -c "from motionlab.shipped import DENOISER_PRESETS; print(*DENOISER_PRESETS)"); do \
 		$(PY) -m motionlab train diffusion --preset $$preset || exit 1; done
 
 bench: setup
@@ -54,7 +54,7 @@ doctor: setup
 setup: $(PREPARED)
 	@:
 
-$(PREPARED): $(INSTALLED) motionlab/anny_body.py motionlab/body.py motionlab/doctor.py
+$(PREPARED): $(INSTALLED) motionlab/body.py motionlab/doctor.py
 	@echo "== preparing: off-screen rendering and the body"
 	@$(PY) -m motionlab doctor --prepare
 	@touch $@

@@ -26,8 +26,8 @@ from data_synth.perform import Take
 from data_synth.score import Score
 from data_synth.subjects import SUBJECTS, Subject
 from motionlab.errors import ShapeError
-from motionlab.frames import fix_root_horizontally
-from motionlab.writing import write_whole
+from motionlab.files import write_whole
+from motionlab.motion import fix_root_horizontally
 
 #: How often each action is chosen, relative to the others.
 MIX = {

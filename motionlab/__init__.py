@@ -1,3 +1,40 @@
-"""motionlab: functions over tensors for studying human motion priors."""
+"""motionlab: a thin library for studying human motion priors.
+
+Modules are imported when they are first used: ``from motionlab import io, retarget`` costs what these two cost, and
+``import motionlab`` nothing. The README's library section says what is where.
+"""
+
+from importlib import import_module
+from types import ModuleType
 
 __version__ = "0.1.0"
+#: What a stranger imports; the rest runs the notebooks and the command line.
+__all__ = [
+    "baselines",
+    "body",
+    "contact",
+    "diffusion",
+    "errors",
+    "humor",
+    "io",
+    "metrics",
+    "motion",
+    "observation",
+    "optimise",
+    "posterior",
+    "retarget",
+    "rotation",
+    "skeleton",
+    "skinning",
+    "viz",
+]
+
+
+def __getattr__(name: str) -> ModuleType:
+    if name in __all__:
+        return import_module(f"motionlab.{name}")
+    raise AttributeError(f"module 'motionlab' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

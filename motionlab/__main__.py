@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import math
 import os
 import sys
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from motionlab import doctor
 from motionlab.doctor import ROOT
+from motionlab.errors import DataError, MissingData, ShapeError
 
 if TYPE_CHECKING:
     from motionlab.skeleton import Skeleton
@@ -20,26 +20,22 @@ if TYPE_CHECKING:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; 0 if all is well, 1 if something is missing or failed, 2 for input that cannot be used."""
-    options = _parser().parse_args(arguments)
+    arguments = sys.argv[1:] if arguments is None else arguments
+    options = _parser(arguments).parse_args(arguments)
     try:
         return options.run(options)
     except KeyboardInterrupt:
         print("\nstopped", file=sys.stderr)
         return 130
     except (ValueError, FileNotFoundError) as error:
-        if not _ours(error):
+        if not isinstance(error, DataError | MissingData | ShapeError):
             raise
         print(f"motionlab: {error}", file=sys.stderr)
         return 2
 
 
-def _ours(error: Exception) -> bool:
-    from motionlab.errors import DataError, MissingData, ShapeError  # torch comes with them: doctor must run without
-
-    return isinstance(error, DataError | MissingData | ShapeError)
-
-
-def _parser() -> argparse.ArgumentParser:
+def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
+    """The commands; what takes seconds to import is imported by the command that needs it."""
     parser = argparse.ArgumentParser(prog="python -m motionlab", description="Human motion priors, measured.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
@@ -92,10 +88,11 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--quick", action="store_true", help="few steps: a first look")
     command.set_defaults(run=_fit)
 
-    if _installed("torch"):  # doctor must run without
+    command = commands.add_parser("train", help="train a model: a checkpoint with its recipe")
+    if "train" in arguments[:1]:  # its presets come with torch
         from motionlab import train
 
-        train.add_command(commands)
+        train.add_options(command)
 
     command = commands.add_parser("report", help="run the notebooks into an HTML report")
     command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
@@ -105,12 +102,14 @@ def _parser() -> argparse.ArgumentParser:
 
     command = commands.add_parser("regenerate", help="run the notebooks in place, full profile, as committed")
     command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
+    command.add_argument(
+        "--fingerprints", action="store_true", help="only what their smoke runs measure, into the records"
+    )
+    command.add_argument(
+        "--again", action="store_true", help="with --fingerprints: also where the recorded one differs"
+    )
     command.set_defaults(run=_regenerate)
     return parser
-
-
-def _installed(name: str) -> bool:
-    return importlib.util.find_spec(name) is not None
 
 
 def _doctor(options: argparse.Namespace) -> int:
@@ -124,8 +123,6 @@ def _doctor(options: argparse.Namespace) -> int:
 
 
 def _data(options: argparse.Namespace) -> int:
-    from motionlab.errors import MissingData
-
     folder = options.folder or os.environ.get("MOTIONLAB_DATA")
     if not folder:
         raise MissingData("the folder of recordings", "Name it, or set MOTIONLAB_DATA to it.")
@@ -177,7 +174,6 @@ def _convert(options: argparse.Namespace) -> int:
 
     from motionlab import io
     from motionlab.body import BodyModel
-    from motionlab.errors import DataError
     from motionlab.motion import resample
     from motionlab.retarget import retarget
     from motionlab.skeleton import STANDARD
@@ -237,16 +233,20 @@ def _report(options: argparse.Namespace) -> int:
     from motionlab import execute, report
 
     runs = report.write_report(options.out, options.profile, options.notebooks)
-    print(f"{execute.summary(runs)}; report: {options.out / 'index.html'}")
+    print(f"{execute.run_summary(runs)}; report: {options.out / 'index.html'}")
     return 0 if all(run.ok for run in runs) else 1
 
 
 def _regenerate(options: argparse.Namespace) -> int:
     from motionlab import execute, report
 
+    if options.fingerprints:
+        runs = execute.take_fingerprints(options.notebooks, again=options.again)
+        print(execute.run_summary(runs))
+        return 0 if all(run.ok for run in runs) else 1
     runs = execute.regenerate(options.notebooks)
     report.update_readme(ROOT / "README.md")
-    print(execute.summary(runs))
+    print(execute.run_summary(runs))
     return 0 if all(run.ok for run in runs) else 1
 
 

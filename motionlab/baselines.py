@@ -1,4 +1,4 @@
-"""What every claim must beat: hold, interpolate, look up the nearest neighbour, smooth.
+"""What every claim must beat: hold, interpolate, smooth.
 
 Gaps are given by ``known``: (..., T) for whole frames or (..., T, J) for single joints, True where the motion
 may be used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.
@@ -6,6 +6,7 @@ may be used; what is known stays exactly. Contacts of a filled or smoothed motio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -15,7 +16,6 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError, check_shape
-from motionlab.frames import local_to_world, stuck_root
 from motionlab.motion import Motion
 
 
@@ -33,15 +33,43 @@ def _mask(known: Tensor, motion: Motion) -> Tensor:
     return (known[..., None] if by_frame else known).expand(motion.rot.shape[:-2])
 
 
+def nearest_known(known: Tensor) -> tuple[Tensor, Tensor]:
+    """Computes the nearest known frame at or before each frame, and at or after it, from a mask of known frames.
+
+    Before the first known frame both are the first one, after the last one both are the last.
+
+    Args:
+        known: (..., T) bool.
+
+    Returns:
+        two (..., T) int64 frame indices, always within 0..T-1; without meaning in a row that knows no frame.
+    """
+    frames = known.shape[-1]
+    time = torch.arange(frames, device=known.device).expand(known.shape)
+    before = torch.where(known, time, -1).cummax(-1).values
+    after = torch.where(known, time, frames).flip(-1).cummin(-1).values.flip(-1)
+    before, after = torch.where(before < 0, after, before), torch.where(after == frames, before, after)
+    return before.clamp(0, frames - 1), after.clamp(0, frames - 1)
+
+
+def cosine_transform(frames: int, dtype: torch.dtype = torch.float64) -> Tensor:
+    """Computes the orthonormal cosine transform over time (DCT-II), C (T, T): C @ x (..., T, D) are coefficients.
+
+    dtype: what it is computed in; it comes as float32. In float32 entries are off by 1e-5, as in the fits on record,
+    whose first few steps amplify that.
+    """
+    k = torch.arange(frames, dtype=dtype)
+    basis = (math.pi * k[:, None] * (k + 0.5) / frames).cos() * (2 / frames) ** 0.5
+    basis[0] /= 2**0.5
+    return basis.float()
+
+
 def _neighbours(known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """For each frame (..., T, K): the last known frame, the next known one, and how far between them (0..1)."""
     if not known.any(-2).all():
         raise ShapeError("known: some joint is known at no frame, so there is nothing to fill it from")
-    frames = known.shape[-2]
-    time = torch.arange(frames, device=known.device)[:, None].expand(known.shape)
-    before = torch.where(known, time, -1).cummax(-2).values
-    after = torch.where(known, time, frames).flip(-2).cummin(-2).values.flip(-2)
-    before, after = torch.where(before < 0, after, before), torch.where(after == frames, before, after)
+    time = torch.arange(known.shape[-2], device=known.device)[:, None]
+    before, after = (at.mT for at in nearest_known(known.mT))
     return before, after, (time - before) / (after - before).clamp(min=1)
 
 
@@ -53,7 +81,7 @@ def _take(x: Tensor, frames: Tensor) -> Tensor:
 
 
 def hold(motion: Motion, known: Tensor) -> Motion:
-    """Unknown joints keep their last known rotation (the first known one before it); the root likewise."""
+    """Fills unknown rotations and root positions with the last known ones (the first known ones before those)."""
     known = _mask(known, motion)
     before, _, _ = _neighbours(known)
     root = _take(motion.root[..., None, :], before[..., :1])[..., 0, :]
@@ -61,7 +89,7 @@ def hold(motion: Motion, known: Tensor) -> Motion:
 
 
 def interpolate(motion: Motion, known: Tensor) -> Motion:
-    """Unknown root positions linearly, unknown rotations by slerp, between the known frames around; ends hold."""
+    """Fills unknown root positions linearly and rotations by slerp between the known frames around; ends hold."""
     known = _mask(known, motion)
     before, after, weight = _neighbours(known)
     weight = weight.to(motion.rot)
@@ -73,41 +101,8 @@ def interpolate(motion: Motion, known: Tensor) -> Motion:
     return replace(motion, root=root, rot=rot, contacts=None)
 
 
-def nearest_neighbour(query: Motion, library: Motion, known: Tensor | None = None) -> tuple[Motion, Tensor, Tensor]:
-    """The window of a library that is nearest to a query where it is known, put where the query is.
-
-    Both are moved to the heading frame of their first frame before they are compared, and the match is moved
-    back to the query's; the query's root must be known there. A window keeps the library's bone lengths.
-
-    Args:
-        query: (T,) one window. library: (N, T) windows of as many frames at the same rate.
-        known: (T,) or (T, J); everything when None.
-
-    Returns:
-        the match, its distance in metres (root mean square over known joints), its index in the library.
-
-    Raises:
-        ShapeError: lengths or rates differ, the root's first frame is unknown, or query is a batch.
-    """
-    if query.root.ndim != 2 or library.root.ndim != 3 or query.frames != library.frames or query.fps != library.fps:
-        raise ShapeError(
-            f"nearest_neighbour: query {tuple(query.root.shape)} at {query.fps} fps and library "
-            f"{tuple(library.root.shape)} at {library.fps} fps; expected (T, 3) and (N, T, 3) at one rate"
-        )
-    mask = torch.ones(query.rot.shape[:-2]) if known is None else _mask(known, query)
-    if not mask[0, 0]:
-        raise ShapeError("known: the root of the first frame must be known; the query is aligned by it")
-    here, frame = stuck_root(query)
-    there, _ = stuck_root(library)
-    weight = mask.double()[..., None]
-    gap = torch.where(weight > 0, there.positions.double() - here.positions.double(), 0.0)
-    distance = (gap.square().sum((-1, -2, -3)) / weight.sum()).sqrt()
-    best = distance.argmin()
-    return local_to_world(frame, there.clip(best)), distance[best], best
-
-
 def savitzky_golay(x: Tensor, window: int, degree: int) -> Tensor:
-    """x (..., T, D) smoothed by a polynomial of ``degree`` through ``window`` (odd) frames around each; no gradient.
+    """Smooths x (..., T, D) by a polynomial of ``degree`` through ``window`` (odd) frames around each; no gradient.
 
     Raises:
         ShapeError: the window is longer than the recording, even, or not longer than the degree.
@@ -120,7 +115,7 @@ def savitzky_golay(x: Tensor, window: int, degree: int) -> Tensor:
 
 
 def one_euro(x: Tensor, fps: float, min_cutoff: float = 1.0, beta: float = 0.0, d_cutoff: float = 1.0) -> Tensor:
-    """x (..., T, D) through the one-euro filter: a causal low-pass that opens with speed.
+    """Smooths x (..., T, D) by the one-euro filter: a causal low-pass that opens with speed.
 
     Args:
         min_cutoff: Hz, at rest. beta: Hz per (unit of x / s), how much speed opens it. d_cutoff: Hz, for the speed.
@@ -141,7 +136,7 @@ def one_euro(x: Tensor, fps: float, min_cutoff: float = 1.0, beta: float = 0.0, 
 
 
 def kalman(x: Tensor, fps: float, noise: float, acceleration: float, known: Tensor | None = None) -> Tensor:
-    """x (..., T, D) by a constant-velocity Kalman filter and Rauch-Tung-Striebel smoother; gaps are filled.
+    """Smooths x (..., T, D) by a constant-velocity Kalman filter and Rauch-Tung-Striebel smoother; gaps are filled.
 
     The mean of p given x in: x_t = p_t + noise, dp = v dt, dv = white noise.
 
@@ -191,7 +186,7 @@ def kalman(x: Tensor, fps: float, noise: float, acceleration: float, known: Tens
     return torch.stack([m[..., 0, 0] for m in reversed(out)], -2).to(x)
 
 
-def smooth_rotations(rot: Tensor, smoother: Callable[[Tensor], Tensor]) -> Tensor:
+def _smooth_rotations(rot: Tensor, smoother: Callable[[Tensor], Tensor]) -> Tensor:
     """Rotations (..., T, J, 3, 3) with ``smoother`` applied to (..., T, 3 J) tangent vectors at each joint's mean.
 
     The vectors are made continuous in time, so a joint that spins is followed round.
@@ -203,5 +198,10 @@ def smooth_rotations(rot: Tensor, smoother: Callable[[Tensor], Tensor]) -> Tenso
 
 
 def smooth(motion: Motion, smoother: Callable[[Tensor], Tensor]) -> Motion:
-    """A motion whose root positions and joint rotations went through ``smoother``, (..., T, D) -> (..., T, D)."""
-    return replace(motion, root=smoother(motion.root), rot=smooth_rotations(motion.rot, smoother), contacts=None)
+    """Smooths a motion's root positions and joint rotations by ``smoother``, (..., T, D) -> (..., T, D)."""
+    return replace(motion, root=smoother(motion.root), rot=_smooth_rotations(motion.rot, smoother), contacts=None)
+
+
+def smoothed(motion: Motion, window: int, degree: int = 2) -> Motion:
+    """Smooths a motion by a Savitzky-Golay filter of ``window`` frames; 0: as it is."""
+    return smooth(motion, lambda x: savitzky_golay(x, window, degree)) if window else motion

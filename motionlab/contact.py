@@ -16,7 +16,7 @@ FLESH = {"pelvis": 0.11, "left_knee": 0.06, "right_knee": 0.06, "left_wrist": 0.
 
 
 def resting_heights(skeleton: Skeleton) -> Tensor:
-    """Height (..., C) in metres of each of ``contact_names`` above the floor while it touches the floor.
+    """Computes from a skeleton how high each contact joint lies while it touches the floor: (..., C) metres.
 
     A joint of the foot: its height in the rest pose (ankle about 8 cm, ball 1 cm). Others: ``FLESH``.
 
@@ -30,7 +30,7 @@ def resting_heights(skeleton: Skeleton) -> Tensor:
     return torch.stack(columns, -1) if names else above[..., :0]
 
 
-def hysteresis(on: Tensor, off: Tensor, dim: int = -2) -> Tensor:
+def _hysteresis(on: Tensor, off: Tensor, dim: int = -2) -> Tensor:
     """Runs of not ``off`` along ``dim`` that hold at least one ``on``: bool, shaped as both.
 
     The same forwards and backwards in time: a run begins and ends at the loose threshold and needs the
@@ -54,7 +54,7 @@ def contacts_from_positions(
     height: tuple[float, float] = (0.03, 0.06),
     speed: tuple[float, float] = (0.25, 0.5),
 ) -> Tensor:
-    """Floor contacts (..., T, C), 0 or 1, of joints whose world positions (..., T, C, 3) are given in metres, z up.
+    """Computes floor contacts (..., T, C), 0 or 1, from joint positions (..., T, C, 3) in metres, world, z up.
 
     A contact is a run of frames below both loose thresholds that goes below both strict ones at least once.
 
@@ -74,11 +74,11 @@ def contacts_from_positions(
     moving = torch.linalg.vector_norm(velocity(positions, fps, dim=-3), dim=-1)
     on = (above < height[0]) & (moving < speed[0])
     off = (above > height[1]) | (moving > speed[1])
-    return hysteresis(on, off).to(positions.dtype)
+    return _hysteresis(on, off).to(positions.dtype)
 
 
 def with_contacts(motion: Motion, **thresholds: tuple[float, float]) -> Motion:
-    """The motion with contacts measured from its own positions; thresholds as :func:`contacts_from_positions`."""
+    """Computes a motion's contacts from its own joint positions; thresholds as :func:`contacts_from_positions`."""
     positions = motion.positions[..., motion.skeleton.contact_indices, :]
     resting = resting_heights(motion.skeleton).to(positions)
     return replace(motion, contacts=contacts_from_positions(positions, motion.fps, resting, **thresholds))

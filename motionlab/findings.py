@@ -10,16 +10,19 @@ from __future__ import annotations
 import json
 import math
 import operator
+import re
 import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from motionlab.errors import DataError
-from motionlab.writing import write_whole
+from motionlab.files import write_whole
+from motionlab.staleness import Fingerprint, Mark
 
 HOLDS = "holds"
 FAILS = "does not hold"
@@ -34,7 +37,8 @@ class Criterion:
     """One measurable sentence of a claim: its operational definition and the bound fixed beforehand.
 
     relation, bound: the claim holds where ``value relation bound``. needs: "full" where the smoke profile is
-    too small to judge, "real" where recordings are needed. least: fewest samples that may judge.
+    too small to judge, "real" where recordings are needed. least: fewest samples that may judge. clock: what it
+    measures depends on how fast the machine is, so that no fingerprint holds it.
     """
 
     id: str
@@ -45,6 +49,7 @@ class Criterion:
     baseline: str
     needs: tuple[str, ...] = ()
     least: int = 1
+    clock: bool = False
 
     def bound_text(self) -> str:
         """The bound as a person writes it, such as ">= 3 deg"."""
@@ -177,7 +182,7 @@ def judge(test: Criterion, low: float, high: float, n: int) -> str:
     return HOLDS if all(meets) else FAILS if not any(meets) else UNJUDGED
 
 
-def overall(verdicts: Iterable[str]) -> str:
+def _overall(verdicts: Iterable[str]) -> str:
     """The verdict on a claim from those on its tests and sources."""
     found = set(verdicts)
     if not found:
@@ -192,15 +197,43 @@ def overall(verdicts: Iterable[str]) -> str:
 
 @dataclass(frozen=True)
 class Record:
-    """What one full run of one notebook found: ``results/NN.json``."""
+    """What one full run of one notebook found: ``results/NN.json``.
+
+    fingerprint: what the smoke profile of the same notebook measures (``staleness``), and what more or else it measures
+    on recordings. weights: checksums of the checkpoints that it loads. recordings: of the lists of recordings, by
+    source. modules: hashes of our modules that it imports. All as they were when the fingerprint was taken.
+    """
 
     notebook: str
     source_hash: str
     findings: tuple[Finding, ...]
     provenance: dict[str, str] = field(default_factory=dict)
+    fingerprint: Fingerprint = field(default_factory=dict)
+    fingerprint_on_recordings: Fingerprint = field(default_factory=dict)
+    weights: dict[str, str] = field(default_factory=dict)
+    recordings: dict[str, str] = field(default_factory=dict)
+    modules: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def seconds(self) -> float | None:
+        """How long the run took; None where the record does not say."""
+        return float(self.provenance["seconds"]) if "seconds" in self.provenance else None
+
+    def expected(self, recordings: dict[str, str]) -> Fingerprint:
+        """What a smoke run must measure beside these recordings.
+
+        Without recordings, the fingerprint on synthetic motion; with those of the record, also that on them; with
+        others only what does not depend on them.
+        """
+        if not recordings:
+            return self.fingerprint
+        if self.recordings and self.recordings.items() <= recordings.items():
+            return self.fingerprint | self.fingerprint_on_recordings
+        return {name: mark for name, mark in self.fingerprint.items() if name not in self.fingerprint_on_recordings}
 
 
 _NUMBERS = ("value", "low", "high")  # of a finding; NaN where there was nothing to measure
+_FINGERPRINTS = ("fingerprint", "fingerprint_on_recordings")
 
 
 def save_record(path: Path | str, record: Record) -> None:
@@ -214,7 +247,8 @@ def save_record(path: Path | str, record: Record) -> None:
     found = asdict(record)
     for row in found["findings"]:  # JSON knows no NaN
         row |= {name: None for name in _NUMBERS if math.isnan(row[name])}
-    write_whole(path, json.dumps(found, indent=1, ensure_ascii=False) + "\n")
+    text = json.dumps(found, indent=1, ensure_ascii=False)
+    write_whole(path, re.sub(r"\[\s+(\S+),\s+(\S+)\s+\]", r"[\1, \2]", text) + "\n")  # a mark on one line
 
 
 def load_record(path: Path | str) -> Record:
@@ -227,7 +261,8 @@ def load_record(path: Path | str) -> Record:
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
         rows = [row | {name: math.nan for name in _NUMBERS if row[name] is None} for row in raw["findings"]]
-        return Record(**{**raw, "findings": tuple(Finding(**row) for row in rows)})
+        marks = {name: {n: Mark(*pair) for n, pair in raw.get(name, {}).items()} for name in _FINGERPRINTS}
+        return Record(**{**raw, **marks, "findings": tuple(Finding(**row) for row in rows)})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(str(error), path=path, remedy="run `make full` to measure again") from error
 
@@ -248,9 +283,29 @@ def scoreboard(claims: dict[str, Claim], found: Sequence[Finding]) -> list[dict[
                 "claim": claim.id,
                 "thesis": claim.section,
                 "in short": claim.title,
-                "verdict": overall(f.verdict for f in mine),
+                "verdict": _overall(f.verdict for f in mine),
                 "held": f"{held} of {len(mine)}" if mine else "",
                 "notebook": claim.notebook,
             }
         )
     return rows
+
+
+# ------------------------------------------------------------------------------------------------------ two stages
+class Paired(NamedTuple):
+    """The mean difference of paired samples with its 95 % bootstrap interval, and how many there were."""
+
+    mean: float
+    low: float
+    high: float
+    n: int
+
+    def __str__(self) -> str:
+        return f"{self.mean:+.2f} [{self.low:+.2f}, {self.high:+.2f}]"
+
+
+def paired(after: Tensor, before: Tensor, generator: torch.Generator) -> Paired:
+    """``after`` less ``before``, clip by clip; pairs with a NaN are left out."""
+    difference = (after - before).flatten()
+    difference = difference[difference.isfinite()]
+    return Paired(*interval(difference, "mean", generator), len(difference))

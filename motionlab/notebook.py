@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import os
 import platform
 import tempfile
@@ -26,19 +25,11 @@ from matplotlib.figure import Figure
 from PIL import Image as Pillow
 from torch import Tensor
 
-from motionlab import findings
+from motionlab import checkpoint, findings, parallel, staleness, viz
 from motionlab.errors import DataError
 from motionlab.findings import Claim, Criterion, Finding, Record
-from motionlab.tables import markdown_table
 
 PROFILES = ("smoke", "full")
-
-
-def code_hash(notebook: Path | str) -> str:
-    """Hash of a notebook's code, so that a record can say which code it belongs to. Outputs do not count."""
-    cells = json.loads(Path(notebook).read_text(encoding="utf-8"))["cells"]
-    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
-    return hashlib.sha256("\0".join(code).encode()).hexdigest()[:16]
 
 
 def setup(
@@ -66,6 +57,8 @@ def setup(
     if folder and not Path(folder).is_dir():
         raise DataError("no such folder", path=folder, remedy="set MOTIONLAB_DATA to the unpacked recordings")
     here = Path.cwd()
+    viz.draft = profile == "smoke"
+    parallel.one_thread()
     lab = Lab(
         notebook=notebook,
         profile=profile,
@@ -91,6 +84,7 @@ class Lab:
     claims: dict[str, Claim]
     folder: Path
     found: list[Finding] = field(default_factory=list)
+    marks: staleness.Fingerprint = field(default_factory=dict)
     opened: float = field(default_factory=time.perf_counter)
     workbench: list[tempfile.TemporaryDirectory] = field(default_factory=list)
 
@@ -145,7 +139,7 @@ class Lab:
 
     def table(self, rows: Sequence[Mapping[str, object]], caption: str = "") -> None:
         """Show rows (all with the same keys) as a Markdown table; floats with three digits."""
-        self.say(markdown_table(rows) + (f"\n\n{caption}" if caption else ""))
+        self.say(_markdown_table(rows) + (f"\n\n{caption}" if caption else ""))
 
     def show(self, widget: object) -> None:
         """Show a live widget (a pyvista scene, a slider) where a person sits in front of it; in a batch run nothing."""
@@ -210,6 +204,45 @@ class Lab:
         self.found = [f for f in self.found if (f.test, f.source) != (test, source)] + [finding]
         return finding
 
+    def fingerprint(self, name: str, value: Tensor | float, *, tolerance: float = staleness.TOLERANCE) -> None:
+        """Note a number that the smoke run must give again, beside the findings: of what no claim asks for.
+
+        Args:
+            tolerance: share of the number that another machine may be off.
+        """
+        self.marks[name] = staleness.mark(float(value), tolerance=tolerance)
+
+    def _fingerprint(self) -> staleness.Fingerprint:
+        """What this run measured, but for what the clock decides and what only this machine has."""
+        marks = dict(self.marks)
+        for f in self.found:
+            rule = self.criterion(f.test)
+            if rule.clock or f.source.startswith("your "):
+                continue
+            name = f.test if f.source == "synthetic" else f"{f.test}, {f.source}"
+            scale = rule.bound or 1.0  # of a difference that is compared with 0: a thousandth of its unit is rounding
+            marks[name] = staleness.mark(f.value, scale)
+            marks[f"{name}: n"] = staleness.Mark(f.n, 0)
+            if f.baseline_value is not None:
+                marks[f"{name}: baseline"] = staleness.mark(f.baseline_value, scale)
+        return marks
+
+    def stale(self) -> list[str]:
+        """What this smoke run measures otherwise than the record says it should, a phrase each."""
+        record = self._record()
+        if self.profile != "smoke" or not record.source_hash:
+            return []
+        if not record.fingerprint and not self.marks and not self.found:
+            return []
+        if not record.fingerprint:
+            return ["the record has no fingerprint: python -m motionlab regenerate --fingerprints " + self.number]
+        recordings = staleness.recordings_digest(self.data)
+        weights = checkpoint.loaded()
+        other = [n for n, digest in record.weights.items() if weights.get(n, digest) != digest]
+        return [f"{name} are other weights" for name in other] + staleness.differences(
+            record.expected(recordings), self._fingerprint()
+        )
+
     def findings(self) -> None:
         """Show every number measured in this run."""
         self.table(
@@ -248,7 +281,7 @@ class Lab:
 
     def _code(self) -> str:
         file = self.folder / f"{self.notebook}.ipynb"
-        return code_hash(file) if file.exists() else ""
+        return staleness.code_hash(file) if file.exists() else ""
 
     def verdicts(self) -> None:
         """Show the verdict table: no measured number, so that it reads the same in both profiles.
@@ -273,25 +306,62 @@ class Lab:
         )
 
     def close(self) -> None:
-        """Write the record: a full run to results/NN.json, any run to $MOTIONLAB_RESULTS when that is set."""
+        """Compare with the record, and write one where that is asked for.
+
+        A smoke run says what the record should say otherwise. A run of ``make full`` ($MOTIONLAB_RECORD) writes
+        results/NN.json; any run writes to $MOTIONLAB_RESULTS when that is set; others write nothing.
+
+        Raises:
+            StaleRecord: a smoke run differs from its fingerprint, and $MOTIONLAB_VERIFY is set.
+        """
         seconds = time.perf_counter() - self.opened
+        elsewhere = os.environ.get("MOTIONLAB_RESULTS")
+        if elsewhere:
+            findings.save_record(Path(elsewhere) / f"{self.number}.json", self._measured(seconds))
+        elif self.profile == "full" and os.environ.get("MOTIONLAB_RECORD"):
+            findings.save_record(self.folder / "results" / f"{self.number}.json", self._measured(seconds))
+        moved = self.stale()
+        if moved and os.environ.get("MOTIONLAB_VERIFY"):
+            raise staleness.StaleRecord(self.notebook, moved, self._record().seconds)
+        if moved:
+            self.say("**The record is not what this code gives** (or a knob was turned): " + "; ".join(moved) + ".")
+        self.say(f"Ran in {seconds:.0f} s; {len(self.found)} findings.")
+
+    def _measured(self, seconds: float) -> Record:
+        """The record of this run."""
         provenance = {name: version(name) for name in ("torch", "kornia", "pyvista", "numpy")}
         provenance |= {"profile": self.profile, "seed": str(self.seed), "python": platform.python_version()}
-        record = Record(
+        return Record(
             notebook=self.notebook,
             source_hash=self._code(),
             findings=tuple(self.settled()),
-            provenance=provenance,
+            provenance=provenance | {"seconds": f"{seconds:.0f}"},
+            fingerprint=self._fingerprint() if self.profile == "smoke" else {},
+            weights=checkpoint.loaded(),
+            recordings=staleness.recordings_digest(self.data),
+            modules=staleness.loaded_modules() if os.environ.get("MOTIONLAB_RECORD") else {},
         )
-        elsewhere = os.environ.get("MOTIONLAB_RESULTS")
-        if elsewhere:
-            findings.save_record(Path(elsewhere) / f"{self.number}.json", record)
-        elif self.profile == "full":
-            findings.save_record(self.folder / "results" / f"{self.number}.json", record)
-        self.say(f"Ran in {seconds:.0f} s; {len(self.found)} findings.")
 
 
 def _png(write: Callable[[io.BytesIO], object]) -> bytes:
     buffer = io.BytesIO()
     write(buffer)
     return buffer.getvalue()
+
+
+# -------------------------------------------------------------------------------------------------------------- tables
+# Tables as text.
+
+
+def _markdown_table(rows: Sequence[Mapping[str, object]]) -> str:
+    """Rows as a Markdown table; an empty list says so."""
+    if not rows:
+        return "*(no rows)*"
+    head = list(rows[0])
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    lines += ["| " + " | ".join(_cell(row[key]) for key in head) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def _cell(value: object) -> str:
+    return (f"{value:.3g}" if isinstance(value, float) else str(value)).replace("|", "\\|").replace("\n", " ")

@@ -10,6 +10,32 @@ from kornia.geometry.camera import project_points
 from torch import Tensor
 
 from motionlab.errors import ShapeError, check_shape
+from motionlab.humor.state import FPS
+
+
+def at_rate(observation: Observation2D, fps: float = FPS) -> Observation2D:
+    """Computes keypoints at another frame rate: linear where both frames saw the point, else the nearer frame's.
+
+    The first frame stays; the last sample is the last that lies inside the recording.
+    """
+    count = int((observation.frames - 1) / observation.fps * fps + 1e-6) + 1
+    at = torch.arange(count, dtype=torch.float64) * (observation.fps / fps)
+    low = (at + 1e-6).floor().long().clamp(max=observation.frames - 1)
+    high = (low + 1).clamp(max=observation.frames - 1)
+    share = (at - low).clamp(min=0).to(observation.keypoints)[:, None]  # (T, 1) before keypoints
+    points, confidence = observation.keypoints, observation.confidence
+    a, b = points[..., low, :, :], points[..., high, :, :]
+    p, q = confidence[..., low, :], confidence[..., high, :]
+    both = (p > 0) & (q > 0) & (share > 1e-5)
+    near = torch.where(share > 0.5, q, p)
+    nearest = torch.where((share > 0.5)[..., None], b, a)
+    return replace(
+        observation,
+        keypoints=torch.where(both[..., None], torch.lerp(a, b, share[..., None]), nearest),
+        confidence=torch.where(both, torch.lerp(p, q, share), near),
+        fps=fps,
+    )
+
 
 #: OpenPose BODY_25, in OpenPose's order.
 BODY_25 = (
@@ -53,7 +79,7 @@ class Camera:
 
 
 def look_at(eye: Tensor, target: Tensor, *, focal: float, width: int, height: int) -> Camera:
-    """A camera at ``eye`` (3,) that looks at ``target`` (3,), world z up in the image; focal length in pixels.
+    """Computes the camera at ``eye`` (3,) that looks at ``target`` (3,), world z up in the image; focal in pixels.
 
     Raises:
         ShapeError: eye and target coincide, or the view is vertical and has no horizon.
@@ -70,7 +96,7 @@ def look_at(eye: Tensor, target: Tensor, *, focal: float, width: int, height: in
 
 
 def project(camera: Camera, points: Tensor) -> tuple[Tensor, Tensor]:
-    """Pixels (..., 2) and depths (...) in metres of world points (..., 3); a depth <= 0 lies behind the camera."""
+    """Projects world points (..., 3) to pixels (..., 2) and depths (...) in metres; depths <= 0 lie behind it."""
     check_shape(points, "... 3", "points")
     camera = camera.to(points)
     local = points @ camera.rotation.mT + camera.translation

@@ -1,164 +1,405 @@
-"""Minimise an energy over named tensors: L-BFGS or Adam, a budget in evaluations, and the best point seen."""
+"""Minimises B independent energies at once by L-BFGS: memory, direction and line search belong to each clip alone.
+
+One evaluation (closure) serves all clips. Every clip is a state machine of its own: while one still searches along
+its line, another is iterations ahead, and no evaluation waits for a neighbour. What a clip does is what
+``torch.optim.LBFGS`` with strong Wolfe would do to it alone, whatever its neighbours are.
+
+Source: Nocedal and Wright, Numerical Optimization, algorithms 7.4, 3.5 and 3.6; constants of ``torch.optim.LBFGS``.
+Differs: torch evaluates the start of each outer step once more and cuts its last line search short; here neither. A
+trial that is not finite is taken back towards the last finite one. A search without a lower energy forgets its memory
+and tries steepest descent once before it gives up. torch ignores pairs with a curvature below 1e-10 in the energy's own
+unit, and so crawls where energies are small.
+"""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 from tqdm import tqdm
 
 from motionlab.errors import NotConverged, ShapeError
 
-#: The inner settings of every stage of HuMoR's TestOps; ``steps`` are 30, 70 and 70 there.
-#: Source: HuMoR (Rempe et al. 2021), official fitting code: torch L-BFGS, strong Wolfe, default tolerances.
-HUMOR = {"method": "lbfgs", "lr": 1.0, "inner": 20, "memory": 100, "tolerance_change": 1e-9, "patience": None}
+_C1, _C2 = 1e-4, 0.9  # sufficient decrease, curvature
+_LONGEST, _SHRINK, _RETREATS = 25, 0.1, 8  # evaluations of a line search; what follows a trial that is not finite
+
+
+class Trial(NamedTuple):
+    """A point of a line search: step, energy, directional derivative, gradient (N,) there."""
+
+    step: float
+    energy: float
+    slope: float
+    gradient: Tensor
+
+    @property
+    def finite(self) -> bool:
+        """No NaN and no infinity: the search may use it."""
+        return math.isfinite(self.energy) and math.isfinite(self.slope)
+
+
+def _strong_wolfe(start: Trial, step: float, size: float, eps: float) -> Generator[float, Trial, Trial]:
+    """Yields steps, is sent what was found there, returns the trial to go on from: ``start`` if none is lower.
+
+    size: largest entry of the direction. Ends early where the bracket is below 1e-9 of the variables' unit, as torch's,
+    or where all that is still to be won is below the energy's rounding.
+    """
+
+    def too_high(trial: Trial) -> bool:
+        return trial.energy > start.energy + _C1 * trial.step * start.slope
+
+    def flat(trial: Trial) -> bool:
+        return abs(trial.slope) <= -_C2 * start.slope
+
+    before, now = start, (yield from _finite(step, start))
+    spent = 0
+    while now is not None:
+        if too_high(now) or (spent > 1 and now.energy >= before.energy) or (now.slope >= 0 and not flat(now)):
+            break
+        if flat(now):
+            return now
+        if (spent := spent + 1) > _LONGEST:
+            break
+        further = _cubic(before, now, now.step + 0.01 * (now.step - before.step), 10 * now.step)
+        before, now = now, (yield from _finite(further, now))
+    if now is None:
+        return before
+    low, high = (before, now) if before.energy <= now.energy else (now, before)
+    stuck = False
+    while spent < _LONGEST:
+        left, right = sorted((low.step, high.step))
+        gain = (right - left) * max(abs(low.slope), abs(high.slope))
+        if (right - left) * size < 1e-9 or gain <= eps * abs(low.energy):
+            break
+        step, margin = _cubic(low, high, left, right), 0.1 * (right - left)
+        at_edge = min(right - step, step - left) < margin
+        if at_edge and (stuck or not left < step < right):
+            step, at_edge = (right - margin if right - step < step - left else left + margin), False
+        stuck, spent = at_edge, spent + 1
+        now = yield from _finite(step, low)
+        if now is None:
+            break
+        if too_high(now) or now.energy >= low.energy:
+            low, high = (low, now) if low.energy <= now.energy else (now, low)
+            continue
+        if flat(now):
+            return now
+        low, high = now, (low if now.slope * (high.step - low.step) >= 0 else high)
+    return low
+
+
+def _finite(step: float, inside: Trial) -> Generator[float, Trial, Trial | None]:
+    """The trial at a step, or nearer to the finite one ``inside`` until numbers are finite; None if they never are."""
+    for _ in range(_RETREATS):
+        trial = yield step
+        if trial.finite:
+            return trial
+        step = inside.step + _SHRINK * (step - inside.step)
+    return None
+
+
+def _cubic(a: Trial, b: Trial, low: float, high: float) -> float:
+    """Where the cubic through two trials and their slopes is lowest, within [low, high]."""
+    a, b = (a, b) if a.step <= b.step else (b, a)
+    if a.step == b.step:
+        return (low + high) / 2
+    d = a.slope + b.slope - 3 * (a.energy - b.energy) / (a.step - b.step)
+    root = d * d - a.slope * b.slope
+    if root < 0:
+        return (low + high) / 2
+    bottom = b.slope - a.slope + 2 * math.sqrt(root)
+    if bottom == 0:
+        return (low + high) / 2
+    return min(max(b.step - (b.step - a.step) * ((b.slope + math.sqrt(root) - d) / bottom), low), high)
+
+
+class Memory:
+    """The newest pairs (way, change of gradient) of every clip, in rings of slots (slots, B, N)."""
+
+    def __init__(self, like: Tensor, size: int) -> None:
+        self.size = max(size, 1)
+        self.ways = self.changes = like.new_zeros(0, *like.shape)
+        self.rho = like.new_zeros(0, len(like))
+        self.pairs = torch.zeros(len(like), dtype=torch.long, device=like.device)  # pushed since last forgotten
+        self.scale = like.new_ones(len(like))
+
+    def forget(self, rows: Tensor) -> None:
+        """Starts anew for clips (n,)."""
+        self.pairs[rows], self.scale[rows] = 0, 1.0
+
+    def push(self, rows: Tensor, way: Tensor, change: Tensor) -> None:
+        """Remembers pairs (n, N) of clips (n,), those whose curvature is positive beyond rounding."""
+        curvature = (way * change).sum(-1)
+        good = curvature > torch.finfo(way.dtype).eps * way.norm(dim=-1) * change.norm(dim=-1)
+        rows, way, change, curvature = rows[good], way[good], change[good], curvature[good]
+        if not len(rows):
+            return
+        slot = self.pairs[rows] % self.size
+        while len(self.rho) <= int(slot.max()):
+            more = min(max(len(self.rho), 8), self.size - len(self.rho))
+            grown = (F.pad(x, (0, 0) * (x.ndim - 1) + (0, more)) for x in (self.ways, self.changes, self.rho))
+            self.ways, self.changes, self.rho = grown
+        self.ways[slot, rows], self.changes[slot, rows], self.rho[slot, rows] = way, change, 1 / curvature
+        self.scale[rows] = curvature / change.square().sum(-1)
+        self.pairs[rows] += 1
+
+    def direction(self, rows: Tensor, gradient: Tensor) -> Tensor:
+        """Minus the approximate inverse Hessian times the gradients (n, N): the two-loop recursion."""
+        pairs = self.pairs[rows]
+        kept = pairs.clamp(max=self.size)
+        ages = torch.arange(int(kept.max()), device=rows.device)[:, None]
+        known = ages < kept  # (ages, n), 0 the newest
+        slots = torch.where(known, (pairs - 1 - ages) % self.size, 0)
+        rho = torch.where(known, self.rho[slots, rows], 0.0)[..., None].unbind(0) if len(ages) else ()
+        if len(rows) == len(self.pairs) and bool((slots == slots[:, :1]).all()):  # in step: nothing to gather
+            ways, changes = ([ring[slot] for slot in slots[:, 0].tolist()] for ring in (self.ways, self.changes))
+        else:
+            ways, changes = (ring[slots, rows].unbind(0) if len(ages) else () for ring in (self.ways, self.changes))
+        q, alphas = -gradient, []
+        for way, change, r in zip(ways, changes, rho, strict=True):
+            alphas.append((way * q).sum(-1, keepdim=True).mul_(r))
+            q.addcmul_(alphas[-1], change, value=-1)
+        q *= self.scale[rows, None]
+        for way, change, r in zip(reversed(ways), reversed(changes), reversed(rho), strict=True):
+            q.addcmul_(alphas.pop().addcmul((change * q).sum(-1, keepdim=True), r, value=-1), way)
+        return q
 
 
 @dataclass(frozen=True, eq=False)
-class FitResult:
-    """What a minimisation found.
+class BatchFit:
+    """What a batched minimisation found.
 
-    variables: the point with the lowest energy that was evaluated, not merely the last one. energy: its
-    energy. history: energy per closure (one evaluation of energy and gradient), in order.
-    seconds: wall time. reason: why it stopped: "gradient" (below tolerance), "no decrease", "steps",
-    "closures" (budget spent), "non-finite" or "interrupted".
+    variables: the point of lowest energy that each clip saw. energy: (B,), inf where a clip never was finite.
+    history: (closures, B) energies in order; a clip that has stopped stays at its lowest. seconds: wall time,
+    with what watches.
+    reasons: per clip "gradient", "no decrease", "steps", "closures", "non-finite" or "interrupted".
     """
 
     variables: dict[str, Tensor]
-    energy: float
-    history: list[float]
+    energy: Tensor
+    history: Tensor
     seconds: float
-    reason: str
+    reasons: list[str]
 
     @property
     def closures(self) -> int:
-        """Evaluations of energy and gradient that were paid for."""
+        """Evaluations of all energies and gradients that were paid for."""
         return len(self.history)
 
     @property
-    def converged(self) -> bool:
-        """True where a tolerance stopped it rather than a budget, a number or a person."""
-        return self.reason in ("gradient", "no decrease")
+    def converged(self) -> Tensor:
+        """(B,) true where a tolerance stopped the clip rather than a budget, a number or a person."""
+        return torch.tensor([reason in ("gradient", "no decrease") for reason in self.reasons])
 
 
-class _Stop(Exception):
-    """Leaves the optimiser from inside a closure."""
-
-
-def minimise(
-    energy: Callable[[dict[str, Tensor]], Tensor],
+def minimise_batch(
+    energy: Callable[..., Tensor],
     variables: dict[str, Tensor],
     *,
-    method: str = "lbfgs",
     steps: int = 100,
     max_closures: int | None = None,
-    lr: float = 1.0,
     inner: int = 20,
     memory: int = 100,
     tolerance_grad: float = 1e-7,
-    tolerance_change: float = 0.0,
-    patience: int | None = 1,
+    tolerance_change: float | Tensor = 0.0,
+    rows: bool = False,
+    unit: bool = False,
+    watch: Callable[[int, dict[str, Tensor]], object] | None = None,
     progress: bool = False,
-) -> FitResult:
-    """Lower an energy by moving the variables that require gradients; the others are constants.
+) -> BatchFit:
+    """Lowers B energies by moving the variables (B, ...) that require gradients; the others are constants.
 
-    The tensors passed in are copied, never moved. A Ctrl-C, a spent budget or a number that is not finite
-    ends the search and returns the best point so far with the reason; NaN is never returned.
+    The tensors passed in are copied, never moved. Ctrl-C, a spent budget or numbers that are not finite end a
+    clip's search at its best point.
 
     Args:
-        energy: a scalar from all variables, by name.
-        variables: the start; freeze one by leaving its ``requires_grad`` False.
-        method: "lbfgs" (strong Wolfe line search) or "adam".
-        steps: outer steps; each is up to ``inner`` iterations (5/4 as many closures) of L-BFGS, or one of Adam.
-        max_closures: never evaluate more often than this: equal budgets for methods that differ.
-        lr: step length.
-        memory: pairs that L-BFGS remembers.
-        tolerance_grad: stop when the largest entry of the gradient is at most this.
-        tolerance_change: torch's L-BFGS ends an outer step when energy or point change by less. Its default,
-            1e-9 in the energy's own unit, stops an energy that is small by its scale before its minimum.
-        patience: stop L-BFGS after so many outer steps in a row without a lower energy; None: never.
-        progress: show a bar with the energy.
+        energy: (B,) from all variables, by name; entry b may depend on row b only.
+        variables: the start, all (B, ...) and, those that move, of one type and device.
+        steps, inner: at most steps x inner iterations per clip.
+        max_closures: never evaluate more often; None: 5/4 of the iterations, as torch's L-BFGS.
+        memory: pairs that L-BFGS remembers, per clip.
+        tolerance_grad: a clip stops when the largest entry of its gradient is at most this.
+        tolerance_change: an iteration that lowers the energy by no more than this counts as none; (B,) for one
+            number per clip.
+        rows: call ``energy(variables of the n clips that still run (n, ...), their numbers (n,))`` -> (n,), so that
+            clips that have stopped cost nothing more.
+        unit: the variables are such that a step along minus the gradient is Newton's, or nearly: a first search begins
+            with it, instead of a step that moves nothing by more than 1.
+        watch: called after every evaluation with their number so far and, by name, every clip's best point so far.
+        progress: show a bar with the mean energy and the number of clips that still run.
 
     Raises:
-        NotConverged: the energy or its gradient is not finite at the start, so that there is no best point.
-        ShapeError: the energy is not a scalar.
-        ValueError: an unknown method, or no variable requires gradients.
-    Source: torch.optim; thesis 3.1.2 (TestOps). ``HUMOR`` holds the settings of the official code.
+        NotConverged: no clip has a finite energy and gradient at the start.
+        ShapeError: the energy or ``tolerance_change`` is not (B,), or the variables differ in their first axis.
+        ValueError: no variable requires gradients, or those that do differ in type.
     """
-    point = {name: value.detach().clone(memory_format=torch.contiguous_format) for name, value in variables.items()}
-    moving = [point[name].requires_grad_() for name, value in variables.items() if value.requires_grad]
-    if not moving:
-        raise ValueError(f"nothing to optimise: none of {', '.join(variables) or 'no variables'} requires gradients")
-    optimiser = _optimiser(method, moving, lr, inner, memory, tolerance_grad, tolerance_change)
-
-    history: list[float] = []
-    best = {"energy": math.inf, "values": [value.detach().clone() for value in moving]}
-    began = time.perf_counter()
-
-    def closure() -> Tensor:
-        if max_closures is not None and len(history) >= max_closures:
-            raise _Stop("closures")
-        optimiser.zero_grad()
-        loss = energy(point)
-        if loss.numel() != 1:
-            raise ShapeError(f"energy: expected a scalar, got shape {tuple(loss.shape)}")
-        loss.backward()
-        history.append(loss.item())
-        steepest = max((x.grad.abs().max().item() if x.grad is not None else 0.0) for x in moving)
-        if not math.isfinite(history[-1]) or not math.isfinite(steepest):
-            raise _Stop("non-finite")
-        if history[-1] < best["energy"]:
-            best.update(energy=history[-1], values=[value.detach().clone() for value in moving])
-        if steepest <= tolerance_grad:
-            raise _Stop("gradient")
-        return loss
-
-    reason, idle = "steps", 0
-    bar = tqdm(range(steps), disable=not progress, leave=False)
+    machine = _Machine(energy, variables, memory, rows=rows)
+    machine.iterations, machine.tolerance_grad, machine.unit = steps * inner, tolerance_grad, unit
+    machine.tolerance_change = _per_clip(tolerance_change, len(machine.clips))
+    budget = steps * inner * 5 // 4 if max_closures is None else max_closures
+    began, rest = time.perf_counter(), "closures"
+    bar = tqdm(total=budget, disable=not progress, leave=False)
     try:
-        for _ in bar:
-            before = best["energy"]
-            optimiser.step(closure)
-            bar.set_postfix(energy=f"{best['energy']:.4g}")
-            idle = 0 if best["energy"] < before else idle + 1
-            if method == "lbfgs" and patience is not None and idle >= patience:
-                reason = "no decrease"
-                break
-    except _Stop as stop:
-        reason = str(stop)
+        while machine.running() and len(machine.history) < budget:
+            machine.advance()
+            bar.update()
+            if watch:
+                watch(len(machine.history), machine.named(machine.best))
+            if progress:
+                bar.set_postfix(energy=f"{machine.best_energy.mean():.4g}", clips=len(machine.running()))
     except KeyboardInterrupt:
-        if not math.isfinite(best["energy"]):
+        if not machine.history:
             raise
-        reason = "interrupted"
+        rest = "interrupted"
     finally:
         bar.close()
-    if reason == "non-finite" and not math.isfinite(best["energy"]):
-        raise NotConverged("the energy or its gradient is not finite at the start", history)
-
-    with torch.no_grad():
-        for value, kept in zip(moving, best["values"], strict=True):
-            value.copy_(kept)
-    found = {name: value.detach() for name, value in point.items()}
-    return FitResult(found, best["energy"], history, time.perf_counter() - began, reason)
+    history = torch.stack(machine.history) if machine.history else machine.best_energy.new_zeros(0, len(machine.x))
+    found = {name: value.clone() for name, value in machine.named(machine.best).items()}
+    reasons = [clip.reason or rest for clip in machine.clips]
+    return BatchFit(found, machine.best_energy, history, time.perf_counter() - began, reasons)
 
 
-def _optimiser(
-    method: str, moving: list[Tensor], lr: float, inner: int, memory: int, tolerance_grad: float, change: float
-) -> torch.optim.Optimizer:
-    if method == "adam":
-        return torch.optim.Adam(moving, lr=lr)
-    if method != "lbfgs":
-        raise ValueError(f"method: expected 'lbfgs' or 'adam', got {method!r}")
-    return torch.optim.LBFGS(
-        moving,
-        lr=lr,
-        max_iter=inner,
-        history_size=memory,
-        tolerance_grad=tolerance_grad,
-        tolerance_change=change,
-        line_search_fn="strong_wolfe",
-    )
+def _per_clip(tolerance: float | Tensor, clips: int) -> list[float]:
+    if not isinstance(tolerance, Tensor) or not tolerance.ndim:
+        return [float(tolerance)] * clips
+    if tolerance.shape != (clips,):
+        raise ShapeError(f"tolerance_change: expected one number or ({clips},), got {tuple(tolerance.shape)}")
+    return tolerance.tolist()
+
+
+@dataclass
+class _Clip:
+    """Where one clip stands: its running search, the step it asks for, and what the search began with."""
+
+    search: Generator[float, Trial, Trial] | None = None
+    step: float = 0.0
+    energy: float = math.inf
+    steepest: bool = False  # the search goes down the gradient, without memory
+    iterations: int = 0
+    reason: str | None = None
+
+
+class _Machine:
+    """All clips: points x, directions d and gradients g as rows of (B, N) tensors; one state machine each."""
+
+    iterations, tolerance_grad, unit = 0, 0.0, False
+    tolerance_change: list[float]  # of each clip
+
+    def __init__(self, energy: Callable[..., Tensor], variables: dict[str, Tensor], memory: int, *, rows: bool) -> None:
+        moving = {name: value.detach() for name, value in variables.items() if value.requires_grad}
+        if not moving:
+            names = ", ".join(variables) or "no variables"
+            raise ValueError(f"nothing to optimise: none of {names} requires gradients")
+        if len({(value.dtype, value.device) for value in moving.values()}) > 1:
+            raise ValueError("the variables that move differ in type or device")
+        if len({value.shape[:1] for value in variables.values()}) > 1:
+            shapes = {name: tuple(value.shape) for name, value in variables.items()}
+            raise ShapeError(f"variables: expected a common first axis of clips, got {shapes}")
+        self.energy, self.rows, self.names = energy, rows, list(variables)
+        self.shapes = {name: value.shape[1:] for name, value in moving.items()}
+        self.fixed = {name: value.detach().clone() for name, value in variables.items() if name not in moving}
+        self.x = torch.cat([value.flatten(1) if value.ndim > 1 else value[:, None] for value in moving.values()], dim=1)
+        self.d, self.g = torch.zeros_like(self.x), torch.zeros_like(self.x)
+        self.best, self.best_energy = self.x.clone(), self.x.new_full((len(self.x),), math.inf)
+        self.clips = [_Clip() for _ in self.x]
+        self.memory = Memory(self.x, memory)
+        self.history: list[Tensor] = []
+
+    def running(self) -> list[int]:
+        return [b for b, clip in enumerate(self.clips) if clip.reason is None]
+
+    def named(self, flat: Tensor, rows: Tensor | None = None) -> dict[str, Tensor]:
+        """All variables by name, from rows (n, N) of those that move."""
+        parts = flat.split([shape.numel() for shape in self.shapes.values()], dim=1)
+        moved = {n: part.reshape(-1, *shape) for (n, shape), part in zip(self.shapes.items(), parts, strict=True)}
+        fixed = self.fixed if rows is None else {name: value[rows] for name, value in self.fixed.items()}
+        return {name: moved[name] if name in moved else fixed[name] for name in self.names}
+
+    def evaluate(self, at: Tensor, live: list[int]) -> tuple[Tensor, Tensor]:
+        """Energies (B,) and gradients (B, N) at points (B, N)."""
+        rows = torch.tensor(live, device=at.device) if self.rows else None
+        leaf = (at.detach() if rows is None else at[rows]).requires_grad_()
+        with torch.enable_grad():
+            point = self.named(leaf, rows)
+            value = self.energy(point) if rows is None else self.energy(point, rows)
+            if value.shape != leaf.shape[:1]:
+                raise ShapeError(f"energy: expected shape ({len(leaf)},), got {tuple(value.shape)}")
+            (gradient,) = torch.autograd.grad(value.sum(), leaf)
+        value = value.detach().to(at.dtype)
+        if rows is None:
+            return value, gradient
+        return self.best_energy.index_copy(0, rows, value), torch.zeros_like(self.g).index_copy(0, rows, gradient)
+
+    @torch.no_grad()
+    def advance(self) -> None:
+        """One closure, and what every clip makes of it."""
+        live = self.running()
+        at = self.x + self.x.new_tensor([clip.step for clip in self.clips])[:, None] * self.d
+        value, gradient = self.evaluate(at, live)
+        usable = value.isfinite() & gradient.isfinite().all(-1)
+        if not self.history and not usable.any():
+            raise NotConverged("no clip has a finite energy and gradient at the start", value.tolist())
+        self.history.append(value)
+        better = usable & (value < self.best_energy)
+        self.best_energy = torch.where(better, value, self.best_energy)
+        self.best = torch.where(better[:, None], at, self.best)
+        seen = torch.stack((torch.where(usable, value, math.nan), (gradient * self.d).sum(-1)), -1).tolist()
+        ended: dict[int, Trial] = {}
+        for b in live:
+            clip, trial = self.clips[b], Trial(self.clips[b].step, *seen[b], gradient[b])
+            try:
+                if clip.search is None:
+                    ended[b] = trial
+                else:
+                    clip.step = clip.search.send(trial)
+            except StopIteration as end:
+                ended[b] = end.value
+            if b in ended and not trial.finite:
+                clip.reason = "non-finite"
+        if ended:
+            self.turn(ended)
+
+    def turn(self, ended: dict[int, Trial]) -> None:
+        """Move the clips whose searches have ended, and start their next searches or freeze them."""
+        trials, clips = list(ended.values()), [self.clips[b] for b in ended]
+        rows = torch.tensor(list(ended), device=self.x.device)
+        way = self.x.new_tensor([trial.step for trial in trials])[:, None] * self.d[rows]
+        gradient = torch.stack([trial.gradient for trial in trials])
+        self.memory.push(rows, way, gradient - self.g[rows])
+        self.x[rows] += way
+        self.g[rows] = gradient
+        for b, clip, trial, steepest in zip(ended, clips, trials, gradient.abs().amax(-1).tolist(), strict=True):
+            in_vain = clip.search is not None and not trial.energy < clip.energy - self.tolerance_change[b]
+            clip.iterations += clip.search is not None
+            if clip.reason is None and steepest <= self.tolerance_grad:
+                clip.reason = "gradient"
+            elif clip.reason is None and in_vain and clip.steepest:
+                clip.reason = "no decrease"
+            elif clip.reason is None and clip.iterations >= self.iterations:
+                clip.reason = "steps"
+            elif in_vain:  # once more, down the gradient
+                self.memory.forget(torch.tensor([b], device=self.x.device))
+        direction = self.memory.direction(rows, gradient)
+        slope = (direction * gradient).sum(-1)
+        uphill = ~(slope < 0)  # by rounding only
+        self.memory.forget(rows[uphill])
+        direction = torch.where(uphill[:, None], -gradient, direction)
+        slope = torch.where(uphill, -gradient.square().sum(-1), slope)
+        numbers = torch.stack((slope, direction.abs().amax(-1), gradient.abs().sum(-1), self.memory.pairs[rows]), -1)
+        eps = torch.finfo(self.x.dtype).eps
+        for k, (clip, trial, found) in enumerate(zip(clips, trials, numbers.tolist(), strict=True)):
+            slant, size, total, pairs = found
+            if clip.reason:
+                self.x[rows[k]], direction[k], clip.step = self.best[rows[k]], 0.0, 0.0
+                continue
+            clip.energy, clip.steepest = trial.energy, pairs == 0
+            first = 1.0 if pairs or self.unit else min(1.0, 1.0 / total)
+            clip.search = _strong_wolfe(Trial(0.0, trial.energy, slant, trial.gradient), first, size, eps)
+            clip.step = next(clip.search)
+        self.d[rows] = direction

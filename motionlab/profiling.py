@@ -1,9 +1,8 @@
-"""How long, how much memory, how many steps of autograd, and where the time goes."""
+"""How long a call takes, and how many steps of autograd are behind it."""
 
 from __future__ import annotations
 
 import gc
-import os
 import time
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Mapping
@@ -12,10 +11,8 @@ from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
-from torch.profiler import ProfilerActivity, profile
 
 Name = TypeVar("Name", bound=Hashable)
-os.environ.setdefault("KINETO_LOG_LEVEL", "6")  # torch's profiler announces itself on stderr at any lower one
 
 
 class Timing(NamedTuple):
@@ -26,7 +23,7 @@ class Timing(NamedTuple):
     n: int  #: calls measured
 
 
-def timed(
+def _timed(
     call: Callable[[], object], *, n: int = 7, warm_up: int = 1, clock: Callable[[], float] = time.perf_counter
 ) -> Timing:
     """Wall time of ``call()``, garbage collection off, after ``warm_up`` calls that do not count.
@@ -68,7 +65,7 @@ def interleaved(
 ) -> dict[Name, Tensor]:
     """Seconds (n,) of every call, by name: n rounds through all of them, so that a machine that slows down slows all.
 
-    Garbage collection is off; each call runs ``warm_up`` times before the first round. clock: as for :func:`timed`.
+    Garbage collection is off; each call runs ``warm_up`` times before the first round. clock: as for :func:`_timed`.
 
     Raises:
         ValueError: n is less than one.
@@ -81,7 +78,7 @@ def interleaved(
             call()
     for k in range(n):
         for name, call in calls.items():
-            seconds[name][k] = timed(call, n=1, warm_up=0, clock=clock).median
+            seconds[name][k] = _timed(call, n=1, warm_up=0, clock=clock).median
     return seconds
 
 
@@ -111,40 +108,3 @@ def graph_nodes(*outputs: Tensor) -> int:
             seen.add(node)
             queue.extend(parent for parent, _ in node.next_functions if parent is not None)
     return len(seen)
-
-
-def peak_memory(call: Callable[[], object]) -> int:
-    """Most bytes of tensors that ``call()`` held at once beyond those before it; on the GPU where there is one.
-
-    On the CPU it adds up torch's own record of every allocation and release, so neither Python's objects nor
-    what the allocator keeps in reserve count.
-    """
-    if torch.cuda.is_available():
-        torch.cuda.synchronize()
-        torch.cuda.reset_peak_memory_stats()
-        before = torch.cuda.memory_allocated()
-        call()
-        torch.cuda.synchronize()
-        return torch.cuda.max_memory_allocated() - before
-    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as record:
-        call()
-    held, peak = 0, 0
-    events = [e for e in record.profiler.kineto_results.events() if e.name() == "[memory]"]
-    for event in sorted(events, key=lambda e: e.start_ns()):
-        held += event.nbytes()
-        peak = max(peak, held)
-    return peak
-
-
-def time_shares(call: Callable[[], object], labels: tuple[str, ...]) -> dict[str, float]:
-    """Share (0..1) of the wall time of ``call()`` spent inside each ``torch.profiler.record_function(label)``.
-
-    Labels that lie inside each other count twice; "other" is what no label holds, so with labels side by side
-    the shares add up to 1. A label that never ran has share 0. Profiling slows short operations down: trust
-    shares, not seconds.
-    """
-    with profile(activities=[ProfilerActivity.CPU]) as record, torch.profiler.record_function("__whole__"):
-        call()
-    total = {row.key: row.cpu_time_total for row in record.key_averages() if row.key in (*labels, "__whole__")}
-    shares = {label: total.get(label, 0.0) / total["__whole__"] for label in labels}
-    return shares | {"other": max(0.0, 1 - sum(shares.values()))}

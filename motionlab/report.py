@@ -7,11 +7,13 @@ import os
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
+from threading import Lock
 
-from motionlab import findings
+from motionlab import execute, findings
 from motionlab.errors import DataError
-from motionlab.execute import NOTEBOOKS, Run, data_folder, environment, execute, find_notebooks
+from motionlab.execute import Run
 from motionlab.findings import Claim, Finding
 
 README_MARKS = ("<!-- scoreboard:start -->", "<!-- scoreboard:end -->")
@@ -36,41 +38,51 @@ details { margin: 1rem 0 } summary { cursor: pointer }
 
 
 def write_report(out: Path, profile: str, names: Sequence[str] = ()) -> list[Run]:
-    """Run notebooks, one after the other whatever happens, into ``out``: NN.ipynb, NN.html and index.html.
+    """Run notebooks side by side, whatever happens, into ``out``: NN.ipynb, NN.html and index.html.
 
     Numbers measured in this run go to ``out``/results; the committed results stay as they are. Interrupting
     writes the index of what has run, then raises KeyboardInterrupt.
     """
-    paths = find_notebooks(names)
+    paths = execute.find_notebooks(names)
     out.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(out / "results", ignore_errors=True)
-    runs: list[Run] = []
-    measured = str((out / "results").resolve())
-    with environment(
-        MOTIONLAB_PROFILE=profile, MOTIONLAB_BATCH="1", MOTIONLAB_RESULTS=measured, MOTIONLAB_DATA=data_folder()
-    ):
-        try:
-            for number, path in enumerate(paths, 1):
-                print(f"[{number}/{len(paths)}] {path.stem} ...", flush=True)
-                runs.append(execute(path, out / path.name))
-                print(f"      {runs[-1].status()}, {runs[-1].seconds:.0f} s", flush=True)
-                _to_html(out / path.name)
-        finally:
-            write_index(out, runs, profile)
+    ran: list[Run] = []
+    one_page_at_a_time = Lock()
+
+    def done(run: Run, notebook: Path) -> None:
+        ran.append(run)
+        with one_page_at_a_time:
+            _to_html(notebook)
+
+    environment = {"MOTIONLAB_PROFILE": profile, "MOTIONLAB_BATCH": "1"} | execute.data_variable()
+    try:
+        runs = execute.run_side_by_side(
+            [(path, out / path.name) for path in paths],
+            environment | {"MOTIONLAB_RESULTS": str((out / "results").resolve())},
+            done=done,
+        )
+    finally:
+        order = {path.stem: k for k, path in enumerate(paths)}
+        _write_index(out, sorted(ran, key=lambda run: order[run.notebook]), profile)
     return runs
 
 
 def _to_html(notebook: Path) -> None:
-    from nbconvert import HTMLExporter
-
     if notebook.exists():
-        body, _ = HTMLExporter(embed_images=True).from_filename(str(notebook))
+        body, _ = _exporter().from_filename(str(notebook))
         notebook.with_suffix(".html").write_text(body, encoding="utf-8")
 
 
-def write_index(out: Path, runs: Sequence[Run], profile: str) -> Path:
+@cache
+def _exporter():
+    from nbconvert import HTMLExporter  # takes seconds to load
+
+    return HTMLExporter(embed_images=True)
+
+
+def _write_index(out: Path, runs: Sequence[Run], profile: str) -> Path:
     """The first page: scoreboard, what this run measured, and how each notebook went."""
-    claims, recorded = load_ledger()
+    claims, recorded = _load_ledger()
     measured = findings.load_results(out / "results")
     failed = sum(not run.ok for run in runs)
     data = os.environ.get("MOTIONLAB_DATA")
@@ -84,7 +96,7 @@ def write_index(out: Path, runs: Sequence[Run], profile: str) -> Path:
         "<h2>Scoreboard</h2>",
         f"<p class='note'>What the thesis claims and what we found. “Recorded” is the committed full run, “this run” "
         f"is what the {profile} profile gives here.</p>",
-        *_split_scoreboard(scoreboard_rows(claims, recorded, measured, runs)),
+        *_split_scoreboard(_scoreboard_rows(claims, recorded, measured, runs)),
         "<h2>Notebooks</h2>",
         _table(_notebook_rows(out, runs)),
         *(f"<pre>{html.escape(run.notebook)}: {html.escape(run.error)}</pre>" for run in runs if not run.ok),
@@ -98,14 +110,14 @@ def write_index(out: Path, runs: Sequence[Run], profile: str) -> Path:
     return index
 
 
-def load_ledger() -> tuple[dict[str, Claim], list[Finding]]:
+def _load_ledger() -> tuple[dict[str, Claim], list[Finding]]:
     """The claims of this checkout and the findings committed with it."""
-    ledger = NOTEBOOKS / "claims.toml"
+    ledger = execute.NOTEBOOKS / "claims.toml"
     claims = findings.load_claims(ledger) if ledger.exists() else {}
-    return claims, findings.load_results(NOTEBOOKS / "results")
+    return claims, findings.load_results(execute.NOTEBOOKS / "results")
 
 
-def scoreboard_rows(
+def _scoreboard_rows(
     claims: dict[str, Claim], recorded: Sequence[Finding], measured: Sequence[Finding], runs: Sequence[Run]
 ) -> list[dict[str, str]]:
     """One row per claim, as HTML: the recorded verdict, this run's, and a link to the notebook if it ran."""
@@ -190,7 +202,7 @@ def update_readme(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     if start not in text or end not in text:
         raise DataError("no scoreboard marks", path=path, remedy=f"add the lines {start} and {end}")
-    claims, recorded = load_ledger()
+    claims, recorded = _load_ledger()
     rows = [row for row in findings.scoreboard(claims, recorded) if row["verdict"] != findings.OPEN]
     lines = ["| claim | in short | verdict | held | notebook |", "|---|---|---|---|---|"]
     lines += [f"| {r['claim']} | {r['in short']} | **{r['verdict']}** | {r['held']} | {r['notebook']} |" for r in rows]

@@ -1,4 +1,4 @@
-"""Rotations: conversions, log/exp, distance, interpolation, continuity in time, and averages.
+"""Rotations: conversions, log/exp, distance, interpolation, averages, and continuity in time.
 
 Convention: active rotations of column vectors, R = R_parent_from_child; angles in radians; quaternions
 are (w, x, y, z). kornia does what kornia has. exp and log are our own: kornia's divide by angles so small
@@ -15,74 +15,22 @@ from kornia.geometry import conversions as kc
 from torch import Tensor
 
 from motionlab.errors import check_shape
-from motionlab.euler import euler_to_matrix, matrix_to_euler, rotation_about
-from motionlab.unrolling import unroll_axis_angle, unroll_quaternion
-
-__all__ = [
-    "axis_angle_to_matrix",
-    "axis_angle_to_quaternion",
-    "between",
-    "euler_to_matrix",
-    "exp",
-    "geodesic",
-    "left_jacobian",
-    "log",
-    "matrix_to_axis_angle",
-    "matrix_to_euler",
-    "matrix_to_quaternion",
-    "matrix_to_sixd",
-    "mean",
-    "nearest",
-    "quaternion_to_axis_angle",
-    "quaternion_to_matrix",
-    "random",
-    "rotation_about",
-    "sixd_to_matrix",
-    "sixd_to_other_layout",
-    "skew",
-    "slerp",
-    "unroll_axis_angle",
-    "unroll_quaternion",
-    "yaw",
-]
 
 _SINC = [(-1) ** n / math.factorial(2 * n + 1) for n in range(8)]  # sin(t)/t in powers of t^2
 _COSC = [(-1) ** n / math.factorial(2 * n + 2) for n in range(8)]  # (1 - cos t)/t^2
 _ASIN = [math.comb(2 * n, n) / (4**n * (2 * n + 1)) for n in range(12)]  # asin(s)/s in powers of s^2
 
 
-def _series(coefficients: list[float], x: Tensor) -> Tensor:
-    total = torch.full_like(x, coefficients[-1])
-    for c in reversed(coefficients[:-1]):
-        total = total * x + c
-    return total
-
-
 def skew(v: Tensor) -> Tensor:
-    """Cross-product matrix (..., 3, 3) of a vector (..., 3): skew(v) u = v x u."""
+    """Computes the cross-product matrix (..., 3, 3) of a vector (..., 3): skew(v) u = v x u."""
     check_shape(v, "... 3", "v")
     x, y, z = v.unbind(-1)
     o = torch.zeros_like(x)
     return torch.stack((o, -z, y, z, o, -x, -y, x, o), dim=-1).unflatten(-1, (3, 3))
 
 
-def left_jacobian(v: Tensor) -> Tensor:
-    """J (..., 3, 3) of rotation vectors (..., 3): exp(v + dv) = exp(J dv) exp(v).
-
-    J = I + b [v] + c [v]^2, b = (1 - cos t) / t^2, c = (t - sin t) / t^3, t = |v|; where t^2 < 0.01 series.
-    """
-    squared = v.square().sum(-1)[..., None, None]
-    small = squared < 0.01
-    s = torch.where(small, 1.0, squared)
-    t = s.sqrt()
-    b = torch.where(small, 1 / 2 - squared / 24 * (1 - squared / 30 * (1 - squared / 56)), (1 - t.cos()) / s)
-    c = torch.where(small, 1 / 6 - squared / 120 * (1 - squared / 42 * (1 - squared / 72)), (t - t.sin()) / (s * t))
-    eye = torch.eye(3, dtype=v.dtype, device=v.device)
-    return eye + b * skew(v) + c * (v[..., :, None] * v[..., None, :] - squared * eye)
-
-
 def exp(tangent: Tensor) -> Tensor:
-    """Rotation vector (..., 3) in radians to matrix (..., 3, 3), by Rodrigues' formula.
+    """Converts rotation vectors (..., 3) in radians to matrices (..., 3, 3), by Rodrigues' formula.
 
     R = cos(t) I + sin(t)/t [v]x + (1 - cos(t))/t^2 v v^T,  t = |v|
 
@@ -99,21 +47,50 @@ def exp(tangent: Tensor) -> Tensor:
     return eye + a * skew(tangent) + b * (outer - t2[..., None, None] * eye)
 
 
+def log(matrix: Tensor) -> Tensor:
+    """Converts matrices (..., 3, 3) to rotation vectors (..., 3) with angle in [0, pi]: the inverse of :func:`exp`.
+
+    First and second derivatives are finite everywhere and exact for changes that stay a rotation. At a half
+    turn the vector itself jumps to its opposite (no logarithm is continuous there); the derivative is that of
+    the branch returned.
+    """
+    return _quaternion_to_axis_angle(matrix_to_quaternion(matrix))
+
+
+def left_jacobian(v: Tensor) -> Tensor:
+    """Computes the left Jacobian J (..., 3, 3) of rotation vectors (..., 3): exp(v + dv) = exp(J dv) exp(v).
+
+    J = I + b [v] + c [v]^2, b = (1 - cos t) / t^2, c = (t - sin t) / t^3, t = |v|; where t^2 < 0.01 series.
+    """
+    squared = v.square().sum(-1)[..., None, None]
+    small = squared < 0.01
+    s = torch.where(small, 1.0, squared)
+    t = s.sqrt()
+    b = torch.where(small, 1 / 2 - squared / 24 * (1 - squared / 30 * (1 - squared / 56)), (1 - t.cos()) / s)
+    c = torch.where(small, 1 / 6 - squared / 120 * (1 - squared / 42 * (1 - squared / 72)), (t - t.sin()) / (s * t))
+    eye = torch.eye(3, dtype=v.dtype, device=v.device)
+    return eye + b * skew(v) + c * (v[..., :, None] * v[..., None, :] - squared * eye)
+
+
+#: The names of the conversions, for readers who do not think of a Lie group.
+axis_angle_to_matrix, matrix_to_axis_angle = exp, log
+
+
+def quaternion_to_matrix(quaternion: Tensor) -> Tensor:
+    """Converts quaternions (..., 4), w first, any length but zero, to matrices (..., 3, 3)."""
+    check_shape(quaternion, "... 4", "quaternion")
+    return kc.quaternion_to_rotation_matrix(quaternion)
+
+
 def matrix_to_quaternion(matrix: Tensor) -> Tensor:
-    """Matrix (..., 3, 3) to unit quaternion (..., 4), w first, w >= 0."""
+    """Converts matrices (..., 3, 3) to unit quaternions (..., 4), w first, w >= 0."""
     check_shape(matrix, "... 3 3", "matrix")
     q = kc.rotation_matrix_to_quaternion(matrix)
     return torch.where(q[..., :1] < 0, -q, q)
 
 
-def quaternion_to_matrix(quaternion: Tensor) -> Tensor:
-    """Quaternion (..., 4), w first, any length but zero, to matrix (..., 3, 3)."""
-    check_shape(quaternion, "... 4", "quaternion")
-    return kc.quaternion_to_rotation_matrix(quaternion)
-
-
-def quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
-    """Quaternion (..., 4), w first, any length but zero, to the rotation vector (..., 3) with angle in [0, pi].
+def _quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
+    """Converts quaternions (..., 4), w first, any length but zero, to rotation vectors (..., 3), angle in [0, pi].
 
     v = 2 atan2(|q_xyz|, w) / |q_xyz| q_xyz. A half turn (w = 0) has two such vectors; the one along q_xyz
     is returned.
@@ -128,39 +105,8 @@ def quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
     return 2 * v * torch.where(small, _series(_ASIN, inside), torch.atan2(s, w) / s)
 
 
-def log(matrix: Tensor) -> Tensor:
-    """Matrix (..., 3, 3) to the rotation vector (..., 3) with angle in [0, pi]: the inverse of :func:`exp`.
-
-    First and second derivatives are finite everywhere and exact for changes that stay a rotation. At a half
-    turn the vector itself jumps to its opposite (no logarithm is continuous there); the derivative is that of
-    the branch returned.
-    """
-    return quaternion_to_axis_angle(matrix_to_quaternion(matrix))
-
-
-#: The names of the conversions, for readers who do not think of a Lie group.
-axis_angle_to_matrix, matrix_to_axis_angle = exp, log
-
-
-def axis_angle_to_quaternion(aa: Tensor) -> Tensor:
-    """Rotation vector (..., 3) to unit quaternion (..., 4), w first; w < 0 for angles beyond pi."""
-    check_shape(aa, "... 3", "axis_angle")
-    return kc.axis_angle_to_quaternion(aa)
-
-
-def _square(x: Tensor) -> Tensor:
-    return (x * x).sum(-1, keepdim=True)
-
-
-def _perpendicular(x: Tensor) -> Tensor:
-    """Some vector (..., 3) at right angles to a unit vector, not short: y or z axis crossed with it."""
-    u, v, w = x.unbind(-1)
-    o = torch.zeros_like(u)
-    return torch.where((v.abs() < 0.8)[..., None], torch.stack((w, o, -u), -1), torch.stack((-v, u, o), -1))
-
-
 def sixd_to_matrix(sixd: Tensor, layout: str = "columns") -> Tensor:
-    """Six numbers (..., 6) to the matrix (..., 3, 3) by Gram-Schmidt.
+    """Converts six numbers (..., 6) to matrices (..., 3, 3) by Gram-Schmidt.
 
     ``layout="columns"``: the first two columns, one after the other (Zhou et al. 2019; HumanML3D);
     ``"rows"``: the first two rows (pytorch3d, MDM). Read in the wrong layout they give the inverse rotation.
@@ -181,24 +127,87 @@ def sixd_to_matrix(sixd: Tensor, layout: str = "columns") -> Tensor:
 
 
 def matrix_to_sixd(matrix: Tensor, layout: str = "columns") -> Tensor:
-    """Matrix (..., 3, 3) to its first two columns or rows (..., 6); see :func:`sixd_to_matrix`."""
+    """Converts matrices (..., 3, 3) to their first two columns or rows (..., 6); see :func:`sixd_to_matrix`."""
     check_shape(matrix, "... 3 3", "matrix")
     return matrix.movedim(_sixd_axis(layout), -2)[..., :2, :].flatten(-2)
 
 
-def sixd_to_other_layout(sixd: Tensor, layout: str) -> Tensor:
-    """The same rotation (..., 6), from ``layout`` "columns" to "rows" or from "rows" to "columns"."""
-    return matrix_to_sixd(sixd_to_matrix(sixd, layout), "columns" if layout == "rows" else "rows")
+def rotation_about(axis: str, angle: Tensor) -> Tensor:
+    """Computes rotations by ``angle`` (...) radians about one coordinate axis "x", "y" or "z": (..., 3, 3)."""
+    i = "xyz".index(axis)
+    j, k = (i + 1) % 3, (i + 2) % 3
+    cos, sin, o = angle.cos(), angle.sin(), torch.zeros_like(angle)
+    entries = {(i, i): o + 1, (j, j): cos, (k, k): cos, (j, k): -sin, (k, j): sin}
+    rows = [entries.get((row, column), o) for row in range(3) for column in range(3)]
+    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
 
 
-def _sixd_axis(layout: str) -> int:
-    if layout not in ("columns", "rows"):
-        raise ValueError(f'layout: expected "columns" or "rows", got {layout!r}')
-    return -1 if layout == "columns" else -2
+def euler_to_matrix(angles: Tensor, order: str) -> Tensor:
+    """Converts intrinsic angles (..., n) in radians about the axes of ``order``, as "ZXY", to matrices (..., 3, 3).
+
+    R = R_order[0](angles[0]) R_order[1](angles[1]) ..., the order of BVH channels. Any number of axes.
+    """
+    check_shape(angles, f"... {len(order)}", "angles")
+    matrix = torch.eye(3, dtype=angles.dtype, device=angles.device).expand(*angles.shape[:-1], 3, 3)
+    for axis, angle in zip(order, angles.unbind(-1), strict=True):
+        matrix = matrix @ rotation_about(axis.lower(), angle)
+    return matrix
+
+
+def matrix_to_euler(matrix: Tensor, order: str) -> Tensor:
+    """Converts matrices (..., 3, 3) to intrinsic angles (..., 3) in radians; see :func:`euler_to_matrix`.
+
+    The middle angle lies in [-pi/2, pi/2] for three different axes ("ZXY") and in [0, pi] where the first
+    returns ("ZXZ"); the others in [-pi, pi]. In gimbal lock only the sum or difference of the outer two is
+    defined: the third is then 0.
+
+    Source: Bernardes & Viollet 2022, "Quaternion to Euler angles conversion".
+    Raises:
+        ValueError: not one of the twelve orders.
+    """
+    check_shape(matrix, "... 3 3", "matrix")
+    order = order.lower()
+    if len(order) != 3 or set(order) - set("xyz") or order[1] in (order[0], order[2]):
+        raise ValueError(f"order: expected three axes, neighbours different, as ZXY; got {order!r}")
+    k, j, i = ("xyz".index(axis) for axis in order)
+    proper = i == k
+    k = 3 - i - j if proper else k
+    sign = (i - j) * (j - k) * (k - i) // 2
+    w, *xyz = kc.rotation_matrix_to_quaternion(matrix).unbind(-1)
+    a, b, c, d = w, xyz[i], xyz[j], xyz[k] * sign
+    if not proper:
+        a, b, c, d = a - c, b + d, c + a, d - b
+    middle = 2 * torch.atan2(torch.hypot(c, d), torch.hypot(a, b))
+    half_sum, half_difference = torch.atan2(b, a), torch.atan2(d, c)
+    near = 8 * torch.finfo(matrix.dtype).eps
+    low, high = torch.hypot(c, d) < near, torch.hypot(a, b) < near
+    first = torch.where(high, half_difference, half_sum) + torch.where(low, half_sum, half_difference)
+    third = torch.where(low | high, 0.0, half_sum - half_difference)
+    if not proper:
+        first, middle = first * sign, middle - math.pi / 2
+    first, third = (x - math.tau * (x / math.tau).round() for x in (first, third))
+    return torch.stack((first, middle, third), -1)
+
+
+def geodesic(a: Tensor, b: Tensor) -> Tensor:
+    """Computes the angle (...) in [0, pi] between two rotations (..., 3, 3).
+
+    By the half angle's tangent: good to rounding at tiny angles and near pi, where acos of the trace loses
+    half the digits. Where the rotations are equal its gradient is 0.
+    """
+    return torch.linalg.vector_norm(log(a.mT @ b), dim=-1)
+
+
+def slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
+    """Interpolates a fraction ``weight`` (...) of the way along the shortest path from a to b (..., 3, 3).
+
+    For rotations exactly a half turn apart two paths are shortest; one of them is taken.
+    """
+    return a @ exp(weight[..., None] * log(a.mT @ b))
 
 
 def nearest(matrix: Tensor) -> Tensor:
-    """The rotation (..., 3, 3) nearest to any matrix in the Frobenius norm, by singular values.
+    """Computes the rotation (..., 3, 3) nearest to any matrix in the Frobenius norm, by singular values.
 
     U diag(1, 1, det(U V^T)) V^T. Not unique (and its gradient not finite) where the two smallest singular
     values cancel, as for the zero matrix: then one of the nearest is returned.
@@ -210,7 +219,7 @@ def nearest(matrix: Tensor) -> Tensor:
 
 
 def mean(rotations: Tensor, weights: Tensor | None = None) -> Tensor:
-    """Weighted mean (..., 3, 3) of N rotations (..., N, 3, 3): the minimiser of sum w |R - R_n|_F^2.
+    """Computes the weighted mean (..., 3, 3) of N rotations (..., N, 3, 3): the minimiser of sum w |R - R_n|_F^2.
 
     The chordal mean: it needs no iteration, and for two rotations it is the middle of the shortest path.
     weights (..., N): not negative; equal when left out. Where no mean is best (two a half turn apart, the
@@ -221,25 +230,8 @@ def mean(rotations: Tensor, weights: Tensor | None = None) -> Tensor:
     return nearest(weighted.sum(-3))
 
 
-def geodesic(a: Tensor, b: Tensor) -> Tensor:
-    """Angle (...) in [0, pi] between two rotations (..., 3, 3).
-
-    By the half angle's tangent: good to rounding at tiny angles and near pi, where acos of the trace loses
-    half the digits. Where the rotations are equal its gradient is 0.
-    """
-    return torch.linalg.vector_norm(log(a.mT @ b), dim=-1)
-
-
-def slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
-    """The rotation a fraction ``weight`` (...) of the way along the shortest path from a to b (..., 3, 3).
-
-    For rotations exactly a half turn apart two paths are shortest; one of them is taken.
-    """
-    return a @ exp(weight[..., None] * log(a.mT @ b))
-
-
-def between(a: Tensor, b: Tensor) -> Tensor:
-    """The rotation (..., 3, 3) by the smallest angle that turns the direction a (..., 3) into b (..., 3).
+def rotation_between(a: Tensor, b: Tensor) -> Tensor:
+    """Computes the smallest rotation (..., 3, 3) that turns the direction a (..., 3) into b (..., 3).
 
     Opposite directions have no unique one: then a half turn about some axis at right angles to a.
     """
@@ -258,7 +250,7 @@ def between(a: Tensor, b: Tensor) -> Tensor:
 
 
 def yaw(matrix: Tensor) -> Tensor:
-    """Heading (...) in (-pi, pi] of a body's root orientation (..., 3, 3): its angle about world z from facing +y.
+    """Computes the heading (...) in (-pi, pi] of a root orientation (..., 3, 3): its angle about z from facing +y.
 
     The angle from +x to the body's right axis, -R[:, 0], on the floor: 0 for ``skeleton.UPRIGHT``, growing to
     the left. A body whose right axis is vertical (lying on its side) has none: 0, with zero gradient.
@@ -272,6 +264,67 @@ def yaw(matrix: Tensor) -> Tensor:
 
 
 def random(shape: tuple[int, ...], generator: torch.Generator, *, dtype: torch.dtype = torch.float32) -> Tensor:
-    """Rotations (*shape, 3, 3) drawn uniformly (Haar measure)."""
+    """Draws rotations (*shape, 3, 3) uniformly (Haar measure)."""
     q = torch.randn(*shape, 4, generator=generator, dtype=dtype, device=generator.device)
     return quaternion_to_matrix(q)
+
+
+def unroll_quaternion(quaternion: Tensor, dim: int = -2) -> Tensor:
+    """Chooses signs along the time axis ``dim`` so that each quaternion (..., T, 4) is the nearer one to the last."""
+    check_shape(quaternion, "... 4", "quaternion")
+    q = quaternion.movedim(dim, 0)
+    turn = torch.where((q[1:] * q[:-1]).sum(-1, keepdim=True) < 0, -1.0, 1.0).to(q)
+    return torch.cat((q[:1], q[1:] * turn.cumprod(0))).movedim(0, dim).contiguous()
+
+
+def unroll_axis_angle(aa: Tensor, dim: int = -2) -> Tensor:
+    """Chooses of all vectors of each rotation, (|a| + 2 pi k) a/|a|, the one nearest to the frame before, (..., T, 3).
+
+    The first frame stays; a body that spins on leaves the ball of radius pi. No choice is continuous everywhere:
+    when a path that has left that ball passes near the zero rotation (|a| near 2 pi k, k > 0), its axis may
+    swing round in one frame and the vector jump with it. A zero rotation (to rounding) takes the axis of the
+    frame before. Sweeps over all frames at once: a cumulative sum unwraps the angles along a sign-continuous axis,
+    then k is corrected until no frame has a nearer choice.
+    """
+    check_shape(aa, "... 3", "axis_angle")
+    x = aa.movedim(dim, 0)
+    angle = torch.linalg.vector_norm(x, dim=-1, keepdim=True)
+    known = angle > 8 * torch.finfo(x.dtype).eps
+    unit = torch.where(known, x / torch.where(known, angle, 1.0), 0.0)
+    sign = torch.where((unit[1:] * unit[:-1]).sum(-1, keepdim=True) < 0, -1.0, 1.0).to(x).cumprod(0)
+    jump = torch.diff(sign * angle[1:], dim=0, prepend=angle[:1]) / math.tau
+    signed = angle[1:] - sign * math.tau * jump.round().cumsum(0)
+    unrolled = torch.cat((x[:1], unit[1:] * signed))
+    for _ in range(len(x)):
+        before = unrolled[:-1]
+        axis = torch.where(known[1:], unit[1:], torch.nn.functional.normalize(before, dim=-1))
+        turns = (((axis * before).sum(-1, keepdim=True) - angle[1:]) / math.tau).round()
+        update = torch.cat((x[:1], axis * (angle[1:] + math.tau * turns)))
+        if torch.equal(update, unrolled):
+            break
+        unrolled = update
+    return unrolled.movedim(0, dim).contiguous()
+
+
+def _series(coefficients: list[float], x: Tensor) -> Tensor:
+    total = torch.full_like(x, coefficients[-1])
+    for c in reversed(coefficients[:-1]):
+        total = total * x + c
+    return total
+
+
+def _square(x: Tensor) -> Tensor:
+    return (x * x).sum(-1, keepdim=True)
+
+
+def _perpendicular(x: Tensor) -> Tensor:
+    """Some vector (..., 3) at right angles to a unit vector, not short: y or z axis crossed with it."""
+    u, v, w = x.unbind(-1)
+    o = torch.zeros_like(u)
+    return torch.where((v.abs() < 0.8)[..., None], torch.stack((w, o, -u), -1), torch.stack((-v, u, o), -1))
+
+
+def _sixd_axis(layout: str) -> int:
+    if layout not in ("columns", "rows"):
+        raise ValueError(f'layout: expected "columns" or "rows", got {layout!r}')
+    return -1 if layout == "columns" else -2

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -122,7 +123,7 @@ class Skeleton:
 
 
 def fk(skeleton: Skeleton, root: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:
-    """Forward kinematics: world position and orientation of every joint.
+    """Computes every joint's world position and orientation by forward kinematics.
 
     R_j = R_parent(j) rot_j,  p_j = p_parent(j) + R_parent(j) offset_j
 
@@ -142,7 +143,7 @@ def fk(skeleton: Skeleton, root: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:
     check_shape(rot, f"... {len(skeleton)} 3 3", "rot")
     check_shape(root, "... 3", "root")
     offsets = skeleton.offsets
-    batch = torch.broadcast_shapes(root.shape[:-1], rot.shape[:-3], offsets.shape[:-2])
+    batch = np.broadcast_shapes(root.shape[:-1], rot.shape[:-3], offsets.shape[:-2])  # torch's own imports sympy
     order, back, sizes, parents = skeleton.level_order
     offsets = offsets.index_select(-2, order).to(rot).expand(*batch, -1, 3).movedim((-2, -1), (0, 1))
     order, back = order.to(rot.device), back.to(rot.device)

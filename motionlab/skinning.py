@@ -1,7 +1,8 @@
-"""Audit of skinning weights: how many are tiny, how far they reach, and what pruning them moves."""
+"""Skinning weights: which joints move a vertex and which should; what is spurious; what pruning moves."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from motionlab import rotation
 from motionlab.body import BodyModel, lbs
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
@@ -50,7 +52,7 @@ class WeightReport:
 
 
 def weight_report(body: BodyModel, threshold: float = SMALL) -> WeightReport:
-    """Distribution of the skinning weights; the histogram's bins are logarithmic, four per decade.
+    """Computes the distribution of a body's skinning weights; the histogram's bins are logarithmic, four per decade.
 
     Source: thesis 3.3.2 (3 % of SMPL's weights are non-zero but below 1e-2).
     """
@@ -70,7 +72,7 @@ def weight_report(body: BodyModel, threshold: float = SMALL) -> WeightReport:
 
 
 def surface_distance(body: BodyModel) -> Tensor:
-    """Distance (V, J) in metres from each vertex to each joint's region, along the edges of the bind-pose mesh.
+    """Computes distances (V, J) in metres from each vertex to each joint's region along the bind-pose mesh's edges.
 
     A joint's region: the vertices on which it has the largest weight of all joints; a joint that is nowhere the
     largest has the vertex on which it weighs most; one without any weight is infinitely far. Separate parts
@@ -92,21 +94,13 @@ def surface_distance(body: BodyModel) -> Tensor:
 
 def tree_distance(skeleton: Skeleton) -> Tensor:
     """Number of bones (J, J) between every two joints."""
-    above = ancestors(skeleton).long()
+    above = _ancestors(skeleton).long()
     depth = above.sum(1)
     return depth[:, None] + depth - 2 * (above @ above.T)
 
 
-def ancestors(skeleton: Skeleton) -> Tensor:
-    """Boolean (J, J): entry (j, a) is True where joint a is j itself or above it."""
-    above = torch.eye(len(skeleton), dtype=torch.bool)
-    for joint, parent in enumerate(skeleton.parents[1:], start=1):
-        above[joint] |= above[parent]
-    return above
-
-
 def spurious(body: BodyModel, threshold: float = SMALL, far: float = FAR, distance: Tensor | None = None) -> Tensor:
-    """Mask (V, J) of long-range weights: above zero, below ``threshold``, and further than ``far`` metres.
+    """Finds long-range weights, a mask (V, J): above zero, below ``threshold``, and further than ``far`` metres.
 
     The rule needs both: a small weight next to its joint's region is how smooth skinning fades out.
 
@@ -118,7 +112,7 @@ def spurious(body: BodyModel, threshold: float = SMALL, far: float = FAR, distan
 
 
 def long_range(body: BodyModel, mask: Tensor, distance: Tensor | None = None) -> list[dict]:
-    """The masked weights as rows, the furthest first, with the keys vertex, holder, joint, weight, metres, bones.
+    """Lists masked weights (V, J), the furthest first, with the keys vertex, holder, joint, weight, metres, bones.
 
     holder: the joint with the largest weight on that vertex. bones: from it to the spurious joint, along the tree.
     """
@@ -139,14 +133,14 @@ def long_range(body: BodyModel, mask: Tensor, distance: Tensor | None = None) ->
     ]
 
 
-def precision_recall(found: Tensor, truth: Tensor) -> tuple[float, float]:
-    """Share of the found entries that are true, and share of the true ones that are found; NaN of nothing."""
+def detection_scores(found: Tensor, truth: Tensor) -> tuple[float, float]:
+    """Computes precision and recall of a found mask against the true one; NaN of nothing."""
     hits = float((found & truth).sum())
     return tuple(hits / float(x.sum()) if x.any() else float("nan") for x in (found, truth))
 
 
 def prune(body: BodyModel, threshold: float = SMALL) -> BodyModel:
-    """The body without its weights below ``threshold``; rows sum to 1 again.
+    """Removes a body's weights below ``threshold``; rows sum to 1 again.
 
     Source: thesis 3.3.2.
     Raises:
@@ -160,7 +154,7 @@ def prune(body: BodyModel, threshold: float = SMALL) -> BodyModel:
 
 
 def displaced_mm(body: BodyModel, other: BodyModel, motion: Motion, chunk: int = 32) -> Tensor:
-    """How far the vertices of two bodies are apart in the same motion: (T,) 95th percentile over them, mm."""
+    """Computes the distance of two bodies' vertices in one motion: (T,) 95th percentile over them, mm."""
     root, rot = motion.root.flatten(0, -2), motion.rot.flatten(0, -4)
     found = []
     for start in range(0, len(root), chunk):
@@ -171,7 +165,7 @@ def displaced_mm(body: BodyModel, other: BodyModel, motion: Motion, chunk: int =
 
 
 def displacement(body: BodyModel, other: BodyModel, motion: Motion, chunk: int = 32) -> tuple[float, float]:
-    """Mean and largest distance in metres between the vertices of two bodies in the same motion."""
+    """Computes the mean and largest distance in metres of two bodies' vertices in one motion."""
     root, rot = motion.root.flatten(0, -2), motion.rot.flatten(0, -4)
     total, largest = 0.0, 0.0
     for start in range(0, len(root), chunk):
@@ -179,6 +173,87 @@ def displacement(body: BodyModel, other: BodyModel, motion: Motion, chunk: int =
         away = torch.linalg.vector_norm(lbs(body, *pose) - lbs(other, *pose), dim=-1)
         total, largest = total + float(away.mean(1).sum()), max(largest, float(away.max()))
     return total / len(root), largest
+
+
+def influence(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int]) -> Tensor:
+    """Computes how far each vertex moves per radian that each joint turns, at one pose: (K, J), metres per radian.
+
+    The Frobenius norm of d v_k / d w_j at w = 0, where joint j has rotation rot_j exp(w_j).
+
+    Args:
+        root: (3,). rot: (J, 3, 3). vertices: K indices into the mesh.
+    """
+
+    def place(turn: Tensor) -> Tensor:  # (J, 3) -> (K, 3)
+        turned = rot @ rotation.exp(turn)
+        return lbs(body, body.skeleton, root[None], turned[None], vertices=vertices)[0]
+
+    jacobian = torch.func.jacrev(place)(torch.zeros_like(rot[..., 0]))  # (K, 3, J, 3)
+    return jacobian.square().sum((1, 3)).sqrt()
+
+
+@dataclass(frozen=True, eq=False)
+class Leakage:
+    """Gradient of keypoints that reaches joints which should not move them.
+
+    influence (K, J): metres per radian. allowed (K, J): True for the joints that hold the keypoint and all above.
+    """
+
+    influence: Tensor
+    allowed: Tensor
+
+    @property
+    def per_joint(self) -> Tensor:
+        """Leaked influence (J,), metres per radian, root of the sum of squares over the keypoints."""
+        return torch.where(self.allowed, 0, self.influence).square().sum(0).sqrt()
+
+    @property
+    def share(self) -> float:
+        """Leaked gradient norm over the whole gradient norm."""
+        return float(self.per_joint.norm() / self.influence.norm())
+
+
+def _leakage(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int], holds: float = 0.05) -> Leakage:
+    """Gradient leakage at one pose; see :class:`Leakage`.
+
+    A joint *holds* a vertex if its weight there is at least ``holds``; through the kinematic chain every
+    joint above it moves the vertex rightly, so only what reaches any other joint has leaked.
+
+    Source: thesis 3.3.2.
+    """
+    held = (body.weights[torch.as_tensor(vertices)] >= holds).long()
+    return Leakage(influence(body, root, rot, vertices), held @ _ancestors(body.skeleton).long() > 0)
+
+
+def pruning_sweep(body: BodyModel, motion: Motion, vertices: Sequence[int], thresholds: Sequence[float]) -> list[dict]:
+    """Computes for each pruning threshold what is removed, what still leaks and how far vertices move: a dict each.
+
+    Keys: threshold, removed (share of the non-zero weights), leakage (share of gradient norm at the first frame),
+    mean_mm and max_mm (vertex displacement over the motion).
+    """
+    rows = []
+    root, rot = motion.root.flatten(0, -2)[0], motion.rot.flatten(0, -4)[0]
+    for threshold in thresholds:
+        pruned = prune(body, threshold)
+        mean, largest = displacement(body, pruned, motion)
+        rows.append(
+            {
+                "threshold": threshold,
+                "removed": 1 - int((pruned.weights > 0).sum()) / int((body.weights > 0).sum()),
+                "leakage": _leakage(pruned, root, rot, vertices).share,
+                "mean_mm": 1000 * mean,
+                "max_mm": 1000 * largest,
+            }
+        )
+    return rows
+
+
+def _ancestors(skeleton: Skeleton) -> Tensor:
+    """Boolean (J, J): entry (j, a) is True where joint a is j itself or above it."""
+    above = torch.eye(len(skeleton), dtype=torch.bool)
+    for joint, parent in enumerate(skeleton.parents[1:], start=1):
+        above[joint] |= above[parent]
+    return above
 
 
 def _edges(body: BodyModel) -> coo_array:

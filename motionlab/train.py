@@ -9,18 +9,18 @@ from pathlib import Path
 
 import torch
 
-from motionlab import library, train_diffusion, train_small
+from motionlab import checkpoint, shipped, splits
+from motionlab.diffusion import model
 from motionlab.diffusion import training as diffusion_training
 from motionlab.diffusion.denoiser import SIZES
 from motionlab.errors import DataError
-from motionlab.humor import checkpoint, examples, quality, state, training, variety
-from motionlab.humor.cvae import Cvae
+from motionlab.humor import examples, state, training
+from motionlab.humor.cvae import Cvae, official_weights
 from motionlab.motion import Motion
 
 
-def add_command(commands: argparse._SubParsersAction) -> None:
-    """``train humor``, ``train small``, ``train diffusion`` and ``train features``."""
-    command = commands.add_parser("train", help="train a model: a checkpoint with its recipe")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Adds what ``train humor``, ``train small``, ``train diffusion`` and ``train features`` take."""
     command.add_argument(
         "model", choices=("humor", "small", "diffusion", "features"),
         help="transition prior; pose and first states; denoiser; what generated motion is judged in",
@@ -45,7 +45,7 @@ def add_command(commands: argparse._SubParsersAction) -> None:
 
 
 def _presets() -> dict[str, dict]:
-    return {"humor": training.PRESETS, "diffusion": train_diffusion.PRESETS}
+    return {"humor": training.PRIOR_PRESETS, "diffusion": shipped.DENOISER_PRESETS}
 
 
 def _count(text: str) -> int:
@@ -54,7 +54,7 @@ def _count(text: str) -> int:
     return int(text)
 
 
-def sources(folder: Path | str | None) -> tuple[dict[str, list[Motion]], dict[str, list[Motion]]]:
+def _training_sources(folder: Path | str | None) -> tuple[dict[str, list[Motion]], dict[str, list[Motion]]]:
     """Motions for training and held out, by source; a recording is used where its licence lets weights be shipped."""
     from data_synth import corpus
 
@@ -63,24 +63,24 @@ def sources(folder: Path | str | None) -> tuple[dict[str, list[Motion]], dict[st
     train["synthetic"] = [s.motion for s in made.train]
     held["synthetic, unseen sequence"] = [s.motion for s in made.heldout_sequences]
     held["synthetic, unseen person"] = [s.motion for s in made.heldout_subject]
-    used, left = library.trainable(folder)
+    used, left = splits.trainable(folder)
     if used:
         train["recordings"], held["recordings"] = used, left
     return train, held
 
 
-def together(train: dict[str, list[Motion]], recipe: training.Recipe) -> list[Motion]:
+def _together(train: dict[str, list[Motion]], recipe: training.PriorRecipe) -> list[Motion]:
     """All motions and, of each, copies on other bodies and held otherwise, as many as the recipe says."""
     generator = torch.Generator().manual_seed(recipe.seed)
     copies = {name: recipe.varied if name == "synthetic" else recipe.varied_recordings for name in train}
     return [
         each
         for name, motions in train.items() for motion in motions
-        for each in (motion, *(variety.varied(motion, generator) for _ in range(copies[name])))
+        for each in (motion, *(examples.varied_motion(motion, generator) for _ in range(copies[name])))
     ]  # fmt: skip
 
 
-def windows(motions: list[Motion], frames: int = 61, most: int = 48) -> tuple[torch.Tensor, torch.Tensor]:
+def _state_windows(motions: list[Motion], frames: int = 61, most: int = 48) -> tuple[torch.Tensor, torch.Tensor]:
     """States (W, frames, 339) and contacts (W, frames, 9), evenly over the motions; none where all are shorter."""
     cuts = [
         (state.from_motion(m)[i : i + frames].float(), m.contacts[i : i + frames].float())
@@ -88,11 +88,11 @@ def windows(motions: list[Motion], frames: int = 61, most: int = 48) -> tuple[to
     ]  # fmt: skip
     if not cuts:
         return torch.zeros(0, frames, state.STATE), torch.zeros(0, frames, state.CONTACTS)
-    x, c = zip(*library.spread(cuts, most), strict=True)
+    x, c = zip(*splits.evenly(cuts, most), strict=True)
     return torch.stack(x), torch.stack(c)
 
 
-def wanted(options: argparse.Namespace, kept: Path) -> training.Recipe | diffusion_training.Recipe:
+def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | model.DenoiserRecipe:
     """The recipe asked for; with --resume that of the kept run, whose steps and seed need not be given again.
 
     Raises:
@@ -102,8 +102,8 @@ def wanted(options: argparse.Namespace, kept: Path) -> training.Recipe | diffusi
     options.preset = options.preset or next(iter(presets))
     if options.preset not in presets:
         raise DataError(f"{options.model} has no preset {options.preset!r}", remedy=f"choose {', '.join(presets)}")
-    read = training.kept_recipe if options.model == "humor" else diffusion_training.kept_recipe
-    recipe, before = presets[options.preset], read(kept) if options.resume else None
+    kind = training.PriorTraining if options.model == "humor" else diffusion_training.DenoiserTraining
+    recipe, before = presets[options.preset], kind.kept_recipe(kept) if options.resume else None
     if options.size and not hasattr(recipe, "size"):
         raise DataError(f"{options.model} has no sizes", remedy="leave --size out")
     for name in ("steps", "seed", "size"):
@@ -122,38 +122,38 @@ def wanted(options: argparse.Namespace, kept: Path) -> training.Recipe | diffusi
 
 def _train(options: argparse.Namespace) -> int:
     if options.model == "small":
-        split, out, seed = sources(options.data), options.out or checkpoint.SHIPPED, options.seed or 0
-        train_small.make_pose_prior(*split, out, seed=seed, steps=options.steps or train_small.STEPS)
-        train_small.make_init_gmm(*split, out, seed=seed)
+        split, out, seed = _training_sources(options.data), options.out or checkpoint.SHIPPED, options.seed or 0
+        shipped.make_pose_prior(*split, out, seed=seed, steps=options.steps or shipped.STEPS)
+        shipped.make_init_gmm(*split, out, seed=seed)
         return 0
     if options.model == "features":
-        out, found = options.out or checkpoint.SHIPPED / "diffusion_features", options.data and found_in(options.data)
+        out, found = options.out or checkpoint.SHIPPED / "diffusion_features", options.data and _found_in(options.data)
         seed, steps = options.seed or 0, options.steps
-        train_small.make_features(options.data, out, seed=seed, steps=steps, recordings=found or ())
+        shipped.make_features(options.data, out, seed=seed, steps=steps, recordings=found or ())
         return 0
     default = next(iter(_presets()[options.model]))
     preset = options.preset or default
     name = preset if preset.startswith("arm_") else f"{options.model}_{preset}"
     out = options.out or checkpoint.SHIPPED / name
     kept = out.with_suffix(".partial.pt")
-    recipe = wanted(options, kept)
+    recipe = _wanted(options, kept)
     if options.model == "diffusion":
         made = f"python -m motionlab train diffusion --preset {options.preset} --size {recipe.size}"
         made += f" --steps {recipe.steps} --seed {recipe.seed}" + (" --start CHECKPOINT" if options.start else "")
-        found = found_in(options.data) if options.data else []
-        start = options.start or train_diffusion.begins(options.preset, recipe)
+        found = _found_in(options.data) if options.data else []
+        start = options.start or shipped.begins(options.preset, recipe)
         how = {"resume": options.resume, "command": made, "recordings": found, "start": start}
-        train_diffusion.make(recipe, options.data, out, kept, **how)
+        shipped.make(recipe, options.data, out, kept, **how)
         return 0
-    train, held = sources(options.data)
-    data = examples.examples(together(train, recipe), recipe.length + 1)
-    run = training.resume(kept, data) if options.resume else training.Training(recipe, data)
-    judged = {name: found for name, motions in held.items() if len((found := windows(motions))[0])}
+    train, held = _training_sources(options.data)
+    data = examples.examples(_together(train, recipe), recipe.length + 1)
+    run = training.PriorTraining.resume(kept, data) if options.resume else training.PriorTraining(recipe, data)
+    judged = {name: found for name, motions in held.items() if len((found := _state_windows(motions))[0])}
 
     def validate(model: Cvae) -> dict[str, float]:
         row = {}
         for name, (x, _) in judged.items():
-            step, way = quality.one_step(model, x), quality.drift(model, x)
+            step, way = training.one_step_errors(model, x), training.rollout_errors(model, x)
             row |= {
                 f"{name}: one step": float(step["posterior"].mean()),
                 f"{name}: kl": float(step["kl"].sum(-1).mean()),
@@ -161,23 +161,23 @@ def _train(options: argparse.Namespace) -> int:
             row[f"{name}: 2 s"] = float(way["posterior z"][:, -1].mean())
         return row
 
-    run.run(keep=kept, validate=validate, progress=True)
+    run.run(keep=kept, every=250, validate=validate, progress=True)
     minutes = {name: sum(m.seconds for m in motions) / 60 for name, motions in train.items()}  # copies not counted
     about = {
         "made by": f"python -m motionlab train humor --preset {options.preset} --steps {recipe.steps} "
         f"--seed {recipe.seed}" + (" --data FOLDER" if "recordings" in train else ""),
         "recipe": asdict(run.recipe), "minutes of motion, before mirroring": minutes,
         "minutes of motion, with copies and mirror images": len(data.states) / 30 / 60, "examples": data.digest,
-        "recordings": found_in(options.data) if "recordings" in train else [], "torch": torch.__version__,
-        "quality, held out": {name: quality.summary(run.prior, *found) for name, found in judged.items()},
+        "recordings": _found_in(options.data) if "recordings" in train else [], "torch": torch.__version__,
+        "quality, held out": {name: training.quality_row(run.averaged, *found) for name, found in judged.items()},
         "curve": run.curve,
     }  # fmt: skip
-    checkpoint.save(out, run.prior.state_dict(), about)
+    checkpoint.save(out, official_weights(run.averaged), about)
     kept.unlink()
     print(f"{out.with_suffix('.safetensors')}: {run.step} steps")
     return 0
 
 
-def found_in(folder: Path | str) -> list[str]:
+def _found_in(folder: Path | str) -> list[str]:
     """Sources in a folder of recordings whose licences let weights be shipped."""
-    return [source for source in library.SHIPPABLE if (Path(folder) / source).is_dir()]
+    return [source for source in splits.SHIPPABLE if (Path(folder) / source).is_dir()]

@@ -32,9 +32,9 @@ def generator() -> torch.Generator:
 @pytest.fixture(scope="session")
 def kit():
     """The priors that ship."""
-    from motionlab.humor import priors
+    from motionlab.humor import pretrained
 
-    return priors.load()
+    return pretrained.load_priors()
 
 
 @pytest.fixture(scope="session")

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from data_synth import actions
 from data_synth.subjects import SUBJECTS
-from motionlab.humor.observed import Observation3D
-from motionlab.humor.shape import landmarks
+from motionlab.humor.body_shape import landmarks
+from motionlab.humor.evidence import Observation3D
 from motionlab.humor.testops import Fitted, Schedule
 from motionlab.motion import Motion
 from motionlab.motion import windows as windows_of

@@ -7,8 +7,8 @@ import torch
 
 from motionlab.body import BodyModel
 from motionlab.errors import DataError
-from motionlab.io import amass, amp, anidance, asf, bvh, c3d, calibration, captury, deepmimic, gltf, openpose, smpl, trc
-from motionlab.io.positions import Positions
+from motionlab.io import amass, asf, bvh, cameras, clips, gltf, openpose, points, smpl
+from motionlab.io.points import Positions
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 
@@ -41,19 +41,19 @@ LOADERS = {
     ".bvh": bvh.load,
     ".asf": load_asf,
     ".amc": load_amc,
-    "deepmimic.txt": deepmimic.load,
-    "amp.npz": amp.load,
+    "deepmimic.txt": clips.load_deepmimic,
+    "amp.npz": clips.load_amp,
     "amass.npz": amass.load,
-    "anidance.npz": anidance.load,
+    "anidance.npz": points.load_anidance,
     "smpl.npz": smpl.load,
     "smpl.pkl": smpl.load,
     "openpose.json": load_openpose,
-    ".trc": trc.load,
-    ".c3d": c3d.load,
-    "qualisys.xml": calibration.load_qualisys,
-    "captury.calib": lambda path: calibration.load_captury(path, width=1920),
-    "biomech.csv": lambda path: captury.load_biomech(path, fps=50),
-    "projected.csv": lambda path: captury.load_projected(path, camera=seeds.camera(), fps=50),
+    ".trc": points.load_trc,
+    ".c3d": points.load_c3d,
+    "qualisys.xml": cameras.load_qualisys,
+    "captury.calib": lambda path: cameras.load_captury(path, width=1920),
+    "biomech.csv": lambda path: points.load_biomech(path, fps=50),
+    "projected.csv": lambda path: points.load_projected(path, camera=seeds.camera(), fps=50),
     ".glb": gltf.load,
 }
 

@@ -6,7 +6,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-from motionlab.doctor import normal_name, read_pins
+from motionlab.doctor import _normal_name, _read_pins
 
 ROOT = Path(__file__).resolve().parents[1]
 CONSTRAINTS_HEAD = """\
@@ -44,14 +44,14 @@ def constraints() -> str:
 
 def environment(pins: dict[str, str]) -> str:
     """The text of environment.yml for these pins: torch first, so that nothing else chooses its build."""
-    lines = [f"      - {name}=={pins[normal_name(name.split('[')[0])]}\n" for name in requirements()]
+    lines = [f"      - {name}=={pins[_normal_name(name.split('[')[0])]}\n" for name in requirements()]
     return ENVIRONMENT_HEAD + "".join(lines) + "      - -e .\n"
 
 
 def main() -> None:
     path = ROOT / "constraints.txt"
     path.write_text(constraints(), encoding="utf-8")
-    (ROOT / "environment.yml").write_text(environment(read_pins(path)), encoding="utf-8")
+    (ROOT / "environment.yml").write_text(environment(_read_pins(path)), encoding="utf-8")
 
 
 if __name__ == "__main__":

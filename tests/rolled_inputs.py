@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.frames import Frame
 from motionlab.humor import state
-from motionlab.humor.cvae import Cvae
-from motionlab.humor.recursion import BACK, LEAN, SUM
-from motionlab.humor.slopes import XI
+from motionlab.humor.cvae import Cvae, reorder
+from motionlab.humor.shooting.derivatives import XI
+from motionlab.humor.state import ADDED
+from motionlab.motion import Frame
 
 F64 = torch.float64
 
@@ -26,7 +26,7 @@ def network(width: int = 128) -> Cvae:
         for net in (made.decoder.net, made.prior_net.net):
             net[-1].weight *= 0.3
             net[-1].bias.zero_()
-    return made.frozen()
+    return reorder(made).frozen()  # drawn as official weights
 
 
 def first_states(generator: torch.Generator, batch: int) -> Tensor:
@@ -43,15 +43,15 @@ def first_states(generator: torch.Generator, batch: int) -> Tensor:
 
 
 def own(states: Tensor) -> Tensor:
-    """World states (..., 339) in their own heading frames and the order of ``recursion``."""
-    return state.localise(states, state.heading(states))[..., LEAN]
+    """World states (..., 339) in their own heading frames."""
+    return state.localise(states, state.heading(states))
 
 
 def turned(x: Tensor, xi: Tensor) -> Tensor:
-    """States (..., 339) in the order of ``recursion`` after a change (..., 207), rotations on their manifold."""
-    matrices = x[..., SUM:].unflatten(-1, (22, 3, 3)).mT
-    after = rotation.exp(xi[..., SUM:XI].unflatten(-1, (22, 3))) @ matrices
-    return torch.cat((x[..., :SUM] + xi[..., :SUM], after.mT.flatten(-3)), -1)
+    """States (..., 339) after a change (..., 207), rotations on their manifold."""
+    matrices = x[..., ADDED:].unflatten(-1, (22, 3, 3)).mT
+    after = rotation.exp(xi[..., ADDED:XI].unflatten(-1, (22, 3))) @ matrices
+    return torch.cat((x[..., :ADDED] + xi[..., :ADDED], after.mT.flatten(-3)), -1)
 
 
 def placed(frame: Frame, gamma: Tensor) -> Frame:
@@ -69,18 +69,18 @@ def still(like: Tensor) -> Frame:
 def advanced(model: Cvae, x: Tensor, z: Tensor, change: Tensor) -> tuple[Tensor, Frame]:
     """One transition as the paper has it, from states (N, 339) in own frames after changes (N, 210): what comes out in
     its own frame, and that frame in the axes of the unchanged frame before."""
-    past, frame = turned(x, change[:, :XI])[:, BACK], placed(still(x), change[:, XI:])
+    past, frame = turned(x, change[:, :XI]), placed(still(x), change[:, XI:])
     after, _ = state.apply(past, model.decode(past, z))
     world = state.globalise(after, frame)
     found = state.heading(world)
-    return state.localise(world, found)[:, LEAN], found
+    return state.localise(world, found), found
 
 
 def between(x: Tensor, frame: Frame, y: Tensor, other: Frame) -> Tensor:
     """The change (N, 210) that takes a state in its frame to another near by; of first order in how far it is."""
-    spin = y[:, SUM:].unflatten(1, (22, 3, 3)).mT @ x[:, SUM:].unflatten(1, (22, 3, 3))
+    spin = y[:, ADDED:].unflatten(1, (22, 3, 3)).mT @ x[:, ADDED:].unflatten(1, (22, 3, 3))
     spin = (spin - spin.mT) / 2
     omega = torch.stack((spin[..., 2, 1], spin[..., 0, 2], spin[..., 1, 0]), -1)
     angle = (other.turn.mT @ frame.turn)[:, 1, 0]
     way = (frame.turn @ (frame.shift - other.shift)[..., None])[:, :2, 0]
-    return torch.cat((y[:, :SUM] - x[:, :SUM], omega.flatten(1), angle[:, None], way), 1)
+    return torch.cat((y[:, :ADDED] - x[:, :ADDED], omega.flatten(1), angle[:, None], way), 1)

@@ -1,27 +1,46 @@
 """`make test`: lint, unit tests, notebooks; every step runs, and a table at the end says how each went."""
 
+import json
 import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent
-PYTEST = [sys.executable, "-m", "pytest", "-q", "-n", "2", "-p", "no:nbval"]  # nbval takes seconds to load
-END_TO_END = [
-    *(f"tests/test_humor_{name}.py" for name in ("testops", "fit_cli", "training")),
-    "tests/test_diffusion_training.py",
-]
+CORES = str(max(2, os.cpu_count() or 1))
+#: A file's tests on one worker, as what they share is made once; files in the order they are given in.
+BY_FILE = ["-n", CORES, "--dist", "loadfile", "--no-loadscope-reorder"]
+#: What takes longest begins first, so that no core waits for it at the end.
+LONGEST = [f"tests/test_{n}.py" for n in ("humor_testops", "humor_training", "diffusion_training", "humor_fit_cli")]
+ONE_THREAD = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "LP_NUM_THREADS")  # of each worker
+
+
+def smoke_seconds(notebook: Path) -> float:
+    """Seconds of the notebook's smoke run when its fingerprint was taken; infinite where nobody knows."""
+    record = notebook.parent / "results" / f"{notebook.name[:2]}.json"
+    try:
+        return float(json.loads(record.read_text(encoding="utf-8"))["provenance"]["smoke seconds"])
+    except (OSError, ValueError, KeyError):
+        return float("inf")
+
+
+def in_order(paths: Iterable[Path], first: Callable[[Path], float]) -> list[str]:
+    """Paths as pytest is given them: those with the least ``first`` first."""
+    return [path.relative_to(ROOT).as_posix() for path in sorted(paths, key=lambda path: (first(path), path.name))]
+
+
+TESTS = in_order((ROOT / "tests").glob("test_*.py"), lambda path: f"tests/{path.name}" not in LONGEST)
+NOTEBOOKS = in_order((ROOT / "notebooks").glob("[0-9][0-9]_*.ipynb"), lambda path: -smoke_seconds(path))
 STEPS = {
     "lint": [BIN / "ruff", "check", "."],
     "format": [BIN / "ruff", "format", "--check", "--quiet", "."],
     "spelling": [BIN / "codespell"],
-    # a file's tests on one worker: what they share is made once
-    "unit tests": [*PYTEST, "--dist", "loadfile", *(f"--ignore={name}" for name in END_TO_END)],
-    "end to end (fits, training)": [*PYTEST, *END_TO_END],
+    "tests": [sys.executable, "-m", "pytest", "-q", "-p", "no:nbval", *BY_FILE, *TESTS],  # nbval takes seconds to load
     "notebooks (nbval, smoke)": [
-        *(sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "loadscope", "notebooks"),
+        *(sys.executable, "-m", "pytest", "-q", *BY_FILE, *NOTEBOOKS),
         # lax: only cells that say so are compared. Warnings: those of the kernel are judged by
         # test_notebook_hygiene, those of the machinery around it are not ours.
         *("--nbval-lax", "--nbval-current-env", "--nbval-cell-timeout=300", "-W", "default"),
@@ -30,10 +49,9 @@ STEPS = {
 
 
 def main() -> int:
-    environment = {**os.environ, "MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1"}
+    environment = {**os.environ, "MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1", "MOTIONLAB_VERIFY": "1"}
     environment |= {name: str(Path(os.environ[name]).resolve()) for name in ["MOTIONLAB_DATA"] if os.environ.get(name)}
-    # two workers on the cores: without this each would start as many threads as there are cores
-    environment.setdefault("OMP_NUM_THREADS", str(max(1, (os.cpu_count() or 2) // 2)))
+    environment |= {name: "1" for name in ONE_THREAD if not environment.get(name)}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # our modules are compiled once, not by every process
     rows = []
     for name, command in STEPS.items():

@@ -10,7 +10,7 @@ import twins
 from motionlab import baselines, rotation
 from motionlab.errors import DataError, ShapeError
 from motionlab.metrics.pose import jitter, mean_acceleration
-from motionlab.motion import Motion, windows
+from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 
 F64 = torch.float64
@@ -57,6 +57,17 @@ def test_hold_repeats_the_last_known_frame(generator):
     torch.testing.assert_close(ends.rot[[0, -1]], motion.rot[[1, 4]])
 
 
+def test_nearest_known_frames_agree_with_a_loop(generator):
+    known = torch.rand(20, 9, generator=generator) < 0.3
+    before, after = baselines.nearest_known(known)
+    for row in known.any(1).nonzero()[:, 0].tolist():
+        at = known[row].nonzero()[:, 0].tolist()
+        for t in range(9):
+            assert before[row, t] == max((k for k in at if k <= t), default=at[0])
+            assert after[row, t] == min((k for k in at if k >= t), default=at[-1])
+    assert all(((0 <= x) & (x < 9)).all() for x in baselines.nearest_known(torch.zeros(2, 9, dtype=torch.bool)))
+
+
 def test_nothing_known_and_wrong_masks_are_refused(generator):
     motion = swinging(generator, frames=6)
     for fill in (baselines.hold, baselines.interpolate):
@@ -77,30 +88,6 @@ def test_a_mask_that_can_be_read_in_two_ways_is_refused(generator):
     assert torch.equal(held.root[3, 5], motion.root[3, 4]) and torch.equal(held.root[4], motion.root[4])
     single = motion.clip(0)
     assert torch.equal(baselines.hold(single, known).rot[3, 5], single.rot[2, 5])
-
-
-def test_nearest_neighbour_finds_a_moved_window_and_puts_it_back(generator):
-    motion = swinging(generator, frames=90)
-    library = windows(motion, 20, 10)
-    turn = rotation.rotation_about("z", torch.tensor(2.0, dtype=F64))
-    piece = motion.cut(30, 50)
-    moved = replace(
-        piece,
-        root=piece.root @ turn.mT + torch.tensor([5.0, -3.0, 0.0]),
-        rot=torch.cat((turn @ piece.rot[:, :1], piece.rot[:, 1:]), 1),
-    )
-    known = torch.rand(20, 22, generator=generator) < 0.2
-    known[0, 0] = True
-    match, distance, index = baselines.nearest_neighbour(moved, library, known)
-    assert index == 3 and distance < 1e-6
-    torch.testing.assert_close(match.positions, moved.positions)
-    other, far, _ = baselines.nearest_neighbour(moved, library.clip(slice(5, None)), known)
-    assert far > 0.01 and (other.positions - moved.positions).abs().max() > 0.01
-    known[0, 0] = False
-    with pytest.raises(ShapeError, match="first frame"):
-        baselines.nearest_neighbour(moved, library, known)
-    with pytest.raises(ShapeError, match="one rate"):
-        baselines.nearest_neighbour(moved.cut(1), library)
 
 
 def test_savitzky_golay_keeps_its_polynomials(generator):
@@ -198,6 +185,6 @@ def test_smoothing_follows_a_spin_round():
     turn = torch.linspace(0, 4 * math.pi, 80, dtype=F64)
     spin = rotation.rotation_about("z", turn)[:, None]
     smoother = SMOOTHERS["savitzky-golay"]
-    assert rotation.geodesic(baselines.smooth_rotations(spin, smoother), spin).max() < 1e-6
+    assert rotation.geodesic(baselines._smooth_rotations(spin, smoother), spin).max() < 1e-6
     naive = rotation.exp(smoother(rotation.log(spin).flatten(-2)).unflatten(-1, (-1, 3)))
     assert rotation.geodesic(naive, spin).max() > 1

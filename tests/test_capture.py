@@ -8,7 +8,7 @@ import torch
 
 from data_synth import capture, occluders
 from data_synth.body import capsule_body
-from data_synth.sight import gap_to, shell
+from data_synth.sight import gap_to
 from motionlab import rotation
 from motionlab.body import lbs
 from motionlab.errors import NotConverged, ShapeError
@@ -81,35 +81,12 @@ def test_keypoints_are_joints_and_vertices(body):
     assert (points[:, K["nose"]] - vertices[:, body.keypoint_vertices["nose"]]).abs().max() < 1e-5
 
 
-def test_pixels_are_the_pinhole_by_hand(body):
-    shot = capture.observe(standing(), body, from_south(4.0, 1.0), seeded())
-    x, y, z = shot.truth.points.unbind(-1)
-    by_hand = torch.stack((640 + 800 * x / (y + 4), 480 - 800 * (z - 1) / (y + 4)), -1)
-    assert (shot.truth.pixels - by_hand).abs().max() < 1e-2
-
-
-@pytest.mark.parametrize("turn, shown, hidden", [(0.0, "left_heel", "nose"), (np.pi, "nose", "left_heel")])
-def test_front_and_back(body, turn, shown, hidden):
-    visible = capture.observe(standing(1, turn), body, from_south(), seeded()).truth.visible[0]
-    assert visible[K[shown]] and not visible[K[hidden]] and visible[[K["neck"], K["left_knee"], K["right_hip"]]].all()
-
-
 @pytest.mark.parametrize("turn, near, far", [(np.pi / 2, "left", "right"), (-np.pi / 2, "right", "left")])
 def test_the_far_side_is_behind_the_near_side(body, turn, near, far):
     visible = capture.observe(standing(1, turn), body, from_south(), seeded()).truth.visible[0]
     assert not visible[[K[f"{far}_{part}"] for part in ("shoulder", "elbow", "hip", "knee")]].any()
     # the near hip lies behind the near hand of somebody whose arms hang down
     assert visible[[K[f"{near}_{part}"] for part in ("shoulder", "elbow", "wrist", "knee")]].all()
-
-
-def test_coarse_skin_hides_what_the_full_one_hides(monkeypatch):
-    body, motion, camera = capsule_body(0.03), standing(24, torch.linspace(0, 6.2, 24)), from_south()
-    hidden = {}
-    for faces in (2000, 10**9):
-        monkeypatch.setattr(capture, "shell", lambda body, faces=faces: shell(body, faces))
-        hidden[faces] = capture.observe(motion, body, camera, seeded()).truth.self_hidden
-    assert len(shell(body, 2000).faces) < len(body.faces) / 2
-    assert (hidden[2000] == hidden[10**9]).float().mean() > 0.97 and 0.1 < hidden[2000].float().mean() < 0.6
 
 
 def test_a_wall_hides_what_is_behind_it_and_nothing_in_front(body):
@@ -141,18 +118,6 @@ def test_scenes_hide_what_they_say(body):
     assert (table.clear[:, FEET] > 0.5).any(), "an open table is no desk"
 
 
-def test_somebody_who_passes_hides_only_while_passing(body):
-    still, camera = standing(30), from_south(6.0)
-    passer = standing(30, -np.pi / 2, 4.0)
-    passer = replace(passer, root=passer.root + torch.tensor([0.0, -1.5, 0.0]))
-    other = occluders.person(passer, body)
-    # seen from the side the passer is about half as wide as the one who stands
-    clear = capture.observe(still, body, camera, seeded(), [other]).truth.clear.mean(-1)
-    assert clear[0] == clear[-1] == 1 and clear.min() < 0.7 and abs(int(clear.argmin()) - 15) <= 2
-    with pytest.raises(ShapeError, match="30 frames, the motion has 4"):
-        capture.observe(standing(4), body, camera, seeded(), [other])
-
-
 def test_outside_the_image_is_undetected(body):
     camera = look_at(torch.tensor([0.0, -2.0, 1.6]), torch.tensor([0.0, 0.0, 1.6]), focal=900.0, width=800, height=600)
     shot = capture.observe(standing(), body, camera, seeded())
@@ -166,7 +131,7 @@ def test_outside_the_image_is_undetected(body):
 def long_shot(body):
     camera = from_south(4.0)
     return capture.observe(
-        standing(600, torch.linspace(0, 40, 600)),
+        standing(300, torch.linspace(0, 40, 300)),
         body,
         camera,
         seeded(1),
@@ -211,12 +176,6 @@ def test_what_makes_noise_larger(body):
     assert near[:, K["mid_hip"]].mean() > 2 * near[:, K["nose"]].mean(), "a hip is harder than a nose"
     edge = occluders.wall((-2, -1), (0.0, -1))
     assert (sigma(from_south(), edge) > 1.5 * sigma(from_south()))[:, K["neck"]].all(), "covered in part"
-
-
-def test_noise_remembers_the_frame_before():
-    for correlation in (0.0, 0.6):
-        noise = capture._steady_noise((4000, 5), correlation, seeded())
-        assert abs((noise[1:] * noise[:-1]).mean() - correlation) < 0.04 and abs(noise.std() - 1) < 0.03
 
 
 def test_same_seed_same_observation(body):

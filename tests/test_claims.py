@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from motionlab import findings, notebook
+from motionlab import findings, staleness
 
 NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"
 CLAIMS = findings.load_claims(NOTEBOOKS / "claims.toml")
@@ -24,7 +24,7 @@ def test_every_claim_of_the_thesis_is_in_the_ledger():
 @pytest.mark.parametrize("path", RECORDS, ids=lambda p: p.stem)
 def test_record_belongs_to_the_code(path):
     record = findings.load_record(path)
-    code = notebook.code_hash(NOTEBOOKS / f"{record.notebook}.ipynb")
+    code = staleness.code_hash(NOTEBOOKS / f"{record.notebook}.ipynb")
     assert not stale(record, code), f"{record.notebook}: the code is newer than its record; run `make full`"
     assert record.provenance["profile"] == "full"
 

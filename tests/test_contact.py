@@ -3,7 +3,7 @@ import pytest
 import torch
 import twins
 
-from motionlab.contact import contacts_from_positions, hysteresis, resting_heights, with_contacts
+from motionlab.contact import _hysteresis, contacts_from_positions, resting_heights, with_contacts
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
@@ -51,12 +51,12 @@ def test_hysteresis_agrees_with_its_twin_in_both_directions():
         rng = np.random.default_rng(seed)
         off = rng.random((40, 3)) < 0.3
         on = (rng.random((40, 3)) < 0.2) & ~off
-        found = hysteresis(torch.as_tensor(on), torch.as_tensor(off)).numpy()
+        found = _hysteresis(torch.as_tensor(on), torch.as_tensor(off)).numpy()
         for c in range(3):
             forward = twins.hysteresis(on[:, c], off[:, c])
             backward = twins.hysteresis(on[::-1, c], off[::-1, c])[::-1]
             assert (found[:, c] == (np.array(forward) | np.array(backward))).all()
-        reversed_time = hysteresis(torch.as_tensor(on[::-1].copy()), torch.as_tensor(off[::-1].copy()))
+        reversed_time = _hysteresis(torch.as_tensor(on[::-1].copy()), torch.as_tensor(off[::-1].copy()))
         assert (reversed_time.numpy() == found[::-1]).all()
 
 

@@ -68,13 +68,6 @@ def test_same_seed_same_failure_other_seed_another(name):
     assert not torch.equal(one[0].keypoints, other[0].keypoints)
 
 
-def test_hidden_is_undetected_at_the_origin():
-    after, mask = corrupt.occlude(observed(), ["left_knee", "nose"], 10, 30)
-    assert (after.confidence[mask] == 0).all() and (after.keypoints[mask] == 0).all()
-    assert not after.visible[:, 10:30, [BODY_25.index("left_knee"), BODY_25.index("nose")]].any()
-    assert torch.equal(mask.any(0).any(-1).nonzero()[:, 0], torch.arange(10, 30))
-
-
 def test_below_follows_the_true_height_not_the_picture():
     after, mask = corrupt.occlude_below(observed(missing=0.0), POINTS, 0.9)
     assert torch.equal(mask, POINTS[..., 2] < 0.9) and torch.equal(after.visible, POINTS[..., 2] >= 0.9)
@@ -105,12 +98,6 @@ def test_flipping_the_same_frames_twice_is_nothing():
     assert not mask[..., others].any()
 
 
-def test_flip_of_arms_leaves_legs():
-    _, mask = corrupt.flip_limbs(observed(), seeded(), 0.5, 5, corrupt.ARM)
-    touched = {BODY_25[k] for k in mask.any(0).any(0).nonzero()[:, 0].tolist()}
-    assert touched == {f"{side}_{part}" for side in ("left", "right") for part in corrupt.ARM}
-
-
 def test_two_legs_from_one_before_and_during_the_occlusion():
     before = walker()
     after, mask = corrupt.two_legs_from_one(before, seeded(), lead=6, spread=0.1)
@@ -134,17 +121,6 @@ def test_two_legs_when_both_vanish_together_copies_one_of_them(seed):
     assert sorted(frames) == [[], list(range(15, 20))]
 
 
-def test_both_coins_come_up():
-    both, _ = corrupt.occlude(observed(40, (16,), 0.0), [BODY_25[k] for k in LEGS], 20, 30)
-    _, mask = corrupt.two_legs_from_one(both, seeded(), lead=5)
-    assert 0 < mask[:, :, LEGS[:5]].any(-1).any(-1).sum() < 16
-
-
-def test_two_legs_needs_an_occlusion():
-    _, mask = corrupt.two_legs_from_one(observed(40, (), 0.0), seeded())
-    assert not mask.any()
-
-
 def test_false_detections_are_confident_wrong_and_sticky():
     before = observed(2000, (), 0.0)
     after, mask = corrupt.false_detections(before, seeded(), share=0.1, length=8)
@@ -162,13 +138,6 @@ def test_other_person_lends_only_what_was_detected():
         corrupt.false_detections(observed(50), seeded(), other=other)
     with pytest.raises(ShapeError, match="camera"):
         corrupt.false_detections(other, seeded())
-
-
-def test_jitter_has_its_size():
-    before = observed(500, (), 0.2)
-    after, mask = corrupt.jitter(before, seeded(), 3.0)
-    assert torch.equal(mask, before.visible)
-    assert abs((after.keypoints - before.keypoints)[mask].std() - 3.0) < 0.1
 
 
 @pytest.mark.parametrize("share, length", [(0.0, 3), (0.25, 1), (0.5, 6), (1.0, 2)])

@@ -8,8 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionlab.diffusion.between import PARTS, RIDGE, SURE, Start, between, doubt
-from motionlab.diffusion.curves import curves
+from motionlab.diffusion.start import _PARTS, _RIDGE, _SURE, InitialGuess, _smooth_curves, doubt, lines_between
 from motionlab.errors import ShapeError
 
 
@@ -18,7 +17,7 @@ def test_between_is_numpys_interpolation(seed, chance):
     generator = torch.Generator().manual_seed(seed)
     x = torch.randn(2, 17, 3, generator=generator)
     known = torch.rand(x.shape, generator=generator) < chance
-    found = between(torch.where(known, x, torch.nan), known)
+    found = lines_between(torch.where(known, x, torch.nan), known)
     for rows, columns, line in zip(x, known, found, strict=True):
         for d in range(3):
             at = np.flatnonzero(columns[:, d])
@@ -31,17 +30,8 @@ def test_doubt_is_zero_where_known_and_one_where_nothing_is():
     known[0, [2, 7], 0] = True
     found = doubt(known)
     assert (found[0, [2, 7], 0] == 0).all() and (found[0, :, 1] == 1).all()
-    assert found[0, 4, 0] == pytest.approx(((2 * 3 / 5) / (2 * 3 / 5 + SURE)) ** 2)  # 2 and 3 frames from what is known
-    assert found[0, 11, 0] == pytest.approx((4 / (4 + SURE)) ** 2)  # known on one side only
-
-
-def test_doubt_grows_with_the_gap():
-    def middle(length):
-        known = torch.ones(1, 60, 1, dtype=torch.bool)
-        known[0, 10 : 10 + length] = False
-        return float(doubt(known).max())
-
-    assert 0 < middle(1) < middle(10) < middle(30) < 1
+    assert found[0, 4, 0] == pytest.approx(((2 * 3 / 5) / (2 * 3 / 5 + _SURE)) ** 2)  # 2 and 3 frames away
+    assert found[0, 11, 0] == pytest.approx((4 / (4 + _SURE)) ** 2)  # known on one side only
 
 
 # -------------------------------------------------------------------------------------------------- with correlations
@@ -56,7 +46,7 @@ def windows(generator):
 
 
 def measured(windows, generator, recalls=0):
-    start = Start(8, 12, recalls)
+    start = InitialGuess(8, 12, recalls)
     start.measure(windows, CLIPS, generator)
     return start.eval()
 
@@ -64,7 +54,7 @@ def measured(windows, generator, recalls=0):
 def by_bayes(start, x, mask, left_out=()):
     """The mixture's conditional mean by its densities and covariances, component by component, in SciPy."""
     mean, factor, codes = (v.double().numpy() for v in (start.mean, start.factor, start.codes))
-    f, noise = factor[mask], RIDGE * np.eye(mask.sum())
+    f, noise = factor[mask], _RIDGE * np.eye(mask.sum())
     square = start.variance * f @ f.T + noise
     odds, means = [], []
     for i, code in enumerate(codes):
@@ -74,7 +64,7 @@ def by_bayes(start, x, mask, left_out=()):
             means.append(code + start.variance * f.T @ np.linalg.solve(square, x[mask] - at))
     guess = mean + factor @ (scipy.special.softmax(odds) @ np.array(means))
     left = torch.from_numpy(x - guess).reshape(1, 8, 12)
-    return guess.reshape(8, 12) + curves(left, torch.from_numpy(mask).reshape(1, 8, 12))[0].numpy()
+    return guess.reshape(8, 12) + _smooth_curves(left, torch.from_numpy(mask).reshape(1, 8, 12))[0].numpy()
 
 
 @pytest.mark.parametrize("recalls", [0, 150])
@@ -94,8 +84,8 @@ def test_without_recalling_it_is_ridge_regression(windows, generator):
     known[..., 3:] = True  # columns known throughout, so that curves add nothing elsewhere
     rows, mask = windows.flatten(1).double().numpy(), known.flatten().numpy()
     f, off = start.factor.double().numpy(), rows - start.mean.double().numpy()
-    stacked = np.concatenate((f[mask], RIDGE**0.5 * np.eye(PARTS)))  # ridge as least squares
-    learnt = np.linalg.lstsq(stacked, np.concatenate((off[0, mask], np.zeros(PARTS))))[0]
+    stacked = np.concatenate((f[mask], _RIDGE**0.5 * np.eye(_PARTS)))  # ridge as least squares
+    learnt = np.linalg.lstsq(stacked, np.concatenate((off[0, mask], np.zeros(_PARTS))))[0]
     expected = start.mean.double().numpy() + f @ learnt
     np.testing.assert_allclose(start(windows[:1], known)[0, :, :3], expected.reshape(8, 12)[:, :3], atol=5e-3)
 
@@ -123,13 +113,13 @@ def test_what_goes_together_is_found_where_curves_know_nothing(windows, generato
     known[..., :3] = False  # columns of which nothing is known
     error = (start(windows, known) - windows)[~known].square().mean()
     assert error < 0.2 * (windows.mean(0) - windows)[~known].square().mean()
-    assert error < 0.2 * (curves(windows, known) - windows)[~known].square().mean()
+    assert error < 0.2 * (_smooth_curves(windows, known) - windows)[~known].square().mean()
 
 
 def test_a_guess_is_kept_for_as_long_as_the_question_is_the_same(windows, generator, monkeypatch):
     start, other = measured(windows, generator), measured(windows[:150], generator)
-    asked, guess = [], Start._guess
-    monkeypatch.setattr(Start, "_guess", lambda self, *given: asked.append(1) or guess(self, *given))
+    asked, guess = [], InitialGuess._guess
+    monkeypatch.setattr(InitialGuess, "_guess", lambda self, *given: asked.append(1) or guess(self, *given))
     known = torch.rand(3, 8, 12, generator=generator) < 0.4
     first = start(windows[:3], known)
     assert torch.equal(start(torch.where(known, windows[:3], torch.nan), known.clone()), first) and len(asked) == 1
@@ -142,10 +132,10 @@ def test_a_guess_is_kept_for_as_long_as_the_question_is_the_same(windows, genera
 
 
 def test_other_windows_are_refused(windows, generator):
-    start = Start(8, 12)
+    start = InitialGuess(8, 12)
     with pytest.raises(ShapeError, match="97 windows or more"):
-        start.measure(windows[:PARTS], CLIPS[:PARTS], generator)
+        start.measure(windows[:_PARTS], CLIPS[:_PARTS], generator)
     with pytest.raises(ShapeError, match="300 windows or more"):
-        Start(8, 12, 300).measure(windows, CLIPS, generator)
+        InitialGuess(8, 12, 300).measure(windows, CLIPS, generator)
     with pytest.raises(ShapeError, match="8 frames of 12"):
         start(windows[:, :6], windows[:, :6] > 0)

@@ -1,25 +1,23 @@
 """Curves through what is known: against dense algebra one column at a time, and what they are for."""
 
 import numpy as np
-import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import gamma, kv
 
-from motionlab.diffusion import curves as module
-from motionlab.diffusion.between import between
-from motionlab.diffusion.curves import curves, matern
+from motionlab.diffusion import start as initial
+from motionlab.diffusion.start import _matern, _smooth_curves, lines_between
 
 FRAMES = 24
 
 
 def test_the_covariance_is_matern_s_with_the_bessel_function():
     """Rasmussen and Williams 2006, Eq. 4.14, nu = 3/2."""
-    far = np.arange(1, FRAMES) / module.FRAMES * np.sqrt(3.0)
+    far = np.arange(1, FRAMES) / initial._FRAMES * np.sqrt(3.0)
     expected = 2 ** (1 - 1.5) / gamma(1.5) * far**1.5 * kv(1.5, far)
-    np.testing.assert_allclose(matern(FRAMES)[0, 1:], expected, rtol=1e-12)
-    assert matern(FRAMES).diagonal().unique() == 1
+    np.testing.assert_allclose(_matern(FRAMES)[0, 1:], expected, rtol=1e-12)
+    assert _matern(FRAMES).diagonal().unique() == 1
 
 
 @given(seed=st.integers(0, 10_000), chance=st.floats(0.0, 1.0))
@@ -27,12 +25,12 @@ def test_it_is_the_process_s_conditional_mean_column_by_column(seed, chance):
     generator = torch.Generator().manual_seed(seed)
     x = torch.randn(2, FRAMES, 3, generator=generator)
     known = torch.rand(x.shape, generator=generator) < chance
-    found = curves(torch.where(known, x, torch.nan), known)
-    cov = matern(FRAMES).numpy()
+    found = _smooth_curves(torch.where(known, x, torch.nan), known)
+    cov = _matern(FRAMES).numpy()
     for rows, columns, curve in zip(x.numpy(), known.numpy(), found.numpy(), strict=True):
         for d in range(3):
             at = np.flatnonzero(columns[:, d])
-            seen = cov[np.ix_(at, at)] + module.NOISE * np.eye(len(at))
+            seen = cov[np.ix_(at, at)] + initial._NOISE * np.eye(len(at))
             expected = cov[:, at] @ np.linalg.solve(seen, rows[at, d]) if len(at) else np.zeros(FRAMES)
             expected[at] = rows[at, d]
             np.testing.assert_allclose(curve[:, d], expected, atol=2e-3)
@@ -43,7 +41,7 @@ def test_smooth_motion_is_found_again_nearer_than_by_straight_lines_and_without_
     x = torch.stack((torch.sin(time / 9), torch.cos(time / 14)), -1)[None]
     known = torch.ones_like(x, dtype=torch.bool)
     known[:, 22:38] = False
-    smooth, straight = curves(x, known), between(x, known)
+    smooth, straight = _smooth_curves(x, known), lines_between(x, known)
     assert torch.equal(smooth[known], x[known])
     assert (smooth - x).abs().max() < 0.25 * (straight - x).abs().max()
     bends = [m.diff(n=2, dim=1).abs()[:, [20, 21, 36, 37]].max() for m in (smooth, straight, x)]
@@ -53,14 +51,6 @@ def test_smooth_motion_is_found_again_nearer_than_by_straight_lines_and_without_
 def test_far_from_what_is_known_it_is_zero_again():
     known = torch.zeros(1, 400, 1, dtype=torch.bool)
     known[:, 0] = True
-    curve = curves(torch.ones(1, 400, 1), known)[0, :, 0]
+    curve = _smooth_curves(torch.ones(1, 400, 1), known)[0, :, 0]
     assert curve[0] == 1 and curve[-1].abs() < 1e-6 and (curve.diff() <= 0).all()
-    assert curves(torch.ones(1, 4, 1), known[:, 1:5]).abs().max() == 0
-
-
-@pytest.mark.parametrize("kept", [0.5, 0.25])
-def test_many_columns_at_once_are_each_by_itself(generator, kept):
-    x = torch.randn(3, FRAMES, 20, generator=generator)
-    known = torch.rand(x.shape, generator=generator) < kept
-    every = torch.cat([curves(x[..., [d]], known[..., [d]]) for d in range(20)], -1)
-    assert torch.allclose(curves(x, known), every, atol=1e-5)
+    assert _smooth_curves(torch.ones(1, 4, 1), known[:, 1:5]).abs().max() == 0

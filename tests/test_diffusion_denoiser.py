@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from motionlab.diffusion.denoiser import SIZES, Denoiser, load_official
-from motionlab.diffusion.network_checks import twin
-from motionlab.errors import DataError, ShapeError
+from motionlab.diffusion.denoiser import SIZES, Denoiser
+from motionlab.errors import ShapeError
+from studies.nb10_diffusion.network_checks import twin
 
 OFFICIAL = {  # names and shapes of the official unconstrained model (its tables of sines are not loaded)
     "input_process.poseEmbedding.weight": (512, 150), "output_process.poseFinal.weight": (150, 512),
@@ -37,34 +37,6 @@ def test_names_shapes_and_size_are_mdm_s():
         assert tuple(tensors[name].shape) == shape, name
     assert sum(x.numel() for x in tensors.values()) == 17_501_846
     assert not any(name.endswith("sequence_pos_encoder.pe") for name in tensors)
-
-
-@pytest.mark.parametrize("wrapped", ["model_avg", "model", None])
-def test_official_files_load(small, tmp_path, generator, wrapped):
-    weights = small.state_dict() | {"sequence_pos_encoder.pe": torch.zeros(5000, 1, 16)}
-    torch.save({wrapped: weights} if wrapped else weights, tmp_path / "model.pt")
-    model = load_official(tmp_path / "model.pt")
-    x = torch.randn(2, 5, 10, generator=generator)
-    assert torch.equal(model(x, torch.tensor([3, 4])), small(x, torch.tensor([3, 4])))
-    assert not any(p.requires_grad for p in model.parameters())
-
-
-@pytest.mark.parametrize("bad", ["missing", "text", "other", "pickle", "shape"])
-def test_other_files_do_not(small, tmp_path, bad):
-    path = tmp_path / "model.pt"
-    if bad == "text":
-        path.write_text("hello")
-    elif bad == "other":
-        torch.save({"a": torch.zeros(3)}, path)
-    elif bad == "pickle":
-        torch.save({"model": Denoiser(4, size=8, layers=1, heads=2, hidden=8)}, path)
-    elif bad == "shape":
-        weights = small.state_dict()
-        weights["seqTransEncoder.layers.1.norm1.weight"] = torch.zeros(3)
-        torch.save(weights, path)
-    with pytest.raises(DataError) as error:
-        load_official(path)
-    assert "model.pt" in str(error.value) and "unconstrained" in str(error.value)
 
 
 def test_a_model_that_is_told_reads_what_is_known(generator):

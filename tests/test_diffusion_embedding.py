@@ -8,19 +8,18 @@ import torch
 
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
-from motionlab import diffusion_data, train_small
+from motionlab import shipped, splits
 from motionlab.__main__ import main
 from motionlab.diffusion import embedding
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError, ShapeError
-from motionlab.frames import Frame, local_to_world
 from motionlab.metrics.generation import frechet
-from motionlab.motion import mirror
+from motionlab.motion import Frame, local_to_world, mirror
 from motionlab.rotation import rotation_about
 from motionlab.skeleton import STANDARD
 
-TINY = embedding.Recipe(frames=12, size=6, width=8, steps=120, batch=8, lr=5e-3, seed=3)
-PARTS = list(embedding.GROUPS.values())
+TINY = embedding.FeatureRecipe(frames=12, size=6, width=8, steps=120, batch=8, lr=5e-3, seed=3)
+PARTS = list(embedding.FEATURE_GROUPS.values())
 
 
 @pytest.fixture(scope="module")
@@ -40,18 +39,18 @@ def some(data):
 
 @pytest.fixture(scope="module")
 def trained(data, some):
-    return embedding.train(data, TINY, some)
+    return embedding.train_features(data, TINY, some)
 
 
 def test_signals_do_not_know_place_or_heading(some):
     elsewhere = local_to_world(Frame(rotation_about("z", torch.tensor(1.1)), torch.tensor([3.0, -2.0, 0.0])), some)
-    torch.testing.assert_close(embedding.signals(elsewhere), embedding.signals(some), atol=2e-3, rtol=0)
+    torch.testing.assert_close(embedding._signals(elsewhere), embedding._signals(some), atol=2e-3, rtol=0)
 
 
 def test_signals_show_a_drift_and_the_sliding_of_feet_that_stand(some):
     drift = torch.arange(12) / 30 * 0.2
     slid = replace(some, root=some.root + torch.stack((drift, 0 * drift, 0 * drift), -1))
-    was, now = (embedding.signals(m).split(PARTS, -1) for m in (some, slid))
+    was, now = (embedding._signals(m).split(PARTS, -1) for m in (some, slid))
     assert (now[0] - was[0]).norm(dim=-1)[:, -1].sub(0.2 * 11 / 30).abs().max() < 1e-4
     torch.testing.assert_close(now[1], was[1], atol=1e-5, rtol=0)  # joints about the root
     stands = was[3] < 0.1  # slower than about 5 mm/s, or not low
@@ -62,30 +61,24 @@ def test_signals_show_a_drift_and_the_sliding_of_feet_that_stand(some):
 
 def test_a_foot_high_above_the_floor_does_not_slide(some):
     up = replace(some, root=some.root + torch.tensor([0.0, 0.0, 0.5]))
-    assert embedding.signals(up).split(PARTS, -1)[3].max() < 1e-4
+    assert embedding._signals(up).split(PARTS, -1)[3].max() < 1e-4
 
 
 def test_signals_refuse_what_are_no_windows(some):
     with pytest.raises(ShapeError, match="windows"):
-        embedding.signals(some.clip(0))
+        embedding._signals(some.clip(0))
     with pytest.raises(ShapeError, match="windows"):
-        embedding.signals(some.cut(0, 1))
+        embedding._signals(some.cut(0, 1))
 
 
 def test_training_learns_and_is_the_same_again(data, some, trained):
     features, curve = trained
     assert curve[-1]["loss"] < 0.8 * curve[0]["loss"] and curve[-1]["place"] < 0.3
     assert curve[-1]["joints"] < curve[0]["joints"]
-    again, _ = embedding.train(data, TINY, some)
+    again, _ = embedding.train_features(data, TINY, some)
     assert torch.equal(again(some), features(some))
-    other, _ = embedding.train(data, replace(TINY, seed=4))
+    other, _ = embedding.train_features(data, replace(TINY, seed=4))
     assert not torch.allclose(other(some), features(some))
-
-
-def test_training_leaves_the_global_generator_alone(data):
-    before = torch.random.get_rng_state()
-    embedding.train(data, replace(TINY, steps=1))
-    assert torch.equal(before, torch.random.get_rng_state())
 
 
 def test_features_are_of_unit_size_on_training_motion_and_see_a_spoilt_one(data, trained, generator):
@@ -100,28 +93,21 @@ def test_features_are_of_unit_size_on_training_motion_and_see_a_spoilt_one(data,
     assert frechet(features(replace(mirror(y), contacts=None)), z).value < 3 * floor
 
 
-def test_features_are_the_same_in_batches(trained, some):
-    features, _ = trained
-    torch.testing.assert_close(features(some, batch=7), features(some), atol=1e-5, rtol=0)
-    with pytest.raises(ShapeError, match="12 frames"):
-        features(some.cut(0, 8))
-
-
 def test_what_is_missed_is_all_of_it_for_a_network_that_says_the_mean(some):
     features = embedding.Features(
         embedding.Autoencoder(TINY), torch.zeros(94), torch.ones(94), torch.zeros(6), torch.ones(6), TINY
     )
     with torch.no_grad():
         features.network.decoder[-1].weight.zero_()
-        features.network.decoder[-1].bias.copy_(embedding.signals(some).mean((0, 1)))
-    assert set(features.missed(some)) == set(embedding.GROUPS)
+        features.network.decoder[-1].bias.copy_(embedding._signals(some).mean((0, 1)))
+    assert set(features.missed(some)) == set(embedding.FEATURE_GROUPS)
     assert all(abs(share - 1) < 1e-3 for share in features.missed(some).values())
 
 
 def test_kept_features_are_the_same_bit_for_bit(trained, some, tmp_path):
     features, _ = trained
-    embedding.save(tmp_path / "f", features, {"what": "a test"})
-    found = embedding.load(tmp_path / "f")
+    embedding.save_features(tmp_path / "f", features, {"what": "a test"})
+    found = embedding._load(tmp_path / "f")
     assert torch.equal(found(some), features(some))
     assert found.recipe == TINY
     assert json.loads((tmp_path / "f.json").read_text())["sha256"].startswith(found.digest) and len(found.digest) == 12
@@ -130,17 +116,10 @@ def test_kept_features_are_the_same_bit_for_bit(trained, some, tmp_path):
 def test_files_of_something_else_are_refused(trained, tmp_path):
     features, _ = trained
     with pytest.raises(DataError, match="No such file"):
-        embedding.load(tmp_path / "none")
-    embedding.save(tmp_path / "f", replace(features, recipe=replace(TINY, size=5)), {})
+        embedding._load(tmp_path / "none")
+    embedding.save_features(tmp_path / "f", replace(features, recipe=replace(TINY, size=5)), {})
     with pytest.raises(DataError, match="not a feature autoencoder"):
-        embedding.load(tmp_path / "f")
-
-
-def test_windows_of_another_length_are_refused(data):
-    with pytest.raises(ShapeError, match="12 frames"):
-        embedding.train(data, replace(TINY, frames=16))
-    with pytest.raises(ShapeError, match="multiple of 4"):
-        embedding.Autoencoder(replace(TINY, frames=10))
+        embedding._load(tmp_path / "f")
 
 
 def test_the_command_trains_on_the_training_part_only(motions, tmp_path, monkeypatch, capsys):
@@ -150,8 +129,8 @@ def test_the_command_trains_on_the_training_part_only(motions, tmp_path, monkeyp
         asked.append(part)
         return {"synthetic": motions if part == "train" else motions[:1]}
 
-    monkeypatch.setattr(diffusion_data, "sources", sources)
-    monkeypatch.setattr(train_small.embedding, "Recipe", lambda **k: replace(TINY, frames=60, **k))
+    monkeypatch.setattr(splits, "motions_by_part", sources)
+    monkeypatch.setattr(shipped.embedding, "FeatureRecipe", lambda **k: replace(TINY, frames=60, **k))
     monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
     assert main(["train", "features", "--steps", "3", "--seed", "2", "--out", str(tmp_path / "f")]) == 0
     about = json.loads((tmp_path / "f.json").read_text())
@@ -162,7 +141,7 @@ def test_the_command_trains_on_the_training_part_only(motions, tmp_path, monkeyp
 
 
 def test_features_that_ship():
-    features = embedding.features()
+    features = embedding.motion_features()
     about = json.loads((embedding.checkpoint.SHIPPED / "diffusion_features.json").read_text())
     assert about["recipe"]["frames"] == 60 and 64 <= features.recipe.size <= 128
     assert "report" not in json.dumps(about["command"])

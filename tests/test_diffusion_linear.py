@@ -6,17 +6,18 @@ import pytest
 import torch
 
 from data_synth import scenes
-from motionlab.diffusion import denoiser, handles, linear, trained, training
-from motionlab.diffusion.losses import Weights
-from motionlab.diffusion.trained import Recipe
+from motionlab.diffusion import denoiser, linear, masks, training
+from motionlab.diffusion.losses import LossWeights
+from motionlab.diffusion.model import DenoiserRecipe, load_denoiser, save_denoiser, silenced
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import ShapeError
-from motionlab.frames import stuck_root
+from motionlab.motion import stuck_root
 from motionlab.skeleton import STANDARD
+from studies.nb14_completion import trials
 
-POSES = Recipe(
+POSES = DenoiserRecipe(
     size="tiny", frames=1, contacts=False, linear=True, handles=8, dropout=0.0, noising=100, steps=4, batch=8,
-    weights=Weights(velocity=0.0, handles=1.0),
+    weights=LossWeights(velocity=0.0, handles=1.0),
 )  # fmt: skip
 
 
@@ -31,7 +32,7 @@ def model(windows):
     """As it starts, its network silenced: the Gaussian alone."""
     with pytest.MonkeyPatch.context() as m:
         m.setitem(denoiser.SIZES, "tiny", {"size": 16, "layers": 1, "heads": 2, "hidden": 16})
-        made = training.Training(POSES, windows).averaged
+        made = training.DenoiserTraining(POSES, windows).averaged
     for value in made.denoiser.network.output_process.parameters():
         value.zero_()
     return made
@@ -45,7 +46,7 @@ def truth(windows):
 @pytest.fixture(scope="module")
 def joint(windows, model):
     """Mean and covariance, float64, of pose numbers and joints together, as it was measured."""
-    some = windows.draw(training.MEASURED, torch.Generator().manual_seed(0))
+    some = windows.draw(training._MEASURED, torch.Generator().manual_seed(0))
     x, joints = model.encode(some)[:, 0], stuck_root(some)[0].positions[:, 0].flatten(1)
     both = torch.cat((x, joints), -1).double()
     return both.mean(0), torch.cov(both.mT, correction=0)
@@ -61,17 +62,17 @@ def noisy(model, truth, t):
 @pytest.mark.parametrize("names", [(), ("left_wrist",), ("head", "left_foot", "right_wrist")])
 def test_the_start_is_the_gaussian_s_conditional_mean(model, truth, joint, monkeypatch, t, names):
     """By dense algebra on the joint covariance: what x_t and the handles' places say of the pose."""
-    monkeypatch.setattr(linear, "ROUNDS", 0)
-    which = handles.chosen(names, len(truth.root), torch.Generator().manual_seed(0))
+    monkeypatch.setattr(linear, "_ROUNDS", 0)
+    which = trials.chosen_handles(names, len(truth.root), torch.Generator().manual_seed(0))
     places = truth.positions[:, 0]
     xt, steps = noisy(model, truth, t)
-    found = model.denoiser(xt, steps, handles=handles.told(places, which)[:, None])[:, 0].double()
+    found = model.denoiser(xt, steps, handles=masks.told(places, which)[:, None])[:, 0].double()
     mean, cov = joint
     size, a = model.layout.size, model.schedule.alpha_bar[t]
     rows = [*range(size), *(size + 3 * STANDARD.index(n) + k for n in names for k in range(3))]
     see = torch.eye(len(mean)).double()[rows]
     see[:size] *= a.sqrt()
-    noise = torch.cat(((1 - a).expand(size), torch.full((3 * len(names),), linear.CLOSE)))
+    noise = torch.cat(((1 - a).expand(size), torch.full((3 * len(names),), linear._CLOSE)))
     seen = torch.cat((xt[:, 0], places[:, STANDARD.indices(list(names))].flatten(1)), -1).double()
     gain = cov @ see.mT @ torch.linalg.inv(see @ cov @ see.mT + torch.diag(noise))
     expected = mean + (seen - mean @ see.mT) @ gain.mT
@@ -79,11 +80,11 @@ def test_the_start_is_the_gaussian_s_conditional_mean(model, truth, joint, monke
 
 
 def test_steps_by_the_exact_kinematics_bring_handles_nearer(model, truth, monkeypatch):
-    which = handles.chosen(handles.SETS["five effectors"], len(truth.root), torch.Generator().manual_seed(0))
+    which = trials.chosen_handles(trials.SETS["five effectors"], len(truth.root), torch.Generator().manual_seed(0))
     places, (xt, steps) = truth.positions[:, 0], noisy(model, truth, 98)
-    told, far = handles.told(places, which)[:, None], []
+    told, far = masks.told(places, which)[:, None], []
     for rounds in (0, 1, 4, 30):
-        monkeypatch.setattr(linear, "ROUNDS", rounds)
+        monkeypatch.setattr(linear, "_ROUNDS", rounds)
         made = model.decode(model.denoiser(xt, steps, handles=told)).positions[:, 0]
         far.append((made - places).norm(dim=-1)[which].mean().item())
     assert far[1] < far[0] and far[2] < 0.8 * far[0] and far[3] < 0.6 * far[0]
@@ -93,13 +94,13 @@ def test_steps_by_the_exact_kinematics_bring_handles_nearer(model, truth, monkey
 
 def test_poses_without_handles_among_others_stay(model, truth):
     places, (xt, steps) = truth.positions[:, 0], noisy(model, truth, 60)
-    which = handles.chosen(4, len(truth.root), torch.Generator().manual_seed(0))
+    which = trials.chosen_handles(4, len(truth.root), torch.Generator().manual_seed(0))
     which[::2] = False
-    mixed = model.denoiser(xt, steps, handles=handles.told(places, which)[:, None])
+    mixed = model.denoiser(xt, steps, handles=masks.told(places, which)[:, None])
     none = model.denoiser(xt, steps)
     assert (mixed - none)[::2].abs().max() < 1e-5 and (mixed - none)[1::2].abs().amax((1, 2)).min() > 1e-2
     which[::2, 3] = True  # a row's estimate is its own, whatever the others hold
-    alone = model.denoiser(xt[1:2], steps[1:2], handles=handles.told(places, which)[1:2, None])
+    alone = model.denoiser(xt[1:2], steps[1:2], handles=masks.told(places, which)[1:2, None])
     assert (mixed[1:2] - alone).abs().max() < 1e-3
 
 
@@ -119,13 +120,13 @@ def test_the_network_corrects_what_noise_leaves_open(model, truth):
 
 def test_recalled_poses_are_a_mixture_s_conditional_mean(windows, truth, monkeypatch):
     """By Bayes' rule, one component at a time: poses z_i, a Gaussian about each, seen through noise; and handles."""
-    monkeypatch.setattr(linear, "ROUNDS", 0)
+    monkeypatch.setattr(linear, "_ROUNDS", 0)
     monkeypatch.setitem(denoiser.SIZES, "tiny", {"size": 16, "layers": 1, "heads": 2, "hidden": 16})
-    model = training.Training(replace(POSES, recalls=200), windows).averaged
+    model = training.DenoiserTraining(replace(POSES, recalls=200), windows).averaged
     told = model.denoiser
     xt, steps = noisy(model, truth, 40)
     a, at = model.schedule.alpha_bar[40], (xt[:, 0] @ told.basis).double()
-    codes, power = told.codes.double(), linear.NEAR * told.power.double()
+    codes, power = told.codes.double(), linear._NEAR * told.power.double()
     seen = a * power + 1 - a
     odds = torch.stack([-((at - a.sqrt() * z) ** 2 / seen).sum(-1) / 2 for z in codes], -1)
     each = torch.stack([(a.sqrt() * power * at + (1 - a) * z) / seen for z in codes], 1)
@@ -134,24 +135,24 @@ def test_recalled_poses_are_a_mixture_s_conditional_mean(windows, truth, monkeyp
         return (odds.softmax(-1)[..., None] * each).sum(1) @ told.basis.double().mT
 
     assert (model.denoiser(xt, steps)[:, 0] - mean(odds)).abs().max() < 1e-3
-    mine = windows.drawn(max(training.MEASURED, 200), torch.Generator().manual_seed(1))[1][:200]
+    mine = windows.drawn(max(training._MEASURED, 200), torch.Generator().manual_seed(1))[1][:200]
     assert torch.equal(told.clips.long(), mine)
     other = torch.where(told.clips == 3, -torch.inf, odds)
     own = torch.full((len(xt),), 3)
     assert (model.denoiser(xt, steps, own=own)[:, 0] - mean(other)).abs().max() < 1e-3
     assert (mean(odds) - mean(other)).abs().max() > 1e-2  # control
-    which = handles.chosen(("head", "left_foot"), len(truth.root), torch.Generator().manual_seed(0))
+    which = trials.chosen_handles(("head", "left_foot"), len(truth.root), torch.Generator().manual_seed(0))
     places = truth.positions[:, 0]
     far = (which[:, None, :, None] * (places[:, None] - told.joints.float().unflatten(-1, (-1, 3)))).square()
     far = far.sum((-1, -2)).double()
-    width = linear.FIRM + linear.LOOSE * far.amin(-1, keepdim=True) / 6
-    handed = told._recalled(at.float(), a.float(), power.float(), handles.told(places, which)[:, None], None)
+    width = linear._FIRM + linear._LOOSE * far.amin(-1, keepdim=True) / 6
+    handed = told._recalled(at.float(), a.float(), power.float(), masks.told(places, which)[:, None], None)
     by_hand = (odds - far / (2 * width)).softmax(-1) @ codes
     assert (handed - by_hand).abs().max() < 1e-3
     theirs = told.clips[far.argmin(-1)]  # left out, the nearest says nothing of how wide to look, either
     others = far.masked_fill(told.clips == theirs[:, None], torch.inf)
-    width = linear.FIRM + linear.LOOSE * others.amin(-1, keepdim=True) / 6
-    handed = told._recalled(at.float(), a.float(), power.float(), handles.told(places, which)[:, None], theirs)
+    width = linear._FIRM + linear._LOOSE * others.amin(-1, keepdim=True) / 6
+    handed = told._recalled(at.float(), a.float(), power.float(), masks.told(places, which)[:, None], theirs)
     by_hand = (odds - others / (2 * width)).softmax(-1) @ codes
     assert (handed - by_hand).abs().max() < 1e-3
 
@@ -164,8 +165,8 @@ def test_a_start_needs_as_many_poses_as_it_recalls(model):
 
 def test_data_stays_whole_on_disk(model, tmp_path, monkeypatch):
     monkeypatch.setitem(denoiser.SIZES, "tiny", {"size": 16, "layers": 1, "heads": 2, "hidden": 16})
-    trained.save(tmp_path / "m", model, {}, half=True)
-    again = trained.load(tmp_path / "m")
+    save_denoiser(tmp_path / "m", model, {}, half=True)
+    again = load_denoiser(tmp_path / "m")
     assert all(torch.equal(value, getattr(again.denoiser, name)) for name, value in model.denoiser.named_buffers()
                if "." not in name)  # fmt: skip
 
@@ -182,8 +183,8 @@ def test_silenced_it_is_its_start(model, truth):
     loud = training.deepcopy(model.denoiser)
     loud.network.output_process.poseFinal.bias.fill_(1.0)
     xt, steps = noisy(model, truth, 40)
-    which = handles.chosen(("head",), len(truth.root), torch.Generator().manual_seed(0))
-    told = handles.told(truth.positions[:, 0], which)[:, None]
-    start = trained.silenced(replace(model, denoiser=loud)).denoiser(xt, steps, handles=told)
+    which = trials.chosen_handles(("head",), len(truth.root), torch.Generator().manual_seed(0))
+    told = masks.told(truth.positions[:, 0], which)[:, None]
+    start = silenced(replace(model, denoiser=loud)).denoiser(xt, steps, handles=told)
     assert torch.equal(start, model.denoiser(xt, steps, handles=told))
     assert (start - loud(xt, steps, handles=told)).abs().max() > 1e-2

@@ -8,15 +8,15 @@ import torch
 from motionlab import rotation
 from motionlab.diffusion import losses
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.losses import Weights
-from motionlab.diffusion.schedule import cosine
+from motionlab.diffusion.losses import LossWeights
+from motionlab.diffusion.sampling import cosine
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 
 LAYOUT = Layout()
 EVERYTHING = Layout(velocities=True)
-PARTS = losses.PARTS[:5]  # that of handles: tests/test_diffusion_handles.py
+PARTS = losses._PARTS[:5]  # that of handles: tests/test_diffusion_handles.py
 
 
 def motion(generator, count=3, frames=5):
@@ -85,11 +85,11 @@ def twin(estimate, truth, layout, normaliser, bones, gate, known):
 
 
 @pytest.mark.parametrize("layout", [LAYOUT, EVERYTHING], ids=["plain", "velocities"])
-@pytest.mark.parametrize("gate", losses.GATES)
+@pytest.mark.parametrize("gate", losses._GATES)
 def test_every_part_is_that_of_a_loop(generator, layout, gate):
     estimate, truth, normaliser, bones = make(layout, generator)
     known = torch.rand(5, layout.size, generator=generator) < 0.4
-    found = losses.compare(estimate, truth, layout, normaliser, bones, parts=PARTS, gate=gate, known=known)
+    found = losses.denoising_losses(estimate, truth, layout, normaliser, bones, parts=PARTS, gate=gate, known=known)
     wanted = twin(estimate, truth, layout, normaliser, bones, gate, known)
     assert set(found) == set(PARTS)
     for name, value in found.items():
@@ -104,7 +104,7 @@ def test_windows_count_as_they_are_told_to(case):
     how = {"parts": PARTS, "known": torch.ones(LAYOUT.size, dtype=torch.bool)}
 
     def of(rows, **more):
-        return losses.compare(estimate[rows], truth[rows], LAYOUT, normaliser, bones[rows], **how, **more)
+        return losses.denoising_losses(estimate[rows], truth[rows], LAYOUT, normaliser, bones[rows], **how, **more)
 
     both, alone = of(slice(2), count=count), [of(slice(i, i + 1)) for i in (0, 1)]
     for name in PARTS:
@@ -114,31 +114,17 @@ def test_windows_count_as_they_are_told_to(case):
 
 def test_less_noise_counts_more_and_pure_noise_still_counts():
     schedule = cosine(1000)
-    counts = Weights(snr=5.0).counts(schedule)
+    counts = LossWeights(snr=5.0).counts(schedule)
     assert counts.mean() == pytest.approx(1.0) and (counts.diff() <= 1e-12).all()
     assert counts[0] / counts[-1] == pytest.approx(6.0, rel=1e-3)
     middle = int((schedule.alpha_bar - 0.5).abs().argmin())  # as much signal as noise
     assert counts[middle] / counts[-1] == pytest.approx(2.0, rel=0.01)
-    assert torch.equal(Weights().counts(schedule), torch.ones(1000).double())
-
-
-def test_groups_count_alike_where_they_should(case):
-    estimate, truth, normaliser, bones = case
-    off = truth.clone()
-    off[..., LAYOUT.slices["root"]] += 2.0
-    plain, even = (
-        losses.compare(off, truth, LAYOUT, normaliser, bones, parts=["simple"], even=even)["simple"].item()
-        for even in (False, True)
-    )
-    assert plain == pytest.approx(4 * 3 / LAYOUT.size) and even == pytest.approx(4 / 4)
-    means = [(estimate - truth)[..., part].square().mean().item() for part in LAYOUT.slices.values()]
-    found = losses.compare(estimate, truth, LAYOUT, normaliser, bones, parts=["simple"], even=True)
-    assert found["simple"].item() == pytest.approx(sum(means) / 4)
+    assert torch.equal(LossWeights().counts(schedule), torch.ones(1000).double())
 
 
 def test_the_truth_costs_nothing_but_its_own_sliding(case):
     _, truth, normaliser, bones = case
-    found = losses.compare(truth, truth, LAYOUT, normaliser, bones)
+    found = losses.denoising_losses(truth, truth, LAYOUT, normaliser, bones)
     assert all(found[name] == 0 for name in ("simple", "velocity", "fk"))
     assert found["contact"] > 0
 
@@ -147,9 +133,11 @@ def test_feet_that_stand_cost_nothing_and_no_contact_excuses_all(case):
     _, truth, normaliser, bones = case
     rows = normaliser.undo(truth)
     standing = normaliser.apply(rows[:, :1].expand_as(rows))
-    assert losses.compare(standing, truth, LAYOUT, normaliser, bones, parts=["contact"])["contact"] == 0
+    assert losses.denoising_losses(standing, truth, LAYOUT, normaliser, bones, parts=["contact"])["contact"] == 0
     rows[..., LAYOUT.slices["contacts"]] = 0
-    free = losses.compare(normaliser.apply(rows), truth, LAYOUT, normaliser, bones, parts=["contact"])["contact"]
+    free = losses.denoising_losses(normaliser.apply(rows), truth, LAYOUT, normaliser, bones, parts=["contact"])[
+        "contact"
+    ]
     assert free < 1e-20
 
 
@@ -157,7 +145,7 @@ def test_a_metre_beside_the_truth_is_a_metre_for_every_joint(case):
     _, truth, normaliser, bones = case
     rows = normaliser.undo(truth)
     rows[..., LAYOUT.slices["root"]] += torch.tensor([0.6, 0.0, 0.8], dtype=torch.float64)
-    off = losses.compare(normaliser.apply(rows), truth, LAYOUT, normaliser, bones)
+    off = losses.denoising_losses(normaliser.apply(rows), truth, LAYOUT, normaliser, bones)
     assert off["fk"].item() == pytest.approx(22.0)
     assert off["velocity"] < 1e-20  # a constant offset has no speed
 
@@ -167,21 +155,11 @@ def test_the_gate_decides_what_a_gradient_may_excuse(case):
     part = LAYOUT.slices["contacts"]
     for gate, moves in (("predicted", True), ("held", False), ("truth", False)):
         at = estimate.clone().requires_grad_()
-        losses.compare(at, truth, LAYOUT, normaliser, bones, parts=["contact"], gate=gate)["contact"].backward()
+        losses.denoising_losses(at, truth, LAYOUT, normaliser, bones, parts=["contact"], gate=gate)[
+            "contact"
+        ].backward()
         assert bool((at.grad[..., part] != 0).any()) is moves, gate
         assert (at.grad[..., LAYOUT.slices["pose"]] != 0).any()
-
-
-def test_trust_weighs_the_windows(case):
-    estimate, truth, normaliser, bones = case
-
-    def fk(trust):
-        found = losses.compare(estimate, truth, LAYOUT, normaliser, bones, trust=torch.tensor(trust))
-        return torch.stack((found["fk"], found["contact"])), found["simple"]
-
-    each = [fk([float(i == k) for i in range(3)])[0] for k in range(3)]
-    assert torch.allclose(sum(each), fk([1.0, 1.0, 1.0])[0]) and not torch.allclose(each[0], each[1])
-    assert fk([0.0, 0.0, 0.0])[1] == fk([1.0, 1.0, 1.0])[1]
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -193,22 +171,22 @@ def test_gradients_are_finite_where_nothing_is_left_of_the_signal(generator, dty
     nought = normaliser.apply(torch.zeros_like(truth))
     for at in (torch.zeros_like(truth), nought, noise, schedule.noised(truth, 999, noise)):
         at = at.clone().requires_grad_()
-        parts = losses.compare(at, truth, LAYOUT, normaliser, bones)
+        parts = losses.denoising_losses(at, truth, LAYOUT, normaliser, bones)
         sum(parts.values()).backward()
         assert at.grad.isfinite().all() and (at.grad != 0).any()
 
 
 def test_one_frame_does_not_move(case):
     estimate, truth, normaliser, bones = case
-    found = losses.compare(estimate[:, :1], truth[:, :1], LAYOUT, normaliser, bones)
+    found = losses.denoising_losses(estimate[:, :1], truth[:, :1], LAYOUT, normaliser, bones)
     assert found["velocity"] == 0 and found["contact"] == 0 and found["fk"] > 0
 
 
 def test_parts_are_switched(case):
     estimate, truth, normaliser, bones = case
-    for name in losses.PARTS[:4]:
-        assert set(losses.compare(estimate, truth, LAYOUT, normaliser, bones, parts=[name])) == {name}
-    weights = Weights(fk=2.0, late=0.5, velocity=0.0)
+    for name in losses._PARTS[:4]:
+        assert set(losses.denoising_losses(estimate, truth, LAYOUT, normaliser, bones, parts=[name])) == {name}
+    weights = LossWeights(fk=2.0, late=0.5, velocity=0.0)
     assert weights.at(0.4, LAYOUT) == {"simple": 1.0}
     assert weights.at(0.5, LAYOUT) == {"simple": 1.0, "fk": 2.0, "contact": 5.0}
     assert "known" in weights.at(0.0, LAYOUT, told=True)
@@ -218,8 +196,8 @@ def test_parts_are_switched(case):
 def test_bad_weights_and_rows_are_refused(case):
     estimate, truth, normaliser, bones = case
     with pytest.raises(ValueError, match="predicted"):
-        Weights(gate="guess")
+        LossWeights(gate="guess")
     with pytest.raises(ValueError, match="0 or more"):
-        Weights(fk=-1.0)
+        LossWeights(fk=-1.0)
     with pytest.raises(ShapeError, match="estimate"):
-        losses.compare(estimate[..., :-1], truth, LAYOUT, normaliser, bones)
+        losses.denoising_losses(estimate[..., :-1], truth, LAYOUT, normaliser, bones)

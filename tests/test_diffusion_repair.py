@@ -10,8 +10,8 @@ from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
 from motionlab.diffusion import repair
 from motionlab.diffusion.features import Normaliser
+from motionlab.diffusion.model import DenoiserRecipe, Trained
 from motionlab.diffusion.repair import Way
-from motionlab.diffusion.trained import Recipe, Trained
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import ShapeError
 from motionlab.skeleton import STANDARD
@@ -48,7 +48,7 @@ class Oracle(nn.Module):
 
 
 def model_of(motion, told=False):
-    recipe = Recipe(frames=12, told=told, noising=50)
+    recipe = DenoiserRecipe(frames=12, told=told, noising=50)
     normaliser = Normaliser.measure(recipe.layout.encode(motion), recipe.layout)
     x0 = normaliser.apply(recipe.layout.encode(motion))
     return Trained(Oracle(x0, told), recipe.schedule, recipe.layout, normaliser, recipe)
@@ -95,24 +95,6 @@ def test_a_model_that_is_told_hears_the_mask_and_only_what_is_known(motion, gene
     assert torch.equal(mask, known.expand_as(x0)) and torch.equal(heard, torch.where(known, x0, 0.0))
 
 
-def test_small_batches_keep_every_window_in_its_place(motion):
-    model = model_of(motion)
-    truth = model.denoiser.x0
-
-    class InTurn(Oracle):
-        """Windows come two at a time, in order."""
-
-        def forward(self, x, stamps, known=None, mask=None):
-            self.calls = getattr(self, "calls", -1) + 1
-            at = 2 * (self.calls // 3)
-            return self.x0[at : at + 2]
-
-    inner = replace(model, denoiser=InTurn(truth))
-    known = model.layout.mask(12, only=[0])
-    made = repair.repair(inner, motion, known, torch.Generator().manual_seed(0), Way(steps=3), batch=2)
-    assert (made.positions - motion.positions).abs().max() < 1e-3
-
-
 def test_an_unknown_number_takes_the_nearest_known_value_for_a_soft_mask():
     x = torch.arange(6.0)[None, :, None].expand(1, 6, 2).contiguous()
     known = torch.zeros(6, 2, dtype=torch.bool)
@@ -128,20 +110,6 @@ def test_what_makes_no_sense_is_refused(motion, generator):
     for bad in ({"put": "paste"}, {"sampler": "euler"}, {"put": "imputed", "times": 2}):
         with pytest.raises(ValueError, match=r"expected|overwrite"):
             Way(**bad)
-
-
-def test_from_a_guess_it_goes_on_and_from_noise_it_forgets(motion, generator):
-    """A denoiser that says what it sees stays near where it began, the nearer the later that was."""
-    model, guess = model_of(motion), motion.clip([1, 2, 3, 4, 5, 0])
-    model.denoiser.forward = lambda x, stamps, *_: x / model.schedule.alpha_bar[stamps].sqrt()[:, None, None].float()
-    known = model.layout.mask(12, only=[0, 11])
-    x0, goal = model.encode(motion), model.encode(guess)
-    off = []
-    for begin in (0.1, 0.5, 0.9):
-        made = repair.fill(model, x0, known, generator, Way(steps=20, put="imputed", begin=begin), goal)
-        assert torch.equal(made[:, known], x0[:, known])
-        off.append((made - goal)[:, ~known].square().mean())
-    assert off[0] < 0.1 < off[1] < off[2]
 
 
 def test_the_guess_is_where_it_was_in_the_world(motion, generator):

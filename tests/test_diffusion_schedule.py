@@ -6,7 +6,7 @@ import pytest
 import torch
 from diffusers import DDPMScheduler
 
-from motionlab.diffusion.schedule import MOST, Schedule, cosine
+from motionlab.diffusion.sampling import MOST, NoiseSchedule, cosine
 from motionlab.errors import ShapeError
 
 
@@ -89,8 +89,8 @@ def test_impossible_spacings(thousand, count):
 
 def test_tables_that_are_none():
     with pytest.raises(ShapeError):
-        Schedule(torch.tensor([0.5, 0.6]), torch.arange(2))
+        NoiseSchedule(torch.tensor([0.5, 0.6]), torch.arange(2))
     with pytest.raises(ShapeError):
-        Schedule(torch.tensor([0.6, 0.5]), torch.arange(3))
+        NoiseSchedule(torch.tensor([0.6, 0.5]), torch.arange(3))
     with pytest.raises(ValueError, match="steps"):
         cosine(0)

@@ -6,9 +6,11 @@ import scipy.fft
 import torch
 from torch import nn
 
-from motionlab.diffusion import between, curves, spectral
-from motionlab.diffusion.denoiser import Denoiser, until_known
-from motionlab.diffusion.schedule import cosine
+from motionlab import baselines
+from motionlab.diffusion import spectral
+from motionlab.diffusion import start as initial
+from motionlab.diffusion.denoiser import Denoiser, _until_known
+from motionlab.diffusion.sampling import cosine
 from motionlab.errors import ShapeError
 
 
@@ -33,14 +35,14 @@ def made(spectrum, value=0.0, told=False):
 def test_the_transform_is_scipys(generator):
     x = torch.randn(3, 12, 5, generator=generator)
     expected = scipy.fft.dct(x.numpy(), axis=1, norm="ortho")
-    assert np.abs((spectral.cosines(12) @ x).numpy() - expected).max() < 1e-5
+    assert np.abs((baselines.cosine_transform(12) @ x).numpy() - expected).max() < 1e-5
 
 
 def test_without_a_network_it_is_the_exact_denoiser_of_gaussian_motion(generator):
     """Against the conditional mean by the covariance in time, no transform used."""
     frames, a = 8, cosine(1000).alpha_bar[400]
     power = torch.linspace(2.0, 0.1, frames)[:, None]
-    basis = spectral.cosines(frames)
+    basis = baselines.cosine_transform(frames)
     covariance = basis.T @ torch.diag(power[:, 0]) @ basis
     x = torch.randn(4, frames, 1, generator=generator)
     a = a.float()
@@ -55,7 +57,7 @@ def test_what_the_network_says_counts_in_units_of_the_filters_uncertainty(genera
     frames, t = 6, 300
     power = torch.linspace(1.5, 0.2, frames)[:, None].expand(frames, 2)
     schedule = cosine(1000)
-    basis = spectral.cosines(frames)
+    basis = baselines.cosine_transform(frames)
     x0 = basis.T @ (power.sqrt() * torch.randn(20_000, frames, 2, generator=generator))
     xt = schedule.noised(x0, t, torch.randn(x0.shape, generator=generator))
     stamps = torch.full((len(x0),), t)
@@ -108,7 +110,7 @@ def test_with_a_flat_spectrum_it_is_bayes_rule_number_by_number(told):
     """Prior N(line, doubt^2 s), one observation x_t: mean and deviation by precisions, as in any textbook."""
     x, stamps, values, known = told
     s, a = 0.7, cosine(1000).alpha_bar.float()[stamps][:, None, None]
-    line, prior = curves.curves(values, known), between.doubt(known).square() * s
+    line, prior = initial._smooth_curves(values, known), initial.doubt(known).square() * s
     precision = 1 / prior + a / (1 - a)
     mean = (line / prior + a.sqrt() * x / (1 - a)) / precision
     silent, loud = (made(torch.full((12, 3), s), v, told=True)(x, stamps, values, known) for v in (0.0, 1.0))
@@ -138,7 +140,7 @@ def test_frames_until_the_next_known_one_against_counting():
     mask = torch.zeros(1, 9, 3)
     mask[0, [0, 4]] = 1.0
     mask[0, 6, :2] = 1.0  # not whole
-    assert until_known(mask).tolist() == [[0, 3, 2, 1, 0, 9, 9, 9, 9]]
+    assert _until_known(mask).tolist() == [[0, 3, 2, 1, 0, 9, 9, 9, 9]]
 
 
 def test_a_model_that_counts_to_the_next_known_frame_notices_where_it_is(generator):

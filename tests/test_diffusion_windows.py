@@ -10,9 +10,8 @@ from data_synth.corpus import perform_sequence
 from motionlab.diffusion import masks, windows
 from motionlab.diffusion.features import Layout
 from motionlab.errors import DataError, ShapeError
-from motionlab.frames import fix_root_horizontally
-from motionlab.metrics.contact import slide_in_contact_mm
-from motionlab.motion import mirror
+from motionlab.metrics.gait import slide_in_contact_mm
+from motionlab.motion import fix_root_horizontally, mirror
 from motionlab.skeleton import STANDARD
 
 LAYOUT = Layout()
@@ -61,19 +60,6 @@ def test_a_draw_follows_its_generator_and_the_digest_the_numbers(motions):
     ]  # fmt: skip
     assert windows.gather(motions, 20).digest == data.digest
     assert len({data.digest, *(x.digest for x in others)}) == 6
-
-
-def test_every_layout_encodes_what_is_drawn(motions, generator):
-    data = windows.gather(motions, 20)
-    drawn = data.draw(6, generator)
-    rows = LAYOUT.encode(drawn)
-    assert rows.shape == (6, 20, LAYOUT.size) and rows.isfinite().all()
-    start = rows[:, 0, LAYOUT.slices["root"]]
-    assert start[:, :2].abs().max() < 1e-5 and (start[:, 2] > 0.1).all()  # stuck to the first frame
-    assert Layout(frame="world").encode(drawn)[:, 0, :2].abs().max() > 0.1
-    fixed = windows.gather([fix_root_horizontally(m) for m in motions], 1)
-    pose = Layout(contacts=False, travels=False)
-    assert pose.encode(fixed.draw(6, generator)).shape == (6, 1, pose.size)
 
 
 @pytest.mark.parametrize(
@@ -159,14 +145,6 @@ def test_legs_are_asked_with_and_without_the_roots_place(generator):
     assert legs.sum() == 20 * 8 * 6 and not (m & legs).any() and (m | ~others).all()
     root = m[..., LAYOUT.slices["root"]].all(-1).all(-1)
     assert 10 < root.sum() < 50
-
-
-def test_kinds_come_by_their_odds_and_their_generator(generator):
-    m = masks.draw(LAYOUT, 20, 2000, generator, {"nothing": 1.0, "legs": 3.0})
-    assert m.dtype == torch.bool and (~m.any(-1).any(-1)).float().mean().item() == pytest.approx(0.25, abs=0.04)
-    one, same, other = (masks.draw(LAYOUT, 20, 30, torch.Generator().manual_seed(s)) for s in (1, 1, 2))
-    assert torch.equal(one, same) and not torch.equal(one, other)
-    assert masks.draw(LAYOUT, 1, 8, generator).shape == (8, 1, LAYOUT.size)
 
 
 @pytest.mark.parametrize("kinds", [{}, {"arms": 1.0}, {"gap": 0.0}])

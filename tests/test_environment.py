@@ -12,12 +12,12 @@ import yaml
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
-from motionlab.doctor import normal_name, read_pins
+from motionlab.doctor import _normal_name, _read_pins
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 ASKED = [Requirement(line) for line in PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"]]
-PINS = read_pins(ROOT / "constraints.txt")
+PINS = _read_pins(ROOT / "constraints.txt")
 CONDA = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))
 CONDA_PIP = next(entry["pip"] for entry in CONDA["dependencies"] if isinstance(entry, dict))
 CONDA_PINS = dict(line.split("==") for line in CONDA_PIP if "==" in line)
@@ -25,9 +25,9 @@ CONDA_PINS = dict(line.split("==") for line in CONDA_PIP if "==" in line)
 
 def disagreements(asked, pins, conda):
     """What the three lists do not agree on; conda has {"name[extra]": version}."""
-    conda_names = {normal_name(name.split("[")[0]): name for name in conda}
+    conda_names = {_normal_name(name.split("[")[0]): name for name in conda}
     for requirement in asked:
-        name = normal_name(requirement.name)
+        name = _normal_name(requirement.name)
         if name not in pins:
             yield f"{name}: not in constraints.txt"
         elif not requirement.specifier.contains(pins[name]):
@@ -38,13 +38,13 @@ def disagreements(asked, pins, conda):
             yield f"{name}: environment.yml has {conda[conda_names[name]]}, constraints.txt {pins.get(name)}"
         elif set(re.findall(r"\w+", conda_names[name].partition("[")[2])) != requirement.extras:
             yield f"{name}: environment.yml asks for other extras than pyproject.toml"
-    for name in set(conda_names) - {normal_name(requirement.name) for requirement in asked}:
+    for name in set(conda_names) - {_normal_name(requirement.name) for requirement in asked}:
         yield f"{name}: in environment.yml, not in pyproject.toml"
 
 
 def needed(asked):
     """Names of everything that `asked` pulls in on this machine, itself included."""
-    todo = [(normal_name(r.name), extra) for r in asked for extra in ["", *r.extras]]
+    todo = [(_normal_name(r.name), extra) for r in asked for extra in ["", *r.extras]]
     seen = set()
     while todo:
         name, extra = todo.pop()
@@ -54,7 +54,7 @@ def needed(asked):
         for line in metadata.requires(name) or []:
             r = Requirement(line)
             if r.marker is None or r.marker.evaluate({"extra": extra}):
-                todo += [(normal_name(r.name), further) for further in ["", *r.extras]]
+                todo += [(_normal_name(r.name), further) for further in ["", *r.extras]]
     return {name for name, _ in seen}
 
 
@@ -75,8 +75,8 @@ def undeclared(folder, asked):
     owners = metadata.packages_distributions()
     ours = {"motionlab", "data_synth", "tests", *(path.stem for path in folder.glob("*.py"))}
     names = set(imported(folder)) - set(sys.stdlib_module_names) - ours
-    asked = {normal_name(requirement.name) for requirement in asked}
-    return {name for name in names if not {normal_name(owner) for owner in owners.get(name, [name])} & asked}
+    asked = {_normal_name(requirement.name) for requirement in asked}
+    return {name for name in names if not {_normal_name(owner) for owner in owners.get(name, [name])} & asked}
 
 
 @pytest.mark.parametrize("folder", ["motionlab", "data_synth"])
@@ -85,7 +85,7 @@ def test_what_the_code_imports_is_a_dependency(folder):
 
 
 def test_what_the_tests_import_is_a_dependency_or_for_developers():
-    assert not undeclared(ROOT / "tests", ASKED)
+    assert undeclared(ROOT / "tests", ASKED) <= {"studies"}  # beside the notebooks, on pytest's path
 
 
 def test_control_undeclared_imports_are_found(tmp_path):
@@ -115,7 +115,7 @@ def test_every_package_that_is_pulled_in_is_pinned():
     assert not needed(ASKED) - set(PINS) - of_torch - {"setuptools", "pip"}
 
 
-@pytest.mark.parametrize("name", sorted(normal_name(requirement.name) for requirement in ASKED))
+@pytest.mark.parametrize("name", sorted(_normal_name(requirement.name) for requirement in ASKED))
 def test_the_running_version_is_the_pinned_one(name):
     assert metadata.version(name).split("+")[0] == PINS[name], "run `make setup`"
 
@@ -129,7 +129,7 @@ def test_pins_are_exact_and_carry_no_local_build():
 
 def test_every_pinned_release_runs_on_the_oldest_python_we_claim():
     oldest = re.search(r"\d+\.\d+", PROJECT["requires-python"])[0] + ".0"
-    wants = {name: metadata.metadata(name)["Requires-Python"] for name in needed(ASKED)}
+    wants = {name: metadata.metadata(name).get("Requires-Python") for name in needed(ASKED)}
     too_new = {name: want for name, want in wants.items() if want and not SpecifierSet(want).contains(oldest)}
     assert not too_new, f"pin older releases of {too_new}"
 

@@ -51,7 +51,7 @@ def test_too_few_samples_are_not_judged():
     ],
 )
 def test_a_claim_is_as_good_as_its_tests(verdicts, expected):
-    assert findings.overall(verdicts) == expected
+    assert findings._overall(verdicts) == expected
 
 
 def test_interval_covers_the_true_mean_as_often_as_it_says():

@@ -5,8 +5,20 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import frames, rotation
-from motionlab.motion import Motion, velocity
+from motionlab import motion, rotation
+from motionlab.motion import (
+    Frame,
+    Motion,
+    fix_root_horizontally,
+    heading_frame,
+    local_to_world,
+    local_to_world_positions,
+    stuck_root,
+    velocity,
+    world_to_local,
+    world_to_local_orientations,
+    world_to_local_positions,
+)
 from motionlab.skeleton import STANDARD, UPRIGHT
 
 GOLDEN = np.load(Path(__file__).parent / "golden" / "humor_frames.npz")
@@ -26,32 +38,33 @@ def random_motion(generator: torch.Generator, batch: tuple[int, ...] = (), frame
 def test_golden_canonical_frame_of_humor():
     """HuMoR's yaw carries epsilons of 1e-6, hence 1e-4; with its own matrix the transform agrees to rounding."""
     root, orientation = golden("world_trans"), golden("world_root_orient").reshape(4, 9, 3, 3)
-    exact = frames.heading_frame(root[:, 0], orientation[:, 0])
+    exact = motion.heading_frame(root[:, 0], orientation[:, 0])
     torch.testing.assert_close(exact.turn, golden("canon_w2a_rot"), atol=1e-4, rtol=0)
     torch.testing.assert_close(exact.shift, golden("canon_w2a_trans"))
-    frame = frames.Frame(golden("canon_w2a_rot"), exact.shift)
+    frame = motion.Frame(golden("canon_w2a_rot"), exact.shift)
     two = {name: golden(f"world_{name}")[:, :2] for name in ("trans", "trans_vel", "root_orient_vel", "joints_vel")}
-    local = frames.world_to_local_positions(frame, two["trans"])
+    local = motion.world_to_local_positions(frame, two["trans"])
     torch.testing.assert_close(local, golden("canon_local_trans"))
     for name in ("trans_vel", "root_orient_vel", "joints_vel"):
-        vectors = frames.world_to_local_vectors(frame, two[name].reshape(4, -1, 3))
+        turned = motion.Frame(frame.turn, torch.zeros_like(frame.shift))  # velocities are turned, not shifted
+        vectors = motion.world_to_local_positions(turned, two[name].reshape(4, -1, 3))
         torch.testing.assert_close(vectors, golden(f"canon_local_{name}").reshape(4, -1, 3))
-    turned = frames.world_to_local_orientations(frame, orientation[:, :2])
+    turned = motion.world_to_local_orientations(frame, orientation[:, :2])
     torch.testing.assert_close(turned, golden("canon_local_root_orient").reshape(4, 2, 3, 3))
     off = golden("canon_trans2joint").reshape(4, 1, 3)  # HuMoR: joints turn about the root joint, not about trans
     joints = golden("world_joints")[:, :2].reshape(4, 44, 3)
-    local = frames.world_to_local_positions(frame, joints + off) - off
+    local = motion.world_to_local_positions(frame, joints + off) - off
     torch.testing.assert_close(local, golden("canon_local_joints").reshape(4, 44, 3))
 
 
 def test_heading_frame_puts_the_body_above_the_origin_facing_y(generator):
     motion = random_motion(generator, (3,))
-    local = frames.world_to_local(frames.headings(motion), motion)
+    local = world_to_local(heading_frame(motion.root, motion.rot[..., 0, :, :]), motion)
     torch.testing.assert_close(local.root[..., :2], torch.zeros(3, 7, 2, dtype=F64))
     assert torch.equal(local.root[..., 2], motion.root[..., 2])
     right = -local.rot[..., 0, :, 0]
     assert (right[..., 1].abs() < 1e-12).all() and (right[..., 0] > 0).all()
-    upright = frames.heading_frame(torch.zeros(3), UPRIGHT)
+    upright = heading_frame(torch.zeros(3), UPRIGHT)
     assert torch.equal(upright.turn, torch.eye(3))
 
 
@@ -59,16 +72,16 @@ def test_heading_frame_puts_the_body_above_the_origin_facing_y(generator):
 def test_round_trip_is_exact(generator, axes):
     motion = random_motion(generator, (2, 3))
     if axes == "every frame":
-        frame = frames.headings(motion)
-        local = frames.world_to_local(frame, motion)
+        frame = heading_frame(motion.root, motion.rot[..., 0, :, :])
+        local = world_to_local(frame, motion)
     else:
-        local, frame = frames.stuck_root(motion, axes)
-    back = frames.local_to_world(frame, local)
+        local, frame = stuck_root(motion, axes)
+    back = local_to_world(frame, local)
     torch.testing.assert_close(back.root, motion.root, atol=1e-13, rtol=0)
     torch.testing.assert_close(back.rot, motion.rot, atol=1e-13, rtol=0)
     points = torch.randn(2, 3, 7, 5, 3, generator=generator, dtype=F64)
-    there = frames.world_to_local_positions(frame, points)
-    torch.testing.assert_close(frames.local_to_world_positions(frame, there), points, atol=1e-13, rtol=0)
+    there = world_to_local_positions(frame, points)
+    torch.testing.assert_close(local_to_world_positions(frame, there), points, atol=1e-13, rtol=0)
 
 
 @pytest.mark.parametrize("axes", ["heading", "root"])
@@ -80,7 +93,7 @@ def test_stuck_root_does_not_see_where_the_motion_happens(generator, axes):
         root=motion.root @ turn.mT + torch.tensor([3.0, -4.0, 0.0]),
         rot=torch.cat((turn @ motion.rot[:, :1], motion.rot[:, 1:]), 1),
     )
-    here, there = frames.stuck_root(motion, axes)[0], frames.stuck_root(moved, axes)[0]
+    here, there = stuck_root(motion, axes)[0], stuck_root(moved, axes)[0]
     torch.testing.assert_close(here.positions, there.positions)
     assert (moved.positions - motion.positions).abs().max() > 1  # the control: the world frame does see it
     torch.testing.assert_close(here.root[0, :2], torch.zeros(2, dtype=F64))
@@ -91,17 +104,18 @@ def test_stuck_root_does_not_see_where_the_motion_happens(generator, axes):
 
 def test_local_positions_commute_with_forward_kinematics_and_velocities(generator):
     motion = random_motion(generator)
-    local, frame = frames.stuck_root(motion)
-    torch.testing.assert_close(frames.world_to_local_positions(frame, motion.positions), local.positions)
+    local, frame = stuck_root(motion)
+    torch.testing.assert_close(world_to_local_positions(frame, motion.positions), local.positions)
     fast = velocity(motion.positions, 30.0, dim=-3)
-    torch.testing.assert_close(frames.world_to_local_vectors(frame, fast), velocity(local.positions, 30.0, dim=-3))
-    turned = frames.world_to_local_orientations(frame, motion.world[1])
+    turned = Frame(frame.turn, torch.zeros_like(frame.shift))
+    torch.testing.assert_close(world_to_local_positions(turned, fast), velocity(local.positions, 30.0, dim=-3))
+    turned = world_to_local_orientations(frame, motion.world[1])
     torch.testing.assert_close(turned, local.world[1])
 
 
 def test_fixed_root_keeps_height_and_pose_and_drops_contacts(generator):
     motion = random_motion(generator)
-    fixed = frames.fix_root_horizontally(motion)
+    fixed = fix_root_horizontally(motion)
     assert (fixed.root[:, :2] == 0).all() and torch.equal(fixed.root[:, 2], motion.root[:, 2])
     assert torch.equal(fixed.rot, motion.rot) and fixed.contacts is None
 
@@ -109,7 +123,7 @@ def test_fixed_root_keeps_height_and_pose_and_drops_contacts(generator):
 def test_gradients_pass_and_unknown_axes_are_refused(generator):
     motion = random_motion(generator)
     root = motion.root.requires_grad_()
-    frames.stuck_root(replace(motion, root=root))[0].positions.square().sum().backward()
+    stuck_root(replace(motion, root=root))[0].positions.square().sum().backward()
     assert root.grad.isfinite().all() and root.grad.abs().max() > 0
     with pytest.raises(ValueError, match="heading"):
-        frames.stuck_root(motion, "first")
+        stuck_root(motion, "first")

@@ -6,9 +6,10 @@ import pytest
 import torch
 from safetensors.torch import save as save_tensors
 
+from motionlab import checkpoint
 from motionlab.errors import DataError
-from motionlab.humor import checkpoint
-from motionlab.humor.cvae import Cvae
+from motionlab.humor import pretrained
+from motionlab.humor.cvae import Cvae, official_weights
 
 RECIPE = {"what": "a test", "seed": 3}
 
@@ -18,17 +19,17 @@ def kept(tmp_path):
     """A small model, saved."""
     torch.manual_seed(0)
     model = Cvae(64).frozen()
-    checkpoint.save(tmp_path / "small", model.state_dict(), RECIPE)
+    checkpoint.save(tmp_path / "small", official_weights(model), RECIPE)
     return model, tmp_path / "small"
 
 
 def test_what_is_saved_comes_back(kept):
     model, path = kept
     tensors, recipe = checkpoint.load(path)
-    assert tensors.keys() == model.state_dict().keys()
-    assert all(torch.equal(tensors[name], value) for name, value in model.state_dict().items())
+    assert tensors.keys() == official_weights(model).keys()
+    assert all(torch.equal(tensors[name], value) for name, value in official_weights(model).items())
     assert recipe.items() >= RECIPE.items()
-    again = checkpoint.motion_prior(str(path))
+    again = pretrained.load_motion_prior(str(path))
     x = torch.randn(5, 339, generator=torch.Generator().manual_seed(1))
     assert torch.equal(again.prior(x).mean, model.prior(x).mean)
     assert not any(p.requires_grad for p in again.parameters())
@@ -36,8 +37,8 @@ def test_what_is_saved_comes_back(kept):
 
 def test_half_precision_is_read_as_single(kept, tmp_path):
     model, _ = kept
-    checkpoint.save(tmp_path / "half", {n: v.half() for n, v in model.state_dict().items()}, RECIPE)
-    again = checkpoint.motion_prior(str(tmp_path / "half"))
+    checkpoint.save(tmp_path / "half", {n: v.half() for n, v in official_weights(model).items()}, RECIPE)
+    again = pretrained.load_motion_prior(str(tmp_path / "half"))
     assert {p.dtype for p in again.parameters()} == {torch.float32}
     assert torch.allclose(again.decoder.net[0].weight, model.decoder.net[0].weight, atol=1e-3)
 
@@ -105,19 +106,19 @@ def test_damage_is_refused_with_a_remedy(kept, harm):
 )
 def test_other_models_are_refused(kept, change, complaint):
     model, path = kept
-    checkpoint.save(path.with_name("foreign"), change(model.state_dict()), RECIPE)
+    checkpoint.save(path.with_name("foreign"), change(official_weights(model)), RECIPE)
     with pytest.raises(DataError, match=complaint):
-        checkpoint.motion_prior(str(path.with_name("foreign")))
+        pretrained.load_motion_prior(str(path.with_name("foreign")))
 
 
 def test_unknown_name_says_what_to_do():
     with pytest.raises(DataError, match="train"):
-        checkpoint.motion_prior("no_such_prior")
+        pretrained.load_motion_prior("no_such_prior")
 
 
 def test_the_shipped_prior_is_whole_and_small():
-    model = checkpoint.motion_prior()
-    assert len(model.state_dict()) == 50 and model.latent == 48
+    model = pretrained.load_motion_prior()
+    assert len(official_weights(model)) == 50 and model.latent == 48
     assert (checkpoint.SHIPPED / "humor_compact.safetensors").stat().st_size < 15e6
     assert not any(p.requires_grad for p in model.parameters()) and not model.training
-    assert checkpoint.motion_prior() is model
+    assert pretrained.load_motion_prior() is model

@@ -6,11 +6,9 @@ Everything twice: as compiled loops, and as tensors.
 import pytest
 import torch
 
-from motionlab import doctor, rotation
-from motionlab.humor import compiled, recursion, state
-from motionlab.humor.closed_loop import INPUT, steered_rollout
-from motionlab.humor.recursion import LEAN
-from motionlab.humor.rollout import rollout
+from motionlab import doctor, motion, rotation
+from motionlab.humor import compiled, state
+from motionlab.humor.rollout import rollout, steered_rollout
 from tests.rolled_inputs import F64, first_states, network
 
 CLIPS, STEPS = 2, 5
@@ -43,7 +41,7 @@ def u():
 
 @pytest.fixture(scope="module")
 def gains():
-    return 0.02 * draw(2, CLIPS, STEPS, 48, INPUT)
+    return 0.02 * draw(2, CLIPS, STEPS, 48, compiled.PLACED)
 
 
 def naive(model, first, u, gains):
@@ -53,7 +51,7 @@ def naive(model, first, u, gains):
         frame = state.heading(world)
         past = state.localise(world, frame)
         place = torch.cat((frame.turn.mT[:, :2, :2], -frame.shift[:, :2, None]), -1)  # own = turn (world + shift)
-        inputs = torch.cat((past[:, LEAN], place.flatten(1)), -1)  # cos, -sin, x, sin, cos, y
+        inputs = torch.cat((past, place.flatten(1)), -1)  # cos, -sin, x, sin, cos, y
         z = now + (gain @ inputs[..., None])[..., 0]
         after, logits = state.apply(past, model.decode(past, z))
         world = state.globalise(after, frame)
@@ -82,7 +80,7 @@ def on_manifold(first, change):
 
 
 def test_without_gains_it_is_the_plain_roll_out(model, first, u):
-    found, inputs = steered_rollout(model, first, u, torch.zeros(CLIPS, STEPS, 48, INPUT, dtype=F64))
+    found, inputs = steered_rollout(model, first, u, torch.zeros(CLIPS, STEPS, 48, compiled.PLACED, dtype=F64))
     plain = rollout(model, first, u)
     assert torch.equal(found.z, u)
     for ours, theirs in (
@@ -92,7 +90,7 @@ def test_without_gains_it_is_the_plain_roll_out(model, first, u):
         (found.prior.log_var, plain.prior.log_var),
     ):
         torch.testing.assert_close(ours, theirs, atol=1e-11, rtol=1e-11)
-    assert inputs.shape == (CLIPS, STEPS, INPUT)
+    assert inputs.shape == (CLIPS, STEPS, compiled.PLACED)
 
 
 def test_it_is_a_plain_roll_out_of_its_own_latents(model, first, u, gains):
@@ -174,11 +172,11 @@ def test_only_gains_on_the_place_in_the_world_see_the_world(model, first, u, gai
     """Make the world matter: turned and moved, the rest of them gives the same motion turned and moved."""
     blind = gains.clone()
     blind[..., state.STATE :] = 0.0
-    frame = state.Frame(
+    frame = motion.Frame(
         rotation.rotation_about("z", torch.tensor([0.7, -2.9], dtype=F64)),
         torch.tensor([[3.0, -1.0, 0.0], [0.2, 4.0, 0.0]], dtype=F64),
     )
-    wide = state.Frame(frame.turn[:, None], frame.shift[:, None])
+    wide = motion.Frame(frame.turn[:, None], frame.shift[:, None])
     for each, same in ((blind, True), (gains, False)):
         here, _ = steered_rollout(model, first, u, each)
         there, _ = steered_rollout(model, state.localise(first, frame), u, each)
@@ -244,7 +242,7 @@ def test_no_gains_are_gains_of_nought(model, first, u):
     leaves = [x.clone().requires_grad_() for x in (u, u)]
     found = [
         parts(steered_rollout(model, first, leaves[0])),
-        parts(steered_rollout(model, first, leaves[1], torch.zeros(CLIPS, STEPS, 48, INPUT, dtype=F64))),
+        parts(steered_rollout(model, first, leaves[1], torch.zeros(CLIPS, STEPS, 48, compiled.PLACED, dtype=F64))),
     ]
     slopes = [torch.autograd.grad(loss(x), leaf)[0] for x, leaf in zip(found, leaves, strict=True)]
     for ours, theirs in zip([*found[0], slopes[0]], [*found[1], slopes[1]], strict=True):
@@ -280,7 +278,7 @@ def test_a_number_that_is_none_stays_in_its_clip(model, first, u, gains):
 def test_doctor_compiles_what_a_fit_needs(first, u, gains, monkeypatch):
     """Afterwards a roll-out of float32 numbers, with gains and without, compiles nothing more."""
     monkeypatch.setattr(compiled, "FEW", 100)
-    doctor.compile_loops()
+    doctor._compile_loops()
     kinds = [list(loop.signatures) for loop in (compiled._onward, compiled._back)]
     net = network().float()
     for each in (gains.float(), None):
@@ -291,7 +289,8 @@ def test_doctor_compiles_what_a_fit_needs(first, u, gains, monkeypatch):
 
 def test_the_loops_numbers_are_those_of_the_state():
     """They stand there once more, so that what is compiled and kept does not outlive them."""
-    assert (compiled.SUM, compiled.VECTORS, compiled.ROT) == (recursion.SUM, recursion.VECTORS, recursion.ROT)
+    assert (compiled.ADDED, compiled.VECTORS) == (state.ADDED, state.VECTORS)
+    assert (compiled.CHANGES, compiled.PLACED) == (state.CHANGES, state.STATE + 6)
     assert compiled.STATE == state.STATE
 
 

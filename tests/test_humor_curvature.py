@@ -7,18 +7,19 @@ import pytest
 import torch
 from torch.func import grad, jacrev
 
-from motionlab.frames import Frame
-from motionlab.humor import curvature, energies, state
+from motionlab.humor import energies, state
+from motionlab.humor.body_shape import landmarks, offsets
 from motionlab.humor.cvae import Gaussian
 from motionlab.humor.energies import BONE_PARENTS, CONTACT_JOINTS, JOINTS, RGB
-from motionlab.humor.observed import LEVEL, Evidence, View
-from motionlab.humor.recursion import BACK, SUM
+from motionlab.humor.evidence import LEVEL, Evidence, View
 from motionlab.humor.rollout import Rollout
-from motionlab.humor.shape import landmarks, offsets
-from motionlab.humor.slopes import CHANGE, XI
-from motionlab.humor.variables import Posed, Rolled
-from motionlab.posterior import curvature as posterior
+from motionlab.humor.shooting import gauss_newton
+from motionlab.humor.shooting.derivatives import CHANGE, XI
+from motionlab.humor.state import ADDED
+from motionlab.humor.unknowns import Posed, Rolled
+from motionlab.motion import Frame
 from motionlab.skeleton import STANDARD, fk
+from studies.nb09_posterior import curvature as posterior
 from tests.rolled_inputs import F64, first_states, own, placed, still, turned
 
 CLIPS, FRAMES = 2, 3
@@ -77,7 +78,7 @@ def world(case, change, evidence, camera):
     """Body joints, carried joints and what is seen of changed frames, in the world; every frame has betas of its own,
     and a camera. Turn after turn, by ``fk``, ``landmarks`` and ``View``."""
     frame = placed(Frame(case["turn"], case["shift"]), change[..., XI:CHANGE])
-    states = state.globalise(turned(case["x"], change[..., :XI])[..., BACK], frame)
+    states = state.globalise(turned(case["x"], change[..., :XI]), frame)
     parts = state.unpack(states)
     betas = case["betas"][:, None] + change[..., CHANGE : CHANGE + 8]
     rot = torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), -3)
@@ -154,28 +155,28 @@ def test_points_and_all_their_columns_are_those_of_forward_kinematics(x, marks):
 
     def points(change):
         frame = placed(still(x), change[XI:CHANGE].expand(len(x), -1))
-        states = state.globalise(turned(x, change[:XI].expand(len(x), -1))[:, BACK], frame)
+        states = state.globalise(turned(x, change[:XI].expand(len(x), -1)), frame)
         parts, shape = state.unpack(states), betas + change[CHANGE : CHANGE + 8]
         rot = torch.cat((parts["root_orient"][:, None], parts["pose_body"]), 1)
         joints, turns = fk(replace(STANDARD, offsets=offsets(shape)), parts["trans"], rot)
         return landmarks(joints[:, None], turns[:, None], shape)[:, 0] if marks else joints
 
     nothing = torch.zeros(size, dtype=F64)
-    found = curvature.posed(x, betas, size=size, marks=marks)
+    found = gauss_newton._posed(x, betas, size=size, marks=marks)
     torch.testing.assert_close(found.joints, points(nothing), atol=1e-12, rtol=0)
     truth = jacrev(points)(nothing)
     torch.testing.assert_close(found.slopes, truth, atol=1e-12, rtol=1e-12)
     way = draw(7, size)
     measured = (points(1e-7 * way) - points(-1e-7 * way)) / 2e-7
     torch.testing.assert_close(found.slopes @ way, measured, atol=1e-6, rtol=1e-6)
-    for part in (slice(0, 3), slice(SUM, XI), slice(XI, CHANGE), slice(CHANGE, CHANGE + 8)):
+    for part in (slice(0, 3), slice(ADDED, XI), slice(XI, CHANGE), slice(CHANGE, CHANGE + 8)):
         assert truth[..., part].flatten(2).norm(dim=(1, 2)).min() > 0.1  # none of which is idle
 
 
 def test_control_other_betas_have_other_columns(x):
     x, betas = x.flatten(0, 1), draw(2, CLIPS * FRAMES, 8)
-    found, other = (curvature.posed(x, b, size=CHANGE + 8).slopes for b in (betas, betas + 1))
-    assert (found - other)[..., SUM:XI].abs().max() > 0.01 and (found - other)[..., CHANGE:].abs().max() > 1e-4
+    found, other = (gauss_newton._posed(x, b, size=CHANGE + 8).slopes for b in (betas, betas + 1))
+    assert (found - other)[..., ADDED:XI].abs().max() > 0.01 and (found - other)[..., CHANGE:].abs().max() > 1e-4
 
 
 def test_carried_joints_move_with_their_numbers_and_their_frame(x):
@@ -183,9 +184,9 @@ def test_carried_joints_move_with_their_numbers_and_their_frame(x):
 
     def points(change):
         frame = placed(still(x), change[XI:CHANGE].expand(len(x), -1))
-        return state.unpack(state.globalise(turned(x, change[:XI].expand(len(x), -1))[:, BACK], frame))["joints"]
+        return state.unpack(state.globalise(turned(x, change[:XI].expand(len(x), -1)), frame))["joints"]
 
-    found, nothing = curvature.own_joints(x, CHANGE + 8), torch.zeros(CHANGE + 8, dtype=F64)
+    found, nothing = gauss_newton._own_joints(x, CHANGE + 8), torch.zeros(CHANGE + 8, dtype=F64)
     torch.testing.assert_close(found.joints, points(nothing), atol=1e-12, rtol=0)
     torch.testing.assert_close(found.slopes, jacrev(points)(nothing), atol=1e-12, rtol=0)
 
@@ -194,7 +195,7 @@ def test_carried_joints_move_with_their_numbers_and_their_frame(x):
 @pytest.mark.parametrize("kind", ["joints", "fixed", "free"])
 def test_rows_are_the_gauss_newton_matrix_of_naive_residuals(case, kind):
     evidence, weights = seen(case, kind)
-    found = curvature.rows(**case, evidence=evidence, weights=weights)
+    found = gauss_newton.residual_rows(**case, evidence=evidence, weights=weights)
     size = found.of_frame.shape[-1]
     assert size == CHANGE + (11 if kind == "free" else 8)
     nothing = torch.zeros(CLIPS, FRAMES, size, dtype=F64)
@@ -218,28 +219,30 @@ def test_rows_are_the_gauss_newton_matrix_of_naive_residuals(case, kind):
 
 def test_control_wrong_turns_between_frames_and_wrong_weights_are_noticed(case):
     evidence, weights = seen(case, "joints")
-    good = assembled(curvature.rows(**case, evidence=evidence, weights=weights))
+    good = assembled(gauss_newton.residual_rows(**case, evidence=evidence, weights=weights))
     for wrong in (
-        curvature.rows(**case | {"steps": case["steps"].mT}, evidence=evidence, weights=weights),
-        curvature.rows(**case | {"touching": 1 - case["touching"]}, evidence=evidence, weights=weights),
-        curvature.rows(**case, evidence=evidence, weights=weights | {"bone_length": 20.0}),
-        curvature.rows(**case, evidence=replace(evidence, weight=1 - evidence.weight), weights=weights),
+        gauss_newton.residual_rows(**case | {"steps": case["steps"].mT}, evidence=evidence, weights=weights),
+        gauss_newton.residual_rows(**case | {"touching": 1 - case["touching"]}, evidence=evidence, weights=weights),
+        gauss_newton.residual_rows(**case, evidence=evidence, weights=weights | {"bone_length": 20.0}),
+        gauss_newton.residual_rows(**case, evidence=replace(evidence, weight=1 - evidence.weight), weights=weights),
     ):
         assert (assembled(wrong) - good).abs().max() > 0.01
     seen_by, weights = seen(case, "fixed")
-    good = assembled(curvature.rows(**case, evidence=seen_by, weights=weights))
+    good = assembled(gauss_newton.residual_rows(**case, evidence=seen_by, weights=weights))
     for name in ("turn", "shift", "camera"):
         moved = case | {name: case[name].mT if name == "turn" else case[name] + 0.3}
-        assert (assembled(curvature.rows(**moved, evidence=seen_by, weights=weights)) - good).abs().max() > 0.01
+        assert (
+            assembled(gauss_newton.residual_rows(**moved, evidence=seen_by, weights=weights)) - good
+        ).abs().max() > 0.01
 
 
 @pytest.mark.parametrize("kind", ["joints", "free"])
 def test_clips_do_not_see_each_other(case, kind):
     evidence, weights = seen(case, kind)
-    both = curvature.rows(**case, evidence=evidence, weights=weights)
+    both = gauss_newton.residual_rows(**case, evidence=evidence, weights=weights)
     for b in range(CLIPS):
         alone = {name: value[b : b + 1] for name, value in case.items()}
-        each = curvature.rows(**alone, evidence=evidence.rows(torch.tensor([b])), weights=weights)
+        each = gauss_newton.residual_rows(**alone, evidence=evidence.rows(torch.tensor([b])), weights=weights)
         for ours, theirs in zip(each, both, strict=True):
             torch.testing.assert_close(ours[0], theirs[b], atol=1e-10, rtol=1e-10)
 
@@ -249,30 +252,30 @@ def test_what_was_not_seen_has_no_row(case, kind):
     """All of its row is nought, and no number of it matters."""
     evidence, weights = seen(case, kind)
     blind = replace(evidence, weight=torch.zeros_like(evidence.weight))
-    found = curvature.rows(**case, evidence=blind, weights=weights)
+    found = gauss_newton.residual_rows(**case, evidence=blind, weights=weights)
     assert not found.of_frame[:, :, 66:].any() and found.of_frame[:, :, :66].any()
     values = torch.where(evidence.weight[..., None] > 0, evidence.values, 1e6)
-    moved = curvature.rows(**case, evidence=replace(evidence, values=values), weights=weights)
+    moved = gauss_newton.residual_rows(**case, evidence=replace(evidence, values=values), weights=weights)
     assert all(
         torch.equal(a, b)
-        for a, b in zip(moved, curvature.rows(**case, evidence=evidence, weights=weights), strict=True)
+        for a, b in zip(moved, gauss_newton.residual_rows(**case, evidence=evidence, weights=weights), strict=True)
     )
 
 
 def test_without_contacts_nobody_holds_the_feet(case):
     evidence, weights = seen(case, "joints")
     weights = {n: w for n, w in weights.items() if n != "contact_vel"}
-    found = curvature.rows(**case, evidence=evidence, weights=weights)
+    found = gauss_newton.residual_rows(**case, evidence=evidence, weights=weights)
     assert not found.before[:, :, 21:].any() and found.before[:, :, :21].any()
 
 
 def test_a_body_behind_the_camera_has_finite_rows_that_do_not_pull_it(case):
     evidence, weights = seen(case, "free")
     behind = replace(evidence.view, centre=evidence.view.centre + torch.tensor([0.0, 20.0, 0.0], dtype=F64))
-    found = curvature.rows(**case, evidence=replace(evidence, view=behind), weights=weights)
+    found = gauss_newton.residual_rows(**case, evidence=replace(evidence, view=behind), weights=weights)
     assert all(part.isfinite().all() for part in found) and not found.of_frame[:, :, 66:, : CHANGE + 8].any()
     near = replace(evidence.view, centre=evidence.view.centre + torch.tensor([0.0, 7.0, 0.0], dtype=F64))
-    through = curvature.rows(**case, evidence=replace(evidence, view=near), weights=weights)
+    through = gauss_newton.residual_rows(**case, evidence=replace(evidence, view=near), weights=weights)
     assert all(part.isfinite().all() for part in through)
 
 
@@ -301,7 +304,7 @@ def test_rows_and_the_residuals_of_notebook_09_have_one_gauss_newton_matrix(case
     whole. Heights of contacts are in the first alone, the priors of latents, shape and first state in the second."""
     weights = replace(JOINTS if kind == "joints" else RGB, init_motion_prior=(0, 0, 0), contact_height=(0, 0, 0))
     evidence, named = seen(case, kind)
-    h = assembled(curvature.rows(**case, evidence=evidence, weights=named))
+    h = assembled(gauss_newton.residual_rows(**case, evidence=evidence, weights=named))
     for seed in range(20, 24):
         change = draw(seed, CLIPS, FRAMES, CHANGE + 8)
         ours = 0.5 * torch.einsum("btn,btnsk,bsk->b", change, h, change)

@@ -8,12 +8,13 @@ import torch
 from motionlab import rotation
 from motionlab.errors import ShapeError
 from motionlab.humor import stages, state
-from motionlab.humor.decoupled import energy
-from motionlab.humor.decoupled.energy import Form, consistency, sequences, terms, to_persistent, to_states
-from motionlab.humor.observed import evidence
-from motionlab.humor.rollout import decode_ahead, infer, rollout
+from motionlab.humor.energies import KEYPOINTS, RGB_LIGHT
+from motionlab.humor.evidence import evidence
+from motionlab.humor.rollout import infer, rollout
 from motionlab.humor.stages import Problem
-from motionlab.humor.weights import KEYPOINTS, RGB_LIGHT
+from motionlab.humor.unknowns import Unknowns
+from studies.nb07_decoupled import energy
+from studies.nb07_decoupled.energy import Form, sequences, terms, to_persistent, to_states
 from tests.fit_inputs import joints, keypoints
 
 
@@ -75,15 +76,6 @@ def test_persistent_states_come_back(walk):
     torch.testing.assert_close(turns.mT @ turns, torch.eye(3).expand_as(turns), atol=1e-5, rtol=0)
 
 
-def test_six_numbers_do_not_flip_where_a_rotation_vector_does():
-    """A turn of a little less and a little more than pi: one vector flips, the six numbers hardly move."""
-    angles = torch.tensor([3.10, 3.18])
-    matrices = rotation.exp(angles[:, None] * torch.tensor([1.0, 0.0, 0.0]))
-    vectors, numbers = rotation.log(matrices), rotation.matrix_to_sixd(matrices)
-    assert (vectors[0] - vectors[1]).norm() > 6
-    assert (numbers[0] - numbers[1]).norm() < 0.12
-
-
 @pytest.mark.parametrize("steps", [1, 2, 5])
 def test_sequences_are_single_transitions_in_a_loop(kit, start, steps):
     states = to_states(start["x"])[:, :9]
@@ -93,23 +85,6 @@ def test_sequences_are_single_transitions_in_a_loop(kit, start, steps):
             wanted = by_hand(kit.motion, states, start["z"], k)
             torch.testing.assert_close(found.states[:, k - 1], wanted, atol=2e-5, rtol=1e-5)
     assert found.contact_logits.shape == (2, steps, 8, 9)
-
-
-def test_sequences_agree_with_decode_ahead_where_that_has_them(kit, start):
-    states, z = to_states(start["x"]), start["z"]
-    with torch.no_grad():
-        ahead = decode_ahead(kit.motion, states[:, :-1], z, 3)
-        found = sequences(kit.motion, states, z, 3)
-    torch.testing.assert_close(found.states[:, 2, 3:], ahead[:, :-2, 2], atol=1e-5, rtol=1e-5)
-
-
-def test_as_many_steps_as_frames_is_the_roll_out(kit, start):
-    states, z = to_states(start["x"]), start["z"]
-    with torch.no_grad():
-        found = sequences(kit.motion, states, z, states.shape[1] - 1)
-        rolled = rollout(kit.motion, states[:, 0], z)
-    torch.testing.assert_close(found.states[:, -1, 1:], rolled.states, atol=5e-5, rtol=1e-4)
-    torch.testing.assert_close(found.contact_logits[:, -1], rolled.contact_logits, atol=1e-3, rtol=1e-3)
 
 
 def test_sequences_refuse_what_does_not_fit(kit, start):
@@ -144,70 +119,23 @@ def test_rolled_out_is_stage_3_of_a_fit(kit, walk, camera):
     with torch.no_grad():
         latent = kit.pose.encode(walk.rot[:, 0, 1:]).mean
         z = infer(kit.motion, states)[0].mean
-    unknown = {
-        "trans": parts["trans"], "orient": rotation.matrix_to_sixd(parts["root_orient"]), "latent": latent,
-        "trans_vel": parts["trans_vel"], "root_orient_vel": parts["root_orient_vel"],
-        "joints_vel": parts["joints_vel"].flatten(-2), "z": z,
-    }  # fmt: skip
-    unknown = {n: x[:, None] for n, x in unknown.items()} | {"betas": torch.zeros(2, 8), "camera": torch.zeros(2, 3)}
+    unknown = Unknowns(
+        trans=parts["trans"],
+        orient=rotation.matrix_to_sixd(parts["root_orient"]),
+        latent=latent,
+        trans_vel=parts["trans_vel"],
+        root_orient_vel=parts["root_orient_vel"],
+        joints_vel=parts["joints_vel"].flatten(-2),
+        z=z,
+    ).map(lambda x: x[:, None])
+    unknown = replace(unknown, betas=torch.zeros(2, 8), camera=torch.zeros(2, 3))
     wanted = stages.motion_terms(problem, unknown)
-    first = stages.variables.first_state(unknown, kit)
+    first = stages.unknowns.first_state(unknown, kit)
     x = to_persistent(torch.cat((first[:, None], states[:, 1:]), 1))
     found, _ = energy.rolled_out(problem, {"x": x, "z": z, "betas": torch.zeros(2, 8)})
     assert set(found) == set(wanted)
     for name, value in wanted.items():
         torch.testing.assert_close(found[name], value, atol=1e-3, rtol=1e-4)
-
-
-def test_consistency_is_a_sum_of_absolute_differences(start):
-    a, b = to_states(start["x"]), to_states(start["x"].roll(1, 0))
-    decoded = torch.stack((a, b), 1)
-    wanted = torch.stack([(a[i] - b[i]).abs().sum() / 2 for i in range(2)])
-    torch.testing.assert_close(consistency(a, decoded), wanted)
-
-
-@pytest.mark.parametrize("steps", [1, 3])
-def test_detached_latents_get_nothing_from_the_consistency(problem, start, steps):
-    for detached in (True, False):
-        point = leaves(start, "x", "z")
-        value = terms(problem, point, Form(steps, detached=detached))[0]["consistency"].sum()
-        in_x, in_z = torch.autograd.grad(value, [point["x"], point["z"]], allow_unused=True)
-        assert (in_x != 0).any()
-        assert (in_z is None or not in_z.any()) if detached else (in_z != 0).any()
-
-
-def test_detaching_changes_no_value_and_no_other_gradient(problem, start):
-    found = {}
-    for detached in (True, False):
-        point = leaves(start, "x", "z")
-        parts = terms(problem, point, Form(2, detached=detached))[0]
-        rest = sum(v for n, v in parts.items() if n != "consistency").sum()
-        found[detached] = (parts["consistency"].detach(), torch.autograd.grad(rest, point["z"])[0])
-    for a, b in zip(found[True], found[False], strict=True):
-        torch.testing.assert_close(a, b)
-
-
-def test_one_step_sees_no_farther_than_its_neighbours(problem, start):
-    """With K = 1 what is asked of frame 12 tells the states of frames before 11 and after it nothing."""
-    point = leaves(start, "x", "z")
-    states, z = to_states(point["x"]), point["z"]
-    decoded = sequences(problem.priors.motion, states, z, 1).states[:, 0]
-    in_x, in_z = torch.autograd.grad(decoded[:, 12].sum(), [point["x"], point["z"]])
-    assert in_x.abs().sum((0, 2)).nonzero().flatten().tolist() == [11]
-    assert in_z.abs().sum((0, 2)).nonzero().flatten().tolist() == [11]
-    decoded = sequences(problem.priors.motion, to_states(point["x"]), point["z"], 4).states[:, 3]
-    in_x, in_z = torch.autograd.grad(decoded[:, 12].sum(), [point["x"], point["z"]])
-    assert in_x.abs().sum((0, 2)).nonzero().flatten().tolist() == [8]
-    assert in_z.abs().sum((0, 2)).nonzero().flatten().tolist() == [8, 9, 10, 11]
-
-
-def test_clips_do_not_touch_each_other(problem, start):
-    with torch.no_grad():
-        both = terms(problem, start, Form(2))[0]
-        one = torch.tensor([1])
-        alone = terms(problem.rows(one), {n: x[one] for n, x in start.items()}, Form(2))[0]
-    for name, value in alone.items():
-        torch.testing.assert_close(value, both[name][1:], atol=1e-4, rtol=1e-4)
 
 
 def test_gradient_against_differences(kit, walk):

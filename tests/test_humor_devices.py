@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab.humor import compiled, loop, testops
-from motionlab.humor.init_gmm import InitGmm
-from motionlab.humor.priors import Priors
-from motionlab.humor.shooting import Plan
+from motionlab.humor import compiled, testops
+from motionlab.humor.priors import InitGmm, Priors
+from motionlab.humor.shooting import coordinates
+from motionlab.humor.shooting.solver import Plan
 from motionlab.humor.testops import Schedule
 from tests.elsewhere import ELSEWHERE, Elsewhere, elsewhere, moved
 from tests.fit_inputs import joints, keypoints
@@ -43,12 +43,11 @@ def asked(kind, walk, camera):
     return replace(seen, confidence=confidence), {"floor": "refine"}
 
 
-@pytest.mark.parametrize("solver", testops.SOLVERS)
-@pytest.mark.parametrize("kind", ["joints", "keypoints"])
+@pytest.mark.parametrize(("kind", "solver"), [("joints", "rollout"), ("keypoints", "shooting")])
 def test_nothing_of_a_fit_is_left_on_the_cpu_and_it_is_the_same_fit(kind, solver, walk, camera, kit, monkeypatch):
     """A made-up device: what a GPU would refuse is written down and computed all the same."""
     monkeypatch.setattr(compiled, "fits", lambda *each: False)  # loops of the CPU, whose roundings are their own
-    monkeypatch.setattr(loop, "_one_by_one", lambda z: False)
+    monkeypatch.setattr(coordinates, "_one_by_one", lambda z: False)
     observation, how = asked(kind, walk, camera)
     how |= {"schedule": FEW, "solver": solver}
     here = testops.fit(observation, kit, **how)
@@ -72,7 +71,7 @@ def test_control_a_constant_of_the_cpu_is_found_where_it_is_used(kit):
     assert not mixed and torch.equal(x.inner, torch.tensor([[3.0] * 3, [0.0] * 3]))
     with elsewhere() as mixed:
         kit.pose.decode(torch.zeros(1, 32, device=ELSEWHERE))  # its weights are here
-    assert mixed and all(place.startswith("humor/pose_prior") for place, _ in mixed)
+    assert mixed and all(place.startswith("humor/priors") for place, _ in mixed)
 
 
 @pytest.mark.gpu

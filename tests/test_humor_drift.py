@@ -1,6 +1,5 @@
 """One step against a chain: cases whose answer is known, and variants of the model that parity must catch."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,9 +7,8 @@ import torch
 
 from data_synth import scenes
 from motionlab.errors import ShapeError
-from motionlab.humor import controls, drift, parity, state
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.rollout import sample
+from studies.nb04_prior import controls, drift, parity
 
 
 @pytest.fixture(scope="module")
@@ -56,28 +54,6 @@ def test_steps_ahead_lie_between_one_step_and_the_whole_chain(clips):
     torch.testing.assert_close(five, torch.stack(by_hand, 1), atol=1e-3, rtol=0)
     with pytest.raises(ShapeError, match="15 transitions"):
         drift.ahead_errors(model, found, 16)
-
-
-def test_the_descent_that_is_decoded():
-    sitting = scenes.held_out(3, frames=61).clip(slice(2, 3))
-    assert drift.descent_share(sitting, sitting) == pytest.approx(1.0, abs=1e-5)
-    lag = replace(sitting, root=torch.cat((sitting.root[:, :1], sitting.root[:, :-1]), 1))
-    assert drift.descent_share(lag, sitting) == pytest.approx(0.0, abs=1e-5)
-    rising = replace(sitting, root=sitting.root.flip(1))
-    assert drift.descent_share(rising, rising).isnan()
-
-
-def test_a_dimension_left_alone_is_the_prior_mean(clips):
-    model = small()
-    first = state.from_motion(clips)[0, 3]
-    ways = drift.vary(model, first, 5, torch.tensor([-2.0, 0.0, 2.0]), 6)
-    torch.testing.assert_close(ways[1, 1:], sample(model, first[None], 6).states[0], atol=1e-5, rtol=0)
-    assert (ways[0] - ways[2]).abs().max() > 1e-5
-
-
-def test_decode_wants_a_batch(clips):
-    with pytest.raises(ShapeError, match="clips"):
-        drift.decode(small(), clips.clip(0))
 
 
 def test_parity_catches_what_is_wrong_on_purpose():

@@ -7,10 +7,11 @@ import torch
 
 from motionlab import rotation
 from motionlab.errors import ShapeError
-from motionlab.frames import world_to_local_orientations, world_to_local_positions
-from motionlab.humor import energies, floor
+from motionlab.humor import energies
 from motionlab.humor.cvae import Gaussian
+from motionlab.motion import world_to_local_orientations, world_to_local_positions
 from motionlab.observation import Camera, look_at, project
+from studies.nb04_prior import floor
 
 GOLDEN = np.load(Path(__file__).parent / "golden" / "humor_energies.npz")
 F64 = torch.float64
@@ -231,7 +232,6 @@ def test_weights_by_stage():
     assert "pose_prior" not in rgb.of(3) and rgb.of(3)["bone_length"] == 2000.0
     assert rgb.of(3, frames=60)["init_motion_prior"] == pytest.approx(4 * rgb.of(3)["init_motion_prior"])
     assert rgb.of(3, frames=60)["motion_prior"] == rgb.of(3)["motion_prior"]
-    assert "contact_vel" not in energies.IMAPPER.of(3) and energies.PROX.of(3)["motion_prior"] == 0.05
     assert energies.JOINTS.of(1) == {"joints3d": 1.0} and "floor_reg" not in energies.JOINTS.of(3)
     assert energies.KEYPOINTS.of(2)["joints3d_smooth"] == 0.1 and energies.KEYPOINTS.of(3)["motion_prior"] == 5e-4
 

@@ -7,8 +7,10 @@ import torch
 
 from motionlab import rotation
 from motionlab.errors import ShapeError
-from motionlab.humor import faithful, faithful_rotation, rollout, state
+from motionlab.humor import rollout, state
 from motionlab.humor.cvae import Cvae
+from studies.official import rollout as official_rollout
+from studies.official import rotation as official_rotation
 
 F64 = torch.float64
 
@@ -32,21 +34,11 @@ def first_states(generator: torch.Generator, batch: int) -> torch.Tensor:
     return state.pack(parts)
 
 
-def graph_size(loss: torch.Tensor) -> int:
-    seen, open_ = set(), [loss.grad_fn]
-    while open_:
-        node = open_.pop()
-        if node is not None and node not in seen:
-            seen.add(node)
-            open_ += [parent for parent, _ in node.next_functions]
-    return len(seen)
-
-
 @pytest.mark.parametrize("batch", [1, 3, 4])
 def test_both_forms_agree_up_to_the_heading(generator, batch):
     net, first = model(), first_states(generator, batch)
     z = torch.randn(batch, 6, 48, generator=generator, dtype=F64)
-    official = faithful.rollout(net, first, z)
+    official = official_rollout.rollout(net, first, z)
     lean = rollout.rollout(net, first, z, offset=state.pelvis_offset(first))
     for ours, theirs in ((lean.states, official.states), (lean.contact_logits, official.contact_logits)):
         torch.testing.assert_close(ours, theirs, atol=1e-3, rtol=0)
@@ -60,55 +52,24 @@ def test_clips_do_not_see_each_other(generator):
     """Three clips are the batch that the official cross product breaks."""
     net, first = model(), first_states(generator, 3)
     z = torch.randn(3, 4, 48, generator=generator, dtype=F64)
-    together = faithful.rollout(net, first, z).states
-    alone = torch.cat([faithful.rollout(net, first[i : i + 1], z[i : i + 1]).states for i in range(3)])
+    together = official_rollout.rollout(net, first, z).states
+    alone = torch.cat([official_rollout.rollout(net, first[i : i + 1], z[i : i + 1]).states for i in range(3)])
     torch.testing.assert_close(together, alone, atol=1e-12, rtol=0)
-
-
-def test_a_mean_roll_out_feeds_the_prior_mean_back(generator):
-    net, first = model(), first_states(generator, 2)
-    found = faithful.rollout(net, first, None, steps=4)
-    assert torch.equal(found.z, found.prior.mean)
-    torch.testing.assert_close(faithful.rollout(net, first, found.z).states, found.states)
-    assert faithful.rollout(net, first, found.z, with_prior=False).prior is None
 
 
 def test_what_does_not_fit_is_named(generator):
     net, first = model(), first_states(generator, 2)
     with pytest.raises(ShapeError, match="first has 2 rows, z 3"):
-        faithful.rollout(net, first, torch.zeros(3, 4, 48, dtype=F64))
+        official_rollout.rollout(net, first, torch.zeros(3, 4, 48, dtype=F64))
     with pytest.raises(ShapeError, match="first"):
-        faithful.rollout(net, first[:, :338], torch.zeros(2, 4, 48, dtype=F64))
-
-
-def test_graph_is_as_large_as_the_official_one(generator):
-    """The official roll-out was measured at 18,871 nodes for 60 frames, 316 per step, with the prior's likelihood."""
-    net, sizes = model(dtype=torch.float32), {}
-    first = first_states(generator, 1).float().requires_grad_()
-    for name, roll in (("official", faithful.rollout), ("lean", rollout.rollout)):
-        for steps in (15, 30):
-            z = torch.zeros(1, steps, 48, requires_grad=True)
-            found = roll(net, first, z)
-            loss = found.states.square().sum() + found.contact_logits.square().sum() + found.prior.nll(z).sum()
-            sizes[name, steps] = graph_size(loss)
-    per_step = {name: (sizes[name, 30] - sizes[name, 15]) / 15 for name in ("official", "lean")}
-    assert per_step["official"] == pytest.approx(316, rel=0.05)
-    assert per_step["lean"] < 0.5 * per_step["official"]
-
-
-def test_what_makes_the_networks_fast_does_not_make_the_official_form_fast(generator, monkeypatch):
-    net, first, z = model(), first_states(generator, 1), torch.zeros(1, 2, 48, dtype=F64)
-    before = faithful.rollout(net, first, z)
-    monkeypatch.setattr("motionlab.humor.cvae.Mlp.forward", lambda self, x: x[:, :2] * math.nan)
-    assert torch.equal(faithful.rollout(net, first, z).states, before.states)
-    assert net.prior(first).mean.isnan().all()  # the control: others do use it
+        official_rollout.rollout(net, first[:, :338], torch.zeros(2, 4, 48, dtype=F64))
 
 
 @pytest.mark.parametrize(("offset", "low", "high"), [(1e-4, 1e-3, 1.5e-3), (1e-3, 5e-4, 9e-4), (1e-2, 5e-5, 2e-4)])
 def test_official_heading_is_wrong_near_zero(offset, low, high):
     turn = rotation.rotation_about("z", torch.tensor([offset], dtype=F64))
     upright = torch.tensor([[-1.0, 0, 0], [0, 0, 1], [0, 1, 0]], dtype=F64)
-    left = rotation.geodesic(faithful_rotation.alignment(turn @ upright), turn.mT)
+    left = rotation.geodesic(official_rotation.alignment(turn @ upright), turn.mT)
     assert low < left.item() < high
 
 
@@ -116,7 +77,7 @@ def test_official_heading_does_not_turn_a_body_that_faces_backwards():
     about = rotation.rotation_about("z", torch.tensor([math.pi], dtype=F64))
     upright = torch.tensor([[-1.0, 0, 0], [0, 0, 1], [0, 1, 0]], dtype=F64)
     backwards = torch.where((about @ upright).abs() < 1e-9, 0.0, about @ upright)  # exactly
-    found = faithful_rotation.alignment(backwards)
+    found = official_rotation.alignment(backwards)
     assert rotation.geodesic(found, torch.eye(3, dtype=F64)).item() < 1e-3
     exact = rotation.rotation_about("z", -rotation.yaw(backwards))
     assert rotation.geodesic(exact, torch.eye(3, dtype=F64)).item() == pytest.approx(math.pi, abs=1e-6)
@@ -124,12 +85,12 @@ def test_official_heading_does_not_turn_a_body_that_faces_backwards():
 
 def test_official_rotation_vector_folds_and_breaks_at_the_identity():
     aa = torch.tensor([[3.15, 0.0, 0.0], [0.5, 0.1, 0.0]], dtype=F64)
-    back = faithful_rotation.matrix_to_axis_angle(faithful_rotation.pose_from_axis_angle(aa))
+    back = official_rotation.matrix_to_axis_angle(official_rotation.pose_from_axis_angle(aa))
     assert back[0, 0].item() == pytest.approx(3.15 - 2 * math.pi, abs=1e-6)
     torch.testing.assert_close(back[1], aa[1], atol=1e-7, rtol=0)
     for at, finite in ((torch.eye(3, dtype=F64), False), (rotation.exp(aa[1]), True)):
         matrix = at.clone().requires_grad_()
-        vector = faithful_rotation.matrix_to_axis_angle(matrix)
+        vector = official_rotation.matrix_to_axis_angle(matrix)
         assert vector.isfinite().all()
         (gradient,) = torch.autograd.grad(vector.sum(), matrix)
         assert bool(gradient.isfinite().all()) == finite

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from motionlab import rotation
-from motionlab.humor import faithful_body as full
-from motionlab.humor.faithful_rotation import matrix_to_axis_angle
-from motionlab.humor.shape import landmarks, offsets
+from motionlab.humor.body_shape import landmarks, offsets
 from motionlab.skeleton import STANDARD, fk
+from studies.official import body as official_body
+from studies.official.rotation import matrix_to_axis_angle
 
 
 @pytest.fixture
@@ -25,10 +25,10 @@ def by_kinematics(root, rot, betas):
 
 def test_joints_and_landmarks_are_those_of_forward_kinematics(posed):
     root, rot, betas = posed
-    found = full.body_joints_by_lbs(root, matrix_to_axis_angle(rot), betas)
+    found = official_body.body_joints_by_lbs(root, matrix_to_axis_angle(rot), betas)
     for ours, theirs in zip(found, by_kinematics(root, rot, betas), strict=True):
         torch.testing.assert_close(ours, theirs, atol=1e-5, rtol=0)
-    other, _ = full.body_joints_by_lbs(root, matrix_to_axis_angle(rot), betas + 0.1)
+    other, _ = official_body.body_joints_by_lbs(root, matrix_to_axis_angle(rot), betas + 0.1)
     assert (other - found[0]).abs().max() > 1e-3
 
 
@@ -37,7 +37,7 @@ def test_gradients_are_those_of_forward_kinematics(posed):
     aa = matrix_to_axis_angle(rot)
     slopes = []
     for body in (
-        lambda root, aa, betas: full.body_joints_by_lbs(root, aa, betas),
+        lambda root, aa, betas: official_body.body_joints_by_lbs(root, aa, betas),
         lambda root, aa, betas: by_kinematics(root, rotation.exp(aa), betas),
     ):
         free = [x.clone().requires_grad_() for x in (root, aa, betas)]
@@ -50,28 +50,30 @@ def test_gradients_are_those_of_forward_kinematics(posed):
 def test_one_frame_comes_out_of_a_batch_of_all(posed):
     root, rot, betas = posed
     aa = matrix_to_axis_angle(rot)
-    one = full.first_joints_by_lbs(root[:, 0], aa[:, 0], betas, frames=5)
+    one = official_body.first_joints_by_lbs(root[:, 0], aa[:, 0], betas, frames=5)
     torch.testing.assert_close(one, by_kinematics(root, rot, betas)[0][:, 0], atol=1e-5, rtol=0)
 
 
 def test_the_body_has_the_size_of_smplh(posed):
-    body = full.smplh_sized()
+    body = official_body.smplh_sized()
     sizes = {name: tuple(value.shape) for name, value in vars(body).items()}
     assert sizes == {
         "template": (6890, 3), "shape_directions": (6890, 3, 16), "pose_directions": (459, 20670),
         "regressor": (52, 6890), "weights": (6890, 52),
     }  # fmt: skip
     torch.testing.assert_close(body.weights.sum(1), torch.ones(6890))
-    assert len(full.PARENTS) == 52 and all(p < j for j, p in enumerate(full.PARENTS))
+    assert len(official_body.PARENTS) == 52 and all(p < j for j, p in enumerate(official_body.PARENTS))
 
 
 def test_every_vertex_is_posed(posed):
     """Control: nothing is skipped for vertices that nobody looks at."""
     root, rot, betas = posed
     aa = matrix_to_axis_angle(rot[0])
-    joints, vertices = full.skin(full.smplh_sized(), root[0], aa, betas[:1].expand(5, -1))
+    joints, vertices = official_body.skin(official_body.smplh_sized(), root[0], aa, betas[:1].expand(5, -1))
     assert joints.shape == (5, 52, 3) and vertices.shape == (5, 6890, 3)
     bent = aa.clone()
     bent[:, 18] += 0.3
-    moved = (full.skin(full.smplh_sized(), root[0], bent, betas[:1].expand(5, -1))[1] - vertices).norm(dim=-1)
+    moved = (
+        official_body.skin(official_body.smplh_sized(), root[0], bent, betas[:1].expand(5, -1))[1] - vertices
+    ).norm(dim=-1)
     assert (moved[:, 77:] > 1e-6).all() and (moved[:, 0] < 1e-6).all()

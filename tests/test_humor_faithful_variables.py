@@ -1,6 +1,6 @@
 """Both modes of a fit see the same energies at the same point."""
 
-import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -8,12 +8,17 @@ import torch
 
 from motionlab import rotation
 from motionlab.errors import ShapeError
-from motionlab.humor import energies, faithful_variables, init_gmm, observed, state, variables
+from motionlab.humor import energies, state
+from motionlab.humor import unknowns as humor_unknowns
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.observed import Evidence, View
+from motionlab.humor.evidence import LEVEL, Evidence, View
+from motionlab.humor.priors import InitGmm, first_state_features
+from motionlab.humor.unknowns import Unknowns, from_matrix, local_first
 from motionlab.skeleton import UPRIGHT
+from studies.official import unknowns as official_unknowns
 
 FRAMES = 20
+FREE = ("trans", "z", "betas", "camera", "latent")
 
 
 class Mlp(torch.nn.Module):
@@ -34,7 +39,7 @@ def priors():
     with torch.no_grad():
         for weight in motion.parameters():
             torch.nn.init.normal_(weight, 0, 0.05)
-    initial = init_gmm.InitGmm(torch.tensor([0.4, 0.6]), torch.randn(2, 138), torch.eye(138).expand(2, 138, 138))
+    initial = InitGmm(torch.tensor([0.4, 0.6]), torch.randn(2, 138), torch.eye(138).expand(2, 138, 138))
     return SimpleNamespace(motion=motion.frozen(), pose=Mlp().requires_grad_(requires_grad=False), initial=initial)
 
 
@@ -42,12 +47,12 @@ def evidence(view: bool, generator: torch.Generator) -> Evidence:
     if not view:
         return Evidence(torch.randn(2, FRAMES, 22, 3, generator=generator), torch.ones(2, FRAMES, 22), 30.0)
     k = torch.tensor([[1060.0, 0, 960], [0, 1060, 540], [0, 0, 1]]).expand(2, 3, 3)
-    camera = View(k, observed.LEVEL.expand(2, 3, 3), torch.tensor([0.0, -4, 1.2]).expand(2, 3), (1920, 1080), True)
+    camera = View(k, LEVEL.expand(2, 3, 3), torch.tensor([0.0, -4, 1.2]).expand(2, 3), (1920, 1080), True)
     pixels = 500 + 300 * torch.rand(2, FRAMES, 25, 2, generator=generator)
     return Evidence(pixels, torch.rand(2, FRAMES, 25, generator=generator), 30.0, camera)
 
 
-def unknowns(generator: torch.Generator, frames: int) -> tuple[dict, dict]:
+def unknowns(generator: torch.Generator, frames: int) -> tuple[Unknowns, Unknowns]:
     """One point as 6 numbers and as rotation vectors; ``frames`` of root and pose, one where stage 3 is meant."""
     turn = UPRIGHT @ rotation.exp(0.3 * torch.randn(2, 1, frames, 3, generator=generator))
     draw = lambda scale, *shape: scale * torch.randn(2, *shape, generator=generator)  # noqa: E731
@@ -59,7 +64,7 @@ def unknowns(generator: torch.Generator, frames: int) -> tuple[dict, dict]:
     if frames == 1:
         turn = turn[:, :, 0]
         shared |= {name: shared[name][:, :, 0] for name in ("trans", "latent")}
-    return tuple(shared | {"orient": variables.from_matrix(turn, mode)} for mode in ("lean", "faithful"))
+    return tuple(Unknowns(orient=from_matrix(turn, mode), **shared) for mode in ("lean", "official"))
 
 
 def data(body, seen: Evidence) -> dict:
@@ -76,7 +81,7 @@ def stage_2(form, unknown, priors, seen) -> dict:
 def stage_3(form, unknown, priors, seen) -> dict:
     states, rolled, body = form.roll(unknown, priors, seen)
     own, touching = state.unpack(states)["joints"], energies.contact_probabilities(rolled.contact_logits)
-    first = init_gmm.features(variables.local_first(states[:, 0]))
+    first = first_state_features(local_first(states[:, 0]))
     return data(body, seen) | {
         "motion_prior": energies.motion_prior(rolled.z, rolled.prior),
         "init_motion_prior": energies.init_motion_prior(first, priors.initial),
@@ -91,51 +96,29 @@ def stage_3(form, unknown, priors, seen) -> dict:
 @pytest.mark.parametrize(("terms", "frames"), [(stage_2, FRAMES), (stage_3, 1)], ids=["stage 2", "stage 3"])
 def test_every_energy_agrees_to_1e_4(generator, priors, terms, frames, view):
     seen, (lean, faithful) = evidence(view, generator), unknowns(generator, frames)
-    ours, theirs = terms(variables, lean, priors, seen), terms(faithful_variables, faithful, priors, seen)
+    ours, theirs = terms(humor_unknowns, lean, priors, seen), terms(official_unknowns, faithful, priors, seen)
     assert ours.keys() == theirs.keys() and len(ours) >= 2
     for name in ours:
         torch.testing.assert_close(theirs[name], ours[name], rtol=1e-4, atol=0, msg=lambda m, n=name: f"{n}: {m}")
-    elsewhere = faithful | {"betas": faithful["betas"] + 0.1}  # the control
-    moved = terms(faithful_variables, elsewhere, priors, seen)
+    elsewhere = replace(faithful, betas=faithful.betas + 0.1)  # the control
+    moved = terms(official_unknowns, elsewhere, priors, seen)
     assert max(((moved[n] / ours[n]) - 1).abs().max() for n in ours) > 1e-3
 
 
 def test_gradients_agree_where_they_exist(generator, priors):
     seen, (lean, faithful) = evidence(True, generator), unknowns(generator, 1)
     slopes = []
-    for form, unknown in ((variables, lean), (faithful_variables, faithful)):
-        free = {name: unknown[name].clone().requires_grad_() for name in ("trans", "z", "betas", "camera", "latent")}
-        total = sum(x.sum() for n, x in stage_3(form, unknown | free, priors, seen).items() if n != "init_motion_prior")
+    for form, unknown in ((humor_unknowns, lean), (official_unknowns, faithful)):
+        free = {name: getattr(unknown, name).clone().requires_grad_() for name in FREE}
+        terms = stage_3(form, replace(unknown, **free), priors, seen)
+        total = sum(x.sum() for n, x in terms.items() if n != "init_motion_prior")
         slopes.append(dict(zip(free, torch.autograd.grad(total, free.values()), strict=True)))
-    for name in ("trans", "z", "betas", "camera", "latent"):
+    for name in FREE:
         apart = (slopes[0][name] - slopes[1][name]).norm() / slopes[0][name].norm()
         assert apart < 0.02, f"{name}: {apart:.1e}"
-
-
-def test_faithful_gradient_dies_at_an_identity_rotation(generator, priors):
-    """Pose matrices that are exactly the identity: the official conversion has no gradient there, ours has."""
-    seen, (lean, faithful) = evidence(False, generator), unknowns(generator, FRAMES)
-    with torch.no_grad():
-        priors.pose.net.weight.zero_(), priors.pose.net.bias.zero_()
-    for form, unknown, finite in ((variables, lean, True), (faithful_variables, faithful, False)):
-        latent = unknown["latent"].clone().requires_grad_()
-        total = sum(x.sum() for x in stage_2(form, unknown | {"latent": latent}, priors, seen).values())
-        (slope,) = torch.autograd.grad(total, latent)
-        assert math.isfinite(total.item()) and bool(slope.isfinite().all()) == finite
-
-
-def test_first_frame_is_asked_three_times_for_all_frames(generator, priors, monkeypatch):
-    calls = []
-    skin = faithful_variables.body_joints_by_lbs
-    count = lambda root, aa, betas: calls.append(root.shape[1]) or skin(root, aa, betas)  # noqa: E731
-    monkeypatch.setattr(faithful_variables, "body_joints_by_lbs", count)
-    monkeypatch.setattr("motionlab.humor.faithful_body.body_joints_by_lbs", count)
-    _, faithful = unknowns(generator, 1)
-    faithful_variables.roll(faithful, priors, evidence(True, generator))
-    assert calls == [FRAMES] * 5
 
 
 def test_wrong_shapes_are_named(generator, priors):
     _, faithful = unknowns(generator, 1)
     with pytest.raises(ShapeError, match="z"):
-        faithful_variables.rollout(faithful | {"z": faithful["z"][..., :47]}, priors)
+        official_unknowns.rollout(replace(faithful, z=faithful.z[..., :47]), priors)

@@ -12,15 +12,17 @@ from PIL import Image
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
+from motionlab import fit
 from motionlab.__main__ import main
-from motionlab.errors import DataError, ShapeError
-from motionlab.humor import priors, real_input, report_fit, shape, stages, testops
-from motionlab.humor.checkpoint import SHIPPED
-from motionlab.humor.weights import RGB, RGB_LIGHT
+from motionlab.checkpoint import SHIPPED
+from motionlab.errors import DataError
+from motionlab.humor import body_shape, pretrained, stages, testops
+from motionlab.humor.energies import RGB, RGB_LIGHT
+from motionlab.humor.shooting.solver import Plan
 from motionlab.io import amass, bvh, gltf
-from motionlab.io.camera import load_camera
+from motionlab.io.cameras import load_camera
 from motionlab.motion import Motion
-from motionlab.observation import BODY_25, Camera, Observation2D, look_at, project
+from motionlab.observation import BODY_25, Camera, Observation2D, at_rate, look_at, project
 from motionlab.skeleton import STANDARD
 
 CAMERA = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=900.0, width=1280, height=720)
@@ -35,7 +37,7 @@ def walk() -> Motion:
 
 def seen(motion: Motion) -> Observation2D:
     """Perfect detections."""
-    pixels, _ = project(CAMERA, report_fit.landmarks_of(motion))
+    pixels, _ = project(CAMERA, fit.landmarks_of(motion))
     return Observation2D(pixels, torch.ones(pixels.shape[:-1]), BODY_25, motion.fps, CAMERA)
 
 
@@ -142,9 +144,10 @@ def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monk
 
 def test_priors_from_files(tmp_path, keypoints, capsys, monkeypatch):
     """What the options say is what is loaded; an official prior without its pelvis is refused before the fit."""
-    asked, real = [], priors.load
-    monkeypatch.setattr(priors, "load", lambda **given: asked.append(given) or real(**given))
-    monkeypatch.setattr(testops.Schedule, "quick", lambda: testops.Schedule(steps=(1, 1, 1), inner=2, refine=(0, 0)))
+    asked, real = [], pretrained.load_priors
+    monkeypatch.setattr(pretrained, "load_priors", lambda **given: asked.append(given) or real(**given))
+    few = testops.Schedule(steps=(1, 1, 1), inner=2, shooting=Plan(rounds=1, closures=2, leaps=0, trial=0))
+    monkeypatch.setattr(testops.Schedule, "quick", lambda: few)
     shipped = {n: SHIPPED / f"{n}.safetensors" for n in ("humor_compact", "pose_prior_compact", "init_gmm_compact")}
     options = ("--prior", "--pose-prior", "--initial")
     words = [word for pair in zip(options, shipped.values(), strict=True) for word in pair]
@@ -237,26 +240,14 @@ def test_cameras_of_a_file(tmp_path):
 def test_at_rate_halves_and_interpolates(walk):
     observation = seen(walk)
     fast = replace(observation, fps=60.0)
-    half = real_input.at_rate(fast)
+    half = at_rate(fast)
     assert torch.equal(half.keypoints, observation.keypoints[::2]) and half.fps == 30
-    same = real_input.at_rate(observation)
+    same = at_rate(observation)
     assert torch.equal(same.keypoints, observation.keypoints)
-    slow = real_input.at_rate(replace(observation, fps=15.0))
+    slow = at_rate(replace(observation, fps=15.0))
     assert slow.frames == 2 * FRAMES - 1
     middle = (observation.keypoints[:-1] + observation.keypoints[1:]) / 2
     assert torch.allclose(slow.keypoints[1::2], middle, atol=1e-3)
-
-
-def test_at_rate_does_not_invent_detections(walk):
-    observation = seen(walk)
-    confidence = observation.confidence.clone()
-    confidence[3] = 0
-    gappy = replace(observation, confidence=confidence, keypoints=observation.keypoints.clone(), fps=15.0)
-    gappy.keypoints[3] = 1e4
-    found = real_input.at_rate(gappy)
-    visible = found.confidence > 0
-    assert not visible[6].any()
-    assert found.keypoints[visible].abs().max() < 3000
 
 
 def as_fit(motion: Motion, cameras: list[Camera]) -> testops.Fitted:
@@ -265,58 +256,8 @@ def as_fit(motion: Motion, cameras: list[Camera]) -> testops.Fitted:
     skeleton = replace(motion.skeleton, offsets=motion.skeleton.offsets.expand(1, 1, 22, 3))
     batch = replace(batch, skeleton=skeleton)
     nothing = torch.zeros(1, motion.frames, 9)
-    betas = shape.from_skeleton(motion.skeleton)[None]
+    betas = body_shape.from_skeleton(motion.skeleton)[None]
     return testops.Fitted(batch, {2: batch, 3: batch}, nothing, nothing, nothing, betas, cameras, {}, {})
-
-
-def views_of(motion: Motion) -> real_input.Views:
-    truth = real_input.compared(motion)
-    observation = seen(motion)
-    batch = replace(observation, keypoints=observation.keypoints[None], confidence=observation.confidence[None])
-    return real_input.Views(batch, [CAMERA], ("cam01",), truth)
-
-
-def test_rows_are_nought_for_the_truth_and_count_a_shift(walk):
-    views = views_of(walk)
-    exact = real_input.rows(as_fit(walk, [CAMERA]), views)
-    assert [(row["view"], row["stage"]) for row in exact] == [("cam01", 2), ("cam01", 3)]
-    assert max(exact[0][key] for key in ("px", "global", "root", "rigid", "procrustes")) < 1e-2
-    away = real_input.rows(as_fit(replace(walk, root=walk.root + torch.tensor([0.0, 0.1, 0.0])), [CAMERA]), views)[0]
-    assert away["global"] == pytest.approx(10, abs=1e-3)
-    assert away["root"] < 1e-2 and away["px"] > 1
-    smaller = replace(walk, skeleton=walk.skeleton.scaled(0.9), root=walk.root * 0.9)
-    shrunk = real_input.rows(as_fit(smaller, [CAMERA]), views)[0]
-    assert shrunk["procrustes"] < 1e-2 < 1 < shrunk["rigid"] < shrunk["global"] > shrunk["root"]
-    with pytest.raises(ShapeError):
-        real_input.rows(as_fit(walk, [CAMERA]), views._replace(names=("a", "b")))
-
-
-def test_stage_2_is_seen_by_the_camera_it_was_fitted_with(walk):
-    """Stage 3 may move an unknown camera; what stage 2 found is not judged by that one."""
-    views = views_of(walk)
-    level = real_input.start_cameras(views.observation, cameras=[CAMERA], floor="guess")[0]
-    there = real_input.in_camera([CAMERA], walk.root[None, :, None])
-    world = (there - level.translation) @ level.rotation  # where the level camera puts the same person
-    turn = level.rotation.mT @ CAMERA.rotation
-    rot = torch.cat((turn @ walk.rot[:, :1], walk.rot[:, 1:]), 1)
-    leaning = replace(walk, root=world[0, :, 0], rot=rot)
-    found = real_input.rows(as_fit(leaning, [CAMERA]), views, "intrinsics")
-    assert found[0]["px"] < 0.1 and found[0]["root"] < 0.1  # stage 2
-    assert found[1]["px"] > 1  # the same motion, said to be stage 3's, through the wrong camera
-
-
-def test_another_room_does_not_change_what_the_camera_sees(walk):
-    """The same picture explained in a turned and shifted world: no error, as nothing was known of that world."""
-    from motionlab import rotation
-    from motionlab.frames import Frame, world_to_local
-
-    turn, shift = rotation.rotation_about("z", torch.tensor(0.7)), torch.tensor([1.0, -2.0, 0.0])
-    moved = world_to_local(Frame(turn, shift), replace(walk, contacts=None))
-    camera = replace(
-        CAMERA, rotation=CAMERA.rotation @ turn.mT, translation=CAMERA.translation - CAMERA.rotation @ shift
-    )
-    found = real_input.rows(as_fit(moved, [camera]), views_of(walk))[1]
-    assert max(found[key] for key in ("px", "global", "root")) < 1e-2
 
 
 def test_report_counts_only_what_was_seen(walk):
@@ -326,29 +267,7 @@ def test_report_counts_only_what_was_seen(walk):
     wrong = observation.keypoints.clone()
     wrong[:, BODY_25.index("left_wrist")] = 1e4
     wrong[:, BODY_25.index("right_knee")] += torch.tensor([3.0, 4.0])
-    found = report_fit.report(as_fit(walk, [CAMERA]), replace(observation, keypoints=wrong, confidence=hidden), clip=0)
+    found = fit._report(as_fit(walk, [CAMERA]), replace(observation, keypoints=wrong, confidence=hidden), clip=0)
     assert found.pixels == pytest.approx(5 / 21, abs=1e-3)
     assert found.median_pixels < 0.01
     assert found.seen == pytest.approx(21 / 22)
-
-
-def test_known_camera_places_the_person(walk):
-    """A short fit of perfect detections by a known camera is near the truth; by a wrong one it is not."""
-    views = views_of(walk)
-    near = real_input.rows(real_input.fit_views(views, priors.load(), schedule=testops.Schedule.quick()), views)
-    wrong = replace(CAMERA, intrinsics=CAMERA.intrinsics * torch.tensor([[1.6, 1, 1], [1, 1.6, 1], [1, 1, 1]]))
-    other = views._replace(cameras=[wrong])
-    far = real_input.rows(real_input.fit_views(other, priors.load(), schedule=testops.Schedule.quick()), views)
-    assert near[0]["global"] < 30 < far[0]["global"]
-    with pytest.raises(ValueError, match="assumed"):
-        real_input.fit_views(views, priors.load(), camera="maybe")
-
-
-def test_pose2sim_folder_without_its_parts(tmp_path):
-    with pytest.raises(DataError, match="Calib"):
-        real_input.pose2sim(tmp_path)
-
-
-def test_why_searches_ended_is_said_once_for_each_run_of_the_same():
-    said = report_fit._runs(("no decrease", "closures", "closures", "no decrease"))
-    assert said == "no decrease, closures (2), no decrease" and report_fit._runs(()) == ""

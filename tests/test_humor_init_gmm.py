@@ -9,10 +9,9 @@ import torch
 
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
-from motionlab.frames import heading_frame
-from motionlab.humor import init_gmm, state
-from motionlab.humor.init_gmm import InitGmm
-from motionlab.motion import Motion
+from motionlab.humor import pretrained, prior_training, priors, state
+from motionlab.humor.priors import InitGmm
+from motionlab.motion import Motion, heading_frame
 from motionlab.skeleton import STANDARD
 
 GOLDEN = Path(__file__).parent / "golden" / "humor_energies.npz"
@@ -72,13 +71,13 @@ def test_far_away_is_a_number(generator):
 def test_fit_finds_the_mixture_that_made_the_samples(generator):
     truth = small(generator)
     train, held = draw(truth, 4000, generator), draw(truth, 4000, generator)
-    found, history = init_gmm.fit(train, generator, components=3, ridge=1e-6)
-    single, _ = init_gmm.fit(train, generator, components=1, ridge=1e-6)
+    found, history = prior_training.fit_mixture(train, generator, components=3, ridge=1e-6)
+    single, _ = prior_training.fit_mixture(train, generator, components=1, ridge=1e-6)
     best, ours, alone = (float(g.log_prob(held).mean()) for g in (truth, found, single))
     assert abs(best - ours) < 0.05
     assert alone < ours - 0.3
     assert all(b >= a - 1e-6 for a, b in pairwise(history))  # EM never falls
-    again, _ = init_gmm.fit(train, torch.Generator().manual_seed(1), components=1, ridge=1e-6)
+    again, _ = prior_training.fit_mixture(train, torch.Generator().manual_seed(1), components=1, ridge=1e-6)
     assert torch.allclose(again.means, train.mean(0, keepdim=True))
 
 
@@ -88,10 +87,10 @@ def test_features_are_the_named_parts(generator):
     world = state.from_motion(motion)
     local = state.localise(world, heading_frame(motion.root, motion.rot[:, 0]))
     parts = state.unpack(local)
-    found = init_gmm.features(local)
+    found = priors.first_state_features(local)
     positions = (parts["joints"].flatten(1), parts["joints_vel"].flatten(1))
     assert torch.equal(found, torch.cat((*positions, parts["trans_vel"], parts["root_orient_vel"]), 1))
-    assert found.shape == (5, init_gmm.SIZE) == (5, 138)
+    assert found.shape == (5, priors.FIRST_STATE_SIZE) == (5, 138)
 
 
 def test_official_file(tmp_path):
@@ -99,7 +98,7 @@ def test_official_file(tmp_path):
     path = tmp_path / "prior_gmm.npz"
     np.savez(path, **{name: value.numpy() for name, value in gmm.tensors().items()})
     x = torch.zeros(1, 138, dtype=torch.float64)
-    assert torch.allclose(init_gmm.load_official(path).log_prob(x), gmm.log_prob(x))
+    assert torch.allclose(pretrained._official_mixture(path).log_prob(x), gmm.log_prob(x))
 
 
 def spoilt(name: str, change) -> dict[str, np.ndarray]:
@@ -123,20 +122,20 @@ def test_files_that_hold_no_mixture_are_refused(tmp_path, arrays):
     path = tmp_path / "prior_gmm.npz"
     np.savez(path, **arrays)
     with pytest.raises(DataError, match="prior_gmm") as caught:
-        init_gmm.load_official(path)
+        pretrained._official_mixture(path)
     assert caught.value.remedy
 
 
 def test_no_file_and_no_archive(tmp_path):
     with pytest.raises(DataError, match="none"):
-        init_gmm.load_official(tmp_path / "none.npz")
+        pretrained._official_mixture(tmp_path / "none.npz")
     (tmp_path / "text.npz").write_text("hello")
     with pytest.raises(DataError, match="archive"):
-        init_gmm.load_official(tmp_path / "text.npz")
+        pretrained._official_mixture(tmp_path / "text.npz")
 
 
 def test_too_few_samples_and_wrong_width(generator):
     with pytest.raises(DataError, match="samples"):
-        init_gmm.fit(torch.randn(5, 9, generator=generator), generator)
+        prior_training.fit_mixture(torch.randn(5, 9, generator=generator), generator)
     with pytest.raises(ShapeError):
         golden_mixture().log_prob(torch.zeros(2, 137))

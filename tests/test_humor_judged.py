@@ -7,10 +7,10 @@ import torch
 from rolled_inputs import network
 
 from data_synth import clips
-from motionlab.humor import judged, stages, testops, variables
-from motionlab.humor.observed import Observation3D
-from motionlab.humor.shooting import Plan
-from motionlab.humor.workload import random_priors, workload
+from motionlab.humor import stages, testops, unknowns
+from motionlab.humor.evidence import Observation3D
+from motionlab.humor.shooting.solver import Plan
+from studies.shared.workload import random_priors, workload
 
 
 def seeded(n=0):
@@ -25,9 +25,9 @@ def work():
 
 def test_surprise_and_misfit_are_what_they_say(work):
     """Against sums over frames; and one for latents drawn from the prior."""
-    problem, unknown = work.problem, {n: x.detach() for n, x in work.moving.items()}
-    says = judged.judged(problem, unknown)
-    rolled = variables.roll(unknown, problem.priors, problem.evidence)
+    problem, unknown = work.problem, work.moving.detached()
+    says = testops.doubts(problem, unknown)
+    rolled = unknowns.roll(unknown, problem.priors, problem.evidence)
     prior, z = rolled.rollout.prior, rolled.rollout.z
     for b in range(2):
         scores = [(z[b, t] - prior.mean[b, t]) / prior.log_var[b, t].exp().sqrt() for t in range(z.shape[1])]
@@ -36,24 +36,24 @@ def test_surprise_and_misfit_are_what_they_say(work):
         off = (rolled.body.observed[b] - problem.evidence.values[b]).norm(dim=-1)[seen]
         assert says.misfit[b].item() == pytest.approx(off.square().mean().sqrt().item(), rel=1e-4)
     drawn = rolled._replace(rollout=rolled.rollout._replace(z=prior.sample(seeded(1))))
-    assert (judged.of_rollout(drawn, problem.evidence).surprise - 1).abs().max() < 0.3
+    assert (testops._doubts_of_rollout(drawn, problem.evidence).surprise - 1).abs().max() < 0.3
 
 
 def test_what_is_not_seen_is_not_missed(work):
-    problem, unknown = work.problem, {n: x.detach() for n, x in work.moving.items()}
+    problem, unknown = work.problem, work.moving.detached()
     weight = problem.evidence.weight.clone()
     weight[:, :, ::2] = 0.0
     values = problem.evidence.values.clone()
     values[:, :, ::2] = 1e9
     less = replace(problem, evidence=replace(problem.evidence, weight=weight, values=values))
-    assert (judged.judged(less, unknown).misfit < 1e4).all()
+    assert (testops.doubts(less, unknown).misfit < 1e4).all()
 
 
 def test_doubts_name_the_clip_and_bounds_are_bounds():
-    says = judged.Judged(torch.tensor([0.2, 0.6, 0.2, torch.nan]), torch.tensor([0.05, 0.05, 0.3, 0.05]), 0.12, False)
+    says = testops.Doubts(torch.tensor([0.2, 0.6, 0.2, torch.nan]), torch.tensor([0.05, 0.05, 0.3, 0.05]), 0.12, False)
     assert says.doubtful.tolist() == [False, True, True, True]
-    assert [line.split(":")[0] for line in says.doubts()] == [f"stage 3 doubts clip {k}" for k in (1, 2, 3)]
-    assert "0.30 m" in says.doubts()[1]
+    assert [line.split(":")[0] for line in says.sentences()] == [f"stage 3 doubts clip {k}" for k in (1, 2, 3)]
+    assert "0.30 m" in says.sentences()[1]
 
 
 @pytest.mark.parametrize("solver", testops.SOLVERS)
@@ -63,8 +63,8 @@ def test_a_fit_is_judged_by_either_solver(solver):
     priors = replace(random_priors(seeded(), width=64), motion=network(64).float())
     schedule = replace(testops.Schedule.quick(), shooting=Plan(rounds=1, closures=4), window=8, overlap=3)
     fitted = testops.fit(seen, priors, schedule=schedule, solver=solver)
-    assert fitted.judged.surprise.shape == (1,) and fitted.judged.misfit.isfinite().all()
-    assert bool(fitted.judged.doubtful.any()) == any("doubts" in note for note in fitted.notes)
+    assert fitted.doubts.surprise.shape == (1,) and fitted.doubts.misfit.isfinite().all()
+    assert bool(fitted.doubts.doubtful.any()) == any("doubts" in note for note in fitted.notes)
     assert torch.equal(fitted.motion.positions, fitted.stages[3].positions)
 
 
@@ -79,7 +79,7 @@ def test_shooting_takes_a_recording_whole_and_rollout_in_windows():
     assert not stages.interrupted(whole.results[3][-1])
 
 
-@pytest.mark.parametrize("how", [{"solver": "newton"}, {"solver": "shooting", "mode": "faithful"}])
+@pytest.mark.parametrize("how", [{"solver": "newton"}, {"solver": "shooting", "mode": "official"}])
 def test_a_solver_that_is_not_there(how):
     seen = Observation3D(torch.zeros(4, 22, 3), torch.ones(4, 22, dtype=torch.bool))
     with pytest.raises(ValueError, match="solver"):

@@ -6,12 +6,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab.humor import init_gmm, leaps, shooting, variables
-from motionlab.humor.init_gmm import InitGmm
-from motionlab.humor.loop import linearised, mixed_features, opened
-from motionlab.humor.shooting import Plan, solve
+from motionlab.humor import priors, unknowns
+from motionlab.humor.priors import InitGmm
+from motionlab.humor.shooting import solver
+from motionlab.humor.shooting.coordinates import linearised, mixed_features, opened
+from motionlab.humor.shooting.solver import Plan, solve
 from motionlab.humor.stages import rolled_terms
-from motionlab.optimise_batch import BatchFit
+from motionlab.optimise import BatchFit
 from tests.rolled_inputs import F64
 from tests.test_humor_shooting import CLIPS, made, noisy, nought, seed, total
 
@@ -24,11 +25,11 @@ def case(kit):
     standard deviations of each away and a million million times as likely. Joints weigh enough to hold the pose: stage
     3 has no prior of it, and with 1 a search winds into a valley so thin that rounding says where it ends."""
     problem, unknown = made(smoothed(kit.pose))["joints"]
-    first = variables.first_state(unknown, problem.priors)
-    middle = init_gmm.features(variables.local_first(first)).mean(0)
+    first = unknowns.first_state(unknown, problem.priors)
+    middle = priors.first_state_features(unknowns.local_first(first)).mean(0)
     other = middle.clone()
     other[66:] += noisy(torch.zeros(72, dtype=F64), 0.3, 8)
-    balls = 0.1**2 * torch.eye(init_gmm.SIZE, dtype=F64).expand(2, -1, -1)
+    balls = 0.1**2 * torch.eye(priors.FIRST_STATE_SIZE, dtype=F64).expand(2, -1, -1)
     mixture = InitGmm(torch.tensor([1e-12, 1 - 1e-12], dtype=F64), torch.stack((middle, other)), balls)
     weights = {"joints3d": 300.0, "init_motion_prior": 0.3, "contact_height": 0.0}
     weights = replace(problem.weights, **{name: (0.0, 0.0, value) for name, value in weights.items()})
@@ -55,8 +56,8 @@ def component(problem, unknown):
 
 def test_whitened_features_are_the_density_and_its_slopes(case):
     problem, _ = case
-    gmm, x = problem.priors.initial, torch.randn(3, init_gmm.SIZE, generator=seed(1), dtype=F64)
-    way = torch.randn(3, init_gmm.SIZE, 2, generator=seed(2), dtype=F64)
+    gmm, x = problem.priors.initial, torch.randn(3, priors.FIRST_STATE_SIZE, generator=seed(1), dtype=F64)
+    way = torch.randn(3, priors.FIRST_STATE_SIZE, 2, generator=seed(2), dtype=F64)
     off, slopes, constant = gmm.whitened(x, way)
     torch.testing.assert_close(constant - 0.5 * off.square().sum(-1), gmm.each(x))
     change = torch.tensor([0.3, -0.2], dtype=F64)
@@ -73,7 +74,7 @@ def test_the_matrix_is_that_of_the_rest_and_of_the_mixture(case):
         gmm = problem.priors.initial
         share = gmm.each(f).softmax(-1)
         pull = torch.einsum("bk,kij->bij", share, torch.linalg.inv(gmm.covariances))
-        weight = problem.weights.of(3, frames=unknown["z"].shape[2] + 1)["init_motion_prior"]
+        weight = problem.weights.of(3, frames=unknown.z.shape[2] + 1)["init_motion_prior"]
         whole = loop.rest + weight * loop.features.mT @ pull @ loop.features
         values = torch.linalg.eigvalsh(whole)
         assert values.max() < 1 + 1e-6 and (values > 0.9).float().mean() > 0.8
@@ -90,7 +91,7 @@ def test_where_a_search_has_ended_its_own_valley_promises_nothing(case, settled)
     problem, _ = case
     with torch.no_grad():
         loop = linearised(problem, settled)
-    energy, gain, *_ = leaps.valleys(problem, settled, loop)
+    energy, gain, *_ = solver.valleys(problem, settled, loop)
     torch.testing.assert_close(energy, total(problem, settled))
     own = component(problem, settled)
     assert (own == 0).all()
@@ -103,7 +104,7 @@ def test_the_depth_of_a_valley_is_known_before_it_is_entered(case, settled):
     problem, _ = case
     with torch.no_grad():
         loop = linearised(problem, settled)
-    energy, gain, *_ = leaps.valleys(problem, settled, loop)
+    energy, gain, *_ = solver.valleys(problem, settled, loop)
     gmm = problem.priors.initial
     other = replace(
         problem,
@@ -125,23 +126,12 @@ def test_a_search_that_leaps_ends_in_the_deeper_valley_and_one_that_does_not_sta
     assert all(fit.energy.shape == (CLIPS,) and fit.history.shape[1] == CLIPS for fit in fits)
 
 
-def test_no_more_leaps_than_asked_for_and_none_that_promises_little(case, settled):
-    problem, _ = case
-    with torch.no_grad():
-        loop = linearised(problem, settled)
-    who, _, first = leaps.starts(problem, settled, loop, 3, 0.01)
-    assert who.tolist() == [0, 1, 0, 1] and not first[:CLIPS].any() and first[CLIPS:].any(1).all()
-    for most, share in ((0, 0.01), (3, 1e3)):
-        who, shaper, first = leaps.starts(problem, settled, loop, most, share)
-        assert who.tolist() == [0, 1] and not first.any() and torch.equal(shaper, loop.first)
-
-
 def test_the_rows_of_a_clip_are_one_clip_in_what_is_reported(case):
     """A leap's energies are its clip's: the lowest of its rows after each closure."""
     problem, unknown = case
     with torch.no_grad():
         loop = linearised(problem, unknown)
-        who, shaper, first = leaps.starts(problem, unknown, loop, 1, 1e-3)
+        who, shaper, first = solver._starts(problem, unknown, loop, 1, 1e-3)
         starts = []
         for i in (slice(0, CLIPS), slice(CLIPS, 2 * CLIPS)):
             around, new = loop._replace(first=shaper[i]), nought(loop) | {"first": first[i]}
@@ -155,14 +145,14 @@ def test_a_leap_has_coordinates_of_its_own_component(case, settled):
     """They reach the same place, and the matrix of the valley is the identity in them: with another component of other
     widths it is far from that in the coordinates that the search left."""
     problem, _ = case
-    gmm, wide = problem.priors.initial, torch.tensor([0.05, 0.2], dtype=F64).repeat(init_gmm.SIZE // 2)
+    gmm, wide = problem.priors.initial, torch.tensor([0.05, 0.2], dtype=F64).repeat(priors.FIRST_STATE_SIZE // 2)
     uneven = InitGmm(gmm.weights, gmm.means, torch.stack((gmm.covariances[0], wide.square().diag())))
     problem = replace(problem, priors=replace(problem.priors, initial=uneven))
     with torch.no_grad():
         loop = linearised(problem, settled)
-    found = leaps.valleys(problem, settled, loop)
+    found = solver.valleys(problem, settled, loop)
     who, which = torch.tensor([1, 0, 1]), torch.tensor([1, 1, 0])
-    shaper, begin = leaps.entered(loop, found, who, which)
+    shaper, begin = solver.entered(loop, found, who, which)
     where = loop.first[who] @ found.where[who, which, :, None]
     torch.testing.assert_close(shaper @ begin[..., None], where, atol=1e-8, rtol=1e-8)
     inside = torch.linalg.solve(loop.first[who], shaper)
@@ -177,9 +167,9 @@ def test_a_mixture_without_weight_has_no_valleys(case):
     still = replace(problem, weights=replace(problem.weights, init_motion_prior=(0.0, 0.0, 0.0)))
     with torch.no_grad():
         loop = linearised(still, unknown)
-    assert leaps.starts(still, unknown, loop, 2, -1.0)[0].tolist() == [0, 1]
-    assert leaps.starts(problem, unknown, loop, 2, -1.0)[0].tolist() == [0, 1, 0, 0, 1, 1]  # control
-    assert leaps.starts(problem, unknown, loop, 1, -1.0)[0].tolist() == [0, 1, 0, 1]
+    assert solver._starts(still, unknown, loop, 2, -1.0)[0].tolist() == [0, 1]
+    assert solver._starts(problem, unknown, loop, 2, -1.0)[0].tolist() == [0, 1, 0, 0, 1, 1]  # control
+    assert solver._starts(problem, unknown, loop, 1, -1.0)[0].tolist() == [0, 1, 0, 1]
 
 
 def rows_of(reasons, history):
@@ -189,9 +179,7 @@ def rows_of(reasons, history):
 
 def test_a_person_who_stops_one_row_stops_its_clip_and_what_is_not_finite_is_nobodys():
     history = torch.tensor([[3.0, 5.0, torch.nan], [2.0, 5.0, 4.0]])
-    best, fit = shooting._of_clips(
-        rows_of(["no decrease", "gradient", "interrupted"], history), torch.tensor([0, 1, 0])
-    )
+    best, fit = solver._of_clips(rows_of(["no decrease", "gradient", "interrupted"], history), torch.tensor([0, 1, 0]))
     assert best.tolist() == [0, 1] and fit.reasons == ["interrupted", "gradient"]
     assert fit.history.tolist() == [[3.0, 5.0], [2.0, 5.0]] and fit.energy.tolist() == [2.0, 5.0]
 
@@ -207,7 +195,7 @@ def test_a_leap_to_nowhere_leaves_the_clip_where_it_was(case, monkeypatch):
         first[CLIPS : 2 * CLIPS], first[2 * CLIPS :] = torch.nan, 1e30
         return stay, loop.first[stay], first
 
-    monkeypatch.setattr(leaps, "starts", nowhere)
+    monkeypatch.setattr(solver, "_starts", nowhere)
     found, fits = solve(problem, unknown, replace(ALONE, rounds=1, leaps=2))
     torch.testing.assert_close(total(problem, found), total(problem, alone), rtol=1e-9, atol=0)
     assert fits[0].history.isfinite().all()

@@ -11,12 +11,12 @@ import torch
 
 from data_synth import corrupt
 from motionlab import rotation
-from motionlab.humor import starts, testops
-from motionlab.humor.observed import Observation3D, evidence
+from motionlab.humor import start as starts
+from motionlab.humor import testops
+from motionlab.humor.energies import JOINTS, RGB_LIGHT
+from motionlab.humor.evidence import Observation3D, evidence
 from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Schedule
-from motionlab.humor.weights import JOINTS, RGB_LIGHT
-from motionlab.observation import BODY_25
 from motionlab.skeleton import STANDARD, UPRIGHT
 from tests.fit_inputs import QUICK, error, errors, finite, joints, keypoints
 
@@ -53,7 +53,7 @@ def speed(motion):
 
 
 def as_found(trans, turn, known, fps):
-    """A start that fills no gap, in the place of ``starts.filled``: frames stay where nothing was seen."""
+    """A start that fills no gap, in the place of ``start.filled``: frames stay where nothing was seen."""
     return trans, turn
 
 
@@ -83,9 +83,8 @@ def test_of_whom_nothing_is_known_stands_upright_at_the_origin():
 
 # --------------------------------------------------------------------------------------------------------------- joints
 @pytest.mark.parametrize(
-    ("frames", "broken"), [([0], False), (range(5), False), (range(5, 13), False), (range(16, 24), False),
-                           (range(5, 13), True), (range(16, 24), True)]
-)  # fmt: skip
+    ("frames", "broken"), [(range(5), False), (range(5, 13), False), (range(16, 24), False), (range(5, 13), True)]
+)
 def test_missing_frames_continue_what_is_around_them(kit, walk, whole, frames, broken, monkeypatch):
     """Nothing jumps; and the rest is found as well as without the gap. A start that fills no gap misses this."""
     if broken:
@@ -105,14 +104,6 @@ def test_missing_frames_continue_what_is_around_them(kit, walk, whole, frames, b
     for stage, more in ((2, 0.015), (3, 0.05)):
         here, there = (errors(f.stages[stage], walk)[:, seen].mean(1) for f in (fitted, whole))
         assert (here < there + more).all()
-
-
-def test_missing_frames_without_a_motion_prior(kit, walk):
-    """Nothing then says anything about the latent of an unseen transition."""
-    weights = replace(JOINTS, motion_prior=(0, 0, 0), init_motion_prior=(0, 0, 0))
-    fitted = testops.fit(joints(walk, without(walk, [12])), kit, schedule=QUICK, weights=weights)
-    assert finite(fitted)
-    assert (error(fitted.motion, walk) < 0.05).all() and (speed(fitted.motion) < 0.06).all()
 
 
 @pytest.mark.parametrize("control", [False, True])
@@ -141,7 +132,7 @@ def test_a_single_joint_is_followed_by_an_upright_body(kit, walk):
     assert (fitted.motion.rot[:, :, 0, 2, 1] > 0.85).all()  # the body's own up is within 30 degrees of it
 
 
-@pytest.mark.parametrize("frames", [1, 2, 3, 14, 15, 16])
+@pytest.mark.parametrize("frames", [1, 2, 15])
 def test_short_clips(kit, walk, frames):
     clip = walk.cut(0, frames)
     fitted = testops.fit(joints(clip), kit, schedule=QUICK)
@@ -182,9 +173,7 @@ def test_somebody_never_seen_stands_at_the_origin_and_leaves_neighbours_alone(
 
 
 # ------------------------------------------------------------------------------------------------------------ keypoints
-@pytest.mark.parametrize(
-    ("frames", "broken"), [([0], False), (range(6), False), (range(9, 15), False), (range(9, 15), True)]
-)
+@pytest.mark.parametrize(("frames", "broken"), [(range(6), False), (range(9, 15), False), (range(9, 15), True)])
 def test_missing_frames_of_keypoints(kit, walk, filmed, whole_film, frames, broken, monkeypatch):
     """As for joints."""
     if broken:
@@ -220,19 +209,6 @@ def test_numbers_that_are_none_count_as_not_seen(kit, walk, filmed):
     assert finite(fitted) and (speed(fitted.motion) < 0.1).all()
 
 
-def test_frames_after_somebody_left_change_little_before(kit, walk, filmed, camera):
-    """Of 24 frames the last 11 are lost: the first 13 are found as in a clip that ends there; then nobody jumps."""
-    gone = torch.arange(24) > 12
-    seen = replace(filmed, confidence=torch.where(gone[:, None], 0.0, filmed.confidence))
-    fitted = testops.fit(seen, kit, schedule=QUICK)
-    short = walk.cut(0, 13)
-    alone = testops.fit(keypoints(short, camera), kit, schedule=QUICK)
-    for stage, apart in ((1, 0.03), (2, 0.03), (3, 0.08)):
-        assert (error(fitted.stages[stage].cut(0, 13), alone.stages[stage]) < apart).all()
-        assert (speed(fitted.stages[stage]) < 0.06).all()
-    assert (error(fitted.motion.cut(0, 13), short) < error(alone.motion, short) + 0.05).all()
-
-
 def test_somebody_who_walks_out_of_the_image(kit, walk, filmed):
     """Over its edge, keypoint by keypoint: few are left after frame 11, none after frame 18. The start jumps by
     more than a metre where a foot is all there is; stages 1 and 2 must undo that."""
@@ -240,32 +216,9 @@ def test_somebody_who_walks_out_of_the_image(kit, walk, filmed):
     inside = filmed.keypoints[1:, ..., 0] < 430
     seen = replace(filmed, keypoints=filmed.keypoints[1:], confidence=torch.where(inside, filmed.confidence[1:], 0.0))
     assert seen.confidence[0, :12].gt(0).sum(-1).min() >= 5 and not seen.confidence[0, 19:].any()
-    start = testops.start(Problem(evidence(seen), kit, RGB_LIGHT))["trans"][0, 0]
+    start = testops.start_stage_1(Problem(evidence(seen), kit, RGB_LIGHT)).trans[0, 0]
     assert start.diff(dim=0).norm(dim=-1).max() > 1
     fitted = testops.fit(seen, kit, schedule=Schedule(steps=(5, 10, 0)))
     assert (speed(fitted.stages[1]) < 0.05).all() and (speed(fitted.stages[2]) < 0.04).all()
     wrong = errors(fitted.motion, clip)[0]
     assert wrong[:12].mean() < 0.35 and wrong[19:].max() < 0.45
-
-
-def test_somebody_who_is_a_single_point(kit, walk, filmed, camera):
-    """The body is brought behind it; how far away it is nobody knows."""
-    nose = BODY_25.index("nose")
-    only = torch.zeros(25)
-    only[nose] = 0.9
-    fitted = testops.fit(replace(filmed, confidence=only.expand_as(filmed.confidence)), kit, schedule=QUICK)
-    assert finite(fitted)
-    miss = (keypoints(fitted.motion, camera).keypoints - filmed.keypoints).norm(dim=-1)[..., nose].mean(1)
-    assert (miss < 40).all()
-    start = replace(fitted.motion, root=fitted.motion.root - fitted.motion.root[:, :1] + torch.tensor([0, 0, 0.99]))
-    assert (keypoints(start, camera).keypoints - filmed.keypoints).norm(dim=-1)[1, :, nose].mean() > 80
-
-
-def test_one_frame_seen_by_a_camera(kit, walk, camera):
-    clip = walk.cut(0, 1)
-    seen = keypoints(clip, camera)
-    fitted = testops.fit(seen, kit, schedule=QUICK)
-    assert finite(fitted)
-    assert ((keypoints(fitted.motion, camera).keypoints - seen.keypoints).norm(dim=-1).mean((1, 2)) < 6).all()
-    at_origin = [replace(m, root=torch.zeros_like(m.root)) for m in (fitted.motion, clip)]
-    assert (error(*at_origin) < 0.08).all()

@@ -8,11 +8,14 @@ import torch
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
+from motionlab import checkpoint
 from motionlab.errors import DataError
-from motionlab.humor import checkpoint, init_gmm, parity, priors, rollout, state, testops
+from motionlab.humor import pretrained, priors, rollout, state, testops
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.observed import Observation3D
-from motionlab.humor.pose_prior import _NAMES_1, PosePrior
+from motionlab.humor.evidence import Observation3D
+from motionlab.humor.pretrained import _NAMES_1
+from motionlab.humor.priors import PosePrior
+from studies.nb04_prior import parity
 
 PELVIS = (0.02, -0.3, 0.05)  # of no body in particular
 
@@ -39,7 +42,7 @@ def walk():
 
 
 def test_a_fit_runs_with_official_files(files):
-    known = priors.load(**files, pelvis=PELVIS)
+    known = pretrained.load_priors(**files, pelvis=PELVIS)
     assert known.motion.width == 1024 and known.pose.numbers == 3 and len(known.initial.weights) == 3
     seen, _ = walk()
     for mode in ("lean", "official"):
@@ -50,12 +53,12 @@ def test_a_fit_runs_with_official_files(files):
 
 
 def test_official_files_alone_leave_the_rest_as_shipped(files):
-    ours = priors.load()
-    mixed = priors.load(pose=files["pose"])
+    ours = pretrained.load_priors()
+    mixed = pretrained.load_priors(pose=files["pose"])
     assert mixed.motion is ours.motion and mixed.initial is ours.initial and mixed.pose.numbers == 3
-    mixed = priors.load(initial=files["initial"], pelvis=PELVIS)
+    mixed = pretrained.load_priors(initial=files["initial"], pelvis=PELVIS)
     assert mixed.motion is ours.motion and mixed.pose is ours.pose and len(mixed.initial.weights) == 3
-    again = priors.load(motion=checkpoint.SHIPPED / "humor_compact.safetensors")
+    again = pretrained.load_priors(motion=checkpoint.SHIPPED / "humor_compact.safetensors")
     assert torch.equal(again.motion.state_dict()["decoder.net.0.weight"], ours.motion.decoder.net[0].weight)
 
 
@@ -69,14 +72,14 @@ def test_an_official_prior_says_of_the_pelvis_what_it_said_of_its_translation(gi
     c = state.pelvis_offset(theirs[:, 0])
     torch.testing.assert_close(c, -(j * torch.tensor([1.0, 1.0, 0.0]))[None])
     moved, moved_mixture = (
-        priors.at_pelvis(copy.deepcopy(official), given),
-        priors.mixture_at_pelvis(mixture, given),
+        pretrained._at_pelvis(copy.deepcopy(official), given),
+        pretrained._mixture_at_pelvis(mixture, given),
     )
     z = torch.randn(1, 4, 48, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     there, here = rollout.rollout(official, theirs[:, 0], z, offset=c), rollout.rollout(moved, ours[:, 0], z)
     latents = rollout.infer(official, theirs, offset=c), rollout.infer(moved, ours)
     first = [state.localise(x[:, 0], state.heading(x[:, 0]), offset) for x, offset in ((theirs, c), (ours, None))]
-    likely = [m.log_prob(init_gmm.features(x)) for m, x in zip((mixture, moved_mixture), first, strict=True)]
+    likely = [m.log_prob(priors.first_state_features(x)) for m, x in zip((mixture, moved_mixture), first, strict=True)]
     back = state.unpack(there.states)
     apart = {
         "states": (state.pack(back | {"trans": back["trans"] + j}) - here.states).abs().max(),
@@ -93,17 +96,17 @@ def test_an_official_prior_says_of_the_pelvis_what_it_said_of_its_translation(gi
 def test_official_files_that_do_not_fit_are_refused(files, tmp_path):
     for given in ({"motion": files["motion"]}, {"initial": files["initial"]}):
         with pytest.raises(DataError, match="where the pelvis lies") as caught:
-            priors.load(**given)
+            pretrained.load_priors(**given)
         assert "J_0" in caught.value.remedy
     with pytest.raises(DataError, match="leave it out"):
-        priors.load(pose=files["pose"], pelvis=PELVIS)
+        pretrained.load_priors(pose=files["pose"], pelvis=PELVIS)
     for wrong in ((float("nan"), 0.0, 0.0), (-1.8, -223.0, 28.0)):
         with pytest.raises(DataError, match="metres"):
-            priors.load(motion=files["motion"], pelvis=wrong)
+            pretrained.load_priors(motion=files["motion"], pelvis=wrong)
     with pytest.raises(DataError, match="prior_net"):
-        priors.load(motion=files["pose"], pelvis=PELVIS)
+        pretrained.load_priors(motion=files["pose"], pelvis=PELVIS)
     with pytest.raises(DataError, match="VPoser"):
-        priors.load(pose=files["motion"])
+        pretrained.load_priors(pose=files["motion"])
     torch.save({"model": Cvae(32).state_dict() | {"more": torch.zeros(1)}}, tmp_path / "more.pth")
     with pytest.raises(DataError, match="HuMoR's networks"):
-        priors.load(motion=tmp_path / "more.pth", pelvis=PELVIS)
+        pretrained.load_priors(motion=tmp_path / "more.pth", pelvis=PELVIS)

@@ -6,9 +6,12 @@ import pytest
 import torch
 
 from motionlab import rotation
-from motionlab.humor import faithful, faithful_rotation, ladder, parity
 from motionlab.humor.state import SHAPES
 from motionlab.motion import velocity
+from studies.nb04_prior import parity
+from studies.official import rollout as official_rollout
+from studies.official import rotation as official_rotation
+from studies.shared import savings
 
 FOLDER = Path(__file__).parent / "golden"
 
@@ -48,11 +51,11 @@ def test_what_the_lean_form_misses_the_official_form_meets(rows):
 def test_one_formula_exchanged_in_the_official_form_misses_what_the_lean_form_misses(rows, cause, monkeypatch):
     """And by as much: this formula is the reason. What the other one explains is met all the same."""
     if cause == "heading":
-        monkeypatch.setitem(faithful.rollout.__kwdefaults__, "align", ladder.exact_alignment)
-        monkeypatch.setattr(faithful._frame, "__defaults__", (ladder.exact_alignment,))
+        monkeypatch.setitem(official_rollout.rollout.__kwdefaults__, "align", savings.exact_alignment)
+        monkeypatch.setattr(official_rollout._frame, "__defaults__", (savings.exact_alignment,))
     else:
-        monkeypatch.setattr(faithful, "axis_angle_to_matrix", rotation.exp)  # of the deltas
-        monkeypatch.setattr(faithful_rotation, "axis_angle_to_matrix", rotation.exp)  # of the heading, of a camera
+        monkeypatch.setattr(official_rollout, "axis_angle_to_matrix", rotation.exp)  # of the deltas
+        monkeypatch.setattr(official_rotation, "axis_angle_to_matrix", rotation.exp)  # of the heading, of a camera
     error = {row.arrays: row.error for row in of(parity.parity_rows(FOLDER), "official")}
     lean = {row.arrays: row for row in of(rows, "lean") if row.why}
     explained = {name for name, row in lean.items() if ("heading" in row.why) == (cause == "heading")}
@@ -82,7 +85,7 @@ def test_control_other_weights_are_noticed():
 
 
 def test_control_a_changed_epsilon_is_noticed(monkeypatch):
-    monkeypatch.setattr(faithful_rotation, "GUARD", 1e-8)
+    monkeypatch.setattr(official_rotation, "GUARD", 1e-8)
     golden = parity.Golden(FOLDER)
     rows = of([*parity._geometry(golden), *parity._frames(golden)], "official")
     assert missed(rows) >= {"w2a_from_root_mat", "canon_w2a_rot", "canon_local_*"}

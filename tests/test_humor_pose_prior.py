@@ -7,10 +7,10 @@ from torch.nn import functional as F
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import rotation, train_small
+from motionlab import checkpoint, rotation, shipped
 from motionlab.errors import DataError, ShapeError
-from motionlab.humor import checkpoint, pose_prior, pose_training, priors
-from motionlab.humor.pose_prior import PosePrior
+from motionlab.humor import pretrained, prior_training
+from motionlab.humor.priors import PosePrior
 from motionlab.skeleton import STANDARD
 
 
@@ -44,14 +44,15 @@ def test_shapes_and_rotations(model, generator):
 def test_training_learns_and_repeats():
     rot = unseen()
     runs = [
-        pose_training.train(rot, torch.Generator().manual_seed(0), steps=60, batch=64, progress=False) for _ in "ab"
+        prior_training.train_pose_prior(rot, torch.Generator().manual_seed(0), steps=60, batch=64, progress=False)
+        for _ in "ab"
     ]
     (first, history), (second, _) = runs
     assert history[-1][1] < 0.3 * history[0][1]
     assert all(torch.equal(a, b) for a, b in zip(first.parameters(), second.parameters(), strict=True))
     assert not any(p.requires_grad for p in first.parameters())
     with pytest.raises(DataError, match="poses"):
-        pose_training.train(rot[:1], torch.Generator(), progress=False)
+        prior_training.train_pose_prior(rot[:1], torch.Generator(), progress=False)
 
 
 def test_mirror_of_a_pose_is_the_mirrored_motion():
@@ -59,7 +60,7 @@ def test_mirror_of_a_pose_is_the_mirrored_motion():
 
     take = ACTIONS["kick"](SUBJECTS[0], torch.Generator().manual_seed(1)).motion.cut(0, 8)
     rot = take.rot[:, 1:].repeat(40, 1, 1, 1)
-    made = pose_training.varied(rot, torch.Generator().manual_seed(0), share=0.0)
+    made = prior_training._varied_poses(rot, torch.Generator().manual_seed(0), share=0.0)
     flipped = mirror(take).rot[:, 1:].repeat(40, 1, 1, 1)
     as_was, as_flipped = ((made - x).abs().amax((1, 2, 3)) < 1e-6 for x in (rot, flipped))
     assert (as_was | as_flipped).all() and as_was.any() and as_flipped.any()
@@ -67,9 +68,9 @@ def test_mirror_of_a_pose_is_the_mirrored_motion():
 
 def test_limbs_of_other_people_leave_the_trunk():
     rot = unseen()
-    made = pose_training.varied(rot, torch.Generator().manual_seed(0), share=1.0)
+    made = prior_training._varied_poses(rot, torch.Generator().manual_seed(0), share=1.0)
     spine = [STANDARD.index(name) - 1 for name in ("spine1", "spine2", "spine3", "neck", "head")]
-    whole = pose_training.varied(rot, torch.Generator().manual_seed(0), share=0.0)
+    whole = prior_training._varied_poses(rot, torch.Generator().manual_seed(0), share=0.0)
     assert torch.equal(made[:, spine], whole[:, spine])
     assert not torch.equal(made, whole)
 
@@ -156,7 +157,7 @@ def as_lightning(state: dict) -> dict:
 def test_vposer_weights_give_vposers_numbers(tmp_path, kind, wrap, generator):
     referee = trained(kind)
     torch.save(wrap(referee.state_dict()), tmp_path / "snapshot.pt")
-    model = pose_prior.load_vposer(tmp_path / "snapshot.pt")
+    model = pretrained._vposer(tmp_path / "snapshot.pt")
     rot = rotation.exp(0.5 * torch.randn(4, 21, 3, generator=generator))
     latent = model.encode(rot)
     with torch.no_grad():
@@ -178,18 +179,18 @@ def test_files_that_are_not_vposers(tmp_path):
     for name, content in cases.items():
         torch.save(content, tmp_path / f"{name}.pt")
         with pytest.raises(DataError, match=name) as caught:
-            pose_prior.load_vposer(tmp_path / f"{name}.pt")
+            pretrained._vposer(tmp_path / f"{name}.pt")
         assert caught.value.remedy
     (tmp_path / "text.pt").write_text("hello")
     for name in ("text", "none"):
         with pytest.raises(DataError, match=name):
-            pose_prior.load_vposer(tmp_path / f"{name}.pt")
+            pretrained._vposer(tmp_path / f"{name}.pt")
 
 
 def test_shipped_prior_knows_poses():
-    model, rot = priors.pose(), unseen()
-    found = pose_training.reconstruction(model, rot)
-    naive = pose_training.joints_of(rot)[:, 1:]
+    model, rot = pretrained.load_pose_prior(), unseen()
+    found = prior_training.reconstruction(model, rot)
+    naive = prior_training._joints_of(rot)[:, 1:]
     still = 100 * float((naive - naive.mean(0)).norm(dim=-1).mean())  # the mean pose instead of a prior
     assert found["cm"] < 2 < 0.2 * still
     assert found["degrees"] < 5
@@ -198,20 +199,20 @@ def test_shipped_prior_knows_poses():
 
 
 def test_shipped_prior_refuses_what_is_no_pose(generator):
-    model, rot = priors.pose(), unseen()
+    model, rot = pretrained.load_pose_prior(), unseen()
     nonsense = rotation.random((len(rot), 21), generator)
-    away = [pose_training.reconstruction(model, x)["degrees"] for x in (rot, nonsense)]
+    away = [prior_training.reconstruction(model, x)["degrees"] for x in (rot, nonsense)]
     assert away[1] > 5 * away[0]
 
 
 def test_samples_are_more_human_than_chance(generator):
-    drawn = train_small.plausibility(pose_training.samples(priors.pose(), 500, generator))
+    drawn = shipped._beyond_limits(prior_training.samples(pretrained.load_pose_prior(), 500, generator))
     model = PosePrior().frozen()
-    spread = priors.pose().encode(unseen()).mean.std(0).mean()
+    spread = pretrained.load_pose_prior().encode(unseen()).mean.std(0).mean()
     assert 0.3 < spread < 1.5  # latents of people fill the unit normal that samples are drawn from
-    anyhow = train_small.plausibility(rotation.exp(0.35 * torch.randn(500, 21, 3, generator=generator)))
+    anyhow = shipped._beyond_limits(rotation.exp(0.35 * torch.randn(500, 21, 3, generator=generator)))
     assert drawn["mean"] < 0.5 * anyhow["mean"]
-    assert train_small.plausibility(unseen())["mean"] <= drawn["mean"]
+    assert shipped._beyond_limits(unseen())["mean"] <= drawn["mean"]
     assert model.decode(torch.zeros(32)).shape == (21, 3, 3)
 
 

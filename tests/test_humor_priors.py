@@ -7,20 +7,20 @@ import torch
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import train_small
+from motionlab import checkpoint, shipped
 from motionlab.errors import DataError
-from motionlab.humor import checkpoint, init_gmm, priors
+from motionlab.humor import pretrained, prior_training, priors
 
 
 def first_states(seed: int = 5) -> torch.Tensor:
     """Features of the held-out subject, made for this test alone."""
     takes = [ACTIONS[name](SUBJECTS[3], torch.Generator().manual_seed(seed)) for name in ("walk", "sit", "kick")]
-    return train_small.first_states([take.motion for take in takes], 5)
+    return shipped._first_states([take.motion for take in takes], 5)
 
 
 def test_loaded_once_and_frozen():
-    found = priors.load()
-    assert priors.load() is found
+    found = pretrained.load_priors()
+    assert pretrained.load_priors() is found
     assert found.motion.latent == 48
     assert not any(p.requires_grad for model in (found.motion, found.pose) for p in model.parameters())
     assert found.initial.means.shape == (12, 138)
@@ -28,11 +28,11 @@ def test_loaded_once_and_frozen():
 
 def test_unknown_name():
     with pytest.raises(DataError, match="humor_nobody"):
-        priors.load("nobody")
+        pretrained.load_priors("nobody")
 
 
 def test_mixture_tells_people_from_nonsense(generator):
-    gmm, real = priors.initial(), first_states()
+    gmm, real = pretrained.load_initial(), first_states()
     likely = gmm.log_prob(real)
     shuffled = real[:, torch.randperm(138, generator=generator)]
     assert likely.isfinite().all()
@@ -43,10 +43,10 @@ def test_mixture_tells_people_from_nonsense(generator):
 
 def test_mixture_beats_a_single_gaussian_on_what_was_held_out():
     recipe = checkpoint.read_recipe(checkpoint.SHIPPED / "init_gmm_compact")
-    gmm, real = priors.initial(), first_states()
+    gmm, real = pretrained.load_initial(), first_states()
     away = gmm.means - (gmm.weights @ gmm.means)
     covariance = torch.einsum("k,kij->ij", gmm.weights, gmm.covariances + away[:, :, None] * away[:, None])
-    single = init_gmm.InitGmm(torch.ones(1), (gmm.weights @ gmm.means)[None], covariance[None])  # the same two moments
+    single = priors.InitGmm(torch.ones(1), (gmm.weights @ gmm.means)[None], covariance[None])  # the same two moments
     assert gmm.log_prob(real).mean() > single.log_prob(real).mean() + 5
     for test in recipe["held-out log-likelihood, nats per frame"].values():
         assert test["mixture"] > test["single Gaussian"]
@@ -55,7 +55,7 @@ def test_mixture_beats_a_single_gaussian_on_what_was_held_out():
 def test_components_stay_positive_definite_as_stored():
     tensors, _ = checkpoint.load(checkpoint.SHIPPED / "init_gmm_compact")
     smallest = torch.linalg.eigvalsh(tensors["covariances"].double()).amin()
-    assert smallest > 0.5 * init_gmm.RIDGE
+    assert smallest > 0.5 * prior_training.MIXTURE_RIDGE
 
 
 def copy(name: str, folder) -> None:
@@ -67,17 +67,17 @@ def test_damaged_and_foreign_checkpoints(tmp_path):
     copy("pose_prior_compact", tmp_path)
     copy("init_gmm_compact", tmp_path)
     with pytest.raises(DataError, match="pose prior"):
-        priors.pose(str(tmp_path / "init_gmm_compact"))
+        pretrained.load_pose_prior(str(tmp_path / "init_gmm_compact"))
     with pytest.raises(DataError, match="weights"):
-        priors.initial(str(tmp_path / "pose_prior_compact"))
+        pretrained.load_initial(str(tmp_path / "pose_prior_compact"))
     path = tmp_path / "init_gmm_compact.safetensors"
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(DataError, match="init_gmm"):
-        priors.initial(str(tmp_path / "init_gmm_compact"))
+        pretrained.load_initial(str(tmp_path / "init_gmm_compact"))
 
 
 def test_numbers_that_are_not_finite(tmp_path):
     tensors, recipe = checkpoint.load(checkpoint.SHIPPED / "pose_prior_compact")
     checkpoint.save(tmp_path / "spoilt", tensors | {"mean.bias": torch.full((32,), torch.inf)}, recipe)
     with pytest.raises(DataError, match="finite"):
-        priors.pose(str(tmp_path / "spoilt"))
+        pretrained.load_pose_prior(str(tmp_path / "spoilt"))

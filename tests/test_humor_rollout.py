@@ -5,12 +5,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from motionlab import rotation
+from motionlab import motion, rotation
 from motionlab.errors import ShapeError
-from motionlab.humor import faithful, parity, recursion, state
+from motionlab.humor import state, transition
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.recursion import BACK, LEAN, LEAN_RAW, Decoder, Stepper
-from motionlab.humor.rollout import decode_ahead, infer, rollout, sample
+from motionlab.humor.rollout import decode_ahead, infer, rollout, sample_rollout
+from motionlab.humor.transition import DecoderLayers, Stepper
+from studies.nb04_prior import parity
+from studies.official import rollout as official_rollout
 
 GOLDEN = Path(__file__).parent / "golden"
 F64 = torch.float64
@@ -68,15 +70,15 @@ def loss(states, logits, means, z):
 
 
 @pytest.mark.parametrize("batch, steps", [(1, 1), (1, 9), (3, 4), (5, 1)])
-@pytest.mark.parametrize("with_offset", [False, True])
-def test_values_and_gradients_are_those_of_a_plain_loop(model, generator, batch, steps, with_offset):
+@pytest.mark.parametrize("with_offset, loops", [(False, False), (False, True), (True, None)])
+def test_values_and_gradients_are_those_of_a_plain_loop(model, generator, batch, steps, with_offset, loops):
     first, z = first_states(generator, batch), latents(generator, batch, steps)
     found = []
     for lean in (True, False):
         x, latent = first.clone().requires_grad_(), z.clone().requires_grad_()
         offset = state.pelvis_offset(x) if with_offset else None
         if lean:
-            out = rollout(model, x, latent, offset=offset)
+            out = rollout(model, x, latent, offset=offset, loops=loops)
             parts = out.states, out.contact_logits, out.prior.mean
         else:
             parts = plain(model, x, latent, offset)
@@ -96,9 +98,9 @@ def test_control_the_offset_and_its_sign_are_noticed(model, generator):
 def test_control_the_plain_loop_is_sensitive(model, generator, monkeypatch):
     """A wrong sign in the rotations would be seen: the test above is no tautology."""
     first, z = first_states(generator, 2), latents(generator, 2, 5)
-    good = rollout(model, first, z).states
-    monkeypatch.setattr(recursion, "_QUATERNION", recursion._QUATERNION.mT.contiguous())
-    assert (rollout(model, first, z).states - good).abs().max() > 1e-2
+    good = rollout(model, first, z, loops=False).states
+    monkeypatch.setattr(transition, "_QUATERNION", transition._QUATERNION.mT.contiguous())
+    assert (rollout(model, first, z, loops=False).states - good).abs().max() > 1e-2
 
 
 @pytest.mark.parametrize("steps", [1, 3])
@@ -168,9 +170,9 @@ def test_the_world_does_not_matter(model, generator):
     """Turned about z and moved on the floor, the same motion turned and moved."""
     first, z = first_states(generator, 2), latents(generator, 2, 6)
     turn = rotation.rotation_about("z", torch.tensor([0.7, -2.9], dtype=F64))
-    frame = state.Frame(turn, torch.tensor([[3.0, -1.0, 0.0], [0.2, 40.0, 0.0]], dtype=F64))
+    frame = motion.Frame(turn, torch.tensor([[3.0, -1.0, 0.0], [0.2, 40.0, 0.0]], dtype=F64))
     moved = rollout(model, state.localise(first, frame), z).states
-    wide = state.Frame(turn[:, None], frame.shift[:, None])
+    wide = motion.Frame(turn[:, None], frame.shift[:, None])
     torch.testing.assert_close(state.globalise(moved, wide), rollout(model, first, z).states, atol=1e-10, rtol=0)
 
 
@@ -194,7 +196,7 @@ def test_a_body_exactly_on_its_side_has_no_heading_and_no_nan(model, generator, 
 @pytest.mark.parametrize("size", [0.0, 1e-30, 1e-8, 1e-4, 0.05, 0.1001, 1.0, 3.1, torch.pi, 6.3])
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
 def test_the_exponential_and_its_derivative_at_any_angle(model, generator, size, dtype):
-    step = Stepper(Decoder.of(Cvae(64).to(dtype)), None)
+    step = Stepper(DecoderLayers.of(Cvae(64).to(dtype)))
     way = torch.nn.functional.normalize(torch.randn(2, 22, 3, generator=generator, dtype=F64), dim=-1)
     v = (size * way).to(dtype)
     exact = rotation.exp(v.to(F64))
@@ -208,28 +210,19 @@ def test_the_exponential_and_its_derivative_at_any_angle(model, generator, size,
     assert (found[..., 0, :].to(F64) - truth).abs().max() < 200 * eps
 
 
-def test_lean_order_goes_there_and_back():
-    x = torch.randn(2, state.STATE, generator=torch.Generator().manual_seed(0))
-    assert torch.equal(x[:, LEAN][:, BACK], x)
-    assert torch.equal(LEAN_RAW.sort().values, torch.arange(state.DELTA))
-    parts = state.unpack(x)
-    assert torch.equal(x[:, LEAN][:, 9:75], parts["joints"].flatten(1))
-    assert torch.equal(x[:, LEAN][:, 141:150], parts["root_orient"].mT.flatten(1))
-
-
 @pytest.mark.parametrize("with_offset", [False, True])
 def test_sample_is_the_roll_out_of_its_own_latents(model, generator, with_offset):
     first = first_states(generator, 3)
     offset = state.pelvis_offset(first) if with_offset else None
     for drawn in (None, torch.Generator().manual_seed(5)):
-        taken = sample(model, first, 7, generator=drawn, offset=offset)
+        taken = sample_rollout(model, first, 7, generator=drawn, offset=offset)
         again = rollout(model, first, taken.z, offset=offset)
         torch.testing.assert_close(taken.states, again.states, atol=1e-10, rtol=0)
         torch.testing.assert_close(taken.contact_logits, again.contact_logits, atol=1e-10, rtol=0)
         torch.testing.assert_close(taken.prior.mean, again.prior.mean, atol=1e-10, rtol=0)
         torch.testing.assert_close(taken.prior.log_var, again.prior.log_var, atol=1e-10, rtol=0)
         assert (drawn is None) == torch.equal(taken.z, taken.prior.mean)
-    other = sample(model, first, 7, generator=torch.Generator().manual_seed(6), offset=offset)
+    other = sample_rollout(model, first, 7, generator=torch.Generator().manual_seed(6), offset=offset)
     assert not torch.equal(other.z, taken.z)
 
 
@@ -274,12 +267,12 @@ def test_what_remains_to_the_official_arrays_is_their_heading(alternative):
     worlds, z = golden.states("world_")[:, 0], golden["roll_z"]
     theirs = golden.states("alt_rollworld_" if alternative else "rollworld_")
     lean = rollout(net, worlds, z, offset=state.pelvis_offset(worlds)).states
-    official = faithful.rollout(net, worlds, z).states
-    exact = faithful.rollout(net, worlds, z, align=exact_heading).states
+    official = official_rollout.rollout(net, worlds, z).states
+    exact = official_rollout.rollout(net, worlds, z, align=exact_heading).states
     assert (official - theirs).abs().max() < 1e-9
     assert 1e-6 < (lean - theirs).abs().max() < 1e-4
     assert (lean - exact).abs().max() < 1e-6  # left: Rodrigues with |v + 1e-8|
 
 
 def exact_heading(orientation):
-    return state.heading_frame(torch.zeros_like(orientation[..., 0]), orientation).turn
+    return motion.heading_frame(torch.zeros_like(orientation[..., 0]), orientation).turn

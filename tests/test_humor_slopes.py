@@ -7,10 +7,12 @@ from scipy.spatial.transform import Rotation
 from torch.func import jacrev
 
 from motionlab import rotation
-from motionlab.frames import Frame
-from motionlab.humor import slopes, state
-from motionlab.humor.recursion import BACK, LEAN, SUM, Decoder, Stepper
-from motionlab.humor.slopes import CHANGE, GAMMA, LATENTS, XI
+from motionlab.humor import state
+from motionlab.humor.shooting import derivatives
+from motionlab.humor.shooting.derivatives import CHANGE, GAMMA, LATENTS, XI
+from motionlab.humor.state import ADDED
+from motionlab.humor.transition import DecoderLayers, Stepper
+from motionlab.motion import Frame
 from tests.rolled_inputs import F64, advanced, between, first_states, network, own, turned
 
 BLOCKS = {"xi": slice(0, XI), "turn": slice(XI, XI + 1), "way": slice(XI + 1, CHANGE)}
@@ -30,7 +32,7 @@ def inputs():
 
 @pytest.fixture(scope="module")
 def found(model, inputs):
-    return slopes.transition(Decoder.of(model), *inputs)
+    return derivatives.transition_slopes(DecoderLayers.of(model), *inputs)
 
 
 @pytest.fixture(scope="module")
@@ -61,16 +63,16 @@ def test_turn_takes_one_frames_axes_to_the_next(model, inputs, found):
     v = torch.randn(COUNT, 1, 3, dtype=F64, generator=torch.Generator().manual_seed(1))
     _, frame = advanced(model, x, z, torch.zeros(COUNT, CHANGE, dtype=F64))
     torch.testing.assert_close(v @ found.turn, v @ frame.turn.mT)
-    torch.testing.assert_close(found.turn, Stepper(Decoder.of(model), None)(x, Decoder.of(model).shares(z)).turn)
+    torch.testing.assert_close(found.turn, Stepper(DecoderLayers.of(model))(x, DecoderLayers.of(model).shares(z)).turn)
 
 
 def test_a_transition_and_what_its_slopes_leave_out(model, inputs, found):
     """Central differences through the recursion of a roll-out; and what is not smooth or not there is noticed."""
     x, z = inputs
-    decoder, generator, step = Decoder.of(model), torch.Generator().manual_seed(2), 1e-8
+    decoder, generator, step = DecoderLayers.of(model), torch.Generator().manual_seed(2), 1e-8
 
     def moved(change):
-        done = Stepper(decoder, None)(turned(x, change[:, :XI]), decoder.shares(z + change[:, XI:]))
+        done = Stepper(decoder)(turned(x, change[:, :XI]), decoder.shares(z + change[:, XI:]))
         way = done.after[:, :3] * torch.tensor([1.0, 1, 0], dtype=F64)
         return done.moved, Frame(done.turn.mT, -way)
 
@@ -80,18 +82,18 @@ def test_a_transition_and_what_its_slopes_leave_out(model, inputs, found):
     ours = (torch.cat((found.of_change[..., :XI], found.of_z), -1) @ way[..., None])[..., 0]
     torch.testing.assert_close(ours, measured, atol=2e-5, rtol=1e-5)
     bare = decoder._replace(weights=[decoder.weights[0] * 0, *decoder.weights[1:]])  # control: the network counts
-    without = slopes.transition(bare, x, z).of_change
+    without = derivatives.transition_slopes(bare, x, z).of_change
     assert (without - found.of_change)[:, :XI, :XI].norm() > 0.05 * found.of_change.norm()
 
 
 def test_control_rotations_turned_from_the_right_are_noticed(model, inputs, found):
     x, z = inputs
     middle, frame = advanced(model, x, z, torch.zeros(COUNT, CHANGE, dtype=F64))
-    matrices = x[:, SUM:].unflatten(1, (22, 3, 3))  # M = R^T: M w turns from the right
+    matrices = x[:, ADDED:].unflatten(1, (22, 3, 3))  # M = R^T: M w turns from the right
     way = torch.zeros(COUNT, CHANGE, dtype=F64)
-    way[:, SUM:XI] = torch.randn(COUNT, 66, generator=torch.Generator().manual_seed(3), dtype=F64)
+    way[:, ADDED:XI] = torch.randn(COUNT, 66, generator=torch.Generator().manual_seed(3), dtype=F64)
     other = way.clone()
-    other[:, SUM:XI] = (matrices.mT @ way[:, SUM:XI].unflatten(1, (22, 3))[..., None]).flatten(1)
+    other[:, ADDED:XI] = (matrices.mT @ way[:, ADDED:XI].unflatten(1, (22, 3))[..., None]).flatten(1)
     measured = between(middle, frame, *advanced(model, x, z, 1e-8 * other)) / 1e-8
     ours = (found.of_change @ way[..., None])[..., 0]
     right = (found.of_change @ other[..., None])[..., 0]
@@ -100,13 +102,13 @@ def test_control_rotations_turned_from_the_right_are_noticed(model, inputs, foun
 
 def test_clips_do_not_see_each_other(model, inputs, found):
     x, z = inputs
-    decoder = Decoder.of(model)
+    decoder = DecoderLayers.of(model)
     for n in range(COUNT):
-        for ours, theirs in zip(slopes.transition(decoder, x[n : n + 1], z[n : n + 1]), found, strict=True):
+        for ours, theirs in zip(derivatives.transition_slopes(decoder, x[n : n + 1], z[n : n + 1]), found, strict=True):
             torch.testing.assert_close(ours[0], theirs[n], atol=1e-12, rtol=1e-12)
     z = z.clone()
     z[1] = torch.nan
-    broken = slopes.transition(decoder, x, z)
+    broken = derivatives.transition_slopes(decoder, x, z)
     assert broken.of_change[1].isnan().any() and torch.equal(broken.of_change[[0, 2]], found.of_change[[0, 2]])
 
 
@@ -124,25 +126,23 @@ def test_slopes_chain_over_several_transitions(model, inputs, found):
     start, frame = twice(nothing)
     theirs = jacrev(lambda c: between(start, frame, *twice(c.expand(COUNT, -1))))(nothing[0])
     y, _ = advanced(model, x, z, nothing)
-    second = slopes.transition(Decoder.of(model), y, z.flip(0))
+    second = derivatives.transition_slopes(DecoderLayers.of(model), y, z.flip(0))
     torch.testing.assert_close(second.of_change @ found.of_change, theirs, atol=1e-9, rtol=1e-9)
 
 
 def test_prior_and_its_slopes_are_those_of_autograd(model, inputs):
     x, _ = inputs
-    prior, rows = slopes.prior_slopes(model, x)
-    reference = model.prior(x[:, BACK])
+    prior, rows = derivatives.prior_slopes(model, x)
+    reference = model.prior(x)
     torch.testing.assert_close(prior.mean, reference.mean, atol=1e-12, rtol=1e-12)
     torch.testing.assert_close(prior.log_var, reference.log_var, atol=1e-12, rtol=1e-12)
-    theirs = jacrev(lambda xi: torch.cat(model.prior(turned(x, xi.expand(COUNT, -1))[:, BACK]), -1))(
-        torch.zeros(XI, dtype=F64)
-    )
+    theirs = jacrev(lambda xi: torch.cat(model.prior(turned(x, xi.expand(COUNT, -1))), -1))(torch.zeros(XI, dtype=F64))
     torch.testing.assert_close(rows, theirs, atol=1e-11, rtol=1e-10)
-    assert theirs[..., :SUM].norm() > 0.1 and theirs[..., SUM:].norm() > 0.1
+    assert theirs[..., :ADDED].norm() > 0.1 and theirs[..., ADDED:].norm() > 0.1
     way = torch.randn(COUNT, XI, generator=torch.Generator().manual_seed(4), dtype=F64)
-    up, down = (torch.cat(model.prior(turned(x, s * way)[:, BACK]), -1) for s in (1e-8, -1e-8))
+    up, down = (torch.cat(model.prior(turned(x, s * way)), -1) for s in (1e-8, -1e-8))
     torch.testing.assert_close((rows @ way[..., None])[..., 0], (up - down) / 2e-8, atol=1e-5, rtol=1e-5)
-    official = turned(x[:, LEAN], way * 1e-8)[:, BACK]  # control: states in the official order are others
+    official = state.to_official(turned(x, way * 1e-8))  # control: states in the official order are others
     assert (torch.cat(model.prior(official), -1) - torch.cat(reference, -1)).abs().max() > 1e-2
 
 
@@ -165,17 +165,17 @@ def test_the_left_jacobian_at_any_angle(generator, size):
 def test_a_body_on_its_side_has_finite_slopes(model, inputs):
     x, z = (value.clone() for value in inputs)
     side = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], dtype=F64)
-    x[0, SUM : SUM + 9] = side.mT.flatten()
-    resting = Decoder.of(model)
+    x[0, ADDED : ADDED + 9] = side.mT.flatten()
+    resting = DecoderLayers.of(model)
     resting = resting._replace(weights=[w * 0 for w in resting.weights], z_weights=[w * 0 for w in resting.z_weights])
     resting = resting._replace(biases=[b * 0 for b in resting.biases])
-    assert all(part.isfinite().all() for part in slopes.transition(resting, x, z))
-    assert slopes.prior_slopes(model, x)[1].isfinite().all()
+    assert all(part.isfinite().all() for part in derivatives.transition_slopes(resting, x, z))
+    assert derivatives.prior_slopes(model, x)[1].isfinite().all()
 
 
 def test_single_precision_is_near(model, inputs, found):
     x, z = (value.float() for value in inputs)
-    ours = slopes.transition(Decoder.of(network().float()), x, z)
+    ours = derivatives.transition_slopes(DecoderLayers.of(network().float()), x, z)
     for part, reference in zip(ours, found, strict=True):
         assert part.dtype == torch.float32
         assert (part - reference).norm() < 1e-4 * reference.norm()
@@ -185,5 +185,5 @@ def test_skew_and_about_z_are_cross_products(generator):
     v, w = torch.randn(2, 7, 3, generator=generator, dtype=F64)
     torch.testing.assert_close((rotation.skew(v) @ w[..., None])[..., 0], torch.linalg.cross(v, w))
     up = torch.tensor([0.0, 0.0, 1.0], dtype=F64).expand(7, 3)
-    torch.testing.assert_close(slopes.about_z(v), torch.linalg.cross(up, v))
-    assert state.STATE == SUM + 198 and CHANGE == XI + GAMMA
+    torch.testing.assert_close(derivatives.about_z(v), torch.linalg.cross(up, v))
+    assert state.STATE == ADDED + 198 and CHANGE == XI + GAMMA

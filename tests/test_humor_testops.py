@@ -8,27 +8,17 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from data_synth import corrupt
-from motionlab import rotation
+from motionlab import optimise, rotation
 from motionlab.errors import DataError, ShapeError
-from motionlab.humor import (
-    compare,
-    faithful_variables,
-    ladder,
-    preconditioned,
-    priors,
-    stages,
-    starts,
-    state,
-    testops,
-    transitions,
-    variables,
-)
-from motionlab.humor.observed import Evidence, Observation3D, evidence
-from motionlab.humor.rollout import rollout
+from motionlab.humor import priors, stages, state, testops, unknowns
+from motionlab.humor import start as starts
+from motionlab.humor.energies import JOINTS, RGB
+from motionlab.humor.evidence import Evidence, Observation3D, evidence
+from motionlab.humor.rollout import infer, rollout
 from motionlab.humor.testops import Schedule
-from motionlab.humor.weights import JOINTS, RGB
 from motionlab.observation import look_at
+from studies.official import unknowns as official_unknowns
+from studies.shared import savings
 from tests.fit_inputs import QUICK, error, finite, joints, keypoints
 
 POSES = Schedule(steps=(2, 4, 0), inner=20)
@@ -67,7 +57,7 @@ def test_stage_three_lowers_its_energy(kit, walk, monkeypatch):
     total = sum(fitted.energies[3].values())
     torch.testing.assert_close(total, fitted.results[3][-1].energy, rtol=1e-3, atol=1e-3)
     assert (error(fitted.motion, walk) < 0.04).all()
-    real = stages.minimise_batch
+    real = optimise.minimise_batch
 
     def without_latents(energy, variables, **how):
         if "z" in variables:
@@ -92,7 +82,7 @@ def test_every_clip_is_fitted_as_it_would_be_alone(kit, walk, control, monkeypat
     points[1] += 10 * torch.randn(points[1].shape, generator=torch.Generator().manual_seed(0))
     seen = Observation3D(points, torch.ones(points.shape[:-1], dtype=torch.bool), walk.fps)
     if control:
-        monkeypatch.setattr(stages, "minimise_batch", with_mean_tolerance(stages.minimise_batch))
+        monkeypatch.setattr(stages, "minimise_batch", with_mean_tolerance(optimise.minimise_batch))
     both = testops.fit(seen, kit, schedule=Schedule(steps=(2, 2, 0)))
     alone = testops.fit(joints(walk.clip(slice(0, 1))), kit, schedule=Schedule(steps=(2, 2, 0)))
     apart = (both.motion.positions[:1] - alone.motion.positions).norm(dim=-1).max()
@@ -103,18 +93,20 @@ def test_every_clip_is_fitted_as_it_would_be_alone(kit, walk, control, monkeypat
 def test_a_search_ends_by_its_own_energy(control, monkeypatch):
     """To the bit, where rows do not touch each other's rounding."""
     if control:
-        monkeypatch.setattr(stages, "minimise_batch", with_mean_tolerance(stages.minimise_batch))
+        monkeypatch.setattr(stages, "minimise_batch", with_mean_tolerance(optimise.minimise_batch))
 
     def terms(_, at):
-        x, y = at["x"].unbind(-1)
-        return {"valley": at["gain"] * ((1 - x).square() + 100 * (y - x.square()).square())}
+        x, y = at.trans.unbind(-1)
+        return {"valley": at.orient * ((1 - x).square() + 100 * (y - x.square()).square())}
 
-    unknown = {"x": torch.tensor([[-1.2, 1.0]] * 2), "gain": torch.tensor([1.0, 1e6])}
+    valley = torch.tensor([[-1.2, 1.0]] * 2)
+    unknown = {"trans": valley, "orient": torch.tensor([1.0, 1e6]), "latent": torch.zeros(2, 0)}
     budget = {"steps": 5, "inner": 20, "tolerance": Schedule().tolerance}
     anything = SimpleNamespace(rows=lambda index: None)
-    both, _ = stages.search(terms, anything, unknown, ("x",), **budget)
-    alone, _ = stages.search(terms, anything, {n: v[:1] for n, v in unknown.items()}, ("x",), **budget)
-    assert torch.equal(both["x"][:1], alone["x"]) != control
+    both, _ = stages._search(terms, anything, unknown, ("trans",), **budget)
+    few = {n: v[:1] for n, v in unknown.items()}
+    alone, _ = stages._search(terms, anything, few, ("trans",), **budget)
+    assert torch.equal(both.trans[:1], alone.trans) != control
 
 
 # ------------------------------------------------------------------------------------------------ what is survived
@@ -202,27 +194,28 @@ def test_the_2d_start_sees_front_and_back(kit, walk, yaw):
     turned = replace(start, rot=rot, root=(turn @ start.root[..., None])[..., 0])
     eye = turned.root[0, 0] + torch.tensor([4.0, 0.0, 0.3])
     view = look_at(eye, turned.root[0, 0], focal=1000.0, width=1280, height=720)
-    unknown = testops.start(problem(kit, keypoints(turned.clip(slice(0, 1)), view), RGB))
-    off = rotation.geodesic(variables.to_matrix(unknown["orient"])[:, 0], rot[:1, :, 0])
+    unknown = testops.start_stage_1(problem(kit, keypoints(turned.clip(slice(0, 1)), view), RGB))
+    off = rotation.geodesic(unknowns.to_matrix(unknown.orient)[:, 0], rot[:1, :, 0])
     assert off.max() < torch.pi / 3
-    assert (unknown["trans"][:, 0] - turned.root[:1]).norm(dim=-1).max() < 0.8
+    assert (unknown.trans[:, 0] - turned.root[:1]).norm(dim=-1).max() < 0.8
 
 
 def test_rounded_coordinates_begin_where_the_old_ones_are(kit, walk):
     p = problem(kit, joints(walk))
-    unknown = testops.start(p)
+    unknown = testops.start_stage_1(p)
     moving = ("trans", "orient", "latent", "betas")
-    new, old = preconditioned.rounded(unknown, moving, kit, p.evidence, JOINTS.of(2))
-    for name, value in old(new).items():
-        torch.testing.assert_close(value, unknown[name])
+    new, old = stages._rounded(unknown, moving, kit, p.evidence, JOINTS.of(2))
+    there = unknown.named()
+    for name, value in old(new, slice(None)).named().items():
+        torch.testing.assert_close(value, there[name])
 
 
 def test_rounded_coordinates_need_fewer_steps(kit, walk):
     p = problem(kit, joints(walk))
     budget = {"steps": 2, "inner": 20}
-    unknown = testops.start(p)
+    unknown = testops.start_stage_1(p)
     moving = ("trans", "orient", "latent", "betas")
-    _, plain = stages.search(partial(stages.pose_terms, stage=2), p, unknown, moving, **budget)
+    _, plain = stages._search(partial(stages.pose_terms, stage=2), p, unknown.named(), moving, **budget)
     _, quick = stages.stage_1_and_2(p, unknown, 2, **budget)
     assert (quick.energy < plain.energy).all()
 
@@ -232,9 +225,9 @@ def test_the_start_of_stage_three_follows_stage_two(kit, walk):
     gen = torch.Generator().manual_seed(0)
     shaken = replace(walk, root=walk.root + 0.03 * torch.randn(walk.root.shape, generator=gen))
     states = state.from_motion(shaken)
-    z, curvature, _ = transitions.followed(kit.motion, states, torch.ones(2, 24, 22), 2e-5)
+    z, curvature, _ = starts._followed(kit.motion, states, torch.ones(2, 24, 22), 2e-5)
     drift = []
-    for latents in (z, transitions.infer(kit.motion, states)[0].mean):
+    for latents in (z, infer(kit.motion, states)[0].mean):
         rolled = state.unpack(rollout(kit.motion, states[:, 0], latents).states)["joints"]
         drift.append((rolled - shaken.positions[:, 1:]).norm(dim=-1).mean())
     assert drift[0] < 0.1
@@ -244,8 +237,8 @@ def test_the_start_of_stage_three_follows_stage_two(kit, walk):
 
 def test_the_start_of_stage_three_takes_the_priors_mean_where_nothing_is_known(kit, walk):
     states = state.from_motion(walk)
-    z, *_ = transitions.followed(kit.motion, states, torch.zeros(2, 24, 22), 1e-4)
-    torch.testing.assert_close(z[:, 0], kit.motion.prior(variables.local_first(states[:, 0])).mean, atol=1e-4, rtol=0)
+    z, *_ = starts._followed(kit.motion, states, torch.zeros(2, 24, 22), 1e-4)
+    torch.testing.assert_close(z[:, 0], kit.motion.prior(unknowns.local_first(states[:, 0])).mean, atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize("contacts", [True, False])
@@ -254,19 +247,19 @@ def test_both_modes_have_one_energy(kit, walk, camera, contacts, monkeypatch):
 
     With the heading put right: the official one's own error, a milliradian a step, changes terms by some per cent.
     """
-    official = faithful_variables.faithful.rollout
-    monkeypatch.setattr(faithful_variables.faithful, "rollout", partial(official, align=ladder.exact_alignment))
+    official = official_unknowns.official_rollout.rollout
+    monkeypatch.setattr(official_unknowns.official_rollout, "rollout", partial(official, align=savings.exact_alignment))
     lean = problem(kit, keypoints(walk, camera), RGB)
-    unknown = testops.start(lean) | {"betas": torch.full((2, 8), 0.3)}
-    other = unknown | {"orient": rotation.log(variables.to_matrix(unknown["orient"]))}
-    faithful = replace(lean, mode="faithful")
+    unknown = replace(testops.start_stage_1(lean), betas=torch.full((2, 8), 0.3))
+    other = replace(unknown, orient=rotation.log(unknowns.to_matrix(unknown.orient)))
+    faithful = replace(lean, mode="official", form=official_unknowns.FAITHFUL)
     for name, value in stages.pose_terms(lean, unknown, 2).items():
         torch.testing.assert_close(stages.pose_terms(faithful, other, 2)[name], value, rtol=2e-3, atol=1e-3)
-    motion = variables.motion_of(variables.pose(unknown, kit, lean.evidence), 30.0)
-    shared = {n: unknown[n] for n in variables.SHARED}
+    motion = unknowns.motion_of(unknowns.pose(unknown, kit, lean.evidence), 30.0)
+    shared = unknown.shared()
     trust = lean.evidence.trust
-    rolled, _ = transitions.start(motion, unknown["latent"][:, 0], shared, trust, kit, (0,), 24)
-    other = rolled | {"orient": rotation.log(variables.to_matrix(rolled["orient"]))}
+    rolled, _ = starts.start_stage_3(motion, unknown.latent[:, 0], shared, trust, kit, (0,), 24)
+    other = replace(rolled, orient=rotation.log(unknowns.to_matrix(rolled.orient)))
     a = stages.motion_terms(lean, rolled, contacts=contacts)
     b = stages.motion_terms(faithful, other, contacts=contacts)
     assert a.keys() == b.keys() and ("contact_vel" in a) == contacts
@@ -287,19 +280,20 @@ def in_float64(p):
 def official_and_faithful(kit, seen, weights):
     """Per stage and mode: weighted terms and gradients in all unknowns, at one point, which noise has moved."""
     p = replace(problem(kit, seen, weights), mode="official")
-    unknown = testops.start(p) | {"betas": torch.full((2, 8), 0.3)}
-    motion = variables.motion_of(variables.pose(unknown, kit, p.evidence), 30.0)
-    shared = {n: unknown[n] for n in variables.SHARED if n in unknown}
-    rolled, _ = transitions.start(motion, unknown["latent"][:, 0], shared, p.evidence.trust, kit, (0,), 24, p.mode)
+    unknown = replace(testops.start_stage_1(p), betas=torch.full((2, 8), 0.3))
+    motion = unknowns.motion_of(unknowns.pose(unknown, kit, p.evidence), 30.0)
+    shared = unknown.shared()
+    rolled, _ = starts.start_stage_3(motion, unknown.latent[:, 0], shared, p.evidence.trust, kit, (0,), 24, p.mode)
     noise = torch.Generator().manual_seed(0)
     for stage, at in ((1, unknown), (2, unknown), (3, rolled)):
-        at = {n: (x + 0.01 * torch.randn(x.shape, generator=noise)).double() for n, x in at.items()}
+        at = at.map(lambda x: (x + 0.01 * torch.randn(x.shape, generator=noise)).double())
         found = []
-        for mode in ("official", "faithful"):
-            here, point = replace(in_float64(p), mode=mode), {n: x.clone().requires_grad_() for n, x in at.items()}
+        for form in (unknowns.LEAN, official_unknowns.FAITHFUL):
+            here, point = replace(in_float64(p), form=form), at.map(lambda x: x.clone().requires_grad_())
             terms = stages.motion_terms(here, point) if stage == 3 else stages.pose_terms(here, point, stage)
-            slopes = torch.autograd.grad(sum(terms.values()).sum(), list(point.values()), allow_unused=True)
-            found.append((terms, dict(zip(point, slopes, strict=True))))
+            leaves = point.named()
+            slopes = torch.autograd.grad(sum(terms.values()).sum(), list(leaves.values()), allow_unused=True)
+            found.append((terms, dict(zip(leaves, slopes, strict=True))))
         yield stage, *found
 
 
@@ -308,9 +302,9 @@ def official_and_faithful(kit, seen, weights):
 def test_official_and_faithful_modes_see_one_energy_and_one_gradient(kit, walk, camera, view, exact, monkeypatch):
     """In float64, with the heading put right, to 1e-5. With the official acos (the control) stage 3 differs, and its
     gradient by more than its value."""
-    real = faithful_variables.faithful.rollout
+    real = official_unknowns.official_rollout.rollout
     if exact:
-        monkeypatch.setattr(faithful_variables.faithful, "rollout", partial(real, align=ladder.exact_alignment))
+        monkeypatch.setattr(official_unknowns.official_rollout, "rollout", partial(real, align=savings.exact_alignment))
     seen, weights = (keypoints(walk, camera), RGB) if view else (joints(walk), JOINTS)
     for stage, (ours, our_slopes), (theirs, their_slopes) in official_and_faithful(kit, seen, weights):
         assert ours.keys() == theirs.keys() and len(ours) >= (1, 4, 8)[stage - 1]
@@ -335,45 +329,15 @@ def test_each_mode_has_its_own_schedule(kit, walk, camera, monkeypatch):
         for seen in (keypoints(walk, camera), joints(walk)):
             with pytest.raises(ZeroDivisionError):
                 testops.fit(seen, kit, mode=mode)
-    assert asked == 2 * [Schedule.lean().steps] + 2 * [(30, 80, 70), (30, 70, 70)]
+    assert asked == 2 * [Schedule.lean().steps] + [(30, 80, 70), (30, 70, 70)]
 
 
 def test_faithful_mode_runs(kit, walk):
     schedule = Schedule(steps=(1, 1, 2), inner=3, refine=(1, 1))
-    fitted = testops.fit(joints(walk.clip(slice(0, 1)).cut(0, 17)), kit, schedule=schedule, mode="faithful")
+    faithful = {"mode": "official", "form": official_unknowns.FAITHFUL}
+    fitted = testops.fit(joints(walk.clip(slice(0, 1)).cut(0, 17)), kit, schedule=schedule, **faithful)
     assert finite(fitted)
     assert sorted(fitted.stages) == [1, 2, 3]
 
 
 # ----------------------------------------------------------------------------------------------------- the comparison
-def test_smoothers_take_noise_away_and_fill_gaps(kit, walk):
-    gen = torch.Generator().manual_seed(0)
-    rest = compare.mean_pose(kit.pose)
-    points, _ = corrupt.noisy_joints(walk.positions, gen)
-    seen = Observation3D(points, torch.ones(points.shape[:-1], dtype=torch.bool))
-    raw = (points - walk.positions).norm(dim=-1).mean()
-    for choice in (compare.SAVITZKY_GOLAY, compare.KALMAN):
-        best = compare.tuned(choice, seen, walk.positions, rest)
-        found = [(s(seen, rest) - walk.positions).norm(dim=-1).mean() for s in choice]
-        assert (best(seen, rest) - walk.positions).norm(dim=-1).mean() == min(found) < 0.7 * raw
-    hidden = walk.positions[..., 2] < 0.9
-    gone = joints(walk, hidden)
-    filled = compare.Smoother("savitzky-golay", 5, 3)(gone, rest)
-    assert filled.isfinite().all()
-    assert (filled - walk.positions).norm(dim=-1)[~hidden].mean() < 0.01
-    assert compare.Smoother("kalman", 0.04, 8.0)(joints(walk, torch.ones_like(hidden)), rest).isfinite().all()
-
-
-def test_the_table_knows_better_from_worse(kit, walk):
-    truth = walk.positions
-    found = {"right": compare.Found(truth, walk.contacts), "wrong": compare.Found(truth + 0.1)}
-    scores = compare.measures(found, walk, torch.ones(2, 24, 22, dtype=torch.bool))
-    assert scores["right"]["all cm"].max() < 1e-3
-    assert scores["right"]["contact F1"].tolist() == [1.0, 1.0]
-    torch.testing.assert_close(scores["wrong"]["legs cm"], torch.full((2,), 10 * 3**0.5), rtol=1e-4, atol=1e-4)
-    gen = torch.Generator().manual_seed(0)
-    rows = compare.paired_table(scores, "right", "wrong", gen)
-    assert {row["measure"] for row in rows} >= {"all cm", "legs cm"}
-    assert "hidden cm" not in {row["measure"] for row in rows}  # nothing is hidden
-    assert next(row for row in rows if row["measure"] == "all cm")["better in"] == "100 %"
-    assert compare.table(scores, gen)[0]["hidden cm"] == "-"

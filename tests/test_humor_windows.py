@@ -5,12 +5,12 @@ import torch
 
 from motionlab import rotation
 from motionlab.errors import ShapeError
-from motionlab.humor import stages, state, testops, windows
-from motionlab.humor.observed import Observation3D
+from motionlab.humor import stages, state, testops, unknowns
+from motionlab.humor.energies import JOINTS
+from motionlab.humor.evidence import Observation3D
 from motionlab.humor.rollout import rollout
 from motionlab.humor.testops import Schedule
-from motionlab.humor.variables import skeleton_of
-from motionlab.humor.weights import JOINTS
+from motionlab.humor.unknowns import skeleton_of
 from motionlab.skeleton import fk
 from tests.fit_inputs import error, finite
 
@@ -19,21 +19,21 @@ LONG = Schedule(steps=(2, 3, 6), inner=8, refine=(1, 2), window=16, overlap=4)
 
 def test_windows_cover_everything_once_planned():
     for frames in (61, 70, 110, 111, 333):
-        plan = windows.plan(frames, 60, 10)
+        plan = unknowns.window_starts(frames, 60, 10)
         assert plan[0] == 0 and plan[-1] == frames - 60
         steps = torch.tensor(plan).diff()
         assert (steps > 0).all() and (steps <= 50).all()
-    assert windows.plan(60, 60, 10) == (0,)
+    assert unknowns.window_starts(60, 60, 10) == (0,)
     with pytest.raises(ShapeError, match="overlap"):
-        windows.plan(100, 60, 60)
+        unknowns.window_starts(100, 60, 60)
 
 
 def test_stitching_undoes_cutting():
     x = torch.randn(2, 37, 5, generator=torch.Generator().manual_seed(0))
-    starts = windows.plan(37, 16, 4)
-    torch.testing.assert_close(windows.stitch(windows.cut(x, starts, 16), starts), x)
+    starts = unknowns.window_starts(37, 16, 4)
+    torch.testing.assert_close(unknowns.stitch_windows(unknowns.cut_windows(x, starts, 16), starts), x)
     turns = rotation.random((2, 37, 4), torch.Generator().manual_seed(1))
-    again = windows.stitch(windows.cut(turns, starts, 16), starts, turns=True)
+    again = unknowns.stitch_windows(unknowns.cut_windows(turns, starts, 16), starts, turns=True)
     torch.testing.assert_close(again, turns, atol=1e-5, rtol=0)
 
 
@@ -41,9 +41,9 @@ def test_windows_that_disagree_are_blended_evenly():
     """Two windows of 6 frames share 4: 0 and 1 meet in fifths, and turns of 0 and 100 degrees in steps of 20."""
     between = torch.tensor([0, 0, 0.2, 0.4, 0.6, 0.8, 1, 1])
     x = torch.stack((torch.zeros(1, 6, 1), torch.ones(1, 6, 1)), 1)
-    torch.testing.assert_close(windows.stitch(x, (0, 2))[0, :, 0], between)
+    torch.testing.assert_close(unknowns.stitch_windows(x, (0, 2))[0, :, 0], between)
     turns = rotation.rotation_about("z", torch.deg2rad(100 * x))  # (1, 2, 6, 1, 3, 3)
-    found = windows.stitch(turns, (0, 2), turns=True)
+    found = unknowns.stitch_windows(turns, (0, 2), turns=True)
     torch.testing.assert_close(found[0, :, 0], rotation.rotation_about("z", torch.deg2rad(100 * between)))
 
 
@@ -51,7 +51,7 @@ def test_windows_that_disagree_are_blended_evenly():
 def two_windows(shift):
     """Bodies (4, 16, 22, 3) of two recordings in windows that begin at 0 and 8; the later window is off by shift."""
     whole = torch.randn(2, 24, 22, 3, generator=torch.Generator().manual_seed(0))
-    cut = windows.cut(whole, (0, 8), 16)
+    cut = unknowns.cut_windows(whole, (0, 8), 16)
     cut[:, 1] += shift
     return cut.flatten(0, 1)
 
@@ -65,26 +65,11 @@ def test_a_constant_shift_costs_its_square(axes, cost):
     torch.testing.assert_close(found, torch.full((2,), cost), atol=1e-4, rtol=0)
 
 
-def test_a_shift_that_grows_costs_its_growth_too():
-    """0.1 m k along x in shared frame k = 0..7: 1/2 * 22 * 0.01 * (0 + 1 + ... + 49) = 15.4, and for seven steps of
-    0.1 m 1/2 * 7 * 22 * 0.01 = 0.77."""
-    shift = torch.zeros(16, 1, 3)
-    shift[:, 0, 0] = 0.1 * torch.arange(16)
-    found = stages._overlap(two_windows(shift), (0, 8))
-    torch.testing.assert_close(found, torch.full((2,), 15.4 + 0.77), atol=1e-3, rtol=0)
-
-
-def test_only_shared_frames_count():
-    shift = torch.zeros(16, 1, 3)
-    shift[8:] = 1.0  # the later window's own
-    assert (stages._overlap(two_windows(shift), (0, 8)) == 0).all()
-
-
 def test_every_pair_of_neighbours_counts_with_the_frames_it_shares():
     """Windows at 0, 8 and 17 of 16 frames: the middle one, 0.1 m off along x, shares 8 frames with the one before and
     7 with the one after. A recording costs what it costs, whoever is next to it."""
     whole = torch.randn(2, 33, 22, 3, generator=torch.Generator().manual_seed(0))
-    cut = windows.cut(whole, (0, 8, 17), 16)
+    cut = unknowns.cut_windows(whole, (0, 8, 17), 16)
     cut[1, 1, ..., 0] += 0.1
     found = stages._overlap(cut.flatten(0, 1), (0, 8, 17))
     torch.testing.assert_close(found, torch.tensor([0.0, 0.5 * 15 * 22 * 0.01]), atol=1e-4, rtol=0)
@@ -136,7 +121,7 @@ def test_the_energy_says_what_disagreement_costs(kit, fitted):
 
 def test_windows_agree_where_they_meet(kit, seen, fitted, monkeypatch):
     """They would be more than twice as far apart if nothing asked them to agree."""
-    monkeypatch.setattr(stages, "OVERLAP", 0.0)
+    monkeypatch.setattr(stages, "_OVERLAP", 0.0)
     free = testops.fit(seen, kit, schedule=LONG)
     assert (free.energies[3]["overlap"] == 0).all()
     assert (gap(kit, fitted) < 0.03).all()

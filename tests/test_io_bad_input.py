@@ -13,7 +13,7 @@ from loaders import LOADERS, check_error, numbers_of
 
 from motionlab import io
 from motionlab.errors import DataError
-from motionlab.io import amass, npz, openpose
+from motionlab.io import amass, openpose
 
 
 @pytest.mark.parametrize("kind", seeds.SEEDS)
@@ -73,59 +73,17 @@ def with_nan(array: np.ndarray) -> np.ndarray:
     return array
 
 
-def deepmimic_frames(change) -> bytes:
-    document = json.loads(seeds.deepmimic_text())
-    change(document)
-    return json.dumps(document).encode()
-
-
 def people(*flats) -> bytes:
     return json.dumps({"people": [{"pose_keypoints_2d": flat} for flat in flats]}).encode()
 
 
 AMASS, AMP, DANCE, SMPL = seeds.amass_arrays(), seeds.amp_arrays(), seeds.anidance_arrays(), seeds.smpl_arrays()
 POSES = AMASS["poses"]
-#: name -> (kind, file, words that the message must hold)
+#: name -> (kind, file, words of the message); BVH, ASF, AMC, DeepMimic, AMP and SMPL have tables of their own
 MALFORMED: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
-    "bvh: a row too short": (".bvh", seeds.SEEDS[".bvh"].rstrip().rsplit(None, 1)[0], ("line",)),
-    "bvh: more frames promised": (".bvh", text(".bvh", r"Frames:\s*4", "Frames: 5"), ("5",)),
     "bvh: absurdly many frames": (".bvh", text(".bvh", r"Frames:\s*4", "Frames: 1000000000000"), ()),
-    "bvh: no frames": (".bvh", text(".bvh", r"Frames:\s*4", "Frames: 0"), ("line",)),
-    "bvh: negative frame time": (".bvh", text(".bvh", r"Frame Time:\s*\S+", "Frame Time: -0.033"), ("line",)),
-    "bvh: frame time zero": (".bvh", text(".bvh", r"Frame Time:\s*\S+", "Frame Time: 0"), ("line",)),
-    "bvh: a NaN": (".bvh", re.sub(rb"\S+\s*$", b"nan\n", seeds.SEEDS[".bvh"]), ("line",)),
-    "bvh: a word for a number": (".bvh", re.sub(rb"\S+\s*$", b"left\n", seeds.SEEDS[".bvh"]), ("line",)),
-    "bvh: unknown channel": (".bvh", text(".bvh", "Zrotation", "Wrotation"), ("line",)),
-    "bvh: channel count wrong": (".bvh", text(".bvh", "CHANNELS 6", "CHANNELS 5"), ("line",)),
-    "bvh: offset of two": (".bvh", text(".bvh", r"OFFSET (\S+) (\S+) \S+$", r"OFFSET \1 \2"), ("line",)),
-    "bvh: a joint twice": (".bvh", text(".bvh", "JOINT right_hip", "JOINT left_hip"), ("left_hip",)),
-    "bvh: braces open": (".bvh", text(".bvh", r"^\s*\}\s*$", "", count=1), ("line",)),
-    "asf: unknown parent": (".asf", text(".asf", "lhip lfemur", "hip lfemur"), ("line",)),
-    "asf: bone never placed": (".asf", text(".asf", "root lhip spine", "root lhip"), ()),
-    "asf: direction of two": (".asf", text(".asf", "direction 0 1 0", "direction 0 1"), ("line",)),
-    "asf: negative length unit": (".asf", text(".asf", r"length 0\.45", "length -0.45"), ()),
-    "asf: no hierarchy": (".asf", seeds.SEEDS[".asf"].split(b":hierarchy")[0], ()),
-    "amc: unknown bone": (".amc", text(".amc", "ltibia", "tail"), ("tail",)),
-    "amc: too few angles": (".amc", text(".amc", r"lfemur 10 -5 \S+", "lfemur 10"), ("line",)),
-    "amc: a NaN": (".amc", text(".amc", "ltibia 20", "ltibia nan"), ("frames",)),
-    "amc: no frames": (".amc", seeds.SEEDS[".amc"].split(b"1\n")[0], ()),
-    "amc: a bone left out": (".amc", text(".amc", r"ltibia 20\n", "", count=1), ("ltibia",)),
-    "deepmimic: no frames": ("deepmimic.txt", deepmimic_frames(lambda d: d.update(Frames=[])), ()),
-    "deepmimic: frames missing": ("deepmimic.txt", deepmimic_frames(lambda d: d.pop("Frames")), ("Frames",)),
-    "deepmimic: 43 numbers": ("deepmimic.txt", deepmimic_frames(lambda d: d["Frames"][2].pop()), ()),
-    "deepmimic: negative duration": (
-        "deepmimic.txt", deepmimic_frames(lambda d: [f.__setitem__(0, -0.03) for f in d["Frames"]]), (),
-    ),
-    "deepmimic: no rotation": (
-        "deepmimic.txt", deepmimic_frames(lambda d: d["Frames"][1].__setitem__(slice(4, 8), [0, 0, 0, 0])), (),
-    ),
-    "deepmimic: NaN": ("deepmimic.txt", text("deepmimic.txt", r"0\.9", "NaN"), ("NaN",)),
     "deepmimic: nested without end": ("deepmimic.txt", b'{"Frames": ' + b"[" * 100_000, ()),
-    "amp: a parent after its child": ("amp.npz", archive(AMP, parent_indices=np.array([-1, 2, 1])), ("parent",)),
     "amp: names missing": ("amp.npz", archive(AMP, node_names=None), ("node_names",)),
-    "amp: one joint fewer": ("amp.npz", archive(AMP, local_translation=np.zeros((2, 3))), ("local_translation",)),
-    "amp: no rotation": ("amp.npz", archive(AMP, local_or_global_rotation_xyzw=np.zeros((4, 3, 4))), ()),
-    "amp: fps of zero": ("amp.npz", archive(AMP, fps=np.array(0)), ("fps",)),
     "amass: 155 columns": ("amass.npz", archive(AMASS, poses=POSES[:, :155]), ("poses", "155")),
     "amass: trans too short": ("amass.npz", archive(AMASS, trans=np.zeros((3, 3))), ("trans",)),
     "amass: trans missing": ("amass.npz", archive(AMASS, trans=None), ("trans",)),
@@ -145,13 +103,7 @@ MALFORMED: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
         "anidance.npz", archive(DANCE, positions_cm=DANCE["positions_cm"] * np.inf), ("positions_cm",),
     ),
     "anidance: fps missing": ("anidance.npz", archive(DANCE, fps=None), ("fps",)),
-    "smpl: weights of another body": ("smpl.npz", archive(SMPL, weights=SMPL["weights"][:-1]), ("weights",)),
-    "smpl: weights do not sum to one": ("smpl.npz", archive(SMPL, weights=SMPL["weights"] * 2), ("weights",)),
-    "smpl: a face of no vertex": ("smpl.npz", archive(SMPL, f=SMPL["f"] + 40), ("f",)),
-    "smpl: another tree": ("smpl.npz", archive(SMPL, kintree_table=SMPL["kintree_table"][:, ::-1]), ("kintree",)),
     "smpl: 20 joints": ("smpl.npz", archive(SMPL, kintree_table=SMPL["kintree_table"][:, :20]), ("kintree",)),
-    "smpl: NaN": ("smpl.npz", archive(SMPL, v_template=with_nan(SMPL["v_template"])), ("v_template",)),
-    "smpl: regressor missing": ("smpl.npz", archive(SMPL, J_regressor=None), ("J_regressor",)),
     "smpl: pickle of a list": ("smpl.pkl", pickle.dumps([1, 2, 3], protocol=2), ()),
     "smpl: pickle that refers to itself": ("smpl.pkl", b"\x80\x02]q\x00h\x00a.", ()),
     "openpose: no people": ("openpose.json", b'{"version": 1.3}', ("people",)),
@@ -266,7 +218,7 @@ def test_objects_in_archives_are_never_unpickled(tmp_path, canary, kind):
     path = tmp_path / f"bad{kind}"
     for key in whole:
         path.write_bytes(archive(whole, **{key: np.array([Hostile(canary)], dtype=object)}))
-        for loader in (LOADERS[kind], npz.load, io.load):
+        for loader in (LOADERS[kind], io.load_npz, io.load):
             with pytest.raises(DataError):
                 loader(path)
 

@@ -7,7 +7,7 @@ import seeds
 import torch
 
 from motionlab.errors import DataError
-from motionlab.io import c3d
+from motionlab.io.points import load_c3d
 
 ezc3d = pytest.importorskip("ezc3d")
 needs_data = pytest.mark.skipif(
@@ -43,24 +43,24 @@ def points() -> np.ndarray:
 @pytest.mark.parametrize("analog", [0, 3])
 @pytest.mark.parametrize(("unit", "metres"), [("mm", 0.001), ("m", 1.0), ("cm", 0.01)])
 def test_reads_what_ezc3d_wrote(tmp_path, points, unit, metres, analog):
-    loaded = c3d.load(write(tmp_path / "a.c3d", points, unit, analog=analog))
+    loaded = load_c3d(write(tmp_path / "a.c3d", points, unit, analog=analog))
     np.testing.assert_allclose(loaded.positions.numpy(), points * metres, rtol=1e-5, atol=1e-6)
     assert loaded.names == tuple(f"M{k}" for k in range(5)) and loaded.fps == 50 and loaded.valid.all()
 
 
 def test_unmeasured_points_are_masked(tmp_path, points):
     points[3, 2] = np.nan
-    loaded = c3d.load(write(tmp_path / "a.c3d", points))
+    loaded = load_c3d(write(tmp_path / "a.c3d", points))
     assert (~loaded.valid).nonzero().tolist() == [[3, 2]] and (loaded.positions[3, 2] == 0).all()
 
 
 def test_up_axis_comes_from_the_file_or_the_caller(tmp_path, points):
-    y_up = c3d.load(write(tmp_path / "a.c3d", points, "m", "+Y"))
+    y_up = load_c3d(write(tmp_path / "a.c3d", points, "m", "+Y"))
     np.testing.assert_allclose(y_up.positions[..., 2].numpy(), points[..., 1], rtol=1e-5)
     silent = write(tmp_path / "b.c3d", points, "m", None)
     with pytest.raises(DataError, match="what is up"):
-        c3d.load(silent)
-    torch.testing.assert_close(c3d.load(silent, axes="x-zy").positions, y_up.positions)
+        load_c3d(silent)
+    torch.testing.assert_close(load_c3d(silent, axes="x-zy").positions, y_up.positions)
 
 
 def test_integer_files_are_scaled(tmp_path):
@@ -69,7 +69,7 @@ def test_integer_files_are_scaled(tmp_path):
     table[1, 0, 3] = -1
     path = tmp_path / "a.c3d"
     path.write_bytes(seeds.c3d_bytes(table))
-    loaded = c3d.load(path)
+    loaded = load_c3d(path)
     expected = np.where(table[..., 3:] < 0, 0, table[..., :3] * 0.5 / 1000)
     np.testing.assert_allclose(loaded.positions.numpy(), expected, rtol=1e-6)
     assert loaded.names == ("A", "BB") and loaded.fps == 25 and not loaded.valid[1, 0]
@@ -80,7 +80,7 @@ def test_promised_frames_must_be_there(tmp_path, points):
     data = path.read_bytes()
     path.write_bytes(data[:-512])
     with pytest.raises(DataError, match="3-D data: expected 9 frames"):
-        c3d.load(path)
+        load_c3d(path)
 
 
 @needs_data
@@ -88,7 +88,7 @@ def test_real_takes_agree_with_ezc3d():
     takes = sorted((Path(os.environ["MOTIONLAB_DATA"]) / "captury_falls").glob("*/mocap.c3d"))
     assert takes
     for path in takes:
-        loaded, reference = c3d.load(path), ezc3d.c3d(str(path))
+        loaded, reference = load_c3d(path), ezc3d.c3d(str(path))
         expected = reference["data"]["points"][:3].transpose(2, 1, 0) / 1000
         np.testing.assert_allclose(loaded.positions.numpy(), expected, atol=1e-6)
         assert list(loaded.names) == reference["parameters"]["POINT"]["LABELS"]["value"]

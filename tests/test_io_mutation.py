@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from loaders import LOADERS, check_error, numbers_of
 
 from motionlab.errors import DataError
-from motionlab.io.positions import Positions
+from motionlab.io.points import Positions
 
 WORDS = "nan inf -1 0 1e400 1e39 1e-320 999999999999 -0.0 2147483648 3.5 { } [ ] , ; true null END".split()
 TOKENS = [*(word.encode() for word in WORDS), b'"', b"\t", b"\n", b"\0", b"\xff\xfe", b"\xc3\x28", b"", b"1" * 5000]

@@ -152,12 +152,6 @@ def test_longest_wins_over_a_passer_by(tmp_path):
     assert openpose.load(folder, fps=30, person="largest").visible.any(-1).sum() == 4
 
 
-def test_tracking_twice_gives_the_same(tmp_path):
-    folder = write(tmp_path / "a", crowd(2)[0])
-    first, second = (openpose.load(folder, fps=30).keypoints for _ in range(2))
-    assert torch.equal(first, second)
-
-
 def neck_steps(observed) -> torch.Tensor:
     k = observed.index("neck" if "neck" in observed.names else "upper_neck")
     both = observed.visible[1:, k] & observed.visible[:-1, k]

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 import torch
 
+from motionlab import io
 from motionlab.errors import DataError, MissingData
-from motionlab.io import amass, anidance, bvh, npz
-from motionlab.io.positions import Positions
+from motionlab.io import amass, bvh, points
+from motionlab.io.points import Positions
 from motionlab.io.recordings import SOURCES, inventory, recordings
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
@@ -106,20 +107,22 @@ def test_what_is_missing_says_how_to_get_it(tmp_path):
 def test_npz_layouts_are_told_by_their_keys(tmp_path):
     amass.save(tmp_path / "a.npz", standing())
     dance(tmp_path / "b.npz")
-    assert npz.loader(tmp_path / "a.npz") is amass.load and npz.loader(tmp_path / "b.npz") is anidance.load
+    assert (
+        io._npz_loader(tmp_path / "a.npz") is amass.load and io._npz_loader(tmp_path / "b.npz") is points.load_anidance
+    )
     np.savez(tmp_path / "c.npz", weights=np.zeros(3))
     with pytest.raises(DataError, match="its keys are weights"):
-        npz.loader(tmp_path / "c.npz")
+        io._npz_loader(tmp_path / "c.npz")
 
 
 def test_anidance_adds_the_centre_and_stands_up(tmp_path):
     dance(tmp_path / "a.npz")
-    loaded = anidance.load(tmp_path / "a.npz")
+    loaded = points.load_anidance(tmp_path / "a.npz")
     raw = np.arange(4 * 72.0).reshape(4, 24, 3) / 100
     world = raw + np.concatenate([np.zeros_like(raw[:, :1]), np.broadcast_to(raw[:, :1], (4, 23, 3))], axis=1)
     expected = np.stack([world[..., 0], -world[..., 2], world[..., 1]], axis=-1)
     np.testing.assert_allclose(loaded.positions.numpy(), expected, rtol=1e-6)
-    assert len(set(anidance.NAMES)) == 24 and {a for pair in anidance.BONES for a in pair} == set(range(24))
+    assert len(set(points.NAMES)) == 24 and {a for pair in points.BONES for a in pair} == set(range(24))
 
 
 @needs_data
@@ -136,7 +139,7 @@ def test_anidance_names_fit_the_bodies():
         knees.append(((at["left_knee"] - middle) * forward).sum(-1).mean())
         feet.append(((at["right_toe"] - at["right_heel"]) * forward).sum(-1).mean())
         heads.append((at["left_head"] - at["left_ankle"])[:, 2].mean())
-        bones = [(a, b) for a, b in anidance.BONES if 0 not in (a, b)]
+        bones = [(a, b) for a, b in points.BONES if 0 not in (a, b)]
         lengths = torch.stack([(loaded.positions[:, a] - loaded.positions[:, b]).norm(dim=-1) for a, b in bones])
         spread.append(lengths.std(-1).median())
     assert min(heads) > 1.2 and torch.stack(knees).mean() > 0.03 and torch.stack(feet).mean() > 0.1

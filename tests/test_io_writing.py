@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from motionlab.errors import DataError, ShapeError
+from motionlab.files import write_whole
 from motionlab.findings import Record, save_record
 from motionlab.io import amass, bvh, gltf
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
-from motionlab.writing import write_whole
 
 SAVERS = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save}
 

@@ -4,11 +4,12 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
 
-from motionlab import __main__, doctor, execute, findings, report
+from motionlab import __main__, doctor, execute, findings, report, staleness
 from motionlab.doctor import Check
 from motionlab.errors import DataError, MissingData
 from motionlab.io import bvh, load
@@ -43,7 +44,6 @@ def suite(tmp_path, monkeypatch):
     )
     findings.save_record(folder / "results" / "01.json", findings.Record("01_runs", "", (finding,)))
     monkeypatch.setattr(execute, "NOTEBOOKS", folder)
-    monkeypatch.setattr(report, "NOTEBOOKS", folder)
     return folder
 
 
@@ -80,13 +80,15 @@ def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path):
     page = (tmp_path / "report/01_runs.html").read_text(encoding="utf-8")
     assert f"smoke {suite}" in page
     assert dict(os.environ) == before
-    assert "1 of 2 notebooks ran" in execute.summary(runs)
+    assert "1 of 2 notebooks ran" in execute.run_summary(runs)
 
 
-def test_regenerate_writes_what_ran_and_keeps_what_failed(suite):
+def test_regenerate_writes_what_ran_and_keeps_what_failed(suite, monkeypatch):
     failed_before = (suite / "00_fails.ipynb").read_bytes()
+    taken = []
+    monkeypatch.setattr(execute, "_write_fingerprint", lambda path, again: taken.append(path.stem))
     runs = execute.regenerate()
-    assert [run.ok for run in runs] == [False, True]
+    assert [run.ok for run in runs] == [False, True] and taken == ["01_runs"]
     assert (suite / "00_fails.ipynb").read_bytes() == failed_before
     first = (suite / "01_runs.ipynb").read_bytes()
     book = json.loads(first)
@@ -96,11 +98,45 @@ def test_regenerate_writes_what_ran_and_keeps_what_failed(suite):
     assert (suite / "01_runs.ipynb").read_bytes() == first
 
 
+def test_notebooks_run_side_by_side_and_the_longest_begins_first(suite, tmp_path, capsys):
+    record = findings.load_record(suite / "results/01.json")
+    findings.save_record(suite / "results/00.json", replace(record, provenance={"smoke seconds": "3"}))
+    findings.save_record(suite / "results/01.json", replace(record, provenance={"smoke seconds": "30"}))
+    jobs = [(path, tmp_path / path.name) for path in execute.find_notebooks()]
+    seen = []
+    runs = execute.run_side_by_side(
+        jobs, {"MOTIONLAB_PROFILE": "x"}, done=lambda run, out: seen.append(out), processes=1
+    )
+    assert [run.notebook for run in runs] == ["00_fails", "01_runs"]
+    assert [out.stem for out in seen] == ["01_runs", "00_fails"]
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("[1/2] 01_runs") and lines[0].endswith("ran") and "failed at cell 2" in lines[1]
+
+
+def test_a_fingerprint_is_not_replaced_by_another_unless_asked(suite, monkeypatch):
+    path = suite / "01_runs.ipynb"
+    marks = {"size": staleness.mark(4.0)}
+    smoke = findings.Record("01_runs", "", (), {"seconds": "2"}, marks)
+    monkeypatch.setattr(execute, "_measured", lambda path, environments: [smoke, smoke])
+    monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
+    before = findings.load_record(suite / "results/01.json")
+    execute._write_fingerprint(path)
+    record = findings.load_record(suite / "results/01.json")
+    assert record.fingerprint == marks and record.findings == before.findings
+    assert record.source_hash == staleness.code_hash(path) and execute._smoke_seconds(path) == 2
+    smoke = replace(smoke, fingerprint={"size": staleness.mark(5.0)})
+    with pytest.raises(staleness.StaleRecord, match="size was 4, is 5"):
+        execute._write_fingerprint(path)
+    assert not execute.take_fingerprints(["01"])[0].ok
+    execute._write_fingerprint(path, again=True)
+    assert findings.load_record(suite / "results/01.json").fingerprint["size"].value == 5.0
+
+
 def test_interrupted_report_still_has_its_index(suite, tmp_path, monkeypatch):
-    def interrupt(path, out):
+    def interrupt(jobs, environment, done):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(report, "execute", interrupt)
+    monkeypatch.setattr(execute, "run_side_by_side", interrupt)
     with pytest.raises(KeyboardInterrupt):
         report.write_report(tmp_path / "report", "smoke")
     assert "0 notebooks" in (tmp_path / "report/index.html").read_text(encoding="utf-8")
@@ -130,7 +166,7 @@ def test_readme_without_marks_is_an_error(suite, tmp_path):
 
 
 def test_rendering_is_really_tried():
-    assert doctor.check_rendering().ok
+    assert doctor._check_rendering().ok
 
 
 @pytest.mark.parametrize(
@@ -140,26 +176,38 @@ def test_rendering_is_really_tried():
 )
 def test_control_broken_rendering_is_found(monkeypatch, program):
     monkeypatch.setattr(doctor, "_DRAW", program)
-    assert "apt-get install" in doctor.check_rendering().remedy
+    assert "apt-get install" in doctor._check_rendering().remedy
 
 
 def test_packages_agree_with_their_pins():
-    assert all(check.ok for check in doctor.check_packages())
+    assert all(check.ok for check in doctor._check_packages())
 
 
 def test_control_other_version_is_found(tmp_path, monkeypatch):
     (tmp_path / "constraints.txt").write_text("torch==0.1\n", encoding="utf-8")
     monkeypatch.setattr(doctor, "ROOT", tmp_path)
-    wrong = [check for check in doctor.check_packages() if not check.ok]
+    wrong = [check for check in doctor._check_packages() if not check.ok]
     assert [check.name for check in wrong] == ["torch"] and "0.1" in wrong[0].remedy
 
 
 def test_data_folder_is_looked_into(tmp_path):
-    assert doctor.check_data(None).ok
-    assert not doctor.check_data(str(tmp_path / "nowhere")).ok
-    assert not doctor.check_data(str(tmp_path)).ok
+    assert doctor._check_data(None).ok
+    assert not doctor._check_data(str(tmp_path / "nowhere")).ok
+    assert not doctor._check_data(str(tmp_path)).ok
     (tmp_path / "cmu_amc").mkdir()
-    assert "cmu_amc" in doctor.check_data(str(tmp_path)).found
+    assert "cmu_amc" in doctor._check_data(str(tmp_path)).found
+
+
+def test_doctor_lists_what_changed_behind_the_records(tmp_path, monkeypatch):
+    monkeypatch.setattr(doctor, "ROOT", tmp_path)
+    (tmp_path / "motionlab").mkdir()
+    (tmp_path / "motionlab/pose.py").write_text("x = 1\n")
+    modules = {"motionlab.pose": staleness._source_hash("x = 1\n")}
+    findings.save_record(tmp_path / "notebooks/results/05.json", findings.Record("05_x", "", (), modules=modules))
+    assert doctor._check_records().found == "1; nothing changed"
+    (tmp_path / "motionlab/pose.py").write_text("x = 2\n")
+    check = doctor._check_records()
+    assert check.ok and check.found == "1; changed behind them: motionlab.pose (05)"
 
 
 def test_doctor_exit_status_and_remedy(monkeypatch, capsys):

@@ -9,10 +9,15 @@ from motionlab.errors import ShapeError
 from motionlab.metrics import distribution
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
+from studies.nb01_data import sources_compared
 
 
-def gaussians(shift, n=400, seed=0):
-    g = torch.Generator().manual_seed(seed)
+def seeded(seed):
+    return torch.Generator().manual_seed(seed)
+
+
+def gaussians(shift, n=400):
+    g = seeded(0)
     return torch.randn(n, 1, generator=g), torch.randn(n, 1, generator=g) + shift
 
 
@@ -21,32 +26,32 @@ def test_energy_distance_of_two_gaussians_is_the_known_one():
     m = 1.5
     mean_abs = 2 / math.sqrt(math.pi) * math.exp(-(m**2) / 4) + m * math.erf(m / 2)
     truth = math.sqrt(2 * mean_abs - 2 * 2 / math.sqrt(math.pi))
-    assert distribution.energy_distance(*gaussians(m, n=4000)) == pytest.approx(truth, rel=0.03)
+    assert sources_compared._energy_distance(*gaussians(m, n=4000)) == pytest.approx(truth, rel=0.03)
 
 
 def test_distance_sees_a_shift_and_not_its_absence():
-    same, other = distribution.energy_distance(*gaussians(0.0)), distribution.energy_distance(*gaussians(1.0))
+    same, other = sources_compared._energy_distance(*gaussians(0.0)), sources_compared._energy_distance(*gaussians(1.0))
     assert same < 0.1 < 0.5 < other
 
 
 def test_floor_splits_by_group():
-    g = torch.Generator().manual_seed(0)
+    g = seeded(0)
     centre = torch.randn(10, 1, generator=g).repeat_interleave(20, 0)  # ten recordings that differ from each other
     x = centre + 0.1 * torch.randn(200, 1, generator=g)
     groups = torch.arange(10).repeat_interleave(20)
-    by_group = distribution.floor(x, groups, torch.Generator().manual_seed(1)).mean()
-    by_window = distribution.floor(x, torch.arange(200), torch.Generator().manual_seed(1)).mean()
+    by_group = sources_compared._distance_floor(x, groups, seeded(1)).mean()
+    by_window = sources_compared._distance_floor(x, torch.arange(200), seeded(1)).mean()
     assert by_group > 3 * by_window  # ignoring the groups would make the floor look far lower than it is
-    again = distribution.floor(x, groups, torch.Generator().manual_seed(1)).mean()
+    again = sources_compared._distance_floor(x, groups, seeded(1)).mean()
     assert by_group == again
 
 
 @pytest.mark.parametrize("n", [0, 1])
 def test_too_few_samples_are_refused(n):
     with pytest.raises(ShapeError):
-        distribution.energy_distance(torch.zeros(n, 2), torch.zeros(5, 2))
+        sources_compared._energy_distance(torch.zeros(n, 2), torch.zeros(5, 2))
     with pytest.raises(ShapeError):
-        distribution.floor(torch.zeros(5, 2), torch.zeros(5), torch.Generator())
+        sources_compared._distance_floor(torch.zeros(5, 2), torch.zeros(5), torch.Generator())
 
 
 def statue(frames=90, height=0.992):
@@ -59,37 +64,35 @@ def statue(frames=90, height=0.992):
 
 def test_windows_know_their_recording_and_short_ones_are_left_out():
     motions = [statue(), statue(frames=30), statue(frames=120)]
-    described = distribution.describe_windows(motions, torch.Generator().manual_seed(0), most=100)
+    described = sources_compared.describe_windows(motions, seeded(0), most=100)
     assert described.groups.tolist().count(0) == 2 and described.groups.tolist().count(2) == 3
-    assert described.table.shape == (5, len(distribution.UNITS))
-    both = distribution.pool([described, described])
+    assert described.table.shape == (5, len(distribution.DESCRIPTION_UNITS))
+    both = sources_compared.pool([described, described])
     assert sorted(both.groups.unique().tolist()) == [0, 2, 3, 5]
 
 
-def test_compare_sees_a_set_that_differs_and_not_one_that_does_not():
-    def noisy(seed, shift):
-        g = torch.Generator().manual_seed(seed)
-        values = {k: shift + torch.randn(200, generator=g) for k in distribution.UNITS}
-        return distribution.Described(values, torch.arange(20).repeat(10))
+def noisy(seed, shift, count=300):
+    source = seeded(seed)
+    values = {k: shift + torch.randn(count, generator=source) for k in distribution.DESCRIPTION_UNITS}
+    return distribution.Described(values, torch.arange(count // 10).repeat(10))
 
-    same, floor = distribution.compare(noisy(0, 0.0), noisy(1, 0.0), torch.Generator().manual_seed(2))
-    other, _ = distribution.compare(noisy(0, 1.0), noisy(1, 0.0), torch.Generator().manual_seed(2))
+
+def test_compare_sees_a_set_that_differs_and_not_one_that_does_not():
+    real = noisy(1, 0.0, 200)
+    same, floor = sources_compared.standardised_energy_distance(noisy(0, 0.0, 200), real, seeded(2))
+    other, _ = sources_compared.standardised_energy_distance(noisy(0, 1.0, 200), real, seeded(2))
     assert same <= floor.max() < other
 
 
 def test_a_judge_tells_apart_what_differs_and_tosses_a_coin_otherwise():
-    def noisy(seed, shift):
-        g = torch.Generator().manual_seed(seed)
-        values = {k: shift + torch.randn(300, generator=g) for k in distribution.UNITS}
-        return distribution.Described(values, torch.arange(30).repeat(10))
-
     assert distribution.told_apart(noisy(0, 0.0), noisy(1, 0.0)) == pytest.approx(0.5, abs=0.08)
     assert distribution.told_apart(noisy(0, 0.0), noisy(1, 2.0)) > 0.95
-    mine, other = distribution.halves(noisy(0, 0.0), torch.Generator().manual_seed(0))
+    mine, other = sources_compared.halves(noisy(0, 0.0), seeded(0))
     assert not set(mine.groups.tolist()) & set(other.groups.tolist())
     assert len(mine.groups) + len(other.groups) == 300
     mixture = [noisy(2, 0.0), noisy(3, 3.0), noisy(4, 3.0)]  # a third like ours, wherever it stands in the pool
-    found = [distribution.told_apart(noisy(0, 0.0), distribution.pool(parts)) for parts in (mixture, mixture[::-1])]
+    pools = [sources_compared.pool(parts) for parts in (mixture, mixture[::-1])]
+    found = [distribution.told_apart(noisy(0, 0.0), pool) for pool in pools]
     assert all(0.7 < share < 0.95 for share in found) and found[0] == pytest.approx(found[1], abs=0.06)
 
 
@@ -114,7 +117,7 @@ def test_describe_a_turning_gliding_statue():
     rot[:, 0] = rotation.rotation_about("z", math.radians(90) * t) @ UPRIGHT
     root = torch.stack((1.2 * t, torch.zeros(30), torch.full((30,), 0.992)), -1)
     found = distribution.describe(Motion(STANDARD, root, rot, 30.0))
-    assert set(found) == set(distribution.UNITS)
+    assert set(found) == set(distribution.DESCRIPTION_UNITS)
     expected = {"root speed": 1.2, "turning rate": 90.0, "knee flexion": 40.0, "elbow flexion": 0.0}
     for name, value in expected.items():
         assert found[name].item() == pytest.approx(value, abs=0.05), name

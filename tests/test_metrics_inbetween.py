@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import baselines, rotation
+from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
 from motionlab.io import bvh
-from motionlab.metrics import inbetween, lafan
-from motionlab.motion import Motion, windows
+from motionlab.metrics import inbetween
+from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
+from studies.shared import lafan_benchmark as lafan
 
 
 # -------------------------------------------------------------- naive twins, quaternion by quaternion in numpy
@@ -172,7 +173,7 @@ def take(frames, seed, scale=1.0):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Three subjects; one file is exactly one window long and so gives none; two have bones of their own."""
-    at = tmp_path_factory.mktemp("lafan")
+    at = tmp_path_factory.mktemp("takes")
     clips = {"walk1_subject1": (95, 1), "run2_subject1": (75, 2), "dance1_subject2": (80, 3)}
     for name, (frames, seed) in (clips | {"jumps1_subject5": (150, 4), "fight1_subject5": (65, 5)}).items():
         size = {"dance1_subject2": 1.1, "jumps1_subject5": 0.9}.get(name, 1.0)
@@ -186,11 +187,10 @@ SPLIT = {"train": ("subject1", "subject2"), "test": ("subject5",)}
 
 @pytest.fixture(scope="module")
 def data(folder):
-    return lafan.lafan(folder, **SPLIT)
+    return lafan.load_lafan(folder, **SPLIT)
 
 
-@pytest.mark.parametrize("gap", [5, 15])
-@pytest.mark.parametrize("method", ["zero velocity", "interpolation"])
+@pytest.mark.parametrize(("method", "gap"), [("zero velocity", 5), ("interpolation", 5), ("interpolation", 15)])
 def test_the_whole_benchmark_agrees_with_a_scalar_reading(folder, data, method, gap):
     row = next(r for r in lafan.evaluate(data, gaps=[gap]) if r["method"] == method)
     expected = twin_benchmark(folder, method, gap, **SPLIT)
@@ -206,7 +206,7 @@ def test_windows_are_those_of_the_strict_loop():
         while i + 65 < frames:
             starts.append(i)
             i += 40
-        cuts = lafan.benchmark_windows(motion, *lafan.TEST)
+        cuts = lafan._benchmark_windows(motion, *lafan.TEST)
         if not starts:
             assert cuts is None
             continue
@@ -215,45 +215,7 @@ def test_windows_are_those_of_the_strict_loop():
         )
 
 
-def test_data_set_is_canonical(data):
-    assert data.takes == ("jumps1_subject5",) * 3 and data.windows.rot.shape[:3] == (3, 65, 22)
-    assert data.windows.root[..., :2].mean(1).abs().max() < 1e-5  # metres
-    forward = data.windows.rot[:, 9, 0, :, 1]
-    assert forward[:, 1].abs().max() < 1e-5 and (forward[:, 0] < 0).all()
-    assert data.statistics.n == 3 + 2 + 2
-
-
-def test_statistics_are_the_plain_mean_and_deviation():
-    parts = [lafan.canonical(lafan.benchmark_windows(take(frames, frames), 50, 20)) for frames in (95, 120)]
-    found = lafan.statistics(iter(parts))
-    p = torch.cat([lafan.file_positions(part).reshape(-1, 22, 3) for part in parts])
-    assert torch.allclose(found.mean, p.mean(0)) and torch.allclose(found.std, p.std(0, correction=0))
-    assert found.n == 3 + 4
-    with pytest.raises(DataError, match="no training recording"):
-        lafan.statistics([])
-
-
-def test_centimetres_and_y_up():
-    motion = take(3, 1)
-    p = lafan.file_positions(motion)[:, 0]
-    x, y, z = (100 * motion.root).unbind(-1)
-    assert torch.allclose(p, torch.stack((-x, z, y), -1))
-
-
 # -------------------------------------------------------------------------------------------------- invariances
-def other_place(motion, angle):
-    turn = rotation.rotation_about("z", torch.tensor(angle, dtype=torch.float64))
-    rot = motion.rot.clone()
-    rot[..., 0, :, :] = turn @ rot[..., 0, :, :]
-    return replace(motion, root=motion.root @ turn.mT + torch.tensor([5.0, 1.0, 0.0]), rot=rot)
-
-
-def test_canonical_windows_do_not_know_where_they_were_recorded():
-    cuts = lafan.benchmark_windows(take(150, 1), 65, 40)
-    here, there = lafan.canonical(cuts), lafan.canonical(other_place(cuts, 2.5))
-    assert torch.allclose(here.root, there.root) and torch.allclose(here.rot, there.rot)
-    heights = cuts.root[..., 2]
-    assert torch.allclose(here.root[..., 2], heights)
 
 
 def test_perfect_filling_scores_zero_and_worse_filling_worse(data):
@@ -285,26 +247,7 @@ def test_a_method_sees_no_frame_of_the_gap_and_none_after_the_target(data):
         assert torch.equal(cuts.rot[:, -1], data.windows.rot[:, 10 + gap])
 
 
-def test_interpolation_is_that_of_the_baselines_up_to_small_angles():
-    cuts = lafan.canonical(lafan.benchmark_windows(take(150, 3), 65, 40))
-    known = torch.ones(26, dtype=torch.bool)
-    known[10:25] = False
-    ours, theirs = lafan.interpolation(cuts, 15), baselines.interpolate(cuts.cut(0, 26), known)
-    assert torch.allclose(ours.root, theirs.root)
-    assert rotation.geodesic(ours.rot, theirs.rot).max() < 2e-4
-    hold = lafan.zero_velocity(cuts, 15).cut(0, 25)
-    held = baselines.hold(cuts.cut(0, 26), known).cut(0, 25)
-    assert torch.equal(hold.root, held.root) and torch.equal(hold.rot, held.rot)
-
-
 # ------------------------------------------------------------------------------------------ the three measures
-def test_l2q_and_l2p_by_hand():
-    truth = torch.tensor([[[1.0, 0, 0, 0], [1.0, 0, 0, 0]], [[1.0, 0, 0, 0], [0, 1.0, 0, 0]]])  # (T = 2, J = 2, 4)
-    found = torch.tensor([[[0.0, 1, 0, 0], [1.0, 0, 0, 0]], [[1.0, 0, 0, 0], [0, -1.0, 0, 0]]])
-    assert inbetween.l2q(found, truth).item() == pytest.approx((math.sqrt(2) + 2) / 2)
-    p, q = torch.zeros(1, 2, 3), torch.tensor([[[3.0, 0, 0], [0, 8.0, 0]]])
-    std = torch.tensor([[1.0, 1, 1], [1, 2.0, 1]])
-    assert inbetween.l2p(q, p, torch.full((2, 3), 7.0), std).item() == pytest.approx(5)  # |(3, 8 / 2)|
 
 
 def test_sign_flips_change_l2q_and_not_npss():
@@ -322,21 +265,21 @@ def test_sign_flips_change_l2q_and_not_npss():
 def test_signs_continue_from_the_frame_before():
     angle = torch.linspace(0, 9, 40, dtype=torch.float64)  # through a whole turn and a half: w changes its sign
     rot = rotation.rotation_about("y", angle)[:, None]
-    q = inbetween.continued_quaternions(rot)
+    q = lafan._continued_quaternions(rot)
     assert torch.allclose(q[:, 0, 0], (angle / 2).cos()) and torch.allclose(q[:, 0, 2], (angle / 2).sin())
     for sign in (1, -1):
-        rest = inbetween.continued_quaternions(rot[25:], sign * q[24])
+        rest = lafan._continued_quaternions(rot[25:], sign * q[24])
         assert torch.allclose(rest, sign * q[25:])
-    assert not torch.allclose(inbetween.continued_quaternions(rot[25:]), q[25:])
+    assert not torch.allclose(lafan._continued_quaternions(rot[25:]), q[25:])
 
 
 def test_a_method_that_returns_the_truth_is_not_charged_for_its_signs(data):
     """An arm passes w = 0 inside the windows: signs by w >= 0 would make the truth its own worst enemy."""
-    local = lafan.file_quaternions(data.windows)
+    local = lafan._file_quaternions(data.windows)
     assert (local[..., 16, 0] < 0).any()
     naive = rotation.matrix_to_quaternion(data.windows.rot.double())
     parents = data.windows.skeleton.parents
-    a, b = (inbetween.global_quaternions(x[:, 10:40], parents) for x in (naive, local))
+    a, b = (lafan._global_quaternions(x[:, 10:40], parents) for x in (naive, local))
     assert (
         inbetween.l2q(a, b).max() > 1 and lafan.score(data.windows, data.windows, data.statistics, 30).l2q.max() < 1e-6
     )
@@ -356,24 +299,6 @@ def test_signs_continue_across_the_edge_of_the_gap():
     assert lafan.score(late, truth, stats, 5).l2q < 0.3
 
 
-def test_interpolation_agrees_with_loops_below_and_above_the_angle_where_it_is_linear():
-    cuts = lafan.canonical(lafan.benchmark_windows(take(100, 3), 65, 40))
-    a, b = (rotation.matrix_to_quaternion(cuts.rot[0, t]).numpy() for t in (9, 15))
-    near = np.abs((a * b).sum(-1))
-    assert (near < 0.985).any() and ((near > 0.991) & (near < 0.997)).any()
-    found = lafan.interpolation(cuts, 5).rot[0]
-    for k in range(1, 6):
-        q = np.array([twin_slerp(x, y, k / 6) for x, y in zip(a, b, strict=True)])
-        expected = rotation.quaternion_to_matrix(torch.from_numpy(q))
-        assert torch.allclose(found[9 + k], expected, atol=1e-9)
-
-
-def test_global_quaternions_are_the_world_orientations():
-    motion = take(6, 2)
-    q = inbetween.global_quaternions(rotation.matrix_to_quaternion(motion.rot), motion.skeleton.parents)
-    assert torch.allclose(rotation.quaternion_to_matrix(q), motion.world[1], atol=1e-12)
-
-
 def test_npss_agrees_with_the_defining_sum_and_not_with_the_usual_power():
     truth = torch.randn(3, 11, 4, generator=seeded(1), dtype=torch.float64)
     found = truth + 0.5 * torch.randn(truth.shape, generator=seeded(2), dtype=torch.float64)
@@ -382,14 +307,6 @@ def test_npss_agrees_with_the_defining_sum_and_not_with_the_usual_power():
     assert inbetween.npss(3 * found, truth) == pytest.approx(inbetween.npss(found, truth))  # the size is divided out
     late = truth.roll(3, dims=1)  # |F| is blind to a shift; the real part is not
     assert inbetween.npss(late, truth) > 0.05
-
-
-def test_npss_by_hand():
-    # T = 2: F = (a + b, a - b). Truth (1, 1): power (4, 0). Found (1, 0): (1, 1), cumulated (1/2, 1): |.| sums to 1/2.
-    truth, found = torch.tensor([[[1.0], [1.0]]]), torch.tensor([[[1.0], [0.0]]])
-    assert inbetween.npss(found, truth) == pytest.approx(0.5)
-    both = torch.tensor([[[1.0, 3.0], [1.0, 3.0]]]), torch.tensor([[[1.0, 3.0], [0.0, 3.0]]])
-    assert inbetween.npss(both[1], both[0]) == pytest.approx(0.5 * 4 / (4 + 36))  # weighed by the truth's power
 
 
 def test_signals_without_power():
@@ -449,19 +366,6 @@ def test_step_changes_agree_with_loops():
         inbetween.step_changes(p[:, :2], 30.0)
 
 
-def test_percentiles_of_the_natural_distribution_are_uniform():
-    p = take(400, 1).positions
-    natural = inbetween.natural_changes(p, 30.0)
-    ranks = inbetween.percentile(natural, natural)
-    assert ranks.max() == 100 and ranks.mean().item() == pytest.approx(50, abs=1)
-    assert inbetween.percentile(torch.tensor([-1.0]).double(), natural) == 0
-    cut = p.clone()
-    cut[200:] += torch.tensor([0.3, 0.0, 0.0])  # a cut in the middle stands out from any natural change
-    known = torch.arange(400) < 200
-    found, before = (inbetween.seam(x, known, 30.0, natural).percentile for x in (cut, p))
-    assert found > 99 > before
-
-
 def test_keyframe_error_looks_at_known_frames_only():
     truth = straight()
     found = truth.clone()
@@ -479,15 +383,15 @@ def test_keyframe_error_looks_at_known_frames_only():
 def test_a_folder_that_is_not_lafan(folder, tmp_path):
     for place in (tmp_path, tmp_path / "absent"):
         with pytest.raises(DataError, match=r"subject1.*remedy: unzip"):
-            lafan.lafan(place)
+            lafan.load_lafan(place)
     with pytest.raises(DataError, match="subject3"):
-        lafan.lafan(folder)
+        lafan.load_lafan(folder)
     with pytest.raises(DataError, match="longer than 65"):
         only = tmp_path / "short"
         only.mkdir()
         for name in ("walk1_subject1", "fight1_subject5"):
             (only / f"{name}.bvh").write_bytes((folder / f"{name}.bvh").read_bytes())
-        lafan.lafan(only, train=["subject1"])
+        lafan.load_lafan(only, train=["subject1"])
 
 
 def test_another_skeleton_or_rate_is_refused(tmp_path):
@@ -496,17 +400,7 @@ def test_another_skeleton_or_rate_is_refused(tmp_path):
     for wrong in (replace(whole, skeleton=fewer, rot=whole.rot[:, :21]), replace(whole, fps=60.0)):
         bvh.save(tmp_path / "walk1_subject1.bvh", wrong)
         with pytest.raises(DataError, match="LAFAN1's tree"):
-            lafan.lafan(tmp_path, train=["subject1"], test=["subject1"])
-
-
-def test_end_sites_with_a_length_are_dropped(tmp_path):
-    whole = take(70, 1)
-    text_path = tmp_path / "walk1_subject1.bvh"
-    bvh.save(text_path, whole)
-    text_path.write_text(text_path.read_text().replace("OFFSET 0.000000 0.000000 0.000000\n", "OFFSET 0 7 0\n"))
-    long_ends = lafan.read(text_path)
-    assert long_ends.skeleton.parents == lafan.PARENTS and long_ends.rot.shape == (70, 22, 3, 3)
-    assert torch.allclose(long_ends.rot.double(), whole.rot, atol=1e-5)
+            lafan.load_lafan(tmp_path, train=["subject1"], test=["subject1"])
 
 
 @pytest.mark.parametrize("gap", [0, 55, 56])
@@ -518,6 +412,8 @@ def test_windows_too_short_for_the_gap(data, gap):
 def test_scores_refuse_other_shapes(data):
     with pytest.raises(ShapeError, match="20 or more"):
         lafan.score(data.windows.cut(0, 15), data.windows, data.statistics, 10)
+    with pytest.raises(DataError, match="no training recording"):
+        lafan.statistics([])
     with pytest.raises(ShapeError):
         inbetween.l2q(torch.zeros(1, 3, 2, 4), torch.zeros(1, 1, 2, 4))
     with pytest.raises(DataError, match="never changes"):
@@ -528,19 +424,7 @@ def test_published_numbers_are_agreed_with_to_their_tolerance():
     for name in ("zero velocity", "interpolation"):
         for k, gap in enumerate(lafan.GAPS):
             exact = {m: lafan.PUBLISHED[name, m][k] for m in lafan.TOLERANCE}
-            assert lafan.agrees(name, gap, exact)
+            assert lafan._agrees(name, gap, exact)
             for m, near in lafan.TOLERANCE.items():
-                assert not lafan.agrees(name, gap, exact | {m: exact[m] + 1.1 * near})
-    assert not lafan.agrees("interpolation", 5, {m: lafan.PUBLISHED["zero velocity", m][0] for m in lafan.TOLERANCE})
-
-
-def test_another_data_set_does_not_reproduce_the_published_numbers(data):
-    rows = lafan.evaluate(replace(data, whole=True), gaps=[5, 6])
-    assert [(r["gap"], r.get("published")) for r in rows] == [(5, False), (6, None)] * 2
-
-
-def test_leave_one_subject_out(folder, data):
-    other = lafan.lafan(folder, train=("subject1", "subject5"), test=("subject2",))
-    assert set(other.takes) == {"dance1_subject2"} and other.statistics.n != data.statistics.n
-    own = windows(take(80, 3, 1.1), 65, 40)
-    assert len(other.windows.root) == len(own.root) == 1 and not other.whole
+                assert not lafan._agrees(name, gap, exact | {m: exact[m] + 1.1 * near})
+    assert not lafan._agrees("interpolation", 5, {m: lafan.PUBLISHED["zero velocity", m][0] for m in lafan.TOLERANCE})

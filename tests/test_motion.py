@@ -157,9 +157,3 @@ def test_a_body_whose_sides_are_spelled_otherwise_is_not_half_mirrored(generator
     other = replace(motion, skeleton=Skeleton(names, STANDARD.parents, motion.skeleton.offsets), contacts=None)
     with pytest.raises(ShapeError, match="retarget first"):
         mirror(other)
-
-
-def test_to_moves_every_tensor(generator):
-    single = random_motion(generator).to(torch.float32)
-    parts = (single.root, single.rot, single.contacts, single.skeleton.offsets, single.positions)
-    assert {x.dtype for x in parts} == {torch.float32}

@@ -6,7 +6,7 @@ import pytest
 import torch
 from IPython.display import HTML
 
-from motionlab import findings, notebook, tables
+from motionlab import findings, notebook, staleness
 from motionlab.errors import DataError
 from motionlab.findings import FAILS, HOLDS, UNJUDGED
 
@@ -42,6 +42,7 @@ def bench(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("MOTIONLAB_PROFILE", "MOTIONLAB_DATA", "MOTIONLAB_RESULTS"):
         monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("MOTIONLAB_RECORD", "1")
 
     def open_lab(profile, data=None, seed=0):
         return notebook.setup("02_x", profile=profile, seed=seed, budgets=BUDGETS, data=data)
@@ -134,15 +135,15 @@ def test_record_carries_the_hash_of_the_code(bench, tmp_path):
     bench("full").close()
     path = tmp_path / "02_x.ipynb"
     recorded = findings.load_record(tmp_path / "results" / "02.json").source_hash
-    assert recorded == notebook.code_hash(path)
+    assert recorded == staleness.code_hash(path)
     path.write_text(path.read_text().replace("x = 1", "x = 2"))
-    assert recorded != notebook.code_hash(path)
+    assert recorded != staleness.code_hash(path)
 
 
 def test_tables_escape_what_would_break_them():
-    text = tables.markdown_table([{"a|b": "x|y\nz", "n": 0.123456}])
+    text = notebook._markdown_table([{"a|b": "x|y\nz", "n": 0.123456}])
     assert text.splitlines()[2] == "| x\\|y z | 0.123 |"
-    assert tables.markdown_table([]) == "*(no rows)*"
+    assert notebook._markdown_table([]) == "*(no rows)*"
 
 
 def test_figures_of_every_kind_are_shown(bench, tmp_path, capsys):

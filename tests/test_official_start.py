@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from data_synth import scenes
-from motionlab.humor.observed import evidence
-from motionlab.humor.official_start import start_facing
-from motionlab.humor.shape import landmarks
+from motionlab.humor.body_shape import landmarks
+from motionlab.humor.evidence import evidence
+from motionlab.humor.start import start_facing
 from motionlab.observation import project
 from motionlab.skeleton import STANDARD, UPRIGHT, fk
 

@@ -1,4 +1,4 @@
-"""minimise: known minima, exact budgets, and what survives NaN and Ctrl-C."""
+"""minimise_batch: what torch's L-BFGS does to each clip alone, whatever its neighbours are."""
 
 import math
 
@@ -6,152 +6,260 @@ import pytest
 import torch
 
 from motionlab.errors import NotConverged, ShapeError
-from motionlab.optimise import HUMOR, minimise
+from motionlab.optimise import minimise_batch
+from studies.shared.torch_search import minimise
 from tests.interrupted import interrupted
 
 
 def rosenbrock(v):
-    x, y = v["x"][0], v["x"][1]
-    return (1 - x) ** 2 + 100 * (y - x**2) ** 2
+    x = v["x"]
+    return ((1 - x[:, :-1]) ** 2 + 100 * (x[:, 1:] - x[:, :-1] ** 2) ** 2).sum(-1)
 
 
-def start(*values):
-    return {"x": torch.tensor(values, dtype=torch.float64, requires_grad=True)}
-
-
-def test_rosenbrock():
-    result = minimise(rosenbrock, start(-1.2, 1.0))
-    assert (result.variables["x"] - 1).abs().max() < 1e-6
-    assert result.converged and result.reason == "gradient"
-    assert result.closures == len(result.history)
-    assert result.energy == min(result.history) == rosenbrock(result.variables).item()
-
-
-def test_humor_settings_stop_where_the_energy_is_small_in_its_own_unit():
-    """torch's tolerance of 1e-9 is absolute: the energy stays between 0 and it, the point 4e-5 off, for ever."""
-    result = minimise(rosenbrock, start(-1.2, 1.0), steps=30, **HUMOR)
-    assert result.reason == "steps" and 1e-12 < result.energy < 1e-9
-    assert minimise(lambda v: 1e6 * rosenbrock(v), start(-1.2, 1.0), steps=30, **HUMOR).energy / 1e6 < 1e-14
-
-
-@pytest.mark.parametrize("method, lr, steps", [("lbfgs", 1.0, 50), ("adam", 0.05, 3000)])
-@pytest.mark.parametrize("seed", range(3))
-def test_quadratic_has_its_analytic_minimum(method, lr, steps, seed):
+def starts(clips=7, size=6, seed=0, dtype=torch.float64):
     g = torch.Generator().manual_seed(seed)
-    a = torch.randn(6, 6, dtype=torch.float64, generator=g)
-    a, b = a @ a.mT + torch.eye(6), torch.randn(6, dtype=torch.float64, generator=g)
-    result = minimise(
-        lambda v: 0.5 * v["x"] @ a @ v["x"] - b @ v["x"], start(*[0.0] * 6), method=method, lr=lr, steps=steps
+    return (1.5 * torch.randn(clips, size, dtype=torch.float64, generator=g)).to(dtype).requires_grad_()
+
+
+def row(x, b):
+    return x[b : b + 1].detach().clone().requires_grad_()
+
+
+def quadratics(clips=5, size=12, seed=1):
+    """Energies of condition 10, 100, ..., and their minima."""
+    g = torch.Generator().manual_seed(seed)
+    q, _ = torch.linalg.qr(torch.randn(clips, size, size, dtype=torch.float64, generator=g))
+    values = torch.stack([torch.logspace(0, b + 1, size, dtype=torch.float64) for b in range(clips)])
+    a, at = q @ (values[:, :, None] * q.mT), torch.randn(clips, size, dtype=torch.float64, generator=g)
+
+    def energy(v, rows=slice(None)):
+        way = v["x"] - at[rows]
+        return 0.5 * (way[:, None, :] * a[rows] * way[:, :, None]).sum((-1, -2))
+
+    return energy, at
+
+
+def closures_of(fit, b):
+    return int((fit.history[:, b] > fit.energy[b]).sum()) + 1
+
+
+@pytest.mark.parametrize("memory", [2, 5, 100])
+def test_every_clip_takes_the_path_of_torch(memory):
+    """Energies, closure by closure, of one uncut step of torch's own; in a unit that keeps it from ignoring pairs."""
+    x, unit = starts(), 1e8
+    batch = minimise_batch(lambda v: unit * rosenbrock(v), {"x": x}, memory=memory, tolerance_grad=1e-7 * unit)
+    assert set(batch.reasons) == {"gradient"} and batch.converged.all()
+    for b in range(len(x)):
+        alone = minimise(
+            lambda v: unit * rosenbrock({"x": v["x"][None]}).sum(),
+            {"x": x[b].detach().requires_grad_()},
+            steps=1,
+            inner=900,
+            memory=memory,
+            tolerance_grad=1e-7 * unit,
+        )
+        early = slice(0, 25)  # later, rounding has grown
+        assert torch.allclose(batch.history[early, b], torch.tensor(alone.history).double()[early], rtol=1e-6)
+        assert abs(closures_of(batch, b) - alone.closures) <= 0.1 * alone.closures
+        assert (batch.variables["x"][b] - alone.variables["x"]).abs().max() < 1e-6
+
+
+def test_quadratics_of_any_condition():
+    """As good as torch's own at the same number of closures, up to a condition of 1e5."""
+    energy, at = quadratics()
+    x = torch.zeros_like(at, requires_grad=True)
+    batch = minimise_batch(energy, {"x": x}, tolerance_grad=1e-9)
+    assert (batch.variables["x"] - at).abs().max() < 1e-8
+    for b in range(len(at)):
+        alone = minimise(
+            lambda v, b=b: energy({"x": v["x"][None]}, slice(b, b + 1)).sum(),
+            {"x": x[b].detach().requires_grad_()},
+            steps=1,
+            inner=900,
+            tolerance_grad=1e-9,
+        )
+        assert closures_of(batch, b) <= 1.1 * alone.closures
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("memory", [3, 100])
+def test_neighbours_change_nothing(dtype, memory):
+    """Bit by bit the same iterates alone, among others, and in another order."""
+    x = starts(dtype=dtype)
+    batch = minimise_batch(rosenbrock, {"x": x}, memory=memory, steps=4)
+    order = [3, 0, 6]
+    some = minimise_batch(rosenbrock, {"x": x[order].detach().requires_grad_()}, memory=memory, steps=4)
+    for k, b in enumerate(order):
+        alone = minimise_batch(rosenbrock, {"x": row(x, b)}, memory=memory, steps=4)
+        assert torch.equal(alone.history[:, 0], batch.history[: alone.closures, b])
+        assert torch.equal(alone.history[:, 0], some.history[: alone.closures, k])
+        assert torch.equal(alone.variables["x"][0], batch.variables["x"][b])
+        assert alone.reasons[0] == batch.reasons[b] == some.reasons[k]
+
+
+def test_history_matters_to_the_path():
+    """Control of the test above: another memory is seen in the energies."""
+    short, long = (minimise_batch(rosenbrock, {"x": starts()}, memory=m) for m in (2, 100))
+    assert short.closures != long.closures
+
+
+@pytest.mark.parametrize("rows", [False, True])
+def test_energies_are_where_it_says(rows):
+    energy, at = quadratics()
+    batch = minimise_batch(energy, {"x": torch.zeros_like(at, requires_grad=True)}, steps=2, rows=rows)
+    assert torch.allclose(batch.energy, energy(batch.variables))
+    assert torch.equal(batch.energy, batch.history.amin(0))
+
+
+def test_rows_serves_only_clips_that_still_run():
+    energy, at = quadratics()
+    asked = []
+
+    def counted(v, rows):
+        asked.append(len(rows))
+        return energy(v, rows)
+
+    x = torch.zeros_like(at, requires_grad=True)
+    lean, whole = minimise_batch(counted, {"x": x}, rows=True), minimise_batch(energy, {"x": x})
+    assert torch.equal(lean.history, whole.history) and torch.equal(lean.variables["x"], whole.variables["x"])
+    assert asked == sorted(asked, reverse=True) and asked[0] == 5 and asked[-1] == 1
+    assert sum(asked) < 0.8 * 5 * whole.closures
+
+
+@pytest.mark.parametrize("place", ["start", "away"])
+def test_a_clip_without_numbers_disturbs_nobody(place):
+    x = starts()
+    clean = minimise_batch(rosenbrock, {"x": x})
+
+    def broken(v):
+        off = torch.zeros(len(x), dtype=torch.float64)
+        off[2] = math.nan if place == "start" or not torch.equal(v["x"][2], x[2]) else 0.0
+        return rosenbrock(v) + off
+
+    hurt = minimise_batch(broken, {"x": x})
+    others = [b for b in range(len(x)) if b != 2]
+    assert hurt.reasons[2] == "non-finite" and not hurt.converged[2]
+    assert torch.equal(hurt.variables["x"][2], x[2])
+    assert hurt.energy[2] == (math.inf if place == "start" else rosenbrock({"x": x})[2])
+    assert torch.equal(hurt.variables["x"][others], clean.variables["x"][others])
+    assert torch.equal(hurt.energy[others], clean.energy[others])
+
+
+def test_a_wall_of_nan_is_backed_away_from():
+    """log has no value left of 0: the first steps jump there, the minimum at x = 1/50 is found all the same."""
+    x = torch.full((2, 1), 5.0, dtype=torch.float64, requires_grad=True)
+    found = minimise_batch(lambda v: (50 * v["x"] - v["x"].log()).sum(-1), {"x": x})
+    assert (found.variables["x"] - 0.02).abs().max() < 1e-6 and found.history.isnan().any()
+    assert found.converged.all()
+
+
+def test_gradient_that_is_not_finite_is_not_returned():
+    x = torch.tensor([[1.0, 1.0], [0.0, 0.0]], requires_grad=True)
+    found = minimise_batch(lambda v: v["x"].square().sum(-1).sqrt() + 1, {"x": x})
+    assert found.reasons[1] == "non-finite" and found.energy[1] == math.inf and found.energy[0] < 1.1
+
+
+def test_nobody_finite_at_the_start():
+    with pytest.raises(NotConverged, match="no clip"):
+        minimise_batch(lambda v: v["x"].log().sum(-1), {"x": torch.full((2, 3), -1.0, requires_grad=True)})
+
+
+def test_frozen_variables_and_inputs_stay():
+    free, fixed = torch.zeros(3, 2, 2, requires_grad=True), torch.arange(12.0).view(3, 2, 2)
+    gain = torch.tensor([1.0, 2.0, 30.0])
+    given = {"free": free, "fixed": fixed, "gain": gain}
+    found = minimise_batch(lambda v: v["gain"] * (v["free"] - v["fixed"]).square().sum((-1, -2)), given)
+    assert list(found.variables) == ["free", "fixed", "gain"]
+    assert (found.variables["free"] - fixed).abs().max() < 1e-5
+    assert torch.equal(found.variables["fixed"], fixed) and torch.equal(free, torch.zeros(3, 2, 2))
+    assert free.grad is None and free.requires_grad
+    assert not any(value.requires_grad for value in found.variables.values())
+
+
+def test_two_variables_of_several_shapes():
+    """x -> b + 1, y -> 1 / x."""
+    x, y = torch.zeros(4, requires_grad=True), torch.ones(4, 3, 2, requires_grad=True)
+    goal = torch.arange(1.0, 5.0)
+    found = minimise_batch(
+        lambda v: (v["x"] - goal).square() + (v["y"] * v["x"][:, None, None] - 1).square().sum((-1, -2)),
+        {"x": x, "y": y},
+        steps=3,
     )
-    assert (result.variables["x"] - torch.linalg.solve(a, b)).abs().max() < 1e-5
+    assert found.variables["x"].shape == (4,) and found.variables["y"].shape == (4, 3, 2)
+    assert (found.variables["x"] - goal).abs().max() < 1e-3
+    assert (found.variables["y"][3] - 0.25).abs().max() < 1e-3
 
 
-@pytest.mark.parametrize("method", ["lbfgs", "adam"])
-@pytest.mark.parametrize("budget", [1, 7, 20, 33])
-def test_budget_is_spent_exactly(method, budget):
+@pytest.mark.parametrize("budget", [0, 1, 2, 9, 33])
+def test_budget_is_spent_exactly(budget):
     calls = []
 
     def energy(v):
         calls.append(1)
         return rosenbrock(v)
 
-    result = minimise(
-        energy, start(-1.2, 1.0), method=method, lr=0.01, steps=1000, max_closures=budget, tolerance_grad=0.0
-    )
-    assert len(calls) == result.closures == budget and result.reason == "closures" and not result.converged
+    found = minimise_batch(energy, {"x": starts()}, max_closures=budget)
+    assert len(calls) == found.closures == budget and set(found.reasons) == {"closures"}
+    assert not found.converged.any()
 
 
-def test_steps_end_it():
-    result = minimise(rosenbrock, start(-1.2, 1.0), method="adam", lr=1e-3, steps=12)
-    assert result.reason == "steps" and result.closures == 12
+def test_interrupt_keeps_the_best():
+    found = minimise_batch(interrupted(rosenbrock, 10), {"x": starts()})
+    assert found.closures == 9 and set(found.reasons) == {"interrupted"}
+    assert torch.equal(found.energy, found.history.amin(0))
+    assert torch.allclose(rosenbrock(found.variables), found.energy)
 
 
-def test_two_variables_one_frozen_inputs_untouched():
-    free, fixed = torch.zeros(2, requires_grad=True), torch.tensor([3.0, -4.0])
-    result = minimise(lambda v: (v["free"] - v["fixed"]).square().sum(), {"free": free, "fixed": fixed})
-    assert (result.variables["free"] - fixed).abs().max() < 1e-5
-    assert torch.equal(result.variables["fixed"], fixed) and torch.equal(free, torch.zeros(2))
-    assert free.grad is None and free.requires_grad
-    assert result.variables["free"].data_ptr() != free.data_ptr()
-    assert not any(value.requires_grad for value in result.variables.values())
+def test_a_kink_ends_for_lack_of_progress():
+    x = torch.tensor([[0.3, -0.2], [7.0, 0.1]], dtype=torch.float64, requires_grad=True)
+    found = minimise_batch(lambda v: v["x"].abs().sum(-1), {"x": x}, steps=500)
+    assert set(found.reasons) == {"no decrease"} and found.converged.all() and found.closures < 600
 
 
-@pytest.mark.parametrize("method, lr", [("lbfgs", 1.0), ("adam", 0.3)])
-def test_nan_after_the_start_returns_the_best_so_far(method, lr):
-    seen = []
-
-    def energy(v):
-        seen.append(v["x"].detach().clone())
-        return rosenbrock(v) * (math.nan if len(seen) == 6 else 1.0)
-
-    result = minimise(energy, start(-1.2, 1.0), method=method, lr=lr)
-    assert result.reason == "non-finite" and not result.converged and result.closures == 6
-    finite = result.history[:-1]
-    assert result.energy == min(finite) and math.isnan(result.history[-1])
-    assert torch.equal(result.variables["x"], seen[finite.index(min(finite))])
+def test_float32_stops_at_its_rounding():
+    """An energy of 1e5 knows nothing below 0.01: no closures are burnt on noise, and the place is right."""
+    x = torch.full((3, 8), 3.0, requires_grad=True)
+    found = minimise_batch(lambda v: 1e5 + ((v["x"] - 1).square() * torch.arange(1.0, 9)).sum(-1), {"x": x})
+    assert set(found.reasons) == {"no decrease"} and found.closures < 60
+    assert (found.variables["x"] - 1).abs().max() < 0.1 and found.energy.dtype == torch.float32
 
 
-def test_nan_gradient_with_finite_energy_is_not_returned():
-    """sqrt has an infinite slope at 0, where 0 * inf = NaN: the energy alone would not tell."""
-    with pytest.raises(NotConverged) as error:
-        minimise(lambda v: (v["x"] ** 2).sum().sqrt(), start(0.0, 0.0))
-    assert error.value.history == [0.0]
+def test_tolerance_of_change_per_clip():
+    """Each clip goes as far as its own number lets it, as it would alone; with the mean of all, none of them does."""
+    x, tolerance = starts(4), torch.tensor([1e-1, 0.0, 1e-4, 10.0])
+    batch = minimise_batch(rosenbrock, {"x": x}, tolerance_change=tolerance)
+    alone = [minimise_batch(rosenbrock, {"x": row(x, b)}, tolerance_change=float(tolerance[b])) for b in range(4)]
+    assert all(torch.equal(batch.energy[b], alone[b].energy[0]) for b in range(4))
+    mean = minimise_batch(rosenbrock, {"x": x}, tolerance_change=tolerance.mean())  # the control
+    assert (mean.energy[:3] > batch.energy[:3]).all()
+    with pytest.raises(ShapeError, match="tolerance_change"):
+        minimise_batch(rosenbrock, {"x": x}, tolerance_change=tolerance[:3])
 
 
-def test_nan_at_the_start_raises_with_history():
-    with pytest.raises(NotConverged, match="start") as error:
-        minimise(lambda v: v["x"].log().sum(), start(-1.0))
-    assert len(error.value.history) == 1
+@pytest.mark.parametrize("given, error", [("shape", ShapeError), ("axis", ShapeError), ("none", ValueError)])
+def test_what_cannot_be(given, error):
+    x, y = torch.zeros(3, 2, requires_grad=True), torch.zeros(2, 2)
+    energy = (lambda v: v["x"].sum()) if given == "shape" else rosenbrock
+    variables = {"shape": {"x": x}, "axis": {"x": x, "y": y}, "none": {"x": y}}[given]
+    with pytest.raises(error):
+        minimise_batch(energy, variables)
 
 
-@pytest.mark.parametrize("method, lr", [("lbfgs", 1.0), ("adam", 0.3)])
-def test_interrupt_keeps_the_best(method, lr):
-    result = minimise(interrupted(rosenbrock, 10), start(-1.2, 1.0), method=method, lr=lr)
-    assert result.reason == "interrupted" and result.closures == 9
-    assert rosenbrock(result.variables).item() == min(result.history) == result.energy
+def test_types_that_differ_are_refused():
+    x = {"x": torch.zeros(3, 2, requires_grad=True), "y": torch.zeros(3, dtype=torch.float64, requires_grad=True)}
+    with pytest.raises(ValueError, match="type"):
+        minimise_batch(rosenbrock, x)
 
 
-def test_interrupt_before_anything_is_known_goes_through():
-    with pytest.raises(KeyboardInterrupt):
-        minimise(interrupted(rosenbrock, 1), start(0.0, 0.0))
+def test_watched_are_the_best_points_after_every_evaluation():
+    x, seen = starts(), []
+    constant = torch.arange(7.0)
 
+    def look(n, best):
+        assert torch.equal(best["c"], constant) and not best["x"].requires_grad
+        seen.append((n, rosenbrock(best)))
 
-def test_adam_that_overshoots_returns_the_best_not_the_last():
-    result = minimise(lambda v: v["x"].abs().sum(), start(0.95), method="adam", lr=0.5, steps=4)
-    assert result.energy == min(result.history) < result.history[-1]
-    assert result.variables["x"].abs().sum().item() == result.energy
-
-
-def test_patience_ends_a_search_that_gains_nothing():
-    """A kink: the slope stays 1 at the minimum, so that only a lack of progress can end the search."""
-    result = minimise(lambda v: v["x"].abs().sum(), start(0.3, -0.2), steps=500)
-    assert result.reason == "no decrease" and result.converged and result.closures < 500
-
-
-def test_same_twice():
-    one, two = (minimise(rosenbrock, start(-1.2, 1.0)) for _ in range(2))
-    assert one.history == two.history and torch.equal(one.variables["x"], two.variables["x"])
-
-
-def test_progress_shows_and_changes_nothing(capsys):
-    shown = minimise(rosenbrock, start(-1.2, 1.0), inner=5, progress=True)
-    assert "energy" in capsys.readouterr().err
-    assert shown.history == minimise(rosenbrock, start(-1.2, 1.0), inner=5).history
-    assert capsys.readouterr().err == ""
-
-
-@pytest.mark.parametrize(
-    "kind, error, settings, energy",
-    [
-        ("method", ValueError, {"method": "newton"}, rosenbrock),
-        ("vector", ShapeError, {}, lambda v: v["x"] * 2),
-    ],
-)
-def test_wrong_use_is_named(kind, error, settings, energy):
-    with pytest.raises(error, match=r"method|scalar"):
-        minimise(energy, start(1.0, 2.0), **settings)
-
-
-def test_nothing_to_move_is_named():
-    with pytest.raises(ValueError, match="x requires gradients"):
-        minimise(rosenbrock, {"x": torch.zeros(2)})
+    fit = minimise_batch(rosenbrock, {"x": x, "c": constant}, steps=2, watch=look)
+    assert [n for n, _ in seen] == list(range(1, fit.closures + 1))
+    torch.testing.assert_close(torch.stack([value for _, value in seen]), fit.history.cummin(0).values)
+    assert torch.equal(minimise_batch(rosenbrock, {"x": x}, steps=2).history, fit.history)

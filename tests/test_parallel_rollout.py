@@ -3,11 +3,12 @@
 import pytest
 import torch
 
-from motionlab.humor import parallel_rollout as newton
-from motionlab.humor import state, workload
+from motionlab.humor import state
 from motionlab.humor.rollout import rollout
-from motionlab.humor.slopes import XI
+from motionlab.humor.shooting.derivatives import XI
 from motionlab.skeleton import STANDARD
+from studies.nb08_fast import parallel_rollout as newton
+from studies.shared import workload
 
 STEPS = 6
 
@@ -49,29 +50,6 @@ def test_recursion_is_the_dense_solve():
     assert torch.allclose(newton.recursed(a, c).flatten(), torch.linalg.solve(whole, right), atol=1e-12)
 
 
-@pytest.mark.parametrize("weight", [0.0, 0.3, 10.0])
-def test_damped_is_the_dense_least_squares(weight):
-    a, c = system(4)
-    whole, right = dense(a, c)
-    normal = whole.mT @ whole + weight * torch.eye(len(right)).double()
-    assert torch.allclose(
-        newton.damped(a, c, weight).flatten(), torch.linalg.solve(normal, whole.mT @ right), atol=1e-10
-    )
-
-
-def test_control_damping_changes_the_answer():
-    a, c = system(4)
-    assert (newton.damped(a, c, 0.3) - newton.recursed(a, c)).abs().max() > 0.1
-
-
-def test_change_and_missing_are_inverse(chain):
-    _, first, _ = chain
-    generator = torch.Generator().manual_seed(3)
-    x = newton.lean(first).expand(4, -1)
-    d = 0.2 * torch.randn(4, XI, generator=generator, dtype=torch.float64)
-    assert torch.allclose(newton.missing(newton.changed(x, d), x), d, atol=1e-9)
-
-
 def test_chain_is_the_library_s_roll_out(chain):
     model, first, z = chain
     with torch.no_grad():
@@ -99,14 +77,6 @@ def test_newton_finds_the_roll_out(chain):
     assert 0 < found.until(1e-4) <= STEPS
 
 
-def test_first_states_are_exact_after_as_many_iterations(chain):
-    model, _, z = chain
-    start, exact, guess = guess_of(chain, 0.3)
-    for k in (1, 3):
-        found = newton.newton(model, start, z, guess, iterations=k)
-        assert torch.allclose(found.states[:k, :141], exact[:k, :141], atol=1e-8)
-
-
 def test_control_without_the_jacobians_one_state_an_iteration(chain):
     model, _, z = chain
     start, _, guess = guess_of(chain, 0.3)
@@ -118,17 +88,3 @@ def test_control_without_the_jacobians_one_state_an_iteration(chain):
     fast = newton.newton(model, start, z, guess, iterations=3)
     assert slow.errors[-1] > 10 * fast.errors[-1]
     assert slow.errors[-1] > 1e-4
-
-
-def test_damped_newton_arrives_too(chain):
-    model, _, z = chain
-    start, _, guess = guess_of(chain, 0.05)
-    found = newton.newton(model, start, z, guess, iterations=30, damping=1.0)
-    assert found.errors[-1] < 1e-5
-
-
-def test_until_wants_it_for_good():
-    errors = torch.tensor([1.0, 1e-5, 1.0, 1e-5, 1e-6])
-    found = newton.Newton(errors, errors, errors, errors)
-    assert found.until(1e-4) == 3
-    assert found.until(1e-9) is None

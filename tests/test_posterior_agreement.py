@@ -2,8 +2,8 @@ import pytest
 import torch
 
 from motionlab.errors import ShapeError
-from motionlab.posterior import agreement
-from motionlab.posterior.sampling import mixed, sample, walk
+from motionlab.posterior import mixed, sample
+from studies.nb09_posterior import agreement
 
 ROOT = torch.linalg.cholesky(torch.tensor([[1.0, 0.9], [0.9, 1.0]], dtype=torch.float64))
 PRECISION = (ROOT @ ROOT.mT).inverse()
@@ -28,29 +28,23 @@ def ensembles(log_prob, moves, begin, count=3, **how):
     return found
 
 
-MOVES = {"stretch": None, "ours": mixed(torch.zeros(2), ROOT)}
-
-
-@pytest.mark.parametrize("moves", MOVES)
-def test_ensembles_of_one_gaussian_agree(moves):
-    found = ensembles(gaussian, MOVES[moves], lambda seed: 3.0 * seed)
+def test_ensembles_of_one_gaussian_agree():
+    found = ensembles(gaussian, mixed(torch.zeros(2), ROOT), lambda seed: 3.0 * seed)
     assert all(each.long_enough for each in found)
     assert agreement.worst(found) <= agreement.AGREED
     assert agreement.of_walkers(found[0]) < 1.1  # a walker alone is 50 autocorrelation times long, half of it half
 
 
-@pytest.mark.parametrize("moves", ["stretch", "ours"])
-def test_control_ensembles_in_two_places_pass_by_their_times_and_not_by_each_other(moves):
-    """What 50 autocorrelation times cannot see."""
-    where = {"stretch": None, "ours": mixed(torch.zeros(2), torch.eye(2))}
-    found = ensembles(two_places, where[moves], lambda seed: 20.0 * (seed % 2), steps=6000)[:2]
-    if moves == "ours":  # whose guess is of one of the two; the other's walkers have a guess of their own
-        other = ensembles(two_places, mixed(torch.full((2,), 20.0), torch.eye(2)), lambda seed: 20.0, count=1)
-        found = [found[0], *other]
+def test_control_ensembles_in_two_places_pass_by_their_times_and_not_by_each_other():
+    """What 50 autocorrelation times cannot see: each ensemble has a guess of one of the two places."""
+    guesses = [mixed(torch.full((2,), at), torch.eye(2)) for at in (0.0, 20.0)]
+    found = [
+        ensembles(two_places, guess, lambda seed, at=at: at, count=1, steps=6000)[0]
+        for guess, at in zip(guesses, (0.0, 20.0), strict=True)
+    ]
     assert all(each.long_enough for each in found)
     assert agreement.worst(found) > 5
-    if moves == "ours":  # each looks done by its own walkers, too
-        assert max(agreement.of_walkers(each) for each in found) < 1.1
+    assert max(agreement.of_walkers(each) for each in found) < 1.1  # each looks done by its own walkers, too
 
 
 def test_formula_by_hand():
@@ -68,18 +62,3 @@ def test_control_drift_that_both_share_is_seen_in_the_halves():
 def test_one_chain_has_nothing_to_agree_with():
     with pytest.raises(ShapeError, match="2 chains"):
         agreement.r_hat([torch.zeros(10, 2, 1)])
-
-
-def test_walks_that_begin_apart_agree_on_a_bent_ridge():
-    def banana(x):
-        straight = x[:, 1] + 0.3 * (x[:, 0].square() - 4.0)
-        return -0.5 * (x[:, 0].square() / 4.0 + straight.square())
-
-    found = [
-        walk(
-            banana, torch.tensor([shift, 1.0]), 0.5 * torch.eye(2), walkers=24, names="xy", steps=20_000, block=500,
-            generator=torch.Generator().manual_seed(seed),
-        )
-        for seed, shift in enumerate((1.0, -1.5))
-    ]  # fmt: skip
-    assert agreement.worst(found) < 1.02

@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from motionlab.posterior import calibration, tempering
-from motionlab.posterior.trials import Draws
+from studies.nb09_posterior import calibration, tempering
+from studies.nb09_posterior.trials import Draws
 
 HOT, COUNT = 16.0, 4000
 
@@ -23,12 +23,6 @@ def test_cooled_draws_of_a_gaussian_have_the_width_of_their_temperature(generato
     assert found.coordinates.std(0).mean() == pytest.approx(temperature**0.5, rel=4 / (8 * worth) ** 0.5)
     assert torch.equal(found.c, found.coordinates) and torch.equal(found.ways[:, 0], found.c)
     assert len(tempering.cooled(draws, HOT, temperature, generator, 100).c) == 100
-
-
-def test_at_its_own_temperature_every_draw_stays(generator):
-    draws = hot(generator, count=50)
-    assert torch.equal(tempering.cooled(draws, HOT, HOT, generator).c, draws.c)
-    assert tempering.effective(tempering.weights(draws.energy, HOT, HOT)) == pytest.approx(50)
 
 
 def test_control_far_below_a_fourth_few_draws_count(generator):
@@ -65,21 +59,3 @@ def test_no_clip_has_a_say_in_its_own_temperature_but_on_all_every_one_has(gener
     assert before[0][3] == after[0][3] and torch.equal(before[1][1::2], after[1][1::2])
     assert (after[0] >= before[0]).all() and (after[0] > before[0]).any()
     assert (before[2] == before[2][0]).all() and after[2][3] >= before[2][3]
-
-
-def test_refused_chains_have_no_say_and_out_of_reach_is_as_hot_as_it_gets(generator):
-    found, truths = made(generator, clips=4)
-    needs = tempering.stretches([found[0], None, found[2], found[3]], truths, HOT, generator)
-    assert needs[1].isnan().all() and needs[[0, 2, 3]].isfinite().all()
-    assert (tempering.chosen(torch.full((4, tempering.RUNGS), 5.0), HOT) == HOT).all()
-    assert (tempering.chosen(torch.full((2, tempering.RUNGS), torch.nan), HOT) == HOT).all()
-    assert torch.equal(tempering.ladder(HOT)[[0, -1]], torch.tensor([4.0, 16.0]).double())
-
-
-def test_one_more_clip_is_held_as_often_as_was_promised(generator):
-    """The rank of a new clip among exchangeable ones is uniform: 22 of 23 for 90 %, 21 of which would be 87.5 %."""
-    assert calibration.needed(0.9, 23) == 22 and calibration.needed(0.9, 9) == 9 and calibration.needed(0.9, 4) == 4
-    draws = torch.rand(20_000, 24, generator=generator)
-    for few in (22, 21):
-        bound = draws[:, 1:].sort(1).values[:, few - 1]
-        assert (draws[:, 0] <= bound).double().mean() == pytest.approx(few / 24, abs=0.01)

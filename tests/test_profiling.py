@@ -5,7 +5,8 @@ import pytest
 import torch
 from torch.profiler import record_function
 
-from motionlab.profiling import Stopwatch, graph_nodes, interleaved, peak_memory, time_shares, timed
+from motionlab.profiling import Stopwatch, _timed, graph_nodes, interleaved
+from studies.nb06_profile.profiles import peak_memory, time_shares
 
 
 def test_timer_finds_a_sleep_and_leaves_garbage_collection_as_it_was():
@@ -15,16 +16,16 @@ def test_timer_finds_a_sleep_and_leaves_garbage_collection_as_it_was():
         calls.append(gc.isenabled())
         time.sleep(0.01)
 
-    timing = timed(nap, n=5, warm_up=2)
+    timing = _timed(nap, n=5, warm_up=2)
     assert 0.01 <= timing.median < 0.1 and timing.iqr >= 0 and timing.n == 5
     assert calls[2:] == [False] * 5 and gc.isenabled()
     with pytest.raises(ValueError, match="n"):
-        timed(nap, n=0)
+        _timed(nap, n=0)
 
 
 def test_collection_comes_back_after_an_error():
     with pytest.raises(ZeroDivisionError):
-        timed(lambda: 1 / 0, warm_up=0)
+        _timed(lambda: 1 / 0, warm_up=0)
     assert gc.isenabled()
 
 

@@ -3,9 +3,9 @@ import math
 import pytest
 import torch
 
-from motionlab import representations as rep
 from motionlab import rotation
 from motionlab.skeleton import UPRIGHT
+from studies.nb02_rotations import representations as rep
 
 EVERY = (rep.AXIS_ANGLE, rep.QUATERNION, rep.EULER, rep.SIXD)
 
@@ -78,35 +78,8 @@ def test_smoothing_across_the_cut_turns_almost_a_full_circle_in_axis_angle_only(
     assert (excess["axis-angle, unrolled"] < 5).all()
 
 
-def test_raw_sixd_shrinks_where_nothing_is_seen():
-    """Why ``tidy`` is there: smoothness alone is cheapest at length zero."""
-    path = turning()
-    lengths = {}
-    for r in (rep.RAW_SIXD, rep.SIXD):
-        theta = rep.fill(path, r, context=10, closures=400)[1].variables["theta"]
-        lengths[r.name] = theta[:, 10:-10, :3].norm(dim=-1).min().item()
-    assert lengths["6D, lengths free"] < 0.3 < 0.7 < lengths["6D"]
-
-
 def test_away_from_the_cut_axis_angle_is_as_good():
     """Negative control: the effect is the cut's, not the representation's alone."""
     path = turning(across=False)
     assert not rep.crosses_branch(path, context=10).any()
     assert (rep.excess_rotation(rep.fill(path, rep.AXIS_ANGLE, context=10, closures=200)[0], context=10) < 5).all()
-
-
-def test_filling_leaves_what_was_seen():
-    path = turning()
-    filled, _ = rep.fill(path, rep.SIXD, context=10, closures=200)
-    error = rotation.geodesic(filled, path.double())
-    assert torch.rad2deg(torch.cat((error[:, :10], error[:, -10:]), dim=1)).max() < 10
-
-
-def test_consistency_destroys_flipped_clips_in_axis_angle_only():
-    path = turning(count=6)
-    seeds = [torch.Generator().manual_seed(0) for _ in range(2)]
-    broken, _ = rep.consistency(path, rep.AXIS_ANGLE, seeds[0], steps=200)
-    kept, fit = rep.consistency(path, rep.SIXD, seeds[1], steps=200)
-    assert (broken.amax(-1) > 30).all()
-    assert (kept.amax(-1) < 10).all()  # decoder noise of 2 degrees per axis is followed, no more
-    assert fit.energy < 0.9 * fit.history[0]  # it did move: its start is not its optimum

@@ -11,9 +11,7 @@ import torch
 from motionlab import io, rotation
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
-from motionlab.retarget import RIGS, match, retarget
-from motionlab.retarget.legs import reach, resting, skate
-from motionlab.retarget.rigs import _LETTERS, AXES
+from motionlab.retarget import _LETTERS, AXES, RIGS, _resting, _skate, match_joints, retarget, two_bone_ik
 from motionlab.skeleton import FEET, STANDARD, UPRIGHT, Skeleton
 
 SIDES = ("left", "right")
@@ -158,7 +156,7 @@ def test_joints_with_their_own_axes(generator, rig):
         assert torch.linalg.det(frames[-1]) > 0.99
     result = retarget(reframed(motion, torch.stack(frames), names))
     assert_same(result, motion)
-    assert not match(reframed(motion, torch.stack(frames), names).skeleton).flat_feet
+    assert not match_joints(reframed(motion, torch.stack(frames), names).skeleton).flat_feet
 
 
 def test_scale_and_floor(generator):
@@ -189,7 +187,7 @@ def swaying(generator: torch.Generator) -> Motion:
     root = torch.stack((0.08 * t.sin(), 0.05 * t.cos(), 0.85 + 0.03 * (2 * t).sin()), dim=-1)
     body = Motion(replace(STANDARD, offsets=offsets), root, rot, 30.0)
     ankles = torch.tensor([[-0.16, 0.0, 0.09], [0.16, 0.05, 0.09]], dtype=torch.float64)
-    body = reach(body, ankles.expand(60, 2, 3))
+    body = two_bone_ik(body, ankles.expand(60, 2, 3))
     rot, knees = body.rot.clone(), body.world[1][:, [4, 5]]
     rot[:, [7, 8]] = knees.mT @ UPRIGHT.double()  # soles flat
     return replace(body, rot=rot)
@@ -207,7 +205,7 @@ def test_feet_that_stood_still_stand_still(generator):
     loose = retarget(source, proportions="standard", plant=False)  # negative control: without IK they slide
     assert loose.skate[1] > 0.3
     points = source.positions[:, source.skeleton.indices(feet)]
-    assert resting(points, 30.0).all()
+    assert _resting(points, 30.0).all()
 
 
 def test_reach(generator):
@@ -215,11 +213,11 @@ def test_reach(generator):
     hips = motion.positions[:, motion.skeleton.indices(["left_hip", "right_hip"])]
     away = torch.nn.functional.normalize(torch.randn(6, 2, 3, generator=generator).double(), dim=-1)
     goal = hips + 0.7 * away
-    bent = reach(motion, goal)
+    bent = two_bone_ik(motion, goal)
     at = lambda name: bent.positions[:, bent.skeleton.index(name)]  # noqa: E731
     torch.testing.assert_close(torch.stack((at("left_ankle"), at("right_ankle")), 1), goal, atol=1e-9, rtol=0)
     torch.testing.assert_close(bent.world[1][:, [7, 8]], motion.world[1][:, [7, 8]], atol=1e-9, rtol=0)
-    far = reach(motion, hips + 5 * away)  # out of reach: a straight leg towards the goal
+    far = two_bone_ik(motion, hips + 5 * away)  # out of reach: a straight leg towards the goal
     leg = far.positions[:, [7, 8]] - hips
     assert (torch.nn.functional.cosine_similarity(leg, away, dim=-1) > 0.999).all()
     assert (leg.norm(dim=-1) > 0.99 * 0.9021).all()
@@ -229,8 +227,8 @@ def test_skate_counts_only_steps_between_resting_frames():
     points = torch.zeros(4, 1, 3)
     points[:, 0, 0] = torch.tensor([0.0, 0.001, 0.003, 0.103])
     rests = torch.tensor([[True], [True], [True], [False]])
-    assert abs(skate(points, rests) - 1.5) < 1e-4
-    assert math.isnan(skate(points, torch.zeros(4, 1, dtype=torch.bool)))
+    assert abs(_skate(points, rests) - 1.5) < 1e-4
+    assert math.isnan(_skate(points, torch.zeros(4, 1, dtype=torch.bool)))
 
 
 def renamed(change) -> Motion:

@@ -133,16 +133,14 @@ def test_quaternions_agree_with_scipy_and_keep_their_sign(generator):
     torch.testing.assert_close(q, expected)
     assert (q[:, 0] >= 0).all()
     torch.testing.assert_close(rotation.quaternion_to_matrix(-3 * q), matrix)
-    torch.testing.assert_close(rotation.quaternion_to_axis_angle(-3 * q), rotation.log(matrix))
-    aa = rotation.log(matrix)
-    torch.testing.assert_close(rotation.axis_angle_to_quaternion(aa), q)
+    torch.testing.assert_close(rotation._quaternion_to_axis_angle(-3 * q), rotation.log(matrix))
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-8, 1e-3, 1.0, math.pi])
 def test_quaternion_gradients_are_finite(generator, angle):
     aa = (directions(4, generator) * angle).requires_grad_()
-    q = rotation.axis_angle_to_quaternion(aa)
-    for out in (q.sum(), rotation.quaternion_to_matrix(q).sum(), rotation.quaternion_to_axis_angle(q).sum()):
+    q = rotation.matrix_to_quaternion(rotation.exp(aa))
+    for out in (q.sum(), rotation.quaternion_to_matrix(q).sum(), rotation._quaternion_to_axis_angle(q).sum()):
         (gradient,) = torch.autograd.grad(out, aa, retain_graph=True)
         assert gradient.isfinite().all()
 
@@ -153,7 +151,6 @@ def test_sixd_round_trip(generator, layout):
     sixd = rotation.matrix_to_sixd(matrix, layout)
     torch.testing.assert_close(rotation.sixd_to_matrix(sixd, layout), matrix)
     other = {"columns": "rows", "rows": "columns"}[layout]
-    torch.testing.assert_close(rotation.sixd_to_other_layout(sixd, layout), rotation.matrix_to_sixd(matrix, other))
     torch.testing.assert_close(rotation.sixd_to_matrix(sixd, other), matrix.mT)  # the wrong layout is the inverse
 
 
@@ -316,7 +313,7 @@ def test_yaw_is_equivariant_and_zero_upright(generator):
     root = rotation.random((20,), generator, dtype=F64)
     change = rotation.yaw(rotation.rotation_about("z", turn) @ root) - rotation.yaw(root) - turn
     torch.testing.assert_close((change + 0.5).remainder(math.tau), torch.full((20,), 0.5, dtype=F64))
-    on_its_side = rotation.between(torch.tensor([1.0, 0, 0]), torch.tensor([0.0, 0, 1])).requires_grad_()
+    on_its_side = rotation.rotation_between(torch.tensor([1.0, 0, 0]), torch.tensor([0.0, 0, 1])).requires_grad_()
     rotation.yaw(on_its_side.round()).sum().backward()
     assert rotation.yaw(on_its_side.round()) == 0 and on_its_side.grad.isfinite().all()
 
@@ -327,7 +324,7 @@ def test_between_is_the_shortest_rotation(generator, angle, dtype):
     a = directions(30, generator, dtype)
     side = torch.nn.functional.normalize(torch.linalg.cross(a, directions(30, generator, dtype)), dim=-1)
     b = 3 * (a * math.cos(angle) + side * math.sin(angle))
-    matrix = rotation.between(2 * a, b)
+    matrix = rotation.rotation_between(2 * a, b)
     eps = torch.finfo(dtype).eps
     assert_rotations(matrix, 20 * eps)
     torch.testing.assert_close((matrix @ a[..., None])[..., 0], b / 3, atol=20 * eps, rtol=0)
@@ -337,7 +334,7 @@ def test_between_is_the_shortest_rotation(generator, angle, dtype):
 
 def test_between_opposite_coordinate_axes_is_a_half_turn():
     axes = torch.cat((torch.eye(3), -torch.eye(3)))
-    matrix = rotation.between(axes, -axes)
+    matrix = rotation.rotation_between(axes, -axes)
     assert_rotations(matrix, 1e-6)
     torch.testing.assert_close((matrix @ axes[..., None])[..., 0], -axes)
 

@@ -3,11 +3,9 @@ import math
 import pytest
 import torch
 
-from motionlab import representations as rep
 from motionlab import rotation
-from motionlab import rotation_trials as trials
-from motionlab.motion import Motion
-from motionlab.skeleton import STANDARD, UPRIGHT
+from motionlab.skeleton import UPRIGHT
+from studies.nb02_rotations import trials
 
 
 def spinning(rounds_per_second, seconds=10.0, count=3):
@@ -48,26 +46,3 @@ def test_gaps_are_lively_do_not_overlap_and_obey_the_most():
     turn = torch.rad2deg(rotation.geodesic(paths[:, 9], paths[:, -10]))
     assert (turn >= 20).all()
     assert len(trials.lively_gaps(spinning(0.01), seed(), most=10)) == 0
-
-
-def test_the_same_seed_gives_the_same_headings():
-    a, b, c = (torch.stack(trials.at_random_heading(spinning(0.1), seed(s))) for s in (1, 1, 2))
-    assert torch.equal(a, b)
-    assert not torch.equal(a, c)
-
-
-def test_recordings_shorter_than_a_window_are_left_out():
-    assert trials.cut_windows([UPRIGHT.expand(5, 3, 3)], 10, 10).shape == (0, 10, 3, 3)
-
-
-def test_filled_motions_differ_in_the_root_only():
-    root = spinning(0.6, seconds=1.0, count=1)[0]
-    rot = torch.eye(3).repeat(30, 22, 1, 1)
-    rot[:, 0] = rotation.rotation_about("z", torch.tensor(-0.3 * 2 * math.pi)) @ root
-    motion = Motion(STANDARD, torch.zeros(30, 3), rot, 30.0)
-    panels = trials.filled_motions(motion, (rep.AXIS_ANGLE, rep.SIXD), context=10, closures=150)
-    assert list(panels) == ["truth", "axis-angle", "6D"]
-    assert all(torch.equal(m.rot[:, 1:], rot[:, 1:]) for m in panels.values())
-    ratio = trials.path_ratio(panels, context=10)
-    assert ratio["6D"] == pytest.approx(1.0, abs=0.1)
-    assert ratio["truth"] == pytest.approx(1.0, abs=0.01)

@@ -6,7 +6,7 @@ import torch
 import trimesh
 
 from data_synth.body import capsule_body, planted
-from motionlab import leakage, rotation, skinning
+from motionlab import rotation, skinning
 from motionlab.body import BodyModel, lbs
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
@@ -70,16 +70,6 @@ def test_report_counts_by_hand():
     assert int(report.counts.sum()) == 12 and len(report.edges) == len(report.counts) + 1
 
 
-def test_surface_distance_on_a_ribbon():
-    weights = torch.zeros(11, 3)
-    weights[:3, 0], weights[3:, 1] = 1.0, 1.0
-    distance = skinning.surface_distance(strip(weights))
-    x = torch.linspace(0, 1, 11).double()
-    torch.testing.assert_close(distance[:11, 0], (x - 0.2).clamp(min=0), rtol=0, atol=1e-6)
-    torch.testing.assert_close(distance[:11, 1], (0.3 - x).clamp(min=0), rtol=0, atol=1e-6)
-    assert distance[:, 2].isinf().all()  # a joint without weight is nowhere
-
-
 def test_surface_distance_agrees_with_another_graph_library(clean):
     mesh = trimesh.Trimesh(clean.template.numpy(), clean.faces.numpy(), process=False)
     graph = nx.Graph()
@@ -109,28 +99,15 @@ def test_separate_parts_are_tied_to_the_body():
     torch.testing.assert_close(distance[0, 1], torch.tensor(0.5).double(), rtol=0, atol=1e-6)
 
 
-def test_tree_distance_by_walking():
-    for a in range(22):
-        for b in range(22):
-            lines = []
-            for joint in (a, b):
-                line = [joint]
-                while line[-1] > 0:
-                    line.append(STANDARD.parents[line[-1]])
-                lines.append(line)
-            shared = len(set(lines[0]) & set(lines[1]))
-            assert skinning.tree_distance(STANDARD)[a, b] == len(lines[0]) + len(lines[1]) - 2 * shared
-
-
 def test_the_audit_finds_what_was_planted_and_nothing_on_a_clean_body(clean, faulty):
     body, planted_mask = faulty
-    precision, recall = skinning.precision_recall(skinning.spurious(body), planted_mask)
+    precision, recall = skinning.detection_scores(skinning.spurious(body), planted_mask)
     assert precision == 1.0 and recall > 0.95
     assert not skinning.spurious(clean).any()
-    blind = skinning.precision_recall(skinning.spurious(body, threshold=1e-4), planted_mask)
+    blind = skinning.detection_scores(skinning.spurious(body, threshold=1e-4), planted_mask)
     assert blind[1] < 0.1  # the rule can miss
     guess = torch.rand(planted_mask.shape, generator=torch.Generator().manual_seed(0)) < planted_mask.double().mean()
-    assert skinning.precision_recall(guess, planted_mask)[0] < 0.1  # and the score can be low
+    assert skinning.detection_scores(guess, planted_mask)[0] < 0.1  # and the score can be low
 
 
 def test_long_range_lists_the_furthest_first(faulty):
@@ -151,9 +128,9 @@ def test_a_real_artists_rig_ties_toes_to_the_other_foot():
     assert any((row["holder"], row["joint"]) == ("left_foot", "right_foot") and row["metres"] > 1.5 for row in rows)
     toe = next(row["vertex"] for row in rows if (row["holder"], row["joint"]) == ("left_foot", "right_foot"))
     rot = torch.eye(3).repeat(22, 1, 1)
-    leak = leakage.leakage(body, torch.zeros(3), rot, [toe]).per_joint
+    leak = skinning._leakage(body, torch.zeros(3), rot, [toe]).per_joint
     assert leak[STANDARD.index("right_knee")] > 1e-4  # metres per radian
-    assert leakage.leakage(skinning.prune(body), torch.zeros(3), rot, [toe]).per_joint.max() == 0
+    assert skinning._leakage(skinning.prune(body), torch.zeros(3), rot, [toe]).per_joint.max() == 0
 
 
 def test_a_small_weight_next_to_its_region_is_not_spurious():
@@ -177,7 +154,7 @@ def test_influence_agrees_with_finite_differences(clean, face, generator):
     body = clean.to(torch.float64)
     root, rot = (x.double() for x in pose(generator))
     rot = rotation.nearest(rot)
-    found = leakage.influence(body, root, rot, face)
+    found = skinning.influence(body, root, rot, face)
     step = 1e-6
     for joint in STANDARD.indices(["neck", "head", "left_hip", "pelvis"]):
         columns = []
@@ -195,11 +172,11 @@ def test_influence_agrees_with_finite_differences(clean, face, generator):
 
 def test_spurious_weights_leak_gradient_to_the_legs_and_pruning_stops_it(clean, faulty, face, generator):
     root, rot = pose(generator)
-    leak = leakage.leakage(faulty[0], root, rot, face)
+    leak = skinning._leakage(faulty[0], root, rot, face)
     assert leak.per_joint[LEGS[1:]].min() > 1e-4  # metres per radian: planted on the right hip and both knees
     assert leak.share > 1e-4
     for body in (clean, skinning.prune(faulty[0])):
-        stopped = leakage.leakage(body, root, rot, face)
+        stopped = skinning._leakage(body, root, rot, face)
         assert stopped.share == 0 and float(stopped.influence[:, LEGS].abs().max()) == 0
         assert stopped.influence[:, STANDARD.index("neck")].min() > 0.01  # the chain above still moves the face
 
@@ -210,7 +187,7 @@ def test_displacement_is_zero_at_rest_and_grows_with_what_is_pruned(faulty, gene
     moving = Motion(STANDARD, root, rot, 30.0)
     body = faulty[0]
     assert skinning.displacement(body, skinning.prune(body), still)[1] < 1e-6
-    rows = leakage.sweep(body, moving, [0], [0.0, 1e-3, 1e-2])
+    rows = skinning.pruning_sweep(body, moving, [0], [0.0, 1e-3, 1e-2])
     assert rows[0]["removed"] == 0 and rows[0]["max_mm"] < 1e-2
     assert rows[0]["mean_mm"] < rows[1]["mean_mm"] < rows[2]["mean_mm"]
     assert rows[2]["removed"] == pytest.approx(0.03, abs=0.002)

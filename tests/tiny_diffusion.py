@@ -6,10 +6,11 @@ from functools import cache
 
 import torch
 
-from motionlab import rotation
+from motionlab import baselines, rotation
 from motionlab.diffusion import spectral
 from motionlab.diffusion.features import Normaliser
-from motionlab.diffusion.trained import FPS, Recipe, Trained
+from motionlab.diffusion.model import DenoiserRecipe, Trained
+from motionlab.humor.state import FPS
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 
@@ -19,7 +20,7 @@ FRAMES = 20
 def smooth(count: int, seed: int = 0, frames: int = FRAMES) -> Motion:
     """Upright bodies (count, frames) that sway and travel smoothly; some joint always touches the floor."""
     generator = torch.Generator().manual_seed(seed)
-    slow = spectral.cosines(frames)[:4].T
+    slow = baselines.cosine_transform(frames)[:4].T
     turn = slow @ torch.randn(count, 4, 22 * 3, generator=generator) * 0.4
     rot = rotation.exp(turn.unflatten(-1, (22, 3)))
     rot[:, :, 0] = rot[:, :, 0] @ UPRIGHT
@@ -31,7 +32,7 @@ def smooth(count: int, seed: int = 0, frames: int = FRAMES) -> Motion:
 @cache
 def tiny(*, told: bool = False, frame: str = "stuck") -> Trained:
     """A small spectral model with the statistics of smooth motions and weights of chance."""
-    recipe = Recipe(size="small", frames=FRAMES, patch=2, spectral=True, told=told, frame=frame)
+    recipe = DenoiserRecipe(size="small", frames=FRAMES, patch=2, spectral=True, told=told, frame=frame)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         model = recipe.denoiser().eval().requires_grad_(False)

@@ -3,9 +3,9 @@
 Three ways. ``keep``: the thesis's baseline, inpainting (Eq. 4.10) with rotations kept. ``complete`` with ``guidance``:
 every estimate of x_0 is pulled to where its handles are at their targets (reconstruction guidance, Ho et al. 2022,
 through forward kinematics). ``complete`` of a model that hears of handles: thesis 4.2.4, "handle conditioning".
-Behind any of them a few steps of inverse kinematics bring the handles home (``reach``).
+Behind any of them a few steps of inverse kinematics bring the handles home (``planting.reach_targets``).
 
-Targets and poses are in the pose's own stuck frame (see ``handles``).
+Targets and poses are in the pose's own stuck frame (see ``masks``).
 Source: thesis 4.2.4. Differs: the finish by inverse kinematics; handles are told with the places they should have.
 """
 
@@ -15,21 +15,19 @@ import torch
 from torch import Tensor
 
 from motionlab.diffusion.features import Layout
-from motionlab.diffusion.handles import told
-from motionlab.diffusion.masks import units
-from motionlab.diffusion.reach import reach
+from motionlab.diffusion.masks import told, units
+from motionlab.diffusion.model import Trained
+from motionlab.diffusion.planting import reach_targets
 from motionlab.diffusion.repair import Way, repair
-from motionlab.diffusion.sampling import Denoiser, ddim
-from motionlab.diffusion.trained import Trained
+from motionlab.diffusion.sampling import DenoiseFunction, ddim
 from motionlab.errors import DataError, ShapeError, check_shape
-from motionlab.metrics.pose import masked_mean
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
-STEPS = 50  # of the sampler
-FINISH = 20  # steps of inverse kinematics, at most
-ROUNDS = 64  # of a start's descent towards its handles, shared out over the steps of the sampler
-LEAST = 8  # of them in every step
+_STEPS = 50  # of the sampler
+_FINISH = 20  # steps of inverse kinematics, at most
+_ROUNDS = 64  # of a start's descent towards its handles, shared out over the steps of the sampler
+_LEAST = 8  # of them in every step
 
 
 def complete(
@@ -38,7 +36,7 @@ def complete(
     which: Tensor,
     generator: torch.Generator,
     *,
-    steps: int = STEPS,
+    steps: int = _STEPS,
     finish: bool = True,
     guidance: float = 0.0,
 ) -> Motion:
@@ -55,20 +53,20 @@ def complete(
     """
     _check(model, targets, which)
     targets = torch.where(which[..., None], targets, 0.0)
-    denoise: Denoiser = model.denoiser
+    denoise: DenoiseFunction = model.denoiser
     if model.recipe.handles:
         heard = {"handles": told(targets, which)[:, None]}
         if model.recipe.linear:
-            heard["rounds"] = max(LEAST, ROUNDS // steps)
+            heard["rounds"] = max(_LEAST, _ROUNDS // steps)
         denoise = lambda x, stamps: model.denoiser(x, stamps, **heard)  # noqa: E731
     if guidance:
-        denoise = pulled(denoise, model, targets, which, guidance)
+        denoise = _pulled(denoise, model, targets, which, guidance)
     schedule = model.schedule.respaced(min(steps, len(model.schedule)))
     made = model.decode(ddim(denoise, schedule, model.noise(len(targets), generator)))
     return finished(made, targets, which) if finish else made
 
 
-def pulled(denoise: Denoiser, model: Trained, targets: Tensor, which: Tensor, weight: float) -> Denoiser:
+def _pulled(denoise: DenoiseFunction, model: Trained, targets: Tensor, which: Tensor, weight: float) -> DenoiseFunction:
     """The x_0 estimate less weight sqrt(alpha_bar) / 2 times the gradient in x_t of the handles' squared distances from
     their targets, after forward kinematics of the estimate."""
     level = dict(zip(model.schedule.stamps.tolist(), model.schedule.alpha_bar.tolist(), strict=True))
@@ -85,10 +83,10 @@ def pulled(denoise: Denoiser, model: Trained, targets: Tensor, which: Tensor, we
     return better
 
 
-def finished(motion: Motion, targets: Tensor, which: Tensor, steps: int = FINISH) -> Motion:
+def finished(motion: Motion, targets: Tensor, which: Tensor, steps: int = _FINISH) -> Motion:
     """Poses (B, 1) with their handles brought to the targets (B, 22, 3) by inverse kinematics."""
     goal = torch.where(which[..., None], targets, torch.nan)
-    return reach(motion, motion.skeleton.names, goal[:, None], steps=steps)
+    return reach_targets(motion, motion.skeleton.names, goal[:, None], steps=steps)
 
 
 def keep(
@@ -98,14 +96,14 @@ def keep(
     generator: torch.Generator,
     *,
     chains: bool = True,
-    steps: int = STEPS,
+    steps: int = _STEPS,
 ) -> Motion:
-    """Poses (B, 1) made anew around what is ``kept`` of others: the thesis's inpainting, Eq. 4.10."""
+    """Poses (B, 1) made anew around what is ``_kept_numbers`` of others: the thesis's inpainting, Eq. 4.10."""
     _check(model, motion.positions[:, 0], which)
-    return repair(model, motion, kept(model.layout, which, chains), generator, Way(steps=steps))
+    return repair(model, motion, _kept_numbers(model.layout, which, chains), generator, Way(steps=steps))
 
 
-def kept(layout: Layout, which: Tensor, chains: bool = True) -> Tensor:
+def _kept_numbers(layout: Layout, which: Tensor, chains: bool = True) -> Tensor:
     """Which numbers (B, 1, D) are known for handles (B, 22): the rotations of the handles, and with ``chains`` those of
     all joints above them up to the pelvis; its height only where the pelvis is a handle.
 
@@ -117,24 +115,6 @@ def kept(layout: Layout, which: Tensor, chains: bool = True) -> Tensor:
             joints[:, STANDARD.parents[joint]] |= joints[:, joint]
     root, contacts = which[:, :1], torch.zeros_like(which[:, :1])
     return torch.cat((joints, root, contacts), -1)[:, None, units(layout)]
-
-
-def missed(motion: Motion, targets: Tensor, which: Tensor) -> Tensor:
-    """Distance (B, 22) in metres of every handle of poses (B, 1) from its target; NaN where no handle is."""
-    return torch.where(which, (motion.positions[:, 0] - targets).norm(dim=-1), torch.nan)
-
-
-def unobserved(motion: Motion, truth: Motion, which: Tensor) -> Tensor:
-    """Mean error (B,) in metres of the joints of poses (B, 1) that are no handles."""
-    return masked_mean((motion.positions - truth.positions)[:, 0].norm(dim=-1), ~which, 1)
-
-
-def spread(positions: Tensor, which: Tensor) -> Tensor:
-    """How much completions differ (B,): mean distance in metres of a free joint in one of K poses (K, B, 22, 3) from
-    itself in another."""
-    far = (positions[:, None] - positions).norm(dim=-1)
-    count = len(positions)
-    return masked_mean(far.sum((0, 1)) / (count * (count - 1)), ~which, 1)
 
 
 def _check(model: Trained, targets: Tensor, which: Tensor) -> None:

@@ -1,6 +1,7 @@
 """The network that guesses x_0 from x_t: a transformer encoder over frames, told the step by a token of its own.
 
-Source: thesis 4.1.2, Fig. 4.2; MDM (Tevet et al. 2022), official code, unconstrained model, whose weights load by key.
+Source: thesis 4.1.2, Fig. 4.2; MDM (Tevet et al. 2022), official code, unconstrained model: the
+same weights, by name and shape.
 Differs, where asked: the known part of the state, with straight lines through it or a guess, and its mask as further
 inputs (CondMDI; thesis 4.4.1); how long until the next known frame, added to every token (Harvey et al. 2020); several
 frames in one token, which halves the work; where chosen joints should be, through a linear layer, beside the input
@@ -11,21 +12,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
-from motionlab.diffusion.between import between
-from motionlab.errors import DataError, ShapeError, check_shape
-from motionlab.humor import foreign
+from motionlab.baselines import nearest_known
+from motionlab.diffusion.start import lines_between
+from motionlab.errors import ShapeError, check_shape
 from motionlab.skeleton import STANDARD
 
-LONGEST = 5000  # frames and steps that the table of sines holds
-HANDLE = 4  # numbers of a joint: the place it should have, metres, and 1 where it is a handle
+_LONGEST = 5000  # frames and steps that the table of sines holds
+_HANDLE = 4  # numbers of a joint: the place it should have, metres, and 1 where it is a handle
 
 
-def sines(count: int, size: int) -> Tensor:
+def _sines(count: int, size: int) -> Tensor:
     """(count, size): sin and cos of position times 10000^(-2i / size), interleaved (Vaswani et al. 2017)."""
     position = torch.arange(count, dtype=torch.float32)[:, None]
     rate = torch.exp(torch.arange(0, size, 2, dtype=torch.float32) * (-math.log(10000.0) / size))
@@ -40,7 +40,7 @@ class _Sines(nn.Module):
     def __init__(self, size: int, dropout: float) -> None:
         super().__init__()
         self.dropout = nn.Dropout(dropout)
-        self.register_buffer("pe", sines(LONGEST, size)[:, None], persistent=False)
+        self.register_buffer("pe", _sines(_LONGEST, size)[:, None], persistent=False)
 
     def forward(self, tokens: Tensor) -> Tensor:
         return self.dropout(tokens + self.pe[: len(tokens)])
@@ -98,7 +98,7 @@ class Denoiser(nn.Module):
         if arrival and not told:
             raise ValueError("arrival: only a model that is told of known frames can count to them")
         self.features, self.told, self.arrival, self.patch = features, told, arrival, patch
-        self.handles = nn.Linear(HANDLE * len(STANDARD), handles) if handles else None
+        self.handles = nn.Linear(_HANDLE * len(STANDARD), handles) if handles else None
         self.input_process = _In((features * (3 if told else 1) + handles) * patch, size)
         self.sequence_pos_encoder = _Sines(size, dropout)
         layer = nn.TransformerEncoderLayer(size, heads, hidden, dropout, "gelu", norm_first=before)
@@ -119,8 +119,8 @@ class Denoiser(nn.Module):
         """Estimate (B, T, D) of x_0 from x_t (B, T, D) and steps (B,).
 
         known (B, T, D), mask (B, T, D) or (T, D): what is known of x_0 and where (1); for a model that is told, which
-        sees straight lines through it (``between``), or guess (B, T, D), if there is one. handles (B, T, 22, 4): see
-        ``HANDLE``; zeros, as in None, for joints that are free.
+        sees straight lines through it (``start.lines_between``), or guess (B, T, D), if there is one. handles (B, T,
+        22, 4): see ``_HANDLE``; zeros, as in None, for joints that are free.
 
         Raises:
             ShapeError: another number of features, or known parts or handles for a model that is told of none.
@@ -132,7 +132,9 @@ class Denoiser(nn.Module):
             raise ShapeError("known and mask belong together, and to a model that is told of them")
         if self.told:
             mask = torch.zeros_like(x) if mask is None else mask.to(x).expand_as(x)
-            known = guess if guess is not None else torch.zeros_like(x) if known is None else between(known, mask > 0)
+            known = (
+                guess if guess is not None else torch.zeros_like(x) if known is None else lines_between(known, mask > 0)
+            )
             x = torch.cat((x, known, mask), -1)
         if handles is not None and self.handles is None:
             raise ShapeError("handles: this model hears of none")
@@ -141,18 +143,18 @@ class Denoiser(nn.Module):
             x = torch.cat((x, self.handles(held.to(x))), -1)
         tokens = self.input_process.poseEmbedding(x.unflatten(1, (-1, self.patch)).flatten(2))
         if self.arrival:
-            tokens = tokens + self.sequence_pos_encoder.pe[until_known(mask)[:, :: self.patch], 0]
+            tokens = tokens + self.sequence_pos_encoder.pe[_until_known(mask)[:, :: self.patch], 0]
         tokens = torch.cat((self.embed_timestep(stamps), tokens.transpose(0, 1)))
         said = self.output_process.poseFinal(self.seqTransEncoder(self.sequence_pos_encoder(tokens))[1:])
         return said.transpose(0, 1).unflatten(2, (self.patch, -1)).flatten(1, 2)
 
 
-def until_known(mask: Tensor) -> Tensor:
+def _until_known(mask: Tensor) -> Tensor:
     """Frames (B, T) until the next frame that is known whole, 0 there, T where none comes; mask (B, T, D)."""
     frames = mask.shape[1]
-    time = torch.arange(frames, device=mask.device)
-    following = torch.where((mask > 0).all(-1), time, 2 * frames).flip(-1).cummin(-1).values.flip(-1)
-    return (following - time).clamp(max=frames)
+    time, whole = torch.arange(frames, device=mask.device), (mask > 0).all(-1)
+    following = nearest_known(whole)[1]
+    return torch.where((following >= time) & whole.any(-1, keepdim=True), following - time, frames)
 
 
 def widened(weights: Mapping[str, Tensor], features: int) -> dict[str, Tensor]:
@@ -174,27 +176,3 @@ SIZES = {
     "compact": {"size": 256, "layers": 4, "heads": 4, "hidden": 512},
     "small": {"size": 128, "layers": 3, "heads": 4, "hidden": 256},
 }
-
-
-def load_official(path: Path | str) -> Denoiser:
-    """The unconstrained model of the official MDM release, 25 x 6 numbers per frame.
-
-    Six numbers are the first two *rows* of a rotation there (``rotation.sixd_to_other_layout``); the last six hold the
-    translation and zeros.
-
-    Raises:
-        DataError: not such a file, or tensors with other names or shapes.
-    """
-    path = Path(path)
-    remedy = "take model*.pt of MDM's unconstrained release"
-    found = foreign.tensors(path, ("model_avg", "model"), remedy)
-    weights = {name: x for name, x in found.items() if not name.endswith("sequence_pos_encoder.pe")}
-    try:
-        features, size = weights["output_process.poseFinal.weight"].shape
-        layers = len({k.split(".")[2] for k in weights if k.startswith("seqTransEncoder.layers.")})
-        hidden = len(weights["seqTransEncoder.layers.0.linear1.weight"])
-        model = Denoiser(features, size=size, layers=layers, hidden=hidden)
-        model.load_state_dict(weights)
-    except (KeyError, RuntimeError, ValueError) as error:
-        raise DataError(f"not MDM's tensors: {error}"[:300], path=path, remedy=remedy) from error
-    return model.eval().requires_grad_(False)

@@ -9,19 +9,20 @@ itself; the pull to the measurement: DiffPIR (Zhu et al. 2023).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from motionlab import rotation
 from motionlab.contact import with_contacts
 from motionlab.diffusion import sampling
-from motionlab.diffusion.rivals import noise_size, rotation_noise, steady
-from motionlab.diffusion.schedule import Schedule
-from motionlab.diffusion.trained import Trained
+from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.model import Trained
+from motionlab.diffusion.sampling import NoiseSchedule
 from motionlab.errors import DataError
-from motionlab.frames import local_to_world, stuck_root, world_to_local
-from motionlab.motion import Motion
+from motionlab.motion import Motion, local_to_world, stuck_root, world_to_local
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,13 @@ class Noise:
 
     def on(self, motion: Motion, generator: torch.Generator) -> Motion:
         """A motion with this noise on it; contacts are dropped."""
-        turn = rotation_noise(motion.rot.shape[:-2], self.turn, generator, lasting=self.lasting)
-        shift = self.shift * steady(motion.root.shape, generator, dim=motion.root.ndim - 2, lasting=self.lasting)
+        turn = _rotation_noise(motion.rot.shape[:-2], self.turn, generator, lasting=self.lasting)
+        shift = self.shift * _steady(motion.root.shape, generator, dim=motion.root.ndim - 2, lasting=self.lasting)
         return replace(motion, root=motion.root + shift, rot=motion.rot @ turn, contacts=None)
 
 
 @dataclass(frozen=True)
-class Start:
+class ReverseProcess:
     """How the reverse process begins and goes on.
 
     level: noise at its first step, over that of the motion. topped: numbers less noisy than that get more. steps: DDIM
@@ -65,7 +66,7 @@ class Start:
     filtered: bool = False
 
 
-def begin(schedule: Schedule, size: float) -> int:
+def _begin(schedule: NoiseSchedule, size: float) -> int:
     """The step t* that is about as noisy, for its signal, as a signal of unit size with noise of this size."""
     ratio = ((1 - schedule.alpha_bar) / schedule.alpha_bar).log()
     return int((ratio - 2 * torch.tensor(size, dtype=ratio.dtype).log()).abs().argmin())
@@ -73,7 +74,12 @@ def begin(schedule: Schedule, size: float) -> int:
 
 @torch.no_grad()
 def denoise(
-    model: Trained, noisy: Motion, rough: Motion, noise: Noise, generator: torch.Generator, start: Start | None = None
+    model: Trained,
+    noisy: Motion,
+    rough: Motion,
+    noise: Noise,
+    generator: torch.Generator,
+    start: ReverseProcess | None = None,
 ) -> Motion:
     """Motions (B, T) without their noise, where they were in the world.
 
@@ -83,7 +89,7 @@ def denoise(
     Raises:
         DataError: the model's numbers hold velocities, whose noise is not the joints'; or there is no noise.
     """
-    start = start or Start()
+    start = start or ReverseProcess()
     if model.layout.velocities:
         raise DataError("the model reads velocities", remedy="denoise with a model of places and rotations")
     size = noise_size(model.layout, model.normaliser, noise.turn, noise.shift)
@@ -96,8 +102,8 @@ def denoise(
     if model.layout.contacts:
         local = replace(local, contacts=with_contacts(rough).contacts)
     y = model.encode_local(local)
-    t = begin(model.schedule, whole)
-    schedule = Schedule(model.schedule.alpha_bar[: t + 1], model.schedule.stamps[: t + 1])
+    t = _begin(model.schedule, whole)
+    schedule = NoiseSchedule(model.schedule.alpha_bar[: t + 1], model.schedule.stamps[: t + 1])
     schedule = schedule.respaced(min(start.steps, t + 1))
     told = model.denoiser if not start.pull else _pulled(model.denoiser, schedule, y, size, start.pull)
     more = (whole**2 - size**2).clamp(min=0).sqrt() if start.topped else torch.zeros_like(size)
@@ -109,7 +115,7 @@ def denoise(
     return replace(local_to_world(frame, made) if frame else made, name=noisy.name)
 
 
-def _pulled(denoiser: sampling.Denoiser, schedule: Schedule, y: Tensor, size: Tensor, pull: float):
+def _pulled(denoiser: sampling.DenoiseFunction, schedule: NoiseSchedule, y: Tensor, size: Tensor, pull: float):
     """A denoiser whose estimate of x_0 moves to the measurement y as far as it is the less sure of the two."""
     level = dict(zip(schedule.stamps.tolist(), schedule.alpha_bar.tolist(), strict=True))
     measured = size > 0
@@ -121,3 +127,26 @@ def _pulled(denoiser: sampling.Denoiser, schedule: Schedule, y: Tensor, size: Te
         return x0 + share * (y - x0)
 
     return better
+
+
+def noise_size(layout: Layout, normaliser: Normaliser, turn: float, shift: float) -> Tensor:
+    """Deviation (D,) of each normalised number when joints are turned by N(0, turn) radians about each axis and the
+    root is moved by N(0, shift) metres: a turned column of length 1 moves by sqrt(2 / 3) turn in each coordinate."""
+    size = torch.zeros(layout.size)
+    for name, part in layout.slices.items():
+        size[part] = {"root": shift, "orient": (2 / 3) ** 0.5 * turn, "pose": (2 / 3) ** 0.5 * turn}.get(name, 0.0)
+    return size / normaliser.scale
+
+
+def _rotation_noise(shape: Sequence[int], turn: float, generator: torch.Generator, *, lasting: float = 0.0) -> Tensor:
+    """Small random rotations (..., T, J, 3, 3), each axis N(0, turn) radians, as ``_steady``."""
+    return rotation.exp(turn * _steady((*shape, 3), generator, dim=len(shape) - 2, lasting=lasting))
+
+
+def _steady(shape: Sequence[int], generator: torch.Generator, *, dim: int, lasting: float = 0.0) -> Tensor:
+    """Standard normal numbers of which those next to each other along ``dim`` have correlation ``lasting``."""
+    fresh = torch.randn(shape, generator=generator).movedim(dim, 0)
+    out = [fresh[0]]
+    for now in fresh[1:]:
+        out.append(lasting * out[-1] + (1 - lasting**2) ** 0.5 * now)
+    return torch.stack(out).movedim(0, dim)

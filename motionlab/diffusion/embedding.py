@@ -1,10 +1,14 @@
-"""Features that generated motion is judged in: the latent numbers of an autoencoder over windows of two seconds.
+"""Features that generated motion is judged in, and judges that choose a checkpoint.
 
-It sees the root's path and the feet's sliding. It has learnt from training motion alone, as it must: what judges may
-not know what is held out.
+The features are the latent numbers of an autoencoder over windows of two seconds. It sees the root's path and the
+feet's sliding, and it has learnt from training motion alone: what judges may not know what is held out. A judge
+measures a model while it is trained. ``kid_judge`` is the kernel distance of samples to held-out motion, in features
+that need no training, so that every model of every run is judged alike, and what chooses is not what reports.
 
-Source: FID's features are those of a trained network (Heusel et al. 2017; for motion Guo et al. 2020, MDM).
-Differs: an autoencoder, as there are no labels; root and feet count as much as all other joints together.
+Source: FID's features are those of a trained network (Heusel et al. 2017; for motion Guo et al. 2020, MDM); KID:
+Binkowski et al. 2018; thesis 4.4.1 (stop by a measure, not by eye).
+Differs: an autoencoder, as there are no labels; root and feet count as much as all other joints together; the judge's
+features are physical descriptions and joint statistics.
 """
 
 from __future__ import annotations
@@ -17,23 +21,28 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from motionlab import checkpoint
 from motionlab.contact import resting_heights
+from motionlab.diffusion import masks
+from motionlab.diffusion.model import Trained
+from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError, ShapeError
-from motionlab.frames import stuck_root
-from motionlab.humor import checkpoint
-from motionlab.motion import Motion, velocity
+from motionlab.metrics.distribution import describe
+from motionlab.metrics.generation import kid
+from motionlab.motion import Motion, stuck_root, velocity
 from motionlab.skeleton import FEET, STANDARD
 
 #: Joints whose velocities count; what of the feet is low counts once more, as sliding.
-MOVING = ("pelvis", "head", "left_wrist", "right_wrist", *FEET)
+_MOVING = ("pelvis", "head", "left_wrist", "right_wrist", *FEET)
 #: Numbers of a frame: the root's place, the joints about it, velocities, and how fast each foot joint slides.
-GROUPS = {"place": 3, "joints": 3 * (len(STANDARD) - 1), "moving": 3 * len(MOVING), "sliding": len(FEET)}
-LOW, EDGE = 0.03, 0.01  # metres above its resting height: a foot joint is low there, and how soft the edge is
-SLOW = 0.05  # m/s: of a sliding foot's speed the logarithm counts, from about here on, or a swinging one hides it
+FEATURE_GROUPS = {"place": 3, "joints": 3 * (len(STANDARD) - 1), "moving": 3 * len(_MOVING), "sliding": len(FEET)}
+_LOW, _EDGE = 0.03, 0.01  # metres above its resting height: a foot joint is low there, and how soft the edge is
+_SLOW = 0.05  # m/s: of a sliding foot's speed the logarithm counts, from about here on, or a swinging one hides it
+_FARTHEST = 4.0  # deviations; the judge counts what lies further as that, or a few odd windows decide a cubic kernel
 
 
-def signals(motion: Motion) -> Tensor:
+def _signals(motion: Motion) -> Tensor:
     """Rows (N, T, 94) of windows (N, T) on the standard joints, in the heading frame of their first frames.
 
     Metres and metres per second; sliding: log(1 + speed over the floor / SLOW), faded out where the joint is not low.
@@ -47,18 +56,18 @@ def signals(motion: Motion) -> Tensor:
     speed = velocity(points, motion.fps, dim=-3)
     feet = motion.skeleton.indices(FEET)
     rest = resting_heights(STANDARD)[[STANDARD.contact_names.index(name) for name in FEET]].to(points)
-    low = torch.sigmoid((LOW + rest - points[..., feet, 2]) / EDGE)
+    low = torch.sigmoid((_LOW + rest - points[..., feet, 2]) / _EDGE)
     parts = (
         points[..., 0, :],
         (points[..., 1:, :] - points[..., :1, :]).flatten(-2),
-        speed[..., motion.skeleton.indices(MOVING), :].flatten(-2),
-        low * (speed[..., feet, :2].norm(dim=-1) / SLOW).log1p(),
+        speed[..., motion.skeleton.indices(_MOVING), :].flatten(-2),
+        low * (speed[..., feet, :2].norm(dim=-1) / _SLOW).log1p(),
     )
     return torch.cat(parts, -1)
 
 
 @dataclass(frozen=True)
-class Recipe:
+class FeatureRecipe:
     """frames: of a window, a multiple of 4. size: latent numbers. width: of convolutions. steps, batch, lr: of Adam,
     whose rate falls by a cosine. seed: of weights and windows."""
 
@@ -74,18 +83,18 @@ class Recipe:
 class Autoencoder(nn.Module):
     """Two convolutions over time, each halving it, and a linear layer; the same backwards. (N, T, 94) <-> (N, size)."""
 
-    def __init__(self, recipe: Recipe) -> None:
+    def __init__(self, recipe: FeatureRecipe) -> None:
         super().__init__()
         if recipe.frames % 4:
             raise ShapeError(f"frames: expected a multiple of 4, got {recipe.frames}")
-        signals, width, short = sum(GROUPS.values()), recipe.width, recipe.frames // 4
+        numbers, width, short = sum(FEATURE_GROUPS.values()), recipe.width, recipe.frames // 4
         self.encoder = nn.Sequential(
-            nn.Conv1d(signals, width, 5, 2, 2), nn.GELU(), nn.Conv1d(width, width, 5, 2, 2), nn.GELU(),
+            nn.Conv1d(numbers, width, 5, 2, 2), nn.GELU(), nn.Conv1d(width, width, 5, 2, 2), nn.GELU(),
             nn.Flatten(), nn.Linear(width * short, recipe.size),
         )  # fmt: skip
         self.decoder = nn.Sequential(
             nn.Linear(recipe.size, width * short), nn.Unflatten(1, (width, short)), nn.GELU(),
-            nn.ConvTranspose1d(width, width, 4, 2, 1), nn.GELU(), nn.ConvTranspose1d(width, signals, 4, 2, 1),
+            nn.ConvTranspose1d(width, width, 4, 2, 1), nn.GELU(), nn.ConvTranspose1d(width, numbers, 4, 2, 1),
         )  # fmt: skip
 
     def forward(self, x: Tensor) -> Tensor:
@@ -106,7 +115,7 @@ class Features:
     scale: Tensor
     centre: Tensor
     spread: Tensor
-    recipe: Recipe
+    recipe: FeatureRecipe
     digest: str = ""
 
     @torch.no_grad()
@@ -115,7 +124,7 @@ class Features:
         if motion.frames != self.recipe.frames:
             raise ShapeError(f"expected windows of {self.recipe.frames} frames, got {motion.frames}")
         rows = [
-            (signals(_some(motion, at, batch)) - self.mean) / self.scale for at in range(0, len(motion.root), batch)
+            (_signals(_some(motion, at, batch)) - self.mean) / self.scale for at in range(0, len(motion.root), batch)
         ]
         latent = torch.cat([self.network.encoder(x.mT) for x in rows])
         return ((latent - self.centre) / self.spread).double()
@@ -123,14 +132,15 @@ class Features:
     @torch.no_grad()
     def missed(self, motion: Motion) -> dict[str, float]:
         """Share of the variance of each group's signals that the latent numbers do not hold, of windows (N, T)."""
-        x = (signals(motion) - self.mean) / self.scale
+        x = (_signals(motion) - self.mean) / self.scale
         wrong, total = (self.network(x) - x).square(), (x - x.mean((0, 1))).square()
-        parts = zip(GROUPS, wrong.split(list(GROUPS.values()), -1), total.split(list(GROUPS.values()), -1), strict=True)
+        groups = (each.split(list(FEATURE_GROUPS.values()), -1) for each in (wrong, total))
+        parts = zip(FEATURE_GROUPS, *groups, strict=True)
         return {name: float(a.sum() / b.sum().clamp(min=1e-12)) for name, a, b in parts}
 
 
-def train(
-    windows: Windows, recipe: Recipe, held: Motion | None = None, *, say: Callable[[str], None] | None = None
+def train_features(
+    windows: Windows, recipe: FeatureRecipe, held: Motion | None = None, *, say: Callable[[str], None] | None = None
 ) -> tuple[Features, list[dict]]:
     """Train on windows; the features and the curve: loss, and what is ``missed`` of held-out windows.
 
@@ -142,14 +152,14 @@ def train(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(recipe.seed)
         network = Autoencoder(recipe)
-    mean, scale = _moments(signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
-    weight = torch.cat([torch.full((n,), 1 / (n * len(GROUPS))) for n in GROUPS.values()])
+    mean, scale = _moments(_signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
+    weight = torch.cat([torch.full((n,), 1 / (n * len(FEATURE_GROUPS))) for n in FEATURE_GROUPS.values()])
     adam = torch.optim.Adam(network.parameters(), recipe.lr)
     rate = torch.optim.lr_scheduler.CosineAnnealingLR(adam, recipe.steps)
     made = Features(network, mean, scale, torch.zeros(recipe.size), torch.ones(recipe.size), recipe)
     curve, every = [], max(1, recipe.steps // 20)
     for step in range(1, recipe.steps + 1):
-        x = (signals(windows.draw(recipe.batch, generator)) - mean) / scale
+        x = (_signals(windows.draw(recipe.batch, generator)) - mean) / scale
         loss = ((network(x) - x).square() * weight).sum(-1).mean()
         adam.zero_grad()
         loss.backward()
@@ -169,11 +179,8 @@ def _moments(x: Tensor) -> tuple[Tensor, Tensor]:
     """Mean of each column and one deviation per group, of rows (N, T, 94)."""
     flat = x.flatten(0, 1)
     mean = flat.mean(0)
-    sizes = list(GROUPS.values())
-    spread = [
-        part.square().mean().sqrt().clamp(min=1e-3).expand(part.shape[1]) for part in (flat - mean).split(sizes, 1)
-    ]
-    return mean, torch.cat(spread)
+    parts = (flat - mean).split(list(FEATURE_GROUPS.values()), 1)
+    return mean, torch.cat([part.square().mean().sqrt().clamp(min=1e-3).expand(part.shape[1]) for part in parts])
 
 
 def _rounded(network: nn.Module) -> nn.Module:
@@ -186,24 +193,19 @@ def _some(motion: Motion, at: int, count: int) -> Motion:
     return motion.clip(slice(at, at + count)) if len(motion.root) > count else motion
 
 
-# ------------------------------------------------------------------------------------------------------- on disk
-def save(path: Path | str, features: Features, about: dict) -> None:
+def save_features(path: Path | str, features: Features, about: dict) -> None:
     """Write ``path`` (.safetensors, weights as float16) and its recipe (.json) with ``about``."""
     weights = {f"network.{name}": value.half() for name, value in features.network.state_dict().items()}
     others = {name: getattr(features, name) for name in ("mean", "scale", "centre", "spread")}
     checkpoint.save(path, weights | others, about | {"recipe": asdict(features.recipe)})
 
 
-def load(path: Path | str) -> Features:
-    """Features as ``save`` wrote them.
-
-    Raises:
-        DataError: a file is missing, damaged, does not belong to the other, or holds something else.
-    """
+def _load(path: Path | str) -> Features:
+    """Features as ``save_features`` wrote them."""
     path = Path(path).with_suffix(".safetensors")
     tensors, about = checkpoint.load(path)
     try:
-        recipe = Recipe(**about["recipe"])
+        recipe = FeatureRecipe(**about["recipe"])
         with torch.random.fork_rng(devices=[]):
             network = Autoencoder(recipe)
         network.load_state_dict({k[8:]: v.float() for k, v in tensors.items() if k.startswith("network.")})
@@ -215,10 +217,74 @@ def load(path: Path | str) -> Features:
 
 
 @cache
-def features(name: str = "diffusion_features") -> Features:
+def motion_features(name: str = "diffusion_features") -> Features:
     """Features that ship with the project, or lie at a path; loaded once.
 
     Raises:
         DataError: no such checkpoint, or damaged.
     """
-    return load(checkpoint.SHIPPED / name if Path(name).name == name else Path(name))
+    return _load(checkpoint.SHIPPED / name if Path(name).name == name else Path(name))
+
+
+def _descriptions(motion: Motion) -> list[Tensor]:
+    """Blocks (N, D_i) of windows (N, T): mean and deviation over time of the joints in the first frame's heading frame,
+    metres; and, of more than two frames, ``metrics.distribution.describe``."""
+    joints = stuck_root(motion)[0].positions.flatten(-2)
+    blocks = [joints.mean(-2)]
+    if motion.frames > 2:
+        blocks += [joints.std(-2), torch.stack(list(describe(motion).values()), -1)]
+    return blocks
+
+
+class Scaled:
+    """Features of real windows (N, T) and of others on their scale: unit deviation, blocks of one weight."""
+
+    def __init__(self, real: Motion) -> None:
+        blocks = _descriptions(real)
+        self.mean = [x.mean(0) for x in blocks]
+        self.scale = [x.std(0).clamp(min=1e-3) for x in blocks]
+        self.real = self(real)
+
+    def __call__(self, motion: Motion) -> Tensor:
+        """(N, D): the kernel's x . y / D is then the mean over blocks of the mean product of standardised numbers."""
+        rows = zip(_descriptions(motion), self.mean, self.scale, strict=True)
+        blocks = [((x - mean) / scale).clamp(-_FARTHEST, _FARTHEST) for x, mean, scale in rows]
+        joined = torch.cat([x / (len(blocks) * x.shape[1]) ** 0.5 for x in blocks], -1)
+        return joined * joined.shape[1] ** 0.5
+
+
+def filling_judge(real: Motion, *, seed: int = 0) -> Callable[[Trained], dict[str, float]]:
+    """A judge of models that are told what is known: {"filling error": mean square error of what is not known}.
+
+    x_0 is guessed in one step from pure noise, the same noise and the same masks (``masks.draw``) for every model, on
+    real windows (N, T); normalised numbers. A told model may fill in well and generate badly, or the other way round.
+    """
+
+    @torch.no_grad()
+    def measure(model: Trained) -> dict[str, float]:
+        generator = torch.Generator().manual_seed(seed)
+        x0, where = model.encode(real), next(model.denoiser.parameters()).device
+        known = masks.draw(model.layout, real.frames, len(x0), generator)
+        stamps = model.schedule.stamps[-1].expand(len(x0))
+        given = (noise_like(x0, generator), stamps, torch.where(known, x0, 0.0), known)
+        error = (model.denoiser(*(x.to(where) for x in given)).cpu() - x0).square()
+        return {"filling error": float(error[~known].mean())}
+
+    return measure
+
+
+def kid_judge(
+    real: Motion, *, count: int = 512, steps: int = 50, seed: int = 0
+) -> Callable[[Trained], dict[str, float]]:
+    """A judge of what is made anew: {"kid": ...} of ``count`` samples in ``steps`` DDPM steps against real windows.
+
+    real: (N, T), held out, from what trains no weights and reports no result. The same noise for every model.
+    """
+    scaled = Scaled(real)
+
+    def measure(model: Trained) -> dict[str, float]:
+        generator = torch.Generator().manual_seed(seed)
+        made = scaled(model.sample(count, generator, steps=steps))
+        return {"kid": kid(made, scaled.real, generator).value}
+
+    return measure

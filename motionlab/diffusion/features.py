@@ -3,7 +3,7 @@
 Source: thesis 4.1.2 (state representation: root translation, 6-D rotations, optional contacts and velocities; world or
 "stuck root" frame).
 Differs: stuck to the first frame's heading, not to its whole orientation, so that up stays up; normalised per group,
-not per number (``diffusion_experiment``: half the held-out error after the same training).
+not per number (half the held-out error after the same training).
 """
 
 from __future__ import annotations
@@ -17,12 +17,10 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError, check_shape
-from motionlab.frames import stuck_root
-from motionlab.motion import Motion
+from motionlab.motion import Motion, stuck_root
 from motionlab.skeleton import STANDARD, Skeleton
 
-FRAMES = ("stuck", "world")
-GROUPS = ("root", "orient", "pose", "root_vel", "rot_vel", "contacts")
+_FRAMES = ("stuck", "world")
 
 
 @dataclass(frozen=True)
@@ -40,12 +38,12 @@ class Layout:
     skeleton: Skeleton = STANDARD
 
     def __post_init__(self) -> None:
-        if self.frame not in FRAMES:
-            raise ValueError(f"frame: expected one of {', '.join(FRAMES)}, got {self.frame!r}")
+        if self.frame not in _FRAMES:
+            raise ValueError(f"frame: expected one of {', '.join(_FRAMES)}, got {self.frame!r}")
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Columns of each group, in the order of ``GROUPS``."""
+        """Columns of each group: root, orient, pose, root_vel, rot_vel, contacts, as far as a frame has them."""
         joints, found, at = len(self.skeleton), {}, 0
         sizes = {"root": 3, "orient": 6, "pose": 6 * (joints - 1)}
         sizes |= {"root_vel": 3, "rot_vel": 6 * joints} if self.velocities else {}
@@ -117,9 +115,8 @@ class Layout:
             columns[self._rotation(j, "orient", "pose")] = True
             if self.velocities:
                 columns[self.slices["rot_vel"].start + 6 * j :][:6] = True
-        rows = torch.ones(frames, dtype=torch.bool)
+        rows = torch.full((frames,), only is None)
         if only is not None:
-            rows = torch.zeros(frames, dtype=torch.bool)
             rows[list(only)] = True
         return rows[:, None] & columns
 

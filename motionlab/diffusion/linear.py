@@ -8,7 +8,7 @@ noise. A few steps of steepest descent in |U^T (x - m)|^2 / v + |y - p(x)|^2 / r
 moves is what is not known yet. The network gives what is missing, in units of sqrt(v), and a few more steps bring the
 handles back.
 
-They are not, and with ``recalls`` they are a mixture: some training pose z_i, and about it a Gaussian of ``NEAR`` the
+They are not, and with ``recalls`` they are a mixture: some training pose z_i, and about it a Gaussian of ``_NEAR`` the
 covariance. By how near x_t and the handles are to sqrt(a) z_i and its joints p_i, |y - p_i|^2 / (2 h^2), the z_i are
 averaged, and the rest is as above around that mean. h grows with the distance of the nearest: what is like nothing
 known is told from many.
@@ -25,13 +25,13 @@ from torch import Tensor, nn
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.errors import ShapeError
 
-LEAST = 1e-6  # of a variance; less is a number that never changes
-CLOSE = 1e-2**2 / 4  # r, square metres: how near a handle has to come
-ROUNDS = 8  # steps of descent
-BEFORE = 2  # of them before the network; the rest is behind it, and left out while it is trained
-THIN = 2  # every so many-th pose is recalled while it is trained
-NEAR = 0.2  # of the covariance: that about a pose that is recalled
-FIRM, LOOSE = 1e-2**2, 2.0  # h^2 = FIRM + LOOSE times the least mean square over handles' coordinates, square metres
+_LEAST = 1e-6  # of a variance; less is a number that never changes
+_CLOSE = 1e-2**2 / 4  # r, square metres: how near a handle has to come
+_ROUNDS = 8  # steps of descent
+_BEFORE = 2  # of them before the network; the rest is behind it, and left out while it is trained
+_THIN = 2  # every so many-th pose is recalled while it is trained
+_NEAR = 0.2  # of the covariance: that about a pose that is recalled
+_FIRM, _LOOSE = 1e-2**2, 2.0  # h^2 = FIRM + LOOSE times the least mean square over handles' coordinates, square metres
 
 
 class Linear(nn.Module):
@@ -66,9 +66,9 @@ class Linear(nn.Module):
         centred = joints - joints.mean(0)
         power, basis = torch.linalg.eigh(x.mT @ x / len(x))
         coordinates = x @ basis
-        slope = (centred.mT @ coordinates / len(x)) / power.clamp(min=LEAST)
+        slope = (centred.mT @ coordinates / len(x)) / power.clamp(min=_LEAST)
         rest = centred - coordinates @ slope.mT
-        found = (basis, power.clamp(min=LEAST), slope, rest.mT @ rest / len(x), joints.mean(0))
+        found = (basis, power.clamp(min=_LEAST), slope, rest.mT @ rest / len(x), joints.mean(0))
         for buffer, value in zip((self.basis, self.power, self.slope, self.rest, self.middle), found, strict=True):
             buffer.copy_(value)
 
@@ -92,14 +92,14 @@ class Linear(nn.Module):
     ) -> Tensor:
         """Estimate (B, 1, D) of x_0 from x_t (B, 1, D), steps (B,) and handles (B, 1, 22, 4), as for the network.
         own (B,): motions that must not be recalled, in training those that the poses were cut from. rounds: steps of
-        descent, ``ROUNDS`` unless said."""
-        rounds = ROUNDS if rounds is None else rounds
+        descent, ``_ROUNDS`` unless said."""
+        rounds = _ROUNDS if rounds is None else rounds
         if x.ndim != 3 or x.shape[1] != 1:
             raise ShapeError(f"x: expected single poses (B, 1, {self.layout.size}), got {tuple(x.shape)}")
         a = self.alpha_bar[stamps][:, None].to(x)
         power, recalled, at = self.power, 0.0, x[:, 0] @ self.basis
         if self.recalls:
-            power = NEAR * power
+            power = _NEAR * power
             recalled = self._recalled(at, a, power, handles, own)
         s = a * power + 1 - a
         mean, variance = (a.sqrt() * power * at + (1 - a) * recalled) / s, (1 - a) * power / s
@@ -107,16 +107,16 @@ class Linear(nn.Module):
         if handles is not None:
             told = {"handles": handles}
         if held is not None:
-            mean = self._down(self._moved(mean, variance, *held), mean, variance, held, min(BEFORE, rounds))
+            mean = self._down(self._moved(mean, variance, *held), mean, variance, held, min(_BEFORE, rounds))
         said = self.network((mean @ self.basis.mT)[:, None], stamps, **told)[:, 0]
         made = mean + variance.sqrt() * said
         if held is not None and not self.training:
-            made = self._down(made, made, variance, held, rounds - BEFORE)
+            made = self._down(made, made, variance, held, rounds - _BEFORE)
         return (made @ self.basis.mT)[:, None]
 
     def _recalled(self, at: Tensor, a: Tensor, power: Tensor, handles: Tensor | None, own: Tensor | None) -> Tensor:
         """Coordinates (B, D), the mean of the z_i by what x_t, of coordinates ``at`` (B, D), and the handles say."""
-        every = slice(None, None, THIN if self.training else 1)
+        every = slice(None, None, _THIN if self.training else 1)
         codes, joints, clips = self.codes[every].to(at), self.joints[every].to(at), self.clips[every]
         sharp = 1 / (a * power + 1 - a)
         odds = (a.sqrt() * at * sharp) @ codes.mT - (a * sharp) @ codes.square().mT / 2
@@ -128,7 +128,7 @@ class Linear(nn.Module):
             far = (goal.square().sum(-1, keepdim=True) - 2 * goal @ joints.mT + seen @ joints.square().mT).clamp(min=0)
             others = far if own is None else far.masked_fill(clips == own[:, None], torch.inf)
             near = others.amin(-1, keepdim=True).clamp(max=1.0) / seen.sum(-1, keepdim=True).clamp(min=1)
-            odds = odds - far / (2 * (FIRM + LOOSE * near))
+            odds = odds - far / (2 * (_FIRM + _LOOSE * near))
         return odds.softmax(-1).nan_to_num(0.0) @ codes
 
     def _joints(self, coordinates: Tensor) -> Tensor:
@@ -140,7 +140,7 @@ class Linear(nn.Module):
         """Coordinates (B, D) that know of handles (``_held``), were joints linear in them."""
         slope, rest = self.slope[places], self.rest[places[:, :, None], places[:, None]]
         eye = torch.eye(places.shape[1]).to(rest)
-        spread = (slope * variance[:, None]) @ slope.mT + rest + CLOSE * eye
+        spread = (slope * variance[:, None]) @ slope.mT + rest + _CLOSE * eye
         square = seen[:, :, None] * spread * seen[:, None] + torch.diag_embed(1 - seen)
         off = seen * (targets - self.middle[places] - (slope @ mean[..., None])[..., 0])
         weight = torch.cholesky_solve(off[..., None], torch.linalg.cholesky(square))
@@ -164,13 +164,13 @@ class Linear(nn.Module):
         with torch.enable_grad():
             here = at.clone().requires_grad_()
             joints = self._joints(here).gather(1, places)
-            (pull,) = torch.autograd.grad((seen * (targets - joints)).square().sum() / (2 * CLOSE), here)
+            (pull,) = torch.autograd.grad((seen * (targets - joints)).square().sum() / (2 * _CLOSE), here)
         with torch.no_grad():
             down = -(variance * pull + gone)
             small = 1e-2 / down.abs().amax(-1, keepdim=True).clamp(min=1e-6)
             change = seen * (self._joints(at + small * down).gather(1, places) - joints) / small
             square = (down.square() / variance).sum(-1)
-            return down * (square / (square + change.square().sum(-1) / CLOSE).clamp(min=1e-9))[:, None]
+            return down * (square / (square + change.square().sum(-1) / _CLOSE).clamp(min=1e-9))[:, None]
 
 
 def _held(handles: Tensor) -> tuple[Tensor, Tensor, Tensor] | None:

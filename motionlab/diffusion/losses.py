@@ -3,8 +3,7 @@
 Source: thesis Eqs. 4.8 and 4.9; MDM (Tevet et al. 2022), the contacts of the truth; EDGE (Tseng et al. 2023), contacts
 that no gradient goes through; CondMDI (Cohan et al. 2024) and thesis 4.4.1, the known area; thesis 4.2.4, handles.
 Differs: ``simple`` and ``velocity`` are means over the numbers of a frame, of normalised numbers (MDM), where the
-thesis sums: 1 is a network that knows nothing. Positions are metres, not normalised values (EDGE).
-"""
+thesis sums: 1 is a network that knows nothing. Positions are metres, not normalised values (EDGE)."""
 
 from __future__ import annotations
 
@@ -15,16 +14,16 @@ import torch
 from torch import Tensor
 
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.schedule import Schedule
+from motionlab.diffusion.sampling import NoiseSchedule
 from motionlab.errors import check_shape
 
-GATES = ("predicted", "held", "truth")
-PARTS = ("simple", "fk", "velocity", "contact", "known", "handles")
-LATE = ("fk", "contact", "handles")
+_GATES = ("predicted", "held", "truth")
+_PARTS = ("simple", "fk", "velocity", "contact", "known", "handles")
+_LATE = ("fk", "contact", "handles")
 
 
 @dataclass(frozen=True)
-class Weights:
+class LossWeights:
     """How much each part counts; 0 switches it off, and it is not computed.
 
     fk: per square metre. contact: per square metre moved in a frame. known: only for a model that is told; one that
@@ -52,32 +51,32 @@ class Weights:
     snr: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.gate not in GATES:
-            raise ValueError(f"gate: expected one of {', '.join(GATES)}, got {self.gate!r}")
-        if not all(getattr(self, name) >= 0 for name in (*PARTS, "late", "snr")):
+        if self.gate not in _GATES:
+            raise ValueError(f"gate: expected one of {', '.join(_GATES)}, got {self.gate!r}")
+        if not all(getattr(self, name) >= 0 for name in (*_PARTS, "late", "snr")):
             raise ValueError("weights: expected numbers of 0 or more")
 
     def at(self, share: float, layout: Layout, told: bool = False) -> dict[str, float]:
         """The parts that count after a share (0 to 1) of the steps, with their weights."""
-        off = set() if share >= self.late else set(LATE)
+        off = set() if share >= self.late else set(_LATE)
         off |= (set() if layout.contacts else {"contact"}) | (set() if told else {"known"})
-        return {name: w for name in PARTS if (w := getattr(self, name)) > 0 and name not in off}
+        return {name: w for name in _PARTS if (w := getattr(self, name)) > 0 and name not in off}
 
-    def counts(self, schedule: Schedule) -> Tensor:
+    def counts(self, schedule: NoiseSchedule) -> Tensor:
         """What a window counts at each noising step (T,); 1 on average."""
         a = schedule.alpha_bar
         count = 1 + (a / (1 - a)).clamp(max=self.snr)
         return count / count.mean()
 
 
-def compare(
+def denoising_losses(
     estimate: Tensor,
     truth: Tensor,
     layout: Layout,
     normaliser: Normaliser,
     offsets: Tensor,
     *,
-    parts: Collection[str] = PARTS[:4],
+    parts: Collection[str] = _PARTS[:4],
     gate: str = "predicted",
     even: bool = False,
     known: Tensor | None = None,
@@ -117,7 +116,7 @@ def compare(
     if "known" in parts and known is not None:
         known = known.to(error).expand_as(error)
         found["known"] = (known * squared).sum() / known.sum().clamp(min=1.0)
-    if not set(parts) & set(LATE):
+    if not set(parts) & set(_LATE):
         return found
     skeleton, rows = replace(layout.skeleton, offsets=offsets[:, None]), normaliser.undo(estimate)
     joints = layout.decode(rows, 1.0, skeleton).positions

@@ -1,6 +1,13 @@
-"""Which parts of a window are known, at random: the questions that a model is trained on that is told what is known.
+"""What a model is told: masks of known parts of a window, and handles, joints of a pose that should be at a place.
 
-Source: CondMDI (Cohan et al. 2024), random frames x random joints; the test cases of thesis 4.2.1.
+Masks are the questions that a model is trained on that is told what is known. Targets of handles (..., 22, 3) are
+metres in the pose's own stuck frame: above the origin, facing +y. So where a character stands and which way it faces
+is given, as a rig's root is to an animator; how high its pelvis is and how it leans is not.
+
+Source: CondMDI (Cohan et al. 2024), random frames x random joints; the test cases of thesis 4.2.1; thesis 4.2.4, a
+subset of joints that an animator fixes.
+Differs: asked of a handle is its place, where the thesis keeps what the state holds of it, a rotation
+(``completion.keep`` does that).
 """
 
 from __future__ import annotations
@@ -11,10 +18,44 @@ import torch
 from torch import Tensor
 
 from motionlab.diffusion.features import Layout
+from motionlab.errors import ShapeError, check_shape
+from motionlab.motion import Motion, stuck_root
+from motionlab.skeleton import STANDARD
 
-#: How often each kind is drawn.
-KINDS = {"nothing": 0.15, "frames": 0.05, "gap": 0.25, "joints": 0.2, "entries": 0.05, "legs": 0.3}
+_MOST = 8  # handles of a pose in training, at most
+_NONE, _USUAL = 0.1, 0.45  # how often training draws no handle, and some of ``_EFFECTORS``; else of all joints
+#: What people hold a figure by.
+_EFFECTORS = (
+    "pelvis", "head", "left_wrist", "right_wrist", "left_ankle", "right_ankle", "left_foot", "right_foot",
+)  # fmt: skip
+#: How often training draws each kind of mask.
+_KINDS = {"nothing": 0.15, "frames": 0.05, "gap": 0.25, "joints": 0.2, "entries": 0.05, "legs": 0.3}
 LEGS = ("hip", "knee", "ankle", "foot")
+
+
+def told(targets: Tensor, which: Tensor) -> Tensor:
+    """What the denoiser hears (..., 22, 4): the targets (..., 22, 3) of handles (..., 22), and a one for each."""
+    check_shape(targets, f"... {len(STANDARD)} 3", "targets")
+    if which.shape != targets.shape[:-1]:
+        raise ShapeError(f"which: expected {tuple(targets.shape[:-1])}, got {tuple(which.shape)}")
+    which = which.bool()[..., None]
+    return torch.cat((torch.where(which, targets, 0.0), which.to(targets)), -1)
+
+
+def draw_handles(motion: Motion, generator: torch.Generator) -> Tensor:
+    """(B, T, 22, 4): for every window (B, T) handles at random, the same in all its frames, where its joints are.
+
+    None, some of ``_EFFECTORS`` or some of all joints, up to ``_MOST``, evenly in number.
+    """
+    count, joints = len(motion.root), len(motion.skeleton)
+    kind = torch.rand(count, 1, generator=generator)
+    last = torch.ones(joints)
+    last[motion.skeleton.indices(list(_EFFECTORS))] = 0.0
+    order = torch.rand(count, joints, generator=generator) + last * (kind < _USUAL)
+    number = torch.randint(1, _MOST + 1, (count, 1), generator=generator)
+    which = (order.argsort(-1).argsort(-1) < number) & (kind < 1 - _NONE)
+    targets = stuck_root(motion)[0].positions
+    return told(targets, which[:, None].expand(targets.shape[:-1]))
 
 
 def units(layout: Layout) -> Tensor:
@@ -27,7 +68,7 @@ def units(layout: Layout) -> Tensor:
 
 
 def draw(
-    layout: Layout, frames: int, count: int, generator: torch.Generator, kinds: Mapping[str, float] = KINDS
+    layout: Layout, frames: int, count: int, generator: torch.Generator, kinds: Mapping[str, float] = _KINDS
 ) -> Tensor:
     """Masks (count, frames, D), bool, True where known; each window's kind is drawn by its odds.
 

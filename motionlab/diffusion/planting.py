@@ -1,15 +1,22 @@
-"""A finish for feet: where the ball of a foot or an ankle is said to stand, or is low and slow, it stands.
+"""Two finishes by inverse kinematics: feet that stand stay in place, and handles come to their targets.
 
-Every run of such frames gets one place, the mean of where the ball was in it. In between, the shift of the ball goes in
-a line from one run to the next. The ankle stays at its own mean as far as the foot's length lets it; what it needs
-besides the shift fades at its run's ends. Where the leg is too short the heel lifts, the ball stays. Hip and knee bend
-by two-bone inverse kinematics.
-Source: Kovar et al. 2002, "Footskate cleanup for motion capture editing". Differs: runs get their mean place, the root
-never moves, and a ball out of reach of leg and foot is approached, not reached.
+Feet (:func:`planted`): where the ball of a foot or an ankle is said to stand, or is low and slow, it stands. Every run
+of such frames gets one place, the mean of where the ball was in it. In between, the shift of the ball goes in a line
+from one run to the next. The ankle stays at its own mean as far as the foot's length lets it; what it needs besides the
+shift fades at its run's ends. Where the leg is too short the heel lifts, the ball stays. Hip and knee bend by two-bone
+inverse kinematics.
+
+Handles (:func:`reach_targets`): a few Gauss-Newton steps that change a pose as little as they can.
+
+Source: Kovar et al. 2002, "Footskate cleanup for motion capture editing"; damped least squares (Wampler 1986; Nakamura
+and Hanafusa 1986), the finish that thesis 4.2.4 leaves to others.
+Differs: runs get their mean place, the root never moves, and a ball out of reach of leg and foot is approached, not
+reached.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -18,18 +25,20 @@ from torch.nn.functional import max_pool1d, normalize, one_hot, pad
 
 from motionlab import rotation
 from motionlab.contact import contacts_from_positions, resting_heights
-from motionlab.diffusion.between import between
+from motionlab.diffusion.start import lines_between
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
-from motionlab.retarget.legs import reach
+from motionlab.retarget import two_bone_ik
 from motionlab.skeleton import ANKLES, BALLS
 
-STANDS = 0.5  # of a contact: more is one
-LOW = 0.2  # metres above where a joint rests: lower and slow, it stands, too
-SLOW = {ANKLES: (0.25, 0.5), BALLS: (0.35, 0.7)}  # m/s, strict and loose (``contact.hysteresis``)
-FADE = 4  # frames beside a run in which a foot turns to lie flat
-STRETCHED = 0.998  # of a straight leg: longer is out of reach, unless it was
-HIPS, KNEES = ("left_hip", "right_hip"), ("left_knee", "right_knee")
+_STANDS = 0.5  # of a contact: more is one
+_LOW = 0.2  # metres above where a joint rests: lower and slow, it stands, too
+_SLOW = {ANKLES: (0.25, 0.5), BALLS: (0.35, 0.7)}  # m/s, strict and loose (``contact.contacts_from_positions``)
+_FADE = 4  # frames beside a run in which a foot turns to lie flat
+_STRETCHED = 0.998  # of a straight leg: longer is out of reach, unless it was
+_FARTHEST = 0.5  # radians that a joint turns in one step towards its target, at most
+_DAMPING = 1e-4  # square metres per square radian, the least
+_HIPS, _KNEES = ("left_hip", "right_hip"), ("left_knee", "right_knee")
 
 
 def planted(motion: Motion, *, slow: bool = True) -> Motion:
@@ -46,15 +55,15 @@ def planted(motion: Motion, *, slow: bool = True) -> Motion:
     if motion.contacts is None:
         raise DataError("no contacts", place=motion.name, remedy="contact.with_contacts labels a motion")
     skeleton = motion.skeleton
-    hip, ankle, ball = (motion.positions[..., skeleton.indices(names), :] for names in (HIPS, ANKLES, BALLS))
+    hip, ankle, ball = (motion.positions[..., skeleton.indices(names), :] for names in (_HIPS, ANKLES, BALLS))
     heel_down, ball_down = (_stands(motion, names, slow) for names in (ANKLES, BALLS))
     shift = _lines(_place(ball, ball_down) - ball, ball_down)
     flat = torch.where(heel_down[..., None], _place(ankle, heel_down) - ankle - shift, 0.0)
     flat = _lines(flat, heel_down | ~_near(heel_down))
-    thigh, shin, foot = (skeleton.offsets[skeleton.indices(names)].norm(dim=-1) for names in (KNEES, ANKLES, BALLS))
+    thigh, shin, foot = (skeleton.offsets[skeleton.indices(names)].norm(dim=-1) for names in (_KNEES, ANKLES, BALLS))
     there = ball + shift
     heel = there + foot[:, None] * normalize(ankle + shift + flat - there, dim=-1)
-    longest = torch.maximum(STRETCHED * (thigh + shin), (ankle - hip).norm(dim=-1))
+    longest = torch.maximum(_STRETCHED * (thigh + shin), (ankle - hip).norm(dim=-1))
     heel = _within(heel, there, foot[:, None], hip, longest[..., None])
     return _turned(motion, heel, there)
 
@@ -62,11 +71,11 @@ def planted(motion: Motion, *, slow: bool = True) -> Motion:
 def _stands(motion: Motion, names: tuple[str, ...], slow: bool = True) -> Tensor:
     skeleton, points = motion.skeleton, motion.positions[..., motion.skeleton.indices(names), :]
     columns = [skeleton.contact_names.index(name) for name in names]
-    says = motion.contacts[..., columns] > STANDS
+    says = motion.contacts[..., columns] > _STANDS
     if not slow:
         return says
     rest = resting_heights(skeleton)[columns]
-    return says | (contacts_from_positions(points, motion.fps, rest, height=(LOW, LOW), speed=SLOW[names]) > 0)
+    return says | (contacts_from_positions(points, motion.fps, rest, height=(_LOW, _LOW), speed=_SLOW[names]) > 0)
 
 
 def _place(points: Tensor, stands: Tensor) -> Tensor:
@@ -78,14 +87,14 @@ def _place(points: Tensor, stands: Tensor) -> Tensor:
 
 
 def _lines(shift: Tensor, known: Tensor) -> Tensor:
-    """``between`` of (B, T, F, 3), known (B, T, F)."""
+    """``lines_between`` of (B, T, F, 3), known (B, T, F)."""
     known = known[..., None].expand_as(shift)
-    return between(shift.flatten(-2), known.flatten(-2)).unflatten(-1, shift.shape[-2:])
+    return lines_between(shift.flatten(-2), known.flatten(-2)).unflatten(-1, shift.shape[-2:])
 
 
 def _near(stands: Tensor) -> Tensor:
-    """(B, T, F): up to ``FADE`` frames from where it stands."""
-    return max_pool1d(stands.mT.float(), 2 * FADE + 1, 1, FADE).mT > 0
+    """(B, T, F): up to ``_FADE`` frames from where it stands."""
+    return max_pool1d(stands.mT.float(), 2 * _FADE + 1, 1, _FADE).mT > 0
 
 
 def _within(heel: Tensor, ball: Tensor, foot: Tensor, hip: Tensor, leg: Tensor) -> Tensor:
@@ -105,10 +114,88 @@ def _turned(motion: Motion, heel: Tensor, ball: Tensor) -> Motion:
     """The motion with ankles at ``heel`` and feet that point to ``ball`` (B, T, 2, 3), as far as legs reach."""
     skeleton, size = motion.skeleton, motion.root.shape[:2]
     every = Motion(skeleton, motion.root.flatten(0, 1), motion.rot.flatten(0, 1), motion.fps)  # frames are alone
-    made = reach(every, heel.flatten(0, 1))
-    knees, ankles, balls = (skeleton.indices(names) for names in (KNEES, ANKLES, BALLS))
+    made = two_bone_ik(every, heel.flatten(0, 1))
+    knees, ankles, balls = (skeleton.indices(names) for names in (_KNEES, ANKLES, BALLS))
     before = every.positions[:, balls] - every.positions[:, ankles]
-    turn = rotation.between(before, ball.flatten(0, 1) - made.positions[:, ankles])
+    turn = rotation.rotation_between(before, ball.flatten(0, 1) - made.positions[:, ankles])
     rot = made.rot.clone()
     rot[:, ankles] = made.world[1][:, knees].mT @ turn @ every.world[1][:, ankles]
     return replace(motion, rot=rot.unflatten(0, size))
+
+
+def reach_targets(
+    motion: Motion,
+    names: Sequence[str],
+    targets: Tensor,
+    *,
+    steps: int = 10,
+) -> Motion:
+    """The motion with its handles at their targets, every frame for itself.
+
+    With J the change of the handles' positions by small turns of all joints about world axes (and by shifts of the
+    root), each step is J^T (J J^T + damping)^-1 of what is missing: of all steps that close the gap the smallest. A
+    frame that a step would make worse stays and is damped more (Levenberg-Marquardt). Out of reach, it ends near.
+
+    Args:
+        names: of K handle joints. targets: (..., T, K, 3) metres, world; NaN where a handle is free.
+
+    Raises:
+        DataError: a motion that is not finite. KeyError: no such joint. ShapeError: targets of another shape.
+    """
+    handles = motion.skeleton.indices(list(names))
+    if targets.shape != (*motion.root.shape[:-1], len(handles), 3):
+        raise ShapeError(f"targets: expected {(*motion.root.shape[:-1], len(handles), 3)}, got {tuple(targets.shape)}")
+    if not (motion.root.isfinite().all() and motion.rot.isfinite().all()):
+        raise DataError("numbers that are not finite", place=motion.name, remedy="leave those frames out")
+    known = targets.isfinite().all(-1)
+    above = _above(motion.skeleton, handles).to(motion.root)
+    weight = torch.full_like(motion.root[..., 0], _DAMPING)
+    missing = _missing(motion, handles, targets, known)
+    for _ in range(steps):
+        tried = _stepped(motion, handles, above, missing, known, weight)
+        left = _missing(tried, handles, targets, known)
+        better = left.square().sum((-1, -2)) < missing.square().sum((-1, -2))
+        weight = torch.where(better, weight / 3, weight * 10).clamp(min=_DAMPING)
+        motion = replace(
+            motion,
+            root=torch.where(better[..., None], tried.root, motion.root),
+            rot=torch.where(better[..., None, None, None], tried.rot, motion.rot),
+        )
+        missing = torch.where(better[..., None, None], left, missing)
+    return motion
+
+
+def _missing(motion: Motion, handles: Sequence[int], targets: Tensor, known: Tensor) -> Tensor:
+    """(..., T, K, 3): the way from every known handle to its target."""
+    return torch.where(known[..., None], targets - motion.positions[..., handles, :], 0.0)
+
+
+def _stepped(motion, handles, above, missing, known, weight) -> Motion:
+    positions, turns = motion.world
+    jacobian = _jacobian(positions, handles, above) * known[..., None, None, None]
+    shift = torch.eye(3).to(positions).expand(*known.shape, 1, 3, 3) * known[..., None, None, None]
+    jacobian = torch.cat((jacobian, shift), -3)
+    rows = jacobian.movedim(-2, -3).flatten(-4, -3).flatten(-2)  # (..., 3 K, 3 J)
+    square = rows @ rows.mT + weight[..., None, None] * torch.eye(rows.shape[-2]).to(rows)
+    step = (rows.mT @ torch.linalg.solve(square, missing.flatten(-2)[..., None]))[..., 0].unflatten(-1, (-1, 3))
+    turn, shift = step[..., :-1, :], step[..., -1, :]
+    turn = turn * (_FARTHEST / turn.norm(dim=-1, keepdim=True).clamp(min=_FARTHEST))
+    parents = torch.cat((torch.eye(3).to(turns).expand_as(turns[..., :1, :, :]), turns), -3)
+    parent = parents[..., [p + 1 for p in motion.skeleton.parents], :, :]
+    local = rotation.exp((parent.mT @ turn[..., None])[..., 0])
+    return replace(motion, root=motion.root + shift, rot=local @ motion.rot)
+
+
+def _above(skeleton, handles: Sequence[int]) -> Tensor:
+    """(K, J): 1 where a joint's turn moves a handle: the joints above it."""
+    found = torch.zeros(len(handles), len(skeleton))
+    for row, joint in enumerate(handles):
+        while (joint := skeleton.parents[joint]) >= 0:
+            found[row, joint] = 1
+    return found
+
+
+def _jacobian(positions: Tensor, handles: Sequence[int], above: Tensor) -> Tensor:
+    """(..., K, J, 3, 3): handle's velocity by a turn of joint j about the world's axes, -skew(p_handle - p_j)."""
+    lever = positions[..., handles, None, :] - positions[..., None, :, :]
+    return -rotation.skew(lever) * above[..., None, None]

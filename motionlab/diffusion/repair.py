@@ -1,27 +1,33 @@
-"""Motions whose unknown parts a diffusion model fills in: every way of putting the known part back, by one call.
+"""Motions whose unknown parts a diffusion model fills in, and every way of putting the known part back.
 
-Source: thesis 4.1.2 (Eq. 4.10), 4.2, 4.4.1; SDEdit (Meng et al. 2022), to begin from a guess.
-The ways themselves: ``inpainting`` and ``sampling``.
+x (B, T, D) in normalised numbers; known (B, T, D); m (B, T, D) or (T, D): 1 where known (the thesis's 1 - m).
+:func:`repair` takes motions, :func:`fill` numbers, and :class:`Way` says how the known part comes in.
+
+Source: thesis 4.1.2, Eq. 4.10 (RePaint, EDGE: the known part noised to x_{t-1}), 4.2, 4.4.1; MDM (x_0 imputed); RePaint
+(Lugmayr et al. 2022), resampling; Ho et al. 2022, reconstruction guidance, with CondMDI's weight; SDEdit (Meng et al.
+2022), to begin from a guess.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from motionlab.baselines import nearest_known
 from motionlab.contact import with_contacts
-from motionlab.diffusion import inpainting, sampling
-from motionlab.diffusion.sampling import Denoiser
-from motionlab.diffusion.trained import Trained
+from motionlab.diffusion import sampling
+from motionlab.diffusion.model import Trained
+from motionlab.diffusion.sampling import DenoiseFunction, NoiseSchedule, noise_like
 from motionlab.errors import ShapeError
-from motionlab.frames import local_to_world, stuck_root, world_to_local
-from motionlab.motion import Motion
+from motionlab.motion import Motion, local_to_world, stuck_root, world_to_local
 
-PUTS = ("overwrite", "imputed", "nothing")
-SAMPLERS = ("ddpm", "ddim")
+_PUTS = ("overwrite", "imputed", "nothing")
+_SAMPLERS = ("ddpm", "ddim")
+
+_Step = Callable[[Tensor, Tensor, int], Tensor]
 
 
 @dataclass(frozen=True)
@@ -31,9 +37,8 @@ class Way:
     put: "overwrite" (Eq. 4.10), "imputed" (MDM), or "nothing", where only a model that is told, or guidance, knows it.
     steps, sampler: of the respaced process. last: overwrite (or impute) also in the last step, as the thesis does.
     weight: of reconstruction guidance; 0: none. begin: at which share of the steps to begin from a guess; 1 without
-    one: from noise. times, jump: of RePaint's resampling; times 1: none. soft: frames over
-    which the mask's edges rise. finish: frames over which ``inpainting.offset_decay`` fades; 0: no finish, known parts
-    stay as the sampler left them.
+    one: from noise. times, jump: of RePaint's resampling; times 1: none. soft: frames over which the mask's edges rise.
+    finish: frames over which ``offset_decay`` fades; 0: no finish, known parts stay as the sampler left them.
     """
 
     put: str = "overwrite"
@@ -48,7 +53,7 @@ class Way:
     finish: int = 0
 
     def __post_init__(self) -> None:
-        for name, allowed in (("put", PUTS), ("sampler", SAMPLERS)):
+        for name, allowed in (("put", _PUTS), ("sampler", _SAMPLERS)):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name}: expected one of {', '.join(allowed)}, got {getattr(self, name)!r}")
         if self.times > 1 and self.put != "overwrite":
@@ -71,22 +76,20 @@ def fill(
         raise ShapeError(f"known: expected {tuple(x0.shape[-2:])} or {tuple(x0.shape)}, got {tuple(known.shape)}")
     seen = torch.where(known, x0, 0.0)
     schedule = model.schedule.respaced(min(way.steps, len(model.schedule)))
-    m = inpainting.soft(known, way.soft) if way.soft else known.to(x0)
+    m = _soft(known, way.soft) if way.soft else known.to(x0)
     if way.soft:  # where the mask is soft the nearest known value stands in
         seen = _held(seen, known)
-    denoise: Denoiser = model.denoiser
+    denoise: DenoiseFunction = model.denoiser
     if model.recipe.told:
         denoise = lambda x, stamps: model.denoiser(x, stamps, seen, known.expand_as(x))  # noqa: E731
     alone = denoise
     if way.weight:
-        denoise = inpainting.guided(denoise, schedule, seen, m, way.weight)
+        denoise = _guided(denoise, schedule, seen, m, way.weight)
     elif way.put == "imputed":
-        denoise = inpainting.imputed(denoise, seen, m)
+        denoise = _imputed(denoise, seen, m)
     if denoise is not alone and not way.last:
-        denoise = inpainting.until_last(denoise, alone, int(schedule.stamps[0]))
-    after = None
-    if way.put == "overwrite":
-        after = inpainting.overwrite(schedule, seen, m, generator, last=way.last)
+        denoise = _until_last(denoise, alone, int(schedule.stamps[0]))
+    after = _overwrite(schedule, seen, m, generator, last=way.last) if way.put == "overwrite" else None
     x, begin = sampling.noise_like(x0, generator), round(way.begin * (len(schedule) - 1))
     if guess is not None:
         x = schedule.noised(torch.where(known, x0, guess), begin, x)
@@ -96,7 +99,7 @@ def fill(
         x = sampling.ddpm(denoise, schedule, x, generator, after=after, start=begin)
     else:
         x = sampling.ddim(denoise, schedule, x, after=after)
-    return inpainting.offset_decay(x, seen, known, way.finish) if way.finish else x
+    return offset_decay(x, seen, known, way.finish) if way.finish else x
 
 
 def repair(
@@ -111,10 +114,9 @@ def repair(
 ) -> Motion:
     """Motions (B, T) with their unknown parts made anew, where they were in the world.
 
-    guess: of the whole motions, for ways that begin with one, in the world.
-
-    known: bool (B, T, D) or (T, D), True where known, as ``model.layout.mask`` makes it. A stuck layout takes the place
-    and heading of the first frame as given, known or not. Contacts that a motion lacks are labelled.
+    guess: of the whole motions, for ways that begin with one, in the world. known: bool (B, T, D) or (T, D), True where
+    known, as ``model.layout.mask`` makes it. A stuck layout takes the place and heading of the first frame as given,
+    known or not. Contacts that a motion lacks are labelled.
     """
     if model.layout.contacts and motion.contacts is None:
         motion = with_contacts(motion)
@@ -127,23 +129,110 @@ def repair(
         guessed = model.encode_local(inside)
     parts = [
         fill(model, x0[at], whole[at], generator, way, None if guess is None else guessed[at])
-        for at in _batches(len(x0), batch)
+        for at in (slice(i, i + batch) for i in range(0, len(x0), batch))
     ]
     made = model.decode(torch.cat(parts), local.skeleton)
     made = replace(made, contacts=made.contacts, name=motion.name)
     return local_to_world(frame, made) if stuck else made
 
 
-def _batches(count: int, size: int) -> Iterator[slice]:
-    return (slice(at, at + size) for at in range(0, count, size))
+def _overwrite(
+    schedule: NoiseSchedule, known: Tensor, m: Tensor, generator: torch.Generator, *, last: bool = True
+) -> _Step:
+    """Eq. 4.10: behind every step the known part is replaced by itself, noised to that step.
+
+    last: also behind the last step, where it is not noised any more: exact, and the cause of the seam. m may be soft.
+    """
+    m = m.to(known)
+
+    def after(x: Tensor, x0: Tensor, t: int) -> Tensor:
+        if t == 0 and not last:
+            return x
+        return (1 - m) * x + m * schedule.noised(known, t - 1, noise_like(known, generator))
+
+    return after
+
+
+def _imputed(denoise: DenoiseFunction, known: Tensor, m: Tensor) -> DenoiseFunction:
+    """MDM's way: the estimate of x_0 gets the known part, and the sampler goes on from that."""
+    m = m.to(known)
+    return lambda x, stamps: (1 - m) * denoise(x, stamps) + m * known
+
+
+def _until_last(inner: DenoiseFunction, denoise: DenoiseFunction, last: int) -> DenoiseFunction:
+    """``inner``, but ``denoise`` alone at the step that is told ``last``, so that the network has the last word.
+
+    Source: CondMDI, ``--stop_imputation_at 1``.
+    """
+    return lambda x, stamps: (denoise if int(stamps[0]) == last else inner)(x, stamps)
+
+
+def _guided(
+    denoise: DenoiseFunction, schedule: NoiseSchedule, known: Tensor, m: Tensor, weight: float
+) -> DenoiseFunction:
+    """Known parts imputed; the rest of the x_0 estimate less weight sqrt(alpha_bar) / 2 times the gradient in x_t of
+    |m (x_0 estimate - known)|^2, so that it moves to where the network's own estimate agrees with what is known."""
+    m = m.to(known)
+    level = dict(zip(schedule.stamps.tolist(), schedule.alpha_bar.tolist(), strict=True))
+
+    def better(x: Tensor, stamps: Tensor) -> Tensor:
+        with torch.enable_grad():
+            at = x.detach().requires_grad_()
+            x0 = denoise(at, stamps)
+            (slope,) = torch.autograd.grad((m * (x0 - known)).square().sum(), at)
+        a = x.new_tensor([level[int(t)] for t in stamps]).reshape(-1, *(1,) * (x.ndim - 1))
+        return (1 - m) * (x0.detach() - weight * a.sqrt() / 2 * slope) + m * known
+
+    return better
+
+
+def _soft(m: Tensor, frames: int) -> Tensor:
+    """A mask (..., T, D) whose edges in time rise over ``frames`` frames outside what is known: 1, ..., 1/(n+1), 0."""
+    best = m.float()
+    for k in range(1, frames + 1):
+        value = 1 - k / (frames + 1)
+        for way in (k, -k):
+            moved = torch.roll(m.float(), way, -2)
+            moved[..., (slice(0, way) if way > 0 else slice(way, None)), :] = 0
+            best = torch.maximum(best, value * moved)
+    return best
+
+
+def offset_decay(x: Tensor, known: Tensor, m: Tensor, frames: int) -> Tensor:
+    """x (B, T, D) with its known parts exact, and the offset that this takes faded out over ``frames`` frames beside
+    them: no jump in value and none in velocity, at either end of the fade.
+
+    With e and v the offset of the nearest known frame and its change per frame, u the share of the fade that has passed
+    and n its frames (no more than a gap has): x + e (2u^3 - 3u^2 + 1) + v n (u^3 - 2u^2 + u), from both sides of a gap.
+
+    Source: inertialisation (Bollo 2018). Differs: a cubic, with no acceleration to match.
+    """
+    sure = (m >= 1).expand_as(x)
+    offset = torch.where(sure, known - x, 0.0)
+    left = _faded(offset, sure, frames)
+    right = _faded(offset.flip(-2), sure.flip(-2), frames).flip(-2)
+    return torch.where(sure, known, x + left + right)
+
+
+def _faded(offset: Tensor, sure: Tensor, frames: int) -> Tensor:
+    """What the known frame before each number adds to it (B, T, D); nothing where none is before."""
+    count = offset.shape[-2]
+    time = torch.arange(count, device=offset.device)[:, None].expand(offset.shape[-2:])
+    before, after = (at.mT for at in nearest_known(sure.mT))
+    any_before = (before <= time) & sure.any(-2, keepdim=True)
+    earlier = (before - 1).clamp(min=0)
+    e = offset.gather(-2, before)
+    v = torch.where(sure.gather(-2, earlier) & (before > 0), e - offset.gather(-2, earlier), 0.0)
+    n = torch.where(after >= time, (after - before).clamp(max=frames), frames).to(offset)
+    u = ((time - before) / n).clamp(0, 1)
+    faded = e * (2 * u**3 - 3 * u**2 + 1) + v * n * (u**3 - 2 * u**2 + u)
+    return torch.where(any_before & ~sure, faded, 0.0)
 
 
 def _held(x: Tensor, known: Tensor) -> Tensor:
     """Each unknown number takes the value of the known one nearest in time; 0 where its column knows none."""
     known = known.expand_as(x)
     time = torch.arange(x.shape[-2])[:, None].expand_as(x)
-    far = 10 * x.shape[-2]
-    before = torch.where(known, time, -far).cummax(-2).values
-    after = torch.where(known, time, far).flip(-2).cummin(-2).values.flip(-2)
-    nearest = torch.where(time - before <= after - time, before, after).clamp(0, x.shape[-2] - 1)
+    before, after = (at.mT for at in nearest_known(known.mT))
+    nearest = torch.where(time - before <= after - time, before, after)
     return torch.where(known.any(-2, keepdim=True), x.gather(-2, nearest), 0.0)

@@ -1,25 +1,121 @@
-"""From noise to signal: DDPM steps, DDIM steps, and every scheduler of diffusers.
+"""The noising process, and from noise back to signal: DDPM steps, DDIM steps, RePaint.
+
+Noising steps are counted from 0: step t has been noised t + 1 times, the thesis's t + 1. All tables are float64.
 
 A denoiser is any function (x_t (B, ...), stamps (B,)) -> x_0 estimate (B, ...). ``after`` is called as
-after(x_{t-1}, x_0 estimate, t) -> x_{t-1} behind every step, which is where known parts are put back (``inpainting``).
+after(x_{t-1}, x_0 estimate, t) -> x_{t-1} behind every step, which is where known parts are put back (``repair``).
 
-Source: thesis Eq. 4.6; Ho et al. 2020; Song et al. 2021 (DDIM).
+Source: thesis Eqs. 4.1-4.7; Ho et al. 2020; Nichol and Dhariwal 2021; Song et al. 2021 (DDIM).
 """
 
 from __future__ import annotations
 
-import warnings
+import math
 from collections.abc import Callable
-from inspect import signature
+from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from motionlab.diffusion.schedule import Schedule
+from motionlab.errors import ShapeError, check_shape
 
-Denoiser = Callable[[Tensor, Tensor], Tensor]
+DenoiseFunction = Callable[[Tensor, Tensor], Tensor]
 After = Callable[[Tensor, Tensor, int], Tensor]
+
+
+MOST = 0.999  # of the variance that one step may replace
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseSchedule:
+    """alpha_bar (T,): share of the signal's variance left at each step, falling. stamps (T,): the step numbers that a
+    denoiser is told, those of the schedule it was trained on.
+
+    Raises:
+        ShapeError: the tables differ in length, or alpha_bar does not fall from below 1 to above 0.
+    """
+
+    alpha_bar: Tensor
+    stamps: Tensor
+
+    def __post_init__(self) -> None:
+        check_shape(self.alpha_bar, "T", "alpha_bar")
+        check_shape(self.stamps, f"{len(self.alpha_bar)}", "stamps")
+        if not ((self.alpha_bar > 0) & (self.alpha_bar < 1)).all() or (self.alpha_bar.diff() >= 0).any():
+            raise ShapeError("alpha_bar: expected numbers that fall from below 1 to above 0")
+
+    def __len__(self) -> int:
+        return len(self.alpha_bar)
+
+    @cached_property
+    def before(self) -> Tensor:
+        """alpha_bar (T,) one step earlier; 1 before the first."""
+        return torch.cat((self.alpha_bar.new_ones(1), self.alpha_bar[:-1]))
+
+    @cached_property
+    def alpha(self) -> Tensor:
+        """(T,): share of the variance that a step leaves."""
+        return self.alpha_bar / self.before
+
+    @cached_property
+    def beta(self) -> Tensor:
+        """(T,): variance that a step adds, Eq. 4.1."""
+        return 1 - self.alpha
+
+    def respaced(self, count: int) -> NoiseSchedule:
+        """The same process in fewer steps: evenly spaced from the first to the last, each with its old stamp.
+
+        Source: Nichol and Dhariwal 2021, ``space_timesteps``.
+        """
+        if not 1 <= count <= len(self):
+            raise ValueError(f"count: expected 1 to {len(self)} steps, got {count}")
+        last = len(self) - 1
+        keep = torch.tensor([round(i * last / (count - 1)) for i in range(count)] if count > 1 else [last])
+        return NoiseSchedule(self.alpha_bar[keep], self.stamps[keep])
+
+    def noised(self, x0: Tensor, t: Tensor | int, noise: Tensor) -> Tensor:
+        """x_t = sqrt(alpha_bar_t) x_0 + sqrt(1 - alpha_bar_t) noise, Eq. 4.3.
+
+        Args:
+            x0, noise: (B, ...) of any unit. t: (B,) or one step for all; -1 is the clean signal.
+        """
+        a = self._at(torch.cat((self.alpha_bar, self.alpha_bar.new_ones(1))), t, x0)
+        return a.sqrt() * x0 + (1 - a).sqrt() * noise
+
+    def posterior(self, x0: Tensor, xt: Tensor, t: Tensor | int) -> tuple[Tensor, Tensor]:
+        """Mean (B, ...) and variance (broadcasting) of q(x_{t-1} | x_t, x_0), Eqs. 4.6 and 4.7."""
+        scale = 1 / (1 - self.alpha_bar)
+        towards = self._at(self.before.sqrt() * self.beta * scale, t, xt)
+        stay = self._at(self.alpha.sqrt() * (1 - self.before) * scale, t, xt)
+        return towards * x0 + stay * xt, self._at((1 - self.before) * self.beta * scale, t, xt)
+
+    def noise_of(self, x0: Tensor, xt: Tensor, t: Tensor | int) -> Tensor:
+        """The noise (B, ...) that turned x_0 into x_t."""
+        a = self._at(self.alpha_bar, t, xt)
+        return (xt - a.sqrt() * x0) / (1 - a).sqrt()
+
+    def _at(self, table: Tensor, t: Tensor | int, like: Tensor) -> Tensor:
+        """Entries t of a table, as numbers that multiply (B, ...)."""
+        values = table[torch.as_tensor(t)].to(like)
+        return values.reshape(values.shape + (1,) * (like.ndim - values.ndim)) if values.ndim else values
+
+
+def cosine(steps: int = 1000, *, s: float = 0.008, power: float = 2.0) -> NoiseSchedule:
+    """alpha_bar(u) = (f(u) / f(0)), f(u) = cos^power((u + s) / (1 + s) pi / 2), u = (t + 1) / T, Eq. 4.4.
+
+    Each step replaces at most ``MOST`` of the variance.
+
+    Source: Nichol and Dhariwal 2021, Eq. 17. Differs from the thesis, which prints the cosine without its square
+    (``power=1``): then half of the signal's amplitude is left where it should be a quarter, and noise never wins.
+    """
+    if steps < 1:
+        raise ValueError(f"steps: expected 1 or more, got {steps}")
+    u = torch.arange(steps + 1, dtype=torch.float64) / steps
+    f = ((u + s) / (1 + s) * (math.pi / 2)).cos().clamp(min=0) ** power
+    beta = (1 - f[1:] / f[:-1]).clamp(max=MOST)
+    return NoiseSchedule((1 - beta).cumprod(0), torch.arange(steps))
 
 
 def noise_like(x: Tensor, generator: torch.Generator) -> Tensor:
@@ -27,14 +123,14 @@ def noise_like(x: Tensor, generator: torch.Generator) -> Tensor:
     return torch.randn(x.shape, generator=generator, dtype=x.dtype, device=generator.device).to(x.device)
 
 
-def _stamps(schedule: Schedule, t: int, x: Tensor) -> Tensor:
+def _stamps(schedule: NoiseSchedule, t: int, x: Tensor) -> Tensor:
     return schedule.stamps[t].to(x.device).expand(len(x))
 
 
 @torch.no_grad()
 def ddpm(
-    denoise: Denoiser,
-    schedule: Schedule,
+    denoise: DenoiseFunction,
+    schedule: NoiseSchedule,
     x: Tensor,
     generator: torch.Generator,
     *,
@@ -68,63 +164,24 @@ def ddpm(
 
 @torch.no_grad()
 def ddim(
-    denoise: Denoiser,
-    schedule: Schedule,
+    denoise: DenoiseFunction,
+    schedule: NoiseSchedule,
     x: Tensor,
-    generator: torch.Generator | None = None,
     *,
-    eta: float = 0.0,
     after: After | None = None,
-    progress: bool = False,
 ) -> Tensor:
-    """Samples (B, ...) by steps that keep the estimated noise: eta = 0 draws nothing, eta = 1 is DDPM's variance."""
-    for t in tqdm(range(len(schedule) - 1, -1, -1), disable=not progress, leave=False, unit="step"):
-        x0 = denoise(x, _stamps(schedule, t, x))
-        left, before = schedule.alpha_bar[t], schedule.before[t]
-        sigma = eta * ((1 - before) / (1 - left) * (1 - left / before)).sqrt()
-        x = before.sqrt().to(x) * x0 + (1 - before - sigma**2).clamp(min=0).sqrt().to(x) * schedule.noise_of(x0, x, t)
-        if eta and t:
-            x = x + sigma.to(x) * noise_like(x, generator)
+    """Samples (B, ...) by steps that keep the estimated noise and draw none (eta = 0)."""
+    for t in range(len(schedule) - 1, -1, -1):
+        x0, before = denoise(x, _stamps(schedule, t, x)), schedule.before[t]
+        x = before.sqrt().to(x) * x0 + (1 - before).clamp(min=0).sqrt().to(x) * schedule.noise_of(x0, x, t)
         x = after(x, x0, t) if after else x
     return x
 
 
 @torch.no_grad()
-def through(
-    scheduler, denoise: Denoiser, x: Tensor, count: int | list[int], generator: torch.Generator | None = None
-) -> Tensor:
-    """Samples (B, ...) by ``count`` steps of any scheduler of diffusers that takes x_0 estimates (``scheduler``).
-
-    count: how many, or the steps themselves, falling, where the scheduler lets them be chosen.
-    """
-    with warnings.catch_warnings():  # numpy 2 and the way some schedulers read tensors
-        warnings.simplefilter("ignore", DeprecationWarning)
-        scheduler.set_timesteps(**({"num_inference_steps": count} if isinstance(count, int) else {"timesteps": count}))
-    takes = {"generator": generator} if "generator" in signature(scheduler.step).parameters else {}
-    for t in scheduler.timesteps:
-        x0 = denoise(scheduler.scale_model_input(x, t), t.to(x.device).expand(len(x)))
-        x = scheduler.step(x0, t, x, **takes).prev_sample
-    return x
-
-
-def scheduler(name: str, schedule: Schedule, **options):
-    """A scheduler of diffusers on our betas, x_0 estimates, nothing clipped, spaced to reach the last step.
-
-    name: of its class, as "DPMSolverMultistepScheduler".
-    """
-    import diffusers
-
-    betas = schedule.beta.float().numpy()
-    how = {"trained_betas": betas, "prediction_type": "sample", "timestep_spacing": "trailing"} | options
-    made = getattr(diffusers, name)
-    known = signature(made.__init__).parameters
-    return made(**{k: v for k, v in (how | {"clip_sample": False}).items() if k in known})
-
-
-@torch.no_grad()
 def resampled(
-    denoise: Denoiser,
-    schedule: Schedule,
+    denoise: DenoiseFunction,
+    schedule: NoiseSchedule,
     x: Tensor,
     generator: torch.Generator,
     *,

@@ -6,9 +6,9 @@ sqrt(a) S / (a S + 1 - a) X_t, wrong by the deviation sqrt(S (1 - a) / (a S + 1 
 missing, in units of that deviation: quick changes, of which motion has little, stay small whatever it says. And it is
 shown the guess, brought to unit size, in place of x_t: there is less noise in it.
 
-A model that is told what is known corrects what that says (``between.Start``) instead of the mean, and the more freely
-the farther what is known: the same filter and deviation, with a power that ``doubt`` makes smaller. It sees the start
-besides, and what a model that is told nothing sees: it can go on from the weights of one.
+A model that is told what is known corrects what that says (``start.InitialGuess``) instead of the mean, and the more
+freely the farther what is known: the same filter and deviation, with a power that ``start.doubt`` makes smaller. It
+sees the start besides, and what a model that is told nothing sees: it can go on from the weights of one.
 
 Source: Karras et al. 2022 (EDM), preconditioning, whose data is white, S = 1; the filter: Wiener 1949.
 Differs from the thesis and MDM, whose network gives x_0 itself.
@@ -16,32 +16,23 @@ Differs from the thesis and MDM, whose network gives x_0 itself.
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor, nn
 
-from motionlab.diffusion.between import Start, doubt
+from motionlab.baselines import cosine_transform
+from motionlab.diffusion.start import InitialGuess, doubt
 
-LEAST = 1e-6  # of a power; a number that never changes has none
-
-
-def cosines(frames: int) -> Tensor:
-    """The orthonormal cosine transform C (T, T) over time (DCT-II): C @ x (T, D)."""
-    k = torch.arange(frames, dtype=torch.float64)
-    basis = (math.pi / frames * (k + 0.5) * k[:, None]).cos() * math.sqrt(2 / frames)
-    basis[0] /= math.sqrt(2)
-    return basis.float()
+_LEAST = 1e-6  # of a power; a number that never changes has none
 
 
 def power(x0: Tensor) -> Tensor:
     """Mean power S (T, D) of normalised motions (B, T, D) in the cosine basis."""
-    return (cosines(x0.shape[-2]).to(x0) @ x0).square().mean(0).clamp(min=LEAST)
+    return (cosine_transform(x0.shape[-2]).to(x0) @ x0).square().mean(0).clamp(min=_LEAST)
 
 
 class Spectral(nn.Module):
-    """network: (x_t, stamps, ...) -> (B, T, D). alpha_bar: of all noising steps. frames, features: T and D. recalls:
-    see ``between.Start``.
+    """network: (x_t, stamps, ...) -> (B, T, D). alpha_bar: of all noising steps. frames, features, recalls: as of
+    ``start.InitialGuess``.
 
     ``spectrum`` (T, D) is data, measured by ``power`` and stored with the weights.
     """
@@ -50,9 +41,9 @@ class Spectral(nn.Module):
         super().__init__()
         self.network, self.told = network, network.told
         self.register_buffer("spectrum", torch.ones(frames, features))
-        self.start = Start(frames, features, recalls) if self.told else None
+        self.start = InitialGuess(frames, features, recalls) if self.told else None
         self.register_buffer("alpha_bar", alpha_bar.float(), persistent=False)
-        self.register_buffer("cosines", cosines(frames), persistent=False)
+        self.register_buffer("cosines", cosine_transform(frames), persistent=False)
 
     def forward(
         self,
@@ -86,7 +77,7 @@ class Spectral(nn.Module):
         return guess + open_ * (self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said)))
 
     def recall(self, x: Tensor, clips: Tensor) -> None:
-        """See ``between.Start.measure``."""
+        """See ``start.InitialGuess.measure``."""
         self.start.measure(x, clips, torch.Generator().manual_seed(0))
 
     def _open(self, doubt: Tensor, a: Tensor) -> Tensor:

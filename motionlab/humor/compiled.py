@@ -1,8 +1,7 @@
-"""The steered roll-out as compiled loops: what ``closed_loop.Steered`` says in tensors, without a call per operation.
+"""Computes the chain of a roll-out in compiled loops: what ``rollout.Chain`` does in tensors, without a call per step.
 
 A roll-out is a chain of small steps. In tensors each is some twenty calls, and for one clip nearly all the time is the
-calls; here the whole chain is one call, and so is the way back. On the CPU, in one thread. Numbers in the order of
-``recursion``; matrices are row vectors' there, and so here.
+calls; here the whole chain is one call, and so is the way back. On the CPU, in one thread.
 
 Source: numba compiles the loops where they first run and keeps them in ``__pycache__``.
 """
@@ -18,11 +17,11 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from motionlab import rotation
-from motionlab.humor.recursion import Decoder
+from motionlab.humor.transition import DecoderLayers
 
-#: Of ``recursion`` and ``state``, once more: what is compiled is kept for as long as this file stays as it is.
-SUM, VECTORS, ROT, STATE = 141, 150, 207, 339
-INPUT = STATE + 6
+#: Of ``state``, once more: what is compiled is kept for as long as this file stays as it is.
+ADDED, VECTORS, CHANGES, STATE = 141, 150, 207, 339
+PLACED = STATE + 6  # numbers of a state and of its frame's place in the world
 FEW = 16  # clips: with one thread, loops and tensors take the same time for as many
 _KINDS = torch.float32, torch.float64
 _TINY = 1e-18  # what a turn or a right axis on the floor is at least, so that none divides by 0
@@ -30,16 +29,16 @@ _loops = njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 
 
 def fits(first: Tensor, z: Tensor) -> bool:
-    """Whether a roll-out is for loops: on the CPU, and of so few clips that torch is no faster (one thread)."""
+    """Says whether a roll-out is for loops: on the CPU, and of so few clips that torch is no faster (one thread)."""
     return first.device.type == "cpu" and len(first) <= FEW and first.dtype == z.dtype and first.dtype in _KINDS
 
 
-class Chain(torch.autograd.Function):
-    """As ``closed_loop.Steered``: X_0 (B, 345), u (T, B, 48) and gains (T, B, 48, 345) -> X (T, B, 345), states in the
+class LoopedChain(torch.autograd.Function):
+    """As ``rollout.Chain``: X_0 (B, 345), u (T, B, 48) and gains (T, B, 48, 345) -> X (T, B, 345), states in the
     frame before (T, B, 339), contact logits (T, B, 9) and z (T, B, 48). All float32 or all float64."""
 
     @staticmethod
-    def forward(ctx, decoder: Decoder, first: Tensor, u: Tensor, gains: Tensor):
+    def forward(ctx, decoder: DecoderLayers, first: Tensor, u: Tensor, gains: Tensor):
         """First derivatives only."""
         joint, ctx.groups = torch.cat(list(decoder.z_weights)), decoder.groups
         ctx.fixed = _array(gains), tuple(_array(w) for w in decoder.weights), _array(joint), _joined(decoder.gains)
@@ -47,14 +46,14 @@ class Chain(torch.autograd.Function):
         norms = ctx.fixed[-1], _joined(decoder.shifts), decoder.groups, decoder.eps
         ctx.kept = _onward(_array(first), _array(u), ctx.fixed[0], *across, *norms)
         past, after, raw, z = (torch.from_numpy(x) for x in ctx.kept[:4])
-        return past.clone(), after.clone(), raw[..., ROT:].clone(), z.clone()
+        return past.clone(), after.clone(), raw[..., CHANGES:].clone(), z.clone()
 
     @staticmethod
     @once_differentiable
     def backward(ctx, d_past: Tensor, d_after: Tensor, d_logits: Tensor, d_z: Tensor):
         """Gradients of X_0 and u."""
         past, after, raw, _, *kept = ctx.kept
-        bend = rotation.left_jacobian(torch.from_numpy(raw[..., SUM:ROT]).unflatten(-1, (22, 3)))
+        bend = rotation.left_jacobian(torch.from_numpy(raw[..., ADDED:CHANGES]).unflatten(-1, (22, 3)))
         given = tuple(_array(d) for d in (d_past, d_after, d_logits, d_z))
         d_x, d_u = _back(*given, past, after, *kept, _array(bend), *ctx.fixed, ctx.groups)
         return None, torch.from_numpy(d_x), torch.from_numpy(d_u), None
@@ -74,7 +73,7 @@ def _onward(first, u, gains, weights, joint, bias, scale, shift, groups, eps):
     """All steps; the arrays that the way back needs."""
     steps, batch, _ = u.shape
     hidden, kind = len(scale), u.dtype
-    past, after = np.empty((steps, batch, INPUT), kind), np.empty((steps, batch, STATE), kind)
+    past, after = np.empty((steps, batch, PLACED), kind), np.empty((steps, batch, STATE), kind)
     raw, z = np.empty((steps, batch, len(bias) - hidden), kind), u.copy()
     turned, places = np.empty((steps, batch, 22, 3, 3), kind), np.empty((steps + 1, batch, 2, 3), kind)
     normed, outs = np.empty((steps, batch, hidden), kind), np.empty((steps, batch, hidden), kind)
@@ -151,10 +150,10 @@ def _normalise(h, scale, shift, eps, normed, spread, out):
 @_loops
 def _step(x, raw, after, turned, place, onward):
     """One step of one clip. x (345,) becomes the next; turned (22, 3, 3): exp(v)^T; place, onward (2, 3)."""
-    after[:SUM] = x[:SUM] + raw[:SUM]
+    after[:ADDED] = x[:ADDED] + raw[:ADDED]
     for j in range(22):
-        _exp(raw[SUM + 3 * j : SUM + 3 * j + 3], turned[j])
-        at = SUM + 9 * j
+        _exp(raw[ADDED + 3 * j : ADDED + 3 * j + 3], turned[j])
+        at = ADDED + 9 * j
         for r in range(0, 9, 3):
             for c in range(3):
                 after[at + r + c] = (
@@ -176,7 +175,7 @@ def _step(x, raw, after, turned, place, onward):
 @_loops
 def _heading(after):
     """Cosine and sine of the right axis on the floor; 1 and 0 where there is none."""
-    x, y = _TINY - after[SUM], -after[SUM + 1]
+    x, y = _TINY - after[ADDED], -after[ADDED + 1]
     size = math.sqrt(x * x + y * y)
     return x / size, y / size
 
@@ -208,7 +207,7 @@ def _back(
             if t < steps - 1:  # the last state's own frame is nobody's input
                 _back_frame(d_x[b], past[t + 1, b], after[t, b], places[t, b], d[b])
             _back_turns(d[b], after[t, b], bend[t, b], share[b, hidden:])
-            share[b, hidden + ROT :] = d_logits[t, b]
+            share[b, hidden + CHANGES :] = d_logits[t, b]
         end, d_h = hidden, np.zeros((batch, weights[len(weights) - 1].shape[1]), joint.dtype)
         _add_product(share, hidden, weights[len(weights) - 1], d_h, 0)
         for k in range(len(weights) - 2, -1, -1):
@@ -253,24 +252,24 @@ def _back_frame(d_x, x, after, place, d):
         right, ahead = right - place[r, 0] * s, ahead - place[r, 1] * s
         d_x[at], d_x[at + 1] = p * cos - q * sin + s * after[0], p * sin + q * cos + s * after[1]
     d[0], d[1] = d[0] - right, d[1] - ahead
-    size = after[SUM] * after[SUM] + after[SUM + 1] * after[SUM + 1]
+    size = after[ADDED] * after[ADDED] + after[ADDED + 1] * after[ADDED + 1]
     if size > 0:
-        d[SUM] -= angle * after[SUM + 1] / size
-        d[SUM + 1] += angle * after[SUM] / size
+        d[ADDED] -= angle * after[ADDED + 1] / size
+        d[ADDED + 1] += angle * after[ADDED] / size
 
 
 @_loops
 def _back_turns(d, after, bend, share):
     """Of the raw output (207,): what is added as it is, of each rotation vector dL/dv = w J."""
-    share[:SUM] = d[:SUM]
+    share[:ADDED] = d[:ADDED]
     for j in range(22):
-        at, wx, wy, wz = SUM + 9 * j, 0 * d[0], 0 * d[0], 0 * d[0]
+        at, wx, wy, wz = ADDED + 9 * j, 0 * d[0], 0 * d[0], 0 * d[0]
         for r in range(at, at + 9, 3):
             wx += after[r + 1] * d[r + 2] - after[r + 2] * d[r + 1]
             wy += after[r + 2] * d[r] - after[r] * d[r + 2]
             wz += after[r] * d[r + 1] - after[r + 1] * d[r]
         for c in range(3):
-            share[SUM + 3 * j + c] = wx * bend[j, 0, c] + wy * bend[j, 1, c] + wz * bend[j, 2, c]
+            share[ADDED + 3 * j + c] = wx * bend[j, 0, c] + wy * bend[j, 1, c] + wz * bend[j, 2, c]
 
 
 @_loops
@@ -290,9 +289,9 @@ def _back_norm(d_out, scale, normed, spread, out, d_in):
 @_loops
 def _back_state(d, turned, d_h, d_x):
     """Of the state that the step began with (339,): through the decoder, d_h, and past it."""
-    d_x[:SUM] = d_h[:SUM] + d[:SUM]
+    d_x[:ADDED] = d_h[:ADDED] + d[:ADDED]
     for j in range(22):
-        at = SUM + 9 * j
+        at = ADDED + 9 * j
         for r in range(at, at + 9, 3):
             for c in range(3):
                 e = turned[j, c]

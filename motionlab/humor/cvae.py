@@ -5,6 +5,7 @@ Source: HuMoR (Rempe et al. 2021), section 3 and its official code; thesis 3.1.1
 
 from __future__ import annotations
 
+import copy
 import math
 from pathlib import Path
 from typing import NamedTuple
@@ -13,8 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from motionlab.errors import DataError, ShapeError
-from motionlab.humor import foreign
-from motionlab.humor.state import DELTA, STATE
+from motionlab.humor.state import DELTA, OFFICIAL_DELTA_ORDER, OFFICIAL_ORDER, STATE
 
 LATENT = 48
 
@@ -26,18 +26,18 @@ class Gaussian(NamedTuple):
     log_var: Tensor
 
     def sample(self, generator: torch.Generator) -> Tensor:
-        """One draw (..., 48)."""
+        """Draws one sample (..., 48)."""
         noise = torch.randn(self.mean.shape, generator=generator, dtype=self.mean.dtype, device=self.mean.device)
         return self.mean + noise * (0.5 * self.log_var).exp()
 
     def nll(self, z: Tensor) -> Tensor:
-        """-log N(z) (...), nats."""
+        """Computes -log N(z) (...), nats."""
         squared = (z - self.mean).square() * (-self.log_var).exp()
         return 0.5 * (squared + self.log_var + math.log(2 * math.pi)).sum(-1)
 
 
 def kl(q: Gaussian, p: Gaussian) -> Tensor:
-    """KL(q || p) per latent dimension (..., 48), nats."""
+    """Computes KL(q || p) per latent dimension (..., 48), nats."""
     ratio = (q.log_var - p.log_var).exp() + (q.mean - p.mean).square() * (-p.log_var).exp()
     return 0.5 * (ratio - 1 + p.log_var - q.log_var)
 
@@ -46,7 +46,7 @@ class RowNorm(nn.GroupNorm):
     """GroupNorm of rows (..., C): the same numbers by layer norms of the groups, on a CPU twice as fast."""
 
     def forward(self, x: Tensor) -> Tensor:
-        """(..., C) -> (..., C)."""
+        """Computes normed rows (..., C) from rows (..., C)."""
         groups = x.unflatten(-1, (self.num_groups, -1))
         normed = nn.functional.layer_norm(groups, groups.shape[-1:], eps=self.eps).flatten(-2)
         return torch.addcmul(self.bias, normed, self.weight)
@@ -65,7 +65,7 @@ class Mlp(nn.Module):
         self.again = again
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, inputs) -> (N, outputs)."""
+        """Computes outputs (N, outputs) from inputs (N, inputs)."""
         skip, first = x[..., x.shape[-1] - self.again :], self.net[0]
         x = first(x)
         for layer in self.net[1:]:
@@ -97,19 +97,19 @@ class Cvae(nn.Module):
         self.decoder = Mlp(STATE + latent, (width, width, width // 2), DELTA, again=latent)
 
     def posterior(self, past: Tensor, now: Tensor) -> Gaussian:
-        """q(z | past, now) of states (..., 339), both in the frame of the past one."""
+        """Computes q(z | past, now) from states (..., 339), both in the frame of the past one."""
         return Gaussian(*_rows(self.encoder, torch.cat((past, now), dim=-1)).chunk(2, dim=-1))
 
     def prior(self, past: Tensor) -> Gaussian:
-        """p(z | past)."""
+        """Computes p(z | past) from states (..., 339) in their own heading frame."""
         return Gaussian(*_rows(self.prior_net, past).chunk(2, dim=-1))
 
     def decode(self, past: Tensor, z: Tensor) -> Tensor:
-        """Raw changes and contact logits (..., 216) of the next state; ``state.apply`` adds them."""
+        """Computes raw changes and contact logits (..., 216) of the next state; ``state.apply`` adds them."""
         return _rows(self.decoder, torch.cat((past, z), dim=-1))
 
     def frozen(self) -> Cvae:
-        """Itself, in evaluation mode, its weights without gradients: what a fit wants."""
+        """Returns itself, in evaluation mode, its weights without gradients: what a fit wants."""
         return self.eval().requires_grad_(requires_grad=False)
 
 
@@ -117,20 +117,25 @@ def _rows(net: nn.Module, x: Tensor) -> Tensor:
     return net(x.reshape(-1, x.shape[-1])).unflatten(0, x.shape[:-1])
 
 
-def load_official(path: Path | str) -> Cvae:
-    """A checkpoint of the official code, weights only; nothing in the file is executed.
+@torch.no_grad()
+def reorder(model: Cvae, *, back: bool = False) -> Cvae:
+    """Changes in place a model with official weights into one that takes and gives our order of numbers, or back."""
+    order, delta = (each.argsort() if back else each for each in (OFFICIAL_ORDER, OFFICIAL_DELTA_ORDER))
+    for net, states in ((model.encoder, 2), (model.prior_net, 1), (model.decoder, 1)):
+        weight, size = net.net[0].weight, states * STATE
+        weight[:, :size] = weight[:, :size].unflatten(1, (states, STATE))[..., order.to(weight.device)].flatten(1)
+    last = model.decoder.net[-1]
+    last.weight.copy_(last.weight[delta]), last.bias.copy_(last.bias[delta])
+    return model
 
-    The file is a dict with 'model' (a state dict, perhaps with 'module.' before its names); the width is read off.
 
-    Raises:
-        DataError: not such a file, damaged, or with other names or shapes.
-    """
-    remedy = "take a checkpoint of the official HuMoR release (50 tensors, 'decoder.net.0.weight' and so on)"
-    return from_weights(foreign.tensors(path, "model", remedy), Path(path), remedy)
+def official_weights(model: Cvae) -> dict[str, Tensor]:
+    """Returns a model's weights as the official code has them: what a checkpoint holds, and ``from_weights`` reads."""
+    return reorder(copy.deepcopy(model), back=True).state_dict()
 
 
 def from_weights(weights: dict[str, Tensor], path: Path, remedy: str) -> Cvae:
-    """A frozen model from a state dict with the official names; ``path`` and ``remedy`` are for the errors.
+    """Builds a frozen model from a state dict with the official names; ``path`` and ``remedy`` are for the errors.
 
     Raises:
         DataError: names or shapes are others, or a number is not finite.
@@ -146,6 +151,7 @@ def from_weights(weights: dict[str, Tensor], path: Path, remedy: str) -> Cvae:
     except RuntimeError as error:
         what = str(error).splitlines()[-1].strip()
         raise DataError(f"tensors do not fit HuMoR's networks: {what}", path=path, remedy=remedy) from error
+    reorder(model)
     for name, value in weights.items():
         if not value.isfinite().all():
             raise DataError("numbers that are not finite", path=path, place=name, remedy=remedy)

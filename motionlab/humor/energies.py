@@ -1,4 +1,4 @@
-"""The energies of HuMoR's test-time optimisation: pure functions, each a sum per clip (B,).
+"""The energies of HuMoR's test-time optimisation, pure functions, each a sum per clip (B,); and how much each counts.
 
 Metres, radians, pixels; frames at 30 per second; world z up with the floor at z = 0. What was not observed is masked
 before any arithmetic, so that inf and NaN there reach neither value nor gradient.
@@ -8,6 +8,7 @@ Source: HuMoR (Rempe et al. 2021), section 4, and its official code, whose value
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from typing import Protocol
 
 import torch
@@ -15,15 +16,7 @@ from torch import Tensor
 
 from motionlab.errors import ShapeError, check_shape
 from motionlab.humor.cvae import Gaussian
-from motionlab.humor.weights import IMAPPER, JOINTS, KEYPOINTS, PROX, RGB, Weights
 from motionlab.skeleton import STANDARD
-
-__all__ = [
-    "CONTACT_JOINTS", "IMAPPER", "JOINTS", "KEYPOINTS", "PROX", "RGB", "UNUSED_BODY_25", "Weights",
-    "body_25_confidence", "bone_length", "contact_height", "contact_probabilities", "contact_vel", "floor_reg", "gmof",
-    "init_motion_prior", "joint_consistency", "joints2d", "joints3d", "joints3d_smooth", "motion_prior", "pose_prior",
-    "shape_prior",
-]  # fmt: skip
 
 #: Joints of BODY_25 whose confidence counts as zero: neck and hips, which OpenPose and SMPL place differently.
 UNUSED_BODY_25 = (1, 9, 12)
@@ -36,8 +29,8 @@ SIGMA = 100.0  # pixels
 TOUCHING = 0.08  # metres: a joint in contact may be this far from the floor
 
 
-class Density(Protocol):
-    """What :func:`init_motion_prior` needs of a distribution, such as ``init_gmm.InitGmm``."""
+class _Density(Protocol):
+    """What :func:`init_motion_prior` needs of a distribution, such as ``priors.InitGmm``."""
 
     def log_prob(self, features: Tensor) -> Tensor: ...
 
@@ -51,13 +44,13 @@ def _half_squares(x: Tensor) -> Tensor:
 
 
 def gmof(residual: Tensor, sigma: float = SIGMA) -> Tensor:
-    """Geman-McClure, elementwise: sigma^2 r^2 / (sigma^2 + r^2), quadratic near 0 and never above sigma^2."""
+    """Computes Geman-McClure of residuals: sigma^2 r^2 / (sigma^2 + r^2), quadratic near 0 and never above sigma^2."""
     squared = residual.square()
     return sigma**2 * squared / (sigma**2 + squared)
 
 
 def joints2d(pixels: Tensor, keypoints: Tensor, confidence: Tensor, sigma: float = SIGMA) -> Tensor:
-    """sum conf^2 gmof(pixel - keypoint), coordinate by coordinate.
+    """Computes sum conf^2 gmof(pixel - keypoint), coordinate by coordinate.
 
     pixels, keypoints: (B, T, K, 2), predicted and detected. confidence: (B, T, K); where it is 0, or where the
     keypoint is not finite, nothing was detected.
@@ -70,13 +63,13 @@ def joints2d(pixels: Tensor, keypoints: Tensor, confidence: Tensor, sigma: float
 
 
 def body_25_confidence(confidence: Tensor) -> Tensor:
-    """Confidences (..., 25) of BODY_25 with neck and hips at zero."""
+    """Computes confidences (..., 25) of BODY_25 with neck and hips at zero."""
     check_shape(confidence, "... 25", "confidence")
     return confidence.index_fill(-1, torch.tensor(UNUSED_BODY_25, device=confidence.device), 0.0)
 
 
 def joints3d(joints: Tensor, observed: Tensor, visible: Tensor | None = None) -> Tensor:
-    """1/2 sum |joint - observed|^2 over what is visible and finite.
+    """Computes 1/2 sum |joint - observed|^2 over what is visible and finite.
 
     joints, observed: (B, T, N, 3), joints or other points of the body. visible: (B, T, N), all where None.
     """
@@ -87,53 +80,53 @@ def joints3d(joints: Tensor, observed: Tensor, visible: Tensor | None = None) ->
 
 
 def joints3d_smooth(joints: Tensor) -> Tensor:
-    """1/2 sum |J_t - J_{t-1}|^2 of joints (B, T, N, 3)."""
+    """Computes 1/2 sum |J_t - J_{t-1}|^2 of joints (B, T, N, 3)."""
     check_shape(joints, "B T N 3", "joints")
     return _half_squares(joints.diff(dim=1))
 
 
 def pose_prior(latent: Tensor) -> Tensor:
-    """sum |latent|^2 of the pose prior's latents (B, T, 32)."""
+    """Computes sum |latent|^2 of the pose prior's latents (B, T, 32)."""
     return _per_clip(latent.square())
 
 
 def shape_prior(betas: Tensor, frames: int = 1) -> Tensor:
-    """frames sum |betas|^2 of (B, n), one shape for all frames."""
+    """Computes frames sum |betas|^2 of (B, n), one shape for all frames."""
     return frames * _per_clip(betas.square())
 
 
 def motion_prior(z: Tensor, prior: Gaussian) -> Tensor:
-    """-log N(z_t; prior of the state before) over all transitions (B, T, 48), nats."""
+    """Computes -log N(z_t; prior of the state before) over all transitions (B, T, 48), nats."""
     return _per_clip(prior.nll(z))
 
 
-def init_motion_prior(features: Tensor, initial: Density) -> Tensor:
-    """-log p(first state), nats; features (B, 138) of it in its own heading frame."""
+def init_motion_prior(features: Tensor, initial: _Density) -> Tensor:
+    """Computes -log p(first state), nats; features (B, 138) of it in its own heading frame."""
     check_shape(features, "B 138", "features")
     return -initial.log_prob(features)
 
 
 def joint_consistency(body_joints: Tensor, rolled_joints: Tensor) -> Tensor:
-    """1/2 sum |J - J'|^2: joints (B, T, 22, 3) that the pose implies, and those the roll-out carries beside it."""
+    """Computes 1/2 sum |J - J'|^2 of joints (B, T, 22, 3) that the pose implies and those that the roll-out carries."""
     check_shape(body_joints, "B T N 3", "body_joints")
     return _half_squares(body_joints - rolled_joints)
 
 
 def bone_length(joints: Tensor) -> Tensor:
-    """1/2 sum (l_t - l_{t-1})^2 over the 21 bones between rolled-out joints (B, T, 22, 3), l their lengths."""
+    """Computes 1/2 sum (l_t - l_{t-1})^2 over the lengths l of the 21 bones between rolled-out joints (B, T, 22, 3)."""
     check_shape(joints, "B T 22 3", "joints")
     bones = joints[..., 1:, :] - joints[..., BONE_PARENTS, :]
     return _half_squares(torch.linalg.vector_norm(bones, dim=-1).diff(dim=1))
 
 
 def contact_probabilities(logits: Tensor) -> Tensor:
-    """Probabilities (B, T, 9) from logits (B, T - 1, 9) of the transitions; the first frame copies the second."""
+    """Computes probabilities (B, T, 9) from logits (B, T - 1, 9) of the transitions; the first copies the second."""
     check_shape(logits, "B T 9", "logits")
     return torch.cat((logits[:, :1], logits), dim=1).sigmoid()
 
 
 def contact_vel(joints: Tensor, contacts: Tensor) -> Tensor:
-    """1/2 sum p_t |J_t - J_{t-1}|^2: a joint in contact does not move.
+    """Computes 1/2 sum p_t |J_t - J_{t-1}|^2: a joint in contact does not move.
 
     joints (B, T, N, 3) with contacts (B, T, N), or 22 joints with the nine of ``CONTACT_JOINTS``.
     """
@@ -142,7 +135,7 @@ def contact_vel(joints: Tensor, contacts: Tensor) -> Tensor:
 
 
 def contact_height(joints: Tensor, contacts: Tensor) -> Tensor:
-    """sum p relu(|z| - 0.08 m): a joint in contact is near the floor; arguments as in :func:`contact_vel`."""
+    """Computes sum p relu(|z| - 0.08 m): a joint in contact is near the floor; arguments of :func:`contact_vel`."""
     joints = _touching(joints, contacts)
     return _per_clip(contacts * (joints[..., 2].abs() - TOUCHING).relu())
 
@@ -157,6 +150,100 @@ def _touching(joints: Tensor, contacts: Tensor) -> Tensor:
 
 
 def floor_reg(floor: Tensor, initial: Tensor, frames: int = 1) -> Tensor:
-    """frames / 2 |floor - initial|^2; floor planes (B, 3) as normal times offset, camera coordinates, metres."""
+    """Computes frames / 2 |floor - initial|^2 of floor planes (B, 3) as normal times offset, camera axes, metres."""
     check_shape(floor, "B 3", "floor")
     return frames * _half_squares(floor - initial)
+
+
+# ------------------------------------------------------------------------------------------------------------- weights
+Triple = tuple[float, float, float]
+
+_DATA = ("joints2d", "joints3d")
+#: The terms that the official code evaluates in each stage, whatever its weights say.
+_ACTIVE = {
+    1: _DATA,
+    2: (*_DATA, "joints3d_smooth", "pose_prior", "shape_prior"),
+    3: (*_DATA, "shape_prior", "motion_prior", "init_motion_prior", "joint_consistency", "bone_length", "contact_vel",
+        "contact_height", "floor_reg"),
+}  # fmt: skip
+#: Frames that stage 3 rolls out in its first sub-stage.
+_SHORT = 15
+
+
+@dataclass(frozen=True)
+class Weights:
+    """One triple per term: its weight in stages 1, 2 and 3. The fields are named as the functions of ``energies``.
+
+    Source: the configurations of the official code: ``RGB`` its demo, ``JOINTS`` and ``KEYPOINTS`` its AMASS tasks
+    (surface keypoints go into ``joints3d``). Its PROX-D set is left out: it needs the depth term, which is not here.
+    """
+
+    joints2d: Triple = (0.0, 0.0, 0.0)
+    joints3d: Triple = (0.0, 0.0, 0.0)
+    pose_prior: Triple = (0.0, 0.0, 0.0)
+    shape_prior: Triple = (0.0, 0.0, 0.0)
+    joints3d_smooth: Triple = (0.0, 0.0, 0.0)
+    motion_prior: Triple = (0.0, 0.0, 0.0)
+    init_motion_prior: Triple = (0.0, 0.0, 0.0)
+    joint_consistency: Triple = (0.0, 0.0, 0.0)
+    bone_length: Triple = (0.0, 0.0, 0.0)
+    contact_vel: Triple = (0.0, 0.0, 0.0)
+    contact_height: Triple = (0.0, 0.0, 0.0)
+    floor_reg: Triple = (0.0, 0.0, 0.0)
+
+    @property
+    def pull(self) -> float:
+        """Computes the motion prior's weight in stage 3 beside a square metre between joints."""
+        return self.motion_prior[2] / max(self.joint_consistency[2], 1e-9)
+
+    def of(self, stage: int, *, frames: int | None = None, listed: bool = False) -> dict[str, float]:
+        """Returns the weights above zero of one stage, by term.
+
+        frames: of the clip, from the second sub-stage of stage 3 on: the initial state's weight grows by frames/15,
+        to keep its share beside terms that are summed over frames. None: as listed. (Shape and floor terms take their
+        number of frames as an argument.)
+        listed: also terms whose weight is listed, though the official code leaves them out in this stage: it lists
+        smoothness and priors for stage 1, and has only the data there.
+        """
+        found = {name: triple[stage - 1] for name, triple in asdict(self).items()}
+        if frames is not None:
+            found["init_motion_prior"] *= frames / _SHORT
+        return {name: weight for name, weight in found.items() if weight and (listed or name in _ACTIVE[stage])}
+
+
+def _last(weight: float) -> Triple:
+    return (0.0, 0.0, weight)
+
+
+RGB = Weights(
+    joints2d=(0.001, 0.001, 0.001),
+    pose_prior=(0.04, 0.04, 0.0),
+    shape_prior=(0.05, 0.05, 0.05),
+    joints3d_smooth=(100.0, 100.0, 0.0),
+    motion_prior=_last(0.075),
+    init_motion_prior=_last(0.075),
+    joint_consistency=_last(100.0),
+    bone_length=_last(2000.0),
+    contact_vel=_last(100.0),
+    contact_height=_last(10.0),
+    floor_reg=_last(0.167),
+)
+#: As RGB, with a quarter of its smoothness, which draws walking people towards the camera, where they move less.
+#: Chosen on synthetic walks that no table uses: stage 3's error there fell from 5 to 3 cm.
+RGB_LIGHT = Weights(**asdict(RGB) | {"joints3d_smooth": (25.0, 25.0, 0.0)})
+JOINTS = Weights(
+    joints3d=(1.0, 1.0, 1.0),
+    pose_prior=(2e-4, 2e-4, 0.0),
+    shape_prior=(1.67e-4, 1.67e-4, 1.67e-4),
+    joints3d_smooth=(10.0, 10.0, 0.0),
+    motion_prior=_last(1e-3),
+    init_motion_prior=_last(1e-3),
+    joint_consistency=_last(1.0),
+    bone_length=_last(10.0),
+    contact_vel=_last(1.0),
+    contact_height=_last(1.0),
+)
+KEYPOINTS = Weights(
+    **asdict(JOINTS)
+    | {"joints3d_smooth": (0.1, 0.1, 0.0), "motion_prior": _last(5e-4), "init_motion_prior": _last(5e-4)}
+)

@@ -1,17 +1,33 @@
-"""What the prior learns from: windows of states and contacts, drawn from motions on the 22 joints."""
+"""Computes what the prior learns from: windows of states and contacts, from motions on the 22 joints.
+
+A small collection of recordings holds few bodies and habits. :func:`varied_motion` puts the same motion on other
+bodies, held another way.
+
+Source: none for the variety; HuMoR trains on AMASS, whose hundreds of people bring it themselves.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
+from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
+from motionlab.humor import body_shape
 from motionlab.humor.state import from_motion
 from motionlab.motion import Motion, mirror
+
+_PEOPLE = 0.7  # standard deviation, in betas, of the bodies that the motions are put on
+#: Joints that may be held another way without moving what stands on the floor.
+_LOOSE = ("spine", "neck", "head", "collar", "shoulder", "elbow", "wrist", "foot")
+_HELD, _SWAYS = 0.10, 0.04  # standard deviations, radians: of a whole clip, and of each of three slow waves
+FASTEST = 1.5  # Hz
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +45,14 @@ class Examples:
     length: int
 
     def draw(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
-        """Windows chosen evenly over all begins: states (B, L, 339), contacts (B, L, 9), offsets (B, 22, 3)."""
+        """Draws windows evenly over all begins: states (B, L, 339), contacts (B, L, 9), offsets (B, 22, 3)."""
         begin = self.begins[torch.randint(len(self.begins), (count,), generator=generator)]
         at = begin[:, None] + torch.arange(self.length)
         return self.states[at], self.contacts[at], self.offsets[begin]
 
     @property
     def digest(self) -> str:
-        """A hash of all numbers, for the recipe."""
+        """Computes a hash of all numbers, for the recipe."""
         whole = hashlib.sha256()
         for x in (self.states, self.contacts, self.offsets):
             whole.update(x.numpy().tobytes())
@@ -44,7 +60,7 @@ class Examples:
 
 
 def examples(motions: Sequence[Motion], length: int, *, mirrored: bool = True) -> Examples:
-    """Windows of ``length`` frames from motions with contacts, 30 fps, floor at z = 0; and of their mirror images.
+    """Computes windows of ``length`` frames from motions with contacts, 30 fps, floor at z = 0; and from their mirrors.
 
     Raises:
         DataError: no motion is that long, or one has no contacts or numbers that are not finite.
@@ -70,3 +86,49 @@ def examples(motions: Sequence[Motion], length: int, *, mirrored: bool = True) -
     if states[0].shape[-1] != 339:
         raise ShapeError("motions must be on the 22 joints: retarget first")
     return Examples(torch.cat(states), torch.cat(contacts), torch.cat(offsets), torch.cat(begins), length)
+
+
+def other_body(motion: Motion, generator: torch.Generator) -> Motion:
+    """Puts the same angles on a body drawn at random; the path grows with the legs, so that feet hardly slide."""
+    betas = _PEOPLE * torch.randn(body_shape.BETAS, generator=generator)
+    scale = body_shape.scales(betas)[:, None]
+    offsets = motion.skeleton.offsets * scale
+    legs = motion.skeleton.indices(["left_knee", "left_ankle"])
+    grown = offsets[legs].norm(dim=-1).sum() / motion.skeleton.offsets[legs].norm(dim=-1).sum()
+    return replace(motion, skeleton=replace(motion.skeleton, offsets=offsets), root=motion.root * grown)
+
+
+def held_otherwise(motion: Motion, generator: torch.Generator) -> Motion:
+    """Turns every joint of ``_LOOSE`` by a small smooth rotation of its own: a constant and three slow waves.
+
+    Positions of pelvis, legs and feet stay, and with them their contacts; the turns fade out around a hand's.
+    """
+    names = motion.skeleton.names
+    joints = [j for j, name in enumerate(names) if name.removeprefix("left_").removeprefix("right_").startswith(_LOOSE)]
+    size = (len(joints), 3)
+    much = 2 * torch.rand(1, generator=generator)  # some clips hardly, some a lot
+    time = torch.arange(motion.frames)[:, None, None] / motion.fps
+    turn = _HELD * torch.randn(size, generator=generator).expand(motion.frames, *size)
+    for _ in range(3):
+        rate, phase = FASTEST * torch.rand(size, generator=generator), math.tau * torch.rand(size, generator=generator)
+        turn = turn + _SWAYS * torch.randn(size, generator=generator) * torch.sin(math.tau * rate * time + phase)
+    rot = motion.rot.clone()
+    rot[:, joints] = rot[:, joints] @ rotation.exp((much * _free(motion)[:, None, None] * turn).to(rot))
+    return replace(motion, rot=rot)
+
+
+def _free(motion: Motion) -> Tensor:
+    """(T,): 0 where a hand rests on the floor, 1 from half a second away, smooth between."""
+    if motion.contacts is None:
+        return torch.ones(motion.frames)
+    hands = [i for i, name in enumerate(motion.skeleton.contact_names) if name.endswith("wrist")]
+    quarter = round(motion.fps / 4)
+    rests = motion.contacts[:, hands].amax(-1).float()[None]
+    near = F.max_pool1d(F.pad(rests, (quarter, quarter)), 2 * quarter + 1, 1)
+    ends = F.pad(near, (quarter, quarter), mode="replicate")
+    return 1 - F.avg_pool1d(ends, 2 * quarter + 1, 1)[0]
+
+
+def varied_motion(motion: Motion, generator: torch.Generator) -> Motion:
+    """Puts a motion on another body, held another way."""
+    return held_otherwise(other_body(motion, generator), generator)

@@ -1,32 +1,42 @@
-"""The three priors of a fit together: over transitions, over poses, over first states.
+"""The three priors of a fit as models: over transitions (``cvae``), over the pose of one frame, over the first state.
 
-In the states of official files ``trans`` is SMPL's translation and the pelvis lies at trans + J_0, J_0 constant. Here
-``trans`` is the pelvis itself. In any canonical frame the two states differ by one constant vector,
+The pose prior is a variational autoencoder from 21 joint rotations, relative to the parent, to 32 numbers and back:
 
-    official = ours + k,    k: -J_0z in the height of trans, (J_0x, J_0y) in every joint, 0 elsewhere,
+    rotations -> BatchNorm, 512, BatchNorm, 512 -> mean, deviation (32);   latent (32) -> 512, 512 -> 6D -> rotations
 
-so that W (x + k) + b = W x + (b + W k): official networks are moved to our states, exactly, by their first biases, an
-official mixture by its means. What a transition adds stays the same.
+The initial-state prior is a mixture of Gaussians over joints and velocities of a single frame:
+
+    features (138): joints 66 | joints_vel 66 | trans_vel 3 | root_orient_vel 3, in the state's own heading frame
+
+``pretrained`` loads them, ``prior_training`` and ``training`` make them.
+
+Source: VPoser (Pavlakos et al. 2019), as HuMoR uses it; HuMoR (Rempe et al. 2021), section 4.2 and its official code:
+12 components, full covariances.
+Differs: our pose prior reads 6 numbers per joint, which are continuous, where VPoser reads rotation vectors.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
+from functools import cached_property
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn import functional as F
 
-from motionlab.errors import DataError
-from motionlab.humor import checkpoint, init_gmm, state
-from motionlab.humor.cvae import Cvae, load_official
-from motionlab.humor.init_gmm import InitGmm
-from motionlab.humor.pose_prior import PosePrior, load_vposer
+from motionlab import rotation
+from motionlab.errors import DataError, ShapeError, check_shape
+from motionlab.humor import state as layout
+from motionlab.humor.cvae import Cvae, Gaussian
 
-#: Suffixes of files that torch wrote: the official code's checkpoints, VPoser's snapshots.
-TORCH = (".pth", ".pt", ".ckpt", ".tar")
-Pelvis = tuple[float, float, float]
+POSE_LATENT, BODY_JOINTS = 32, 21
+_WIDTH = 512
+#: Slopes below zero of VPoser 1.0's three activations: encoder's first and second, decoder's.
+VPOSER_SLOPES = (0.2, 0.2, 0.2)
+_FEATURES = ("joints", "joints_vel", "trans_vel", "root_orient_vel")
+#: Numbers of a first state that the mixture is over.
+FIRST_STATE_SIZE = sum(layout.SLICES[name].stop - layout.SLICES[name].start for name in _FEATURES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,125 +48,112 @@ class Priors:
     initial: InitGmm
 
 
-@cache
-def load(
-    name: str = "compact",
-    *,
-    motion: Path | str | None = None,
-    pose: Path | str | None = None,
-    initial: Path | str | None = None,
-    pelvis: Pelvis | None = None,
-) -> Priors:
-    """The priors that ship with the project, ``humor_NAME``, ``pose_prior_NAME``, ``init_gmm_NAME``; or files instead.
+# ------------------------------------------------------------------------------------------------------ over poses
+class PosePrior(nn.Module):
+    """Encoder and decoder of poses.
 
-    A file's suffix says whose it is: torch's (``TORCH``) is an official HuMoR checkpoint or a VPoser snapshot, .npz
-    the official mixture, anything else a checkpoint of this project. Loaded once.
+    numbers: that describe a joint's rotation at the encoder's door: 6, or 3 for a rotation vector.
+    slopes: of the three activations below zero.
+    """
 
-    Differs: a fit with official files poses our skeleton, not SMPL's body.
+    def __init__(self, numbers: int = 6, slopes: tuple[float, float, float] = VPOSER_SLOPES) -> None:
+        super().__init__()
+        self.numbers, self.slopes = numbers, slopes
+        self.norm = nn.BatchNorm1d(BODY_JOINTS * numbers)
+        self.first, self.middle_norm = nn.Linear(BODY_JOINTS * numbers, _WIDTH), nn.BatchNorm1d(_WIDTH)
+        self.second = nn.Linear(_WIDTH, _WIDTH)
+        self.mean, self.spread = nn.Linear(_WIDTH, POSE_LATENT), nn.Linear(_WIDTH, POSE_LATENT)
+        self.out_first, self.out_second = nn.Linear(POSE_LATENT, _WIDTH), nn.Linear(_WIDTH, _WIDTH)
+        self.out = nn.Linear(_WIDTH, 6 * BODY_JOINTS)
 
-    Args:
-        pelvis: J_0, metres: the pelvis from SMPL's translation, of the mean body that an official motion or initial
-            prior was trained with. Zeros where its ``trans`` was the pelvis.
+    def encode(self, rot: Tensor) -> Gaussian:
+        """Computes the distribution of the latent (..., 32) from local rotations (..., 21, 3, 3)."""
+        check_shape(rot, f"... {BODY_JOINTS} 3 3", "rot")
+        said = rotation.matrix_to_sixd(rot) if self.numbers == 6 else rotation.log(rot)
+        x = self.norm(said.reshape(-1, BODY_JOINTS * self.numbers))
+        x = self.middle_norm(F.leaky_relu(self.first(x), self.slopes[0]))
+        x = F.leaky_relu(self.second(x), self.slopes[1])
+        log_var = 2 * F.softplus(self.spread(x)).clamp(min=1e-6).log()
+        return Gaussian(*(y.unflatten(0, rot.shape[:-3]) if rot.ndim > 3 else y[0] for y in (self.mean(x), log_var)))
+
+    def decode(self, latent: Tensor) -> Tensor:
+        """Computes local rotations (..., 21, 3, 3) from latents (..., 32)."""
+        check_shape(latent, f"... {POSE_LATENT}", "latent")
+        x = F.leaky_relu(self.out_first(latent), self.slopes[2])
+        x = F.leaky_relu(self.out_second(x), self.slopes[2])
+        return rotation.sixd_to_matrix(self.out(x).unflatten(-1, (BODY_JOINTS, 6)))
+
+    def frozen(self) -> PosePrior:
+        """Returns itself, in evaluation mode, its weights without gradients: what a fit wants."""
+        return self.eval().requires_grad_(requires_grad=False)
+
+
+# ----------------------------------------------------------------------------------------------- over first states
+def first_state_features(state: Tensor) -> Tensor:
+    """Computes the features (..., 138) from states (..., 339) that stand in their own heading frame."""
+    check_shape(state, f"... {layout.STATE}", "state")
+    return torch.cat([state[..., layout.SLICES[name]] for name in _FEATURES], dim=-1)
+
+
+class InitGmm:
+    """A mixture of K Gaussians over D features, frozen.
+
+    weights (K,): sum to 1. means (K, D). covariances (K, D, D): symmetric, positive definite.
 
     Raises:
-        DataError: a file is missing, damaged or of something else; an official one without ``pelvis``, or ``pelvis``
-            without one or not in metres.
+        ShapeError: the arrays do not fit each other.
+        DataError: weights that are none, or a covariance that is not positive definite.
     """
-    moved = {"motion": _suffix(motion) in TORCH, "initial": _suffix(initial) == ".npz"}
-    official = next((path for path, yes in ((motion, moved["motion"]), (initial, moved["initial"])) if yes), None)
-    if official is not None and pelvis is None:
-        raise DataError(
-            "its states are of SMPL's translation, and a fit needs to know where the pelvis lies from there",
-            path=official,
-            remedy="give pelvis, J_0 = (J_regressor @ v_template)[0] of its SMPL+H body in metres; 0 0 0 where trained "
-            "with trans as the pelvis",
-        )
-    if official is None and pelvis is not None:
-        raise DataError("pelvis: no official motion or initial prior that it moves", remedy="leave it out")
-    if pelvis is not None and not all(abs(x) < 2 for x in pelvis):
-        raise DataError(f"pelvis: expected metres, got {pelvis}", remedy="give its x, y and z")
-    found = Priors(
-        load_official(motion) if moved["motion"] else checkpoint.motion_prior(str(motion or f"humor_{name}")),
-        load_vposer(pose) if _suffix(pose) in TORCH else _ours_pose(str(pose or f"pose_prior_{name}")),
-        init_gmm.load_official(initial) if moved["initial"] else _ours_initial(str(initial or f"init_gmm_{name}")),
-    )
-    if pelvis is None:
-        return found
-    return Priors(
-        at_pelvis(found.motion, pelvis) if moved["motion"] else found.motion,
-        found.pose,
-        mixture_at_pelvis(found.initial, pelvis) if moved["initial"] else found.initial,
-    )
 
+    def __init__(self, weights: Tensor, means: Tensor, covariances: Tensor) -> None:
+        sizes = check_shape(means, "K D", "means")
+        count, size = sizes["K"], sizes["D"]
+        check_shape(weights, f"{count}", "weights")
+        check_shape(covariances, f"{count} {size} {size}", "covariances")
+        self.weights, self.means, self.covariances = weights, means, covariances
+        if not (weights > 0).all() or abs(float(weights.double().sum()) - 1) > 1e-3:
+            raise DataError("weights must be above zero and sum to 1", place="weights", remedy="fit the mixture again")
+        symmetric = (covariances - covariances.mT).abs().max() <= 1e-4 * covariances.abs().max()
+        if not symmetric or torch.linalg.cholesky_ex(covariances.double()).info.any():
+            raise DataError(
+                "a covariance is not symmetric and positive definite",
+                place="covariances",
+                remedy="add a little to its diagonal, or fit the mixture again",
+            )
 
-def _suffix(path: Path | str | None) -> str:
-    return "" if path is None else Path(path).suffix.lower()
+    @cached_property
+    def _white(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Rows that whiten, (K D, D), the means in these coordinates (K D,), and each component's constant (K,)."""
+        weights, means, covariances = (x.double() for x in (self.weights, self.means, self.covariances))
+        factor = torch.linalg.cholesky((covariances + covariances.mT) / 2)
+        unit = torch.eye(means.shape[1], dtype=torch.float64, device=factor.device).expand_as(factor)
+        rows = torch.linalg.solve_triangular(factor, unit, upper=False)
+        logdet = factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        constant = (weights / weights.sum()).log() - logdet - 0.5 * means.shape[1] * math.log(2 * math.pi)
+        return rows.flatten(0, 1), (rows @ means[..., None]).flatten(), constant
 
+    def each(self, features: Tensor) -> Tensor:
+        """Computes log(w_k N_k(features)) (..., K), nats, float64."""
+        if features.shape[-1] != self.means.shape[1]:
+            raise ShapeError(f"features: expected (..., {self.means.shape[1]}), got {tuple(features.shape)}")
+        rows, shift, constant = (x.to(features.device) for x in self._white)
+        white = (features.double() @ rows.mT - shift).unflatten(-1, self.means.shape)
+        return constant - 0.5 * white.square().sum(-1)
 
-def _shift(pelvis: Pelvis) -> Tensor:
-    """k (339,) above."""
-    x, y, z = pelvis
-    parts = {name: torch.zeros(shape) for name, shape in state.SHAPES.items()}
-    parts["trans"][2] = -z
-    parts["joints"][:, :2] = torch.tensor([x, y])
-    return state.pack(parts)
+    def whitened(self, features: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Computes W_k (features - m_k) (B, K, D), W_k slopes (B, K, D, n) and c_k (K,) from slopes (B, D, n).
 
+        ``each`` is c_k - 1/2 |W_k (features - m_k)|^2; float64.
+        """
+        rows, shift, constant = (x.to(features.device) for x in self._white)
+        sizes = self.means.shape
+        off = (features.double() @ rows.mT - shift).unflatten(-1, sizes)
+        return off, (rows @ slopes.double()).unflatten(1, sizes), constant
 
-def at_pelvis(model: Cvae, pelvis: Pelvis) -> Cvae:
-    """An official model, changed in place so that ``trans`` of its states is the pelvis."""
-    with torch.no_grad():
-        for net, states in ((model.encoder, 2), (model.prior_net, 1), (model.decoder, 1)):
-            first, k = net.net[0], _shift(pelvis).repeat(states)
-            first.bias += first.weight[:, : len(k)] @ k.to(first.weight)
-    return model
+    def log_prob(self, features: Tensor) -> Tensor:
+        """Computes log p(features) (...), nats; inside in float64."""
+        return self.each(features).logsumexp(-1).to(features)
 
-
-def mixture_at_pelvis(mixture: InitGmm, pelvis: Pelvis) -> InitGmm:
-    """An official mixture over first states whose ``trans`` is the pelvis."""
-    k = init_gmm.features(_shift(pelvis)).to(mixture.means)
-    return InitGmm(mixture.weights, mixture.means - k, mixture.covariances)
-
-
-@cache
-def pose(name: str = "pose_prior_compact") -> PosePrior:
-    """A pose prior of this project, by name or by path.
-
-    Raises:
-        DataError: no such checkpoint, damaged, or of something else.
-    """
-    tensors, path = _tensors(name)
-    model = PosePrior()
-    counts = {key: value for key, value in model.state_dict().items() if key.endswith("num_batches_tracked")}
-    try:
-        model.load_state_dict(counts | {key: value.float() for key, value in tensors.items()})
-    except RuntimeError as error:
-        what = str(error).splitlines()[-1].strip()
-        raise DataError(f"not a pose prior: {what}", path=path, remedy=checkpoint.REMEDY) from error
-    _finite(tensors, path)
-    return model.frozen()
-
-
-@cache
-def initial(name: str = "init_gmm_compact") -> InitGmm:
-    """A mixture over first states of this project, by name or by path.
-
-    Raises:
-        DataError: no such checkpoint, damaged, or of something else.
-    """
-    tensors, path = _tensors(name)
-    _finite(tensors, path)
-    return init_gmm.from_tensors(tensors, path)
-
-
-_ours_pose, _ours_initial = pose, initial  # within ``load`` these names are arguments
-
-
-def _tensors(name: str) -> tuple[dict[str, Tensor], Path]:
-    path = checkpoint.SHIPPED / name if Path(name).name == name else Path(name)
-    return checkpoint.load(path)[0], path
-
-
-def _finite(tensors: dict[str, Tensor], path: Path) -> None:
-    for name, value in tensors.items():
-        if not value.isfinite().all():
-            raise DataError("numbers that are not finite", path=path, place=name, remedy=checkpoint.REMEDY)
+    def tensors(self) -> dict[str, Tensor]:
+        """Returns its arrays by the names of the official file."""
+        return {"weights": self.weights, "means": self.means, "covariances": self.covariances}

@@ -1,10 +1,17 @@
-"""Roll-outs of the prior: from a first state and latents to a motion. The lean form, with nothing computed twice.
+"""Computes roll-outs of the prior from a first state and latents, plain or steered.
 
-Every step happens in the canonical frame of its own newest state; ``recursion`` walks that chain, the only thing that
-must be done step by step. What z adds to each layer, the prior of every step and the way back into the world do not
-feed the chain and are computed for all steps at once.
+Every step happens in the heading frame of its own newest state; the chain of steps (``transition``, or ``compiled`` for
+few clips) is the only thing that must be done one after the other. The prior of every step and the way back into the
+world do not feed the chain and are computed for all steps at once.
 
-Source: HuMoR (Rempe et al. 2021), ``roll_out`` of the official code; thesis 3.1.1, 3.3.1 (K-step parallel decode).
+A steered roll-out takes u instead of z, z_t = u_t + K_t X_t, where X_t (345) is the state in its own heading frame and
+that frame's place in the world, the first rows of a homogeneous matrix: cos, -sin, x | sin, cos, y. A plain roll-out
+forgets nothing: what one z does stays done in all frames to come, and a search over z is stiff. With the gains K_t of
+``shooting.coordinates`` every later z makes up for what an earlier one changed. Any z is reached by some u, so that
+minima stay what they are, and what comes out is an exact roll-out.
+
+Source: HuMoR (Rempe et al. 2021), ``roll_out`` of the official code; thesis 3.1.1, 3.3.1 (K-step parallel decode);
+differential dynamic programming (Jacobson and Mayne 1970), forward pass.
 """
 
 from __future__ import annotations
@@ -13,14 +20,18 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
 from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
-from motionlab.frames import Frame
+from motionlab.humor import compiled
 from motionlab.humor.cvae import Cvae, Gaussian
-from motionlab.humor.recursion import BACK, LEAN, ROT, Decoder, Recursion, Stepper
-from motionlab.humor.state import STATE, globalise, heading, localise
+from motionlab.humor.state import CHANGES, STATE, VECTORS, apply, globalise, heading, localise
+from motionlab.humor.transition import DecoderLayers, Step, Stepper, WayBack
+from motionlab.motion import Frame
+
+_SPIN = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # d/da of a turn, from the right
 
 
 class Rollout(NamedTuple):
@@ -39,35 +50,56 @@ def rollout(
     *,
     offset: Tensor | None = None,
     with_prior: bool = True,
+    loops: bool | None = None,
 ) -> Rollout:
-    """Decode T transitions one after the other.
+    """Computes T states from a first state and T latents, one after the other.
 
     Args:
         first: (B, 339) states, world coordinates. z: (B, T, 48), T > 0.
         offset: (B, 3) from ``state.pelvis_offset`` where ``trans`` is not the pelvis.
         with_prior: evaluate p(z_t | x_{t-1}) of every step, in one batch.
+        loops: walk the chain in compiled loops, or in tensors; None: in loops where that is quicker.
 
     Returns:
-        states in the coordinates of ``first``. First derivatives only.
+        states in the coordinates of ``first``. First derivatives only; with respect to the decoder's weights, too,
+        where they want gradients (recorded step by step by autograd, five times slower).
     Raises:
         ShapeError: first and z do not fit each other.
     """
-    check(model, first, z)
-    decoder = Decoder.of(model)
+    _check(model, first, z)
     start = heading(first)
-    x = localise(first, start, offset)[:, LEAN.to(first.device)]
-    weights = (*decoder.weights, *decoder.gains, *decoder.shifts)
-    past, after, logits = Recursion.apply(decoder, x, _spread(offset), *decoder.shares(z.transpose(0, 1)), *weights)
-    back = BACK.to(first.device)
+    x = localise(first, start, offset)
+    if torch.is_grad_enabled() and any(weight.requires_grad for weight in model.decoder.parameters()):
+        past, after, logits = _recorded(model, x, z.transpose(0, 1), offset)
+    else:
+        past, after, logits, _ = _chain(model, x, z.transpose(0, 1), None, _spread(offset), loops)
     prior = None
     if with_prior:
-        prior = Gaussian(*(part.transpose(0, 1) for part in model.prior(past[..., back])))
-    states = to_world(start, after[..., back].transpose(0, 1), offset)
-    return Rollout(states, logits.transpose(0, 1), z, prior)
+        prior = Gaussian(*(part.transpose(0, 1) for part in model.prior(past)))
+    return Rollout(_to_world(start, after.transpose(0, 1), offset), logits.transpose(0, 1), z, prior)
 
 
-def check(model: Cvae, first: Tensor, z: Tensor) -> None:
-    """Raises ShapeError where first states (B, 339) and latents (B, T, 48) do not fit each other."""
+def steered_rollout(model: Cvae, first: Tensor, u: Tensor, gains: Tensor | None = None) -> tuple[Rollout, Tensor]:
+    """Computes T states from a first state, u and gains, as above. No derivatives of the decoder's weights.
+
+    Args:
+        first: (B, 339) states, world coordinates. u: (B, T, 48). gains: (B, T, 48, 345) or none.
+
+    Returns:
+        the roll-out, its z included, and X (B, T, 345), from which each z was steered.
+    """
+    _check(model, first, u)
+    start = heading(first)
+    place = torch.cat((start.turn.mT[:, :2, :2], -start.shift[:, :2, None]), -1).flatten(1)
+    x = torch.cat((localise(first, start), place), 1)
+    steering = None if gains is None else gains.transpose(0, 1)
+    past, after, logits, z = _chain(model, x, u.transpose(0, 1), steering)
+    prior = Gaussian(*(part.transpose(0, 1) for part in model.prior(past[..., :STATE])))
+    states = _to_world(start, after.transpose(0, 1), None)
+    return Rollout(states, logits.transpose(0, 1), z.transpose(0, 1), prior), past.transpose(0, 1)
+
+
+def _check(model: Cvae, first: Tensor, z: Tensor) -> None:
     check_shape(first, f"B {STATE}", "first")
     check_shape(z, f"B T {model.latent}", "z")
     if len(first) != len(z):
@@ -77,11 +109,115 @@ def check(model: Cvae, first: Tensor, z: Tensor) -> None:
 
 
 def _spread(offset: Tensor | None) -> Tensor | None:
-    """The offset (B, 3) at the joints among the 50 vectors of ``recursion``."""
+    """The offset (B, 3) at the joints among the 50 vectors of a state."""
     return None if offset is None else F.pad(offset[:, None].expand(-1, 22, -1), (0, 0, 3, 25))
 
 
-def to_world(start: Frame, local: Tensor, offset: Tensor | None) -> Tensor:
+def _chain(model: Cvae, x: Tensor, u: Tensor, gains: Tensor | None, spread: Tensor | None = None, loops=None):
+    """All steps from X_0 (B, 339 or 345), u (T, B, 48) and gains (T, B, 48, 345): past (T, B, 339 or 345), states in
+    the frame before (T, B, 339), contact logits (T, B, 9) and z (T, B, 48)."""
+    layers = DecoderLayers.of(model)
+    if (compiled.fits(x, u) if loops is None else loops) and spread is None:
+        none = u.new_zeros(*u.shape, 0)
+        past, *rest = compiled.LoopedChain.apply(
+            layers, F.pad(x, (0, compiled.PLACED - x.shape[1])), u, none if gains is None else gains
+        )
+        return past[..., : x.shape[1]], *rest
+    return Chain.apply(layers, x, u, gains, spread)
+
+
+def _recorded(model: Cvae, x: Tensor, z: Tensor, offset: Tensor | None):
+    """The same in the plainest way, every operation recorded by autograd: for gradients of the weights."""
+    past, after, logits = [], [], []
+    for now in z.unbind(0):
+        past.append(x)
+        state, contacts = apply(x, model.decode(x, now))
+        after.append(state), logits.append(contacts)
+        x = localise(state, heading(state), offset)
+    return tuple(torch.stack(each) for each in (past, after, logits))
+
+
+class Chain(torch.autograd.Function):
+    """All steps in tensors, as ``_chain`` says, with first derivatives of X_0, u and spread written out."""
+
+    @staticmethod
+    def forward(ctx, decoder: DecoderLayers, first: Tensor, u: Tensor, gains: Tensor | None, spread: Tensor | None):
+        """Walks the chain. Where ``first`` has a place in the world, that is carried along."""
+        step, x = Stepper(decoder, spread), first
+        joint, bias = torch.cat(decoder.z_weights), torch.cat(decoder.biases)
+        sizes, transposed = [len(b) for b in decoder.biases], joint.mT.contiguous()
+        shares = None if gains is not None else F.linear(u, joint, bias).unbind(0)
+        place = _homogeneous(first[:, STATE:]) if first.shape[1] > STATE else None
+        past, steps, zs, places, ways = [], [], [], [], []
+        for t, now in enumerate(u.unbind(0)):
+            past.append(x)
+            if gains is None:
+                z, share = now, shares[t]
+            else:
+                z = torch.baddbmm(now[..., None], gains[t], x[..., None])[..., 0]
+                share = torch.addmm(bias, z, transposed)
+            done = step(x[:, :STATE], share.split(sizes, 1))
+            x = done.moved
+            if place is not None:
+                places.append(place), ways.append(_onward(done))
+                place = place @ ways[-1]
+                x = torch.cat((x, place[:, :2].flatten(1)), 1)
+            steps.append(done), zs.append(z)
+        ctx.step, ctx.steps, ctx.gains, ctx.joint, ctx.places, ctx.ways = step, steps, gains, joint, places, ways
+        ctx.past = torch.stack(past)
+        ctx.after, ctx.raw = torch.stack([s.after for s in steps]), torch.stack([s.raw for s in steps])
+        return ctx.past.clone(), ctx.after.clone(), ctx.raw[..., CHANGES:].clone(), torch.stack(zs)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, d_past: Tensor, d_after: Tensor, d_logits: Tensor, d_z: Tensor):
+        """Computes the gradients of X_0, u and spread."""
+        count, placed = len(ctx.past), bool(ctx.places)
+        d_past, d_after, d_logits = (d.unbind(0) for d in (d_past, d_after, d_logits))
+        way = WayBack(ctx.step, ctx.steps, ctx.past[..., :STATE], ctx.after, ctx.raw)
+        spins = (torch.stack([s.turn for s in ctx.steps]) @ _SPIN.to(ctx.past)).unbind(0) if placed else ()
+        d_x, d_shares = torch.zeros_like(d_past[0]), [None] * count
+        d_spread = None if way.spread is None else torch.zeros_like(way.spread)
+        for t in reversed(range(count)):
+            d = d_after[t]
+            d_place = F.pad(d_x[:, STATE:].unflatten(1, (2, 3)), (0, 0, 0, 1)) if placed else None
+            if t < count - 1:  # the last state's own frame is nobody's input
+                d_angle, back = way.of_frame(t, d_x)
+                if d_spread is not None:
+                    d_spread += back - d_x[:, :VECTORS].unflatten(1, (50, 3))
+                if placed:
+                    d_way = ctx.places[t].mT @ d_place
+                    d_angle = d_angle + (d_way * spins[t]).sum((1, 2))[:, None]
+                d = way.of_after(t, d, d_x, d_angle, back)
+                if placed:
+                    d[:, :2] += d_way[:, :2, 2]
+                    d_place = d_place @ ctx.ways[t].mT
+            shares, d_x = way.of_step(t, d, d_logits[t])
+            d_shares[t] = torch.cat(shares, 1)
+            if placed:
+                d_x = torch.cat((d_x, d_place[:, :2].flatten(1)), 1)
+            d_x = d_x + d_past[t]
+            if ctx.gains is not None:
+                d_shares[t] = torch.addmm(d_z[t], d_shares[t], ctx.joint)  # of u
+                d_x = torch.baddbmm(d_x[:, None], d_shares[t][:, None], ctx.gains[t])[:, 0]
+        d_u = torch.stack(d_shares)
+        return None, d_x, d_z + d_u @ ctx.joint if ctx.gains is None else d_u, None, d_spread
+
+
+def _homogeneous(place: Tensor) -> Tensor:
+    """The two rows (B, 6) of a place in the world as a matrix (B, 3, 3)."""
+    last = place.new_tensor([[0.0, 0.0, 1.0]]).expand(len(place), 3)
+    return torch.cat((place, last), 1).unflatten(1, (3, 3))
+
+
+def _onward(step: Step) -> Tensor:
+    """From places in the next heading frame to places in this one: (B, 3, 3), homogeneous, on the floor."""
+    onward = step.turn.clone()
+    onward[:, :2, 2] = step.after[:, :2]
+    return onward
+
+
+def _to_world(start: Frame, local: Tensor, offset: Tensor | None) -> Tensor:
     """States (B, T, 339), each in the frame of the state before it, in the coordinates that ``start`` (B) is given in.
 
     x_{k+1} = A_k (x_k + s_k), so that x_k = turn_k (x + shift_k) with turn_{k+1} = A_k turn_k and
@@ -95,32 +231,32 @@ def to_world(start: Frame, local: Tensor, offset: Tensor | None) -> Tensor:
     return globalise(local, Frame(turn, shift), None if offset is None else offset[:, None])
 
 
-def sample(
+def sample_rollout(
     model: Cvae, first: Tensor, steps: int, *, generator: torch.Generator | None = None, offset: Tensor | None = None
 ) -> Rollout:
-    """Roll out with z from the prior: drawn where a generator is given, else its mean. Gradients are not kept.
+    """Computes a roll-out with z from the prior: drawn where a generator is given, else its mean. Keeps no gradients.
 
     first: (B, 339) states, world coordinates.
     """
     check_shape(first, f"B {STATE}", "first")
     with torch.no_grad():
-        decoder, back = Decoder.of(model), BACK.to(first.device)
+        decoder = DecoderLayers.of(model)
         step, start = Stepper(decoder, _spread(offset)), heading(first)
-        x = localise(first, start, offset)[:, LEAN.to(first.device)]
+        x = localise(first, start, offset)
         after, logits, zs, means, variances = [], [], [], [], []
         for _ in range(steps):
-            prior = model.prior(x[:, back])
+            prior = model.prior(x)
             z = prior.mean if generator is None else prior.sample(generator)
             now = step(x, decoder.shares(z))
             x = now.moved
-            after.append(now.after), logits.append(now.raw[:, ROT:]), zs.append(z)
+            after.append(now.after), logits.append(now.raw[:, CHANGES:]), zs.append(z)
             means.append(prior.mean), variances.append(prior.log_var)
         after, logits, zs, means, variances = (torch.stack(each, 1) for each in (after, logits, zs, means, variances))
-        return Rollout(to_world(start, after[..., back], offset), logits, zs, Gaussian(means, variances))
+        return Rollout(_to_world(start, after, offset), logits, zs, Gaussian(means, variances))
 
 
 def infer(model: Cvae, states: Tensor, *, offset: Tensor | None = None) -> tuple[Gaussian, Gaussian]:
-    """Posterior and prior (B, T-1, 48) of every transition of world states (B, T, 339), all at once.
+    """Computes posterior and prior (B, T-1, 48) of every transition of world states (B, T, 339), all at once.
 
     Source: Stage-3 initialisation of the official code; offset (B, 3) is taken once, from the first frame.
     """
@@ -131,7 +267,7 @@ def infer(model: Cvae, states: Tensor, *, offset: Tensor | None = None) -> tuple
 
 
 def decode_ahead(model: Cvae, states: Tensor, z: Tensor, steps: int = 1) -> Tensor:
-    """K transitions from every state at once: (B, T, K, 339), entry [b, t, k] predicts the state t + k + 1.
+    """Computes K transitions from every state at once: (B, T, K, 339), entry [b, t, k] predicts the state t + k + 1.
 
     states (B, T, 339), world; z (B, T, 48) of the transition out of each state. Starts from which fewer than K
     latents are left get predictions with the last latent repeated: cut them off by t + k + 1 < T.

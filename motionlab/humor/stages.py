@@ -1,11 +1,12 @@
-"""The three stages of the test-time optimisation: what each minimises, and how stage 3 begins.
+"""The three stages of the test-time optimisation: what each minimises, and the original search for its minimum.
 
 Source: HuMoR (Rempe et al. 2021), section 4 and its official code; thesis 3.1.2.
-Differs: see :mod:`motionlab.humor.testops`.
+Differs: in lean mode L-BFGS moves other coordinates, in which the energy is nearly round (last section).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,24 +15,27 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from motionlab.humor import energies, faithful_variables, init_gmm, preconditioned, state, variables
-from motionlab.humor.observed import Evidence
-from motionlab.humor.priors import Priors
-from motionlab.humor.variables import Posed, Variables
-from motionlab.humor.weights import Weights
-from motionlab.optimise_batch import BatchFit, minimise_batch
+from motionlab.baselines import cosine_transform
+from motionlab.humor import energies, state, unknowns
+from motionlab.humor.energies import SIGMA, Weights
+from motionlab.humor.evidence import Evidence
+from motionlab.humor.priors import Priors, first_state_features
+from motionlab.humor.unknowns import FIRST, Form, Posed, Rolled, Unknowns
+from motionlab.optimise import BatchFit, minimise_batch
 
-#: x0, the first state's unknowns.
-FIRST = ("trans", "orient", "latent", "trans_vel", "root_orient_vel", "joints_vel")
-CONTACT_TERMS = ("contact_vel", "contact_height")
-OVERLAP = 2.0  # of the weight of joint_consistency: the official 200 beside 100
+_OVERLAP = 2.0  # of the weight of joint_consistency: the official 200 beside 100
+
+Terms = dict[str, Tensor]
+#: From the numbers that a search moves, by name, and the recordings that they are of, to the unknowns.
+Back = Callable[[Mapping[str, Tensor], Tensor], Unknowns]
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What does not change while a fit looks for its unknowns.
 
-    evidence: of B = G W rows. starts (W,): first frame of each window in its recording. mode: "lean" or "faithful".
+    evidence: of B = G W rows. starts (W,): first frame of each window in its recording. mode: "lean" or "official".
+    form: what turns unknowns into bodies.
     """
 
     evidence: Evidence
@@ -39,68 +43,49 @@ class Problem:
     weights: Weights
     mode: str = "lean"
     starts: tuple[int, ...] = (0,)
-
-    @property
-    def form(self):
-        """What turns unknowns into bodies: ``variables``, or at the official price ``faithful_variables``."""
-        return faithful_variables if self.mode == "faithful" else variables
-
-    @property
-    def rolled_windows(self) -> int:
-        """Windows W per recording."""
-        return len(self.starts)
+    form: Form = unknowns.LEAN
 
     def rows(self, index: Tensor) -> Problem:
-        """The same for some recordings alone."""
+        """Returns the same for some recordings alone."""
         every = index[:, None] * len(self.starts) + torch.arange(len(self.starts), device=index.device)
         return replace(self, evidence=self.evidence.rows(every.flatten()))
 
 
-Terms = dict[str, Tensor]
-
-
-def _data(problem: Problem, body: Posed, evidence: Evidence) -> Terms:
-    if evidence.view is None:
-        return {"joints3d": energies.joints3d(body.observed, evidence.values, evidence.weight > 0)}
-    return {"joints2d": energies.joints2d(body.observed, evidence.values, evidence.weight)}
-
-
-def pose_terms(problem: Problem, unknown: Variables, stage: int) -> Terms:
-    """Weighted terms (G,) of stage 1 or 2, by name. Lean mode is smooth in stage 1 already, where that is listed."""
+# ---------------------------------------------------------------------------------------------------------- the terms
+def pose_terms(problem: Problem, unknown: Unknowns, stage: int) -> Terms:
+    """Computes the weighted terms (G,) of stage 1 or 2 by name. Lean mode is smooth in stage 1 already."""
     evidence = problem.evidence
     body = problem.form.pose(unknown, problem.priors, evidence)
-    terms = _data(problem, body, evidence) | {
+    terms = _data(body, evidence) | {
         "joints3d_smooth": energies.joints3d_smooth(body.joints),
-        "pose_prior": energies.pose_prior(variables.rows(unknown, "latent")),
+        "pose_prior": energies.pose_prior(unknown.latent.flatten(0, 1)),
         "shape_prior": energies.shape_prior(body.betas, evidence.values.shape[1]),
     }
     return _weighted(terms, problem.weights.of(stage, listed=problem.mode == "lean"), unknown)
 
 
-def motion_terms(problem: Problem, unknown: Variables, *, grown: bool = True, contacts: bool = True) -> Terms:
-    """Weighted terms (G,) of stage 3, by name.
-
-    The roll-out has as many frames as z has transitions, and one.
+def motion_terms(problem: Problem, unknown: Unknowns, *, grown: bool = True, contacts: bool = True) -> Terms:
+    """Computes the weighted terms (G,) of stage 3 by name, over as many frames as z has transitions, and one.
 
     Args:
         grown: the first state's weight times frames / 15, as from the second sub-stage on.
         contacts: with the contact terms.
     """
-    evidence = problem.evidence.short(unknown["z"].shape[2] + 1)
+    evidence = problem.evidence.short(unknown.z.shape[2] + 1)
     rolled = problem.form.roll(unknown, problem.priors, evidence)
     return rolled_terms(problem, unknown, rolled, grown=grown, contacts=contacts)
 
 
 def rolled_terms(
-    problem: Problem, unknown: Variables, rolled: variables.Rolled, *, grown: bool = True, contacts: bool = True
+    problem: Problem, unknown: Unknowns, rolled: Rolled, *, grown: bool = True, contacts: bool = True
 ) -> Terms:
-    """:func:`motion_terms` of a roll-out that is there already."""
+    """Computes :func:`motion_terms` of a roll-out that is there already."""
     frames = rolled.states.shape[1]
     evidence = problem.evidence.short(frames)
     body, own = rolled.body, state.unpack(rolled.states)["joints"]
     touching = energies.contact_probabilities(rolled.rollout.contact_logits)
-    first = init_gmm.features(variables.local_first(rolled.states[:, 0]))
-    terms = _data(problem, body, evidence) | {
+    first = first_state_features(unknowns.local_first(rolled.states[:, 0]))
+    terms = _data(body, evidence) | {
         "shape_prior": energies.shape_prior(body.betas, frames),
         "motion_prior": energies.motion_prior(rolled.rollout.z, rolled.rollout.prior),
         "init_motion_prior": energies.init_motion_prior(first, problem.priors.initial),
@@ -108,20 +93,29 @@ def rolled_terms(
         "bone_length": energies.bone_length(own),
     }
     if contacts:
-        terms |= {name: getattr(energies, name)(body.joints, touching) for name in CONTACT_TERMS}
+        terms |= {
+            "contact_vel": energies.contact_vel(body.joints, touching),
+            "contact_height": energies.contact_height(body.joints, touching),
+        }
     if evidence.view is not None and evidence.view.free:
         still = torch.zeros_like(body.camera)
         terms["floor_reg"] = energies.floor_reg(evidence.view.floor(body.camera), evidence.view.floor(still), frames)
     weight = problem.weights.of(3, frames=frames if grown else None)
     found = _weighted(terms, weight, unknown)
     if len(problem.starts) > 1 and grown:
-        together = OVERLAP * problem.weights.joint_consistency[2]
+        together = _OVERLAP * problem.weights.joint_consistency[2]
         found["overlap"] = together * _overlap(body.joints, problem.starts)
     return found
 
 
-def _weighted(terms: Terms, weights: Mapping[str, float], unknown: Variables) -> Terms:
-    groups = unknown["trans"].shape[:2]
+def _data(body: Posed, evidence: Evidence) -> Terms:
+    if evidence.view is None:
+        return {"joints3d": energies.joints3d(body.observed, evidence.values, evidence.weight > 0)}
+    return {"joints2d": energies.joints2d(body.observed, evidence.values, evidence.weight)}
+
+
+def _weighted(terms: Terms, weights: Mapping[str, float], unknown: Unknowns) -> Terms:
+    groups = unknown.trans.shape[:2]
     return {n: weights[n] * terms[n].unflatten(0, groups).sum(1) for n in terms if n in weights}
 
 
@@ -135,30 +129,87 @@ def _overlap(joints: Tensor, starts: tuple[int, ...]) -> Tensor:
     return total
 
 
-def search(
-    terms: Callable[[Problem, Variables], Terms],
+# ------------------------------------------------------------------------------------------------------- the searches
+def stage_1_and_2(problem: Problem, unknown: Unknowns, stage: int, **budget) -> tuple[Unknowns, BatchFit]:
+    """Searches for the root alone (1), or for root, pose and shape (2)."""
+    moving = ("trans", "orient") if stage == 1 else ("trans", "orient", "latent", "betas")
+    terms = partial(pose_terms, stage=stage)
+    if problem.mode != "lean":
+        return _search(terms, problem, unknown.named(), moving, **budget)
+    weights = problem.weights.of(stage, listed=True)
+    new, back = _rounded(unknown, moving, problem.priors, problem.evidence, weights)
+    return _search(terms, problem, new, tuple(new), back, **budget)
+
+
+def stage_3(
     problem: Problem,
-    unknown: Variables,
+    unknown: Unknowns,
+    factors: Tensor | None = None,
+    *,
+    steps: int,
+    short: int,
+    refine: tuple[int, int],
+    **budget,
+) -> tuple[Unknowns, list[BatchFit]]:
+    """Searches the first ``short`` frames; then all, x0 frozen and without contact terms; then everything.
+
+    factors: of ``start.start_stage_3``; without them the search is in the unknowns as they are.
+    refine: the steps at which the second and the third sub-stage begin.
+    """
+    camera = ("camera",) if unknown.camera is not None and problem.evidence.view.free else ()
+    everything = (*FIRST, "z", "betas", *camera)
+    fits: list[BatchFit] = []
+
+    def part(unknown: Unknowns, moving: tuple[str, ...], steps: int, **how) -> Unknowns:
+        if steps <= 0 or (fits and interrupted(fits[-1])):
+            return unknown
+        terms = partial(motion_terms, **how)
+        if factors is None:
+            found, fit = _search(terms, problem, unknown.named(), moving, steps=steps, **budget)
+        else:
+            new, back = rounded_motion(unknown, moving, factors)
+            found, fit = _search(terms, problem, new, tuple(new), back, steps=steps, **budget)
+        fits.append(fit)
+        return found
+
+    frames, plan = unknown.z.shape[2] + 1, (min(refine[0], steps), min(refine[1], steps))
+    if frames <= short:
+        return part(unknown, everything, steps), fits
+    head = part(replace(unknown, z=unknown.z[:, :, : short - 1]), everything, plan[0], grown=False)
+    unknown = replace(head, z=torch.cat((head.z, unknown.z[:, :, short - 1 :]), 2))
+    unknown = part(unknown, tuple(n for n in everything if n not in FIRST), plan[1] - plan[0], contacts=False)
+    return part(unknown, everything, steps - plan[1]), fits
+
+
+def _search(
+    terms: Callable[[Problem, Unknowns], Terms],
+    problem: Problem,
+    start: Mapping[str, Tensor],
     moving: tuple[str, ...],
-    old: preconditioned.Back = lambda new, rows: new,
+    back: Back = lambda new, rows: Unknowns(**new),
     *,
     steps: int,
     inner: int,
     tolerance: float = 0.0,
     progress: bool = False,
-) -> tuple[dict[str, Tensor], BatchFit]:
-    """Lower the sum of some terms by moving some unknowns, each recording for itself; all unknowns come back.
+) -> tuple[Unknowns, BatchFit]:
+    """Lowers the sum of some terms by moving some of the numbers of ``start``, each recording for itself.
 
     A recording that is done costs nothing more.
-    old: the way from ``unknown`` of some recordings, and their numbers, to what the terms are functions of.
-    tolerance: share of its own first energy that a recording must gain in an iteration, whatever its neighbours are.
+
+    Args:
+        start: tensors (G, ...) by name. back: from such tensors to the unknowns that the terms are functions of.
+        tolerance: share of its own first energy that a recording must gain in an iteration, whatever others do.
+
+    Returns:
+        all unknowns at the lowest point, and the optimiser's report.
     """
-    point = {n: x.detach().clone().requires_grad_(n in moving and x.numel() > 0) for n, x in unknown.items()}
-    every = torch.arange(len(next(iter(unknown.values()))))
+    point = {n: x.detach().clone().requires_grad_(n in moving and x.numel() > 0) for n, x in start.items()}
+    every = torch.arange(len(next(iter(point.values()))))
     with torch.no_grad():
-        first = sum(terms(problem, old(point, every)).values()).abs().nan_to_num(0.0, 0.0, 0.0)
+        first = sum(terms(problem, back(point, every)).values()).abs().nan_to_num(0.0, 0.0, 0.0)
     fit = minimise_batch(
-        lambda at, rows: sum(terms(problem.rows(rows), old(at, rows)).values()),
+        lambda at, rows: sum(terms(problem.rows(rows), back(at, rows)).values()),
         point,
         rows=True,
         steps=steps,
@@ -166,60 +217,117 @@ def search(
         tolerance_change=tolerance * first,
         progress=progress,
     )
-    return {**{n: x.detach() for n, x in point.items()}, **fit.variables}, fit
-
-
-def stage_1_and_2(problem: Problem, unknown: Variables, stage: int, **budget) -> tuple[dict[str, Tensor], BatchFit]:
-    """Root alone (1), or root, pose and shape (2); lean mode searches in rounder coordinates."""
-    moving = ("trans", "orient") if stage == 1 else ("trans", "orient", "latent", "betas")
-    if problem.mode != "lean":
-        return search(partial(pose_terms, stage=stage), problem, unknown, moving, **budget)
-    weights = problem.weights.of(stage, listed=True)
-    new, old = preconditioned.rounded(unknown, moving, problem.priors, problem.evidence, weights)
-    found, fit = search(partial(pose_terms, stage=stage), problem, new, tuple(new), old, **budget)
-    return {n: x.detach() for n, x in old(found).items()}, fit
-
-
-def stage_3(
-    problem: Problem,
-    unknown: Variables,
-    factors: Tensor | None = None,
-    *,
-    steps: int,
-    short: int,
-    refine: tuple[int, int],
-    **budget,
-) -> tuple[dict[str, Tensor], list[BatchFit]]:
-    """First the first ``short`` frames; then all, x0 frozen and without contact terms; then everything.
-
-    factors: of ``transitions.start``; without them the search is in the unknowns as they are.
-    refine: the steps at which the second and the third sub-stage begin.
-    """
-    camera = ("camera",) if "camera" in unknown and problem.evidence.view.free else ()
-    everything = (*FIRST, "z", "betas", *camera)
-    fits: list[BatchFit] = []
-
-    def part(unknown: Variables, moving: tuple[str, ...], steps: int, **how) -> dict[str, Tensor]:
-        if steps <= 0 or (fits and interrupted(fits[-1])):
-            return dict(unknown)
-        if factors is None:
-            found, fit = search(partial(motion_terms, **how), problem, unknown, moving, steps=steps, **budget)
-        else:
-            new, old = preconditioned.rounded_motion(unknown, moving, factors)
-            found, fit = search(partial(motion_terms, **how), problem, new, tuple(new), old, steps=steps, **budget)
-            found = old(found)
-        fits.append(fit)
-        return {n: x.detach() for n, x in found.items()}
-
-    frames, plan = unknown["z"].shape[2] + 1, (min(refine[0], steps), min(refine[1], steps))
-    if frames <= short:
-        return part(unknown, everything, steps), fits
-    head = part({**unknown, "z": unknown["z"][:, :, : short - 1]}, everything, plan[0], grown=False)
-    unknown = {**head, "z": torch.cat((head["z"], unknown["z"][:, :, short - 1 :]), 2)}
-    unknown = part(unknown, tuple(n for n in everything if n not in FIRST), plan[1] - plan[0], contacts=False)
-    return part(unknown, everything, steps - plan[1]), fits
+    return back({**{n: x.detach() for n, x in point.items()}, **fit.variables}, every).detached(), fit
 
 
 def interrupted(fit) -> bool:
-    """Whether a person stopped a search."""
+    """Returns whether a person stopped a search."""
     return "interrupted" in fit.reasons
+
+
+# ------------------------------------------------------------------------------------------------- rounder coordinates
+# A sequence's Gauss-Newton matrix is nearly the same block H_d (data) for every frame, joined by the smoothness of its
+# neighbours, H_s. The cosine transform of time makes that diagonal: for frequency k of T frames
+#
+#     H_k = H_d + 4 sin^2(pi k / 2T) H_s + H_p = L_k L_k^T,      x = x_0 + C^T (L_k^-T u_k)
+#
+# with H_p of the priors, C the orthonormal transform and u the new unknowns. H_d and H_s are means over a few frames,
+# by finite differences at the start. Stage 3 has a factor for every latent (``start.start_stage_3``), and the other
+# unknowns have the lengths over which they matter. The minimum stays what it was.
+_OF_FRAMES = ("trans", "orient", "latent")
+_SAMPLES, _STEP, _RIDGE = 8, 1e-3, 1e-3
+#: Square metres, summed over the joints of a frame, that a unit of each unknown of stage 3 moves; orders of magnitude.
+_REACH = {
+    "trans": 22.0, "orient": 2.0, "latent": 0.1, "trans_vel": 100.0, "root_orient_vel": 10.0, "joints_vel": 10.0,
+    "betas": 0.02,
+}  # fmt: skip
+_REACH_CAMERA = (400.0, 400.0, 25.0)  # tilt, roll, rise
+
+
+def rounded_motion(unknown: Unknowns, moving: tuple[str, ...], factors: Tensor) -> tuple[dict[str, Tensor], Back]:
+    """Computes what :func:`_rounded` does, for stage 3; factors (G, W, L - 1 or more, 48, 48)."""
+    frames = unknown.z.shape[2] + 1
+    factors = factors[:, :, : frames - 1]
+    scale = {n: (reach * frames) ** -0.5 for n, reach in _REACH.items()}
+    scale["camera"] = (frames * unknown.trans.new_tensor(_REACH_CAMERA)).rsqrt()
+
+    def back(new: Mapping[str, Tensor], rows: Tensor | slice) -> Unknowns:
+        start = unknown.rows(rows)
+        found = {n: getattr(start, n) + scale[n] * x for n, x in new.items() if n != "z"}
+        if "z" in new:
+            found["z"] = start.z + (factors[rows] @ new["z"][..., None])[..., 0]
+        return replace(start, **found)
+
+    named = unknown.named()
+    return {n: torch.zeros_like(named[n]) for n in moving if named[n].numel()}, back
+
+
+def _rounded(
+    unknown: Unknowns, moving: tuple[str, ...], priors: Priors, evidence: Evidence, weights: dict[str, float]
+) -> tuple[dict[str, Tensor], Back]:
+    """Computes new numbers to move, zeros at the start, and the way from them to the unknowns.
+
+    unknown: of stages 1 and 2 with one window each, (G, 1, T, ...). moving: those that may change.
+    """
+    named = unknown.named()
+    names = [n for n in _OF_FRAMES if n in moving]
+    frames, sizes = unknown.trans.shape[2], [named[n].shape[-1] for n in names]
+    data, smooth, shape = _curvature(unknown, names, priors, evidence, weights)
+    prior = torch.cat([named[n].new_full((s,), 2 * weights.get("pose_prior", 0.0) * (n == "latent"))
+                       for n, s in zip(names, sizes, strict=True)])  # fmt: skip
+    stiff = 4 * (math.pi * torch.arange(frames) / (2 * frames)).sin().square().to(data)
+    h = data[:, None] + stiff[:, None, None] * smooth[:, None]
+    diagonal = h.diagonal(dim1=-2, dim2=-1)
+    ridge = _RIDGE * diagonal + prior + 1e-6 + _RIDGE * diagonal.mean(-1, keepdim=True)
+    factor = torch.linalg.cholesky((h + torch.diag_embed(ridge)).double())
+    unit = torch.eye(factor.shape[-1], dtype=factor.dtype, device=factor.device)
+    inverse = torch.linalg.solve_triangular(factor.mT, unit.expand_as(factor), upper=True).to(data)
+    cosine = cosine_transform(frames, torch.float32).to(data)
+    scale = (frames * (shape + 2 * weights.get("shape_prior", 0.0)) + 1e-3).rsqrt()
+
+    def back(new: Mapping[str, Tensor], rows: Tensor | slice) -> Unknowns:
+        start = unknown.rows(rows)
+        change = cosine.mT @ (inverse[rows] @ new["frames"][..., None])[..., 0]
+        parts = dict(zip(names, change.split(sizes, -1), strict=True))
+        found = {n: getattr(start, n) + parts[n][:, None] for n in names}
+        if "betas" in new:
+            found["betas"] = start.betas + scale[rows] * new["betas"]
+        return replace(start, **found)
+
+    zeros = {"frames": data.new_zeros(len(data), frames, sum(sizes))}
+    return zeros | ({"betas": torch.zeros_like(unknown.betas)} if "betas" in moving else {}), back
+
+
+def _curvature(unknown: Unknowns, names, priors, evidence, weights) -> tuple[Tensor, Tensor, Tensor]:
+    """H_d and H_s (G, n, n), means over some frames, and the diagonal (G, 8) for the shape; by finite differences."""
+    groups, _, frames = unknown.trans.shape[:3]
+    pick = torch.linspace(0, frames - 1, min(_SAMPLES, frames)).round().long()
+    some = {n: x[:, :, pick] if n in _OF_FRAMES else x for n, x in unknown.named().items()}
+    sizes = [some[n].shape[-1] for n in names] + [unknown.betas.shape[-1]]
+    count = sum(sizes)
+    shifts = dict(zip([*names, "betas"], (_STEP * torch.eye(count)).split(sizes, 1), strict=True))
+    many = {}
+    for n, x in some.items():  # (count + 1) copies of every recording, the first unchanged
+        more = x[None].expand(count + 1, *x.shape).clone()
+        if n in shifts:
+            more[1:] += shifts[n].to(x).reshape(count, 1, *(1,) * (x.ndim - 2), -1)
+        many[n] = more.flatten(0, 1)
+    rows = torch.arange(groups).repeat(count + 1)
+    seen = evidence.pieces(torch.tensor([0]), frames)
+    values, weight = seen.values[rows][:, pick], seen.weight[rows][:, pick]
+    view = None if seen.view is None else seen.view.rows(rows)
+    with torch.no_grad():
+        body = unknowns.pose(Unknowns(**many), priors, Evidence(values, weight, seen.fps, view))
+    observed, joints = (x.unflatten(0, (count + 1, groups)) for x in (body.observed, body.joints))
+    now, trust = values[:groups], weight[:groups]
+    if view is None:
+        importance = weights.get("joints3d", 0.0) * trust[..., None].expand_as(now)
+    else:
+        robust = (SIGMA**2 / (SIGMA**2 + (observed[0] - now).square())).square()
+        importance = 2 * weights.get("joints2d", 0.0) * trust.square()[..., None] * robust
+    scaled = (importance.sqrt() * (observed[1:] - observed[0]) / _STEP).flatten(3)  # (n + 8, G, S, .)
+    moved = ((joints[1:] - joints[0]) / _STEP).flatten(3)
+    data = torch.einsum("igsk,jgsk->gij", scaled, scaled) / len(pick)
+    smooth = weights.get("joints3d_smooth", 0.0) * torch.einsum("igsk,jgsk->gij", moved, moved) / len(pick)
+    n = count - sizes[-1]
+    return data[:, :n, :n], smooth[:, :n, :n], data.diagonal(dim1=-2, dim2=-1)[:, n:]

@@ -1,13 +1,17 @@
 """The state of one frame, 339 numbers, and the transition that turns one into the next.
 
-    trans 3 | trans_vel 3 | root_orient 9 | root_orient_vel 3 | pose_body 189 | joints 66 | joints_vel 66
+    trans 3 | trans_vel 3 | root_orient_vel 3 | joints 66 | joints_vel 66 | root_orient 9 | pose_body 189
 
-Metres, seconds, radians; world z up, floor at z = 0; matrices row-major. ``joints`` are the network's own idea of where
-the joints are, kept beside the pose that implies them.
+Metres, seconds, radians; world z up, floor at z = 0. ``joints`` are the network's own idea of where the joints are,
+kept beside the pose that implies them. Rotations stand transposed, row by row. So the first 141 numbers are what a
+transition adds to, the last 198 are the 22 matrices that it turns, and the first 150 are the 50 vectors that a new
+heading turns. This is the only order inside the library: official weights and states are put into it once, where they
+are read (``cvae.from_weights``, :func:`from_official`).
 
 Source: HuMoR (Rempe et al. 2021), section 3; thesis 3.1.1.
-Differs: ``trans`` is the pelvis itself, unless ``offset`` says where the pelvis lies from it (SMPL's translation is not
-its pelvis). The heading is exact in two dimensions, where the official code takes acos of a guarded cosine.
+Differs: the official order is trans, trans_vel, root_orient, root_orient_vel, pose_body, joints, joints_vel, matrices
+not transposed. ``trans`` is the pelvis itself, unless ``offset`` says where the pelvis lies from it (SMPL's translation
+is not its pelvis). The heading is exact in two dimensions, where the official code takes acos of a guarded cosine.
 """
 
 from __future__ import annotations
@@ -20,27 +24,32 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import check_shape
-from motionlab.frames import (
+from motionlab.motion import (
     Frame,
+    Motion,
     heading_frame,
     local_to_world_orientations,
     local_to_world_positions,
+    velocity,
     world_to_local_orientations,
     world_to_local_positions,
 )
-from motionlab.motion import Motion, velocity
 from motionlab.skeleton import Skeleton
 
-JOINTS, CONTACTS = 22, 9
+JOINT_COUNT, CONTACTS = 22, 9
 #: Frames per second that the prior knows: a transition takes a thirtieth of a second.
 FPS = 30.0
-#: The parts of a state and their shapes.
+#: The parts of a state in their order, and their shapes.
 SHAPES = {
-    "trans": (3,), "trans_vel": (3,), "root_orient": (3, 3), "root_orient_vel": (3,),
-    "pose_body": (21, 3, 3), "joints": (22, 3), "joints_vel": (22, 3),
+    "trans": (3,), "trans_vel": (3,), "root_orient_vel": (3,), "joints": (22, 3), "joints_vel": (22, 3),
+    "root_orient": (3, 3), "pose_body": (21, 3, 3),
 }  # fmt: skip
+#: The parts that are rotations; they stand transposed.
+TURNED = ("root_orient", "pose_body")
 #: The parts of the raw decoder's output: changes, rotations as vectors, and contact logits.
 DELTA_SHAPES = SHAPES | {"root_orient": (3,), "pose_body": (21, 3), "contacts": (9,)}
+#: Where the parts end: what is added to, the vectors that a heading turns; of raw outputs the changes.
+ADDED, VECTORS, CHANGES = 141, 150, 207
 
 
 def _slices(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, slice]:
@@ -49,35 +58,63 @@ def _slices(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, slice]:
 
 
 SLICES, DELTA_SLICES = _slices(SHAPES), _slices(DELTA_SHAPES)
-STATE, DELTA = SLICES["joints_vel"].stop, DELTA_SLICES["contacts"].stop
+STATE, DELTA = SLICES["pose_body"].stop, DELTA_SLICES["contacts"].stop
+_OFFICIAL = ("trans", "trans_vel", "root_orient", "root_orient_vel", "pose_body", "joints", "joints_vel")
+#: Where the parts stand in an official state.
+OFFICIAL_SLICES = _slices({name: SHAPES[name] for name in _OFFICIAL})
+
+
+def _order() -> tuple[Tensor, Tensor]:
+    """Where each of our numbers stands in an official state (339,) and in an official raw output (216,)."""
+    states, raw = torch.arange(STATE), torch.arange(DELTA)
+    whole = {name: states[part].unflatten(0, SHAPES[name]) for name, part in OFFICIAL_SLICES.items()}
+    order = [whole[n].mT if n in TURNED else whole[n] for n in SHAPES]
+    official_raw = _slices({name: DELTA_SHAPES[name] for name in (*_OFFICIAL, "contacts")})
+    return torch.cat([x.flatten() for x in order]), torch.cat([raw[official_raw[n]] for n in DELTA_SHAPES])
+
+
+#: Official states ``x[..., OFFICIAL_ORDER]`` and raw outputs ``raw[..., OFFICIAL_DELTA_ORDER]`` are ours.
+OFFICIAL_ORDER, OFFICIAL_DELTA_ORDER = _order()
+
+
+def from_official(state: Tensor) -> Tensor:
+    """Puts official states (..., 339) into our order."""
+    return state[..., OFFICIAL_ORDER.to(state.device)]
+
+
+def to_official(state: Tensor) -> Tensor:
+    """Puts our states (..., 339) into the official order."""
+    return state[..., OFFICIAL_ORDER.argsort().to(state.device)]
 
 
 def unpack(state: Tensor) -> dict[str, Tensor]:
-    """The parts of states (..., 339) by name, each (..., *SHAPES[name]); views."""
+    """Returns the parts of states (..., 339) by name, each (..., *SHAPES[name]); views, rotations upright again."""
     check_shape(state, f"... {STATE}", "state")
-    return {name: state[..., SLICES[name]].unflatten(-1, shape) for name, shape in SHAPES.items()}
+    parts = {name: state[..., SLICES[name]].unflatten(-1, shape) for name, shape in SHAPES.items()}
+    return {name: part.mT if name in TURNED else part for name, part in parts.items()}
 
 
 def pack(parts: Mapping[str, Tensor]) -> Tensor:
-    """States (..., 339) from their parts."""
+    """Computes states (..., 339) from their parts; rotations as they are, not transposed."""
     for name, shape in SHAPES.items():
         check_shape(parts[name], "... " + " ".join(map(str, shape)), name)
-    return torch.cat([parts[name].flatten(-len(shape)) for name, shape in SHAPES.items()], dim=-1)
+    turned = {name: parts[name].mT for name in TURNED}
+    return torch.cat([{**parts, **turned}[name].flatten(-len(shape)) for name, shape in SHAPES.items()], dim=-1)
 
 
 def unpack_delta(raw: Tensor) -> dict[str, Tensor]:
-    """The parts of raw decoder outputs (..., 216) by name; views."""
+    """Returns the parts of raw decoder outputs (..., 216) by name; views."""
     check_shape(raw, f"... {DELTA}", "raw")
     return {name: raw[..., DELTA_SLICES[name]].unflatten(-1, shape) for name, shape in DELTA_SHAPES.items()}
 
 
 def from_motion(motion: Motion) -> Tensor:
-    """World states (..., T, 339) of a motion on the 22 joints; velocities by central differences.
+    """Computes world states (..., T, 339) from a motion on the 22 joints; velocities by central differences.
 
     Root angular velocity: the vector of dR/dt R^T, world axes.
     """
     positions, _ = motion.world
-    check_shape(positions, f"... {JOINTS} 3", "joints")
+    check_shape(positions, f"... {JOINT_COUNT} 3", "joints")
     root = motion.rot[..., 0, :, :]
     return pack(
         {
@@ -93,26 +130,26 @@ def from_motion(motion: Motion) -> Tensor:
 
 
 def angular_velocity(orientation: Tensor, fps: float) -> Tensor:
-    """Radians per second (..., T, 3), world axes, of orientations (..., T, 3, 3): the vector of dR/dt R^T."""
+    """Computes the vector of dR/dt R^T, rad/s (..., T, 3), world axes, from orientations (..., T, 3, 3)."""
     spin = velocity(orientation, fps, dim=-3) @ orientation.mT
     skew = (spin - spin.mT) / 2
     return torch.stack((skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]), -1)
 
 
 def to_motion(state: Tensor, skeleton: Skeleton, fps: float = 30.0, contacts: Tensor | None = None) -> Motion:
-    """The motion that states (..., T, 339) describe by root and angles; their ``joints`` play no part."""
+    """Returns the motion that states (..., T, 339) describe by root and angles; their ``joints`` play no part."""
     parts = unpack(state)
     rot = torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), dim=-3)
     return Motion(skeleton, parts["trans"], rot, fps, contacts)
 
 
 def heading(state: Tensor) -> Frame:
-    """The canonical frame (...) of states (..., 339): on the floor below ``trans``, the body facing +y."""
-    return heading_frame(state[..., SLICES["trans"]], state[..., SLICES["root_orient"]].unflatten(-1, (3, 3)))
+    """Computes the heading frame (...) of states (..., 339): on the floor below ``trans``, the body facing +y."""
+    return heading_frame(state[..., SLICES["trans"]], state[..., SLICES["root_orient"]].unflatten(-1, (3, 3)).mT)
 
 
 def localise(state: Tensor, frame: Frame, offset: Tensor | None = None) -> Tensor:
-    """World states (..., 339) in the coordinates of a frame (...).
+    """Computes states (..., 339) in the coordinates of a frame (...).
 
     trans -> A (t + s), joints -> A (j + s + c) - c, velocities and root orientation are turned by A, the pose stays.
     offset (..., 3): c, minus the horizontal way from ``trans`` to the pelvis at the first frame; None: 0.
@@ -121,7 +158,7 @@ def localise(state: Tensor, frame: Frame, offset: Tensor | None = None) -> Tenso
 
 
 def globalise(state: Tensor, frame: Frame, offset: Tensor | None = None) -> Tensor:
-    """The inverse of :func:`localise`."""
+    """Computes world states (..., 339) from those in a frame: the inverse of :func:`localise`."""
     return _moved(state, frame, offset, local_to_world_positions, local_to_world_orientations)
 
 
@@ -143,13 +180,13 @@ def _moved(state, frame, offset, positions, orientations) -> Tensor:
 
 
 def pelvis_offset(state: Tensor) -> Tensor:
-    """c (..., 3) of states (..., 339): minus the horizontal way from ``trans`` to the pelvis."""
+    """Computes c (..., 3) of states (..., 339): minus the horizontal way from ``trans`` to the pelvis."""
     parts = unpack(state)
     return (parts["trans"] - parts["joints"][..., 0, :]) * torch.tensor([1.0, 1.0, 0.0]).to(state)
 
 
 def apply(state: Tensor, raw: Tensor) -> tuple[Tensor, Tensor]:
-    """One transition: the next states (..., 339) and contact logits (..., 9), from changes (..., 216).
+    """Computes one transition: the next states (..., 339) and contact logits (..., 9), from changes (..., 216).
 
     Additive, but for rotations: R' = exp(delta) R, multiplied from the left.
     """

@@ -1,4 +1,4 @@
-"""HuMoR's test-time optimisation: the motion of a person from 2-D keypoints or 3-D joints, in three stages.
+"""HuMoR's test-time optimisation (TestOps): the motion of a person from 2-D keypoints or 3-D joints, in three stages.
 
 1. root position and orientation of every frame;
 2. and pose (through a pose prior) and shape, smooth in time;
@@ -8,9 +8,8 @@ Source: HuMoR (Rempe et al. 2021), section 4 and its official code; thesis 3.1.2
 Differs, in "lean" mode: rotations are 6 numbers; joints come from forward kinematics alone; stages 1 and 2 see a
 recording whole, only stage 3 cuts it into windows; the start is found in closed form and interpolated where nothing
 was seen; stage 1 is smooth; transitions of which nothing was seen start at the prior's mean. "official" mode has the
-official code's unknowns, start of a video and missing masks, evaluated as cheaply as the lean one; "faithful" does what
-the official code does, at its price. Stage 3 has two solvers: "rollout", the original sub-stages, and in lean mode
-"shooting" (``shooting``), the same energy at a fraction of the time.
+official code's unknowns, start of a video and missing masks, evaluated as cheaply as the lean one. Stage 3 has two
+solvers: "rollout", the original sub-stages, and in lean mode "shooting", the same energy at a fraction of the time.
 """
 
 from __future__ import annotations
@@ -22,29 +21,31 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import DataError
-from motionlab.humor import energies, stages, starts, state, transitions, variables, windows
-from motionlab.humor.judged import Judged, of_rollout
-from motionlab.humor.observed import Observation3D, evidence
-from motionlab.humor.official_start import start_facing
+from motionlab.humor import energies, stages, state, unknowns
+from motionlab.humor import start as starts
+from motionlab.humor.body_shape import landmarks
+from motionlab.humor.energies import JOINTS, RGB, RGB_LIGHT, Weights
+from motionlab.humor.evidence import Evidence, Observation3D, evidence
 from motionlab.humor.priors import Priors
-from motionlab.humor.shape import landmarks
-from motionlab.humor.shooting import Plan, solve
+from motionlab.humor.shooting.solver import Plan, solve
 from motionlab.humor.stages import Problem
-from motionlab.humor.weights import JOINTS, RGB, RGB_LIGHT, Weights
+from motionlab.humor.unknowns import Form, Rolled, Unknowns, stitch_windows, window_starts
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
+from motionlab.parallel import threads_for
 from motionlab.skeleton import STANDARD, fk
 
-MODES = ("lean", "official", "faithful")
+MODES = ("lean", "official")
 SOLVERS = ("rollout", "shooting")
-WHOLE = 600  # frames that shooting takes at once: it keeps 3 MB of each
-
-__all__ = ["Fitted", "Observation3D", "Schedule", "fit"]
+_WHOLE = 600  # frames that shooting takes at once: it keeps 3 MB of each
+#: From here on a fit is doubtful. On practice clips, of moves that the prior has seen, surprise was 0.05 to
+#: 0.47 and misfit 6 to 13 pixels of 1280, or 7 cm where every joint had N(0, 4 cm) of noise.
+SURPRISED, MISFIT_METRES, MISFIT_WIDTH = 0.5, 0.12, 1 / 64  # the last of the image's width: 20 pixels of 1280
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How much work, and how a recording is cut.
+    """How much work a fit does, and how a recording is cut.
 
     steps: outer steps of the three stages, each up to ``inner`` iterations of L-BFGS. short: frames of stage 3's first
     sub-stage. refine: stage-3 steps at which all frames join (x0 frozen, no contact terms), and at which everything
@@ -67,18 +68,53 @@ class Schedule:
 
     @classmethod
     def lean(cls) -> Schedule:
-        """What lean mode needs, with its start near the goal and its rounder coordinates: less than half."""
+        """Returns what lean mode needs, with its start near the goal and its rounder coordinates: less than half."""
         return cls(steps=(5, 10, 36), refine=(1, 3))
 
     @classmethod
     def official(cls, *, keypoints: bool) -> Schedule:
-        """The official configuration for keypoints (its video demo) or for 3-D joints."""
+        """Returns the official configuration for keypoints (its video demo) or for 3-D joints."""
         return cls(steps=(30, 80, 70) if keypoints else (30, 70, 70))
+
+    def without_stage_3(self) -> Schedule:
+        """Returns the same schedule with stages 1 and 2 alone."""
+        return replace(self, steps=(*self.steps[:2], 0))
 
     @classmethod
     def quick(cls) -> Schedule:
-        """Few steps, for tests and first looks."""
+        """Returns few steps, for tests and a first try."""
         return cls(steps=(2, 3, 3), inner=8, refine=(1, 2), shooting=Plan(rounds=2, closures=8, trial=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Doubts:
+    """What there is to doubt about a fit of stage 3, per clip (B,).
+
+    surprise: mean square of (z - mu) / sigma over all transitions and latents: 1 for motion drawn from the prior, less
+    for motion like that of its training, which its latents overfit; large where a motion is not one that it would make.
+    misfit: root mean square distance of what was seen, metres or pixels; from ``bound`` on it is doubtful.
+    """
+
+    surprise: Tensor
+    misfit: Tensor
+    bound: float
+    pixels: bool
+
+    @property
+    def doubtful(self) -> Tensor:
+        """(B,) true where either is not finite or above its bound."""
+        return ~((self.surprise <= SURPRISED) & (self.misfit <= self.bound))
+
+    def sentences(self) -> tuple[str, ...]:
+        """Returns a sentence for every clip that is doubtful."""
+        unit = "{:.0f} px" if self.pixels else "{:.2f} m"
+        rows = zip(self.surprise.tolist(), self.misfit.tolist(), self.doubtful.tolist(), strict=True)
+        return tuple(
+            f"stage 3 doubts clip {k}: surprise of the prior {surprise:.2f} (up to {SURPRISED:g} is usual), what was "
+            f"seen is missed by {unit.format(misfit)}"
+            for k, (surprise, misfit, doubtful) in enumerate(rows)
+            if doubtful
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +128,7 @@ class Fitted:
     window where T is no more than ``Schedule.window``). betas (G, 8): shape in standard deviations.
     cameras: one per recording, as found; None for 3-D observations. energies: per stage, each term weighted, (G,).
     results: the optimiser's report of each stage; of stage 3 one per sub-stage or round. notes: what was assumed, left
-    out or is doubtful. judged: what stage 3 says of its windows (G W,); None where none ran.
+    out or is doubtful. doubts: what stage 3 says of its windows (G W,); None where none ran.
     """
 
     motion: Motion
@@ -106,7 +142,7 @@ class Fitted:
     results: dict[int, list[object]]
     starts: tuple[int, ...] = (0,)
     notes: tuple[str, ...] = ()
-    judged: Judged | None = None
+    doubts: Doubts | None = None
 
     @property
     def stopped(self) -> bool:
@@ -125,13 +161,14 @@ def fit(
     weights: Weights | None = None,
     schedule: Schedule | None = None,
     mode: str = "lean",
+    form: Form = unknowns.LEAN,
     solver: str = "rollout",
     cameras: Sequence[Camera] | None = None,
     floor: str | None = None,
     size: tuple[int, int] | None = None,
     progress: bool = False,
 ) -> Fitted:
-    """Fit every recording of a batch. Ctrl-C keeps the best so far. On the observation's device, where the priors and
+    """Fits every recording of a batch. Ctrl-C keeps the best so far. On the observation's device, where the priors and
     the cameras have to be, too.
 
     What was not seen has no weight. Unseen joints: the priors decide. Unseen frames, also after somebody has left the
@@ -143,9 +180,9 @@ def fit(
     Args:
         observation: keypoints (G, T, K, 2) seen by one static camera each, or joints (G, T, 22, 3) in the world; the
             batch axis may be left out. Missing entries have no weight.
-        weights: of the terms; unless given ``JOINTS`` for joints, and for keypoints ``RGB_LIGHT`` in lean mode, ``RGB``
-            in the others.
-        schedule: ``Schedule.lean()`` in lean mode and ``Schedule.official`` in the two others unless given.
+        weights: of the terms; default ``JOINTS``, or for keypoints ``RGB_LIGHT`` in lean, ``RGB`` in official mode.
+        schedule: ``Schedule.lean()`` in lean mode and ``Schedule.official`` in the other unless given.
+        form: what turns unknowns into bodies.
         solver: of stage 3: "rollout", whose numbers most notebooks hold, or in lean mode "shooting", which is faster
             and takes a recording whole; one of more than 600 frames goes to "rollout", in windows, and a note says so.
         cameras: one per recording, instead of the observation's.
@@ -170,20 +207,21 @@ def fit(
         )
     schedule = schedule or (Schedule.lean() if mode == "lean" else Schedule.official(keypoints=seen.view is not None))
     weights = weights or (JOINTS if seen.view is None else RGB_LIGHT if mode == "lean" else RGB)
-    problem = Problem(seen, priors, weights, mode)
-    unknown = start(problem)
-    track = _Track(schedule, progress)
-    for stage in (1, 2):
-        if not track.stopped:
-            unknown = track.pose_stage(problem, unknown, stage)
-    if seen.values.shape[1] < 2 or track.stopped or not schedule.steps[2]:
-        why = "one frame has no transition" if seen.values.shape[1] < 2 else "no steps for it"
-        return track.without_stage_3(problem, unknown, why)
-    return track.motion_stage(problem, unknown, solver)
+    problem = Problem(seen, priors, weights, mode, form=form)
+    with threads_for(len(seen.values)):
+        unknown = start_stage_1(problem)
+        track = _Track(schedule, progress)
+        for stage in (1, 2):
+            if not track.stopped:
+                unknown = track.pose_stage(problem, unknown, stage)
+        if seen.values.shape[1] < 2 or track.stopped or not schedule.steps[2]:
+            why = "one frame has no transition" if seen.values.shape[1] < 2 else "no steps for it"
+            return track.without_stage_3(problem, unknown, why)
+        return track.motion_stage(problem, unknown, solver)
 
 
-def start(problem: Problem) -> dict[str, Tensor]:
-    """Unknowns of stage 1: the mean pose, laid onto the observation."""
+def start_stage_1(problem: Problem) -> Unknowns:
+    """Computes the unknowns of stage 1: the mean pose, laid onto the observation."""
     seen, priors = problem.evidence, problem.priors
     groups, frames = seen.values.shape[:2]
     latent = seen.values.new_zeros(groups, 1, frames, 32)
@@ -199,10 +237,10 @@ def start(problem: Problem) -> dict[str, Tensor]:
             guess = starts.start_2d(seen, marks)
         trans, turn = starts.filled(*guess, seen.fps)
         if seen.view is not None and problem.mode != "lean":
-            trans, turn = start_facing(seen, marks)
-    unknown = {"trans": trans, "orient": variables.from_matrix(turn, problem.mode)}
-    camera = {} if seen.view is None else {"camera": seen.values.new_zeros(groups, 3)}
-    return {n: x[:, None] for n, x in unknown.items()} | {"latent": latent, "betas": shape} | camera
+            trans, turn = starts.start_facing(seen, marks)
+    orient = unknowns.from_matrix(turn, problem.mode)
+    camera = None if seen.view is None else seen.values.new_zeros(groups, 3)
+    return Unknowns(trans[:, None], orient[:, None], latent, betas=shape, camera=camera)
 
 
 class _Track:
@@ -219,29 +257,29 @@ class _Track:
     def stopped(self) -> bool:
         return _stopped(self.results)
 
-    def pose_stage(self, problem: Problem, unknown: dict[str, Tensor], stage: int) -> dict[str, Tensor]:
+    def pose_stage(self, problem: Problem, unknown: Unknowns, stage: int) -> Unknowns:
         steps = self.schedule.steps[stage - 1]
         unknown, report = stages.stage_1_and_2(problem, unknown, stage, steps=steps, **self.budget)
         with torch.no_grad():
             self.energies[stage] = stages.pose_terms(problem, unknown, stage)
-            body = variables.pose(unknown, problem.priors, problem.evidence)
-        self.stages[stage] = variables.motion_of(body, problem.evidence.fps)
+            body = unknowns.pose(unknown, problem.priors, problem.evidence)
+        self.stages[stage] = unknowns.motion_of(body, problem.evidence.fps)
         self.results[stage] = [report]
         return unknown
 
-    def motion_stage(self, problem: Problem, unknown: dict[str, Tensor], solver: str) -> Fitted:
+    def motion_stage(self, problem: Problem, unknown: Unknowns, solver: str) -> Fitted:
         s, seen = self.schedule, problem.evidence
         frames = seen.values.shape[1]
-        whole = solver == "shooting" and frames <= WHOLE
+        whole = solver == "shooting" and frames <= _WHOLE
         length = frames if whole else min(s.window, frames)
-        cuts = (0,) if whole else windows.plan(frames, s.window, s.overlap)
-        shared = {n: unknown[n] for n in variables.SHARED if n in unknown}
-        latent = unknown["latent"][:, 0]
+        cuts = (0,) if whole else window_starts(frames, s.window, s.overlap)
+        shared = unknown.shared()
+        latent = unknown.latent[:, 0]
         begun = (self.stages[2], latent, shared, seen.trust, problem.priors, cuts, length, problem.mode)
-        rolled, factors = transitions.start(*begun, problem.weights.pull)
+        rolled, factors = starts.start_stage_3(*begun, problem.weights.pull)
         cut = replace(problem, evidence=seen.pieces(torch.tensor(cuts), length), starts=cuts)
         if whole:
-            calm, _ = transitions.start(*begun, problem.weights.pull, transitions.CALM)
+            calm, _ = starts.start_stage_3(*begun, problem.weights.pull, starts.CALM)
             rolled, self.results[3] = solve(cut, calm, s.shooting, rival=rolled, progress=self.budget["progress"])
         else:
             rolled, self.results[3] = stages.stage_3(
@@ -249,24 +287,24 @@ class _Track:
             )
         with torch.no_grad():
             self.energies[3] = stages.motion_terms(cut, rolled)
-            found = variables.roll(rolled, problem.priors, cut.evidence)
+            found = unknowns.roll(rolled, problem.priors, cut.evidence)
         touching = energies.contact_probabilities(found.rollout.contact_logits)
 
         def joined(x: Tensor, **how) -> Tensor:
-            return windows.stitch(x.unflatten(0, (-1, len(cuts))), cuts, **how)
+            return stitch_windows(x.unflatten(0, (-1, len(cuts))), cuts, **how)
 
         contacts = joined(touching)
         body = found.body._replace(
-            root=joined(found.body.root), rot=joined(found.body.rot, turns=True), betas=rolled["betas"]
+            root=joined(found.body.root), rot=joined(found.body.rot, turns=True), betas=rolled.betas
         )
-        self.stages[3] = variables.motion_of(body, seen.fps, contacts=(contacts > 0.5).to(contacts))
+        self.stages[3] = unknowns.motion_of(body, seen.fps, contacts=(contacts > 0.5).to(contacts))
         first = found.states[:, 0].unflatten(0, (-1, len(cuts)))
-        says = of_rollout(found, cut.evidence)
-        long = (f"more than {WHOLE} frames: stage 3 by rollout, in windows",) * (solver == "shooting" and not whole)
-        fitted = self._fitted(problem, rolled, contacts, rolled["z"], first, cuts, *long, *says.doubts())
-        return replace(fitted, judged=says)
+        says = _doubts_of_rollout(found, cut.evidence)
+        long = (f"more than {_WHOLE} frames: stage 3 by rollout, in windows",) * (solver == "shooting" and not whole)
+        fitted = self._fitted(problem, rolled, contacts, rolled.z, first, cuts, *long, *says.sentences())
+        return replace(fitted, doubts=says)
 
-    def without_stage_3(self, problem: Problem, unknown: dict[str, Tensor], why: str) -> Fitted:
+    def without_stage_3(self, problem: Problem, unknown: Unknowns, why: str) -> Fitted:
         why = "interrupted" if self.stopped else why
         motion = self.stages[max(self.stages)]
         contacts = motion.root.new_zeros(*motion.root.shape[:2], 9)
@@ -274,10 +312,29 @@ class _Track:
         z = contacts.new_zeros(len(contacts), 1, 0, problem.priors.motion.latent)
         return self._fitted(problem, unknown, contacts, z, first, (0,), f"stage 3 left out: {why}")
 
-    def _fitted(self, problem: Problem, unknown, contacts, z, first, cuts, *notes: str) -> Fitted:
+    def _fitted(self, problem: Problem, unknown: Unknowns, contacts, z, first, cuts, *notes: str) -> Fitted:
         view = problem.evidence.view
-        cameras = None if view is None else view.cameras(unknown["camera"])
+        cameras = None if view is None else view.cameras(unknown.camera)
         return Fitted(
-            self.stages[max(self.stages)], self.stages, contacts, z, first, unknown["betas"], cameras,
+            self.stages[max(self.stages)], self.stages, contacts, z, first, unknown.betas, cameras,
             self.energies, self.results, cuts, (*problem.evidence.notes, *notes),
         )  # fmt: skip
+
+
+# --------------------------------------------------------------------------------------------------------- the doubts
+def doubts(problem: Problem, unknown: Unknowns) -> Doubts:
+    """Computes what there is to doubt about unknowns (G, 1, ...) of stage 3."""
+    with torch.no_grad():
+        rolled = unknowns.roll(unknown, problem.priors, problem.evidence)
+    return _doubts_of_rollout(rolled, problem.evidence)
+
+
+@torch.no_grad()
+def _doubts_of_rollout(rolled: Rolled, evidence: Evidence) -> Doubts:
+    """Computes what there is to doubt about roll-outs of B rows."""
+    prior, weight = rolled.rollout.prior, (evidence.weight > 0).to(rolled.states)
+    surprise = ((rolled.rollout.z - prior.mean).square() * (-prior.log_var).exp()).mean((1, 2))
+    off = (rolled.body.observed - evidence.values).square().sum(-1)
+    missed = torch.where(weight > 0, off, 0.0).sum((1, 2)) / weight.sum((1, 2)).clamp(min=1)
+    bound = MISFIT_METRES if evidence.view is None else MISFIT_WIDTH * evidence.view.size[0]
+    return Doubts(surprise, missed.sqrt(), bound, evidence.view is not None)

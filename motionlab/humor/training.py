@@ -1,37 +1,183 @@
 """Training of the transition prior: from single steps to roll-outs on its own predictions; resumable to the bit.
 
-Source: HuMoR (Rempe et al. 2021), section 3.3 and its official training code: first every step sees the truth, then the
-truth with falling probability (scheduled sampling), then only the model's own states; Adamax; KL annealed.
-Differs, in the compact recipe: see ``losses``; gradients flow through ``chain`` steps before the state is cut off (the
-official code cuts off every one) and are clipped; the KL weight starts at a tenth; truth or prediction is drawn per
-window, not per batch; cosine decay; the shipped weights are a moving average; a loss that is not finite ends the run.
-Differs, in both: steps instead of epochs, so that KL weight and truth change at every step; windows drawn evenly over
-all frames, not over clips, and from mirror images too; the last weights ship, not those with the least loss on
-validation; no loss on vertices; gradients that are infinite, not just NaN, are skipped too (official) or end the run.
+And how good it is (``quality_row``): one step, two seconds, and what it makes up by itself.
+
+First every step sees the truth, then the truth with falling probability (scheduled sampling), then only the model's own
+states. The KL weight grows.
+
+Source: HuMoR (Rempe et al. 2021), section 3.3 and its official training code; Adamax.
+Differs, in the compact recipe: errors are counted in units that matter per part (``ERROR_UNITS``) with a Huber loss;
+inputs are standardised and outputs scaled, both folded into the weights at the end; gradients flow through ``chain``
+steps before the state is cut off (the official code cuts off every one) and are clipped; the KL weight starts at a
+tenth; truth or prediction is drawn per window, not per batch; cosine decay; the shipped weights are a moving average; a
+loss that is not finite ends the run.
+Differs, in both: joints of the pose come from forward kinematics, where the official code also compares 6,890 vertices;
+steps instead of epochs, so that KL weight and truth change at every step; windows drawn evenly over all frames, not
+over clips, and from mirror images too; the last weights ship, not those with the least loss on validation; gradients
+that are infinite, not just NaN, are skipped too (official) or end the run.
 """
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from tqdm import tqdm
+from torch.nn import functional as F
 
-from motionlab import kept
+from motionlab import rotation
 from motionlab.errors import DataError
-from motionlab.humor import losses
-from motionlab.humor.cvae import Cvae, Gaussian
+from motionlab.humor.cvae import Cvae, Gaussian, kl
 from motionlab.humor.examples import Examples
-from motionlab.humor.state import globalise, heading, localise
+from motionlab.humor.rollout import infer, rollout, sample_rollout
+from motionlab.humor.state import (
+    DELTA,
+    DELTA_SLICES,
+    FPS,
+    SHAPES,
+    SLICES,
+    STATE,
+    apply,
+    globalise,
+    heading,
+    localise,
+    unpack,
+)
+from motionlab.metrics.gait import contact_scores
+from motionlab.metrics.pose import masked_mean, mean_acceleration
+from motionlab.skeleton import STANDARD, fk
+from motionlab.training_loop import TrainingRun
+
+#: An error of one: metres, m/s, matrix entries, rad/s.
+ERROR_UNITS = {
+    "trans": 0.003, "trans_vel": 0.04, "root_orient": 0.008, "root_orient_vel": 0.1,
+    "pose_body": 0.012, "joints": 0.003, "joints_vel": 0.05,
+}  # fmt: skip
+#: A dimension of the latent is active where it costs more than this on average, nats.
+ACTIVE_NATS = 0.05
+#: A foot is down where its ball is less than this above its resting height, metres.
+_DOWN = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Standardisation of states (339,) in their canonical frame, and the size of the raw output (216,)."""
+
+    mean: Tensor
+    std: Tensor
+    change: Tensor
+
+    @classmethod
+    def none(cls) -> Scales:
+        """The official model: numbers as they are."""
+        return cls(torch.zeros(STATE), torch.ones(STATE), torch.ones(DELTA))
+
+    @classmethod
+    def measure(cls, past: Tensor, now: Tensor) -> Scales:
+        """From transitions (N, 339), both in the frame of the past state."""
+        change = torch.ones(DELTA)
+        before, after = unpack(past), unpack(now)
+        for name in SHAPES:
+            if name in ("root_orient", "pose_body"):
+                moved = rotation.log(after[name] @ before[name].mT)
+            else:
+                moved = after[name] - before[name]
+            change[DELTA_SLICES[name]] = moved.flatten(1).std(0).clamp(min=1e-4)
+        change[DELTA_SLICES["contacts"]] = 3.0
+        return cls(past.mean(0), past.std(0).clamp(min=1e-3), change)
+
+    def posterior(self, model: Cvae, past: Tensor, now: Tensor) -> Gaussian:
+        """q(z | past, now); the second state enters as its change, in units of 16 errors."""
+        units = 16 * _unit(SLICES)
+        rows = torch.cat(((past - self.mean) / self.std, (now - past) / units), -1)
+        return Gaussian(*model.encoder(rows).chunk(2, -1))
+
+    def prior(self, model: Cvae, past: Tensor) -> Gaussian:
+        """p(z | past)."""
+        return Gaussian(*model.prior_net((past - self.mean) / self.std).chunk(2, -1))
+
+    def decode(self, model: Cvae, past: Tensor, z: Tensor) -> Tensor:
+        """Raw changes and contact logits (N, 216)."""
+        return model.decoder(torch.cat(((past - self.mean) / self.std, z), -1)) * self.change
+
+    def folded(self, model: Cvae) -> Cvae:
+        """The model that computes the same from plain numbers, by its weights alone: the official architecture."""
+        model = deepcopy(model)
+        with torch.no_grad():
+            for net in (model.encoder.net, model.prior_net.net, model.decoder.net):
+                weight = net[0].weight
+                net[0].bias -= weight[:, :STATE] @ (self.mean / self.std)
+                weight[:, :STATE] /= self.std
+            weight = model.encoder.net[0].weight
+            weight[:, STATE:] /= 16 * _unit(SLICES)
+            weight[:, :STATE] -= weight[:, STATE:]
+            model.decoder.net[-1].weight *= self.change[:, None]
+            model.decoder.net[-1].bias *= self.change
+        return model
+
+
+def _unit(slices: dict[str, slice]) -> Tensor:
+    """``ERROR_UNITS``, one per number of a state (339,)."""
+    return torch.cat([torch.full((part.stop - part.start,), ERROR_UNITS[name]) for name, part in slices.items()])
+
+
+class Predicted(NamedTuple):
+    """Transitions: after (N, 339) in the frame of the past state, contact logits (N, 9), posterior and prior of z."""
+
+    after: Tensor
+    logits: Tensor
+    q: Gaussian
+    p: Gaussian
+
+
+def _predict(model: Cvae, scales: Scales, past: Tensor, now: Tensor, generator: torch.Generator) -> Predicted:
+    """Encode pairs (N, 339) and (N, 339), both in a canonical frame, draw z, decode."""
+    q, p = scales.posterior(model, past, now), scales.prior(model, past)
+    return Predicted(*apply(past, scales.decode(model, past, q.sample(generator))), q, p)
+
+
+def _transition_losses(
+    found: Predicted, now: Tensor, contacts: Tensor, offsets: Tensor, *, official: bool = False
+) -> dict[str, Tensor]:
+    """Losses of predicted transitions, means over all of them.
+
+    reconstruction: of the state. kinematics: joints of the pose against the truth and against the predicted joints.
+    kl: nats. contact: cross entropy. slide: squared speed of joints that are called in contact.
+
+    Args:
+        now: (N, 339) the truth, in its canonical frame. contacts: (N, 9) of it. offsets: (N, 22, 3) bones, metres.
+        official: plain mean squares of all numbers instead of Huber errors in ``ERROR_UNITS``.
+    """
+    parts, truth = unpack(found.after), unpack(now)
+    rot = torch.cat((parts["root_orient"][:, None], parts["pose_body"]), 1)
+    posed, _ = fk(replace(STANDARD, offsets=offsets), parts["trans"], rot)
+    size = (lambda e, name: e.square().mean()) if official else (lambda e, name: _huber(e / ERROR_UNITS[name]))
+    speed = parts["joints_vel"][:, STANDARD.contact_indices].square().sum(-1)
+    return {
+        "reconstruction": sum(size(parts[name] - truth[name], name) for name in SHAPES),
+        "kinematics": size(posed - truth["joints"], "joints") + size(posed - parts["joints"], "joints"),
+        "kl": kl(found.q, found.p).sum(-1).mean(),
+        "contact": F.binary_cross_entropy_with_logits(found.logits, contacts),
+        "slide": (found.logits.sigmoid() * speed).mean(),
+    }
+
+
+def _huber(error: Tensor) -> Tensor:
+    return F.smooth_l1_loss(error, torch.zeros_like(error), beta=3.0)
+
+
+def _transition_pairs(states: Tensor) -> tuple[Tensor, Tensor]:
+    """All transitions of world states (..., T, 339), flat: past and now (N, 339) in the frame of the past."""
+    frame = heading(states[..., :-1, :])
+    past, now = localise(states[..., :-1, :], frame), localise(states[..., 1:, :], frame)
+    return past.flatten(0, -2), now.flatten(0, -2)
 
 
 @dataclass(frozen=True)
-class Recipe:
+class PriorRecipe:
     """What a training run depends on, with its examples.
 
     width: of the networks. steps: of the optimiser. batch: windows of ``length`` transitions each. chain: transitions
@@ -63,99 +209,64 @@ class Recipe:
 
 
 #: "official": 200 epochs of the official training set are about 400,000 steps; its rate falls at epochs 50, 80 and 140.
-PRESETS = {
-    "compact": Recipe(),
-    "official": Recipe(
+PRIOR_PRESETS = {
+    "compact": PriorRecipe(),
+    "official": PriorRecipe(
         width=1024, steps=400_000, batch=200, chain=1, lr=1e-4, supervised=0.05, sampled=0.10, kl=4e-4, annealed=0.25,
         kinematics=1.0, contact=0.01, slide=0.01, average=0.0, varied=0, varied_recordings=0,
         official=True,
     ),
 }  # fmt: skip
-DECAYS = (0.25, 0.40, 0.70)
-GIVE_UP = 100  # batches in a row whose loss or gradients are not finite
+_DECAYS = (0.25, 0.40, 0.70)
 
 
-@dataclass(eq=False)
-class Training:
-    """A run: everything that decides how it goes on.
+class PriorTraining(TrainingRun):
+    """A training run of the transition prior.
 
-    curve: every ``every`` steps a row of step, loss per part and what ``validate`` returned; with the official recipe
-    also the batches skipped so far, and no losses where the last one was. in_a_row: batches skipped since a good one.
+    ``averaged`` is the averaged model as it is shipped: official architecture, frozen. With the official recipe batches
+    that are not finite are skipped, until ``give_up`` in a row; otherwise the first one ends the run.
     """
 
-    recipe: Recipe
-    examples: Examples
-    scales: losses.Scales = field(init=False)
-    model: Cvae = field(init=False)
-    average: dict[str, Tensor] = field(init=False)
-    curve: list[dict] = field(default_factory=list)
-    step: int = 0
-    skipped: int = 0
-    in_a_row: int = 0
+    data_name = "examples"
 
-    def __post_init__(self) -> None:
-        recipe, data = self.recipe, self.examples
-        if data.length != recipe.length + 1:
-            raise DataError(f"windows of {data.length} frames for {recipe.length} transitions")
-        self.generator = torch.Generator().manual_seed(recipe.seed)
-        self.scales = losses.Scales.none()
-        if not recipe.official:
-            some, _, _ = data.draw(2000, torch.Generator().manual_seed(recipe.seed))
-            self.scales = losses.Scales.measure(*losses.pairs(some))
+    def __init__(self, recipe: PriorRecipe, examples: Examples) -> None:
+        if examples.length != recipe.length + 1:
+            raise DataError(f"windows of {examples.length} frames for {recipe.length} transitions")
+        self.examples, self.scales = examples, Scales.none()
+        if recipe.official:
+            self.give_up, self.clip = 100, None
+        else:
+            some, _, _ = examples.draw(2000, torch.Generator().manual_seed(recipe.seed))
+            self.scales = Scales.measure(*_transition_pairs(some))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
-            self.model = Cvae(recipe.width)
-        self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
-        self.optimiser = torch.optim.Adamax(self.model.parameters(), lr=recipe.lr)
+            model = Cvae(recipe.width)
+        super().__init__(recipe, examples.digest, torch.Generator().manual_seed(recipe.seed), model)
 
-    @property
-    def prior(self) -> Cvae:
-        """The averaged model as it is shipped: official architecture, frozen."""
+    @classmethod
+    def _recipe(cls, content: dict) -> PriorRecipe:
+        return PriorRecipe(**content)
+
+    def _optimiser(self) -> torch.optim.Optimizer:
+        return torch.optim.Adamax(self.model.parameters(), lr=self.recipe.lr)
+
+    def _made(self, weights: dict[str, Tensor]) -> Cvae:
         model = Cvae(self.recipe.width)
-        model.load_state_dict(self.average)
+        model.load_state_dict(weights)
         return self.scales.folded(model).frozen()
 
-    def run(
-        self,
-        *,
-        until: int | None = None,
-        keep: Path | None = None,
-        validate: Callable[[Cvae], dict] | None = None,
-        every: int = 250,
-        progress: bool = False,
-    ) -> Training:
-        """Train on to the last step, or to ``until``; write the state to ``keep`` every ``every`` steps and at the end.
+    def _rate(self) -> float:
+        if self.recipe.official:
+            return self.recipe.lr * 0.5 ** sum(self.step / self.recipe.steps >= at for at in _DECAYS)
+        warm = min(1.0, (self.step + 1) / 50)
+        return self.recipe.lr * (warm * (0.51 + 0.49 * math.cos(math.pi * self.step / self.recipe.steps)))
 
-        Ctrl-C keeps what was reached and raises on.
-        """
-        last = min(self.recipe.steps, until or self.recipe.steps)
-        bar = tqdm(total=self.recipe.steps, initial=self.step, disable=not progress, unit="step")
-        began = time.monotonic()
-        try:
-            while self.step < last:
-                row = self._advance()
-                bar.update()
-                bar.set_postfix({name: f"{row[name]:.4g}" for name in ("loss", "kl", "skipped") if name in row})
-                if self.step % every == 0 or self.step == last:
-                    row |= validate(self.prior) if validate else {}
-                    self.curve.append({"step": self.step, **row})
-                    if progress and validate:
-                        tqdm.write(f"{self.step}: " + ", ".join(f"{k} {v:.3g}" for k, v in row.items()))
-                    if keep:
-                        self.save(keep)
-        except KeyboardInterrupt:
-            if keep:
-                self.save(keep)
-            raise
-        finally:
-            bar.close()
-        self.seconds = time.monotonic() - began
-        return self
+    def _kl(self, share: float) -> float:
+        """Weight of the KL divergence after this share of the steps."""
+        return self.recipe.kl * min(1.0, (0.0 if self.recipe.official else 0.1) + share / self.recipe.annealed)
 
-    def _advance(self) -> dict[str, float]:
+    def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         recipe, share = self.recipe, self.step / self.recipe.steps
-        for group in self.optimiser.param_groups:
-            group["lr"] = recipe.lr * self._rate(share)
         truth = min(1.0, max(0.0, 1 - (share - recipe.supervised) / (recipe.sampled - recipe.supervised)))
         states, contacts, offsets = self.examples.draw(recipe.batch, self.generator)
         x, steps, targets = states[:, 0], [], []
@@ -163,19 +274,19 @@ class Training:
             frame = heading(x)
             past = localise(x, frame)
             now = localise(states[:, t + 1], heading(states[:, t]) if recipe.official else frame)
-            found = losses.predict(self.model, self.scales, past, now, self.generator)
+            found = _predict(self.model, self.scales, past, now, self.generator)
             steps.append(found)
             targets.append(now)
             given = torch.rand(1 if recipe.official else recipe.batch, 1, generator=self.generator) < truth
             x = torch.where(given, states[:, t + 1], globalise(found.after, frame))
             if (t + 1) % recipe.chain == 0:
                 x = x.detach()
-        together = losses.Predicted(
+        together = Predicted(
             torch.cat([each.after for each in steps]), torch.cat([each.logits for each in steps]),
             Gaussian(*map(torch.cat, zip(*(each.q for each in steps), strict=True))),
             Gaussian(*map(torch.cat, zip(*(each.p for each in steps), strict=True))),
         )  # fmt: skip
-        parts = losses.compare(
+        parts = _transition_losses(
             together, torch.cat(targets), contacts[:, 1:].transpose(0, 1).flatten(0, 1),
             offsets.repeat(recipe.length, 1, 1), official=recipe.official,
         )  # fmt: skip
@@ -183,89 +294,119 @@ class Training:
             "reconstruction": 1.0, "kinematics": recipe.kinematics, "kl": self._kl(share), "contact": recipe.contact,
             "slide": recipe.slide,
         }  # fmt: skip
-        loss = sum(w * parts[name] for name, w in weights.items())
-        used = self._descend(loss)
-        self.step += 1
-        if used:
-            keep = min(recipe.average, (1 + self.step) / (10 + self.step))
-            with torch.no_grad():
-                for name, value in self.model.state_dict().items():
-                    self.average[name].lerp_(value, 1 - keep)
-        row = {"loss": loss.item()} | {name: value.item() for name, value in parts.items()} if used else {}
-        return row | ({"skipped": self.skipped} if recipe.official else {})
-
-    def _descend(self, loss: Tensor) -> bool:
-        """One step of the optimiser; False, and nothing changed, for a batch that the official recipe skips."""
-        parameters, official = list(self.model.parameters()), self.recipe.official
-        norm = torch.tensor(math.nan)
-        self.optimiser.zero_grad()
-        if loss.isfinite():
-            loss.backward()
-            norm = (
-                torch.nn.utils.get_total_norm([p.grad for p in parameters])
-                if official else torch.nn.utils.clip_grad_norm_(parameters, 1.0)
-            )  # fmt: skip
-        if norm.isfinite():
-            self.optimiser.step()
-            self.in_a_row = 0
-            return True
-        self.skipped, self.in_a_row = self.skipped + 1, self.in_a_row + 1
-        if official and self.in_a_row < GIVE_UP:
-            return False
-        what = "the gradient" if loss.isfinite() else "the loss"
-        what += f" is not finite, {GIVE_UP} batches in a row" if official else " is not finite"
-        raise DataError(what, place=f"step {self.step}", remedy="lower the learning rate")
-
-    def _kl(self, share: float) -> float:
-        """Weight of the KL divergence."""
-        return self.recipe.kl * min(1.0, (0.0 if self.recipe.official else 0.1) + share / self.recipe.annealed)
-
-    def _rate(self, share: float) -> float:
-        if self.recipe.official:
-            return 0.5 ** sum(share >= at for at in DECAYS)
-        return min(1.0, (self.step + 1) / 50) * (0.51 + 0.49 * math.cos(math.pi * share))
-
-    def save(self, path: Path) -> None:
-        """Write all that ``resume`` needs, whole or not at all."""
-        content = {
-            "recipe": asdict(self.recipe), "examples": self.examples.digest, "step": self.step,
-            "curve": self.curve, "model": self.model.state_dict(), "average": self.average,
-            "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
-            "skipped": (self.skipped, self.in_a_row),
-        }  # fmt: skip
-        kept.write(path, content)
+        return sum(w * parts[name] for name, w in weights.items()), parts
 
 
-def kept_recipe(path: Path | str) -> Recipe:
-    """The recipe of a saved run.
+# ---------------------------------------------------------------------------------------------- how good it is
+# Every number stands beside what a model that knows nothing would get: the pose held, or every joint going on as it
+# goes; samples beside the data that they begin from. Centimetres are mean distances over the 22 predicted joints.
 
-    Raises:
-        DataError: the file is missing or damaged.
+
+def _error(a: Tensor, b: Tensor) -> Tensor:
+    return 100 * (unpack(a)["joints"] - unpack(b)["joints"]).norm(dim=-1).mean(-1)
+
+
+@torch.no_grad()
+def one_step_errors(model: Cvae, states: Tensor) -> dict[str, Tensor]:
+    """Errors (N,) in cm of all transitions of world states (W, T, 339): z from the posterior's and the prior's mean,
+    the pose held, and every joint going on at its velocity; "kl": nats (N, 48)."""
+    past, now = _transition_pairs(states)
+    q, p = model.posterior(past, now), model.prior(past)
+    ahead = unpack(past)["joints"] + unpack(past)["joints_vel"] / FPS
+    return {
+        "posterior": _error(apply(past, model.decode(past, q.mean))[0], now),
+        "prior mean": _error(apply(past, model.decode(past, p.mean))[0], now),
+        "hold": _error(past, now),
+        "constant velocity": 100 * (ahead - unpack(now)["joints"]).norm(dim=-1).mean(-1),
+        "kl": kl(q, p),
+    }
+
+
+@torch.no_grad()
+def rollout_errors(model: Cvae, states: Tensor) -> dict[str, Tensor]:
+    """Errors (W, T - 1) in cm over time of roll-outs from the first of world states (W, T, 339).
+
+    "posterior z": inferred once from the truth, then rolled out. "closed loop": z inferred at every step from the
+    state that the roll-out has reached and the next true one. "prior mean": no look at the truth at all.
     """
-    return _read(path)[0]
+    first, truth = states[:, 0], states[:, 1:]
+    q, _ = infer(model, states)
+    x, closed = first, []
+    for t in range(truth.shape[1]):
+        frame = heading(x)
+        past = localise(x, frame)
+        z = model.posterior(past, localise(truth[:, t], frame)).mean
+        x = globalise(apply(past, model.decode(past, z))[0], frame)
+        closed.append(x)
+    velocity = unpack(first)["joints_vel"]
+    time = torch.arange(1, truth.shape[1] + 1).to(first)[:, None, None] / FPS
+    ahead = unpack(first)["joints"][:, None] + time * velocity[:, None]
+    return {
+        "posterior z": _error(rollout(model, first, q.mean, with_prior=False).states, truth),
+        "closed loop": _error(torch.stack(closed, 1), truth),
+        "prior mean": _error(sample_rollout(model, first, truth.shape[1]).states, truth),
+        "hold": _error(first[:, None], truth),
+        "constant velocity": 100 * (ahead - unpack(truth)["joints"]).norm(dim=-1).mean(-1),
+    }
 
 
-def resume(path: Path | str, examples: Examples) -> Training:
-    """A run as it was when it was saved; it goes on as if it had never stopped.
+def _looks(first: Tensor, states: Tensor) -> dict[str, Tensor]:
+    """What motions look like that go on from first states (W, 339) with world states (W, T, 339), one number each (W,).
 
-    Raises:
-        DataError: the file is missing, damaged, or was trained on other examples.
+    All of it is measured from the joints, none from what a model says of its contacts; a foot is down where its ball is
+    lower than 3 cm above where it rests. slide: mm per frame over the floor of balls that are down in both frames, NaN
+    where none is; a foot that swings close to the floor counts as well, so compare with data. feet up: share of frames
+    with no foot down. penetration: share of frames with a ball more than 2 cm below where it rests. sunk: 1 where the
+    head ends below 30 cm or any joint 30 cm below the floor. acceleration: m/s^2. bones: mean change of the bone
+    lengths, per cent of their mean.
     """
-    recipe, found = _read(path)
-    if found.get("examples") != examples.digest:
-        raise DataError("trained on other examples", path=path, remedy=kept.AFRESH)
-    run = Training(recipe, examples)
-    with kept.reading(path):
-        run.model.load_state_dict(found["model"])
-        run.average = found["average"]
-        run.optimiser.load_state_dict(found["optimiser"])
-        run.generator.set_state(found["generator"])
-        run.step, run.curve = found["step"], found["curve"]
-        run.skipped, run.in_a_row = found.get("skipped", (0, 0))
-    return run
+    joints = unpack(states)["joints"]
+    balls = joints[:, :, STANDARD.indices(["left_foot", "right_foot"])]
+    above = balls[..., 2] - STANDARD.sole
+    down = above < _DOWN
+    speed = 1000 * balls[..., :2].diff(dim=1).norm(dim=-1)
+    parents = list(STANDARD.parents[1:])
+    length = (joints[:, :, 1:] - joints[:, :, parents]).norm(dim=-1)
+    start = unpack(first)["joints"]
+    before = (start[:, 1:] - start[:, parents]).norm(dim=-1)[:, None]
+    end = joints[:, -1, :, 2]
+    return {
+        "slide": masked_mean(speed, down[:, 1:] & down[:, :-1], 2),
+        "feet up": (~down.any(-1)).float().mean(1),
+        "penetration": (above.amin(-1) < -0.02).float().mean(1),
+        "sunk": ((end[:, STANDARD.index("head")] < 0.3) | (end.amin(-1) < -0.3)).float(),
+        "acceleration": mean_acceleration(joints, FPS),
+        "bones": 100 * (length - before).abs().mean((1, 2)) / before.mean((1, 2)),
+    }
 
 
-def _read(path: Path | str) -> tuple[Recipe, dict]:
-    found = kept.read(path)
-    with kept.reading(path):
-        return Recipe(**found["recipe"]), found
+@torch.no_grad()
+def _plausibility(model: Cvae, first: Tensor, steps: int, generator: torch.Generator) -> dict[str, Tensor]:
+    """:func:`_looks` of samples (W,) of ``steps`` frames from first states (W, 339), z drawn from the prior."""
+    return _looks(first, sample_rollout(model, first, steps, generator=generator).states)
+
+
+@torch.no_grad()
+def _contact_f1(model: Cvae, states: Tensor, contacts: Tensor) -> float:
+    """F1 of the decoded contact labels against the true ones (W, T, 9), one step from the truth, with the latent of a
+    posterior that saw the answer."""
+    past, now = _transition_pairs(states)
+    _, logits = apply(past, model.decode(past, model.posterior(past, now).mean))
+    return float(contact_scores((logits > 0).float(), contacts[:, 1:].flatten(0, 1)).f1)
+
+
+def quality_row(model: Cvae, states: Tensor, contacts: Tensor | None = None, seed: int = 0) -> dict[str, float]:
+    """Computes one row of the quality table from world states (W, 61, 339): means over windows.
+
+    Rows that start with "samples' " are :func:`_looks` of samples, those with "data's " of the windows themselves.
+    """
+    step, way = one_step_errors(model, states), rollout_errors(model, states)
+    made = _plausibility(model, states[:, 0], states.shape[1] - 1, torch.Generator().manual_seed(seed))
+    row = {f"one step, {name}, cm": float(step[name].mean()) for name in step if name != "kl"}
+    if contacts is not None:
+        row["one step, posterior, contact F1"] = _contact_f1(model, states, contacts)
+    row |= {f"2 s, {name}, cm": float(way[name][:, -1].mean()) for name in way}
+    row |= {"kl, nats": float(step["kl"].sum(-1).mean()), "active": int((step["kl"].mean(0) > ACTIVE_NATS).sum())}
+    for whose, found in (("samples'", made), ("data's", _looks(states[:, 0], states[:, 1:]))):
+        row |= {f"{whose} {name}": float(value.nanmean()) for name, value in found.items()}
+    return row

@@ -2,22 +2,62 @@
 
 from __future__ import annotations
 
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 from motionlab.errors import DataError
-from motionlab.io import asf, bvh, c3d, deepmimic, gltf, npz, trc
+from motionlab.io import amass, asf, bvh, clips, gltf, points
+from motionlab.io.points import Positions
+from motionlab.io.reading import read_bytes, reading
 from motionlab.motion import Motion
+
+#: A key that only this layout has -> its loader.
+NPZ_LAYOUTS: dict[str, Callable] = {
+    "poses": amass.load,
+    "pose_body": amass.load,
+    "local_or_global_rotation_xyzw": clips.load_amp,
+    "positions_cm": points.load_anidance,
+}
+
+
+def _npz_loader(path: str | Path) -> Callable:
+    """The loader whose keys the file has.
+
+    Raises:
+        DataError: not an npz archive, or none of the known keys is in it.
+    """
+    with reading(path, f"save one of the keys {', '.join(NPZ_LAYOUTS)}") as at:
+        if read_bytes(at)[:2] != b"PK":
+            raise at.error("not an npz archive", remedy="save it with numpy.savez")
+        with zipfile.ZipFile(at.path) as archive:
+            keys = {name.removesuffix(".npy") for name in archive.namelist()}
+        found = [load for key, load in NPZ_LAYOUTS.items() if key in keys]
+        if not found:
+            raise at.error(f"no known layout; its keys are {', '.join(sorted(keys)[:20]) or 'none'}", place="keys")
+        return found[0]
+
+
+def load_npz(path: str | Path, **options) -> Motion | Positions:
+    """Read an AMASS, AMP or AniDance npz; options go to that loader."""
+    return _npz_loader(path)(path, **options)
+
 
 #: Loader by file suffix; each takes the path and its own options.
 LOADERS = {
     ".bvh": bvh.load,
     ".amc": asf.load_beside,
-    ".txt": deepmimic.load,
-    ".json": deepmimic.load,
-    ".npz": npz.load,
+    ".txt": clips.load_deepmimic,
+    ".json": clips.load_deepmimic,
+    ".npz": load_npz,
     ".glb": gltf.load,
-    ".trc": trc.load,
-    ".c3d": c3d.load,
+    ".trc": points.load_trc,
+    ".c3d": points.load_c3d,
+}
+_POSITIONS = {
+    ".trc": "motionlab.io.points.load_trc",
+    ".c3d": "motionlab.io.points.load_c3d",
+    ".npz": "motionlab.io.points.load_anidance",
 }
 _NOT_ONE_FILE = {
     ".asf": "name the .amc: the .asf is found beside it",
@@ -37,6 +77,6 @@ def load(path: str | Path, **options) -> Motion:
         raise DataError(f"no loader for {suffix or 'a name without suffix'!r}", path=path, remedy=remedy)
     motion = LOADERS[suffix](path, **options)
     if not isinstance(motion, Motion):
-        remedy = f"for its positions use motionlab.io.{suffix[1:]}.load"
+        remedy = f"for its positions use {_POSITIONS[suffix]}"
         raise DataError("holds positions without rotations", path=path, remedy=remedy)
     return motion

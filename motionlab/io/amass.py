@@ -12,18 +12,17 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
-from motionlab.io.reading import Spot, frame_rate, numbers, read_npz, reading
-from motionlab.io.writing import check_writable
+from motionlab.files import write_whole
+from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_npz, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
-from motionlab.writing import write_whole
 
 #: Columns of ``poses`` -> model. All three begin with the same 22 joints: root and 21 body joints.
 MODELS = {72: "smpl", 156: "smplh", 165: "smplx"}
 #: Columns after the 22 body joints: SMPL's two hands as one joint each; fingers; jaw, eyes and fingers.
 EXTRA = {"smpl": 6, "smplh": 90, "smplx": 99}
 #: The split keys of SMPL-X files, in the order of ``poses``, and their columns.
-PARTS = {"root_orient": 3, "pose_body": 63, "pose_jaw": 3, "pose_eye": 6, "pose_hand": 90}
+POSE_PARTS = {"root_orient": 3, "pose_body": 63, "pose_jaw": 3, "pose_eye": 6, "pose_hand": 90}
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 BODY = 66
 #: Radians; a larger angle is a damaged number, and float64 has no digits left for its rotation.
@@ -48,8 +47,8 @@ class Amass:
     contacts: Tensor | None = None
 
 
-def read(path: str | Path) -> Amass:
-    """Everything in an AMASS file, float64, as it is.
+def _read(path: str | Path) -> Amass:
+    """Reads everything in an AMASS file, float64, as it is.
 
     Both spellings of the frame rate (``mocap_framerate``, ``mocap_frame_rate``) and ``fps`` are known; ``poses``
     or the split keys ``root_orient``, ``pose_body``, ... (those after the body may be absent).
@@ -58,7 +57,7 @@ def read(path: str | Path) -> Amass:
         DataError: a key is missing, its numbers have another shape or are not finite, or two frame rates differ.
     """
     with reading(path, 'save "poses" (T, 72, 156 or 165), "trans" (T, 3) and "mocap_framerate"') as at:
-        arrays = read_npz(at, ("poses", "trans", "betas", "gender", "contacts", *RATES, *PARTS))
+        arrays = read_npz(at, ("poses", "trans", "betas", "gender", "contacts", *RATES, *POSE_PARTS))
         poses = _poses(at, arrays)
         if "trans" not in arrays:
             raise at.error("this key is missing", place="trans")
@@ -90,7 +89,7 @@ def read(path: str | Path) -> Amass:
 
 
 def load(path: str | Path, *, skeleton: Skeleton = STANDARD, pelvis_offset: Tensor | None = None) -> Motion:
-    """The body of an AMASS file as a Motion on 22 joints; hands, jaw and eyes are left out.
+    """Reads the body of an AMASS file as a Motion on 22 joints; hands, jaw and eyes are left out.
 
     root = trans + pelvis_offset. SMPL's translation is not the pelvis: pelvis = trans + J_0(betas), where J_0 is
     the pelvis of the shaped template, which the root rotation leaves where it is. Without the body model J_0 is
@@ -106,7 +105,7 @@ def load(path: str | Path, *, skeleton: Skeleton = STANDARD, pelvis_offset: Tens
     """
     if len(skeleton) != BODY // 3:
         raise ShapeError(f"skeleton: expected the {BODY // 3} body joints of SMPL, got {len(skeleton)}")
-    amass = read(path)
+    amass = _read(path)
     notes = () if pelvis_offset is not None else ("pelvis offset J_0(betas) not given: the root is SMPL's translation",)
     if amass.poses.shape[1] > BODY:
         notes += (f"{amass.model}: columns after the 22 body joints left out",)
@@ -166,11 +165,15 @@ def _poses(at: Spot, arrays: dict[str, np.ndarray]) -> np.ndarray:
         for key in ("root_orient", "pose_body"):
             if key not in arrays:
                 raise at.error(f'neither "poses" nor "{key}" is there', place=key)
-        found = {key: numbers(at, arrays[key], f"T {PARTS[key]}", key, LARGEST_ANGLE) for key in PARTS if key in arrays}
+        found = {
+            key: numbers(at, arrays[key], f"T {POSE_PARTS[key]}", key, LARGEST_ANGLE)
+            for key in POSE_PARTS
+            if key in arrays
+        }
         rows = {len(part) for part in found.values()}
         if len(rows) > 1:
             raise at.error(f"expected equally many frames, got {sorted(rows)}", place=", ".join(found))
-        poses = np.concatenate([found.get(key, np.zeros((*rows, width))) for key, width in PARTS.items()], axis=1)
+        poses = np.concatenate([found.get(key, np.zeros((*rows, width))) for key, width in POSE_PARTS.items()], axis=1)
     if poses.shape[1] not in MODELS:
         raise at.error(f"expected {', '.join(map(str, MODELS))} columns, got {poses.shape[1]}", place="poses")
     return poses

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +10,35 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.io.asf_text import Asf, parse_amc, parse_asf
-from motionlab.io.reading import frame_rate, read_text, reading
+from motionlab.io.reading import Spot, frame_rate, numbers, read_text, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
 
 #: CMU's recordings are at 120 frames per second; the files do not say so.
-CMU_FPS = 120.0
-INCH = 0.0254
+_CMU_FPS = 120.0
+_INCH = 0.0254
+
+
+@dataclass
+class _Bone:
+    """One bone as the file gives it: unit direction, length in file units, axis frame, degrees of freedom."""
+
+    direction: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    length: float = 0.0
+    axis: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    axis_order: str = "XYZ"
+    dof: list[str] = field(default_factory=list)
+
+
+@dataclass
+class _Asf:
+    """A skeleton file: the bones by name ("root" first), who hangs on whom, and the units."""
+
+    bones: dict[str, _Bone]
+    children: dict[str, list[str]]
+    length: float
+    degrees: bool
+    position: list[float]
 
 
 def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: float | None = None) -> Motion:
@@ -37,15 +59,15 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
     """
     notes = []
     with reading(asf, "take the .asf of the subject again") as at:
-        figure = parse_asf(at, read_text(at))
+        figure = _parse_asf(at, read_text(at))
         if unit is None:
-            unit = INCH / figure.length
+            unit = _INCH / figure.length
             notes.append(f"unit not in the file: 1/{figure.length:g} inch = {unit:.5f} m, CMU's convention")
         skeleton = _skeleton(figure, unit)
     with reading(amc, "take the .amc of the take again, with the .asf of the same subject") as at:
-        degrees, table = parse_amc(at, read_text(at), figure)
+        degrees, table = _parse_amc(at, read_text(at), figure)
         if fps is None:
-            fps = CMU_FPS
+            fps = _CMU_FPS
             notes.append(f"frame rate not in the file: {fps:g}, CMU's")
         fps = frame_rate(at, fps, "fps argument")
         to_radians = np.pi / 180 if degrees else 1.0
@@ -67,12 +89,12 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
 
 
 def load_beside(amc: str | Path, *, asf: str | Path | None = None, **options) -> Motion:
-    """:func:`load` with the .asf found beside the .amc, as CMU names them: 02.asf for 02_01.amc."""
+    """Reads an .amc with the .asf beside it, as CMU names them: 02.asf for 02_01.amc."""
     amc = Path(amc)
     return load(asf or amc.with_name(f"{amc.stem.split('_')[0]}.asf"), amc, **options)
 
 
-def _turn(figure: Asf, name: str, angles: Tensor, dof: list[str]) -> Tensor:
+def _turn(figure: _Asf, name: str, angles: Tensor, dof: list[str]) -> Tensor:
     """C M C^T (T, 3, 3); turns about fixed axes in the order written are intrinsic ones in reverse."""
     bone = figure.bones[name]
     order = "".join(axis[1] for axis in dof).upper()
@@ -82,7 +104,7 @@ def _turn(figure: Asf, name: str, angles: Tensor, dof: list[str]) -> Tensor:
     return frame @ turn @ frame.mT
 
 
-def _skeleton(figure: Asf, unit: float) -> Skeleton:
+def _skeleton(figure: _Asf, unit: float) -> Skeleton:
     names, parents, offsets = ["root"], [-1], [[0.0, 0.0, 0.0]]
     stack = [(child, "root") for child in reversed(figure.children.get("root", []))]
     while stack:
@@ -97,3 +119,171 @@ def _skeleton(figure: Asf, unit: float) -> Skeleton:
             children = [f"{name}_end"]
         stack += [(child, name) for child in reversed(children)]
     return Skeleton(tuple(names), tuple(parents), torch.tensor(offsets))
+
+
+def _parse_asf(at: Spot, text: str) -> _Asf:
+    """Read a skeleton.
+
+    Raises:
+        DataError: naming the line.
+    """
+    sections = _sections(text)
+    missing = [key for key in ("units", "root", "bonedata", "hierarchy") if not sections.get(key)]
+    if missing:
+        raise at.error(f"no section :{', :'.join(missing)}: truncated, or no ASF")
+    units = {words[0].lower(): words[1:] for _, words in sections["units"]}
+    at.place = "section :units"
+    length = _floats(at, units.get("length", []), 1)[0]
+    if not 1e-6 < length < 1e6 or units.get("angle") not in (["deg"], ["rad"]):
+        raise at.error("expected 'length' above zero (1e-6 to 1e6) and 'angle deg' or 'angle rad'")
+    root, position = _root(at, sections["root"])
+    bones = {"root": root} | _bones(at, sections["bonedata"])
+    children = _hierarchy(at, sections["hierarchy"], bones)
+    at.place = ""
+    return _Asf(bones, children, length, units["angle"] == ["deg"], position)
+
+
+def _sections(text: str) -> dict[str, list[tuple[int, list[str]]]]:
+    """Lines as words under their :keyword, with line numbers."""
+    sections: dict[str, list[tuple[int, list[str]]]] = {}
+    current = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.partition("#")[0].split()
+        if words and words[0].startswith(":"):
+            current = sections.setdefault(words[0][1:].lower(), [])
+            words = words[1:]
+        if words and current is not None:
+            current.append((number, words))
+    return sections
+
+
+def _root(at: Spot, lines: list[tuple[int, list[str]]]) -> tuple[_Bone, list[float]]:
+    root, position = _Bone(dof=["tx", "ty", "tz", "rx", "ry", "rz"]), [0.0, 0.0, 0.0]
+    for number, (key, *words) in lines:
+        at.place = f"line {number}"
+        if key == "order":
+            root.dof = [word.lower() for word in words]
+            if sorted(root.dof) != ["rx", "ry", "rz", "tx", "ty", "tz"]:
+                raise at.error(f"order must name TX TY TZ RX RY RZ once each, got {' '.join(words)}")
+        elif key == "axis":
+            root.axis_order = _order(at, words)
+        elif key == "position":
+            position = _floats(at, words, 3)
+        elif key == "orientation":
+            root.axis = _floats(at, words, 3)
+    return root, position
+
+
+def _bones(at: Spot, lines: list[tuple[int, list[str]]]) -> dict[str, _Bone]:
+    bones: dict[str, _Bone] = {}
+    bone, name = None, ""
+    for number, (key, *words) in lines:
+        at.place = f"line {number}"
+        if key == "begin":
+            if bone is not None:
+                raise at.error("begin inside a bone that has no end")
+            bone, name = _Bone(), ""
+        elif bone is None:
+            raise at.error(f"expected begin, got {key!r}")
+        elif key == "end":
+            if not name or name in bones or name == "root":
+                raise at.error(f"a second bone named {name!r}" if name else "a bone without a name")
+            bones[name], bone = bone, None
+        elif key == "name":
+            name = " ".join(words)
+        elif key == "direction":
+            bone.direction = _floats(at, words, 3)
+        elif key == "length":
+            bone.length = _floats(at, words, 1)[0]
+        elif key == "axis":
+            bone.axis, bone.axis_order = _floats(at, words[:3], 3), _order(at, words[3:])
+        elif key == "dof":
+            bone.dof = [word.lower() for word in words]
+            if not set(bone.dof) <= {"rx", "ry", "rz"} or len(set(bone.dof)) != len(bone.dof):
+                raise at.error(f"degrees of freedom must be different ones of rx ry rz, got {' '.join(words)}")
+    if bone is not None:
+        raise at.error(f"bone {name} has no end: the file is truncated")
+    return bones
+
+
+def _hierarchy(at: Spot, lines: list[tuple[int, list[str]]], bones: dict[str, _Bone]) -> dict[str, list[str]]:
+    children: dict[str, list[str]] = {}
+    placed = {"root"}
+    for number, words in lines:
+        at.place = f"line {number}"
+        if words in (["begin"], ["end"]):
+            continue
+        parent, *below = words
+        for name in words:
+            if name not in bones:
+                raise at.error(f"bone {name!r} is not in :bonedata")
+        if parent not in placed:
+            raise at.error(f"{parent} has children before it has a parent")
+        for name in below:
+            if name in placed:
+                raise at.error(f"{name} has two parents")
+            placed.add(name)
+            children.setdefault(parent, []).append(name)
+    lost = [name for name in bones if name not in placed]
+    if lost:
+        raise at.error(f"{', '.join(lost)} hang on nothing", place="section :hierarchy")
+    return children
+
+
+def _order(at: Spot, words: list[str]) -> str:
+    order = "".join(words).upper()
+    if sorted(order) != ["X", "Y", "Z"]:
+        raise at.error(f"axis order must be X, Y and Z in some order, got {' '.join(words)!r}")
+    return order
+
+
+def _floats(at: Spot, words: list[str], count: int) -> list[float]:
+    return numbers(at, [float(word) for word in words], str(count)).tolist()
+
+
+def _parse_amc(at: Spot, text: str, figure: _Asf) -> tuple[bool, np.ndarray]:
+    """Whether angles are degrees, and one row of values a frame: the bones' degrees of freedom in ASF order.
+
+    Raises:
+        DataError: naming the line.
+    """
+    widths = {name: len(bone.dof) for name, bone in figure.bones.items() if bone.dof}
+    degrees, rows, frame, first = figure.degrees, [], None, 1
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split()
+        if not words or words[0][0] == "#":
+            continue
+        if words[0][0] == ":":
+            degrees = {":DEGREES": True, ":RADIANS": False}.get(words[0].upper(), degrees)
+        elif len(words) == 1 and words[0].isdigit():
+            if frame is not None:
+                rows.append(_row(at, frame, widths, first))
+            if int(words[0]) != len(rows) + 1:
+                raise at.error(f"frame {words[0]} follows frame {len(rows)}", place=f"line {number}")
+            frame, first = {}, number
+        elif frame is None or words[0] in frame or widths.get(words[0]) != len(words) - 1:
+            at.place = f"line {number}"
+            if frame is None:
+                raise at.error(f"expected frame number 1, got {line.strip()[:40]!r}")
+            if words[0] in frame:
+                raise at.error(f"{words[0]} twice in one frame")
+            raise at.error(
+                f"{words[0][:40]}: expected {widths.get(words[0], 'no such bone,')} values, got {len(words) - 1}"
+            )
+        else:
+            frame[words[0]] = words[1:]
+    if frame is None:
+        raise at.error("no frames: truncated, or no AMC")
+    rows.append(_row(at, frame, widths, first))
+    try:
+        table = np.array(rows, dtype=np.float64)
+    except ValueError as error:
+        raise at.error(f"a value is no number: {error}", place="frames") from error
+    return degrees, numbers(at, table, "T C", place="frames")
+
+
+def _row(at: Spot, frame: dict[str, list[str]], widths: dict[str, int], number: int) -> list[str]:
+    if len(frame) != len(widths):
+        missing = ", ".join(name for name in widths if name not in frame)
+        raise at.error(f"frame without {missing}: truncated", place=f"line {number}")
+    return [value for name in widths for value in frame[name]]

@@ -7,7 +7,7 @@ recording and written into ``Motion.notes``, together with everything else that 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +15,10 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.io.bvh_text import Joint, parse
-from motionlab.io.reading import Spot, read_text, reading
-from motionlab.io.writing import check_writable
+from motionlab.files import write_whole
+from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_text, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
-from motionlab.writing import write_whole
 
 #: Metres per unit of length.
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
@@ -61,9 +59,48 @@ def load(
     if up not in (None, *WORLD) or translations not in ("strict", "mean"):
         raise ValueError(f"expected up 'y' or 'z' and translations 'strict' or 'mean', got {up!r}, {translations!r}")
     with reading(path, _REMEDY) as at:
-        joints, values, fps = parse(at, read_text(at))
+        joints, values, fps = _parse(at, read_text(at))
         motion = _assemble(at, joints, values, fps, translations)
         return _to_world(at, motion, unit, up)
+
+
+def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | float = "cm", up: str = "y") -> None:
+    """Write one motion as BVH, six channels at the root and three at every other joint.
+
+    Numbers have six decimals (1e-8 m in cm, 1e-6 degrees), the frame time ten. Joints are written depth
+    first, as BVH demands, and come back in that order: match them by name. Leaf joints named
+    ``<parent>_end`` that never turn become End Sites. The file appears whole or not at all.
+
+    Args:
+        order: of the three rotation channels, applied left to right (intrinsic).
+        unit, up: as in :func:`load`; a rest pose that faces +z in the rest frame faces +z in a y-up file.
+
+    Raises:
+        ShapeError: the motion has batch axes or no frames.
+        DataError: it holds NaN or infinity, or the file cannot be written.
+        ValueError: order, unit or up is none of the known ones.
+    """
+    check_writable(path, motion)
+    _check_unit(unit)
+    if sorted(order) != ["X", "Y", "Z"] or up not in WORLD:
+        raise ValueError(f"expected an order of X, Y, Z and up 'y' or 'z', got {order!r} and {up!r}")
+    scale = 1 / (UNITS[unit] if isinstance(unit, str) else float(unit))
+    motion = motion.to(torch.float64)
+    skeleton, names, world = motion.skeleton, motion.skeleton.names, WORLD[up].double()
+    rest = (motion.rot - torch.eye(3).double()).abs().amax((0, 2, 3)) < 1e-6
+    ends = {
+        j
+        for j in range(1, len(names))
+        if j not in skeleton.parents and names[j] == f"{names[skeleton.parents[j]]}_end" and rest[j]
+    }
+    rot = motion.rot.clone()
+    rot[:, 0] = world.T @ rot[:, 0]
+    text, turning = _hierarchy_text(skeleton, scale, order, ends)
+    angles = torch.rad2deg(rotation.matrix_to_euler(rot[:, turning], order))
+    table = torch.cat((scale * motion.root @ world, angles.flatten(1)), dim=1).numpy()
+    row = " ".join(["%.6f"] * table.shape[1])
+    head = ["HIERARCHY", *text, "MOTION", f"Frames: {len(table)}", f"Frame Time: {1 / motion.fps:.10f}"]
+    write_whole(path, "\n".join([*head, *(row % tuple(values) for values in table.tolist()), ""]))
 
 
 def _check_unit(unit: object) -> None:
@@ -71,7 +108,19 @@ def _check_unit(unit: object) -> None:
         raise ValueError(f"unit: expected metres per unit or one of {', '.join(UNITS)}, got {unit!r}")
 
 
-def _assemble(at: Spot, joints: list[Joint], values: np.ndarray, fps: float, translations: str) -> Motion:
+@dataclass
+class _Joint:
+    """One joint as the file gives it: file units and axes, channels in the file's order."""
+
+    name: str
+    parent: int
+    line: int
+    offset: list[float] | None = None
+    channels: list[str] = field(default_factory=list)
+    is_end: bool = False
+
+
+def _assemble(at: Spot, joints: list[_Joint], values: np.ndarray, fps: float, translations: str) -> Motion:
     """The recording in the file's own units and axes."""
     place, rot = _local(joints, values)
     kept = [i for i, joint in enumerate(joints) if not joint.is_end or any(joint.offset)]
@@ -83,7 +132,7 @@ def _assemble(at: Spot, joints: list[Joint], values: np.ndarray, fps: float, tra
     return Motion(skeleton, root, rot, fps, name=at.path.stem, notes=tuple(notes))
 
 
-def _local(joints: list[Joint], values: np.ndarray) -> tuple[np.ndarray, Tensor]:
+def _local(joints: list[_Joint], values: np.ndarray) -> tuple[np.ndarray, Tensor]:
     """Where each joint stands (T, J, 3) and how it is turned (T, J, 3, 3) against its parent."""
     offset = np.array([joint.offset for joint in joints])
     place = np.broadcast_to(offset, (len(values), *offset.shape)).copy()
@@ -108,7 +157,7 @@ def _local(joints: list[Joint], values: np.ndarray) -> tuple[np.ndarray, Tensor]
     return place, rot
 
 
-def _reroot(at: Spot, joints: list[Joint], parents: list[int], place: np.ndarray, rot: Tensor, translations: str):
+def _reroot(at: Spot, joints: list[_Joint], parents: list[int], place: np.ndarray, rot: Tensor, translations: str):
     """Skeleton, root positions, rotations and notes, with the root at the joint that moves."""
     notes = []
     offset = torch.tensor([joint.offset for joint in joints], dtype=torch.float64)
@@ -186,43 +235,144 @@ def _longest_chain(skeleton: Skeleton) -> float:
     return longest
 
 
-def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | float = "cm", up: str = "y") -> None:
-    """Write one motion as BVH, six channels at the root and three at every other joint.
-
-    Numbers have six decimals (1e-8 m in cm, 1e-6 degrees), the frame time ten. Joints are written depth
-    first, as BVH demands, and come back in that order: match them by name. Leaf joints named
-    ``<parent>_end`` that never turn become End Sites. The file appears whole or not at all.
-
-    Args:
-        order: of the three rotation channels, applied left to right (intrinsic).
-        unit, up: as in :func:`load`; a rest pose that faces +z in the rest frame faces +z in a y-up file.
+def _parse(at: Spot, text: str) -> tuple[list[_Joint], np.ndarray, float]:
+    """The joints in file order, one row of channel values a frame, and frames per second.
 
     Raises:
-        ShapeError: the motion has batch axes or no frames.
-        DataError: it holds NaN or infinity, or the file cannot be written.
-        ValueError: order, unit or up is none of the known ones.
+        DataError: naming the line.
     """
-    check_writable(path, motion)
-    _check_unit(unit)
-    if sorted(order) != ["X", "Y", "Z"] or up not in WORLD:
-        raise ValueError(f"expected an order of X, Y, Z and up 'y' or 'z', got {order!r} and {up!r}")
-    scale = 1 / (UNITS[unit] if isinstance(unit, str) else float(unit))
-    motion = motion.to(torch.float64)
-    skeleton, names, world = motion.skeleton, motion.skeleton.names, WORLD[up].double()
-    rest = (motion.rot - torch.eye(3).double()).abs().amax((0, 2, 3)) < 1e-6
-    ends = {
-        j
-        for j in range(1, len(names))
-        if j not in skeleton.parents and names[j] == f"{names[skeleton.parents[j]]}_end" and rest[j]
-    }
-    rot = motion.rot.clone()
-    rot[:, 0] = world.T @ rot[:, 0]
-    text, turning = _hierarchy_text(skeleton, scale, order, ends)
-    angles = torch.rad2deg(rotation.matrix_to_euler(rot[:, turning], order))
-    table = torch.cat((scale * motion.root @ world, angles.flatten(1)), dim=1).numpy()
-    row = " ".join(["%.6f"] * table.shape[1])
-    head = ["HIERARCHY", *text, "MOTION", f"Frames: {len(table)}", f"Frame Time: {1 / motion.fps:.10f}"]
-    write_whole(path, "\n".join([*head, *(row % tuple(values) for values in table.tolist()), ""]))
+    lines = text.splitlines()
+    joints, motion_line = _hierarchy(at, lines)
+    values, fps = _motion(at, lines, motion_line, sum(len(joint.channels) for joint in joints))
+    at.place = ""
+    return joints, values, fps
+
+
+def _hierarchy(at: Spot, lines: list[str]) -> tuple[list[_Joint], int]:
+    joints: list[_Joint] = []
+    open_joints: list[int] = []
+    names: set[str] = set()
+    started = expect_brace = False
+    for number, line in enumerate(lines, start=1):
+        words = line.split()
+        if not words:
+            continue
+        at.place = f"line {number}"
+        head = words[0].upper()
+        expected = "ROOT" if started else "HIERARCHY"
+        if not joints and head != expected:
+            raise at.error(f"expected {expected}, got {line.strip()[:40]!r}")
+        if not started:
+            started = True
+            continue
+        if expect_brace != (head == "{"):
+            raise at.error("a joint's name must be followed by {" if expect_brace else "a { without a joint")
+        if head == "{":
+            expect_brace = False
+        elif head in ("ROOT", "JOINT", "END"):
+            if (head == "ROOT") != (not joints):
+                raise at.error("a second ROOT: one figure a file", remedy="split the file, one ROOT each")
+            if joints and not open_joints:
+                raise at.error(f"{words[0]} outside the root's braces")
+            parent = open_joints[-1] if open_joints else -1
+            if joints and joints[parent].is_end:
+                raise at.error("an End Site has no children")
+            name = " ".join(words[1:]) if head != "END" else f"{joints[parent].name}_end"
+            if not name:
+                raise at.error(f"{words[0]} without a name")
+            if name in names:
+                raise at.error(f"a second joint named {name!r}", remedy="give every joint its own name")
+            names.add(name)
+            open_joints.append(len(joints))
+            joints.append(_Joint(name, parent, number, is_end=head == "END"))
+            expect_brace = True
+        elif head == "}":
+            if not open_joints:
+                raise at.error("a } too many")
+            if joints[open_joints[-1]].offset is None:
+                raise at.error(f"{joints[open_joints[-1]].name} ends without an OFFSET")
+            open_joints.pop()
+        elif head == "OFFSET" and open_joints:
+            joints[open_joints[-1]].offset = numbers(at, [float(w) for w in words[1:]], "3").tolist()
+        elif head == "CHANNELS" and open_joints:
+            joints[open_joints[-1]].channels = _channels(at, words, joints[open_joints[-1]])
+        elif head == "MOTION":
+            if open_joints:
+                raise at.error(f"the braces of {joints[open_joints[-1]].name} are still open")
+            return joints, number
+        else:
+            raise at.error(f"expected JOINT, End Site, OFFSET, CHANNELS or a brace, got {line.strip()[:40]!r}")
+    at.place = f"line {len(lines)}"
+    raise at.error("the file ends before MOTION: it is truncated, or no BVH")
+
+
+def _channels(at: Spot, words: list[str], joint: _Joint) -> list[str]:
+    channels = [word.lower() for word in words[2:]]
+    known = {f"{axis}{kind}" for axis in "xyz" for kind in ("position", "rotation")}
+    if len(words) < 2 or words[1] != str(len(channels)):
+        raise at.error(f"CHANNELS promises {' '.join(words[1:2])} and lists {len(channels)}")
+    if not set(channels) <= known or len(set(channels)) != len(channels):
+        raise at.error(f"channels must be different ones of {', '.join(sorted(known))}, got {' '.join(words[2:])}")
+    if joint.is_end or joint.channels:
+        raise at.error("an End Site has no channels" if joint.is_end else f"{joint.name} has CHANNELS twice")
+    return channels
+
+
+def _motion(at: Spot, lines: list[str], motion_line: int, width: int) -> tuple[np.ndarray, float]:
+    rows = [(n, line) for n, line in enumerate(lines[motion_line:], start=motion_line + 1) if line.strip()]
+    header = []
+    for (number, line), key in zip(rows[:2], ("frames", "frame time"), strict=False):
+        at.place = f"line {number}"
+        name, _, value = line.partition(":")
+        if " ".join(name.lower().split()) != key:
+            raise at.error(f"expected '{key}:', got {line.strip()[:40]!r}")
+        header.append(float(value))
+    if len(header) < 2:
+        raise at.error("the file ends before 'Frame Time:': it is truncated")
+    frames, frame_time = header
+    if not 0 < frame_time < np.inf:
+        raise at.error(f"the frame time must be above zero, got {frame_time}", remedy="write seconds per frame")
+    fps = frame_rate(at, _rate(frame_time, rows[1][1]))
+    at.place = f"line {rows[0][0]}"
+    if frames < 1 or not width:
+        raise at.error("no frames" if width else "no channels", remedy="export at least one frame")
+    rows = rows[2:]
+    if frames != len(rows):
+        raise at.error(
+            f"promises {frames:g} frames, the file has {len(rows)}",
+            remedy="copy the file again if it is truncated, or correct the number",
+        )
+    try:
+        values = np.array(" ".join([line for _, line in rows]).split(), dtype=np.float64)
+        fits = values.size == len(rows) * width and np.isfinite(values).all()
+    except ValueError:
+        fits = False
+    if not fits:
+        raise _bad_row(at, rows, width)
+    return numbers(at, values.reshape(len(rows), width), "T C", place="motion block"), fps
+
+
+def _rate(frame_time: float, line: str) -> float:
+    """Frames per second: the whole number that the printed digits can mean (0.033333 is 30), else 1 / time."""
+    digits = len(line.strip().partition(".")[2])
+    whole = max(round(1 / frame_time), 1)
+    return float(whole) if digits >= 4 and abs(frame_time - 1 / whole) <= 10.0**-digits else 1 / frame_time
+
+
+def _bad_row(at: Spot, rows: list[tuple[int, str]], width: int) -> Exception:
+    for number, line in rows:
+        words = line.split()
+        at.place = f"line {number}"
+        if len(words) != width:
+            return at.error(f"expected {width} values, got {len(words)}")
+        for column, word in enumerate(words, start=1):
+            try:
+                if np.isfinite(float(word)):
+                    continue
+            except ValueError:
+                pass
+            return at.error(f"value {column} is {word[:40]!r}, not a finite number")
+    return at.error("the frames do not have the promised width")
 
 
 def _hierarchy_text(skeleton: Skeleton, scale: float, order: str, ends: set[int]) -> tuple[list[str], list[int]]:

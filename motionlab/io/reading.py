@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from motionlab.errors import DataError, MissingData
+from motionlab.errors import DataError, MissingData, ShapeError
+from motionlab.motion import Motion
 
 #: Files, archive members and promised arrays beyond this many bytes are refused before memory is asked for.
 LARGEST = 2**31
@@ -62,7 +63,7 @@ def reading(path: str | Path, remedy: str = "export the file again") -> Iterator
 
 
 def read_bytes(at: Spot) -> bytes:
-    """The whole file, if it is not empty and not larger than ``LARGEST``.
+    """Reads the whole file, if it is not empty and not larger than ``LARGEST``.
 
     Raises:
         DataError: it is a folder, empty or too large.
@@ -77,7 +78,7 @@ def read_bytes(at: Spot) -> bytes:
 
 
 def read_text(at: Spot) -> str:
-    """The whole file as UTF-8 text (a byte-order mark is dropped).
+    """Reads the whole file as UTF-8 text (a byte-order mark is dropped).
 
     Raises:
         DataError: see ``read_bytes``; or it holds zero bytes.
@@ -90,7 +91,7 @@ def read_text(at: Spot) -> str:
 
 
 def read_json(at: Spot) -> object:
-    """The whole file as JSON; NaN and Infinity, which JSON does not have, are refused.
+    """Reads the whole file as JSON; NaN and Infinity, which JSON does not have, are refused.
 
     Raises:
         DataError: see ``read_text``; or a number is NaN or infinite.
@@ -104,7 +105,7 @@ def read_json(at: Spot) -> object:
 
 
 def read_npz(at: Spot, keys: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
-    """The arrays of an npz by key: those of ``keys`` that are there, or all.
+    """Reads the arrays of an npz by key: those of ``keys`` that are there, or all.
 
     Never unpickles: an array of Python objects is refused unread; one that nobody asked for is not touched.
 
@@ -143,7 +144,7 @@ def _read_npy(at: Spot, stream, size: int) -> np.ndarray:
 
 
 def numbers(at: Spot, array: object, shape: str, place: str | None = None, largest: float = 1e18) -> np.ndarray:
-    """An array as float64 after checking its axes and that every number is finite.
+    """Checks an array's axes and that every number is finite; returns it as float64.
 
     Args:
         shape: words such as ``"T 24 3"``: a number is a fixed size, a word any size of at least one.
@@ -172,7 +173,7 @@ def numbers(at: Spot, array: object, shape: str, place: str | None = None, large
 
 
 def frame_rate(at: Spot, value: object, place: str = "frame rate") -> float:
-    """A frame rate in frames per second: one finite number above zero, at most 100,000.
+    """Checks a frame rate in frames per second: one finite number above zero, at most 100,000.
 
     Raises:
         DataError: it is something else.
@@ -181,3 +182,20 @@ def frame_rate(at: Spot, value: object, place: str = "frame rate") -> float:
     if rate.size != 1 or rate.dtype.kind not in "fiu" or not 0 < (fps := float(rate.reshape(()))) <= 1e5:
         raise at.error(f"expected frames per second above zero, got {value!r}", place=place)
     return fps
+
+
+def check_writable(path: str | Path, motion: Motion) -> None:
+    """Checks that a motion can be written: one clip of at least one frame, all of its numbers finite.
+
+    Raises:
+        ShapeError: the motion has batch axes or no frames.
+        DataError: it holds NaN or infinity; names the first such frame.
+    """
+    if motion.root.ndim != 2 or motion.skeleton.offsets.ndim != 2:
+        raise ShapeError(f"one clip expected, got root {tuple(motion.root.shape)}: choose one with motion.clip(i)")
+    if motion.frames == 0:
+        raise ShapeError("a motion without frames cannot be written")
+    finite = motion.rot.isfinite().flatten(1).all(1) & motion.root.isfinite().all(1)
+    if not finite.all():
+        place = f"frame {int((~finite).nonzero()[0])}"
+        raise DataError("numbers that are not finite", path=path, place=place, remedy="cut or fill those frames")

@@ -12,16 +12,17 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from motionlab import io
 from motionlab.errors import DataError, MissingData
-from motionlab.io import amp, anidance, asf, bvh, c3d, calibration, captury, deepmimic, npz, openpose, trc
-from motionlab.io.positions import Positions
+from motionlab.io import asf, bvh, cameras, clips, openpose, points
+from motionlab.io.points import Positions
 from motionlab.io.reading import reading
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 
 #: Loader of a single file by suffix, for folders that are not known by name.
 SUFFIXES: dict[str, Callable] = {
-    ".bvh": bvh.load, ".amc": asf.load_beside, ".npz": npz.load, ".trc": trc.load, ".c3d": c3d.load,
+    ".bvh": bvh.load, ".amc": asf.load_beside, ".npz": io.load_npz, ".trc": points.load_trc, ".c3d": points.load_c3d,
 }  # fmt: skip
 
 
@@ -45,37 +46,37 @@ class Source:
     files: dict[str, tuple[str, Callable]]
 
 
-def captury_view(path: Path) -> Observation2D:
-    """One ``projectedNN.csv`` with the camera NN of the camera.calib beside it; Miqus video, 1920 wide, 50 fps."""
+def _captury_view(path: Path) -> Observation2D:
+    """Reads one ``projectedNN.csv`` with the camera NN of the camera.calib beside it; video 1920 wide at 50 fps."""
     with reading(path, "keep it beside the camera.calib that lists its camera"):
-        camera = calibration.load_captury(path.with_name("camera.calib"), width=1920)[int(path.stem[-2:])]
-    return captury.load_projected(path, camera=camera, fps=50)
+        camera = cameras.load_captury(path.with_name("camera.calib"), width=1920)[int(path.stem[-2:])]
+    return points.load_projected(path, camera=camera, fps=50)
 
 
 #: What is known of each source of the data set; see its SOURCE.txt for citation and format.
 SOURCES: dict[str, Source] = {
     "bandai_namco": Source("CC BY-NC 4.0", False, {"bvh": ("*.bvh", bvh.load)}),
-    "anidance": Source("mocap without licence: evaluate only", False, {"npz": ("*.npz", anidance.load)}),
+    "anidance": Source("mocap without licence: evaluate only", False, {"npz": ("*.npz", points.load_anidance)}),
     "cmu_amc": Source("CMU terms, credit", True, {"amc": ("*.amc", asf.load_beside)}),
-    "deepmimic": Source("MIT", True, {"json": ("*humanoid3d*.txt", deepmimic.load)}),
+    "deepmimic": Source("MIT", True, {"json": ("*humanoid3d*.txt", clips.load_deepmimic)}),
     "captury_falls": Source(
         "free for research: evaluate only",
         False,
         {
-            "c3d": ("*/mocap.c3d", c3d.load),
-            "csv": ("*/biomech.csv", partial(captury.load_biomech, fps=50)),
-            "2d": ("*/projected*.csv", captury_view),
+            "c3d": ("*/mocap.c3d", points.load_c3d),
+            "csv": ("*/biomech.csv", partial(points.load_biomech, fps=50)),
+            "2d": ("*/projected*.csv", _captury_view),
         },
     ),
     "reactidle": Source("MIT", True, {"bvh": ("*.bvh", bvh.load)}),
     "animated_drawings": Source("MIT", True, {"bvh": ("*.bvh", bvh.load)}),
-    "isaacgym_amp_cmu": Source("BSD-3 + CMU terms", True, {"npz": ("*.npz", amp.load)}),
+    "isaacgym_amp_cmu": Source("BSD-3 + CMU terms", True, {"npz": ("*.npz", clips.load_amp)}),
     "pose2sim_openpose": Source(
         "BSD-3",
         True,
         {
             "openpose": ("*/cam*_json", partial(openpose.load, fps=60, layout="BODY_25B")),
-            "trc": ("ref3d/*.trc", trc.load),
+            "trc": ("ref3d/*.trc", points.load_trc),
         },
     ),
     # a webcam, whose rate is not stored: 30 is presumed
@@ -108,7 +109,7 @@ class Row:
 
 
 def recordings(folder: str | Path, source: str | None = None, *, video_fps: float | None = None) -> Iterator[Recording]:
-    """Every recording of the folder, or of one source, sorted by source and path.
+    """Finds every recording of the folder, or of one source, sorted by source and path.
 
     >>> for source, path, loader in recordings(folder): motion = loader(path)  # doctest: +SKIP
 
@@ -124,7 +125,7 @@ def recordings(folder: str | Path, source: str | None = None, *, video_fps: floa
 
 
 def inventory(folder: str | Path, source: str | None = None, *, video_fps: float | None = None) -> list[Row]:
-    """Load every recording and count: one row per source and kind of file. Arguments as of ``recordings``.
+    """Loads every recording and counts: one row per source and kind of file. Arguments as of ``recordings``.
 
     A recording that cannot be read stops nothing: it stands in ``unread`` of its row.
 
@@ -208,7 +209,7 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
                 views.add(path.parent)
                 yield "openpose", path.parent, partial(openpose.load, fps=video_fps)
             elif b'"Frames"' in head:
-                yield "json", path, deepmimic.load
+                yield "json", path, clips.load_deepmimic
 
 
 def _head(path: Path) -> bytes:

@@ -33,7 +33,7 @@ _VERTICES = {
 
 
 def load(path: str | Path, betas: int = 10) -> BodyModel:
-    """A body from a file in SMPL's format, on the 22 standard joints.
+    """Reads a body from a file in SMPL's format, on the 22 standard joints.
 
     Hands, jaw and eyes of larger models move rigidly with the wrist or head above them: their weights are
     folded into it. Pose correctives (``posedirs``) of the 21 moving joints are kept and applied by

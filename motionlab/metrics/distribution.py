@@ -1,9 +1,7 @@
-"""How far two sets of motions are from each other: a few numbers per window, and a distance with its floor."""
+"""How far two sets of motions are from each other: a few numbers per window, and who can tell them apart."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -11,13 +9,12 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.contact import with_contacts
-from motionlab.errors import ShapeError, check_shape
 from motionlab.metrics.pose import jitter
-from motionlab.motion import Motion, velocity, windows
+from motionlab.motion import Motion, velocity
 from motionlab.skeleton import FEET
 
 #: What :func:`describe` measures, with its unit.
-UNITS = {
+DESCRIPTION_UNITS = {
     "root speed": "m/s",
     "turning rate": "deg/s",
     "joint speed": "m/s",
@@ -34,7 +31,7 @@ UNITS = {
 
 
 def describe(motion: Motion) -> dict[str, Tensor]:
-    """Physical summary of each window of motions on the standard joints: name -> (...), units in ``UNITS``.
+    """Computes a physical summary of each window of motions on the standard joints: name -> (...), units in ``UNITS``.
 
     Means over the T frames of a window (and over the joints or sides concerned); the root moves on the floor
     plane only; heights are above z = 0; flexion is the angle between the two bones of a limb; quick motion is the
@@ -77,42 +74,6 @@ class Described:
         return torch.stack(list(self.values.values()), dim=-1)
 
 
-def describe_windows(
-    motions: Sequence[Motion], generator: torch.Generator, *, most: int, seconds: float = 2.0
-) -> Described:
-    """Describe at most ``most`` windows of ``seconds``, half overlapping, drawn at random over all recordings.
-
-    Recordings that are shorter than one window are left out.
-    """
-    parts, groups = [], []
-    for group, motion in enumerate(motions):
-        length = round(seconds * motion.fps)
-        if motion.frames >= length:
-            parts.append(describe(windows(motion, length, length // 2)))
-            groups += [group] * len(parts[-1]["root speed"])
-    pick = torch.randperm(len(groups), generator=generator)[:most]
-    return Described({k: torch.cat([p[k] for p in parts])[pick] for k in UNITS}, torch.tensor(groups)[pick])
-
-
-def pool(parts: Sequence[Described]) -> Described:
-    """Several sets as one; recordings stay apart."""
-    first = torch.tensor([0] + [int(p.groups.max()) + 1 for p in parts[:-1]]).cumsum(0)
-    groups = torch.cat([p.groups + start for p, start in zip(parts, first, strict=True)])
-    return Described({k: torch.cat([p.values[k] for p in parts]) for k in UNITS}, groups)
-
-
-def apart(part: Described) -> Described:
-    """The same windows, each counted as a recording of its own."""
-    return Described(part.values, torch.arange(len(part.groups)))
-
-
-def compare(ours: Described, theirs: Described, generator: torch.Generator, draws: int = 50) -> tuple[float, Tensor]:
-    """Energy distance between two sets, standardised by the second's mean and deviation, and the second's floor."""
-    middle, spread = theirs.table.mean(0), theirs.table.std(0)
-    x, y = ((d.table - middle) / spread for d in (ours, theirs))
-    return energy_distance(x, y), floor(y, theirs.groups, generator, draws)
-
-
 def _power_above(moving: Tensor, fps: float, hertz: float) -> Tensor:
     """Share (...) of the power of signals (..., T, J, 3) above a frequency."""
     window = torch.hann_window(moving.shape[-3], periodic=False).to(moving)[:, None, None]
@@ -130,46 +91,8 @@ def _flexion(motion: Motion, *chain: str) -> Tensor:
     return torch.rad2deg(torch.stack(angles)).mean((0, -1))
 
 
-def energy_distance(x: Tensor, y: Tensor) -> float:
-    """Energy distance between samples (N, D) and (M, D): 0 where the distributions agree, never below.
-
-    2 E|X - Y| - E|X - X'| - E|Y - Y'|, square root; every pair but a sample with itself. The estimate is
-    unbiased before the root and clamped at zero. It has the unit of the features: standardise them first.
-
-    Source: Szekely and Rizzo 2013, Eq. 5.3 (U-statistic form).
-    Raises:
-        ShapeError: fewer than two samples on a side, or different D.
-    """
-    check_shape(y, f"M {check_shape(x, 'N D', 'x')['D']}", "y")
-    if min(len(x), len(y)) < 2:
-        raise ShapeError(f"energy_distance: needs two samples a side, got {len(x)} and {len(y)}")
-    x, y = x.double(), y.double()
-    within = [torch.cdist(s, s).sum() / (len(s) * (len(s) - 1)) for s in (x, y)]
-    squared = 2 * torch.cdist(x, y).mean() - within[0] - within[1]
-    return math.sqrt(max(squared.item(), 0.0))
-
-
-def floor(x: Tensor, groups: Tensor, generator: torch.Generator, draws: int = 50) -> Tensor:
-    """Distances (draws,) between random halves of one set (N, D), split by group: what sampling alone explains.
-
-    groups (N,): windows of one recording stay on one side, as recordings are the independent units.
-
-    Raises:
-        ShapeError: fewer than two groups.
-    """
-    names = groups.unique()
-    if len(names) < 2:
-        raise ShapeError("floor: needs at least two groups")
-    found = []
-    for _ in range(draws):
-        mine = torch.isin(groups, names[torch.randperm(len(names), generator=generator)[: len(names) // 2]])
-        if 2 <= int(mine.sum()) <= len(x) - 2:
-            found.append(energy_distance(x[mine], x[~mine]))
-    return torch.tensor(found)
-
-
 def told_apart(ours: Described, theirs: Described, neighbours: int = 5) -> float:
-    """How often a nearest-neighbour judge tells two sets apart: balanced accuracy, 0.5 is a coin.
+    """Computes how often a nearest-neighbour classifier tells two sets apart: balanced accuracy, 0.5 is a coin.
 
     Each window is judged by the majority of its nearest windows from *other* recordings, on standardised
     descriptions; the larger set is thinned evenly, so that both weigh the same and every part of a pool counts.
@@ -186,10 +109,3 @@ def told_apart(ours: Described, theirs: Described, neighbours: int = 5) -> float
     votes = label[distance.topk(min(neighbours, 2 * count - 1), largest=False).indices].double().mean(1) > 0.5
     right = (votes == label).double()
     return ((right[label].mean() + right[~label].mean()) / 2).item()
-
-
-def halves(part: Described, generator: torch.Generator) -> tuple[Described, Described]:
-    """One set in two random halves, whole recordings on either side."""
-    names = part.groups.unique()
-    mine = torch.isin(part.groups, names[torch.randperm(len(names), generator=generator)[: len(names) // 2]])
-    return tuple(Described({k: v[m] for k, v in part.values.items()}, part.groups[m]) for m in (mine, ~mine))

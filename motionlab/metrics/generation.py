@@ -1,11 +1,11 @@
 """How far a set of generated motions is from real ones: measures between feature tensors (N, D), in float64.
 
-Every measure tells the sizes of its sets, as most of them change with it; :func:`floor` is what sampling alone gives.
+Every measure tells the sizes of its sets, as most of them change with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
@@ -36,7 +36,7 @@ def _checked(x: Tensor, y: Tensor, least: int = 2) -> tuple[Tensor, Tensor]:
 
 
 # ------------------------------------------------------------------------------------------------- distances
-def frechet_of_gaussians(mean: Tensor, cov: Tensor, other_mean: Tensor, other_cov: Tensor) -> float:
+def _frechet_of_gaussians(mean: Tensor, cov: Tensor, other_mean: Tensor, other_cov: Tensor) -> float:
     """Squared Frechet distance |m1 - m2|^2 + tr(C1 + C2 - 2 (C1 C2)^1/2) of two Gaussians; means (D,), covs (D, D).
 
     tr (C1 C2)^1/2 is the sum of the singular values of S1 S2, S the symmetric root by eigenvalues (those that rounding
@@ -62,27 +62,10 @@ def frechet(generated: Tensor, real: Tensor) -> Score:
     """
     x, y = _checked(generated, real)
     moments = [part for z in (x, y) for part in (z.mean(0), z.mT.cov().reshape(z.shape[1], z.shape[1]))]
-    return Score(frechet_of_gaussians(*moments), len(x), len(y))
+    return Score(_frechet_of_gaussians(*moments), len(x), len(y))
 
 
-def frechet_by_n(
-    generated: Tensor, real: Tensor, sizes: Sequence[int], generator: torch.Generator, draws: int = 10
-) -> list[Score]:
-    """:func:`frechet` of random subsets of each size, both sets alike: mean and spread; how much of it is small N.
-
-    Raises:
-        ShapeError: a size is below 2 or above a set, or as for :func:`frechet`.
-    """
-    if not all(2 <= size <= min(len(generated), len(real)) for size in sizes) or draws < 1:
-        raise ShapeError(f"sizes {list(sizes)}: expected 2 to {min(len(generated), len(real))}, and draws above zero")
-    scores = []
-    for size in sizes:
-        found = [frechet(_pick(generated, size, generator), _pick(real, size, generator)).value for _ in range(draws)]
-        scores.append(_summary(found, size, size))
-    return scores
-
-
-def polynomial_mmd(x: Tensor, y: Tensor) -> float:
+def _polynomial_mmd(x: Tensor, y: Tensor) -> float:
     """Unbiased squared MMD between (N, D) and (M, D) under k(x, y) = (x . y / D + 1)^3; may be below zero."""
 
     def kernel(a: Tensor, b: Tensor) -> Tensor:
@@ -104,7 +87,7 @@ def kid(
     size: int = 1000,
     replacement: bool = False,
 ) -> Score:
-    """Kernel distance: mean of :func:`polynomial_mmd` over random subsets, and its spread; its mean is free of N.
+    """Kernel distance: mean of :func:`_polynomial_mmd` over random subsets, and its spread; its mean is free of N.
 
     Subsets have ``size`` samples, or as many as the smaller set has; where neither set leaves a choice there is one
     subset. The score's n and m are the sets', not the subsets'.
@@ -122,8 +105,8 @@ def kid(
     if size < 2 or subsets < 1:
         raise ShapeError(f"expected subsets of at least 2 samples, and at least one; got {subsets} of {size}")
     if size == len(x) == len(y):
-        return Score(polynomial_mmd(x, y), len(x), len(y))
-    found = [polynomial_mmd(*(_pick(z, size, generator, replacement) for z in (x, y))) for _ in range(subsets)]
+        return Score(_polynomial_mmd(x, y), len(x), len(y))
+    found = [_polynomial_mmd(*(_pick(z, size, generator, replacement) for z in (x, y))) for _ in range(subsets)]
     return _summary(found, len(x), len(y))
 
 
@@ -158,7 +141,7 @@ class Coverage(NamedTuple):
     m: int
 
 
-def neighbour_radii(x: Tensor, k: int) -> Tensor:
+def _neighbour_radii(x: Tensor, k: int) -> Tensor:
     """Distance (N,) of each sample to its k-th nearest other one of the same set (N, D).
 
     Raises:
@@ -175,7 +158,7 @@ def _distances(x: Tensor, y: Tensor) -> Tensor:
 
 
 def precision_recall(generated: Tensor, real: Tensor, k: int = 3) -> Precision:
-    """Share of each set inside the balls around the other's samples that reach their k-th nearest neighbour.
+    """Computes precision and recall: the share of each set inside the other's balls, to the k-th nearest neighbour.
 
     Compare numbers only at equal sizes: a larger set covers more. MDM takes the first min(N, M) of each.
 
@@ -185,13 +168,13 @@ def precision_recall(generated: Tensor, real: Tensor, k: int = 3) -> Precision:
     """
     x, y = _checked(generated, real)
     between = _distances(x, y)
-    on_real = (between <= neighbour_radii(y, k)).any(1)
-    on_generated = (between <= neighbour_radii(x, k)[:, None]).any(0)
+    on_real = (between <= _neighbour_radii(y, k)).any(1)
+    on_generated = (between <= _neighbour_radii(x, k)[:, None]).any(0)
     return Precision(on_real.double().mean().item(), on_generated.double().mean().item(), len(x), len(y))
 
 
 def density_coverage(generated: Tensor, real: Tensor, k: int = 5) -> Coverage:
-    """How crowded with generated samples the neighbourhoods of the real ones are, and how many hold any.
+    """Computes density and coverage: how many generated samples real neighbourhoods hold, and how many hold any.
 
     density = 1 / (k N) sum_ij [g_i in B(r_j)], coverage = 1 / M sum_j [some g_i in B(r_j)], where B(r_j) is the open
     ball that reaches the k-th nearest other real sample. An outlier among the generated has no ball of its own, so
@@ -202,12 +185,12 @@ def density_coverage(generated: Tensor, real: Tensor, k: int = 5) -> Coverage:
         ShapeError: not more than k real samples, or different D. DataError: a feature is not finite.
     """
     x, y = _checked(generated, real)
-    inside = _distances(x, y) < neighbour_radii(y, k)
+    inside = _distances(x, y) < _neighbour_radii(y, k)
     return Coverage(inside.sum().item() / (k * len(x)), inside.any(0).double().mean().item(), len(x), len(y))
 
 
 def diversity(x: Tensor, generator: torch.Generator | None = None, pairs: int | None = None) -> Score:
-    """Mean distance between two samples of one set (N, D): over every pair, or over some drawn with replacement.
+    """Computes the mean distance between two samples of one set (N, D): every pair, or some drawn with replacement.
 
     A high number may be noise and a low one collapse: read it beside the real set's own. n is the set's size, m the
     number of pairs.
@@ -230,40 +213,25 @@ def diversity(x: Tensor, generator: torch.Generator | None = None, pairs: int | 
     return Score(gaps.mean().item(), len(x), pairs, gaps.std(correction=0).item())
 
 
-# ----------------------------------------------------------------------------------------------------- floor
-class Floor(NamedTuple):
-    """A measure between halves of one real set."""
-
-    values: Tensor  #: (draws,)
-    n: Tensor  #: (draws,) samples in the half that stood for the generated set
-    m: Tensor  #: (draws,) samples in the other
+# --------------------------------------------------------------------------------------------------- neighbours
 
 
-def floor(
-    x: Tensor,
-    groups: Tensor,
-    measure: Callable[[Tensor, Tensor], float],
-    generator: torch.Generator,
-    draws: int = 20,
-) -> Floor:
-    """``measure`` between random halves of one real set (N, D), split by group: what no generator can be asked to beat.
+def nearest_rows(queries: Tensor, library: Tensor, batch: int = 4096) -> tuple[Tensor, Tensor]:
+    """Distance (N,) in float64 and index (N,) of the nearest row of a library (M, D) for queries (N, D), by batches."""
+    if queries.ndim != 2 or library.ndim != 2 or queries.shape[1] != library.shape[1] or not len(library):
+        raise ShapeError(f"expected (N, D) and (M > 0, D), got {tuple(queries.shape)} and {tuple(library.shape)}")
+    rows = library.split(batch)
+    return nearest_of_batches(queries.double(), ((part.double(), k * batch) for k, part in enumerate(rows)))
 
-    groups (N,): the recording, or better the person, of each sample; one group never stands on both sides, as
-    windows of one recording are alike. Halves are smaller than the whole: a measure that depends on N (FID) must be
-    compared at the floor's n and m.
 
-    Raises:
-        ShapeError: fewer than two groups, groups that do not fit, or no draw. DataError: a feature is not finite.
-    """
-    x, _ = _checked(x, x)
-    check_shape(groups, f"{len(x)}", "groups")
-    names = groups.unique()
-    if len(names) < 2 or draws < 1:
-        raise ShapeError(f"floor: needs at least two groups and one draw, got {len(names)} and {draws}")
-    values, sizes = [], []
-    for _ in range(draws):
-        mine = torch.isin(groups, names[torch.randperm(len(names), generator=generator)[: len(names) // 2]])
-        values.append(float(measure(x[mine], x[~mine])))
-        sizes.append(int(mine.sum()))
-    n = torch.tensor(sizes)
-    return Floor(torch.tensor(values, dtype=torch.float64), n, len(x) - n)
+def nearest_of_batches(queries: Tensor, batches: Iterator[tuple[Tensor, int]]) -> tuple[Tensor, Tensor]:
+    """Computes the distance (N,) and index (N,) of the nearest row for queries (N, D), over batches of (rows, number of
+    the first one). The candidate of each batch is found by the quick expansion of the square, its distance exactly."""
+    best = torch.full((len(queries),), torch.inf, dtype=torch.float64, device=queries.device)
+    index = torch.zeros(len(queries), dtype=torch.long, device=queries.device)
+    for rows, start in batches:
+        candidate = (rows.square().sum(1) - 2 * queries @ rows.mT).argmin(1)
+        distance = torch.linalg.vector_norm(queries - rows[candidate], dim=1)
+        better = distance < best
+        best, index = torch.where(better, distance, best), torch.where(better, candidate + start, index)
+    return best, index

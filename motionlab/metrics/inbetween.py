@@ -1,55 +1,27 @@
-"""How good a filled gap is: the three measures of the LAFAN1 benchmark, and the seam and the keyframes in metres.
+"""How good a filled gap is: the measures of the LAFAN1 benchmark; the seam and the keyframes in metres.
 
-L2Q, L2P and NPSS have no unit that means anything outside the benchmark (``metrics.lafan``): norms over whole poses.
+L2Q, L2P and NPSS have no unit that means anything outside the benchmark: norms over whole poses. They take the
+quaternions and positions that the benchmark's protocol makes (``studies.shared.lafan_benchmark``).
+
+Source: Harvey et al. 2020, "Robust Motion In-betweening", and its code (``lafan1/benchmarks.py``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from motionlab import rotation
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.metrics.pose import joint_errors, masked_mean
 
 
-# ---------------------------------------------------------------------------------------------- quaternions
-def continued_quaternions(rot: Tensor, before: Tensor | None = None) -> Tensor:
-    """Local rotations (..., T, J, 3, 3) as quaternions (..., T, J, 4), w first, each the nearer one to the last.
-
-    before (..., J, 4): the signs that the first frame continues from, as of the last frame before a gap; None: w >= 0.
-    """
-    check_shape(rot, "... T J 3 3", "rot")
-    q = rotation.matrix_to_quaternion(rot)
-    if before is not None:
-        q = torch.cat((before[..., None, :, :].expand_as(q[..., :1, :, :]).to(q), q), -3)
-    q = rotation.unroll_quaternion(q, dim=-3)
-    return q if before is None else q[..., 1:, :, :]
-
-
-def global_quaternions(local: Tensor, parents: Sequence[int]) -> Tensor:
-    """Orientations (..., J, 4) in the world as products q_parent(j) q_j of local quaternions; signs multiply, too."""
-    check_shape(local, f"... {len(parents)} 4", "local")
-    out = [local[..., 0, :]]
-    for joint in range(1, len(parents)):
-        out.append(_product(out[parents[joint]], local[..., joint, :]))
-    return torch.stack(out, -2)
-
-
-def _product(a: Tensor, b: Tensor) -> Tensor:
-    (w, u), (v, x) = (a[..., :1], a[..., 1:]), (b[..., :1], b[..., 1:])
-    return torch.cat((w * v - (u * x).sum(-1, keepdim=True), w * x + v * u + torch.linalg.cross(u, x, dim=-1)), -1)
-
-
-# ------------------------------------------------------------------------------------- the benchmark's measures
 def l2q(predicted: Tensor, truth: Tensor) -> Tensor:
     """Mean over frames (...) of |q^ - q| over all joints of a pose; global quaternions (..., T, J, 4) with their signs.
 
-    q and -q are one rotation and here as far apart as can be: signs come from continuity (of local quaternions,
-    :func:`continued_quaternions`), never from aligning the prediction with the truth.
+    q and -q are one rotation and here as far apart as can be: signs come from continuity in time of the
+    local quaternions, never from aligning the prediction with the truth.
 
     Source: LAFAN1 benchmark (Harvey et al. 2020), ``benchmarks.py``.
     """
@@ -105,24 +77,6 @@ def _same(predicted: Tensor, truth: Tensor, pattern: str) -> dict[str, int]:
     return sizes
 
 
-# -------------------------------------------------------------------------------------------- our own measures
-def step_changes(positions: Tensor, fps: float) -> Tensor:
-    """How much the velocity changes into or out of each step between frames, the larger one: (..., T - 1) in m/s.
-
-    The change at frame t is |v_t - v_(t-1)| with v_t = (p_(t+1) - p_t) fps, the mean over the joints of
-    positions (..., T, J, 3) in metres. The first and the last step have one such frame, the others two.
-
-    Raises:
-        ShapeError: fewer than three frames.
-    """
-    frames = check_shape(positions, "... T J 3", "positions")["T"]
-    if frames < 3:
-        raise ShapeError(f"positions: a change of velocity needs three frames, got {frames}")
-    change = torch.linalg.vector_norm(positions.diff(n=2, dim=-3), dim=-1).mean(-1) * fps  # (..., T - 2)
-    padded = torch.nn.functional.pad(change, (1, 1), value=-torch.inf)
-    return torch.maximum(padded[..., 1:], padded[..., :-1])
-
-
 class Seam(NamedTuple):
     """The velocity at the seams between what was given and what was filled in, per clip."""
 
@@ -132,7 +86,7 @@ class Seam(NamedTuple):
 
 
 def seam(positions: Tensor, known: Tensor, fps: float, natural: Tensor) -> Seam:
-    """How much the velocity jumps where known and filled frames meet, beside what real motion does at any step.
+    """Computes how much the velocity jumps where known and filled frames meet, beside real motion at any step.
 
     Args:
         positions: (..., T, J, 3) metres. known: (..., T) True for the frames that were given.
@@ -148,13 +102,30 @@ def seam(positions: Tensor, known: Tensor, fps: float, natural: Tensor) -> Seam:
     return Seam(jump, worst, percentile(jump, natural))
 
 
+def step_changes(positions: Tensor, fps: float) -> Tensor:
+    """Computes the change of velocity into or out of each step between frames, the larger one: (..., T - 1) in m/s.
+
+    The change at frame t is |v_t - v_(t-1)| with v_t = (p_(t+1) - p_t) fps, the mean over the joints of
+    positions (..., T, J, 3) in metres. The first and the last step have one such frame, the others two.
+
+    Raises:
+        ShapeError: fewer than three frames.
+    """
+    frames = check_shape(positions, "... T J 3", "positions")["T"]
+    if frames < 3:
+        raise ShapeError(f"positions: a change of velocity needs three frames, got {frames}")
+    change = torch.linalg.vector_norm(positions.diff(n=2, dim=-3), dim=-1).mean(-1) * fps  # (..., T - 2)
+    padded = torch.nn.functional.pad(change, (1, 1), value=-torch.inf)
+    return torch.maximum(padded[..., 1:], padded[..., :-1])
+
+
 def natural_changes(positions: Tensor, fps: float) -> Tensor:
     """:func:`step_changes` of real motion (..., T, J, 3) at every step with two neighbours, as one list (K,) in m/s."""
     return step_changes(positions, fps)[..., 1:-1].flatten()
 
 
 def percentile(values: Tensor, natural: Tensor) -> Tensor:
-    """Share (...) in 0..100 of a distribution (K,) that is not above each value (...); NaN for NaN.
+    """Computes the percentile (...) in 0..100 of each value (...) in a distribution (K,); NaN for NaN.
 
     Raises:
         ShapeError: the distribution is empty or no list.

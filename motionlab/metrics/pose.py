@@ -7,35 +7,26 @@ never 0.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import DataError, check_shape
-from motionlab.skeleton import Skeleton
-
-#: The 22 joints by part of the body.
-JOINT_GROUPS: Mapping[str, tuple[str, ...]] = {
-    "trunk": ("pelvis", "spine1", "spine2", "spine3", "neck", "head"),
-    "left arm": ("left_collar", "left_shoulder", "left_elbow", "left_wrist"),
-    "right arm": ("right_collar", "right_shoulder", "right_elbow", "right_wrist"),
-    "left leg": ("left_hip", "left_knee", "left_ankle", "left_foot"),
-    "right leg": ("right_hip", "right_knee", "right_ankle", "right_foot"),
-}
 
 
 def masked_mean(values: Tensor, mask: Tensor | None, axes: int) -> Tensor:
-    """Mean over the last ``axes`` axes where ``mask`` holds (everywhere when None); NaN where it never does."""
+    """Averages over the last ``axes`` axes where ``mask`` holds (None: everywhere); NaN where it never does."""
     dims = tuple(range(-axes, 0))
     kept = torch.ones_like(values) if mask is None else mask.to(values).expand_as(values)
     return torch.where(kept > 0, values * kept, 0.0).sum(dims) / kept.sum(dims)
 
 
 def align_procrustes(predicted: Tensor, truth: Tensor, *, scale: bool) -> Tensor:
-    """Each predicted point set (..., J, 3) moved onto the true one by the best rotation and shift, and scale if asked.
+    """Moves each predicted point set (..., J, 3) onto the true one by the best rotation, shift and, if asked, scale.
 
     min over R, t (and s) of sum_j |s R x_j + t - y_j|^2, frame by frame.
 
@@ -66,7 +57,7 @@ def _check_pair(predicted: Tensor, truth: Tensor) -> None:
 
 
 def joint_errors(predicted: Tensor, truth: Tensor, *, align: str) -> Tensor:
-    """Distance (..., T, J) in metres of every predicted joint from the true one.
+    """Computes the distance (..., T, J) in metres of every predicted joint from the true one.
 
     ``align``: "none" (world), "root" (joint 0 of each frame moved onto the true one), "rigid" (Procrustes
     per frame without scale), "similarity" (with scale; what is called PA-MPJPE).
@@ -94,32 +85,14 @@ def mpjpe(predicted: Tensor, truth: Tensor, *, align: str, mask: Tensor | None =
     return masked_mean(joint_errors(predicted, truth, align=align), mask, 2)
 
 
-def mpjpe_by_group(
-    predicted: Tensor,
-    truth: Tensor,
-    skeleton: Skeleton,
-    *,
-    align: str,
-    groups: Mapping[str, tuple[str, ...]] = JOINT_GROUPS,
-) -> dict[str, Tensor]:
-    """Mean error (...) in metres for each group of joints."""
-    errors = joint_errors(predicted, truth, align=align)
-    return {name: masked_mean(errors[..., skeleton.indices(joints)], None, 2) for name, joints in groups.items()}
-
-
 def mpjpe_visible_occluded(predicted: Tensor, truth: Tensor, visible: Tensor, *, align: str) -> tuple[Tensor, Tensor]:
     """Mean error (...) in metres of the joints that were seen and of those that were not; ``visible`` (..., T, J)."""
     errors = joint_errors(predicted, truth, align=align)
     return masked_mean(errors, visible, 2), masked_mean(errors, ~visible.bool(), 2)
 
 
-def rotation_error(predicted: Tensor, truth: Tensor, *, mask: Tensor | None = None) -> Tensor:
-    """Mean geodesic distance (...) in radians of rotations (..., T, J, 3, 3)."""
-    return masked_mean(rotation.geodesic(predicted, truth), mask, 2)
-
-
 def acceleration(positions: Tensor, fps: float) -> Tensor:
-    """Size (..., T - 2, J) of each joint's acceleration in m/s^2, by second differences."""
+    """Computes the size (..., T - 2, J) of each joint's acceleration in m/s^2, by second differences."""
     check_shape(positions, "... T J 3", "positions")
     return torch.linalg.vector_norm(positions.diff(n=2, dim=-3), dim=-1) * fps**2
 
@@ -142,13 +115,8 @@ def jitter(positions: Tensor, fps: float) -> Tensor:
     return masked_mean(jerk, None, 2)
 
 
-def jitter_in_tens(positions: Tensor, fps: float) -> Tensor:
-    """:func:`jitter` in 10 m/s^3, the unit that WHAM and GVHMR print."""
-    return jitter(positions, fps) / 10
-
-
 def power_spectrum_ratio(predicted: Tensor, truth: Tensor, fps: float, edges: Sequence[float]) -> Tensor:
-    """Power of the predicted paths over that of the true ones, by frequency band: (..., bands).
+    """Computes the power of predicted paths over that of the true ones, by frequency band: (..., bands).
 
     Below 1: over-smoothed in that band; above 1: added noise. Velocities (first differences) under a Hann
     window, power summed over joints and coordinates. A band without true power gives inf, or NaN where
@@ -162,7 +130,7 @@ def power_spectrum_ratio(predicted: Tensor, truth: Tensor, fps: float, edges: Se
     """
     _check_pair(predicted, truth)
     if truth.shape[-3] < 2:
-        return truth.new_full((*torch.broadcast_shapes(predicted.shape, truth.shape)[:-3], len(edges) - 1), torch.nan)
+        return truth.new_full((*np.broadcast_shapes(predicted.shape, truth.shape)[:-3], len(edges) - 1), torch.nan)
 
     def power(x: Tensor) -> Tensor:  # (..., F)
         speed = x.diff(dim=-3)

@@ -1,4 +1,7 @@
-"""Pictures: ``scene.Scene``, ``movie.film`` and ``strip``, ``interactive.slider``, ``overlay.overlay``, ``plots``.
+"""Pictures: ``scene.Scene``, ``movie.film``, ``strip`` and ``overlay``, ``interactive.slider``, ``plots``.
 
-Colours come from ``palette.ROLE``; ``render`` chooses the window; the rest is what these are made of.
+Colours come from ``palette.ROLE``; ``mannequin`` is what a scene is made of, ``viewpoint`` from where it is seen.
 """
+
+#: Drawn quickly, to see that it draws: films of a few pictures, edges not smoothed. A smoke run sets it.
+draft = False

@@ -28,7 +28,7 @@ def _jpeg(picture: np.ndarray) -> bytes:
     return buffer.getvalue()
 
 
-def newest(draw: Callable[[int], None]) -> Callable[[int], None]:
+def _newest(draw: Callable[[int], None]) -> Callable[[int], None]:
     """``draw``, always on the thread that made it, skipping values that newer ones have overtaken.
 
     ipykernel 7 answers widgets on a thread of their own, but a window's OpenGL context and trame's event loop belong
@@ -123,6 +123,6 @@ def slider(
         refresh()
         clock.value = f"{now:.2f} s"
 
-    turn = newest(draw)
+    turn = _newest(draw)
     hand.observe(lambda change: turn(change["new"]), names="value")
     return ipywidgets.VBox([view, ipywidgets.HBox([play, hand, clock], layout={"width": width})])

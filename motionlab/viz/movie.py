@@ -10,14 +10,75 @@ from pathlib import Path
 import imageio.v2 as imageio
 import numpy as np
 import torch
+from PIL import Image, ImageDraw
+from torch import Tensor
 
+from motionlab import viz
 from motionlab.body import BodyModel
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
-from motionlab.viz import gif, shapes, viewpoint
-from motionlab.viz.figures import single
-from motionlab.viz.palette import ROLE
+from motionlab.observation import Observation2D
+from motionlab.viz import mannequin, viewpoint
+from motionlab.viz.mannequin import single
+from motionlab.viz.palette import ROLE, colour, side_of, sides
 from motionlab.viz.scene import Scene
+
+Mesh = tuple[Tensor, Tensor]  # vertices (1, V, 3), faces (F, 3)
+_WOOD = "#b9a88f"
+_DRAFT = 5  # pictures of a film that is only drawn to see that it draws
+_HANDLE = (0.835, 0.369, 0.0)  # vermillion: seen beside every role
+_ARMS_LEGS = [
+    (f"{side}_{a}", f"{side}_{b}")
+    for side in ("left", "right")
+    for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("ankle", "heel"),
+                 ("ankle", "big_toe"), ("big_toe", "small_toe"), ("eye", "ear"))
+]  # fmt: skip
+_MIDDLE = [("neck", "mid_hip"), ("nose", "neck"), ("nose", "left_eye"), ("nose", "right_eye")]
+_WITH_NECK = [("neck", "left_shoulder"), ("neck", "right_shoulder"), ("mid_hip", "left_hip"), ("mid_hip", "right_hip")]
+_WITHOUT = [("left_shoulder", "right_shoulder"), ("left_hip", "right_hip"), ("left_shoulder", "left_hip"),
+            ("right_shoulder", "right_hip")]  # fmt: skip
+_FINE = 2  # drawn twice as large and reduced: smooth edges
+
+
+def side_by_side(
+    motions: Mapping[str, Motion],
+    path: str | Path,
+    *,
+    roles: Mapping[str, str],
+    things: Sequence[Mesh] = (),
+    seconds: float | None = None,
+    size: tuple[int, int] | None = None,
+    fps: float = 12.0,
+    speed: float = 0.6,
+    azimuth: float | None = None,
+) -> Film:
+    """Writes a film with one panel per motion (label -> one clip) and the things that stood in the way in each."""
+    scene, whole = stage(motions, roles, size=size, azimuth=azimuth)
+    with scene:
+        for panel in range(len(motions)):
+            for vertices, faces in things:
+                scene.mesh(vertices[0].numpy(), faces.numpy(), _WOOD, opacity=0.35, panel=panel)
+        clock = scene.caption()
+        whole = min(seconds or whole, whole)
+        times = drawn(np.arange(0.0, whole + 1e-6, speed / fps))
+        pictures = []
+        for now in times:
+            clock(f"{now:.1f} s  ({speed:g} x life)")
+            pictures.append(scene.image(float(now)))
+    frames, rate, size_on_disk = write_film(pictures, path, fps, budget=450_000)
+    return Film(Path(path), frames, rate, whole, speed, size_on_disk)
+
+
+def drawn(times: np.ndarray) -> np.ndarray:
+    """The times (N,) at which a film's pictures are drawn: all of them, of a draft a few, the ends among them."""
+    if viz.draft and len(times) > _DRAFT:
+        return times[np.linspace(0, len(times) - 1, _DRAFT).round().astype(int)]
+    return times
+
+
+def meshes(occluders: Sequence[object]) -> list[Mesh]:
+    """Returns the meshes of things that do not move."""
+    return [(o.vertices, o.faces) for o in occluders]
 
 
 @dataclass(frozen=True)
@@ -41,7 +102,7 @@ class Film:
         return f'<video controls loop autoplay muted src="data:video/mp4;base64,{data}"></video>'
 
 
-def write(
+def write_film(
     pictures: Sequence[np.ndarray], path: str | Path, fps: float, budget: int = 700_000
 ) -> tuple[int, float, int]:
     """Write pictures (H, W, 3) uint8 as a .gif that loops or an .mp4; returns its frames, rate and bytes.
@@ -58,7 +119,7 @@ def write(
     step = 1
     if path.suffix == ".gif":
         for colours, step in ((127, 1), (64, 1), (64, 2), (48, 3)):
-            gif.write(path, pictures[::step], fps / step, colours)
+            _write_gif(path, pictures[::step], fps / step, colours)
             if path.stat().st_size <= budget:
                 break
     elif path.suffix == ".mp4":  # its pixels come in pairs
@@ -67,6 +128,17 @@ def write(
     else:
         raise ValueError(f"{path}: a film ends in .gif or .mp4")
     return len(pictures[::step]), fps / step, path.stat().st_size
+
+
+def _write_gif(path: Path, pictures: Sequence[np.ndarray], fps: float, colours: int) -> None:
+    """Write a GIF in one palette; it counts hundredths of a second, so some pictures last one longer."""
+    if not 0 < fps <= 50:
+        raise ValueError(f"{path}: {fps} frames per second; browsers play a GIF at 50 at most")
+    sample = np.concatenate(pictures[:: len(pictures) // 12 + 1])
+    key = Image.fromarray(sample).quantize(colours, Image.Quantize.FASTOCTREE)
+    first, *others = (Image.fromarray(picture).quantize(palette=key, dither=Image.Dither.NONE) for picture in pictures)
+    lasts = 10 * np.diff(np.round(100 / fps * np.arange(len(pictures) + 1)).astype(int))
+    first.save(path, save_all=True, append_images=others, duration=lasts.tolist(), loop=0, optimize=True)
 
 
 def stage(
@@ -128,11 +200,10 @@ def film(
     with scene:
         clock = scene.caption()
         pictures = []
-        for index in range(count):
-            now = index * pace / fps
+        for now in drawn(np.arange(count) * pace / fps):
             clock(f"{now:.1f} s" + (f"  ({pace:.1f} x life)" if abs(pace - 1) > 0.05 else ""))
-            pictures.append(scene.image(now))
-    frames, rate, size_on_disk = write(pictures, path, fps)
+            pictures.append(scene.image(float(now)))
+    frames, rate, size_on_disk = write_film(pictures, path, fps)
     return Film(Path(path), frames, rate, seconds, pace, size_on_disk)
 
 
@@ -151,16 +222,16 @@ def strip(
     """
     frames = np.linspace(0, single(motion).frames - 1, n).round().astype(int)
     if azimuth is None:
-        azimuth = viewpoint.good_azimuth(shapes.array(motion.root), viewpoint.left_of(motion), size[0] / size[1])
+        azimuth = viewpoint.good_azimuth(mannequin.array(motion.root), viewpoint.left_of(motion), size[0] / size[1])
     turn = np.radians(azimuth)
     towards, right = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
     with Scene(size, azimuth=azimuth, elevation=6.0, footroom=0.13) as scene:
-        reach = shapes.array(motion.positions[frames]) - shapes.array(motion.root[frames])[:, None]
+        reach = mannequin.array(motion.positions[frames]) - mannequin.array(motion.root[frames])[:, None]
         side = reach @ right
         gap = 0.25
         step = np.concatenate(([0.0], np.cumsum(side.max(1)[:-1] - side.min(1)[1:] + gap)))
         for place, frame in zip(step, frames, strict=True):
-            home = torch.tensor(place * right - [*shapes.array(motion.root[frame, :2]), 0.0]).to(motion.root)
+            home = torch.tensor(place * right - [*mannequin.array(motion.root[frame, :2]), 0.0]).to(motion.root)
             here = replace(motion, root=motion.root + home)
             if body is None:
                 scene.skeleton(here, role, frame=int(frame))
@@ -168,3 +239,79 @@ def strip(
                 scene.body(body, here, role, frame=int(frame))
             scene.label(place * right + 0.25 * towards, f"{frame / motion.fps:.2f} s")
         return scene.floor().image()
+
+
+def pose_row(
+    poses: Mapping[str, Motion | Sequence[Motion]],
+    targets: Tensor,
+    which: Tensor,
+    roles: Mapping[str, str],
+    *,
+    width: int = 190,
+    height: int = 300,
+    labels: bool = True,
+    azimuth: float = 35.0,
+) -> np.ndarray:
+    """Draws a panel per label: a pose (1,), or several on one spot; handles (22,) at targets (22, 3): (H, W, 3)."""
+    names = tuple(poses) if labels else tuple("" for _ in poses)
+    with Scene((width * len(poses), height), panels=names, azimuth=azimuth, elevation=8.0) as scene:
+        scene.floor()
+        for panel, (label, some) in enumerate(poses.items()):
+            for pose in [some] if isinstance(some, Motion) else some:
+                scene.skeleton(pose, roles.get(label, "ours"), shadow=0.3, panel=panel)
+            if which.any():
+                scene.points(targets[which].numpy(), _HANDLE, radius=0.055, panel=panel)
+        return scene.image()
+
+
+def stack_pictures(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Stacks pictures of one width below each other."""
+    return np.concatenate(list(rows))
+
+
+def overlay(
+    observation: Observation2D, picture, frame: int, role: str | tuple = "stage2", width: float = 4.0
+) -> np.ndarray:
+    """Draws one frame of keypoints over a picture (H, W, 3) uint8: confidence is opacity, left light, right dark.
+
+    Args:
+        picture: (H, W, 3) uint8 of the observation's camera at any scale; without a camera its
+            pixels are the observation's.
+        width: of a limb, pixels of the picture.
+
+    Raises:
+        ShapeError: a batch of observations. IndexError: no such frame.
+    """
+    if observation.keypoints.ndim != 3:
+        raise ShapeError(f"observation: expected one (T, K, 2), got {tuple(observation.keypoints.shape)}")
+    if not -observation.frames <= frame < observation.frames:
+        raise IndexError(f"frame {frame}: the observation has {observation.frames}")
+    image = Image.fromarray(np.asarray(picture, np.uint8))
+    scale = _FINE * (image.width / observation.camera.width if observation.camera else 1.0)
+    at = observation.keypoints[frame].double().numpy(force=True) * scale
+    confidence = observation.confidence[frame].double().numpy(force=True).clip(0, 1)
+    tones = {side: tuple(round(255 * c) for c in tone) for side, tone in sides(colour(role)).items()}
+    layer = Image.new("RGBA", (image.width * _FINE, image.height * _FINE))
+    pen, wide = ImageDraw.Draw(layer), width * _FINE
+
+    def ink(strength: float, names: list[str]) -> tuple[int, ...]:
+        side = next((side_of(n) for n in names if side_of(n) != "middle"), "middle")
+        return (*tones[side], round(255 * strength))
+
+    for a, b in _limbs(observation.names):
+        strength = min(confidence[a], confidence[b])
+        if strength > 0:
+            ends = [tuple(at[a]), tuple(at[b])]
+            pen.line(ends, fill=(255, 255, 255, round(210 * strength)), width=round(1.7 * wide))
+            pen.line(ends, fill=ink(strength, [observation.names[a], observation.names[b]]), width=round(wide))
+    for k in np.flatnonzero(confidence > 0):
+        for radius, fill in ((1.15, (255, 255, 255, round(230 * confidence[k]))),
+                             (0.8, ink(confidence[k], [observation.names[k]]))):  # fmt: skip
+            pen.circle(tuple(at[k]), radius * wide, fill=fill)
+    return np.asarray(Image.alpha_composite(image.convert("RGBA"), layer.reduce(_FINE)).convert("RGB"))
+
+
+def _limbs(names: tuple[str, ...]) -> list[tuple[int, int]]:
+    """The keypoints to join, for BODY_25, BODY_25B and COCO alike: pairs of indices whose names are all there."""
+    torso = _WITH_NECK if {"neck", "mid_hip"} <= set(names) else _WITHOUT
+    return [(names.index(a), names.index(b)) for a, b in _ARMS_LEGS + _MIDDLE + torso if a in names and b in names]

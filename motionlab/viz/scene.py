@@ -1,30 +1,60 @@
-"""Scenes: figures, bodies, cameras and trails over a floor, seen through one window, moving in sync.
+"""A scene: figures, bodies, things and trails over a floor, seen through one window, moving in sync.
 
 >>> scene = Scene().floor().skeleton(motion, "ours").trail(motion, "left_wrist")  # doctest: +SKIP
 >>> scene.image(seconds=0.5)  # doctest: +SKIP
+
+Importing this module chooses, once, which window VTK draws into: quiet where there is no display.
 """
 
 from __future__ import annotations
 
+import ctypes
+import os
+import sys
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import pyvista as pv
 import torch
+from scipy.ndimage import gaussian_filter
 from torch import Tensor
 from trimesh import remesh
 
+from motionlab import viz
 from motionlab.body import BodyModel, lbs
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.observation import Camera
-from motionlab.viz import render
+from motionlab.viz import mannequin, viewpoint
+from motionlab.viz.palette import LINE, PAPER, TILE, blend, colour
 
-render.prepare()
+_TILE = 0.5  # metres
+_FLOOR_Z, _SHADOW_Z = -0.008, -0.003  # metres below the floor: soles stay on top, layers do not fight
+_CELLS, _WIDTH = 144, 3.6  # cells of the square that carries a shadow; its least width, metres
+_LIGHT = np.array([0.10, -0.16])  # metres a shadow moves sideways per metre of height
+#: What gives Debian and Ubuntu a window to draw into.
+RENDERING_PACKAGES = "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri libglx-mesa0 libxrender1"
+RENDERING_REMEDY = f"apt-get update && apt-get install -y {RENDERING_PACKAGES}"
+_WINDOWS = {"libEGL.so.1": "vtkEGLRenderWindow", "libOSMesa.so.8": "vtkOSOpenGLRenderWindow"}
 
-import pyvista as pv  # noqa: E402  the window is chosen before VTK loads
 
-from motionlab.viz import figures, framing, ground, shapes, view, viewpoint  # noqa: E402
-from motionlab.viz.palette import INK, LINE, PAPER, blend, colour  # noqa: E402
+def _prepare_offscreen() -> None:
+    """Without a display, choose EGL (else OSMesa) before VTK tries X and writes about it to stderr."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        window = next((name for library, name in _WINDOWS.items() if _opens(library)), None)
+        if window:
+            os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", window)
+
+
+def _opens(library: str) -> bool:
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
+_prepare_offscreen()
 
 
 class Scene:
@@ -37,7 +67,6 @@ class Scene:
         azimuth, elevation: degrees of the eye around and above the subject; azimuth from the motion by default.
         follow: the eye travels with the subject instead of standing far enough away.
         footroom: share of the picture left free below.
-        off_screen: False for a view that a person turns.
 
     Time is in seconds, so motions of different frame rates stay in sync; past its end a motion holds still.
     A ``role`` is a name of ``palette.ROLE`` or a colour (r, g, b) in 0..1.
@@ -56,7 +85,6 @@ class Scene:
         elevation: float = 11.0,
         follow: bool = False,
         footroom: float = 0.04,
-        off_screen: bool = True,
     ) -> None:
         size = size or ((camera.width, camera.height) if camera else (640, 480))
         if camera and abs(size[0] / len(panels) * camera.height / camera.width - size[1]) > 1:
@@ -65,20 +93,21 @@ class Scene:
         self.azimuth, self.elevation, self.follow, self.footroom = azimuth, elevation, follow, footroom
         self.seconds = 0.0
         self.plotter = pv.Plotter(
-            shape=(1, len(panels)), off_screen=off_screen, window_size=list(size), border=False, lighting="none"
+            shape=(1, len(panels)), off_screen=True, window_size=list(size), border=False, lighting="none"
         )
         self._updates: list[Callable[[float], None]] = []
         self._seen: list[list[tuple[np.ndarray, float]]] = [[] for _ in panels]  # paths (T, M, 3) and their fps
         self._left: np.ndarray | None = None
         self._floors: set[int] = set()
-        self._frame: framing.Frame | None = None
+        self._framing: viewpoint.Framing | None = None
         for index, label in enumerate(panels):
             plotter = self._panel(index)
             plotter.set_background(PAPER)
-            plotter.enable_anti_aliasing("ssaa", all_renderers=False)
-            shapes.light(plotter)
+            if not viz.draft:
+                plotter.enable_anti_aliasing("ssaa", all_renderers=False)
+            mannequin.add_lights(plotter)
             if label:
-                shapes.title(plotter, label, size[1])
+                mannequin.add_title(plotter, label, size[1])
 
     def _panel(self, panel: int) -> pv.Plotter:
         if not 0 <= panel < len(self.panels):
@@ -88,13 +117,13 @@ class Scene:
 
     def _watch(self, panel: int, path: np.ndarray, fps: float = 1.0) -> Scene:
         self._seen[panel].append((path, fps))
-        self._frame = None
+        self._framing = None
         return self
 
     def floor(self, panel: int | None = None) -> Scene:
         """A checkerboard of 0.5 m tiles at z = 0 in one panel, or in all."""
         self._floors |= set(range(len(self.panels))) if panel is None else {panel}
-        self._frame = None
+        self._framing = None
         return self
 
     def skeleton(
@@ -105,14 +134,14 @@ class Scene:
         ``frame`` holds one frame; by default the figure moves with the scene's time. ``shadow`` is how dark its
         shadow is, 0 for none.
         """
-        figure = figures.build(figures.single(motion).skeleton, colour(role))
-        positions, orientations = map(shapes.array, motion.world)
+        figure = mannequin.build(mannequin.single(motion).skeleton, colour(role))
+        positions, orientations = map(mannequin.array, motion.world)
 
         def shape(index: int) -> tuple[np.ndarray, np.ndarray]:
             return figure.pose(positions[index], orientations[index])
 
         def show(plotter: pv.Plotter, mesh: pv.PolyData) -> None:
-            shapes.add_surface(plotter, mesh, figure.colours)
+            mannequin.add_surface(plotter, mesh, figure.colours)
 
         return self._surface(motion, shape, figure.faces, show, frame, shadow, panel)
 
@@ -122,7 +151,6 @@ class Scene:
         motion: Motion,
         role: str | tuple = "ours",
         *,
-        betas: Tensor | None = None,
         field: Tensor | None = None,
         title: str = "",
         limits: tuple[float, float] | None = None,
@@ -134,32 +162,32 @@ class Scene:
         """The skin of a body moved by a motion; a ``field`` (V,) is painted on it, with a bar named ``title``."""
         paint = blend(colour(role), "white", 0.3)
         faces = body.faces.cpu().numpy()
-        figures.single(motion)
+        mannequin.single(motion)
 
         def shape(index: int) -> tuple[np.ndarray, np.ndarray]:
             with torch.no_grad():
                 now = motion.cut(index, index + 1)
-                skin = shapes.array(lbs(body, now.skeleton, now.root, now.rot, betas)[0])
-            return skin, shapes.vertex_normals(skin, faces)
+                skin = mannequin.array(lbs(body, now.skeleton, now.root, now.rot)[0])
+            return skin, mannequin.vertex_normals(skin, faces)
 
         def show(plotter: pv.Plotter, mesh: pv.PolyData) -> None:
             if field is None:
-                shapes.add_surface(plotter, mesh, paint)
+                mannequin.add_surface(plotter, mesh, paint)
             else:
-                shapes.add_field(plotter, mesh, shapes.array(field), title, limits, cmap)
+                mannequin.add_field(plotter, mesh, mannequin.array(field), title, limits, cmap)
 
         return self._surface(motion, shape, faces, show, frame, shadow, panel)
 
     def _surface(self, motion, shape, faces, show, frame, shadow, panel) -> Scene:
         if frame is not None and not -motion.frames <= frame < motion.frames:
             raise IndexError(f"frame {frame}: the motion has {motion.frames}")
-        plotter, positions = self._panel(panel), shapes.array(motion.positions)
+        plotter, positions = self._panel(panel), mannequin.array(motion.positions)
         shown = 0 if frame is None else frame % motion.frames
         if self._left is None:
             self._left = viewpoint.left_of(motion.cut(shown, shown + 1))
         points, normals = shape(shown)
-        mesh = shapes.surface(points, faces, normals)
-        shade = ground.Shadow(plotter, points, faces, shadow) if shadow else None
+        mesh = mannequin.surface(points, faces, normals)
+        shade = _Shadow(plotter, points, faces, shadow) if shadow else None
         show(plotter, mesh)
 
         def update(seconds: float) -> None:
@@ -168,7 +196,7 @@ class Scene:
             if index != shown:
                 shown = index
                 points, normals = shape(index)
-                shapes.reshape(mesh, points, normals)
+                mannequin.move_surface(mesh, points, normals)
                 if shade:
                     shade.move(points)
 
@@ -187,9 +215,9 @@ class Scene:
         shade = None
         if shadow:
             fine, finer = (path[0], faces) if len(path) > 1 else remesh.subdivide_to_size(path[0], faces, max_edge=0.08)
-            shade = ground.Shadow(plotter, fine, finer, shadow)
+            shade = _Shadow(plotter, fine, finer, shadow)
         mesh = pv.PolyData.from_regular_faces(path[0].copy(), faces)
-        plotter.add_mesh(mesh, color=paint, opacity=opacity, reset_camera=False, **shapes.SKIN)
+        plotter.add_mesh(mesh, color=paint, opacity=opacity, reset_camera=False, **mannequin.SKIN)
 
         def update(seconds: float) -> None:
             mesh.points = path[int(np.clip(round(seconds * fps), 0, len(path) - 1))]
@@ -205,22 +233,15 @@ class Scene:
         at = np.asarray(points, float)
         ball = pv.Sphere(radius=radius, theta_resolution=24, phi_resolution=24)
         balls = pv.PolyData(at).glyph(geom=ball, scale=False, orient=False)
-        self._panel(panel).add_mesh(balls, color=colour(role), reset_camera=False, **shapes.SKIN)
+        self._panel(panel).add_mesh(balls, color=colour(role), reset_camera=False, **mannequin.SKIN)
         return self._watch(panel, at[None])
-
-    def ghosts(self, motion: Motion, count: int = 6, role: str | tuple = "ours", *, panel: int = 0) -> Scene:
-        """Onion skin: ``count`` poses evenly through time, the older the paler."""
-        for index, frame in enumerate(np.linspace(0, figures.single(motion).frames - 1, count).round().astype(int)):
-            pale = blend(PAPER, colour(role), 0.2 + 0.8 * index / max(count - 1, 1))
-            self.skeleton(motion, pale, frame=int(frame), shadow=0.8 / (count + 1), panel=panel)
-        return self
 
     def trail(self, motion: Motion, joint: str, role: str | tuple = "ours", *, panel: int = 0) -> Scene:
         """The path of a joint: pale as a whole, strong up to now."""
-        path = shapes.array(figures.single(motion).positions[:, motion.skeleton.index(joint)])
-        plotter, paint, line = self._panel(panel), colour(role), shapes.polyline(path)
-        shapes.add_line(plotter, shapes.polyline(path), blend(paint, PAPER, 0.6), 2)
-        shapes.add_line(plotter, line, paint, 5)
+        path = mannequin.array(mannequin.single(motion).positions[:, motion.skeleton.index(joint)])
+        plotter, paint, line = self._panel(panel), colour(role), mannequin.polyline(path)
+        mannequin.add_line(plotter, mannequin.polyline(path), blend(paint, PAPER, 0.6), 2)
+        mannequin.add_line(plotter, line, paint, 5)
 
         def update(seconds: float) -> None:
             now = int(np.clip(round(seconds * motion.fps), 0, len(path) - 1))
@@ -230,23 +251,19 @@ class Scene:
         update(self.seconds)
         return self._watch(panel, path[:, None], motion.fps)
 
-    def frustum(self, camera: Camera, *, depth: float = 0.6, picture=None, panel: int = 0) -> Scene:
-        """A camera as a pyramid ``depth`` metres high, with the picture it took on its base."""
-        return self._watch(panel, shapes.add_frustum(self._panel(panel), camera, depth, picture, INK)[None])
-
     def caption(self) -> Callable[[str], None]:
         """A line of text in the lower left corner; returns the function that sets it."""
-        text = shapes.caption(self._panel(0), self.size[1])
+        text = mannequin.add_caption(self._panel(0), self.size[1])
         return lambda words: text.set_text("lower_left", words)
 
     def label(self, point, text: str, *, panel: int = 0) -> Scene:
         """A word that stays upright at a point (3,) of the world."""
-        shapes.add_label(self._panel(panel), np.asarray(point, float), text, self.size[1])
+        mannequin.add_label(self._panel(panel), np.asarray(point, float), text, self.size[1])
         return self
 
     def _arrange(self) -> None:
         width, height = self.size
-        self._frame = framing.frame(
+        self._framing = viewpoint.choose_framing(
             self._seen,
             aspect=width / len(self.panels) / height,
             azimuth=self.azimuth,
@@ -257,14 +274,14 @@ class Scene:
             footroom=self.footroom,
         )
         for panel in self._floors:
-            tiles = ground.tiles(self._frame.centres[panel], self._frame.radii[panel])
+            tiles = _floor_tiles(self._framing.centres[panel], self._framing.radii[panel])
             self._panel(panel).add_mesh(
                 tiles, scalars="paint", rgb=True, lighting=False, reset_camera=False, name=f"floor {panel}"
             )
 
     def at(self, seconds: float) -> Scene:
         """Move everything to a time."""
-        self.seconds, fresh = float(seconds), self._frame is None
+        self.seconds, fresh = float(seconds), self._framing is None
         for update in self._updates:
             update(self.seconds)
         if fresh:
@@ -272,9 +289,9 @@ class Scene:
         if fresh or self.follow:
             for panel, renderer in enumerate(self.plotter.renderers):
                 if self.camera:
-                    view.match(renderer.camera, self.camera)
+                    viewpoint.match_camera(renderer.camera, self.camera)
                 else:
-                    self._frame.aim(renderer.camera, panel, self.seconds)
+                    self._framing.aim(renderer.camera, panel, self.seconds)
                 renderer.camera_set = True
         return self
 
@@ -293,3 +310,81 @@ class Scene:
 
     def __exit__(self, *_) -> None:
         self.close()
+
+
+def _floor_tiles(centre: np.ndarray, radius: float) -> pv.PolyData:
+    """A checkerboard of 0.5 m tiles on the world's grid, colours in cell_data "paint", that fades into the paper."""
+    low = np.floor((np.asarray(centre[:2]) - radius) / _TILE).astype(int)
+    count = int(np.ceil(2 * radius / _TILE)) + 1
+    fine = 2  # cells per tile: a smoother fade
+    step = _TILE / fine
+    i, j = np.meshgrid(np.arange(count * fine), np.arange(count * fine), indexing="ij")
+    corner = low * _TILE + np.stack((i, j), -1).reshape(-1, 2) * step
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * step
+    points = np.full((len(corner), 4, 3), _FLOOR_Z)
+    points[..., :2] = corner[:, None] + square
+    odd = ((low[0] + i // fine + low[1] + j // fine) % 2).reshape(-1, 1)
+    away = np.linalg.norm(corner + step / 2 - np.asarray(centre[:2]), axis=-1, keepdims=True) / radius
+    fade = np.clip((away - 0.35) / 0.65, 0, 1)
+    fade = fade * fade * (3 - 2 * fade)
+    dark, light = np.array(blend(TILE, TILE, 0)), np.array(blend(TILE, "white", 0.75))
+    rgb = (1 - fade) * np.where(odd, light, dark) + fade * np.array(blend(PAPER, PAPER, 0))
+    faces = np.insert(np.arange(4 * len(corner)).reshape(-1, 4), 0, 4, axis=1)
+    mesh = pv.PolyData(points.reshape(-1, 3), faces.ravel())
+    mesh.cell_data["paint"] = (255 * rgb).round().astype(np.uint8)
+    return mesh
+
+
+def _vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """A third of the area of the faces around each vertex, square metres (V,)."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=-1) / 6
+    return np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))
+
+
+def _darkness(points: np.ndarray, areas: np.ndarray, centre: np.ndarray, width: float = _WIDTH) -> np.ndarray:
+    """How much light a surface keeps from the floor around ``centre``, (cells, cells) in 0..1, row = y.
+
+    The surface is splatted on the floor with its area; what is high is blurred widely, what touches
+    sharply, so contact is visible.
+    """
+    height = np.clip(points[:, 2], 0, None)
+    at = (points[:, :2] + height[:, None] * _LIGHT - centre[:2]) / width + 0.5
+    cell = np.floor(at * _CELLS).astype(int)
+    inside = ((cell >= 0) & (cell < _CELLS)).all(1)
+    flat = np.where(inside, cell[:, 1] * _CELLS + cell[:, 0], 0)
+    low, areas = np.exp(-((height / 0.18) ** 2)), areas * inside
+    unit = (width / _CELLS) ** 2
+    layers = []
+    for share, sigma, gain in ((low, 0.022, 0.9), (1 - low, 0.075, 0.55)):
+        splat = np.bincount(flat, areas * share, minlength=_CELLS**2).reshape(_CELLS, _CELLS) / unit
+        layers.append(gain * gaussian_filter(splat, sigma * _CELLS / width, mode="constant", truncate=2.5))
+    return 1 - np.exp(-sum(layers))
+
+
+class _Shadow:
+    """A translucent square on the floor that follows one surface (V, 3), (F, 3); ``move`` redraws it in place."""
+
+    def __init__(self, plotter: pv.Plotter, points: np.ndarray, faces: np.ndarray, strength: float) -> None:
+        self.areas, self.strength = _vertex_areas(points, faces), strength
+        self.width = max(_WIDTH, float(np.ptp(points[:, :2], axis=0).max()) + 1.5)
+        self.square = pv.PolyData(np.zeros((4, 3)), [4, 0, 1, 2, 3])
+        self.square.active_texture_coordinates = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
+        self.pixels = pv.ImageData(dimensions=(_CELLS, _CELLS, 1))
+        rgba = np.zeros((_CELLS * _CELLS, 4), np.uint8)
+        rgba[:, :3] = (36, 40, 52)
+        self.pixels.point_data.set_scalars(rgba, "rgba")
+        texture = pv.Texture(self.pixels)
+        texture.interpolate = True
+        plotter.add_mesh(self.square, texture=texture, lighting=False, reset_camera=False)
+        self.move(points)
+
+    def move(self, points: np.ndarray) -> None:
+        """Redraw for the surface's vertices (V, 3), world."""
+        centre = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
+        alpha = 255 * self.strength * _darkness(points, self.areas, centre, self.width)
+        self.pixels.point_data["rgba"][:, 3] = alpha.ravel()
+        self.pixels.GetPointData().GetScalars().Modified()
+        self.pixels.Modified()
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.width / 2 + centre
+        self.square.points = np.column_stack((corners, np.full(4, _SHADOW_Z)))

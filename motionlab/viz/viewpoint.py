@@ -1,23 +1,91 @@
-"""From where to look: direction, distance and target, from the points that must be seen. Plain geometry."""
+"""Where the eye stands: one direction and distance for all panels of a scene, or exactly a pinhole camera's."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+import pyvista as pv
 from scipy.ndimage import gaussian_filter1d
 
 from motionlab.motion import Motion
+from motionlab.observation import Camera
+from motionlab.viz.mannequin import array
 from motionlab.viz.palette import side_of
 
+_NEAR, _FAR = 0.1, 100.0  # metres; 24 bits of depth still tell 1 mm apart at 20 m
 _HIGH, _WIDE = np.tan(np.radians((14.0, 17.0)))  # half the view at most: a long lens bends a body little
 
 
-def half_angle(aspect: float) -> float:
-    """Tangent of half the vertical angle of view."""
-    return float(min(_HIGH, _WIDE / aspect))
+@dataclass(frozen=True, eq=False)
+class Framing:
+    """Where the eye of each panel stands; ``tracks`` (T, 3) with their rates where it follows, else empty.
+
+    centres and radii: the piece of floor under each panel.
+    """
+
+    towards: np.ndarray
+    distance: float
+    aspect: float
+    targets: list[np.ndarray]
+    tracks: list[tuple[np.ndarray, float]]
+    centres: list[np.ndarray]
+    radii: list[float]
+
+    def aim(self, eye: pv.Camera, panel: int, seconds: float) -> None:
+        """Stand the eye of a panel where it belongs at a time."""
+        target = self.targets[panel]
+        if self.tracks:
+            track, fps = self.tracks[panel]
+            target = target + track[int(np.clip(round(seconds * fps), 0, len(track) - 1))]
+        _aim(eye, target, self.towards, self.distance, self.aspect)
+
+
+def choose_framing(
+    seen: list[list[tuple[np.ndarray, float]]],
+    *,
+    aspect: float,
+    azimuth: float | None,
+    elevation: float,
+    left: np.ndarray | None,
+    follow: bool,
+    headroom: float,
+    footroom: float,
+) -> Framing:
+    """Choose the view of all panels.
+
+    Panels share one target while that costs little distance, so that drift between them shows; motions in
+    different places get their own.
+
+    Args:
+        seen: per panel the paths (T, M, 3) with their frames per second.
+        aspect: width over height of a panel. left: (3,) towards the first subject's left, or None.
+    """
+    paths = [[path for path, _ in panel] for panel in seen]
+    moving = [max(panel, key=lambda entry: len(entry[0]), default=(np.zeros((1, 1, 3)), 1.0)) for panel in seen]
+    azimuth = good_azimuth(moving[0][0][:, 0], left, aspect) if azimuth is None else azimuth
+    towards = _direction(azimuth, elevation)
+    tracks = []
+    if follow:
+        tracks = [(_steady_track(path[:, 0], fps), fps) for path, fps in moving]
+        local = [[path[: len(t)] - t[: len(path), None]] for (path, _), (t, _) in zip(moving, tracks, strict=True)]
+    else:
+        local = paths
+    fits = [_fit_view(_around(panel, 0.16), towards, aspect, headroom, footroom) for panel in local]
+    distance = max(d for _, d in fits)
+    targets = [target for target, _ in fits]
+    together, far = _fit_view(_around([p for panel in local for p in panel], 0.16), towards, aspect, headroom, footroom)
+    if follow or far < 1.4 * distance:
+        distance, targets = far, [together] * len(seen)
+    floors = [_around(panel, 0.0)[:, :2] for panel in paths]
+    centres = [(floor.min(0) + floor.max(0)) / 2 for floor in floors]
+    reach = [np.ptp(floor, axis=0).max() / 2 for floor in floors]
+    radii = [min(float(r + max(4.0, 0.9 * distance)), 40.0) for r in reach]
+    return Framing(towards, distance, aspect, targets, tracks, centres, radii)
 
 
 def left_of(motion: Motion) -> np.ndarray | None:
-    """From the middle of the right joints to that of the left ones at the start (3,); None without such names."""
+    """Computes where a motion's left is at the start (3,) from its right and left joints; None without such names."""
     at = motion.positions[0].double().numpy(force=True)
     side = np.array([side_of(name) for name in motion.skeleton.names])
     if not {"left", "right"} <= set(side):
@@ -25,14 +93,14 @@ def left_of(motion: Motion) -> np.ndarray | None:
     return at[side == "left"].mean(0) - at[side == "right"].mean(0)
 
 
-def direction(azimuth: float, elevation: float) -> np.ndarray:
+def _direction(azimuth: float, elevation: float) -> np.ndarray:
     """Unit vector from the subject to the eye; azimuth in degrees from +x towards +y, elevation above the floor."""
     a, e = np.radians((azimuth, elevation))
     return np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
 
 
 def good_azimuth(path: np.ndarray, left: np.ndarray | None, aspect: float) -> float:
-    """Degrees from which a motion is well seen: across its travel, from the front if the picture is narrow or it stays.
+    """Chooses the azimuth in degrees for a motion: across its travel, from the front where the picture is narrow.
 
     Args:
         path: (T, 3) of the root. left: (3,) towards the subject's left at the start, or None.
@@ -45,7 +113,7 @@ def good_azimuth(path: np.ndarray, left: np.ndarray | None, aspect: float) -> fl
     return float(np.degrees(np.arctan2(left[1], left[0]))) - 90.0 - 32.0  # its front, then to its right
 
 
-def fit(
+def _fit_view(
     points: np.ndarray, towards: np.ndarray, aspect: float, headroom: float, footroom: float
 ) -> tuple[np.ndarray, float]:
     """Target (3,) and distance from which all points (N, 3) are seen, shares of the picture free above and below."""
@@ -54,7 +122,7 @@ def fit(
     axes = np.stack((right, np.cross(towards, right), towards))
     local = points @ axes.T
     middle = (local.min(0) + local.max(0)) / 2
-    half = half_angle(aspect)
+    half = _half_angle(aspect)
     up, down = half * (1 - 2 * headroom), half * (1 - 2 * footroom)
     for _ in range(4):  # the nearest points spread most: shift the middle until both rooms are what was asked
         x, y, z = (local - middle).T
@@ -64,7 +132,7 @@ def fit(
     return middle @ axes, distance
 
 
-def around(paths: list[np.ndarray], pad: float) -> np.ndarray:
+def _around(paths: list[np.ndarray], pad: float) -> np.ndarray:
     """Points (N, 3) that bound everything seen: at most 150 frames of each path (T, M, 3), grown by ``pad`` metres."""
     sampled = [path[:: len(path) // 150 + 1].reshape(-1, 3) for path in paths]
     points = np.concatenate(sampled) if sampled else np.array([[0.0, 0, 0], [0, 0, 1.7]])
@@ -74,8 +142,44 @@ def around(paths: list[np.ndarray], pad: float) -> np.ndarray:
     return grown
 
 
-def steady(path: np.ndarray, fps: float) -> np.ndarray:
+def _steady_track(path: np.ndarray, fps: float) -> np.ndarray:
     """The track (T, 3) of an eye that follows a root path (T, 3): its slow horizontal part, 0.6 s wide."""
     track = gaussian_filter1d(path, 0.6 * fps, axis=0, mode="nearest")
     track[:, 2] = 0.0
     return track
+
+
+def _half_angle(aspect: float) -> float:
+    """Tangent of half the vertical angle of view."""
+    return float(min(_HIGH, _WIDE / aspect))
+
+
+def match_camera(eye: pv.Camera, camera: Camera) -> None:
+    """Make a VTK camera see what a pinhole camera sees: any focal lengths, skew and principal point.
+
+    A pixel (u, v) of a w x h image is x = 2u/w - 1, y = 1 - 2v/h on VTK's screen, whatever its size in
+    pixels, so a window of the same shape shows the same picture at any scale. VTK's own view angle knows
+    neither skew nor two focal lengths; hence the explicit projection matrix.
+    """
+    k, r, centre = array(camera.intrinsics), array(camera.rotation), array(camera.centre)
+    w, h = camera.width, camera.height
+    eye.position, eye.focal_point, eye.up = centre, centre + r[2], -r[1]
+    eye.view_angle = float(np.degrees(2 * np.arctan(h / 2 / k[1, 1])))
+    projection = np.array(
+        [  # columns: VTK's camera axes, x right, y up, z backward
+            [2 * k[0, 0] / w, -2 * k[0, 1] / w, 1 - 2 * k[0, 2] / w, 0],
+            [0, 2 * k[1, 1] / h, 2 * k[1, 2] / h - 1, 0],
+            [0, 0, -(_FAR + _NEAR) / (_FAR - _NEAR), -2 * _FAR * _NEAR / (_FAR - _NEAR)],
+            [0, 0, -1, 0],
+        ]
+    )
+    eye.SetExplicitProjectionTransformMatrix(pv.vtkmatrix_from_array(projection))
+    eye.UseExplicitProjectionTransformMatrixOn()
+    eye.clipping_range = _NEAR, _FAR
+
+
+def _aim(eye: pv.Camera, target: np.ndarray, towards: np.ndarray, distance: float, aspect: float) -> None:
+    """Stand ``distance`` metres from the target in direction ``towards`` and look at it, z up."""
+    eye.position, eye.focal_point, eye.up = target + distance * towards, target, (0.0, 0.0, 1.0)
+    eye.view_angle = float(np.degrees(2 * np.arctan(_half_angle(aspect))))
+    eye.clipping_range = max(_NEAR, 0.1 * distance), 5 * distance + 80

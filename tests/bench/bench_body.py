@@ -7,9 +7,9 @@ beforehand as ours is, has a row of its own.
 
 import torch
 
-from motionlab import anny_body, rotation
-from motionlab.body import BodyModel, lbs
-from motionlab.profiling import timed
+from motionlab import rotation
+from motionlab.body import AVERAGE_ADULT, BodyModel, lbs
+from motionlab.profiling import _timed
 from motionlab.skeleton import fk
 
 FRAMES, REPEATS = 64, 7
@@ -17,7 +17,7 @@ FRAMES, REPEATS = 64, 7
 
 def seconds(function) -> float:
     """Median wall-clock time of a call after one to warm up."""
-    return timed(function, n=REPEATS).median
+    return _timed(function, n=REPEATS).median
 
 
 def gathered(body: BodyModel, root: torch.Tensor, rot: torch.Tensor) -> torch.Tensor:
@@ -41,7 +41,7 @@ def main() -> None:
     pose = torch.eye(4).repeat(FRAMES, len(model.bone_labels), 1, 1)
     pose[..., :3, :3] = bones
 
-    posed = model(pose, phenotype_kwargs=anny_body.AVERAGE_ADULT)
+    posed = model(pose, phenotype_kwargs=AVERAGE_ADULT)
 
     def skinned() -> torch.Tensor:
         """The second half of anny's forward: bones posed, vertices skinned."""
@@ -60,7 +60,7 @@ def main() -> None:
             f"{len(keypoints)} vertices": seconds(lambda: lbs(body, body.skeleton, root, rot, vertices=keypoints)),
             f"all {len(body.template)} vertices": seconds(lambda: lbs(body, body.skeleton, root, rot)),
             "a transform per vertex": seconds(lambda: gathered(body, root, rot)),
-            "anny, shape and skinning": seconds(lambda: model(pose, phenotype_kwargs=anny_body.AVERAGE_ADULT)),
+            "anny, shape and skinning": seconds(lambda: model(pose, phenotype_kwargs=AVERAGE_ADULT)),
             "anny, skinning alone": seconds(skinned),
         }
     full = times[f"all {len(body.template)} vertices"]

@@ -14,7 +14,7 @@ import torch
 from motionlab import rotation
 from motionlab.io import bvh
 from motionlab.motion import Motion
-from motionlab.profiling import timed
+from motionlab.profiling import _timed
 from motionlab.skeleton import STANDARD
 
 with warnings.catch_warnings():
@@ -26,7 +26,7 @@ FRAMES, REPEATS, CHECKED = 1800, 5, (0, 1234, 1799)
 
 def seconds(function, repeats: int) -> float:
     """Median wall-clock time of a call after one to warm up."""
-    return timed(function, n=repeats).median
+    return _timed(function, n=repeats).median
 
 
 def bvhio_positions(root, frame: int) -> dict[str, np.ndarray]:

@@ -6,12 +6,12 @@ import time
 import torch
 
 from data_synth import scenes
-from motionlab.humor import priors
-from motionlab.humor.decoupled import trials
-from motionlab.humor.decoupled.energy import Form
-from motionlab.humor.decoupled.search import BOTH, Plan, X, Z, adam
+from motionlab.humor import pretrained
 from motionlab.humor.testops import Schedule
 from motionlab.profiling import interleaved
+from studies.nb07_decoupled import trials
+from studies.nb07_decoupled.energy import Form
+from studies.nb07_decoupled.search import BOTH, Plan, X, Z, adam
 
 STEPS, ROUNDS = 5, 7
 WAYS = {"both": BOTH, "z fixed": X, "x fixed": Z}
@@ -27,7 +27,7 @@ def main() -> None:
     """Print a line for every way and size."""
     for clips, frames in ((8, 60), (12, 30), (12, 100)):
         film = scenes.film("sitting, legs hidden", clips, seed=3, frames=frames)
-        known = trials.case(film, priors.load("compact"), Schedule.quick(), frames=frames)
+        known = trials.case(film, pretrained.load_priors("compact"), Schedule.quick(), frames=frames)
         runs = {f"K = {k}, {name}": search(known, moving, k) for k in (1, 5) for name, moving in WAYS.items()}
         for name, run in runs.items():
             found = run().unknown

@@ -11,9 +11,9 @@ import torch
 
 from data_synth import clips
 from motionlab import profiling
-from motionlab.humor import ladder
-from motionlab.humor.ladder import FAITHFUL, LEAN, Savings
-from motionlab.humor.workload import Part, random_priors, workload
+from studies.shared import savings
+from studies.shared.savings import FAITHFUL, LEAN, Savings
+from studies.shared.workload import Part, random_priors, workload
 
 CLOSURE, ROLLOUT = 8.0, 2.5  # required ratios
 
@@ -24,11 +24,11 @@ def main() -> int:
     walk = clips.draw(1, generator, actions=("walk",))[0].motion.cut(0, 60)
     work, whole = workload(walk, random_priors(generator), generator), Part(3, 60)
     with torch.no_grad():
-        energy = [sum(ladder.terms(work.problem, work.unknowns(whole, on), on).values()) for on in (FAITHFUL, LEAN)]
+        energy = [sum(savings.terms(work.problem, work.unknowns(whole, on), on).values()) for on in (FAITHFUL, LEAN)]
     torch.testing.assert_close(*energy, rtol=1e-4, atol=0)
     alone = {"roll-out, faithful": FAITHFUL, "roll-out, faithful, frozen": Savings(frozen=True), "roll-out, lean": LEAN}
     ways = {"closure, faithful": work.closure(whole, FAITHFUL), "closure, lean": work.closure(whole, LEAN)}
-    ways |= {name: ladder.chain_alone(work.problem, work.unknowns(whole, on), on) for name, on in alone.items()}
+    ways |= {name: savings.chain_alone(work.problem, work.unknowns(whole, on), on) for name, on in alone.items()}
     found = profiling.interleaved(ways, n=9, clock=time.process_time)
     for name, seconds in found.items():
         print(f"{name:28s} {1e3 * seconds.median():7.0f} ms")

@@ -7,7 +7,7 @@ import roma
 import torch
 
 from motionlab import rotation
-from motionlab.profiling import timed
+from motionlab.profiling import _timed
 from motionlab.skeleton import STANDARD, fk
 
 LOOPED = 200  # frames that the slow way is timed on
@@ -36,7 +36,7 @@ def fk_roma(root, rot):
 
 def interleaved(ways, n=25):
     """Seconds (rounds, ways), measured in turns so that a busy machine disturbs all ways of a round alike."""
-    rounds = [[timed(way, n=1, warm_up=3 * (k == 0)).median for way in ways] for k in range(n)]
+    rounds = [[_timed(way, n=1, warm_up=3 * (k == 0)).median for way in ways] for k in range(n)]
     return torch.tensor(rounds)
 
 
@@ -70,7 +70,7 @@ def compare(clips: int, frames: int, generator: torch.Generator) -> None:
     torch.testing.assert_close(gradient(with_roma), gradient(ours), atol=1e-4, rtol=1e-4)
     forward = interleaved([ours, with_roma]).T
     both = interleaved([lambda way=way: gradient(way) for way in (ours, with_roma)]).T
-    loop = timed(looped, n=3).median * clips * frames / few
+    loop = _timed(looped, n=3).median * clips * frames / few
     t, t_both = forward[0].median().item(), both[0].median().item()
     print(f"fk of {clips} x {frames} frames: {t * 1e3:.2f} ms, with its backward pass {t_both * 1e3:.2f} ms")
     print(f"  loop over frames ({few} measured) / fk = {loop / t:.0f}")

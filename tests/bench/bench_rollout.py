@@ -10,16 +10,17 @@ import time
 
 import torch
 
-from motionlab import rotation
-from motionlab.humor import faithful, state
+from motionlab import motion, rotation
+from motionlab.humor import state
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.rollout import decode_ahead, rollout, sample
-from motionlab.optimise import minimise
-from motionlab.optimise_batch import minimise_batch
+from motionlab.humor.rollout import decode_ahead, rollout, sample_rollout
+from motionlab.optimise import minimise_batch
 from motionlab.profiling import graph_nodes, interleaved
+from studies.official import rollout as official_rollout
+from studies.shared.torch_search import minimise
 
 FRAMES, ROUNDS = 60, 5
-EXACT = {"align": lambda root: state.heading_frame(torch.zeros_like(root[..., 0]), root).turn}
+EXACT = {"align": lambda root: motion.heading_frame(torch.zeros_like(root[..., 0]), root).turn}
 
 
 def model(width: int) -> Cvae:
@@ -65,12 +66,15 @@ def roll_outs(width: int, batch: int, generator: torch.Generator) -> None:
     # of z: that of x0 differs, where the official form moves its pelvis offset with it; and of a few steps, as random
     # networks are chaotic
     (_, ours), (_, theirs) = (
-        gradients(form, net, first, z[:, :4], **more) for form, more in ((rollout, {}), (faithful.rollout, EXACT))
+        gradients(form, net, first, z[:, :4], **more)
+        for form, more in ((rollout, {}), (official_rollout.rollout, EXACT))
     )
     apart = (ours - theirs).norm() / theirs.norm()
     if not apart < 1e-2:
         raise SystemExit(f"width {width}, {batch} clips: gradients are {apart:.1e} apart")
-    slow, fast = in_turns([lambda form=form: gradients(form, net, first, z) for form in (faithful.rollout, rollout)])
+    slow, fast = in_turns(
+        [lambda form=form: gradients(form, net, first, z) for form in (official_rollout.rollout, rollout)]
+    )
     ratio = (slow / fast).quantile(torch.tensor([0.25, 0.5, 0.75])).tolist()
     print(
         f"width {width:4d}, {batch:2d} clips x {FRAMES}: official {1e3 * slow.median():5.0f} ms, lean "
@@ -82,7 +86,7 @@ def graphs() -> None:
     """Steps of autograd behind one closure."""
     net, (first, z) = model(64), inputs(1, torch.Generator().manual_seed(0))
     first, z = first.requires_grad_(), z.requires_grad_()
-    slow, fast = (graph_nodes(energy(form, net, first, z)) for form in (faithful.rollout, rollout))
+    slow, fast = (graph_nodes(energy(form, net, first, z)) for form in (official_rollout.rollout, rollout))
     print(f"autograd nodes of a closure: official {slow}, lean {fast}")
 
 
@@ -97,7 +101,7 @@ def others(width: int, generator: torch.Generator) -> None:
 
     counts = (1, 2, 5, 10)
     ways = [lambda: gradients(rollout, net, first, z), *(lambda k=k: ahead(k) for k in counts)]
-    whole, *each = in_turns([*ways, lambda: sample(net, first, FRAMES)])
+    whole, *each = in_turns([*ways, lambda: sample_rollout(net, first, FRAMES)])
     for k, seconds in zip(counts, each, strict=False):
         gain = (whole / seconds).median()
         print(f"width {width:4d}: {k:2d} steps from each of {FRAMES} frames: roll-out / it = {gain:.2f}")

@@ -11,13 +11,15 @@ import time
 import torch
 
 from data_synth import clips
-from motionlab.humor import compiled, loop, riccati, slopes, state
-from motionlab.humor.priors import load
-from motionlab.humor.recursion import LEAN, SUM, Decoder
+from motionlab.humor import compiled, state
+from motionlab.humor.pretrained import load_priors
 from motionlab.humor.rollout import infer
+from motionlab.humor.shooting import coordinates, derivatives
 from motionlab.humor.stages import motion_terms, rolled_terms
-from motionlab.humor.workload import workload
+from motionlab.humor.state import ADDED
+from motionlab.humor.transition import DecoderLayers
 from motionlab.profiling import interleaved
+from studies.shared.workload import workload
 
 FRAMES, ROUNDS = 60, 3
 
@@ -36,43 +38,43 @@ def said(what: str, slow: torch.Tensor, fast: torch.Tensor) -> None:
 
 def by_hand(motion) -> None:
     """The network's part of a transition's slopes."""
-    model = load().motion
+    model = load_priors().motion
     states = state.from_motion(motion)[None]
-    z, decoder = infer(model, states)[0].mean[0], Decoder.of(model)
-    x = state.localise(states, state.heading(states))[0, :-1][:, LEAN]
+    z, decoder = infer(model, states)[0].mean[0], DecoderLayers.of(model)
+    x = state.localise(states, state.heading(states))[0, :-1]
 
     def raw(x, z):
-        return slopes._raw(decoder, x[None], z[None])[0, :207]
+        return derivatives._raw(decoder, x[None], z[None])[0, :207]
 
     def autograd():
         return torch.func.vmap(torch.func.jacrev(raw, argnums=(0, 1)))(x, z)
 
     of_x, of_z = autograd()
-    ours = slopes.decoder_slopes(decoder, x, z)
-    for mine, theirs in ((ours[:, :SUM], of_x[..., :SUM].mT), (ours[:, 207:], of_z.mT)):
+    ours = derivatives.decoder_slopes(decoder, x, z)
+    for mine, theirs in ((ours[:, :ADDED], of_x[..., :ADDED].mT), (ours[:, 207:], of_z.mT)):
         if not torch.allclose(mine, theirs, atol=1e-3 * float(theirs.abs().max())):
             raise SystemExit("slopes by hand are not autograd's")
     said(
         "decoder slopes of 59 transitions, autograd / by hand",
-        *in_turns(autograd, lambda: slopes.decoder_slopes(decoder, x, z)),
+        *in_turns(autograd, lambda: derivatives.decoder_slopes(decoder, x, z)),
     )
 
 
 def closures(motion, clips_: int) -> None:
     """A closure in the loop against a plain one, and a linearisation against a closure."""
-    work = workload(motion, load(), torch.Generator().manual_seed(0), clips_, inferred=True)
-    unknown = {n: x.detach() for n, x in work.moving.items()}
-    around = loop.linearised(work.problem, unknown)
-    zero = {"nu": torch.zeros_like(unknown["z"][:, 0]), "first": torch.zeros_like(around.first[:, 0])}
+    work = workload(motion, load_priors(), torch.Generator().manual_seed(0), clips_, inferred=True)
+    unknown = work.moving.detached()
+    around = coordinates.linearised(work.problem, unknown)
+    zero = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": torch.zeros_like(around.first[:, 0])}
 
     def plain():
-        moving = {n: x.clone().requires_grad_() for n, x in unknown.items()}
+        moving = unknown.map(lambda x: x.clone().requires_grad_())
         energy = sum(motion_terms(work.problem, moving).values())
-        return energy, torch.autograd.grad(energy.sum(), list(moving.values()), allow_unused=True)
+        return energy, torch.autograd.grad(energy.sum(), list(moving.named().values()), allow_unused=True)
 
     def closed():
         moving = {n: x.clone().requires_grad_() for n, x in zero.items()}
-        at, rolled = loop.opened(work.problem, unknown, around, moving)
+        at, rolled = coordinates.opened(work.problem, unknown, around, moving)
         energy = sum(rolled_terms(work.problem, at, rolled).values())
         return energy, torch.autograd.grad(energy.sum(), list(moving.values()))
 
@@ -86,8 +88,8 @@ def closures(motion, clips_: int) -> None:
     if not torch.allclose(plain()[0], closed()[0], rtol=1e-3):
         raise SystemExit(f"the loop's energy {closed()[0]} is not that of the roll-out {plain()[0]}")
     whole, some, slow, fast, called = in_turns(
-        lambda: loop.linearised(work.problem, unknown, stride=1),
-        lambda: loop.linearised(work.problem, unknown, stride=4),
+        lambda: coordinates.linearised(work.problem, unknown, stride=1),
+        lambda: coordinates.linearised(work.problem, unknown, stride=4),
         closed,
         plain,
         tensors,
@@ -122,7 +124,7 @@ def sweeps() -> None:
         return h[:n, :n] - half.mT @ half
 
     def ours():
-        return riccati.sweep(rows.mT @ rows, a, b, of_pair, ridge=0.0)
+        return coordinates.riccati_sweep(rows.mT @ rows, a, b, of_pair, ridge=0.0)
 
     if not torch.allclose(dense(), ours().first[0], rtol=1e-6, atol=1e-6):
         raise SystemExit("the sweep's cost of the first change is not the dense one")

@@ -9,17 +9,18 @@ from functools import partial
 import torch
 
 from data_synth import scenes
-from motionlab.humor import priors, stages, testops, three_d
-from motionlab.humor.observed import evidence
-from motionlab.humor.weights import JOINTS
+from motionlab.humor import pretrained, stages, testops
+from motionlab.humor.energies import JOINTS
+from motionlab.humor.evidence import evidence
+from studies.shared import joints
 
 CLIPS, CEILING = 2, 600  # closures that the plain search may spend
 
 
 def main() -> None:
     """Print closures and seconds per stage, and the ratios."""
-    kit, truth = priors.load(), scenes.held_out(CLIPS)
-    seen = three_d.noisy(truth, torch.Generator().manual_seed(0))
+    kit, truth = pretrained.load_priors(), scenes.held_out(CLIPS)
+    seen = joints.noisy(truth, torch.Generator().manual_seed(0))
     began = time.perf_counter()
     fitted = testops.fit(seen, kit)
     whole = time.perf_counter() - began
@@ -30,12 +31,12 @@ def main() -> None:
     print(f"whole fit {whole:.1f} s; {whole / CLIPS:.1f} s per clip of 2 s")
 
     problem = stages.Problem(evidence(seen), kit, JOINTS)
-    unknown = testops.start(problem)
+    unknown = testops.start_stage_1(problem)
     moving = ("trans", "orient", "latent", "betas")
     _, rounder = stages.stage_1_and_2(problem, unknown, 2, steps=10, inner=20, tolerance=1e-4)
     steps = CEILING * 4 // 5 // 20
     terms = partial(stages.pose_terms, stage=2)
-    _, plain = stages.search(terms, problem, unknown, moving, steps=steps, inner=20)
+    _, plain = stages._search(terms, problem, unknown, moving, steps=steps, inner=20)
     for clip in range(CLIPS):
         goal = rounder.energy[clip] * 1.01
         ours, theirs = ((each.history[:, clip] <= goal).nonzero() for each in (rounder, plain))

@@ -1,0 +1,102 @@
+"""Trained weights on disk: tensors as safetensors, and beside them the recipe they come from, as JSON.
+
+A checkpoint is written whole or not at all, and says by a checksum in its recipe which tensors belong to it. Nothing in
+it is executed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load as load_tensors
+from safetensors.torch import save as save_tensors
+from torch import Tensor
+
+from motionlab.errors import DataError
+from motionlab.files import write_whole
+
+#: Where the weights that ship with the project lie.
+SHIPPED = Path(__file__).parent / "checkpoints"
+_LOADED: dict[str, str] = {}  # what this process has read: name and checksum
+REMEDY = "train it again (python -m motionlab train --help), or take the file from the project's repository"
+
+
+def save(path: Path | str, tensors: dict[str, Tensor], recipe: dict) -> None:
+    """Write ``path`` (.safetensors) and its recipe (.json): first the tensors, then the recipe with their checksum."""
+    path = Path(path).with_suffix(".safetensors")
+    content = save_tensors({name: value.detach().cpu().contiguous() for name, value in tensors.items()})
+    recipe = recipe | {"sha256": hashlib.sha256(content).hexdigest()}
+    write_whole(path, content)
+    write_whole(path.with_suffix(".json"), json.dumps(recipe, indent=1) + "\n")
+
+
+def load(path: Path | str) -> tuple[dict[str, Tensor], dict]:
+    """The tensors, as they were stored, and the recipe.
+
+    Raises:
+        DataError: a file is missing, damaged or half written, or the two do not belong together.
+    """
+    path = Path(path).with_suffix(".safetensors")
+    recipe = read_recipe(path)
+    try:
+        content = path.read_bytes()
+        if recipe.get("sha256") != hashlib.sha256(content).hexdigest():
+            raise DataError("not the tensors that its recipe describes", path=path, place="sha256", remedy=REMEDY)
+        _LOADED[path.stem] = recipe["sha256"][:12]
+        return load_tensors(content), recipe
+    except OSError as error:
+        raise DataError(error.strerror or str(error), path=path, remedy=REMEDY) from error
+    except SafetensorError as error:
+        raise DataError(f"damaged: {error}", path=path, remedy=REMEDY) from error
+
+
+def loaded() -> dict[str, str]:
+    """Checkpoints that this process has loaded, by name, with the head of their checksum."""
+    return dict(sorted(_LOADED.items()))
+
+
+def read_recipe(path: Path | str) -> dict:
+    """The recipe of a checkpoint.
+
+    Raises:
+        DataError: it is missing or not JSON.
+    """
+    path = Path(path).with_suffix(".json")
+    try:
+        recipe = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(error.strerror or str(error), path=path, remedy=REMEDY) from error
+    except ValueError as error:
+        raise DataError(f"not JSON: {error}", path=path, remedy=REMEDY) from error
+    if not isinstance(recipe, dict):
+        raise DataError("not a recipe", path=path, remedy=REMEDY)
+    return recipe
+
+
+def load_foreign(path: Path | str, keys: str | tuple[str, ...], remedy: str) -> dict[str, Tensor]:
+    """Reads the tensors of a state dict that somebody else saved with torch, by name, without 'module.'.
+
+    The file holds it under one of ``keys``, the first that is there, or is one itself. Nothing in it is executed. What
+    else a training run has saved beside the tensors is left alone.
+
+    Raises:
+        DataError: no such file, not a file of plain tensors, or none in it.
+    """
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise DataError("there is no such file", path=path, remedy=remedy) from error
+    except Exception as error:  # torch names no type for a file that is none of its own
+        message = f"not a file of plain tensors ({type(error).__name__})"
+        raise DataError(message, path=path, remedy=f"{remedy}; or save its state_dict alone with torch.save") from error
+    content = content if isinstance(content, dict) else {}
+    names = (keys,) if isinstance(keys, str) else keys
+    inside = next((content[name] for name in names if isinstance(content.get(name), dict)), content)
+    found = {str(name).removeprefix("module."): value for name, value in inside.items() if isinstance(value, Tensor)}
+    if not found:
+        raise DataError("no state dict inside", path=path, remedy=remedy)
+    return found

@@ -1,0 +1,203 @@
+"""Trains the small priors: the pose VAE on poses, the initial-state mixture on first states.
+
+Source: VPoser (Pavlakos et al. 2019); HuMoR (Rempe et al. 2021), section 4.2.
+Differs: ``MIXTURE_RIDGE`` on the diagonals of our mixture is more than the official 1e-6. Two places and three
+velocities among the features are fixed by others, so that 1e-6 asks the optimiser to hold them to a millimetre and to a
+millimetre per second.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from tqdm.auto import tqdm
+
+from motionlab import rotation
+from motionlab.errors import DataError, check_shape
+from motionlab.humor.cvae import Gaussian, kl
+from motionlab.humor.priors import POSE_LATENT, InitGmm, PosePrior
+from motionlab.skeleton import STANDARD, fk
+
+_COMPONENTS = 12
+_POSE_RATE = 1e-3  # of Adam, at the beginning
+MIXTURE_RIDGE = 1e-4  # square metres, or (metres per second)^2: one centimetre
+#: What the reconstruction may miss by: radians per joint and metres per joint, one standard deviation.
+POSE_TURN, POSE_PLACE = 0.10, 0.02
+#: Probability with which a limb comes from another pose: unseen poses are found better, samples are a bit less human.
+_SHARE = 0.2
+_FLIP = torch.tensor([-1.0, 1.0, 1.0])
+_PARTNER = [j - 1 for j in STANDARD.mirror_indices[1:]]
+#: Joints of the legs and of either arm, among the 21: these move on their own.
+_LIMBS = [
+    [j for j, name in enumerate(STANDARD.names[1:]) if any(part in name for part in parts)]
+    for parts in (
+        ("hip", "knee", "ankle", "foot"),
+        ("left_collar", "left_shoulder", "left_elbow", "left_wrist"),
+        ("right_collar", "right_shoulder", "right_elbow", "right_wrist"),
+    )
+]
+
+
+def _joints_of(rot: Tensor) -> Tensor:
+    """Joints (..., 22, 3) of the standard body, pelvis in the origin, for local rotations (..., 21, 3, 3)."""
+    still = torch.eye(3).to(rot).expand(*rot.shape[:-3], 1, 3, 3)
+    return fk(STANDARD, rot.new_zeros(*rot.shape[:-3], 3), torch.cat((still, rot), -3))[0]
+
+
+def _objective(model: PosePrior, rot: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Mean over poses (B, 21, 3, 3) of -log p(pose | z) up to a constant, z drawn from the posterior; and of the KL.
+
+    Errors of rotations are chords |R - R'| / sqrt 2, which for small angles are the angles.
+    """
+    posterior = model.encode(rot)
+    found = model.decode(posterior.sample(generator))
+    turn = (found - rot).square().sum((-2, -1)).sum(-1) / (2 * 2 * POSE_TURN**2)
+    place = (_joints_of(found) - _joints_of(rot)).square().sum((-2, -1)) / (2 * POSE_PLACE**2)
+    prior = Gaussian(torch.zeros_like(posterior.mean), torch.zeros_like(posterior.mean))
+    return (turn + place).mean(), kl(posterior, prior).sum(-1).mean()
+
+
+def _varied_poses(rot: Tensor, generator: torch.Generator, *, share: float = _SHARE) -> Tensor:
+    """Poses (B, 21, 3, 3), half of them mirrored, a share of them with each limb from another person."""
+    flip = torch.rand(len(rot), 1, 1, 1, generator=generator) < 0.5
+    rot = torch.where(flip, _FLIP[:, None] * rot[:, _PARTNER] * _FLIP, rot)
+    if share:
+        rot = rot.clone()
+        for limb in _LIMBS:
+            some = torch.nonzero(torch.rand(len(rot), generator=generator) < share)
+            other = torch.randint(len(rot), some.shape, generator=generator)
+            rot[some, limb] = rot[other, limb]
+    return rot
+
+
+def train_pose_prior(
+    rot: Tensor,
+    generator: torch.Generator,
+    *,
+    steps: int = 4000,
+    batch: int = 256,
+    weight: Tensor | None = None,
+    share: float = _SHARE,
+    progress: bool = True,
+) -> tuple[PosePrior, list[tuple[int, float, float]]]:
+    """Trains a pose prior on poses (N, 21, 3, 3): Adam, rate falling as a cosine, KL growing over the first tenth.
+
+    weight (N,): how often each pose is drawn, relative to the others.
+
+    Returns:
+        the frozen model, and (step, reconstruction, KL) a hundred times.
+    Raises:
+        DataError: no poses, or numbers that are not finite.
+    """
+    check_shape(rot, "N 21 3 3", "rot")
+    if len(rot) < 2 or not rot.isfinite().all():
+        raise DataError(f"{len(rot)} poses", remedy="give two or more, all of them finite")
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
+        model = PosePrior()
+    with torch.no_grad():
+        model.out.weight.mul_(0.1)
+        model.out.bias.copy_(rotation.matrix_to_sixd(torch.eye(3)).repeat(21))
+    optimiser = torch.optim.Adam(model.parameters(), lr=_POSE_RATE)
+    history = []
+    odds = torch.ones(len(rot)) if weight is None else weight
+    drawn = torch.multinomial(odds, steps * batch, replacement=True, generator=generator).split(batch)
+    for step, rows in enumerate(tqdm(drawn, desc="pose prior", disable=not progress)):
+        for group in optimiser.param_groups:
+            group["lr"] = _POSE_RATE * min(1.0, (step + 1) / 100) * 0.5 * (1 + math.cos(math.pi * step / steps))
+        miss, divergence = _objective(model, _varied_poses(rot[rows], generator, share=share), generator)
+        optimiser.zero_grad()
+        (miss + min(1.0, (step + 1) / (0.1 * steps)) * divergence).backward()
+        optimiser.step()
+        if step % max(1, steps // 100) == 0:
+            history.append((step, float(miss.detach()), float(divergence.detach())))
+    return model.frozen(), history
+
+
+@torch.no_grad()
+def reconstruction(model: PosePrior, rot: Tensor) -> dict[str, float]:
+    """Computes what poses (N, 21, 3, 3) lose when they are decoded from the posterior's mean.
+
+    Mean error of a rotation in degrees, mean distance of a joint (without the pelvis) in cm, KL in nats, and how many
+    latents say something (variance of the mean > 0.01).
+    """
+    posterior = model.encode(rot)
+    found = model.decode(posterior.mean)
+    away = (_joints_of(found) - _joints_of(rot))[..., 1:, :].norm(dim=-1)
+    prior = Gaussian(torch.zeros_like(posterior.mean), torch.zeros_like(posterior.mean))
+    return {
+        "degrees": float(torch.rad2deg(rotation.geodesic(found, rot)).mean()),
+        "cm": 100 * float(away.mean()),
+        "kl": float(kl(posterior, prior).sum(-1).mean()),
+        "active": int((posterior.mean.var(0) > 0.01).sum()),
+    }
+
+
+def samples(model: PosePrior, count: int, generator: torch.Generator) -> Tensor:
+    """Draws poses (count, 21, 3, 3) decoded from N(0, 1)."""
+    with torch.no_grad():
+        return model.decode(torch.randn(count, POSE_LATENT, generator=generator))
+
+
+def fit_mixture(
+    features: Tensor,
+    generator: torch.Generator,
+    *,
+    components: int = _COMPONENTS,
+    steps: int = 100,
+    ridge: float = MIXTURE_RIDGE,
+    tolerance: float = 1e-2,
+) -> tuple[InitGmm, list[float]]:
+    """Fits a mixture to features (N, D) by expectation-maximisation, started from k-means++ and a few steps of k-means.
+
+    Returns:
+        the mixture, and the mean log-likelihood (nats) before each step, until that grows by less than ``tolerance``.
+    Raises:
+        DataError: fewer samples than features, or numbers that are not finite.
+    """
+    check_shape(features, "N D", "features")
+    if len(features) <= features.shape[1] or not features.isfinite().all():
+        raise DataError(
+            f"{len(features)} samples of {features.shape[1]} features", remedy="give more frames, all of them finite"
+        )
+    x = features.double()
+    share = torch.nn.functional.one_hot(_clusters(x, components, generator), components).double()
+    history: list[float] = []
+    for _ in range(steps):
+        gmm = _maximise(x, share, ridge)
+        joint = gmm.each(x)
+        total = joint.logsumexp(-1)
+        history.append(float(total.mean()))
+        if len(history) > 1 and history[-1] - history[-2] < tolerance:
+            break
+        share = (joint - total[:, None]).exp()
+    return gmm, history
+
+
+def _maximise(x: Tensor, share: Tensor, ridge: float) -> InitGmm:
+    """The mixture that fits samples x (N, D) best, given to whom (N, K) each belongs."""
+    count = share.sum(0).clamp(min=1e-6)
+    means = (share.mT @ x) / count[:, None]
+    ridge_matrix = ridge * torch.eye(x.shape[1], dtype=x.dtype)
+    covariances = []
+    for k in range(share.shape[1]):  # one component at a time: all at once would need N K D numbers
+        away = (x - means[k]) * (share[:, k, None] / count[k]).sqrt()
+        covariances.append(away.mT @ away + ridge_matrix)
+    return InitGmm(count / count.sum(), means, torch.stack(covariances))
+
+
+def _clusters(x: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """Index (N,) of the nearest of ``count`` centres: k-means++ and ten steps of Lloyd's, features at unit spread."""
+    x = (x - x.mean(0)) / x.std(0).clamp(min=1e-3)
+    chosen = x[torch.randint(len(x), (1,), generator=generator)]
+    for _ in range(count - 1):
+        nearest = torch.cdist(x, chosen).amin(-1).square()
+        chosen = torch.cat((chosen, x[torch.multinomial(nearest.float() + 1e-12, 1, generator=generator)]))
+    for _ in range(10):
+        owner = torch.cdist(x, chosen).argmin(-1)
+        member = torch.nn.functional.one_hot(owner, count).double()
+        size = member.sum(0)[:, None]
+        chosen = torch.where(size > 0, member.mT @ x / size.clamp(min=1), chosen)
+    return torch.cdist(x, chosen).argmin(-1)

@@ -1,0 +1,254 @@
+"""Computes coordinates around a roll-out in which stage 3's energy is close to half their squared norm.
+
+    z_t = z^_t + K_t (x_t - x^_t) + L_t^-T nu_t,        first state and what is shared = L_0^-T nu_0
+
+with gains K_t and factors L_t of the clip's Gauss-Newton matrix (``gauss_newton``). Any z has its nu, and what comes
+out is an exact roll-out: the matrix only shapes the search, so that what it leaves out costs closures, not correctness.
+The networks' slopes change slowly and may be taken at every few frames only, straight lines between.
+
+Source: differential dynamic programming (Jacobson and Mayne 1970); thesis 3.3.4 asks for such a formulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.humor import energies, priors, state, unknowns
+from motionlab.humor.body_shape import BETAS
+from motionlab.humor.cvae import Gaussian
+from motionlab.humor.rollout import steered_rollout
+from motionlab.humor.shooting import derivatives, gauss_newton
+from motionlab.humor.shooting.derivatives import CHANGE, GAMMA, LATENTS, XI
+from motionlab.humor.shooting.gauss_newton import factorised, riccati_sweep
+from motionlab.humor.stages import Problem
+from motionlab.humor.state import ADDED
+from motionlab.humor.transition import DecoderLayers
+from motionlab.humor.unknowns import Rolled, Unknowns
+from motionlab.motion import Frame
+
+#: The first state's unknowns and their sizes, its rotation as a vector.
+FIRST_SIZES = {"trans": 3, "orient": 3, "latent": 32, "trans_vel": 3, "root_orient_vel": 3, "joints_vel": 66}
+_FIRST = sum(FIRST_SIZES.values())
+#: Where the features of the initial-state mixture stand in xi: joints, joints_vel, trans_vel, root_orient_vel.
+_FEATURES = [*range(9, 141), *range(3, 9)]
+_STEP = 1e-3
+_INFORMATION = 0.25 * 0.5
+_SHARPEST = 1e2  # 1 / sigma of the prior counts no more than this in the matrix
+
+
+class Loop(NamedTuple):
+    """Coordinates around a roll-out.
+
+    base (B, T - 1, 48): its z - K X. gains (B, T - 1, 48, 345): on X of ``rollout``; shared (B, T - 1, 48, S): on
+    what all frames share. shapers (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T. Of the first state and what is
+    shared, in these coordinates: rest (B, f, f), the matrix without the initial-state mixture, whose features move by
+    (B, 138, f).
+    """
+
+    base: Tensor
+    gains: Tensor
+    shared: Tensor
+    shapers: Tensor
+    first: Tensor
+    rest: Tensor
+    features: Tensor
+
+    def rows(self, index: Tensor) -> Loop:
+        """Returns those of some clips, or of some several times; gains as roll-outs read them."""
+        gains = self.gains.transpose(0, 1)[:, index].transpose(0, 1)
+        return Loop(*(x[index] for x in self._replace(gains=self.base)))._replace(gains=gains)
+
+
+def opened(problem: Problem, unknown: Unknowns, loop: Loop, new: Mapping[str, Tensor]) -> tuple[Unknowns, Rolled]:
+    """Computes unknowns and their exact roll-out from coordinates: nu (B, T - 1, 48) and first (B, f), by name."""
+    change = (loop.first @ new["first"][..., None])[..., 0]
+    at = moved(unknown, change)
+    first = unknowns.first_state(at, problem.priors)
+    shared = change[:, _FIRST:]
+    u = loop.base + (loop.shapers @ new["nu"][..., None])[..., 0] + (loop.shared @ shared[:, None, :, None])[..., 0]
+    rollout, _ = steered_rollout(problem.priors.motion, first, u, loop.gains)
+    return at, unknowns.rolled_from(first, rollout, at, problem.evidence)
+
+
+def moved(unknown: Unknowns, change: Tensor) -> Unknowns:
+    """Computes unknowns after a change (G, f) of the first state and of what is shared."""
+    parts = dict(zip(FIRST_SIZES, change[:, None, :_FIRST].split(list(FIRST_SIZES.values()), -1), strict=True))
+    new = {n: getattr(unknown, n) + parts[n] for n in FIRST_SIZES if n != "orient"}
+    turn = rotation.exp(parts["orient"]) @ unknowns.to_matrix(unknown.orient)
+    new["orient"] = unknowns.from_matrix(turn, "lean" if unknown.orient.shape[-1] == 6 else "official")
+    new["betas"] = unknown.betas + change[:, _FIRST : _FIRST + BETAS]
+    if unknown.camera is not None:
+        free = change[:, _FIRST + BETAS :]
+        new["camera"] = unknown.camera + (free if free.shape[1] else 0.0)
+    return replace(unknown, **new)
+
+
+# -------------------------------------------------------------------------------------------------- the linearisation
+@torch.no_grad()
+def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stride: int = 1) -> Loop:
+    """Computes the coordinates around the roll-out of unknowns (G, 1, ...), networks derived at every stride-th frame.
+
+    On a CPU one clip after another: the matrices of one stay in its cache.
+    """
+    clips = len(unknown.z)
+    if not _one_by_one(unknown.z):
+        return _together(problem, unknown, ridge, stride)
+    each = [torch.tensor([i]) for i in range(clips)]
+    parts = [_together(problem.rows(i), unknown.rows(i), ridge, stride) for i in each]
+    whole = Loop(*(torch.cat(x) for x in zip(*(p._replace(gains=p.base) for p in parts), strict=True)))
+    gains = torch.cat([p.gains.transpose(0, 1) for p in parts], 1).transpose(0, 1)  # as roll-outs read them
+    return whole._replace(gains=gains)
+
+
+def _one_by_one(z: Tensor) -> bool:
+    return z.device.type == "cpu" and len(z) > 1
+
+
+def _together(problem: Problem, unknown: Unknowns, ridge: float, stride: int) -> Loop:
+    z, model = unknown.z[:, 0], problem.priors.motion
+    clips, frames = z.shape[0], z.shape[1] + 1
+    first = unknowns.first_state(unknown, problem.priors)
+    rollout, inputs = steered_rollout(model, first, z)
+    states = torch.cat((first[:, None], rollout.states), 1)
+    frame = state.heading(states)
+    x = state.localise(states, frame)
+    past, keys = x[:, :-1], key_frames(frames - 1, stride).to(z.device)
+    some, between = past[:, keys].flatten(0, 1), partial(between_keys, keys=keys, clips=clips)
+    decoder = DecoderLayers.of(model)
+    decoded = between(derivatives.decoder_slopes(decoder, some, z[:, keys].flatten(0, 1)))
+    moves = derivatives.transition_slopes(decoder, past.flatten(0, 1), z.flatten(0, 1), decoded)
+    prior_slopes = between(derivatives.prior_slopes(model, some)[1])
+    weights = problem.weights.of(3, frames=frames)
+    found = gauss_newton.residual_rows(
+        x, frame.turn, frame.shift, moves.turn.unflatten(0, (clips, -1)), unknown.betas, unknown.camera,
+        energies.contact_probabilities(rollout.contact_logits), problem.evidence, weights,
+    )  # fmt: skip
+    a, b = padded_moves(moves, clips, found.of_frame.shape[-1])
+    toward = prior_rows(z.flatten(0, 1), rollout.prior, prior_slopes, a.shape[-1], weights.get("motion_prior", 0.0))
+    pairs = torch.cat((found.after @ a + found.before, found.after @ b), -1)
+    both = torch.cat((pairs, toward.unflatten(0, (clips, -1))), -2)
+    swept = riccati_sweep(found.of_frame.mT @ found.of_frame, a, b, both.mT @ both, ridge)
+    gains, shared = _embedded(swept.gains, past, frame)
+    gains = gains.transpose(0, 1).contiguous().transpose(0, 1)  # as roll-outs read them
+    base = z - (gains @ inputs[..., None])[..., 0]
+    return Loop(base, gains, shared, swept.shapers, *first_shaper(problem, unknown, swept.first, frames))
+
+
+def padded_moves(moves: derivatives.TransitionSlopes, clips: int, n: int) -> tuple[Tensor, Tensor]:
+    """Computes A (B, T - 1, n, n) and B (B, T - 1, n, 48) from slopes of transitions; what is shared stays as it is."""
+    of_change, of_z = (x.unflatten(0, (clips, -1)) for x in (moves.of_change, moves.of_z))
+    a, b = of_change.new_zeros(*of_change.shape[:2], n, n), of_z.new_zeros(*of_z.shape[:2], n, LATENTS)
+    a[..., :CHANGE, :CHANGE], b[..., :CHANGE, :] = of_change, of_z
+    a[..., CHANGE:, CHANGE:] = torch.eye(n - CHANGE, dtype=a.dtype, device=a.device)
+    return a, b
+
+
+def prior_rows(z: Tensor, prior: Gaussian, slopes_: Tensor, n: int, weight: float) -> Tensor:
+    """Computes rows (N, 96, n + 48) of w (-log N(z; mu(x), sigma(x))): of (z - mu) / sigma, and of log sigma^2 with a
+    quarter of Fisher's information of it, 1/2: tried by hand, with none and all of it, on eight practice clips."""
+    mean, log_var = (x.flatten(0, 1) for x in prior)
+    of_mean, of_log_var = slopes_.chunk(2, 1)
+    sharp = (-0.5 * log_var).exp().clamp(max=_SHARPEST) * weight**0.5
+    rows = z.new_zeros(len(z), 2 * LATENTS, n + LATENTS)
+    off = (z - mean) * sharp
+    rows[:, :LATENTS, :XI] = -sharp[..., None] * of_mean - 0.5 * off[..., None] * of_log_var
+    rows[:, :LATENTS, n:] = torch.diag_embed(sharp)
+    rows[:, LATENTS:, :XI] = (_INFORMATION * weight) ** 0.5 * of_log_var
+    return rows
+
+
+def key_frames(count: int, stride: int) -> Tensor:
+    """Computes the numbers of every ``stride``-th of so many frames, and of the last."""
+    return torch.unique(torch.cat((torch.arange(0, count, stride), torch.tensor([count - 1]))))
+
+
+def between_keys(x: Tensor, keys: Tensor, clips: int) -> Tensor:
+    """Computes values at all frames (B frames, ...) from those at keys (B keys, ...), along straight lines."""
+    count = int(keys[-1]) + 1
+    if len(keys) == count:
+        return x
+    at = torch.arange(count, device=x.device)
+    after = torch.searchsorted(keys, at).clamp(min=1)
+    share = (at - keys[after - 1]) / (keys[after] - keys[after - 1])
+    x = x.unflatten(0, (clips, -1))
+    return torch.lerp(x[:, after - 1], x[:, after], share.to(x).reshape(-1, *(1,) * (x.ndim - 2))).flatten(0, 1)
+
+
+def _embedded(gains: Tensor, x: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
+    """Gains on small changes (B, T - 1, 48, n) as gains on X (..., 345) and on what is shared (..., S)."""
+    m = x[..., ADDED:].unflatten(-1, (22, 3, 3))
+    omega = gains[..., ADDED:XI].unflatten(-1, (22, 3))
+    # omega ~ half the vector of R R^^T - R^ R^T, linear in M = R^T: k . omega = -1/2 sum (M^ [k]) M
+    turns = -0.5 * (m[:, :, None] @ rotation.skew(omega))
+    cos, sin = frame.turn[:, :-1, 0, 0], frame.turn[:, :-1, 0, 1]
+    angle, way = gains[..., XI], gains[..., XI + 1 : XI + GAMMA]
+    place = gains.new_zeros(*gains.shape[:-1], 6)
+    place[..., 0], place[..., 3] = -angle * sin[..., None], angle * cos[..., None]
+    place[..., 2] = way[..., 0] * cos[..., None] - way[..., 1] * sin[..., None]
+    place[..., 5] = way[..., 0] * sin[..., None] + way[..., 1] * cos[..., None]
+    return torch.cat((gains[..., :ADDED], turns.flatten(-3), place), -1), gains[..., CHANGE:]
+
+
+def first_shaper(problem: Problem, unknown: Unknowns, cost: Tensor, frames: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Computes L^-T (B, f, f) of the first state and what is shared: their own terms and P_0 through ``moved``; and, in
+    its coordinates, the matrix of all but the initial-state mixture (B, f, f), and how the features of that move (B,
+    138, f)."""
+    weights, view = problem.weights.of(3, frames=frames), problem.evidence.view
+    shared = cost.shape[-1] - CHANGE
+    count = _FIRST + shared
+    slope = first_slopes(problem, unknown, count)  # (B, n, f)
+    h = slope.mT @ cost @ slope
+    betas = slice(_FIRST, _FIRST + BETAS)
+    h[:, betas, betas].diagonal(dim1=-2, dim2=-1).add_(2 * frames * weights.get("shape_prior", 0.0))
+    if view is not None and view.free:
+        camera = unknown.camera
+        moves = torch.stack(
+            [(view.floor(camera + _STEP * e) - view.floor(camera)) / _STEP for e in torch.eye(3).to(camera)], -1
+        )
+        part = slice(_FIRST + BETAS, None)
+        h[:, part, part] += frames * weights.get("floor_reg", 0.0) * moves.mT @ moves
+    features = slope[:, _FEATURES]
+    gmm = problem.priors.initial
+    now = mixed_features(problem, unknown)
+    share = gmm.each(now).softmax(-1)
+    way = (share.sqrt()[..., None, None] * gmm.whitened(now, features)[1]).flatten(1, 2)  # (B, K D, f)
+    whole = h + weights.get("init_motion_prior", 0.0) * (way.mT @ way).to(h)
+    diagonal = whole.diagonal(dim1=-2, dim2=-1)
+    ridge = 1e-4 * diagonal + 1e-5 * diagonal.mean(-1, keepdim=True) + 1e-8
+    factor = factorised((whole + torch.diag_embed(ridge)).double())
+    unit = torch.eye(count, dtype=factor.dtype, device=factor.device).expand_as(factor)
+    shaper = torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(h)
+    return shaper, shaper.mT @ h @ shaper, features @ shaper
+
+
+def mixed_features(problem: Problem, unknown: Unknowns) -> Tensor:
+    """Computes the features (B, 138) of the first state that the initial-state mixture is over."""
+    return priors.first_state_features(unknowns.local_first(unknowns.first_state(unknown, problem.priors)))
+
+
+def first_slopes(problem: Problem, unknown: Unknowns, count: int) -> Tensor:
+    """Computes how the change (B, n) of frame 0 answers to the first state's unknowns and what is shared: (B, n, f)."""
+    clips, betas = len(unknown.betas), unknown.betas
+    steps = _STEP * torch.eye(count, dtype=betas.dtype, device=betas.device)
+    many = replace(unknown, z=None).map(lambda x: x.repeat_interleave(count, 0))
+
+    def at(sign: float) -> Tensor:
+        return unknowns.first_state(moved(many, sign * steps.repeat(clips, 1)), problem.priors)
+
+    return _padded(derivatives.state_change(at(1.0), at(-1.0)) / (2 * _STEP), clips, count)
+
+
+def _padded(change: Tensor, clips: int, count: int) -> Tensor:
+    """(B f, 210) as (B, n, f), what is shared passed on."""
+    shared = count - _FIRST
+    out = change.new_zeros(clips, CHANGE + shared, count)
+    out[:, :CHANGE] = change.unflatten(0, (clips, count)).mT
+    out[:, CHANGE:, _FIRST:] = torch.eye(shared, dtype=change.dtype, device=change.device)
+    return out

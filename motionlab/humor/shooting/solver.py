@@ -1,0 +1,333 @@
+"""The feedback solver: lowers stage 3's energy by closed-loop Gauss-Newton, with few, expensive looks at a clip.
+
+A round differentiates all transitions at once and factorises the Gauss-Newton matrix of the whole clip
+(``coordinates``). L-BFGS then lowers the energy in the coordinates in which that matrix is the identity, on exact
+roll-outs whose latents are steered by feedback. Gradients are exact and of every term. The unknowns, the energy and its
+minima are those of ``stages.stage_3``.
+
+There may be a second start: after some rounds, with slopes at few frames until then, the lower one goes on. Later
+rounds search several valleys at once, of which each component of the initial-state mixture makes one (``valleys``),
+each in its own coordinates: a closure of four roll-outs takes about twice as long as one of one, not four times.
+
+Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop); for the valleys none: HuMoR (Rempe et al. 2021)
+has the mixture, and its optimiser stays where stage 2 puts it.
+Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift apart. Not multiple shooting: the states
+are no unknowns of their own, and the search begins at a roll-out (``start.start_stage_3``).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import NotConverged, ShapeError
+from motionlab.humor.shooting.coordinates import Loop, linearised, mixed_features, opened
+from motionlab.humor.shooting.gauss_newton import factorised
+from motionlab.humor.stages import Problem, interrupted, rolled_terms
+from motionlab.humor.unknowns import Unknowns
+from motionlab.optimise import BatchFit, minimise_batch
+
+_LEAST_STEP = 0.05  # of what a round must gain
+_RIDGE = 1e-4  # of the matrix that valleys share
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much work.
+
+    rounds: linearisations at most. closures: of L-BFGS after each. tolerance: a clip is done when a round gains less
+    than this share of its energy's size, and a round when a step, and then one down the gradient, gain less than a
+    twentieth of that. stride: frames between those at which the networks are differentiated. leaps: components of the
+    first state's mixture whose valleys a clip tries in a round (``valleys``), if they promise more. trial: rounds that
+    a second start goes along, before the first leaps; with 0 it is not used. coarse: the least stride of these rounds.
+    """
+
+    rounds: int = 25
+    closures: int = 30
+    tolerance: float = 1e-3
+    stride: int = 1
+    leaps: int = 3
+    trial: int = 2
+    coarse: int = 4
+    ridge: float = 1e-6
+
+    def __post_init__(self) -> None:
+        if min(self.rounds, self.closures, self.stride, self.coarse) < 1 or min(self.leaps, self.trial) < 0:
+            raise ValueError(f"rounds, closures, strides: expected 1 or more, leaps, trial: 0 or more, got {self}")
+
+
+@dataclass
+class ShootingReport:
+    """What a fit spent: after each closure the energies (B,) of its clips (those that are done stay at their last) and
+    the seconds until it had them, without its gradient, by ``clock``; seconds of each linearisation and its leaps."""
+
+    history: list[Tensor] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    linearised: list[float] = field(default_factory=list)
+    clock: Callable[[], float] = time.perf_counter
+    began: float = 0.0
+
+
+def solve(
+    problem: Problem,
+    unknown: Unknowns,
+    plan: Plan | None = None,
+    report: ShootingReport | None = None,
+    *,
+    rival: Unknowns | None = None,
+    linearise: Callable[..., Loop] = linearised,
+    progress: bool = False,
+) -> tuple[Unknowns, list[BatchFit]]:
+    """Lowers stage 3's energy from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
+
+    rival: a second start of the same recordings; after the plan's trial the lower one of each goes on. linearise: where
+    the coordinates come from, called as ``coordinates.linearised``; another for ablations.
+
+    Returns:
+        the unknowns of lowest energy, and the reports of all rounds, of all clips; of one that is done: "no decrease".
+    Raises:
+        ShapeError: recordings in several windows, or of one frame; a second start of other recordings.
+        NotConverged: no clip has a finite energy and gradient at the start.
+    """
+    if unknown.z.shape[1] != 1:
+        raise ShapeError(f"z: expected one window per recording, got {unknown.z.shape[1]}")
+    plan, report, clips = plan or Plan(), report or ShootingReport(), len(unknown.z)
+    unknown = unknown.map(lambda x: x.detach().clone())
+    trial = 0
+    if rival is not None:
+        both, trial = _beside(unknown, rival), plan.trial
+        unknown = both if trial else unknown
+    mark, fits = time.perf_counter(), []
+    report.began = report.clock()
+    energy = unknown.betas.new_full((len(unknown.betas),), float("inf"))
+    live = torch.arange(len(energy), device=energy.device)
+    for count in range(plan.rounds):
+        if count == trial:
+            live = live[torch.isin(live, _lower(energy, clips))]
+        if not len(live):
+            break
+        now = plan if count >= trial else replace(plan, leaps=0, stride=max(plan.stride, plan.coarse))
+        here = unknown.rows(live)
+        try:
+            size = energy[live].abs().nan_to_num(posinf=0.0)  # 0: not known yet
+            found, fit = _round(problem.rows(live % clips), here, size, now, report, linearise, progress)
+        except (KeyboardInterrupt, NotConverged) as ended:
+            del report.seconds[len(report.history) :]
+            if not fits:
+                raise
+            if isinstance(ended, KeyboardInterrupt):
+                fits[-1] = replace(fits[-1], reasons=["interrupted"] * clips)
+            break  # else what is left cannot be differentiated: it stays where it was
+        gain = energy[live] - fit.energy
+        better = gain > 0
+        for kept, new in zip(unknown.named().values(), found.named().values(), strict=True):
+            kept[live[better]] = new[better]
+        energy[live[better]] = fit.energy[better]
+        whole = _widened(fit, live, energy, time.perf_counter() - mark)
+        fits.append(_of_clips(whole, torch.arange(len(energy), device=energy.device) % clips)[1])
+        report.history += fits[-1].history.unbind(0)
+        del report.seconds[len(report.history) :]  # Ctrl-C between an energy and its gradient
+        gained = gain > plan.tolerance * energy[live].abs()
+        mark, live = time.perf_counter(), live[gained] if count >= trial else live
+        if interrupted(fit):
+            break
+    return unknown.rows(_lower(energy, clips)), fits
+
+
+def _beside(unknown: Unknowns, rival: Unknowns) -> Unknowns:
+    """Two starts of G clips as 2 G rows."""
+    ours, theirs = unknown.named(), rival.named()
+    for name, x in ours.items():
+        got = tuple(theirs[name].shape) if name in theirs else None
+        if got != tuple(x.shape):
+            raise ShapeError(f"rival {name}: expected shape {tuple(x.shape)}, got {got}")
+    return Unknowns(**{name: torch.cat((x, theirs[name].detach())) for name, x in ours.items()})
+
+
+def _lower(energy: Tensor, clips: int) -> Tensor:
+    """Of each clip the row (G,) with the lower energy, the former where there is none."""
+    return energy.unflatten(0, (-1, clips)).argmin(0) * clips + torch.arange(clips, device=energy.device)
+
+
+def _round(
+    problem: Problem,
+    unknown: Unknowns,
+    size: Tensor,
+    plan: Plan,
+    report: ShootingReport,
+    linearise: Callable[..., Loop],
+    progress: bool,
+) -> tuple[Unknowns, BatchFit]:
+    """One linearisation and the searches around it: from where a clip is, and from where it may leap to.
+
+    size (B,): of each clip's energy.
+    """
+    began = report.clock()
+    loop = linearise(problem, unknown, ridge=plan.ridge, stride=plan.stride)
+    who, shaper, first = _starts(problem, unknown, loop, plan.leaps, plan.tolerance)
+    report.linearised.append(report.clock() - began)
+
+    def note() -> None:
+        report.seconds.append(report.clock() - report.began)
+
+    how = {"note": note, "progress": progress, "enough": (_LEAST_STEP * plan.tolerance * size)[who]}
+    rows, fit = searched(problem, unknown, loop, who, shaper, first, plan.closures, **how)
+    best, fit = _of_clips(fit, who)
+    return rows.rows(best), fit
+
+
+def searched(
+    problem: Problem,
+    unknown: Unknowns,
+    loop: Loop,
+    who: Tensor,
+    shaper: Tensor,
+    first: Tensor,
+    closures: int,
+    *,
+    enough: float | Tensor = 0.0,
+    note: Callable[[], None] = lambda: None,
+    progress: bool = False,
+) -> tuple[Unknowns, BatchFit]:
+    """Lowers the energy in R searches around one linearisation. Row r is of clip who[r] and begins at first (R, f), in
+    coordinates of its own: shaper (R, f, f) in place of ``Loop.first``.
+
+    enough: a row is done when a step, and then one down the gradient, gain no more than this, (R,) or one number. note:
+    called whenever energies are known.
+    """
+    some, here = problem.rows(who), unknown.rows(who)
+    around = loop.rows(who)._replace(first=shaper)
+
+    def energy(new: Mapping[str, Tensor], rows: Tensor) -> Tensor:
+        these, at, near = some, here, around
+        if len(rows) < len(who):  # gains are large: no copies while all run
+            these, at, near = some.rows(rows), here.rows(rows), around.rows(rows)
+        at, rolled = opened(these, at, near, new)
+        found = sum(rolled_terms(these, at, rolled).values())
+        note()
+        return found
+
+    start = {"nu": torch.zeros_like(here.z[:, 0]).requires_grad_(), "first": first.clone().requires_grad_()}
+    how = {"steps": 1, "inner": closures, "max_closures": closures, "tolerance_change": enough}
+    fit = minimise_batch(energy, start, rows=True, unit=True, progress=progress, **how)
+    with torch.no_grad():
+        at, rolled = opened(some, here, around, fit.variables)
+    return replace(at, z=rolled.rollout.z[:, None]), fit
+
+
+def _of_clips(fit: BatchFit, who: Tensor) -> tuple[Tensor, BatchFit]:
+    """Of each clip the row (G,) of lowest energy, and the report of rows as one of clips ``who``; a person who stops
+    one row of a clip stops the clip."""
+    clips = int(who.max()) + 1
+    mine = who == torch.arange(clips, device=who.device)[:, None]  # (G, R)
+    best = torch.where(mine, fit.energy, torch.inf).argmin(1)
+    best = torch.where(fit.energy[best].isfinite(), best, mine.double().argmax(1))
+    history = torch.where(mine, fit.history.nan_to_num(nan=torch.inf)[:, None], torch.inf).amin(-1)
+    stopped = {w for w, reason in zip(who.tolist(), fit.reasons, strict=True) if reason == "interrupted"}
+    reasons = ["interrupted" if clip in stopped else fit.reasons[row] for clip, row in enumerate(best.tolist())]
+    return best, BatchFit({}, fit.energy[best], history, fit.seconds, reasons)
+
+
+def _widened(fit: BatchFit, live: Tensor, energy: Tensor, seconds: float) -> BatchFit:
+    """The report of some clips as one of all: the others stay at their energy."""
+    history = energy.expand(len(fit.history), -1).index_copy(1, live, fit.history)
+    reasons = ["no decrease"] * len(energy)
+    for at, reason in zip(live.tolist(), fit.reasons, strict=True):
+        reasons[at] = reason
+    return BatchFit({}, energy.clone(), history, seconds, reasons)
+
+
+# ------------------------------------------------------------------------------------------------- valleys
+# Where the mixture says that one of its components made the first state, a search stays with that component: on the way
+# to another the density is next to nothing. All other terms are, around a roll-out, nearly quadratic in the change d of
+# the first state and of what is shared, while nu = 0 and later latents give way. So the least of the energy with
+# component k alone,
+#
+#     E_k = min_d  g d + 1/2 d H d + w (1/2 |W_k (f + F d - m_k)|^2 - c_k),
+#
+# is a linear system, and how deep its valley is is known, nearly, before it is entered; its matrix gives a leap the
+# coordinates to search in. g: gradient of all terms but the mixture's. H: their matrix (``Loop.rest``). f, F: the first
+# state's features and how they move. W_k, m_k, c_k: whitener, mean and constant of the component; w: its weight.
+
+
+def _starts(problem: Problem, unknown: Unknowns, loop: Loop, most: int, share: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Computes where searches begin: R rows, first those of all clips where they are, then leaps.
+
+    most: leaps of a clip; only to where the energy should be lower than now by more than ``share`` of its size, the
+    valley of its own component included.
+
+    Returns:
+        whose each row is (R,), its shaper (R, f, f) of the first state and what is shared, and where it begins in these
+        coordinates (R, f). Rows that stay have ``Loop.first``; those of leaps make the matrix of their valley 1.
+    """
+    clips, size = loop.first.shape[:2]
+    stay, here = torch.arange(clips, device=loop.first.device), loop.first.new_zeros(clips, size)
+    if not most or not _weight(problem, unknown):
+        return stay, loop.first, here
+    found = valleys(problem, unknown, loop)
+    gain, which = found.deepest(most)
+    who, k = (gain > share * found.energy.abs()[:, None]).nonzero().unbind(1)
+    shaper, begin = entered(loop, found, who, which[who, k])
+    return torch.cat((stay, who)), torch.cat((loop.first, shaper)), torch.cat((here, begin))
+
+
+class Valleys(NamedTuple):
+    """energy (B,); by how much each component's valley should be lower, gain (B, K); where it is (B, K, f), and its
+    matrix (B, K, f, f), both in the coordinates of ``Loop.first``."""
+
+    energy: Tensor
+    gain: Tensor
+    where: Tensor
+    matrix: Tensor
+
+    def deepest(self, most: int) -> tuple[Tensor, Tensor]:
+        """Gains (B, most) of those that promise most, and which components they are."""
+        return self.gain.topk(min(most, self.gain.shape[1]), 1)
+
+
+def entered(loop: Loop, found: Valleys, who: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:
+    """Computes shapers (R, f, f) and beginnings (R, f) of searches in valleys: component which (R,) of clip who (R,).
+
+    Components differ in width by orders of magnitude: in the coordinates of another a step of Newton's misses by as
+    much, and the search leaves the valley again.
+    """
+    factor = factorised(found.matrix[who, which])
+    shaper = torch.linalg.solve_triangular(factor.mT, loop.first[who].to(factor), upper=True, left=False)
+    begin = (factor.mT @ found.where[who, which, :, None])[..., 0]
+    return shaper.to(loop.first), begin.to(loop.first)
+
+
+def valleys(problem: Problem, unknown: Unknowns, loop: Loop) -> Valleys:
+    """Computes the valleys of all components.
+
+    Where rounding left no valley the point is a saddle, and a search from there a waste.
+    """
+    clips, size = loop.first.shape[:2]
+    weight, gmm = _weight(problem, unknown), problem.priors.initial
+    new = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": loop.first.new_zeros(clips, size).requires_grad_()}
+    with torch.enable_grad():
+        terms = rolled_terms(problem, *opened(problem, unknown, loop, new))
+        whole = sum(terms.values())
+        rest = whole - terms.get("init_motion_prior", 0.0)
+        g = torch.autograd.grad(rest.sum(), new["first"])[0].double()
+    with torch.no_grad():
+        f = mixed_features(problem, unknown)
+        off, way, constant = gmm.whitened(f, loop.features)
+        h = loop.rest.double() + _RIDGE * torch.eye(size, dtype=torch.float64, device=g.device)
+        matrix = h[:, None] + weight * way.mT @ way
+        toward = -g[:, None] - weight * (way.mT @ off[..., None])[..., 0]
+        d = torch.linalg.solve_ex(matrix, toward[..., None])[0][..., 0]
+        change = 0.5 * (d[..., None, :] @ h[:, None] @ d[..., None])[..., 0, 0] + (d * g[:, None]).sum(-1)
+        least = change + weight * (0.5 * (off + (way @ d[..., None])[..., 0]).square().sum(-1) - constant)
+        now = -weight * gmm.log_prob(f).double()
+    gain = (now[:, None] - least).nan_to_num(nan=-torch.inf)
+    return Valleys(whole.detach(), gain.to(whole), d, matrix)
+
+
+def _weight(problem: Problem, unknown: Unknowns) -> float:
+    return problem.weights.of(3, frames=unknown.z.shape[2] + 1).get("init_motion_prior", 0.0)

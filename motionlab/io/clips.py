@@ -1,0 +1,169 @@
+"""Character clips for simulation: AMP (IsaacGymEnvs) as npz, DeepMimic as JSON.
+
+AMP: poselib's arrays, any skeleton, quaternions x first. DeepMimic: frames of 44 numbers for one fixed 15-joint
+humanoid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from motionlab import rotation
+from motionlab.io.reading import Spot, frame_rate, numbers, read_json, read_npz, reading
+from motionlab.motion import Motion
+from motionlab.skeleton import UPRIGHT, Skeleton
+
+_AMP_KEYS = ("node_names", "parent_indices", "local_translation", "root_translation", "fps", "is_local")
+_AMP_ROTATION = "local_or_global_rotation_xyzw"
+#: Joint, parent, attachment in metres (x forward, y up, z right), numbers in a frame.
+#: Source: DeepMimic, data/characters/humanoid3d.txt (MIT, Copyright (c) 2018 Xue Bin Peng).
+_JOINTS = [
+    ("root", -1, (0.0, 0.0, 0.0), 4),
+    ("chest", 0, (0.0, 0.236151, 0.0), 4),
+    ("neck", 1, (0.0, 0.223894, 0.0), 4),
+    ("right_hip", 0, (0.0, 0.0, 0.084887), 4),
+    ("right_knee", 3, (0.0, -0.421546, 0.0), 1),
+    ("right_ankle", 4, (0.0, -0.409870, 0.0), 4),
+    ("right_shoulder", 1, (-0.02405, 0.24350, 0.18311), 4),
+    ("right_elbow", 6, (0.0, -0.274788, 0.0), 1),
+    ("right_wrist", 7, (0.0, -0.258947, 0.0), 0),
+    ("left_hip", 0, (0.0, 0.0, -0.084887), 4),
+    ("left_knee", 9, (0.0, -0.421546, 0.0), 1),
+    ("left_ankle", 10, (0.0, -0.409870, 0.0), 4),
+    ("left_shoulder", 1, (-0.02405, 0.24350, -0.18311), 4),
+    ("left_elbow", 12, (0.0, -0.274788, 0.0), 1),
+    ("left_wrist", 13, (0.0, -0.258947, 0.0), 0),
+]
+#: The character's body: x forward, y up, z right at rest; its ankles stand 5 cm above the floor.
+_DEEPMIMIC = Skeleton(
+    names=tuple(name for name, _, _, _ in _JOINTS),
+    parents=tuple(parent for _, parent, _, _ in _JOINTS),
+    offsets=torch.tensor([offset for _, _, offset, _ in _JOINTS]),
+    sole=0.05,
+)
+
+
+def load_amp(path: str | Path) -> Motion:
+    """Reads an AMP clip: metres, z up, the file's own skeleton (x forward, y left, z up at rest).
+
+    Rotations are against the parent where ``is_local`` is true, else against the world and are made
+    local: R_local = R_parent^T R.
+
+    Raises:
+        DataError: not such a file; names the key.
+    """
+    with reading(path, "convert the poselib file again, with all its keys") as at:
+        arrays = read_npz(at)
+        missing = [key for key in (_AMP_ROTATION, *_AMP_KEYS) if key not in arrays]
+        if missing:
+            raise at.error(
+                f"missing {', '.join(missing)}; found {', '.join(sorted(arrays)) or 'nothing'}", place="keys"
+            )
+        skeleton = _amp_skeleton(at, arrays)
+        quaternion = numbers(at, arrays[_AMP_ROTATION], f"T {len(skeleton)} 4", place=_AMP_ROTATION)
+        root = numbers(at, arrays["root_translation"], f"{len(quaternion)} 3", place="root_translation")
+        length = np.linalg.norm(quaternion, axis=-1)
+        if (np.abs(length - 1) > 0.05).any():
+            frame, joint = np.argwhere(np.abs(length - 1) > 0.05)[0]
+            place = f"{_AMP_ROTATION}, frame {frame}, {skeleton.names[joint]}"
+            raise at.error(f"quaternion of length {length[frame, joint]:.3g}, expected 1", place=place)
+        wxyz = torch.from_numpy((quaternion / length[..., None])[..., [3, 0, 1, 2]])
+        rot = rotation.quaternion_to_matrix(wxyz)
+        is_local = arrays["is_local"]
+        if is_local.size != 1 or is_local.dtype.kind not in "biu":
+            raise at.error(f"expected true or false, got {is_local!r}", place="is_local")
+        if not is_local.item():
+            rot[:, 1:] = rot[:, list(skeleton.parents[1:])].mT @ rot[:, 1:]
+        fps = frame_rate(at, arrays["fps"], "fps")
+        return Motion(skeleton, torch.from_numpy(root).float(), rot.float(), fps, name=at.path.stem)
+
+
+def _amp_skeleton(at: Spot, arrays: dict[str, np.ndarray]) -> Skeleton:
+    names = arrays["node_names"]
+    if names.ndim != 1 or names.dtype.kind != "U" or len(set(names.tolist())) != names.size or not names.size:
+        raise at.error("expected a list of different names", place="node_names")
+    parents = numbers(at, arrays["parent_indices"], f"{names.size}", place="parent_indices").astype(int).tolist()
+    if any(not (-1 <= p < j) or (p == -1) != (j == 0) for j, p in enumerate(parents)):
+        raise at.error(f"one root first, then parents before children; got {parents}", place="parent_indices")
+    offsets = numbers(at, arrays["local_translation"], f"{names.size} 3", place="local_translation")
+    return Skeleton(tuple(names.tolist()), tuple(parents), torch.from_numpy(offsets).float())
+
+
+def load_deepmimic(path: str | Path) -> Motion:
+    """Reads a DeepMimic motion: metres, z up, the character's own skeleton.
+
+    A frame is duration, root position, root quaternion (w first), then per joint a quaternion
+    (spherical) or an angle about z (knees and elbows). The frame rate is 1 / the median duration; the
+    last one is 0 in clips that do not loop. Where frames last differently the clip is resampled evenly, and
+    noted.
+
+    Raises:
+        DataError: not such a file; names the frame.
+    """
+    with reading(path, "take the file from the DeepMimic repository again") as at:
+        content = read_json(at)
+        if not isinstance(content, dict) or not isinstance(content.get("Frames"), list):
+            raise at.error('no list "Frames"', place="top level")
+        for i, frame in enumerate(content["Frames"]):
+            if not isinstance(frame, list) or len(frame) != 44:
+                size = len(frame) if isinstance(frame, list) else type(frame).__name__
+                raise at.error(f"expected 44 numbers, got {size}", place=f"frame {i}")
+        table = numbers(at, content["Frames"], "T 44", place='"Frames"')
+        fps, times = _frame_rate(at, table[:, 0])
+        rot = torch.eye(3, dtype=torch.float64).expand(len(table), len(_DEEPMIMIC), 3, 3).clone()
+        column = 4
+        for joint, (name, _, _, width) in enumerate(_JOINTS):
+            part = torch.from_numpy(table[:, column : column + width])
+            if width == 4:
+                rot[:, joint] = rotation.quaternion_to_matrix(_unit(at, part, name))
+            elif width == 1:
+                rot[:, joint] = rotation.rotation_about("z", part[:, 0])
+            column += width
+        rot[:, 0] = UPRIGHT.double() @ rot[:, 0]
+        root = torch.from_numpy(table[:, 1:4]) @ UPRIGHT.double().T
+        motion = Motion(_DEEPMIMIC, root, rot, fps, name=at.path.stem)
+        even = np.abs(np.diff(times) - 1).max(initial=0) < 0.1
+        return (motion if even else _evenly(motion, times)).to(torch.float32)
+
+
+def _frame_rate(at: Spot, durations: np.ndarray) -> tuple[float, np.ndarray]:
+    """Frames per second, and the time of every frame in units of one frame."""
+    inner = durations[:-1] if len(durations) > 1 else durations
+    if (inner <= 0).any():
+        i = int(np.flatnonzero(inner <= 0)[0])
+        raise at.error(f"lasts {inner[i]} s; only the last frame may last 0", place=f"frame {i}")
+    typical = float(np.sort(inner)[(len(inner) - 1) // 2])  # the lower median is a duration that occurs
+    times = np.concatenate(([0.0], np.cumsum(inner)))[: len(durations)] / typical
+    if times[-1] > 100 * len(durations):
+        i = int(inner.argmax())
+        raise at.error(f"lasts {inner[i]} s, the typical frame {typical} s", place=f"frame {i}")
+    whole = round(1 / typical)  # durations are printed with six digits: 0.033332 is 1/30
+    return frame_rate(at, float(whole) if abs(typical * whole - 1) < 1e-3 else 1 / typical, "frame 0"), times
+
+
+def _evenly(motion: Motion, times: np.ndarray) -> Motion:
+    """The motion at whole times, where frames last differently: lerp and slerp between the given ones."""
+    at = np.arange(int(times[-1] + 1e-3) + 1.0)
+    low = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
+    weight = torch.from_numpy(((at - times[low]) / (times[low + 1] - times[low])).clip(0, 1))
+    low = torch.from_numpy(low)
+    note = f"frames last differently (up to {np.diff(times).max():.2f} frames): resampled evenly"
+    return replace(
+        motion,
+        root=torch.lerp(motion.root[low], motion.root[low + 1], weight[:, None]),
+        rot=rotation.slerp(motion.rot[low], motion.rot[low + 1], weight[:, None]),
+        notes=(*motion.notes, note),
+    )
+
+
+def _unit(at: Spot, quaternion: torch.Tensor, name: str) -> torch.Tensor:
+    length = quaternion.norm(dim=-1)
+    bad = (length - 1).abs() > 0.2  # rounded by hand in places: humanoid3d_punch goes down to 0.93
+    if bad.any():
+        i = int(bad.nonzero()[0])
+        raise at.error(f"quaternion of length {float(length[i]):.3g}, expected 1", place=f"frame {i}, {name}")
+    return quaternion / length[:, None]

@@ -1,0 +1,401 @@
+"""Positions without rotations: labelled 3-D points from AniDance (npz), Captury's tables (csv), OpenSim's TRC and C3D.
+
+AniDance: 24 marker-like positions per frame, which the files name ``center, bone_0 .. bone_22``. The tree and the
+names below were worked out from 29,364 frames of 38 dances:
+
+- *Tree*: the spanning tree of the smallest spread of distance through time (root mean square over dances)
+  joins ankle, heel and toe (1.5 to 2.0 cm), knee and ankle (1.4 to 2.5), elbow, forearm, wrist and hand (0.7 to
+  2.4), and the trunk points 3, 4, 8, 13, 17 with the head points 1 and 2 (1.2 to 1.9). Hip to knee and shoulder
+  to elbow vary more (3.4 to 4.3): these points sit on the skin, not in the joint.
+- *Sides*: read as a right-handed y-up world, knees bend forward, elbows bend backward and the longer foot
+  segment points forward only when points 4 to 12 are the right side.
+
+Distances vary by centimetres and the floor drifts by tens of centimetres: good for poses relative to the
+centre, not for contacts or bone lengths.
+
+Captury: joint positions in space (biomech.csv) and projected into each camera (projectedNN.csv).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionlab.errors import ShapeError, check_shape
+from motionlab.io.reading import Spot, frame_rate, numbers, read_bytes, read_npz, read_text, reading
+from motionlab.observation import Camera, Observation2D
+
+#: Names in the file's order, as worked out above; wrist and hand are two markers at the end of the forearm.
+NAMES = (
+    "centre", "right_head", "left_head", "spine", "right_shoulder", "right_elbow", "right_forearm", "right_wrist",
+    "right_hip", "right_knee", "right_ankle", "right_heel", "right_toe", "left_shoulder", "left_elbow", "left_wrist",
+    "left_hand", "left_hip", "left_knee", "left_ankle", "left_heel", "left_toe", "left_forearm", "right_hand",
+)  # fmt: skip
+#: Pairs of points for drawing: the measured tree, with shoulders, hips and thighs joined as in a body.
+BONES = (
+    (3, 0), (3, 4), (3, 13), (3, 8), (3, 17), (8, 17), (4, 13), (4, 1), (13, 2), (1, 2), (4, 5), (5, 6), (6, 7),
+    (7, 23), (13, 14), (14, 22), (22, 15), (15, 16), (8, 9), (9, 10), (10, 11), (10, 12), (17, 18), (18, 19),
+    (19, 20), (19, 21),
+)  # fmt: skip
+#: Columns that a group takes, by the end of its name.
+_WIDTHS = {"Position": 3, "Positions": 3, "CenterOfGravity": 3, "Angles": 4}
+_METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001}
+_C3D_BLOCK, _C3D_INTEL = 512, 84
+_C3D_UP = {"+Z": "xyz", "+Y": "x-zy"}
+_C3D_TYPES = {-1: np.dtype("S1"), 1: np.dtype("u1"), 2: np.dtype("<i2"), 4: np.dtype("<f4")}
+
+
+@dataclass(frozen=True, eq=False)
+class Positions:
+    """Labelled 3-D points through time; no rotations, no bones.
+
+    names: the K points, as the file calls them. positions (T, K, 3): metres, world, z up. valid (T, K):
+    False where the point was not measured; its position is then 0, never NaN. fps: frames per second.
+    name: where it came from. bones: pairs of point indices that keep their distance, for drawing.
+
+    Raises:
+        ShapeError: the arrays do not fit the names or each other, or fps is not positive.
+    """
+
+    names: tuple[str, ...]
+    positions: Tensor
+    valid: Tensor
+    fps: float
+    name: str = ""
+    bones: tuple[tuple[int, int], ...] = ()
+
+    def __post_init__(self) -> None:
+        check_shape(self.positions, f"T {len(self.names)} 3", "positions")
+        if self.valid.shape != self.positions.shape[:-1]:
+            expected = tuple(self.positions.shape[:-1])
+            raise ShapeError(f"valid: expected shape {expected}, got {tuple(self.valid.shape)}")
+        if not self.fps > 0:
+            raise ShapeError(f"fps: expected a positive number, got {self.fps}")
+
+    @property
+    def frames(self) -> int:
+        """Number of frames T."""
+        return self.positions.shape[0]
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first frame to the last, plus one frame."""
+        return self.frames / self.fps
+
+    def select(self, names: list[str] | tuple[str, ...]) -> Positions:
+        """Some of the points, in the order asked for; KeyError lists the names."""
+        for name in names:
+            if name not in self.names:
+                raise KeyError(f"no point {name!r}; points are {', '.join(self.names)}")
+        pick = [self.names.index(name) for name in names]
+        bones = tuple((pick.index(a), pick.index(b)) for a, b in self.bones if a in pick and b in pick)
+        return replace(
+            self, names=tuple(names), positions=self.positions[:, pick], valid=self.valid[:, pick], bones=bones
+        )
+
+
+def axes_to_matrix(axes: str) -> Tensor:
+    """Computes the rotation (3, 3) float64, world from file, from the file axes that become world x, y, z.
+
+    >>> axes_to_matrix("x-zy") @ torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)  # y up becomes z up
+    tensor([0., 0., 1.], dtype=torch.float64)
+
+    Raises:
+        ShapeError: not three different axes, or a left-handed choice, which would mirror the body.
+    """
+    words = re.fullmatch(r"([+-]?[xyz])([+-]?[xyz])([+-]?[xyz])", axes)
+    matrix = torch.zeros(3, 3, dtype=torch.float64)
+    for row, word in enumerate(words.groups() if words else ()):
+        matrix[row, "xyz".index(word[-1])] = -1.0 if word[0] == "-" else 1.0
+    if not torch.linalg.det(matrix) > 0:
+        raise ShapeError(f'axes: expected a right-handed choice such as "xyz" or "x-zy", got {axes!r}')
+    return matrix
+
+
+def load_anidance(path: str | Path) -> Positions:
+    """Reads one AniDance dance as 24 points in metres, z up: world point = centre + offset.
+
+    Needs the keys ``positions_cm`` (T, 24, 3), y up, every point but the first relative to the first, and ``fps``.
+
+    Raises:
+        DataError: a key is missing or holds something else.
+    """
+    with reading(path, 'save "positions_cm" (T, 24, 3) and "fps" with numpy.savez') as at:
+        arrays = read_npz(at, ("positions_cm", "fps"))
+        for key in ("positions_cm", "fps"):
+            if key not in arrays:
+                raise at.error("this key is missing", place=key)
+        points = torch.from_numpy(numbers(at, arrays["positions_cm"], f"T {len(NAMES)} 3", "positions_cm")) / 100
+        points[:, 1:] += points[:, :1]
+        world = (points @ axes_to_matrix("x-zy").T).float()
+        fps = frame_rate(at, arrays["fps"], "fps")
+        return Positions(NAMES, world, torch.ones(world.shape[:2], dtype=torch.bool), fps, at.path.stem, BONES)
+
+
+def load_biomech(path: str | Path, *, fps: float) -> Positions:
+    """Reads joint positions of a Captury biomechanics table in metres, z up.
+
+    Turned half about the vertical, into the world of the C3D file of the same take (x and y change sign there):
+    a knee is then the middle of its two markers.
+
+    The columns are counted off by the groups of line 3: the lines below it name only a part of them. The
+    ``Angles`` columns are left out: some hold quaternions, some degrees, and the file does not say which.
+
+    Args:
+        fps: frames per second; the table does not hold it (``Framerate`` in the take's meta.txt does).
+
+    Raises:
+        DataError: not such a table, a row is too short, or a cell is not a number.
+    """
+    with reading(path, "export the biomechanics table again") as at:
+        rows = [line.rstrip("\r").split(";") for line in read_text(at).split("\n")]
+        if len(rows) < 6 or rows[1][0] != "Frames":
+            raise at.error('expected "Frames;<count>"', place="line 2")
+        starts: dict[str, int] = {}
+        column = 3
+        for group in filter(None, (cell.strip() for cell in rows[2])):
+            width = next((w for end, w in _WIDTHS.items() if group.endswith(end)), None)
+            if width is None:
+                break
+            if width == 3:
+                starts.setdefault(group.removesuffix("s").removesuffix("Position"), column)
+            column += width
+        if not starts:
+            raise at.error("no positions in it", place="line 3")
+        frames = int(rows[1][1])
+        body = rows[5 : 5 + max(frames, 0)]
+        if not body or len(body) != frames:
+            raise at.error(f"promises {frames} frames, holds {len(body)}", place="line 2")
+        table = torch.tensor([_cells(at, row, 3, column, line) for line, row in enumerate(body, start=6)])
+        picks = torch.tensor(list(starts.values()))[:, None] - 3 + torch.arange(3)
+        world = torch.from_numpy(numbers(at, table[:, picks].numpy(), f"T {len(starts)} 3", "table")) / 1000
+        world = world @ axes_to_matrix("-x-yz").T
+        valid = torch.ones(world.shape[:2], dtype=torch.bool)
+        return Positions(tuple(starts), world.float(), valid, frame_rate(at, fps, "fps"), at.path.parent.name)
+
+
+def load_projected(path: str | Path, *, camera: Camera, fps: float) -> Observation2D:
+    """Reads a Captury table of joints projected into one camera, in pixels of its image.
+
+    These are projections of a 3-D fit, not detections: confidence is 1 inside the image and 0 outside.
+
+    Args:
+        camera: gives the size of the image; the table measures both axes in image widths.
+        fps: frames per second.
+
+    Raises:
+        DataError: not such a table, a row is too short, or a cell is not a number.
+    """
+    with reading(path, "export the projected table again") as at:
+        rows = [line.split(",") for line in read_text(at).splitlines() if line.strip()]
+        if len(rows) < 2 or not rows[0][0].startswith("Timestamps"):
+            raise at.error('expected "Timestamps [ms]" first and at least one frame', place="line 1")
+        names = tuple(name.strip() for name in rows[0][1::2] if name.strip())
+        if not names or len(set(names)) < len(names):
+            raise at.error("expected different joint names in every second column", place="line 1")
+        width = 1 + 2 * len(names)
+        table = torch.tensor([_cells(at, row, 1, width, line) for line, row in enumerate(rows[1:], start=2)])
+        share = torch.from_numpy(numbers(at, table.numpy(), f"T {width - 1}", "table")).unflatten(-1, (-1, 2))
+        pixels = share * camera.width
+        inside = ((pixels >= 0) & (pixels < torch.tensor([camera.width, camera.height]))).all(-1)
+        pixels = torch.where(inside[..., None], pixels, 0.0)
+        fps = frame_rate(at, fps, "fps")
+        return Observation2D(
+            pixels.float(), inside.float(), names, fps, camera, f"{at.path.parent.name} {at.path.stem}"
+        )
+
+
+def _cells(at: Spot, row: list[str], start: int, stop: int, line: int) -> list[float]:
+    at.place = f"line {line}"
+    if len(row) < stop:
+        raise at.error(f"expected {stop} cells, got {len(row)}")
+    return [float(cell) for cell in row[start:stop]]
+
+
+def load_trc(path: str | Path, *, axes: str = "zxy") -> Positions:
+    """Reads the markers of a TRC file in metres, z up.
+
+    Units and rate come from the file. An empty cell or ``nan`` is a marker that was not measured.
+
+    Args:
+        axes: which file axis becomes world x, y and z. The default is OpenSim's convention (x forward, y up,
+            z right) stood up to face world +y, as every body here does; it is also what puts Pose2Sim's results
+            into the world of its calibration.
+
+    Raises:
+        DataError: header and table do not fit each other, a cell is not a number, the unit is not known.
+    """
+    with reading(path, "export the table again as a TRC file") as at:
+        lines = read_text(at).splitlines()
+        if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+            raise at.error("expected PathFileType, five header lines and at least one frame", place="line 1")
+        head = _trc_header(at, lines)
+        at.place = "line 4"
+        names = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
+        if len(names) != head["NumMarkers"]:
+            raise at.error(f"NumMarkers promises {head['NumMarkers']} markers, got {len(names)} names")
+        if len(set(names)) < len(names):
+            raise at.error("two markers have the same name", remedy="rename one of them")
+        rows = [
+            _trc_row(at, number, line, len(names))
+            for number, line in enumerate(lines[5:], start=6)
+            if line.strip()
+        ]  # fmt: skip
+        if len(rows) != head["NumFrames"]:
+            raise at.error(f"NumFrames promises {head['NumFrames']} frames, got {len(rows)}", place="line 3")
+        points = torch.tensor(rows, dtype=torch.float64).reshape(len(rows), len(names), 3)
+        valid = points.isfinite().all(-1)
+        metres = torch.where(valid[..., None], points, 0.0) * _METRES[head["Units"]]
+        world = (metres @ axes_to_matrix(axes).T).float()
+        return Positions(names, world, valid, head["DataRate"], at.path.stem)
+
+
+def _trc_header(at: Spot, lines: list[str]) -> dict:
+    at.place = "line 3"
+    head = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    for key in ("DataRate", "NumFrames", "NumMarkers", "Units"):
+        if key not in head:
+            raise at.error(f"{key} is missing", place="line 2")
+    unit = head["Units"].strip().lower()
+    if unit not in _METRES:
+        raise at.error(f"unit {unit!r} is not known", remedy=f"use one of {', '.join(_METRES)}")
+    counts = {key: int(head[key]) for key in ("NumFrames", "NumMarkers")}
+    if min(counts.values()) < 1:
+        raise at.error(f"expected at least one frame and one marker, got {counts}")
+    return {**counts, "DataRate": frame_rate(at, float(head["DataRate"]), "line 3, DataRate"), "Units": unit}
+
+
+def _trc_row(at: Spot, number: int, line: str, markers: int) -> list[float]:
+    at.place = f"line {number}"
+    cells = line.rstrip("\r\n").split("\t")[2:]
+    surplus = cells[3 * markers :]
+    if any(cell.strip() for cell in surplus) or len(cells) < 3 * markers - 1:
+        raise at.error(f"expected {3 * markers} coordinates of {markers} markers, got {len(cells)}")
+    values = [float(cell) if cell.strip() else math.nan for cell in cells[: 3 * markers]]
+    if any(abs(value) > 1e9 for value in values):
+        raise at.error("a coordinate is not a usable number")
+    return values + [math.nan] * (3 * markers - len(values))
+
+
+def load_c3d(path: str | Path, *, axes: str | None = None, unit: str | None = None) -> Positions:
+    """Reads labelled points of a C3D file in metres, z up; analogue channels are skipped.
+
+    Read with NumPy alone: the C++ readers crash or hang on damaged files, and no exception can stop that.
+
+    A point with a negative residual, or whose coordinates are not finite, was not measured.
+
+    Args:
+        axes: which file axis becomes world x, y and z, such as ``"xyz"`` or ``"x-zy"``; None reads it from the
+            file's ``POINT:Y_SCREEN`` (the axis that points up on a screen).
+        unit: ``"m"``, ``"cm"`` or ``"mm"``; None reads ``POINT:UNITS``.
+
+    Raises:
+        DataError: not a C3D file, damaged, a processor type other than Intel, or a unit or an up axis that
+            neither the file nor the caller states.
+
+    Source: The C3D file format user guide (C3D.org), sections on header, parameters and 3-D data.
+    """
+    with reading(path, "export the C3D file again") as at:
+        data = read_bytes(at)
+        if len(data) < 2 * _C3D_BLOCK or data[1] != 0x50:
+            raise at.error("not a C3D file: no key 0x50 in a header of 512 bytes", place="byte 1")
+        header = np.frombuffer(data, "<u2", _C3D_BLOCK // 2)
+        parameters = _c3d_parameters(at, data, _C3D_BLOCK * (data[0] - 1))
+        at.place = "POINT"
+        points = {k.removeprefix("POINT:"): v for k, v in parameters.items() if k.startswith("POINT:")}
+        count, names = int(header[1]), _c3d_names(points)
+        if not count or len(names) < count or len(set(names[:count])) < count:
+            raise at.error(f"expected {count} different labels, got {len(names)}", place="POINT:LABELS")
+        unit = unit or str(points.get("UNITS", [""])[0]).strip().lower()
+        if unit not in _METRES:
+            raise at.error(f"unit {unit!r} is not known", place="POINT:UNITS", remedy='pass unit="mm" or another')
+        axes = axes or _C3D_UP.get(str(points.get("Y_SCREEN", [""])[0]).strip().upper())
+        if axes is None:
+            raise at.error("the file does not say what is up", place="POINT:Y_SCREEN", remedy='pass axes="xyz"')
+        rate = points.get("RATE", [np.frombuffer(data, "<f4", 1, 20)[0]])[0]
+        fps = frame_rate(at, rate, "POINT:RATE")
+        xyz, measured = _c3d_table(at, data, header, parameters, count)
+        world = (torch.from_numpy(xyz) * _METRES[unit] @ axes_to_matrix(axes).T).float()
+        return Positions(names[:count], world, torch.from_numpy(measured), fps, at.path.stem)
+
+
+def _c3d_names(points: dict) -> tuple[str, ...]:
+    keys = ["LABELS", *(f"LABELS{n}" for n in range(2, 100))]  # a parameter holds at most 255 labels
+    return tuple(str(name) for key in keys for name in points.get(key, []))
+
+
+def _c3d_parameters(at: Spot, data: bytes, start: int) -> dict[str, np.ndarray]:
+    at.place = "parameter section"
+    if not _C3D_BLOCK <= start <= len(data) - 4:
+        raise at.error(f"lies at byte {start} of {len(data)}")
+    if data[start + 3] != _C3D_INTEL:
+        raise at.error(f"processor type {data[start + 3]} is not read", remedy="convert the file to Intel (84)")
+    groups, found = {}, {}
+    cursor, end = start + 4, min(start + _C3D_BLOCK * data[start + 2], len(data))
+    while cursor + 4 <= end:
+        length, number = struct.unpack_from("<bb", data, cursor)  # a negative length marks a locked entry
+        if length == 0:
+            break
+        name = data[cursor + 2 : cursor + 2 + abs(length)].decode("latin-1").upper()
+        body = cursor + 2 + abs(length)
+        (step,) = struct.unpack_from("<h", data, body)
+        if number < 0:
+            groups[-number] = name
+        else:
+            found[number, name] = _c3d_value(at, data, body + 2, f"parameter {name}")
+        if step <= 0:
+            break
+        cursor = body + step
+    return {f"{groups.get(number, number)}:{name}": value for (number, name), value in found.items()}
+
+
+def _c3d_value(at: Spot, data: bytes, start: int, place: str) -> np.ndarray:
+    kind, axes = struct.unpack_from("<bB", data, start)
+    if kind not in _C3D_TYPES or axes > 7:
+        raise at.error(f"type {kind} with {axes} axes is not known", place=place)
+    shape = tuple(data[start + 2 : start + 2 + axes])
+    values = np.frombuffer(data, _C3D_TYPES[kind], math.prod(shape), start + 2 + axes)
+    if kind != -1:
+        return values
+    letters, *rows = shape or (1,)  # the first axis runs along the word
+    words = values.tobytes()
+    cells = (words[i * letters : (i + 1) * letters] for i in range(math.prod(rows)))
+    return np.array([cell.decode("latin-1").strip(" \0") for cell in cells], dtype=str)
+
+
+def _c3d_table(
+    at: Spot, data: bytes, header: np.ndarray, parameters: dict, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (T, K, 3) in the file's unit, 0 where not measured, and the mask (T, K)."""
+    at.place = "3-D data"
+    (scale,) = struct.unpack_from("<f", data, 12)
+    kind = np.dtype("<f4") if scale < 0 else np.dtype("<i2")
+    if not math.isfinite(scale) or scale == 0:
+        raise at.error(f"scale {scale} is not usable")
+    frames = _c3d_frame_count(header, parameters)
+    width, start = 4 * count + int(header[2]), _C3D_BLOCK * (int(header[8]) - 1)
+    held = max(len(data) - start, 0) // (width * kind.itemsize)
+    if start < _C3D_BLOCK or not 0 < frames <= held:
+        raise at.error(f"expected {frames} frames of {width} numbers from byte {start}, the file holds {held}")
+    table = np.frombuffer(data, kind, frames * width, start).reshape(frames, width)[:, : 4 * count]
+    table = table.reshape(frames, count, 4).astype(np.float64)
+    measured = (table[..., 3] >= 0) & np.isfinite(table[..., :3]).all(-1)
+    xyz = np.where(measured[..., None], table[..., :3], 0.0) * (1.0 if scale < 0 else scale)
+    return numbers(at, xyz, f"T {count} 3"), measured
+
+
+def _c3d_frame_count(header: np.ndarray, parameters: dict) -> int:
+    """From the header's 16-bit frame numbers, or the 32-bit ones of long recordings."""
+    ends = [parameters.get(f"TRIAL:ACTUAL_{end}_FIELD") for end in ("START", "END")]
+    if all(end is not None and end.size == 2 for end in ends):
+        first, last = (int(end.astype("<i2").view("<u2").astype(np.int64) @ [1, 65536]) for end in ends)
+    else:
+        first, last = int(header[3]), int(header[4])
+    return last - first + 1

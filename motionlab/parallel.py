@@ -1,0 +1,77 @@
+"""Independent jobs on several processes, one thread each; more threads only where a batch is large enough."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context
+from typing import TypeVar
+
+import torch
+
+T = TypeVar("T")
+#: Rows of a batch that gets more than one thread. Not measured on an idle machine yet: beside other work two threads
+#: were slower at every batch tried, 256 rows included (tests/bench/bench_threads.py).
+WIDE = 256
+
+
+@contextmanager
+def threads_for(rows: int) -> Iterator[None]:
+    """One thread inside, but for a batch of ``WIDE`` rows or more: threads that wait for each other spin, and beside
+    other work a small batch on two threads costs many times its processor time."""
+    before = torch.get_num_threads()
+    if rows < WIDE:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def one_thread() -> None:
+    """One thread for this process from now on, unless $OMP_NUM_THREADS says how many."""
+    if not os.environ.get("OMP_NUM_THREADS"):
+        torch.set_num_threads(1)
+
+
+def run_jobs(
+    jobs: Sequence[Callable[[], T]], workers: int, done: Callable[[int, T], object] = lambda k, found: None
+) -> list[T]:
+    """What the jobs return, in their order: so many at a time, each in a process of its own with one thread; with one
+    worker here, one after the other. One that fails, or Ctrl-C, ends them all.
+
+    done: called here with the number of a job and what it returned, as soon as it has."""
+    found = {}
+    if workers == 1:
+        for k, job in enumerate(jobs):
+            found[k] = job()
+            done(k, found[k])
+        return list(found.values())
+    others = set(active_children())
+    with ProcessPoolExecutor(workers, get_context("spawn"), _worker) as pool:
+        futures = {pool.submit(_called, pickle.dumps(job)): k for k, job in enumerate(jobs)}
+        try:
+            for future in as_completed(futures):
+                k = futures[future]
+                found[k] = pickle.loads(future.result())
+                done(k, found[k])
+            return [found[k] for k in range(len(jobs))]
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in set(active_children()) - others:
+                worker.terminate()
+            raise
+
+
+def _worker() -> None:
+    torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a fit would take it for "stop at your best"; who waits ends it
+
+
+def _called(job: bytes) -> bytes:
+    """Bytes, since tensors between processes would keep a file open each."""
+    return pickle.dumps(pickle.loads(job)())

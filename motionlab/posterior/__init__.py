@@ -1,1 +1,0 @@
-"""What observations leave open: posteriors over the few numbers that matter, by emcee."""

@@ -1,0 +1,437 @@
+"""Retargeting: a motion of any known skeleton on the standard 22 joints, with its error; still feet stay still.
+
+First how known skeletons name their joints and how these are turned in a T-pose, then the transfer, then the legs.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.contact import contacts_from_positions
+from motionlab.errors import DataError, ShapeError, check_shape
+from motionlab.motion import Motion
+from motionlab.skeleton import FEET, STANDARD, Skeleton, fk
+
+
+def _sides(**names: str) -> dict[str, str]:
+    """Both sides: ``knee="{side}leg"`` gives left_knee = leftleg, right_knee = rightleg; ``{s}`` is l or r."""
+    words = {"left": {"side": "left", "s": "l"}, "right": {"side": "right", "s": "r"}}
+    return {f"{side}_{part}": name.format(**words[side]) for part, name in names.items() for side in words}
+
+
+#: Names of the standard joints in each family, lower case, without prefix before a colon and without
+#: separators. Spines are found by the hierarchy: families differ in how many joints they have.
+RIGS: dict[str, dict[str, str]] = {
+    "standard (SMPL)": {n: n.replace("_", "") for n in STANDARD.names if not n.startswith("spine")},
+    "CMU ASF": {"pelvis": "root", "neck": "lowerneck", "head": "head"}
+    | _sides(hip="{s}femur", knee="{s}tibia", ankle="{s}foot", foot="{s}toes")
+    | _sides(collar="{s}clavicle", shoulder="{s}humerus", elbow="{s}radius", wrist="{s}wrist"),
+    "Mixamo": {"pelvis": "hips", "neck": "neck", "head": "head"}
+    | _sides(hip="{side}upleg", knee="{side}leg", ankle="{side}foot", foot="{side}toebase")
+    | _sides(collar="{side}shoulder", shoulder="{side}arm", elbow="{side}forearm", wrist="{side}hand"),
+    "Bandai-Namco": {"pelvis": "hips", "neck": "neck", "head": "head"}
+    | _sides(hip="upperleg{s}", knee="lowerleg{s}", ankle="foot{s}", foot="toes{s}")
+    | _sides(collar="shoulder{s}", shoulder="upperarm{s}", elbow="lowerarm{s}", wrist="hand{s}"),
+    "DeepMimic": {"pelvis": "root", "neck": "neck"}
+    | _sides(hip="{side}hip", knee="{side}knee", ankle="{side}ankle")
+    | _sides(shoulder="{side}shoulder", elbow="{side}elbow", wrist="{side}wrist"),
+    "AMP": {"pelvis": "pelvis", "neck": "head"}
+    | _sides(hip="{side}thigh", knee="{side}shin", ankle="{side}foot")
+    | _sides(shoulder="{side}upperarm", elbow="{side}lowerarm", wrist="{side}hand"),
+    "ReActIdle": {"pelvis": "pelvis", "neck": "neck", "head": "face"}
+    | _sides(hip="thigh{s}", knee="shin{s}", ankle="foot{s}", foot="foot{s}end")
+    | _sides(collar="shoulder{s}", shoulder="upperarm{s}", elbow="forearm{s}", wrist="forearm{s}end"),
+    "anny game_engine": {"pelvis": "pelvis", "neck": "neck01", "head": "head"}
+    | _sides(hip="thigh{s}", knee="calf{s}", ankle="foot{s}", foot="ball{s}")
+    | _sides(collar="clavicle{s}", shoulder="upperarm{s}", elbow="lowerarm{s}", wrist="hand{s}"),
+    "anny default": {"pelvis": "root", "neck": "neck01", "head": "head"}
+    | _sides(hip="upperleg01{s}", knee="lowerleg01{s}", ankle="foot{s}", foot="toe11{s}")
+    | _sides(collar="clavicle{s}", shoulder="upperarm01{s}", elbow="lowerarm01{s}", wrist="wrist{s}"),
+}
+
+#: Skeletons whose zero pose is no human pose (every bone along its own x): where each joint's x, y and z
+#: point in the T-pose, as Left, Right, Up, Down, Forward, Back of the body. Found from recordings: the mean
+#: hinges of knees and elbows and the trunk's directions fall on these letters, most within 1 degree, all
+#: within 8. A joint that is not named is turned like its parent.
+AXES: dict[str, dict[str, str]] = {
+    "Bandai-Namco": {"Hips": "URF", "Spine": "UFL"}
+    | {"UpperLeg_L": "DLF", "Foot_L": "FLU", "UpperLeg_R": "ULB", "Foot_R": "BLD"}
+    | {"Shoulder_L": "LUF", "Shoulder_R": "LDB"},
+    "Rokoko": {"Hips": "LUF", "Spine": "URF"}
+    | {"LeftUpLeg": "DLF", "LeftFoot": "FUR", "RightUpLeg": "DLF", "RightFoot": "FUR"}
+    | {"LeftShoulder": "LUF", "RightShoulder": "RUB"},
+}
+_LETTERS = {"L": (1, 0, 0), "R": (-1, 0, 0), "U": (0, 1, 0), "D": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
+_NEEDED = ("pelvis", *(f"{s}_{part}" for s in ("left", "right") for part in ("hip", "knee", "ankle")))
+_LEG = ("hip", "knee", "ankle")
+_LIMBS = ("hip", "knee", "shoulder", "elbow")  # a bone of these names points along the standard's own
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """A source skeleton read as a body.
+
+    rig: the family whose names fit. joints: standard name -> index in the source. rest_rot (J, 3, 3): each
+    source joint in the T-pose-like rest, seen in body axes (x left, y up, z forward). rest (J, 3): its
+    position there, metres. flat_feet: the rest pose is a figure's (its soles are flat), not one of axes.
+    """
+
+    rig: str
+    joints: dict[str, int]
+    rest_rot: Tensor
+    rest: Tensor
+    flat_feet: bool
+
+
+def match_joints(skeleton: Skeleton) -> Match:
+    """Finds which joint of a skeleton is which standard joint, and its rest pose in body axes.
+
+    The rest pose is the zero pose if that is a standing figure, else the one that ``AXES`` describes.
+
+    Raises:
+        DataError: no family has names for pelvis, hips, knees and ankles, or no rest pose stands.
+    """
+    plain = [re.sub(r"[^a-z0-9]|^mixamorig\d*", "", name.lower().rpartition(":")[2]) for name in skeleton.names]
+    found = {rig: {k: plain.index(v) for k, v in names.items() if v in plain} for rig, names in RIGS.items()}
+    rig = max(found, key=lambda name: len(found[name]))
+    missing = [name for name in _NEEDED if name not in found[rig]]
+    if missing:
+        raise DataError(
+            f"skeleton with joints {', '.join(skeleton.names[:8])}, ...: nearest to {rig}, but no {', '.join(missing)}",
+            place="joint names",
+            remedy="rename its joints to one of the families in motionlab.retarget.RIGS",
+        )
+    joints = found[rig] | _spine(skeleton, found[rig])
+    zero = _zero_pose(skeleton, joints)
+    poses = [zero] if zero is not None else []
+    poses += [_axes_pose(skeleton, axes) for axes in AXES.values() if set(axes) <= set(skeleton.names)]
+    for i, rest_rot in enumerate(poses):
+        rest = _rest(skeleton, rest_rot)
+        if _stands(rest, joints):
+            return Match(rig, joints, rest_rot, rest, flat_feet=zero is not None and i == 0)
+    raise DataError(
+        f"{rig} names, but the zero pose is not a standing figure and its axes are not known",
+        place="rest pose",
+        remedy="export with a T-pose as the rest pose, or add the joints' axes to motionlab.retarget.AXES",
+    )
+
+
+def _spine(skeleton: Skeleton, joints: dict[str, int]) -> dict[str, int]:
+    """Spine joints from the chain between the pelvis and what carries neck and shoulders."""
+
+    def chain(joint: int) -> list[int]:
+        path = []
+        while joint not in (-1, joints["pelvis"]):
+            path.append(joint)
+            joint = skeleton.parents[joint]
+        return path[::-1]
+
+    tips = ("neck", "head", "left_collar", "right_collar", "left_shoulder", "right_shoulder")
+    paths = [chain(joints[tip])[:-1] for tip in tips if tip in joints]
+    shared = [j for j in min(paths, key=len, default=[]) if all(j in path for path in paths)]
+    if not shared:
+        return {}
+    if len(shared) == 1:
+        return {"spine3": shared[0]}
+    middle = {"spine2": shared[len(shared) // 2]} if len(shared) > 2 else {}
+    return {"spine1": shared[0], **middle, "spine3": shared[-1]}
+
+
+def _rest(skeleton: Skeleton, rest_rot: Tensor) -> Tensor:
+    rest = torch.zeros(len(skeleton), 3, dtype=torch.float64)
+    for j, parent in enumerate(skeleton.parents[1:], start=1):
+        rest[j] = rest[parent] + rest_rot[parent] @ skeleton.offsets[j].double()
+    return rest
+
+
+def _zero_pose(skeleton: Skeleton, joints: dict[str, int]) -> Tensor | None:
+    """Body axes from file axes (J, 3, 3), read off the zero pose; right angles where they nearly are."""
+    rest = _rest(skeleton, torch.eye(3, dtype=torch.float64).expand(len(skeleton), 3, 3))
+    hips = rest[joints["left_hip"]], rest[joints["right_hip"]]
+    left = hips[0] - hips[1]
+    ankles = rest[joints["left_ankle"]] + rest[joints["right_ankle"]]
+    up = sum(hips) / 2 - ankles / 2
+    if torch.linalg.cross(left, up).norm() < 1e-3 * left.norm() * up.norm() or not left.norm() > 0:
+        return None
+    axes = []
+    for vector in (up, left):
+        unit = vector / vector.norm()
+        axis = torch.zeros(3, dtype=torch.float64)
+        axis[unit.abs().argmax()] = unit[unit.abs().argmax()].sign()
+        axes.append(axis if unit @ axis > 0.9 else unit)
+    up = axes[0]
+    left = torch.nn.functional.normalize(axes[1] - (axes[1] @ up) * up, dim=0)
+    return torch.stack((left, up, torch.linalg.cross(left, up))).expand(len(skeleton), 3, 3)
+
+
+def _axes_pose(skeleton: Skeleton, axes: dict[str, str]) -> Tensor:
+    pose: list[Tensor] = []
+    for name, parent in zip(skeleton.names, skeleton.parents, strict=True):
+        if name in axes:
+            pose.append(torch.tensor([_LETTERS[letter] for letter in axes[name]], dtype=torch.float64).T)
+        else:
+            pose.append(pose[parent] if parent >= 0 else torch.eye(3, dtype=torch.float64))
+    return torch.stack(pose)
+
+
+def _stands(rest: Tensor, joints: dict[str, int]) -> bool:
+    """Legs down, trunk up, left on the left, toes in front; 60 degrees of freedom each."""
+    bones = [
+        ((0, -1, 0), f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"))
+    ]
+    bones += [
+        ((1, 0, 0), "right_hip", "left_hip"),
+        ((0, 1, 0), "pelvis", "neck"),
+        ((1, 0, 0), "right_shoulder", "left_shoulder"),
+    ]
+    for direction, a, b in bones:
+        if a in joints and b in joints:
+            bone = rest[joints[b]] - rest[joints[a]]
+            if bone @ torch.tensor(direction, dtype=torch.float64) < 0.5 * bone.norm():
+                return False
+    feet = [rest[joints[f"{s}_foot"]] - rest[joints[f"{s}_ankle"]] for s in ("left", "right") if f"{s}_foot" in joints]
+    return all(foot[2] >= 0 for foot in feet)
+
+
+# ---------------------------------------------------------------------------------------------------- transfer
+@dataclass(frozen=True, eq=False)
+class Retargeted:
+    """A motion on the standard joints, and how well it fits its source.
+
+    motion: on 22 joints named and turned as the standard's. residual: mean distance in metres between a
+    target joint and the source joint it stands for, over frames and mapped joints, after scaling and the
+    floor shift. per_joint: the same for each mapped joint. names: standard name -> source name. unmapped:
+    standard joints that the source lacks; they keep their parent's orientation. scale: size of the target
+    over the size of the file's figure. floor: metres by which the motion was raised. skate: slide of resting
+    feet in mm per frame, source and target; NaN where no foot rests. notes: what had to be decided.
+    """
+
+    motion: Motion
+    residual: float
+    per_joint: dict[str, float]
+    names: dict[str, str]
+    unmapped: tuple[str, ...]
+    rig: str
+    scale: float
+    floor: float
+    skate: tuple[float, float]
+    notes: tuple[str, ...]
+
+
+def retarget(
+    motion: Motion, *, proportions: str = "source", leg: float | None = None, floor: bool = True, plant: bool = True
+) -> Retargeted:
+    """Puts a motion of any known skeleton on the standard 22 joints.
+
+    R_target = R_source G^T S: G turns a source joint's frame to body axes in its rest pose (see
+    :func:`match_joints`), S turns the T-pose's bone to the source's bone in that rest pose
+    by the shortest way. A source that faces forward at rest faces as ``UPRIGHT`` does. Joints that the source
+    lacks keep their parent's orientation and share the way between their neighbours.
+
+    Args:
+        motion: one clip (T frames), metres, z up.
+        proportions: "source" keeps the source's bone lengths and joint places, so the residual shows only
+            what the standard tree cannot hold; "standard" takes those of ``STANDARD``, scaled so that thigh
+            + shin are as long as the source's: the residual then holds every difference between the bodies.
+            Either way the middle between the hips is where the source's is.
+        leg: thigh + shin in metres to scale the whole recording to (figure and path); None: as it is.
+        floor: raise the motion so that the lowest ball of the foot (2 % of the frames are lower) is at sole height.
+        plant: with other proportions, bend the legs so that the ankles are as high as the source's and the
+            balls of the feet over the same spots: a foot that stood still stands still. Without effect on
+            "source".
+
+    Raises:
+        DataError: the skeleton's names or rest pose are not known, or the motion holds NaN or infinity.
+        ShapeError: the motion has batch axes or no frames.
+        ValueError: proportions or leg is none of the above.
+    """
+    if not check_shape(motion.root, "T 3", "motion.root")["T"]:
+        raise ShapeError(f"{motion.name or 'motion'} has no frames")
+    if not (motion.root.isfinite().all() and motion.rot.isfinite().all()):
+        raise DataError("numbers that are not finite", path=motion.name, place="frames", remedy="cut or fill them")
+    if proportions not in ("source", "standard"):
+        raise ValueError(f"proportions: expected 'source' or 'standard', got {proportions!r}")
+    if leg is not None and not leg > 0:
+        raise ValueError(f"leg: expected metres above zero, got {leg}")
+    source = motion.to(torch.float64)
+    body = match_joints(source.skeleton)
+    length = _leg_length(body)
+    if not length > 0:
+        raise DataError("legs of no length", path=motion.name, place="rest pose", remedy="check the offsets")
+    scale = leg / length if leg else 1.0
+    standing = STANDARD.to(torch.float64)
+    standing = standing.scaled(scale * length / _leg_length_of(standing))
+    correction = _corrections(body)
+    positions, world = source.world
+    where = {name: scale * positions[:, j] for name, j in body.joints.items()}
+    skeleton = standing if proportions == "standard" else _source_proportions(body, correction, standing, scale)
+    rot = _rotations(body, correction, world)
+    hips = (where["left_hip"] + where["right_hip"]) / 2
+    below = skeleton.offsets[skeleton.indices(["left_hip", "right_hip"])].mean(0)
+    target = Motion(skeleton, hips - rot[:, 0] @ below, rot, source.fps, name=motion.name)
+    if proportions == "standard" and plant:
+        target = two_bone_ik(target, _planted(target, where))
+    balls = target.positions[:, skeleton.indices(FEET[2:])]
+    lift = skeleton.sole - float(torch.quantile(balls[..., 2].amin(-1), 0.02)) if floor else 0.0
+    up = torch.tensor([0.0, 0.0, lift], dtype=torch.float64)
+    target, where = replace(target, root=target.root + up), {name: place + up for name, place in where.items()}
+    error = {n: float((target.positions[:, STANDARD.index(n)] - p).norm(dim=-1).mean()) for n, p in where.items()}
+    unmapped = tuple(name for name in STANDARD.names if name not in where)
+    notes = [f"{body.rig} names"]
+    notes += [f"raised {lift:+.3f} m to the floor"] if floor else []
+    notes += [f"without a source: {', '.join(unmapped)}"] if unmapped else []
+    return Retargeted(
+        motion=replace(target, notes=(*motion.notes, *notes)).to(motion.root.dtype),
+        residual=sum(error.values()) / len(error),
+        per_joint=error,
+        names={name: motion.skeleton.names[j] for name, j in body.joints.items()},
+        unmapped=unmapped,
+        rig=body.rig,
+        scale=scale,
+        floor=lift,
+        skate=_skates(target, where),
+        notes=tuple(notes),
+    )
+
+
+def _skates(target: Motion, where: dict[str, Tensor]) -> tuple[float, float]:
+    """Slide in mm per frame of source and target, where the source's feet (balls, else ankles) rest."""
+    feet = [name for name in FEET[2:] if name in where] or list(FEET[:2])
+    before, after = torch.stack([where[foot] for foot in feet], 1), target.positions[:, STANDARD.indices(feet)]
+    rests = _resting(before, target.fps)
+    return _skate(before, rests), _skate(after, rests)
+
+
+def _planted(target: Motion, where: dict[str, Tensor]) -> Tensor:
+    """Where the target's ankles (T, 2, 3) go: the source's, shifted level so that the balls lie over the source's."""
+    goals = []
+    for side in ("left", "right"):
+        ankle, ball = target.skeleton.indices([f"{side}_ankle", f"{side}_foot"])
+        goal = where[f"{side}_ankle"]
+        if f"{side}_foot" in where:
+            shift = where[f"{side}_foot"] - goal - target.world[1][:, ankle] @ target.skeleton.offsets[ball]
+            goal = goal + shift * torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)
+        goals.append(goal)
+    return torch.stack(goals, dim=1)
+
+
+def _leg_length(body: Match) -> float:
+    ways = [[body.rest[body.joints[f"{side}_{part}"]] for part in _LEG] for side in ("left", "right")]
+    return sum(float((k - h).norm() + (a - k).norm()) for h, k, a in ways) / 2
+
+
+def _leg_length_of(skeleton: Skeleton) -> float:
+    bones = skeleton.indices([f"{side}_{part}" for side in ("left", "right") for part in _LEG[1:]])
+    return float(skeleton.offsets[bones].norm(dim=-1).sum()) / 2
+
+
+def _child(name: str, mapped: dict[str, int]) -> str | None:
+    children = [n for n, p in zip(STANDARD.names, STANDARD.parents, strict=True) if p == STANDARD.index(name)]
+    return children[0] if len(children) == 1 and children[0] in mapped else None
+
+
+def _corrections(body: Match) -> Tensor:
+    """S (22, 3, 3): from the T-pose's bone to the source's bone in its rest pose, in body axes.
+
+    Limbs follow their bone. The trunk, whose joints carry several bones, keeps the rest pose's axes, and so
+    does a foot whose sole is flat at rest; hands follow the forearm.
+    """
+    corrections: list[Tensor] = []
+    for joint, name in enumerate(STANDARD.names):
+        part, child = name.rpartition("_")[2], _child(name, body.joints)
+        parent = STANDARD.parents[joint]
+        if name not in body.joints or part == "wrist":
+            corrections.append(corrections[parent] if parent >= 0 else torch.eye(3, dtype=torch.float64))
+        elif child and (part in _LIMBS or (part == "ankle" and not body.flat_feet)):
+            bone = body.rest[body.joints[child]] - body.rest[body.joints[name]]
+            corrections.append(rotation.rotation_between(STANDARD.offsets[STANDARD.index(child)].double(), bone))
+        else:
+            corrections.append(torch.eye(3, dtype=torch.float64))
+    return torch.stack(corrections)
+
+
+def _rotations(body: Match, correction: Tensor, world: Tensor) -> Tensor:
+    """Local rotations (T, 22, 3, 3) of the target from the source's world orientations (T, J, 3, 3)."""
+    turned: list[Tensor] = []
+    for joint, name in enumerate(STANDARD.names):
+        if name in body.joints:
+            j = body.joints[name]
+            turned.append(world[:, j] @ body.rest_rot[j].T @ correction[joint])
+        else:
+            turned.append(turned[STANDARD.parents[joint]])
+    parents = torch.stack([turned[p] for p in STANDARD.parents[1:]], dim=1)
+    return torch.cat((turned[0][:, None], parents.mT @ torch.stack(turned[1:], dim=1)), dim=1)
+
+
+def _source_proportions(body: Match, correction: Tensor, standing: Skeleton, scale: float) -> Skeleton:
+    """The standard tree with the source's joint places: offset = S_ancestor^T (rest_joint - rest_ancestor).
+
+    A joint without a source shares the straight way between its mapped neighbours by the standard's lengths.
+    """
+    offsets = standing.offsets.clone()
+    for name, j in body.joints.items():
+        way = [STANDARD.index(name)]
+        while STANDARD.parents[way[-1]] >= 0 and STANDARD.names[STANDARD.parents[way[-1]]] not in body.joints:
+            way.append(STANDARD.parents[way[-1]])
+        ancestor = STANDARD.parents[way[-1]]
+        if ancestor < 0:
+            continue
+        straight = scale * (body.rest[j] - body.rest[body.joints[STANDARD.names[ancestor]]]) @ correction[ancestor]
+        lengths = standing.offsets[way].norm(dim=-1)
+        shares = lengths / lengths.sum()
+        for joint, share in zip(way, shares, strict=True):
+            offsets[joint] = share * straight
+    return replace(standing, offsets=offsets)
+
+
+def two_bone_ik(motion: Motion, ankles: Tensor) -> Motion:
+    """Bends the legs so that the ankles are at ``ankles`` (T, 2, 3: left, right); feet keep their orientation.
+
+    Two-bone inverse kinematics: the knee stays in its plane, a target out of reach is approached along the
+    line from the hip. Thigh and shin turn by the shortest rotation.
+    """
+    rot = motion.rot.clone()
+    positions, world = fk(motion.skeleton, motion.root, motion.rot)
+    for side, goal in zip(("left", "right"), ankles.unbind(1), strict=True):
+        hip, knee, ankle = motion.skeleton.indices([f"{side}_{part}" for part in ("hip", "knee", "ankle")])
+        h, k, a = positions[:, hip], positions[:, knee], positions[:, ankle]
+        thigh, shin = (k - h).norm(dim=-1, keepdim=True), (a - k).norm(dim=-1, keepdim=True)
+        line = goal - h
+        far = line.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+        d = far.clamp((thigh - shin).abs().amax() + 1e-4, (thigh + shin).amin() * (1 - 1e-5))
+        u = line / far
+        bend = (k - h) + 0.02 * world[:, hip, :, 2]  # a straight leg bends forward
+        bend = torch.nn.functional.normalize(bend - (bend * u).sum(-1, keepdim=True) * u, dim=-1)
+        along = (d**2 + thigh**2 - shin**2) / (2 * d)
+        new_k = h + along * u + (thigh**2 - along**2).clamp(min=0).sqrt() * bend
+        turn_thigh = rotation.rotation_between(k - h, new_k - h)
+        turn_shin = rotation.rotation_between(a - k, h + d * u - new_k)
+        upper, lower = turn_thigh @ world[:, hip], turn_shin @ world[:, knee]
+        rot[:, hip] = world[:, motion.skeleton.parents[hip]].mT @ upper
+        rot[:, knee] = upper.mT @ lower
+        rot[:, ankle] = lower.mT @ world[:, ankle]
+    return replace(motion, rot=rot)
+
+
+def _resting(points: Tensor, fps: float) -> Tensor:
+    """Where points (T, F, 3) rest on the floor: (T, F) bool.
+
+    The project's contacts (:func:`motionlab.contact.contacts_from_positions`), with each point's own low
+    (2 % of its heights are lower) as its height on the floor: a file's floor need not be at 0.
+    """
+    if len(points) < 2:
+        return torch.zeros_like(points[..., 2], dtype=torch.bool)
+    low = torch.quantile(points[..., 2], 0.02, dim=0)
+    return contacts_from_positions(points, fps, low) > 0
+
+
+def _skate(points: Tensor, rests: Tensor) -> float:
+    """Mean horizontal slide of points (T, F, 3), mm per frame, over steps whose two frames rest (T, F); NaN if none."""
+    both = rests[1:] & rests[:-1]
+    step = points[1:, :, :2] - points[:-1, :, :2]
+    return 1000 * float(step.norm(dim=-1)[both].mean()) if both.any() else float("nan")

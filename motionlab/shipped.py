@@ -1,0 +1,328 @@
+"""The checkpoints that ship with the project, each made from its data: denoisers, small priors, and features.
+
+:func:`make` trains a denoiser by a preset and chooses its weights. ``make_pose_prior`` and ``make_init_gmm`` make the
+priors over poses and first states, ``make_features`` the features that generated motion is judged in.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from data_synth import anatomy, corpus
+from motionlab import checkpoint, splits
+from motionlab.diffusion import embedding, model, training
+from motionlab.diffusion.embedding import filling_judge, kid_judge
+from motionlab.diffusion.losses import LossWeights
+from motionlab.diffusion.model import DenoiserRecipe
+from motionlab.diffusion.windows import gather
+from motionlab.errors import DataError
+from motionlab.humor import prior_training, priors, state
+from motionlab.humor.examples import other_body
+from motionlab.humor.priors import InitGmm
+from motionlab.motion import Motion, mirror
+from motionlab.skeleton import STANDARD
+
+_WEIGHTS = LossWeights(velocity=20.0, contact=100.0, late=0.1, by_signal=True, even=True, snr=10.0)
+_BASE = DenoiserRecipe(
+    patch=2, spectral=True, before=True, root_unit=0.08, dropout=0.0, steps=36_000, batch=16, lr=4e-4, warm_up=300,
+    weights=_WEIGHTS,
+)  # fmt: skip
+#: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: in world space;
+#: stuck: its twin in the stuck frame, all else equal. pose: single poses. handles: single poses, told where some joints
+#: should be. told: told what is known, from the weights of stuck, whose units it shares.
+#: root_unit: so that a unit of noise moves the root about as far as it moves a hand (CHANGELOG); not where the frame
+#: is the question, or where the root is mostly known.
+#: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
+#: would have a hundred times the gradient of all else.
+_FAR = replace(_WEIGHTS, fk=0.002, contact=20.0)
+_POSE = replace(
+    _BASE, frames=1, patch=1, root_unit=0.0, contacts=False, spectral=False, linear=True, batch=128, steps=3000,
+    weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
+)  # fmt: skip
+_HELD = replace(_POSE, handles=64, recalls=12_000, steps=4000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
+#: What is asked of it from pure noise is what it is used for: such windows are many, and count a third of the clearest.
+_TOLD = replace(
+    _BASE, told=True, blind=0.3, recalls=12_000, root_unit=0.0, steps=10_000,
+    weights=replace(_WEIGHTS, fk=0.5, contact=20.0, snr=2.0),
+)  # fmt: skip
+_PLACE = replace(_BASE, root_unit=0.0, steps=10_000, weights=_FAR)
+DENOISER_PRESETS = {
+    "free": _BASE,
+    "fixed": replace(_BASE, version="A", contacts=False, travels=False, steps=6000),
+    "world": replace(_PLACE, frame="world"),
+    "stuck": _PLACE,
+    "pose": _POSE,
+    "handles": _HELD,
+    "told": _TOLD,
+}
+_ARM = replace(_BASE, size="small", steps=2000, lr=8e-4, warm_up=100)
+_ARM_TOLD = replace(_TOLD, size="small", recalls=2000, steps=2000, warm_up=100)
+_ARM_HELD = replace(_HELD, size="small", steps=1000)
+#: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles", and
+#: "arrival" from "told".
+ARMS = {
+    "all": _ARM,
+    "seed_1": replace(_ARM, seed=1),
+    "seed_2": replace(_ARM, seed=2),
+    "simple": replace(_ARM, weights=replace(_WEIGHTS, fk=0.0, velocity=0.0, contact=0.0)),
+    "no_fk": replace(_ARM, weights=replace(_WEIGHTS, fk=0.0)),
+    "no_velocity": replace(_ARM, weights=replace(_WEIGHTS, velocity=0.0)),
+    "no_contact": replace(_ARM, weights=replace(_WEIGHTS, contact=0.0)),
+    "plain": replace(_ARM, spectral=False),
+    "noising_10": replace(_ARM, noising=10),
+    "noising_50": replace(_ARM, noising=50),
+    "noising_200": replace(_ARM, noising=200),
+    "eighth": replace(_ARM, share=1 / 8),
+    "quarter": replace(_ARM, share=1 / 4),
+    "half": replace(_ARM, share=1 / 2),
+    "no_unit": replace(_ARM, root_unit=0.0),
+    "synthetic": replace(_ARM, source="synthetic"),
+    "recordings": replace(_ARM, source="recordings"),
+    "told": _ARM_TOLD,
+    "arrival": replace(_ARM_TOLD, arrival=True),
+    "handles": _ARM_HELD,
+    "handles_thesis": replace(_ARM_HELD, linear=False, recalls=0),
+    "handles_no_loss": replace(_ARM_HELD, weights=replace(_HELD.weights, handles=0.0)),
+    "handles_no_embedding": replace(_ARM_HELD, handles=0),
+}
+DENOISER_PRESETS |= {f"arm_{name}": recipe for name, recipe in ARMS.items()}
+#: Models that go on from the weights of another one that ships, told of nothing.
+FROM = {"told": "diffusion_stuck", "arm_told": "arm_no_unit", "arm_arrival": "arm_no_unit"}
+_HELD = 256  # held-out windows that the checkpoint is chosen by
+#: Of all steps: no earlier average is chosen. The error of x_0 falls to the end, and KID is too uncertain to tell a
+#: lucky early average from a better late one (CHANGELOG).
+_JUDGE_FROM = 0.6
+_SILENT = 0.01  # gain over the filter; less says that the network has collapsed
+_SHORT = 5000  # steps; fewer are not judged
+_Motions = Mapping[str, Sequence[Motion]]  # by source
+STEPS = 4000  # of the pose prior
+_COMMAND = "python -m motionlab train small"
+
+
+def training_motions(found: dict[str, list[Motion]], recipe: DenoiserRecipe) -> dict[str, list[Motion]]:
+    """Of the motions by source, those that the recipe trains on: its source, and every n-th motion of it.
+
+    Raises:
+        DataError: the recipe's source is not there.
+    """
+    if recipe.source not in ("all", *found):
+        message = f"no motions from {recipe.source!r}, only from {', '.join(found)}"
+        raise DataError(message, remedy="give --data with recordings, or another preset")
+    used = {name: motions for name, motions in found.items() if recipe.source in ("all", name)}
+    return {name: splits.evenly(motions, max(1, round(len(motions) * recipe.share))) for name, motions in used.items()}
+
+
+def begins(preset: str, recipe: DenoiserRecipe) -> Path | None:
+    """The checkpoint that a preset goes on from; None for new weights, and for a size that is not the preset's."""
+    as_usual = recipe.size == DENOISER_PRESETS[preset].size
+    return checkpoint.SHIPPED / FROM[preset] if preset in FROM and as_usual else None
+
+
+def make(
+    recipe: DenoiserRecipe,
+    folder: Path | str | None,
+    out: Path,
+    kept: Path,
+    *,
+    resume: bool,
+    command: str,
+    recordings: Sequence[str] = (),
+    start: Path | None = None,
+) -> None:
+    """Train (or go on with ``kept``), write the checkpoint of the least KID (of handles: the last) to
+    ``out``, with its recipe.
+
+    Under ``accelerate launch`` every process calls this, and the first one writes.
+
+    Args:
+        folder: of recordings, or None. resume: go on with ``kept``. command, recordings: for the recipe: what was
+            typed, and which sources were found. start: the checkpoint to begin from; None: new weights.
+
+    Raises:
+        DataError: nothing to learn from, or ``kept`` is not a run on these windows.
+    """
+    train = training_motions(splits.motions_by_part(folder, "train"), recipe)
+    choose = splits.motions_by_part(folder, "choose")
+    data = gather(_together(train, recipe, recipe.copies), recipe.frames, mirrored=recipe.mirrored)
+    held = gather(_together(choose, recipe), recipe.frames).evenly(_HELD)
+    where = {"device": "cuda" if torch.cuda.is_available() else "cpu", "accelerator": _accelerator()}
+    first = model.load_denoiser(start) if start and not resume else None
+    run = (
+        training.DenoiserTraining.resume(kept, data, **where)
+        if resume
+        else training.DenoiserTraining(recipe, data, **where, start=first)
+    )
+    how = {"validate": training.held_errors(held), "judge": _judge(recipe, held), "judge_from": _JUDGE_FROM}
+    run.run(keep=kept, **how, progress=True)
+    if run.rank:
+        return
+    about = {
+        "made by": command + (" --data FOLDER" if splits.RECORDED in choose else ""),
+        "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in train.items()},
+        "minutes that chose the checkpoint": {k: sum(m.seconds for m in v) / 60 for k, v in choose.items()},
+        "recordings": list(recordings),
+        "corpus": asdict(corpus.Recipe()) | {"version": recipe.version},
+        "windows": data.digest,
+        "torch": torch.__version__,
+        "chosen": {k: v for k, v in run.best.items() if k != "weights"} if run.best else {"step": run.step},
+        "curve": run.curve,
+        **({"began from": checkpoint.read_recipe(start)} if start else {}),
+    }
+    model.save_denoiser(out, _on_cpu(run.shipped), about, half=True)
+    kept.unlink()
+    if (gain := run.curve[-1].get(model.GAIN, 1.0)) <= _SILENT:
+        print(f"the network adds nothing to its filter (gain {gain:.3f}): try a lower rate or a longer warm-up")
+    print(f"{out.with_suffix('.safetensors')}: {run.step} steps, weights of step {about['chosen']['step']}")
+
+
+def _judge(recipe: DenoiserRecipe, held: Motion) -> training.Judge | None:
+    """Of what the model is for. None, and the last weights ship, where there is one candidate only, and for a model of
+    handles, of which what is made without says little."""
+    if recipe.handles or recipe.weights.handles or recipe.steps < _SHORT:
+        return None
+    return filling_judge(held) if recipe.told else kid_judge(held)
+
+
+def _together(motions: dict[str, list[Motion]], recipe: DenoiserRecipe, copies: int = 0) -> list[Motion]:
+    return splits.prepared([m for each in motions.values() for m in each], recipe, copies=copies)
+
+
+def _on_cpu(model: model.Trained) -> model.Trained:
+    return replace(model, denoiser=model.denoiser.cpu())
+
+
+def _accelerator():
+    """Of ``accelerate``, where several processes were launched; None for one."""
+    if int(os.environ.get("WORLD_SIZE", "1")) < 2:
+        return None
+    from accelerate import Accelerator
+
+    return Accelerator(cpu=not torch.cuda.is_available())
+
+
+def _poses(motions: Sequence[Motion], every: int = 1) -> Tensor:
+    """Local rotations (N, 21, 3, 3) of every so many frames."""
+    return torch.cat([m.rot[::every, 1:] for m in motions]).float()
+
+
+def _first_states(motions: Sequence[Motion], every: int, generator: torch.Generator | None = None) -> Tensor:
+    """Features (N, 138) of every so many frames; with a generator, also of mirrored motions and of other bodies."""
+    found = []
+    for motion in motions:
+        some = [motion]
+        if generator is not None:
+            some = [motion, mirror(motion), other_body(motion, generator), other_body(mirror(motion), generator)]
+        for each in some:
+            world = state.from_motion(each)[::every]
+            found.append(priors.first_state_features(state.localise(world, state.heading(world))).float())
+    return torch.cat(found)
+
+
+def make_pose_prior(train: _Motions, held: _Motions, out: Path, *, seed: int = 0, steps: int = STEPS) -> dict:
+    """Train and write the pose prior; its recipe.
+
+    train, held: motions at 30 fps on the 22 joints, as ``train.sources`` splits them.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    found = {source: _poses(motions) for source, motions in train.items()}
+    odds = [torch.full((len(x),), 1 / len(x)) for x in found.values()]  # each source as often as the other
+    every = torch.cat(list(found.values()))
+    model, history = prior_training.train_pose_prior(every, generator, steps=steps, weight=torch.cat(odds))
+    drawn = prior_training.samples(model, 2000, torch.Generator().manual_seed(seed))
+    recipe = {
+        "what": "pose prior: variational autoencoder, 21 rotations to 32 latents",
+        "command": f"{_COMMAND} --steps {steps} --seed {seed}",
+        "data": {source: len(x) for source, x in found.items()},
+        "corpus": asdict(corpus.Recipe()),
+        "seed": seed,
+        "steps": steps,
+        "deviation": {"radians": prior_training.POSE_TURN, "metres": prior_training.POSE_PLACE},
+        "held out": {name: prior_training.reconstruction(model, _poses(some, 3)) for name, some in held.items()},
+        "beyond anatomical limits, degrees": {
+            "samples": _beyond_limits(drawn),
+            "training poses": _beyond_limits(every[::50]),
+        },
+        "history": [[step, round(miss, 3), round(nats, 3)] for step, miss, nats in history],
+    }
+    tensors = {n: x for n, x in model.state_dict().items() if not n.endswith("num_batches_tracked")}
+    checkpoint.save(out / "pose_prior_compact", tensors, recipe)
+    return recipe
+
+
+def make_init_gmm(train: _Motions, held: _Motions, out: Path, *, seed: int = 0) -> dict:
+    """Fit and write the mixture; its recipe. Arguments as of :func:`make_pose_prior`."""
+    generator = torch.Generator().manual_seed(seed)
+    samples = _first_states([m for some in train.values() for m in some], 15, generator)
+    gmm, history = prior_training.fit_mixture(samples, generator)
+    gmm = InitGmm(*(x.float() for x in gmm.tensors().values()))
+    single, _ = prior_training.fit_mixture(samples, generator, components=1)
+    tests = {name: _first_states(some, 3) for name, some in held.items()}
+    recipe = {
+        "what": "mixture of Gaussians over joints and velocities of a single frame",
+        "command": f"{_COMMAND} --seed {seed}",
+        "data": {source: sum(m.frames for m in some) for source, some in train.items()},
+        "samples": len(samples),
+        "corpus": asdict(corpus.Recipe()),
+        "seed": seed,
+        "components": len(gmm.weights),
+        "ridge": prior_training.MIXTURE_RIDGE,
+        "weights": [round(w, 4) for w in gmm.weights.tolist()],
+        "held-out log-likelihood, nats per frame": {
+            name: {
+                "mixture": round(float(gmm.log_prob(x).mean()), 2),
+                "single Gaussian": round(float(single.log_prob(x).mean()), 2),
+                "frames": len(x),
+            }
+            for name, x in tests.items()
+        },
+        "history": [round(x, 3) for x in history],
+    }
+    checkpoint.save(out / "init_gmm_compact", gmm.tensors(), recipe)
+    return recipe
+
+
+def make_features(
+    folder: Path | str | None, out: Path, *, seed: int = 0, steps: int | None = None, recordings: Sequence[str] = ()
+) -> dict:
+    """Train and write the features that generated motion is judged in (``diffusion.embedding``); their recipe.
+
+    folder: of recordings, or None. Trained on the training part of ``diffusion_data``, watched on the choosing part.
+    """
+    recipe = embedding.FeatureRecipe(seed=seed, **({"steps": steps} if steps else {}))
+    parts = {part: splits.motions_by_part(folder, part) for part in ("train", "choose")}
+    ready = {part: [m for some in found.values() for m in some] for part, found in parts.items()}
+    windows, held = (gather(splits.prepared(some, DenoiserRecipe()), recipe.frames) for some in ready.values())
+    features, curve = embedding.train_features(windows, recipe, held.evenly(256), say=print)
+    with_data = " --data FOLDER" if splits.RECORDED in parts["train"] else ""
+    about = {
+        "what": "autoencoder over windows of 60 frames: the features that generated motion is judged in",
+        "command": f"python -m motionlab train features --steps {recipe.steps} --seed {seed}{with_data}",
+        "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in parts["train"].items()},
+        "recordings": list(recordings),
+        "corpus": asdict(corpus.Recipe()),
+        "windows": windows.digest,
+        "torch": torch.__version__,
+        "share of variance missed, held out": {k: round(v, 4) for k, v in features.missed(held.evenly(256)).items()},
+        "curve": curve,
+    }
+    embedding.save_features(out, features, about)
+    return about
+
+
+@torch.no_grad()
+def _beyond_limits(rot: Tensor) -> dict[str, float]:
+    """Of poses (N, 21, 3, 3) against the anatomical limits: degrees beyond them (mean over poses of the worst joint,
+    and over all joints), and the share of poses in which no angle is more than 5 degrees beyond."""
+    whole = torch.cat((torch.eye(3).to(rot).expand(len(rot), 1, 3, 3), rot), 1)
+    beyond = torch.stack(list(anatomy.excess(STANDARD, whole).values()), -1)
+    return {
+        "worst": float(beyond.amax(-1).mean()),
+        "mean": float(beyond.mean()),
+        "within 5 degrees": float((beyond.amax(-1) <= 5).float().mean()),
+    }

@@ -1,0 +1,118 @@
+"""Which recordings there are to learn from, and which are held out: sources by name, and parts that share no recording.
+
+A model trains on one part, is chosen by the second and reported on the third. Recordings are on the standard joints, at
+one frame rate. Source: thesis 4.1.2, "Data": "several motion sequences are held out".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import torch
+
+from data_synth import corpus
+from motionlab.contact import with_contacts
+from motionlab.diffusion.model import DenoiserRecipe
+from motionlab.diffusion.windows import gather, on_standard
+from motionlab.humor import examples
+from motionlab.io.recordings import recordings
+from motionlab.motion import Motion, fix_root_horizontally, resample
+from motionlab.retarget import retarget
+from motionlab.skeleton import STANDARD
+
+#: Sources that store joint rotations.
+MOTIONS = ("animated_drawings", "bandai_namco", "cmu_amc", "deepmimic", "isaacgym_amp_cmu", "reactidle")
+#: Sources on which weights that ship with the project may be trained, by their licences.
+SHIPPABLE = ("cmu_amc", "deepmimic", "reactidle", "animated_drawings", "isaacgym_amp_cmu")
+PARTS = ("train", "choose", "report")
+SYNTHETIC, RECORDED = "synthetic", "recordings"
+
+
+def evenly(items: Sequence, most: int | None) -> list:
+    """At most ``most`` items, evenly through the sequence; all of them for None."""
+    if most is None or len(items) <= most:
+        return list(items)
+    return [items[round(i * (len(items) - 1) / max(most - 1, 1))] for i in range(most)]
+
+
+def standard(folder: Path | str | None, source: str, *, each: int | None = None, fps: float = 30.0) -> list[Motion]:
+    """Motions of one source on the 22 joints, with the source's own proportions, feet on the floor.
+
+    Without a folder, or without that source in it, the list is empty. Loaded once per session.
+
+    Raises:
+        DataError: a recording is at fault.
+    """
+    if folder is None or not (Path(folder) / source).is_dir():
+        return []
+    found = [(path, load) for _, path, load in recordings(folder, source)]
+    return [_standard(path, load, fps) for path, load in evenly(found, each)]
+
+
+@lru_cache(maxsize=512)
+def _standard(path: Path, load: Callable, fps: float) -> Motion:
+    return resample(retarget(load(path)).motion, fps)
+
+
+def motions_by_part(folder: Path | str | None, part: str, *, most: int | None = None) -> dict[str, list[Motion]]:
+    """Motions (T,) by source, as they were made or recorded.
+
+    train: all but the held-out sequences, and four of five recordings of each source. choose: other sequences of the
+    same subjects, and every second held-out recording; what chooses a checkpoint. report: a subject, and recordings,
+    that nothing was trained on or chosen by.
+
+    Args:
+        folder: of recordings (``MOTIONLAB_DATA``), or None. most: so many motions of a source, evenly over it.
+
+    Raises:
+        ValueError: no such part.
+    """
+    if part not in PARTS:
+        raise ValueError(f"part: expected one of {', '.join(PARTS)}, got {part!r}")
+    made = corpus.build(version="B")
+    sequences = {"train": made.train, "choose": made.heldout_sequences, "report": made.heldout_subject}[part]
+    found = {SYNTHETIC: evenly([s.motion for s in sequences], most)}
+    used, left = trainable(folder)
+    if used:
+        recorded = {"train": used, "choose": left[::2], "report": left[1::2]}[part]
+        found[RECORDED] = evenly(recorded, most)
+    return found
+
+
+def prepared(motions: Sequence[Motion], recipe: DenoiserRecipe, *, copies: int = 0) -> list[Motion]:
+    """On the standard body, of the recipe's version of the data, each with so many copies held otherwise."""
+    generator, found = torch.Generator().manual_seed(recipe.seed), []
+    for motion in map(on_standard, motions):
+        for each in (motion, *(examples.held_otherwise(motion, generator) for _ in range(copies))):
+            found.append(fix_root_horizontally(each) if recipe.version == "A" else each)
+    return found
+
+
+def tested(
+    recipe: DenoiserRecipe, folder: Path | str | None, part: str, count: int, *, most: int | None = None
+) -> dict[str, Motion]:
+    """Windows (at most ``count``, T) by source, evenly over a part: the same at every call.
+
+    In the form of the recipe's data; all have one body, so their skeleton has no window axis.
+    """
+    found = {}
+    for source, motions in motions_by_part(folder, part, most=most).items():
+        cut = gather(prepared(motions, recipe), recipe.frames).evenly(count)
+        found[source] = replace(cut, skeleton=STANDARD)
+    return found
+
+
+def trainable(folder: Path | str | None, sources: Sequence[str] = SHIPPABLE) -> tuple[list[Motion], list[Motion]]:
+    """Motions with contacts on a flat floor, for training and held out (every fifth clip of a source).
+
+    Left out: clips in which no joint is below 30 cm for more than a tenth of the time (climbing, a wrong floor).
+    """
+    split: tuple[list[Motion], list[Motion]] = [], []
+    for source in sources:
+        flat = [m for m in standard(folder, source) if m.positions[..., 2].amin(-1).quantile(0.9) < 0.3]
+        for i, motion in enumerate(flat):
+            split[i % 5 == 2].append(with_contacts(motion))
+    return split

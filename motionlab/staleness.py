@@ -1,0 +1,170 @@
+"""Whether a record is still what the code gives: compared by what a small run measures, not by the code's text.
+
+A record of the full profile holds a *fingerprint* beside its findings: what the smoke profile of the same notebook
+measures, each number with the distance within which another machine stays. Moving or rewording code changes nothing in
+it; a changed constant does. What the clock decides is no part of it.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import math
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from motionlab.errors import DataError
+
+#: Share of a number, or of the bound it is judged by, that it may differ by without anything having changed.
+TOLERANCE = 1e-3
+#: What is smaller is rounding, such as the distance of two implementations of one formula.
+ROUNDING = 1e-6
+#: Runs of one notebook under other arithmetic may differ by this share; a number that differs more is no fingerprint:
+#: where rounding is amplified so much, anything may come out.
+STEADY = 0.03
+#: How many times the spread between such runs is allowed.
+SLACK = 5.0
+OURS = ("motionlab", "data_synth", "studies")
+
+
+class Mark(NamedTuple):
+    """A number (None: none was measured) and how far another run may be from it."""
+
+    value: float | None
+    within: float
+
+    def agrees(self, other: Mark) -> bool:
+        """Whether both are none, or nearer than either allows."""
+        if self.value is None or other.value is None:
+            return self.value is other.value
+        return abs(self.value - other.value) <= max(self.within, other.within)
+
+
+Fingerprint = dict[str, Mark]
+
+
+class StaleRecord(DataError):
+    """A record that its code no longer gives; ``moved`` says in what."""
+
+    def __init__(self, notebook: str, moved: Sequence[str], seconds: float | None = None) -> None:
+        self.moved = tuple(moved)
+        rerun = f"make full NOTEBOOKS={notebook[:2]}" + (
+            "" if seconds is None else f" ({_duration(seconds)} when last run)"
+        )
+        super().__init__("stale: " + "; ".join(moved), place=f"record of {notebook}", remedy=rerun)
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 3600:.1f} h" if seconds >= 5400 else f"{max(1, round(seconds / 60))} min"
+
+
+def mark(value: float | None, scale: float = 0.0, tolerance: float = TOLERANCE) -> Mark:
+    """Computes the mark of a number; its size, or that of the bound it is judged by, says how far another may be."""
+    if value is None or not math.isfinite(value):
+        return Mark(None, 0.0)
+    return Mark(float(value), max(ROUNDING, tolerance * max(abs(value), abs(scale))))
+
+
+def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
+    """Computes one fingerprint from runs under different arithmetic: the first one's numbers, as far apart as the runs.
+
+    Returns:
+        the fingerprint, and what differs too much, or is not in all of them, to be part of it.
+    """
+    first, others = runs[0], runs[1:]
+    found, unsteady = {}, []
+    for name, (value, within) in first.items():
+        values = [run[name].value for run in others if name in run]
+        if len(values) < len(others) or any((v is None) != (value is None) for v in values):
+            unsteady.append(name)
+            continue
+        spread = max((abs(v - value) for v in values if v is not None), default=0.0)
+        size = within / TOLERANCE
+        if spread > STEADY * size:
+            unsteady.append(name)
+        else:
+            found[name] = Mark(value, max(within, SLACK * spread))
+    return found, unsteady
+
+
+def differences(recorded: Fingerprint, now: Fingerprint) -> list[str]:
+    """What a run measures otherwise than the record says it should, a phrase each; empty where nothing moved."""
+    gone = [f"{name} is not measured any more" for name in recorded if name not in now]
+    return gone + [
+        f"{name} was {_number(was)}, is {_number(now[name])} (may differ by {max(was.within, now[name].within):.1g})"
+        for name, was in recorded.items()
+        if name in now and not was.agrees(now[name])
+    ]
+
+
+def _number(found: Mark) -> str:
+    return "nothing" if found.value is None else f"{found.value:.4g}"
+
+
+# ------------------------------------------------------------------------------------------------------ code and files
+def code_hash(notebook: Path | str) -> str:
+    """Hash of a notebook's code without its import lines, so that a record can say which cells it belongs to."""
+    cells = json.loads(Path(notebook).read_text(encoding="utf-8"))["cells"]
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    return hashlib.sha256("\0".join(map(_without_imports, code)).encode()).hexdigest()[:16]
+
+
+def _without_imports(code: str) -> str:
+    try:
+        body = ast.parse(code).body
+    except SyntaxError:  # a magic
+        return code
+    lines = code.splitlines()
+    for node in body:
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            lines[node.lineno - 1 : node.end_lineno] = [""] * (node.end_lineno - node.lineno + 1)
+    return "\n".join(line for line in lines if line.strip())
+
+
+def loaded_modules(packages: Iterable[str] = OURS) -> dict[str, str]:
+    """Hash of every module of ours that this process has imported: of its code, not of its layout or documentation."""
+    chosen = tuple(packages)
+    files = {
+        name: module.__file__
+        for name, module in sorted(sys.modules.items())
+        if name.split(".")[0] in chosen and getattr(module, "__file__", None)
+    }
+    return {name: _source_hash(Path(file).read_text(encoding="utf-8")) for name, file in files.items()}
+
+
+def _source_hash(source: str) -> str:
+    """Hash of what Python code does: without comments, layout, documentation and imports."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            node.body = [part for part in node.body if not _silent(part)] or [ast.Pass()]
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:8]
+
+
+def _silent(node: ast.stmt) -> bool:
+    documentation = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    return documentation or isinstance(node, ast.Import | ast.ImportFrom)
+
+
+def changed_modules(recorded: Mapping[str, str], root: Path) -> list[str]:
+    """Modules that are not what they were when a record was made: changed, renamed or gone. For information only."""
+    paths = {name: [root, root / "notebooks"][name.startswith("studies")] / name.replace(".", "/") for name in recorded}
+    now = {}
+    for name, path in paths.items():
+        file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+        now[name] = _source_hash(file.read_text(encoding="utf-8")) if file.is_file() else ""
+    return [name for name, before in recorded.items() if now[name] != before]
+
+
+def recordings_digest(folder: Path | None) -> dict[str, str]:
+    """Hash of the list of files (names and sizes) of every source in a folder of recordings; empty without one."""
+    if folder is None:
+        return {}
+    found = {}
+    for source in sorted(path for path in Path(folder).iterdir() if path.is_dir()):
+        files = sorted((str(f.relative_to(source)), f.stat().st_size) for f in source.rglob("*") if f.is_file())
+        found[source.name] = hashlib.sha256(json.dumps(files).encode()).hexdigest()[:8]
+    return found

@@ -1,0 +1,262 @@
+"""The training loop of every larger model: resumable to the bit, with averaged weights and skipped bad batches.
+
+A trainer derives from :class:`TrainingRun` and adds what differs: its batches and their loss, its learning rate, and
+the model that it makes of weights. A run is saved whole or not at all, and read without executing anything.
+
+Source: Polyak and Juditsky 1992, averaged weights, here with a moving average that warms up.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import torch
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from motionlab.errors import DataError
+
+AFRESH = "start afresh, without --resume"
+#: Measures of a model, by name.
+Measure = Callable[[Any], dict[str, float]]
+
+
+class TrainingRun(ABC):
+    """A training run: everything that decides how it goes on.
+
+    recipe: a dataclass with at least ``steps``, of the optimiser, and ``average``, the share of the averaged weights
+    that stays at each step. model, average: its weights, and their moving average. generator: everything random is
+    drawn from it. curve: rows of step, loss, its parts and measures. best: step, measure and averaged weights that
+    the judge liked best, if there was one. skipped, in_a_row: batches without a finite gradient, all and since a good
+    one; the run ends at ``give_up`` in a row. clip: largest norm of the gradient; None: as it is. rank: of this
+    process among several; the first one measures and writes.
+    """
+
+    #: What the run is trained on, as errors and saved runs call it.
+    data_name: ClassVar[str]
+    give_up = 1
+    clip: float | None = 1.0
+    rank = 0
+
+    def __init__(self, recipe: Any, digest: str, generator: torch.Generator, model: nn.Module) -> None:
+        self.recipe, self.digest, self.generator, self.model = recipe, digest, generator, model
+        self.average = {name: value.clone() for name, value in model.state_dict().items()}
+        self.optimiser = self._optimiser()
+        self.curve: list[dict] = []
+        self.best: dict | None = None
+        self.step = self.skipped = self.in_a_row = 0
+        self._whole()
+
+    @abstractmethod
+    def _optimiser(self) -> torch.optim.Optimizer:
+        """A new optimiser of the model's parameters."""
+
+    @abstractmethod
+    def _rate(self) -> float:
+        """The learning rate at this step."""
+
+    @abstractmethod
+    def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss of a new batch, and the parts that it is made of."""
+
+    @abstractmethod
+    def _made(self, weights: dict[str, Tensor]) -> Any:
+        """The frozen model of these weights, ready for use."""
+
+    @classmethod
+    @abstractmethod
+    def _recipe(cls, content: dict) -> Any:
+        """The recipe of ``asdict``'s content."""
+
+    def _backward(self, loss: Tensor) -> None:
+        loss.backward()
+
+    def _extra(self) -> dict:
+        """What else is saved."""
+        return {}
+
+    def _restore(self, found: dict) -> None:  # noqa: B027
+        """Take up what ``_extra`` saved."""
+
+    @property
+    def averaged(self) -> Any:
+        """The model of the averaged weights as they are now, frozen."""
+        return self._made(self.average)
+
+    @property
+    def shipped(self) -> Any:
+        """The averaged model that the judge liked best; without a judge the last."""
+        return self._made(self.best["weights"] if self.best else self.average)
+
+    def run(
+        self,
+        *,
+        until: int | None = None,
+        keep: Path | None = None,
+        every: int = 500,
+        validate: Measure | None = None,
+        judge: Measure | None = None,
+        judge_every: int = 2500,
+        judge_from: float = 0.0,
+        progress: bool = False,
+    ) -> Self:
+        """Trains on to the last step, or to ``until``; saves to ``keep`` every ``every`` steps and at the end.
+
+        Args:
+            validate: measures of the averaged model, for the curve, every ``every`` steps and at the last one.
+            judge: measures of the averaged model, of which the first chooses ``best`` (less is better), every
+                ``judge_every`` steps (a multiple of ``every``) and at the last one; none in the first ``judge_from``
+                of all steps.
+
+        Ctrl-C keeps what was reached (between weights and their average: what was written last) and raises on.
+
+        Raises:
+            DataError: ``give_up`` batches in a row have no finite gradient.
+        """
+        steps = self.recipe.steps
+        last = min(steps, until or steps)
+        keep = keep if self.rank == 0 else None
+        bar = tqdm(total=steps, initial=self.step, disable=not progress or self.rank > 0, unit="step")
+        try:
+            while self.step < last:
+                row = self.advance()
+                bar.update()
+                if self.step % every and self.step != last:
+                    continue
+                due = (self.step % judge_every == 0 and self.step >= judge_from * steps) or self.step == last
+                row |= self._measured(validate, judge if due else None)
+                self.curve.append({"step": self.step, **row})
+                if not bar.disable:
+                    tqdm.write(f"{self.step}: " + ", ".join(f"{name} {value:.3g}" for name, value in row.items()))
+                if keep:
+                    self.save(keep)
+        except KeyboardInterrupt:
+            if keep and not self._torn:
+                self.generator.set_state(self._drawn_from)
+                self.save(keep)
+            raise
+        finally:
+            bar.close()
+        return self
+
+    def advance(self) -> dict[str, float]:
+        """Trains one step; the loss and its parts, but nothing of a batch that was skipped."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = self._rate()
+        loss, parts = self._loss()
+        used = self._descend(loss)
+        self.step += 1
+        if used:
+            keep = min(self.recipe.average, (1 + self.step) / (10 + self.step))
+            with torch.no_grad():
+                for name, value in self.model.state_dict().items():
+                    self.average[name].lerp_(value, 1 - keep)
+        self._whole()
+        row = {"loss": loss.item()} | {name: value.item() for name, value in parts.items()} if used else {}
+        return row | ({"skipped": self.skipped} if self.give_up > 1 else {})
+
+    def _descend(self, loss: Tensor) -> bool:
+        """One step of the optimiser; False, and nothing changed, where the gradient is not finite."""
+        self.optimiser.zero_grad()
+        self._backward(loss)
+        norm = (
+            torch.nn.utils.get_total_norm([p.grad for p in self.model.parameters() if p.grad is not None])
+            if self.clip is None
+            else torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.clip)
+        )
+        self._torn = True
+        if norm.isfinite():  # of averaged gradients where there are several processes: all of them agree
+            self.optimiser.step()
+            self.in_a_row = 0
+            return True
+        self.skipped, self.in_a_row = self.skipped + 1, self.in_a_row + 1
+        if self.in_a_row < self.give_up:
+            return False
+        what = f"the {'gradient' if loss.isfinite() else 'loss'} is not finite"
+        what += f", {self.give_up} batches in a row" if self.give_up > 1 else ""
+        raise DataError(what, place=f"step {self.step}", remedy="lower the learning rate")
+
+    def _whole(self) -> None:
+        """Weights, average and generator belong together: this is where an interrupted step goes back to."""
+        self._drawn_from, self._torn = self.generator.get_state(), False
+
+    def _measured(self, validate: Measure | None, judge: Measure | None) -> dict[str, float]:
+        if self.rank or (validate is None and judge is None):
+            return {}
+        model = self.averaged
+        row = dict(validate(model)) if validate else {}
+        if judge is not None and (judged := judge(model)):
+            row |= judged
+            name, value = next(iter(judged.items()))
+            if value < (self.best[name] if self.best else math.inf):
+                weights = {key: x.clone() for key, x in self.average.items()}
+                self.best = {"step": self.step, name: value, "weights": weights}
+        return row
+
+    def save(self, path: Path | str) -> None:
+        """Writes all that ``resume`` needs; a reader never sees half a file."""
+        path = Path(path)
+        part = path.with_name(f".{path.name}.part")
+        content = {
+            "recipe": asdict(self.recipe), self.data_name: self.digest, "step": self.step, "curve": self.curve,
+            "model": self.model.state_dict(), "average": self.average, "best": self.best,
+            "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
+            "skipped": (self.skipped, self.in_a_row),
+        }  # fmt: skip
+        torch.save(content | self._extra(), part)
+        part.replace(path)
+
+    @classmethod
+    def kept_recipe(cls, path: Path | str) -> Any:
+        """The recipe of a saved run.
+
+        Raises:
+            DataError: the file is missing, damaged, or a run of another model.
+        """
+        return cls._read(path)[0]
+
+    @classmethod
+    def resume(cls, path: Path | str, data: Any, *where: Any, **more: Any) -> Self:
+        """A run as it was when it was saved; it goes on as if it had never stopped.
+
+        data: what it is trained on. where, more: for the trainer, behind its recipe and data.
+
+        Raises:
+            DataError: the file is missing, damaged, or was trained on other data.
+        """
+        recipe, found = cls._read(path)
+        if found.get(cls.data_name) != data.digest:
+            raise DataError(f"trained on other {cls.data_name}", path=path, remedy=AFRESH)
+        run = cls(recipe, data, *where, **more)
+        with _reading(path):
+            run.model.load_state_dict(found["model"])
+            for name, value in found["average"].items():
+                run.average[name].copy_(value)
+            run.optimiser.load_state_dict(found["optimiser"])
+            run.generator.set_state(found["generator"])
+            run.step, run.curve, run.best = found["step"], found["curve"], found["best"]
+            run.skipped, run.in_a_row = found["skipped"]
+            run._restore(found)
+            run._whole()
+        return run
+
+    @classmethod
+    def _read(cls, path: Path | str) -> tuple[Any, dict]:
+        with _reading(path):
+            found = torch.load(path, map_location="cpu", weights_only=True)
+            return cls._recipe(found["recipe"]), found
+
+
+@contextmanager
+def _reading(path: Path | str) -> Iterator[None]:
+    """Whatever goes wrong inside is a DataError that names the file."""
+    try:
+        yield
+    except Exception as error:
+        raise DataError(f"not a saved run ({type(error).__name__})", path=path, remedy=AFRESH) from error

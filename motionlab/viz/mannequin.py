@@ -1,0 +1,301 @@
+"""The figure of a skeleton: rigid solids around its bones; and the surfaces, lights and words of a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pyvista as pv
+from scipy.sparse import csr_array
+from torch import Tensor
+
+from motionlab.errors import DataError, ShapeError
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, Skeleton
+from motionlab.viz.palette import INK, side_of, sides
+
+_SIDES, _ROUND = 16, np.linspace(0, np.pi / 2, 5)
+
+
+def single(motion: Motion) -> Motion:
+    """The motion itself, if it is one clip with frames and finite numbers in it.
+
+    Raises:
+        ShapeError: a batch of motions, several bodies, or no frames. DataError: a frame that is not finite.
+    """
+    name = motion.name or "motion"
+    if motion.root.ndim != 2:
+        batch = tuple(motion.root.shape[:-2])
+        raise ShapeError(f"{name}: expected one clip (T, J), got a batch of {batch}; take one with motion.clip(i)")
+    if motion.frames == 0:
+        raise ShapeError(f"{name}: no frames to show")
+    if motion.positions.ndim != 3:
+        raise ShapeError(f"{name}: expected the offsets of one body, got {tuple(motion.skeleton.offsets.shape)}")
+    bad = ~motion.positions.isfinite().flatten(1).all(1)
+    if bad.any():
+        place = f"frame {int(bad.nonzero()[0])}"
+        raise DataError("a joint position is not finite", path=name, place=place, remedy="cut the frame away")
+    return motion
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """Solids in the frames of their joints.
+
+    vertices, normals (V, 3): metres, in the frame of joint[v]. faces (F, 3). colours (V, 3) uint8.
+    """
+
+    vertices: np.ndarray
+    normals: np.ndarray
+    faces: np.ndarray
+    joint: np.ndarray
+    colours: np.ndarray
+
+    def pose(self, positions: np.ndarray, orientations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World vertices and normals (V, 3) for joint positions (J, 3) and orientations (J, 3, 3).
+
+        x = R_joint v + p_joint
+        """
+        turn = orientations[self.joint]
+        return np.einsum("vij,vj->vi", turn, self.vertices) + positions[self.joint], np.einsum(
+            "vij,vj->vi", turn, self.normals
+        )
+
+
+def _lathe(start, end, along, radius, widen=1.0):
+    """A surface of revolution about start -> end: ``along`` in metres on the axis, ``radius`` there; x times widen."""
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    length = np.linalg.norm(end - start)
+    axis = (end - start) / length if length > 0 else np.array([0.0, 1.0, 0.0])  # a bone of no length is a ball
+    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    side /= np.linalg.norm(side)
+    angle = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
+    ring = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(axis, side)
+    slope_r, slope_s = np.gradient(radius), np.gradient(along)
+    vertices = start + along[:, None, None] * axis + radius[:, None, None] * ring
+    normals = slope_s[:, None, None] * ring - slope_r[:, None, None] * axis
+    normals[0], normals[-1] = -axis, axis
+    middle = (start + end)[0] / 2
+    vertices[..., 0] = middle + (vertices[..., 0] - middle) * widen
+    normals[..., 0] /= widen
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12
+    k, i = np.meshgrid(np.arange(len(along) - 1), np.arange(_SIDES), indexing="ij")
+    a, b = k * _SIDES + i, k * _SIDES + (i + 1) % _SIDES
+    faces = np.stack((a, b, a + _SIDES, b, b + _SIDES, a + _SIDES), -1).reshape(-1, 3)
+    return vertices.reshape(-1, 3), normals.reshape(-1, 3), faces
+
+
+def _limb(start, end, r0: float, r1: float, bulge: float = 0.0, widen: float = 1.0):
+    """A bone from ``start`` to ``end`` with round ends of radius r0 and r1 and a belly ``bulge`` metres high."""
+    length = float(np.linalg.norm(np.subtract(end, start)))
+    s = np.linspace(0, 1, 7)[1:-1]
+    along = np.concatenate((-r0 * np.cos(_ROUND), s * length, length + r1 * np.sin(_ROUND)))
+    belly = (1 - s) * r0 + s * r1 + bulge * np.sin(np.pi * s**0.7)
+    return _lathe(start, end, along, np.concatenate((r0 * np.sin(_ROUND), belly, r1 * np.cos(_ROUND))), widen)
+
+
+def _ellipsoid(centre, radii):
+    """An ellipsoid with its axes along the frame's: vertices, normals, faces."""
+    turn = np.linspace(0, np.pi, 17)
+    v, n, faces = _lathe((0, 0, 0), (0, 1, 0), -np.cos(turn), np.sin(turn))
+    radii = np.asarray(radii, float)
+    n = v / radii
+    return v * radii + np.asarray(centre), n / np.linalg.norm(n, axis=-1, keepdims=True), faces
+
+
+#: Radii in metres at both ends of the bone that ends in a joint, and its belly; for a person of 1.7 m.
+_MANNEQUIN = {
+    "hip": (0.075, 0.08, 0.0), "knee": (0.078, 0.046, 0.006), "ankle": (0.045, 0.029, 0.014),
+    "spine1": (0.108, 0.103, 0.0), "spine2": (0.103, 0.104, 0.0), "spine3": (0.104, 0.106, 0.0),
+    "neck": (0.06, 0.045, 0.0), "head": (0.045, 0.042, 0.0),
+    "collar": (0.05, 0.05, 0.0), "shoulder": (0.048, 0.052, 0.0),
+    "elbow": (0.048, 0.033, 0.005), "wrist": (0.034, 0.022, 0.006),
+}  # fmt: skip
+
+
+def _mannequin(skeleton: Skeleton, offsets: np.ndarray):
+    size = np.linalg.norm(offsets[1:], axis=-1).sum() / STANDARD.offsets[1:].norm(dim=-1).sum().item()
+    for j, name in enumerate(skeleton.names[1:], start=1):
+        part = name.split("_")[-1]
+        if part in _MANNEQUIN:
+            r0, r1, bulge = (size * r for r in _MANNEQUIN[part])
+            yield skeleton.parents[j], side_of(name), _limb((0, 0, 0), offsets[j], r0, r1, bulge)
+    extra = [
+        ("pelvis", (0, -0.01, -0.01), (0.155, 0.105, 0.11)),
+        ("spine3", (0, 0.115, 0.008), (0.155, 0.2, 0.11)),
+        ("head", (0, 0.035, 0.025), (0.078, 0.118, 0.098)),
+        ("left_wrist", (0.085, -0.002, 0.004), (0.088, 0.019, 0.042)),
+        ("right_wrist", (-0.085, -0.002, 0.004), (0.088, 0.019, 0.042)),
+        ("left_shoulder", (0, 0, 0), (0.058, 0.058, 0.058)),
+        ("right_shoulder", (0, 0, 0), (0.058, 0.058, 0.058)),
+    ]
+    for name, centre, radii in extra:
+        yield skeleton.index(name), side_of(name), _ellipsoid(np.multiply(centre, size), np.multiply(radii, size))
+    for side in ("left", "right"):
+        ankle, ball = skeleton.index(f"{side}_ankle"), skeleton.index(f"{side}_foot")
+        x, y, z = offsets[ball]
+        ground, toe = y - skeleton.sole, max(skeleton.sole, 0.008 * size)
+        heel_r = 0.026 * size
+        heel, tip = (0.0, ground + heel_r, -0.03 * size), (x, ground + toe, z)
+        yield ankle, side, _limb(heel, tip, heel_r, toe, widen=1.6)
+        yield ankle, side, _limb((0, 0, 0), heel, 0.032 * size, heel_r)
+        yield (
+            ball,
+            side,
+            _limb((0, toe - skeleton.sole, 0), (x / 3, toe - skeleton.sole, 0.055 * size), toe, toe, 0, 2.6),
+        )
+
+
+def _any_body(skeleton: Skeleton, offsets: np.ndarray):
+    rest = skeleton.rest_positions().reshape(-1, 3)
+    height = float((rest.amax(0) - rest.amin(0)).max()) or 1.0
+    leaves = set(range(len(skeleton))) - set(skeleton.parents)
+    for j, name in enumerate(skeleton.names[1:], start=1):
+        length = float(np.linalg.norm(offsets[j]))
+        if length < 1e-3 * height:
+            continue
+        end = np.divide(offsets[j], length)
+        parent = skeleton.names[skeleton.parents[j]].lower()
+        if "head" in parent and "fore" not in parent:
+            yield skeleton.parents[j], "middle", _limb(0.3 * offsets[j], 0.7 * offsets[j], 0.4 * length, 0.36 * length)
+            continue
+        r = min(0.06 * (length * height) ** 0.5, 0.3 * length)
+        yield skeleton.parents[j], side_of(name), _limb((0, 0, 0), offsets[j], r, 0.6 * r, 0.12 * r)
+        if "head" in name.lower() and j in leaves:
+            r = 0.05 * height
+            yield j, "middle", _limb(0.3 * r * end, 1.5 * r * end, r, 0.9 * r)
+
+
+@lru_cache(maxsize=16)  # a strip shows one skeleton many times
+def build(skeleton: Skeleton, base: str | tuple) -> Figure:
+    """A figure of one colour in three tones for any skeleton: a mannequin for the standard joints, else plain bones.
+
+    Radii follow the lengths of the bones; the soles of the mannequin lie ``skeleton.sole`` below its balls.
+    """
+    offsets = skeleton.offsets.detach().double().reshape(-1, len(skeleton), 3)[0].cpu().numpy()
+    tones = sides(base)
+    mannequin = skeleton.names == STANDARD.names
+    parts = list((_mannequin if mannequin else _any_body)(skeleton, offsets))
+    if not parts:
+        parts = [(0, "middle", _ellipsoid((0, 0, 0), (0.05, 0.05, 0.05)))]
+    joint = np.concatenate([np.full(len(v), j) for j, _, (v, _, _) in parts])
+    colours = np.concatenate([np.tile(tones[side], (len(v), 1)) for _, side, (v, _, _) in parts])
+    vertices = np.concatenate([v for _, _, (v, _, _) in parts])
+    if mannequin:  # a light visor: which way the head looks
+        head = joint == skeleton.index("head")
+        local = (vertices - (vertices[head].max(0) + vertices[head].min(0)) / 2) / np.ptp(vertices[head], axis=0) * 2
+        face = np.clip((local[:, 2] - 0.45) / 0.3, 0, 1) * np.clip((0.75 - np.abs(local[:, 1])) / 0.3, 0, 1) * head
+        colours += 0.75 * face[:, None] * (1 - colours)
+    first = np.cumsum([0] + [len(v) for _, _, (v, _, _) in parts[:-1]])
+    return Figure(
+        vertices=vertices,
+        normals=np.concatenate([n for _, _, (_, n, _) in parts]),
+        faces=np.concatenate([f + i for i, (_, _, (_, _, f)) in zip(first, parts, strict=True)]),
+        joint=joint,
+        colours=(255 * colours).round().astype(np.uint8),
+    )
+
+
+#: The look of every solid: matt, a little light from everywhere, a soft gleam.
+SKIN = {"ambient": 0.2, "diffuse": 0.8, "specular": 0.12, "specular_power": 20}
+
+
+def array(x: Tensor) -> np.ndarray:
+    """A tensor as a float64 array."""
+    return x.detach().double().cpu().numpy()
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (V, 3): the area-weighted mean of the faces around each vertex."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    face = np.cross(b - a, c - a)
+    rows, columns = faces.T.ravel(), np.tile(np.arange(len(faces)), 3)
+    around = csr_array((np.ones(rows.size), (rows, columns)), shape=(len(vertices), len(faces)))
+    normals = around @ face
+    return normals / (np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-20)
+
+
+def surface(points: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> pv.PolyData:
+    """A mesh that keeps the given normals when its points move in place."""
+    mesh = pv.PolyData.from_regular_faces(np.array(points, float), np.asarray(faces))
+    mesh.point_data.active_normals = np.array(normals, float)
+    return mesh
+
+
+def move_surface(mesh: pv.PolyData, points: np.ndarray, normals: np.ndarray) -> None:
+    """Move a mesh in place: no new actor, no new topology."""
+    mesh.points[:], mesh.point_data.active_normals[:] = points, normals
+    mesh.GetPoints().GetData().Modified()
+    mesh.GetPointData().GetNormals().Modified()
+    mesh.Modified()
+
+
+def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 1.0) -> None:
+    """Show a surface in one colour (r, g, b), or in a colour per vertex (V, 3) uint8."""
+    if isinstance(paint, np.ndarray):
+        mesh.point_data["paint"] = paint
+        look = {"scalars": "paint", "rgb": True}
+    else:
+        look = {"color": paint}
+    actor = plotter.add_mesh(mesh, opacity=opacity, reset_camera=False, **look, **SKIN)
+    actor.prop.interpolation = "Phong"
+
+
+def add_field(plotter: pv.Plotter, mesh: pv.PolyData, values: np.ndarray, title: str, limits, cmap: str) -> None:
+    """Show a scalar per vertex on a surface, with a bar that names it."""
+    mesh.point_data["field"] = values
+    height = plotter.window_size[1]
+    bar = {
+        "title": title, "vertical": True, "position_x": 0.86, "position_y": 0.2, "width": 0.05, "height": 0.55,
+        "title_font_size": max(height // 34, 9), "label_font_size": max(height // 38, 8), "color": INK,
+        "n_labels": 3, "fmt": "%.2g",
+    }  # fmt: skip
+    actor = plotter.add_mesh(
+        mesh, scalars="field", clim=limits, cmap=cmap, reset_camera=False, scalar_bar_args=bar, **SKIN
+    )
+    actor.prop.interpolation = "Phong"
+    plotter.scalar_bars[title].SetVerticalTitleSeparation(8)
+
+
+def polyline(path: np.ndarray) -> pv.PolyData:
+    """One line through points (T, 3); a single point gives a line without length."""
+    path = np.repeat(path, 2, axis=0) if len(path) == 1 else path
+    return pv.PolyData(np.array(path, float), lines=[len(path), *range(len(path))])
+
+
+def add_line(plotter: pv.Plotter, line: pv.PolyData, paint, width: float) -> None:
+    """Show a line ``width`` pixels wide."""
+    plotter.add_mesh(
+        line, color=paint, line_width=width, render_lines_as_tubes=True, reset_camera=False, ambient=0.6, diffuse=0.4
+    )
+
+
+def add_lights(plotter: pv.Plotter) -> None:
+    """Three lights that travel with the eye: a warm key from the upper left, a cool fill, a rim from behind."""
+    for position, tint, strength in (
+        ((-1.4, 1.8, 2.0), "#fff6ea", 1.0),
+        ((2.0, 0.3, 1.4), "#e6efff", 0.6),
+        ((0.6, 1.6, -2.2), "#ffffff", 0.6),
+    ):
+        lamp = pv.Light(position=position, color=tint, light_type="camera light", intensity=strength)
+        plotter.add_light(lamp, only_active=True)
+
+
+def add_title(plotter: pv.Plotter, text: str, height: int) -> None:
+    """A label above the panel."""
+    plotter.add_text(text, position="upper_edge", font_size=max(round(height / 42), 7), color=INK, font="arial")
+
+
+def add_caption(plotter: pv.Plotter, height: int):
+    """A line of text in the lower left corner; set it with ``.set_text("lower_left", ...)``."""
+    return plotter.add_text(" ", position="lower_left", font_size=max(round(height / 60), 6), color=INK, font="arial")
+
+
+def add_label(plotter: pv.Plotter, point: np.ndarray, text: str, height: int) -> None:
+    """A word at a point of the world, upright on the screen."""
+    plotter.add_point_labels(
+        point[None], [text], font_size=max(round(height / 22), 10), text_color=INK, font_family="arial", bold=False,
+        show_points=False, shape=None, always_visible=True, reset_camera=False, justification_horizontal="center",
+        justification_vertical="top",
+    )  # fmt: skip

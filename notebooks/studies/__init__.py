@@ -1,0 +1,1 @@
+"""What single notebooks need and nobody else: contenders, tables, tuned constants, figures."""

@@ -1,0 +1,1 @@
+"""Notebook 04: what the transition prior knows."""

@@ -1,0 +1,1 @@
+"""Notebook 05: what the fit repairs and breaks."""

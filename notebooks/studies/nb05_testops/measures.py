@@ -1,0 +1,94 @@
+"""What is measured of a fit beside its mean error: does somebody sit, walk on, tremble, come apart?
+
+Fit and truth are motions (B, T) of the 22 joints at the same frame rate, world, z up; masks are (B, T). Every measure
+returns one number per clip (B,), NaN where a mask leaves nothing to measure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from motionlab.fit import pixel_distances
+from motionlab.humor import state
+from motionlab.humor.body_shape import landmarks
+from motionlab.humor.cvae import Cvae
+from motionlab.humor.rollout import infer, rollout
+from motionlab.metrics import gait, pose
+from motionlab.motion import Motion
+from motionlab.observation import Camera, Observation2D, project
+
+BAND = (2.0, 5.0)  # Hz: where the accents of a dance are
+
+
+def quarters(error: Tensor) -> tuple[Tensor, Tensor]:
+    """Means (B,) of an error (B, T) over the first and over the last quarter of the clip."""
+    part = max(1, error.shape[-1] // 4)
+    return error[..., :part].mean(-1), error[..., -part:].mean(-1)
+
+
+def accumulation(model: Cvae, truth: Motion) -> Tensor:
+    """Joint error (B, T) in metres, pelvis on the true one, of the truth's own latents (posterior means) rolled out."""
+    states = state.from_motion(truth)
+    with torch.no_grad():
+        posterior, _ = infer(model, states)
+        rolled = rollout(model, states[:, 0], posterior.mean, with_prior=False).states
+    found = state.unpack(torch.cat((states[:, :1], rolled), 1))["joints"]
+    return pose.joint_errors(found, truth.positions, align="root").mean(-1)
+
+
+# ---------------------------------------------------------------------------------------- poses and steps
+def flexion_error(fit: Motion, truth: Motion) -> Tensor:
+    """Computes the mean absolute error of ``gait.tilt_and_bend``'s angles over frames and legs, degrees."""
+    pairs = zip(gait.tilt_and_bend(fit), gait.tilt_and_bend(truth), strict=True)
+    return torch.stack([(a - b).abs().mean((-1, -2)) for a, b in pairs]).mean(0)
+
+
+def swing(motion: Motion, where: Tensor) -> Tensor:
+    """Computes the standard deviation of ``gait.ahead`` over the frames of a mask, metres."""
+    way = gait.ahead(motion)
+    mean = pose.masked_mean(way, where, 1)
+    return pose.masked_mean((way - mean[..., None]).square(), where, 1).sqrt()
+
+
+def foot_travel(motion: Motion, where: Tensor) -> Tensor:
+    """Computes the horizontal path length of an ankle over the frames of a mask, metres, mean of both."""
+    ankles = motion.positions[..., motion.skeleton.indices([f"{side}_ankle" for side in gait.SIDES]), :2]
+    step = ankles.diff(dim=-3).norm(dim=-1).mean(-1)
+    return torch.where(where[..., 1:] & where[..., :-1], step, 0.0).sum(-1)
+
+
+def error_over_time(fit: Motion, truth: Motion, align: str = "root") -> Tensor:
+    """Computes the joint error (B, T) in metres; ``align`` as in ``pose.joint_errors``."""
+    return pose.joint_errors(fit.positions, truth.positions, align=align).mean(-1)
+
+
+# ----------------------------------------------------------------------------------------------------- smoothness
+def _about_pelvis(motion: Motion) -> Tensor:
+    return motion.positions - motion.positions[..., :1, :]
+
+
+def band_power(fit: Motion, truth: Motion, bands: Sequence[float] = BAND) -> Tensor:
+    """Power of the joints' velocities about the pelvis over the true one, per band of frequency: (B, bands)."""
+    return pose.power_spectrum_ratio(_about_pelvis(fit), _about_pelvis(truth), truth.fps, bands)
+
+
+def acceleration_ratio(fit: Motion, truth: Motion) -> Tensor:
+    """Mean size of the acceleration about the pelvis over the true one."""
+    return pose.mean_acceleration(_about_pelvis(fit), fit.fps) / pose.mean_acceleration(_about_pelvis(truth), truth.fps)
+
+
+# ----------------------------------------------------------------------------------------------------- in the image
+def pixel_distance(pixels: Tensor, observation: Observation2D) -> Tensor:
+    """Mean distance in pixels of points (B, T, 25, 2) from the detections, weighted by confidence; neck and hips, which
+    a fit ignores, left out."""
+    away, weight = pixel_distances(pixels, observation)
+    return (weight * away).sum((-1, -2)) / weight.sum((-1, -2))
+
+
+def image_of(fit: Motion, betas: Tensor, cameras: Sequence[Camera]) -> Tensor:
+    """Pixels (B, T, 25, 2) of the 25 landmarks of a fit."""
+    points = landmarks(*fit.world, betas)
+    return torch.stack([project(camera, clip)[0] for camera, clip in zip(cameras, points, strict=True)])

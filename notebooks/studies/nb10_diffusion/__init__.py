@@ -1,0 +1,1 @@
+"""Notebook 10: what the diffusion model learns."""

@@ -1,0 +1,1 @@
+"""Notebook 12: world or stuck root."""

@@ -1,0 +1,151 @@
+"""The test cases of thesis 4.2.1: what of a window is hidden, and how well what was filled in fits.
+
+What is known is said once, for every model and rival: bool (B, T, U) over the units of a frame, which are the joints'
+rotations, then the root's place, then the contacts (``masks.units``). The root's place goes with the pelvis.
+
+Source: thesis 4.2.1. Differs: numbers instead of looking.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+
+from motionlab.diffusion.features import Layout
+from motionlab.diffusion.masks import LEGS, units
+from motionlab.errors import DataError, ShapeError
+from motionlab.metrics.gait import slide_where_truth_stands_mm
+from motionlab.metrics.pose import joint_errors, mean_acceleration
+from motionlab.motion import Motion
+from motionlab.skeleton import FEET, STANDARD
+
+JOINTS = len(STANDARD)
+HIDDEN = tuple(name for name in STANDARD.names if name.endswith(LEGS))  # rotations that occluded legs lose
+LOWER = tuple(name for name in HIDDEN if not name.endswith("hip"))  # joints whose places follow from them
+T = TypeVar("T")
+BANDS = (0.5, 2.0, 4.0, 8.0, 15.0)  # Hz
+
+
+# ---------------------------------------------------------------------------------------------- what is known
+def legs(count: int, frames: int) -> Tensor:
+    """All but the rotations of hips, knees, ankles and feet, and the contacts, in all frames."""
+    known = torch.ones(count, frames, JOINTS + 2, dtype=torch.bool)
+    known[..., STANDARD.indices(HIDDEN)] = False
+    known[..., -1] = False
+    return known
+
+
+def every_frame(count: int, frames: int, share: float, generator: torch.Generator) -> Tensor:
+    """Other joints in every frame, each with the chance ``share``; each is known in one frame at least."""
+    known = torch.rand(count, frames, JOINTS, generator=generator) < share
+    once = torch.randint(frames, (count, 1, JOINTS), generator=generator)
+    return _with_root(known.scatter(1, once, True))
+
+
+def whole_window(count: int, frames: int, share: float, generator: torch.Generator) -> Tensor:
+    """The same joints in all frames of a window: ``share`` of them, and one at least."""
+    order = torch.rand(count, 1, JOINTS, generator=generator).argsort(-1).argsort(-1)
+    return _with_root((order < max(round(share * JOINTS), 1)).expand(-1, frames, -1))
+
+
+def gap(count: int, frames: int, length: int) -> Tensor:
+    """Whole frames, contacts too, all but ``length`` in the middle.
+
+    Raises:
+        ShapeError: not a frame is left at either end.
+    """
+    start = (frames - length) // 2
+    if length < 1 or start < 1 or start + length >= frames:
+        raise ShapeError(f"a gap of {length} in {frames} frames: expected 1 to {frames - 2}")
+    time = torch.arange(frames)
+    known = (time < start) | (time >= start + length)
+    return known[None, :, None].repeat(count, 1, JOINTS + 2)
+
+
+def _with_root(joints: Tensor) -> Tensor:
+    return torch.cat((joints, joints[..., :1], torch.zeros_like(joints[..., :1])), -1)
+
+
+def columns(layout: Layout, known: Tensor) -> Tensor:
+    """The same by the numbers of a layout: (B, T, U) -> (B, T, D)."""
+    if known.shape[-1] != JOINTS + 2:
+        raise ShapeError(f"known: expected {JOINTS + 2} units in a frame, got {tuple(known.shape)}")
+    return known[..., units(layout)]
+
+
+# ----------------------------------------------------------------------------------------------- how it went
+def hidden_frames(known: Tensor) -> Tensor:
+    """(B, T): frames of which a joint or the root is not known."""
+    return ~known[..., :-1].all(-1)
+
+
+def error_cm(made: Motion, truth: Motion, known: Tensor, joints: tuple[str, ...] | None = None) -> Tensor:
+    """Mean distance (B,) of joints from the true ones in the world, over the frames of which something is hidden."""
+    errors = 100 * joint_errors(made.positions, truth.positions, align="none")
+    errors = errors if joints is None else errors[..., STANDARD.indices(joints)]
+    where = hidden_frames(known)
+    if not where.any(-1).all():
+        raise DataError("a window of which all is known", remedy="hide something of every window")
+    return (errors.mean(-1) * where).sum(-1) / where.sum(-1)
+
+
+def chosen(
+    options: Sequence[T],
+    make: Callable[[T], Motion],
+    truth: Motion,
+    known: Tensor | None = None,
+    joints: tuple[str, ...] | None = None,
+) -> T:
+    """The option that leaves the least error, on windows that settings are chosen on; known None: nothing is known."""
+    hidden = torch.zeros(*truth.root.shape[:2], JOINTS + 2, dtype=torch.bool) if known is None else known
+    return min(options, key=lambda option: float(error_cm(make(option), truth, hidden, joints).mean()))
+
+
+def acceleration_ratio(made: Motion, truth: Motion) -> Tensor:
+    """Mean size (B,) of the joints' accelerations over the truth's."""
+    return mean_acceleration(made.positions, made.fps) / mean_acceleration(truth.positions, truth.fps)
+
+
+def slide_mm(made: Motion, truth: Motion) -> Tensor:
+    """mm per frame (B,) that foot joints move where the true ones stand; NaN where none stands."""
+    feet = STANDARD.indices(FEET)
+    return slide_where_truth_stands_mm(made.positions[..., feet, :], truth.positions[..., feet, :])
+
+
+def stance_speed(motion: Motion) -> Tensor:
+    """m/s (B,): how fast the lower foot moves along the pelvis's heading relative to the pelvis, mean over the window.
+
+    Who walks forwards pushes it back: negative. It reads a fixed root as it does a free one.
+    """
+    p = motion.positions
+    feet = p[..., STANDARD.indices(("left_foot", "right_foot")), :]
+    left = p[..., STANDARD.index("left_hip"), :2] - p[..., STANDARD.index("right_hip"), :2]
+    ahead = torch.nn.functional.normalize(torch.stack((left[..., 1], -left[..., 0]), -1), dim=-1)
+    steps = (feet - p[..., :1, :])[..., :2].diff(dim=-3) * motion.fps
+    along = (steps * ahead[..., :-1, None, :]).sum(-1)  # (B, T - 1, 2)
+    lower = (feet[..., :-1, :, 2] + feet[..., 1:, :, 2]).argmin(-1, keepdim=True)
+    return along.gather(-1, lower)[..., 0].mean(-1)
+
+
+def reversed_walk(made: Motion, truth: Motion, least: float = 0.3) -> Tensor:
+    """(B,): 1 where the lower foot goes the other way than the true one, 0 where not, NaN where that one goes slower
+    than ``least`` m/s: nobody walks."""
+    true, ours = stance_speed(truth), stance_speed(made)
+    return torch.where(true.abs() >= least, (ours * true < 0).to(true), torch.nan)
+
+
+def scores(
+    made: Mapping[str, Motion], truth: Motion, known: Tensor, joints: tuple[str, ...] | None = None
+) -> dict[str, dict[str, Tensor]]:
+    """Of everything that was made: error, acceleration over the truth's, and slide, each (B,)."""
+    return {
+        name: {
+            "error, cm": error_cm(motion, truth, known, joints),
+            "acceleration / truth's": acceleration_ratio(motion, truth),
+            "slide, mm/frame": slide_mm(motion, truth),
+        }
+        for name, motion in made.items()
+    }

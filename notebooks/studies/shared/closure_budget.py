@@ -1,0 +1,128 @@
+"""What a whole fit spends: the official schedule as phases in which every closure costs the same, and those costs.
+
+seconds of the program = sum over phases of closures x seconds of one closure
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import DataError
+from motionlab.humor.testops import Schedule
+from motionlab.profiling import Stopwatch
+from studies.shared.savings import LEAN, Savings
+from studies.shared.workload import Part, Workload
+
+#: Of the official video demo.
+OFFICIAL = Schedule(steps=(30, 80, 70))
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of a fit: its name, the closure that it repeats, and how often."""
+
+    name: str
+    part: Part
+    closures: int
+
+
+def phases(schedule: Schedule = OFFICIAL, frames: int = 60) -> list[Phase]:
+    """The budget: an outer step may take 5/4 as many closures as it has iterations, torch's default limit."""
+    each, (one, two, three) = schedule.inner * 5 // 4, schedule.steps
+    begin, end = (min(step, three) for step in schedule.refine)
+    short = min(schedule.short, frames)
+    table = [
+        ("stage 1: root", Part(1, frames), one),
+        ("stage 2: pose", Part(2, frames), two),
+        (f"stage 3: first {short} frames", Part(3, short), begin),
+        ("stage 3: first state fixed", Part(3, frames, first_fixed=True, contacts=False), end - begin),
+        ("stage 3: everything", Part(3, frames), three - end),
+    ]
+    return [Phase(name, part, each * steps) for name, part, steps in table if steps]
+
+
+@dataclass(frozen=True, eq=False)
+class Spent:
+    """Seconds of one closure of every phase, by part (:data:`PARTS`), (n,): one number per round of measuring."""
+
+    phases: tuple[Phase, ...]
+    seconds: tuple[dict[str, Tensor], ...]
+
+    def program(self, *parts: str, stage: int | None = None) -> Tensor:
+        """Seconds (n,) of the whole program; of some parts of the closures or one stage alone where they are named."""
+        total = 0.0
+        for phase, spent in zip(self.phases, self.seconds, strict=True):
+            if stage in (None, phase.part.stage):
+                total = total + phase.closures * sum(x for name, x in spent.items() if not parts or name in parts)
+        return total
+
+    def minutes(self) -> dict[str, dict[str, float]]:
+        """Minutes that the program spends in each part of each phase, from medians."""
+        return {
+            phase.name: {name: phase.closures * x.median().item() / 60 for name, x in spent.items()}
+            for phase, spent in zip(self.phases, self.seconds, strict=True)
+        }
+
+    def closure(self, name: str) -> Tensor:
+        """Seconds (n,) of one closure of the phase whose name ends so.
+
+        Raises:
+            DataError: none does.
+        """
+        for phase, spent in zip(self.phases, self.seconds, strict=True):
+            if phase.name.endswith(name):
+                return sum(spent.values())
+        raise DataError(f"no phase {name!r}", remedy=f"known: {', '.join(phase.name for phase in self.phases)}")
+
+
+def spend(
+    contenders: Mapping[str, tuple[Workload, Savings]],
+    *,
+    n: int,
+    warm_up: int = 1,
+    schedule: Schedule = OFFICIAL,
+    clock: Callable[[], float] = time.process_time,
+) -> dict[str, Spent]:
+    """Time one closure of each phase of each contender, in n rounds through all of them after ``warm_up`` more."""
+    tables = {name: phases(schedule, work.frames) for name, (work, _) in contenders.items()}
+    calls = {name: [work.closure(phase.part, on) for phase in tables[name]] for name, (work, on) in contenders.items()}
+    rounds = []
+    for _ in range(warm_up + n):
+        rounds.append({name: [_parts(closure, clock) for closure in row] for name, row in calls.items()})
+    rounds = rounds[warm_up:]
+    return {
+        name: Spent(tuple(table), tuple(_columns(column) for column in zip(*(r[name] for r in rounds), strict=True)))
+        for name, table in tables.items()
+    }
+
+
+def _parts(closure: Callable[..., Tensor], clock: Callable[[], float]) -> dict[str, float]:
+    watch = Stopwatch(clock)
+    closure(mark=watch)
+    return watch.seconds
+
+
+def _columns(rows: Sequence[dict[str, float]]) -> dict[str, Tensor]:
+    return {name: torch.tensor([row[name] for row in rows], dtype=torch.float64) for name in rows[0]}
+
+
+def evaluations(work: Workload, part: Part, *, outer: int, inner: int = OFFICIAL.inner) -> list[int]:
+    """Closures that each of ``outer`` steps takes of ``torch.optim.LBFGS`` as the official code sets it, lean mode."""
+    unknown, count = work.unknowns(part, LEAN), []
+    moving = [x for x in unknown.named().values() if x.requires_grad]
+    optimiser = torch.optim.LBFGS(moving, lr=1.0, max_iter=inner, line_search_fn="strong_wolfe")
+    closure = work.closure(part, LEAN, unknown)
+
+    def counted() -> Tensor:
+        count[-1] += 1
+        return closure().sum()
+
+    for _ in range(outer):
+        count.append(0)
+        optimiser.step(counted)
+    return count

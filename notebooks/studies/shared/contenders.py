@@ -1,0 +1,180 @@
+"""Does stage 3 earn its time? Stage 2, stage 3 and smoothers on the same clips, with intervals and paired differences.
+
+found = methods(fitted, observation, smoother)          # positions by name
+table(measures(found, truth, observation.visible), generator)
+paired_table(..., "stage 3", "stage 2", generator)
+
+Source: HuMoR (Rempe et al. 2021), section 5.2: global errors without alignment, of joints with 4 cm of noise and of
+joints seen only above 0.9 m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from motionlab import findings
+from motionlab.baselines import kalman, nearest_known, savitzky_golay
+from motionlab.contact import contacts_from_positions, resting_heights
+from motionlab.findings import paired
+from motionlab.humor import start as starts
+from motionlab.humor.evidence import Observation3D, evidence
+from motionlab.humor.testops import Fitted
+from motionlab.metrics import gait, pose
+from motionlab.metrics.gait import legs
+from motionlab.motion import Motion
+from motionlab.observation import Camera, Observation2D
+from motionlab.skeleton import FEET, STANDARD, fk
+
+CM = 100.0
+
+
+class Seen(Protocol):
+    """What is needed of a scene to fit it, and no more: B clips of keypoints and a camera for each."""
+
+    observation: Observation2D
+    cameras: Sequence[Camera]
+
+
+#: What :func:`measures` measures, and whether less is better.
+LESS_IS_BETTER = {
+    "all cm": True, "visible cm": True, "hidden cm": True, "legs cm": True, "acceleration error m/s^2": True,
+    "contact F1": False, "slide mm": True, "under floor %": True,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Smoother:
+    """A baseline without a model of motion: the mean pose laid onto what is seen, and what differs from it smoothed.
+
+    Where a joint was seen its offset from the mean pose is known; between, it is interpolated; a joint that never was
+    seen keeps the mean pose. Then a filter over time. kind: "savitzky-golay" (a frames, degree b) or "kalman" (noise a
+    in metres, acceleration b).
+    """
+
+    kind: str
+    a: float
+    b: float
+
+    def __call__(self, observation: Observation3D, rest: Tensor) -> Tensor:
+        """Positions (B, T, 22, 3), metres. rest (22, 3): the mean pose, root at the origin."""
+        seen = evidence(observation)
+        trans, turn = starts.filled(*starts.start_3d(seen, rest), seen.fps)
+        placed = rest @ turn.mT + trans[..., None, :]
+        offset = _interpolated(seen.values - placed, seen.weight > 0)
+        whole = (placed + offset).flatten(-2)
+        if self.kind == "kalman":
+            return kalman(whole, seen.fps, self.a, self.b).unflatten(-1, (-1, 3))
+        window = min(int(self.a), whole.shape[1] - 1 + whole.shape[1] % 2)
+        return (
+            savitzky_golay(whole, window, int(self.b)).unflatten(-1, (-1, 3))
+            if window > self.b
+            else whole.view_as(placed)
+        )
+
+
+def _interpolated(x: Tensor, known: Tensor) -> Tensor:
+    """x (B, T, J, 3) where known (B, T, J), linear between, held beyond; zero for what is never known."""
+    time = torch.arange(x.shape[1])[:, None]
+    before, after = (at.mT for at in nearest_known(known.mT))
+    share = ((time - before) / (after - before).clamp(min=1))[..., None].clamp(0, 1).to(x)
+    low, high = (x.gather(1, at[..., None].expand_as(x)) for at in (before, after))
+    return torch.where(~known.any(1)[:, None, :, None], 0.0, torch.lerp(low, high, share))
+
+
+SAVITZKY_GOLAY = [Smoother("savitzky-golay", a, b) for a, b in product((5, 7, 9, 11, 15, 21), (2, 3))]
+KALMAN = [Smoother("kalman", 0.04, b) for b in (0.3, 0.6, 1.0, 2.0, 4.0, 8.0)]
+
+
+def tuned(candidates: Iterable[Smoother], observation: Observation3D, truth: Tensor, rest: Tensor) -> Smoother:
+    """The smoother with the least mean error on validation clips, truth (B, T, 22, 3)."""
+    return min(candidates, key=lambda s: float((s(observation, rest) - truth).norm(dim=-1).mean()))
+
+
+def mean_pose(pose_prior) -> Tensor:
+    """Joints (22, 3) of the pose prior's zero latent: root at the origin, orientation identity."""
+    with torch.no_grad():
+        body = torch.cat((torch.eye(3)[None], pose_prior.decode(torch.zeros(32))))
+    return fk(STANDARD, torch.zeros(3), body)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a method says: positions (B, T, 22, 3), and contacts (B, T, 9) where it says that itself."""
+
+    positions: Tensor
+    contacts: Tensor | None = None
+
+
+def methods(
+    fitted: Fitted, observation: Observation3D, smoothers: Mapping[str, Smoother], rest: Tensor
+) -> dict[str, Found]:
+    """The stages of a fit beside the baselines, by name."""
+    found = {name: Found(smoother(observation, rest)) for name, smoother in smoothers.items()}
+    stages = {f"stage {k}": Found(m.positions) for k, m in fitted.stages.items() if k > 1}
+    if 3 in fitted.stages:
+        stages["stage 3"] = replace(stages["stage 3"], contacts=fitted.contacts)
+    return found | stages
+
+
+def measures(found: Mapping[str, Found], truth: Motion, visible: Tensor) -> dict[str, dict[str, Tensor]]:
+    """Errors by method and measure, each (B,): world, no alignment; NaN where nothing of a kind is there.
+
+    truth (B, T) with contacts; visible (B, T, 22). Contacts of a method that gives none follow from the heights and
+    speeds of its joints. slide: of feet where the true foot stands, mm per frame.
+    """
+    return {name: _measures(each, truth, visible.bool()) for name, each in found.items()}
+
+
+def _measures(found: Found, truth: Motion, visible: Tensor) -> dict[str, Tensor]:
+    p, t, skeleton = found.positions, truth.positions, truth.skeleton
+    seen, hidden = pose.mpjpe_visible_occluded(p, t, visible, align="none")
+    feet = skeleton.indices(list(FEET))
+    touching = found.contacts
+    if touching is None:
+        touching = contacts_from_positions(p[..., skeleton.contact_indices, :], truth.fps, resting_heights(STANDARD))
+    deep = gait.floor_penetration(p[..., feet[2:], :], depths=(0.03,)).frequency[..., 0]
+    return {
+        "all cm": CM * pose.mpjpe(p, t, align="none"),
+        "visible cm": CM * seen,
+        "hidden cm": CM * hidden,
+        "legs cm": CM * pose.joint_errors(p, t, align="none")[..., legs(truth)].mean((-1, -2)),
+        "acceleration error m/s^2": pose.acceleration_error(p, t, truth.fps),
+        "contact F1": gait.contact_scores(touching, truth.contacts).f1,
+        "slide mm": gait.slide_where_truth_stands_mm(p[..., feet, :], t[..., feet, :]),
+        "under floor %": 100 * deep,
+    }
+
+
+def table(scores: Mapping[str, Mapping[str, Tensor]], generator: torch.Generator) -> list[dict[str, str]]:
+    """A row per method: mean over clips and its 95 % bootstrap interval of every measure."""
+    return [{"method": n} | {m: _interval(x, generator) for m, x in row.items()} for n, row in scores.items()]
+
+
+def paired_table(
+    scores: Mapping[str, Mapping[str, Tensor]], after: str, before: str, generator: torch.Generator
+) -> list[dict[str, object]]:
+    """A row per measure: the difference of two methods clip by clip, the share of clips in which the first wins."""
+    rows = []
+    for name, less in LESS_IS_BETTER.items():
+        a, b = scores[after][name], scores[before][name]
+        both = a.isfinite() & b.isfinite()
+        if both.any():
+            better = ((a < b) if less else (a > b))[both].double().mean()
+            difference = paired(a, b, generator)
+            rows.append({"measure": name, f"{after} - {before}": str(difference), "clips": difference.n,
+                         "better in": f"{100 * better:.0f} %"})  # fmt: skip
+    return rows
+
+
+def _interval(x: Tensor, generator: torch.Generator) -> str:
+    x = x[x.isfinite()]
+    if not len(x):
+        return "-"
+    value, low, high = findings.interval(x, "mean", generator)
+    return f"{value:.2f} [{low:.2f}, {high:.2f}]"

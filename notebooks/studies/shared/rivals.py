@@ -1,0 +1,176 @@
+"""What a diffusion model must beat on the same masks: the mean, the nearest neighbour, ridge regression, filters.
+
+All of them fill the unknown numbers of a window x (T D) from the known ones and leave those as they are. ``known`` is
+as in ``cases``: bool (B, T, U).
+
+Source: ridge regression as the conditional mean of a Gaussian (Bishop 2006, 2.3 and 12.2): with x = m + F z + noise,
+z ~ N(0, I), F of the training windows' principal parts, one F answers every mask:
+z = (F_K^T F_K + w I)^-1 F_K^T (x_K - m_K).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import torch
+from torch import Tensor
+
+from motionlab import baselines
+from motionlab.diffusion.denoising import noise_size
+from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.repair import offset_decay
+from motionlab.diffusion.start import principal
+from motionlab.errors import ShapeError
+from motionlab.motion import Frame, Motion, local_to_world, stuck_root, world_to_local
+from motionlab.skeleton import STANDARD
+from studies.shared.cases import JOINTS, chosen, columns
+
+RIDGES = (0.01, 0.1, 1.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # variances; the known numbers say much alike
+FILTERS: Mapping[str, tuple[Callable, Mapping[str, Sequence]]] = {
+    "Savitzky-Golay": (
+        lambda x, fps, window, degree: baselines.savitzky_golay(x, window, degree),
+        {"window": (5, 7, 9, 13, 17, 21), "degree": (2, 3)},
+    ),
+    "one euro": (
+        lambda x, fps, min_cutoff, beta: baselines.one_euro(x, fps, min_cutoff, beta),
+        {"min_cutoff": (0.5, 1.0, 2.0, 4.0, 8.0), "beta": (0.0, 1.0, 4.0)},
+    ),
+    "Kalman smoother": (
+        lambda x, fps, noise, acceleration: baselines.kalman(x, fps, noise, acceleration),
+        {"noise": (1.0,), "acceleration": (3.0, 10.0, 30.0, 100.0, 300.0)},  # only their ratio matters
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Rivals:
+    """Training windows as rows (N, T D) of normalised numbers without contacts, in the stuck frame.
+
+    mean (T D,); factor F (T D, K). ridge: the weight w.
+    """
+
+    layout: Layout
+    normaliser: Normaliser
+    rows: Tensor
+    mean_row: Tensor
+    factor: Tensor
+    ridge: float = 10.0
+
+    @classmethod
+    def fit(cls, windows: Motion, generator: torch.Generator, *, parts: int = 384, travels: bool = True) -> Rivals:
+        """Of windows (N, T) on the standard body. parts: K, at most. travels: as the layout's that it competes with."""
+        layout = Layout("stuck", contacts=False, travels=travels)
+        numbers = layout.encode(windows)
+        normaliser = Normaliser.measure(numbers, layout)
+        rows = normaliser.apply(numbers).flatten(1)
+        mean = rows.mean(0)
+        return cls(layout, normaliser, rows, mean, principal(rows - mean, parts, generator))
+
+    # ----------------------------------------------------------------------------------------- fill what is hidden
+    # finish: frames beside what is known over which the offset from it fades (``inpainting.offset_decay``); 0: it jumps
+    def mean(self, motion: Motion, known: Tensor, finish: int = 0) -> Motion:
+        """The mean training window."""
+        return self._filled(motion, known, lambda x, mask: self.mean_row.expand_as(x), finish)
+
+    def nearest(self, motion: Motion, known: Tensor, finish: int = 0) -> Motion:
+        """The training window whose numbers are nearest where they are known."""
+
+        def find(x: Tensor, mask: Tensor) -> Tensor:
+            weight = mask.to(x)
+            apart = weight @ self.rows.square().mT - 2 * (weight * x) @ self.rows.mT
+            return self.rows[apart.argmin(-1)]
+
+        return self._filled(motion, known, find, finish)
+
+    def regression(self, motion: Motion, known: Tensor, finish: int = 0) -> Motion:
+        """Ridge regression of the hidden numbers on the known ones: one regression for each mask."""
+
+        def find(x: Tensor, mask: Tensor) -> Tensor:
+            found = torch.empty_like(x)
+            which, place = torch.unique(mask, dim=0, return_inverse=True)
+            for row, seen in enumerate(which):
+                mine = place == row
+                z = self._explained(x[mine] - self.mean_row, seen.to(x) / self.ridge)
+                found[mine] = self.mean_row + z @ self.factor.mT
+            return found
+
+        return self._filled(motion, known, find, finish)
+
+    def tuned(self, truth: Motion, known: Tensor, joints: tuple[str, ...] | None = None) -> Rivals:
+        """With the ridge that leaves ``regression`` the least joint error on windows that settings are chosen on."""
+        best = chosen(RIDGES, lambda w: replace(self, ridge=w).regression(truth, known), truth, known, joints)
+        return replace(self, ridge=best)
+
+    # ------------------------------------------------------------------------------------------------- take noise away
+    def wiener(self, motion: Motion, rough: Motion, turn: float, shift: float) -> Motion:
+        """The Gaussian's best guess of a motion (B, T) whose joints were turned at random and whose root was shifted.
+
+        rough: about the same motion, less noisy at its first frame, which the frame of reference is taken from.
+        turn: radians about each axis; shift: metres along each axis; both as standard deviations.
+        """
+        frame = stuck_root(rough)[1]
+        x = self.encode_in(frame, motion)
+        weight = self.ridge + noise_size(self.layout, self.normaliser, turn, shift).square()
+        z = self._explained(x - self.mean_row, (1 / weight).repeat(motion.frames))
+        return self._decoded(self.mean_row + z @ self.factor.mT, motion, frame)
+
+    def encode_in(self, frame: Frame, motion: Motion) -> Tensor:
+        """Rows (B, T D) in a frame of reference that is given."""
+        plain = replace(self.layout, frame="world")
+        return self.normaliser.apply(plain.encode(world_to_local(frame, motion))).flatten(1)
+
+    def _explained(self, gap: Tensor, weight: Tensor) -> Tensor:
+        """z (B, K) of what lies off the mean (B, T D), by the weight (T D,) of each number."""
+        seen = self.factor * weight[:, None]
+        square = self.factor.mT @ seen + torch.eye(self.factor.shape[1])
+        return torch.linalg.solve(square, (gap @ seen).mT).mT
+
+    def _filled(
+        self, motion: Motion, known: Tensor, find: Callable[[Tensor, Tensor], Tensor], finish: int = 0
+    ) -> Motion:
+        if known.shape[:2] != motion.root.shape[:2]:
+            raise ShapeError(f"known: expected {tuple(motion.root.shape[:2])} windows, got {tuple(known.shape)}")
+        _, frame = stuck_root(motion)
+        mask = columns(self.layout, known).flatten(1)
+        x = torch.where(mask, self.encode_in(frame, motion), 0.0)
+        rows = find(x, mask)
+        if finish:
+            windows = [rows_.unflatten(1, (motion.frames, -1)) for rows_ in (rows, x, mask.to(x))]
+            rows = offset_decay(*windows, finish).flatten(1)
+        made = self._decoded(torch.where(mask, x, rows), motion, frame)
+        joints = known[..., :JOINTS, None, None]  # through a layout and back a rotation is itself to rounding
+        root = torch.where(known[..., JOINTS, None], motion.root, made.root)
+        return replace(made, rot=torch.where(joints, motion.rot, made.rot), root=root)
+
+    def _decoded(self, x: Tensor, motion: Motion, frame: Frame) -> Motion:
+        numbers = self.normaliser.undo(x.unflatten(1, (motion.frames, -1)))
+        return local_to_world(frame, self.layout.decode(numbers, motion.fps, STANDARD))
+
+
+# ------------------------------------------------------------------------------------------------------- filters
+def filtered(motion: Motion, name: str, **settings: float) -> Motion:
+    """A motion through one of ``FILTERS``: rotations in radians about their mean, the root in metres.
+
+    The Kalman smoother's strength of acceleration is per unit of noise.
+    """
+    apply, _ = FILTERS[name]
+    return baselines.smooth(motion, lambda x: apply(x, motion.fps, **settings))
+
+
+def tune(name: str, noisy: Motion, truth: Motion) -> dict[str, float]:
+    """The settings of a filter that leave the least joint error on windows that settings are chosen on."""
+    _, grid = FILTERS[name]
+    options = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
+    return chosen(options, lambda settings: filtered(noisy, name, **settings), truth)
+
+
+def interpolated(motion: Motion, known: Tensor) -> Motion:
+    """Slerp of every joint and a line for the root between the known frames around; the nearest one at the ends."""
+    return baselines.interpolate(motion, known[..., :JOINTS])
+
+
+def held(motion: Motion, known: Tensor) -> Motion:
+    """Every joint stays where it was known last."""
+    return baselines.hold(motion, known[..., :JOINTS])

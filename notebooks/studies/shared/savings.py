@@ -1,0 +1,265 @@
+"""From the official closure of stage 3 to the lean one, a saving at a time; the energy is the same on every rung.
+
+Each saving can be switched on alone. With none, the closure is that of ``official.unknowns``; with all of them, that
+of ``humor.unknowns``, which every fit uses by default, in tensors (``compiled`` is a saving more, of few clips on the
+CPU).
+
+Source: thesis 3.2.4 (what is slow); the savings are ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+from torch.profiler import record_function
+
+from motionlab.humor import rollout, stages, state
+from motionlab.humor.body_shape import landmarks
+from motionlab.humor.cvae import Cvae, Gaussian
+from motionlab.humor.evidence import Evidence
+from motionlab.humor.priors import Priors
+from motionlab.humor.stages import Problem
+from motionlab.humor.unknowns import Posed, Rolled, Unknowns, skeleton_of, to_matrix
+from motionlab.motion import heading_frame
+from motionlab.skeleton import fk
+from studies.official import rollout as official_rollout
+from studies.official.body import body_joints_by_lbs, first_joints_by_lbs
+from studies.official.rotation import alignment, matrix_to_axis_angle, pose_from_axis_angle
+from studies.official.unknowns import FIRST_FRAME_CALLS
+
+Mark = Callable[[str], AbstractContextManager]
+#: Parts of a closure, side by side in time, as they are marked for a profiler or a stopwatch.
+PARTS = ("first state", "chain", "body", "terms", "backward")
+
+
+@dataclass(frozen=True)
+class Savings:
+    """What a closure of stage 3 leaves out.
+
+    frozen: gradients of the networks' weights.
+    prior_after: the prior inside the chain; it is evaluated once for all steps.
+    joints_only: the mesh; forward kinematics is enough.
+    needed_frames: bodies that nobody looks at: one frame as a whole clip three times over, the sequence twice and
+        filled up to the whole clip.
+    matrices: rotation vectors between any two parts.
+    exact_heading: the heading by acos.
+    lean_layout: the state as a dict of parts, and autograd's record of every small operation: the derivative of the
+        chain is written out.
+    """
+
+    frozen: bool = False
+    prior_after: bool = False
+    joints_only: bool = False
+    needed_frames: bool = False
+    matrices: bool = False
+    exact_heading: bool = False
+    lean_layout: bool = False
+
+
+FAITHFUL = Savings()
+LEAN = Savings(**{field.name: True for field in fields(Savings)})
+#: A name for what each saving does, in the order of the ladder.
+NAMES = {
+    "frozen": "weights frozen", "prior_after": "prior out of the loop", "joints_only": "joints, no mesh",
+    "needed_frames": "needed frames only", "matrices": "matrices throughout", "exact_heading": "exact 2-D heading",
+    "lean_layout": "lean layout, own derivative",
+}  # fmt: skip
+
+
+def rungs() -> Iterator[tuple[str, Savings]]:
+    """("as shipped", none), ("weights frozen", the first), ... up to all, one more on each."""
+    on = FAITHFUL
+    yield "as shipped", on
+    for field, name in NAMES.items():
+        on = replace(on, **{field: True})
+        yield name, on
+
+
+@contextmanager
+def weights_of(priors: Priors, on: Savings) -> Iterator[None]:
+    """While it lasts the networks' weights need gradients unless that is saved; afterwards they are as they were.
+
+    Priors are shared: a fit whose weights need gradients leaves the compiled roll-out and takes twice as long.
+    """
+    weights = [weight for model in (priors.motion, priors.pose) for weight in model.parameters()]
+    before = [weight.requires_grad for weight in weights]
+    try:
+        for weight in weights:
+            weight.requires_grad_(not on.frozen)
+        yield
+    finally:
+        for weight, needed in zip(weights, before, strict=True):
+            weight.requires_grad_(needed)
+
+
+def exact_alignment(orientation: Tensor) -> Tensor:
+    """The yaw rotation (B, 3, 3) of ``frames.heading_frame``."""
+    return heading_frame(orientation[..., 0], orientation).turn
+
+
+def chain(model: Cvae, first: Tensor, z: Tensor, on: Savings) -> rollout.Rollout:
+    """The roll-out from first states (B, 339), world, by latents (B, T, 48), with the prior of each."""
+    if on.lean_layout:
+        found = rollout.rollout(model, first, z, with_prior=on.prior_after, loops=False)
+        return found if on.prior_after else found._replace(prior=_one_by_one(model, first, found))
+    align = exact_alignment if on.exact_heading else alignment
+    return official_rollout.rollout(model, first, z, align=align, prior_inside=not on.prior_after)
+
+
+def _one_by_one(model: Cvae, first: Tensor, found: rollout.Rollout) -> Gaussian:
+    past = torch.cat((first[:, None], found.states[:, :-1]), 1)
+    each = [model.prior(x) for x in state.localise(past, state.heading(past)).unbind(1)]
+    return Gaussian(*(torch.stack(column, 1) for column in zip(*each, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """Poses in the closure's own form: matrices (..., 22, 3, 3), or rotation vectors (..., 22, 3)."""
+
+    on: Savings
+    betas: Tensor
+    frames: int  #: of the whole clip: what the official body layer is made for
+
+    def form(self, rot: Tensor) -> Tensor:
+        return rot if self.on.matrices else matrix_to_axis_angle(rot)
+
+    def rot(self, pose: Tensor) -> Tensor:
+        return pose if self.on.matrices else pose_from_axis_angle(pose)
+
+    def vectors(self, pose: Tensor) -> Tensor:
+        return matrix_to_axis_angle(pose) if self.on.matrices else pose
+
+    def sequence(self, trans: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
+        """Joints (B, T, 22, 3) and landmarks (B, T, 25, 3)."""
+        steps, missing = trans.shape[1], self.frames - trans.shape[1]
+        if missing and not self.on.needed_frames:
+            full = self.sequence(
+                *(torch.cat((x, x[:, -1:].expand(-1, missing, *x.shape[2:])), 1) for x in (trans, pose))
+            )
+            return full[0][:, :steps], full[1][:, :steps]
+        if not self.on.joints_only:
+            return body_joints_by_lbs(trans, self.vectors(pose), self.betas)
+        joints, turns = fk(skeleton_of(self.betas), trans, self.rot(pose))
+        return joints, landmarks(joints, turns, self.betas)
+
+    def first(self, trans: Tensor, pose: Tensor) -> Tensor:
+        """Joints (B, 22, 3) of one frame, in one batch of as many frames as the sequence has unless that is saved."""
+        if self.on.needed_frames:
+            return self.sequence(trans[:, None], pose[:, None])[0][:, 0]
+        if not self.on.joints_only:
+            return first_joints_by_lbs(trans, self.vectors(pose), self.betas, self.frames)
+        trans, pose = (x[:, None].expand(-1, self.frames, *x.shape[1:]) for x in (trans, pose))
+        return self.sequence(trans, pose)[0][:, 0]
+
+
+def first_state(unknown: Unknowns, priors: Priors, body: _Body) -> Tensor:
+    """x0 (B, 339), world. orient: 6 numbers or a rotation vector."""
+    each = unknown.per_window()
+    trans, orient = each.trans, each.orient
+    decoded = body.form(priors.pose.decode(each.latent))
+    if body.on.matrices:
+        root = to_matrix(orient)
+    else:
+        root = orient if orient.shape[-1] == 3 else matrix_to_axis_angle(to_matrix(orient))
+    pose = torch.cat((root[:, None], decoded), 1)
+    for _ in range(1 if body.on.needed_frames else FIRST_FRAME_CALLS):
+        joints = body.first(trans, pose)
+    rot = body.rot(pose)
+    parts = {"trans": trans, "root_orient": rot[:, 0], "pose_body": rot[:, 1:], "joints": joints}
+    speeds = {"trans_vel": each.trans_vel, "root_orient_vel": each.root_orient_vel}
+    return state.pack(parts | speeds | {"joints_vel": each.joints_vel.unflatten(-1, (22, 3))})
+
+
+def roll(unknown: Unknowns, priors: Priors, evidence: Evidence, on: Savings, mark: Mark = record_function) -> Rolled:
+    """Stage 3's motion, as ``unknowns.roll``; its parts are marked. The evidence is that of the whole clip."""
+    each = unknown.per_window()
+    z, betas, camera = each.z, each.betas, each.camera
+    body = _Body(on, betas, max(evidence.values.shape[1], z.shape[1] + 1))
+    with mark("first state"):
+        first = first_state(unknown, priors, body)
+    with mark("chain"):
+        rolled = chain(priors.motion, first, z, on)
+        states = torch.cat((first[:, None], rolled.states), 1)
+        parts = state.unpack(states)
+        pose = body.form(torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), -3))
+    with mark("body"):
+        joints, marks = body.sequence(parts["trans"], pose)
+        if not on.needed_frames:
+            marks = body.sequence(parts["trans"], pose)[1]
+        seen = joints if evidence.view is None else evidence.view.pixels(marks, camera)
+        return Rolled(states, rolled, Posed(parts["trans"], body.rot(pose), joints, seen, betas, camera))
+
+
+def terms(
+    problem: Problem,
+    unknown: Unknowns,
+    on: Savings,
+    *,
+    grown: bool = True,
+    contacts: bool = True,
+    mark: Mark = record_function,
+) -> dict[str, Tensor]:
+    """Stage 3's weighted terms (G,); arguments as ``stages.motion_terms``."""
+    with weights_of(problem.priors, on):
+        rolled = roll(unknown, problem.priors, problem.evidence, on, mark)
+        with mark("terms"):
+            return stages.rolled_terms(problem, unknown, rolled, grown=grown, contacts=contacts)
+
+
+def closure(problem: Problem, unknown: Unknowns, on: Savings, *, mark: Mark = record_function, **how) -> Tensor:
+    """What an optimiser pays for: the energy (G,), detached, and all gradients, left in ``.grad``.
+
+    Gradients of the weights, where there are any, pile up as they do in the official fits, which never clear them.
+    """
+    for value in unknown.named().values():
+        value.grad = None
+    with weights_of(problem.priors, on):
+        value = sum(terms(problem, unknown, on, mark=mark, **how).values())
+        with mark("backward"):
+            value.sum().backward()
+    return value.detach()
+
+
+def chain_alone(problem: Problem, unknown: Unknowns, on: Savings) -> Callable[[], None]:
+    """The roll-out and nothing else, forwards and back: sums of squares of its states and logits, and its prior's nats.
+
+    Gradients go to the first state and to z, and to the weights where they are not frozen.
+    """
+    priors, each = problem.priors, unknown.per_window()
+    z = each.z.detach().requires_grad_()
+    body = _Body(on, each.betas, z.shape[1] + 1)
+    with torch.no_grad():
+        first = first_state(unknown, priors, body)
+    first.requires_grad_()
+
+    def run() -> None:
+        first.grad = z.grad = None
+        with weights_of(priors, on):
+            found = chain(priors.motion, first, z, on)
+            parts = found.states.square().sum(), found.contact_logits.square().sum(), found.prior.nll(found.z).sum()
+            sum(parts).backward()
+
+    return run
+
+
+def bodies_alone(problem: Problem, unknown: Unknowns, on: Savings) -> Callable[[], None]:
+    """All body evaluations of a closure and nothing else, forwards and back, for the poses that its roll-out finds."""
+    with torch.no_grad():
+        posed = roll(unknown, problem.priors, problem.evidence, on).body
+    body = _Body(on, posed.betas.detach().requires_grad_(), posed.root.shape[1])
+    trans, pose = posed.root.requires_grad_(), body.form(posed.rot).requires_grad_()
+
+    def run() -> None:
+        trans.grad = pose.grad = body.betas.grad = None
+        for _ in range(1 if on.needed_frames else FIRST_FRAME_CALLS):
+            first = body.first(trans[:, 0], pose[:, 0])
+        joints, marks = body.sequence(trans, pose)
+        if not on.needed_frames:
+            marks = body.sequence(trans, pose)[1]
+        sum(x.square().sum() for x in (first, joints, marks)).backward()
+
+    return run

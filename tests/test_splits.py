@@ -1,0 +1,59 @@
+import pytest
+import torch
+
+from data_synth import clips
+from motionlab import io, rotation, splits
+from motionlab.io.points import Positions
+from motionlab.skeleton import STANDARD, UPRIGHT
+from studies.nb01_data import tables
+from studies.nb02_rotations import recordings
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two recordings of one known source, as BVH at 60 frames per second."""
+    root = tmp_path_factory.mktemp("recordings")
+    (root / "reactidle").mkdir()
+    for i, take in enumerate(clips.draw(2, torch.Generator().manual_seed(0), actions=("idle",), fps=60.0)):
+        io.bvh.save(root / "reactidle" / f"{i}.bvh", take.motion)
+    return root
+
+
+def test_recordings_come_on_the_standard_joints_at_one_rate(folder):
+    motions = splits.standard(folder, "reactidle")
+    assert len(motions) == 2
+    assert all(m.skeleton.names == STANDARD.names and m.fps == 30 for m in motions)
+    assert len(splits.standard(folder, "reactidle", each=1)) == 1
+    assert splits.standard(folder, "reactidle")[0] is motions[0]  # loaded once
+
+
+def test_no_folder_or_no_such_source_is_an_empty_list(folder):
+    assert splits.standard(None, "cmu_amc") == []
+    assert splits.standard(folder, "cmu_amc") == []
+    assert recordings.roots(None) == {}
+    assert list(recordings.roots(folder)) == ["reactidle"]
+
+
+def test_spread_takes_first_last_and_between():
+    assert splits.evenly(list(range(10)), 4) == [0, 3, 6, 9]
+    assert splits.evenly([1, 2], 4) == [1, 2]
+    assert splits.evenly(list(range(10)), 1) == [0]
+
+
+def test_pelvis_of_hips_and_neck_is_upright_and_turns_with_them():
+    left, right, neck = torch.tensor([[-0.1, 0.0, 0.9], [0.1, 0.0, 0.9], [0.0, 0.0, 1.5]])  # faces +y
+    turn = rotation.rotation_about("z", torch.linspace(0, 2, 5))
+    points = torch.stack((left, right, neck)) @ turn.mT
+    trunk = Positions(("LHip", "RHip", "Neck"), points, torch.ones(5, 3, dtype=torch.bool), 50.0)
+    torch.testing.assert_close(recordings.pelvis_rotation(trunk), turn @ UPRIGHT, atol=1e-6, rtol=0)
+
+
+def test_table_of_what_is_there(folder):
+    (row,) = tables.inventory_rows(folder)
+    assert (row["source"], row["clips"], row["fps"], row["cannot be read"]) == ("reactidle", 2, "60", 0)
+
+
+def test_table_of_retargeting(folder):
+    (row,) = tables.retarget_rows(folder)
+    assert row["source"] == "reactidle" and row["clips"] == 2
+    assert row["residual, own bones, cm"] < 0.01 < row["residual, standard bones, cm"]

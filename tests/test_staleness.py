@@ -1,0 +1,246 @@
+"""A record goes stale when its code measures otherwise, and not when the code is moved, renamed or reworded."""
+
+import importlib
+import json
+import math
+import sys
+from dataclasses import replace
+
+import pytest
+
+from motionlab import findings, notebook, staleness
+from motionlab.errors import DataError
+from motionlab.staleness import Mark
+
+LEDGER = """
+[[claim]]
+id = "H00"
+section = "1"
+title = "t"
+thesis = "words"
+notebook = "02"
+[claim.test.length]
+definition = "mean length"
+unit = "m"
+relation = "<="
+bound = 10.0
+baseline = "b"
+[claim.test.time]
+definition = "seconds"
+unit = "s"
+relation = "<="
+bound = 10.0
+baseline = "b"
+clock = true
+"""
+CELLS = [
+    "from toylab import lengths\nfrom motionlab.notebook import setup",
+    "found = lengths.of_walks()",
+    "lab.record('H00.length', found, baseline=[1.0])\nlab.record('H00.time', [CLOCK])",
+    "lab.fingerprint('longest', max(found))",
+]
+LIBRARY = '''"""Lengths."""
+
+STEP = 0.5
+
+
+def of_walks():
+    """Six lengths."""
+    return [STEP * k for k in range(6)]
+'''
+
+
+@pytest.fixture
+def suite(tmp_path, monkeypatch):
+    """A notebook that measures with a library of its own; ``run`` runs it, as the smoke run of `make test` does."""
+    (tmp_path / "claims.toml").write_text(LEDGER)
+    (tmp_path / "toylab").mkdir()
+    (tmp_path / "toylab/lengths.py").write_text(LIBRARY)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("MOTIONLAB_VERIFY", "1")
+    for name in ("MOTIONLAB_PROFILE", "MOTIONLAB_DATA", "MOTIONLAB_RESULTS", "MOTIONLAB_RECORD"):
+        monkeypatch.delenv(name, raising=False)
+    write_cells(tmp_path, CELLS)
+
+    def run(profile="smoke", cells=CELLS, clock=1.0):
+        for name in [name for name in sys.modules if name.startswith("toylab")]:
+            del sys.modules[name]
+        importlib.invalidate_caches()
+        budgets = {"smoke": {}, "full": {}}
+        lab = notebook.setup("02_x", profile=profile, seed=0, budgets=budgets)
+        exec("\n".join(cells), {"lab": lab, "CLOCK": clock})
+        lab.close()
+        return lab
+
+    return run
+
+
+def write_cells(folder, cells):
+    book = {"cells": [{"cell_type": "code", "source": [cell], "outputs": []} for cell in cells]}
+    (folder / "02_x.ipynb").write_text(json.dumps(book))
+
+
+def stamped(run, folder, monkeypatch):
+    """The record of a full run with the fingerprint of a smoke run."""
+    monkeypatch.setenv("MOTIONLAB_RECORD", "1")
+    run("full")
+    monkeypatch.delenv("MOTIONLAB_RECORD")
+    monkeypatch.setenv("MOTIONLAB_RESULTS", str(folder / "smoke"))
+    monkeypatch.delenv("MOTIONLAB_VERIFY")
+    run()
+    monkeypatch.delenv("MOTIONLAB_RESULTS")
+    monkeypatch.setenv("MOTIONLAB_VERIFY", "1")
+    path = folder / "results/02.json"
+    record, smoke = findings.load_record(path), findings.load_record(folder / "smoke/02.json")
+    findings.save_record(path, replace(record, fingerprint=smoke.fingerprint))
+    return path
+
+
+def test_control_the_same_code_is_not_stale(suite, tmp_path, monkeypatch):
+    stamped(suite, tmp_path, monkeypatch)
+    assert suite(clock=99.0).stale() == []  # what the clock decides is no part of it
+
+
+def test_a_changed_constant_of_the_library_makes_the_record_stale(suite, tmp_path, monkeypatch):
+    path = stamped(suite, tmp_path, monkeypatch)
+    before = path.read_bytes()
+    (tmp_path / "toylab/lengths.py").write_text(LIBRARY.replace("0.5", "0.51"))
+    with pytest.raises(staleness.StaleRecord) as caught:
+        suite()
+    text = str(caught.value)
+    assert "H00.length was 1.25, is 1.275" in text and "longest was 2.5, is 2.55" in text and "H00.time" not in text
+    assert "make full NOTEBOOKS=02 (1 min when last run)" in text
+    assert path.read_bytes() == before
+
+
+def test_a_test_that_is_not_measured_any_more_makes_it_stale(suite, tmp_path, monkeypatch):
+    stamped(suite, tmp_path, monkeypatch)
+    with pytest.raises(staleness.StaleRecord, match="longest is not measured any more"):
+        suite(cells=CELLS[:3])
+
+
+def test_moving_renaming_and_rewording_do_not(suite, tmp_path, monkeypatch):
+    path = stamped(suite, tmp_path, monkeypatch)
+    (tmp_path / "toylab/lengths.py").unlink()
+    moved = LIBRARY.replace('"""Lengths."""', '"""How far people walk."""').replace("Six lengths", "Half a dozen")
+    (tmp_path / "toylab/people.py").write_text(moved)
+    cells = [CELLS[0].replace("import lengths", "import people as lengths"), *CELLS[1:]]
+    write_cells(tmp_path, cells)
+    suite(cells=cells)
+    assert findings.load_record(path).source_hash == staleness.code_hash(tmp_path / "02_x.ipynb")
+
+
+def test_a_record_without_fingerprint_says_how_to_take_it(suite, tmp_path, monkeypatch):
+    monkeypatch.setenv("MOTIONLAB_RECORD", "1")
+    suite("full")
+    with pytest.raises(staleness.StaleRecord, match="regenerate --fingerprints 02"):
+        suite()
+
+
+def test_only_make_full_writes_a_record(suite, tmp_path):
+    suite("full")
+    assert not (tmp_path / "results").exists()
+
+
+def test_outside_of_make_test_a_difference_is_only_said(suite, tmp_path, monkeypatch, capsys):
+    stamped(suite, tmp_path, monkeypatch)
+    monkeypatch.delenv("MOTIONLAB_VERIFY")
+    assert suite(cells=[*CELLS[:3], "lab.fingerprint('longest', 9.0)"]).stale() == [
+        "longest was 2.5, is 9 (may differ by 0.009)"
+    ]
+
+
+# ---------------------------------------------------------------------------------------------------------- the marks
+def test_marks_agree_within_the_size_of_the_number_or_of_its_bound():
+    assert staleness.mark(1.0).agrees(staleness.mark(1.0009))
+    assert not staleness.mark(1.0).agrees(staleness.mark(1.002))
+    assert staleness.mark(1e-15, scale=1e-10).agrees(staleness.mark(5e-15, scale=1e-10))  # rounding, beside its bound
+    assert staleness.mark(1e-15).agrees(staleness.mark(5e-15))  # rounding by itself
+    assert not staleness.mark(1e-5).agrees(staleness.mark(2e-5))
+    assert staleness.mark(math.nan).agrees(staleness.mark(None)) and not staleness.mark(None).agrees(Mark(0.0, 1.0))
+
+
+def test_runs_under_other_arithmetic_say_how_far_rounding_moves_a_number():
+    first = {"steady": staleness.mark(1.0), "rough": staleness.mark(2.0), "chaotic": staleness.mark(3.0)}
+    second = {"steady": staleness.mark(1.0), "rough": staleness.mark(2.02), "chaotic": staleness.mark(5.0)}
+    found, unsteady = staleness.merged([first, second])
+    assert unsteady == ["chaotic"] and found["steady"] == first["steady"]
+    assert found["rough"].value == 2.0 and found["rough"].within == pytest.approx(0.1)
+    assert staleness.merged([first, {"steady": first["steady"]}])[1] == ["rough", "chaotic"]
+
+
+def test_recordings_decide_what_must_be_measured_again():
+    marks = {"walks": staleness.mark(1.0), "mixed": staleness.mark(2.0)}
+    on_cmu = {"mixed": staleness.mark(3.0), "cmu": staleness.mark(4.0)}
+    record = findings.Record("02", "x", (), {}, marks, on_cmu, recordings={"cmu_amc": "a"})
+    assert record.expected({}) == marks
+    assert record.expected({"cmu_amc": "a", "more": "b"}) == marks | on_cmu
+    assert record.expected({"cmu_amc": "other"}) == {"walks": marks["walks"]}
+
+
+# ---------------------------------------------------------------------------------------------------- hashes of the
+# code
+def test_imports_and_outputs_are_no_part_of_the_hash_of_a_notebook(tmp_path):
+    write_cells(tmp_path, CELLS)
+    before = staleness.code_hash(tmp_path / "02_x.ipynb")
+    write_cells(tmp_path, ["from elsewhere import (\n    lengths,\n)", *CELLS[1:]])
+    assert staleness.code_hash(tmp_path / "02_x.ipynb") == before
+    write_cells(tmp_path, [CELLS[0], CELLS[1].replace("of_walks", "of_runs"), *CELLS[2:]])
+    assert staleness.code_hash(tmp_path / "02_x.ipynb") != before
+
+
+@pytest.mark.parametrize(
+    ("other", "same"),
+    [
+        (LIBRARY.replace("Six lengths", "Half a dozen"), True),
+        (LIBRARY.replace("\n\n\n", "\n  # a comment\n\n\n"), True),
+        ("import math\n" + LIBRARY, True),
+        (LIBRARY.replace("range(6)", "range(7)"), False),
+        (LIBRARY.replace("0.5", "0.25"), False),
+    ],
+)
+def test_documentation_and_layout_are_no_part_of_the_hash_of_a_module(other, same):
+    assert (staleness._source_hash(other) == staleness._source_hash(LIBRARY)) is same
+
+
+def test_changed_modules_are_listed(tmp_path):
+    (tmp_path / "toylab").mkdir()
+    (tmp_path / "toylab/lengths.py").write_text(LIBRARY)
+    recorded = {"toylab.lengths": staleness._source_hash(LIBRARY), "toylab.gone": "0" * 8}
+    assert staleness.changed_modules(recorded, tmp_path) == ["toylab.gone"]
+    (tmp_path / "toylab/lengths.py").write_text(LIBRARY.replace("0.5", "0.25"))
+    assert staleness.changed_modules(recorded, tmp_path) == ["toylab.lengths", "toylab.gone"]
+
+
+def test_lists_of_recordings_are_told_apart_by_source(tmp_path):
+    assert staleness.recordings_digest(None) == {}
+    (tmp_path / "cmu_amc").mkdir()
+    (tmp_path / "cmu_amc/a.amc").write_text("1")
+    first = staleness.recordings_digest(tmp_path)
+    (tmp_path / "mine").mkdir()
+    assert staleness.recordings_digest(tmp_path)["cmu_amc"] == first["cmu_amc"]
+    (tmp_path / "cmu_amc/b.amc").write_text("1")
+    assert staleness.recordings_digest(tmp_path)["cmu_amc"] != first["cmu_amc"]
+
+
+def test_a_fingerprint_survives_its_file(tmp_path):
+    marks = {"a": staleness.mark(1 / 3), "none": staleness.mark(None), "n": Mark(8, 0)}
+    record = findings.Record("02_x", "abc", (), {"torch": "2"}, marks, {}, {"w": "1"}, {"cmu": "2"}, {"m": "3"})
+    findings.save_record(tmp_path / "02.json", record)
+    assert findings.load_record(tmp_path / "02.json") == record
+    assert json.loads((tmp_path / "02.json").read_text())["fingerprint"]["n"] == [8, 0]
+    (tmp_path / "02.json").write_text((tmp_path / "02.json").read_text().replace("[8, 0]", "[8, 0, 1]"))
+    with pytest.raises(DataError, match=r"02\.json"):
+        findings.load_record(tmp_path / "02.json")
+
+
+def test_weights_are_part_of_it(suite, tmp_path, monkeypatch):
+    path = stamped(suite, tmp_path, monkeypatch)
+    record = findings.load_record(path)
+    findings.save_record(path, replace(record, weights={"humor_compact": "0" * 12}))
+    from motionlab import checkpoint
+
+    monkeypatch.setattr(checkpoint, "_LOADED", {"humor_compact": "1" * 12})
+    with pytest.raises(staleness.StaleRecord, match="humor_compact are other weights"):
+        suite()
