@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from scipy.signal import lfilter
 from torch import Tensor
 
 from data_synth.body import tree_distance
@@ -228,6 +227,8 @@ def _self_hidden(motion: Motion, body: BodyModel, betas: Tensor | None, points: 
 
 def _steady_noise(shape: Sequence[int], correlation: float, generator: torch.Generator) -> Tensor:
     """Unit Gaussian noise (T, ...) with the given correlation between neighbouring frames."""
+    from scipy.signal import lfilter  # takes most of a second to load
+
     drawn = torch.randn(shape, generator=generator)
     fresh = (1 - correlation**2) ** 0.5
     drawn[0] /= fresh  # the first frame starts in the steady state

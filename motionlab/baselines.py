@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import torch
-from scipy.signal import savgol_filter
 from torch import Tensor
 
 from motionlab import rotation
@@ -110,6 +109,8 @@ def savitzky_golay(x: Tensor, window: int, degree: int) -> Tensor:
     sizes = check_shape(x, "... T D", "x")
     if not degree < window <= sizes["T"] or window % 2 == 0:
         raise ShapeError(f"window {window}: expected an odd number over degree {degree} and up to T = {sizes['T']}")
+    from scipy.signal import savgol_filter  # takes most of a second to load
+
     smooth = savgol_filter(x.detach().cpu().double().numpy(), window, degree, axis=-2)
     return torch.as_tensor(smooth).to(x)
 

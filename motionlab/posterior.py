@@ -38,7 +38,7 @@ class Posterior:
 
     chain (S, W, n), log_prob (S, W): float64. times (n,): autocorrelation times, in steps. acceptance: mean share of
     accepted proposals. names, units: of the numbers. burned: steps cut off. stopped: a person stopped it. looks: in a
-    row and up to the last one, at which the chain was long enough.
+    row and up to the last one, at which the chain was long enough. least: autocorrelation times that it must be long.
     """
 
     chain: Tensor
@@ -50,6 +50,7 @@ class Posterior:
     burned: int
     stopped: bool = False
     looks: int = LOOKS
+    least: float = LEAST
 
     @property
     def lengths(self) -> Tensor:
@@ -58,8 +59,8 @@ class Posterior:
 
     @property
     def long_enough(self) -> bool:
-        """Whether the chain is ``LEAST`` autocorrelation times long in every number, and was at the look before."""
-        return self.looks >= LOOKS and _long(self.lengths)
+        """Whether the chain is ``least`` autocorrelation times long in every number, and was at the look before."""
+        return self.looks >= LOOKS and _long(self.lengths, self.least)
 
     def draws(self, count: int | None = None) -> Tensor:
         """Draws (N, n), all or ``count`` of them evenly along the chain.
@@ -72,9 +73,9 @@ class Posterior:
                 f"{name} {length:.0f}" for name, length in zip(self.names, self.lengths.tolist(), strict=True)
             )
             raise NotConverged(
-                f"the chain is {len(self.chain)} steps long, in autocorrelation times: {short}; a report needs {LEAST} "
-                f"at {LOOKS} looks in a row, it had them at {self.looks} (remedy: more steps, walkers nearer the "
-                "posterior, or other moves)",
+                f"the chain is {len(self.chain)} steps long, in autocorrelation times: {short}; a report needs "
+                f"{self.least:g} at {LOOKS} looks in a row, it had them at {self.looks} (remedy: more steps, walkers "
+                "nearer the posterior, or other moves)",
                 self.times.tolist(),
             )
         flat = self.chain.flatten(0, 1)
@@ -123,6 +124,7 @@ def sample(
     steps: int = 2000,
     block: int = 100,
     moves: Sequence[tuple[moves.Move, float]] | None = None,
+    least: float = LEAST,
     progress: bool = False,
 ) -> Posterior:
     """Draws from a posterior by walkers until the chain is long enough to report at ``LOOKS`` looks in a row.
@@ -134,6 +136,7 @@ def sample(
         start: (W, n), at least 2 n walkers, all of them possible.
         names, units: of the n numbers. generator: the chain depends on nothing else that is random.
         block: steps between two looks at the length. moves: emcee's, with their shares; its stretch move by default.
+        least: autocorrelation times that the chain must be long to report.
         progress: show a bar of the length in autocorrelation times.
 
     Raises:
@@ -160,12 +163,12 @@ def sample(
     random = np.random.RandomState(seed)  # what emcee takes; nothing global is touched
     sampler = emcee.EnsembleSampler(walkers, count, many, vectorize=True, moves=list(moves) if moves else None)
     state = emcee.State(where, log_prob=first, random_state=random.get_state())
-    return _until_long(sampler, state, tuple(names), units, steps, block, progress)
+    return _until_long(sampler, state, tuple(names), units, steps, block, least, progress)
 
 
-def _until_long(sampler, state, names, units, steps: int, block: int, progress: bool) -> Posterior:
+def _until_long(sampler, state, names, units, steps: int, block: int, least: float, progress: bool) -> Posterior:
     stopped, found, looks = False, None, 0
-    with tqdm(total=LEAST, desc="autocorrelation times", disable=not progress, bar_format="{l_bar}{bar}") as bar:
+    with tqdm(total=least, desc="autocorrelation times", disable=not progress, bar_format="{l_bar}{bar}") as bar:
         while sampler.iteration < steps and not stopped:
             try:
                 state = sampler.run_mcmc(state, min(block, steps - sampler.iteration))
@@ -174,9 +177,9 @@ def _until_long(sampler, state, names, units, steps: int, block: int, progress: 
             if not sampler.iteration:
                 raise KeyboardInterrupt
             found = _posterior(sampler, names, units, stopped)
-            looks = looks + 1 if _long(found.lengths) else 0
-            found = replace(found, looks=looks)
-            bar.n = min(LEAST, round(found.lengths.nan_to_num(0.0).amin().item(), 1))
+            looks = looks + 1 if _long(found.lengths, least) else 0
+            found = replace(found, looks=looks, least=least)
+            bar.n = min(least, round(found.lengths.nan_to_num(0.0).amin().item(), 1))
             bar.refresh()
             if found.long_enough:
                 break
@@ -197,8 +200,8 @@ def _posterior(sampler, names, units, stopped: bool) -> Posterior:
     )  # fmt: skip
 
 
-def _long(lengths: Tensor) -> bool:
-    return bool((lengths >= LEAST).all())  # not so where a time is not finite
+def _long(lengths: Tensor, least: float) -> bool:
+    return bool((lengths >= least).all())  # not so where a time is not finite
 
 
 def _times(chain: Tensor) -> Tensor:

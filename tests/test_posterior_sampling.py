@@ -82,7 +82,7 @@ def test_control_one_look_at_a_long_chain_is_not_enough(generator):
 
 def test_a_short_look_between_two_long_ones_begins_the_count_anew(generator, monkeypatch):
     looks = iter([True, False, True, True, True])
-    monkeypatch.setattr(posterior, "_long", lambda lengths: next(looks))
+    monkeypatch.setattr(posterior, "_long", lambda lengths, least: next(looks))
     found = sample(gaussian, near(generator), names="abc", generator=generator, steps=1000, block=10)
     assert found.looks == 2 and len(found.chain) + found.burned == 40
 

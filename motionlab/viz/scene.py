@@ -95,6 +95,8 @@ class Scene:
         self.plotter = pv.Plotter(
             shape=(1, len(panels)), off_screen=True, window_size=list(size), border=False, lighting="none"
         )
+        if viz.draft:
+            self.plotter.render_window.SetMultiSamples(0)
         self._updates: list[Callable[[float], None]] = []
         self._seen: list[list[tuple[np.ndarray, float]]] = [[] for _ in panels]  # paths (T, M, 3) and their fps
         self._left: np.ndarray | None = None

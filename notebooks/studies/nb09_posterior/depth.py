@@ -27,6 +27,7 @@ NAMES, UNITS = ("size", "distance", "camera height"), ("log", "log", "m")
 PIXEL = 6.0  # pixels: standard deviation of a keypoint of confidence 1; HuMoR's 0.001 beside its 0.075 says 6.1
 STATURE = 0.05  # standard deviation of the logarithm of a grown-up's stature
 FOOT = 0.02  # metres: how well a joint of the foot in contact is known to be at its resting height
+_ENOUGH = 1e-12  # of the energy: a Gauss-Newton step that gains less is the last
 FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
 
 
@@ -109,12 +110,15 @@ class View:
             hessian = slope.mT @ slope
             step = torch.linalg.solve(hessian + damp * torch.diag(hessian.diagonal()), slope.mT @ r)
             there = whole(theta - step)
-            if there.square().sum() < r.square().sum():
+            less = (r.square().sum() - there.square().sum()) / r.square().sum()
+            if less > 0:
                 theta, damp = theta - step, damp / 5
                 r, slope = there, torch.func.jacrev(whole)(theta)
+                if less < _ENOUGH:
+                    break
             else:  # the curvature here is known
                 damp *= 5
-        return theta, torch.linalg.cholesky(torch.linalg.inv(hessian))
+        return theta, torch.linalg.cholesky(torch.linalg.inv(slope.mT @ slope))
 
     def moved(self, rise: float) -> View:
         """As if somebody had measured the camera's height wrong by so much, metres."""

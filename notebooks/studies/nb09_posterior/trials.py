@@ -10,7 +10,7 @@ from torch import Tensor
 
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
-from motionlab.posterior import Posterior, walk
+from motionlab.posterior import LEAST, Posterior, walk
 from studies.nb09_posterior import calibration, depth
 from studies.nb09_posterior.depth import Known
 from studies.nb09_posterior.legs import Open
@@ -42,6 +42,7 @@ def sampled(
     steps: int = 800,
     warm: int = 40,
     draws: int = 200,
+    least: float = LEAST,
     progress: bool = False,
 ) -> Draws | None:
     """emcee on the directions of one clip; None where the chain is too short to report."""
@@ -49,7 +50,7 @@ def sampled(
     factor = temperature**0.5 * torch.eye(clip.size, dtype=torch.float64)
     chain = walk(
         lambda c: clip.log_prob(c, temperature), clip.mean, factor, walkers=walkers, generator=generator, steps=steps,
-        block=25, warm=warm, names=names, units=("s.d.",) * clip.size, progress=progress,
+        block=25, warm=warm, names=names, units=("s.d.",) * clip.size, least=least, progress=progress,
     )  # fmt: skip
     if not chain.long_enough:
         return None
@@ -132,6 +133,7 @@ def placed(
     walkers: int = 24,
     steps: int = 2000,
     ensembles: int = 2,
+    least: float = LEAST,
 ) -> Placed:
     """One clip under one state of knowledge, its camera's height measured as wrong as that says (at most 5 cm)."""
     error = min(known.camera, 0.05) * float(torch.randn((), generator=generator, dtype=torch.float64))
@@ -142,7 +144,7 @@ def placed(
     chain, *again = (
         walk(
             lambda theta: view.log_prob(theta, known), mean, factor, walkers=walkers, generator=generator, steps=steps,
-            names=depth.NAMES, units=depth.UNITS,
+            names=depth.NAMES, units=depth.UNITS, least=least,
         )
         for _ in range(ensembles)
     )  # fmt: skip
