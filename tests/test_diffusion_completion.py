@@ -113,7 +113,6 @@ def test_kept_chains_keep_the_handles_but_for_the_height(models, truth):
     assert measures.missed(loose, truth.positions[:, 0], which)[:, 1:].nanmean() > 0.02
 
 
-# --------------------------------------------------------------------------------------------------- the measures
 def test_what_cannot_be(models, truth, windows):
     joints, which = truth.positions[:, 0], trials.chosen_handles(3, 24, seeded())
     with pytest.raises(ShapeError, match="targets"):
@@ -145,6 +144,3 @@ def test_ridge_regression_against_its_normal_equations(library, truth):
     found = library.regressed(torch.where(which[..., None], joints, torch.nan), which, ridge=1e-3)
     assert (found.root[:, 0] - said[:, :3]).abs().max() < 1e-5
     assert (found.rot[:, 0] - rotation.sixd_to_matrix(said[:, 3:].unflatten(-1, (-1, 6)))).abs().max() < 1e-4
-
-
-# ------------------------------------------------------------------------------------------------------ all ways

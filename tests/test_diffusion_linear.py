@@ -188,3 +188,5 @@ def test_silenced_it_is_its_start(model, truth):
     start = silenced(replace(model, denoiser=loud)).denoiser(xt, steps, handles=told)
     assert torch.equal(start, model.denoiser(xt, steps, handles=told))
     assert (start - loud(xt, steps, handles=told)).abs().max() > 1e-2
+    with pytest.raises(ShapeError, match="spectral"):
+        silenced(replace(model, denoiser=loud.network))  # nothing but a network

@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from motionlab import rotation
+from motionlab.humor.cvae import Cvae
 from motionlab.humor.state import SHAPES
 from motionlab.motion import velocity
-from studies.nb04_prior import parity
+from studies.nb04_prior import controls, parity
 from studies.official import rollout as official_rollout
 from studies.official import rotation as official_rotation
 from studies.shared import savings
@@ -89,6 +90,13 @@ def test_control_a_changed_epsilon_is_noticed(monkeypatch):
     golden = parity.Golden(FOLDER)
     rows = of([*parity._geometry(golden), *parity._frames(golden)], "official")
     assert missed(rows) >= {"w2a_from_root_mat", "canon_w2a_rot", "canon_local_*"}
+
+
+def test_control_what_is_wrong_on_purpose_is_noticed():
+    golden, model = parity.Golden(FOLDER), parity.seeded()
+    assert min(controls.errors(golden, model).values()) > 1e-2
+    assert controls.misfits(model, golden) == []
+    assert len(controls.misfits(Cvae(512), golden)) == 50
 
 
 def test_difference_is_relative_to_large_arrays_and_absolute_for_small_ones():

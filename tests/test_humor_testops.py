@@ -241,32 +241,6 @@ def test_the_start_of_stage_three_takes_the_priors_mean_where_nothing_is_known(k
     torch.testing.assert_close(z[:, 0], kit.motion.prior(unknowns.local_first(states[:, 0])).mean, atol=1e-4, rtol=0)
 
 
-@pytest.mark.parametrize("contacts", [True, False])
-def test_both_modes_have_one_energy(kit, walk, camera, contacts, monkeypatch):
-    """Axis-angle, a full mesh and the prior in the loop, or none of it: the same number at the same point.
-
-    With the heading put right: the official one's own error, a milliradian a step, changes terms by some per cent.
-    """
-    official = official_unknowns.official_rollout.rollout
-    monkeypatch.setattr(official_unknowns.official_rollout, "rollout", partial(official, align=savings.exact_alignment))
-    lean = problem(kit, keypoints(walk, camera), RGB)
-    unknown = replace(testops.start_stage_1(lean), betas=torch.full((2, 8), 0.3))
-    other = replace(unknown, orient=rotation.log(unknowns.to_matrix(unknown.orient)))
-    faithful = replace(lean, mode="official", form=official_unknowns.FAITHFUL)
-    for name, value in stages.pose_terms(lean, unknown, 2).items():
-        torch.testing.assert_close(stages.pose_terms(faithful, other, 2)[name], value, rtol=2e-3, atol=1e-3)
-    motion = unknowns.motion_of(unknowns.pose(unknown, kit, lean.evidence), 30.0)
-    shared = unknown.shared()
-    trust = lean.evidence.trust
-    rolled, _ = starts.start_stage_3(motion, unknown.latent[:, 0], shared, trust, kit, (0,), 24)
-    other = replace(rolled, orient=rotation.log(unknowns.to_matrix(rolled.orient)))
-    a = stages.motion_terms(lean, rolled, contacts=contacts)
-    b = stages.motion_terms(faithful, other, contacts=contacts)
-    assert a.keys() == b.keys() and ("contact_vel" in a) == contacts
-    for name, value in a.items():
-        torch.testing.assert_close(b[name], value, rtol=2e-3, atol=1e-3)
-
-
 def in_float64(p):
     """A problem and its priors in float64, the camera free."""
     seen, view = p.evidence, p.evidence.view
@@ -338,6 +312,3 @@ def test_faithful_mode_runs(kit, walk):
     fitted = testops.fit(joints(walk.clip(slice(0, 1)).cut(0, 17)), kit, schedule=schedule, **faithful)
     assert finite(fitted)
     assert sorted(fitted.stages) == [1, 2, 3]
-
-
-# ----------------------------------------------------------------------------------------------------- the comparison

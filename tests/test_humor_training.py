@@ -174,15 +174,6 @@ def test_only_the_official_recipe_skips_what_is_not_finite_and_clips_nothing(dat
         compact.run()
 
 
-def test_losses_fall(data):
-    recipe = replace(SMALL, steps=40, batch=24, length=1, chain=1, supervised=1.0, sampled=2.0, lr=0.03)
-    run = training.PriorTraining(recipe, replace(data, length=2))
-    begin = sum(run.advance()["reconstruction"] for _ in range(5))
-    while run.step < 35:
-        run.advance()
-    assert sum(run.advance()["reconstruction"] for _ in range(5)) < 0.7 * begin
-
-
 def spoil(monkeypatch, which, number=math.nan):
     """Make the losses of some steps, counted from 0, another number."""
     true, calls = training._transition_losses, iter(range(10_000))
@@ -227,16 +218,6 @@ def test_rates_fall_as_written(data):
 def test_widths_that_the_norms_cannot_have(width):
     with pytest.raises(ShapeError, match="multiple of 32"):
         Cvae(width)
-
-
-def test_what_ships_is_the_moving_average(data):
-    run = training.PriorTraining(SMALL, data).run()
-    model = Cvae(SMALL.width)
-    model.load_state_dict(run.average)
-    x = data.states[:7]
-    past = state.localise(x, state.heading(x))
-    assert torch.allclose(run.averaged.prior(past).mean, run.scales.prior(model, past).mean, atol=1e-3)
-    assert len(run.averaged.state_dict()) == 50 and not any(p.requires_grad for p in run.averaged.parameters())
 
 
 # -------------------------------------------------------------------------------------------------- command

@@ -200,21 +200,6 @@ def test_the_whole_benchmark_agrees_with_a_scalar_reading(folder, data, method, 
     assert "published" not in row and not data.whole  # a made-up folder is not measured by official numbers
 
 
-def test_windows_are_those_of_the_strict_loop():
-    for frames in (64, 65, 66, 105, 106, 150):
-        motion, starts, i = take(frames, 1), [], 0
-        while i + 65 < frames:
-            starts.append(i)
-            i += 40
-        cuts = lafan._benchmark_windows(motion, *lafan.TEST)
-        if not starts:
-            assert cuts is None
-            continue
-        assert len(cuts.root) == len(starts) and all(
-            torch.equal(cuts.root[k], motion.root[s : s + 65]) for k, s in enumerate(starts)
-        )
-
-
 # -------------------------------------------------------------------------------------------------- invariances
 
 

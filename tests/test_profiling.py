@@ -3,10 +3,8 @@ import time
 
 import pytest
 import torch
-from torch.profiler import record_function
 
 from motionlab.profiling import Stopwatch, _timed, graph_nodes, interleaved
-from studies.nb06_profile.profiles import peak_memory, time_shares
 
 
 def test_timer_finds_a_sleep_and_leaves_garbage_collection_as_it_was():
@@ -40,32 +38,6 @@ def test_graph_nodes_by_hand():
         chain = chain + 1
     assert graph_nodes(chain) == 5001
     assert graph_nodes(x * 2, x * 3) == 3
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="counts the CPU's allocations")
-def test_peak_memory_counts_what_is_held_at_once():
-    def one_after_the_other():
-        for _ in range(4):
-            torch.zeros(250_000)
-
-    def together():
-        return [torch.zeros(250_000) for _ in range(4)]
-
-    assert peak_memory(one_after_the_other) == pytest.approx(1e6, rel=0.01)
-    assert peak_memory(together) == pytest.approx(4e6, rel=0.01)
-
-
-def test_shares_of_time():
-    def work():
-        with record_function("long"):
-            time.sleep(0.1)
-        with record_function("short"):
-            time.sleep(0.01)
-
-    shares = time_shares(work, ("long", "short", "never"))
-    assert shares["long"] > shares["short"] > 0 and shares["never"] == 0
-    assert sum(shares.values()) == pytest.approx(1)
-    assert shares["other"] < 0.5  # a busy machine sleeps in
 
 
 def test_rounds_go_through_every_call_in_turn():

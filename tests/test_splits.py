@@ -5,7 +5,6 @@ from data_synth import clips
 from motionlab import io, rotation, splits
 from motionlab.io.points import Positions
 from motionlab.skeleton import STANDARD, UPRIGHT
-from studies.nb01_data import tables
 from studies.nb02_rotations import recordings
 
 
@@ -46,14 +45,3 @@ def test_pelvis_of_hips_and_neck_is_upright_and_turns_with_them():
     points = torch.stack((left, right, neck)) @ turn.mT
     trunk = Positions(("LHip", "RHip", "Neck"), points, torch.ones(5, 3, dtype=torch.bool), 50.0)
     torch.testing.assert_close(recordings.pelvis_rotation(trunk), turn @ UPRIGHT, atol=1e-6, rtol=0)
-
-
-def test_table_of_what_is_there(folder):
-    (row,) = tables.inventory_rows(folder)
-    assert (row["source"], row["clips"], row["fps"], row["cannot be read"]) == ("reactidle", 2, "60", 0)
-
-
-def test_table_of_retargeting(folder):
-    (row,) = tables.retarget_rows(folder)
-    assert row["source"] == "reactidle" and row["clips"] == 2
-    assert row["residual, own bones, cm"] < 0.01 < row["residual, standard bones, cm"]

@@ -1,4 +1,4 @@
-"""The test cases: what they hide, what they measure, noise and its removal, and motions that are joined."""
+"""Noise on motion, and its removal by a model."""
 
 from dataclasses import replace
 
@@ -16,9 +16,6 @@ from motionlab.diffusion.model import DenoiserRecipe, Trained
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.skeleton import STANDARD
-from studies.shared import bench as benches
-from studies.shared import cases
-from studies.shared.rivals import Rivals
 
 FRAMES = 20
 
@@ -30,38 +27,6 @@ def motion():
     return replace(cut, skeleton=STANDARD)
 
 
-# ------------------------------------------------------------------------------------------------------- what is known
-def test_occluded_legs_hide_eight_rotations_and_contacts_and_nothing_else():
-    known = cases.columns(Layout(), cases.legs(3, 5))
-    expected = Layout().mask(5, groups=("root",), joints=[n for n in STANDARD.names if n not in cases.HIDDEN])
-    assert len(cases.HIDDEN) == 8 and torch.equal(known, expected.expand(3, -1, -1))
-
-
-@pytest.mark.parametrize("share", [0.25, 0.5])
-def test_every_frame_has_its_own_joints_and_every_joint_its_frame(generator, share):
-    known = cases.every_frame(40, 60, share, generator)
-    joints = known[..., : cases.JOINTS]
-    assert joints.float().mean() == pytest.approx(share, abs=0.02)
-    assert joints.any(1).all() and (joints[:, 1:] != joints[:, :-1]).any()
-    assert torch.equal(known[..., cases.JOINTS], known[..., 0]) and not known[..., -1].any()
-    assert cases.every_frame(1, 4, 0.0, generator)[..., : cases.JOINTS].sum(1).eq(1).all()
-
-
-# ------------------------------------------------------------------------------------------------------------ measures
-def test_error_counts_the_joints_asked_for_in_the_frames_that_hide_something(motion):
-    known = cases.gap(len(motion.root), FRAMES, 4)
-    assert cases.error_cm(motion, motion, known).abs().max() == 0
-    root = motion.root.clone()
-    root[:, 8:12] += torch.tensor([0.0, 0.0, 0.03])  # all joints of the gap 3 cm up
-    assert cases.error_cm(replace(motion, root=root), motion, known, cases.LOWER).numpy() == pytest.approx(3, abs=1e-3)
-    outside = motion.root.clone()
-    outside[:, :8] += 1
-    assert cases.error_cm(replace(motion, root=outside), motion, known).abs().max() < 1e-4
-    with pytest.raises(DataError, match="all is known"):
-        cases.error_cm(motion, motion, torch.ones_like(known))
-
-
-# ----------------------------------------------------------------------------------------------------------- denoising
 class Fixed(nn.Module):
     """An x_0 estimate that is given, or what it got, without the factor of its step."""
 
@@ -135,25 +100,3 @@ def test_denoising_says_what_it_cannot_do(motion, generator):
     moving = replace(model_of(motion), layout=Layout(velocities=True))
     with pytest.raises(DataError, match="velocities"):
         denoising.denoise(moving, motion, motion, Noise.of(5, 2), generator)
-
-
-# ----------------------------------------------------------------------------------------------------------- all of it
-@pytest.fixture(scope="module")
-def bench(motion):
-    """Models that know nothing, and rivals fitted to the windows themselves."""
-    recipe = DenoiserRecipe(size="small", frames=FRAMES, patch=2, spectral=True)
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        networks = [replace(recipe, told=told).denoiser().eval().requires_grad_(False) for told in (False, True)]
-    plain, told = (replace(model_of(motion), denoiser=n, recipe=replace(recipe, told=n.told)) for n in networks)
-    rivals = Rivals.fit(motion, torch.Generator().manual_seed(0), parts=4)
-    return benches.Bench(plain, told, rivals, steps=2)
-
-
-@pytest.mark.parametrize("name", benches.WAYS)
-def test_every_way_keeps_what_is_known_to_the_bit(motion, bench, name, generator):
-    known = cases.every_frame(6, FRAMES, 0.5, generator)
-    made = bench.fill(name, motion, known, generator)
-    joints, place = known[..., : cases.JOINTS], known[..., cases.JOINTS]
-    assert torch.equal(made.rot[joints], motion.rot[joints]) and torch.equal(made.root[place], motion.root[place])
-    assert not torch.allclose(made.rot[~joints], motion.rot[~joints], atol=1e-3)
