@@ -8,9 +8,10 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 
-from motionlab import findings, staleness
+from motionlab import findings, parallel, staleness
 from motionlab.doctor import ROOT
 from motionlab.errors import DataError, MissingData
 
@@ -132,7 +133,7 @@ def run_side_by_side(
     Returns:
         how they went, in the order of ``jobs``.
     """
-    processes = processes or max(1, os.cpu_count() or 1)
+    processes = processes or parallel.cores()
     environment = ONE_THREAD | dict(environment)
     runs: dict[Path, Run] = {}
 
@@ -177,7 +178,7 @@ def regenerate(names: Sequence[str] = ()) -> list[Run]:
         print(f"{path.stem} ...", flush=True)
         runs.append(asyncio.run(execute(path, path, environment)))
         if runs[-1].ok:
-            runs[-1] = _with_fingerprint(path, runs[-1], again=True)
+            runs[-1] = _with_fingerprint(path, runs[-1], again=True, apart={})
         print(f"      {runs[-1].status()}, {runs[-1].seconds:.0f} s", flush=True)
     return runs
 
@@ -191,25 +192,27 @@ def take_fingerprints(names: Sequence[str] = (), *, again: bool = False) -> list
     Args:
         again: take it also where it differs from the recorded one, as where a budget of the smoke profile was changed.
     """
-    return [_with_fingerprint(path, Run(path.stem, 0.0), again=again) for path in find_notebooks(names)]
+    apart = {"fingerprint": f"taken again on {date.today()}, apart from the full run"} if again else {}
+    return [_with_fingerprint(path, Run(path.stem, 0.0), again=again, apart=apart) for path in find_notebooks(names)]
 
 
-def _with_fingerprint(path: Path, run: Run, *, again: bool) -> Run:
+def _with_fingerprint(path: Path, run: Run, *, again: bool, apart: Mapping[str, str]) -> Run:
     """Take the fingerprint of one notebook; the run with its seconds, or with what went wrong."""
     began = time.perf_counter()
     try:
-        _write_fingerprint(path, again=again)
+        _write_fingerprint(path, again=again, apart=apart)
     except DataError as error:
         run = replace(run, error=str(error))
     return replace(run, seconds=run.seconds + time.perf_counter() - began)
 
 
-def _write_fingerprint(path: Path, *, again: bool = False) -> None:
+def _write_fingerprint(path: Path, *, again: bool = False, apart: Mapping[str, str] | None = None) -> None:
     """Take the fingerprint of a notebook and put it into its record.
 
     A record that has one is only confirmed: a smoke run on synthetic motion and, where $MOTIONLAB_DATA names some, one
     on recordings must agree with it. A new one is what the smoke profile measures in four runs on synthetic motion and
-    two on recordings, as it is and with other rounding, so that the numbers say how far rounding moves them.
+    two on recordings, as it is and with other rounding, so that the numbers say how far rounding moves them. apart:
+    what the record's provenance says of one that was not taken together with the full run.
 
     Raises:
         StaleRecord: the record has another fingerprint, and ``again`` is not given.
@@ -241,7 +244,7 @@ def _write_fingerprint(path: Path, *, again: bool = False) -> None:
             source_hash=staleness.code_hash(path),
             weights=last.weights,
             modules=last.modules,
-            provenance=record.provenance | {"smoke seconds": last.provenance["seconds"]},
+            provenance=record.provenance | {"smoke seconds": last.provenance["seconds"]} | dict(apart or {}),
         ),
     )
 

@@ -183,7 +183,7 @@ def judge(test: Criterion, low: float, high: float, n: int) -> str:
 
 
 def _overall(verdicts: Iterable[str]) -> str:
-    """The verdict on a claim from those on its tests and sources."""
+    """The verdict on a claim from those on its tests and sources: theirs where all agree, else a condition."""
     found = set(verdicts)
     if not found:
         return OPEN

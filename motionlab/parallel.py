@@ -32,6 +32,11 @@ def threads_for(rows: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+def cores() -> int:
+    """Counts the cores that this process may use: in a container, fewer than the machine has."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def one_thread() -> None:
     """One thread for this process from now on, unless $OMP_NUM_THREADS says how many."""
     if not os.environ.get("OMP_NUM_THREADS"):
@@ -47,9 +52,10 @@ def run_jobs(
     done: called here with the number of a job and what it returned, as soon as it has."""
     found = {}
     if workers == 1:
-        for k, job in enumerate(jobs):
-            found[k] = job()
-            done(k, found[k])
+        with threads_for(1):
+            for k, job in enumerate(jobs):
+                found[k] = job()
+                done(k, found[k])
         return list(found.values())
     others = set(active_children())
     with ProcessPoolExecutor(workers, get_context("spawn"), _worker) as pool:

@@ -227,7 +227,7 @@ def _first_states(motions: Sequence[Motion], every: int, generator: torch.Genera
 def make_pose_prior(train: _Motions, held: _Motions, out: Path, *, seed: int = 0, steps: int = STEPS) -> dict:
     """Train and write the pose prior; its recipe.
 
-    train, held: motions at 30 fps on the 22 joints, as ``train.sources`` splits them.
+    train, held: motions at 30 fps on the 22 joints, as ``train`` splits them.
     """
     generator = torch.Generator().manual_seed(seed)
     found = {source: _poses(motions) for source, motions in train.items()}
@@ -292,7 +292,7 @@ def make_features(
 ) -> dict:
     """Train and write the features that generated motion is judged in (``diffusion.embedding``); their recipe.
 
-    folder: of recordings, or None. Trained on the training part of ``diffusion_data``, watched on the choosing part.
+    folder: of recordings, or None. Trained on the training part of ``splits``, watched on the choosing part.
     """
     recipe = embedding.FeatureRecipe(seed=seed, **({"steps": steps} if steps else {}))
     parts = {part: splits.motions_by_part(folder, part) for part in ("train", "choose")}

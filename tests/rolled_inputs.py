@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
+from motionlab.heading import Frame
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae, reorder
 from motionlab.humor.shooting.derivatives import XI
 from motionlab.humor.state import ADDED
-from motionlab.motion import Frame
 
 F64 = torch.float64
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent
-CORES = str(max(2, os.cpu_count() or 1))
+CORES = str(max(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1))
 #: A file's tests on one worker, as what they share is made once; files in the order they are given in.
 BY_FILE = ["-n", CORES, "--dist", "loadfile", "--no-loadscope-reorder"]
 #: What takes longest begins first, so that no core waits for it at the end.

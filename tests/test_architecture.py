@@ -13,14 +13,15 @@ FLOORS = """
     errors parallel profiling
     files optimise posterior rotation skeleton staleness training_loop diffusion.sampling
     body checkpoint findings motion
+    heading
     baselines contact skinning humor.state diffusion.features
-    observation retarget humor.cvae diffusion.start diffusion.linear diffusion.losses diffusion.masks
+    observation retarget humor.cvae diffusion.start diffusion.losses diffusion.masks
     io viz data_synth humor.body_shape humor.energies humor.priors humor.transition
-        diffusion.denoiser diffusion.spectral diffusion.planting diffusion.windows
+        diffusion.denoiser diffusion.gaussian_guess diffusion.planting diffusion.windows
     metrics notebook humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
         diffusion.model
-    humor.rollout diffusion.denoising diffusion.embedding diffusion.repair diffusion.training
-    splits humor.training humor.unknowns diffusion.completion
+    humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
+    splits humor.training humor.unknowns diffusion.pose_completion
     shipped doctor humor.stages humor.start
     train execute humor.shooting
     humor.testops report
@@ -81,6 +82,8 @@ def problems(root: Path = ROOT, text: str = FLOORS) -> list[str]:
         study = me.split(".")[0] == STUDIES
         if mine is None and not study and me not in empty:
             found.append(f"{me} has no floor: add it to FLOORS, or delete it")
+        if mine is None and not study and path.name == "__init__.py" and me != LIBRARY and len(tree.body) > 1:
+            found.append(f"{me}: a package without a floor only holds; move this into a module")
         for line, other in imports(path, paths):
             where = f"{me}:{line}"
             theirs = room(other, levels)
@@ -88,7 +91,7 @@ def problems(root: Path = ROOT, text: str = FLOORS) -> list[str]:
                 ours = ".".join(me.split(".")[:2])
                 if not study:
                     found.append(f"{where}: the library does not know the studies")
-                elif not other.startswith((ours, *SHARED)) and ours != other:
+                elif not any(f"{other}.".startswith(f"{near}.") for near in (ours, *SHARED)):
                     found.append(f"{where}: a study imports another, {other}")
             elif theirs is None or study or theirs == mine or mine is None:
                 continue
@@ -146,6 +149,14 @@ def test_a_fit_reaches_few_rooms():
     assert "motionlab.humor.pretrained" not in found  # a fit is given its priors
 
 
+def test_the_library_is_thin():
+    """What the mission asks for; a number that is passed is a decision, not an accident."""
+    files = [path for name, path in modules(ROOT).items() if name.split(".")[0] == LIBRARY]
+    assert len(files) <= 95 and sum(len(p.read_text(encoding="utf-8").splitlines()) for p in files) <= 20_000
+    for package, most in {"humor": 24, "diffusion": 20, "viz": 10}.items():
+        assert sum(p.is_relative_to(ROOT / LIBRARY / package) for p in files) <= most, package
+
+
 SMALL = """
     low
     high io
@@ -168,6 +179,8 @@ SMALL = """
         ("motionlab/stranger.py", "", "has no floor"),
         ("motionlab/judge.py", "from data_synth import truth", "does not know synthetic motion"),
         ("notebooks/studies/nb02_y/a.py", "from studies.nb01_x import trials", "a study imports another"),
+        ("notebooks/studies/nb01/a.py", "from studies.nb01_x import trials", "a study imports another"),
+        ("motionlab/deep/__init__.py", "'''It does.'''\nfrom motionlab.judge import x", "only holds"),
         ("notebooks/studies/nb02_y/a.py", "from studies.shared import medians", None),
         ("notebooks/studies/nb02_y/a.py", "from motionlab.judge import x", None),
         ("motionlab/judge.py", "from motionlab import low\nfrom motionlab.low import x", None),

@@ -13,8 +13,9 @@ from motionlab.__main__ import main
 from motionlab.diffusion import embedding
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError, ShapeError
+from motionlab.heading import Frame, local_to_world
 from motionlab.metrics.generation import frechet
-from motionlab.motion import Frame, local_to_world, mirror
+from motionlab.motion import mirror
 from motionlab.rotation import rotation_about
 from motionlab.skeleton import STANDARD
 

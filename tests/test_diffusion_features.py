@@ -9,7 +9,7 @@ from data_synth import scenes
 from motionlab import rotation
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.errors import DataError, ShapeError
-from motionlab.motion import local_to_world, stuck_root
+from motionlab.heading import local_to_world, stuck_root
 
 LAYOUTS = [Layout(), Layout(velocities=True), Layout(frame="world"), Layout(contacts=False)]
 

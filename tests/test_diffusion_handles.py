@@ -14,7 +14,7 @@ from motionlab.diffusion.losses import LossWeights
 from motionlab.diffusion.model import DenoiserRecipe
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import ShapeError
-from motionlab.motion import stuck_root
+from motionlab.heading import stuck_root
 from motionlab.skeleton import STANDARD
 from studies.nb14_completion import trials
 

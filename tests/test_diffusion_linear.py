@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from data_synth import scenes
-from motionlab.diffusion import denoiser, linear, masks, training
+from motionlab.diffusion import denoiser, gaussian_guess, masks, training
 from motionlab.diffusion.losses import LossWeights
 from motionlab.diffusion.model import DenoiserRecipe, load_denoiser, save_denoiser, silenced
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import ShapeError
-from motionlab.motion import stuck_root
+from motionlab.heading import stuck_root
 from motionlab.skeleton import STANDARD
 from studies.nb14_completion import trials
 
@@ -62,7 +62,7 @@ def noisy(model, truth, t):
 @pytest.mark.parametrize("names", [(), ("left_wrist",), ("head", "left_foot", "right_wrist")])
 def test_the_start_is_the_gaussian_s_conditional_mean(model, truth, joint, monkeypatch, t, names):
     """By dense algebra on the joint covariance: what x_t and the handles' places say of the pose."""
-    monkeypatch.setattr(linear, "_ROUNDS", 0)
+    monkeypatch.setattr(gaussian_guess, "_ROUNDS", 0)
     which = trials.chosen_handles(names, len(truth.root), torch.Generator().manual_seed(0))
     places = truth.positions[:, 0]
     xt, steps = noisy(model, truth, t)
@@ -72,7 +72,7 @@ def test_the_start_is_the_gaussian_s_conditional_mean(model, truth, joint, monke
     rows = [*range(size), *(size + 3 * STANDARD.index(n) + k for n in names for k in range(3))]
     see = torch.eye(len(mean)).double()[rows]
     see[:size] *= a.sqrt()
-    noise = torch.cat(((1 - a).expand(size), torch.full((3 * len(names),), linear._CLOSE)))
+    noise = torch.cat(((1 - a).expand(size), torch.full((3 * len(names),), gaussian_guess._CLOSE)))
     seen = torch.cat((xt[:, 0], places[:, STANDARD.indices(list(names))].flatten(1)), -1).double()
     gain = cov @ see.mT @ torch.linalg.inv(see @ cov @ see.mT + torch.diag(noise))
     expected = mean + (seen - mean @ see.mT) @ gain.mT
@@ -84,7 +84,7 @@ def test_steps_by_the_exact_kinematics_bring_handles_nearer(model, truth, monkey
     places, (xt, steps) = truth.positions[:, 0], noisy(model, truth, 98)
     told, far = masks.told(places, which)[:, None], []
     for rounds in (0, 1, 4, 30):
-        monkeypatch.setattr(linear, "_ROUNDS", rounds)
+        monkeypatch.setattr(gaussian_guess, "_ROUNDS", rounds)
         made = model.decode(model.denoiser(xt, steps, handles=told)).positions[:, 0]
         far.append((made - places).norm(dim=-1)[which].mean().item())
     assert far[1] < far[0] and far[2] < 0.8 * far[0] and far[3] < 0.6 * far[0]
@@ -120,13 +120,13 @@ def test_the_network_corrects_what_noise_leaves_open(model, truth):
 
 def test_recalled_poses_are_a_mixture_s_conditional_mean(windows, truth, monkeypatch):
     """By Bayes' rule, one component at a time: poses z_i, a Gaussian about each, seen through noise; and handles."""
-    monkeypatch.setattr(linear, "_ROUNDS", 0)
+    monkeypatch.setattr(gaussian_guess, "_ROUNDS", 0)
     monkeypatch.setitem(denoiser.SIZES, "tiny", {"size": 16, "layers": 1, "heads": 2, "hidden": 16})
     model = training.DenoiserTraining(replace(POSES, recalls=200), windows).averaged
     told = model.denoiser
     xt, steps = noisy(model, truth, 40)
     a, at = model.schedule.alpha_bar[40], (xt[:, 0] @ told.basis).double()
-    codes, power = told.codes.double(), linear._NEAR * told.power.double()
+    codes, power = told.codes.double(), gaussian_guess._NEAR * told.power.double()
     seen = a * power + 1 - a
     odds = torch.stack([-((at - a.sqrt() * z) ** 2 / seen).sum(-1) / 2 for z in codes], -1)
     each = torch.stack([(a.sqrt() * power * at + (1 - a) * z) / seen for z in codes], 1)
@@ -145,13 +145,13 @@ def test_recalled_poses_are_a_mixture_s_conditional_mean(windows, truth, monkeyp
     places = truth.positions[:, 0]
     far = (which[:, None, :, None] * (places[:, None] - told.joints.float().unflatten(-1, (-1, 3)))).square()
     far = far.sum((-1, -2)).double()
-    width = linear._FIRM + linear._LOOSE * far.amin(-1, keepdim=True) / 6
+    width = gaussian_guess._FIRM + gaussian_guess._LOOSE * far.amin(-1, keepdim=True) / 6
     handed = told._recalled(at.float(), a.float(), power.float(), masks.told(places, which)[:, None], None)
     by_hand = (odds - far / (2 * width)).softmax(-1) @ codes
     assert (handed - by_hand).abs().max() < 1e-3
     theirs = told.clips[far.argmin(-1)]  # left out, the nearest says nothing of how wide to look, either
     others = far.masked_fill(told.clips == theirs[:, None], torch.inf)
-    width = linear._FIRM + linear._LOOSE * others.amin(-1, keepdim=True) / 6
+    width = gaussian_guess._FIRM + gaussian_guess._LOOSE * others.amin(-1, keepdim=True) / 6
     handed = told._recalled(at.float(), a.float(), power.float(), masks.told(places, which)[:, None], theirs)
     by_hand = (odds - others / (2 * width)).softmax(-1) @ codes
     assert (handed - by_hand).abs().max() < 1e-3
@@ -159,7 +159,7 @@ def test_recalled_poses_are_a_mixture_s_conditional_mean(windows, truth, monkeyp
 
 def test_a_start_needs_as_many_poses_as_it_recalls(model):
     with pytest.raises(ShapeError, match="expected 9 poses or more, got 8"):
-        made = linear.Linear(model.denoiser.network, model.schedule.alpha_bar, model.layout, 9)
+        made = gaussian_guess.Linear(model.denoiser.network, model.schedule.alpha_bar, model.layout, 9)
         made.recall(torch.zeros(8, 1, model.layout.size), torch.zeros(8))
 
 

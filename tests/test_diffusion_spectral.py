@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from motionlab import baselines
-from motionlab.diffusion import spectral
+from motionlab.diffusion import gaussian_guess
 from motionlab.diffusion import start as initial
 from motionlab.diffusion.denoiser import Denoiser, _until_known
 from motionlab.diffusion.sampling import cosine
@@ -27,7 +27,7 @@ class Says(nn.Module):
 
 def made(spectrum, value=0.0, told=False):
     frames, features = spectrum.shape
-    model = spectral.Spectral(Says(value, told), cosine(1000).alpha_bar, frames, features)
+    model = gaussian_guess.Spectral(Says(value, told), cosine(1000).alpha_bar, frames, features)
     model.spectrum.copy_(spectrum)
     return model
 
@@ -65,7 +65,7 @@ def test_what_the_network_says_counts_in_units_of_the_filters_uncertainty(genera
     scale = basis @ (made(power, 1.0)(xt, stamps) - made(power)(xt, stamps))[0]
     units = scale / (basis @ torch.ones(frames, 2))
     assert torch.allclose(error[:1], units[:1].abs(), rtol=0.03)  # a constant is in the first coefficient alone
-    assert torch.allclose(spectral.power(x0), power, rtol=0.06)
+    assert torch.allclose(gaussian_guess.power(x0), power, rtol=0.06)
 
 
 def test_where_there_is_no_noise_the_network_hardly_matters(generator):

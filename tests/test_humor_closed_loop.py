@@ -6,7 +6,7 @@ Everything twice: as compiled loops, and as tensors.
 import pytest
 import torch
 
-from motionlab import doctor, motion, rotation
+from motionlab import doctor, heading, rotation
 from motionlab.humor import compiled, state
 from motionlab.humor.rollout import rollout, steered_rollout
 from tests.rolled_inputs import F64, first_states, network
@@ -172,11 +172,11 @@ def test_only_gains_on_the_place_in_the_world_see_the_world(model, first, u, gai
     """Make the world matter: turned and moved, the rest of them gives the same motion turned and moved."""
     blind = gains.clone()
     blind[..., state.STATE :] = 0.0
-    frame = motion.Frame(
+    frame = heading.Frame(
         rotation.rotation_about("z", torch.tensor([0.7, -2.9], dtype=F64)),
         torch.tensor([[3.0, -1.0, 0.0], [0.2, 4.0, 0.0]], dtype=F64),
     )
-    wide = motion.Frame(frame.turn[:, None], frame.shift[:, None])
+    wide = heading.Frame(frame.turn[:, None], frame.shift[:, None])
     for each, same in ((blind, True), (gains, False)):
         here, _ = steered_rollout(model, first, u, each)
         there, _ = steered_rollout(model, state.localise(first, frame), u, each)

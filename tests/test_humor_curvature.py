@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch.func import grad, jacrev
 
+from motionlab.heading import Frame
 from motionlab.humor import energies, state
 from motionlab.humor.body_shape import landmarks, offsets
 from motionlab.humor.cvae import Gaussian
@@ -17,7 +18,6 @@ from motionlab.humor.shooting import gauss_newton
 from motionlab.humor.shooting.derivatives import CHANGE, XI
 from motionlab.humor.state import ADDED
 from motionlab.humor.unknowns import Posed, Rolled
-from motionlab.motion import Frame
 from motionlab.skeleton import STANDARD, fk
 from studies.nb09_posterior import curvature as posterior
 from tests.rolled_inputs import F64, first_states, own, placed, still, turned
@@ -281,7 +281,7 @@ def test_a_body_behind_the_camera_has_finite_rows_that_do_not_pull_it(case):
 
 # -------------------------------------------------------------------------------------------- the posterior's residuals
 def rolled_as(case, change, evidence):
-    """What ``posterior.curvature`` takes, of changed frames; latents at their prior's mean, shape and camera given."""
+    """What ``nb09_posterior.curvature`` takes, of changed frames; latents at their prior's mean, body given."""
     body, carried, points = world(case, change, evidence, case["camera"])
     states = torch.zeros(CLIPS, FRAMES, state.STATE, dtype=F64)
     states[..., state.SLICES["joints"]] = carried.flatten(-2)

@@ -7,9 +7,9 @@ import torch
 
 from motionlab import rotation
 from motionlab.errors import ShapeError
+from motionlab.heading import world_to_local_orientations, world_to_local_positions
 from motionlab.humor import energies
 from motionlab.humor.cvae import Gaussian
-from motionlab.motion import world_to_local_orientations, world_to_local_positions
 from motionlab.observation import Camera, look_at, project
 from studies.nb04_prior import floor
 

@@ -9,9 +9,10 @@ import torch
 
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
+from motionlab.heading import heading_frame
 from motionlab.humor import pretrained, prior_training, priors, state
 from motionlab.humor.priors import InitGmm
-from motionlab.motion import Motion, heading_frame
+from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
 GOLDEN = Path(__file__).parent / "golden" / "humor_energies.npz"

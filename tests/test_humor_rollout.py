@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from motionlab import motion, rotation
+from motionlab import heading, rotation
 from motionlab.errors import ShapeError
 from motionlab.humor import state, transition
 from motionlab.humor.cvae import Cvae
@@ -165,9 +165,9 @@ def test_the_world_does_not_matter(model, generator):
     """Turned about z and moved on the floor, the same motion turned and moved."""
     first, z = first_states(generator, 2), latents(generator, 2, 6)
     turn = rotation.rotation_about("z", torch.tensor([0.7, -2.9], dtype=F64))
-    frame = motion.Frame(turn, torch.tensor([[3.0, -1.0, 0.0], [0.2, 40.0, 0.0]], dtype=F64))
+    frame = heading.Frame(turn, torch.tensor([[3.0, -1.0, 0.0], [0.2, 40.0, 0.0]], dtype=F64))
     moved = rollout(model, state.localise(first, frame), z).states
-    wide = motion.Frame(turn[:, None], frame.shift[:, None])
+    wide = heading.Frame(turn[:, None], frame.shift[:, None])
     torch.testing.assert_close(state.globalise(moved, wide), rollout(model, first, z).states, atol=1e-10, rtol=0)
 
 

@@ -7,12 +7,12 @@ from scipy.spatial.transform import Rotation
 from torch.func import jacrev
 
 from motionlab import rotation
+from motionlab.heading import Frame
 from motionlab.humor import state
 from motionlab.humor.shooting import derivatives
 from motionlab.humor.shooting.derivatives import CHANGE, GAMMA, LATENTS, XI
 from motionlab.humor.state import ADDED
 from motionlab.humor.transition import DecoderLayers, Stepper
-from motionlab.motion import Frame
 from tests.rolled_inputs import F64, advanced, between, first_states, network, own, turned
 
 BLOCKS = {"xi": slice(0, XI), "turn": slice(XI, XI + 1), "way": slice(XI + 1, CHANGE)}

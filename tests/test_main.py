@@ -86,7 +86,7 @@ def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path):
 def test_regenerate_writes_what_ran_and_keeps_what_failed(suite, monkeypatch):
     failed_before = (suite / "00_fails.ipynb").read_bytes()
     taken = []
-    monkeypatch.setattr(execute, "_write_fingerprint", lambda path, again: taken.append(path.stem))
+    monkeypatch.setattr(execute, "_write_fingerprint", lambda path, **_: taken.append(path.stem))
     runs = execute.regenerate()
     assert [run.ok for run in runs] == [False, True] and taken == ["01_runs"]
     assert (suite / "00_fails.ipynb").read_bytes() == failed_before

@@ -22,7 +22,8 @@ from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.model import Trained
 from motionlab.diffusion.sampling import NoiseSchedule
 from motionlab.errors import DataError
-from motionlab.motion import Motion, local_to_world, stuck_root, world_to_local
+from motionlab.heading import local_to_world, stuck_root, world_to_local
+from motionlab.motion import Motion
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,10 @@ from motionlab.diffusion.model import Trained
 from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError, ShapeError
+from motionlab.heading import stuck_root
 from motionlab.metrics.distribution import describe
 from motionlab.metrics.generation import kid
-from motionlab.motion import Motion, stuck_root, velocity
+from motionlab.motion import Motion, velocity
 from motionlab.skeleton import FEET, STANDARD
 
 #: Joints whose velocities count; what of the feet is low counts once more, as sliding.

@@ -17,7 +17,8 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError, check_shape
-from motionlab.motion import Motion, stuck_root
+from motionlab.heading import stuck_root
+from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
 
 _FRAMES = ("stuck", "world")

@@ -93,7 +93,7 @@ def denoising_losses(
 
     Args:
         estimate, truth: x_0 (B, T, D), normalised. offsets: (B or 1, J, 3) metres, the bodies'. gate, even: see
-            ``Weights``. known: (B, T, D) or (T, D), 1 where known. handles: (B, T, J, 4), as ``denoiser.HANDLE``.
+            ``Weights``. known: (B, T, D) or (T, D), 1 where known. handles: (B, T, J, 4), as ``Denoiser`` takes.
         trust: (B,) what fk, contact and handles of each window count; default 1. count: (B,) what each window counts in
             all parts, 1 on average.
     Raises:

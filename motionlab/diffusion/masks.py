@@ -7,7 +7,7 @@ is given, as a rig's root is to an animator; how high its pelvis is and how it l
 Source: CondMDI (Cohan et al. 2024), random frames x random joints; the test cases of thesis 4.2.1; thesis 4.2.4, a
 subset of joints that an animator fixes.
 Differs: asked of a handle is its place, where the thesis keeps what the state holds of it, a rotation
-(``completion.keep`` does that).
+(``pose_completion.keep`` does that).
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from torch import Tensor
 
 from motionlab.diffusion.features import Layout
 from motionlab.errors import ShapeError, check_shape
-from motionlab.motion import Motion, stuck_root
+from motionlab.heading import stuck_root
+from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
 _MOST = 8  # handles of a pose in training, at most

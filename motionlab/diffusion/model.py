@@ -19,10 +19,9 @@ from motionlab import checkpoint
 from motionlab.diffusion import denoiser, sampling
 from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.linear import Linear
+from motionlab.diffusion.gaussian_guess import Linear, Spectral
 from motionlab.diffusion.losses import LossWeights
 from motionlab.diffusion.sampling import NoiseSchedule, ddpm, noise_like
-from motionlab.diffusion.spectral import Spectral
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.humor.state import FPS
 from motionlab.motion import Motion

@@ -18,11 +18,10 @@ from torch import Tensor
 from motionlab.diffusion import masks
 from motionlab.diffusion.denoiser import Denoiser, widened
 from motionlab.diffusion.features import Normaliser
-from motionlab.diffusion.linear import Linear
+from motionlab.diffusion.gaussian_guess import Linear, Spectral, power
 from motionlab.diffusion.losses import denoising_losses
 from motionlab.diffusion.model import DenoiserRecipe, Trained, gain
 from motionlab.diffusion.sampling import noise_like
-from motionlab.diffusion.spectral import Spectral, power
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.humor.state import FPS

@@ -25,11 +25,11 @@ from torch.nn import functional as F
 
 from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
+from motionlab.heading import Frame
 from motionlab.humor import compiled
 from motionlab.humor.cvae import Cvae, Gaussian
-from motionlab.humor.state import CHANGES, STATE, VECTORS, apply, globalise, heading, localise
-from motionlab.humor.transition import DecoderLayers, Step, Stepper, WayBack
-from motionlab.motion import Frame
+from motionlab.humor.state import CHANGES, STATE, VECTORS, globalise, heading, localise
+from motionlab.humor.transition import DecoderLayers, Step, Stepper, WayBack, transition
 
 _SPIN = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # d/da of a turn, from the right
 
@@ -131,9 +131,8 @@ def _recorded(model: Cvae, x: Tensor, z: Tensor, offset: Tensor | None):
     past, after, logits = [], [], []
     for now in z.unbind(0):
         past.append(x)
-        state, contacts = apply(x, model.decode(x, now))
+        x, state, contacts = transition(model, x, now, offset)
         after.append(state), logits.append(contacts)
-        x = localise(state, heading(state), offset)
     return tuple(torch.stack(each) for each in (past, after, logits))
 
 

@@ -24,16 +24,15 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import check_shape
-from motionlab.motion import (
+from motionlab.heading import (
     Frame,
-    Motion,
     heading_frame,
     local_to_world_orientations,
     local_to_world_positions,
-    velocity,
     world_to_local_orientations,
     world_to_local_positions,
 )
+from motionlab.motion import Motion, velocity
 from motionlab.skeleton import Skeleton
 
 JOINT_COUNT, CONTACTS = 22, 9

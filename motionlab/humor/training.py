@@ -185,7 +185,7 @@ class PriorRecipe:
     out. kl: weight per nat; annealed: share of the steps over which it grows to that (from a tenth it gets there a
     little sooner). kinematics, contact, slide: weights of those losses. average: of the weights, per step. varied,
     varied_recordings: copies on other bodies, held otherwise, of every synthetic motion and every recording (see
-    ``variety``). official: its losses, scales, schedules and what it does about numbers that are not finite.
+    ``examples``). official: its losses, scales, schedules and what it does about numbers that are not finite.
     """
 
     width: int = 512

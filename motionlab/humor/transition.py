@@ -1,9 +1,9 @@
-"""Computes one transition x_t -> x_{t+1} of a roll-out, and its derivative, written out by hand.
+"""Computes one transition x_t -> x_{t+1}: plainly (``transition``), and fast with its derivative by hand (``Stepper``).
 
     raw = decoder(x, z);   x' = x + raw,  M' = M exp(v)^T;   then every vector into the heading frame of x'
 
-Nothing is recorded for autograd. Going backwards, what does not depend on the step before is computed for all steps at
-once, and only the chain itself is walked.
+``Stepper`` records nothing for autograd. Going backwards, what does not depend on the step before is computed for all
+steps at once, and only the chain itself is walked.
 
 Source: HuMoR (Rempe et al. 2021), ``roll_out`` of the official code; thesis 3.1.1. Derivatives by hand.
 """
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.state import ADDED, CHANGES, JOINT_COUNT, STATE, VECTORS
+from motionlab.humor.state import ADDED, CHANGES, JOINT_COUNT, STATE, VECTORS, apply, heading, localise
 
 #: What the root's place on the floor is taken from: those of the 50 vectors that are positions.
 _PLACED = torch.zeros(VECTORS // 3, 3)
@@ -34,6 +34,18 @@ for _a, _b, _c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     _QUATERNION[_b + 1, _b + 1, _a, _a] = _QUATERNION[_c + 1, _c + 1, _a, _a] = -1
     _QUATERNION[_a + 1, _b + 1, _a, _b] = _QUATERNION[_a + 1, _b + 1, _b, _a] = 2
     _QUATERNION[0, _c + 1, _a, _b], _QUATERNION[0, _c + 1, _b, _a] = 2, -2
+
+
+def transition(model: Cvae, x: Tensor, z: Tensor, offset: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    """Computes the next state from a state x (B, 339), in its own heading frame, and a latent z (B, 48).
+
+    The plain form, all of it recorded by autograd. offset (B, 3): see ``state.localise``.
+
+    Returns:
+        the next state (B, 339) in its own heading frame, the same in that of x, and contact logits (B, 9).
+    """
+    after, contacts = apply(x, model.decode(x, z))
+    return localise(after, heading(after), offset), after, contacts
 
 
 class DecoderLayers(NamedTuple):

@@ -10,7 +10,7 @@ import time
 
 import torch
 
-from motionlab import motion, rotation
+from motionlab import heading, rotation
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import decode_ahead, rollout, sample_rollout
@@ -20,7 +20,7 @@ from studies.official import rollout as official_rollout
 from studies.shared.torch_search import minimise
 
 FRAMES, ROUNDS = 60, 5
-EXACT = {"align": lambda root: motion.heading_frame(torch.zeros_like(root[..., 0]), root).turn}
+EXACT = {"align": lambda root: heading.heading_frame(torch.zeros_like(root[..., 0]), root).turn}
 
 
 def model(width: int) -> Cvae:

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
+from motionlab.heading import Frame
 from motionlab.humor import energies, priors, state, unknowns
 from motionlab.humor.body_shape import BETAS
 from motionlab.humor.cvae import Gaussian
@@ -31,7 +32,6 @@ from motionlab.humor.stages import Problem
 from motionlab.humor.state import ADDED
 from motionlab.humor.transition import DecoderLayers
 from motionlab.humor.unknowns import Rolled, Unknowns
-from motionlab.motion import Frame
 
 #: The first state's unknowns and their sizes, its rotation as a vector.
 FIRST_SIZES = {"trans": 3, "orient": 3, "latent": 32, "trans_vel": 3, "root_orient_vel": 3, "joints_vel": 66}

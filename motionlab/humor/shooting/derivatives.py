@@ -20,11 +20,11 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
+from motionlab.heading import Frame
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae, Gaussian
 from motionlab.humor.state import ADDED, CHANGES
 from motionlab.humor.transition import DecoderLayers
-from motionlab.motion import Frame
 
 XI, GAMMA, LATENTS = 207, 3, 48
 CHANGE = XI + GAMMA

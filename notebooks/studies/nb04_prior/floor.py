@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import check_shape
-from motionlab.motion import Frame
+from motionlab.heading import Frame
 
 #: Where the official code looks for a floor that nobody measured: 0.5 m below the camera.
 INITIAL = (0.0, 0.5, 0.0)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 
 import torch
 from torch import Tensor
@@ -19,6 +17,7 @@ from motionlab.humor.testops import Fitted, Schedule, fit
 from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
+from motionlab.parallel import run_jobs
 from studies.nb05_testops.measures import error_over_time
 from studies.shared.contenders import CM, Seen
 
@@ -71,12 +70,8 @@ def _fits(
     observations: Sequence[Observation2D], cameras: Sequence[Sequence[Camera]], one: Callable, workers: int
 ) -> list[Fitted]:
     """``one`` fit after the other, or so many at a time, each in a process of its own with one thread."""
-    if workers == 1:
-        return [one(seen, cameras=some) for seen, some in zip(observations, cameras, strict=True)]
-    spawn = get_context("spawn")
-    with ProcessPoolExecutor(workers, spawn, torch.set_num_threads, (1,)) as pool:
-        jobs = [pool.submit(one, seen, cameras=some) for seen, some in zip(observations, cameras, strict=True)]
-        return [job.result() for job in jobs]
+    jobs = [partial(one, seen, cameras=some) for seen, some in zip(observations, cameras, strict=True)]
+    return run_jobs(jobs, workers)
 
 
 def seconds(fitted: Fitted) -> float:

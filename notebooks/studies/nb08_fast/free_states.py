@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from motionlab import rotation
+from motionlab.heading import Frame
 from motionlab.humor import state, unknowns
 from motionlab.humor.body_shape import BETAS
 from motionlab.humor.cvae import Gaussian
@@ -28,7 +29,6 @@ from motionlab.humor.shooting.derivatives import CHANGE, GAMMA, XI, own_frames, 
 from motionlab.humor.stages import Problem, rolled_terms
 from motionlab.humor.state import ADDED
 from motionlab.humor.unknowns import Unknowns
-from motionlab.motion import Frame
 
 #: Standard deviations of a change: root mean squares of what the posterior's mean misses in one step of exact motion
 #: (six practice clips), not below 1e-3; trans, its velocity, the root's, joints, theirs, omega root and body, gamma.

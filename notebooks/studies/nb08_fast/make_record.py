@@ -1,4 +1,4 @@
-"""Run the faithful schedule to its end on a few clips (``humor.faithful_trials``), a task after another.
+"""Run the faithful schedule to its end on a few clips (``official_schedule``), a task after another.
 
 ``make records`` runs it; from ``notebooks/``: ``python -m studies.nb08_fast.make_record results/long/faithful.json``
 """

@@ -31,6 +31,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from motionlab.errors import NotConverged, ShapeError, check_shape
+from motionlab.heading import Frame
 from motionlab.humor import energies, state
 from motionlab.humor.rollout import infer
 from motionlab.humor.shooting import coordinates, derivatives, gauss_newton
@@ -38,7 +39,6 @@ from motionlab.humor.shooting.derivatives import CHANGE, LATENTS, XI, own_frames
 from motionlab.humor.stages import Problem, motion_terms
 from motionlab.humor.transition import DecoderLayers
 from motionlab.humor.unknowns import Unknowns, first_state
-from motionlab.motion import Frame
 from studies.nb08_fast.affine_sweep import Affine, affine_sweep
 from studies.nb08_fast.free_states import (
     DEVIATION,

@@ -1,4 +1,4 @@
-"""Multiple shooting among the solvers of ``solver_trials``: energies of exact roll-outs only, by the same clock."""
+"""Multiple shooting among the solvers of ``trials``: energies of exact roll-outs only, by the same clock."""
 
 from __future__ import annotations
 

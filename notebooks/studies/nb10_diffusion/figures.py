@@ -65,7 +65,7 @@ def noising(model: Trained, motion: Motion, levels: Sequence[float], generator: 
 
 def training(curves: Mapping[str, Sequence[Mapping[str, float]]], chosen: Mapping[str, int]) -> Figure:
     """How runs went: a row per run with its losses, the held-out error of x_0 per step of noise, and the held-out KID
-    with the step that was chosen; rows as ``training.Training`` writes them."""
+    with the step that was chosen; rows as a training run writes them."""
     fig, axes = canvas(len(curves), 3, size=(10.2, 0.5 + 2.05 * len(curves)))
     for row, (name, curve) in enumerate(curves.items()):
         losses, errors, kid = axes[3 * row : 3 * row + 3]

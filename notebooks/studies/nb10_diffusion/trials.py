@@ -14,20 +14,21 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.diffusion import masks
 from motionlab.diffusion.embedding import kid_judge
+from motionlab.diffusion.gaussian_guess import Spectral
+from motionlab.diffusion.inpainting import Way, fill
 from motionlab.diffusion.model import LEVELS, DenoiserRecipe, Trained
 from motionlab.diffusion.planting import planted
-from motionlab.diffusion.repair import Way, fill
 from motionlab.diffusion.sampling import noise_like
-from motionlab.diffusion.spectral import Spectral
 from motionlab.diffusion.training import DenoiserTraining, held_errors
 from motionlab.diffusion.windows import Windows
+from motionlab.heading import stuck_root
 from motionlab.metrics import generation
 from motionlab.metrics.gait import skating_ratio, slide_in_contact_mm
 from motionlab.metrics.pose import mean_acceleration
-from motionlab.motion import Motion, joined, mirror, stuck_root
+from motionlab.motion import Motion, joined, mirror
 from motionlab.skeleton import BALLS, FEET
 
-KINDS = ("legs", "joints", "gap", "frames", "entries")  # of masks, ``masks.KINDS`` without "nothing"
+KINDS = ("legs", "joints", "gap", "frames", "entries")  # of masks, those of ``masks`` without "nothing"
 
 
 # ------------------------------------------------------------------------------------------------ the guess of x_0

@@ -12,10 +12,11 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import ShapeError
+from motionlab.heading import heading_frame, local_to_world, stuck_root
 from motionlab.metrics.gait import skating_ratio
 from motionlab.metrics.inbetween import seam
 from motionlab.metrics.pose import mean_acceleration
-from motionlab.motion import Motion, heading_frame, local_to_world, stuck_root
+from motionlab.motion import Motion
 from motionlab.skeleton import FEET, STANDARD
 
 _PACE = 5  # frames over which a velocity is measured

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from motionlab.diffusion.denoising import Noise, ReverseProcess, denoise
 from motionlab.diffusion.embedding import Scaled
+from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.model import Trained
-from motionlab.diffusion.repair import Way, repair
 from motionlab.errors import ShapeError
 from motionlab.metrics.generation import kid
 from motionlab.metrics.pose import acceleration_error, power_spectrum_ratio

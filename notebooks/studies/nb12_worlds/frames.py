@@ -17,8 +17,9 @@ from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.model import Trained
 from motionlab.diffusion.sampling import noise_like
 from motionlab.errors import ShapeError
+from motionlab.heading import Frame, local_to_world, stuck_root, world_to_local
 from motionlab.metrics import gait, pose
-from motionlab.motion import Frame, Motion, local_to_world, stuck_root, world_to_local
+from motionlab.motion import Motion
 from motionlab.skeleton import FEET
 
 TRAVELS = 0.2  # m/s over the floor, from which the root of a clip counts as moving

@@ -33,7 +33,7 @@ SOLVERS: dict[str, tuple[str, dict[str, object]]] = {
     "DPM-Solver++ SDE": (_MULTISTEP, {"lambda_min_clipped": QUIETEST, "algorithm_type": "sde-dpmsolver++"}),
     "UniPC": ("UniPCMultistepScheduler", {}),
 }
-#: Ours, for models that know their data's spectrum (``diffusion.spectral``): steps of equal angles, and the flow.
+#: Ours, for models that know their data's spectrum (``diffusion.gaussian_guess``): steps of equal angles, and the flow.
 SPECTRAL = ("SDE, equal angles", "whitened flow")
 SAMPLERS = ("DDPM", "DDIM", *SOLVERS, *SPECTRAL)
 

@@ -19,14 +19,15 @@ from torch import Tensor
 
 from motionlab import baselines
 from motionlab.contact import with_contacts
-from motionlab.diffusion import repair
+from motionlab.diffusion import inpainting
+from motionlab.diffusion.inpainting import Way
 from motionlab.diffusion.model import Trained
-from motionlab.diffusion.repair import Way
 from motionlab.errors import ShapeError
+from motionlab.heading import local_to_world, stuck_root
 from motionlab.metrics.gait import skating_ratio
 from motionlab.metrics.inbetween import keyframe_error, natural_changes, percentile, step_changes
 from motionlab.metrics.pose import joint_errors, masked_mean
-from motionlab.motion import Motion, local_to_world, stuck_root
+from motionlab.motion import Motion
 from motionlab.skeleton import BALLS
 
 ENDS = ("left", "pasted", "faded")
@@ -79,10 +80,10 @@ def ended(
     mask = model.layout.mask(len(known), only=frames)
     parts = [slice(at, at + batch) for at in range(0, len(x0), batch)]
     way = replace(way, last=way.soft > 0)
-    x = torch.cat([repair.fill(model, x0[part], mask, generator, way) for part in parts])
+    x = torch.cat([inpainting.fill(model, x0[part], mask, generator, way) for part in parts])
     rows = {"pasted": torch.where(mask, x0, x)}
     if not way.soft:
-        rows = {"left": x} | rows | {"faded": repair.offset_decay(x, x0, mask, fade)}
+        rows = {"left": x} | rows | {"faded": inpainting.offset_decay(x, x0, mask, fade)}
     found = {}
     for end, row in rows.items():
         made = model.decode(row, local.skeleton)

@@ -1,7 +1,7 @@
 """Samplers that need few steps: those of diffusers, and a flow that knows the data's spectrum.
 
-With the spectrum S (T, D) of the data (``diffusion.spectral``) a sampler of few steps (:func:`flow`) is exact where
-motion is Gaussian. Let y = x / sqrt(a) and
+With the spectrum S (T, D) of the data (``diffusion.gaussian_guess``) a sampler of few steps (:func:`flow`) is exact
+where motion is Gaussian. Let y = x / sqrt(a) and
 sigma^2 = (1 - a) / a. With z = y / sqrt(S + sigma^2), of unit variance at every sigma, and the angle
 theta = atan(sigma / sqrt(S)), the flow dy / dsigma = (y - x_0 estimate) / sigma has the form
 

@@ -1,7 +1,7 @@
 """Completion of poses without a network: what a model of handles must beat.
 
 All poses (N, 1) are on one body, in their own stuck frames. Source: nearest neighbour and ridge regression, the
-baselines of ``diffusion_experiment``; regression on whatever subset is seen is the mean of a Gaussian given it.
+baselines of notebook 11; regression on whatever subset is seen is the mean of a Gaussian given it.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import ShapeError
+from motionlab.heading import stuck_root
 from motionlab.metrics.generation import nearest_rows
-from motionlab.motion import Motion, mirror, stuck_root
+from motionlab.motion import Motion, mirror
 
 RIDGE = 1e-4  # square metres: what is added to the variance of a seen coordinate
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from motionlab.diffusion import completion
+from motionlab.diffusion import pose_completion
 from motionlab.diffusion.model import Trained
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
@@ -54,13 +54,17 @@ def rivals(library: Poses) -> dict[str, Way]:
 
 def kept(model: Trained, steps: int, *, chains: bool = True) -> Way:
     """Eq. 4.10. It sees the rotations of the handles, or with ``chains`` of all joints above them as well."""
-    return lambda truth, which, generator: completion.keep(model, truth, which, generator, chains=chains, steps=steps)
+    return lambda truth, which, generator: pose_completion.keep(
+        model, truth, which, generator, chains=chains, steps=steps
+    )
 
 
 def completed(model: Trained, steps: int, guidance: float = 0.0) -> Way:
     """By diffusion, told or pulled."""
     how = {"steps": steps, "guidance": guidance, "finish": False}
-    return lambda truth, which, generator: completion.complete(model, truth.positions[:, 0], which, generator, **how)
+    return lambda truth, which, generator: pose_completion.complete(
+        model, truth.positions[:, 0], which, generator, **how
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +85,7 @@ def tried(way: Way, truth: Motion, which: Tensor, library: Poses, generator: tor
     """One way on poses (B, 1) with handles (B, 22)."""
     targets = truth.positions[:, 0]
     made = way(truth, which, generator)
-    done = completion.finished(made, targets, which)
+    done = pose_completion.finished(made, targets, which)
     return Found(
         done,
         measures.missed(made, targets, which).nanmean(-1),

@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 
 from motionlab.baselines import smoothed
+from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.model import Trained
-from motionlab.diffusion.repair import Way, repair
 from motionlab.errors import DataError
 from motionlab.humor.energies import KEYPOINTS, Weights
 from motionlab.humor.evidence import Observation3D

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import DataError, ShapeError
+from motionlab.heading import heading_frame, world_to_local_positions
 from motionlab.metrics.generation import nearest_of_batches
-from motionlab.motion import Motion, heading_frame, mirror, world_to_local_positions
+from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
 
 

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from motionlab.baselines import cosine_transform
+from motionlab.diffusion.gaussian_guess import power
 from motionlab.diffusion.model import Trained
-from motionlab.diffusion.spectral import power
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.model import Trained, silenced
-from motionlab.diffusion.repair import Way, repair
 from motionlab.motion import Motion
 from studies.shared import cases, rivals
 from studies.shared.cases import JOINTS

@@ -18,11 +18,12 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.contact import with_contacts
 from motionlab.diffusion.features import Layout
+from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.model import Trained
-from motionlab.diffusion.repair import Way, repair
 from motionlab.errors import ShapeError
+from motionlab.heading import local_to_world, stuck_root
 from motionlab.metrics.pose import joint_errors
-from motionlab.motion import Motion, local_to_world, stuck_root
+from motionlab.motion import Motion
 from studies.shared import lafan_benchmark
 from studies.shared.lafan_benchmark import PAST, Fill, Statistics, hidden, interpolation, zero_velocity
 

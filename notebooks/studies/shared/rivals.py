@@ -20,10 +20,11 @@ from torch import Tensor
 from motionlab import baselines
 from motionlab.diffusion.denoising import noise_size
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.repair import offset_decay
+from motionlab.diffusion.inpainting import offset_decay
 from motionlab.diffusion.start import principal
 from motionlab.errors import ShapeError
-from motionlab.motion import Frame, Motion, local_to_world, stuck_root, world_to_local
+from motionlab.heading import Frame, local_to_world, stuck_root, world_to_local
+from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from studies.shared.cases import JOINTS, chosen, columns
 

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 from torch.profiler import record_function
 
+from motionlab.heading import heading_frame
 from motionlab.humor import rollout, stages, state
 from motionlab.humor.body_shape import landmarks
 from motionlab.humor.cvae import Cvae, Gaussian
@@ -24,7 +25,6 @@ from motionlab.humor.evidence import Evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.stages import Problem
 from motionlab.humor.unknowns import Posed, Rolled, Unknowns, skeleton_of, to_matrix
-from motionlab.motion import heading_frame
 from motionlab.skeleton import fk
 from studies.official import rollout as official_rollout
 from studies.official.body import body_joints_by_lbs, first_joints_by_lbs
@@ -97,7 +97,7 @@ def weights_of(priors: Priors, on: Savings) -> Iterator[None]:
 
 
 def exact_alignment(orientation: Tensor) -> Tensor:
-    """The yaw rotation (B, 3, 3) of ``frames.heading_frame``."""
+    """The yaw rotation (B, 3, 3) of ``heading.heading_frame``."""
     return heading_frame(orientation[..., 0], orientation).turn
 
 

@@ -7,12 +7,12 @@ import torch
 
 from data_synth import scenes
 from motionlab import rotation
-from motionlab.diffusion import completion, denoiser, training
+from motionlab.diffusion import denoiser, pose_completion, training
 from motionlab.diffusion.losses import LossWeights
 from motionlab.diffusion.model import DenoiserRecipe
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError, ShapeError
-from motionlab.motion import stuck_root
+from motionlab.heading import stuck_root
 from motionlab.skeleton import STANDARD
 from studies.nb14_completion import known_poses, measures, trials
 
@@ -54,11 +54,11 @@ def seeded(seed=0):
 def test_handles_are_met_to_the_millimetre(models, truth, name, which_model):
     joints = truth.positions[:, 0]
     which = trials.chosen_handles(trials.SETS[name], len(joints), seeded())
-    made = completion.complete(models[which_model], joints, which, seeded(), steps=20)
+    made = pose_completion.complete(models[which_model], joints, which, seeded(), steps=20)
     assert made.root.shape == (24, 1, 3) and made.rot.isfinite().all()
     assert (made.rot @ made.rot.mT - torch.eye(3)).abs().max() < 1e-4
     assert measures.missed(made, joints, which).nan_to_num().max() < 1e-3
-    rough = completion.complete(models[which_model], joints, which, seeded(), steps=20, finish=False)
+    rough = pose_completion.complete(models[which_model], joints, which, seeded(), steps=20, finish=False)
     assert measures.missed(rough, joints, which).nanmean() > 2e-3  # it is the finish that does it
 
 
@@ -67,7 +67,7 @@ def test_completions_follow_the_generator_and_the_handles_alone(models, truth):
     which = trials.chosen_handles(FIVE, len(joints), seeded())
     hidden = torch.where(which[..., None], joints, torch.nan)
     one, same, other = (
-        completion.complete(models[1], targets, which, seeded(s), steps=10)
+        pose_completion.complete(models[1], targets, which, seeded(s), steps=10)
         for targets, s in ((joints, 0), (hidden, 0), (joints, 1))
     )
     assert torch.equal(one.rot, same.rot)
@@ -82,7 +82,7 @@ def test_the_pull_is_the_slope_of_the_missing_way(models, truth):
     inner = replace(model, denoiser=model.denoiser.double())
     try:
         x, stamps, weight = model.encode(truth.clip(slice(0, 1))).double() + 0.3, torch.tensor([40]), 7.0
-        pulled = completion._pulled(inner.denoiser, inner, joints, which, weight)(x, stamps)
+        pulled = pose_completion._pulled(inner.denoiser, inner, joints, which, weight)(x, stamps)
         plain = inner.denoiser(x, stamps)
 
         def far(at):
@@ -103,12 +103,12 @@ def test_kept_chains_keep_the_handles_but_for_the_height(models, truth):
     which = trials.chosen_handles(("left_wrist", "head"), len(truth.root), seeded())
     which[:12, 0] = True  # the pelvis of half of them
     at = which.clone()
-    made = completion.keep(models[0], truth, which, seeded())
+    made = pose_completion.keep(models[0], truth, which, seeded())
     off = (made.positions - truth.positions)[:, 0]
     assert off[:12][at[:12]].abs().max() < 1e-4
     assert (off - off[:, :1])[at].abs().max() < 1e-4 and off[..., :2][at].abs().max() < 1e-3
     assert off[12:, 0, 2].abs().max() > 1e-3 and measures.unobserved(made, truth, which).min() > 0.02
-    loose = completion.keep(models[0], truth, which, seeded(), chains=False)
+    loose = pose_completion.keep(models[0], truth, which, seeded(), chains=False)
     assert rotation.geodesic(loose.rot, truth.rot)[:, 0][which].max() < 1e-2
     assert measures.missed(loose, truth.positions[:, 0], which)[:, 1:].nanmean() > 0.02
 
@@ -116,13 +116,15 @@ def test_kept_chains_keep_the_handles_but_for_the_height(models, truth):
 def test_what_cannot_be(models, truth, windows):
     joints, which = truth.positions[:, 0], trials.chosen_handles(3, 24, seeded())
     with pytest.raises(ShapeError, match="targets"):
-        completion.complete(models[0], joints[:, :5], which, seeded())
+        pose_completion.complete(models[0], joints[:, :5], which, seeded())
     with pytest.raises(ShapeError, match="bool"):
-        completion.complete(models[0], joints, which.float(), seeded())
+        pose_completion.complete(models[0], joints, which.float(), seeded())
     with pytest.raises(DataError, match="not finite"):
-        completion.complete(models[0], torch.full_like(joints, torch.inf), which, seeded())
+        pose_completion.complete(models[0], torch.full_like(joints, torch.inf), which, seeded())
     with pytest.raises(DataError, match="60 frames"):
-        completion.complete(replace(models[0], recipe=replace(models[0].recipe, frames=60)), joints, which, seeded())
+        pose_completion.complete(
+            replace(models[0], recipe=replace(models[0].recipe, frames=60)), joints, which, seeded()
+        )
 
 
 # ---------------------------------------------------------------------------------------------- without a network

@@ -1,4 +1,4 @@
-"""Motions whose unknown parts a diffusion model fills in, and every way of putting the known part back.
+"""Inpainting: a diffusion model fills in the unknown parts of motions; every way of putting the known part back.
 
 x (B, T, D) in normalised numbers; known (B, T, D); m (B, T, D) or (T, D): 1 where known (the thesis's 1 - m).
 :func:`repair` takes motions, :func:`fill` numbers, and :class:`Way` says how the known part comes in.
@@ -22,7 +22,8 @@ from motionlab.diffusion import sampling
 from motionlab.diffusion.model import Trained
 from motionlab.diffusion.sampling import DenoiseFunction, NoiseSchedule, noise_like
 from motionlab.errors import ShapeError
-from motionlab.motion import Motion, local_to_world, stuck_root, world_to_local
+from motionlab.heading import local_to_world, stuck_root, world_to_local
+from motionlab.motion import Motion
 
 _PUTS = ("overwrite", "imputed", "nothing")
 _SAMPLERS = ("ddpm", "ddim")

@@ -1,4 +1,5 @@
-"""Pose completion: a whole pose from a few joints, its handles, by diffusion of single poses.
+"""Pose completion: a whole pose from a few joints, its handles, by diffusion of single poses
+(of windows with gaps: ``inpainting``).
 
 Three ways. ``keep``: the thesis's baseline, inpainting (Eq. 4.10) with rotations kept. ``complete`` with ``guidance``:
 every estimate of x_0 is pulled to where its handles are at their targets (reconstruction guidance, Ho et al. 2022,
@@ -15,10 +16,10 @@ import torch
 from torch import Tensor
 
 from motionlab.diffusion.features import Layout
+from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.masks import told, units
 from motionlab.diffusion.model import Trained
 from motionlab.diffusion.planting import reach_targets
-from motionlab.diffusion.repair import Way, repair
 from motionlab.diffusion.sampling import DenoiseFunction, ddim
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.motion import Motion

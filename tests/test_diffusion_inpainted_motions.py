@@ -8,10 +8,10 @@ from torch import nn
 
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
-from motionlab.diffusion import repair
+from motionlab.diffusion import inpainting
 from motionlab.diffusion.features import Normaliser
+from motionlab.diffusion.inpainting import Way
 from motionlab.diffusion.model import DenoiserRecipe, Trained
-from motionlab.diffusion.repair import Way
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import ShapeError
 from motionlab.skeleton import STANDARD
@@ -58,7 +58,7 @@ def model_of(motion, told=False):
 def test_with_a_perfect_denoiser_every_way_returns_the_truth_where_it_was(motion, generator, way):
     model = model_of(motion)
     known = model.layout.mask(12, only=[0, 1, 2, 9, 10, 11])
-    made = repair.repair(model, motion, known, generator, replace(WAYS[way], steps=10))
+    made = inpainting.repair(model, motion, known, generator, replace(WAYS[way], steps=10))
     assert (made.positions - motion.positions).abs().max() < 1e-3
     assert made.fps == motion.fps and motion.root[..., :2].std() > 0.05  # they were not at the origin
 
@@ -70,7 +70,7 @@ def test_hidden_numbers_are_never_read(motion, way):
     x0 = model.encode(motion)
     spoilt = torch.where(known, x0, float("nan"))
     first, second = (
-        repair.fill(model, x, known, torch.Generator().manual_seed(1), replace(WAYS[way], steps=5))
+        inpainting.fill(model, x, known, torch.Generator().manual_seed(1), replace(WAYS[way], steps=5))
         for x in (x0, spoilt)
     )
     assert first.isfinite().all() and torch.equal(first, second)
@@ -82,7 +82,8 @@ def test_known_numbers_are_exact_unless_the_last_overwrite_is_left_out(motion, g
     model.denoiser.x0 = torch.zeros_like(x0)  # a denoiser that is wrong everywhere
     ways = {"last": Way(steps=9), "not": Way(steps=9, last=False), "finish": Way(last=False, finish=3)}
     gaps = {
-        name: (repair.fill(model, x0, known, generator, way) - x0)[:, known].abs().max() for name, way in ways.items()
+        name: (inpainting.fill(model, x0, known, generator, way) - x0)[:, known].abs().max()
+        for name, way in ways.items()
     }
     assert gaps["last"] < 1e-6 and gaps["finish"] < 1e-6 and gaps["not"] > 0.1
 
@@ -90,7 +91,7 @@ def test_known_numbers_are_exact_unless_the_last_overwrite_is_left_out(motion, g
 def test_a_model_that_is_told_hears_the_mask_and_only_what_is_known(motion, generator):
     model = model_of(motion, told=True)
     x0, known = model.encode(motion), model.layout.mask(12, groups=["root"])
-    repair.fill(model, x0, known, generator, Way(put="nothing", steps=3))
+    inpainting.fill(model, x0, known, generator, Way(put="nothing", steps=3))
     heard, mask = model.denoiser.heard
     assert torch.equal(mask, known.expand_as(x0)) and torch.equal(heard, torch.where(known, x0, 0.0))
 
@@ -99,14 +100,14 @@ def test_an_unknown_number_takes_the_nearest_known_value_for_a_soft_mask():
     x = torch.arange(6.0)[None, :, None].expand(1, 6, 2).contiguous()
     known = torch.zeros(6, 2, dtype=torch.bool)
     known[[1, 5], 0] = True
-    held = repair._held(torch.where(known, x, 0.0), known)
+    held = inpainting._held(torch.where(known, x, 0.0), known)
     assert held[0, :, 0].tolist() == [1, 1, 1, 1, 5, 5] and not held[0, :, 1].any()
 
 
 def test_what_makes_no_sense_is_refused(motion, generator):
     model = model_of(motion)
     with pytest.raises(ShapeError, match="known"):
-        repair.repair(model, motion, torch.ones(11, model.layout.size, dtype=torch.bool), generator)
+        inpainting.repair(model, motion, torch.ones(11, model.layout.size, dtype=torch.bool), generator)
     for bad in ({"put": "paste"}, {"sampler": "euler"}, {"put": "imputed", "times": 2}):
         with pytest.raises(ValueError, match=r"expected|overwrite"):
             Way(**bad)
@@ -115,13 +116,13 @@ def test_what_makes_no_sense_is_refused(motion, generator):
 def test_the_guess_is_where_it_was_in_the_world(motion, generator):
     model, known = model_of(motion), model_of(motion).layout.mask(12, only=[0, 11])
     way = Way(steps=10, put="imputed", begin=0.5)
-    made = repair.repair(model, motion, known, generator, way, guess=motion, batch=6)
+    made = inpainting.repair(model, motion, known, generator, way, guess=motion, batch=6)
     assert (made.positions - motion.positions).abs().max() < 1e-3
     heard = []
-    fill = repair.fill
+    fill = inpainting.fill
     with pytest.MonkeyPatch.context() as m:
-        m.setattr(repair, "fill", lambda *given: heard.append(given[-1]) or fill(*given))
-        repair.repair(model, motion, known, generator, way, guess=motion)
+        m.setattr(inpainting, "fill", lambda *given: heard.append(given[-1]) or fill(*given))
+        inpainting.repair(model, motion, known, generator, way, guess=motion)
     assert torch.allclose(heard[0], model.encode(motion))
 
 
@@ -129,7 +130,7 @@ def test_a_beginning_needs_a_guess_and_a_guess_a_beginning(motion, generator):
     model, known = model_of(motion), model_of(motion).layout.mask(12, only=[0, 11])
     for way, guess in ((Way(begin=0.5), None), (Way(), motion)):
         with pytest.raises(ValueError, match="below 1 with a guess"):
-            repair.repair(model, motion, known, generator, way, guess=guess)
+            inpainting.repair(model, motion, known, generator, way, guess=guess)
     for wrong in ({"begin": 0.0}, {"begin": 1.5}, {"begin": 0.5, "sampler": "ddim"}, {"begin": 0.5, "times": 2}):
         with pytest.raises(ValueError, match="begin"):
             Way(**wrong)

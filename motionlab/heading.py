@@ -1,0 +1,110 @@
+"""The heading frame, which turns with where a body faces, and other frames of reference; motions in them and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.errors import check_shape
+from motionlab.motion import Motion
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Local coordinates: local = turn (world + shift).
+
+    turn (..., 3, 3): local from world. shift (..., 3): metres, world; minus the origin of the local frame.
+    """
+
+    turn: Tensor
+    shift: Tensor
+
+    def __post_init__(self) -> None:
+        check_shape(self.turn, "... 3 3", "turn")
+        check_shape(self.shift, "... 3", "shift")
+
+
+def heading_frame(root: Tensor, orientation: Tensor) -> Frame:
+    """Computes the heading frame from a root: on the floor below it, y where the body looks; heights stay heights.
+
+    A = [[r_x, r_y], [-r_y, r_x]] / |r| takes the body's right axis on the floor, r = -orientation[:2, 0], to
+    +x; shift = (-x, -y, 0). A body lying exactly on its side has no heading and keeps the world's axes.
+
+    Args:
+        root: (..., 3) position of the root, metres, world. orientation: (..., 3, 3) of the root, world.
+    Source: HuMoR's canonical frame. Differs: exact, where HuMoR takes acos of a guarded cosine.
+    """
+    check_shape(root, "... 3", "root")
+    check_shape(orientation, "... 3 3", "orientation")
+    on_floor = torch.tensor([-1.0, -1.0, 0.0]).to(root)
+    return Frame(rotation.rotation_about("z", -rotation.yaw(orientation)), root * on_floor)
+
+
+def stuck_root(motion: Motion, axes: str = "heading") -> tuple[Motion, Frame]:
+    """Computes a motion relative to its first frame, and that frame (..., 1); ``local_to_world`` undoes it exactly.
+
+    ``axes="heading"``: it starts above (0, 0) facing +y; z stays up and the floor stays the floor.
+    ``axes="root"``: it starts in the origin with identity root orientation, and up is lost.
+
+    Source: thesis 4.1.2, the "stuck root" state.
+    """
+    if axes not in ("heading", "root"):
+        raise ValueError(f'axes: expected "heading" or "root", got {axes!r}')
+    make = heading_frame if axes == "heading" else _root_frame
+    frame = make(motion.root[..., :1, :], motion.rot[..., :1, 0, :, :])
+    return world_to_local(frame, motion), frame
+
+
+def _root_frame(root: Tensor, orientation: Tensor) -> Frame:
+    """The frame of the root itself: the root lies in the origin with identity orientation; up is not up there."""
+    check_shape(root, "... 3", "root")
+    check_shape(orientation, "... 3 3", "orientation")
+    return Frame(orientation.mT, -root)
+
+
+def world_to_local(frame: Frame, motion: Motion) -> Motion:
+    """Turns and moves a motion into a frame's coordinates; the frame has the axes of ``motion.root`` (T may be 1)."""
+    root_rot = world_to_local_orientations(frame, motion.rot[..., 0, :, :])
+    rot = torch.cat((root_rot[..., None, :, :], motion.rot[..., 1:, :, :]), dim=-3)
+    return replace(motion, root=world_to_local_positions(frame, motion.root), rot=rot)
+
+
+def local_to_world(frame: Frame, motion: Motion) -> Motion:
+    """The inverse of :func:`world_to_local`."""
+    root_rot = local_to_world_orientations(frame, motion.rot[..., 0, :, :])
+    rot = torch.cat((root_rot[..., None, :, :], motion.rot[..., 1:, :, :]), dim=-3)
+    return replace(motion, root=local_to_world_positions(frame, motion.root), rot=rot)
+
+
+def world_to_local_positions(frame: Frame, positions: Tensor) -> Tensor:
+    """Turns and shifts points (..., 3) or (..., K, 3), metres, into a frame's coordinates; (...) are its axes."""
+    turn, shift = _spread(frame, positions.ndim - 1)
+    return ((positions + shift)[..., None, :] @ turn.mT)[..., 0, :]
+
+
+def local_to_world_positions(frame: Frame, positions: Tensor) -> Tensor:
+    """The inverse of :func:`world_to_local_positions`."""
+    turn, shift = _spread(frame, positions.ndim - 1)
+    return (positions[..., None, :] @ turn)[..., 0, :] - shift
+
+
+def world_to_local_orientations(frame: Frame, orientations: Tensor) -> Tensor:
+    """Turns world orientations (..., 3, 3) or (..., K, 3, 3) into a frame; rotations relative to a parent stay."""
+    turn, _ = _spread(frame, orientations.ndim - 2)
+    return turn @ orientations
+
+
+def local_to_world_orientations(frame: Frame, orientations: Tensor) -> Tensor:
+    """The inverse of :func:`world_to_local_orientations`."""
+    turn, _ = _spread(frame, orientations.ndim - 2)
+    return turn.mT @ orientations
+
+
+def _spread(frame: Frame, axes: int) -> tuple[Tensor, Tensor]:
+    """The frame's tensors with axes of size 1 behind its own, ``axes`` in all, to meet points per frame."""
+    more = (1,) * (axes - frame.shift.ndim + 1)
+    batch = frame.shift.shape[:-1]
+    return frame.turn.reshape(*batch, *more, 3, 3), frame.shift.reshape(*batch, *more, 3)
