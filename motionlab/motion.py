@@ -14,6 +14,8 @@ from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
 from motionlab.skeleton import Skeleton, fk
 
+FPS = 30.0  # frames per second of what priors and models know
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:

@@ -10,7 +10,7 @@ from kornia.geometry.camera import project_points
 from torch import Tensor
 
 from motionlab.errors import ShapeError, check_shape
-from motionlab.humor.state import FPS
+from motionlab.motion import FPS
 
 
 def at_rate(observation: Observation2D, fps: float = FPS) -> Observation2D:

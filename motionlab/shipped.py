@@ -298,7 +298,7 @@ def make_features(
     parts = {part: splits.motions_by_part(folder, part) for part in ("train", "choose")}
     ready = {part: [m for some in found.values() for m in some] for part, found in parts.items()}
     windows, held = (gather(splits.prepared(some, DenoiserRecipe()), recipe.frames) for some in ready.values())
-    features, curve = embedding.train_features(windows, recipe, held.evenly(256), say=print)
+    features, curve = embedding.train_features(windows, recipe, held.evenly(256), progress=True)
     with_data = " --data FOLDER" if splits.RECORDED in parts["train"] else ""
     about = {
         "what": "autoencoder over windows of 60 frames: the features that generated motion is judged in",

@@ -1,4 +1,4 @@
-"""The training loop of every larger model: resumable to the bit, with averaged weights and skipped bad batches.
+"""The training loop of every network: resumable to the bit, with averaged weights and skipped bad batches.
 
 A trainer derives from :class:`TrainingRun` and adds what differs: its batches and their loss, its learning rate, and
 the model that it makes of weights. A run is saved whole or not at all, and read without executing anything.
@@ -156,7 +156,8 @@ class TrainingRun(ABC):
             keep = min(self.recipe.average, (1 + self.step) / (10 + self.step))
             with torch.no_grad():
                 for name, value in self.model.state_dict().items():
-                    self.average[name].lerp_(value, 1 - keep)
+                    average = self.average[name]
+                    average.lerp_(value, 1 - keep) if value.is_floating_point() else average.copy_(value)
         self._whole()
         row = {"loss": loss.item()} | {name: value.item() for name, value in parts.items()} if used else {}
         return row | ({"skipped": self.skipped} if self.give_up > 1 else {})

@@ -13,10 +13,13 @@ features are physical descriptions and joint statistics.
 
 from __future__ import annotations
 
+import copy
+import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -33,6 +36,7 @@ from motionlab.metrics.distribution import describe
 from motionlab.metrics.generation import kid
 from motionlab.motion import Motion, velocity
 from motionlab.skeleton import FEET, STANDARD
+from motionlab.training_loop import TrainingRun
 
 #: Joints whose velocities count; what of the feet is low counts once more, as sliding.
 _MOVING = ("pelvis", "head", "left_wrist", "right_wrist", *FEET)
@@ -79,6 +83,7 @@ class FeatureRecipe:
     batch: int = 64
     lr: float = 2e-3
     seed: int = 0
+    average: ClassVar[float] = 0.0  # its weights are the last ones
 
 
 class Autoencoder(nn.Module):
@@ -140,40 +145,56 @@ class Features:
         return {name: float(a.sum() / b.sum().clamp(min=1e-12)) for name, a, b in parts}
 
 
-def train_features(
-    windows: Windows, recipe: FeatureRecipe, held: Motion | None = None, *, say: Callable[[str], None] | None = None
-) -> tuple[Features, list[dict]]:
-    """Train on windows; the features and the curve: loss, and what is ``missed`` of held-out windows.
+class _FeatureRun(TrainingRun):
+    """Trains an autoencoder on windows. Every group weighs the same in the loss, or the few numbers that say whether a
+    foot slides would drown."""
 
-    Every group weighs the same in the loss, or the few numbers that say whether a foot slides would drown.
-    """
+    data_name = "windows"
+    clip = None
+
+    def __init__(self, recipe: FeatureRecipe, windows: Windows) -> None:
+        generator, self.windows = torch.Generator().manual_seed(recipe.seed), windows
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(recipe.seed)
+            network = Autoencoder(recipe)
+        self.mean, self.scale = _moments(_signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
+        self.weight = torch.cat([torch.full((n,), 1 / (n * len(FEATURE_GROUPS))) for n in FEATURE_GROUPS.values()])
+        super().__init__(recipe, windows.digest, generator, network)
+
+    def _optimiser(self) -> torch.optim.Optimizer:
+        return torch.optim.Adam(self.model.parameters(), self.recipe.lr)
+
+    def _rate(self) -> float:
+        return 0.5 * self.recipe.lr * (1 + math.cos(math.pi * self.step / self.recipe.steps))
+
+    def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
+        x = (_signals(self.windows.draw(self.recipe.batch, self.generator)) - self.mean) / self.scale
+        return ((self.model(x) - x).square() * self.weight).sum(-1).mean(), {}
+
+    def _made(self, weights: dict[str, Tensor]) -> Features:
+        network = copy.deepcopy(self.model).eval().requires_grad_(False)
+        network.load_state_dict(weights)
+        size = self.recipe.size
+        return Features(network, self.mean, self.scale, torch.zeros(size), torch.ones(size), self.recipe)
+
+    @classmethod
+    def _recipe(cls, content: dict) -> FeatureRecipe:
+        return FeatureRecipe(**content)
+
+
+def train_features(
+    windows: Windows, recipe: FeatureRecipe, held: Motion | None = None, *, progress: bool = False
+) -> tuple[Features, list[dict]]:
+    """Trains on windows; the features and the curve: loss, and what is ``missed`` of held-out windows."""
     if windows.length != recipe.frames:
         raise ShapeError(f"windows of {windows.length} frames, recipe of {recipe.frames}")
-    generator = torch.Generator().manual_seed(recipe.seed)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(recipe.seed)
-        network = Autoencoder(recipe)
-    mean, scale = _moments(_signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
-    weight = torch.cat([torch.full((n,), 1 / (n * len(FEATURE_GROUPS))) for n in FEATURE_GROUPS.values()])
-    adam = torch.optim.Adam(network.parameters(), recipe.lr)
-    rate = torch.optim.lr_scheduler.CosineAnnealingLR(adam, recipe.steps)
-    made = Features(network, mean, scale, torch.zeros(recipe.size), torch.ones(recipe.size), recipe)
-    curve, every = [], max(1, recipe.steps // 20)
-    for step in range(1, recipe.steps + 1):
-        x = (_signals(windows.draw(recipe.batch, generator)) - mean) / scale
-        loss = ((network(x) - x).square() * weight).sum(-1).mean()
-        adam.zero_grad()
-        loss.backward()
-        adam.step()
-        rate.step()
-        if step % every == 0:
-            missed = made.missed(held) if held is not None else {}
-            curve.append({"step": step, "loss": round(loss.item(), 4)} | {k: round(v, 4) for k, v in missed.items()})
-            if say:
-                say(f"{curve[-1]}")
-    network = _rounded(network).eval().requires_grad_(False)
-    latent = Features(network, mean, scale, made.centre, made.spread, recipe)(windows.draw(2048, generator)).float()
-    return Features(network, mean, scale, latent.mean(0), latent.std(0).clamp(min=1e-3), recipe), curve
+    validate = None if held is None else lambda features: features.missed(held)
+    run = _FeatureRun(recipe, windows).run(every=max(1, recipe.steps // 20), validate=validate, progress=progress)
+    made = run.averaged
+    made = replace(made, network=_rounded(made.network))
+    latent = made(windows.draw(2048, run.generator)).float()
+    made = replace(made, centre=latent.mean(0), spread=latent.std(0).clamp(min=1e-3))
+    return made, [{name: round(value, 4) for name, value in row.items()} for row in run.curve]
 
 
 def _moments(x: Tensor) -> tuple[Tensor, Tensor]:

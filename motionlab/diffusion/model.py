@@ -23,8 +23,7 @@ from motionlab.diffusion.gaussian_guess import Linear, Spectral
 from motionlab.diffusion.losses import LossWeights
 from motionlab.diffusion.sampling import NoiseSchedule, ddpm, noise_like
 from motionlab.errors import DataError, ShapeError, check_shape
-from motionlab.humor.state import FPS
-from motionlab.motion import Motion
+from motionlab.motion import FPS, Motion
 from motionlab.skeleton import Skeleton
 
 #: Fields that came after models had been made: recipes without them had none.

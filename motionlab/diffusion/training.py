@@ -24,8 +24,7 @@ from motionlab.diffusion.model import DenoiserRecipe, Trained, gain
 from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
-from motionlab.humor.state import FPS
-from motionlab.motion import Motion
+from motionlab.motion import FPS, Motion
 from motionlab.training_loop import TrainingRun
 
 _BEGIN = "choose the preset and size that it was made with"

@@ -8,17 +8,19 @@ millimetre per second.
 
 from __future__ import annotations
 
+import copy
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from tqdm.auto import tqdm
 
 from motionlab import rotation
 from motionlab.errors import DataError, check_shape
 from motionlab.humor.cvae import Gaussian, kl
 from motionlab.humor.priors import POSE_LATENT, InitGmm, PosePrior
 from motionlab.skeleton import STANDARD, fk
+from motionlab.training_loop import TrainingRun
 
 _COMPONENTS = 12
 _POSE_RATE = 1e-3  # of Adam, at the beginning
@@ -72,6 +74,55 @@ def _varied_poses(rot: Tensor, generator: torch.Generator, *, share: float = _SH
     return rot
 
 
+@dataclass(frozen=True)
+class _PoseRecipe:
+    steps: int
+    batch: int
+    share: float
+    average: float = 0.0  # its weights are the last ones
+
+
+class _PosePriorRun(TrainingRun):
+    """Trains a pose prior: Adam, its rate falls as a cosine, and KL grows over the first tenth."""
+
+    data_name = "poses"
+    clip = None
+
+    def __init__(self, recipe: _PoseRecipe, rot: Tensor, odds: Tensor, generator: torch.Generator) -> None:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
+            model = PosePrior()
+        with torch.no_grad():
+            model.out.weight.mul_(0.1)
+            model.out.bias.copy_(rotation.matrix_to_sixd(torch.eye(3)).repeat(21))
+        count = recipe.steps * recipe.batch
+        self.drawn = torch.multinomial(odds, count, replacement=True, generator=generator).split(recipe.batch)
+        self.rot = rot
+        super().__init__(recipe, "", generator, model)
+
+    def _optimiser(self) -> torch.optim.Optimizer:
+        return torch.optim.Adam(self.model.parameters(), lr=_POSE_RATE)
+
+    def _rate(self) -> float:
+        fallen = 0.5 * (1 + math.cos(math.pi * self.step / self.recipe.steps))
+        return _POSE_RATE * min(1.0, (self.step + 1) / 100) * fallen
+
+    def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
+        rot = _varied_poses(self.rot[self.drawn[self.step]], self.generator, share=self.recipe.share)
+        miss, divergence = _objective(self.model, rot, self.generator)
+        grown = min(1.0, (self.step + 1) / (0.1 * self.recipe.steps))
+        return miss + grown * divergence, {"miss": miss, "kl": divergence}
+
+    def _made(self, weights: dict[str, Tensor]) -> PosePrior:
+        model = copy.deepcopy(self.model)
+        model.load_state_dict(weights)
+        return model.frozen()
+
+    @classmethod
+    def _recipe(cls, content: dict) -> _PoseRecipe:
+        return _PoseRecipe(**content)
+
+
 def train_pose_prior(
     rot: Tensor,
     generator: torch.Generator,
@@ -82,7 +133,7 @@ def train_pose_prior(
     share: float = _SHARE,
     progress: bool = True,
 ) -> tuple[PosePrior, list[tuple[int, float, float]]]:
-    """Trains a pose prior on poses (N, 21, 3, 3): Adam, rate falling as a cosine, KL growing over the first tenth.
+    """Trains a pose prior on poses (N, 21, 3, 3).
 
     weight (N,): how often each pose is drawn, relative to the others.
 
@@ -94,26 +145,10 @@ def train_pose_prior(
     check_shape(rot, "N 21 3 3", "rot")
     if len(rot) < 2 or not rot.isfinite().all():
         raise DataError(f"{len(rot)} poses", remedy="give two or more, all of them finite")
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
-        model = PosePrior()
-    with torch.no_grad():
-        model.out.weight.mul_(0.1)
-        model.out.bias.copy_(rotation.matrix_to_sixd(torch.eye(3)).repeat(21))
-    optimiser = torch.optim.Adam(model.parameters(), lr=_POSE_RATE)
-    history = []
     odds = torch.ones(len(rot)) if weight is None else weight
-    drawn = torch.multinomial(odds, steps * batch, replacement=True, generator=generator).split(batch)
-    for step, rows in enumerate(tqdm(drawn, desc="pose prior", disable=not progress)):
-        for group in optimiser.param_groups:
-            group["lr"] = _POSE_RATE * min(1.0, (step + 1) / 100) * 0.5 * (1 + math.cos(math.pi * step / steps))
-        miss, divergence = _objective(model, _varied_poses(rot[rows], generator, share=share), generator)
-        optimiser.zero_grad()
-        (miss + min(1.0, (step + 1) / (0.1 * steps)) * divergence).backward()
-        optimiser.step()
-        if step % max(1, steps // 100) == 0:
-            history.append((step, float(miss.detach()), float(divergence.detach())))
-    return model.frozen(), history
+    run = _PosePriorRun(_PoseRecipe(steps, batch, share), rot, odds, generator)
+    run.run(every=max(1, steps // 100), progress=progress)
+    return run.averaged, [(row["step"], row["miss"], row["kl"]) for row in run.curve]
 
 
 @torch.no_grad()

@@ -36,8 +36,6 @@ from motionlab.motion import Motion, velocity
 from motionlab.skeleton import Skeleton
 
 JOINT_COUNT, CONTACTS = 22, 9
-#: Frames per second that the prior knows: a transition takes a thirtieth of a second.
-FPS = 30.0
 #: The parts of a state in their order, and their shapes.
 SHAPES = {
     "trans": (3,), "trans_vel": (3,), "root_orient_vel": (3,), "joints": (22, 3), "joints_vel": (22, 3),

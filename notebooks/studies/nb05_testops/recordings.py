@@ -15,12 +15,11 @@ from motionlab.fit import landmarks_of, pixel_distances, pixels_of
 from motionlab.humor import testops
 from motionlab.humor.evidence import evidence
 from motionlab.humor.priors import Priors
-from motionlab.humor.state import FPS
 from motionlab.humor.testops import Fitted, Schedule
 from motionlab.io import openpose, points
 from motionlab.io.cameras import load_qualisys
 from motionlab.metrics import pose
-from motionlab.motion import Motion
+from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
 
 #: The twelve joints that marker tables and keypoints share, ours and Pose2Sim's name of each.

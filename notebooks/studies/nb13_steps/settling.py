@@ -15,8 +15,7 @@ from motionlab.baselines import cosine_transform
 from motionlab.diffusion import sampling
 from motionlab.diffusion.model import Trained
 from motionlab.diffusion.sampling import NoiseSchedule
-from motionlab.humor.state import FPS
-from motionlab.motion import Motion
+from motionlab.motion import FPS, Motion
 
 #: Bands of frequency in Hz, from (including) to; cosine k of T frames has k fps / (2 T).
 BANDS = {"still": (0.0, 0.1), "below 1 Hz": (0.1, 1.0), "1 to 4 Hz": (1.0, 4.0), "above 4 Hz": (4.0, 1e9)}
