@@ -33,7 +33,7 @@ from motionlab.humor.evidence import Evidence, View
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import infer
 from motionlab.humor.unknowns import Unknowns, from_matrix
-from motionlab.motion import Motion
+from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25
 from motionlab.skeleton import STANDARD, UPRIGHT
 
@@ -294,11 +294,11 @@ def _importance(trust: Tensor) -> Tensor:
     child = torch.stack([trust[:, _CHILD[j]] for j in range(1, 22)], 1)
     parts = {
         "trans": whole.expand(-1, 3),
-        "trans_vel": (whole / state.FPS**2).expand(-1, 3),
+        "trans_vel": (whole / FPS**2).expand(-1, 3),
         "root_orient": (_LEVER * whole).expand(-1, 9),
-        "root_orient_vel": (_LEVER * whole / state.FPS**2).expand(-1, 3),
+        "root_orient_vel": (_LEVER * whole / FPS**2).expand(-1, 3),
         "pose_body": (_LEVER * child).repeat_interleave(9, 1),
         "joints": trust.repeat_interleave(3, 1),
-        "joints_vel": trust.repeat_interleave(3, 1) / state.FPS**2,
+        "joints_vel": trust.repeat_interleave(3, 1) / FPS**2,
     }
     return torch.cat([parts[name] for name in state.SHAPES], 1)

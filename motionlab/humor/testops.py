@@ -30,7 +30,7 @@ from motionlab.humor.priors import Priors
 from motionlab.humor.shooting.solver import Plan, solve
 from motionlab.humor.stages import Problem
 from motionlab.humor.unknowns import Form, Rolled, Unknowns, stitch_windows, window_starts
-from motionlab.motion import Motion
+from motionlab.motion import FPS, Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.parallel import threads_for
 from motionlab.skeleton import STANDARD, fk
@@ -200,9 +200,9 @@ def fit(
     if solver not in SOLVERS or (solver == "shooting" and mode != "lean"):
         raise ValueError(f"solver: expected one of {', '.join(SOLVERS)}, the last in lean mode alone, got {solver!r}")
     seen = evidence(observation, cameras=cameras, floor=floor, size=size)
-    if abs(seen.fps - state.FPS) > 0.02 * state.FPS:
+    if abs(seen.fps - FPS) > 0.02 * FPS:
         raise DataError(
-            f"{seen.fps:g} frames per second; the motion prior knows {state.FPS:g}",
+            f"{seen.fps:g} frames per second; the motion prior knows {FPS:g}",
             remedy="resample the observation first",
         )
     schedule = schedule or (Schedule.lean() if mode == "lean" else Schedule.official(keypoints=seen.view is not None))

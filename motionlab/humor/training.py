@@ -36,7 +36,6 @@ from motionlab.humor.rollout import infer, rollout, sample_rollout
 from motionlab.humor.state import (
     DELTA,
     DELTA_SLICES,
-    FPS,
     SHAPES,
     SLICES,
     STATE,
@@ -48,6 +47,7 @@ from motionlab.humor.state import (
 )
 from motionlab.metrics.gait import contact_scores
 from motionlab.metrics.pose import masked_mean, mean_acceleration
+from motionlab.motion import FPS
 from motionlab.skeleton import STANDARD, fk
 from motionlab.training_loop import TrainingRun
 
