@@ -1,6 +1,6 @@
 """When a second thread pays, and what a fit costs beside a busy core: ratios of one run.
 
-The threshold ``parallel.WIDE`` should rest on the first table, taken on an idle machine: a roll-out of 20 frames and
+The threshold ``parallel.WIDE`` rests on the first table, taken on an idle machine: a roll-out of 20 frames and
 its gradient, on one and on two threads in turns.
 """
 
