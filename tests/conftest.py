@@ -21,6 +21,14 @@ def _one_thread() -> None:
     torch.set_num_threads(1)
 
 
+@pytest.fixture(autouse=True)
+def _no_drafts_after(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A test that opens a smoke notebook leaves pictures as it found them."""
+    from motionlab import viz
+
+    monkeypatch.setattr(viz, "draft", viz.draft)
+
+
 @pytest.fixture
 def generator() -> torch.Generator:
     """A fresh generator, the same in every run."""
