@@ -108,6 +108,9 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument(
         "--again", action="store_true", help="with --fingerprints: also where the recorded one differs"
     )
+    command.add_argument(
+        "--widen", action="store_true", help="with --fingerprints: allow also for what the same code gives here"
+    )
     command.set_defaults(run=_regenerate)
     return parser
 
@@ -241,7 +244,7 @@ def _regenerate(options: argparse.Namespace) -> int:
     from motionlab import execute, report
 
     if options.fingerprints:
-        runs = execute.take_fingerprints(options.notebooks, again=options.again)
+        runs = execute.take_fingerprints(options.notebooks, again=options.again, widen=options.widen)
         print(execute.run_summary(runs))
         return 0 if all(run.ok for run in runs) else 1
     runs = execute.regenerate(options.notebooks)

@@ -71,6 +71,9 @@ def mark(value: float | None, scale: float = 0.0, tolerance: float = TOLERANCE) 
 def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
     """Computes one fingerprint from runs under different arithmetic: the first one's numbers, as far apart as the runs.
 
+    The first may be a recorded one, made of several runs on another machine: the least distance that any run allows
+    says how large a number is.
+
     Returns:
         the fingerprint, and what differs too much, or is not in all of them, to be part of it.
     """
@@ -82,7 +85,7 @@ def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
             unsteady.append(name)
             continue
         spread = max((abs(v - value) for v in values if v is not None), default=0.0)
-        size = within / TOLERANCE
+        size = min((run[name].within for run in runs if run[name].within), default=0.0) / TOLERANCE
         if spread > STEADY * size:
             unsteady.append(name)
         else:

@@ -8,7 +8,7 @@ import torch
 from motionlab.humor import compiled, testops
 from motionlab.humor.priors import InitGmm, Priors
 from motionlab.humor.shooting import coordinates
-from motionlab.humor.shooting.solver import Plan
+from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.testops import Schedule
 from tests.elsewhere import ELSEWHERE, Elsewhere, elsewhere, moved
 from tests.fit_inputs import joints, keypoints

@@ -18,7 +18,7 @@ from motionlab.checkpoint import SHIPPED
 from motionlab.errors import DataError
 from motionlab.humor import body_shape, pretrained, stages, testops
 from motionlab.humor.energies import RGB, RGB_LIGHT
-from motionlab.humor.shooting.solver import Plan
+from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.io import amass, bvh, gltf
 from motionlab.io.cameras import load_camera
 from motionlab.motion import Motion

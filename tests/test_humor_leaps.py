@@ -8,9 +8,9 @@ import torch
 
 from motionlab.humor import priors, unknowns
 from motionlab.humor.priors import InitGmm
-from motionlab.humor.shooting import solver
+from motionlab.humor.shooting import feedback_solver
 from motionlab.humor.shooting.coordinates import linearised, mixed_features, opened
-from motionlab.humor.shooting.solver import Plan, solve
+from motionlab.humor.shooting.feedback_solver import Plan, solve
 from motionlab.humor.stages import rolled_terms
 from motionlab.optimise import BatchFit
 from tests.rolled_inputs import F64
@@ -91,7 +91,7 @@ def test_where_a_search_has_ended_its_own_valley_promises_nothing(case, settled)
     problem, _ = case
     with torch.no_grad():
         loop = linearised(problem, settled)
-    energy, gain, *_ = solver.valleys(problem, settled, loop)
+    energy, gain, *_ = feedback_solver.valleys(problem, settled, loop)
     torch.testing.assert_close(energy, total(problem, settled))
     own = component(problem, settled)
     assert (own == 0).all()
@@ -104,7 +104,7 @@ def test_the_depth_of_a_valley_is_known_before_it_is_entered(case, settled):
     problem, _ = case
     with torch.no_grad():
         loop = linearised(problem, settled)
-    energy, gain, *_ = solver.valleys(problem, settled, loop)
+    energy, gain, *_ = feedback_solver.valleys(problem, settled, loop)
     gmm = problem.priors.initial
     other = replace(
         problem,
@@ -131,7 +131,7 @@ def test_the_rows_of_a_clip_are_one_clip_in_what_is_reported(case):
     problem, unknown = case
     with torch.no_grad():
         loop = linearised(problem, unknown)
-        who, shaper, first = solver._starts(problem, unknown, loop, 1, 1e-3)
+        who, shaper, first = feedback_solver._starts(problem, unknown, loop, 1, 1e-3)
         starts = []
         for i in (slice(0, CLIPS), slice(CLIPS, 2 * CLIPS)):
             around, new = loop._replace(first=shaper[i]), nought(loop) | {"first": first[i]}
@@ -150,9 +150,9 @@ def test_a_leap_has_coordinates_of_its_own_component(case, settled):
     problem = replace(problem, priors=replace(problem.priors, initial=uneven))
     with torch.no_grad():
         loop = linearised(problem, settled)
-    found = solver.valleys(problem, settled, loop)
+    found = feedback_solver.valleys(problem, settled, loop)
     who, which = torch.tensor([1, 0, 1]), torch.tensor([1, 1, 0])
-    shaper, begin = solver.entered(loop, found, who, which)
+    shaper, begin = feedback_solver.entered(loop, found, who, which)
     where = loop.first[who] @ found.where[who, which, :, None]
     torch.testing.assert_close(shaper @ begin[..., None], where, atol=1e-8, rtol=1e-8)
     inside = torch.linalg.solve(loop.first[who], shaper)
@@ -167,9 +167,9 @@ def test_a_mixture_without_weight_has_no_valleys(case):
     still = replace(problem, weights=replace(problem.weights, init_motion_prior=(0.0, 0.0, 0.0)))
     with torch.no_grad():
         loop = linearised(still, unknown)
-    assert solver._starts(still, unknown, loop, 2, -1.0)[0].tolist() == [0, 1]
-    assert solver._starts(problem, unknown, loop, 2, -1.0)[0].tolist() == [0, 1, 0, 0, 1, 1]  # control
-    assert solver._starts(problem, unknown, loop, 1, -1.0)[0].tolist() == [0, 1, 0, 1]
+    assert feedback_solver._starts(still, unknown, loop, 2, -1.0)[0].tolist() == [0, 1]
+    assert feedback_solver._starts(problem, unknown, loop, 2, -1.0)[0].tolist() == [0, 1, 0, 0, 1, 1]  # control
+    assert feedback_solver._starts(problem, unknown, loop, 1, -1.0)[0].tolist() == [0, 1, 0, 1]
 
 
 def rows_of(reasons, history):
@@ -179,7 +179,9 @@ def rows_of(reasons, history):
 
 def test_a_person_who_stops_one_row_stops_its_clip_and_what_is_not_finite_is_nobodys():
     history = torch.tensor([[3.0, 5.0, torch.nan], [2.0, 5.0, 4.0]])
-    best, fit = solver._of_clips(rows_of(["no decrease", "gradient", "interrupted"], history), torch.tensor([0, 1, 0]))
+    best, fit = feedback_solver._of_clips(
+        rows_of(["no decrease", "gradient", "interrupted"], history), torch.tensor([0, 1, 0])
+    )
     assert best.tolist() == [0, 1] and fit.reasons == ["interrupted", "gradient"]
     assert fit.history.tolist() == [[3.0, 5.0], [2.0, 5.0]] and fit.energy.tolist() == [2.0, 5.0]
 
@@ -195,7 +197,7 @@ def test_a_leap_to_nowhere_leaves_the_clip_where_it_was(case, monkeypatch):
         first[CLIPS : 2 * CLIPS], first[2 * CLIPS :] = torch.nan, 1e30
         return stay, loop.first[stay], first
 
-    monkeypatch.setattr(solver, "_starts", nowhere)
+    monkeypatch.setattr(feedback_solver, "_starts", nowhere)
     found, fits = solve(problem, unknown, replace(ALONE, rounds=1, leaps=2))
     torch.testing.assert_close(total(problem, found), total(problem, alone), rtol=1e-9, atol=0)
     assert fits[0].history.isfinite().all()

@@ -15,10 +15,10 @@ from motionlab.humor.energies import JOINTS, RGB
 from motionlab.humor.evidence import Evidence, Observation3D
 from motionlab.humor.priors import FIRST_STATE_SIZE, InitGmm, Priors, first_state_features
 from motionlab.humor.rollout import sample_rollout
-from motionlab.humor.shooting import coordinates, solver
+from motionlab.humor.shooting import coordinates, feedback_solver
 from motionlab.humor.shooting import coordinates as loop_module
 from motionlab.humor.shooting.coordinates import FIRST_SIZES, Loop, linearised, moved, opened
-from motionlab.humor.shooting.solver import Plan, ShootingReport, searched, solve
+from motionlab.humor.shooting.feedback_solver import Plan, ShootingReport, searched, solve
 from motionlab.humor.stages import Problem, motion_terms, stage_3
 from motionlab.humor.unknowns import Unknowns
 from studies.shared.workload import random_priors, workload
@@ -417,7 +417,7 @@ def test_a_round_that_ends_higher_is_thrown_away(cases, monkeypatch):
             return fit
         return replace(fit, energy=fit.energy + 1e3, variables={n: x + 1.0 for n, x in fit.variables.items()})
 
-    monkeypatch.setattr(solver, "minimise_batch", worse)
+    monkeypatch.setattr(feedback_solver, "minimise_batch", worse)
     found, fits = solve(problem, unknown, replace(STEADY, closures=4))
     torch.testing.assert_close(total(problem, found), fits[0].energy, atol=0, rtol=1e-9)
     assert len(fits) == 2 and torch.equal(fits[1].energy, fits[0].energy)
@@ -516,7 +516,7 @@ def test_an_interrupt_ends_at_the_best_so_far(cases, at, monkeypatch):
     """Ctrl-C in the first round or the second: one is enough."""
     problem, unknown = cases["joints"]
     began = total(problem, unknown)
-    monkeypatch.setattr(solver, "rolled_terms", interrupted(stages.rolled_terms, at))
+    monkeypatch.setattr(feedback_solver, "rolled_terms", interrupted(stages.rolled_terms, at))
     found, fits = solve(problem, unknown, Plan(rounds=4, closures=6, tolerance=0.0, leaps=0))
     assert stages.interrupted(fits[-1]) and sum(fit.closures for fit in fits) == at - 1
     assert (total(problem, found) <= began * (1 + 1e-9)).all()

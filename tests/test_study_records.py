@@ -9,7 +9,7 @@ import torch
 from motionlab.doctor import ROOT
 from motionlab.errors import DataError
 from motionlab.humor import stages
-from motionlab.humor.shooting.solver import Plan
+from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.testops import Schedule
 from studies.nb07_decoupled import make_record as tuning_command
 from studies.nb07_decoupled import tuning, tuning_record

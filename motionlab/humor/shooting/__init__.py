@@ -1,1 +1,1 @@
-"""Stage 3 by closed-loop Gauss-Newton: the feedback solver, its coordinates, and the derivatives behind them."""
+"""Stage 3 by closed-loop Gauss-Newton: the feedback solver, its coordinates, the matrix and its derivatives."""

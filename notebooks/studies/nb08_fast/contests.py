@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from torch import Tensor
 
-from motionlab.humor.shooting import solver
+from motionlab.humor.shooting import feedback_solver
 from studies.nb08_fast import costs, multiple_shooting, multiple_trials
 from studies.nb08_fast.trials import Run, Single, Task, shot, single_shooting
 from studies.nb08_fast.windowed import Windows, windowed
@@ -30,7 +30,7 @@ class Contest:
     eager: float
     windows: Windows
     soft: multiple_shooting.Plan
-    plan: solver.Plan
+    plan: feedback_solver.Plan
 
     def patient(self, task: Task, seconds: float) -> Run:
         """Single shooting until the time is up, or nothing is gained."""
@@ -45,7 +45,7 @@ class Contest:
             "multiple shooting": multiple_trials.shot(task, self.soft, self.plan),
         }
 
-    def together(self, task: Task, seconds: float, further: solver.Plan) -> tuple[dict[str, Run], Tensor]:
+    def together(self, task: Task, seconds: float, further: feedback_solver.Plan) -> tuple[dict[str, Run], Tensor]:
         """Those that play in batches, and the lowest energy (B,) that anybody found on each clip: they, multiple
         shooting, or shooting carried on by ``further`` from where single shooting and shooting end."""
         runs = {

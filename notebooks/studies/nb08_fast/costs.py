@@ -13,7 +13,7 @@ from torch import Tensor
 from motionlab.errors import DataError
 from motionlab.findings import interval
 from motionlab.humor import stages
-from motionlab.humor.shooting import coordinates, solver
+from motionlab.humor.shooting import coordinates, feedback_solver
 from motionlab.humor.stages import Problem
 from motionlab.humor.unknowns import FIRST, Unknowns
 from studies.nb08_fast.trials import Run, Task, clock, shot
@@ -28,16 +28,16 @@ PARTS = {
     "rows of the energies": ("gauss_newton.py", "residual_rows"),
     "Riccati sweep": ("gauss_newton.py", "riccati_sweep"),
     "the whole linearisation": ("coordinates.py", "linearised"),
-    "valleys": ("solver.py", "_starts"),
+    "valleys": ("feedback_solver.py", "_starts"),
     "closures": ("optimise.py", "evaluate"),
-    "everything": ("solver.py", "solve"),
+    "everything": ("feedback_solver.py", "solve"),
 }
 
 #: Those that lie within the linearisation.
 _INSIDE = list(PARTS)[: list(PARTS).index("the whole linearisation")]
 
 
-def parts_of_a_fit(task: Task, plan: solver.Plan) -> dict[str, float]:
+def parts_of_a_fit(task: Task, plan: feedback_solver.Plan) -> dict[str, float]:
     """Seconds of processor time of each of ``PARTS`` in one fit, what they call included; parts lie within others."""
     watch = cProfile.Profile(clock)
     watch.enable()

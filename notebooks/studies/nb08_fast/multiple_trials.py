@@ -7,13 +7,13 @@ from dataclasses import replace
 import torch
 
 from motionlab.humor import state
-from motionlab.humor.shooting import solver
+from motionlab.humor.shooting import feedback_solver
 from studies.nb08_fast import multiple_shooting
 from studies.nb08_fast.trials import Run, Task, clock, so_far
 from studies.nb08_fast.trials import shot as finished
 
 
-def shot(task: Task, plan: multiple_shooting.Plan | None = None, finish: solver.Plan | None = None) -> Run:
+def shot(task: Task, plan: multiple_shooting.Plan | None = None, finish: feedback_solver.Plan | None = None) -> Run:
     """Multiple shooting from stage 2's states, finished by closed-loop ``shooting`` from the roll-out that it ends in.
 
     Its free states have no energy to note: the first one, at the time that it was known, is that of this roll-out.

@@ -20,7 +20,7 @@ from torch import Tensor
 from motionlab.errors import DataError
 from motionlab.humor import stages, unknowns
 from motionlab.humor import start as starts
-from motionlab.humor.shooting.solver import Plan
+from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import Unknowns
 from studies.nb08_fast import trials

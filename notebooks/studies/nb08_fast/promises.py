@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from motionlab.humor.shooting import coordinates, solver
+from motionlab.humor.shooting import coordinates, feedback_solver
 from motionlab.humor.unknowns import Unknowns
 from studies.nb08_fast.trials import Task
 
@@ -18,9 +18,9 @@ def promised_and_found(task: Task, unknown: Unknowns, most: int, closures: int) 
     up to 0.4.
     """
     loop = coordinates.linearised(task.problem, unknown)
-    found = solver.valleys(task.problem, unknown, loop)
+    found = feedback_solver.valleys(task.problem, unknown, loop)
     gain, which = found.deepest(most)
     who = torch.arange(len(gain), device=gain.device).repeat_interleave(gain.shape[1])
-    at = solver.entered(loop, found, who, which.flatten())
-    _, fit = solver.searched(task.problem, unknown, loop, who, *at, closures)
+    at = feedback_solver.entered(loop, found, who, which.flatten())
+    _, fit = feedback_solver.searched(task.problem, unknown, loop, who, *at, closures)
     return gain, found.energy[:, None] - fit.energy.unflatten(0, gain.shape)

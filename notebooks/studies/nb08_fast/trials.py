@@ -20,7 +20,7 @@ from motionlab.humor import start as starts
 from motionlab.humor.energies import Weights
 from motionlab.humor.evidence import evidence
 from motionlab.humor.priors import Priors
-from motionlab.humor.shooting import coordinates, solver
+from motionlab.humor.shooting import coordinates, feedback_solver
 from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import FIRST, Unknowns
@@ -252,7 +252,7 @@ def _descended(task: Task, unknown: Unknowns, moving, inner, how: Single, log: L
 
 def shot(
     task: Task,
-    plan: solver.Plan | None = None,
+    plan: feedback_solver.Plan | None = None,
     start: Unknowns | None = None,
     *,
     change: Callable[[coordinates.Loop, Unknowns], coordinates.Loop] | None = None,
@@ -266,11 +266,13 @@ def shot(
         loop = coordinates.linearised(problem, unknown, **how)
         return change(loop, unknown) if change else loop
 
-    began, report = clock(), solver.ShootingReport(clock=clock)
-    both = start is None and (plan or solver.Plan()).trial
+    began, report = clock(), feedback_solver.ShootingReport(clock=clock)
+    both = start is None and (plan or feedback_solver.Plan()).trial
     rival = task.begun(starts.EAGER).unknown if both else None
     ready = clock() - began
-    unknown, _ = solver.solve(task.problem, start or task.unknown, plan, report, rival=rival, linearise=linearise)
+    unknown, _ = feedback_solver.solve(
+        task.problem, start or task.unknown, plan, report, rival=rival, linearise=linearise
+    )
     spent = clock() - began
     energies = torch.stack(report.history)
     seconds = ready + torch.tensor(report.seconds).double()
