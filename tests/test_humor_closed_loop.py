@@ -289,9 +289,9 @@ def test_doctor_compiles_what_a_fit_needs(first, u, gains, monkeypatch):
 
 def test_the_loops_numbers_are_those_of_the_state():
     """They stand there once more, so that what is compiled and kept does not outlive them."""
-    assert (compiled.ADDED, compiled.VECTORS) == (state.ADDED, state.VECTORS)
-    assert (compiled.CHANGES, compiled.PLACED) == (state.CHANGES, state.STATE + 6)
-    assert compiled.STATE == state.STATE
+    assert (compiled._ADDED, compiled._VECTORS) == (state.ADDED, state.VECTORS)
+    assert (compiled._CHANGES, compiled.PLACED) == (state.CHANGES, state.STATE + 6)
+    assert compiled._STATE == state.STATE
 
 
 def test_what_no_loop_takes_goes_as_tensors(first, u, gains, monkeypatch):
