@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from studies.nb08_fast.affine_sweep import affine_sweep
-from tests.test_humor_riccati import CLIPS, F64, FRAMES, MANY, N, Z, draw, drawn, energy, swept
+from tests.test_humor_gauss_newton_sweep import CLIPS, F64, FRAMES, MANY, N, Z, draw, drawn, energy, swept
 
 
 @pytest.fixture(scope="module")

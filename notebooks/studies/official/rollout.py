@@ -7,7 +7,7 @@ prior evaluated inside the loop, also when z is given. Whether the networks' wei
 official fits, is the caller's choice: ``model.frozen()`` or not.
 
 Source: behaviour of the official HuMoR code (Rempe et al. 2021) at its last public version, written anew from golden
-arrays; float64 values and gradients agree to rounding (``tests/test_humor_faithful.py``).
+arrays; float64 values and gradients agree to rounding (``tests/test_official_rollout.py``).
 """
 
 from __future__ import annotations
