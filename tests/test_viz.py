@@ -1,6 +1,7 @@
 """Pictures: what a camera sees to the pixel, films that keep time, colours that differ, a silent start."""
 
 import asyncio
+import inspect
 import subprocess
 import sys
 import threading
@@ -214,6 +215,14 @@ def test_a_slider_moves_the_picture():
         slider(standing(), "hologram")
 
 
+async def until(condition):
+    """The loop runs until the condition holds; half a minute without it, and what is asserted next fails."""
+    for _ in range(3000):
+        if condition():
+            break
+        await asyncio.sleep(0.01)
+
+
 def test_a_slider_draws_on_its_own_thread_and_skips_what_is_overtaken():
     async def drag() -> tuple:
         view, controls = slider(standing(), "picture", size=SMALL).children
@@ -224,7 +233,7 @@ def test_a_slider_draws_on_its_own_thread_and_skips_what_is_overtaken():
         other.start()
         other.join()  # the loop stands still, as under a slow draw
         assert view.value == before and clock.value == "0.00 s"
-        await asyncio.sleep(0.05)
+        await until(lambda: clock.value != "0.00 s")
         return drawn, clock.value
 
     drawn, shown = asyncio.run(drag())
@@ -250,10 +259,11 @@ async def main():
     view, controls = slider(Motion(STANDARD, torch.zeros(4, 3), rot, 10.0), "trame", size=(64, 48)).children
     with mock.patch.object(next(iter(view.viewer._html_views)), "update") as push:
         controls.children[1].value = 3
-        await asyncio.sleep(0.2)
+        await until(lambda: push.call_count)
     print(push.call_count, "<iframe" in view.value, "trame_vtklocal" in sys.modules)
 asyncio.run(main())
 """
+    code = f"{inspect.getsource(until)}{code}"
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines(), done.stderr.partition("and now trame\n")
