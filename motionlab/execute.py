@@ -77,7 +77,7 @@ def find_notebooks(names: Sequence[str] = ()) -> list[Path]:
 
 
 # ------------------------------------------------------------------------------------------------------- one notebook
-async def execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run:
+async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run:
     """Run one notebook into another file (or its own), with these variables set beside those of this process.
 
     Whatever happens in it is reported, not raised. ``out`` gets the outputs up to the cell that failed; where ``out``
@@ -145,7 +145,7 @@ def run_side_by_side(
     async def worker(queue: list[tuple[Path, Path]]) -> None:
         while queue:
             path, out = queue.pop(0)
-            runs[path] = await execute(path, out, environment)
+            runs[path] = await _execute(path, out, environment)
             run = runs[path]
             print(f"[{len(runs)}/{len(jobs)}] {path.stem:<30} {run.seconds:5.0f} s  {run.status()}", flush=True)
             await asyncio.to_thread(done, run, out)
@@ -181,7 +181,7 @@ def regenerate(names: Sequence[str] = ()) -> list[Run]:
     environment = {"MOTIONLAB_PROFILE": "full", "MOTIONLAB_BATCH": "1", "MOTIONLAB_RECORD": "1"} | data_variable()
     for path in find_notebooks(names):
         print(f"{path.stem} ...", flush=True)
-        runs.append(asyncio.run(execute(path, path, environment)))
+        runs.append(asyncio.run(_execute(path, path, environment)))
         if runs[-1].ok:
             runs[-1] = _with_fingerprint(path, runs[-1], again=True, apart={})
         print(f"      {runs[-1].status()}, {runs[-1].seconds:.0f} s", flush=True)
@@ -234,7 +234,9 @@ def _write_fingerprint(
     confirm = bool(record.fingerprint) and not again and not widen
     plain, nothing, data = {"OMP_NUM_THREADS": "1"}, {"MOTIONLAB_DATA": ""}, data_variable()
     runs = _measured(path, [nothing | each for each in (plain, *(() if confirm else OTHER_ROUNDINGS))])
-    with_data = _measured(path, [data | each for each in (plain, *OTHER_ROUNDINGS[: 2 * (1 - confirm)])]) if data else []
+    with_data = (
+        _measured(path, [data | each for each in (plain, *OTHER_ROUNDINGS[: 2 * (1 - confirm)])]) if data else []
+    )
     last = (with_data or runs)[0]
     if confirm:
         moved = staleness.differences(record.fingerprint, runs[0].fingerprint)
@@ -275,7 +277,7 @@ def _measured(path: Path, environments: Sequence[Mapping[str, str]]) -> list[fin
         with tempfile.TemporaryDirectory() as folder:
             smoke = {"MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1"}
             smoke |= {"MOTIONLAB_RESULTS": folder, "MOTIONLAB_RECORD": "1"}
-            run = asyncio.run(execute(path, Path(folder) / path.name, smoke | dict(environment)))
+            run = asyncio.run(_execute(path, Path(folder) / path.name, smoke | dict(environment)))
             if not run.ok:
                 raise DataError(f"{run.status()}: {run.error}", path=path, remedy="mend it, then take its fingerprint")
             found.append(findings.load_record(Path(folder) / f"{path.stem[:2]}.json"))

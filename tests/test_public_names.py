@@ -26,17 +26,19 @@ def trees(root: Path = ROOT) -> dict[str, ast.Module]:
 
 
 def defined(tree: ast.Module) -> dict[str, str]:
-    """Public top-level names of a module: function, class or constant."""
-    found = {}
-    for node in tree.body:
-        if isinstance(node, ast.FunctionDef):
+    """Public names that a module has once it is imported: function, class or constant, also of tuples, branches and
+    loops."""
+    found, todo = {}, list(tree.body)
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             found[node.name] = "function"
         elif isinstance(node, ast.ClassDef):
             found[node.name] = "class"
-        elif isinstance(node, ast.Assign):
-            found |= {target.id: "constant" for target in node.targets if isinstance(target, ast.Name)}
-        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            found[node.target.id] = "constant"
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found[node.id] = "constant"
+        elif not isinstance(node, ast.expr) or isinstance(node, ast.Tuple | ast.List | ast.Starred | ast.NamedExpr):
+            todo += ast.iter_child_nodes(node)  # a comprehension's names are its own
     return {name: kind for name, kind in found.items() if not name.startswith("_")}
 
 
@@ -154,3 +156,7 @@ def test_control_idle_and_ambiguous_names_are_found():
     assert found == ["motionlab.a.lonely: only 03 uses it", "motionlab.b.shared: nobody else uses it"]
     assert not idle(parsed, {("motionlab.a", "lonely"), ("motionlab.b", "shared")})
     assert ambiguous(parsed) == ["shared: motionlab.a, motionlab.b"]
+    nested = (
+        "A, (B, *C) = f\nif A:\n    D: int = 1\nelse:\n    def d(): E = 1\nfor F in [x for x in A]:\n    _G = F.H = 1"
+    )
+    assert set(defined(parse(nested))) == {"A", "B", "C", "D", "d", "F"}
