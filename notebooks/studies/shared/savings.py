@@ -81,7 +81,8 @@ def rungs() -> Iterator[tuple[str, Savings]]:
 
 @contextmanager
 def weights_of(priors: Priors, on: Savings) -> Iterator[None]:
-    """While it lasts the networks' weights need gradients unless that is saved; afterwards they are as they were.
+    """While it lasts the networks' weights need gradients unless that is saved; afterwards they are as they were, and
+    the gradients are gone.
 
     Priors are shared: a fit whose weights need gradients leaves the compiled roll-out and takes twice as long.
     """
@@ -93,7 +94,7 @@ def weights_of(priors: Priors, on: Savings) -> Iterator[None]:
         yield
     finally:
         for weight, needed in zip(weights, before, strict=True):
-            weight.requires_grad_(needed)
+            weight.requires_grad_(needed).grad = None
 
 
 def exact_alignment(orientation: Tensor) -> Tensor:
@@ -213,7 +214,8 @@ def terms(
 def closure(problem: Problem, unknown: Unknowns, on: Savings, *, mark: Mark = record_function, **how) -> Tensor:
     """What an optimiser pays for: the energy (G,), detached, and all gradients, left in ``.grad``.
 
-    Gradients of the weights, where there are any, pile up as they do in the official fits, which never clear them.
+    Gradients of the weights, where there are any, are made and dropped; official fits, which never clear them, pay for
+    their sum, too.
     """
     for value in unknown.named().values():
         value.grad = None
