@@ -15,6 +15,7 @@ __all__ = [
     "contact",
     "diffusion",
     "errors",
+    "heading",
     "humor",
     "io",
     "metrics",

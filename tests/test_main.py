@@ -319,3 +319,11 @@ def test_data_needs_a_folder(monkeypatch, capsys):
 def test_table_is_aligned():
     rows = [{"source": "cmu_amc", "minutes": 5.84}, {"source": "x", "minutes": 10.0}]
     assert __main__.text_table(rows) == "source   minutes\ncmu_amc  5.8\nx        10.0"
+
+
+def test_help_loads_neither_torch_nor_numpy():
+    """Which take a second or more; how long the rest takes depends on the machine."""
+    code = "import runpy, sys; sys.argv[1:] = ['--help']\ntry: runpy.run_module('motionlab', run_name='__main__')\n"
+    code += "finally: print([name for name in ('torch', 'numpy', 'motionlab') if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "convert" in done.stdout and done.stdout.splitlines()[-1] == "['motionlab']"

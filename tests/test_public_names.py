@@ -8,6 +8,7 @@ from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
+import motionlab
 from tests.test_architecture import LIBRARY, ROOT, STUDIES, modules
 
 #: One meaning everywhere: a file's content as what the module is about, and back.
@@ -137,6 +138,8 @@ def test_what_the_readme_offers_exists():
     parsed = trees()
     assert api(README)
     assert not [f"{m}.{n}" for m, n in sorted(api(README)) if m not in parsed or n not in defined(parsed[m])]
+    rooms = set(re.findall(r"`(\w+)", " ".join(re.findall(r"^- (`.*?`): ", README, re.MULTILINE))))
+    assert {"heading", "io"} <= rooms <= set(motionlab.__all__)
 
 
 def test_a_public_name_has_one_meaning():
