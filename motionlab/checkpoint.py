@@ -27,7 +27,7 @@ REMEDY = "train it again (python -m motionlab train --help), or take the file fr
 
 
 def save(path: Path | str, tensors: dict[str, Tensor], recipe: dict) -> None:
-    """Write ``path`` (.safetensors) and its recipe (.json): first the tensors, then the recipe with their checksum."""
+    """Writes ``path`` (.safetensors) and its recipe (.json): first the tensors, then the recipe with their checksum."""
     path = Path(path).with_suffix(".safetensors")
     content = save_tensors({name: value.detach().cpu().contiguous() for name, value in tensors.items()})
     recipe = recipe | {"sha256": hashlib.sha256(content).hexdigest()}
@@ -36,7 +36,7 @@ def save(path: Path | str, tensors: dict[str, Tensor], recipe: dict) -> None:
 
 
 def load(path: Path | str) -> tuple[dict[str, Tensor], dict]:
-    """The tensors, as they were stored, and the recipe.
+    """Reads the tensors, as they were stored, and the recipe.
 
     Raises:
         DataError: a file is missing, damaged or half written, or the two do not belong together.
@@ -69,12 +69,12 @@ def _nudged(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 def loaded() -> dict[str, str]:
-    """Checkpoints that this process has loaded, by name, with the head of their checksum."""
+    """Returns the checkpoints that this process has loaded, by name, with the head of their checksum."""
     return dict(sorted(_LOADED.items()))
 
 
 def read_recipe(path: Path | str) -> dict:
-    """The recipe of a checkpoint.
+    """Reads the recipe of a checkpoint.
 
     Raises:
         DataError: it is missing or not JSON.

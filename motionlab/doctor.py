@@ -1,4 +1,4 @@
-"""What this machine has, what it lacks, and the remedy for each lack."""
+"""Checks what this machine has and lacks, and names the remedy for each lack."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Check:
 
 
 def examine(data: str | None = None) -> list[Check]:
-    """Look at everything the suite needs; ``data`` is the folder of recordings, if there is one."""
+    """Checks everything the suite needs; ``data`` is the folder of recordings, if there is one."""
     installed = [_check_python(), *_check_packages()]
     if any(check.found == "not installed" for check in installed):  # what follows needs them
         return [*installed, _check_data(data)]
@@ -165,7 +165,7 @@ def _check_data(data: str | None) -> Check:
 
 
 def table(checks: list[Check]) -> str:
-    """The checks as text, one line each, the remedy under what lacks something."""
+    """Returns the checks as text, one line each, the remedy under what lacks something."""
     width = max(len(check.name) for check in checks)
     lines = []
     for check in checks:
@@ -176,7 +176,7 @@ def table(checks: list[Check]) -> str:
 
 
 def prepare() -> bool:
-    """Make rendering work where we may, bake the body, compile loops; say what a person must do where we may not."""
+    """Installs what rendering needs (as root, else prints how), bakes the body, compiles loops; True if all is well."""
     from motionlab.viz import scene
 
     rendering = _check_rendering()

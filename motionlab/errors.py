@@ -40,7 +40,7 @@ class NotConverged(RuntimeError):
 
 
 def check_shape(x: Tensor, pattern: str, name: str) -> dict[str, int]:
-    """Check the trailing axes of a tensor and return the sizes that the pattern names.
+    """Checks the trailing axes of a tensor and returns the sizes that the pattern names.
 
     The pattern is words separated by spaces: ``...`` (first only) for any batch axes, a number for
     a fixed size, a name for a free one. A name that occurs twice must have one size.

@@ -1,4 +1,4 @@
-"""Run the notebooks of the suite: side by side, in place to regenerate what is committed, or for their fingerprints."""
+"""Runs the suite's notebooks: side by side, in place to regenerate what is committed, or for their fingerprints."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ class Run:
         return not self.error
 
     def status(self) -> str:
-        """Ran, or where it failed."""
+        """Returns "ran", or where it failed."""
         if self.ok:
             return "ran"
         return "failed" if self.failed_cell is None else f"failed at cell {self.failed_cell}"
 
 
 def find_notebooks(names: Sequence[str] = ()) -> list[Path]:
-    """The suite in its order, or those of it whose file name starts with one of ``names`` ("02").
+    """Returns the suite in its order, or those of it whose file name starts with one of ``names`` ("02").
 
     Raises:
         MissingData: this is not a checkout, or a name fits no notebook.
@@ -78,7 +78,7 @@ def find_notebooks(names: Sequence[str] = ()) -> list[Path]:
 
 # ------------------------------------------------------------------------------------------------------- one notebook
 async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run:
-    """Run one notebook into another file (or its own), with these variables set beside those of this process.
+    """Runs one notebook into another file (or its own), with these variables set beside those of this process.
 
     Whatever happens in it is reported, not raised. ``out`` gets the outputs up to the cell that failed; where ``out``
     is ``path`` itself, nothing unless it ran to its end.
@@ -130,7 +130,7 @@ def run_side_by_side(
     done: Callable[[Run, Path], object] = lambda run, out: None,
     processes: int | None = None,
 ) -> list[Run]:
-    """Run notebooks (from, to) on as many processes as there are cores, one thread each; a line for each with its time.
+    """Runs notebooks (from, to) on as many processes as there are cores, one thread each; prints a line for each.
 
     Those that took longest when last recorded begin first. done: called with every run as it ends. ``processes``:
     unless given, the cores of this machine.
@@ -172,8 +172,7 @@ def _record_path(notebook: Path) -> Path:
 
 
 def regenerate(names: Sequence[str] = ()) -> list[Run]:
-    """Run notebooks in place with the full profile and take their fingerprints: what is committed is what the code
-    gives.
+    """Runs notebooks in place with the full profile and takes fingerprints: what is committed is what the code gives.
 
     A notebook that fails keeps its file.
     """
@@ -190,7 +189,7 @@ def regenerate(names: Sequence[str] = ()) -> list[Run]:
 
 # -------------------------------------------------------------------------------------------------------- fingerprints
 def take_fingerprints(names: Sequence[str] = (), *, again: bool = False, widen: bool = False) -> list[Run]:
-    """Run notebooks in the smoke profile and write what they measure, and the hash of their cells, into their records.
+    """Runs notebooks in the smoke profile and writes what they measure, and a hash of their cells, into their records.
 
     For a record without a fingerprint, or whose cells were reworded: the full findings stay as they are.
 
@@ -285,13 +284,13 @@ def _measured(path: Path, environments: Sequence[Mapping[str, str]]) -> list[fin
 
 
 def data_variable() -> dict[str, str]:
-    """$MOTIONLAB_DATA as an absolute path, if it is set: notebooks run in their own folder, not in the caller's."""
+    """Returns $MOTIONLAB_DATA as an absolute path, if set: notebooks run in their own folder, not in the caller's."""
     folder = os.environ.get("MOTIONLAB_DATA")
     return {"MOTIONLAB_DATA": str(Path(folder).expanduser().resolve())} if folder else {}
 
 
 def run_summary(runs: Sequence[Run]) -> str:
-    """How it went, as a person reads it in a terminal."""
+    """Returns a text for the terminal that says how the runs went."""
     width = max((len(run.notebook) for run in runs), default=0)
     lines = [f"{'ok ' if r.ok else '-- '} {r.notebook:<{width}} {r.seconds:6.0f} s  {r.status()}" for r in runs]
     lines += [f"    {run.notebook}: {run.error.splitlines()[0]}" for run in runs if not run.ok]

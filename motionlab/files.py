@@ -1,4 +1,4 @@
-"""Writing files whole: the old file or the new one is there, never a part of it."""
+"""Writes files whole: the old file or the new one is there, never a part of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from motionlab.errors import DataError
 
 
 def write_whole(path: str | Path, content: str | bytes) -> None:
-    """Write text (UTF-8) or bytes to a temporary file beside ``path``, then rename it into place.
+    """Writes text (UTF-8) or bytes to a temporary file beside ``path``, then renames it into place.
 
     Raises:
         DataError: the folder is not there or may not be written, or ``path`` is a folder.

@@ -52,7 +52,7 @@ class Criterion:
     clock: bool = False
 
     def bound_text(self) -> str:
-        """The bound as a person writes it, such as ">= 3 deg"."""
+        """Returns the bound as a person writes it, such as ">= 3 deg"."""
         return f"{self.relation} {self.bound:g} {self.unit}".strip()
 
 
@@ -94,7 +94,7 @@ class Finding:
         return self.test.split(".")[0]
 
     def value_text(self) -> str:
-        """Value, interval and n, rounded for reading."""
+        """Returns value, interval and n, rounded for reading."""
         interval = f" [{_digits(self.low)}, {_digits(self.high)}]" if self.n > 1 else ""
         return f"{_digits(self.value)}{interval} {self.unit}, n = {self.n}"
 
@@ -104,7 +104,7 @@ def _digits(x: float) -> str:
 
 
 def load_claims(path: Path | str) -> dict[str, Claim]:
-    """Read the ledger.
+    """Reads the ledger of claims.
 
     Raises:
         DataError: not TOML, a claim or test without a required field, an id used twice, an unknown relation.
@@ -135,14 +135,14 @@ def load_claims(path: Path | str) -> dict[str, Claim]:
 
 
 def all_tests(claims: dict[str, Claim]) -> dict[str, Criterion]:
-    """Every test of the ledger by id ("H06.excess")."""
+    """Returns every test of the ledger by id ("H06.excess")."""
     return {test.id: test for claim in claims.values() for test in claim.tests}
 
 
 def interval(
     samples: Tensor, statistic: str, generator: torch.Generator, draws: int = 2000
 ) -> tuple[float, float, float]:
-    """A statistic of samples (N,) and its 95 % bootstrap percentile interval: (value, low, high).
+    """Computes a statistic of samples (N,) and its 95 % bootstrap percentile interval: (value, low, high).
 
     statistic: "mean", "median", "max", "min", "p95" (95th percentile), or "share" (mean of 0/1 samples, with
     Wilson's interval, which stays honest when all samples agree). One sample has no spread: low = high = value.
@@ -172,7 +172,7 @@ def _wilson(share: float, n: int, z: float = 1.96) -> tuple[float, float, float]
 
 
 def judge(test: Criterion, low: float, high: float, n: int) -> str:
-    """The verdict on one measurement: the whole interval must lie on one side of the bound.
+    """Returns the verdict on one measurement: the whole interval must lie on one side of the bound.
 
     Too few samples, a NaN, or an interval across the bound cannot be judged.
     """
@@ -220,7 +220,7 @@ class Record:
         return float(self.provenance["seconds"]) if "seconds" in self.provenance else None
 
     def expected(self, recordings: dict[str, str]) -> Fingerprint:
-        """What a smoke run must measure beside these recordings.
+        """Returns what a smoke run must measure beside these recordings.
 
         Without recordings, the fingerprint on synthetic motion; with those of the record, also that on them; with
         others only what does not depend on them.
@@ -237,7 +237,7 @@ _FINGERPRINTS = ("fingerprint", "fingerprint_on_recordings")
 
 
 def save_record(path: Path | str, record: Record) -> None:
-    """Write a record, and the folder it goes into; a reader never sees half a file.
+    """Writes a record, and the folder it goes into; a reader never sees half a file.
 
     Raises:
         DataError: it cannot be written there.
@@ -252,7 +252,7 @@ def save_record(path: Path | str, record: Record) -> None:
 
 
 def load_record(path: Path | str) -> Record:
-    """Read one ``results/NN.json``.
+    """Reads one ``results/NN.json``.
 
     Raises:
         DataError: not JSON, or not a record.
@@ -268,12 +268,12 @@ def load_record(path: Path | str) -> Record:
 
 
 def load_results(folder: Path | str) -> list[Finding]:
-    """The findings of every record in a folder, in notebook order."""
+    """Reads the findings of every record in a folder, in notebook order."""
     return [f for path in sorted(Path(folder).glob("*.json")) for f in load_record(path).findings]
 
 
 def scoreboard(claims: dict[str, Claim], found: Sequence[Finding]) -> list[dict[str, str]]:
-    """One row per claim: id, section, title, verdict, how often it held, the notebook that shows it."""
+    """Returns one row per claim: id, section, title, verdict, how often it held, the notebook that shows it."""
     rows = []
     for claim in claims.values():
         mine = [f for f in found if f.claim == claim.id]
@@ -305,7 +305,7 @@ class Paired(NamedTuple):
 
 
 def paired(after: Tensor, before: Tensor, generator: torch.Generator) -> Paired:
-    """``after`` less ``before``, clip by clip; pairs with a NaN are left out."""
+    """Computes the mean of ``after`` - ``before`` with its 95 % interval; pairs that are not finite are dropped."""
     difference = (after - before).flatten()
     difference = difference[difference.isfinite()]
     return Paired(*interval(difference, "mean", generator), len(difference))

@@ -1,4 +1,4 @@
-"""The heading frame, which turns with where a body faces, and other frames of reference; motions in them and back."""
+"""Moves motions into the heading frame, which turns with where a body faces, or into another frame, and back."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def world_to_local(frame: Frame, motion: Motion) -> Motion:
 
 
 def local_to_world(frame: Frame, motion: Motion) -> Motion:
-    """The inverse of :func:`world_to_local`."""
+    """Turns and moves a motion out of a frame's coordinates: the inverse of :func:`world_to_local`."""
     root_rot = local_to_world_orientations(frame, motion.rot[..., 0, :, :])
     rot = torch.cat((root_rot[..., None, :, :], motion.rot[..., 1:, :, :]), dim=-3)
     return replace(motion, root=local_to_world_positions(frame, motion.root), rot=rot)
@@ -86,7 +86,7 @@ def world_to_local_positions(frame: Frame, positions: Tensor) -> Tensor:
 
 
 def local_to_world_positions(frame: Frame, positions: Tensor) -> Tensor:
-    """The inverse of :func:`world_to_local_positions`."""
+    """Turns and shifts points out of a frame's coordinates: the inverse of :func:`world_to_local_positions`."""
     turn, shift = _spread(frame, positions.ndim - 1)
     return (positions[..., None, :] @ turn)[..., 0, :] - shift
 
@@ -98,7 +98,7 @@ def world_to_local_orientations(frame: Frame, orientations: Tensor) -> Tensor:
 
 
 def local_to_world_orientations(frame: Frame, orientations: Tensor) -> Tensor:
-    """The inverse of :func:`world_to_local_orientations`."""
+    """Turns orientations out of a frame: the inverse of :func:`world_to_local_orientations`."""
     turn, _ = _spread(frame, orientations.ndim - 2)
     return turn.mT @ orientations
 

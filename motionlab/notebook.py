@@ -1,4 +1,4 @@
-"""Lab: what a notebook needs from the outside world, and nothing else knows.
+"""Lab: all that a notebook takes from the outside world and gives back to it.
 
 Profile, seed, budgets and data folder come in; figures, tables, findings, verdicts and provenance go out.
 """
@@ -40,7 +40,7 @@ def setup(
     budgets: Mapping[str, Mapping[str, object]],
     data: str | None = None,
 ) -> Lab:
-    """Open the lab for one notebook ("02_rotations_that_jump") and print where it runs.
+    """Opens the lab for one notebook ("02_rotations_that_jump") and prints where it runs.
 
     Args:
         profile: "smoke", "full" or None for $MOTIONLAB_PROFILE, else full. A profile sets budgets only.
@@ -94,7 +94,7 @@ class Lab:
         return self.notebook[:2]
 
     def headline(self) -> str:
-        """Profile, data, seed, device and versions in two lines."""
+        """Returns profile, data, seed, device and versions in two lines."""
         packages = ", ".join(f"{name} {version(name)}" for name in ("torch", "kornia", "pyvista"))
         where = "synthetic motion and the real recordings" if self.data else "synthetic motion"
         cpu = f"CPU, {torch.get_num_threads()} threads"
@@ -105,16 +105,16 @@ class Lab:
         )
 
     def generator(self, salt: object = "") -> torch.Generator:
-        """A fresh generator that depends on the notebook's seed and on ``salt`` only."""
+        """Returns a fresh generator that depends on the notebook's seed and on ``salt`` only."""
         digest = hashlib.sha256(f"{self.seed}/{salt}".encode()).digest()
         return torch.Generator().manual_seed(int.from_bytes(digest[:8], "little") >> 1)
 
     def say(self, markdown: str) -> None:
-        """Show a line of Markdown whose numbers come from code."""
+        """Shows a line of Markdown whose numbers come from code."""
         display(Markdown(markdown))
 
     def figure(self, picture: object, number: str, caption: str) -> None:
-        """Show a picture with its caption below.
+        """Shows a picture with its caption below.
 
         picture: a matplotlib Figure, an RGB array (H, W, 3), a PIL image, a film, or the path of a PNG.
         """
@@ -132,22 +132,22 @@ class Lab:
         self.say(f"**Figure {number}.** {caption}")
 
     def scratch(self, name: str) -> Path:
-        """A path for a film or file that this run makes and nobody keeps."""
+        """Returns a path for a film or file of this run in a folder that is deleted afterwards."""
         if not self.workbench:
             self.workbench.append(tempfile.TemporaryDirectory(prefix="motionlab-"))
         return Path(self.workbench[0].name) / name
 
     def table(self, rows: Sequence[Mapping[str, object]], caption: str = "") -> None:
-        """Show rows (all with the same keys) as a Markdown table; floats with three digits."""
+        """Shows rows (all with the same keys) as a Markdown table; floats with three digits."""
         self.say(_markdown_table(rows) + (f"\n\n{caption}" if caption else ""))
 
     def show(self, widget: object) -> None:
-        """Show a live widget (a pyvista scene, a slider) where a person sits in front of it; in a batch run nothing."""
+        """Shows a live widget (a pyvista scene, a slider) where a person sits in front of it, not in a batch run."""
         if not os.environ.get("MOTIONLAB_BATCH"):
             display(widget)
 
     def criterion(self, test: str) -> Criterion:
-        """The test with this id, "H06.excess".
+        """Returns the test with this id, "H06.excess".
 
         Raises:
             DataError: claims.toml has no such test; lists those it has.
@@ -167,7 +167,7 @@ class Lab:
         baseline: Tensor | Sequence[float] | float | None = None,
         note: str = "",
     ) -> Finding:
-        """Measure a test: the statistic of samples, its interval, its verdict against the bound fixed beforehand.
+        """Measures a test: the statistic of samples, its interval, its verdict against the bound fixed beforehand.
 
         Args:
             samples: one number per independent unit (clip, event, vertex), in the unit of the test.
@@ -205,7 +205,7 @@ class Lab:
         return finding
 
     def fingerprint(self, name: str, value: Tensor | float, *, tolerance: float = staleness.TOLERANCE) -> None:
-        """Note a number that the smoke run must give again, beside the findings: of what no claim asks for.
+        """Records a number that no claim asks for, but that the smoke run must give again.
 
         Args:
             tolerance: share of the number that another machine may be off.
@@ -228,7 +228,7 @@ class Lab:
         return marks
 
     def stale(self) -> list[str]:
-        """What this smoke run measures otherwise than the record says it should, a phrase each."""
+        """Lists how this smoke run differs from its record, a phrase each."""
         record = self._record()
         if self.profile != "smoke" or not record.source_hash:
             return []
@@ -244,7 +244,7 @@ class Lab:
         )
 
     def findings(self) -> None:
-        """Show every number measured in this run."""
+        """Shows every number measured in this run."""
         self.table(
             [
                 {
@@ -260,7 +260,7 @@ class Lab:
         )
 
     def settled(self) -> list[Finding]:
-        """This run's findings, with the recorded ones where this run may not judge.
+        """Returns this run's findings, with the recorded ones where this run may not judge.
 
         A test that needs the full profile or real recordings repeats what the last full run recorded, so that
         the verdicts read the same on every machine. A full run writes a new record and takes over old rows only
@@ -284,7 +284,7 @@ class Lab:
         return staleness.code_hash(file) if file.exists() else ""
 
     def verdicts(self) -> None:
-        """Show the verdict table: no measured number, so that it reads the same in both profiles.
+        """Shows the verdict table: no measured number, so that it reads the same in both profiles.
 
         A source that only this machine has ("your SMPL") is judged in the numbers above, not here.
         """
@@ -306,9 +306,9 @@ class Lab:
         )
 
     def close(self) -> None:
-        """Compare with the record, and write one where that is asked for.
+        """Compares this run with the record, and writes one where that is asked for.
 
-        A smoke run says what the record should say otherwise. A run of ``make full`` ($MOTIONLAB_RECORD) writes
+        A smoke run prints how the record differs from it. A run of ``make full`` ($MOTIONLAB_RECORD) writes
         results/NN.json; any run writes to $MOTIONLAB_RESULTS when that is set; others write nothing.
 
         Raises:

@@ -1,4 +1,4 @@
-"""What a fitter may see: a camera and 2-D keypoints with confidence. Never the truth behind them."""
+"""What a fit is given: a camera and 2-D keypoints with confidence, never the true motion."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Camera:
         return -self.rotation.mT @ self.translation
 
     def to(self, *args, **kwargs) -> Camera:
-        """Every tensor on another device or of another dtype."""
+        """Returns the camera on another device or of another dtype."""
         moved = {k: getattr(self, k).to(*args, **kwargs) for k in ("intrinsics", "rotation", "translation")}
         return replace(self, **moved)
 
@@ -143,7 +143,7 @@ class Observation2D:
         return self.confidence > 0
 
     def index(self, name: str) -> int:
-        """Index of a keypoint by name; KeyError lists the names."""
+        """Returns the index of a keypoint by name; KeyError lists the names."""
         try:
             return self.names.index(name)
         except ValueError:

@@ -150,7 +150,7 @@ class Memory:
         self.pairs[rows] += 1
 
     def direction(self, rows: Tensor, gradient: Tensor) -> Tensor:
-        """Minus the approximate inverse Hessian times the gradients (n, N): the two-loop recursion."""
+        """Computes minus the approximate inverse Hessian times the gradients (n, N): the two-loop recursion."""
         pairs = self.pairs[rows]
         kept = pairs.clamp(max=self.size)
         ages = torch.arange(int(kept.max()), device=rows.device)[:, None]

@@ -1,4 +1,4 @@
-"""Independent jobs on several processes, one thread each; more threads only where a batch is large enough."""
+"""Runs independent jobs on several processes, one thread each; more threads only where a batch is large enough."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ WIDE = 256
 
 @contextmanager
 def threads_for(rows: int) -> Iterator[None]:
-    """One thread inside, but for a batch of ``WIDE`` rows or more: threads that wait for each other spin, and beside
-    other work a small batch on two threads costs many times its processor time."""
+    """Limits torch to one thread inside the block, unless ``rows`` is at least ``WIDE``: threads that wait for each
+    other spin, and beside other work a small batch on two threads costs many times its processor time."""
     before = torch.get_num_threads()
     if rows < WIDE:
         torch.set_num_threads(1)
@@ -39,7 +39,7 @@ def cores() -> int:
 
 
 def one_thread() -> None:
-    """One thread for this process from now on, unless $OMP_NUM_THREADS says how many."""
+    """Limits this process to one thread from now on, unless $OMP_NUM_THREADS says how many."""
     if not os.environ.get("OMP_NUM_THREADS"):
         torch.set_num_threads(1)
 
@@ -47,8 +47,8 @@ def one_thread() -> None:
 def run_jobs(
     jobs: Sequence[Callable[[], T]], workers: int, done: Callable[[int, T], object] = lambda k, found: None
 ) -> list[T]:
-    """What the jobs return, in their order: so many at a time, each in a process of its own with one thread; with one
-    worker here, one after the other. One that fails, or Ctrl-C, ends them all.
+    """Runs jobs in ``workers`` processes, one thread each; returns their results in order. With one worker they run
+    here, one after the other. One that fails, or Ctrl-C, ends them all.
 
     done: called here with the number of a job and what it returned, as soon as it has."""
     found = {}

@@ -1,7 +1,7 @@
-"""Draws from a posterior over a few numbers by emcee's walkers, and a refusal to report chains that are too short.
+"""Draws from a posterior over a few numbers by emcee's walkers; refuses to report chains that are too short.
 
-All walkers of a move are evaluated in one batch. What a chain says is worth its length in autocorrelation times, and a
-chain that never saw a second mode thinks them short: ``agreement`` compares ensembles that began apart. With the
+All walkers of a move are evaluated in one batch. A chain counts by its length in autocorrelation times, and one that
+never saw a second mode underestimates them: compare ensembles that began apart (notebook 09, ``agreement``). With the
 stretch and differential-evolution moves walkers are not independent, so that R-hat across walkers says nothing; with
 Metropolis-Hastings moves alone (``mixed``) they are chains of their own in one batch.
 
@@ -63,7 +63,7 @@ class Posterior:
         return self.looks >= LOOKS and _long(self.lengths, self.least)
 
     def draws(self, count: int | None = None) -> Tensor:
-        """Draws (N, n), all or ``count`` of them evenly along the chain.
+        """Returns draws (N, n), all or ``count`` of them evenly along the chain.
 
         Raises:
             NotConverged: the chain is too short to report.
@@ -84,7 +84,7 @@ class Posterior:
         return flat[torch.linspace(0, len(flat) - 1, count).round().long()]
 
     def summary(self, level: float = 0.9) -> dict[str, tuple[float, float, float]]:
-        """Median and the ends of the central ``level`` of every number, by name.
+        """Computes the median and the ends of the central ``level`` of every number, by name.
 
         Raises:
             NotConverged: the chain is too short to report.
@@ -94,7 +94,7 @@ class Posterior:
         return {name: tuple(each) for name, each in zip(self.names, at.mT.tolist(), strict=True)}
 
     def report(self, level: float = 0.9) -> list[dict[str, object]]:
-        """A table's rows: every number with its interval, its autocorrelation time and the length of its chain.
+        """Returns a table's rows: every number with its interval, its autocorrelation time and the length of its chain.
 
         Raises:
             NotConverged: the chain is too short to report.

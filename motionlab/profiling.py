@@ -1,4 +1,4 @@
-"""How long a call takes, and how many steps of autograd are behind it."""
+"""Measures how long a call takes, and counts the steps of autograd behind it."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def interleaved(
     warm_up: int = 1,
     clock: Callable[[], float] = time.perf_counter,
 ) -> dict[Name, Tensor]:
-    """Seconds (n,) of every call, by name: n rounds through all of them, so that a machine that slows down slows all.
+    """Measures seconds (n,) of every call, by name: n rounds through all, so that a machine that slows down slows all.
 
     Garbage collection is off; each call runs ``warm_up`` times before the first round. clock: as for :func:`_timed`.
 
@@ -100,7 +100,7 @@ class Stopwatch:
 
 
 def graph_nodes(*outputs: Tensor) -> int:
-    """Number of autograd nodes behind the outputs: the steps of one backward pass, leaves included."""
+    """Counts the autograd nodes behind the outputs: the steps of one backward pass, leaves included."""
     seen, queue = set(), [y.grad_fn for y in outputs if y.grad_fn is not None]
     while queue:
         node = queue.pop()

@@ -38,7 +38,7 @@ details { margin: 1rem 0 } summary { cursor: pointer }
 
 
 def write_report(out: Path, profile: str, names: Sequence[str] = ()) -> list[Run]:
-    """Run notebooks side by side, whatever happens, into ``out``: NN.ipynb, NN.html and index.html.
+    """Runs notebooks side by side, even where some fail, into ``out``: NN.ipynb, NN.html and index.html.
 
     Numbers measured in this run go to ``out``/results; the committed results stay as they are. Interrupting
     writes the index of what has run, then raises KeyboardInterrupt.
@@ -193,7 +193,7 @@ def _table(rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def update_readme(path: Path) -> None:
-    """Write the scoreboard of the committed results between the marks of the README.
+    """Writes the scoreboard of the committed results between the marks of the README.
 
     Raises:
         DataError: the README has no marks.

@@ -1,4 +1,4 @@
-"""Retargeting: a motion of any known skeleton on the standard 22 joints, with its error; still feet stay still.
+"""Retargets a motion of any known skeleton to the standard 22 joints, with its error; feet that stand stay in place.
 
 First how known skeletons name their joints and how these are turned in a T-pose, then the transfer, then the legs.
 """

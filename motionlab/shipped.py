@@ -106,7 +106,7 @@ _COMMAND = "python -m motionlab train small"
 
 
 def training_motions(found: dict[str, list[Motion]], recipe: DenoiserRecipe) -> dict[str, list[Motion]]:
-    """Of the motions by source, those that the recipe trains on: its source, and every n-th motion of it.
+    """Returns the motions, by source, that the recipe trains on: those of its source, and every n-th of them.
 
     Raises:
         DataError: the recipe's source is not there.
@@ -119,7 +119,7 @@ def training_motions(found: dict[str, list[Motion]], recipe: DenoiserRecipe) -> 
 
 
 def begins(preset: str, recipe: DenoiserRecipe) -> Path | None:
-    """The checkpoint that a preset goes on from; None for new weights, and for a size that is not the preset's."""
+    """Returns the checkpoint whose weights a preset starts from, or None: new weights, or not the preset's size."""
     as_usual = recipe.size == DENOISER_PRESETS[preset].size
     return checkpoint.SHIPPED / FROM[preset] if preset in FROM and as_usual else None
 
@@ -135,8 +135,8 @@ def make(
     recordings: Sequence[str] = (),
     start: Path | None = None,
 ) -> None:
-    """Train (or go on with ``kept``), write the checkpoint of the least KID (of handles: the last) to
-    ``out``, with its recipe.
+    """Trains (or goes on with ``kept``) and writes the checkpoint of the least KID (of handles: the last) to ``out``,
+    with its recipe.
 
     Under ``accelerate launch`` every process calls this, and the first one writes.
 
@@ -225,7 +225,7 @@ def _first_states(motions: Sequence[Motion], every: int, generator: torch.Genera
 
 
 def make_pose_prior(train: _Motions, held: _Motions, out: Path, *, seed: int = 0, steps: int = STEPS) -> dict:
-    """Train and write the pose prior; its recipe.
+    """Trains and writes the pose prior; returns its recipe.
 
     train, held: motions at 30 fps on the 22 joints, as ``train`` splits them.
     """
@@ -256,7 +256,7 @@ def make_pose_prior(train: _Motions, held: _Motions, out: Path, *, seed: int = 0
 
 
 def make_init_gmm(train: _Motions, held: _Motions, out: Path, *, seed: int = 0) -> dict:
-    """Fit and write the mixture; its recipe. Arguments as of :func:`make_pose_prior`."""
+    """Fits and writes the mixture; returns its recipe. Arguments as of :func:`make_pose_prior`."""
     generator = torch.Generator().manual_seed(seed)
     samples = _first_states([m for some in train.values() for m in some], 15, generator)
     gmm, history = prior_training.fit_mixture(samples, generator)
@@ -290,7 +290,7 @@ def make_init_gmm(train: _Motions, held: _Motions, out: Path, *, seed: int = 0) 
 def make_features(
     folder: Path | str | None, out: Path, *, seed: int = 0, steps: int | None = None, recordings: Sequence[str] = ()
 ) -> dict:
-    """Train and write the features that generated motion is judged in (``diffusion.embedding``); their recipe.
+    """Trains and writes the features that generated motion is judged in (``diffusion.embedding``); returns the recipe.
 
     folder: of recordings, or None. Trained on the training part of ``splits``, watched on the choosing part.
     """

@@ -54,7 +54,7 @@ class Skeleton:
         return len(self.names)
 
     def index(self, name: str) -> int:
-        """Index of a joint by name.
+        """Returns the index of a joint by name.
 
         Raises:
             KeyError: no such joint; lists the names.
@@ -65,7 +65,7 @@ class Skeleton:
             raise KeyError(f"no joint {name!r}; joints are {', '.join(self.names)}") from None
 
     def indices(self, names: tuple[str, ...] | list[str]) -> list[int]:
-        """Indices of several joints by name."""
+        """Returns the indices of several joints by name."""
         return [self.index(name) for name in names]
 
     @cached_property
@@ -103,22 +103,22 @@ class Skeleton:
         return self.indices(partner)
 
     def rest_positions(self) -> Tensor:
-        """Joint positions (..., J, 3) of the rest pose, metres, rest frame, root at the origin."""
+        """Computes joint positions (..., J, 3) of the rest pose, metres, rest frame, root at the origin."""
         positions = [torch.zeros_like(self.offsets[..., 0, :])]
         for joint in range(1, len(self)):
             positions.append(positions[self.parents[joint]] + self.offsets[..., joint, :])
         return torch.stack(positions, dim=-2)
 
     def standing_height(self) -> Tensor:
-        """Height (...) of the root above the floor when standing in the rest pose, metres."""
+        """Computes the height (...) of the root above the floor when standing in the rest pose, metres."""
         return self.sole - self.rest_positions()[..., 1].amin(-1)
 
     def scaled(self, factor: float) -> Skeleton:
-        """The same skeleton, every length times ``factor``."""
+        """Returns the same skeleton, every length times ``factor``."""
         return replace(self, offsets=self.offsets * factor, sole=self.sole * factor)
 
     def to(self, *args, **kwargs) -> Skeleton:
-        """Offsets on another device or of another dtype."""
+        """Returns the skeleton with offsets on another device or of another dtype."""
         return replace(self, offsets=self.offsets.to(*args, **kwargs))
 
 

@@ -1,4 +1,4 @@
-"""Skinning weights: which joints move a vertex and which should; what is spurious; what pruning moves."""
+"""Measures skinning weights: which joints move a vertex and which should; what is spurious; what pruning moves."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def surface_distance(body: BodyModel) -> Tensor:
 
 
 def tree_distance(skeleton: Skeleton) -> Tensor:
-    """Number of bones (J, J) between every two joints."""
+    """Counts the bones (J, J) between every two joints."""
     above = _ancestors(skeleton).long()
     depth = above.sum(1)
     return depth[:, None] + depth - 2 * (above @ above.T)

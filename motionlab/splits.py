@@ -1,4 +1,4 @@
-"""Which recordings there are to learn from, and which are held out: sources by name, and parts that share no recording.
+"""Splits motions into those to learn from and those held out: sources by name, and parts that share no recording.
 
 A model trains on one part, is chosen by the second and reported on the third. Recordings are on the standard joints, at
 one frame rate. Source: thesis 4.1.2, "Data": "several motion sequences are held out".
@@ -32,14 +32,14 @@ SYNTHETIC, RECORDED = "synthetic", "recordings"
 
 
 def evenly(items: Sequence, most: int | None) -> list:
-    """At most ``most`` items, evenly through the sequence; all of them for None."""
+    """Returns at most ``most`` items, evenly through the sequence; all of them for None."""
     if most is None or len(items) <= most:
         return list(items)
     return [items[round(i * (len(items) - 1) / max(most - 1, 1))] for i in range(most)]
 
 
 def standard(folder: Path | str | None, source: str, *, each: int | None = None, fps: float = 30.0) -> list[Motion]:
-    """Motions of one source on the 22 joints, with the source's own proportions, feet on the floor.
+    """Loads the motions of one source on the 22 joints, with the source's own proportions, feet on the floor.
 
     Without a folder, or without that source in it, the list is empty. Loaded once per session.
 
@@ -58,7 +58,7 @@ def _standard(path: Path, load: Callable, fps: float) -> Motion:
 
 
 def motions_by_part(folder: Path | str | None, part: str, *, most: int | None = None) -> dict[str, list[Motion]]:
-    """Motions (T,) by source, as they were made or recorded.
+    """Loads motions (T,) by source, as they were made or recorded.
 
     train: all but the held-out sequences, and four of five recordings of each source. choose: other sequences of the
     same subjects, and every second held-out recording; what chooses a checkpoint. report: a subject, and recordings,
@@ -83,7 +83,7 @@ def motions_by_part(folder: Path | str | None, part: str, *, most: int | None = 
 
 
 def prepared(motions: Sequence[Motion], recipe: DenoiserRecipe, *, copies: int = 0) -> list[Motion]:
-    """On the standard body, of the recipe's version of the data, each with so many copies held otherwise."""
+    """Computes training motions on the standard body in the recipe's version, with ``copies`` posed otherwise."""
     generator, found = torch.Generator().manual_seed(recipe.seed), []
     for motion in map(on_standard, motions):
         for each in (motion, *(examples.held_otherwise(motion, generator) for _ in range(copies))):
@@ -94,7 +94,7 @@ def prepared(motions: Sequence[Motion], recipe: DenoiserRecipe, *, copies: int =
 def tested(
     recipe: DenoiserRecipe, folder: Path | str | None, part: str, count: int, *, most: int | None = None
 ) -> dict[str, Motion]:
-    """Windows (at most ``count``, T) by source, evenly over a part: the same at every call.
+    """Computes windows (at most ``count``, T) by source, evenly over a part: the same at every call.
 
     In the form of the recipe's data; all have one body, so their skeleton has no window axis.
     """
@@ -106,7 +106,7 @@ def tested(
 
 
 def trainable(folder: Path | str | None, sources: Sequence[str] = SHIPPABLE) -> tuple[list[Motion], list[Motion]]:
-    """Motions with contacts on a flat floor, for training and held out (every fifth clip of a source).
+    """Loads motions with contacts on a flat floor, for training and held out (every fifth clip of a source).
 
     Left out: clips in which no joint is below 30 cm for more than a tenth of the time (climbing, a wrong floor).
     """

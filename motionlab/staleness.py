@@ -1,4 +1,4 @@
-"""Whether a record is still what the code gives: compared by what a small run measures, not by the code's text.
+"""Tells whether a record is still what the code gives, by what a small run measures, not by the code's text.
 
 A record of the full profile holds a *fingerprint* beside its findings: what the smoke profile of the same notebook
 measures, each number with the distance within which another machine stays. Moving or rewording code changes nothing in
@@ -37,7 +37,7 @@ class Mark(NamedTuple):
     within: float
 
     def agrees(self, other: Mark) -> bool:
-        """Whether both are none, or nearer than either allows."""
+        """Returns whether both are None, or no further apart than either allows."""
         if self.value is None or other.value is None:
             return self.value is other.value
         return abs(self.value - other.value) <= max(self.within, other.within)
@@ -69,7 +69,7 @@ def mark(value: float | None, scale: float = 0.0, tolerance: float = TOLERANCE) 
 
 
 def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
-    """Computes one fingerprint from runs under different arithmetic: the first one's numbers, as far apart as the runs.
+    """Computes one fingerprint from runs under different arithmetic: the first one's numbers, wide enough for all.
 
     The first may be a recorded one, made of several runs on another machine: the least distance that any run allows
     says how large a number is.
@@ -94,7 +94,7 @@ def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
 
 
 def differences(recorded: Fingerprint, now: Fingerprint) -> list[str]:
-    """What a run measures otherwise than the record says it should, a phrase each; empty where nothing moved."""
+    """Lists how a run differs from its record, a phrase each; empty where nothing moved."""
     gone = [f"{name} is not measured any more" for name in recorded if name not in now]
     return gone + [
         f"{name} was {_number(was)}, is {_number(now[name])} (may differ by {max(was.within, now[name].within):.1g})"
@@ -109,7 +109,7 @@ def _number(found: Mark) -> str:
 
 # ------------------------------------------------------------------------------------------------------ code and files
 def code_hash(notebook: Path | str) -> str:
-    """Hash of a notebook's code without its import lines, so that a record can say which cells it belongs to."""
+    """Computes a hash of a notebook's code without its imports, by which a record says which cells it belongs to."""
     cells = json.loads(Path(notebook).read_text(encoding="utf-8"))["cells"]
     code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
     return hashlib.sha256("\0".join(map(_without_imports, code)).encode()).hexdigest()[:16]
@@ -128,7 +128,7 @@ def _without_imports(code: str) -> str:
 
 
 def loaded_modules(packages: Iterable[str] = OURS) -> dict[str, str]:
-    """Hash of every module of ours that this process has imported: of its code, not of its layout or documentation."""
+    """Computes a hash of every module of ours that this process has imported: of code, not layout or documentation."""
     chosen = tuple(packages)
     files = {
         name: module.__file__
@@ -153,7 +153,7 @@ def _silent(node: ast.stmt) -> bool:
 
 
 def changed_modules(recorded: Mapping[str, str], root: Path) -> list[str]:
-    """Modules that are not what they were when a record was made: changed, renamed or gone. For information only."""
+    """Lists modules that are not what they were when a record was made: changed, renamed, gone. Only informs."""
     paths = {name: [root, root / "notebooks"][name.startswith("studies")] / name.replace(".", "/") for name in recorded}
     now = {}
     for name, path in paths.items():
@@ -163,7 +163,7 @@ def changed_modules(recorded: Mapping[str, str], root: Path) -> list[str]:
 
 
 def recordings_digest(folder: Path | None) -> dict[str, str]:
-    """Hash of the list of files (names and sizes) of every source in a folder of recordings; empty without one."""
+    """Computes a hash of the files (names and sizes) of every source in a folder of recordings; empty without one."""
     if folder is None:
         return {}
     found = {}

@@ -146,7 +146,7 @@ class TrainingRun(ABC):
         return self
 
     def advance(self) -> dict[str, float]:
-        """Trains one step; the loss and its parts, but nothing of a batch that was skipped."""
+        """Trains one step; returns the loss and its parts, but nothing of a batch that was skipped."""
         for group in self.optimiser.param_groups:
             group["lr"] = self._rate()
         loss, parts = self._loss()
@@ -215,7 +215,7 @@ class TrainingRun(ABC):
 
     @classmethod
     def kept_recipe(cls, path: Path | str) -> Any:
-        """The recipe of a saved run.
+        """Reads the recipe of a saved run.
 
         Raises:
             DataError: the file is missing, damaged, or a run of another model.
@@ -224,7 +224,7 @@ class TrainingRun(ABC):
 
     @classmethod
     def resume(cls, path: Path | str, data: Any, *where: Any, **more: Any) -> Self:
-        """A run as it was when it was saved; it goes on as if it had never stopped.
+        """Reads a run as it was when it was saved; it goes on as if it had never stopped.
 
         data: what it is trained on. where, more: for the trainer, behind its recipe and data.
 

@@ -1,1 +1,1 @@
-"""Motion diffusion: the model of the thesis's chapter 4, and what can be asked of it."""
+"""Motion diffusion, the thesis's chapter 4: training, sampling, inpainting, pose completion and denoising."""

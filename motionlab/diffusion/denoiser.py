@@ -1,4 +1,4 @@
-"""The network that guesses x_0 from x_t: a transformer encoder over frames, told the step by a token of its own.
+"""The network that estimates x_0 from x_t: a transformer encoder over frames, with the noising step as an extra token.
 
 Source: thesis 4.1.2, Fig. 4.2; MDM (Tevet et al. 2022), official code, unconstrained model: the
 same weights, by name and shape.
@@ -73,7 +73,7 @@ class _Out(nn.Module):
 class Denoiser(nn.Module):
     """features: numbers per frame. size: of a token. told: with known values and their mask as inputs. arrival: told
     also how far the next known frame is. patch: frames in a token. handles: numbers per frame that the places of
-    handles are embedded in; 0: it hears of none. before: tokens are normalised before attention, not behind it as in
+    handles are embedded in; 0: it takes none. before: tokens are normalised before attention, not behind it as in
     MDM, and once more at the end: trains where little of what is asked can be learned (Xiong et al. 2020).
 
     "small", "compact" and "thesis" sizes: ``SIZES``.
@@ -116,7 +116,7 @@ class Denoiser(nn.Module):
         handles: Tensor | None = None,
         guess: Tensor | None = None,
     ) -> Tensor:
-        """Estimate (B, T, D) of x_0 from x_t (B, T, D) and steps (B,).
+        """Computes an estimate (B, T, D) of x_0 from x_t (B, T, D) and steps (B,).
 
         known (B, T, D), mask (B, T, D) or (T, D): what is known of x_0 and where (1); for a model that is told, which
         sees straight lines through it (``start.lines_between``), or guess (B, T, D), if there is one. handles (B, T,
@@ -158,7 +158,8 @@ def _until_known(mask: Tensor) -> Tensor:
 
 
 def widened(weights: Mapping[str, Tensor], features: int) -> dict[str, Tensor]:
-    """A network's state for its twin that is told what is known: what that one sees besides x_t counts nothing yet.
+    """Computes the weights of a denoiser that takes known values and their mask from those of one that does not; the
+    new columns are zero.
 
     The columns of a token, for each of its frames: x_t (``features``), the known part, the mask.
     """

@@ -1,4 +1,4 @@
-"""Noise taken out of a motion by a diffusion model: the reverse process, begun at the step that is as noisy.
+"""Denoises motions with a diffusion model: the reverse process, begun at the step with the same noise.
 
 A motion y = x_0 + noise of known size is, but for a factor, what the noising process makes of x_0 at the step t* with
 sqrt((1 - alpha_bar) / alpha_bar) = size. From there on the model goes back, in one look or in several steps.
@@ -39,11 +39,11 @@ class Noise:
 
     @classmethod
     def of(cls, degrees: float, centimetres: float, lasting: float = 0.0) -> Noise:
-        """In the units that people think in."""
+        """Returns the noise of so many degrees and centimetres."""
         return cls(degrees * torch.pi / 180, centimetres / 100, lasting)
 
     def on(self, motion: Motion, generator: torch.Generator) -> Motion:
-        """A motion with this noise on it; contacts are dropped."""
+        """Adds this noise to a motion; contacts are dropped."""
         turn = _rotation_noise(motion.rot.shape[:-2], self.turn, generator, lasting=self.lasting)
         shift = self.shift * _steady(motion.root.shape, generator, dim=motion.root.ndim - 2, lasting=self.lasting)
         return replace(motion, root=motion.root + shift, rot=motion.rot @ turn, contacts=None)
@@ -82,10 +82,10 @@ def denoise(
     generator: torch.Generator,
     start: ReverseProcess | None = None,
 ) -> Motion:
-    """Motions (B, T) without their noise, where they were in the world.
+    """Computes denoised motions (B, T), where they were in the world, by the reverse process.
 
-    rough: about the same motions, as a filter leaves them: the frame of reference is taken from its first frame, and
-    contacts are measured on it. A model that is told is told nothing.
+    It begins at the step with the same noise. rough: about the same motions, as a filter leaves them: the frame of
+    reference is that of its first frame, contacts are measured on it. A model that takes known values gets none.
 
     Raises:
         DataError: the model's numbers hold velocities, whose noise is not the joints'; or there is no noise.
@@ -131,8 +131,8 @@ def _pulled(denoiser: sampling.DenoiseFunction, schedule: NoiseSchedule, y: Tens
 
 
 def noise_size(layout: Layout, normaliser: Normaliser, turn: float, shift: float) -> Tensor:
-    """Deviation (D,) of each normalised number when joints are turned by N(0, turn) radians about each axis and the
-    root is moved by N(0, shift) metres: a turned column of length 1 moves by sqrt(2 / 3) turn in each coordinate."""
+    """Computes the deviation (D,) of each normalised number from noise of ``turn`` radians about each axis of a joint
+    and ``shift`` metres: a turned column of length 1 moves by sqrt(2 / 3) turn in each coordinate."""
     size = torch.zeros(layout.size)
     for name, part in layout.slices.items():
         size[part] = {"root": shift, "orient": (2 / 3) ** 0.5 * turn, "pose": (2 / 3) ** 0.5 * turn}.get(name, 0.0)

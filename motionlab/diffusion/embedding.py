@@ -1,9 +1,9 @@
-"""Features that generated motion is judged in, and judges that choose a checkpoint.
+"""Features in which generated motion is judged, and judges that choose a checkpoint.
 
 The features are the latent numbers of an autoencoder over windows of two seconds. It sees the root's path and the
-feet's sliding, and it has learnt from training motion alone: what judges may not know what is held out. A judge
+feet's sliding, and is trained on training motion alone, as features must not depend on held-out motion. A judge
 measures a model while it is trained. ``kid_judge`` is the kernel distance of samples to held-out motion, in features
-that need no training, so that every model of every run is judged alike, and what chooses is not what reports.
+that need no training: every model of every run is judged alike, and checkpoints are not chosen by what is reported.
 
 Source: FID's features are those of a trained network (Heusel et al. 2017; for motion Guo et al. 2020, MDM); KID:
 Binkowski et al. 2018; thesis 4.4.1 (stop by a measure, not by eye).
@@ -104,7 +104,7 @@ class Autoencoder(nn.Module):
         )  # fmt: skip
 
     def forward(self, x: Tensor) -> Tensor:
-        """Reconstruction (N, T, 94) of normalised signals."""
+        """Computes the reconstruction (N, T, 94) of normalised signals."""
         return self.decoder(self.encoder(x.mT)).mT
 
 
@@ -137,7 +137,7 @@ class Features:
 
     @torch.no_grad()
     def missed(self, motion: Motion) -> dict[str, float]:
-        """Share of the variance of each group's signals that the latent numbers do not hold, of windows (N, T)."""
+        """Computes the share of each group's variance that the latent numbers miss, of windows (N, T)."""
         x = (_signals(motion) - self.mean) / self.scale
         wrong, total = (self.network(x) - x).square(), (x - x.mean((0, 1))).square()
         groups = (each.split(list(FEATURE_GROUPS.values()), -1) for each in (wrong, total))
@@ -185,7 +185,7 @@ class _FeatureRun(TrainingRun):
 def train_features(
     windows: Windows, recipe: FeatureRecipe, held: Motion | None = None, *, progress: bool = False
 ) -> tuple[Features, list[dict]]:
-    """Trains on windows; the features and the curve: loss, and what is ``missed`` of held-out windows."""
+    """Trains on windows; returns the features and the curve: loss, and what is ``missed`` of held-out windows."""
     if windows.length != recipe.frames:
         raise ShapeError(f"windows of {windows.length} frames, recipe of {recipe.frames}")
     validate = None if held is None else lambda features: features.missed(held)
@@ -216,7 +216,7 @@ def _some(motion: Motion, at: int, count: int) -> Motion:
 
 
 def save_features(path: Path | str, features: Features, about: dict) -> None:
-    """Write ``path`` (.safetensors, weights as float16) and its recipe (.json) with ``about``."""
+    """Writes ``path`` (.safetensors, weights as float16) and its recipe (.json) with ``about``."""
     weights = {f"network.{name}": value.half() for name, value in features.network.state_dict().items()}
     others = {name: getattr(features, name) for name in ("mean", "scale", "centre", "spread")}
     checkpoint.save(path, weights | others, about | {"recipe": asdict(features.recipe)})
@@ -240,7 +240,7 @@ def _load(path: Path | str) -> Features:
 
 @cache
 def motion_features(name: str = "diffusion_features") -> Features:
-    """Features that ship with the project, or lie at a path; loaded once.
+    """Loads features that ship with the project, by name, or those at a path; once.
 
     Raises:
         DataError: no such checkpoint, or damaged.
@@ -276,10 +276,10 @@ class Scaled:
 
 
 def filling_judge(real: Motion, *, seed: int = 0) -> Callable[[Trained], dict[str, float]]:
-    """A judge of models that are told what is known: {"filling error": mean square error of what is not known}.
+    """Builds a judge that scores a model by its mean square error on unknown numbers: {"filling error": ...}.
 
     x_0 is guessed in one step from pure noise, the same noise and the same masks (``masks.draw``) for every model, on
-    real windows (N, T); normalised numbers. A told model may fill in well and generate badly, or the other way round.
+    real windows (N, T); normalised numbers. A model may fill in well and generate badly, or the other way round.
     """
 
     @torch.no_grad()
@@ -298,9 +298,10 @@ def filling_judge(real: Motion, *, seed: int = 0) -> Callable[[Trained], dict[st
 def kid_judge(
     real: Motion, *, count: int = 512, steps: int = 50, seed: int = 0
 ) -> Callable[[Trained], dict[str, float]]:
-    """A judge of what is made anew: {"kid": ...} of ``count`` samples in ``steps`` DDPM steps against real windows.
+    """Builds a judge that scores a model by the kernel distance of its samples from real windows: {"kid": ...}.
 
-    real: (N, T), held out, from what trains no weights and reports no result. The same noise for every model.
+    ``count`` samples in ``steps`` DDPM steps, the same noise for every model. real: (N, T), held out, from neither
+    training nor reported motion.
     """
     scaled = Scaled(real)
 

@@ -1,4 +1,4 @@
-"""Motions as the denoiser sees them: one row of numbers per frame, in named groups, of about unit size.
+"""Motions as rows of numbers for the denoiser: one row per frame, in named groups, of about unit size.
 
 Source: thesis 4.1.2 (state representation: root translation, 6-D rotations, optional contacts and velocities; world or
 "stuck root" frame).
@@ -60,7 +60,7 @@ class Layout:
 
     # ------------------------------------------------------------------------------------------ there and back
     def encode(self, motion: Motion) -> Tensor:
-        """Rows (..., T, size) of a motion on the layout's joints, not yet normalised.
+        """Computes rows (..., T, size) of a motion on the layout's joints, not yet normalised.
 
         Raises:
             DataError: contacts are asked for and the motion has none.
@@ -84,7 +84,7 @@ class Layout:
         return torch.cat([parts[name] for name in self.slices], -1)
 
     def decode(self, rows: Tensor, fps: float, skeleton: Skeleton | None = None) -> Motion:
-        """The motion (..., T) of rows (..., T, size); velocities are not read, contacts are those above a half."""
+        """Computes the motion (..., T) of rows (..., T, size); velocities are not read, contacts: above a half."""
         check_shape(rows, f"... T {self.size}", "rows")
         sixd = torch.cat((rows[..., self.slices["orient"]], rows[..., self.slices["pose"]]), -1).unflatten(-1, (-1, 6))
         contacts = (rows[..., self.slices["contacts"]] > 0.5).to(rows) if self.contacts else None
@@ -100,7 +100,7 @@ class Layout:
         groups: Sequence[str] | None = None,
         joints: Sequence[str] | None = None,
     ) -> Tensor:
-        """Which numbers are meant, bool (T, size): those of some frames, of some groups and of some joints' rotations.
+        """Computes a mask, bool (T, size), True in some frames for some groups and some joints' rotations.
 
         Without ``groups`` and ``joints`` all of a frame; with both, their union. ``only``: frames; None: all.
 
@@ -148,7 +148,7 @@ class Normaliser:
 
     @classmethod
     def measure(cls, rows: Tensor, layout: Layout, *, root_unit: float = 0.0) -> Normaliser:
-        """From rows (..., D) of the training set. A group that never changes keeps its size.
+        """Measures mean and scale on training rows (..., D). A group that never changes keeps its size.
 
         root_unit: metres that are one unit of the root's place; 0: its deviation, which is mostly how far people walk,
         so that noise of a tenth hides centimetres of a step while it moves a hand by millimetres.
@@ -163,9 +163,9 @@ class Normaliser:
         return cls(mean, scale)
 
     def apply(self, rows: Tensor) -> Tensor:
-        """Rows to numbers of about unit size."""
+        """Converts rows to numbers of about unit size."""
         return (rows - self.mean.to(rows)) / self.scale.to(rows)
 
     def undo(self, x: Tensor) -> Tensor:
-        """And back."""
+        """Converts numbers of about unit size back to rows."""
         return x * self.scale.to(x) + self.mean.to(x)

@@ -1,15 +1,15 @@
-"""What Gaussian data would say about x_0, and networks that only correct it: of windows, and of single poses.
+"""Estimates x_0 as if data were Gaussian, with a network that corrects the estimate: for windows and for single poses.
 
 Windows (``Spectral``):
 In the cosine basis over time, X = C x, every number of a motion has its own power S (T, D). Were motions Gaussian with
 that power, the best guess of x_0 from x_t = sqrt(a) x_0 + sqrt(1 - a) noise would be the Wiener filter
 sqrt(a) S / (a S + 1 - a) X_t, wrong by the deviation sqrt(S (1 - a) / (a S + 1 - a)). The network gives what is
-missing, in units of that deviation: quick changes, of which motion has little, stay small whatever it says. And it is
-shown the guess, brought to unit size, in place of x_t: there is less noise in it.
+missing, in units of that deviation: quick changes, of which motion has little, stay small whatever it says. Its input
+is the guess, brought to unit size, in place of x_t: there is less noise in it.
 
-A model that is told what is known corrects what that says (``start.InitialGuess``) instead of the mean, and the more
-freely the farther what is known: the same filter and deviation, with a power that ``start.doubt`` makes smaller. It
-sees the start besides, and what a model that is told nothing sees: it can go on from the weights of one.
+A model that takes known numbers corrects the guess made from them (``start.InitialGuess``) instead of the mean, and
+more freely far from them: the same filter and deviation, with a power that ``start.doubt`` makes smaller. Its input is
+that guess besides the input of a model without known numbers, from whose weights it can start.
 
 Source: Karras et al. 2022 (EDM), preconditioning, whose data is white, S = 1; the filter: Wiener 1949.
 Differs from the thesis and MDM, whose network gives x_0 itself.
@@ -19,14 +19,14 @@ Poses x (D) have covariance U diag(L) U^T and joints p = A U^T x + rest, the res
 place is not linear in the pose. Were they Gaussian: given x_t = sqrt(a) x_0 + sqrt(1 - a) noise, U^T x_0 has mean
 m = sqrt(a) L / s U^T x_t and variance v = (1 - a) L / s, s = a L + 1 - a (Wiener, as above); handles at y move
 it by the gain v A^T (A v A^T + R + r)^-1 (y - p): ridge regression of the pose on its handles where there is only
-noise. A few steps of steepest descent in |U^T (x - m)|^2 / v + |y - p(x)|^2 / r, by the exact kinematics, follow: what
-moves is what is not known yet. The network gives what is missing, in units of sqrt(v), and a few more steps bring the
+noise. A few steps of steepest descent in |U^T (x - m)|^2 / v + |y - p(x)|^2 / r, by the exact kinematics, follow, which
+move most what is least certain. The network gives what is missing, in units of sqrt(v), and a few more steps bring the
 handles back.
 
-They are not, and with ``recalls`` they are a mixture: some training pose z_i, and about it a Gaussian of ``_NEAR`` the
-covariance. By how near x_t and the handles are to sqrt(a) z_i and its joints p_i, |y - p_i|^2 / (2 h^2), the z_i are
-averaged, and the rest is as above around that mean. h grows with the distance of the nearest: what is like nothing
-known is told from many.
+Poses are not Gaussian, and with ``recalls`` they are a mixture: each training pose z_i with a Gaussian of ``_NEAR`` the
+covariance about it. The z_i are averaged by how near x_t and the handles are to sqrt(a) z_i and its joints p_i,
+|y - p_i|^2 / (2 h^2), and the rest is as above around that mean. h grows with the distance of the nearest pose, so that
+handles far from every pose average over many.
 
 Source: the Gaussian's conditional mean; Parzen 1962; Karras et al. 2022 (preconditioning); thesis 4.2.4 has the network
 alone.
@@ -52,15 +52,15 @@ _FIRM, _LOOSE = 1e-2**2, 2.0  # h^2 = FIRM + LOOSE times the least mean square o
 
 
 def power(x0: Tensor) -> Tensor:
-    """Mean power S (T, D) of normalised motions (B, T, D) in the cosine basis."""
+    """Computes the mean power S (T, D) of normalised motions (B, T, D) in the cosine basis."""
     return (cosine_transform(x0.shape[-2]).to(x0) @ x0).square().mean(0).clamp(min=_LEAST)
 
 
 class Spectral(nn.Module):
-    """network: (x_t, stamps, ...) -> (B, T, D). alpha_bar: of all noising steps. frames, features, recalls: as of
-    ``start.InitialGuess``.
+    """A denoiser: the Wiener estimate from the data's spectrum, plus a network's correction.
 
-    ``spectrum`` (T, D) is data, measured by ``power`` and stored with the weights.
+    network: (x_t, stamps, ...) -> (B, T, D). alpha_bar: of all noising steps. frames, features, recalls: as of
+    ``start.InitialGuess``. ``spectrum`` (T, D) is data, measured by ``power`` and stored with the weights.
     """
 
     def __init__(self, network: nn.Module, alpha_bar: Tensor, frames: int, features: int, recalls: int = 0) -> None:
@@ -80,7 +80,7 @@ class Spectral(nn.Module):
         own: Tensor | None = None,
         **told: Tensor | None,
     ) -> Tensor:
-        """Estimate (B, T, D) of x_0; arguments as for the network. Where mask says so it is ``known``, exactly.
+        """Computes an estimate (B, T, D) of x_0; arguments as for the network. Where mask is set it equals ``known``.
 
         own (B,): in training, the motions that the windows were cut from, not to be recalled.
         """
@@ -103,7 +103,7 @@ class Spectral(nn.Module):
         return guess + open_ * (self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said)))
 
     def recall(self, x: Tensor, clips: Tensor) -> None:
-        """See ``start.InitialGuess.measure``."""
+        """Measures the initial guess on windows: see ``start.InitialGuess.measure``."""
         self.start.measure(x, clips, torch.Generator().manual_seed(0))
 
     def _open(self, doubt: Tensor, a: Tensor) -> Tensor:
@@ -114,8 +114,9 @@ class Spectral(nn.Module):
 
 
 class Linear(nn.Module):
-    """network: (x, stamps, ...) -> (B, 1, D); it sees the estimate, not x_t. alpha_bar: of all noising steps.
+    """A denoiser of single poses: the estimate as if poses were Gaussian, plus a network's correction.
 
+    network: (x, stamps, ...) -> (B, 1, D); it sees the estimate, not x_t. alpha_bar: of all noising steps.
     The buffers are data: U (D, D), L (D,), A (66, D), R (66, 66), the mean of the joints (66,) in metres, and the
     normaliser's mean and scale (D,); of poses recalled the coordinates U^T z_i (N, D), joints (N, 66) and motions (N,).
     ``measure`` and ``recall`` fill them in.
@@ -137,7 +138,7 @@ class Linear(nn.Module):
 
     @torch.no_grad()
     def measure(self, x: Tensor, normaliser: Normaliser) -> None:
-        """From normalised poses (N, 1, D)."""
+        """Measures the buffers on normalised poses (N, 1, D)."""
         self.mean.copy_(normaliser.mean)
         self.scale.copy_(normaliser.scale)
         self.basis.copy_(torch.eye(len(self.basis)))
@@ -153,7 +154,7 @@ class Linear(nn.Module):
 
     @torch.no_grad()
     def recall(self, x: Tensor, clips: Tensor) -> None:
-        """The first of normalised poses (N, 1, D), at least ``recalls``, and their motions (N,); once measured."""
+        """Stores the first ``recalls`` of normalised poses (N, 1, D), and their motions (N,), after ``measure``."""
         if len(x) < self.recalls:
             raise ShapeError(f"x: expected {self.recalls} poses or more, got {len(x)}")
         codes = x[: self.recalls, 0] @ self.basis
@@ -169,9 +170,9 @@ class Linear(nn.Module):
         own: Tensor | None = None,
         rounds: int | None = None,
     ) -> Tensor:
-        """Estimate (B, 1, D) of x_0 from x_t (B, 1, D), steps (B,) and handles (B, 1, 22, 4), as for the network.
-        own (B,): motions that must not be recalled, in training those that the poses were cut from. rounds: steps of
-        descent, ``_ROUNDS`` unless said."""
+        """Computes an estimate (B, 1, D) of x_0 from x_t (B, 1, D), steps (B,) and handles (B, 1, 22, 4), as for the
+        network. own (B,): motions that must not be recalled, in training those that the poses were cut from. rounds:
+        steps of descent, ``_ROUNDS`` unless said."""
         rounds = _ROUNDS if rounds is None else rounds
         if x.ndim != 3 or x.shape[1] != 1:
             raise ShapeError(f"x: expected single poses (B, 1, {self.layout.size}), got {tuple(x.shape)}")

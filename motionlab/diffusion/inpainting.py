@@ -1,7 +1,7 @@
-"""Inpainting: a diffusion model fills in the unknown parts of motions; every way of putting the known part back.
+"""Fills unknown parts of motions with a diffusion model; :class:`Way` says how the known part enters.
 
 x (B, T, D) in normalised numbers; known (B, T, D); m (B, T, D) or (T, D): 1 where known (the thesis's 1 - m).
-:func:`repair` takes motions, :func:`fill` numbers, and :class:`Way` says how the known part comes in.
+:func:`repair` takes motions, :func:`fill` numbers.
 
 Source: thesis 4.1.2, Eq. 4.10 (RePaint, EDGE: the known part noised to x_{t-1}), 4.2, 4.4.1; MDM (x_0 imputed); RePaint
 (Lugmayr et al. 2022), resampling; Ho et al. 2022, reconstruction guidance, with CondMDI's weight; SDEdit (Meng et al.
@@ -33,9 +33,9 @@ _Step = Callable[[Tensor, Tensor, int], Tensor]
 
 @dataclass(frozen=True)
 class Way:
-    """How the known part comes in.
+    """How the known part enters.
 
-    put: "overwrite" (Eq. 4.10), "imputed" (MDM), or "nothing", where only a model that is told, or guidance, knows it.
+    put: "overwrite" (Eq. 4.10), "imputed" (MDM), or "nothing": it enters as a model's input or by guidance alone.
     steps, sampler: of the respaced process. last: overwrite (or impute) also in the last step, as the thesis does.
     weight: of reconstruction guidance; 0: none. begin: at which share of the steps to begin from a guess; 1 without
     one: from noise. times, jump: of RePaint's resampling; times 1: none. soft: frames over which the mask's edges rise.
@@ -66,10 +66,10 @@ class Way:
 def fill(
     model: Trained, x0: Tensor, known: Tensor, generator: torch.Generator, way: Way, guess: Tensor | None = None
 ) -> Tensor:
-    """Normalised numbers (B, T, D) whose known part is x0's (known: (B, T, D) or (T, D), bool) and whose rest is new.
+    """Computes normalised windows (B, T, D) that keep x0 where ``known`` holds and are sampled elsewhere.
 
-    What x0 holds where it is not known is never read. A model that is told gets the mask and the known values. guess
-    (B, T, D): of the rest; sampling begins with it, noised to step ``way.begin`` (SDEdit).
+    known: bool (B, T, D) or (T, D). How exactly x0 is kept is up to ``way``; elsewhere it is never read. A model that
+    takes known values gets these, too. guess (B, T, D): sampling begins with it, noised to ``way.begin`` (SDEdit).
     """
     if (guess is None) != (way.begin == 1):
         raise ValueError("begin: below 1 with a guess, 1 without")
@@ -113,7 +113,7 @@ def repair(
     guess: Motion | None = None,
     batch: int = 64,
 ) -> Motion:
-    """Motions (B, T) with their unknown parts made anew, where they were in the world.
+    """Computes motions (B, T) from motions with gaps; unknown numbers are sampled, the place in the world stays.
 
     guess: of the whole motions, for ways that begin with one, in the world. known: bool (B, T, D) or (T, D), True where
     known, as ``model.layout.mask`` makes it. A stuck layout takes the place and heading of the first frame as given,
@@ -200,8 +200,8 @@ def _soft(m: Tensor, frames: int) -> Tensor:
 
 
 def offset_decay(x: Tensor, known: Tensor, m: Tensor, frames: int) -> Tensor:
-    """x (B, T, D) with its known parts exact, and the offset that this takes faded out over ``frames`` frames beside
-    them: no jump in value and none in velocity, at either end of the fade.
+    """Computes x (B, T, D) with its known numbers exact; the correction fades out over ``frames`` frames, smooth in
+    value and velocity at either end.
 
     With e and v the offset of the nearest known frame and its change per frame, u the share of the fade that has passed
     and n its frames (no more than a gap has): x + e (2u^3 - 3u^2 + 1) + v n (u^3 - 2u^2 + u), from both sides of a gap.

@@ -1,4 +1,4 @@
-"""What the denoiser is trained by: its numbers, its joints, their changes, and feet that should stand.
+"""Training losses of the denoiser: on its numbers, its joints, their changes, and feet that should stand.
 
 Source: thesis Eqs. 4.8 and 4.9; MDM (Tevet et al. 2022), the contacts of the truth; EDGE (Tseng et al. 2023), contacts
 that no gradient goes through; CondMDI (Cohan et al. 2024) and thesis 4.4.1, the known area; thesis 4.2.4, handles.
@@ -57,13 +57,13 @@ class LossWeights:
             raise ValueError("weights: expected numbers of 0 or more")
 
     def at(self, share: float, layout: Layout, told: bool = False) -> dict[str, float]:
-        """The parts that count after a share (0 to 1) of the steps, with their weights."""
+        """Returns the parts that count after a share (0 to 1) of the steps, with their weights."""
         off = set() if share >= self.late else set(_LATE)
         off |= (set() if layout.contacts else {"contact"}) | (set() if told else {"known"})
         return {name: w for name in _PARTS if (w := getattr(self, name)) > 0 and name not in off}
 
     def counts(self, schedule: NoiseSchedule) -> Tensor:
-        """What a window counts at each noising step (T,); 1 on average."""
+        """Computes the weight of a window at each noising step (T,); 1 on average."""
         a = schedule.alpha_bar
         count = 1 + (a / (1 - a)).clamp(max=self.snr)
         return count / count.mean()
@@ -84,7 +84,7 @@ def denoising_losses(
     trust: Tensor | None = None,
     count: Tensor | None = None,
 ) -> dict[str, Tensor]:
-    """The named parts, each one number: a mean over windows and frames.
+    """Computes the training losses by name, each a mean over windows and frames.
 
     simple: mean square of normalised numbers. velocity: of their change between frames, root and rotations only.
     fk: squared distance of the joints from the truth's, summed over joints, m^2. contact: squared way between frames of

@@ -1,8 +1,8 @@
-"""What a model is told: masks of known parts of a window, and handles, joints of a pose that should be at a place.
+"""What a model is conditioned on: masks of known parts of a window, and handles, joints of a pose with a target place.
 
-Masks are the questions that a model is trained on that is told what is known. Targets of handles (..., 22, 3) are
-metres in the pose's own stuck frame: above the origin, facing +y. So where a character stands and which way it faces
-is given, as a rig's root is to an animator; how high its pelvis is and how it leans is not.
+A model that takes known numbers is trained on masks drawn here. Targets of handles (..., 22, 3) are metres in the
+pose's own stuck frame: above the origin, facing +y. So where a character stands and which way it faces is given, as a
+rig's root is to an animator; how high its pelvis is and how it leans is not.
 
 Source: CondMDI (Cohan et al. 2024), random frames x random joints; the test cases of thesis 4.2.1; thesis 4.2.4, a
 subset of joints that an animator fixes.
@@ -35,7 +35,7 @@ LEGS = ("hip", "knee", "ankle", "foot")
 
 
 def told(targets: Tensor, which: Tensor) -> Tensor:
-    """What the denoiser hears (..., 22, 4): the targets (..., 22, 3) of handles (..., 22), and a one for each."""
+    """Computes the denoiser's handle input (..., 22, 4) from targets (..., 22, 3) and a mask (..., 22) of handles."""
     check_shape(targets, f"... {len(STANDARD)} 3", "targets")
     if which.shape != targets.shape[:-1]:
         raise ShapeError(f"which: expected {tuple(targets.shape[:-1])}, got {tuple(which.shape)}")
@@ -44,9 +44,9 @@ def told(targets: Tensor, which: Tensor) -> Tensor:
 
 
 def draw_handles(motion: Motion, generator: torch.Generator) -> Tensor:
-    """(B, T, 22, 4): for every window (B, T) handles at random, the same in all its frames, where its joints are.
+    """Draws random handles (B, T, 22, 4) of windows (B, T), the same joints in all frames of a window.
 
-    None, some of ``_EFFECTORS`` or some of all joints, up to ``_MOST``, evenly in number.
+    No joint, some of ``_EFFECTORS`` or some of all, up to ``_MOST``, evenly in number. Targets: where these joints are.
     """
     count, joints = len(motion.root), len(motion.skeleton)
     kind = torch.rand(count, 1, generator=generator)
@@ -60,7 +60,7 @@ def draw_handles(motion: Motion, generator: torch.Generator) -> Tensor:
 
 
 def units(layout: Layout) -> Tensor:
-    """(D,): what each number of a frame belongs to: a joint, then J: the root's place, J + 1: contacts."""
+    """Computes the joint that each number of a frame (D,) belongs to; J: the root's place, J + 1: contacts."""
     joints = len(layout.skeleton)
     each, root = torch.arange(joints).repeat_interleave(6), torch.full((3,), joints)
     owners = {"root": root, "orient": each[:6], "pose": each[6:], "root_vel": root, "rot_vel": each}
@@ -71,9 +71,9 @@ def units(layout: Layout) -> Tensor:
 def draw(
     layout: Layout, frames: int, count: int, generator: torch.Generator, kinds: Mapping[str, float] = _KINDS
 ) -> Tensor:
-    """Masks (count, frames, D), bool, True where known; each window's kind is drawn by its odds.
+    """Draws masks (count, frames, D), bool, True where known; each window's kind is drawn by its odds.
 
-    nothing: all is asked. frames: whole frames, each by the window's own chance. gap: all but one run of frames, which
+    nothing: all is unknown. frames: whole frames, each by the window's own chance. gap: all but a run of frames, which
     may reach either end. joints: some joints, in all frames. entries: other joints in every frame. legs: all but both
     legs, with or without the root's place. Contacts are known with whole frames only.
 

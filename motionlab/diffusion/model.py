@@ -1,4 +1,4 @@
-"""A trained denoiser with all that it takes to use it, and how it lies on disk.
+"""A trained denoiser with its schedule, layout and normaliser, and its files on disk.
 
 Two files (see ``checkpoint``): tensors with the normaliser's, and the recipe, which says what is built around
 them. Nothing in them is executed.
@@ -84,7 +84,7 @@ class DenoiserRecipe:
 
     @classmethod
     def read(cls, content: dict) -> DenoiserRecipe:
-        """From ``asdict``, as JSON gives it back.
+        """Reads a recipe from ``asdict``, as JSON gives it back.
 
         Raises:
             TypeError: names that are no part of a recipe. ValueError: values that are none.
@@ -104,12 +104,12 @@ class DenoiserRecipe:
         return sampling.cosine(self.noising)
 
     def rate(self, step: int) -> float:
-        """The learning rate at a step."""
+        """Computes the learning rate at a step."""
         warm = min(1.0, (step + 1) / max(self.warm_up, 1))
         return self.lr * warm * (0.51 + 0.49 * math.cos(math.pi * step / self.steps))
 
     def denoiser(self) -> Denoiser | Spectral | Linear:
-        """A new network; its weights come from torch's global generator.
+        """Builds a new network; its weights come from torch's global generator.
 
         Raises:
             ValueError: no such size, or parts that do not go together.
@@ -143,30 +143,30 @@ class Trained:
     recipe: DenoiserRecipe
 
     def encode(self, motion: Motion) -> Tensor:
-        """Normalised numbers (..., T, D) of a motion on the 22 joints."""
+        """Computes normalised numbers (..., T, D) of a motion on the 22 joints."""
         return self.normaliser.apply(self.layout.encode(motion))
 
     def decode(self, x: Tensor, skeleton: Skeleton | None = None) -> Motion:
-        """The motion (..., T) of normalised numbers, on the standard body or another."""
+        """Computes the motion (..., T) of normalised numbers, on the standard body or another."""
         return self.layout.decode(self.normaliser.undo(x), FPS, skeleton)
 
     def noise(self, count: int, generator: torch.Generator) -> Tensor:
-        """Pure noise (count, T, D), from which a sampler starts, where the denoiser is."""
+        """Draws pure noise (count, T, D), from which a sampler starts, on the denoiser's device."""
         where = next(self.denoiser.parameters()).device
         return noise_like(torch.zeros(count, self.recipe.frames, self.layout.size, device=where), generator)
 
     def sample(self, count: int, generator: torch.Generator, *, steps: int = 50, rest: float = 0.0) -> Motion:
-        """New motions (count, T) by DDPM, on the standard body. rest: share of last steps not walked (``ddpm``)."""
+        """Draws new motions (count, T) by DDPM, on the standard body. rest: share of last steps left out (``ddpm``)."""
         x, respaced = self.noise(count, generator), self.schedule.respaced(min(steps, len(self.schedule)))
         return self.decode(ddpm(self.denoiser, respaced, x, generator, rest=round(rest * len(respaced))).cpu())
 
     def encode_local(self, local: Motion) -> Tensor:
-        """Normalised numbers (B, T, D) of motions that are in the layout's frame already."""
+        """Computes normalised numbers (B, T, D) of motions that are in the layout's frame already."""
         return self.normaliser.apply(replace(self.layout, frame="world").encode(local))
 
     @torch.no_grad()
     def errors(self, motion: Motion, generator: torch.Generator) -> dict[str, float]:
-        """Mean square error of x_0, normalised, of windows (B, T), at ``LEVELS`` of the noising steps; nothing told."""
+        """Computes the mean square error of normalised x_0 of windows (B, T) at ``LEVELS`` of steps, unconditioned."""
         x0, last, where = self.encode(motion), len(self.schedule) - 1, next(self.denoiser.parameters()).device
         found = {}
         for share in LEVELS:
@@ -189,8 +189,8 @@ class _Silent(nn.Module):
 
 
 def silenced(model: Trained) -> Trained:
-    """A model whose network adds nothing: what is left is the Wiener filter with the training data's spectrum and, of a
-    model that is told what is known, or of handles, what it starts from.
+    """Returns a copy of a model whose network returns zero, leaving its analytic estimate: the Wiener filter with the
+    training data's spectrum and, of a model that takes known numbers or handles, the guess from these.
 
     Raises:
         ShapeError: there is nothing but a network.
@@ -203,13 +203,14 @@ def silenced(model: Trained) -> Trained:
 
 
 def gain(model: Trained, motion: Motion, errors: dict[str, float]) -> dict[str, float]:
-    """{``GAIN``: what the network takes off the filter's error of windows (B, T), a share}; errors: the model's own."""
+    """Computes {``GAIN``: the share by which the network lowers the analytic estimate's error on windows (B, T)};
+    errors: those of ``model``."""
     alone = silenced(model).errors(motion, torch.Generator().manual_seed(0))
     return {GAIN: 1 - sum(errors[name] for name in alone) / sum(alone.values())}
 
 
 def save_denoiser(path: Path | str, model: Trained, about: dict, *, half: bool = False) -> None:
-    """Write ``path`` (.safetensors) and its recipe (.json), with ``about`` beside it. half: weights as float16."""
+    """Writes ``path`` (.safetensors) and its recipe (.json), with ``about`` beside it. half: weights as float16."""
     weights = {f"denoiser.{name}": value for name, value in model.denoiser.state_dict().items()}
     data = {f"denoiser.{name}" for name, _ in model.denoiser.named_buffers()}
     weights = {k: v.half() if half and k not in data else v for k, v in weights.items()}
@@ -218,7 +219,7 @@ def save_denoiser(path: Path | str, model: Trained, about: dict, *, half: bool =
 
 
 def load_denoiser(path: Path | str) -> Trained:
-    """A model as ``save_denoiser`` wrote it, frozen, on the CPU.
+    """Reads a model as ``save_denoiser`` wrote it, frozen, on the CPU.
 
     Raises:
         DataError: a file is missing, damaged or half written, does not belong to the other, or is of another model.
@@ -244,7 +245,7 @@ def load_denoiser(path: Path | str) -> Trained:
 
 @cache
 def motion_model(name: str) -> Trained:
-    """A model that ships with the project, as "diffusion_free", or lies at a path; loaded once.
+    """Loads a model that ships with the project, as "diffusion_free", or the one at a path; once.
 
     Raises:
         DataError: no such checkpoint, or damaged.

@@ -1,4 +1,4 @@
-"""Two finishes by inverse kinematics: feet that stand stay in place, and handles come to their targets.
+"""Finishes motions by inverse kinematics: standing feet stay in place, and handles come to their targets.
 
 Feet (:func:`planted`): where the ball of a foot or an ankle is said to stand, or is low and slow, it stands. Every run
 of such frames gets one place, the mean of where the ball was in it. In between, the shift of the ball goes in a line
@@ -42,7 +42,7 @@ _HIPS, _KNEES = ("left_hip", "right_hip"), ("left_knee", "right_knee")
 
 
 def planted(motion: Motion, *, slow: bool = True) -> Motion:
-    """Motions (B, T) on one body whose feet stay in place wherever their contacts say so.
+    """Computes motions (B, T) on one body whose feet stay in place wherever their contacts say so.
 
     slow: and where they are low and slow: motion that was filled in knows its contacts no better than its legs, and
     what stands on a step has none. A sample, whose contacts were made with its legs, only grows calmer by that.
@@ -130,7 +130,7 @@ def reach_targets(
     *,
     steps: int = 10,
 ) -> Motion:
-    """The motion with its handles at their targets, every frame for itself.
+    """Computes the motion with its handles at their targets, every frame for itself.
 
     With J the change of the handles' positions by small turns of all joints about world axes (and by shifts of the
     root), each step is J^T (J J^T + damping)^-1 of what is missing: of all steps that close the gap the smallest. A

@@ -1,13 +1,12 @@
-"""Pose completion: a whole pose from a few joints, its handles, by diffusion of single poses
-(of windows with gaps: ``inpainting``).
+"""Completes a whole pose from a few of its joints, the handles, by diffusion of single poses (windows: ``inpainting``).
 
 Three ways. ``keep``: the thesis's baseline, inpainting (Eq. 4.10) with rotations kept. ``complete`` with ``guidance``:
 every estimate of x_0 is pulled to where its handles are at their targets (reconstruction guidance, Ho et al. 2022,
-through forward kinematics). ``complete`` of a model that hears of handles: thesis 4.2.4, "handle conditioning".
+through forward kinematics). ``complete`` of a model that takes handles: thesis 4.2.4, "handle conditioning".
 Behind any of them a few steps of inverse kinematics bring the handles home (``planting.reach_targets``).
 
 Targets and poses are in the pose's own stuck frame (see ``masks``).
-Source: thesis 4.2.4. Differs: the finish by inverse kinematics; handles are told with the places they should have.
+Source: thesis 4.2.4. Differs: the finish by inverse kinematics; handles are given by the places they should have.
 """
 
 from __future__ import annotations
@@ -41,9 +40,9 @@ def complete(
     finish: bool = True,
     guidance: float = 0.0,
 ) -> Motion:
-    """Poses (B, 1) on the standard body whose handles are at their targets, or near them without ``finish``.
+    """Computes poses (B, 1) on the standard body whose handles are at their targets, or near them without ``finish``.
 
-    A model that hears of no handles, without guidance, makes poses that know nothing of them.
+    A model that takes no handles, without guidance, makes poses that ignore them.
 
     Args:
         model: of single poses. targets: (B, 22, 3) metres; those of free joints are not read. which: bool (B, 22),
@@ -85,7 +84,7 @@ def _pulled(denoise: DenoiseFunction, model: Trained, targets: Tensor, which: Te
 
 
 def finished(motion: Motion, targets: Tensor, which: Tensor, steps: int = _FINISH) -> Motion:
-    """Poses (B, 1) with their handles brought to the targets (B, 22, 3) by inverse kinematics."""
+    """Computes poses (B, 1) with their handles brought to the targets (B, 22, 3) by inverse kinematics."""
     goal = torch.where(which[..., None], targets, torch.nan)
     return reach_targets(motion, motion.skeleton.names, goal[:, None], steps=steps)
 
@@ -99,7 +98,7 @@ def keep(
     chains: bool = True,
     steps: int = _STEPS,
 ) -> Motion:
-    """Poses (B, 1) made anew around what is ``_kept_numbers`` of others: the thesis's inpainting, Eq. 4.10."""
+    """Computes poses (B, 1) by inpainting (Eq. 4.10): ``_kept_numbers`` of given poses stay, the rest is sampled."""
     _check(model, motion.positions[:, 0], which)
     return repair(model, motion, _kept_numbers(model.layout, which, chains), generator, Way(steps=steps))
 

@@ -1,4 +1,4 @@
-"""The noising process, and from noise back to signal: DDPM steps, DDIM steps, RePaint.
+"""The noising process and its reversal: DDPM steps, DDIM steps, RePaint.
 
 Noising steps are counted from 0: step t has been noised t + 1 times, the thesis's t + 1. All tables are float64.
 
@@ -65,7 +65,7 @@ class NoiseSchedule:
         return 1 - self.alpha
 
     def respaced(self, count: int) -> NoiseSchedule:
-        """The same process in fewer steps: evenly spaced from the first to the last, each with its old stamp.
+        """Returns the same process in fewer steps: evenly spaced from the first to the last, each with its old stamp.
 
         Source: Nichol and Dhariwal 2021, ``space_timesteps``.
         """
@@ -76,7 +76,7 @@ class NoiseSchedule:
         return NoiseSchedule(self.alpha_bar[keep], self.stamps[keep])
 
     def noised(self, x0: Tensor, t: Tensor | int, noise: Tensor) -> Tensor:
-        """x_t = sqrt(alpha_bar_t) x_0 + sqrt(1 - alpha_bar_t) noise, Eq. 4.3.
+        """Computes x_t = sqrt(alpha_bar_t) x_0 + sqrt(1 - alpha_bar_t) noise, Eq. 4.3.
 
         Args:
             x0, noise: (B, ...) of any unit. t: (B,) or one step for all; -1 is the clean signal.
@@ -85,14 +85,14 @@ class NoiseSchedule:
         return a.sqrt() * x0 + (1 - a).sqrt() * noise
 
     def posterior(self, x0: Tensor, xt: Tensor, t: Tensor | int) -> tuple[Tensor, Tensor]:
-        """Mean (B, ...) and variance (broadcasting) of q(x_{t-1} | x_t, x_0), Eqs. 4.6 and 4.7."""
+        """Computes mean (B, ...) and variance (broadcasting) of q(x_{t-1} | x_t, x_0), Eqs. 4.6 and 4.7."""
         scale = 1 / (1 - self.alpha_bar)
         towards = self._at(self.before.sqrt() * self.beta * scale, t, xt)
         stay = self._at(self.alpha.sqrt() * (1 - self.before) * scale, t, xt)
         return towards * x0 + stay * xt, self._at((1 - self.before) * self.beta * scale, t, xt)
 
     def noise_of(self, x0: Tensor, xt: Tensor, t: Tensor | int) -> Tensor:
-        """The noise (B, ...) that turned x_0 into x_t."""
+        """Computes the noise (B, ...) that turned x_0 into x_t."""
         a = self._at(self.alpha_bar, t, xt)
         return (xt - a.sqrt() * x0) / (1 - a).sqrt()
 
@@ -103,7 +103,7 @@ class NoiseSchedule:
 
 
 def cosine(steps: int = 1000, *, s: float = 0.008, power: float = 2.0) -> NoiseSchedule:
-    """alpha_bar(u) = (f(u) / f(0)), f(u) = cos^power((u + s) / (1 + s) pi / 2), u = (t + 1) / T, Eq. 4.4.
+    """Computes alpha_bar(u) = (f(u) / f(0)), f(u) = cos^power((u + s) / (1 + s) pi / 2), u = (t + 1) / T, Eq. 4.4.
 
     Each step replaces at most ``MOST`` of the variance.
 
@@ -119,7 +119,7 @@ def cosine(steps: int = 1000, *, s: float = 0.008, power: float = 2.0) -> NoiseS
 
 
 def noise_like(x: Tensor, generator: torch.Generator) -> Tensor:
-    """Standard normal numbers shaped as x, from an explicit generator."""
+    """Draws standard normal numbers shaped as x, from an explicit generator."""
     return torch.randn(x.shape, generator=generator, dtype=x.dtype, device=generator.device).to(x.device)
 
 
@@ -139,7 +139,7 @@ def ddpm(
     rest: int = 0,
     progress: bool = False,
 ) -> Tensor:
-    """Samples (B, ...) of p(x_0) by x_{t-1} ~ q(x_{t-1} | x_t, x_0 estimate), Eq. 4.6; no noise in the last step.
+    """Draws samples (B, ...) of p(x_0) by x_{t-1} ~ q(x_{t-1} | x_t, x_0 estimate), Eq. 4.6; no noise in the last step.
 
     Args:
         x: x_T (B, ...), or x_start where the signal is already partly there. start: its step; default the last.
@@ -170,7 +170,7 @@ def ddim(
     *,
     after: After | None = None,
 ) -> Tensor:
-    """Samples (B, ...) by steps that keep the estimated noise and draw none (eta = 0)."""
+    """Draws samples (B, ...) by steps that keep the estimated noise and draw none (eta = 0)."""
     for t in range(len(schedule) - 1, -1, -1):
         x0, before = denoise(x, _stamps(schedule, t, x)), schedule.before[t]
         x = before.sqrt().to(x) * x0 + (1 - before).clamp(min=0).sqrt().to(x) * schedule.noise_of(x0, x, t)
@@ -190,8 +190,8 @@ def resampled(
     jump: int = 10,
     progress: bool = False,
 ) -> Tensor:
-    """DDPM that goes back and over again: every ``jump`` steps are walked ``times`` times, so that what is made and
-    what is known come to agree.
+    """Draws samples by RePaint: every ``jump`` steps are noised again and repeated, ``times`` times in all, so that
+    sampled and known parts come to agree.
 
     Source: RePaint (Lugmayr et al. 2022), algorithm 1, jump length and resampling count.
     """

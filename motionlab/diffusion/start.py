@@ -1,10 +1,10 @@
-"""What the known part says of the rest without a network: the start of a model that is told.
+"""Computes a first guess of x_0 from its known entries, without a network.
 
-``InitialGuess`` combines the rivals of such models. Training windows that are like what is known, or a Gaussian of few
-principal parts, say what goes with what. What they leave open is filled by smooth curves through what is known: the
+``InitialGuess`` has two steps. Training windows near the known entries, or a Gaussian of few principal parts, give the
+unknown entries that go with them. What is then left over at the known entries is passed on by smooth curves: the
 conditional mean, number by number, of a Gaussian process in time of Matern covariance 3/2. Like cubic splines these
-have a velocity that does not jump, but far from what is known they come back to zero. ``doubt`` says how far from the
-guess the truth may be. ``lines_between`` gives straight lines, which a network sees that has no such guess.
+have a velocity that does not jump, but far from known entries they come back to zero. ``doubt`` says how far from the
+guess the truth may be. ``lines_between`` gives straight lines, the input of a network that has no such guess.
 
 Source: Bishop 2006, 12.2 and 2.5.1; Rasmussen and Williams 2006, Eqs. 2.25 and 4.17 (curves); ReMoDiffuse (Zhang et al.
 2023), which also recalls training motion for a diffusion model.
@@ -28,8 +28,8 @@ _NOISE = 1e-5  # of its variance: of what is known, so that every pattern can be
 
 
 def lines_between(x: Tensor, known: Tensor) -> Tensor:
-    """x (B, T, D) where known (bool, B T D), straight lines between, held before the first and after the last known
-    frame, 0 where a column knows nothing. What x holds elsewhere is never read."""
+    """Computes x (B, T, D) with unknown entries (not ``known``, bool B T D) interpolated linearly in time, held at the
+    ends; 0 in a column without known ones. What x holds at unknown entries is never read."""
     before, after, any_known = _around(known)
     time = torch.arange(x.shape[-2], device=x.device)[:, None]
     share = (time - before) / (after - before).clamp(min=1)
@@ -38,8 +38,9 @@ def lines_between(x: Tensor, known: Tensor) -> Tensor:
 
 
 def doubt(known: Tensor) -> Tensor:
-    """(B, T, D), 0 where known, 1 in a column that knows nothing, else (h / (h + ``_SURE``))^2: h, frames, half the
-    harmonic mean of the distances to what is known on both sides, as of a Brownian bridge; on one side, that one."""
+    """Computes the uncertainty (B, T, D) of a guess from the mask: 0 where known, 1 in an unknown column, else (h / (h
+    + ``_SURE``))^2: h, frames, half the harmonic mean of the distances to known entries on both sides, as of a Brownian
+    bridge; on one side, that one."""
     before, after, any_known = _around(known)
     time = torch.arange(known.shape[-2], device=known.device)[:, None]
     left, right = (time - before).abs().float(), (after - time).abs().float()
@@ -59,7 +60,7 @@ def _around(known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def principal(rows: Tensor, parts: int, generator: torch.Generator) -> Tensor:
-    """F (D, K) with F F^T about the covariance of centred rows (N, D): its largest K axes, times their deviation.
+    """Computes a factor F (D, K), F F^T about the covariance of centred rows (N, D): K largest axes, times deviation.
 
     Source: Halko et al. 2011, randomised range finder with two power iterations.
     """
@@ -96,7 +97,7 @@ class InitialGuess(nn.Module):
 
     @torch.no_grad()
     def measure(self, x: Tensor, clips: Tensor, generator: torch.Generator) -> None:
-        """From normalised windows (N, T, D), more than ``_PARTS`` and at least ``recalls``, and their motions (N,)."""
+        """Measures the buffers on normalised windows (N, T, D) of motions (N,): N > ``_PARTS``, N >= ``recalls``."""
         rows = x.flatten(1)
         if len(rows) <= max(_PARTS, self.recalls - 1):
             raise ShapeError(f"x: expected {max(_PARTS + 1, self.recalls)} windows or more, got {len(rows)}")
@@ -109,8 +110,8 @@ class InitialGuess(nn.Module):
 
     @torch.no_grad()
     def forward(self, known: Tensor, mask: Tensor, own: Tensor | None = None) -> Tensor:
-        """known, mask (bool): (B, T, D). What ``known`` holds elsewhere is never read. own (B,): motions that must not
-        be recalled, as what a window was cut from when it is trained on."""
+        """Computes a guess (B, T, D) from known numbers and a mask (bool), (B, T, D); ``known`` is not read elsewhere.
+        own (B,): motions that must not be recalled, as what a window was cut from when it is trained on."""
         if known.shape[1:] != self.shape:
             raise ShapeError(f"known: expected {self.shape[0]} frames of {self.shape[1]} numbers, got {known.shape}")
         known = torch.where(mask, known, 0.0)

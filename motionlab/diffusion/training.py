@@ -1,4 +1,4 @@
-"""Training of a denoiser: guess x_0 from x_t at a random step; resumable to the bit, on one device or several.
+"""Trains a denoiser to estimate x_0 from x_t at a random step; resumable to the bit, on one device or several.
 
 Source: thesis 4.1.2; MDM (Tevet et al. 2022): AdamW without decay of the weights, steps drawn evenly.
 Differs: warm-up, cosine decay, clipped gradients; what ships is a moving average, chosen by a judge where there is
@@ -167,7 +167,7 @@ def _take_weights(model: Denoiser | Spectral | Linear, start: Trained, recipe: D
 
 
 def held_errors(held: Motion) -> Judge:
-    """Measures of a model on held-out windows (B, T): errors of x_0, and what the network adds to its filter."""
+    """Builds a judge that measures a model on held-out windows (B, T): errors of x_0, and the network's gain."""
 
     def measure(model: Trained) -> dict[str, float]:
         errors = model.errors(held, torch.Generator().manual_seed(0))

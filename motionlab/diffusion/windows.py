@@ -1,4 +1,4 @@
-"""What the denoiser learns from: windows of motions, from any frame on, and their mirror images."""
+"""Training windows of the denoiser: cut from motions at any frame, also mirrored."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Windows:
     mirrored: bool = True
 
     def draw(self, count: int, generator: torch.Generator) -> Motion:
-        """Windows (count, length) chosen evenly over all begins, each with its own body, at random in the mirror."""
+        """Draws windows (count, length) evenly over all begins, each with its own body, mirrored at random."""
         return self.drawn(count, generator)[0]
 
     def drawn(self, count: int, generator: torch.Generator) -> tuple[Motion, Tensor]:
-        """As :meth:`draw`, and the motions (count,) that the windows are of."""
+        """Draws windows as :meth:`draw`, and returns the motions (count,) that they are of, too."""
         begin = self.begins[torch.randint(len(self.begins), (count,), generator=generator)]
         motion = self._cut(begin)
         if not self.mirrored:
@@ -59,7 +59,7 @@ class Windows:
         return motion, self.clip[begin]
 
     def evenly(self, count: int) -> Motion:
-        """At most ``count`` windows, evenly over all begins, none in the mirror: the same at every call."""
+        """Returns at most ``count`` windows, evenly over all begins, none mirrored: the same at every call."""
         count = min(count, len(self.begins))
         return self._cut(self.begins[torch.linspace(0, len(self.begins) - 1, count).round().long()])
 
@@ -71,7 +71,7 @@ class Windows:
 
     @property
     def minutes(self) -> float:
-        """Of motion, without mirror images."""
+        """Minutes of motion, without mirror images."""
         return len(self.root) / self.fps / 60
 
     @property
@@ -84,7 +84,7 @@ class Windows:
 
 
 def gather(motions: Sequence[Motion], length: int, *, mirrored: bool = True) -> Windows:
-    """Windows of ``length`` frames of motions at one frame rate, all with contacts or none; shorter ones are left out.
+    """Cuts windows of ``length`` frames from motions at one frame rate, all with contacts or none; drops shorter ones.
 
     Raises:
         DataError: no motion is that long; frame rates differ; some have contacts and some not; numbers are not finite.
@@ -122,7 +122,7 @@ def gather(motions: Sequence[Motion], length: int, *, mirrored: bool = True) -> 
 
 
 def on_standard(motion: Motion) -> Motion:
-    """The motion on the standard body: retargeted with feet planted, then scaled, path and all, to its size.
+    """Computes the motion on the standard body: retargeted with feet planted, then scaled, path and all, to its size.
 
     Source: thesis 4.1.2: "retargeted to a standard skeleton". Contacts stay as they were labelled.
     """

@@ -136,7 +136,7 @@ class Stepper:
 
 
 class WayBack:
-    """The chain of T steps, walked backwards.
+    """Computes the gradients of a chain of T steps, from the last step to the first.
 
     past, after (T, B, 339), raw (T, B, 216): the states that the steps begin with, their results and raw changes.
     """

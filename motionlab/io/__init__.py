@@ -1,4 +1,4 @@
-"""Files in and out: every loader gives metres, seconds, z up, and a DataError where a file is at fault."""
+"""Reads and writes recordings: loaders give metres, seconds, z up, and raise a DataError where a file is at fault."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _npz_loader(path: str | Path) -> Callable:
 
 
 def load_npz(path: str | Path, **options) -> Motion | Positions:
-    """Read an AMASS, AMP or AniDance npz; options go to that loader."""
+    """Reads an AMASS, AMP or AniDance npz; options go to that loader."""
     return _npz_loader(path)(path, **options)
 
 
@@ -66,7 +66,7 @@ _NOT_ONE_FILE = {
 
 
 def load(path: str | Path, **options) -> Motion:
-    """Read one recording with the loader that its suffix names; options go to that loader.
+    """Reads one recording with the loader that its suffix names; options go to that loader.
 
     Raises:
         DataError: no loader for this suffix, the file is at fault, or it holds positions and no rotations.

@@ -130,7 +130,7 @@ def save(
     gender: str = "neutral",
     model: str = "smplh",
 ) -> None:
-    """Write a motion on SMPL's 22 joints as an AMASS npz that ``load`` with the same offset gives back exactly.
+    """Writes a motion on SMPL's 22 joints as an AMASS npz that ``load`` with the same offset gives back exactly.
 
     trans = root - pelvis_offset; joints that the model adds are zero; contacts are kept under ``contacts``.
 

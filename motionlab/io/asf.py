@@ -42,7 +42,7 @@ class _Asf:
 
 
 def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: float | None = None) -> Motion:
-    """Read a skeleton and one take: metres, z up, the skeleton of the ASF.
+    """Reads a skeleton and one take: metres, z up, the skeleton of the ASF.
 
     A joint carries the name of the bone that starts there; where a bone has no child its far end is a
     leaf joint ``<bone>_end``. With C the bone's axis and M the turn by its degrees of freedom, both

@@ -36,7 +36,7 @@ _REMEDY = "export the BVH again, or repair the line"
 def load(
     path: str | Path, *, unit: str | float | None = None, up: str | None = None, translations: str = "strict"
 ) -> Motion:
-    """Read a BVH file: metres, z up, the file's own skeleton and rest pose.
+    """Reads a BVH file: metres, z up, the file's own skeleton and rest pose.
 
     Position channels replace a joint's OFFSET. A Motion translates at one joint, so the root is the
     deepest joint of the unbranched chain at the top whose position channels move (Bandai-Namco: Hips
@@ -65,7 +65,7 @@ def load(
 
 
 def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | float = "cm", up: str = "y") -> None:
-    """Write one motion as BVH, six channels at the root and three at every other joint.
+    """Writes one motion as BVH, six channels at the root and three at every other joint.
 
     Numbers have six decimals (1e-8 m in cm, 1e-6 degrees), the frame time ten. Joints are written depth
     first, as BVH demands, and come back in that order: match them by name. Leaf joints named

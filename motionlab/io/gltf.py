@@ -42,7 +42,7 @@ def save(
     influences: int = 4,
     colour: tuple[float, float, float] = (0.62, 0.66, 0.72),
 ) -> None:
-    """Write one clip as an animated GLB: joints as nodes, one key per frame, and the body as a skinned mesh.
+    """Writes one clip as an animated GLB: joints as nodes, one key per frame, and the body as a skinned mesh.
 
     The nodes rest at the first frame. The file appears whole or not at all. Contacts are not kept.
 
@@ -76,7 +76,7 @@ def save(
 
 
 def load(path: str | Path) -> Motion:
-    """Read the first animation of a GLB as a motion with the file's own skeleton.
+    """Reads the first animation of a GLB as a motion with the file's own skeleton.
 
     The joints are those of the first skin, or of the animation where there is no skin. Every animated
     joint needs a key per frame at one steady rate, as :func:`save` and Blender's sampled export write.

@@ -1,4 +1,4 @@
-"""OpenPose: folders with one JSON file of detected people per frame; who is who is found by tracking."""
+"""OpenPose: folders with one JSON file of detected people per frame; tracking tells the people apart."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ class Positions:
         return self.frames / self.fps
 
     def select(self, names: list[str] | tuple[str, ...]) -> Positions:
-        """Some of the points, in the order asked for; KeyError lists the names."""
+        """Returns some of the points, in the order asked for; KeyError lists the names."""
         for name in names:
             if name not in self.names:
                 raise KeyError(f"no point {name!r}; points are {', '.join(self.names)}")

@@ -1,4 +1,4 @@
-"""Opening files of strangers: whatever is wrong with one becomes a ``DataError`` with file, place and remedy.
+"""Reads files that may be damaged: whatever is wrong with one becomes a ``DataError`` with file, place and remedy.
 
 Every loader does its work inside ``with reading(path, remedy) as at``, moves ``at.place`` along as it
 reads, and raises ``at.error(...)`` where it finds something wrong. Nothing here executes what it reads.
@@ -32,14 +32,14 @@ class Spot:
     remedy: str = ""
 
     def error(self, message: str, *, place: str | None = None, remedy: str | None = None) -> DataError:
-        """The error to raise here."""
+        """Returns the error to raise here."""
         place, remedy = place if place is not None else self.place, remedy or self.remedy
         return DataError(message, path=self.path, place=place or "whole file", remedy=remedy)
 
 
 @contextmanager
 def reading(path: str | Path, remedy: str = "export the file again") -> Iterator[Spot]:
-    """Turn every exception that leaves the block into a ``DataError`` that names file, place and remedy.
+    """Turns every exception that leaves the block into a ``DataError`` that names file, place and remedy.
 
     It catches ``Exception`` on purpose: a malformed file can surface as almost any type (zlib.error,
     RecursionError, MemoryError, OverflowError, ...). The original stays attached as ``__cause__``.

@@ -1,4 +1,4 @@
-"""How far two sets of motions are from each other: a few numbers per window, and who can tell them apart."""
+"""Measures how far two sets of motions are apart: by a few numbers per window, and by how well they are told apart."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def skating_ratio(positions: Tensor, fps: float, *, height: float = 0.05, speed:
 
 
 def slide_in_contact_mm(positions: Tensor, contacts: Tensor) -> Tensor:
-    """Mean displacement (...) in millimetres per frame of joints that touch in both frames; contacts (..., T, F)."""
+    """Computes the mean displacement (...), mm per frame, of joints that touch in both frames; contacts (..., T, F)."""
     check_shape(positions, "... T F 3", "positions")
     step = torch.linalg.vector_norm(positions.diff(dim=-3), dim=-1) * 1000
     on = contacts > 0.5
@@ -100,7 +100,7 @@ def slide_in_contact_mm(positions: Tensor, contacts: Tensor) -> Tensor:
 
 
 def slide_where_truth_stands_mm(positions: Tensor, truth: Tensor, *, still: float = 0.01) -> Tensor:
-    """Mean displacement (...) in millimetres per frame where the true joint moves less than ``still`` metres per frame.
+    """Computes the mean displacement (...) in mm per frame where the true joint moves less than ``still`` m per frame.
 
     Source: foot sliding of WHAM and GVHMR (there of four sole vertices, at 30 fps).
     """

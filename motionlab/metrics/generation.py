@@ -1,4 +1,4 @@
-"""How far a set of generated motions is from real ones: measures between feature tensors (N, D), in float64.
+"""Measures how far a set of generated motions is from real ones, between feature tensors (N, D), in float64.
 
 Every measure tells the sizes of its sets, as most of them change with it.
 """
@@ -55,7 +55,7 @@ def _frechet_of_gaussians(mean: Tensor, cov: Tensor, other_mean: Tensor, other_c
 
 
 def frechet(generated: Tensor, real: Tensor) -> Score:
-    """Frechet distance (FID) between sets (N, D) and (M, D), in squared units of the features; grows as N shrinks.
+    """Computes the Frechet distance (FID) of sets (N, D), (M, D), in squared units of the features; grows as N shrinks.
 
     Raises:
         ShapeError: fewer than two samples a side, or different D. DataError: a feature is not finite.
@@ -87,7 +87,7 @@ def kid(
     size: int = 1000,
     replacement: bool = False,
 ) -> Score:
-    """Kernel distance: mean of :func:`_polynomial_mmd` over random subsets, and its spread; its mean is free of N.
+    """Computes the kernel distance, whose mean is free of N: :func:`_polynomial_mmd` over random subsets; its spread.
 
     Subsets have ``size`` samples, or as many as the smaller set has; where neither set leaves a choice there is one
     subset. The score's n and m are the sets', not the subsets'.
@@ -217,7 +217,7 @@ def diversity(x: Tensor, generator: torch.Generator | None = None, pairs: int | 
 
 
 def nearest_rows(queries: Tensor, library: Tensor, batch: int = 4096) -> tuple[Tensor, Tensor]:
-    """Distance (N,) in float64 and index (N,) of the nearest row of a library (M, D) for queries (N, D), by batches."""
+    """Computes distance (N,), float64, and index (N,) of the row of a library (M, D) nearest to each query (N, D)."""
     if queries.ndim != 2 or library.ndim != 2 or queries.shape[1] != library.shape[1] or not len(library):
         raise ShapeError(f"expected (N, D) and (M > 0, D), got {tuple(queries.shape)} and {tuple(library.shape)}")
     rows = library.split(batch)

@@ -1,4 +1,4 @@
-"""How good a filled gap is: the measures of the LAFAN1 benchmark; the seam and the keyframes in metres.
+"""Measures how well a gap is filled: the LAFAN1 benchmark's measures; the seam and the keyframes in metres.
 
 L2Q, L2P and NPSS have no unit that means anything outside the benchmark: norms over whole poses. They take the
 quaternions and positions that the benchmark's protocol makes (``studies.shared.lafan_benchmark``).
@@ -18,7 +18,7 @@ from motionlab.metrics.pose import joint_errors, masked_mean
 
 
 def l2q(predicted: Tensor, truth: Tensor) -> Tensor:
-    """Mean over frames (...) of |q^ - q| over all joints of a pose; global quaternions (..., T, J, 4) with their signs.
+    """Computes the mean over frames (...) of |q^ - q| over all joints; global quaternions (..., T, J, 4) with signs.
 
     q and -q are one rotation and here as far apart as can be: signs come from continuity in time of the
     local quaternions, never from aligning the prediction with the truth.
@@ -30,7 +30,7 @@ def l2q(predicted: Tensor, truth: Tensor) -> Tensor:
 
 
 def l2p(predicted: Tensor, truth: Tensor, mean: Tensor, std: Tensor) -> Tensor:
-    """Mean over frames (...) of |p^ - p| over all joints of a pose, each coordinate divided by its deviation.
+    """Computes the mean over frames (...) of |p^ - p| over all joints, each coordinate divided by its deviation.
 
     Positions (..., T, J, 3), mean and std (J, 3), all in one unit: the result has none. The mean cancels.
 
@@ -48,7 +48,7 @@ def l2p(predicted: Tensor, truth: Tensor, mean: Tensor, std: Tensor) -> Tensor:
 
 
 def npss(predicted: Tensor, truth: Tensor) -> float:
-    """Distance of power spectra of signals (N, T, D), 0 for equal ones: the benchmark's NPSS over N clips.
+    """Computes the distance of power spectra of signals (N, T, D), 0 for equal ones: the benchmark's NPSS over N clips.
 
     P = (Re F x)^2 over all T frequencies, normalised to sum 1 per clip and signal; the sum over frequencies of
     |cumulated P^ - cumulated P|; averaged with the truth's total power as weight. Of the Fourier coefficients only the
@@ -120,7 +120,7 @@ def step_changes(positions: Tensor, fps: float) -> Tensor:
 
 
 def natural_changes(positions: Tensor, fps: float) -> Tensor:
-    """:func:`step_changes` of real motion (..., T, J, 3) at every step with two neighbours, as one list (K,) in m/s."""
+    """Computes :func:`step_changes`, m/s, of real motion (..., T, J, 3) at steps with two neighbours, one list (K,)."""
     return step_changes(positions, fps)[..., 1:-1].flatten()
 
 
@@ -144,7 +144,7 @@ class KeyframeError(NamedTuple):
 
 
 def keyframe_error(predicted: Tensor, truth: Tensor, known: Tensor) -> KeyframeError:
-    """Distance between positions (..., T, J, 3) in metres, world, at the frames that were given; known (..., T)."""
+    """Computes distances of positions (..., T, J, 3), metres, world, at the frames that were given; known (..., T)."""
     errors = joint_errors(predicted, truth, align="none")
     kept = known.bool()[..., None].expand(errors.shape)
     worst = torch.where(kept, errors, -torch.inf).amax((-1, -2))

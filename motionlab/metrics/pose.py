@@ -78,7 +78,7 @@ def joint_errors(predicted: Tensor, truth: Tensor, *, align: str) -> Tensor:
 
 
 def mpjpe(predicted: Tensor, truth: Tensor, *, align: str, mask: Tensor | None = None) -> Tensor:
-    """Mean per-joint position error (...) in metres; ``mask`` (..., T, J) chooses what counts.
+    """Computes the mean per-joint position error (...) in metres; ``mask`` (..., T, J) chooses what counts.
 
     All joints take part in the alignment (see :func:`joint_errors`), also those that do not count.
     """
@@ -86,7 +86,7 @@ def mpjpe(predicted: Tensor, truth: Tensor, *, align: str, mask: Tensor | None =
 
 
 def mpjpe_visible_occluded(predicted: Tensor, truth: Tensor, visible: Tensor, *, align: str) -> tuple[Tensor, Tensor]:
-    """Mean error (...) in metres of the joints that were seen and of those that were not; ``visible`` (..., T, J)."""
+    """Computes the mean error (...) in metres of joints that were seen, and that were not; ``visible`` (..., T, J)."""
     errors = joint_errors(predicted, truth, align=align)
     return masked_mean(errors, visible, 2), masked_mean(errors, ~visible.bool(), 2)
 
@@ -98,18 +98,18 @@ def acceleration(positions: Tensor, fps: float) -> Tensor:
 
 
 def mean_acceleration(positions: Tensor, fps: float) -> Tensor:
-    """Mean size (...) of the acceleration in m/s^2; NaN for fewer than three frames."""
+    """Computes the mean size (...) of the acceleration in m/s^2; NaN for fewer than three frames."""
     return masked_mean(acceleration(positions, fps), None, 2)
 
 
 def acceleration_error(predicted: Tensor, truth: Tensor, fps: float) -> Tensor:
-    """Mean size (...) of the difference of accelerations in m/s^2; NaN for fewer than three frames."""
+    """Computes the mean size (...) of the difference of accelerations in m/s^2; NaN for fewer than three frames."""
     _check_pair(predicted, truth)
     return masked_mean(acceleration(predicted - truth, fps), None, 2)
 
 
 def jitter(positions: Tensor, fps: float) -> Tensor:
-    """Mean size (...) of the third time derivative in m/s^3; NaN for fewer than four frames."""
+    """Computes the mean size (...) of the third time derivative in m/s^3; NaN for fewer than four frames."""
     check_shape(positions, "... T J 3", "positions")
     jerk = torch.linalg.vector_norm(positions.diff(n=3, dim=-3), dim=-1) * fps**3
     return masked_mean(jerk, None, 2)

@@ -1,4 +1,4 @@
-"""A time slider in JupyterLab; a static picture where nobody turns it."""
+"""A time slider in JupyterLab, or a static picture."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def slider(
     size=None,
     follow=False,
 ):
-    """Motions side by side under a time slider with a play button, which plays as fast as life.
+    """Builds a time slider over motions side by side, with a play button that plays at the speed of life.
 
     Where drawing cannot keep up, frames are skipped; the clock is that of the picture shown.
 

@@ -19,7 +19,7 @@ _SIDES, _ROUND = 16, np.linspace(0, np.pi / 2, 5)
 
 
 def single(motion: Motion) -> Motion:
-    """The motion itself, if it is one clip with frames and finite numbers in it.
+    """Returns the motion itself, if it is one clip with frames and finite numbers in it.
 
     Raises:
         ShapeError: a batch of motions, several bodies, or no frames. DataError: a frame that is not finite.
@@ -53,7 +53,7 @@ class Figure:
     colours: np.ndarray
 
     def pose(self, positions: np.ndarray, orientations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World vertices and normals (V, 3) for joint positions (J, 3) and orientations (J, 3, 3).
+        """Computes world vertices and normals (V, 3) for joint positions (J, 3) and orientations (J, 3, 3).
 
         x = R_joint v + p_joint
         """
@@ -169,7 +169,7 @@ def _any_body(skeleton: Skeleton, offsets: np.ndarray):
 
 @lru_cache(maxsize=16)  # a strip shows one skeleton many times
 def build(skeleton: Skeleton, base: str | tuple) -> Figure:
-    """A figure of one colour in three tones for any skeleton: a mannequin for the standard joints, else plain bones.
+    """Builds a figure in three tones of a colour for any skeleton: a mannequin for the standard joints, else bones.
 
     Radii follow the lengths of the bones; the soles of the mannequin lie ``skeleton.sole`` below its balls.
     """
@@ -202,12 +202,12 @@ SKIN = {"ambient": 0.2, "diffuse": 0.8, "specular": 0.12, "specular_power": 20}
 
 
 def array(x: Tensor) -> np.ndarray:
-    """A tensor as a float64 array."""
+    """Returns a tensor as a float64 array."""
     return x.detach().double().cpu().numpy()
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3): the area-weighted mean of the faces around each vertex."""
+    """Computes unit normals (V, 3): the area-weighted mean of the faces around each vertex."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     face = np.cross(b - a, c - a)
     rows, columns = faces.T.ravel(), np.tile(np.arange(len(faces)), 3)
@@ -217,14 +217,14 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def surface(points: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> pv.PolyData:
-    """A mesh that keeps the given normals when its points move in place."""
+    """Builds a mesh that keeps the given normals when its points move in place."""
     mesh = pv.PolyData.from_regular_faces(np.array(points, float), np.asarray(faces))
     mesh.point_data.active_normals = np.array(normals, float)
     return mesh
 
 
 def move_surface(mesh: pv.PolyData, points: np.ndarray, normals: np.ndarray) -> None:
-    """Move a mesh in place: no new actor, no new topology."""
+    """Moves a mesh in place: no new actor, no new topology."""
     mesh.points[:], mesh.point_data.active_normals[:] = points, normals
     mesh.GetPoints().GetData().Modified()
     mesh.GetPointData().GetNormals().Modified()
@@ -232,7 +232,7 @@ def move_surface(mesh: pv.PolyData, points: np.ndarray, normals: np.ndarray) -> 
 
 
 def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 1.0) -> None:
-    """Show a surface in one colour (r, g, b), or in a colour per vertex (V, 3) uint8."""
+    """Shows a surface in one colour (r, g, b), or in a colour per vertex (V, 3) uint8."""
     if isinstance(paint, np.ndarray):
         mesh.point_data["paint"] = paint
         look = {"scalars": "paint", "rgb": True}
@@ -243,7 +243,7 @@ def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 
 
 
 def add_field(plotter: pv.Plotter, mesh: pv.PolyData, values: np.ndarray, title: str, limits, cmap: str) -> None:
-    """Show a scalar per vertex on a surface, with a bar that names it."""
+    """Shows a scalar per vertex on a surface, with a bar that names it."""
     mesh.point_data["field"] = values
     height = plotter.window_size[1]
     bar = {
@@ -259,20 +259,20 @@ def add_field(plotter: pv.Plotter, mesh: pv.PolyData, values: np.ndarray, title:
 
 
 def polyline(path: np.ndarray) -> pv.PolyData:
-    """One line through points (T, 3); a single point gives a line without length."""
+    """Builds one line through points (T, 3); a single point gives a line without length."""
     path = np.repeat(path, 2, axis=0) if len(path) == 1 else path
     return pv.PolyData(np.array(path, float), lines=[len(path), *range(len(path))])
 
 
 def add_line(plotter: pv.Plotter, line: pv.PolyData, paint, width: float) -> None:
-    """Show a line ``width`` pixels wide."""
+    """Shows a line ``width`` pixels wide."""
     plotter.add_mesh(
         line, color=paint, line_width=width, render_lines_as_tubes=True, reset_camera=False, ambient=0.6, diffuse=0.4
     )
 
 
 def add_lights(plotter: pv.Plotter) -> None:
-    """Three lights that travel with the eye: a warm key from the upper left, a cool fill, a rim from behind."""
+    """Adds three lights that travel with the eye: a warm key from the upper left, a cool fill, a rim from behind."""
     for position, tint, strength in (
         ((-1.4, 1.8, 2.0), "#fff6ea", 1.0),
         ((2.0, 0.3, 1.4), "#e6efff", 0.6),
@@ -283,17 +283,17 @@ def add_lights(plotter: pv.Plotter) -> None:
 
 
 def add_title(plotter: pv.Plotter, text: str, height: int) -> None:
-    """A label above the panel."""
+    """Adds a label above the panel."""
     plotter.add_text(text, position="upper_edge", font_size=max(round(height / 42), 7), color=INK, font="arial")
 
 
 def add_caption(plotter: pv.Plotter, height: int):
-    """A line of text in the lower left corner; set it with ``.set_text("lower_left", ...)``."""
+    """Adds a line of text in the lower left corner; set it with ``.set_text("lower_left", ...)``."""
     return plotter.add_text(" ", position="lower_left", font_size=max(round(height / 60), 6), color=INK, font="arial")
 
 
 def add_label(plotter: pv.Plotter, point: np.ndarray, text: str, height: int) -> None:
-    """A word at a point of the world, upright on the screen."""
+    """Adds a word at a point of the world, upright on the screen."""
     plotter.add_point_labels(
         point[None], [text], font_size=max(round(height / 22), 10), text_color=INK, font_family="arial", bold=False,
         show_points=False, shape=None, always_visible=True, reset_camera=False, justification_horizontal="center",

@@ -70,7 +70,7 @@ def side_by_side(
 
 
 def drawn(times: np.ndarray) -> np.ndarray:
-    """The times (N,) at which a film's pictures are drawn: all of them, of a draft a few, the ends among them."""
+    """Returns the times (N,) at which a film's pictures are drawn: all, or for a draft a few, both ends among them."""
     if viz.draft and len(times) > _DRAFT:
         return times[np.linspace(0, len(times) - 1, _DRAFT).round().astype(int)]
     return times
@@ -105,7 +105,7 @@ class Film:
 def write_film(
     pictures: Sequence[np.ndarray], path: str | Path, fps: float, budget: int = 700_000
 ) -> tuple[int, float, int]:
-    """Write pictures (H, W, 3) uint8 as a .gif that loops or an .mp4; returns its frames, rate and bytes.
+    """Writes pictures (H, W, 3) uint8 as a .gif that loops or an .mp4; returns its frames, rate and bytes.
 
     A GIF that would be larger than ``budget`` bytes gets fewer colours, then fewer frames per second; it keeps
     its length.
@@ -148,7 +148,7 @@ def stage(
     size: tuple[int, int] | None = None,
     **view,
 ) -> tuple[Scene, float]:
-    """A scene with a floor and one panel per motion, and the seconds until the longest has ended.
+    """Builds a scene with a floor and one panel per motion; returns it and the seconds until the longest has ended.
 
     The arguments are those of :func:`film`; ``view`` goes to :class:`~motionlab.viz.scene.Scene`.
     """
@@ -180,7 +180,7 @@ def film(
     follow: bool = False,
     azimuth: float | None = None,
 ) -> Film:
-    """Write motions side by side in sync, each under its label, as a GIF or MP4.
+    """Writes motions side by side in sync, each under its label, as a GIF or MP4.
 
     Args:
         motions: one, or label -> motion. A label that names a role has its colour, others are "ours";
@@ -216,7 +216,7 @@ def strip(
     size: tuple[int, int] = (1200, 330),
     azimuth=None,
 ) -> np.ndarray:
-    """``n`` poses evenly through time, side by side in one picture (H, W, 3), each over its time in seconds.
+    """Draws ``n`` poses evenly through time, side by side in one picture (H, W, 3), each over its time in seconds.
 
     Travel is taken out; heights above the floor are kept.
     """

@@ -26,7 +26,7 @@ PAPER, TILE, LINE, INK = "#f6f7f9", "#e4e7ec", "#c3c9d3", "#30343b"
 
 
 def colour(role: str | tuple[float, float, float]) -> tuple[float, float, float]:
-    """The colour of a role as (r, g, b) in 0..1; a colour is its own.
+    """Returns the colour of a role as (r, g, b) in 0..1; a colour stands for itself.
 
     Raises:
         KeyError: no such role; lists the roles.
@@ -39,12 +39,12 @@ def colour(role: str | tuple[float, float, float]) -> tuple[float, float, float]
 
 
 def blend(a: str | tuple, b: str | tuple, share: float) -> tuple[float, float, float]:
-    """The colour a fraction ``share`` of the way from a to b, (r, g, b) in 0..1."""
+    """Computes the colour a fraction ``share`` of the way from a to b, (r, g, b) in 0..1."""
     return tuple((1 - share) * x + share * y for x, y in zip(to_rgb(a), to_rgb(b), strict=True))
 
 
 def sides(base: str | tuple) -> dict[str, tuple[float, float, float]]:
-    """Three tones of one colour: the left of a body is light, the right is dark, the middle between."""
+    """Computes three tones of one colour: the left of a body is light, the right is dark, the middle between."""
     return {
         "left": blend(base, "white", 0.42),
         "middle": blend(base, "white", 0.16),
@@ -53,7 +53,7 @@ def sides(base: str | tuple) -> dict[str, tuple[float, float, float]]:
 
 
 def side_of(name: str) -> str:
-    """ "left", "right" or "middle", from the name of a joint or keypoint in the usual spellings.
+    """Returns "left", "right" or "middle", from the name of a joint or keypoint in the usual spellings.
 
     >>> [side_of(name) for name in ("left_hip", "RightArm", "lfemur", "Hand_L_end", "mixamorig:LeftFoot", "lowerback")]
     ['left', 'right', 'left', 'left', 'left', 'middle']

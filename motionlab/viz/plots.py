@@ -1,4 +1,4 @@
-"""Plots on paper: numbers over time, distributions; a canvas and colours for other figures.
+"""Plots as matplotlib figures: numbers over time, distributions; a canvas and colours for other figures.
 
 Every function returns a matplotlib Figure that pyplot does not know; nothing global is changed. A series
 whose label names a role has its colour, others take theirs from ``roles`` (label -> role) or in turn.
@@ -38,14 +38,14 @@ def canvas(
     sharex: bool | str = False,
     sharey: bool | str = False,
 ) -> tuple[Figure, np.ndarray]:
-    """A figure of ``size`` inches in the house style and its axes in reading order (rows * columns,)."""
+    """Returns a figure of ``size`` inches in the house style and its axes in reading order (rows * columns,)."""
     with rc_context(_STYLE):
         figure = Figure(figsize=size, layout="constrained")
         return figure, figure.subplots(rows, columns, sharex=sharex, sharey=sharey, squeeze=False).ravel()
 
 
 def paints(labels: Sequence[str], roles: Mapping[str, str] | None = None) -> dict[str, tuple[float, float, float]]:
-    """A colour for each label: its role's, or the next that is free."""
+    """Returns a colour for each label: its role's, or the next that is free."""
     named = {label: (roles or {}).get(label, label) for label in labels}
     wanted = [role for label, role in named.items() if role in ROLE or label in (roles or {})]
     free = [role for role in _TURN if role not in wanted] or list(_TURN)
@@ -65,7 +65,7 @@ def over_time(
     size: tuple[float, float] = (9.5, 2.9),
     log_from: float | None = None,
 ) -> Figure:
-    """One panel per case: median over clips of each series (B, T) or (T,) with its quartiles.
+    """Draws one panel per case: median over clips of each series (B, T) or (T,) with its quartiles.
 
     hidden: case -> mask (T,) of the frames to shade. log_from: a logarithmic axis that begins there.
     """
@@ -106,7 +106,7 @@ def boxes(
     roles: Mapping[str, str] | None = None,
     size: tuple[float, float] | None = None,
 ) -> Figure:
-    """One distribution per source on its own line: its density, the middle half as a bar, the median as a dot."""
+    """Draws one distribution per source on its own line: its density, the middle half as a bar, the median as a dot."""
     found = _samples(series)
     paint = paints(list(found), roles)
     _, (ax,) = canvas(size=size or (7.0, 0.8 + 0.42 * len(found)))

@@ -123,7 +123,7 @@ class Scene:
         return self
 
     def floor(self, panel: int | None = None) -> Scene:
-        """A checkerboard of 0.5 m tiles at z = 0 in one panel, or in all."""
+        """Adds a checkerboard of 0.5 m tiles at z = 0 in one panel, or in all."""
         self._floors |= set(range(len(self.panels))) if panel is None else {panel}
         self._framing = None
         return self
@@ -131,7 +131,7 @@ class Scene:
     def skeleton(
         self, motion: Motion, role: str | tuple = "ours", *, frame: int | None = None, shadow=0.42, panel: int = 0
     ) -> Scene:
-        """A figure with volume, its left side light and its right side dark.
+        """Adds a figure with volume, its left side light and its right side dark.
 
         ``frame`` holds one frame; by default the figure moves with the scene's time. ``shadow`` is how dark its
         shadow is, 0 for none.
@@ -161,7 +161,7 @@ class Scene:
         shadow: float = 0.42,
         panel: int = 0,
     ) -> Scene:
-        """The skin of a body moved by a motion; a ``field`` (V,) is painted on it, with a bar named ``title``."""
+        """Adds the skin of a body moved by a motion; a ``field`` (V,) is painted on it, with a bar named ``title``."""
         paint = blend(colour(role), "white", 0.3)
         faces = body.faces.cpu().numpy()
         mannequin.single(motion)
@@ -211,7 +211,7 @@ class Scene:
     def mesh(
         self, vertices, faces, paint: str | tuple = LINE, *, fps: float = 30.0, opacity=1.0, shadow=0.0, panel: int = 0
     ) -> Scene:
-        """A mesh of faces (F, 3) that stands still, (V, 3) metres, or moves, (T, V, 3) at ``fps``: a table, a wall."""
+        """Adds a mesh of faces (F, 3) that stands still, (V, 3) metres, or moves, (T, V, 3) at ``fps``: a table."""
         path, faces, plotter = np.asarray(vertices, float), np.asarray(faces), self._panel(panel)
         path = path[None] if path.ndim == 2 else path
         shade = None
@@ -231,7 +231,7 @@ class Scene:
         return self._watch(panel, path, fps)
 
     def points(self, points, role: str | tuple = "observation", *, radius: float = 0.02, panel: int = 0) -> Scene:
-        """Still markers at (N, 3) metres."""
+        """Adds still markers at (N, 3) metres."""
         at = np.asarray(points, float)
         ball = pv.Sphere(radius=radius, theta_resolution=24, phi_resolution=24)
         balls = pv.PolyData(at).glyph(geom=ball, scale=False, orient=False)
@@ -239,7 +239,7 @@ class Scene:
         return self._watch(panel, at[None])
 
     def trail(self, motion: Motion, joint: str, role: str | tuple = "ours", *, panel: int = 0) -> Scene:
-        """The path of a joint: pale as a whole, strong up to now."""
+        """Adds the path of a joint: pale as a whole, strong up to now."""
         path = mannequin.array(mannequin.single(motion).positions[:, motion.skeleton.index(joint)])
         plotter, paint, line = self._panel(panel), colour(role), mannequin.polyline(path)
         mannequin.add_line(plotter, mannequin.polyline(path), blend(paint, PAPER, 0.6), 2)
@@ -254,12 +254,12 @@ class Scene:
         return self._watch(panel, path[:, None], motion.fps)
 
     def caption(self) -> Callable[[str], None]:
-        """A line of text in the lower left corner; returns the function that sets it."""
+        """Adds a line of text in the lower left corner; returns the function that sets it."""
         text = mannequin.add_caption(self._panel(0), self.size[1])
         return lambda words: text.set_text("lower_left", words)
 
     def label(self, point, text: str, *, panel: int = 0) -> Scene:
-        """A word that stays upright at a point (3,) of the world."""
+        """Adds a word that stays upright at a point (3,) of the world."""
         mannequin.add_label(self._panel(panel), np.asarray(point, float), text, self.size[1])
         return self
 
@@ -282,7 +282,7 @@ class Scene:
             )
 
     def at(self, seconds: float) -> Scene:
-        """Move everything to a time."""
+        """Moves everything to a time."""
         self.seconds, fresh = float(seconds), self._framing is None
         for update in self._updates:
             update(self.seconds)
@@ -298,13 +298,13 @@ class Scene:
         return self
 
     def image(self, seconds: float | None = None) -> np.ndarray:
-        """The picture (H, W, 3) uint8 at a time, the present one by default."""
+        """Draws the picture (H, W, 3) uint8 at a time, the present one by default."""
         self.at(self.seconds if seconds is None else seconds)
         self.plotter.render()
         return np.ascontiguousarray(self.plotter.screenshot(return_img=True)[..., :3])
 
     def close(self) -> None:
-        """Give the window back."""
+        """Closes the window."""
         self.plotter.close()
 
     def __enter__(self) -> Scene:

@@ -1,4 +1,4 @@
-"""Where the eye stands: one direction and distance for all panels of a scene, or exactly a pinhole camera's."""
+"""Chooses where the eye of a scene stands: one direction and distance for all panels, or exactly a pinhole camera's."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Framing:
     radii: list[float]
 
     def aim(self, eye: pv.Camera, panel: int, seconds: float) -> None:
-        """Stand the eye of a panel where it belongs at a time."""
+        """Moves the eye of a panel to where it belongs at a time."""
         target = self.targets[panel]
         if self.tracks:
             track, fps = self.tracks[panel]
@@ -52,7 +52,7 @@ def choose_framing(
     headroom: float,
     footroom: float,
 ) -> Framing:
-    """Choose the view of all panels.
+    """Chooses the view of all panels.
 
     Panels share one target while that costs little distance, so that drift between them shows; motions in
     different places get their own.
@@ -155,7 +155,7 @@ def _half_angle(aspect: float) -> float:
 
 
 def match_camera(eye: pv.Camera, camera: Camera) -> None:
-    """Make a VTK camera see what a pinhole camera sees: any focal lengths, skew and principal point.
+    """Makes a VTK camera see what a pinhole camera sees: any focal lengths, skew and principal point.
 
     A pixel (u, v) of a w x h image is x = 2u/w - 1, y = 1 - 2v/h on VTK's screen, whatever its size in
     pixels, so a window of the same shape shows the same picture at any scale. VTK's own view angle knows

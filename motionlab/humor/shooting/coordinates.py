@@ -1,4 +1,4 @@
-"""Computes coordinates around a roll-out in which stage 3's energy is close to half their squared norm.
+"""Changes variables around a roll-out so that stage 3's energy is close to half the squared norm of the new variables.
 
     z_t = z^_t + K_t (x_t - x^_t) + L_t^-T nu_t,        first state and what is shared = L_0^-T nu_0
 
@@ -61,7 +61,7 @@ class Loop(NamedTuple):
     features: Tensor
 
     def rows(self, index: Tensor) -> Loop:
-        """Returns those of some clips, or of some several times; gains as roll-outs read them."""
+        """Returns the coordinates of some clips, which may repeat; gains as roll-outs read them."""
         gains = self.gains.transpose(0, 1)[:, index].transpose(0, 1)
         return Loop(*(x[index] for x in self._replace(gains=self.base)))._replace(gains=gains)
 
@@ -93,7 +93,7 @@ def moved(unknown: Unknowns, change: Tensor) -> Unknowns:
 # -------------------------------------------------------------------------------------------------- the linearisation
 @torch.no_grad()
 def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stride: int = 1) -> Loop:
-    """Computes the coordinates around the roll-out of unknowns (G, 1, ...), networks derived at every stride-th frame.
+    """Computes coordinates around the roll-out of unknowns (G, 1, ...), networks differentiated at stride-th frames.
 
     On a CPU one clip after another: the matrices of one stay in its cache.
     """
@@ -142,7 +142,7 @@ def _together(problem: Problem, unknown: Unknowns, ridge: float, stride: int) ->
 
 
 def padded_moves(moves: derivatives.TransitionSlopes, clips: int, n: int) -> tuple[Tensor, Tensor]:
-    """Computes A (B, T - 1, n, n) and B (B, T - 1, n, 48) from slopes of transitions; what is shared stays as it is."""
+    """Computes linear dynamics A (B, T - 1, n, n), B (B, T - 1, n, 48) from transitions' slopes; shape, camera stay."""
     of_change, of_z = (x.unflatten(0, (clips, -1)) for x in (moves.of_change, moves.of_z))
     a, b = of_change.new_zeros(*of_change.shape[:2], n, n), of_z.new_zeros(*of_z.shape[:2], n, LATENTS)
     a[..., :CHANGE, :CHANGE], b[..., :CHANGE, :] = of_change, of_z
@@ -151,8 +151,9 @@ def padded_moves(moves: derivatives.TransitionSlopes, clips: int, n: int) -> tup
 
 
 def prior_rows(z: Tensor, prior: Gaussian, slopes_: Tensor, n: int, weight: float) -> Tensor:
-    """Computes rows (N, 96, n + 48) of w (-log N(z; mu(x), sigma(x))): of (z - mu) / sigma, and of log sigma^2 with a
-    quarter of Fisher's information of it, 1/2: tried by hand, with none and all of it, on eight practice clips."""
+    """Computes Gauss-Newton rows (N, 96, n + 48) of the prior's negative log likelihood, w (-log N(z; mu(x),
+    sigma(x))): of (z - mu) / sigma, and of log sigma^2 with a quarter of Fisher's information of it, 1/2: tried by
+    hand, with none and all of it, on eight practice clips."""
     mean, log_var = (x.flatten(0, 1) for x in prior)
     of_mean, of_log_var = slopes_.chunk(2, 1)
     sharp = (-0.5 * log_var).exp().clamp(max=_SHARPEST) * weight**0.5
@@ -165,12 +166,12 @@ def prior_rows(z: Tensor, prior: Gaussian, slopes_: Tensor, n: int, weight: floa
 
 
 def key_frames(count: int, stride: int) -> Tensor:
-    """Computes the numbers of every ``stride``-th of so many frames, and of the last."""
+    """Computes the indices of every ``stride``-th of ``count`` frames, and of the last."""
     return torch.unique(torch.cat((torch.arange(0, count, stride), torch.tensor([count - 1]))))
 
 
 def between_keys(x: Tensor, keys: Tensor, clips: int) -> Tensor:
-    """Computes values at all frames (B frames, ...) from those at keys (B keys, ...), along straight lines."""
+    """Computes values at all frames (B frames, ...) from those at keys (B keys, ...), by linear interpolation."""
     count = int(keys[-1]) + 1
     if len(keys) == count:
         return x
@@ -197,9 +198,9 @@ def _embedded(gains: Tensor, x: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
 
 
 def first_shaper(problem: Problem, unknown: Unknowns, cost: Tensor, frames: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Computes L^-T (B, f, f) of the first state and what is shared: their own terms and P_0 through ``moved``; and, in
-    its coordinates, the matrix of all but the initial-state mixture (B, f, f), and how the features of that move (B,
-    138, f)."""
+    """Computes the whitening L^-T (B, f, f) of the first state, shape and camera from their Gauss-Newton matrix: their
+    own terms and P_0 through ``moved``. Also, in whitened coordinates, the matrix without the initial-state mixture (B,
+    f, f), and how the features of that move (B, 138, f)."""
     weights, view = problem.weights.of(3, frames=frames), problem.evidence.view
     shared = cost.shape[-1] - CHANGE
     count = _FIRST + shared
@@ -234,7 +235,7 @@ def mixed_features(problem: Problem, unknown: Unknowns) -> Tensor:
 
 
 def first_slopes(problem: Problem, unknown: Unknowns, count: int) -> Tensor:
-    """Computes how the change (B, n) of frame 0 answers to the first state's unknowns and what is shared: (B, n, f)."""
+    """Computes the derivative (B, n, f) of the change of frame 0 in the first state's unknowns, shape and camera."""
     clips, betas = len(unknown.betas), unknown.betas
     steps = _STEP * torch.eye(count, dtype=betas.dtype, device=betas.device)
     many = replace(unknown, z=None).map(lambda x: x.repeat_interleave(count, 0))

@@ -34,7 +34,7 @@ _POSITIONS[0] = _POSITIONS[3:25] = True
 
 
 class TransitionSlopes(NamedTuple):
-    """What z and a small change of frame t make of frame t + 1, N transitions.
+    """Derivatives of frame t + 1 in z and in a small change of frame t, N transitions.
 
     of_change (N, 210, 210) and of_z (N, 210, 48): columns are causes. turn (N, 3, 3): from the axes of frame t to
     those of frame t + 1 (as row vectors from the right, ``transition.Step.turn``).
@@ -51,7 +51,7 @@ def about_z(v: Tensor) -> Tensor:
 
 
 def transition_slopes(decoder: DecoderLayers, x: Tensor, z: Tensor, slopes: Tensor | None = None) -> TransitionSlopes:
-    """Computes what z and small changes do at N states (N, 339) in their own heading frames, with latents z (N, 48).
+    """Computes the derivatives of N transitions in state and z from states (N, 339), own frames, and latents z (N, 48).
 
     slopes: of the decoder (``decoder_slopes``), or what shall stand for them; changed in place.
     """
@@ -169,7 +169,7 @@ def _raw(decoder: DecoderLayers, x: Tensor, z: Tensor) -> Tensor:
 
 
 def decoder_slopes(decoder: DecoderLayers, x: Tensor, z: Tensor) -> Tensor:
-    """Computes how the first 207 raw changes answer to xi and z, (N, 207 + 48, 207), rows are causes."""
+    """Computes the derivatives (N, 207 + 48, 207) of the first 207 raw changes in xi and z; rows are causes."""
     return torch.cat([_decoder_slopes(decoder, *piece) for piece in zip(x.split(_PIECE), z.split(_PIECE), strict=True)])
 
 
@@ -198,8 +198,8 @@ def _decoder_slopes(decoder: DecoderLayers, x: Tensor, z: Tensor) -> Tensor:
 
 
 def prior_slopes(model: Cvae, x: Tensor) -> tuple[Gaussian, Tensor]:
-    """Computes p(z | x) at N states (N, 339) in their own heading frames, and the slopes (N, 96, 207) in xi of its mean
-    and of its log variance. In pieces, for the cache."""
+    """Computes p(z | x) at N states (N, 339) in their own heading frames, and the derivatives (N, 96, 207) in xi of its
+    mean and of its log variance. In pieces, for the cache."""
     means, variances, rows = zip(*(_prior_slopes(model, piece) for piece in x.split(_PIECE)), strict=True)
     return Gaussian(torch.cat(means), torch.cat(variances)), torch.cat(rows)
 

@@ -1,4 +1,4 @@
-"""The feedback solver: lowers stage 3's energy by closed-loop Gauss-Newton, with few, expensive looks at a clip.
+"""Minimises stage 3's energy by closed-loop Gauss-Newton (the feedback solver) with few linearisations.
 
 A round differentiates all transitions at once and factorises the Gauss-Newton matrix of the whole clip
 (``coordinates``). L-BFGS then lowers the energy in the coordinates in which that matrix is the identity, on exact
@@ -194,8 +194,8 @@ def searched(
     note: Callable[[], None] = lambda: None,
     progress: bool = False,
 ) -> tuple[Unknowns, BatchFit]:
-    """Lowers the energy in R searches around one linearisation. Row r is of clip who[r] and begins at first (R, f), in
-    coordinates of its own: shaper (R, f, f) in place of ``Loop.first``.
+    """Minimises the energy from R starts around one linearisation; row r belongs to clip who[r] and starts at first (R,
+    f), in coordinates of its own: shaper (R, f, f) in place of ``Loop.first``.
 
     enough: a row is done when a step, and then one down the gradient, gain no more than this, (R,) or one number. note:
     called whenever energies are known.
@@ -277,8 +277,8 @@ def _starts(problem: Problem, unknown: Unknowns, loop: Loop, most: int, share: f
 
 
 class Valleys(NamedTuple):
-    """energy (B,); by how much each component's valley should be lower, gain (B, K); where it is (B, K, f), and its
-    matrix (B, K, f, f), both in the coordinates of ``Loop.first``."""
+    """For each mixture component of the first state, how much lower the energy should be there: energy (B,) now, gain
+    (B, K), where that is (B, K, f), and its matrix (B, K, f, f), both in the coordinates of ``Loop.first``."""
 
     energy: Tensor
     gain: Tensor
@@ -286,7 +286,7 @@ class Valleys(NamedTuple):
     matrix: Tensor
 
     def deepest(self, most: int) -> tuple[Tensor, Tensor]:
-        """Gains (B, most) of those that promise most, and which components they are."""
+        """Returns the ``most`` largest gains (B, most), and which components they are."""
         return self.gain.topk(min(most, self.gain.shape[1]), 1)
 
 
@@ -303,7 +303,7 @@ def entered(loop: Loop, found: Valleys, who: Tensor, which: Tensor) -> tuple[Ten
 
 
 def valleys(problem: Problem, unknown: Unknowns, loop: Loop) -> Valleys:
-    """Computes the valleys of all components.
+    """Computes, for each mixture component of the first state, how much lower the energy should be there.
 
     Where rounding left no valley the point is a saddle, and a search from there a waste.
     """
