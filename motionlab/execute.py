@@ -221,7 +221,7 @@ def _write_fingerprint(
     on recordings must agree with it. A new one is what the smoke profile measures in six runs on synthetic motion and
     three on recordings, as it is and with other rounding, so that the numbers say how far rounding moves them. apart:
     what the record's provenance says of one that was not taken together with the full run. widen: the recorded one
-    counts as one more run; at least one of those here must agree with it, as the code has not changed.
+    counts as one more run; what all runs here measure alike, and otherwise than it, says that the code has changed.
 
     Raises:
         StaleRecord: the record has another fingerprint, and ``again`` is not given.
@@ -246,8 +246,7 @@ def _write_fingerprint(
         made = [run.fingerprint for run in runs]
         there = [run.fingerprint for run in with_data]
         if widen:
-            moved = min((staleness.differences(record.fingerprint, each) for each in made), key=len)
-            if moved:
+            if moved := staleness.moved_alike(record.fingerprint, made):
                 raise staleness.StaleRecord(path.stem, moved, record.seconds)
             made = [record.fingerprint, *made]
             there = [record.expected(last.recordings), *there] if there else []

@@ -93,6 +93,18 @@ def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
     return found, unsteady
 
 
+def moved_alike(recorded: Fingerprint, runs: Sequence[Fingerprint]) -> list[str]:
+    """Returns what runs under different arithmetic measure alike, and all otherwise than the record says: what a changed
+    code would do, and rounding does not; a phrase each."""
+    found = []
+    for name, was in recorded.items():
+        now = [run.get(name, Mark(None, 0.0)) for run in runs]
+        alike = all(each.agrees(now[0]) for each in now)
+        if alike and not any(was.agrees(each) for each in now):
+            found += differences({name: was}, {name: now[0]})
+    return found
+
+
 def differences(recorded: Fingerprint, now: Fingerprint) -> list[str]:
     """Lists how a run differs from its record, a phrase each; empty where nothing moved."""
     gone = [f"{name} is not measured any more" for name in recorded if name not in now]
