@@ -10,21 +10,24 @@ import torch
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
 from motionlab.fit import landmarks_of
-from motionlab.io import bvh
+from motionlab.io import bvh, gltf
 from motionlab.observation import look_at, project
+from motionlab.skeleton import STANDARD
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+
+
+WALK = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion
 
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory) -> Path:
     """A folder with walk.bvh and, of its first twelve frames, the keypoints in openpose_json/."""
     folder = tmp_path_factory.mktemp("desk")
-    walk = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion
-    bvh.save(folder / "walk.bvh", walk)
+    bvh.save(folder / "walk.bvh", WALK)
     camera = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=900.0, width=1280, height=720)
-    pixels, _ = project(camera, landmarks_of(walk.cut(0, 12)))
+    pixels, _ = project(camera, landmarks_of(WALK.cut(0, 12)))
     (folder / "openpose_json").mkdir()
     for frame, points in enumerate(torch.cat((pixels, torch.ones_like(pixels[..., :1])), -1).flatten(1).tolist()):
         text = json.dumps({"version": 1.3, "people": [{"pose_keypoints_2d": points}]})
@@ -36,14 +39,40 @@ def test_there_are_four():
     assert len(EXAMPLES) == 4
 
 
-@pytest.mark.parametrize("number", range(len(EXAMPLES)))
-def test_example_runs_as_printed(number, desk, monkeypatch):
+def is_the_walk(names: dict) -> None:
+    assert names["positions"].shape == (WALK.frames, 22, 3)
+    assert torch.allclose(names["positions"], WALK.positions, atol=1e-5)
+
+
+def is_a_fit_without_doubts(names: dict) -> None:
+    assert names["positions"].shape == (1, 12, 22, 3) and names["positions"].isfinite().all()
+    assert not names["found"].doubts.doubtful.any()
+
+
+def is_a_repair_of_the_gap_alone(names: dict) -> None:
+    cut, filled = names["cut"], names["filled"]
+    assert cut.root.shape == filled.root.shape == (WALK.frames // 60, 60, 3)
+    apart = (filled.positions - cut.positions).norm(dim=-1).amax((0, 2))  # the worst joint of every frame
+    assert torch.cat((apart[:15], apart[45:])).max() < 1e-4 < apart[15:45].min() and apart.max() < 0.3
+
+
+def is_a_file_for_viewers(names: dict) -> None:
+    assert names["jitter"].shape == names["skating"].shape == () and names["jitter"] > 0 < names["skating"] < 1
+    back = gltf.load("walk.glb")
+    assert back.fps == WALK.fps and back.skeleton.names == STANDARD.names
+    assert torch.allclose(back.positions, WALK.positions, atol=1e-5)
+
+
+PROMISES = (is_the_walk, is_a_fit_without_doubts, is_a_repair_of_the_gap_alone, is_a_file_for_viewers)
+
+
+@pytest.mark.parametrize(("number", "promise"), list(enumerate(PROMISES)))
+def test_example_runs_as_printed_and_keeps_its_promise(number, promise, desk, monkeypatch):
     """Each stands alone: nothing of one is needed by another."""
     monkeypatch.chdir(desk)
     names: dict[str, object] = {}
     exec(compile(EXAMPLES[number], f"README example {number + 1}", "exec"), names)
-    tensors = [value for value in names.values() if isinstance(value, torch.Tensor)]
-    assert all(value.isfinite().all() for value in tensors)
+    promise(names)
 
 
 def test_control_a_wrong_example_fails(desk, monkeypatch):
