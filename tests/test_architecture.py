@@ -1,6 +1,7 @@
 """Imports may only point down the floors written here; this file is the architecture."""
 
 import ast
+import json
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -61,10 +62,24 @@ def room(module: str, known: dict[str, int]) -> str | None:
     return next((name for n in range(len(parts), 0, -1) if (name := ".".join(parts[:n])) in known), None)
 
 
+def notebooks(root: Path = ROOT) -> list[Path]:
+    """The suite in its order."""
+    return sorted((root / "notebooks").glob("[0-9][0-9]_*.ipynb"))
+
+
+def syntax(path: Path) -> ast.Module:
+    """Syntax of a module, or of a notebook's code cells without their magics."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".ipynb":
+        code = ["".join(cell["source"]) for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
+        text = "\n".join(line for line in "\n".join(code).splitlines() if not line.startswith(("%", "!")))
+    return ast.parse(text)
+
+
 def imports(path: Path, known) -> list[tuple[int, str]]:
     """(line, module) of every import of ours: `from a.b import c` is a.b.c where that is a module, else a.b."""
     found = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(syntax(path)):
         if isinstance(node, ast.Import):
             found += [(node.lineno, alias.name) for alias in node.names if alias.name in known]
         elif isinstance(node, ast.ImportFrom) and not node.level:
@@ -78,7 +93,7 @@ def problems(root: Path = ROOT, text: str = FLOORS) -> list[str]:
     levels, paths, found = floors(text), modules(root), []
     empty = {LIBRARY, *(name.rpartition(".")[0] for name in paths if name.count(".") > 1)}  # packages that only hold
     for me, path in paths.items():
-        mine, tree = room(me, levels), ast.parse(path.read_text(encoding="utf-8"))
+        mine, tree = room(me, levels), syntax(path)
         study = me.split(".")[0] == STUDIES
         if mine is None and not study and me not in empty:
             found.append(f"{me} has no floor: add it to FLOORS, or delete it")
@@ -107,6 +122,12 @@ def problems(root: Path = ROOT, text: str = FLOORS) -> list[str]:
         lines = len(path.read_text(encoding="utf-8").splitlines())
         if lines > 460:
             found.append(f"{me}: {lines} lines; is it more than one idea?")
+    for path in notebooks(root):
+        near = (f"{STUDIES}.nb{path.stem[:2]}_", *(f"{name}." for name in SHARED))
+        others = {name for _, name in imports(path, paths) if name.split(".")[0] == STUDIES}
+        found += [
+            f"{path.stem}: imports {n}, which is another's" for n in sorted(others) if not f"{n}.".startswith(near)
+        ]
     gone = set(levels) - {room(me, levels) for me in paths}
     return [*found, *(f"FLOORS names {name}, which does not exist" for name in sorted(gone))]
 
@@ -180,6 +201,8 @@ SMALL = """
         ("motionlab/judge.py", "from data_synth import truth", "does not know synthetic motion"),
         ("notebooks/studies/nb02_y/a.py", "from studies.nb01_x import trials", "a study imports another"),
         ("notebooks/studies/nb01/a.py", "from studies.nb01_x import trials", "a study imports another"),
+        ("notebooks/02_y.ipynb", "from studies.nb01_x import trials", "imports studies.nb01_x.trials"),
+        ("notebooks/01_x.ipynb", "%cd\nfrom studies.nb01_x import trials\nfrom motionlab import judge", None),
         ("motionlab/deep/__init__.py", "'''It does.'''\nfrom motionlab.judge import x", "only holds"),
         ("notebooks/studies/nb02_y/a.py", "from studies.shared import medians", None),
         ("notebooks/studies/nb02_y/a.py", "from motionlab.judge import x", None),
@@ -200,7 +223,8 @@ def test_control_bad_module_is_found(tmp_path, module, source, complaint):
         (tmp_path / name).touch()
     assert problems(tmp_path, SMALL) == []
     (tmp_path / module).parent.mkdir(parents=True, exist_ok=True)
-    (tmp_path / module).write_text(source, encoding="utf-8")
+    cells = json.dumps({"cells": [{"cell_type": "code", "source": source}]})
+    (tmp_path / module).write_text(cells if module.endswith("ipynb") else source, encoding="utf-8")
     found = problems(tmp_path, SMALL)
     assert any(complaint in problem for problem in found) if complaint else not found
 

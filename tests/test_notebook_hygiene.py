@@ -29,6 +29,8 @@ def problems(path):
         yield "needs exactly one cell tagged 'parameters'"
     if not any("NBVAL_CHECK_OUTPUT" in source.splitlines()[0] for source, _ in cells if source):
         yield "no cell checks its output"
+    if not cells or cells[-1][0].splitlines()[-1:] != ["lab.close()"]:
+        yield "does not end with lab.close(), which compares it with its record"
     if path.stat().st_size > 4_000_000:
         yield f"{path.stat().st_size / 1e6:.1f} MB; make the pictures smaller"
     shown = "\n".join(text for _, cell in cells for text in texts(cell))
@@ -64,7 +66,7 @@ def cell_problems(source, cell):
     if any(output.get("name") == "stderr" for output in cell["outputs"]):
         yield "stores a warning (stderr)"
     if len(lines) > 30:
-        yield f"{len(lines)} lines; move code to motionlab"
+        yield f"{len(lines)} lines; move code to its study"
     if any(line.strip().startswith(ENVIRONMENT) for line in lines):
         yield "changes the environment"
     if "NBVAL_SKIP" in source:
@@ -147,7 +149,7 @@ def good_cells():
         cell("PROFILE = None", 1, output="", tags=["parameters"]),
         cell("lab = setup(PROFILE)", 2, output="profile *full*, seed 0"),
         cell("for clip in clips:\n    rng = np.random.default_rng(0)\n    show(clip, rng)", 3),
-        cell("# NBVAL_CHECK_OUTPUT\nlab.verdicts()", 4),
+        cell("# NBVAL_CHECK_OUTPUT\nlab.verdicts()\nlab.close()", 4),
     ]
 
 
@@ -174,6 +176,7 @@ IMAGE = [{"output_type": "display_data", "data": {"image/png": "iVBOR"}, "metada
         (1, cell("lab = setup(PROFILE)", 2, "profile *smoke*"), "not the full profile"),
         (2, cell("print(path)", 3, "read /home/ann/walk.bvh"), "path of one machine"),
         (3, cell("lab.verdicts()", 4), "no cell checks"),
+        (3, cell("# NBVAL_CHECK_OUTPUT\nlab.close()\nlab.verdicts()", 4), "does not end with lab.close()"),
         (3, cell("# NBVAL_CHECK_OUTPUT - verdicts\nlab.verdicts()", 4), "marker not alone"),
         (3, cell("lab.verdicts()  # NBVAL_CHECK_OUTPUT", 4), "marker not alone"),
         (3, cell("# NBVAL_CHECK_OUTPUT\nlab.verdicts()", 4, output=""), "no text to compare"),

@@ -2,14 +2,13 @@
 notebooks, or the stranger for whom the README names it as API."""
 
 import ast
-import json
 import re
 from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
 import motionlab
-from tests.test_architecture import LIBRARY, ROOT, STUDIES, modules
+from tests.test_architecture import LIBRARY, ROOT, STUDIES, modules, notebooks, syntax
 
 #: One meaning everywhere: a file's content as what the module is about, and back.
 SAME_EVERYWHERE = {"load", "save"}
@@ -18,12 +17,8 @@ SAME_EVERYWHERE = {"load", "save"}
 @cache
 def trees(root: Path = ROOT) -> dict[str, ast.Module]:
     """Syntax of every module, and of every notebook's code cells under its number ("08")."""
-    found = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in modules(root).items()}
-    for path in sorted((root / "notebooks").glob("*.ipynb")):
-        cells = [c for c in json.loads(path.read_text(encoding="utf-8"))["cells"] if c["cell_type"] == "code"]
-        lines = [line for cell in cells for line in "".join(cell["source"]).splitlines()]
-        found[path.stem[:2]] = ast.parse("\n".join(line for line in lines if not line.startswith(("%", "!"))))
-    return found
+    paths = modules(root) | {path.stem[:2]: path for path in notebooks(root)}
+    return {name: syntax(path) for name, path in paths.items()}
 
 
 def defined(tree: ast.Module) -> dict[str, str]:
