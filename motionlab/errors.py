@@ -27,8 +27,12 @@ class MissingData(FileNotFoundError):
     """Data or software that the caller must fetch first; the message says how to get it."""
 
     def __init__(self, what: str, how_to_get: str) -> None:
-        self.how_to_get = how_to_get
+        self.what, self.how_to_get = what, how_to_get
         super().__init__(f"{what} is missing. {how_to_get}")
+
+    def __reduce__(self) -> tuple:
+        """As it comes out of another process: Python would make it from its message alone, and fail."""
+        return type(self), (self.what, self.how_to_get)
 
 
 class NotConverged(RuntimeError):
@@ -37,6 +41,10 @@ class NotConverged(RuntimeError):
     def __init__(self, message: str, history: Sequence[float]) -> None:
         self.history = list(history)
         super().__init__(message)
+
+    def __reduce__(self) -> tuple:
+        """As it comes out of another process."""
+        return type(self), (*self.args, self.history)
 
 
 def check_shape(x: Tensor, pattern: str, name: str) -> dict[str, int]:

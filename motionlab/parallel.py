@@ -69,8 +69,10 @@ def run_jobs(
             return [found[k] for k in range(len(jobs))]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            for worker in set(active_children()) - others:
+            for worker in (left := set(active_children()) - others):
                 worker.terminate()
+            for worker in left:
+                worker.join()
             raise
 
 

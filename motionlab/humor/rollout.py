@@ -30,6 +30,7 @@ from motionlab.humor import compiled
 from motionlab.humor.cvae import Cvae, Gaussian
 from motionlab.humor.state import CHANGES, STATE, VECTORS, globalise, heading, localise
 from motionlab.humor.transition import DecoderLayers, Step, Stepper, WayBack, transition
+from motionlab.parallel import threads_for
 
 _SPIN = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # d/da of a turn, from the right
 
@@ -67,16 +68,17 @@ def rollout(
         ShapeError: first and z do not fit each other.
     """
     _check(model, first, z)
-    start = heading(first)
-    x = localise(first, start, offset)
-    if torch.is_grad_enabled() and any(weight.requires_grad for weight in model.decoder.parameters()):
-        past, after, logits = _recorded(model, x, z.transpose(0, 1), offset)
-    else:
-        past, after, logits, _ = _chain(model, x, z.transpose(0, 1), None, _spread(offset), loops)
-    prior = None
-    if with_prior:
-        prior = Gaussian(*(part.transpose(0, 1) for part in model.prior(past)))
-    return Rollout(_to_world(start, after.transpose(0, 1), offset), logits.transpose(0, 1), z, prior)
+    with threads_for(len(first)):
+        start = heading(first)
+        x = localise(first, start, offset)
+        if torch.is_grad_enabled() and any(weight.requires_grad for weight in model.decoder.parameters()):
+            past, after, logits = _recorded(model, x, z.transpose(0, 1), offset)
+        else:
+            past, after, logits, _ = _chain(model, x, z.transpose(0, 1), None, _spread(offset), loops)
+        prior = None
+        if with_prior:
+            prior = Gaussian(*(part.transpose(0, 1) for part in model.prior(past)))
+        return Rollout(_to_world(start, after.transpose(0, 1), offset), logits.transpose(0, 1), z, prior)
 
 
 def steered_rollout(model: Cvae, first: Tensor, u: Tensor, gains: Tensor | None = None) -> tuple[Rollout, Tensor]:
@@ -238,7 +240,7 @@ def sample_rollout(
     first: (B, 339) states, world coordinates.
     """
     check_shape(first, f"B {STATE}", "first")
-    with torch.no_grad():
+    with torch.no_grad(), threads_for(len(first)):
         decoder = DecoderLayers.of(model)
         step, start = Stepper(decoder, _spread(offset)), heading(first)
         x = localise(first, start, offset)
