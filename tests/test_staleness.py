@@ -5,34 +5,23 @@ import json
 import math
 import sys
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
-from motionlab import findings, notebook, staleness
+from motionlab import checkpoint, contact, findings, notebook, staleness
 from motionlab.errors import DataError
+from motionlab.metrics import gait
 from motionlab.staleness import Mark
 
-LEDGER = """
-[[claim]]
-id = "H00"
-section = "1"
-title = "t"
-thesis = "words"
-notebook = "02"
-[claim.test.length]
-definition = "mean length"
-unit = "m"
-relation = "<="
-bound = 10.0
-baseline = "b"
-[claim.test.time]
-definition = "seconds"
-unit = "s"
-relation = "<="
-bound = 10.0
-baseline = "b"
-clock = true
-"""
+
+def ledger(**tests: str) -> str:
+    """A ledger of one claim and its tests; what else a test says, by its name."""
+    head = '[[claim]]\nid = "H00"\nsection = "1"\ntitle = "t"\nthesis = "words"\nnotebook = "02"\n'
+    same = 'definition = "d"\nunit = "m"\nrelation = "<="\nbound = 1.0\nbaseline = "b"\n'
+    return head + "".join(f"[claim.test.{name}]\n{same}{more}\n" for name, more in tests.items())
+
+
 CELLS = [
     "from toylab import lengths\nfrom motionlab.notebook import setup",
     "found = lengths.of_walks()",
@@ -53,7 +42,7 @@ def of_walks():
 @pytest.fixture
 def suite(tmp_path, monkeypatch):
     """A notebook that measures with a library of its own; ``run`` runs it, as the smoke run of `make test` does."""
-    (tmp_path / "claims.toml").write_text(LEDGER)
+    (tmp_path / "claims.toml").write_text(ledger(length="", time="clock = true"))
     (tmp_path / "toylab").mkdir()
     (tmp_path / "toylab/lengths.py").write_text(LIBRARY)
     monkeypatch.chdir(tmp_path)
@@ -114,6 +103,37 @@ def test_a_changed_constant_of_the_library_makes_the_record_stale(suite, tmp_pat
     assert path.read_bytes() == before
 
 
+SITTING = """
+from data_synth.actions import ACTIONS
+from data_synth.subjects import SUBJECTS
+from motionlab import baselines, contact, motion
+from motionlab.metrics import gait, pose
+seats, floors = ([ACTIONS[name](s, lab.generator(s.name)).motion for s in SUBJECTS[:3]] for name in ("sit", "floor"))
+lab.record("H00.sitting", [gait.sits(motion.windows(clip, 10, 10)).mean() for clip in seats])
+lab.record("H00.touching", [contact.with_contacts(clip).contacts.mean() for clip in floors])
+lab.record("H00.jitter", [pose.jitter(baselines.smoothed(clip, 7).positions, clip.fps) for clip in seats])
+"""
+
+
+@pytest.mark.parametrize(
+    ("constants", "name", "value", "moved"),
+    [(vars(gait), "SEATED", 75.0, "H00.sitting was "), (contact.FLESH, "pelvis", 0.12, "H00.touching was ")],
+)
+def test_a_changed_constant_of_motionlab_makes_one_finding_stale(
+    suite, tmp_path, monkeypatch, constants, name, value, moved
+):
+    """From which angle somebody sits, in degrees; a centimetre of flesh. The other findings stay."""
+    (tmp_path / "claims.toml").write_text(ledger(sitting="", touching="", jitter=""))
+    write_cells(tmp_path, [SITTING])
+    run = partial(suite, cells=[SITTING])
+    stamped(run, tmp_path, monkeypatch)
+    assert run().stale() == []
+    monkeypatch.setitem(constants, name, value)
+    with pytest.raises(staleness.StaleRecord) as caught:
+        run()
+    assert len(caught.value.moved) == 1 and caught.value.moved[0].startswith(moved)
+
+
 def test_a_test_that_is_not_measured_any_more_makes_it_stale(suite, tmp_path, monkeypatch):
     stamped(suite, tmp_path, monkeypatch)
     with pytest.raises(staleness.StaleRecord, match="longest is not measured any more"):
@@ -168,6 +188,14 @@ def test_runs_under_other_arithmetic_say_how_far_rounding_moves_a_number():
     assert unsteady == ["chaotic"] and found["steady"] == first["steady"]
     assert found["rough"].value == 2.0 and found["rough"].within == pytest.approx(0.1)
     assert staleness.merged([first, {"steady": first["steady"]}])[1] == ["rough", "chaotic"]
+
+
+def test_a_recorded_run_that_was_widened_is_no_larger_for_it():
+    """How large a number is says the narrowest run: 1 % beside the record's own number, which stands, and not 10 %,
+    which one who goes by the record's width would let pass."""
+    wide = {"near": Mark(1.0, 0.2), "far": Mark(1.0, 0.2)}
+    found, unsteady = staleness.merged([wide, {"near": staleness.mark(1.01), "far": staleness.mark(1.1)}])
+    assert unsteady == ["far"] and found == {"near": Mark(1.0, 0.2)}
 
 
 def test_recordings_decide_what_must_be_measured_again():
@@ -239,8 +267,6 @@ def test_weights_are_part_of_it(suite, tmp_path, monkeypatch):
     path = stamped(suite, tmp_path, monkeypatch)
     record = findings.load_record(path)
     findings.save_record(path, replace(record, weights={"humor_compact": "0" * 12}))
-    from motionlab import checkpoint
-
     monkeypatch.setattr(checkpoint, "_LOADED", {"humor_compact": "1" * 12})
     with pytest.raises(staleness.StaleRecord, match="humor_compact are other weights"):
         suite()
