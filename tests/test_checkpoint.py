@@ -43,6 +43,22 @@ def test_half_precision_is_read_as_single(kept, tmp_path):
     assert torch.allclose(again.decoder.net[0].weight, model.decoder.net[0].weight, atol=1e-3)
 
 
+def test_a_nudge_moves_the_last_digits_and_nothing_else(tmp_path, generator, monkeypatch):
+    stored = {"x": torch.randn(1000, generator=generator), "none": torch.zeros(3), "count": torch.arange(3)}
+    checkpoint.save(tmp_path / "a", stored, RECIPE)
+
+    def loaded(seed):
+        monkeypatch.setenv("MOTIONLAB_NUDGE", seed)
+        return checkpoint.load(tmp_path / "a")[0]
+
+    first, again, other = loaded("1"), loaded("1"), loaded("2")
+    assert all(torch.equal(first[name], again[name]) for name in stored) and not torch.equal(first["x"], other["x"])
+    assert all(torch.equal(first[name], stored[name]) for name in ("none", "count"))
+    off = (first["x"] / stored["x"] - 1).double()
+    assert 0.5e-7 < off.std() < 2e-7 and off.mean().abs() < 2e-8
+    assert torch.equal(loaded("")["x"], stored["x"])
+
+
 def test_nothing_else_is_left_in_the_folder(kept):
     _, path = kept
     assert {p.name for p in path.parent.iterdir()} == {"small.safetensors", "small.json"}
