@@ -64,7 +64,7 @@ def _nudged(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     generator = torch.Generator().manual_seed(int(seed))
     return {
         name: x.float() * (1 + 1e-7 * torch.randn(x.shape, generator=generator)) if x.is_floating_point() else x
-        for name, x in tensors.items()
+        for name, x in sorted(tensors.items())  # safetensors gives them in another order each time
     }
 
 
