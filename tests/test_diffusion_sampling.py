@@ -1,8 +1,7 @@
-"""Samplers on data whose denoiser is exact, and beside diffusers step by step."""
+"""Samplers on data whose denoiser is exact. Beside diffusers, step by step: ``test_diffusion_checks``."""
 
 import pytest
 import torch
-from diffusers import DDIMScheduler, DDPMScheduler
 
 from motionlab.diffusion import sampling
 from motionlab.diffusion.sampling import cosine
@@ -57,39 +56,6 @@ def test_ddpm_samples_are_distributed_as_computed(data, generator, steps):
     assert off(x, *data.sampled(schedule)) < 4.5
     wrong = GaussianData(data.mean + 0.1, data.covariance)
     assert off(x, *wrong.sampled(schedule)) > 6  # the control
-
-
-def test_ddpm_is_diffusers_draw_by_draw(data):
-    schedule = cosine(40)
-    denoise = data.denoiser(schedule)
-    start = noise(3, torch.Generator().manual_seed(5))
-    ours = sampling.ddpm(denoise, schedule, start, torch.Generator().manual_seed(6))
-    theirs = DDPMScheduler(
-        40,
-        trained_betas=schedule.beta.numpy(),
-        prediction_type="sample",
-        clip_sample=False,
-        variance_type="fixed_small",
-    )
-    theirs.alphas_cumprod, theirs.betas, theirs.alphas = schedule.alpha_bar, schedule.beta, schedule.alpha
-    gen, x = torch.Generator().manual_seed(6), start
-    for t in theirs.timesteps:
-        x = theirs.step(denoise(x, t.expand(3)), t, x, generator=gen).prev_sample
-    assert (ours - x).abs().max() < 1e-6
-
-
-def test_ddim_is_diffusers_step_by_step(data):
-    schedule = cosine(40)
-    denoise, start = data.denoiser(schedule), noise(3, torch.Generator().manual_seed(5))
-    theirs = DDIMScheduler(
-        40, trained_betas=schedule.beta.numpy(), prediction_type="sample", clip_sample=False, set_alpha_to_one=True
-    )
-    theirs.alphas_cumprod = schedule.alpha_bar
-    theirs.set_timesteps(40)
-    x = start
-    for t in theirs.timesteps:
-        x = theirs.step(denoise(x, t.expand(3)), t, x, eta=0.0).prev_sample
-    assert (sampling.ddim(denoise, schedule, start) - x).abs().max() < 1e-6
 
 
 @pytest.mark.parametrize("name", ["DPMSolverMultistepScheduler", "DDIMScheduler", "DDPMScheduler"])

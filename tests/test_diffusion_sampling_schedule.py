@@ -1,10 +1,9 @@
-"""The noising process against its equations, against Bayes and against diffusers."""
+"""The noising process: tables, noise and fewer steps. Against Bayes and diffusers: ``test_diffusion_checks``."""
 
 import math
 
 import pytest
 import torch
-from diffusers import DDPMScheduler
 
 from motionlab.diffusion.sampling import MOST, NoiseSchedule, cosine
 from motionlab.errors import ShapeError
@@ -22,43 +21,12 @@ def test_the_cosine_is_the_paper_s(thousand):
     assert thousand.beta.max() <= MOST + 1e-12 and thousand.alpha_bar.dtype == torch.float64
 
 
-def test_diffusers_has_the_same_betas(thousand):
-    theirs = DDPMScheduler(1000, beta_schedule="squaredcos_cap_v2").betas
-    assert (thousand.beta - theirs).abs().max() < 1e-6  # theirs are float32
-    assert (cosine(1000, power=1).beta - theirs).abs().max() > 1e-5  # the form that the thesis prints is another
-
-
 def test_the_printed_form_never_lets_noise_win(thousand):
     printed = cosine(1000, power=1)
     assert printed.alpha_bar[499] == pytest.approx(0.703, abs=1e-3) and thousand.alpha_bar[499] == pytest.approx(
         0.494, abs=1e-3
     )
     assert printed.alpha_bar[998] > 500 * thousand.alpha_bar[998]
-
-
-def test_single_steps_make_up_the_whole(thousand):
-    """Eq. 4.1, step by step on mean and variance, ends where Eq. 4.3 says."""
-    factor, variance = 1.0, 0.0
-    for t, beta in enumerate(thousand.beta.tolist()):
-        factor, variance = math.sqrt(1 - beta) * factor, (1 - beta) * variance + beta
-        if t in (0, 10, 500, 998):
-            assert factor**2 == pytest.approx(thousand.alpha_bar[t].item(), rel=1e-9)
-            assert variance == pytest.approx(1 - thousand.alpha_bar[t].item(), rel=1e-9)
-
-
-@pytest.mark.parametrize("t", [0, 1, 300, 999])
-def test_the_posterior_is_bayes(thousand, t):
-    """Product of the prior of x_{t-1} given x_0 and the likelihood of x_t, both Gaussians in x_{t-1}."""
-    x0, xt = torch.tensor([[0.7]], dtype=torch.float64), torch.tensor([[-1.3]], dtype=torch.float64)
-    mean, variance = thousand.posterior(x0, xt, t)
-    if t == 0:
-        assert mean.item() == pytest.approx(0.7) and variance.item() == pytest.approx(0.0, abs=1e-15)
-        return
-    a, alpha = thousand.alpha_bar[t - 1], thousand.alpha[t]
-    precision = 1 / (1 - a) + alpha / (1 - alpha)
-    expected = (a.sqrt() * 0.7 / (1 - a) + alpha.sqrt() * -1.3 / (1 - alpha)) / precision
-    assert mean.item() == pytest.approx(expected.item(), rel=1e-9)
-    assert variance.item() == pytest.approx(1 / precision.item(), rel=1e-9)
 
 
 def test_noise_goes_in_and_comes_out(thousand, generator):

@@ -1,5 +1,6 @@
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,6 @@ from motionlab import rotation
 from motionlab.errors import ShapeError
 from motionlab.heading import world_to_local_orientations, world_to_local_positions
 from motionlab.humor import energies
-from motionlab.humor.cvae import Gaussian
 from motionlab.observation import Camera, look_at, project
 from studies.nb04_prior import floor
 
@@ -28,10 +28,6 @@ def joints() -> torch.Tensor:
 def keypoints() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     seen = golden("reproj_obs")
     return golden("reproj_uv"), seen[..., :2], energies.body_25_confidence(seen[..., 2])
-
-
-def motion_prior() -> torch.Tensor:
-    return energies.motion_prior(golden("roll_z"), Gaussian(golden("roll_prior_mean"), golden("roll_prior_var").log()))
 
 
 def contacts() -> torch.Tensor:
@@ -57,16 +53,16 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_golden_energy(name):
+def test_an_energy_is_that_of_each_clip(name):
+    """Their sums over all clips are the official ones: ``test_humor_parity``."""
     energy, arguments = CASES[name][0], CASES[name][1]()
     found = energy(*arguments)
     assert found.shape == (4,)
-    torch.testing.assert_close(found.sum(), golden(f"loss_{name}"), rtol=1e-12, atol=0)
     torch.testing.assert_close(found, per_clip_twin(energy, *arguments), rtol=1e-12, atol=0)
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_golden_energy_in_float32(name):
+def test_an_energy_in_float32(name):
     energy, arguments = CASES[name]
     single = [x.float() for x in arguments()]
     torch.testing.assert_close(energy(*single).double(), energy(*arguments()), rtol=1e-5, atol=0)
@@ -81,34 +77,17 @@ def test_control_what_moves_in_one_clip_changes_that_clip(name, generator):
     assert (after[2] / before[2] - 1).abs() > 1e-6 and torch.equal(before[[0, 1, 3]], after[[0, 1, 3]])
 
 
-def test_golden_motion_prior():
-    torch.testing.assert_close(motion_prior().sum(), golden("loss_motion_prior_nll"), rtol=1e-12, atol=0)
-    off = Gaussian(golden("roll_prior_mean"), golden("roll_prior_var"))  # a variance taken for its logarithm
-    wrong = energies.motion_prior(golden("roll_z"), off).sum()
-    assert (wrong - golden("loss_motion_prior_nll")).abs() > 1
-
-
-def test_golden_gmof():
+def test_gmof_is_bounded():
     found = energies.gmof(golden("gmof_in"))
-    torch.testing.assert_close(found, golden("gmof_sigma100"), rtol=1e-13, atol=0)
     assert (energies.gmof(torch.tensor(1e6)) - 1e4).abs() < 1  # bounded by sigma^2
     assert not torch.allclose(energies.gmof(golden("gmof_in"), 50.0), found)
 
 
-def test_golden_initial_state():
-    class Mixture:
-        def __init__(self):
-            draw = np.random.RandomState(7)
-            mean, a = draw.standard_normal((3, 138)) * 0.3, draw.standard_normal((3, 138, 138)) * 0.05
-            covariance = torch.as_tensor(a @ a.swapaxes(1, 2) + 0.1 * np.eye(138))
-            part = torch.distributions.MultivariateNormal(torch.as_tensor(mean), covariance)
-            share = torch.distributions.Categorical(torch.tensor([0.2, 0.3, 0.5], dtype=F64))
-            self.log_prob = torch.distributions.MixtureSameFamily(share, part).log_prob
-
-    found = energies.init_motion_prior(golden("gmm_x"), Mixture())
-    torch.testing.assert_close(found, -golden("gmm_logprob"), rtol=1e-10, atol=0)
+def test_initial_state_is_minus_its_log_probability():
+    mixture = SimpleNamespace(log_prob=lambda x: x.sum(-1))
+    assert torch.equal(energies.init_motion_prior(golden("gmm_x"), mixture), -golden("gmm_x").sum(-1))
     with pytest.raises(ShapeError, match="features"):
-        energies.init_motion_prior(golden("gmm_x")[:, :137], Mixture())
+        energies.init_motion_prior(golden("gmm_x")[:, :137], mixture)
 
 
 def test_priors_of_pose_and_shape(generator):

@@ -18,12 +18,6 @@ def walks(generator: torch.Generator, *shape: int) -> torch.Tensor:
     return torch.randn(*shape, 3, generator=generator, dtype=F64)
 
 
-def test_golden_acceleration_of_humor():
-    joints = torch.as_tensor(GOLDEN["metric_pen_joints"])
-    lowered = joints + torch.tensor([0.0, 0.0, 0.8], dtype=F64)
-    torch.testing.assert_close(pose.acceleration(lowered, 30.0), torch.as_tensor(GOLDEN["metric_accel_mag"]))
-
-
 def test_golden_penetration_of_humor():
     toes = torch.as_tensor(GOLDEN["metric_pen_joints"])[:, [10, 11]]
     found = gait.floor_penetration(toes, depths=GOLDEN["metric_pen_thresholds"].tolist())

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from motionlab.errors import ShapeError
 from motionlab.motion import Motion, joined, mirror, resample, velocity, windows
 from motionlab.skeleton import STANDARD, Skeleton
 
-GOLDEN = np.load(Path(__file__).parent / "golden" / "humor_frames.npz")
 F64 = torch.float64
 
 
@@ -20,12 +18,6 @@ def random_motion(generator: torch.Generator, batch: tuple[int, ...] = (), frame
     root = torch.randn(*batch, frames, 3, generator=generator, dtype=F64)
     contacts = (torch.rand(*batch, frames, 9, generator=generator) < 0.5).double()
     return Motion(STANDARD.to(F64), root, rot, 30.0, contacts, "test")
-
-
-def test_golden_velocity_of_humor():
-    torch.testing.assert_close(
-        velocity(torch.as_tensor(GOLDEN["world_trans"]).double(), 30.0, dim=-2), torch.as_tensor(GOLDEN["vel_lin"])
-    )
 
 
 def test_velocity_of_a_parabola_is_exact_inside(generator):
