@@ -94,8 +94,9 @@ def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
 
 
 def moved_alike(recorded: Fingerprint, runs: Sequence[Fingerprint]) -> list[str]:
-    """Returns what runs under different arithmetic measure alike, and all otherwise than the record says: what a changed
-    code would do, and rounding does not; a phrase each."""
+    """Returns what all runs under different arithmetic measure alike but otherwise than the record says, a phrase each.
+
+    A changed code does that, rounding does not."""
     found = []
     for name, was in recorded.items():
         now = [run.get(name, Mark(None, 0.0)) for run in runs]
@@ -147,11 +148,11 @@ def loaded_modules(packages: Iterable[str] = OURS) -> dict[str, str]:
         for name, module in sorted(sys.modules.items())
         if name.split(".")[0] in chosen and getattr(module, "__file__", None)
     }
-    return {name: _source_hash(Path(file).read_text(encoding="utf-8")) for name, file in files.items()}
+    return {name: source_hash(Path(file).read_text(encoding="utf-8")) for name, file in files.items()}
 
 
-def _source_hash(source: str) -> str:
-    """Hash of what Python code does: without comments, layout, documentation and imports."""
+def source_hash(source: str) -> str:
+    """Returns a hash of what Python code does: without comments, layout, documentation and imports."""
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
@@ -170,7 +171,7 @@ def changed_modules(recorded: Mapping[str, str], root: Path) -> list[str]:
     now = {}
     for name, path in paths.items():
         file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-        now[name] = _source_hash(file.read_text(encoding="utf-8")) if file.is_file() else ""
+        now[name] = source_hash(file.read_text(encoding="utf-8")) if file.is_file() else ""
     return [name for name, before in recorded.items() if now[name] != before]
 
 

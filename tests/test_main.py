@@ -202,7 +202,7 @@ def test_doctor_lists_what_changed_behind_the_records(tmp_path, monkeypatch):
     monkeypatch.setattr(doctor, "ROOT", tmp_path)
     (tmp_path / "motionlab").mkdir()
     (tmp_path / "motionlab/pose.py").write_text("x = 1\n")
-    modules = {"motionlab.pose": staleness._source_hash("x = 1\n")}
+    modules = {"motionlab.pose": staleness.source_hash("x = 1\n")}
     findings.save_record(tmp_path / "notebooks/results/05.json", findings.Record("05_x", "", (), modules=modules))
     assert doctor._check_records().found == "1; nothing changed"
     (tmp_path / "motionlab/pose.py").write_text("x = 2\n")

@@ -229,13 +229,13 @@ def test_imports_and_outputs_are_no_part_of_the_hash_of_a_notebook(tmp_path):
     ],
 )
 def test_documentation_and_layout_are_no_part_of_the_hash_of_a_module(other, same):
-    assert (staleness._source_hash(other) == staleness._source_hash(LIBRARY)) is same
+    assert (staleness.source_hash(other) == staleness.source_hash(LIBRARY)) is same
 
 
 def test_changed_modules_are_listed(tmp_path):
     (tmp_path / "toylab").mkdir()
     (tmp_path / "toylab/lengths.py").write_text(LIBRARY)
-    recorded = {"toylab.lengths": staleness._source_hash(LIBRARY), "toylab.gone": "0" * 8}
+    recorded = {"toylab.lengths": staleness.source_hash(LIBRARY), "toylab.gone": "0" * 8}
     assert staleness.changed_modules(recorded, tmp_path) == ["toylab.gone"]
     (tmp_path / "toylab/lengths.py").write_text(LIBRARY.replace("0.5", "0.25"))
     assert staleness.changed_modules(recorded, tmp_path) == ["toylab.lengths", "toylab.gone"]
