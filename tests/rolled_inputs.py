@@ -15,9 +15,9 @@ from motionlab.humor.state import ADDED
 F64 = torch.float64
 
 
-def network(width: int = 128) -> Cvae:
+def network(width: int = 128, *, skip: bool = False) -> Cvae:
     """A random model with norms that do something; at 128 all of its norms are over groups of four or more."""
-    made = Cvae(width).to(F64)
+    made = Cvae(width, skip=skip).to(F64)
     generator = torch.Generator().manual_seed(1)
     with torch.no_grad():
         for value in made.parameters():
@@ -26,6 +26,8 @@ def network(width: int = 128) -> Cvae:
         for net in (made.decoder.net, made.prior_net.net):
             net[-1].weight *= 0.3
             net[-1].bias.zero_()
+        if skip:
+            made.skip.weight *= 0.1
     return reorder(made).frozen()  # drawn as official weights
 
 

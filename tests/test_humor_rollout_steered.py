@@ -24,9 +24,9 @@ def draw(seed, *shape):
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
-@pytest.fixture(scope="module")
-def model():
-    return network()
+@pytest.fixture(scope="module", params=[False, True], ids=["official", "with a skip"])
+def model(request):
+    return network(skip=request.param)
 
 
 @pytest.fixture(scope="module")

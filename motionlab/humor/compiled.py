@@ -42,9 +42,10 @@ class LoopedChain(torch.autograd.Function):
         """First derivatives only."""
         joint, ctx.groups = torch.cat(list(decoder.z_weights)), decoder.groups
         ctx.fixed = _array(gains), tuple(_array(w) for w in decoder.weights), _array(joint), _joined(decoder.gains)
+        ctx.skip = _array(decoder.skip)
         across = tuple(_array(w.mT) for w in decoder.weights), _array(joint.mT), _joined(decoder.biases)
         norms = ctx.fixed[-1], _joined(decoder.shifts), decoder.groups, decoder.eps
-        ctx.kept = _onward(_array(first), _array(u), ctx.fixed[0], *across, *norms)
+        ctx.kept = _onward(_array(first), _array(u), ctx.fixed[0], *across, *norms, _array(decoder.skip.mT))
         past, after, raw, z = (torch.from_numpy(x) for x in ctx.kept[:4])
         return past.clone(), after.clone(), raw[..., _CHANGES:].clone(), z.clone()
 
@@ -55,7 +56,7 @@ class LoopedChain(torch.autograd.Function):
         past, after, raw, _, *kept = ctx.kept
         bend = rotation.left_jacobian(torch.from_numpy(raw[..., _ADDED:_CHANGES]).unflatten(-1, (22, 3)))
         given = tuple(_array(d) for d in (d_past, d_after, d_logits, d_z))
-        d_x, d_u = _back(*given, past, after, *kept, _array(bend), *ctx.fixed, ctx.groups)
+        d_x, d_u = _back(*given, past, after, *kept, _array(bend), *ctx.fixed, ctx.groups, ctx.skip)
         return None, torch.from_numpy(d_x), torch.from_numpy(d_u), None
 
 
@@ -69,7 +70,7 @@ def _joined(parts: list[Tensor]) -> np.ndarray:
 
 # ------------------------------------------------------------------------------------------------------------- onward
 @_loops
-def _onward(first, u, gains, weights, joint, bias, scale, shift, groups, eps):
+def _onward(first, u, gains, weights, joint, bias, scale, shift, groups, eps, skip):
     """All steps; the arrays that the way back needs."""
     steps, batch, _ = u.shape
     hidden, kind = len(scale), u.dtype
@@ -97,6 +98,7 @@ def _onward(first, u, gains, weights, joint, bias, scale, shift, groups, eps):
                     normed[t, b, begin:end], spread[t, b, k * groups : (k + 1) * groups], outs[t, b, begin:end],
                 )  # fmt: skip
             h, at, begin = outs[t], begin, end
+        _add_product(x, 0, skip, share, hidden)
         for b in range(batch):
             raw[t, b] = share[b, hidden:]
             _step(x[b], raw[t, b], after[t, b], turned[t, b], places[t, b], places[t + 1, b])
@@ -195,7 +197,7 @@ def _exp(v, out):
 @_loops
 def _back(
     d_past, d_after, d_logits, d_z, past, after, turned, places, normed, spread, outs, bend,
-    gains, weights, joint, scale, groups,
+    gains, weights, joint, scale, groups, skip,
 ):  # fmt: skip
     """Gradients of X_0 (B, 345) and u (T, B, 48)."""
     steps, batch, _ = d_z.shape
@@ -220,6 +222,7 @@ def _back(
             d_h = np.zeros((batch, weights[k].shape[1]), joint.dtype)
             _add_product(share, begin, weights[k], d_h, 0)
             end = begin
+        _add_product(share, hidden, skip, d_h, 0)
         _add_product(share, 0, joint, d_u[t], 0)
         for b in range(batch):
             _back_state(d[b], turned[t, b], d_h[b], d_x[b])

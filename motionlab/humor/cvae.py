@@ -1,6 +1,9 @@
 """The conditional VAE over transitions: posterior, conditional prior and decoder, with the official names and shapes.
 
 Source: HuMoR (Rempe et al. 2021), section 3 and its official code; thesis 3.1.1.
+Differs: a model may have a linear layer past the decoder, ``skip``. It begins as "everything goes on at its velocity",
+so that the networks only say what differs from that. Such a model knows velocities of the past, not central ones
+(``Cvae.causal``).
 """
 
 from __future__ import annotations
@@ -82,12 +85,13 @@ class Cvae(nn.Module):
     last norm is half as wide and has 16 groups. At 32 each of these is a single number, which norms to nought, and what
     is decoded depends on z alone: 64 is the least that can learn.
     There is no normalisation of inputs or outputs: what training uses is folded into the weights.
+    skip: with a linear layer from the past state to the raw changes, beside the decoder; not in the official model.
 
     Raises:
         ShapeError: the width is no multiple of 32.
     """
 
-    def __init__(self, width: int = 1024, latent: int = LATENT) -> None:
+    def __init__(self, width: int = 1024, latent: int = LATENT, *, skip: bool = False) -> None:
         super().__init__()
         if width < 32 or width % 32:
             raise ShapeError(f"width: expected a multiple of 32, got {width}")
@@ -95,6 +99,13 @@ class Cvae(nn.Module):
         self.encoder = Mlp(2 * STATE, (width,) * 4, 2 * latent)
         self.prior_net = Mlp(STATE, (width,) * 4, 2 * latent)
         self.decoder = Mlp(STATE + latent, (width, width, width // 2), DELTA, again=latent)
+        self.skip = nn.Linear(STATE, DELTA, bias=False) if skip else None
+
+    @property
+    def causal(self) -> bool:
+        """Whether the velocities of its states are backward differences; otherwise they are central ones, which know
+        the next frame."""
+        return self.skip is not None
 
     def posterior(self, past: Tensor, now: Tensor) -> Gaussian:
         """Computes q(z | past, now) from states (..., 339), both in the frame of the past one."""
@@ -106,7 +117,8 @@ class Cvae(nn.Module):
 
     def decode(self, past: Tensor, z: Tensor) -> Tensor:
         """Computes raw changes and contact logits (..., 216) of the next state; ``state.apply`` adds them."""
-        return _rows(self.decoder, torch.cat((past, z), dim=-1))
+        raw = _rows(self.decoder, torch.cat((past, z), dim=-1))
+        return raw if self.skip is None else raw + self.skip(past)
 
     def frozen(self) -> Cvae:
         """Returns itself, in evaluation mode, its weights without gradients: what a fit wants."""
@@ -126,6 +138,8 @@ def reorder(model: Cvae, *, back: bool = False) -> Cvae:
         weight[:, :size] = weight[:, :size].unflatten(1, (states, STATE))[..., order.to(weight.device)].flatten(1)
     last = model.decoder.net[-1]
     last.weight.copy_(last.weight[delta]), last.bias.copy_(last.bias[delta])
+    if model.skip is not None:
+        model.skip.weight.copy_(model.skip.weight[delta][:, order])
     return model
 
 
@@ -145,7 +159,7 @@ def from_weights(weights: dict[str, Tensor], path: Path, remedy: str) -> Cvae:
         raise DataError("no prior_net.net.0.weight of shape (width, 339)", path=path, remedy=remedy)
     last = weights.get("prior_net.net.12.bias")
     latent = LATENT if last is None else len(last) // 2
-    model = Cvae(len(first), latent)
+    model = Cvae(len(first), latent, skip="skip.weight" in weights)
     try:
         model.load_state_dict({name: value.float() for name, value in weights.items()})
     except RuntimeError as error:

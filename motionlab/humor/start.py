@@ -225,7 +225,7 @@ def start_stage_3(
         trust (G, T, 22): how much each joint of it is to be believed, 0 to 1; used in lean mode.
         starts, length: of the windows. weight: of the motion prior beside a square metre, w. eager: share on the way.
     """
-    states = state.from_motion(motion)
+    states = state.from_motion(motion, causal=priors.motion.causal)
     first = state.unpack(states[:, list(starts)])
     with torch.no_grad():
         if mode == "lean":

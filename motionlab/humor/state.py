@@ -105,25 +105,44 @@ def unpack_delta(raw: Tensor) -> dict[str, Tensor]:
     return {name: raw[..., DELTA_SLICES[name]].unflatten(-1, shape) for name, shape in DELTA_SHAPES.items()}
 
 
-def from_motion(motion: Motion) -> Tensor:
-    """Computes world states (..., T, 339) from a motion on the 22 joints; velocities by central differences.
+def from_motion(motion: Motion, *, causal: bool = False) -> Tensor:
+    """Computes world states (..., T, 339) from a motion on the 22 joints.
 
-    Root angular velocity: the vector of dR/dt R^T, world axes.
+    Velocities by central differences, as in HuMoR's states: they know the next frame. causal: by backward differences,
+    which know the past only; the first frame has those of the second. Root angular velocity: the vector of dR/dt R^T,
+    world axes.
     """
+    rate = _backward if causal else velocity
     positions, _ = motion.world
     check_shape(positions, f"... {JOINT_COUNT} 3", "joints")
     root = motion.rot[..., 0, :, :]
     return pack(
         {
             "trans": motion.root,
-            "trans_vel": velocity(motion.root, motion.fps, dim=-2),
+            "trans_vel": rate(motion.root, motion.fps, dim=-2),
             "root_orient": root,
-            "root_orient_vel": angular_velocity(root, motion.fps),
+            "root_orient_vel": _turning(root, motion.fps) if causal else angular_velocity(root, motion.fps),
             "pose_body": motion.rot[..., 1:, :, :],
             "joints": positions,
-            "joints_vel": velocity(positions, motion.fps, dim=-3),
+            "joints_vel": rate(positions, motion.fps, dim=-3),
         }
     )
+
+
+def _backward(x: Tensor, fps: float, dim: int) -> Tensor:
+    """Rates of change per second by backward differences; the first is the second's."""
+    if x.shape[dim] < 2:
+        return torch.zeros_like(x)
+    rate = x.diff(dim=dim) * fps
+    return torch.cat((rate.narrow(dim, 0, 1), rate), dim)
+
+
+def _turning(orientation: Tensor, fps: float) -> Tensor:
+    """The vector of R_t R_{t-1}^T, rad/s (..., T, 3); the first is the second's."""
+    turn = rotation.log(orientation[..., 1:, :, :] @ orientation[..., :-1, :, :].mT) * fps
+    if not turn.shape[-2]:
+        return torch.zeros_like(orientation[..., 0])
+    return torch.cat((turn[..., :1, :], turn), -2)
 
 
 def angular_velocity(orientation: Tensor, fps: float) -> Tensor:

@@ -308,7 +308,7 @@ class _Track:
         why = "interrupted" if self.stopped else why
         motion = self.stages[max(self.stages)]
         contacts = motion.root.new_zeros(*motion.root.shape[:2], 9)
-        first = state.from_motion(motion)[:, None, 0]
+        first = state.from_motion(motion, causal=problem.priors.motion.causal)[:, None, 0]
         z = contacts.new_zeros(len(contacts), 1, 0, problem.priors.motion.latent)
         return self._fitted(problem, unknown, contacts, z, first, (0,), f"stage 3 left out: {why}")
 

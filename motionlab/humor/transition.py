@@ -49,7 +49,8 @@ def transition(model: Cvae, x: Tensor, z: Tensor, offset: Tensor | None = None) 
 
 
 class DecoderLayers(NamedTuple):
-    """The decoder's layers apart. Per Linear the weights of state and of z and the bias; per norm gain and shift."""
+    """The decoder's layers apart. Per Linear the weights of state and of z and the bias; per norm gain and shift.
+    skip (216, 339): of the linear layer past them, or (216, 0)."""
 
     weights: list[Tensor]
     z_weights: list[Tensor]
@@ -58,6 +59,7 @@ class DecoderLayers(NamedTuple):
     shifts: list[Tensor]
     groups: int
     eps: float
+    skip: Tensor
 
     @classmethod
     def of(cls, model: Cvae) -> DecoderLayers:
@@ -73,6 +75,7 @@ class DecoderLayers(NamedTuple):
             [norm.bias.detach() for norm in norms],
             norms[0].num_groups,
             norms[0].eps,
+            weights[-1][:, :0] if model.skip is None else model.skip.weight.detach(),
         )
 
     def shares(self, z: Tensor) -> list[Tensor]:
@@ -97,6 +100,7 @@ class Stepper:
     def __init__(self, decoder: DecoderLayers, spread: Tensor | None = None) -> None:
         self.decoder, self.spread = decoder, spread
         self.transposed = [weight.mT.contiguous() for weight in decoder.weights]
+        self.skip = decoder.skip.mT.contiguous()
         like = self.transposed[0]
         self.placed, self.centred, self.quaternion = (c.to(like) for c in (_PLACED, _CENTRED, _QUATERNION.view(16, 9)))
         self.still, self.turns = _TURN[0].reshape(9).to(like), _TURN[1:].reshape(2, 9).to(like)
@@ -116,6 +120,8 @@ class Stepper:
             layers.append((h, mean, scale, out))
             h = out
         raw = torch.addmm(shares[-1], h, self.transposed[-1])
+        if self.skip.numel():
+            raw = torch.addmm(raw, x, self.skip)
         turned = self.exp(raw[:, ADDED:CHANGES].unflatten(1, (JOINT_COUNT, 3)))
         matrices = x[:, ADDED:].unflatten(1, (JOINT_COUNT, 3, 3)) @ turned
         after = torch.cat((x[:, :ADDED] + raw[:, :ADDED], matrices.flatten(1)), dim=1)
@@ -176,6 +182,8 @@ class WayBack:
             )[0]
             d_shares.append(d_in.view_as(d_h))
             d_h = d_shares[-1] @ decoder.weights[k]
+        if decoder.skip.numel():
+            d_h = torch.addmm(d_h, d_shares[0], decoder.skip)
         return d_shares[::-1], d_h + torch.cat((d[:, :ADDED], (d_matrices @ step.turned.mT).flatten(1)), dim=1)
 
 

@@ -165,7 +165,8 @@ def _raw(decoder: DecoderLayers, x: Tensor, z: Tensor) -> Tensor:
         grouped = (h @ weight.mT + share).unflatten(-1, (decoder.groups, -1))
         normed = torch.nn.functional.layer_norm(grouped, grouped.shape[-1:], eps=decoder.eps).flatten(-2)
         h = torch.addcmul(shift, normed, gain).relu()
-    return h @ decoder.weights[-1].mT + last
+    raw = h @ decoder.weights[-1].mT + last
+    return raw + x @ decoder.skip.mT if decoder.skip.numel() else raw
 
 
 def decoder_slopes(decoder: DecoderLayers, x: Tensor, z: Tensor) -> Tensor:
@@ -194,6 +195,11 @@ def _decoder_slopes(decoder: DecoderLayers, x: Tensor, z: Tensor) -> Tensor:
         rows = _through(rows, *slope) @ weight[:keep].mT
         rows[:, XI:] += decoder.z_weights[k][:keep].mT
         h = out @ weight.mT + shares[k]
+    if decoder.skip.numel():
+        past = decoder.skip[:CHANGES]
+        turned = _rotation_inputs(x) @ past[:, ADDED:].mT.unflatten(0, (22, 9))
+        rows[:, :ADDED] += past[:, :ADDED].mT
+        rows[:, ADDED:XI] += turned.unflatten(1, (count, 3)).transpose(0, 1).flatten(1, 2)
     return rows
 
 
