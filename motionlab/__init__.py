@@ -12,7 +12,9 @@ __version__ = "0.1.0"
 __all__ = [
     "baselines",
     "body",
+    "cleaning",
     "contact",
+    "corpus",
     "diffusion",
     "errors",
     "heading",
@@ -22,6 +24,7 @@ __all__ = [
     "motion",
     "observation",
     "optimise",
+    "people",
     "posterior",
     "retarget",
     "rotation",

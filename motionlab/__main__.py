@@ -1,4 +1,4 @@
-"""The command line: ``python -m motionlab doctor | data | convert | fit | train | report | regenerate``."""
+"""The command line: ``python -m motionlab doctor | data | convert | fit | prepare | train | report | regenerate``."""
 
 from __future__ import annotations
 
@@ -88,6 +88,13 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("--quick", action="store_true", help="few steps: a first look")
     command.set_defaults(run=_fit)
 
+    command = commands.add_parser("prepare", help="recordings into training motion: what is kept, what is cut and why")
+    command.add_argument("folder", help="of recordings, one sub-folder per source")
+    command.add_argument("--sources", nargs="+", metavar="NAME", help="only these sub-folders")
+    command.add_argument("--strict", action="store_true", help="stop at a recording that cannot be used")
+    command.add_argument("--out", type=Path, help="where it is kept (default: the user's cache)")
+    command.set_defaults(run=_prepare)
+
     command = commands.add_parser("train", help="train a model: a checkpoint with its recipe")
     if "train" in arguments[:1]:  # its presets come with torch
         from motionlab import train
@@ -113,6 +120,16 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     )
     command.set_defaults(run=_regenerate)
     return parser
+
+
+def _prepare(options: argparse.Namespace) -> int:
+    from motionlab import corpus, parallel
+
+    how = {"kept": options.out, "strict": options.strict, "workers": parallel.cores()}
+    found = corpus.assemble(options.folder, options.sources, **how)
+    print(found.report())
+    print(f"kept in {options.out or corpus.cache_folder()}")
+    return 0
 
 
 def _doctor(options: argparse.Namespace) -> int:

@@ -17,9 +17,11 @@ from data_synth import corpus
 from motionlab.contact import with_contacts
 from motionlab.diffusion.model import DenoiserRecipe
 from motionlab.diffusion.windows import gather, on_standard
+from motionlab.errors import DataError
 from motionlab.humor import examples
 from motionlab.io.recordings import recordings
 from motionlab.motion import Motion, fix_root_horizontally, resample
+from motionlab.people import PARTS
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD
 
@@ -27,8 +29,22 @@ from motionlab.skeleton import STANDARD
 MOTIONS = ("animated_drawings", "bandai_namco", "cmu_amc", "deepmimic", "isaacgym_amp_cmu", "reactidle")
 #: Sources on which weights that ship with the project may be trained, by their licences.
 SHIPPABLE = ("cmu_amc", "deepmimic", "reactidle", "animated_drawings", "isaacgym_amp_cmu")
-PARTS = ("train", "choose", "report")
+#: Those that a corpus of real motion is made of (``corpus.assemble``); people, not clips, are kept apart there.
+REAL = ("cmu_library", "cmu_native", *SHIPPABLE)
 SYNTHETIC, RECORDED = "synthetic", "recordings"
+
+
+def real_sources(folder: Path | str) -> list[str]:
+    """Returns the sources in a folder that a corpus of real motion may be made of: those of ``REAL``, or where there is
+    none of them all sub-folders.
+
+    Raises:
+        DataError: no such folder, or nothing in it.
+    """
+    places = sorted(p.name for p in Path(folder).iterdir() if p.is_dir()) if Path(folder).is_dir() else []
+    if not places:
+        raise DataError("no folders of recordings", path=folder, remedy="give a folder with one sub-folder per source")
+    return [name for name in REAL if name in places] or places
 
 
 def evenly(items: Sequence, most: int | None) -> list:

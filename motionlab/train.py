@@ -9,12 +9,12 @@ from pathlib import Path
 
 import torch
 
-from motionlab import checkpoint, shipped, splits
+from motionlab import checkpoint, corpus, shipped, splits
 from motionlab.diffusion import model
 from motionlab.diffusion import training as diffusion_training
 from motionlab.diffusion.denoiser import SIZES
 from motionlab.errors import DataError
-from motionlab.humor import examples, state, training
+from motionlab.humor import chain_training, examples, state, training
 from motionlab.humor.cvae import Cvae, official_weights
 from motionlab.motion import Motion
 
@@ -45,7 +45,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 
 def _presets() -> dict[str, dict]:
-    return {"humor": training.PRIOR_PRESETS, "diffusion": shipped.DENOISER_PRESETS}
+    humor = training.PRIOR_PRESETS | chain_training.CHAIN_PRESETS
+    return {"humor": humor, "diffusion": shipped.DENOISER_PRESETS}
 
 
 def _count(text: str) -> int:
@@ -80,10 +81,12 @@ def _together(train: dict[str, list[Motion]], recipe: training.PriorRecipe) -> l
     ]  # fmt: skip
 
 
-def _state_windows(motions: list[Motion], frames: int = 61, most: int = 48) -> tuple[torch.Tensor, torch.Tensor]:
+def _state_windows(
+    motions: list[Motion], frames: int = 61, most: int = 48, *, causal: bool = False
+) -> tuple[torch.Tensor, torch.Tensor]:
     """States (W, frames, 339) and contacts (W, frames, 9), evenly over the motions; none where all are shorter."""
     cuts = [
-        (state.from_motion(m)[i : i + frames].float(), m.contacts[i : i + frames].float())
+        (state.from_motion(m, causal=causal)[i : i + frames].float(), m.contacts[i : i + frames].float())
         for m in motions for i in range(0, m.frames - frames + 1, frames)
     ]  # fmt: skip
     if not cuts:
@@ -103,6 +106,7 @@ def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | m
     if options.preset not in presets:
         raise DataError(f"{options.model} has no preset {options.preset!r}", remedy=f"choose {', '.join(presets)}")
     kind = training.PriorTraining if options.model == "humor" else diffusion_training.DenoiserTraining
+    kind = chain_training.ChainTraining if options.preset in chain_training.CHAIN_PRESETS else kind
     recipe, before = presets[options.preset], kind.kept_recipe(kept) if options.resume else None
     if options.size and not hasattr(recipe, "size"):
         raise DataError(f"{options.model} has no sizes", remedy="leave --size out")
@@ -145,6 +149,8 @@ def _train(options: argparse.Namespace) -> int:
         how = {"resume": options.resume, "command": made, "recordings": found, "start": start}
         shipped.make(recipe, options.data, out, kept, **how)
         return 0
+    if options.preset in chain_training.CHAIN_PRESETS:
+        return _train_chains(recipe, options, out, kept)
     train, held = _training_sources(options.data)
     data = examples.examples(_together(train, recipe), recipe.length + 1)
     run = training.PriorTraining.resume(kept, data) if options.resume else training.PriorTraining(recipe, data)
@@ -171,6 +177,42 @@ def _train(options: argparse.Namespace) -> int:
         "recordings": _found_in(options.data) if "recordings" in train else [], "torch": torch.__version__,
         "quality, held out": {name: training.quality_row(run.averaged, *found) for name, found in judged.items()},
         "curve": run.curve,
+    }  # fmt: skip
+    checkpoint.save(out, official_weights(run.averaged), about)
+    kept.unlink()
+    print(f"{out.with_suffix('.safetensors')}: {run.step} steps")
+    return 0
+
+
+def _train_chains(recipe: chain_training.ChainRecipe, options: argparse.Namespace, out: Path, kept: Path) -> int:
+    """Trains a transition prior on a corpus of recordings and on synthetic motion; its curve is of the people that
+    choose."""
+    from data_synth import corpus as synthetic
+
+    if not options.data:
+        raise DataError("this preset learns from recordings", remedy="name a folder of them with --data")
+    found = corpus.assemble(options.data, splits.real_sources(options.data))
+    takes, chosen = found.part("train"), found.part("choose")
+    made = [s.motion for s in synthetic.build(version="B").train]
+    motions, missing = [*(t.motion for t in takes), *made], [*(t.missing for t in takes), *([()] * len(made))]
+    data = examples.live_examples(motions, recipe.length + 1, missing)
+    kind = chain_training.ChainTraining
+    run = kind.resume(kept, data) if options.resume else kind(recipe, data)
+    held = _state_windows([t.motion for t in chosen], most=96, causal=True)
+
+    def validate(model: Cvae) -> dict[str, float]:
+        return training.quality_row(model, *held)
+
+    run.run(keep=kept, every=500, validate=validate, progress=True)
+    some = {"recordings": [t.motion for t in takes], "synthetic": made}
+    minutes = {name: sum(m.seconds for m in motions) / 60 for name, motions in some.items()}
+    about = {
+        "made by": f"python -m motionlab train humor --preset {options.preset} --steps {recipe.steps} "
+        f"--seed {recipe.seed} --data FOLDER",
+        "recipe": asdict(run.recipe), "minutes of motion, before mirroring": minutes, "examples": data.digest,
+        "people": len({t.person for t in takes}), "sources": {row.source: row.kept / 60 for row in found.rows},
+        "corpus": found.digest, "torch": torch.__version__,
+        "quality, people who choose": training.quality_row(run.averaged, *held), "curve": run.curve,
     }  # fmt: skip
     checkpoint.save(out, official_weights(run.averaged), about)
     kept.unlink()

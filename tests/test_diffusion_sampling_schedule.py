@@ -35,6 +35,9 @@ def test_noise_goes_in_and_comes_out(thousand, generator):
     xt = thousand.noised(x0, t, noise)
     torch.testing.assert_close(thousand.noise_of(x0, xt, t), noise, atol=1e-3, rtol=1e-3)
     assert torch.equal(thousand.noised(x0, -1, noise), x0)
+    mean, variance = thousand.posterior(x0, xt, 0)
+    torch.testing.assert_close(mean, x0)
+    assert variance.abs().max() < 1e-15
     one_by_one = torch.stack([thousand.noised(x0[i], int(t[i]), noise[i]) for i in range(4)])
     torch.testing.assert_close(xt, one_by_one)
 

@@ -9,8 +9,7 @@ from motionlab.humor import state, transition
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import decode_ahead, infer, rollout, sample_rollout
 from motionlab.humor.transition import DecoderLayers, Stepper
-
-F64 = torch.float64
+from tests.rolled_inputs import F64, first_states
 
 
 @pytest.fixture(scope="module")
@@ -23,24 +22,6 @@ def model():
             if value.ndim == 1:  # norms that do something
                 value += 0.1 * torch.randn(value.shape, dtype=F64, generator=torch.Generator().manual_seed(len(name)))
     return made.frozen()
-
-
-def first_states(generator, batch, dtype=F64):
-    def draw(*shape):
-        return torch.randn(batch, *shape, generator=generator, dtype=F64)
-
-    trans = draw(3)
-    return state.pack(
-        {
-            "trans": trans,
-            "trans_vel": draw(3),
-            "root_orient": rotation.random((batch,), generator, dtype=F64),
-            "root_orient_vel": draw(3),
-            "pose_body": rotation.random((batch, 21), generator, dtype=F64),
-            "joints": trans[:, None] + 0.5 * draw(22, 3),
-            "joints_vel": draw(22, 3),
-        }
-    ).to(dtype)
 
 
 def latents(generator, batch, steps):
@@ -141,7 +122,7 @@ def test_clips_do_not_see_each_other(model, generator, dtype, tolerance):
     """Three of them: the batch size that the official cross product breaks."""
     net = Cvae(64).to(dtype).frozen()
     net.load_state_dict({name: value.to(dtype) for name, value in model.state_dict().items()})
-    first, z = first_states(generator, 3, dtype), latents(generator, 3, 6).to(dtype)
+    first, z = first_states(generator, 3).to(dtype), latents(generator, 3, 6).to(dtype)
     together = rollout(net, first, z)
     for b in range(3):
         alone = rollout(net, first[b : b + 1], z[b : b + 1])
@@ -177,7 +158,7 @@ def test_a_body_exactly_on_its_side_has_no_heading_and_no_nan(model, generator, 
     net = Cvae(64).to(dtype).frozen()
     with torch.no_grad():
         net.decoder.net[-1].weight.zero_(), net.decoder.net[-1].bias.zero_()  # the state stays where it is
-    first = first_states(generator, 2, dtype)
+    first = first_states(generator, 2).to(dtype)
     side = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], dtype=dtype)
     first[0, state.SLICES["root_orient"]] = side.flatten()
     x, z = first.clone().requires_grad_(), latents(generator, 2, 3).to(dtype).requires_grad_()

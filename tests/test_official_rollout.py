@@ -11,8 +11,7 @@ from motionlab.humor import rollout, state
 from motionlab.humor.cvae import Cvae
 from studies.official import rollout as official_rollout
 from studies.official import rotation as official_rotation
-
-F64 = torch.float64
+from tests.rolled_inputs import F64, first_states
 
 
 def model(width: int = 64, dtype: torch.dtype = F64) -> Cvae:
@@ -21,17 +20,6 @@ def model(width: int = 64, dtype: torch.dtype = F64) -> Cvae:
     with torch.no_grad():
         made.decoder.net[-1].weight *= 0.3
     return made.frozen()
-
-
-def first_states(generator: torch.Generator, batch: int) -> torch.Tensor:
-    draw = lambda *shape: torch.randn(batch, *shape, generator=generator, dtype=F64)  # noqa: E731
-    trans = draw(3)
-    parts = {
-        "trans": trans, "trans_vel": draw(3), "root_orient": rotation.random((batch,), generator, dtype=F64),
-        "root_orient_vel": draw(3), "pose_body": rotation.random((batch, 21), generator, dtype=F64),
-        "joints": trans[:, None] + 0.5 * draw(22, 3), "joints_vel": draw(22, 3),
-    }  # fmt: skip
-    return state.pack(parts)
 
 
 @pytest.mark.parametrize("batch", [1, 3, 4])

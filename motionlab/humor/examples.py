@@ -18,10 +18,12 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from motionlab import rotation
+from motionlab.diffusion.windows import Windows, gather
 from motionlab.errors import DataError, ShapeError
 from motionlab.humor import body_shape
 from motionlab.humor.state import from_motion
 from motionlab.motion import Motion, mirror
+from motionlab.skeleton import STANDARD
 
 _PEOPLE = 0.7  # standard deviation, in betas, of the bodies that the motions are put on
 #: Joints that may be held another way without moving what stands on the floor.
@@ -86,6 +88,62 @@ def examples(motions: Sequence[Motion], length: int, *, mirrored: bool = True) -
     if states[0].shape[-1] != 339:
         raise ShapeError("motions must be on the 22 joints: retarget first")
     return Examples(torch.cat(states), torch.cat(contacts), torch.cat(offsets), torch.cat(begins), length)
+
+
+@dataclass(frozen=True, eq=False)
+class LiveExamples:
+    """Windows of states that are computed when they are drawn: half of them mirrored, each on another body.
+
+    For hours of motion, whose states would not fit into memory. Velocities are backward differences.
+
+    motions: windows of ``length`` + 1 frames. seen (C, 22): False where a motion lacks a joint, so that its rotation is
+    made up and teaches nothing. bodies: standard deviation of the bodies' betas; one recording in three keeps its own.
+    """
+
+    motions: Windows
+    seen: Tensor
+    length: int
+    bodies: float = _PEOPLE
+
+    def draw(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+        """Draws windows evenly over all frames: states (B, L, 339), contacts (B, L, 9), offsets (B, 22, 3)."""
+        return self.drawn(count, generator)[:3]
+
+    def drawn(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Draws as :meth:`draw`, and says which joints' rotations were recorded (B, 22), bool."""
+        motion, clip = self.motions.drawn(count, generator)
+        betas = self.bodies * torch.randn(count, body_shape.BETAS, generator=generator)
+        betas = betas * (torch.rand(count, 1, generator=generator) < 2 / 3)
+        offsets = motion.skeleton.offsets * body_shape.scales(betas)[:, None, :, None]
+        legs = STANDARD.indices(["left_knee", "left_ankle"])
+        grown = offsets[..., legs, :].norm(dim=-1).sum(-1) / motion.skeleton.offsets[..., legs, :].norm(dim=-1).sum(-1)
+        body = replace(motion.skeleton, offsets=offsets)
+        states = from_motion(replace(motion, skeleton=body, root=motion.root * grown[..., None]), causal=True)
+        return states[:, 1:], motion.contacts[:, 1:], offsets[:, 0], self.seen[clip]
+
+    @property
+    def digest(self) -> str:
+        """Computes a hash of all numbers, for the recipe."""
+        return self.motions.digest
+
+    @property
+    def frames(self) -> int:
+        """Counts the frames, without mirror images."""
+        return len(self.motions.root)
+
+
+def live_examples(motions: Sequence[Motion], length: int, missing: Sequence[Sequence[str]]) -> LiveExamples:
+    """Computes live examples from motions with contacts, 30 fps, floor at z = 0: windows of ``length`` states.
+
+    missing: for every motion the joints whose rotations were not recorded.
+
+    Raises:
+        DataError: as :func:`motionlab.diffusion.windows.gather`.
+    """
+    windows = gather(motions, length + 1)
+    used = [names for motion, names in zip(motions, missing, strict=True) if motion.frames >= length + 1]
+    seen = torch.tensor([[name not in names for name in STANDARD.names] for names in used])
+    return LiveExamples(windows, seen, length)
 
 
 def other_body(motion: Motion, generator: torch.Generator) -> Motion:

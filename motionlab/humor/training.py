@@ -62,13 +62,29 @@ ACTIVE_NATS = 0.05
 _DOWN = 0.03
 
 
+def _onward() -> Tensor:
+    """(216, 339): the raw changes of a body that goes on at its velocity for one frame."""
+    matrix = torch.zeros(DELTA, STATE)
+    for name in ("trans", "root_orient", "joints"):
+        speed = SLICES[f"{name}_vel"]
+        matrix[DELTA_SLICES[name], speed] = torch.eye(speed.stop - speed.start) / FPS
+    return matrix
+
+
+ONWARD = _onward()
+
+
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """Standardisation of states (339,) in their canonical frame, and the size of the raw output (216,)."""
+    """Standardisation of states (339,) in their canonical frame, and the size of the raw output (216,).
+
+    half: networks compute in bfloat16, which some processors do several times faster; weights stay in single precision.
+    """
 
     mean: Tensor
     std: Tensor
     change: Tensor
+    half: bool = False
 
     @classmethod
     def none(cls) -> Scales:
@@ -76,16 +92,19 @@ class Scales:
         return cls(torch.zeros(STATE), torch.ones(STATE), torch.ones(DELTA))
 
     @classmethod
-    def measure(cls, past: Tensor, now: Tensor) -> Scales:
-        """From transitions (N, 339), both in the frame of the past state."""
+    def measure(cls, past: Tensor, now: Tensor, *, skip: bool = False) -> Scales:
+        """From transitions (N, 339), both in the frame of the past state. skip: of what differs from going on at the
+        velocity."""
         change = torch.ones(DELTA)
+        onward = past @ ONWARD.mT if skip else torch.zeros(len(past), DELTA)
         before, after = unpack(past), unpack(now)
         for name in SHAPES:
             if name in ("root_orient", "pose_body"):
                 moved = rotation.log(after[name] @ before[name].mT)
             else:
                 moved = after[name] - before[name]
-            change[DELTA_SLICES[name]] = moved.flatten(1).std(0).clamp(min=1e-4)
+            moved = moved.flatten(1) - onward[:, DELTA_SLICES[name]]
+            change[DELTA_SLICES[name]] = moved.std(0).clamp(min=1e-4)
         change[DELTA_SLICES["contacts"]] = 3.0
         return cls(past.mean(0), past.std(0).clamp(min=1e-3), change)
 
@@ -93,15 +112,24 @@ class Scales:
         """q(z | past, now); the second state enters as its change, in units of 16 errors."""
         units = 16 * _unit(SLICES)
         rows = torch.cat(((past - self.mean) / self.std, (now - past) / units), -1)
-        return Gaussian(*model.encoder(rows).chunk(2, -1))
+        with self._precision():
+            return Gaussian(*model.encoder(rows).float().chunk(2, -1))
 
     def prior(self, model: Cvae, past: Tensor) -> Gaussian:
         """p(z | past)."""
-        return Gaussian(*model.prior_net((past - self.mean) / self.std).chunk(2, -1))
+        with self._precision():
+            return Gaussian(*model.prior_net((past - self.mean) / self.std).float().chunk(2, -1))
 
     def decode(self, model: Cvae, past: Tensor, z: Tensor) -> Tensor:
         """Raw changes and contact logits (N, 216)."""
-        return model.decoder(torch.cat(((past - self.mean) / self.std, z), -1)) * self.change
+        rows = (past - self.mean) / self.std
+        with self._precision():
+            raw = model.decoder(torch.cat((rows, z), -1)).float()
+            raw = raw if model.skip is None else raw + model.skip(rows).float()
+        return raw * self.change + (0.0 if model.skip is None else past @ ONWARD.mT)
+
+    def _precision(self) -> torch.autocast:
+        return torch.autocast("cpu", torch.bfloat16, enabled=self.half)
 
     def folded(self, model: Cvae) -> Cvae:
         """The model that computes the same from plain numbers, by its weights alone: the official architecture."""
@@ -116,6 +144,10 @@ class Scales:
             weight[:, :STATE] -= weight[:, STATE:]
             model.decoder.net[-1].weight *= self.change[:, None]
             model.decoder.net[-1].bias *= self.change
+            if model.skip is not None:
+                weight = self.change[:, None] * model.skip.weight / self.std
+                model.decoder.net[-1].bias -= weight @ self.mean
+                model.skip.weight.copy_(weight + ONWARD)
         return model
 
 

@@ -58,6 +58,8 @@ SOURCES: dict[str, Source] = {
     "bandai_namco": Source("CC BY-NC 4.0", False, {"bvh": ("*.bvh", bvh.load)}),
     "anidance": Source("mocap without licence: evaluate only", False, {"npz": ("*.npz", points.load_anidance)}),
     "cmu_amc": Source("CMU terms, credit", True, {"amc": ("*.amc", asf.load_beside)}),
+    "cmu_library": Source("CMU terms, credit", True, {"bvh": ("*/*.bvh", bvh.load)}),
+    "cmu_native": Source("CMU terms, credit", True, {"amc": ("*/*.amc", asf.load_beside)}),
     "deepmimic": Source("MIT", True, {"json": ("*humanoid3d*.txt", clips.load_deepmimic)}),
     "captury_falls": Source(
         "free for research: evaluate only",

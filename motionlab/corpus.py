@@ -1,0 +1,350 @@
+"""Makes training motion of a folder of recordings: loaded, retargeted, at one frame rate, cleaned, labelled, kept.
+
+    found = corpus.assemble("recordings/")          # minutes the first time, seconds after that
+    takes = found.part("train")                    # clean stretches of people that models learn from
+    print(found.report())                          # what was left out, and why
+
+Each source is parsed once and kept whole or not at all; a recording that changes, or code that would read it otherwise,
+is parsed again. A file that cannot be used is named and counted, or ends the run (``strict``).
+
+Source: thesis 4.1.2, "Data": normalised, on a standard skeleton, sequences held out.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import re
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save as serialised
+from tqdm.auto import tqdm
+
+from motionlab import cleaning, people, rotation
+from motionlab.contact import with_contacts
+from motionlab.errors import DataError, MissingData
+from motionlab.files import write_whole
+from motionlab.io.recordings import recordings
+from motionlab.motion import FPS, Motion, resample
+from motionlab.parallel import run_jobs
+from motionlab.retarget import retarget
+from motionlab.skeleton import STANDARD
+from motionlab.staleness import source_hash
+
+#: Words of a description or a file's name -> kind of motion; the first that fits.
+KINDS = {
+    "floor": r"roll|crawl|get(ting)? ?up|lay|lie|lying|fall|floor|yoga|push.?up|sit.?up|swim|stroke",
+    "dance": r"danc|salsa|lindy|charleston|waltz|arabesque|pirouette|glissade|ballet|jete|plie",
+    "acrobatics": r"flip|cartwheel|hand ?stand|somersault|back ?hand|tumbl",
+    "fight": r"punch|box|kick|karate|bassai|empi|heian|gedan|attack|defen|sword|martial|fight|block|strike|shuto",
+    "sit": r"\bsit|chair|stool|sofa|motorcycle",
+    "climb": r"climb|stair|ladder|playground|steps?\b.*up|uneven|slope",
+    "jump": r"jump|hop|leap|skip",
+    "run": r"\brun|jog|sprint|dash",
+    "sport": r"soccer|golf|putt|swing|tee\b|ball|frisbee|pitch|bunt|dribble|shot|turn cleaned|tight",
+    "animal": r"human subject|monkey|chicken|bear|cat |dinosaur|mummy|gorilla|penguin|mickey",
+    "walk": r"walk|stride|step|march|navigate|path|limp|creep|pace|stroll|hobble",
+    "everyday": r"wash|drink|eat|reach|pick|lift|carry|wave|clean|hammer|saw|screw|story|rhyme|signal|vacation|laugh|"
+    r"talk|point|direct|look|open|write|chop|fish|conversation|stretch|bow|idle|wait|vignettes|broom|drop",
+}
+_FORMAT = 1  # of what is kept
+_TOGETHER = 16  # recordings a job
+#: Modules whose text decides what is kept.
+_READERS = (
+    "cleaning", "contact", "corpus", "motion", "retarget", "rotation", "skeleton",
+    "io/asf", "io/amass", "io/bvh", "io/clips", "io/reading", "io/recordings",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """A clean stretch of a recording: 22 joints, floor at z = 0, contacts labelled.
+
+    name: source and file, and from which second. person: who performs. kind: of motion, one of ``KINDS`` or "other".
+    fps: of the recording. missing: standard joints that the recording lacks; their rotation is made up.
+    """
+
+    motion: Motion
+    name: str
+    source: str
+    person: str
+    kind: str
+    fps: float
+    missing: tuple[str, ...]
+
+    @property
+    def part(self) -> str:
+        """The part that the person belongs to."""
+        return people.part_of(self.person)
+
+
+@dataclass(frozen=True)
+class SourceRow:
+    """What became of one source: recordings, seconds of them and how many are kept; seconds cut by fault; files that
+    cannot be used, and why."""
+
+    source: str
+    recordings: int
+    seconds: float
+    kept: float
+    cut: Mapping[str, float]
+    refused: Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Corpus:
+    """Clean stretches of many recordings, and what was left out."""
+
+    takes: tuple[Take, ...]
+    rows: tuple[SourceRow, ...]
+    digest: str = field(default="")
+
+    def part(self, name: str) -> list[Take]:
+        """The takes of a part: "train", "choose" or "report".
+
+        Raises:
+            ValueError: no such part.
+        """
+        if name not in people.PARTS:
+            raise ValueError(f"part: expected one of {', '.join(people.PARTS)}, got {name!r}")
+        return [take for take in self.takes if take.part == name]
+
+    def report(self) -> str:
+        """What was read, what was cut and why, and the parts: a text for the terminal."""
+        lines = []
+        for row in self.rows:
+            lost = ", ".join(f"{name} {s / 60:.1f}" for name, s in sorted(row.cut.items(), key=lambda x: -x[1]))
+            lines.append(
+                f"{row.source}: {row.recordings} recordings, {row.seconds / 60:.1f} min, kept {row.kept / 60:.1f}"
+                + (f"; cut, min: {lost}" if lost else "")
+            )
+            reasons = Counter(row.refused.values())
+            lines += [f"  refused {n}: {reason}" for reason, n in reasons.most_common(5)]
+            lines += [f"    {name}" for name in list(row.refused)[:5]]
+        for name in people.PARTS:
+            some = self.part(name)
+            seconds, who = sum(t.motion.seconds for t in some), len({t.person for t in some})
+            lines.append(f"{name}: {seconds / 60:.1f} min of {who} people, {len(some)} stretches")
+        return "\n".join(lines)
+
+
+def _kind_of(text: str) -> str:
+    """Returns the kind of motion that a description or a file's name speaks of: one of ``KINDS``, or "other"."""
+    text = text.lower().replace("_", " ")
+    return next((kind for kind, words in KINDS.items() if re.search(words, text)), "other")
+
+
+def cache_folder() -> Path:
+    """Where prepared corpora are kept: below ``$MOTIONLAB_CACHE``, or the user's cache."""
+    return Path(os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab") / "corpus"
+
+
+def assemble(
+    folder: Path | str,
+    sources: Sequence[str] | None = None,
+    *,
+    fps: float = FPS,
+    kept: Path | str | None = None,
+    strict: bool = False,
+    workers: int = 1,
+    every: int = 1,
+    progress: bool = True,
+) -> Corpus:
+    """Makes a corpus of the recordings in a folder, one sub-folder per source; what is kept from before is read.
+
+    Args:
+        sources: names of sub-folders; None: all that hold motions with rotations.
+        fps: frames per second of the corpus. kept: folder of what is kept; None: :func:`cache_folder`.
+        strict: a recording that cannot be used ends the run; otherwise it is counted in the report.
+        workers: processes (a script that asks for several needs ``if __name__ == "__main__"``). every: only each n-th
+            recording of a source.
+
+    Raises:
+        DataError: ``strict``, and a recording cannot be used.
+        MissingData: no such folder or source, or nothing usable in it.
+    """
+    folder, kept = Path(folder), Path(kept) if kept else cache_folder()
+    kept.mkdir(parents=True, exist_ok=True)
+    names = list(sources) if sources else sorted(p.name for p in _listed(folder))
+    found, rows, digests = [], [], []
+    for name in names:
+        files = [(path, load) for _, path, load in recordings(folder, name)][::every]
+        key = _key(folder, [path for path, _ in files], fps)
+        path = kept / f"{name}-{key}.safetensors"
+        stored = _read(path)
+        if stored is None:
+            stored = _prepared(name, folder, files, fps, strict, workers, progress)
+            write_whole(path, stored)
+            stored = _read(path)
+        takes, row = stored
+        if strict and row.refused:
+            file, why = next(iter(row.refused.items()))
+            raise DataError(why, path=file, remedy="leave it out of the folder, or assemble it without strict")
+        found += takes
+        rows.append(row)
+        digests.append(key)
+    if not found:
+        raise MissingData(f"any usable motion in {folder}", "Give a folder with one sub-folder of recordings each.")
+    once, again = _once(found)
+    rows = [_counted(row, [t for t in again if t.source == row.source]) for row in rows]
+    return Corpus(tuple(once), tuple(rows), hashlib.sha256(" ".join(digests).encode()).hexdigest()[:16])
+
+
+def _once(takes: Sequence[Take]) -> tuple[list[Take], list[Take]]:
+    """The takes, and those that repeat an earlier one: as long, and the same pose within a hundredth at nine frames.
+
+    Of the CMU library eight subjects are copies of others (83 and 122, 91 and 105, ...).
+    """
+    once, again, seen = [], [], defaultdict(list)
+    for take in takes:
+        some = take.motion.rot[torch.linspace(0, take.motion.frames - 1, 9).long()]
+        if any((some - other).abs().mean() < 0.01 for other in seen[take.motion.frames]):
+            again.append(take)
+        else:
+            once.append(take)
+            seen[take.motion.frames].append(some)
+    return once, again
+
+
+def _counted(row: SourceRow, again: Sequence[Take]) -> SourceRow:
+    """A row in which repeated takes are cut."""
+    lost = sum(t.motion.seconds for t in again)
+    return replace(row, kept=row.kept - lost, cut={**row.cut, "repeated": lost}) if lost else row
+
+
+def _listed(folder: Path) -> Iterable[Path]:
+    """Sub-folders of a folder of recordings, one a source.
+
+    Raises:
+        MissingData: no such folder, or none in it.
+    """
+    found = [p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")] if folder.is_dir() else []
+    if not found:
+        raise MissingData(f"a folder of recordings at {folder}", "Give one with one sub-folder per source.")
+    return found
+
+
+def _key(folder: Path, files: Sequence[Path], fps: float) -> str:
+    """What a kept source depends on: its files as they are, the rate, and the code that reads them."""
+    whole = hashlib.sha256(repr((_FORMAT, fps)).encode())
+    for path in files:
+        state = path.stat()
+        whole.update(repr((str(path.relative_to(folder)), state.st_size, state.st_mtime_ns)).encode())
+    for name in _READERS:
+        whole.update(source_hash((Path(__file__).parent / f"{name}.py").read_text(encoding="utf-8")).encode())
+    return whole.hexdigest()[:16]
+
+
+def _prepared(
+    source: str, folder: Path, files: Sequence[tuple[Path, Callable]], fps: float, strict: bool, workers: int, bar: bool
+) -> bytes:
+    """One source, ready to be kept."""
+    said = _descriptions(folder / source)
+    lots = [files[i : i + _TOGETHER] for i in range(0, len(files), _TOGETHER)]
+    jobs = [partial(_some, source, lot, fps, said, strict) for lot in lots]
+    with tqdm(total=len(files), disable=not bar, desc=source, unit="file") as shown:
+        found = run_jobs(jobs, min(workers, len(jobs)) or 1, lambda k, _: shown.update(len(lots[k])))
+    every = [each for lot in found for each in lot]
+    tensors = {name: torch.cat([t for each in every for t in each[name]]) for name in _EMPTY}
+    about = {
+        "takes": [take for each in every for take in each["takes"]],
+        "recordings": len(files), "seconds": sum(each["seconds"] for each in every), "source": source,
+        "refused": {each["file"]: each["refused"] for each in every if each["refused"]},
+    }  # fmt: skip
+    cut: dict[str, float] = defaultdict(float)
+    for each in every:
+        for name, seconds in each["cut"].items():
+            cut[name] += seconds
+    return serialised(tensors, {"about": json.dumps(about | {"cut": dict(cut)})})
+
+
+_EMPTY = {
+    "root": torch.zeros(0, 3), "rot": torch.zeros(0, 22, 4), "contacts": torch.zeros(0, 9, dtype=torch.uint8),
+    "offsets": torch.zeros(0, 22, 3),
+}  # fmt: skip
+
+
+def _some(source: str, files: Sequence[tuple[Path, Callable]], fps: float, said: Mapping[str, str], strict: bool):
+    """What each file gives: tensors of its clean stretches, and what to say of it."""
+    return [_one(source, path, load, fps, said.get(path.stem, path.stem), strict) for path, load in files]
+
+
+def _one(source: str, path: Path, load: Callable, fps: float, said: str, strict: bool) -> dict:
+    found = {name: [empty] for name, empty in _EMPTY.items()}
+    found |= {"takes": [], "cut": {}, "refused": "", "file": f"{source}/{path.name}", "seconds": 0.0}
+    try:
+        recording = load(path)
+        if not isinstance(recording, Motion):
+            raise DataError("holds positions without rotations", path=path, remedy="leave it out")
+        moved = retarget(recording)
+    except (DataError, MissingData, ValueError) as error:
+        if strict:
+            raise
+        found["refused"] = _reason(error)
+        return found
+    whole = resample(moved.motion, fps, "spline")
+    found["seconds"] = whole.seconds
+    cleaned = cleaning.clean(whole)
+    found["cut"] = dict(cleaned.seconds)
+    for stretch in cleaned.stretches:
+        labelled = with_contacts(stretch)
+        found["root"].append(labelled.root.float())
+        found["rot"].append(rotation.matrix_to_quaternion(labelled.rot.float()))
+        found["contacts"].append(labelled.contacts.to(torch.uint8))
+        found["offsets"].append(labelled.skeleton.offsets.float()[None])
+        found["takes"].append(
+            {
+                "name": f"{source}/{path.stem}", "person": people.person_of(source, path), "kind": _kind_of(said),
+                "fps": recording.fps, "missing": list(moved.unmapped), "frames": labelled.frames,
+                "sole": labelled.skeleton.sole,
+            }
+        )  # fmt: skip
+    return found
+
+
+def _reason(error: Exception) -> str:
+    return error.args[0].split(": ", 1)[-1] if isinstance(error, DataError) else str(error)
+
+
+def _descriptions(place: Path) -> dict[str, str]:
+    """What an ``index.tsv`` beside the recordings says of each, by file stem: columns id and description."""
+    path = place / "index.tsv"
+    if not path.is_file():
+        return {}
+    with path.open(encoding="utf-8", errors="replace", newline="") as file:
+        return {row["id"]: row["description"] or "" for row in csv.DictReader(file, delimiter="\t") if "id" in row}
+
+
+def _read(path: Path) -> tuple[list[Take], SourceRow] | None:
+    """A kept source; None where there is none, or it is damaged."""
+    try:
+        with safe_open(path, "pt") as file:
+            about = json.loads(file.metadata()["about"])
+            root, rot, contacts, offsets = (file.get_tensor(name) for name in _EMPTY)
+    except (OSError, SafetensorError, KeyError, ValueError):
+        return None
+    takes, at = [], 0
+    matrices = rotation.quaternion_to_matrix(rot)
+    for i, each in enumerate(about["takes"]):
+        stop = at + each["frames"]
+        skeleton = replace(STANDARD, offsets=offsets[i], sole=each["sole"])
+        motion = Motion(skeleton, root[at:stop], matrices[at:stop], FPS, contacts[at:stop].float(), name=each["name"])
+        takes.append(
+            Take(
+                motion, each["name"], about["source"], each["person"], each["kind"], each["fps"], tuple(each["missing"])
+            )
+        )
+        at = stop
+    row = SourceRow(
+        about["source"], about["recordings"], about["seconds"], sum(t.motion.seconds for t in takes), about["cut"],
+        about["refused"],
+    )  # fmt: skip
+    return takes, row

@@ -1,0 +1,170 @@
+"""Trains the transition prior on hours of motion by chains of many steps, each of one of three kinds.
+
+    closed   z from the posterior, of the state that the chain has reached and the next true one
+    open     z from the posterior along the truth; the chain is on its own, so that its errors add up as in use
+    free     z drawn from the prior; nothing is compared with the truth, only what the chain says with itself: joints
+             where the pose puts them, feet that are called in contact at rest
+
+Every chain begins at the truth. In closed ones the truth takes the place of what was reached, with a probability that
+falls to zero (scheduled sampling).
+
+Source: HuMoR (Rempe et al. 2021), section 3.3 (closed chains); the others are ours.
+Differs: errors, scales and average as in the compact recipe of ``training``; a linear layer past the decoder begins at
+"goes on at its velocity"; velocities are backward differences; a joint that a recording lacks teaches nothing of its
+rotation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from motionlab.errors import DataError
+from motionlab.humor.cvae import Cvae, Gaussian, kl
+from motionlab.humor.examples import LiveExamples
+from motionlab.humor.state import SHAPES, apply, globalise, heading, localise, unpack
+from motionlab.humor.training import ERROR_UNITS, Scales, _huber, _transition_pairs
+from motionlab.skeleton import STANDARD, fk
+from motionlab.training_loop import TrainingRun
+
+
+@dataclass(frozen=True)
+class ChainRecipe:
+    """What a training run depends on, with its examples.
+
+    width: of the networks. steps: of the optimiser. batch: chains of ``length`` transitions; opened, free: shares of
+    them of these kinds. chain: transitions that gradients flow through. supervised, sampled: shares of the steps that
+    see the truth, and by which it has faded out. kl: weight per nat; annealed: share of the steps over which it grows
+    to that. kinematics, contact, slide: weights of those losses. average: of the weights, per step. half: networks in
+    bfloat16.
+    """
+
+    width: int = 512
+    steps: int = 8000
+    batch: int = 128
+    length: int = 16
+    chain: int = 8
+    opened: float = 0.3
+    free: float = 0.2
+    lr: float = 3e-3
+    supervised: float = 0.05
+    sampled: float = 0.2
+    kl: float = 0.002
+    annealed: float = 0.1
+    kinematics: float = 0.5
+    contact: float = 0.7
+    slide: float = 0.1
+    average: float = 0.999
+    half: bool = True
+    seed: int = 0
+
+
+CHAIN_PRESETS = {"real": ChainRecipe(), "real_wide": ChainRecipe(width=1024, lr=1.5e-3)}
+
+
+class _Walked(NamedTuple):
+    """What chains say, over all steps: states after each in the frame before it (N, 339), contact logits (N, 9)."""
+
+    after: Tensor
+    logits: Tensor
+
+
+class ChainTraining(TrainingRun):
+    """A training run of the transition prior by chains; ``averaged`` is the model as it is shipped, frozen."""
+
+    data_name = "examples"
+
+    def __init__(self, recipe: ChainRecipe, examples: LiveExamples) -> None:
+        if examples.length != recipe.length + 1:
+            raise DataError(f"windows of {examples.length} states for {recipe.length} transitions")
+        self.examples = examples
+        some, _, _ = examples.draw(2000, torch.Generator().manual_seed(recipe.seed))
+        self.scales = replace(Scales.measure(*_transition_pairs(some), skip=True), half=recipe.half)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(recipe.seed)
+            model = Cvae(recipe.width, skip=True)
+        torch.nn.init.zeros_(model.skip.weight)
+        with torch.no_grad():
+            model.decoder.net[-1].weight *= 0.1
+        super().__init__(recipe, examples.digest, torch.Generator().manual_seed(recipe.seed), model)
+
+    @classmethod
+    def _recipe(cls, content: dict) -> ChainRecipe:
+        return ChainRecipe(**content)
+
+    def _optimiser(self) -> torch.optim.Optimizer:
+        return torch.optim.Adamax(self.model.parameters(), lr=self.recipe.lr)
+
+    def _made(self, weights: dict[str, Tensor]) -> Cvae:
+        model = Cvae(self.recipe.width, skip=True)
+        model.load_state_dict(weights)
+        return self.scales.folded(model).frozen()
+
+    def _rate(self) -> float:
+        warm = min(1.0, (self.step + 1) / 100)
+        return self.recipe.lr * warm * (0.505 + 0.495 * math.cos(math.pi * self.step / self.recipe.steps))
+
+    def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
+        recipe, share = self.recipe, self.step / self.recipe.steps
+        states, contacts, offsets, seen = self.examples.drawn(recipe.batch, self.generator)
+        opened, free = (round(part * recipe.batch) for part in (recipe.opened, recipe.free))
+        closed, judged = recipe.batch - opened - free, recipe.batch - free
+        truth = min(1.0, max(0.0, 1 - (share - recipe.supervised) / (recipe.sampled - recipe.supervised)))
+        with torch.autocast("cpu", torch.bfloat16, enabled=False):  # so that weights are cast once for all steps
+            known = self._along(states[closed:judged])
+            x, steps, pasts, posteriors, targets = states[:, 0], [], [], [], []
+            for t in range(recipe.length):
+                frame = heading(x)
+                past, now = localise(x, frame), localise(states[:, t + 1], frame)
+                q = self.scales.posterior(self.model, past[:closed], now[:closed])
+                p = self.scales.prior(self.model, past[judged:])
+                z = torch.cat((q.sample(self.generator), known[t], p.sample(self.generator).detach()))
+                found = _Walked(*apply(past, self.scales.decode(self.model, past, z)))
+                steps.append(found), pasts.append(past[:closed]), posteriors.append(q), targets.append(now)
+                given = torch.rand(recipe.batch, 1, generator=self.generator) < truth
+                x = torch.where(given, states[:, t + 1], globalise(found.after, frame))
+                x = x.detach() if (t + 1) % recipe.chain == 0 else x
+            q = Gaussian(*map(torch.cat, zip(*posteriors, strict=True)))
+            divergence = kl(q, self.scales.prior(self.model, torch.cat(pasts))).sum(-1).mean()
+            if opened:
+                divergence = (closed * divergence + opened * self._along_kl) / judged
+        after, logits, now = (torch.stack(each, 1) for each in (*zip(*steps, strict=True), targets))
+        parts = self._parts(after, logits, now, contacts[:, 1:], offsets, seen, judged) | {"kl": divergence}
+        weights = {
+            "reconstruction": 1.0, "kinematics": recipe.kinematics, "contact": recipe.contact, "slide": recipe.slide,
+            "kl": recipe.kl * min(1.0, 0.1 + share / recipe.annealed),
+        }  # fmt: skip
+        return sum(w * parts[name] for name, w in weights.items()), parts
+
+    def _along(self, states: Tensor) -> list[Tensor]:
+        """z (B, 48) of every step along true states (B, T + 1, 339), from the posterior; its divergence is kept."""
+        count, length = len(states), states.shape[1] - 1
+        if not count:
+            return [states.new_zeros(0, self.model.latent)] * length
+        past, now = _transition_pairs(states)
+        q, p = self.scales.posterior(self.model, past, now), self.scales.prior(self.model, past)
+        self._along_kl = kl(q, p).sum(-1).mean()
+        return list(q.sample(self.generator).unflatten(0, (count, length)).unbind(1))
+
+    def _parts(
+        self, after: Tensor, logits: Tensor, now: Tensor, contacts: Tensor, offsets: Tensor, seen: Tensor, judged: int
+    ) -> dict[str, Tensor]:
+        """Losses of chains (B, T, ...), of which the first ``judged`` are compared with the truth."""
+        parts, truth = unpack(after), unpack(now[:judged])
+        rot = torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), -3)
+        posed, _ = fk(replace(STANDARD, offsets=offsets[:, None]), parts["trans"], rot)
+        whole = {name: parts[name][:judged] - truth[name] for name in SHAPES}
+        whole["pose_body"] = whole["pose_body"] * seen[:judged, None, 1:, None, None]
+        speed = parts["joints_vel"][..., STANDARD.contact_indices, :].square().sum(-1)
+        inside = (posed - parts["joints"]) / ERROR_UNITS["joints"]
+        return {
+            "reconstruction": sum(_huber(error / ERROR_UNITS[name]) for name, error in whole.items()),
+            "kinematics": _huber((posed[:judged] - truth["joints"]) / ERROR_UNITS["joints"]) + 2 * _huber(inside),
+            "contact": F.binary_cross_entropy_with_logits(logits[:judged], contacts[:judged]),
+            "slide": (logits.sigmoid() * speed).mean(),
+        }
