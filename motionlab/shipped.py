@@ -102,7 +102,6 @@ _SILENT = 0.01  # gain over the filter; less says that the network has collapsed
 _SHORT = 5000  # steps; fewer are not judged
 _Motions = Mapping[str, Sequence[Motion]]  # by source
 STEPS = 4000  # of the pose prior
-_COMMAND = "python -m motionlab train small"
 
 
 def training_motions(found: dict[str, list[Motion]], recipe: DenoiserRecipe) -> dict[str, list[Motion]]:
@@ -211,7 +210,9 @@ def _poses(motions: Sequence[Motion], every: int = 1) -> Tensor:
     return torch.cat([m.rot[::every, 1:] for m in motions]).float()
 
 
-def _first_states(motions: Sequence[Motion], every: int, generator: torch.Generator | None = None) -> Tensor:
+def _first_states(
+    motions: Sequence[Motion], every: int, generator: torch.Generator | None = None, *, causal: bool = False
+) -> Tensor:
     """Features (N, 138) of every so many frames; with a generator, also of mirrored motions and of other bodies."""
     found = []
     for motion in motions:
@@ -219,25 +220,45 @@ def _first_states(motions: Sequence[Motion], every: int, generator: torch.Genera
         if generator is not None:
             some = [motion, mirror(motion), other_body(motion, generator), other_body(mirror(motion), generator)]
         for each in some:
-            world = state.from_motion(each)[::every]
+            world = state.from_motion(each, causal=causal)[::every]
             found.append(priors.first_state_features(state.localise(world, state.heading(world))).float())
     return torch.cat(found)
 
 
-def make_pose_prior(train: _Motions, held: _Motions, out: Path, *, seed: int = 0, steps: int = STEPS) -> dict:
+def _command(name: str) -> str:
+    return "python -m motionlab train small" + (f" --preset {name} --data FOLDER" if name != "compact" else "")
+
+
+def make_pose_prior(
+    train: _Motions,
+    held: _Motions,
+    out: Path,
+    *,
+    seed: int = 0,
+    steps: int = STEPS,
+    name: str = "compact",
+    missing: Mapping[str, Sequence[Sequence[str]]] | None = None,
+) -> dict:
     """Trains and writes the pose prior; returns its recipe.
 
-    train, held: motions at 30 fps on the 22 joints, as ``train`` splits them.
+    train, held: motions at 30 fps on the 22 joints, as ``train`` splits them. name: of the checkpoint, after
+    ``pose_prior_``. missing: by source the joints that each motion lacks; None: none lacks any.
     """
     generator = torch.Generator().manual_seed(seed)
     found = {source: _poses(motions) for source, motions in train.items()}
     odds = [torch.full((len(x),), 1 / len(x)) for x in found.values()]  # each source as often as the other
-    every = torch.cat(list(found.values()))
-    model, history = prior_training.train_pose_prior(every, generator, steps=steps, weight=torch.cat(odds))
+    every, seen = torch.cat(list(found.values())), None
+    if missing:
+        lacks = [names for source in train for names in missing[source]]
+        counts = torch.tensor([m.frames for some in train.values() for m in some])
+        rows = torch.tensor([[joint not in names for joint in STANDARD.names[1:]] for names in lacks])
+        seen = rows.repeat_interleave(counts, 0)
+    how = {"steps": steps, "weight": torch.cat(odds), "seen": seen}
+    model, history = prior_training.train_pose_prior(every, generator, **how)
     drawn = prior_training.samples(model, 2000, torch.Generator().manual_seed(seed))
     recipe = {
         "what": "pose prior: variational autoencoder, 21 rotations to 32 latents",
-        "command": f"{_COMMAND} --steps {steps} --seed {seed}",
+        "command": f"{_command(name)} --steps {steps} --seed {seed}",
         "data": {source: len(x) for source, x in found.items()},
         "corpus": asdict(corpus.Recipe()),
         "seed": seed,
@@ -251,21 +272,27 @@ def make_pose_prior(train: _Motions, held: _Motions, out: Path, *, seed: int = 0
         "history": [[step, round(miss, 3), round(nats, 3)] for step, miss, nats in history],
     }
     tensors = {n: x for n, x in model.state_dict().items() if not n.endswith("num_batches_tracked")}
-    checkpoint.save(out / "pose_prior_compact", tensors, recipe)
+    checkpoint.save(out / f"pose_prior_{name}", tensors, recipe)
     return recipe
 
 
-def make_init_gmm(train: _Motions, held: _Motions, out: Path, *, seed: int = 0) -> dict:
-    """Fits and writes the mixture; returns its recipe. Arguments as of :func:`make_pose_prior`."""
+def make_init_gmm(
+    train: _Motions, held: _Motions, out: Path, *, seed: int = 0, name: str = "compact", causal: bool = False
+) -> dict:
+    """Fits and writes the mixture; returns its recipe. Arguments as of :func:`make_pose_prior`.
+
+    causal: of states whose velocities are backward differences.
+    """
     generator = torch.Generator().manual_seed(seed)
-    samples = _first_states([m for some in train.values() for m in some], 15, generator)
+    every = 30 if causal else 15  # there are hours of it
+    samples = _first_states([m for some in train.values() for m in some], every, generator, causal=causal)
     gmm, history = prior_training.fit_mixture(samples, generator)
     gmm = InitGmm(*(x.float() for x in gmm.tensors().values()))
     single, _ = prior_training.fit_mixture(samples, generator, components=1)
-    tests = {name: _first_states(some, 3) for name, some in held.items()}
+    tests = {source: _first_states(some, 3, causal=causal) for source, some in held.items()}
     recipe = {
         "what": "mixture of Gaussians over joints and velocities of a single frame",
-        "command": f"{_COMMAND} --seed {seed}",
+        "command": f"{_command(name)} --seed {seed}",
         "data": {source: sum(m.frames for m in some) for source, some in train.items()},
         "samples": len(samples),
         "corpus": asdict(corpus.Recipe()),
@@ -283,7 +310,7 @@ def make_init_gmm(train: _Motions, held: _Motions, out: Path, *, seed: int = 0) 
         },
         "history": [round(x, 3) for x in history],
     }
-    checkpoint.save(out / "init_gmm_compact", gmm.tensors(), recipe)
+    checkpoint.save(out / f"init_gmm_{name}", gmm.tensors(), recipe)
     return recipe
 
 

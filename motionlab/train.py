@@ -6,6 +6,7 @@ import argparse
 import os
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 
@@ -46,7 +47,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def _presets() -> dict[str, dict]:
     humor = training.PRIOR_PRESETS | chain_training.CHAIN_PRESETS
-    return {"humor": humor, "diffusion": shipped.DENOISER_PRESETS}
+    return {"humor": humor, "diffusion": shipped.DENOISER_PRESETS, "small": dict.fromkeys(("compact", "real"))}
 
 
 def _count(text: str) -> int:
@@ -126,9 +127,11 @@ def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | m
 
 def _train(options: argparse.Namespace) -> int:
     if options.model == "small":
-        split, out, seed = _training_sources(options.data), options.out or checkpoint.SHIPPED, options.seed or 0
-        shipped.make_pose_prior(*split, out, seed=seed, steps=options.steps or shipped.STEPS)
-        shipped.make_init_gmm(*split, out, seed=seed)
+        out, how = options.out or checkpoint.SHIPPED, {"seed": options.seed or 0, "name": options.preset or "compact"}
+        real = how["name"] == "real"
+        train, held, missing, *_ = _real_sources(options.data) if real else (*_training_sources(options.data), None)
+        shipped.make_pose_prior(train, held, out, **how, steps=options.steps or shipped.STEPS, missing=missing)
+        shipped.make_init_gmm(train, held, out, **how, causal=real)
         return 0
     if options.model == "features":
         out, found = options.out or checkpoint.SHIPPED / "diffusion_features", options.data and _found_in(options.data)
@@ -184,34 +187,50 @@ def _train(options: argparse.Namespace) -> int:
     return 0
 
 
+class _Real(NamedTuple):
+    """Motions for training, by source; those of the people that choose; which joints each of the first lacks; and how
+    many people were recorded."""
+
+    train: dict[str, list[Motion]]
+    held: dict[str, list[Motion]]
+    missing: dict[str, list[tuple[str, ...]]]
+    people: int
+
+
+def _real_sources(folder: Path | str | None) -> _Real:
+    """What a corpus of recordings, and synthetic motion, give to train on."""
+    from data_synth import corpus as synthetic
+
+    if not folder:
+        raise DataError("this preset learns from recordings", remedy="name a folder of them with --data")
+    found = corpus.assemble(folder, splits.real_sources(folder))
+    takes, made = found.part("train"), [s.motion for s in synthetic.build(version="B").train]
+    train = {"recordings": [t.motion for t in takes], "synthetic": made}
+    missing = {"recordings": [t.missing for t in takes], "synthetic": [()] * len(made)}
+    held = {"people who choose": [t.motion for t in found.part("choose")]}
+    return _Real(train, held, missing, len({t.person for t in takes}))
+
+
 def _train_chains(recipe: chain_training.ChainRecipe, options: argparse.Namespace, out: Path, kept: Path) -> int:
     """Trains a transition prior on a corpus of recordings and on synthetic motion; its curve is of the people that
     choose."""
-    from data_synth import corpus as synthetic
-
-    if not options.data:
-        raise DataError("this preset learns from recordings", remedy="name a folder of them with --data")
-    found = corpus.assemble(options.data, splits.real_sources(options.data))
-    takes, chosen = found.part("train"), found.part("choose")
-    made = [s.motion for s in synthetic.build(version="B").train]
-    motions, missing = [*(t.motion for t in takes), *made], [*(t.missing for t in takes), *([()] * len(made))]
-    data = examples.live_examples(motions, recipe.length + 1, missing)
+    found = _real_sources(options.data)
+    motions, lacking = ([x for some in each.values() for x in some] for each in (found.train, found.missing))
+    data = examples.live_examples(motions, recipe.length + 1, lacking)
     kind = chain_training.ChainTraining
     run = kind.resume(kept, data) if options.resume else kind(recipe, data)
-    held = _state_windows([t.motion for t in chosen], most=96, causal=True)
+    held = _state_windows(found.held["people who choose"], most=96, causal=True)
 
     def validate(model: Cvae) -> dict[str, float]:
         return training.quality_row(model, *held)
 
     run.run(keep=kept, every=500, validate=validate, progress=True)
-    some = {"recordings": [t.motion for t in takes], "synthetic": made}
-    minutes = {name: sum(m.seconds for m in motions) / 60 for name, motions in some.items()}
+    minutes = {name: sum(m.seconds for m in some) / 60 for name, some in found.train.items()}
     about = {
         "made by": f"python -m motionlab train humor --preset {options.preset} --steps {recipe.steps} "
         f"--seed {recipe.seed} --data FOLDER",
         "recipe": asdict(run.recipe), "minutes of motion, before mirroring": minutes, "examples": data.digest,
-        "people": len({t.person for t in takes}), "sources": {row.source: row.kept / 60 for row in found.rows},
-        "corpus": found.digest, "torch": torch.__version__,
+        "people": found.people, "torch": torch.__version__,
         "quality, people who choose": training.quality_row(run.averaged, *held), "curve": run.curve,
     }  # fmt: skip
     checkpoint.save(out, official_weights(run.averaged), about)

@@ -20,6 +20,11 @@ def model() -> PosePrior:
     return PosePrior().frozen()
 
 
+def _varied(rot, share):
+    seen = torch.ones(rot.shape[:2], dtype=torch.bool)
+    return prior_training._varied_poses(rot, seen, torch.Generator().manual_seed(0), share=share)[0]
+
+
 def unseen() -> torch.Tensor:
     """Poses (N, 21, 3, 3) of the held-out subject, made for this test alone."""
     takes = [ACTIONS[name](SUBJECTS[3], torch.Generator().manual_seed(77)) for name in ("walk", "sit", "kick", "reach")]
@@ -60,7 +65,7 @@ def test_mirror_of_a_pose_is_the_mirrored_motion():
 
     take = ACTIONS["kick"](SUBJECTS[0], torch.Generator().manual_seed(1)).motion.cut(0, 8)
     rot = take.rot[:, 1:].repeat(40, 1, 1, 1)
-    made = prior_training._varied_poses(rot, torch.Generator().manual_seed(0), share=0.0)
+    made = _varied(rot, 0.0)
     flipped = mirror(take).rot[:, 1:].repeat(40, 1, 1, 1)
     as_was, as_flipped = ((made - x).abs().amax((1, 2, 3)) < 1e-6 for x in (rot, flipped))
     assert (as_was | as_flipped).all() and as_was.any() and as_flipped.any()
@@ -68,9 +73,9 @@ def test_mirror_of_a_pose_is_the_mirrored_motion():
 
 def test_limbs_of_other_people_leave_the_trunk():
     rot = unseen()
-    made = prior_training._varied_poses(rot, torch.Generator().manual_seed(0), share=1.0)
+    made = _varied(rot, 1.0)
     spine = [STANDARD.index(name) - 1 for name in ("spine1", "spine2", "spine3", "neck", "head")]
-    whole = prior_training._varied_poses(rot, torch.Generator().manual_seed(0), share=0.0)
+    whole = _varied(rot, 0.0)
     assert torch.equal(made[:, spine], whole[:, spine])
     assert not torch.equal(made, whole)
 
@@ -87,15 +92,9 @@ class VPoser2(nn.Module):
              nn.Linear(512, 512), nn.Linear(512, 512), heads]
         )  # fmt: skip
         self.decoder_net = nn.ModuleList(
-            [
-                nn.Linear(32, 512),
-                nn.LeakyReLU(),
-                nn.Dropout(0.1),
-                nn.Linear(512, 512),
-                nn.LeakyReLU(),
-                nn.Linear(512, 126),
-            ]
-        )
+            [nn.Linear(32, 512), nn.LeakyReLU(), nn.Dropout(0.1), nn.Linear(512, 512), nn.LeakyReLU(),
+             nn.Linear(512, 126)]
+        )  # fmt: skip
 
     def encode(self, x):
         for layer in self.encoder_net[:-1]:

@@ -82,7 +82,8 @@ def test_scales_fold_into_the_weights_exactly(transitions):
     past, now, _ = (x.double() for x in transitions)
     torch.manual_seed(1)
     model = Cvae(64).double()
-    scales = Scales(*(x.double() for x in vars(Scales.measure(past, now)).values()))
+    found = Scales.measure(past, now)
+    scales = Scales(found.mean.double(), found.std.double(), found.change.double())
     plain = scales.folded(model)
     z = torch.randn(len(past), 48, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     for a, b in (

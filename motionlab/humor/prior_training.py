@@ -48,30 +48,35 @@ def _joints_of(rot: Tensor) -> Tensor:
     return fk(STANDARD, rot.new_zeros(*rot.shape[:-3], 3), torch.cat((still, rot), -3))[0]
 
 
-def _objective(model: PosePrior, rot: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+def _objective(model: PosePrior, rot: Tensor, seen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
     """Mean over poses (B, 21, 3, 3) of -log p(pose | z) up to a constant, z drawn from the posterior; and of the KL.
 
-    Errors of rotations are chords |R - R'| / sqrt 2, which for small angles are the angles.
+    Errors of rotations are chords |R - R'| / sqrt 2, which for small angles are the angles; only those that were
+    recorded count: seen (B, 21).
     """
     posterior = model.encode(rot)
     found = model.decode(posterior.sample(generator))
-    turn = (found - rot).square().sum((-2, -1)).sum(-1) / (2 * 2 * POSE_TURN**2)
+    turn = ((found - rot).square().sum((-2, -1)) * seen).sum(-1) / (2 * 2 * POSE_TURN**2)
     place = (_joints_of(found) - _joints_of(rot)).square().sum((-2, -1)) / (2 * POSE_PLACE**2)
     prior = Gaussian(torch.zeros_like(posterior.mean), torch.zeros_like(posterior.mean))
     return (turn + place).mean(), kl(posterior, prior).sum(-1).mean()
 
 
-def _varied_poses(rot: Tensor, generator: torch.Generator, *, share: float = _SHARE) -> Tensor:
-    """Poses (B, 21, 3, 3), half of them mirrored, a share of them with each limb from another person."""
+def _varied_poses(
+    rot: Tensor, seen: Tensor, generator: torch.Generator, *, share: float = _SHARE
+) -> tuple[Tensor, Tensor]:
+    """Poses (B, 21, 3, 3), half of them mirrored, a share of them with each limb from another person; and which joints
+    of them were recorded (B, 21)."""
     flip = torch.rand(len(rot), 1, 1, 1, generator=generator) < 0.5
     rot = torch.where(flip, _FLIP[:, None] * rot[:, _PARTNER] * _FLIP, rot)
+    seen = torch.where(flip[:, 0, 0], seen[:, _PARTNER], seen)
     if share:
-        rot = rot.clone()
+        rot, seen = rot.clone(), seen.clone()
         for limb in _LIMBS:
             some = torch.nonzero(torch.rand(len(rot), generator=generator) < share)
             other = torch.randint(len(rot), some.shape, generator=generator)
-            rot[some, limb] = rot[other, limb]
-    return rot
+            rot[some, limb], seen[some, limb] = rot[other, limb], seen[other, limb]
+    return rot, seen
 
 
 @dataclass(frozen=True)
@@ -88,7 +93,9 @@ class _PosePriorRun(TrainingRun):
     data_name = "poses"
     clip = None
 
-    def __init__(self, recipe: _PoseRecipe, rot: Tensor, odds: Tensor, generator: torch.Generator) -> None:
+    def __init__(
+        self, recipe: _PoseRecipe, rot: Tensor, seen: Tensor, odds: Tensor, generator: torch.Generator
+    ) -> None:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
             model = PosePrior()
@@ -97,7 +104,7 @@ class _PosePriorRun(TrainingRun):
             model.out.bias.copy_(rotation.matrix_to_sixd(torch.eye(3)).repeat(21))
         count = recipe.steps * recipe.batch
         self.drawn = torch.multinomial(odds, count, replacement=True, generator=generator).split(recipe.batch)
-        self.rot = rot
+        self.rot, self.seen = rot, seen
         super().__init__(recipe, "", generator, model)
 
     def _optimiser(self) -> torch.optim.Optimizer:
@@ -108,8 +115,9 @@ class _PosePriorRun(TrainingRun):
         return _POSE_RATE * min(1.0, (self.step + 1) / 100) * fallen
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
-        rot = _varied_poses(self.rot[self.drawn[self.step]], self.generator, share=self.recipe.share)
-        miss, divergence = _objective(self.model, rot, self.generator)
+        some = self.drawn[self.step]
+        rot, seen = _varied_poses(self.rot[some], self.seen[some], self.generator, share=self.recipe.share)
+        miss, divergence = _objective(self.model, rot, seen, self.generator)
         grown = min(1.0, (self.step + 1) / (0.1 * self.recipe.steps))
         return miss + grown * divergence, {"miss": miss, "kl": divergence}
 
@@ -130,12 +138,14 @@ def train_pose_prior(
     steps: int = 4000,
     batch: int = 256,
     weight: Tensor | None = None,
+    seen: Tensor | None = None,
     share: float = _SHARE,
     progress: bool = True,
 ) -> tuple[PosePrior, list[tuple[int, float, float]]]:
     """Trains a pose prior on poses (N, 21, 3, 3).
 
-    weight (N,): how often each pose is drawn, relative to the others.
+    weight (N,): how often each pose is drawn, relative to the others. seen (N, 21): False where a rotation was not
+    recorded, and teaches nothing.
 
     Returns:
         the frozen model, and (step, reconstruction, KL) a hundred times.
@@ -146,7 +156,8 @@ def train_pose_prior(
     if len(rot) < 2 or not rot.isfinite().all():
         raise DataError(f"{len(rot)} poses", remedy="give two or more, all of them finite")
     odds = torch.ones(len(rot)) if weight is None else weight
-    run = _PosePriorRun(_PoseRecipe(steps, batch, share), rot, odds, generator)
+    seen = torch.ones(rot.shape[:2], dtype=torch.bool) if seen is None else seen
+    run = _PosePriorRun(_PoseRecipe(steps, batch, share), rot, seen, odds, generator)
     run.run(every=max(1, steps // 100), progress=progress)
     return run.averaged, [(row["step"], row["miss"], row["kl"]) for row in run.curve]
 

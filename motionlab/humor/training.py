@@ -113,20 +113,20 @@ class Scales:
         units = 16 * _unit(SLICES)
         rows = torch.cat(((past - self.mean) / self.std, (now - past) / units), -1)
         with self._precision():
-            return Gaussian(*model.encoder(rows).float().chunk(2, -1))
+            return Gaussian(*model.encoder(rows).to(past).chunk(2, -1))
 
     def prior(self, model: Cvae, past: Tensor) -> Gaussian:
         """p(z | past)."""
         with self._precision():
-            return Gaussian(*model.prior_net((past - self.mean) / self.std).float().chunk(2, -1))
+            return Gaussian(*model.prior_net((past - self.mean) / self.std).to(past).chunk(2, -1))
 
     def decode(self, model: Cvae, past: Tensor, z: Tensor) -> Tensor:
         """Raw changes and contact logits (N, 216)."""
         rows = (past - self.mean) / self.std
         with self._precision():
-            raw = model.decoder(torch.cat((rows, z), -1)).float()
-            raw = raw if model.skip is None else raw + model.skip(rows).float()
-        return raw * self.change + (0.0 if model.skip is None else past @ ONWARD.mT)
+            raw = model.decoder(torch.cat((rows, z), -1)).to(past)
+            raw = raw if model.skip is None else raw + model.skip(rows).to(past)
+        return raw * self.change + (0.0 if model.skip is None else past @ ONWARD.mT.to(past))
 
     def _precision(self) -> torch.autocast:
         return torch.autocast("cpu", torch.bfloat16, enabled=self.half)
