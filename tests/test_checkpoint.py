@@ -127,11 +127,6 @@ def test_other_models_are_refused(kept, change, complaint):
         pretrained.load_motion_prior(str(path.with_name("foreign")))
 
 
-def test_unknown_name_says_what_to_do():
-    with pytest.raises(DataError, match="train"):
-        pretrained.load_motion_prior("no_such_prior")
-
-
 def test_the_shipped_prior_is_whole_and_small():
     model = pretrained.load_motion_prior()
     assert len(official_weights(model)) == 50 and model.latent == 48

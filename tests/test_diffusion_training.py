@@ -208,11 +208,7 @@ def test_a_model_comes_back_from_its_files(model, data, tmp_path):
 
 def damage(path, how):
     tensors, about = checkpoint.load(path)
-    if how == "no tensors":
-        path.with_suffix(".safetensors").unlink()
-    elif how == "cut":
-        path.with_suffix(".safetensors").write_bytes(path.with_suffix(".safetensors").read_bytes()[:500])
-    elif how == "no recipe":
+    if how == "no recipe":
         checkpoint.save(path, tensors, {"recipe": 3})
     elif how == "a field less":
         del about["recipe"]["told"]
@@ -234,12 +230,12 @@ def damage(path, how):
 @pytest.mark.parametrize(
     ("how", "complaint"),
     [
-        ("no tensors", "No such file"), ("cut", "sha256"), ("no recipe", "not a motion diffusion model"),
-        ("a field less", "no told"), ("other size", "not a motion diffusion model"), ("unknown size", "compact"),
-        ("no normaliser", "scale"), ("another normaliser", "normaliser"), ("NaN", "not finite"),
+        ("no recipe", "not a motion diffusion model"), ("a field less", "no told"), ("NaN", "not finite"),
+        ("other size", "not a motion diffusion model"), ("unknown size", "compact"),
+        ("no normaliser", "scale"), ("another normaliser", "normaliser"),
     ],
 )  # fmt: skip
-def test_damaged_and_foreign_files_are_refused(model, tmp_path, how, complaint):
+def test_foreign_files_are_refused(model, tmp_path, how, complaint):
     save_denoiser(tmp_path / "m", model, {})
     damage(tmp_path / "m", how)
     with pytest.raises(DataError, match=complaint) as caught:

@@ -14,22 +14,17 @@ from motionlab.heading import (
     world_to_local_orientations,
     world_to_local_positions,
 )
-from motionlab.motion import Motion, fix_root_horizontally, velocity
-from motionlab.skeleton import STANDARD, UPRIGHT
+from motionlab.motion import fix_root_horizontally, velocity
+from motionlab.skeleton import UPRIGHT
+from tests.test_motion import random_motion
 
 F64 = torch.float64
-
-
-def random_motion(generator: torch.Generator, batch: tuple[int, ...] = (), frames_: int = 7) -> Motion:
-    rot = rotation.random((*batch, frames_, 22), generator, dtype=F64)
-    root = torch.randn(*batch, frames_, 3, generator=generator, dtype=F64)
-    return Motion(STANDARD.to(F64), root, rot, 30.0, contacts=torch.ones(*batch, frames_, 9, dtype=F64))
 
 
 def test_heading_frame_puts_the_body_above_the_origin_facing_y(generator):
     motion = random_motion(generator, (3,))
     local = world_to_local(heading_frame(motion.root, motion.rot[..., 0, :, :]), motion)
-    torch.testing.assert_close(local.root[..., :2], torch.zeros(3, 7, 2, dtype=F64))
+    torch.testing.assert_close(local.root[..., :2], torch.zeros(3, 10, 2, dtype=F64))
     assert torch.equal(local.root[..., 2], motion.root[..., 2])
     right = -local.rot[..., 0, :, 0]
     assert (right[..., 1].abs() < 1e-12).all() and (right[..., 0] > 0).all()
@@ -48,7 +43,7 @@ def test_round_trip_is_exact(generator, axes):
     back = local_to_world(frame, local)
     torch.testing.assert_close(back.root, motion.root, atol=1e-13, rtol=0)
     torch.testing.assert_close(back.rot, motion.rot, atol=1e-13, rtol=0)
-    points = torch.randn(2, 3, 7, 5, 3, generator=generator, dtype=F64)
+    points = torch.randn(2, 3, 10, 5, 3, generator=generator, dtype=F64)
     there = world_to_local_positions(frame, points)
     torch.testing.assert_close(local_to_world_positions(frame, there), points, atol=1e-13, rtol=0)
 

@@ -105,15 +105,6 @@ def test_gains_and_shapers_whiten(case):
     assert gap(found._replace(first=1.1 * found.first)) > 1e-3
 
 
-def test_the_hessian_in_nu_is_the_identity(case):
-    found, h = swept(case), dense(case, 1e-6)
-    nothing = torch.zeros(CLIPS, N, dtype=F64)
-    unit = torch.eye(MANY, dtype=F64).unflatten(1, (FRAMES - 1, Z))
-    way = torch.stack([steered(case, found, nothing, nu.expand(CLIPS, -1, -1)).flatten(1) for nu in unit], -1)
-    identity = torch.eye(MANY, dtype=F64).expand(CLIPS, -1, -1)
-    torch.testing.assert_close(way.mT @ h[:, N:, N:] @ way, identity, atol=1e-9, rtol=0)
-
-
 def test_clips_do_not_see_each_other(case):
     both = swept(case)
     for k in range(CLIPS):

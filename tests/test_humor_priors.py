@@ -1,4 +1,4 @@
-"""The priors together, and checkpoints that are missing, damaged or of something else."""
+"""The priors together, and checkpoints that are missing or of something else."""
 
 import shutil
 
@@ -27,7 +27,7 @@ def test_loaded_once_and_frozen():
 
 
 def test_unknown_name():
-    with pytest.raises(DataError, match="humor_nobody"):
+    with pytest.raises(DataError, match=r"humor_nobody.*train"):
         pretrained.load_priors("nobody")
 
 
@@ -63,17 +63,13 @@ def copy(name: str, folder) -> None:
         shutil.copy(checkpoint.SHIPPED / f"{name}{suffix}", folder / f"{name}{suffix}")
 
 
-def test_damaged_and_foreign_checkpoints(tmp_path):
+def test_foreign_checkpoints(tmp_path):
     copy("pose_prior_compact", tmp_path)
     copy("init_gmm_compact", tmp_path)
     with pytest.raises(DataError, match="pose prior"):
         pretrained.load_pose_prior(str(tmp_path / "init_gmm_compact"))
     with pytest.raises(DataError, match="weights"):
         pretrained.load_initial(str(tmp_path / "pose_prior_compact"))
-    path = tmp_path / "init_gmm_compact.safetensors"
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(DataError, match="init_gmm"):
-        pretrained.load_initial(str(tmp_path / "init_gmm_compact"))
 
 
 def test_numbers_that_are_not_finite(tmp_path):

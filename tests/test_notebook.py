@@ -6,31 +6,12 @@ import pytest
 import torch
 from IPython.display import HTML
 
-from motionlab import findings, notebook, staleness
+from motionlab import findings, notebook
 from motionlab.errors import DataError
 from motionlab.findings import FAILS, HOLDS, UNJUDGED
+from tests.test_staleness import ledger
 
-LEDGER = """
-[[claim]]
-id = "H00"
-section = "1"
-title = "t"
-thesis = "words"
-notebook = "02"
-[claim.test.quick]
-definition = "d"
-unit = "mm"
-relation = ">="
-bound = 1.0
-baseline = "b"
-[claim.test.slow]
-definition = "d"
-unit = "mm"
-relation = ">="
-bound = 1.0
-baseline = "b"
-needs = ["full"]
-"""
+LEDGER = ledger(quick="", slow='needs = ["full"]').replace("<=", ">=")
 BUDGETS = {"smoke": {"clips": 2}, "full": {"clips": 20}}
 
 
@@ -129,15 +110,6 @@ def test_smoke_writes_no_results_unless_asked(bench, tmp_path, monkeypatch):
     monkeypatch.setenv("MOTIONLAB_RESULTS", str(tmp_path / "elsewhere"))
     bench("smoke").close()
     assert (tmp_path / "elsewhere" / "02.json").exists()
-
-
-def test_record_carries_the_hash_of_the_code(bench, tmp_path):
-    bench("full").close()
-    path = tmp_path / "02_x.ipynb"
-    recorded = findings.load_record(tmp_path / "results" / "02.json").source_hash
-    assert recorded == staleness.code_hash(path)
-    path.write_text(path.read_text().replace("x = 1", "x = 2"))
-    assert recorded != staleness.code_hash(path)
 
 
 def test_tables_escape_what_would_break_them():
