@@ -15,7 +15,7 @@ Source: none; thresholds were chosen by looking at what they cut from the CMU li
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -70,7 +70,8 @@ def clean(motion: Motion, shortest: float = SHORTEST) -> Cleaned:
     stretches, left = [], 0
     for start, stop in _stretches(~bad):
         if stop - start >= shortest * motion.fps:
-            stretches.append(motion.cut(start, stop))
+            name = f"{motion.name} from {start / motion.fps:.1f} s"
+            stretches.append(replace(motion.cut(start, stop), name=name))
         else:
             left += stop - start
     return Cleaned(tuple(stretches), {n: s for n, s in (seconds | {"short": left / motion.fps}).items() if s})

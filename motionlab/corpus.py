@@ -18,7 +18,7 @@ import json
 import os
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -32,6 +32,7 @@ from motionlab import cleaning, people, rotation
 from motionlab.contact import with_contacts
 from motionlab.errors import DataError, MissingData
 from motionlab.files import write_whole
+from motionlab.io.reading import reading
 from motionlab.io.recordings import recordings
 from motionlab.motion import FPS, Motion, resample
 from motionlab.parallel import run_jobs
@@ -55,8 +56,10 @@ KINDS = {
     "everyday": r"wash|drink|eat|reach|pick|lift|carry|wave|clean|hammer|saw|screw|story|rhyme|signal|vacation|laugh|"
     r"talk|point|direct|look|open|write|chop|fish|conversation|stretch|bow|idle|wait|vignettes|broom|drop",
 }
-_FORMAT = 1  # of what is kept
+_FORMAT = 2  # of what is kept
+_SLOWEST = 10.0  # fps: between frames further apart nobody knows what happened
 _TOGETHER = 16  # recordings a job
+_WITHOUT = "leave it out of the folder, or assemble it without strict"
 #: Modules whose text decides what is kept.
 _READERS = (
     "cleaning", "contact", "corpus", "motion", "retarget", "rotation", "skeleton",
@@ -173,9 +176,8 @@ def assemble(
     """
     folder, kept = Path(folder), Path(kept) if kept else cache_folder()
     kept.mkdir(parents=True, exist_ok=True)
-    names = list(sources) if sources else sorted(p.name for p in _listed(folder))
     found, rows, digests = [], [], []
-    for name in names:
+    for name in sources or sorted({each.source for each in recordings(folder)}):
         files = [(path, load) for _, path, load in recordings(folder, name)][::every]
         key = _key(folder, [path for path, _ in files], fps)
         path = kept / f"{name}-{key}.safetensors"
@@ -187,12 +189,14 @@ def assemble(
         takes, row = stored
         if strict and row.refused:
             file, why = next(iter(row.refused.items()))
-            raise DataError(why, path=file, remedy="leave it out of the folder, or assemble it without strict")
+            raise DataError(why, path=folder / file, remedy=_WITHOUT)
         found += takes
         rows.append(row)
         digests.append(key)
     if not found:
-        raise MissingData(f"any usable motion in {folder}", "Give a folder with one sub-folder of recordings each.")
+        refused = [f"{file}: {why}" for row in rows for file, why in row.refused.items()]
+        said = f"{len(refused)} recordings are refused, such as {refused[0]}." if refused else "Give longer recordings."
+        raise MissingData(f"any usable motion in {folder}", said)
     once, again = _once(found)
     rows = [_counted(row, [t for t in again if t.source == row.source]) for row in rows]
     return Corpus(tuple(once), tuple(rows), hashlib.sha256(" ".join(digests).encode()).hexdigest()[:16])
@@ -220,22 +224,12 @@ def _counted(row: SourceRow, again: Sequence[Take]) -> SourceRow:
     return replace(row, kept=row.kept - lost, cut={**row.cut, "repeated": lost}) if lost else row
 
 
-def _listed(folder: Path) -> Iterable[Path]:
-    """Sub-folders of a folder of recordings, one a source.
-
-    Raises:
-        MissingData: no such folder, or none in it.
-    """
-    found = [p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")] if folder.is_dir() else []
-    if not found:
-        raise MissingData(f"a folder of recordings at {folder}", "Give one with one sub-folder per source.")
-    return found
-
-
 def _key(folder: Path, files: Sequence[Path], fps: float) -> str:
     """What a kept source depends on: its files as they are, the rate, and the code that reads them."""
     whole = hashlib.sha256(repr((_FORMAT, fps)).encode())
-    for path in files:
+    places = {folder / path.relative_to(folder).parts[0] for path in files}
+    beside = [path for place in places for name in ("index.tsv", "*.asf") for path in sorted(place.rglob(name))]
+    for path in (*files, *beside):
         state = path.stat()
         whole.update(repr((str(path.relative_to(folder)), state.st_size, state.st_mtime_ns)).encode())
     for name in _READERS:
@@ -249,21 +243,30 @@ def _prepared(
     """One source, ready to be kept."""
     said = _descriptions(folder / source)
     lots = [files[i : i + _TOGETHER] for i in range(0, len(files), _TOGETHER)]
-    jobs = [partial(_some, source, lot, fps, said, strict) for lot in lots]
+    jobs = [partial(_some, folder / source, lot, fps, said, strict) for lot in lots]
     with tqdm(total=len(files), disable=not bar, desc=source, unit="file") as shown:
         found = run_jobs(jobs, min(workers, len(jobs)) or 1, lambda k, _: shown.update(len(lots[k])))
     every = [each for lot in found for each in lot]
     tensors = {name: torch.cat([t for each in every for t in each[name]]) for name in _EMPTY}
     about = {
         "takes": [take for each in every for take in each["takes"]],
-        "recordings": len(files), "seconds": sum(each["seconds"] for each in every), "source": source,
+        "recordings": len(files), "seconds": sum(each["seconds"] for each in every), "source": source, "fps": fps,
         "refused": {each["file"]: each["refused"] for each in every if each["refused"]},
     }  # fmt: skip
     cut: dict[str, float] = defaultdict(float)
     for each in every:
         for name, seconds in each["cut"].items():
             cut[name] += seconds
-    return serialised(tensors, {"about": json.dumps(about | {"cut": dict(cut)})})
+    text = json.dumps(about | {"cut": dict(cut)})
+    return serialised(tensors, {"about": text, "sum": _sum(text, tensors)})
+
+
+def _sum(about: str, tensors: Mapping[str, torch.Tensor]) -> str:
+    """A hash of all that is kept, so that damage is noticed."""
+    whole = hashlib.sha256(about.encode())
+    for name in _EMPTY:
+        whole.update(tensors[name].contiguous().numpy())
+    return whole.hexdigest()
 
 
 _EMPTY = {
@@ -272,27 +275,32 @@ _EMPTY = {
 }  # fmt: skip
 
 
-def _some(source: str, files: Sequence[tuple[Path, Callable]], fps: float, said: Mapping[str, str], strict: bool):
+def _some(place: Path, files: Sequence[tuple[Path, Callable]], fps: float, said: Mapping[str, str], strict: bool):
     """What each file gives: tensors of its clean stretches, and what to say of it."""
-    return [_one(source, path, load, fps, said.get(path.stem, path.stem), strict) for path, load in files]
+    return [_one(place, path, load, fps, said.get(path.stem, path.stem), strict) for path, load in files]
 
 
-def _one(source: str, path: Path, load: Callable, fps: float, said: str, strict: bool) -> dict:
+def _one(place: Path, path: Path, load: Callable, fps: float, said: str, strict: bool) -> dict:
+    file = path.relative_to(place.parent)
     found = {name: [empty] for name, empty in _EMPTY.items()}
-    found |= {"takes": [], "cut": {}, "refused": "", "file": f"{source}/{path.name}", "seconds": 0.0}
+    found |= {"takes": [], "cut": {}, "refused": "", "file": file.as_posix(), "seconds": 0.0}
     try:
         recording = load(path)
         if not isinstance(recording, Motion):
             raise DataError("holds positions without rotations", path=path, remedy="leave it out")
+        if recording.fps < _SLOWEST:
+            raise DataError(f"{recording.fps:g} frames per second are too few", path=path, remedy="leave it out")
         moved = retarget(recording)
+        whole = resample(replace(moved.motion, name=file.with_suffix("").as_posix()), fps, "spline")
+        cleaned = cleaning.clean(whole)
     except (DataError, MissingData, ValueError) as error:
-        if strict:
-            raise
         found["refused"] = _reason(error)
+        if strict and str(path) in str(error):
+            raise
+        if strict:
+            raise DataError(found["refused"], path=path, remedy=_WITHOUT) from error
         return found
-    whole = resample(moved.motion, fps, "spline")
     found["seconds"] = whole.seconds
-    cleaned = cleaning.clean(whole)
     found["cut"] = dict(cleaned.seconds)
     for stretch in cleaned.stretches:
         labelled = with_contacts(stretch)
@@ -302,16 +310,19 @@ def _one(source: str, path: Path, load: Callable, fps: float, said: str, strict:
         found["offsets"].append(labelled.skeleton.offsets.float()[None])
         found["takes"].append(
             {
-                "name": f"{source}/{path.stem}", "person": people.person_of(source, path), "kind": _kind_of(said),
-                "fps": recording.fps, "missing": list(moved.unmapped), "frames": labelled.frames,
-                "sole": labelled.skeleton.sole,
+                "name": stretch.name, "file": file.as_posix(), "kind": _kind_of(said), "fps": recording.fps,
+                "missing": list(moved.unmapped), "frames": labelled.frames, "sole": labelled.skeleton.sole,
             }
         )  # fmt: skip
     return found
 
 
 def _reason(error: Exception) -> str:
-    return error.args[0].split(": ", 1)[-1] if isinstance(error, DataError) else str(error)
+    """What is wrong, without file, place and remedy."""
+    if not isinstance(error, DataError):
+        return str(error)
+    where = ", ".join(str(part) for part in (error.path, error.place) if part)
+    return error.args[0].removeprefix(f"{where}: ").removesuffix(f" (remedy: {error.remedy})")
 
 
 def _descriptions(place: Path) -> dict[str, str]:
@@ -319,29 +330,31 @@ def _descriptions(place: Path) -> dict[str, str]:
     path = place / "index.tsv"
     if not path.is_file():
         return {}
-    with path.open(encoding="utf-8", errors="replace", newline="") as file:
-        return {row["id"]: row["description"] or "" for row in csv.DictReader(file, delimiter="\t") if "id" in row}
+    with reading(path, "repair it, or take it away"), path.open(encoding="utf-8", errors="replace", newline="") as file:
+        rows = list(csv.DictReader(file, delimiter="\t"))
+    return {row["id"]: row.get("description") or "" for row in rows if row.get("id")}
 
 
 def _read(path: Path) -> tuple[list[Take], SourceRow] | None:
     """A kept source; None where there is none, or it is damaged."""
     try:
         with safe_open(path, "pt") as file:
-            about = json.loads(file.metadata()["about"])
-            root, rot, contacts, offsets = (file.get_tensor(name) for name in _EMPTY)
+            said, tensors = file.metadata() or {}, {name: file.get_tensor(name) for name in _EMPTY}
+        if said["sum"] != _sum(said["about"], tensors):
+            return None
+        about = json.loads(said["about"])
     except (OSError, SafetensorError, KeyError, ValueError):
         return None
-    takes, at = [], 0
+    root, rot, contacts, offsets = tensors.values()
+    source, takes, at = about["source"], [], 0
     matrices = rotation.quaternion_to_matrix(rot)
     for i, each in enumerate(about["takes"]):
         stop = at + each["frames"]
         skeleton = replace(STANDARD, offsets=offsets[i], sole=each["sole"])
-        motion = Motion(skeleton, root[at:stop], matrices[at:stop], FPS, contacts[at:stop].float(), name=each["name"])
-        takes.append(
-            Take(
-                motion, each["name"], about["source"], each["person"], each["kind"], each["fps"], tuple(each["missing"])
-            )
-        )
+        labels = contacts[at:stop].float()
+        motion = Motion(skeleton, root[at:stop], matrices[at:stop], about["fps"], labels, name=each["name"])
+        person = people.person_of(source, each["file"])
+        takes.append(Take(motion, each["name"], source, person, each["kind"], each["fps"], tuple(each["missing"])))
         at = stop
     row = SourceRow(
         about["source"], about["recordings"], about["seconds"], sum(t.motion.seconds for t in takes), about["cut"],
