@@ -52,7 +52,8 @@ def part_of(person: str) -> str:
         if person in known[name]["people"]:
             return name
     group = person.split("/")[0]
-    if group in known["alone"] or any(person.startswith(f"{p['people']}_") for p in known["patterns"].values()):
+    named = group == person and any(person.startswith(f"{p['people']}_") for p in known["patterns"].values())
+    if group in known["alone"] or named:
         return "train"
     lot = int(hashlib.sha256(person.encode()).hexdigest(), 16) % 10
     return "choose" if lot < _CHOOSE else "report" if lot < _CHOOSE + _REPORT else "train"

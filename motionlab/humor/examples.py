@@ -135,7 +135,8 @@ class LiveExamples:
 def live_examples(motions: Sequence[Motion], length: int, missing: Sequence[Sequence[str]]) -> LiveExamples:
     """Computes live examples from motions with contacts, 30 fps, floor at z = 0: windows of ``length`` states.
 
-    missing: for every motion the joints whose rotations were not recorded.
+    missing: for every motion the joints whose rotations were not recorded; of a pair, that one is missing leaves none
+    to learn from, since windows are mirrored.
 
     Raises:
         DataError: as :func:`motionlab.diffusion.windows.gather`.
@@ -143,7 +144,7 @@ def live_examples(motions: Sequence[Motion], length: int, missing: Sequence[Sequ
     windows = gather(motions, length + 1)
     used = [names for motion, names in zip(motions, missing, strict=True) if motion.frames >= length + 1]
     seen = torch.tensor([[name not in names for name in STANDARD.names] for names in used])
-    return LiveExamples(windows, seen, length)
+    return LiveExamples(windows, seen & seen[:, STANDARD.mirror_indices], length)
 
 
 def other_body(motion: Motion, generator: torch.Generator) -> Motion:
