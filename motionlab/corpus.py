@@ -16,7 +16,6 @@ import csv
 import hashlib
 import json
 import os
-import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -40,23 +39,7 @@ from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD
 from motionlab.staleness import source_hash
 
-#: Words of a description or a file's name -> kind of motion; the first that fits.
-KINDS = {
-    "floor": r"roll|crawl|get(ting)? ?up|lay|lie|lying|fall|floor|yoga|push.?up|sit.?up|swim|stroke",
-    "dance": r"danc|salsa|lindy|charleston|waltz|arabesque|pirouette|glissade|ballet|jete|plie",
-    "acrobatics": r"flip|cartwheel|hand ?stand|somersault|back ?hand|tumbl",
-    "fight": r"punch|box|kick|karate|bassai|empi|heian|gedan|attack|defen|sword|martial|fight|block|strike|shuto",
-    "sit": r"\bsit|chair|stool|sofa|motorcycle",
-    "climb": r"climb|stair|ladder|playground|steps?\b.*up|uneven|slope",
-    "jump": r"jump|hop|leap|skip",
-    "run": r"\brun|jog|sprint|dash",
-    "sport": r"soccer|golf|putt|swing|tee\b|ball|frisbee|pitch|bunt|dribble|shot|turn cleaned|tight",
-    "animal": r"human subject|monkey|chicken|bear|cat |dinosaur|mummy|gorilla|penguin|mickey",
-    "walk": r"walk|stride|step|march|navigate|path|limp|creep|pace|stroll|hobble",
-    "everyday": r"wash|drink|eat|reach|pick|lift|carry|wave|clean|hammer|saw|screw|story|rhyme|signal|vacation|laugh|"
-    r"talk|point|direct|look|open|write|chop|fish|conversation|stretch|bow|idle|wait|vignettes|broom|drop",
-}
-_FORMAT = 2  # of what is kept
+_FORMAT = 3  # of what is kept
 _SLOWEST = 10.0  # fps: between frames further apart nobody knows what happened
 _TOGETHER = 16  # recordings a job
 _WITHOUT = "leave it out of the folder, or assemble it without strict"
@@ -71,7 +54,7 @@ _READERS = (
 class Take:
     """A clean stretch of a recording: 22 joints, floor at z = 0, contacts labelled.
 
-    name: source and file, and from which second. person: who performs. kind: of motion, one of ``KINDS`` or "other".
+    name: source and file. person: who performs. said: what an index of the source says of it, or the file's name.
     fps: of the recording. missing: standard joints that the recording lacks; their rotation is made up.
     """
 
@@ -79,7 +62,7 @@ class Take:
     name: str
     source: str
     person: str
-    kind: str
+    said: str
     fps: float
     missing: tuple[str, ...]
 
@@ -137,12 +120,6 @@ class Corpus:
             seconds, who = sum(t.motion.seconds for t in some), len({t.person for t in some})
             lines.append(f"{name}: {seconds / 60:.1f} min of {who} people, {len(some)} stretches")
         return "\n".join(lines)
-
-
-def _kind_of(text: str) -> str:
-    """Returns the kind of motion that a description or a file's name speaks of: one of ``KINDS``, or "other"."""
-    text = text.lower().replace("_", " ")
-    return next((kind for kind, words in KINDS.items() if re.search(words, text)), "other")
 
 
 def cache_folder() -> Path:
@@ -310,7 +287,7 @@ def _one(place: Path, path: Path, load: Callable, fps: float, said: str, strict:
         found["offsets"].append(labelled.skeleton.offsets.float()[None])
         found["takes"].append(
             {
-                "name": stretch.name, "file": file.as_posix(), "kind": _kind_of(said), "fps": recording.fps,
+                "name": stretch.name, "file": file.as_posix(), "said": said, "fps": recording.fps,
                 "missing": list(moved.unmapped), "frames": labelled.frames, "sole": labelled.skeleton.sole,
             }
         )  # fmt: skip
@@ -354,7 +331,7 @@ def _read(path: Path) -> tuple[list[Take], SourceRow] | None:
         labels = contacts[at:stop].float()
         motion = Motion(skeleton, root[at:stop], matrices[at:stop], about["fps"], labels, name=each["name"])
         person = people.person_of(source, each["file"])
-        takes.append(Take(motion, each["name"], source, person, each["kind"], each["fps"], tuple(each["missing"])))
+        takes.append(Take(motion, each["name"], source, person, each["said"], each["fps"], tuple(each["missing"])))
         at = stop
     row = SourceRow(
         about["source"], about["recordings"], about["seconds"], sum(t.motion.seconds for t in takes), about["cut"],

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from motionlab.corpus import Take
 from motionlab.metrics.distribution import DESCRIPTION_UNITS
 from motionlab.viz.palette import PAPER, ROLE
 from motionlab.viz.plots import canvas
@@ -48,4 +49,20 @@ def distances(rows: Mapping[str, tuple[float, np.ndarray]]) -> Figure:
     ax.set_yticks(range(len(rows)), list(rows))
     ax.invert_yaxis()
     ax.set(xlabel="energy distance of standardised descriptions", xlim=(0, None))
+    return fig
+
+
+def kinds(by_kind: Mapping[str, Sequence[Take]]) -> Figure:
+    """Minutes of each kind of motion in a corpus, stacked by part."""
+    fig, (ax,) = canvas(1, 1, size=(8.5, 0.9 + 0.32 * len(by_kind)))
+    paint = {"train": ROLE["observation"], "choose": ROLE["synthetic"], "report": ROLE["ours"]}
+    left = np.zeros(len(by_kind))
+    for part, colour in paint.items():
+        minutes = [sum(t.motion.seconds for t in takes if t.part == part) / 60 for takes in by_kind.values()]
+        ax.barh(range(len(by_kind)), minutes, left=left, color=colour, height=0.65, label=part, lw=0)
+        left += np.array(minutes)
+    ax.set_yticks(range(len(by_kind)), list(by_kind))
+    ax.invert_yaxis()
+    ax.set(xlabel="minutes", xlim=(0, None))
+    ax.legend(loc="lower right", frameon=False)
     return fig

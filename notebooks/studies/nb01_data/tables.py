@@ -9,9 +9,15 @@ from motionlab.io.recordings import inventory, recordings
 from motionlab.retarget import retarget
 from motionlab.splits import MOTIONS, evenly
 
+LARGE = ("cmu_library", "cmu_native")
+
 
 def inventory_rows(folder: Path | str) -> list[dict[str, object]]:
-    """What a folder of recordings holds, one row per source and kind of file, as a table to show."""
+    """What a folder of recordings holds, one row per source and kind of file, as a table to show.
+
+    The two large sources have a table of their own (``real_motion``).
+    """
+    small = sorted(p.name for p in Path(folder).iterdir() if p.is_dir() and p.name not in LARGE)
     return [
         {
             "source": r.source,
@@ -25,7 +31,8 @@ def inventory_rows(folder: Path | str) -> list[dict[str, object]]:
             "cannot be read": len(r.unread),
             "shipped weights may train on it": {True: "yes", False: "no", None: "not known"}[r.trainable],
         }
-        for r in inventory(folder)
+        for source in small
+        for r in inventory(folder, source)
     ]
 
 
