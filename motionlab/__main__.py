@@ -1,4 +1,4 @@
-"""The command line: ``python -m motionlab doctor | data | convert | fit | prepare | train | report | regenerate``."""
+"""The command line: ``python -m motionlab COMMAND``; ``--help`` lists the commands."""
 
 from __future__ import annotations
 
@@ -95,6 +95,10 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("--out", type=Path, help="where it is kept (default: the user's cache)")
     command.set_defaults(run=_prepare)
 
+    command = commands.add_parser("models", help="the table of the models that ship, into checkpoints/README.md")
+    command.add_argument("--data", help="recordings: measure the transition priors on people nobody trained on, first")
+    command.set_defaults(run=_models)
+
     command = commands.add_parser("train", help="train a model: a checkpoint with its recipe")
     if "train" in arguments[:1]:  # its presets come with torch
         from motionlab import train
@@ -129,6 +133,15 @@ def _prepare(options: argparse.Namespace) -> int:
     found = corpus.assemble(options.folder, options.sources, **how)
     print(found.report())
     print(f"kept in {options.out or corpus.cache_folder()}")
+    return 0
+
+
+def _models(options: argparse.Namespace) -> int:
+    from motionlab import checkpoint, models
+
+    for path in sorted(checkpoint.SHIPPED.glob("humor_*.json")) if options.data else []:
+        models.judge_prior(path.stem, options.data)
+    print(models.write_readme())
     return 0
 
 

@@ -18,7 +18,7 @@ from motionlab.contact import with_contacts
 from motionlab.diffusion.model import DenoiserRecipe
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
-from motionlab.humor import examples
+from motionlab.humor import examples, state
 from motionlab.io.recordings import recordings
 from motionlab.motion import Motion, fix_root_horizontally, resample
 from motionlab.people import PARTS
@@ -132,3 +132,20 @@ def trainable(folder: Path | str | None, sources: Sequence[str] = SHIPPABLE) -> 
         for i, motion in enumerate(flat):
             split[i % 5 == 2].append(with_contacts(motion))
     return split
+
+
+def state_windows(
+    motions: Sequence[Motion], frames: int = 61, most: int = 48, *, causal: bool = False
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Computes states (W, frames, 339) and contacts (W, frames, 9), evenly over motions; none where all are shorter.
+
+    causal: velocities are backward differences.
+    """
+    cuts = [
+        (state.from_motion(m, causal=causal)[i : i + frames].float(), m.contacts[i : i + frames].float())
+        for m in motions for i in range(0, m.frames - frames + 1, frames)
+    ]  # fmt: skip
+    if not cuts:
+        return torch.zeros(0, frames, state.STATE), torch.zeros(0, frames, state.CONTACTS)
+    x, c = zip(*evenly(cuts, most), strict=True)
+    return torch.stack(x), torch.stack(c)

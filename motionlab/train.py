@@ -15,7 +15,7 @@ from motionlab.diffusion import model
 from motionlab.diffusion import training as diffusion_training
 from motionlab.diffusion.denoiser import SIZES
 from motionlab.errors import DataError
-from motionlab.humor import chain_training, examples, state, training
+from motionlab.humor import chain_training, examples, training
 from motionlab.humor.cvae import Cvae, official_weights
 from motionlab.motion import Motion
 
@@ -82,20 +82,6 @@ def _together(train: dict[str, list[Motion]], recipe: training.PriorRecipe) -> l
     ]  # fmt: skip
 
 
-def _state_windows(
-    motions: list[Motion], frames: int = 61, most: int = 48, *, causal: bool = False
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """States (W, frames, 339) and contacts (W, frames, 9), evenly over the motions; none where all are shorter."""
-    cuts = [
-        (state.from_motion(m, causal=causal)[i : i + frames].float(), m.contacts[i : i + frames].float())
-        for m in motions for i in range(0, m.frames - frames + 1, frames)
-    ]  # fmt: skip
-    if not cuts:
-        return torch.zeros(0, frames, state.STATE), torch.zeros(0, frames, state.CONTACTS)
-    x, c = zip(*splits.evenly(cuts, most), strict=True)
-    return torch.stack(x), torch.stack(c)
-
-
 def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | model.DenoiserRecipe:
     """The recipe asked for; with --resume that of the kept run, whose steps and seed need not be given again.
 
@@ -157,7 +143,7 @@ def _train(options: argparse.Namespace) -> int:
     train, held = _training_sources(options.data)
     data = examples.examples(_together(train, recipe), recipe.length + 1)
     run = training.PriorTraining.resume(kept, data) if options.resume else training.PriorTraining(recipe, data)
-    judged = {name: found for name, motions in held.items() if len((found := _state_windows(motions))[0])}
+    judged = {name: found for name, motions in held.items() if len((found := splits.state_windows(motions))[0])}
 
     def validate(model: Cvae) -> dict[str, float]:
         row = {}
@@ -219,7 +205,7 @@ def _train_chains(recipe: chain_training.ChainRecipe, options: argparse.Namespac
     data = examples.live_examples(motions, recipe.length + 1, lacking)
     kind = chain_training.ChainTraining
     run = kind.resume(kept, data) if options.resume else kind(recipe, data)
-    held = _state_windows(found.held["people who choose"], most=96, causal=True)
+    held = splits.state_windows(found.held["people who choose"], most=96, causal=True)
 
     def validate(model: Cvae) -> dict[str, float]:
         return training.quality_row(model, *held)

@@ -24,7 +24,7 @@ FLOORS = """
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
     corpus splits humor.training humor.unknowns diffusion.pose_completion
     shipped doctor humor.chain_training humor.stages humor.start
-    train execute humor.shooting
+    train models execute humor.shooting
     humor.testops report
     fit
     __main__
@@ -172,9 +172,9 @@ def test_a_fit_reaches_few_rooms():
 
 def test_the_library_is_thin():
     """What the mission asks for; a number that is passed is a decision, not an accident. 95 files and 20,000 lines are
-    the house; five files and a thousand lines more are what makes training motion of recordings."""
+    the house; five files and 1,300 lines more are what learns from recordings."""
     files = [path for name, path in modules(ROOT).items() if name.split(".")[0] == LIBRARY]
-    assert len(files) <= 100 and sum(len(p.read_text(encoding="utf-8").splitlines()) for p in files) <= 21_000
+    assert len(files) <= 100 and sum(len(p.read_text(encoding="utf-8").splitlines()) for p in files) <= 21_300
     for package, most in {"humor": 24, "diffusion": 20, "viz": 10}.items():
         assert sum(p.is_relative_to(ROOT / LIBRARY / package) for p in files) <= most, package
 

@@ -1,0 +1,139 @@
+"""How good the transition priors are on people nobody trained on, and the table of all models that ship.
+
+python -m motionlab models --data FOLDER    # measures on ``report`` people, into the recipes; minutes
+python -m motionlab models                  # writes checkpoints/README.md from the recipes
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+
+from motionlab import checkpoint, corpus, splits
+from motionlab.errors import DataError
+from motionlab.files import write_whole
+from motionlab.findings import interval
+from motionlab.humor import pretrained, training
+from motionlab.humor.rollout import sample_rollout
+from motionlab.humor.state import unpack
+
+#: Where the measurements stand in a recipe.
+REPORT = "people nobody trained on"
+_MOST = 24  # windows of two seconds per person
+_WALKING = 0.5  # m/s: who is faster over a whole window walks
+_CREDIT = (
+    "Some of these weights learnt from the CMU Graphics Lab Motion Capture Database: the data used in this project was "
+    "obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217."
+)
+
+
+def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[str, float]]:
+    """Computes what a transition prior that ships does on the people of ``report``.
+
+    Every person counts alike, with at most 24 windows of two seconds. The result also goes into the prior's recipe.
+
+    Returns:
+        by measure (``training.quality_row``, and the share of walkers who still walk after two seconds): the mean over
+        people, the ends of its 95 % interval by bootstrap over people, and how many there are.
+    Raises:
+        DataError: nobody of ``report`` is in the folder.
+    """
+    model = pretrained.load_motion_prior(name)
+    takes = corpus.assemble(folder, splits.real_sources(folder)).part("report")
+    people = {}
+    for take in takes:
+        people.setdefault(take.person, []).append(take.motion)
+    rows = []
+    for motions in people.values():
+        states, contacts = splits.state_windows(motions, most=_MOST, causal=model.causal)
+        if len(states):
+            rows.append(training.quality_row(model, states, contacts, seed) | _walkers(model, states, seed))
+    if not rows:
+        raise DataError("nobody of ``report`` is there", path=folder, remedy="unpack cmu_library into it")
+    found = {}
+    for measure in rows[0]:
+        values = torch.tensor([row[measure] for row in rows])
+        values = values[values.isfinite()]
+        mean, low, high = interval(values, "mean", torch.Generator().manual_seed(seed))
+        found[measure] = {"mean": mean, "low": low, "high": high, "people": len(values)}
+    path = checkpoint.SHIPPED / f"{name}.json"
+    write_whole(path, json.dumps(checkpoint.read_recipe(path) | {REPORT: found}, indent=1) + "\n")
+    return found
+
+
+@torch.no_grad()
+def _walkers(model, states: torch.Tensor, seed: int) -> dict[str, float]:
+    """Of windows in which a person walks, the share whose samples still do in the last half second."""
+    speed = _over_floor(states)
+    walking = speed.mean(1) > _WALKING
+    if not walking.any():
+        return {"walkers who go on": float("nan")}
+    first, generator = states[walking, 0], torch.Generator().manual_seed(seed)
+    made = sample_rollout(model, first, states.shape[1] - 1, generator=generator).states
+    still = _over_floor(made)[:, -15:].mean(1) > 0.5 * speed[walking].mean(1)
+    return {"walkers who go on": float(still.float().mean())}
+
+
+def _over_floor(states: torch.Tensor) -> torch.Tensor:
+    """Speed (W, T - 1) of the pelvis over the floor, m/s."""
+    return unpack(states)["joints"][:, :, 0, :2].diff(dim=1).norm(dim=-1) * 30.0
+
+
+def _models_table() -> str:
+    """Returns the table of the models that ship, from their recipes: Markdown."""
+    rows = []
+    for path in sorted(checkpoint.SHIPPED.glob("*.json")):
+        recipe = checkpoint.read_recipe(path)
+        if path.stem.startswith("arm_"):
+            continue
+        minutes = recipe.get("minutes of motion, before mirroring", {})
+        rows.append(
+            {
+                "model": path.stem,
+                "MB": f"{path.with_suffix('.safetensors').stat().st_size / 1e6:.1f}",
+                "real, h": f"{minutes.get('recordings', 0) / 60:.1f}",
+                "synthetic, h": f"{minutes.get('synthetic', 0) / 60:.1f}",
+                "people": str(recipe.get("people", "")),
+                "steps": str(recipe.get("recipe", {}).get("steps", recipe.get("steps", ""))),
+                "made by": f"`{recipe.get('made by') or recipe.get('command', '')}`",
+            }
+        )
+    return _markdown(rows)
+
+
+def _quality_table() -> str:
+    """Returns what the transition priors do on people nobody trained on, side by side: Markdown."""
+    found = {
+        path.stem: recipe[REPORT]
+        for path in sorted(checkpoint.SHIPPED.glob("humor_*.json"))
+        if REPORT in (recipe := checkpoint.read_recipe(path))
+    }
+    measures = dict.fromkeys(name for each in found.values() for name in each)
+    return _markdown(
+        [{"": measure} | {name: _cell(each.get(measure)) for name, each in found.items()} for measure in measures]
+    )
+
+
+def _cell(found: Mapping[str, float] | None) -> str:
+    return "" if found is None else f"{found['mean']:.3g} [{found['low']:.3g}, {found['high']:.3g}]"
+
+
+def _markdown(rows: list[dict[str, str]]) -> str:
+    if not rows:
+        return ""
+    lines = [f"| {' | '.join(rows[0])} |", "|" + "---|" * len(rows[0])]
+    return "\n".join([*lines, *(f"| {' | '.join(row.values())} |" for row in rows)])
+
+
+def write_readme() -> Path:
+    """Writes ``checkpoints/README.md``: the models, and how the transition priors do; returns its path."""
+    path = checkpoint.SHIPPED / "README.md"
+    text = "# Models\n\nMade by `python -m motionlab models` from the recipes beside the weights. Small models that "
+    text += f"differ in one thing (`arm_*`) are left out.\n\n{_models_table()}\n\n"
+    text += "## Transition priors on people nobody trained on\n\nMean over people and its 95 % interval, by bootstrap "
+    text += f"over people.\n\n{_quality_table()}\n\nLicence: MIT, as the project's. {_CREDIT}\n"
+    write_whole(path, text)
+    return path
