@@ -101,11 +101,32 @@ def film(case: str, count: int = 8, *, seed: int = 0, frames: int = 60, body: Bo
     if case not in CASES:
         raise KeyError(f"no case {case!r}; cases are {', '.join(CASES)}")
     shooting, failure = CASES[case]
-    flesh = body or _flesh()
+    generators = [_generator(seed, shooting.__name__, index) for index in range(count)]
+    shots = [(*shooting(index, generator, frames), generator) for index, generator in enumerate(generators)]
+    return _filmed(case, shots, failure, seed, body)
+
+
+def film_recorded(view: str, motions: Sequence[Motion], *, seed: int = 0, body: BodyModel | None = None) -> Scene:
+    """Films recorded motions (T), all of one length, with contacts, in a view of ``VIEWS``: one clip for each. The same
+    motion has the same camera and noise in every view.
+
+    Raises:
+        KeyError: no such view; lists them.
+    """
+    if view not in VIEWS:
+        raise KeyError(f"no view {view!r}; views are {', '.join(VIEWS)}")
     shots = []
-    for index in range(count):
-        generator = _generator(seed, shooting.__name__, index)
-        motion, camera, things = shooting(index, generator, frames)
+    for index, motion in enumerate(motions):
+        generator = _generator(seed, "recorded", index)
+        camera = capture.frame_motion(motion, generator, stand=(1.1, 1.8))
+        shots.append((motion, camera, VIEWS[view](motion, camera), generator))
+    return _filmed(view, shots, None, seed, body)
+
+
+def _filmed(case: str, takes: Sequence[tuple], failure: Callable | None, seed: int, body: BodyModel | None) -> Scene:
+    """The scene of takes: motion, camera, what stands in the way, and the generator of the detector's noise."""
+    flesh, shots = body or _flesh(), []
+    for index, (motion, camera, things, generator) in enumerate(takes):
         shot = capture.observe(motion, flesh, camera, generator, things)
         clean = shot.observation
         own = _generator(seed, case, index)  # a failure does not disturb the draws of the shooting
@@ -235,6 +256,20 @@ CASES: dict[str, tuple[Callable, Callable | None]] = {
     "floor roll": (_rolling, None),
     "tumble": (_tumbling, None),
     "facing the camera": (_facing_it, None),
+}
+
+
+def _behind_a_wall(motion: Motion, camera: Camera) -> Sequence[Occluder]:
+    """A low wall, from a third of the clip on where somebody walks past it; a desk where nobody goes anywhere."""
+    start, way = motion.frames // 3, motion.root[-1, :2] - motion.root[motion.frames // 3, :2]
+    return (_low_wall(motion, camera, start),) if way.norm() > 0.3 else (desk_before(motion, camera, hidden=0.85),)
+
+
+#: View of a recorded motion -> what stands between it and the camera.
+VIEWS: dict[str, Callable[[Motion, Camera], Sequence[Occluder]]] = {
+    "plain view": lambda motion, camera: (),
+    "legs behind a desk": lambda motion, camera: (desk_before(motion, camera, hidden=0.65),),
+    "behind a low wall": _behind_a_wall,
 }
 
 

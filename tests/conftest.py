@@ -42,7 +42,7 @@ def kit():
     """The priors that ship."""
     from motionlab.humor import pretrained
 
-    return pretrained.load_priors()
+    return pretrained.load_priors("compact")
 
 
 @pytest.fixture(scope="session")

@@ -53,7 +53,7 @@ def test_a_fit_runs_with_official_files(files):
 
 
 def test_official_files_alone_leave_the_rest_as_shipped(files):
-    ours = pretrained.load_priors()
+    ours = pretrained.load_priors("compact")
     mixed = pretrained.load_priors(pose=files["pose"])
     assert mixed.motion is ours.motion and mixed.initial is ours.initial and mixed.pose.numbers == 3
     mixed = pretrained.load_priors(initial=files["initial"], pelvis=PELVIS)

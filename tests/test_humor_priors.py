@@ -19,8 +19,8 @@ def first_states(seed: int = 5) -> torch.Tensor:
 
 
 def test_loaded_once_and_frozen():
-    found = pretrained.load_priors()
-    assert pretrained.load_priors() is found
+    found = pretrained.load_priors("compact")
+    assert pretrained.load_priors("compact") is found
     assert found.motion.latent == 48
     assert not any(p.requires_grad for model in (found.motion, found.pose) for p in model.parameters())
     assert found.initial.means.shape == (12, 138)
@@ -32,7 +32,7 @@ def test_unknown_name():
 
 
 def test_mixture_tells_people_from_nonsense(generator):
-    gmm, real = pretrained.load_initial(), first_states()
+    gmm, real = pretrained.load_initial("init_gmm_compact"), first_states()
     likely = gmm.log_prob(real)
     shuffled = real[:, torch.randperm(138, generator=generator)]
     assert likely.isfinite().all()
@@ -43,7 +43,7 @@ def test_mixture_tells_people_from_nonsense(generator):
 
 def test_mixture_beats_a_single_gaussian_on_what_was_held_out():
     recipe = checkpoint.read_recipe(checkpoint.SHIPPED / "init_gmm_compact")
-    gmm, real = pretrained.load_initial(), first_states()
+    gmm, real = pretrained.load_initial("init_gmm_compact"), first_states()
     away = gmm.means - (gmm.weights @ gmm.means)
     covariance = torch.einsum("k,kij->ij", gmm.weights, gmm.covariances + away[:, :, None] * away[:, None])
     single = priors.InitGmm(torch.ones(1), (gmm.weights @ gmm.means)[None], covariance[None])  # the same two moments

@@ -121,7 +121,7 @@ def test_contact_f1_of_constant_answers(still, take):
 # ---------------------------------------------------------------------------------------------- what ships
 def test_the_shipped_prior_knows_more_than_its_baselines(take):
     states, contacts = take
-    row = training.quality_row(pretrained.load_motion_prior(), states, contacts)
+    row = training.quality_row(pretrained.load_motion_prior("humor_compact"), states, contacts)
     assert row["one step, posterior, cm"] < 0.5 < row["one step, hold, cm"]
     for name in ("hold", "constant velocity", "prior mean"):
         assert row["2 s, posterior z, cm"] < 0.6 * row[f"2 s, {name}, cm"], name
@@ -133,7 +133,7 @@ def test_the_shipped_prior_knows_more_than_its_baselines(take):
 def test_control_z_of_another_motion_leads_astray(take):
     """z carries information: that of other clips does not lead back to this one."""
     states, _ = take
-    model = pretrained.load_motion_prior()
+    model = pretrained.load_motion_prior("humor_compact")
     row = training.quality_row(model, states)
     assert row["active"] >= 16 and 4 < row["kl, nats"] < 60
     z = infer(model, states)[0].mean

@@ -54,7 +54,7 @@ def test_every_rung_and_every_saving_alone_has_the_same_terms(work, part):
 def test_a_trained_prior_sees_the_official_heading_and_nothing_else():
     """People turn little between frames, where the acos of a guarded cosine is wrong by a milliradian."""
     walk = clips.draw(1, seed(), actions=("walk",))[0].motion.cut(0, 12)
-    trained = workload(walk, load_priors(), seed(), inferred=True).double()
+    trained = workload(walk, load_priors("compact"), seed(), inferred=True).double()
     found = {name: sum(terms(trained, on, Part(3, 12)).values()).item() for name, on in savings.rungs()}
     change = {}
     for (_, before), (name, now) in pairwise(found.items()):
@@ -62,7 +62,7 @@ def test_a_trained_prior_sees_the_official_heading_and_nothing_else():
     heading = change.pop(savings.NAMES["exact_heading"])
     assert max(change.values()) < 1e-6 and 1e-4 < heading < 0.05
     assert not any(
-        weight.requires_grad for weight in load_priors().motion.parameters()
+        weight.requires_grad for weight in load_priors("compact").motion.parameters()
     )  # the shared priors stay frozen
 
 

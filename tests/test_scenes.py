@@ -152,3 +152,18 @@ def test_held_out_clips_differ():
 def test_an_unknown_case_lists_the_known():
     with pytest.raises(KeyError, match="dance"):
         scenes.film("swimming")
+
+
+def test_recorded_motion_is_filmed_with_one_camera_in_every_view():
+    motions = [scenes.held_out(2, frames=30).clip(i) for i in range(2)]
+    motions = [m.clip(0) if m.root.ndim == 3 else m for m in motions]
+    found = {view: scenes.film_recorded(view, motions) for view in scenes.VIEWS}
+    plain = found["plain view"]
+    assert torch.equal(plain.truth.root, torch.stack([m.root for m in motions]))
+    for view, scene in found.items():
+        assert torch.equal(scene.pixels, plain.pixels)  # the same people before the same cameras
+        assert all(scene.occluders) == (view != "plain view")
+    hidden = {view: 1 - scene.observation.visible[..., LEGS].float().mean() for view, scene in found.items()}
+    assert hidden["legs behind a desk"] > 0.9 and hidden["plain view"] < 0.3
+    with pytest.raises(KeyError, match="plain view"):
+        scenes.film_recorded("from above", motions)

@@ -38,7 +38,7 @@ def said(what: str, slow: torch.Tensor, fast: torch.Tensor) -> None:
 
 def by_hand(motion) -> None:
     """The network's part of a transition's slopes."""
-    model = load_priors().motion
+    model = load_priors("compact").motion
     states = state.from_motion(motion)[None]
     z, decoder = infer(model, states)[0].mean[0], DecoderLayers.of(model)
     x = state.localise(states, state.heading(states))[0, :-1]
@@ -62,7 +62,7 @@ def by_hand(motion) -> None:
 
 def closures(motion, clips_: int) -> None:
     """A closure in the loop against a plain one, and a linearisation against a closure."""
-    work = workload(motion, load_priors(), torch.Generator().manual_seed(0), clips_, inferred=True)
+    work = workload(motion, load_priors("compact"), torch.Generator().manual_seed(0), clips_, inferred=True)
     unknown = work.moving.detached()
     around = coordinates.linearised(work.problem, unknown)
     zero = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": torch.zeros_like(around.first[:, 0])}

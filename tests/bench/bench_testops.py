@@ -19,7 +19,7 @@ CLIPS, CEILING = 2, 600  # closures that the plain search may spend
 
 def main() -> None:
     """Print closures and seconds per stage, and the ratios."""
-    kit, truth = pretrained.load_priors(), scenes.held_out(CLIPS)
+    kit, truth = pretrained.load_priors("compact"), scenes.held_out(CLIPS)
     seen = joints.noisy(truth, torch.Generator().manual_seed(0))
     began = time.perf_counter()
     fitted = testops.fit(seen, kit)

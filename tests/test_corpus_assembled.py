@@ -1,0 +1,293 @@
+"""The corpus of recordings: parsed once, kept whole or not at all, and honest about what it leaves out."""
+
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from data_synth.actions import walk
+from data_synth.subjects import SUBJECTS
+from motionlab import corpus
+from motionlab.errors import DataError, MissingData
+from motionlab.io import bvh, recordings
+from motionlab.motion import Motion
+from studies.nb01_data.real_motion import kind_of
+
+
+def performed(index: int, fps: float) -> Motion:
+    """The same performance at any rate."""
+    return walk(SUBJECTS[index], torch.Generator().manual_seed(index), seconds=3.0, fps=fps).motion
+
+
+@pytest.fixture(scope="module")
+def texts(tmp_path_factory):
+    """Two walks and one with a teleport in the middle, as BVH at 24 frames per second."""
+    place = tmp_path_factory.mktemp("texts")
+    first = performed(0, 24.0)
+    away = (torch.arange(first.frames) >= 40)[:, None] * torch.tensor([3.0, 0.0, 0.0])
+    for name, motion in (("a", first), ("b", performed(1, 24.0)), ("c", replace(first, root=first.root + away))):
+        bvh.save(place / name, motion)
+    return {name: (place / name).read_text() for name in "abc"}
+
+
+@pytest.fixture
+def folder(tmp_path, texts):
+    """mine/ann (for training) walks, mine/carla (who chooses) walks, too."""
+    for who, name in (("ann", "a"), ("carla", "b")):
+        put(tmp_path / "all", f"mine/{who}/walk_{name}.bvh", texts[name])
+    return tmp_path / "all"
+
+
+def put(folder: Path, file: str, content: str | bytes) -> Path:
+    path = folder / file
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def assemble(folder, **how):
+    return corpus.assemble(folder, kept=folder.parent / "kept", progress=False, **how)
+
+
+@pytest.fixture
+def loaded(monkeypatch):
+    """Names of the files that were parsed, in their order."""
+    names, load = [], recordings.SUFFIXES[".bvh"]
+    monkeypatch.setitem(recordings.SUFFIXES, ".bvh", lambda path: (names.append(path.name), load(path))[1])
+    return names
+
+
+def same(one, two):
+    """Two corpora with the same takes, to the bit."""
+    pairs = list(zip(one.takes, two.takes, strict=True))
+    labels = all(
+        (a.name, a.person, a.said, a.fps, a.missing) == (b.name, b.person, b.said, b.fps, b.missing) for a, b in pairs
+    )
+    numbers = all(
+        torch.equal(getattr(a.motion, name), getattr(b.motion, name))
+        for a, b in pairs
+        for name in ("root", "rot", "contacts")
+    )
+    return labels and numbers and one.rows == two.rows
+
+
+# ------------------------------------------------------------------------------------------------ what comes out
+def test_takes_are_the_performances_at_thirty_frames_with_contacts(folder):
+    found = assemble(folder)
+    for index, take in enumerate(found.takes):
+        truth = performed(index, 30.0)  # never seen at 24
+        frames = min(truth.frames, take.motion.frames)
+        assert take.motion.fps == 30 and truth.frames - frames <= 1 and take.fps == pytest.approx(24.0)
+        error = (take.motion.positions[:frames] - truth.positions[:frames]).norm(dim=-1)
+        assert error.mean() < 0.002 and error.max() < 0.02
+        hit = (take.motion.contacts[:frames] * truth.contacts[:frames]).sum()
+        assert 2 * hit / (take.motion.contacts.sum() + truth.contacts.sum()) > 0.9
+        assert take.motion.skeleton.sole == pytest.approx(truth.skeleton.sole, rel=0.1)
+    assert [(t.name, t.person, t.part, t.said) for t in found.takes] == [
+        ("mine/ann/walk_a from 0.0 s", "mine/ann", "train", "walk_a"),
+        ("mine/carla/walk_b from 0.0 s", "mine/carla", "choose", "walk_b"),
+    ]
+
+
+def test_faults_are_cut_and_counted(folder, texts):
+    put(folder, "mine/dora/c.bvh", texts["c"])
+    found = assemble(folder)
+    (row,) = found.rows
+    assert len(found.part("report")) == 2 and 0.2 < row.cut["teleport"] < 0.4 and row.recordings == 3
+    assert row.kept + sum(row.cut.values()) == pytest.approx(row.seconds)
+    assert row.kept == pytest.approx(sum(t.motion.seconds for t in found.takes))
+    with pytest.raises(ValueError, match="train, choose, report, got 'test'"):
+        found.part("test")
+
+
+def test_another_rate_is_kept_as_such(folder):
+    made, read = assemble(folder, fps=60.0), assemble(folder, fps=60.0)
+    usual = assemble(folder)
+    assert same(made, read) and {t.motion.fps for t in read.takes} == {60.0} and read.digest != usual.digest
+    assert read.rows[0].kept == pytest.approx(usual.rows[0].kept, abs=0.1)
+
+
+def test_descriptions_say_what_is_done(folder, loaded):
+    """A file without one is described by its name."""
+    head = "id\tseconds\tdescription\n"
+    put(folder, "mine/index.tsv", head + "walk_a\t3\tSalsa dance\n")
+    found = assemble(folder).takes
+    assert [(t.said, kind_of(t)) for t in found] == [("Salsa dance", "dance"), ("walk_b", "walk")]
+    put(folder, "mine/index.tsv", head + "walk_a\t3\tclimb 3 steps\nwalk_b\t3\t\n")
+    assert [(t.said, kind_of(t)) for t in assemble(folder).takes] == [("climb 3 steps", "climb"), ("", "other")]
+    assert len(loaded) == 4  # the index is a part of what is kept
+    for index in ("id\tseconds\nwalk_a\t3\n", "\0\1\2", b"\xff\xfe", "description\nwalk\n", ""):
+        put(folder, "mine/index.tsv", index)
+        assert {t.said for t in assemble(folder).takes} <= {"walk_a", "walk_b", ""}
+    put(folder, "mine/index.tsv", head + 'walk_a\t3\t"' + "x" * 200_000)
+    with pytest.raises(DataError, match=r"index\.tsv.*repair it, or take it away"):
+        assemble(folder)
+
+
+def test_repeated_takes_are_left_out_and_counted(folder, texts):
+    before = assemble(folder)
+    put(folder, "mine/ann/again.bvh", texts["a"])
+    found = assemble(folder)
+    assert len(found.takes) == 2 and found.rows[0].recordings == 3
+    assert found.rows[0].kept == pytest.approx(before.rows[0].kept)
+    assert found.rows[0].cut["repeated"] == pytest.approx(next(t.motion.seconds for t in before.takes))
+
+
+def test_the_report(folder, texts):
+    put(folder, "mine/ann/bad.bvh", texts["a"][:900])
+    put(folder, "yours/ann/c.bvh", texts["c"])
+    lines = assemble(folder).report().splitlines()
+    assert lines[0] == "mine: 3 recordings, 0.1 min, kept 0.1"
+    assert lines[1].startswith("  refused 1: ") and lines[2] == "    mine/ann/bad.bvh"
+    assert lines[3].startswith("yours: 1 recordings, 0.1 min, kept 0.1; cut, min: teleport 0.0")
+    assert lines[4:] == [
+        "train: 0.1 min of 2 people, 3 stretches",
+        "choose: 0.1 min of 1 people, 1 stretches",
+        "report: 0.0 min of 0 people, 0 stretches",
+    ]
+
+
+# -------------------------------------------------------------------------------------------------- parsed once
+def test_a_second_call_parses_nothing(folder, loaded):
+    made = assemble(folder)
+    assert loaded == ["walk_a.bvh", "walk_b.bvh"]
+    assert same(made, assemble(folder)) and len(loaded) == 2
+    assert len(assemble(folder, every=2).takes) == 1 and len(loaded) == 3
+
+
+def test_only_a_source_that_changes_is_parsed_again(folder, texts, loaded):
+    put(folder, "yours/dora/c.bvh", texts["c"])
+    before = assemble(folder)
+    loaded.clear()
+    path = put(folder, "mine/carla/walk_b.bvh", texts["b"].replace("Frame Time: 0.04", "Frame Time: 0.05"))
+    os.utime(path, ns=(1, 1))
+    found = assemble(folder)
+    assert loaded == ["walk_a.bvh", "walk_b.bvh"] and found.digest != before.digest
+    assert found.takes[1].motion.seconds > 1.2 * before.takes[1].motion.seconds
+    shutil.rmtree(folder / "mine" / "carla")
+    assert len(assemble(folder).takes) == 3 and loaded[2:] == ["walk_a.bvh"]
+
+
+# -------------------------------------------------------------------------------------------------- bad recordings
+def line(text, at, change):
+    """The BVH with one line of its frames changed."""
+    lines = text.splitlines()
+    lines[lines.index("MOTION") + at] = change(lines[lines.index("MOTION") + at])
+    return "\n".join(lines) + "\n"
+
+
+BAD = {
+    "cut off": lambda text: text[: 2 * len(text) // 3],
+    "binary": lambda text: bytes(range(256)) * 20,
+    "empty": lambda text: "",
+    "no number": lambda text: line(text, 20, lambda row: f"nan {row.split(' ', 1)[1]}"),
+    "huge": lambda text: line(text, 20, lambda row: f"1e30 {row.split(' ', 1)[1]}"),
+    "no body": lambda text: text.replace("left_", "l").replace("right_", "r"),
+    "eternal": lambda text: line(text, 2, lambda row: "Frame Time: 90000"),  # at 30 fps, more than memory holds
+}
+
+
+@pytest.mark.parametrize("kind", sorted(BAD))
+def test_a_damaged_recording_is_named_and_counted_or_ends_a_strict_run(folder, texts, kind):
+    clean = assemble(folder)
+    for who in ("bob", "emil"):  # of one name, but two
+        put(folder, f"mine/{who}/bad.bvh", BAD[kind](texts["a"]))
+    with pytest.raises(DataError, match=r"all/mine/bob/bad\.bvh.*remedy"):
+        assemble(folder, strict=True)
+    found = assemble(folder)
+    (row,) = found.rows
+    assert list(row.refused) == ["mine/bob/bad.bvh", "mine/emil/bad.bvh"] and row.recordings == 4
+    assert all("remedy" not in why and len(why) > 10 for why in row.refused.values())
+    assert "  refused 2: " in found.report() and "    mine/emil/bad.bvh" in found.report()
+    assert len(found.takes) == 2 and row.kept == clean.rows[0].kept
+    with pytest.raises(DataError, match=r"all/mine/bob/bad\.bvh.*without strict"):
+        assemble(folder, strict=True)  # though nothing is parsed
+
+
+def test_numbers_that_nobody_reaches_are_cut(folder, texts):
+    put(folder, "mine/ann/far.bvh", line(texts["a"], 40, lambda row: f"1e17 {row.split(' ', 1)[1]}"))
+    found = assemble(folder)
+    assert not found.rows[0].refused and found.rows[0].cut["teleport"] > 0.2
+    assert all(t.motion.root.abs().max() < 10 for t in found.takes)
+
+
+def test_folders_with_nothing_to_learn_from(tmp_path, folder, texts):
+    put(folder, "notes/read.me", "no recording")
+    assert len(assemble(folder).takes) == 2  # what holds none is passed over, unless it is asked for
+    with pytest.raises(MissingData, match="any recording in"):
+        assemble(folder, sources=["notes"])
+    with pytest.raises(MissingData, match=r"source 'other'.*There are: mine, notes"):
+        assemble(folder, sources=["other"])
+    with pytest.raises(MissingData, match="nowhere is missing"):
+        assemble(tmp_path / "nowhere")
+    put(tmp_path / "bad", "mine/ann/a.bvh", "")
+    with pytest.raises(MissingData, match=r"usable motion .*1 recordings are refused, such as mine/ann/a.bvh: .*empty"):
+        assemble(tmp_path / "bad")
+    put(tmp_path / "short", "mine/ann/a.bvh", bvh_of(tmp_path, performed(0, 24.0).cut(0, 20)))
+    with pytest.raises(MissingData, match="longer recordings"):
+        assemble(tmp_path / "short")
+
+
+def bvh_of(place, motion):
+    bvh.save(place / "x.bvh", motion)
+    return (place / "x.bvh").read_text()
+
+
+# ------------------------------------------------------------------------------------------------ kept whole
+def half_written(path, content):
+    """A process that is killed while it writes."""
+    path.with_name(f".{path.name}.1.part").write_bytes(content[: len(content) // 2])
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("where", ["loader", "write", "rename"])
+def test_a_kill_leaves_nothing_that_a_later_call_would_read(folder, tmp_path, monkeypatch, loaded, where):
+    whole = corpus.assemble(folder, kept=tmp_path / "other", progress=False)
+    loaded.clear()
+
+    def stop(*args):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        if where == "loader":
+            load = recordings.SUFFIXES[".bvh"]
+            patch.setitem(recordings.SUFFIXES, ".bvh", lambda path: stop() if "b" in path.stem else load(path))
+        elif where == "write":
+            patch.setattr(corpus, "write_whole", half_written)
+        else:
+            patch.setattr(Path, "replace", stop)
+        assemble(folder)
+    assert not [path for path in (folder.parent / "kept").iterdir() if path.suffix == ".safetensors"]
+    loaded.clear()
+    assert same(assemble(folder), whole) and len(loaded) == 2
+    assert same(assemble(folder), whole) and len(loaded) == 2
+
+
+@pytest.mark.parametrize("damage", ["half", "empty", "text", "bit", "label", "bare"])
+def test_a_damaged_kept_file_is_made_again(folder, loaded, damage):
+    whole = assemble(folder)
+    (kept,) = (folder.parent / "kept").iterdir()
+    content = kept.read_bytes()
+    kept.unlink()  # the corpus that was made of it has it mapped
+    if damage == "bare":
+        save_file({"root": torch.zeros(3, 3)}, kept)
+    else:
+        changed = {
+            "half": content[: len(content) // 2], "empty": b"", "text": b"not what it was",
+            "bit": content[:-5000] + bytes([content[-5000] ^ 1]) + content[-4999:],
+            "label": content.replace(b"walk_a", b"walk_x"),
+        }  # fmt: skip
+        kept.write_bytes(changed[damage])
+    assert same(assemble(folder), whole) and len(loaded) == 4
+    assert kept.read_bytes() == content and same(assemble(folder), whole) and len(loaded) == 4
+
+
+def test_where_corpora_are_kept(monkeypatch, tmp_path):
+    monkeypatch.setenv("MOTIONLAB_CACHE", str(tmp_path))
+    assert corpus.cache_folder() == tmp_path / "corpus"
+    monkeypatch.delenv("MOTIONLAB_CACHE")
+    assert corpus.cache_folder().is_relative_to(Path.home())
