@@ -19,7 +19,7 @@ import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import torch
@@ -54,8 +54,8 @@ _READERS = (
 class Take:
     """A clean stretch of a recording: 22 joints, floor at z = 0, contacts labelled.
 
-    name: source and file. person: who performs. said: what an index of the source says of it, or the file's name.
-    fps: of the recording. missing: standard joints that the recording lacks; their rotation is made up.
+    name: source, file, and from which second. person: who performs. said: what an index of the source says of it, or
+    the file's name. fps: of the recording. missing: joints that the recording lacks; their rotation is made up.
     """
 
     motion: Motion
@@ -209,9 +209,14 @@ def _key(folder: Path, files: Sequence[Path], fps: float) -> str:
     for path in (*files, *beside):
         state = path.stat()
         whole.update(repr((str(path.relative_to(folder)), state.st_size, state.st_mtime_ns)).encode())
-    for name in _READERS:
-        whole.update(source_hash((Path(__file__).parent / f"{name}.py").read_text(encoding="utf-8")).encode())
+    whole.update(_code().encode())
     return whole.hexdigest()[:16]
+
+
+@cache
+def _code() -> str:
+    """Hashes of the code that reads."""
+    return " ".join(source_hash((Path(__file__).parent / f"{n}.py").read_text(encoding="utf-8")) for n in _READERS)
 
 
 def _prepared(
