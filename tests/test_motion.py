@@ -78,6 +78,33 @@ def test_resample_agrees_with_scipy_slerp_and_keeps_its_samples(generator):
     assert resample(motion, 30.0) is motion
 
 
+def swinging(fps, frames):
+    """A root on a cubic path, and every joint swinging at 2 Hz about an axis of its own, at any rate."""
+    t = torch.arange(frames, dtype=F64)[:, None] / fps
+    path = torch.tensor([[0.1, 0.5, -0.3], [1.0, -0.2, 0.4], [0.3, 0.1, 0.9]], dtype=F64)
+    axes = torch.nn.functional.normalize(torch.randn(22, 3, generator=torch.Generator().manual_seed(4), dtype=F64))
+    rot = rotation.exp((2.9 + 0.6 * (4 * torch.pi * t).sin())[..., None] * axes)  # 2.9 rad: signs of quaternions matter
+    return Motion(STANDARD.to(F64), t * path[0] + t**2 * path[1] + t**3 * path[2], rot, fps)
+
+
+def test_a_spline_keeps_its_samples_and_is_nearer_between_them():
+    slow, truth = swinging(24.0, 49), swinging(30.0, 61)
+    fine = resample(slow, 30.0, "spline")
+    assert fine.fps == 30 and fine.frames == truth.frames
+    torch.testing.assert_close(fine.root, truth.root)  # cubics exactly
+    torch.testing.assert_close(fine.rot[::5], slow.rot[::4])
+    torch.testing.assert_close(fine.rot.mT @ fine.rot, torch.eye(3, dtype=F64).expand_as(fine.rot))
+    errors = [rotation.geodesic(each.rot, truth.rot)[3:-3].mean() for each in (fine, resample(slow, 30.0))]
+    assert errors[0] < 0.1 * errors[1]
+    pair = replace(slow, root=torch.stack((slow.root, -slow.root)), rot=torch.stack((slow.rot, slow.rot.mT)))
+    both = resample(pair, 30.0, "spline")
+    torch.testing.assert_close(both.rot[0], fine.rot)
+    torch.testing.assert_close(both.root[1], -fine.root)
+    assert torch.equal(resample(slow.cut(0, 3), 30.0, "spline").rot, resample(slow.cut(0, 3), 30.0).rot)
+    with pytest.raises(ValueError, match="'linear' or 'spline', got 'cubic'"):
+        resample(slow, 30.0, "cubic")
+
+
 @pytest.mark.parametrize("fps", [7.0, 29.97, 30.0, 60.0, 119.88])
 @pytest.mark.parametrize("frames", [1, 2, 31])
 def test_resample_ends_inside_the_recording(generator, fps, frames):
