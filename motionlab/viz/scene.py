@@ -8,7 +8,9 @@ Importing this module chooses, once, which window VTK draws into: quiet where th
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import importlib
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -27,6 +29,9 @@ from motionlab.motion import Motion
 from motionlab.observation import Camera
 from motionlab.viz import mannequin, viewpoint
 from motionlab.viz.palette import LINE, PAPER, TILE, blend, colour
+
+with contextlib.suppress(ImportError, OSError):  # comes with CUDA builds of torch; after Mesa's LLVM it kills the process
+    importlib.import_module("triton._C.libtriton")
 
 _TILE = 0.5  # metres
 _FLOOR_Z, _SHADOW_Z = -0.008, -0.003  # metres below the floor: soles stay on top, layers do not fight
