@@ -30,7 +30,8 @@ from motionlab.observation import Camera
 from motionlab.viz import mannequin, viewpoint
 from motionlab.viz.palette import LINE, PAPER, TILE, blend, colour
 
-with contextlib.suppress(ImportError, OSError):  # comes with CUDA builds of torch; after Mesa's LLVM it kills the process
+# It comes with CUDA builds of torch. Loaded after Mesa's LLVM, it kills the process.
+with contextlib.suppress(ImportError, OSError):
     importlib.import_module("triton._C.libtriton")
 
 _TILE = 0.5  # metres
