@@ -15,7 +15,7 @@ from motionlab.diffusion import model
 from motionlab.diffusion import training as diffusion_training
 from motionlab.diffusion.denoiser import SIZES
 from motionlab.errors import DataError
-from motionlab.humor import chain_training, examples, training
+from motionlab.humor import chain_training, examples, pretrained, training
 from motionlab.humor.cvae import Cvae, official_weights
 from motionlab.motion import Motion
 
@@ -39,7 +39,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--out", type=Path, help="default: the checkpoint that ships")
     command.add_argument(
-        "--start", type=Path, help="diffusion: a checkpoint to begin from (default: new weights, or the preset's)"
+        "--start", type=Path, help="a checkpoint to begin from (default: new weights, or the preset's)"
     )
     command.add_argument("--resume", action="store_true", help="go on with a run that was stopped, as it was begun")
     command.set_defaults(run=_train)
@@ -203,8 +203,9 @@ def _train_chains(recipe: chain_training.ChainRecipe, options: argparse.Namespac
     found = _real_sources(options.data)
     motions, lacking = ([x for some in each.values() for x in some] for each in (found.train, found.missing))
     data = examples.live_examples(motions, recipe.length + 1, lacking)
-    kind = chain_training.ChainTraining
-    run = kind.resume(kept, data) if options.resume else kind(recipe, data)
+    kind, start = chain_training.ChainTraining, options.start
+    first = pretrained.load_motion_prior(str(start)) if start and not options.resume else None
+    run = kind.resume(kept, data) if options.resume else kind(recipe, data, first)
     held = splits.state_windows(found.held["people who choose"], most=96, causal=True)
 
     def validate(model: Cvae) -> dict[str, float]:
@@ -214,10 +215,11 @@ def _train_chains(recipe: chain_training.ChainRecipe, options: argparse.Namespac
     minutes = {name: sum(m.seconds for m in some) / 60 for name, some in found.train.items()}
     about = {
         "made by": f"python -m motionlab train humor --preset {options.preset} --steps {recipe.steps} "
-        f"--seed {recipe.seed} --data FOLDER",
+        f"--seed {recipe.seed} --data FOLDER" + (" --start CHECKPOINT" if options.start else ""),
         "recipe": asdict(run.recipe), "minutes of motion, before mirroring": minutes, "examples": data.digest,
         "people": found.people, "torch": torch.__version__,
         "quality, people who choose": training.quality_row(run.averaged, *held), "curve": run.curve,
+        **({"began from": checkpoint.read_recipe(start)} if start else {}),
     }  # fmt: skip
     checkpoint.save(out, official_weights(run.averaged), about)
     kept.unlink()

@@ -1,5 +1,6 @@
 """Training by chains: causal states, windows made when drawn, what teaches nothing, and a model that goes on."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -190,7 +191,11 @@ def test_chains_of_every_mix_of_kinds_learn(data, opened, free):
 
 
 def test_presets_are_recipes_that_a_model_can_have():
-    assert {name: recipe.width for name, recipe in CHAIN_PRESETS.items()} == {"real": 512, "real_wide": 1024}
+    assert {name: recipe.width for name, recipe in CHAIN_PRESETS.items()} == {
+        "real": 512,
+        "real_wide": 1024,
+        "real_settled": 512,
+    }
     assert all(recipe.opened + recipe.free < 1 and recipe.length > recipe.chain for recipe in CHAIN_PRESETS.values())
 
 
@@ -222,9 +227,25 @@ def test_scales_fold_into_the_weights_exactly(transitions):
     ):
         assert (a - b).abs().max() < 1e-10
     assert not torch.allclose(model.decode(past, z), plain.decode(past, z), atol=1e-3)
+    again = measured.unfolded(plain).state_dict()
+    assert all(torch.allclose(value, again[name], atol=1e-9) for name, value in model.state_dict().items())
     left = now - onward(past)  # what is to be learnt is smaller than the changes
     for name in ("trans", "joints"):
         assert left[:, SLICES[name]].std() < 0.3 * (now - past)[:, SLICES[name]].std()
+
+
+def test_training_goes_on_from_a_models_weights(data):
+    first = ChainTraining(SMALL, data)
+    for _ in range(3):
+        first.advance()
+    recipe = replace(SMALL, known=0.5, precise=4.0)
+    run = ChainTraining(recipe, data, first._made(first.model.state_dict()))
+    for name, value in first.model.state_dict().items():
+        assert torch.allclose(run.model.state_dict()[name], value, atol=1e-4), name
+    before = run.advance()
+    assert math.isfinite(before["loss"]) and any(
+        not torch.equal(value, first.model.state_dict()[name]) for name, value in run.model.state_dict().items()
+    )
 
 
 def test_a_model_that_says_nothing_goes_on_at_its_velocity(data, transitions):

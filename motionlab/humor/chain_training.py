@@ -38,7 +38,9 @@ class ChainRecipe:
     """What a training run depends on, with its examples.
 
     width: of the networks. steps: of the optimiser. batch: chains of ``length`` transitions; opened, free: shares of
-    them of these kinds. chain: transitions that gradients flow through. supervised, sampled: shares of the steps that
+    them of these kinds;
+    known: share of closed ones in which every step begins at the truth, and precise: how much more their errors count.
+    chain: transitions that gradients flow through. supervised, sampled: shares of the steps that
     see the truth, and by which it has faded out. kl: weight per nat; annealed: share of the steps over which it grows
     to that. kinematics, contact, slide: weights of those losses. average: of the weights, per step. half: networks in
     bfloat16.
@@ -51,6 +53,8 @@ class ChainRecipe:
     chain: int = 8
     opened: float = 0.3
     free: float = 0.2
+    known: float = 0.0
+    precise: float = 1.0
     lr: float = 3e-3
     supervised: float = 0.05
     sampled: float = 0.2
@@ -64,7 +68,14 @@ class ChainRecipe:
     seed: int = 0
 
 
-CHAIN_PRESETS = {"real": ChainRecipe(), "real_wide": ChainRecipe(width=1024, lr=1.5e-3)}
+#: settled: goes on from another one's weights; half of its steps begin at the truth, so that single steps are precise.
+CHAIN_PRESETS = {
+    "real": ChainRecipe(),
+    "real_wide": ChainRecipe(width=1024, lr=1.5e-3),
+    "real_settled": ChainRecipe(
+        steps=2500, lr=8e-4, known=0.5, precise=4.0, opened=0.25, free=0.1, supervised=0.0, sampled=1e-6, annealed=1e-6
+    ),
+}
 
 
 class _Walked(NamedTuple):
@@ -79,7 +90,7 @@ class ChainTraining(TrainingRun):
 
     data_name = "examples"
 
-    def __init__(self, recipe: ChainRecipe, examples: LiveExamples) -> None:
+    def __init__(self, recipe: ChainRecipe, examples: LiveExamples, start: Cvae | None = None) -> None:
         if examples.length != recipe.length + 1:
             raise DataError(f"windows of {examples.length} states for {recipe.length} transitions")
         self.examples = examples
@@ -91,6 +102,8 @@ class ChainTraining(TrainingRun):
         torch.nn.init.zeros_(model.skip.weight)
         with torch.no_grad():
             model.decoder.net[-1].weight *= 0.1
+        if start is not None:
+            model = self.scales.unfolded(start).requires_grad_(requires_grad=True).train()
         super().__init__(recipe, examples.digest, torch.Generator().manual_seed(recipe.seed), model)
 
     @classmethod
@@ -127,6 +140,7 @@ class ChainTraining(TrainingRun):
                 found = _Walked(*apply(past, self.scales.decode(self.model, past, z)))
                 steps.append(found), pasts.append(past[:closed]), posteriors.append(q), targets.append(now)
                 given = torch.rand(recipe.batch, 1, generator=self.generator) < truth
+                given[: round(recipe.known * recipe.batch)] = True
                 x = torch.where(given, states[:, t + 1], globalise(found.after, frame))
                 x = x.detach() if (t + 1) % recipe.chain == 0 else x
             q = Gaussian(*map(torch.cat, zip(*posteriors, strict=True)))
@@ -160,11 +174,19 @@ class ChainTraining(TrainingRun):
         posed, _ = fk(replace(STANDARD, offsets=offsets[:, None]), parts["trans"], rot)
         whole = {name: parts[name][:judged] - truth[name] for name in SHAPES}
         whole["pose_body"] = whole["pose_body"] * seen[:judged, None, 1:, None, None]
+        count = torch.ones(judged, 1)
+        count[: round(self.recipe.known * self.recipe.batch)] = self.recipe.precise
         speed = parts["joints_vel"][..., STANDARD.contact_indices, :].square().sum(-1)
         inside = (posed - parts["joints"]) / ERROR_UNITS["joints"]
         return {
-            "reconstruction": sum(_huber(error / ERROR_UNITS[name]) for name, error in whole.items()),
+            "reconstruction": sum(_counted(error / ERROR_UNITS[name], count) for name, error in whole.items()),
             "kinematics": _huber((posed[:judged] - truth["joints"]) / ERROR_UNITS["joints"]) + 2 * _huber(inside),
             "contact": F.binary_cross_entropy_with_logits(logits[:judged], contacts[:judged]),
             "slide": (logits.sigmoid() * speed).mean(),
         }
+
+
+def _counted(error: Tensor, count: Tensor) -> Tensor:
+    """Mean Huber error of (B, T, ...), rows counted (B, 1) times."""
+    each = F.smooth_l1_loss(error, torch.zeros_like(error), beta=3.0, reduction="none")
+    return (each.flatten(2).mean(-1) * count).mean()

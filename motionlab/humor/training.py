@@ -150,6 +150,24 @@ class Scales:
                 model.skip.weight.copy_(weight + ONWARD)
         return model
 
+    def unfolded(self, model: Cvae) -> Cvae:
+        """The weights that ``folded`` makes this model of: what training goes on from."""
+        model = deepcopy(model)
+        with torch.no_grad():
+            weight = model.encoder.net[0].weight
+            weight[:, :STATE] += weight[:, STATE:]
+            weight[:, STATE:] *= 16 * _unit(SLICES)
+            for net in (model.encoder.net, model.prior_net.net, model.decoder.net):
+                net[0].weight[:, :STATE] *= self.std
+                net[0].bias += net[0].weight[:, :STATE] @ (self.mean / self.std)
+            if model.skip is not None:
+                weight = model.skip.weight - ONWARD
+                model.decoder.net[-1].bias += weight @ self.mean
+                model.skip.weight.copy_(weight * self.std / self.change[:, None])
+            model.decoder.net[-1].weight /= self.change[:, None]
+            model.decoder.net[-1].bias /= self.change
+        return model
+
 
 def _unit(slices: dict[str, slice]) -> Tensor:
     """``ERROR_UNITS``, one per number of a state (339,)."""
