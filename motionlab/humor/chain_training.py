@@ -68,12 +68,22 @@ class ChainRecipe:
     seed: int = 0
 
 
-#: settled: goes on from another one's weights; half of its steps begin at the truth, so that single steps are precise.
+#: settled: goes on from another one's weights; a third of its steps begin at the truth: single steps become precise.
 CHAIN_PRESETS = {
     "real": ChainRecipe(),
     "real_wide": ChainRecipe(width=1024, lr=1.5e-3),
     "real_settled": ChainRecipe(
-        steps=2500, lr=8e-4, known=0.5, precise=4.0, opened=0.25, free=0.1, supervised=0.0, sampled=1e-6, annealed=1e-6
+        steps=2000,
+        lr=1e-3,
+        known=0.35,
+        precise=4.0,
+        opened=0.2,
+        free=0.2,
+        chain=16,
+        kinematics=1.5,
+        supervised=0.0,
+        sampled=1e-6,
+        annealed=1e-6,
     ),
 }
 
