@@ -11,10 +11,9 @@ inputs are standardised and outputs scaled, both folded into the weights at the 
 steps before the state is cut off (the official code cuts off every one) and are clipped; the KL weight starts at a
 tenth; truth or prediction is drawn per window, not per batch; cosine decay; the shipped weights are a moving average; a
 loss that is not finite ends the run.
-Differs, in both: joints of the pose come from forward kinematics, where the official code also compares 6,890 vertices;
-steps instead of epochs, so that KL weight and truth change at every step; windows drawn evenly over all frames, not
-over clips, and from mirror images too; the last weights ship, not those with the least loss on validation; gradients
-that are infinite, not just NaN, are skipped too (official) or end the run.
+Differs, in both: joints of the pose come from forward kinematics, without vertices; steps instead of epochs; windows
+drawn evenly over all frames, and from mirror images too; the last weights ship, not those with the least loss on
+validation; gradients that are infinite, not just NaN, are skipped too (official) or end the run.
 """
 
 from __future__ import annotations
@@ -348,8 +347,7 @@ class PriorTraining(TrainingRun):
 
 
 # ---------------------------------------------------------------------------------------------- how good it is
-# Every number stands beside what a model that knows nothing would get: the pose held, or every joint going on as it
-# goes; samples beside the data that they begin from. Centimetres are mean distances over the 22 predicted joints.
+# Centimetres are mean distances over the 22 predicted joints; beside them stands what knows nothing.
 
 
 def _error(a: Tensor, b: Tensor) -> Tensor:
