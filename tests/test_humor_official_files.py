@@ -54,12 +54,16 @@ def test_a_fit_runs_with_official_files(files):
 
 def test_official_files_alone_leave_the_rest_as_shipped(files):
     ours = pretrained.load_priors("compact")
-    mixed = pretrained.load_priors(pose=files["pose"])
+    mixed = pretrained.load_priors("compact", pose=files["pose"])
     assert mixed.motion is ours.motion and mixed.initial is ours.initial and mixed.pose.numbers == 3
-    mixed = pretrained.load_priors(initial=files["initial"], pelvis=PELVIS)
+    mixed = pretrained.load_priors("compact", initial=files["initial"], pelvis=PELVIS)
     assert mixed.motion is ours.motion and mixed.pose is ours.pose and len(mixed.initial.weights) == 3
-    again = pretrained.load_priors(motion=checkpoint.SHIPPED / "humor_compact.safetensors")
+    again = pretrained.load_priors("compact", motion=checkpoint.SHIPPED / "humor_compact.safetensors")
     assert torch.equal(again.motion.state_dict()["decoder.net.0.weight"], ours.motion.decoder.net[0].weight)
+    default = pretrained.load_priors()
+    mixed = pretrained.load_priors(motion=files["motion"], pelvis=PELVIS)
+    assert default.motion.causal and not mixed.motion.causal and mixed.pose is default.pose
+    assert torch.equal(mixed.initial.means, ours.initial.means)  # its states know the next frame, as the old ones
 
 
 @pytest.mark.parametrize("given", [PELVIS, (0.0, 0.0, 0.0)], ids=["right", "none"])

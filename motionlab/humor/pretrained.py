@@ -35,6 +35,9 @@ from motionlab.humor.priors import (
 )
 from motionlab.io.reading import numbers, read_npz, reading
 
+#: The priors that an ordinary user gets: ``humor_real``, ``pose_prior_real``, ``init_gmm_real``, learnt from hours of
+#: real motion. "compact" knows 42 minutes, and is what notebooks 02 to 15 were measured with.
+DEFAULT = "real"
 #: Suffixes of files that torch wrote: the official code's checkpoints, VPoser's snapshots.
 _TORCH = (".pth", ".pt", ".ckpt", ".tar")
 #: J_0, metres.
@@ -58,7 +61,7 @@ _PARTS = {True: ("weight", "bias", "running_mean", "running_var"), False: ("weig
 
 @cache
 def load_priors(
-    name: str = "compact",
+    name: str = DEFAULT,
     *,
     motion: Path | str | None = None,
     pose: Path | str | None = None,
@@ -93,10 +96,13 @@ def load_priors(
         raise DataError("pelvis: no official motion or initial prior that it moves", remedy="leave it out")
     if pelvis is not None and not all(abs(x) < 2 for x in pelvis):
         raise DataError(f"pelvis: expected metres, got {pelvis}", remedy="give its x, y and z")
+    model = _official_motion(motion) if moved["motion"] else load_motion_prior(str(motion or f"humor_{name}"))
+    # first states have the velocities of the motion prior: a file's may be central where ours are of the past
+    first = f"init_gmm_{'compact' if motion and not model.causal else name}"
     found = Priors(
-        _official_motion(motion) if moved["motion"] else load_motion_prior(str(motion or f"humor_{name}")),
+        model,
         _vposer(pose) if _suffix(pose) in _TORCH else load_pose_prior(str(pose or f"pose_prior_{name}")),
-        _official_mixture(initial) if moved["initial"] else load_initial(str(initial or f"init_gmm_{name}")),
+        _official_mixture(initial) if moved["initial"] else load_initial(str(initial or first)),
     )
     if pelvis is None:
         return found
@@ -136,7 +142,7 @@ def _mixture_at_pelvis(mixture: InitGmm, pelvis: Pelvis) -> InitGmm:
 
 
 @cache
-def load_pose_prior(name: str = "pose_prior_compact") -> PosePrior:
+def load_pose_prior(name: str = f"pose_prior_{DEFAULT}") -> PosePrior:
     """Loads a pose prior of this project, by name or by path.
 
     Raises:
@@ -155,7 +161,7 @@ def load_pose_prior(name: str = "pose_prior_compact") -> PosePrior:
 
 
 @cache
-def load_initial(name: str = "init_gmm_compact") -> InitGmm:
+def load_initial(name: str = f"init_gmm_{DEFAULT}") -> InitGmm:
     """Loads a mixture over first states of this project, by name or by path.
 
     Raises:
@@ -167,7 +173,7 @@ def load_initial(name: str = "init_gmm_compact") -> InitGmm:
 
 
 @cache
-def load_motion_prior(name: str = "humor_compact") -> Cvae:
+def load_motion_prior(name: str = f"humor_{DEFAULT}") -> Cvae:
     """Loads a transition prior that ships (by name) or lies at a path, frozen; once.
 
     Raises:
