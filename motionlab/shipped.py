@@ -10,12 +10,14 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from data_synth import anatomy, corpus
 from motionlab import checkpoint, splits
+from motionlab import corpus as real_corpus
 from motionlab.diffusion import embedding, model, training
 from motionlab.diffusion.embedding import filling_judge, kid_judge
 from motionlab.diffusion.losses import LossWeights
@@ -92,6 +94,17 @@ ARMS = {
     "handles_no_embedding": replace(_ARM_HELD, handles=0),
 }
 DENOISER_PRESETS |= {f"arm_{name}": recipe for name, recipe in ARMS.items()}
+#: The same, learnt from hours of real motion (``real_motions``). What is told finds the rest by itself: a guess from
+#: recalled motion makes a step two and a half times as long, and the network is not needed for it (CHANGELOG).
+_REAL = {
+    name: replace(DENOISER_PRESETS[name], source=splits.REAL_MOTION) for name in ("free", "fixed", "stuck", "pose")
+}
+_REAL["handles"] = replace(_HELD, source=splits.REAL_MOTION)
+_REAL["told"] = replace(
+    _TOLD, source=splits.REAL_MOTION, guessed=False, recalls=0, patch=4, steps=12_000,
+    weights=replace(_TOLD.weights, fk=1.0),
+)  # fmt: skip
+DENOISER_PRESETS |= {f"real_{name}": recipe for name, recipe in _REAL.items()}
 #: Models that go on from the weights of another one that ships, told of nothing.
 FROM = {"told": "diffusion_stuck", "arm_told": "arm_no_unit", "arm_arrival": "arm_no_unit"}
 _HELD = 256  # held-out windows that the checkpoint is chosen by
@@ -99,9 +112,35 @@ _HELD = 256  # held-out windows that the checkpoint is chosen by
 #: lucky early average from a better late one (CHANGELOG).
 _JUDGE_FROM = 0.6
 _SILENT = 0.01  # gain over the filter; less says that the network has collapsed
-_SHORT = 5000  # steps; fewer are not judged
+_SHORT, _LONG = 5000, 10_000  # steps; fewer are not judged, more are measured more rarely
 _Motions = Mapping[str, Sequence[Motion]]  # by source
 STEPS = 4000  # of the pose prior
+
+
+class RealMotions(NamedTuple):
+    """Motions for training, by source; those of the people that choose; which joints each of the first lacks; and how
+    many people were recorded."""
+
+    train: dict[str, list[Motion]]
+    held: dict[str, list[Motion]]
+    missing: dict[str, list[tuple[str, ...]]]
+    people: int
+
+
+def real_motions(folder: Path | str | None) -> RealMotions:
+    """Returns what a corpus of recordings (``corpus.assemble``), and synthetic motion, give to train on.
+
+    Raises:
+        DataError: no folder, or nothing usable in it.
+    """
+    if not folder:
+        raise DataError("this preset learns from recordings", remedy="name a folder of them with --data")
+    found = real_corpus.assemble(folder, splits.real_sources(folder))
+    takes, made = found.part("train"), [s.motion for s in corpus.build(version="B").train]
+    train = {splits.RECORDED: [t.motion for t in takes], splits.SYNTHETIC: made}
+    missing = {splits.RECORDED: [t.missing for t in takes], splits.SYNTHETIC: [()] * len(made)}
+    held = {"people who choose": [t.motion for t in found.part("choose")]}
+    return RealMotions(train, held, missing, len({t.person for t in takes}))
 
 
 def training_motions(found: dict[str, list[Motion]], recipe: DenoiserRecipe) -> dict[str, list[Motion]]:
@@ -110,11 +149,21 @@ def training_motions(found: dict[str, list[Motion]], recipe: DenoiserRecipe) -> 
     Raises:
         DataError: the recipe's source is not there.
     """
-    if recipe.source not in ("all", *found):
+    if recipe.source not in ("all", splits.REAL_MOTION, *found):
         message = f"no motions from {recipe.source!r}, only from {', '.join(found)}"
         raise DataError(message, remedy="give --data with recordings, or another preset")
-    used = {name: motions for name, motions in found.items() if recipe.source in ("all", name)}
-    return {name: splits.evenly(motions, max(1, round(len(motions) * recipe.share))) for name, motions in used.items()}
+    used = {name: some for name, some in found.items() if recipe.source in ("all", splits.REAL_MOTION, name)}
+    return {name: splits.evenly(some, max(1, round(len(some) * recipe.share))) for name, some in used.items()}
+
+
+def _learnt_from(recipe: DenoiserRecipe, folder: Path | str | None) -> RealMotions:
+    """What the recipe trains on and is chosen by; no missing joints where all count as recorded."""
+    if recipe.source == splits.REAL_MOTION:
+        found = real_motions(folder)
+        missing = training_motions(found.missing, recipe)
+        return found._replace(train=training_motions(found.train, recipe), missing=missing)
+    train = training_motions(splits.motions_by_part(folder, "train"), recipe)
+    return RealMotions(train, splits.motions_by_part(folder, "choose"), {}, 0)
 
 
 def begins(preset: str, recipe: DenoiserRecipe) -> Path | None:
@@ -146,9 +195,10 @@ def make(
     Raises:
         DataError: nothing to learn from, or ``kept`` is not a run on these windows.
     """
-    train = training_motions(splits.motions_by_part(folder, "train"), recipe)
-    choose = splits.motions_by_part(folder, "choose")
-    data = gather(_together(train, recipe, recipe.copies), recipe.frames, mirrored=recipe.mirrored)
+    train, choose, lacking, people = _learnt_from(recipe, folder)
+    missing = [names for some in lacking.values() for names in some for _ in range(1 + recipe.copies)] or None
+    motions = _together(train, recipe, recipe.copies)
+    data = gather(motions, recipe.frames, mirrored=recipe.mirrored, missing=missing)
     held = gather(_together(choose, recipe), recipe.frames).evenly(_HELD)
     where = {"device": "cuda" if torch.cuda.is_available() else "cpu", "accelerator": _accelerator()}
     first = model.load_denoiser(start) if start and not resume else None
@@ -157,13 +207,17 @@ def make(
         if resume
         else training.DenoiserTraining(recipe, data, **where, start=first)
     )
-    how = {"validate": training.held_errors(held), "judge": _judge(recipe, held), "judge_from": _JUDGE_FROM}
+    measures = [training.held_errors(held), *([filling_judge(held)] if recipe.told else [])]
+    validate = lambda made: {k: v for measure in measures for k, v in measure(made).items()}  # noqa: E731
+    every = 1250 if recipe.steps > _LONG else 500
+    how = {"every": every, "validate": validate, "judge": _judge(recipe, held), "judge_from": _JUDGE_FROM}
     run.run(keep=kept, **how, progress=True)
     if run.rank:
         return
     about = {
-        "made by": command + (" --data FOLDER" if splits.RECORDED in choose else ""),
+        "made by": command + (" --data FOLDER" if people or splits.RECORDED in choose else ""),
         "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in train.items()},
+        **({"people": people} if people else {}),
         "minutes that chose the checkpoint": {k: sum(m.seconds for m in v) / 60 for k, v in choose.items()},
         "recordings": list(recordings),
         "corpus": asdict(corpus.Recipe()) | {"version": recipe.version},

@@ -32,6 +32,7 @@ SHIPPABLE = ("cmu_amc", "deepmimic", "reactidle", "animated_drawings", "isaacgym
 #: Those that a corpus of real motion is made of (``corpus.assemble``); people, not clips, are kept apart there.
 REAL = ("cmu_library", "cmu_native", *SHIPPABLE)
 SYNTHETIC, RECORDED = "synthetic", "recordings"
+REAL_MOTION = "real"  # a corpus of real motion, and synthetic motion besides
 
 
 def real_sources(folder: Path | str) -> list[str]:

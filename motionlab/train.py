@@ -6,11 +6,10 @@ import argparse
 import os
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 
-from motionlab import checkpoint, corpus, shipped, splits
+from motionlab import checkpoint, shipped, splits
 from motionlab.diffusion import model
 from motionlab.diffusion import training as diffusion_training
 from motionlab.diffusion.denoiser import SIZES
@@ -115,7 +114,9 @@ def _train(options: argparse.Namespace) -> int:
     if options.model == "small":
         out, how = options.out or checkpoint.SHIPPED, {"seed": options.seed or 0, "name": options.preset or "compact"}
         real = how["name"] == "real"
-        train, held, missing, *_ = _real_sources(options.data) if real else (*_training_sources(options.data), None)
+        train, held, missing, *_ = (
+            shipped.real_motions(options.data) if real else (*_training_sources(options.data), None)
+        )
         shipped.make_pose_prior(train, held, out, **how, steps=options.steps or shipped.STEPS, missing=missing)
         shipped.make_init_gmm(train, held, out, **how, causal=real)
         return 0
@@ -173,34 +174,10 @@ def _train(options: argparse.Namespace) -> int:
     return 0
 
 
-class _Real(NamedTuple):
-    """Motions for training, by source; those of the people that choose; which joints each of the first lacks; and how
-    many people were recorded."""
-
-    train: dict[str, list[Motion]]
-    held: dict[str, list[Motion]]
-    missing: dict[str, list[tuple[str, ...]]]
-    people: int
-
-
-def _real_sources(folder: Path | str | None) -> _Real:
-    """What a corpus of recordings, and synthetic motion, give to train on."""
-    from data_synth import corpus as synthetic
-
-    if not folder:
-        raise DataError("this preset learns from recordings", remedy="name a folder of them with --data")
-    found = corpus.assemble(folder, splits.real_sources(folder))
-    takes, made = found.part("train"), [s.motion for s in synthetic.build(version="B").train]
-    train = {"recordings": [t.motion for t in takes], "synthetic": made}
-    missing = {"recordings": [t.missing for t in takes], "synthetic": [()] * len(made)}
-    held = {"people who choose": [t.motion for t in found.part("choose")]}
-    return _Real(train, held, missing, len({t.person for t in takes}))
-
-
 def _train_chains(recipe: chain_training.ChainRecipe, options: argparse.Namespace, out: Path, kept: Path) -> int:
     """Trains a transition prior on a corpus of recordings and on synthetic motion; its curve is of the people that
     choose."""
-    found = _real_sources(options.data)
+    found = shipped.real_motions(options.data)
     motions, lacking = ([x for some in each.values() for x in some] for each in (found.train, found.missing))
     data = examples.live_examples(motions, recipe.length + 1, lacking)
     kind, start = chain_training.ChainTraining, options.start

@@ -25,9 +25,9 @@ class Says(nn.Module):
         return torch.full_like(x, self.value)
 
 
-def made(spectrum, value=0.0, told=False):
+def made(spectrum, value=0.0, told=False, **how):
     frames, features = spectrum.shape
-    model = gaussian_guess.Spectral(Says(value, told), cosine(1000).alpha_bar, frames, features)
+    model = gaussian_guess.Spectral(Says(value, told), cosine(1000).alpha_bar, frames, features, **how)
     model.spectrum.copy_(spectrum)
     return model
 
@@ -66,6 +66,9 @@ def test_what_the_network_says_counts_in_units_of_the_filters_uncertainty(genera
     units = scale / (basis @ torch.ones(frames, 2))
     assert torch.allclose(error[:1], units[:1].abs(), rtol=0.03)  # a constant is in the first coefficient alone
     assert torch.allclose(gaussian_guess.power(x0), power, rtol=0.06)
+    seen = torch.rand(len(x0), 2, generator=generator) < 0.5
+    some = torch.where(seen[:, None], x0, 1e3)  # what was not recorded is not read
+    assert torch.allclose(gaussian_guess.power(some, seen), power, rtol=0.08)
 
 
 def test_where_there_is_no_noise_the_network_hardly_matters(generator):
@@ -92,6 +95,15 @@ def test_what_is_known_comes_out_and_what_is_not_is_never_read(told):
     out = model(x, stamps, torch.where(known, values, torch.nan), known)
     assert torch.allclose(out[known], values[known], atol=1e-6) and out.isfinite().all()
     assert not torch.allclose(model(x, stamps)[known], values[known], atol=1e-2)
+
+
+def test_without_a_guess_the_network_fills_in_alone_and_what_is_known_still_comes_out(told):
+    x, stamps, values, known = told
+    model, plain = made(torch.rand(12, 3) + 0.1, 2.0, told=True, guessed=False), made(torch.ones(12, 3), 2.0)
+    plain.spectrum.copy_(model.spectrum)
+    out = model(x, stamps, values, known)
+    assert model.start is None and torch.equal(out[known], values[known])
+    assert torch.allclose(out[~known], plain(x, stamps)[~known]) and torch.equal(model(x, stamps), plain(x, stamps))
 
 
 def test_the_network_sees_its_start_and_what_a_model_that_is_told_nothing_sees(told):

@@ -97,6 +97,22 @@ def test_every_part_is_that_of_a_loop(generator, layout, gate):
         assert value > 1e-5, name  # or the comparison says nothing
 
 
+def test_numbers_that_were_not_recorded_teach_nothing(case):
+    """Against the truth put in their place, which has no error; positions follow from all rotations all the same."""
+    estimate, truth, normaliser, bones = case
+    seen = torch.ones(len(truth), LAYOUT.size, dtype=torch.bool)
+    seen[1:, LAYOUT.slices["pose"]] = False
+    how = {"parts": PARTS, "known": torch.ones(LAYOUT.size, dtype=torch.bool)}
+    found = losses.denoising_losses(estimate, truth, LAYOUT, normaliser, bones, **how, seen=seen)
+    mended = torch.where(seen[:, None], estimate, truth)
+    wanted = losses.denoising_losses(mended, truth, LAYOUT, normaliser, bones, **how)
+    all_of_it = losses.denoising_losses(estimate, truth, LAYOUT, normaliser, bones, **how)
+    for name in ("simple", "velocity", "known"):
+        assert found[name].item() == pytest.approx(wanted[name].item(), rel=1e-9), name
+        assert found[name] < 0.9 * all_of_it[name], name
+    assert found["fk"] == all_of_it["fk"] > wanted["fk"]
+
+
 def test_windows_count_as_they_are_told_to(case):
     """Half of what the first window gives, and one and a half of the second: against each alone."""
     estimate, truth, normaliser, bones = (x[:2] if torch.is_tensor(x) else x for x in case)

@@ -119,8 +119,8 @@ def test_draws_follow_their_generator_and_motions_too_short_are_left_out(motions
         assert torch.equal(a, b)
     assert torch.equal(data.draw(60, seeded(1))[0], drawn(data)[0])
     mixed = live_examples([motions[1].cut(0, 4), motions[0]], 4, [("head",), ("left_foot",)])
-    unseen = [name for name, seen in zip(STANDARD.names, mixed.seen[0], strict=True) if not seen]
-    assert len(mixed.seen) == 1 and unseen == ["left_foot", "right_foot"]  # windows are mirrored
+    unseen = [name for name, seen in zip(STANDARD.names, mixed.motions.seen[0], strict=True) if not seen]
+    assert len(mixed.motions.seen) == 1 and unseen == ["left_foot", "right_foot"]  # windows are mirrored
     assert mixed.frames == motions[0].frames and mixed.digest != data.digest
     with pytest.raises(DataError, match="no motion has 5 frames"):
         live_examples([motions[0].cut(0, 4)], 4, [()])

@@ -51,23 +51,40 @@ _NEAR = 0.2  # of the covariance: that about a pose that is recalled
 _FIRM, _LOOSE = 1e-2**2, 2.0  # h^2 = FIRM + LOOSE times the least mean square over handles' coordinates, square metres
 
 
-def power(x0: Tensor) -> Tensor:
-    """Computes the mean power S (T, D) of normalised motions (B, T, D) in the cosine basis."""
-    return (cosine_transform(x0.shape[-2]).to(x0) @ x0).square().mean(0).clamp(min=_LEAST)
+def power(x0: Tensor, seen: Tensor | None = None) -> Tensor:
+    """Computes the mean power S (T, D) of normalised motions (B, T, D) in the cosine basis.
+
+    seen (B, D): 0 where a motion's numbers were not recorded and do not count; None: all count."""
+    each = (cosine_transform(x0.shape[-2]).to(x0) @ x0).square()
+    if seen is None:
+        return each.mean(0).clamp(min=_LEAST)
+    seen = seen.to(each)[:, None]
+    return ((each * seen).sum(0) / seen.sum(0).clamp(min=1.0)).clamp(min=_LEAST)
 
 
 class Spectral(nn.Module):
     """A denoiser: the Wiener estimate from the data's spectrum, plus a network's correction.
 
     network: (x_t, stamps, ...) -> (B, T, D). alpha_bar: of all noising steps. frames, features, recalls: as of
-    ``start.InitialGuess``. ``spectrum`` (T, D) is data, measured by ``power`` and stored with the weights.
+    ``start.InitialGuess``. guessed: a network that is told what is known corrects that guess of the rest; False: it
+    finds the rest by itself, as in CondMDI. ``spectrum`` (T, D) is data, measured by ``power`` and stored with the
+    weights.
     """
 
-    def __init__(self, network: nn.Module, alpha_bar: Tensor, frames: int, features: int, recalls: int = 0) -> None:
+    def __init__(
+        self,
+        network: nn.Module,
+        alpha_bar: Tensor,
+        frames: int,
+        features: int,
+        recalls: int = 0,
+        *,
+        guessed: bool = True,
+    ) -> None:
         super().__init__()
         self.network, self.told = network, network.told
         self.register_buffer("spectrum", torch.ones(frames, features))
-        self.start = InitialGuess(frames, features, recalls) if self.told else None
+        self.start = InitialGuess(frames, features, recalls) if self.told and guessed else None
         self.register_buffer("alpha_bar", alpha_bar.float(), persistent=False)
         self.register_buffer("cosines", cosine_transform(frames), persistent=False)
 
@@ -96,11 +113,13 @@ class Spectral(nn.Module):
             if mask is None:
                 known, mask = torch.zeros_like(x), torch.zeros_like(x)
             given = mask.expand_as(x) > 0
+        if self.start is not None:
             start, open_ = self.start(known, given, own), self._open(doubt(given), a)
             guess = start + open_**2 * wiener(x - a.sqrt() * start)
             told["guess"] = start
         said = self.network(shown, stamps, known, mask, **told)
-        return guess + open_ * (self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said)))
+        found = guess + open_ * (self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said)))
+        return torch.where(given, known, found) if self.told and self.start is None else found
 
     def recall(self, x: Tensor, clips: Tensor) -> None:
         """Measures the initial guess on windows: see ``start.InitialGuess.measure``."""

@@ -83,6 +83,7 @@ def denoising_losses(
     handles: Tensor | None = None,
     trust: Tensor | None = None,
     count: Tensor | None = None,
+    seen: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """Computes the training losses by name, each a mean over windows and frames.
 
@@ -95,13 +96,15 @@ def denoising_losses(
         estimate, truth: x_0 (B, T, D), normalised. offsets: (B or 1, J, 3) metres, the bodies'. gate, even: see
             ``Weights``. known: (B, T, D) or (T, D), 1 where known. handles: (B, T, J, 4), as ``Denoiser`` takes.
         trust: (B,) what fk, contact and handles of each window count; default 1. count: (B,) what each window counts in
-            all parts, 1 on average.
+            all parts, 1 on average. seen: (B, D), False for numbers that were not recorded: ``simple``, ``velocity``
+            and ``known`` leave them out.
     Raises:
         ShapeError: the rows are not the layout's.
     """
     check_shape(estimate, f"B T {layout.size}", "estimate")
     check_shape(truth, f"B T {layout.size}", "truth")
     error, found = estimate - truth, {}
+    error = error if seen is None else error * seen[:, None].to(error)
     count = torch.ones_like(error[:, 0, 0]) if count is None else count.to(error)
     trust = count if trust is None else trust.to(error) * count
     squared = error.square() * count[:, None, None]

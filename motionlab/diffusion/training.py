@@ -64,28 +64,36 @@ class DenoiserTraining(TrainingRun):
             raise DataError(message, remedy="choose a multiple")
         self.layout, self.schedule, self.clip = recipe.layout, recipe.schedule, recipe.clip
         self._counts = recipe.weights.counts(self.schedule)
-        some = self.layout.encode(windows.draw(_MEASURED, torch.Generator().manual_seed(0)))
+        drawn, clips = windows.drawn(_MEASURED, torch.Generator().manual_seed(0))
+        some = self.layout.encode(drawn)
         if start is not None and start.layout != self.layout:
             raise DataError("the model to begin from has other features", remedy=_BEGIN)
         self.normaliser = (
             start.normaliser if start else Normaliser.measure(some, self.layout, root_unit=recipe.root_unit)
         )
-        model = self._new_model(recipe, some)
+        model = self._new_model(recipe, some, self._seen(clips))
         if start is not None:
             _take_weights(model, start, recipe)
         model.to(self.device)
         super().__init__(recipe, windows.digest, torch.Generator().manual_seed(recipe.seed), model)
         self.network = self.model if accelerator is None else accelerator.prepare_model(self.model)
 
-    def _new_model(self, recipe: DenoiserRecipe, some: Tensor) -> Denoiser | Spectral | Linear:
+    def _seen(self, clips: Tensor) -> Tensor | None:
+        """Which numbers (B, D) of windows of these motions (B,) were recorded; None: all."""
+        if self.windows.seen is None:
+            return None
+        whole = torch.ones(len(clips), 2, dtype=torch.bool)  # the root's place, contacts
+        return torch.cat((self.windows.seen[clips], whole), 1)[:, masks.units(self.layout)]
+
+    def _new_model(self, recipe: DenoiserRecipe, some: Tensor, seen: Tensor | None) -> Denoiser | Spectral | Linear:
         """New weights, and what is measured of windows ``some`` (N, T, D) and recalled of others."""
         with self._torch_seeded(recipe.seed):
             model = recipe.denoiser()
         if recipe.linear:
             model.measure(self.normaliser.apply(some), self.normaliser)
         elif recipe.spectral:
-            model.spectrum.copy_(power(self.normaliser.apply(some)))
-        if (recipe.linear and recipe.recalls) or (recipe.spectral and recipe.told):
+            model.spectrum.copy_(power(self.normaliser.apply(some), seen))
+        if (recipe.linear and recipe.recalls) or (recipe.spectral and recipe.told and recipe.guessed):
             many, clips = self.windows.drawn(max(_MEASURED, recipe.recalls), torch.Generator().manual_seed(1))
             model.recall(self.normaliser.apply(self.layout.encode(many)), clips)
         return model
@@ -125,10 +133,13 @@ class DenoiserTraining(TrainingRun):
         xt = self.schedule.noised(x0, t, noise_like(x0, self.generator))
         signal, count = self.schedule.alpha_bar[t].to(x0), self._counts[t].to(x0)
         known = masks.draw(self.layout, recipe.frames, recipe.batch, self.generator) if recipe.told else None
+        seen = self._seen(clips)
+        known = known if known is None or seen is None else known & seen[:, None]
         held = masks.draw_handles(motion, self.generator) if recipe.handles or recipe.weights.handles else None
         seed = int(torch.randint(2**31, (), generator=self.generator)) + self.rank
-        batch = (x0, xt, self.schedule.stamps[t], motion.skeleton.offsets[:, 0], signal, count, known, held, clips)
-        x0, xt, stamps, offsets, signal, count, known, held, clips = (
+        offsets = motion.skeleton.offsets[:, 0]
+        batch = (x0, xt, self.schedule.stamps[t], offsets, signal, count, known, held, clips, seen)
+        x0, xt, stamps, offsets, signal, count, known, held, clips, seen = (
             None if each is None else each[self.rank :: self.share].to(self.device) for each in batch
         )
         told = {"known": x0, "mask": known} if recipe.told else {}
@@ -141,7 +152,7 @@ class DenoiserTraining(TrainingRun):
         parts = denoising_losses(
             estimate, x0, self.layout, self.normaliser, offsets, parts=weights, gate=recipe.weights.gate,
             even=recipe.weights.even, known=known, handles=held, trust=trust if recipe.weights.by_signal else None,
-            count=count,
+            count=count, seen=seen,
         )  # fmt: skip
         return sum(weight * parts[name] for name, weight in weights.items()), parts
 

@@ -21,7 +21,8 @@ class Windows:
 
     root (N, 3) metres, rot (N, 22, 3, 3), contacts (N, 9) or None; offsets (C, 22, 3) metres, one body per motion;
     clip (N,): the motion of each frame. begins (M,): the frames from which ``length`` frames lie inside one motion.
-    mirrored: every second window drawn, by chance, is seen in the mirror.
+    mirrored: every second window drawn, by chance, is seen in the mirror. seen (C, 22): False where a motion lacks a
+    joint (or its mirror image), so that its rotation is made up and teaches nothing; None: all were recorded.
     """
 
     root: Tensor
@@ -33,6 +34,7 @@ class Windows:
     length: int
     fps: float
     mirrored: bool = True
+    seen: Tensor | None = None
 
     def draw(self, count: int, generator: torch.Generator) -> Motion:
         """Draws windows (count, length) evenly over all begins, each with its own body, mirrored at random."""
@@ -78,13 +80,21 @@ class Windows:
     def digest(self) -> str:
         """A hash of all numbers, for the recipe."""
         whole = hashlib.sha256(repr((self.length, self.fps, self.mirrored, self.contacts is None)).encode())
-        for x in (self.root, self.rot, self.contacts, self.offsets, self.clip):
+        for x in (self.root, self.rot, self.contacts, self.offsets, self.clip, self.seen):
             whole.update(b"" if x is None else x.numpy().tobytes())
         return whole.hexdigest()[:16]
 
 
-def gather(motions: Sequence[Motion], length: int, *, mirrored: bool = True) -> Windows:
+def gather(
+    motions: Sequence[Motion],
+    length: int,
+    *,
+    mirrored: bool = True,
+    missing: Sequence[Sequence[str]] | None = None,
+) -> Windows:
     """Cuts windows of ``length`` frames from motions at one frame rate, all with contacts or none; drops shorter ones.
+
+    missing: for every motion the joints whose rotations were not recorded; None: none is missing.
 
     Raises:
         DataError: no motion is that long; frame rates differ; some have contacts and some not; numbers are not finite.
@@ -106,6 +116,9 @@ def gather(motions: Sequence[Motion], length: int, *, mirrored: bool = True) -> 
             raise DataError("some motions have contacts and some not", place=m.name, remedy=remedy)
         if not (m.root.isfinite().all() and m.rot.isfinite().all()):
             raise DataError("numbers that are not finite", place=m.name, remedy="leave this motion out")
+    lacks = () if missing is None else [n for m, n in zip(motions, missing, strict=True) if m.frames >= length]
+    seen = torch.tensor([[name not in names for name in STANDARD.names] for names in lacks]) if any(lacks) else None
+    seen = None if seen is None else seen & seen[:, STANDARD.mirror_indices]
     counts = torch.tensor([m.frames for m in used])
     starts = counts.cumsum(0) - counts
     return Windows(
@@ -118,6 +131,7 @@ def gather(motions: Sequence[Motion], length: int, *, mirrored: bool = True) -> 
         length=length,
         fps=used[0].fps,
         mirrored=mirrored,
+        seen=seen,
     )
 
 

@@ -96,12 +96,11 @@ class LiveExamples:
 
     For hours of motion, whose states would not fit into memory. Velocities are backward differences.
 
-    motions: windows of ``length`` + 1 frames. seen (C, 22): False where a motion lacks a joint, so that its rotation is
-    made up and teaches nothing. bodies: standard deviation of the bodies' betas; one recording in three keeps its own.
+    motions: windows of ``length`` + 1 frames. bodies: standard deviation of the bodies' betas; one recording in three
+    keeps its own.
     """
 
     motions: Windows
-    seen: Tensor
     length: int
     bodies: float = _PEOPLE
 
@@ -119,7 +118,9 @@ class LiveExamples:
         grown = offsets[..., legs, :].norm(dim=-1).sum(-1) / motion.skeleton.offsets[..., legs, :].norm(dim=-1).sum(-1)
         body = replace(motion.skeleton, offsets=offsets)
         states = from_motion(replace(motion, skeleton=body, root=motion.root * grown[..., None]), causal=True)
-        return states[:, 1:], motion.contacts[:, 1:], offsets[:, 0], self.seen[clip]
+        seen = self.motions.seen
+        recorded = torch.ones(count, len(STANDARD), dtype=torch.bool) if seen is None else seen[clip]
+        return states[:, 1:], motion.contacts[:, 1:], offsets[:, 0], recorded
 
     @property
     def digest(self) -> str:
@@ -141,10 +142,7 @@ def live_examples(motions: Sequence[Motion], length: int, missing: Sequence[Sequ
     Raises:
         DataError: as :func:`motionlab.diffusion.windows.gather`.
     """
-    windows = gather(motions, length + 1)
-    used = [names for motion, names in zip(motions, missing, strict=True) if motion.frames >= length + 1]
-    seen = torch.tensor([[name not in names for name in STANDARD.names] for names in used])
-    return LiveExamples(windows, seen & seen[:, STANDARD.mirror_indices], length)
+    return LiveExamples(gather(motions, length + 1, missing=missing), length)
 
 
 def other_body(motion: Motion, generator: torch.Generator) -> Motion:
