@@ -202,6 +202,24 @@ def test_sample_is_the_roll_out_of_its_own_latents(model, generator, with_offset
     assert not torch.equal(other.z, taken.z)
 
 
+def test_rigid_samples_keep_the_bones_of_the_first_state(model, generator):
+    """Against a loop that walks the tree; one step differs from a plain one in the joints alone."""
+    first = first_states(generator, 3)
+    plain, rigid = (sample_rollout(model, first, 5, rigid=rigid).states for rigid in (False, True))
+    lengths = state.bone_lengths(first)
+    assert (state.bone_lengths(rigid) - lengths[:, None]).abs().max() < 1e-9
+    assert (state.bone_lengths(plain) - lengths[:, None]).abs().max() > 1e-4
+    joints, wanted = (state.unpack(x[:, 0])["joints"] for x in (plain, rigid))
+    walked = joints[:, 0]
+    placed = [walked]
+    for j, parent in enumerate(STANDARD.parents[1:], 1):
+        bone = joints[:, j] - joints[:, parent]
+        placed.append(placed[parent] + bone / bone.norm(dim=-1, keepdim=True) * lengths[:, j - 1, None])
+    torch.testing.assert_close(torch.stack(placed, 1), wanted, atol=1e-9, rtol=0)
+    others = [part for name, part in state.SLICES.items() if name != "joints"]
+    assert all(torch.equal(plain[:, 0, part], rigid[:, 0, part]) for part in others)
+
+
 def test_posterior_latents_are_those_of_infer(model, generator):
     """Prior of a roll-out's transitions: the same two ways, all at once from states, or along the roll-out."""
     first, z = first_states(generator, 2), latents(generator, 2, 5)

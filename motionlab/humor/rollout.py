@@ -28,7 +28,7 @@ from motionlab.errors import ShapeError, check_shape
 from motionlab.heading import Frame
 from motionlab.humor import compiled
 from motionlab.humor.cvae import Cvae, Gaussian
-from motionlab.humor.state import CHANGES, STATE, VECTORS, globalise, heading, localise
+from motionlab.humor.state import CHANGES, STATE, VECTORS, bone_lengths, globalise, heading, localise, with_bone_lengths
 from motionlab.humor.transition import DecoderLayers, Step, Stepper, WayBack, transition
 from motionlab.parallel import threads_for
 
@@ -233,24 +233,31 @@ def _to_world(start: Frame, local: Tensor, offset: Tensor | None) -> Tensor:
 
 
 def sample_rollout(
-    model: Cvae, first: Tensor, steps: int, *, generator: torch.Generator | None = None, offset: Tensor | None = None
+    model: Cvae,
+    first: Tensor,
+    steps: int,
+    *,
+    generator: torch.Generator | None = None,
+    offset: Tensor | None = None,
+    rigid: bool = False,
 ) -> Rollout:
     """Computes a roll-out with z from the prior: drawn where a generator is given, else its mean. Keeps no gradients.
 
-    first: (B, 339) states, world coordinates.
+    first: (B, 339) states, world coordinates. rigid: after every step the bones get the lengths back that they have in
+    the first state (not in HuMoR, whose joints drift from their bones).
     """
     check_shape(first, f"B {STATE}", "first")
     with torch.no_grad(), threads_for(len(first)):
         decoder = DecoderLayers.of(model)
         step, start = Stepper(decoder, _spread(offset)), heading(first)
-        x = localise(first, start, offset)
+        x, lengths = localise(first, start, offset), bone_lengths(first)
         after, logits, zs, means, variances = [], [], [], [], []
         for _ in range(steps):
             prior = model.prior(x)
             z = prior.mean if generator is None else prior.sample(generator)
             now = step(x, decoder.shares(z))
-            x = now.moved
-            after.append(now.after), logits.append(now.raw[:, CHANGES:]), zs.append(z)
+            x, there = (with_bone_lengths(each, lengths) if rigid else each for each in (now.moved, now.after))
+            after.append(there), logits.append(now.raw[:, CHANGES:]), zs.append(z)
             means.append(prior.mean), variances.append(prior.log_var)
         after, logits, zs, means, variances = (torch.stack(each, 1) for each in (after, logits, zs, means, variances))
         return Rollout(_to_world(start, after, offset), logits, zs, Gaussian(means, variances))

@@ -33,7 +33,7 @@ from motionlab.heading import (
     world_to_local_positions,
 )
 from motionlab.motion import Motion, velocity
-from motionlab.skeleton import Skeleton
+from motionlab.skeleton import STANDARD, Skeleton
 
 JOINT_COUNT, CONTACTS = 22, 9
 #: The parts of a state in their order, and their shapes.
@@ -193,6 +193,39 @@ def _moved(state, frame, offset, positions, orientations) -> Tensor:
             "joints_vel": positions(turned, parts["joints_vel"]),
         }
     )
+
+
+def bone_lengths(state: Tensor) -> Tensor:
+    """Computes the distances (..., 21) of the joints of states (..., 339) from their parents, metres."""
+    return _bones(state).norm(dim=-1)
+
+
+def with_bone_lengths(state: Tensor, lengths: Tensor) -> Tensor:
+    """Computes states (..., 339) whose bones point as they did and have these lengths (..., 21), the pelvis in its
+    place; nothing but the joints changes. What a network adds to joints, frame by frame, does not keep bones long."""
+    bones = _bones(state)
+    bones = bones * (lengths / bones.norm(dim=-1).clamp(min=1e-6))[..., None]
+    joints = state[..., SLICES["joints"]].unflatten(-1, SHAPES["joints"])
+    made = joints[..., :1, :] + _PATHS.to(bones) @ bones
+    parts = [state[..., part] if name != "joints" else made.flatten(-2) for name, part in SLICES.items()]
+    return torch.cat(parts, -1)
+
+
+def _bones(state: Tensor) -> Tensor:
+    joints = state[..., SLICES["joints"]].unflatten(-1, SHAPES["joints"])
+    return joints[..., 1:, :] - joints[..., list(STANDARD.parents[1:]), :]
+
+
+def _paths() -> Tensor:
+    """(22, 21): 1 where a bone, named by its lower joint, lies between the pelvis and a joint."""
+    found = torch.zeros(JOINT_COUNT, JOINT_COUNT - 1)
+    for joint in range(1, JOINT_COUNT):
+        found[joint] = found[STANDARD.parents[joint]]
+        found[joint, joint - 1] = 1.0
+    return found
+
+
+_PATHS = _paths()
 
 
 def pelvis_offset(state: Tensor) -> Tensor:

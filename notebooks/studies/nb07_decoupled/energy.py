@@ -16,7 +16,7 @@ sequence, which the thesis leaves out, are the roll-out from x_0.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -34,6 +34,7 @@ from motionlab.humor.stages import Problem, Terms
 from motionlab.humor.state import SHAPES, STATE
 from motionlab.humor.unknowns import Posed, Rolled, Unknowns, skeleton_of
 from motionlab.skeleton import fk
+from studies.shared.workload import Workload
 
 TURNS = {"root_orient": 1, "pose_body": 21}
 #: Numbers of a persistent state: as ``state``, but six for each rotation.
@@ -164,3 +165,12 @@ def rolled_out(problem: Problem, unknown: Unknown) -> tuple[Terms, Rolled]:
         states = torch.cat((first[:, None], rolled.states), 1)
         body = posed(states, unknown["betas"], problem.evidence)
         return stage_3_terms(problem, states, rolled, unknown["betas"]), Rolled(states, rolled, body)
+
+
+def marks(case: Workload, states: Tensor, steps: Sequence[int]) -> dict[str, Tensor]:
+    """The decoupled energy's terms at unknowns that nothing was searched for: true states (B, T, 339) and the latents
+    that the posterior finds in them, for every K of ``steps``."""
+    unknown = {"x": to_persistent(states), "z": case.moving.z[:, 0], "betas": case.moving.betas}
+    with torch.no_grad():
+        found = {k: terms(case.problem, unknown, Form(k))[0] for k in steps}
+    return {f"{name} at K = {k}": x.mean() for k, each in found.items() for name, x in each.items()}
