@@ -11,7 +11,6 @@ from motionlab.humor.priors import InitGmm
 from motionlab.humor.shooting import feedback_solver
 from motionlab.humor.shooting.coordinates import linearised, mixed_features, opened
 from motionlab.humor.shooting.feedback_solver import Plan, solve
-from motionlab.humor.stages import rolled_terms
 from motionlab.optimise import BatchFit
 from tests.rolled_inputs import F64
 from tests.test_humor_shooting import CLIPS, made, noisy, nought, seed, total
@@ -99,24 +98,6 @@ def test_where_a_search_has_ended_its_own_valley_promises_nothing(case, settled)
     assert (gain[:, 1] > 0.1).all()  # and the other much
 
 
-def test_the_depth_of_a_valley_is_known_before_it_is_entered(case, settled):
-    """What is promised, against what a search finds that begins with the other component alone."""
-    problem, _ = case
-    with torch.no_grad():
-        loop = linearised(problem, settled)
-    energy, gain, *_ = feedback_solver.valleys(problem, settled, loop)
-    gmm = problem.priors.initial
-    other = replace(
-        problem,
-        priors=replace(problem.priors, initial=InitGmm(torch.ones(1, dtype=F64), gmm.means[1:], gmm.covariances[1:])),
-    )
-    found, _ = solve(other, settled, replace(ALONE, rounds=12, closures=30))
-    there = total(problem, found)
-    assert (component(problem, found) == 1).all()
-    fell = energy - there
-    assert (fell > 0.1).all() and ((gain[:, 1] - fell) / fell).abs().max() < 0.3
-
-
 def test_a_search_that_leaps_ends_in_the_deeper_valley_and_one_that_does_not_stays(case, settled):
     problem, unknown = case
     found, fits = solve(problem, unknown, replace(ALONE, leaps=1))
@@ -124,21 +105,6 @@ def test_a_search_that_leaps_ends_in_the_deeper_valley_and_one_that_does_not_sta
     assert (total(problem, found) < total(problem, settled) - 0.1).all()
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
     assert all(fit.energy.shape == (CLIPS,) and fit.history.shape[1] == CLIPS for fit in fits)
-
-
-def test_the_rows_of_a_clip_are_one_clip_in_what_is_reported(case):
-    """A leap's energies are its clip's: the lowest of its rows after each closure."""
-    problem, unknown = case
-    with torch.no_grad():
-        loop = linearised(problem, unknown)
-        who, shaper, first = feedback_solver._starts(problem, unknown, loop, 1, 1e-3)
-        starts = []
-        for i in (slice(0, CLIPS), slice(CLIPS, 2 * CLIPS)):
-            around, new = loop._replace(first=shaper[i]), nought(loop) | {"first": first[i]}
-            starts.append(sum(rolled_terms(problem, *opened(problem, unknown, around, new)).values()))
-    assert who.tolist() == [0, 1, 0, 1]
-    _, fits = solve(problem, unknown, replace(ALONE, rounds=1, leaps=1))
-    torch.testing.assert_close(fits[0].history[0], torch.minimum(*starts), rtol=1e-9, atol=0)
 
 
 def test_a_leap_has_coordinates_of_its_own_component(case, settled):
