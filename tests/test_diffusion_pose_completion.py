@@ -15,6 +15,7 @@ from motionlab.errors import DataError, ShapeError
 from motionlab.heading import stuck_root
 from motionlab.skeleton import STANDARD
 from studies.nb14_completion import known_poses, measures, trials
+from tests.draws import seeded
 
 POSES = DenoiserRecipe(
     size="tiny", frames=1, contacts=False, linear=True, dropout=0.0, noising=100, steps=60, batch=32, lr=5e-3,
@@ -42,10 +43,6 @@ def models(windows):
 def truth(windows):
     """Poses (24, 1), stuck, on the standard body."""
     return stuck_root(replace(windows.evenly(24), skeleton=STANDARD))[0]
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 # ------------------------------------------------------------------------------------------------- with a network
