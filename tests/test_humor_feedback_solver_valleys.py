@@ -12,8 +12,9 @@ from motionlab.humor.shooting import feedback_solver
 from motionlab.humor.shooting.coordinates import linearised, mixed_features, opened
 from motionlab.humor.shooting.feedback_solver import Plan, solve
 from motionlab.optimise import BatchFit
+from tests.draws import seeded
 from tests.rolled_inputs import F64
-from tests.test_humor_shooting import CLIPS, made, noisy, nought, seed, total
+from tests.test_humor_shooting import CLIPS, made, noisy, nought, total
 
 ALONE = Plan(rounds=12, closures=20, tolerance=1e-5, leaps=0)
 
@@ -55,8 +56,8 @@ def component(problem, unknown):
 
 def test_whitened_features_are_the_density_and_its_slopes(case):
     problem, _ = case
-    gmm, x = problem.priors.initial, torch.randn(3, priors.FIRST_STATE_SIZE, generator=seed(1), dtype=F64)
-    way = torch.randn(3, priors.FIRST_STATE_SIZE, 2, generator=seed(2), dtype=F64)
+    gmm, x = problem.priors.initial, torch.randn(3, priors.FIRST_STATE_SIZE, generator=seeded(1), dtype=F64)
+    way = torch.randn(3, priors.FIRST_STATE_SIZE, 2, generator=seeded(2), dtype=F64)
     off, slopes, constant = gmm.whitened(x, way)
     torch.testing.assert_close(constant - 0.5 * off.square().sum(-1), gmm.each(x))
     change = torch.tensor([0.3, -0.2], dtype=F64)
@@ -77,7 +78,7 @@ def test_the_matrix_is_that_of_the_rest_and_of_the_mixture(case):
         whole = loop.rest + weight * loop.features.mT @ pull @ loop.features
         values = torch.linalg.eigvalsh(whole)
         assert values.max() < 1 + 1e-6 and (values > 0.9).float().mean() > 0.8
-        step, way = 1e-5, torch.randn(loop.first.shape[0], loop.first.shape[2], generator=seed(3), dtype=F64)
+        step, way = 1e-5, torch.randn(loop.first.shape[0], loop.first.shape[2], generator=seeded(3), dtype=F64)
         ends = []
         for s in (step, -step):
             at, _ = opened(problem, unknown, loop, nought(loop) | {"first": s * way})

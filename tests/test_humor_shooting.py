@@ -21,16 +21,13 @@ from motionlab.humor.shooting.feedback_solver import Plan, ShootingReport, searc
 from motionlab.humor.stages import Problem, motion_terms
 from motionlab.humor.unknowns import Unknowns
 from studies.shared.workload import random_priors, workload
+from tests.draws import seeded
 from tests.interrupted import interrupted
 from tests.rolled_inputs import F64, network
 
 FRAMES, CLIPS = 5, 2
 KINDS = ("joints", "fixed", "free")
 STEADY = Plan(rounds=2, closures=6, tolerance=0.0, stride=1, coarse=1)
-
-
-def seed(number=0):
-    return torch.Generator().manual_seed(number)
 
 
 @pytest.fixture(scope="module")
@@ -59,12 +56,12 @@ def made(pose):
     for layer in model.modules():
         if isinstance(layer, torch.nn.GroupNorm):
             layer.eps = 1.0
-    walk = clips.draw(1, seed(), actions=("walk",))[0].motion.cut(0, FRAMES)
-    work = workload(walk, random_priors(seed(), width=32), seed(), batch=CLIPS).double()
+    walk = clips.draw(1, seeded(), actions=("walk",))[0].motion.cut(0, FRAMES)
+    work = workload(walk, random_priors(seeded(), width=32), seeded(), batch=CLIPS).double()
     priors = Priors(model, deepcopy(pose).double(), None)
     first = unknowns.first_state(work.moving, priors)
     start = first_state_features(unknowns.local_first(first)).mean(0)
-    spread = 0.05 * torch.randn(12, FIRST_STATE_SIZE, FIRST_STATE_SIZE, generator=seed(1), dtype=F64)
+    spread = 0.05 * torch.randn(12, FIRST_STATE_SIZE, FIRST_STATE_SIZE, generator=seeded(1), dtype=F64)
     spread = spread @ spread.mT + 0.05 * torch.eye(FIRST_STATE_SIZE, dtype=F64)
     mixture = InitGmm(torch.full((12,), 1 / 12, dtype=F64), noisy(start.expand(12, -1), 0.1, 2), spread)
     priors = replace(priors, initial=mixture)
@@ -85,7 +82,7 @@ def made(pose):
 
 
 def noisy(x, scale, number):
-    return x + scale * torch.randn(x.shape, generator=seed(number), dtype=F64)
+    return x + scale * torch.randn(x.shape, generator=seeded(number), dtype=F64)
 
 
 def total(problem, unknown):
@@ -213,7 +210,7 @@ def test_anywhere_is_an_exact_roll_out_of_the_unknowns_there(cases, kind, stride
     problem, unknown = cases[kind]
     with torch.no_grad():
         loop = linearised(problem, unknown, stride=stride)
-        new = {n: 0.3 * torch.randn(x.shape, generator=seed(3), dtype=F64) for n, x in nought(loop).items()}
+        new = {n: 0.3 * torch.randn(x.shape, generator=seeded(3), dtype=F64) for n, x in nought(loop).items()}
         at, rolled = opened(problem, unknown, loop, new)
         there = replace(at, z=rolled.rollout.z[:, None])
         theirs = unknowns.roll(there, problem.priors, problem.evidence)
@@ -226,7 +223,7 @@ def test_anywhere_is_an_exact_roll_out_of_the_unknowns_there(cases, kind, stride
 def test_gradients_in_the_coordinates_are_finite_differences(cases):
     problem, unknown = cases["free"]
     loop = linearised(problem, unknown, stride=1)
-    point = {n: 0.1 * torch.randn(x.shape, generator=seed(4), dtype=F64) for n, x in nought(loop).items()}
+    point = {n: 0.1 * torch.randn(x.shape, generator=seeded(4), dtype=F64) for n, x in nought(loop).items()}
 
     def value(new):
         return sum(stages.rolled_terms(problem, *opened(problem, unknown, loop, new)).values()).sum()
@@ -234,7 +231,7 @@ def test_gradients_in_the_coordinates_are_finite_differences(cases):
     leaves = {n: x.clone().requires_grad_() for n, x in point.items()}
     slopes = dict(zip(leaves, torch.autograd.grad(value(leaves), leaves.values()), strict=True))
     for name, slope in slopes.items():
-        way, step = torch.randn(slope.shape, generator=seed(5), dtype=F64), 1e-7
+        way, step = torch.randn(slope.shape, generator=seeded(5), dtype=F64), 1e-7
         with torch.no_grad():
             up, down = (value(point | {name: point[name] + s * way}) for s in (step, -step))
         torch.testing.assert_close((slope * way).sum(), (up - down) / (2 * step), rtol=1e-4, atol=1e-3)
@@ -245,7 +242,7 @@ def test_unknowns_move_by_what_they_are_told(cases, kind):
     """Part by part; rotations on their manifold, the camera only where it is free."""
     _, unknown = cases[kind]
     sizes = list(FIRST_SIZES.values()) + [8] + [3] * (kind == "free")
-    change = 0.3 * torch.randn(CLIPS, sum(sizes), generator=seed(6), dtype=F64)
+    change = 0.3 * torch.randn(CLIPS, sum(sizes), generator=seeded(6), dtype=F64)
     names = [*FIRST_SIZES, "betas", "camera"]
     parts = dict(zip(names, change.split(sizes, 1), strict=False))
     found = moved(unknown, change).named()
@@ -397,8 +394,8 @@ def test_shapes_that_do_not_fit(cases, change):
 
 def test_single_precision_and_two_frames():
     """The least that there is; in float32, as fits have it."""
-    walk = clips.draw(1, seed(), actions=("walk",))[0].motion.cut(0, 2)
-    work = workload(walk, random_priors(seed(), width=64), seed(), batch=1)
+    walk = clips.draw(1, seeded(), actions=("walk",))[0].motion.cut(0, 2)
+    work = workload(walk, random_priors(seeded(), width=64), seeded(), batch=1)
     began = total(work.problem, work.moving)
     found, fits = solve(work.problem, work.moving, STEADY)
     assert found.z.shape == (1, 1, 1, 48) and found.z.dtype == torch.float32

@@ -28,13 +28,3 @@ def test_flips_are_found_where_the_vectors_disagree_and_the_rotations_agree():
     assert (rep.flips_per_minute(flipped, 30.0) >= 60).all()
     away = rep.carried_and_decoded(turning(across=False))
     assert not rep.flipped(*away).any()
-
-
-def test_the_midpoint_of_flipped_vectors_is_half_a_turn_off_and_of_sixd_exact():
-    path = turning().double()
-    carried, decoded = rep.carried_and_decoded(path)
-    where = rep.flipped(carried, decoded)
-    wrong = rep.midpoint_error(rep.AXIS_ANGLE, carried, decoded, path)[where]
-    assert (wrong > 179).all()
-    six = [rep.SIXD.encode(rotation.axis_angle_to_matrix(v)) for v in (carried, decoded)]
-    assert rep.midpoint_error(rep.SIXD, *six, path).max() < 1e-4

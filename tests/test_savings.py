@@ -12,20 +12,17 @@ from studies.official import unknowns as official_unknowns
 from studies.shared import savings
 from studies.shared.savings import FAITHFUL, LEAN, Savings
 from studies.shared.workload import Part, random_priors, workload
+from tests.draws import seeded
 
 FRAMES = 6
 WHOLE = Part(3, FRAMES)
 
 
-def seed():
-    return torch.Generator().manual_seed(0)
-
-
 @pytest.fixture(scope="module")
 def work():
-    priors = random_priors(seed(), width=32)
-    walk = clips.draw(1, seed(), actions=("walk",))[0].motion
-    return workload(walk.cut(0, FRAMES), priors, seed(), batch=2)
+    priors = random_priors(seeded(), width=32)
+    walk = clips.draw(1, seeded(), actions=("walk",))[0].motion
+    return workload(walk.cut(0, FRAMES), priors, seeded(), batch=2)
 
 
 def terms(work, on, part=WHOLE):
@@ -53,8 +50,8 @@ def test_every_rung_and_every_saving_alone_has_the_same_terms(work, part):
 
 def test_a_trained_prior_sees_the_official_heading_and_nothing_else():
     """People turn little between frames, where the acos of a guarded cosine is wrong by a milliradian."""
-    walk = clips.draw(1, seed(), actions=("walk",))[0].motion.cut(0, 12)
-    trained = workload(walk, load_priors("compact"), seed(), inferred=True).double()
+    walk = clips.draw(1, seeded(), actions=("walk",))[0].motion.cut(0, 12)
+    trained = workload(walk, load_priors("compact"), seeded(), inferred=True).double()
     found = {name: sum(terms(trained, on, Part(3, 12)).values()).item() for name, on in savings.rungs()}
     change = {}
     for (_, before), (name, now) in pairwise(found.items()):
