@@ -38,6 +38,14 @@ def generator() -> torch.Generator:
 
 
 @pytest.fixture(scope="session")
+def motions():
+    """Two performances of the corpus, 6 s each."""
+    from data_synth.corpus import Recipe, perform_sequence
+
+    return [perform_sequence(Recipe(seconds=6.0, seed=3), index).motion for index in (0, 1)]
+
+
+@pytest.fixture(scope="session")
 def kit():
     """The priors that ship."""
     from motionlab.humor import pretrained

@@ -15,6 +15,7 @@ from motionlab.errors import NotConverged, ShapeError
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Observation2D, look_at
 from motionlab.skeleton import STANDARD, UPRIGHT
+from tests.draws import seeded
 
 K = {name: k for k, name in enumerate(BODY_25)}
 FEET = [K[n] for n in BODY_25 if any(part in n for part in ("knee", "ankle", "toe", "heel"))]
@@ -23,10 +24,6 @@ FEET = [K[n] for n in BODY_25 if any(part in n for part in ("knee", "ankle", "to
 @pytest.fixture(scope="module")
 def body():
     return capsule_body(0.05)
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def standing(frames=4, turn=0.0, speed=0.0):

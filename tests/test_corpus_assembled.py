@@ -137,20 +137,6 @@ def test_repeated_takes_are_left_out_and_counted(folder, texts):
     assert found.rows[0].cut["repeated"] == pytest.approx(next(t.motion.seconds for t in before.takes))
 
 
-def test_the_report(folder, texts):
-    put(folder, "mine/ann/bad.bvh", texts["a"][:900])
-    put(folder, "yours/ann/c.bvh", texts["c"])
-    lines = assemble(folder).report().splitlines()
-    assert lines[0] == "mine: 3 recordings, 0.1 min, kept 0.1"
-    assert lines[1].startswith("  refused 1: ") and lines[2] == "    mine/ann/bad.bvh"
-    assert lines[3].startswith("yours: 1 recordings, 0.1 min, kept 0.1; cut, min: teleport 0.0")
-    assert lines[4:] == [
-        "train: 0.1 min of 1 people, 1 stretches",
-        "choose: 0.1 min of 1 people, 1 stretches",
-        "report: 0.1 min of 1 people, 2 stretches",
-    ]
-
-
 # -------------------------------------------------------------------------------------------------- parsed once
 def test_a_second_call_parses_nothing(folder, loaded):
     made = assemble(folder)

@@ -6,13 +6,10 @@ import torch
 from data_synth import corrupt
 from motionlab.errors import ShapeError
 from motionlab.observation import BODY_25, Observation2D, look_at
+from tests.draws import seeded
 
 CAMERA = look_at(torch.tensor([0.0, -4.0, 1.5]), torch.tensor([0.0, 0.0, 1.0]), focal=900.0, width=1280, height=720)
 LEGS = [BODY_25.index(f"{side}_{part}") for side in ("left", "right") for part in corrupt.LEG]
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def observed(frames=60, batch=(3,), missing=0.1):

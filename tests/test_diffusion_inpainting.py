@@ -51,20 +51,6 @@ def test_the_known_part_is_noised_to_the_step_before(generator):
     assert torch.equal(after(torch.zeros_like(known), known, 0)[:, :8], known[:, :8])
 
 
-def test_the_last_overwrite_makes_the_seam(data, denoise, generator):
-    """With it the known frames are exact and the curve jumps; without, the other way round (thesis 4.2.2)."""
-    known = curves(data, 400, generator)
-
-    def jump(x):
-        step = x.diff(dim=1)[..., 0]
-        return step[:, 7].square().mean().sqrt() / curves(data, 400, generator).diff(dim=1).square().mean().sqrt()
-
-    exact = made(denoise, inpainting._overwrite(SCHEDULE, known, M, generator), 400, generator)
-    smooth = made(denoise, inpainting._overwrite(SCHEDULE, known, M, generator, last=False), 400, generator)
-    assert torch.equal(exact[:, :8], known[:, :8]) and (smooth[:, :8] - known[:, :8]).abs().max() > 1e-3
-    assert jump(exact) > jump(smooth)
-
-
 def test_imputed_estimates_end_exact(data, denoise, generator):
     known = curves(data, 5, generator)
     x = made(inpainting._imputed(denoise, known, M), None, 5, generator)

@@ -36,11 +36,6 @@ def _tiny(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def motions():
-    return [perform_sequence(Corpus(seconds=6.0, seed=3), index).motion for index in (0, 1)]
-
-
-@pytest.fixture(scope="module")
 def data(motions):
     return gather([on_standard(m) for m in motions], SMALL.frames)
 
@@ -114,17 +109,6 @@ def test_the_curve_says_what_the_network_adds(data):
     run.average["network.output_process.poseFinal.bias"] += 1.0  # nonsense, everywhere
     assert measure(run.averaged)[GAIN] < -0.1
     assert GAIN not in measure(training.DenoiserTraining(SMALL, data).averaged)
-
-
-def test_a_stopped_run_goes_on_to_the_bit(data, tmp_path):
-    """More of this in test_training_loop.py; here, that what this trainer adds is saved too."""
-    how = {"every": 2, "judge_every": 2, "validate": training.held_errors(data.evenly(5))}
-    how |= {"judge": lambda model: {"kid": float(next(model.denoiser.parameters()).sum())}}
-    whole = training.DenoiserTraining(TOLD, data).run(**how)
-    training.DenoiserTraining(TOLD, data).run(until=3, keep=tmp_path / "run.pt", **how | {"judge_every": 99})
-    again = training.DenoiserTraining.resume(tmp_path / "run.pt", data).run(**how)
-    assert same(whole, again) and again.curve[-1] == whole.curve[-1] and "kid" in whole.curve[-1]
-    assert list(whole.curve[-1])[-6:-1] == [f"x0 error at t = {t}" for t in (2, 10, 20, 29, 39)]
 
 
 def test_rate_and_late_losses_follow_the_recipe(data):

@@ -5,8 +5,6 @@ from dataclasses import replace
 import pytest
 import torch
 
-from data_synth.corpus import Recipe as Corpus
-from data_synth.corpus import perform_sequence
 from motionlab.diffusion import masks, windows
 from motionlab.diffusion.features import Layout
 from motionlab.errors import DataError, ShapeError
@@ -15,11 +13,6 @@ from motionlab.motion import fix_root_horizontally, mirror
 from motionlab.skeleton import STANDARD
 
 LAYOUT = Layout()
-
-
-@pytest.fixture(scope="module")
-def motions():
-    return [perform_sequence(Corpus(seconds=6.0, seed=3), index).motion for index in (0, 1)]
 
 
 # ------------------------------------------------------------------------------------------------- windows

@@ -8,8 +8,6 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from data_synth.corpus import Recipe as Corpus
-from data_synth.corpus import perform_sequence
 from motionlab.errors import DataError
 from motionlab.humor import training
 from motionlab.humor.chain_training import CHAIN_PRESETS, ChainRecipe, ChainTraining
@@ -29,14 +27,10 @@ from motionlab.humor.state import (
 from motionlab.humor.training import Scales
 from motionlab.motion import mirror
 from motionlab.skeleton import STANDARD
+from tests.draws import seeded
 
 SMALL = ChainRecipe(width=64, steps=8, batch=10, length=3, chain=2, half=False, seed=5)
 FEET = [STANDARD.index(f"{side}_foot") for side in ("left", "right")]
-
-
-@pytest.fixture(scope="module")
-def motions():
-    return [perform_sequence(Corpus(seconds=6.0, seed=3), index).motion for index in (0, 1)]
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +42,6 @@ def data(motions):
 def transitions(motions):
     """Past and now (N, 339) in the frame of the past, doubles."""
     return training._transition_pairs(from_motion(motions[0].to(torch.float64), causal=True))
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def drawn(data, count=60, **change):

@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 from torch.func import jacrev
 
 from motionlab import rotation
-from motionlab.heading import Frame
 from motionlab.humor import state
 from motionlab.humor.shooting import derivatives
 from motionlab.humor.shooting.derivatives import CHANGE, GAMMA, LATENTS, XI
@@ -66,26 +65,6 @@ def test_turn_takes_one_frames_axes_to_the_next(model, inputs, found):
     torch.testing.assert_close(found.turn, Stepper(DecoderLayers.of(model))(x, DecoderLayers.of(model).shares(z)).turn)
 
 
-def test_a_transition_and_what_its_slopes_leave_out(model, inputs, found):
-    """Central differences through the recursion of a roll-out; and what is not smooth or not there is noticed."""
-    x, z = inputs
-    decoder, generator, step = DecoderLayers.of(model), torch.Generator().manual_seed(2), 1e-8
-
-    def moved(change):
-        done = Stepper(decoder)(turned(x, change[:, :XI]), decoder.shares(z + change[:, XI:]))
-        way = done.after[:, :3] * torch.tensor([1.0, 1, 0], dtype=F64)
-        return done.moved, Frame(done.turn.mT, -way)
-
-    way = torch.randn(COUNT, XI + LATENTS, generator=generator, dtype=F64)
-    (up, up_frame), (down, down_frame) = moved(step * way), moved(-step * way)
-    measured = between(down, down_frame, up, up_frame) / (2 * step)
-    ours = (torch.cat((found.of_change[..., :XI], found.of_z), -1) @ way[..., None])[..., 0]
-    torch.testing.assert_close(ours, measured, atol=2e-5, rtol=1e-5)
-    bare = decoder._replace(weights=[decoder.weights[0] * 0, *decoder.weights[1:]])  # control: the network counts
-    without = derivatives.transition_slopes(bare, x, z).of_change
-    assert (without - found.of_change)[:, :XI, :XI].norm() > 0.05 * found.of_change.norm()
-
-
 def test_control_rotations_turned_from_the_right_are_noticed(model, inputs, found):
     x, z = inputs
     middle, frame = advanced(model, x, z, torch.zeros(COUNT, CHANGE, dtype=F64))
@@ -110,24 +89,6 @@ def test_clips_do_not_see_each_other(model, inputs, found):
     z[1] = torch.nan
     broken = derivatives.transition_slopes(decoder, x, z)
     assert broken.of_change[1].isnan().any() and torch.equal(broken.of_change[[0, 2]], found.of_change[[0, 2]])
-
-
-def test_slopes_chain_over_several_transitions(model, inputs, found):
-    """Two transitions at once, against autograd through both."""
-    x, z = inputs
-    nothing = torch.zeros(COUNT, CHANGE, dtype=F64)
-
-    def twice(change):
-        y, frame = advanced(model, x, z, change)
-        last, step = advanced(model, y, z.flip(0), nothing)
-        turn = step.turn @ frame.turn  # y' = S (F (w + f) + s) = S F (w + f + F^T s)
-        return last, Frame(turn, frame.shift + (frame.turn.mT @ step.shift[..., None])[..., 0])
-
-    start, frame = twice(nothing)
-    theirs = jacrev(lambda c: between(start, frame, *twice(c.expand(COUNT, -1))))(nothing[0])
-    y, _ = advanced(model, x, z, nothing)
-    second = derivatives.transition_slopes(DecoderLayers.of(model), y, z.flip(0))
-    torch.testing.assert_close(second.of_change @ found.of_change, theirs, atol=1e-9, rtol=1e-9)
 
 
 def test_prior_and_its_slopes_are_those_of_autograd(model, inputs):

@@ -1,7 +1,6 @@
 """Gauss-Newton rows against autograd through naive residuals; and what the energies themselves say."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 import torch
@@ -10,33 +9,21 @@ from torch.func import grad, jacrev
 from motionlab.heading import Frame
 from motionlab.humor import energies, state
 from motionlab.humor.body_shape import landmarks, offsets
-from motionlab.humor.cvae import Gaussian
 from motionlab.humor.energies import BONE_PARENTS, CONTACT_JOINTS, JOINTS, RGB
 from motionlab.humor.evidence import LEVEL, Evidence, View
-from motionlab.humor.rollout import Rollout
 from motionlab.humor.shooting import gauss_newton
 from motionlab.humor.shooting.derivatives import CHANGE, XI
-from motionlab.humor.state import ADDED
-from motionlab.humor.unknowns import Posed, Rolled
 from motionlab.skeleton import STANDARD, fk
-from studies.nb09_posterior import curvature as posterior
+from tests.draws import draw
 from tests.rolled_inputs import F64, first_states, own, placed, still, turned
 
 CLIPS, FRAMES = 2, 3
 
 
-def draw(seed, *shape):
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
-
-
 @pytest.fixture(scope="module")
-def x():
-    return own(first_states(torch.Generator().manual_seed(0), CLIPS * FRAMES)).unflatten(0, (CLIPS, FRAMES))
-
-
-@pytest.fixture(scope="module")
-def case(x):
+def case():
     """Everything that the rows of two clips are made of, but for what was seen."""
+    x = own(first_states(torch.Generator().manual_seed(0), CLIPS * FRAMES)).unflatten(0, (CLIPS, FRAMES))
     frame = placed(still(x), draw(1, CLIPS, FRAMES, 3))  # somewhere in the world
     return {
         "x": x,
@@ -147,50 +134,6 @@ def assembled(rows):
     return h
 
 
-# ---------------------------------------------------------------------------------------------------- the posed body
-@pytest.mark.parametrize("marks", [False, True])
-def test_points_and_all_their_columns_are_those_of_forward_kinematics(x, marks):
-    x, betas = x.flatten(0, 1), draw(2, CLIPS * FRAMES, 8)
-    size = CHANGE + 11
-
-    def points(change):
-        frame = placed(still(x), change[XI:CHANGE].expand(len(x), -1))
-        states = state.globalise(turned(x, change[:XI].expand(len(x), -1)), frame)
-        parts, shape = state.unpack(states), betas + change[CHANGE : CHANGE + 8]
-        rot = torch.cat((parts["root_orient"][:, None], parts["pose_body"]), 1)
-        joints, turns = fk(replace(STANDARD, offsets=offsets(shape)), parts["trans"], rot)
-        return landmarks(joints[:, None], turns[:, None], shape)[:, 0] if marks else joints
-
-    nothing = torch.zeros(size, dtype=F64)
-    found = gauss_newton._posed(x, betas, size=size, marks=marks)
-    torch.testing.assert_close(found.joints, points(nothing), atol=1e-12, rtol=0)
-    truth = jacrev(points)(nothing)
-    torch.testing.assert_close(found.slopes, truth, atol=1e-12, rtol=1e-12)
-    way = draw(7, size)
-    measured = (points(1e-7 * way) - points(-1e-7 * way)) / 2e-7
-    torch.testing.assert_close(found.slopes @ way, measured, atol=1e-6, rtol=1e-6)
-    for part in (slice(0, 3), slice(ADDED, XI), slice(XI, CHANGE), slice(CHANGE, CHANGE + 8)):
-        assert truth[..., part].flatten(2).norm(dim=(1, 2)).min() > 0.1  # none of which is idle
-
-
-def test_control_other_betas_have_other_columns(x):
-    x, betas = x.flatten(0, 1), draw(2, CLIPS * FRAMES, 8)
-    found, other = (gauss_newton._posed(x, b, size=CHANGE + 8).slopes for b in (betas, betas + 1))
-    assert (found - other)[..., ADDED:XI].abs().max() > 0.01 and (found - other)[..., CHANGE:].abs().max() > 1e-4
-
-
-def test_carried_joints_move_with_their_numbers_and_their_frame(x):
-    x = x.flatten(0, 1)
-
-    def points(change):
-        frame = placed(still(x), change[XI:CHANGE].expand(len(x), -1))
-        return state.unpack(state.globalise(turned(x, change[:XI].expand(len(x), -1)), frame))["joints"]
-
-    found, nothing = gauss_newton._own_joints(x, CHANGE + 8), torch.zeros(CHANGE + 8, dtype=F64)
-    torch.testing.assert_close(found.joints, points(nothing), atol=1e-12, rtol=0)
-    torch.testing.assert_close(found.slopes, jacrev(points)(nothing), atol=1e-12, rtol=0)
-
-
 # ----------------------------------------------------------------------------------------------------------- the rows
 @pytest.mark.parametrize("kind", ["joints", "fixed", "free"])
 def test_rows_are_the_gauss_newton_matrix_of_naive_residuals(case, kind):
@@ -277,38 +220,3 @@ def test_a_body_behind_the_camera_has_finite_rows_that_do_not_pull_it(case):
     near = replace(evidence.view, centre=evidence.view.centre + torch.tensor([0.0, 7.0, 0.0], dtype=F64))
     through = gauss_newton.residual_rows(**case, evidence=replace(evidence, view=near), weights=weights)
     assert all(part.isfinite().all() for part in through)
-
-
-# -------------------------------------------------------------------------------------------- the posterior's residuals
-def rolled_as(case, change, evidence):
-    """What ``nb09_posterior.curvature`` takes, of changed frames; latents at their prior's mean, body given."""
-    body, carried, points = world(case, change, evidence, case["camera"])
-    states = torch.zeros(CLIPS, FRAMES, state.STATE, dtype=F64)
-    states[..., state.SLICES["joints"]] = carried.flatten(-2)
-    nought = torch.zeros(CLIPS, FRAMES - 1, 48, dtype=F64)
-    rollout = Rollout(states[:, 1:], case["touching"][:, 1:].logit(), nought, Gaussian(nought, nought))
-    return Rolled(states, rollout, Posed(None, None, body, points, torch.zeros(CLIPS, 8, dtype=F64), None))
-
-
-def rises(case, evidence, weights, change):
-    """Half the square of what a small change (B, T, n) does to the residuals of notebook 09, weighted energy (B,)."""
-    problem = SimpleNamespace(evidence=evidence, weights=weights, priors=None)
-    here, ahead, behind = (rolled_as(case, step * change, evidence) for step in (0.0, 1e-6, -1e-6))
-    a, b = (posterior.residuals(problem, None, rolled, here) for rolled in (ahead, behind))
-    return weights.motion_prior[2] * 0.5 * ((a - b) / 2e-6).square().sum(1)
-
-
-@pytest.mark.parametrize("kind", ["joints", "fixed"])
-def test_rows_and_the_residuals_of_notebook_09_have_one_gauss_newton_matrix(case, kind):
-    """Two derivations of one curvature: the solver's by hand, frame by frame, and the posterior's by differences of the
-    whole. Heights of contacts are in the first alone, the priors of latents, shape and first state in the second."""
-    weights = replace(JOINTS if kind == "joints" else RGB, init_motion_prior=(0, 0, 0), contact_height=(0, 0, 0))
-    evidence, named = seen(case, kind)
-    h = assembled(gauss_newton.residual_rows(**case, evidence=evidence, weights=named))
-    for seed in range(20, 24):
-        change = draw(seed, CLIPS, FRAMES, CHANGE + 8)
-        ours = 0.5 * torch.einsum("btn,btnsk,bsk->b", change, h, change)
-        torch.testing.assert_close(rises(case, evidence, weights, change), ours, rtol=1e-6, atol=0)
-        for name in ("joints3d" if kind == "joints" else "joints2d", "joint_consistency", "bone_length", "contact_vel"):
-            other = replace(weights, **{name: tuple(1.1 * w for w in getattr(weights, name))})  # control: each is seen
-            assert ((rises(case, evidence, other, change) - ours) / ours).min() > 1e-5, name

@@ -4,14 +4,11 @@ import pytest
 import torch
 
 from motionlab.humor.shooting.gauss_newton import riccati_sweep
+from tests.draws import draw
 
 F64 = torch.float64
 CLIPS, FRAMES, N, Z = 2, 5, 6, 3
 MANY = (FRAMES - 1) * Z
-
-
-def draw(seed, *shape):
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
 def drawn():

@@ -75,21 +75,6 @@ def with_mean_tolerance(real):
 
 
 @pytest.mark.parametrize("control", [False, True])
-def test_every_clip_is_fitted_as_it_would_be_alone(kit, walk, control, monkeypatch):
-    """With a neighbour that costs thousands of times as much, too. Not to the bit: sums of floats depend on how many
-    rows there are."""
-    points = walk.positions.clone()
-    points[1] += 10 * torch.randn(points[1].shape, generator=torch.Generator().manual_seed(0))
-    seen = Observation3D(points, torch.ones(points.shape[:-1], dtype=torch.bool), walk.fps)
-    if control:
-        monkeypatch.setattr(stages, "minimise_batch", with_mean_tolerance(optimise.minimise_batch))
-    both = testops.fit(seen, kit, schedule=Schedule(steps=(2, 2, 0)))
-    alone = testops.fit(joints(walk.clip(slice(0, 1))), kit, schedule=Schedule(steps=(2, 2, 0)))
-    apart = (both.motion.positions[:1] - alone.motion.positions).norm(dim=-1).max()
-    assert (apart > 0.02) if control else (apart < 5e-3), apart
-
-
-@pytest.mark.parametrize("control", [False, True])
 def test_a_search_ends_by_its_own_energy(control, monkeypatch):
     """To the bit, where rows do not touch each other's rounding."""
     if control:
@@ -304,11 +289,3 @@ def test_each_mode_has_its_own_schedule(kit, walk, camera, monkeypatch):
             with pytest.raises(ZeroDivisionError):
                 testops.fit(seen, kit, mode=mode)
     assert asked == 2 * [Schedule.lean().steps] + [(30, 80, 70), (30, 70, 70)]
-
-
-def test_faithful_mode_runs(kit, walk):
-    schedule = Schedule(steps=(1, 1, 2), inner=3, refine=(1, 1))
-    faithful = {"mode": "official", "form": official_unknowns.FAITHFUL}
-    fitted = testops.fit(joints(walk.clip(slice(0, 1)).cut(0, 17)), kit, schedule=schedule, **faithful)
-    assert finite(fitted)
-    assert sorted(fitted.stages) == [1, 2, 3]

@@ -11,10 +11,7 @@ from motionlab.humor import stages, testops, unknowns
 from motionlab.humor.evidence import Observation3D
 from motionlab.humor.shooting.feedback_solver import Plan
 from studies.shared.workload import random_priors, workload
-
-
-def seeded(n=0):
-    return torch.Generator().manual_seed(n)
+from tests.draws import seeded
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,6 @@ from dataclasses import replace
 import pytest
 import torch
 
-from data_synth import corrupt
 from motionlab import rotation
 from motionlab.humor import start as starts
 from motionlab.humor import testops
@@ -82,9 +81,7 @@ def test_of_whom_nothing_is_known_stands_upright_at_the_origin():
 
 
 # --------------------------------------------------------------------------------------------------------------- joints
-@pytest.mark.parametrize(
-    ("frames", "broken"), [(range(5), False), (range(5, 13), False), (range(16, 24), False), (range(5, 13), True)]
-)
+@pytest.mark.parametrize(("frames", "broken"), [(range(5), False), (range(5, 13), False), (range(5, 13), True)])
 def test_missing_frames_continue_what_is_around_them(kit, walk, whole, frames, broken, monkeypatch):
     """Nothing jumps; and the rest is found as well as without the gap. A start that fills no gap misses this."""
     if broken:
@@ -173,25 +170,6 @@ def test_somebody_never_seen_stands_at_the_origin_and_leaves_neighbours_alone(
 
 
 # ------------------------------------------------------------------------------------------------------------ keypoints
-@pytest.mark.parametrize(("frames", "broken"), [(range(6), False), (range(9, 15), False), (range(9, 15), True)])
-def test_missing_frames_of_keypoints(kit, walk, filmed, whole_film, frames, broken, monkeypatch):
-    """As for joints."""
-    if broken:
-        monkeypatch.setattr(starts, "filled", as_found)
-    frames = list(frames)
-    seen, _ = corrupt.drop_frames(filmed, frames)
-    fitted = testops.fit(seen, kit, schedule=QUICK)
-    moved = torch.stack([speed(fitted.stages[stage]) for stage in (1, 2, 3)])
-    lost = errors(fitted.motion, walk)[:, frames].mean(1)
-    assert finite(fitted)
-    if broken:
-        assert (moved[0] > 0.12).all() and (lost > 0.6).any()
-        return
-    assert (moved[:2] < 0.06).all() and (moved[2] < 0.12).all()
-    assert (lost < 0.5).all()
-    rest = [t for t in range(24) if t not in frames]
-    here, there = (errors(f.motion, walk)[:, rest].mean(1) for f in (fitted, whole_film))
-    assert (here < there + 0.1).all()
 
 
 def test_numbers_that_are_none_count_as_not_seen(kit, walk, filmed):

@@ -23,11 +23,6 @@ OFFICIAL = replace(SMALL, official=True, chain=1)
 
 
 @pytest.fixture(scope="module")
-def motions():
-    return [perform_sequence(Corpus(seconds=6.0, seed=3), index).motion for index in (0, 1)]
-
-
-@pytest.fixture(scope="module")
 def data(motions):
     return examples(motions, SMALL.length + 1)
 
@@ -145,20 +140,11 @@ def test_kl_and_contacts_are_what_they_are_called(transitions):
 
 
 # ----------------------------------------------------------------------------------------------------- runs
-@pytest.mark.parametrize("recipe", [SMALL, OFFICIAL])
-def test_a_stopped_run_goes_on_to_the_bit(motions, data, tmp_path, recipe):
-    """More of this in test_training_loop.py; here, that what this trainer adds is saved too."""
-    whole, part, other = (training.PriorTraining(r, data) for r in (recipe, recipe, replace(recipe, seed=6)))
-    whole.run(every=4)
-    part.run(until=3, keep=tmp_path / "run.pt")
-    again = training.PriorTraining.resume(tmp_path / "run.pt", data).run(every=4)
-    assert again.curve[-1] == whole.curve[-1] and again.recipe == recipe
-    assert all(torch.equal(whole.average[name], value) for name, value in again.average.items())
-    assert not torch.equal(other.run().average["decoder.net.0.bias"], whole.average["decoder.net.0.bias"])
-    with pytest.raises(DataError, match="other examples"):
-        training.PriorTraining.resume(tmp_path / "run.pt", examples(motions[:1], SMALL.length + 1))
+
+
+def test_windows_of_another_length_are_refused(motions):
     with pytest.raises(DataError, match="frames for"):
-        training.PriorTraining(recipe, examples(motions, 9))
+        training.PriorTraining(SMALL, examples(motions, 9))
 
 
 def test_only_the_official_recipe_skips_what_is_not_finite_and_clips_nothing(data, monkeypatch):

@@ -11,6 +11,7 @@ from motionlab import rotation, shipped
 from motionlab.humor import examples, priors, state
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
+from tests.draws import seeded
 
 LEGS = STANDARD.indices(["pelvis", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle"])
 LOOSE = STANDARD.indices(
@@ -23,10 +24,6 @@ EXACT = 1e-6  # float32
 
 def perform(action: str) -> Motion:
     return ACTIONS[action](SUBJECTS[0], torch.Generator().manual_seed(2)).motion
-
-
-def seeded(seed: int) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,7 @@ from motionlab.metrics import distribution
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from studies.nb01_data import sources_compared
-
-
-def seeded(seed):
-    return torch.Generator().manual_seed(seed)
+from tests.draws import seeded
 
 
 def gaussians(shift, n=400):

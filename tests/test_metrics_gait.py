@@ -12,10 +12,7 @@ from motionlab import findings, rotation
 from motionlab.metrics import gait
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
-
-
-def gen(seed=0):
-    return torch.Generator().manual_seed(seed)
+from tests.draws import seeded
 
 
 def standing(frames=40, clips=2):
@@ -38,7 +35,7 @@ def bent(hip, knee, frames=40):
 
 
 def walking(seconds=4.0, speed=1.2):
-    take = ACTIONS["walk"](scenes.person(0, gen()), gen(1), seconds=seconds, speed=speed).motion.cut(30, 90)
+    take = ACTIONS["walk"](scenes.person(0, seeded()), seeded(1), seconds=seconds, speed=speed).motion.cut(30, 90)
     return scenes.together([take, take])
 
 
@@ -69,8 +66,8 @@ def test_a_turned_world_changes_no_step():
 
 
 def test_paired_differences():
-    x = torch.randn(200, generator=gen())
-    found = findings.paired(x + 1 + 0.1 * torch.randn(200, generator=gen(1)), x, gen(2))
+    x = torch.randn(200, generator=seeded())
+    found = findings.paired(x + 1 + 0.1 * torch.randn(200, generator=seeded(1)), x, seeded(2))
     assert found.low < 1 < found.high < 1.1 and found.n == 200
-    assert findings.paired(torch.tensor([1.0, torch.nan, 3.0]), torch.zeros(3), gen()).n == 2
+    assert findings.paired(torch.tensor([1.0, torch.nan, 3.0]), torch.zeros(3), seeded()).n == 2
     assert str(found).startswith("+1.0")

@@ -15,10 +15,7 @@ from motionlab.metrics import generation as g
 from motionlab.motion import Motion, mirror, windows
 from motionlab.skeleton import STANDARD, UPRIGHT
 from studies.nb15_evaluation import copies, measures
-
-
-def seeded(seed):
-    return torch.Generator().manual_seed(seed)
+from tests.draws import seeded
 
 
 def normal(n, d, seed=0, scale=1.0, shift=0.0):

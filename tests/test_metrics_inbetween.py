@@ -15,6 +15,7 @@ from motionlab.metrics import inbetween
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
 from studies.shared import lafan_benchmark as lafan
+from tests.draws import seeded
 
 
 # -------------------------------------------------------------- naive twins, quaternion by quaternion in numpy
@@ -150,8 +151,6 @@ def twin_benchmark(folder, method, gap, train, test):
 
 
 # ------------------------------------------------------------------------------------------ a made-up data set
-def seeded(seed):
-    return torch.Generator().manual_seed(seed)
 
 
 def take(frames, seed, scale=1.0):

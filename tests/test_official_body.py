@@ -32,28 +32,6 @@ def test_joints_and_landmarks_are_those_of_forward_kinematics(posed):
     assert (other - found[0]).abs().max() > 1e-3
 
 
-def test_gradients_are_those_of_forward_kinematics(posed):
-    root, rot, betas = (x.double() for x in posed)
-    aa = matrix_to_axis_angle(rot)
-    slopes = []
-    for body in (
-        lambda root, aa, betas: official_body.body_joints_by_lbs(root, aa, betas),
-        lambda root, aa, betas: by_kinematics(root, rotation.exp(aa), betas),
-    ):
-        free = [x.clone().requires_grad_() for x in (root, aa, betas)]
-        joints, marks = body(*free)
-        slopes.append(torch.autograd.grad(joints.square().sum() + marks.sin().sum(), free))
-    for ours, theirs in zip(*slopes, strict=True):
-        torch.testing.assert_close(ours, theirs, atol=1e-5, rtol=1e-5)
-
-
-def test_one_frame_comes_out_of_a_batch_of_all(posed):
-    root, rot, betas = posed
-    aa = matrix_to_axis_angle(rot)
-    one = official_body.first_joints_by_lbs(root[:, 0], aa[:, 0], betas, frames=5)
-    torch.testing.assert_close(one, by_kinematics(root, rot, betas)[0][:, 0], atol=1e-5, rtol=0)
-
-
 def test_the_body_has_the_size_of_smplh(posed):
     body = official_body.smplh_sized()
     sizes = {name: tuple(value.shape) for name, value in vars(body).items()}

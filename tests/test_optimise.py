@@ -176,20 +176,6 @@ def test_frozen_variables_and_inputs_stay():
     assert not any(value.requires_grad for value in found.variables.values())
 
 
-def test_two_variables_of_several_shapes():
-    """x -> b + 1, y -> 1 / x."""
-    x, y = torch.zeros(4, requires_grad=True), torch.ones(4, 3, 2, requires_grad=True)
-    goal = torch.arange(1.0, 5.0)
-    found = minimise_batch(
-        lambda v: (v["x"] - goal).square() + (v["y"] * v["x"][:, None, None] - 1).square().sum((-1, -2)),
-        {"x": x, "y": y},
-        steps=3,
-    )
-    assert found.variables["x"].shape == (4,) and found.variables["y"].shape == (4, 3, 2)
-    assert (found.variables["x"] - goal).abs().max() < 1e-3
-    assert (found.variables["y"][3] - 0.25).abs().max() < 1e-3
-
-
 @pytest.mark.parametrize("budget", [0, 1, 2, 9, 33])
 def test_budget_is_spent_exactly(budget):
     calls = []

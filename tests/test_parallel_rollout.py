@@ -75,16 +75,3 @@ def test_newton_finds_the_roll_out(chain):
     assert found.errors[-1] < 1e-7
     assert torch.allclose(found.states, exact, atol=1e-6)
     assert 0 < found.until(1e-4) <= STEPS
-
-
-def test_control_without_the_jacobians_one_state_an_iteration(chain):
-    model, _, z = chain
-    start, _, guess = guess_of(chain, 0.3)
-
-    def jacobi(a, c):
-        return c
-
-    slow = newton.newton(model, start, z, guess, iterations=3, solve=jacobi)
-    fast = newton.newton(model, start, z, guess, iterations=3)
-    assert slow.errors[-1] > 10 * fast.errors[-1]
-    assert slow.errors[-1] > 1e-4

@@ -6,8 +6,6 @@ from motionlab import rotation
 from motionlab.skeleton import UPRIGHT
 from studies.nb02_rotations import representations as rep
 
-EVERY = (rep.AXIS_ANGLE, rep.QUATERNION, rep.EULER, rep.SIXD)
-
 
 def turning(count=12, seconds=1.0, fps=30.0, seed=0, across=True):
     """Upright bodies (N, T, 3, 3) that turn about the vertical, through the branch cut or away from it."""
@@ -17,16 +15,6 @@ def turning(count=12, seconds=1.0, fps=30.0, seed=0, across=True):
     centre = 0.0 if across else math.pi  # UPRIGHT faces +y, and its rotation angle is exactly pi
     lean = rotation.axis_angle_to_matrix(0.05 * torch.randn(count, 1, 3, generator=g))
     return rotation.rotation_about("z", centre + speed * t) @ UPRIGHT @ lean
-
-
-def test_only_continuous_representations_stay_bounded_as_steps_shrink():
-    worst = {}
-    for steps in (100, 1000):
-        path = rotation.rotation_about("z", torch.linspace(-0.5, 0.5, steps, dtype=torch.float64)) @ UPRIGHT.double()
-        for r in EVERY:
-            worst[r.name, steps] = rep.jumps(r, path).max().item()
-    assert worst["axis-angle", 1000] > 5 * worst["axis-angle", 100]
-    assert worst["6D", 1000] < 1.1 * worst["6D", 100] < 2.0
 
 
 def test_flips_are_found_where_the_vectors_disagree_and_the_rotations_agree():
@@ -40,34 +28,3 @@ def test_flips_are_found_where_the_vectors_disagree_and_the_rotations_agree():
     assert (rep.flips_per_minute(flipped, 30.0) >= 60).all()
     away = rep.carried_and_decoded(turning(across=False))
     assert not rep.flipped(*away).any()
-
-
-def test_the_midpoint_of_flipped_vectors_is_half_a_turn_off_and_of_sixd_exact():
-    path = turning().double()
-    carried, decoded = rep.carried_and_decoded(path)
-    where = rep.flipped(carried, decoded)
-    wrong = rep.midpoint_error(rep.AXIS_ANGLE, carried, decoded, path)[where]
-    assert (wrong > 179).all()
-    six = [rep.SIXD.encode(rotation.axis_angle_to_matrix(v)) for v in (carried, decoded)]
-    assert rep.midpoint_error(rep.SIXD, *six, path).max() < 1e-4
-
-
-def test_smoothing_across_the_cut_turns_almost_a_full_circle_in_axis_angle_only():
-    path = turning()
-    assert rep.crosses_branch(path, context=10).all()
-    excess = {
-        r.name: rep.excess_rotation(rep.fill(path, r, context=10, closures=200)[0], context=10)
-        for r in (rep.AXIS_ANGLE, rep.UNROLLED, rep.SIXD)
-    }
-    assert (excess["axis-angle"] > 180).all()
-    ratio = rep.path_over_shortest(rep.fill(path, rep.SIXD, context=10, closures=200)[0], context=10)
-    assert (ratio >= 1 - 1e-6).all() and (ratio < 1.1).all()
-    assert (excess["6D"] < 5).all()
-    assert (excess["axis-angle, unrolled"] < 5).all()
-
-
-def test_away_from_the_cut_axis_angle_is_as_good():
-    """Negative control: the effect is the cut's, not the representation's alone."""
-    path = turning(across=False)
-    assert not rep.crosses_branch(path, context=10).any()
-    assert (rep.excess_rotation(rep.fill(path, rep.AXIS_ANGLE, context=10, closures=200)[0], context=10) < 5).all()

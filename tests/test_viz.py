@@ -8,10 +8,8 @@ import threading
 from dataclasses import replace
 from itertools import combinations
 
-import matplotlib as mpl
 import numpy as np
 import pytest
-import pyvista as pv
 import torch
 import trimesh
 from matplotlib.colors import to_rgb
@@ -20,13 +18,12 @@ from PIL import Image
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
-from motionlab.observation import BODY_25, Observation2D, look_at, project
+from motionlab.observation import Observation2D, look_at, project
 from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
-from motionlab.viz import mannequin, palette, plots, viewpoint
+from motionlab.viz import mannequin, palette
 from motionlab.viz.interactive import slider
-from motionlab.viz.movie import film, overlay, side_by_side, strip, write_film
+from motionlab.viz.movie import film, overlay, write_film
 from motionlab.viz.scene import Scene
-from studies.nb12_worlds.figures import curves
 
 SMALL = (160, 120)
 
@@ -84,22 +81,6 @@ def test_an_occluder_hides_what_lies_behind_it():
         hidden = scene.mesh(wall, [[0, 1, 2], [0, 2, 3]]).image()
     assert np.isfinite(centroid(free, "r")).all()
     assert np.isnan(centroid(hidden, "r")).all()
-
-
-def test_nothing_moving_leaves_the_picture():
-    motion = standing(frames=20, speed=2.0)
-    points = viewpoint._around([motion.positions.numpy()], 0.1)
-    for aspect in (0.6, 1.0, 2.5):
-        towards = viewpoint._direction(-60.0, 11.0)
-        target, distance = viewpoint._fit_view(points, towards, aspect, 0.1, 0.05)
-        eye = pv.Camera()
-        viewpoint._aim(eye, target, towards, distance, aspect)
-        matrix = pv.array_from_vtkmatrix(eye.GetCompositeProjectionTransformMatrix(aspect, -1, 1))
-        clip = np.c_[points, np.ones(len(points))] @ matrix.T
-        ndc = clip[:, :2] / clip[:, 3:]
-        assert np.abs(ndc[:, 0]).max() <= 1 + 1e-6
-        assert ndc[:, 1].max() <= 1 - 2 * 0.1 + 1e-2 and ndc[:, 1].min() >= -1 + 2 * 0.05 - 1e-2
-        assert max(np.abs(ndc[:, 0]).max(), ndc[:, 1].max() + 0.2, -ndc[:, 1].min() + 0.1) > 0.97  # and none is wasted
 
 
 def test_the_mannequin_stands_on_the_floor_and_moves_rigidly_with_its_joints():
@@ -186,20 +167,6 @@ def test_a_gif_over_its_budget_loses_frames_but_not_its_length(tmp_path):
     assert frames == 2 and frames / fps == pytest.approx(0.5)
 
 
-def test_films_and_strips(tmp_path):
-    motion = standing()
-    one = film({"truth": motion, "ours": motion}, tmp_path / "two.gif", size=(240, 120), fps=10)
-    with Image.open(one.path) as made:
-        assert made.n_frames == one.frames == motion.frames and made.size == (240, 120)
-    assert one.bytes < 700_000 and one.speed == 1.0 and "image/gif" in one._repr_html_()
-    assert film(motion, tmp_path / "one.mp4", size=SMALL, most=3).frames == 3
-    assert strip(motion, 3, size=(300, 120)).shape == (120, 300, 3)
-    wall = (torch.tensor([[[1.0, -1, 0], [1.0, 1, 0], [1.0, 1, 2]]]), torch.tensor([[0, 1, 2]]))
-    both = {"truth": motion, "stage 2": motion}
-    beside = side_by_side(both, tmp_path / "b.gif", roles={"stage 2": "stage2"}, things=[wall], fps=6.0)
-    assert beside.frames >= 3 and beside.path.stat().st_size > 1000
-
-
 def test_a_slider_moves_the_picture():
     box = slider(standing(), "picture", size=SMALL)
     view, controls = box.children
@@ -281,16 +248,6 @@ def test_a_trame_view_starts_offline_and_is_sent_pictures(fresh):
     assert fresh[0][2:] == ["1 True False"] and "Error" not in fresh[1][2], fresh[1][2]
 
 
-def test_confidence_is_opacity_and_zero_is_nothing():
-    keypoints = torch.rand(1, 25, 2, generator=torch.Generator().manual_seed(0)) * 100
-    black = np.zeros((100, 100, 3), np.uint8)
-    sure, unsure, blind = (
-        overlay(Observation2D(keypoints, torch.full((1, 25), c), BODY_25, 30.0), black, 0).sum()
-        for c in (1.0, 0.4, 0.0)
-    )
-    assert sure > 1.5 * unsure and blind == 0
-
-
 def test_an_overlay_meets_the_rendered_body_at_any_scale():
     camera = look_at(torch.tensor([4.0, 1.0, 1.2]), torch.tensor([0.0, 0.0, 1.0]), focal=640, width=640, height=480)
     point = torch.tensor([[0.1, 0.2, 1.3]])
@@ -332,24 +289,3 @@ def test_bad_input_says_what_is_wrong(tmp_path):
     camera = look_at(torch.tensor([3.0, 0.0, 1.0]), torch.zeros(3), focal=100, width=160, height=120)
     with pytest.raises(ShapeError, match="size"):
         Scene((100, 100), camera=camera)
-
-
-def test_plots_draw_medians_keep_roles_and_change_nothing_global():
-    before, noise = dict(mpl.rcParams), np.random.default_rng(0).normal(size=(11, 50))
-    ax = curves(np.arange(50), {"truth": torch.tensor(noise[0]), "ours": torch.tensor(noise)}, ylabel="m").axes[0]
-    np.testing.assert_allclose(ax.lines[0].get_ydata(), noise[0])
-    np.testing.assert_allclose(ax.lines[1].get_ydata(), np.median(noise, axis=0))
-    assert to_rgb(ax.lines[0].get_color()) == to_rgb(palette.ROLE["truth"]) and len(ax.collections) == 1
-    with pytest.raises(ShapeError, match="ours"):
-        curves(np.arange(50), {"ours": torch.tensor(noise[:, :7])}, ylabel="m")
-    series, hidden = {"truth": torch.rand(50), "ours": torch.rand(4, 50)}, {"a": torch.arange(50) > 20}
-    ax = plots.over_time({"a": series}, ylabel="x", fps=30.0, roles={}, hidden=hidden).axes[0]
-    assert len(ax.get_lines()) == 2 and len(ax.collections) == 2  # a band and what is hidden
-    for log in (False, True):
-        ax = plots.boxes({"real": np.exp(noise), "one": [2.0]}, xlabel="m/s", log=log).axes[0]
-        np.testing.assert_allclose(ax.lines[0].get_xdata(), np.percentile(np.exp(noise), (25, 75)), rtol=0.02)
-    paint = plots.paints(["truth", "mine", "yours", "SLERP"], {"SLERP": "baseline"})
-    assert len(set(paint.values())) == 4 and paint["SLERP"] == to_rgb(palette.ROLE["baseline"])
-    with pytest.raises(KeyError, match="no role 'blue'"):
-        plots.paints(["a"], {"a": "blue"})
-    assert dict(mpl.rcParams) == before

@@ -7,7 +7,7 @@ import roma
 import torch
 
 from motionlab import rotation
-from motionlab.profiling import _timed
+from motionlab.profiling import _timed, interleaved
 from motionlab.skeleton import STANDARD, fk
 
 LOOPED = 200  # frames that the slow way is timed on
@@ -34,15 +34,14 @@ def fk_roma(root, rot):
     return torch.stack([p.translation for p in placed], 1)
 
 
-def interleaved(ways, n=25):
-    """Seconds (rounds, ways), measured in turns so that a busy machine disturbs all ways of a round alike."""
-    rounds = [[_timed(way, n=1, warm_up=3 * (k == 0)).median for way in ways] for k in range(n)]
-    return torch.tensor(rounds)
+def in_turns(*ways):
+    """Seconds (rounds,) of each way, in turns so that a busy machine disturbs all ways of a round alike."""
+    return list(interleaved(dict(enumerate(ways)), n=25, warm_up=3).values())
 
 
 def ratio(slow, ours):
     """Median and quartiles of the ratios taken round by round."""
-    low, middle, high = (slow / ours).quantile(torch.tensor([0.25, 0.5, 0.75])).tolist()
+    low, middle, high = (slow / ours).quantile(torch.tensor([0.25, 0.5, 0.75]).double()).tolist()
     return f"{middle:.2f} [{low:.2f}, {high:.2f}]"
 
 
@@ -68,13 +67,13 @@ def compare(clips: int, frames: int, generator: torch.Generator) -> None:
     torch.testing.assert_close(with_roma(), ours())
     torch.testing.assert_close(looped(), ours()[0, :few])
     torch.testing.assert_close(gradient(with_roma), gradient(ours), atol=1e-4, rtol=1e-4)
-    forward = interleaved([ours, with_roma]).T
-    both = interleaved([lambda way=way: gradient(way) for way in (ours, with_roma)]).T
+    forward = in_turns(ours, with_roma)
+    both = in_turns(*(lambda way=way: gradient(way) for way in (ours, with_roma)))
     loop = _timed(looped, n=3).median * clips * frames / few
     t, t_both = forward[0].median().item(), both[0].median().item()
     print(f"fk of {clips} x {frames} frames: {t * 1e3:.2f} ms, with its backward pass {t_both * 1e3:.2f} ms")
     print(f"  loop over frames ({few} measured) / fk = {loop / t:.0f}")
-    forwards, with_backward = ratio(*forward.flip(0)), ratio(*both.flip(0))
+    forwards, with_backward = ratio(*reversed(forward)), ratio(*reversed(both))
     print(f"  roma.Rigid joint by joint / fk = {forwards}, with the backward passes {with_backward}")
 
 

@@ -1,8 +1,7 @@
-"""Roll-outs, the official form against the lean one, K-step decoding, and L-BFGS for many clips at once.
+"""L-BFGS for many clips at once against torch's own, clip by clip, on roll-outs.
 
-Ratios of processor time in one run, ways measured in turns; every pair must give the same numbers before it is timed.
-Both forms use the same networks with frozen weights, so that what is compared is the roll-out alone. The whole closure:
-``bench_humor``.
+Ratios of processor time in one run, both ways in turns; both must win as much before they are timed. The official form
+against the lean one: ``bench_humor``; K steps from every frame: notebook 07.
 """
 
 import sys
@@ -10,17 +9,15 @@ import time
 
 import torch
 
-from motionlab import heading, rotation
+from motionlab import rotation
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.rollout import decode_ahead, rollout, sample_rollout
+from motionlab.humor.rollout import rollout
 from motionlab.optimise import minimise_batch
-from motionlab.profiling import graph_nodes, interleaved
-from studies.official import rollout as official_rollout
+from motionlab.profiling import interleaved
 from studies.shared.torch_search import minimise
 
-FRAMES, ROUNDS = 60, 5
-EXACT = {"align": lambda root: heading.heading_frame(torch.zeros_like(root[..., 0]), root).turn}
+FRAMES, ROUNDS = 30, 3
 
 
 def model(width: int) -> Cvae:
@@ -42,76 +39,9 @@ def inputs(batch: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.
     return first, 0.5 * torch.randn(batch, FRAMES, 48, generator=generator)
 
 
-def energy(form, net: Cvae, first: torch.Tensor, z: torch.Tensor, **more) -> torch.Tensor:
-    """As the baseline's: squares of every output, and z under its prior."""
-    found = form(net, first, z, **more)
-    return found.states.square().sum() + found.contact_logits.square().sum() + found.prior.nll(found.z).sum()
-
-
-def gradients(form, net: Cvae, first: torch.Tensor, z: torch.Tensor, **more) -> tuple[torch.Tensor, ...]:
-    """Forward and backward: what one closure pays for."""
-    first, z = first.clone().requires_grad_(), z.clone().requires_grad_()
-    return torch.autograd.grad(energy(form, net, first, z, **more), (first, z))
-
-
-def in_turns(ways, rounds: int = ROUNDS) -> torch.Tensor:
-    """Seconds of processor time (ways, rounds): what neighbours on the machine take does not count."""
-    found = interleaved({str(k): way for k, way in enumerate(ways)}, n=rounds, clock=time.process_time)
-    return torch.stack(list(found.values())).float()
-
-
-def roll_outs(width: int, batch: int, generator: torch.Generator) -> None:
-    """One clip as an optimiser sees it, and batches."""
-    net, (first, z) = model(width), inputs(batch, generator)
-    # of z: that of x0 differs, where the official form moves its pelvis offset with it; and of a few steps, as random
-    # networks are chaotic
-    (_, ours), (_, theirs) = (
-        gradients(form, net, first, z[:, :4], **more)
-        for form, more in ((rollout, {}), (official_rollout.rollout, EXACT))
-    )
-    apart = (ours - theirs).norm() / theirs.norm()
-    if not apart < 1e-2:
-        raise SystemExit(f"width {width}, {batch} clips: gradients are {apart:.1e} apart")
-    slow, fast = in_turns(
-        [lambda form=form: gradients(form, net, first, z) for form in (official_rollout.rollout, rollout)]
-    )
-    ratio = (slow / fast).quantile(torch.tensor([0.25, 0.5, 0.75])).tolist()
-    print(
-        f"width {width:4d}, {batch:2d} clips x {FRAMES}: official {1e3 * slow.median():5.0f} ms, lean "
-        f"{1e3 * fast.median():5.0f} ms, ratio {ratio[1]:.1f} [{ratio[0]:.1f}, {ratio[2]:.1f}]"
-    )
-
-
-def graphs() -> None:
-    """Steps of autograd behind one closure."""
-    net, (first, z) = model(64), inputs(1, torch.Generator().manual_seed(0))
-    first, z = first.requires_grad_(), z.requires_grad_()
-    slow, fast = (graph_nodes(energy(form, net, first, z)) for form in (official_rollout.rollout, rollout))
-    print(f"autograd nodes of a closure: official {slow}, lean {fast}")
-
-
-def others(width: int, generator: torch.Generator) -> None:
-    """K steps from every frame at once, and sampling, against the roll-out forward and backward."""
-    net, (first, z) = model(width), inputs(1, generator)
-    states = rollout(net, first, z).states.detach()
-
-    def ahead(steps):
-        x, latent = states.clone().requires_grad_(), z.clone().requires_grad_()
-        return torch.autograd.grad(decode_ahead(net, x, latent, steps).square().sum(), (x, latent))
-
-    counts = (1, 2, 5, 10)
-    ways = [lambda: gradients(rollout, net, first, z), *(lambda k=k: ahead(k) for k in counts)]
-    whole, *each = in_turns([*ways, lambda: sample_rollout(net, first, FRAMES)])
-    for k, seconds in zip(counts, each, strict=False):
-        gain = (whole / seconds).median()
-        print(f"width {width:4d}: {k:2d} steps from each of {FRAMES} frames: roll-out / it = {gain:.2f}")
-    print(f"width {width:4d}: a sample takes {1e3 * each[-1].median():.0f} ms")
-
-
 def fits(width: int, batch: int, generator: torch.Generator) -> None:
     """The same closures for B clips together and one after the other: joints of a roll-out to be found again."""
     net, (first, z) = model(width), inputs(batch, generator)
-    first, z = first, z[:, :30]
     joints = state.SLICES["joints"]
     truth = rollout(net, first, z).states[..., joints]
 
@@ -140,25 +70,19 @@ def fits(width: int, batch: int, generator: torch.Generator) -> None:
     begun = misfit({"z": start.detach()})
     if not ((begun - one) > 0.5 * (begun - each)).all():
         raise SystemExit(f"together they win {begun - one}, alone {begun - each}")
-    batched, single = in_turns([together, one_by_one], rounds=3)
+    ways = {"together": together, "one by one": one_by_one}
+    batched, single = interleaved(ways, n=ROUNDS, clock=time.process_time).values()
     gain = ((begun - one) / (begun - each)).median()
     print(
-        f"width {width:4d}, {batch:2d} clips x 30, {budget} closures of L-BFGS: one by one / together = "
+        f"width {width:4d}, {batch:2d} clips x {FRAMES}, {budget} closures of L-BFGS: one by one / together = "
         f"{(single / batched).median():.1f}; decrease together / alone = {gain:.3f}"
     )
 
 
 def main(quick: bool = False) -> None:
-    """The full-size networks and the compact ones; ``quick``: tiny ones, to see that it runs."""
+    """The compact networks; ``quick``: tiny ones, to see that it runs."""
     torch.set_num_threads(1)
-    generator = torch.Generator().manual_seed(0)
-    graphs()
-    widths, batches = ((64,), (1, 3)) if quick else ((1024, 512), (1, 4, 24))
-    for width in widths:
-        for batch in batches:
-            roll_outs(width, batch, generator)
-        others(width, generator)
-    fits(widths[-1], 3 if quick else 8, generator)
+    fits(64 if quick else 512, 3 if quick else 8, torch.Generator().manual_seed(0))
 
 
 if __name__ == "__main__":

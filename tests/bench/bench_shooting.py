@@ -1,11 +1,10 @@
-"""The fast solver's parts: slopes by hand against autograd's, a closed-loop closure against a plain one, one look at a
-whole roll-out in closures, and the sweep against a dense factorisation.
+"""The fast solver's parts: slopes by hand against autograd's, a closure in the loop as compiled loops against tensors,
+and the sweep against a dense factorisation.
 
 Ratios of processor time in one run, ways measured in turns; what is compared must give the same numbers before it is
 timed.
 """
 
-import sys
 import time
 
 import torch
@@ -15,7 +14,7 @@ from motionlab.humor import compiled, state
 from motionlab.humor.pretrained import load_priors
 from motionlab.humor.rollout import infer
 from motionlab.humor.shooting import coordinates, derivatives
-from motionlab.humor.stages import motion_terms, rolled_terms
+from motionlab.humor.stages import rolled_terms
 from motionlab.humor.state import ADDED
 from motionlab.humor.transition import DecoderLayers
 from motionlab.profiling import interleaved
@@ -60,19 +59,14 @@ def by_hand(motion) -> None:
     )
 
 
-def closures(motion, clips_: int) -> None:
-    """A closure in the loop against a plain one, and a linearisation against a closure."""
-    work = workload(motion, load_priors("compact"), torch.Generator().manual_seed(0), clips_, inferred=True)
+def loops(motion) -> None:
+    """A closure in the loop of one clip; what it costs beside a plain one, notebook 08 measures."""
+    work = workload(motion, load_priors("compact"), torch.Generator().manual_seed(0), 1, inferred=True)
     unknown = work.moving.detached()
     around = coordinates.linearised(work.problem, unknown)
     zero = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": torch.zeros_like(around.first[:, 0])}
 
-    def plain():
-        moving = unknown.map(lambda x: x.clone().requires_grad_())
-        energy = sum(motion_terms(work.problem, moving).values())
-        return energy, torch.autograd.grad(energy.sum(), list(moving.named().values()), allow_unused=True)
-
-    def closed():
+    def in_loops():
         moving = {n: x.clone().requires_grad_() for n, x in zero.items()}
         at, rolled = coordinates.opened(work.problem, unknown, around, moving)
         energy = sum(rolled_terms(work.problem, at, rolled).values())
@@ -81,24 +75,13 @@ def closures(motion, clips_: int) -> None:
     def tensors():
         few, compiled.FEW = compiled.FEW, 0
         try:
-            return closed()
+            return in_loops()
         finally:
             compiled.FEW = few
 
-    if not torch.allclose(plain()[0], closed()[0], rtol=1e-3):
-        raise SystemExit(f"the loop's energy {closed()[0]} is not that of the roll-out {plain()[0]}")
-    whole, some, slow, fast, called = in_turns(
-        lambda: coordinates.linearised(work.problem, unknown, stride=1),
-        lambda: coordinates.linearised(work.problem, unknown, stride=4),
-        closed,
-        plain,
-        tensors,
-    )
-    name = f"{clips_:2d} clips x {FRAMES}"
-    said(f"{name}: closure in the loop / plain", slow, fast)
-    said(f"{name}: closure in the loop, as tensors / as compiled loops", called, slow)
-    said(f"{name}: linearisation / closure", whole, slow)
-    said(f"{name}: linearisation, networks at every frame / every fourth", whole, some)
+    if not torch.allclose(tensors()[0], in_loops()[0], rtol=1e-3):
+        raise SystemExit(f"loops find {in_loops()[0]}, tensors {tensors()[0]}")
+    said("closure in the loop, as tensors / as compiled loops", *in_turns(tensors, in_loops))
 
 
 def sweeps() -> None:
@@ -135,6 +118,5 @@ if __name__ == "__main__":
     torch.set_num_threads(1)
     walk = clips.draw(1, torch.Generator().manual_seed(0), actions=("walk",))[0].motion.cut(0, FRAMES)
     by_hand(walk)
-    for many in (1,) if "--quick" in sys.argv else (1, 16):
-        closures(walk, many)
+    loops(walk)
     sweeps()
