@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: The rooms of the library, a floor a line, the lowest first. An import goes strictly down, or stays inside its room: a
 #: module, or a package that is named here as a whole.
 FLOORS = """
-    errors parallel profiling
+    errors parallel
     files optimise posterior rotation skeleton staleness training_loop diffusion.sampling
     body checkpoint findings motion
     heading

@@ -8,10 +8,10 @@ import torch
 from data_synth import scenes
 from motionlab.humor import pretrained
 from motionlab.humor.testops import Schedule
-from motionlab.profiling import interleaved
 from studies.nb07_decoupled import trials
 from studies.nb07_decoupled.energy import Form
 from studies.nb07_decoupled.search import BOTH, Plan, X, Z, adam
+from studies.shared.profiling import interleaved
 
 STEPS, ROUNDS = 5, 7
 WAYS = {"both": BOTH, "z fixed": X, "x fixed": Z}

@@ -7,8 +7,8 @@ import roma
 import torch
 
 from motionlab import rotation
-from motionlab.profiling import _timed
 from motionlab.skeleton import STANDARD, fk
+from studies.shared.profiling import _timed
 
 LOOPED = 200  # frames that the slow way is timed on
 

@@ -15,8 +15,8 @@ from motionlab.humor import state
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import decode_ahead, rollout, sample_rollout
 from motionlab.optimise import minimise_batch
-from motionlab.profiling import graph_nodes, interleaved
 from studies.official import rollout as official_rollout
+from studies.shared.profiling import graph_nodes, interleaved
 from studies.shared.torch_search import minimise
 
 FRAMES, ROUNDS = 60, 5
