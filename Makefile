@@ -44,6 +44,7 @@ train: setup
 	@$(PY) -m motionlab train features
 	@for preset in $$($(PY) -c "from motionlab.shipped import DENOISER_PRESETS; print(*DENOISER_PRESETS)"); do \
 		$(PY) -m motionlab train diffusion --preset $$preset || exit 1; done
+	@PYTHONPATH=notebooks $(PY) -m studies.nb10_diffusion.arms
 
 bench: setup
 	@$(PY) tests/bench/run.py
