@@ -24,12 +24,14 @@ FLOORS = """
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
     corpus splits humor.training humor.unknowns diffusion.pose_completion
     shipped doctor humor.chain_training humor.stages humor.start
-    train models execute humor.shooting
-    humor.testops report
+    train models humor.shooting
+    humor.testops
     fit
     __main__
 """
 LIBRARY, SYNTHETIC, STUDIES = "motionlab", "data_synth", "studies"
+#: What runs all notebooks: it may import the library, and nobody imports it.
+SUITE = "suite"
 #: Where commands bring synthetic motion and models together; the rest of the library does not know it.
 COMPOSERS = ("splits", "shipped", "train")
 #: Studies may not import each other, but for these, which are there for several.
@@ -48,8 +50,8 @@ def floors(text: str = FLOORS) -> dict[str, int]:
 
 
 def modules(root: Path = ROOT) -> dict[str, Path]:
-    """Every module of the library, of data_synth and of the studies, by name."""
-    bases = ((root, LIBRARY), (root, SYNTHETIC), (root / "notebooks", STUDIES))
+    """Every module of the library, of data_synth, of the studies and of what runs them all, by name."""
+    bases = ((root, LIBRARY), (root, SYNTHETIC), (root / "notebooks", STUDIES), (root / "notebooks", SUITE))
     paths = [(base, path) for base, package in bases for path in sorted((base / package).rglob("*.py"))]
     return {
         ".".join(path.relative_to(base).with_suffix("").parts).removesuffix(".__init__"): path for base, path in paths
@@ -94,7 +96,7 @@ def problems(root: Path = ROOT, text: str = FLOORS) -> list[str]:
     empty = {LIBRARY, *(name.rpartition(".")[0] for name in paths if name.count(".") > 1)}  # packages that only hold
     for me, path in paths.items():
         mine, tree = room(me, levels), syntax(path)
-        study = me.split(".")[0] == STUDIES
+        study = me.split(".")[0] in (STUDIES, SUITE)
         if mine is None and not study and me not in empty:
             found.append(f"{me} has no floor: add it to FLOORS, or delete it")
         if mine is None and not study and path.name == "__init__.py" and me != LIBRARY and len(tree.body) > 1:
@@ -102,8 +104,8 @@ def problems(root: Path = ROOT, text: str = FLOORS) -> list[str]:
         for line, other in imports(path, paths):
             where = f"{me}:{line}"
             theirs = room(other, levels)
-            if other.split(".")[0] == STUDIES:
-                ours = ".".join(me.split(".")[:2])
+            if other.split(".")[0] in (STUDIES, SUITE):
+                ours = SUITE if me.split(".")[0] == SUITE else ".".join(me.split(".")[:2])
                 if not study:
                     found.append(f"{where}: the library does not know the studies")
                 elif not any(f"{other}.".startswith(f"{near}.") for near in (ours, *SHARED)):
@@ -124,7 +126,7 @@ def problems(root: Path = ROOT, text: str = FLOORS) -> list[str]:
             found.append(f"{me}: {lines} lines; is it more than one idea?")
     for path in notebooks(root):
         near = (f"{STUDIES}.nb{path.stem[:2]}_", *(f"{name}." for name in SHARED))
-        others = {name for _, name in imports(path, paths) if name.split(".")[0] == STUDIES}
+        others = {name for _, name in imports(path, paths) if name.split(".")[0] in (STUDIES, SUITE)}
         found += [
             f"{path.stem}: imports {n}, which is another's" for n in sorted(others) if not f"{n}.".startswith(near)
         ]
@@ -197,6 +199,7 @@ SMALL = """
         ("motionlab/low.py", "assert 1", "assert"),
         ("motionlab/low.py", "x = 1\n" * 461, "461 lines"),
         ("motionlab/low.py", "from studies.nb01_x import trials", "does not know the studies"),
+        ("motionlab/low.py", "from suite import execute", "does not know the studies"),
         ("motionlab/io/deep.py", "from motionlab import judge", "imports motionlab.judge"),
         ("motionlab/stranger.py", "", "has no floor"),
         ("motionlab/judge.py", "from data_synth import truth", "does not know synthetic motion"),
@@ -205,6 +208,9 @@ SMALL = """
         ("notebooks/02_y.ipynb", "from studies.nb01_x import trials", "imports studies.nb01_x.trials"),
         ("notebooks/01_x.ipynb", "%cd\nfrom studies.nb01_x import trials\nfrom motionlab import judge", None),
         ("motionlab/deep/__init__.py", "'''It does.'''\nfrom motionlab.judge import x", "only holds"),
+        ("notebooks/studies/nb02_y/a.py", "from suite import execute", "a study imports another"),
+        ("notebooks/suite/report.py", "from studies.nb01_x import trials", "a study imports another"),
+        ("notebooks/suite/report.py", "from suite import execute\nfrom motionlab import judge", None),
         ("notebooks/studies/nb02_y/a.py", "from studies.shared import medians", None),
         ("notebooks/studies/nb02_y/a.py", "from motionlab.judge import x", None),
         ("motionlab/judge.py", "from motionlab import low\nfrom motionlab.low import x", None),
@@ -218,7 +224,7 @@ def test_control_bad_module_is_found(tmp_path, module, source, complaint):
         "motionlab/io/deep.py",
         "data_synth/truth.py",
     ]
-    files += ["notebooks/studies/nb01_x/trials.py", "notebooks/studies/shared/medians.py"]
+    files += ["notebooks/studies/nb01_x/trials.py", "notebooks/studies/shared/medians.py", "notebooks/suite/execute.py"]
     for name in files:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()

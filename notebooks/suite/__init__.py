@@ -1,0 +1,1 @@
+"""The machinery that runs all notebooks; it needs a checkout, and no notebook imports it."""
