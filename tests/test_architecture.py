@@ -19,7 +19,7 @@ FLOORS = """
     observation retarget humor.cvae diffusion.start diffusion.losses diffusion.masks
     io viz data_synth humor.body_shape humor.energies humor.priors humor.transition
         diffusion.denoiser diffusion.gaussian_guess diffusion.planting diffusion.windows
-    cleaning people metrics notebook humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
+    cleaning people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
         diffusion.model
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
     corpus splits humor.training humor.unknowns diffusion.pose_completion
@@ -30,8 +30,8 @@ FLOORS = """
     __main__
 """
 LIBRARY, SYNTHETIC, STUDIES = "motionlab", "data_synth", "studies"
-#: What runs all notebooks: it may import the library, and nobody imports it.
-SUITE = "suite"
+#: What runs all notebooks: it may import the library; of it a notebook imports its bench, and nobody else anything.
+SUITE, BENCH = "suite", "suite.notebook"
 #: Where commands bring synthetic motion and models together; the rest of the library does not know it.
 COMPOSERS = ("splits", "shipped", "train")
 #: Studies may not import each other, but for these, which are there for several.
@@ -122,10 +122,10 @@ def problems(root: Path = ROOT, text: str = FLOORS) -> list[str]:
             if isinstance(node, ast.Assert):
                 found.append(f"{me}:{node.lineno}: assert; raise an error that says what to do")
         lines = len(path.read_text(encoding="utf-8").splitlines())
-        if lines > 460:
+        if lines > 450:
             found.append(f"{me}: {lines} lines; is it more than one idea?")
     for path in notebooks(root):
-        near = (f"{STUDIES}.nb{path.stem[:2]}_", *(f"{name}." for name in SHARED))
+        near = (f"{STUDIES}.nb{path.stem[:2]}_", *(f"{name}." for name in (*SHARED, BENCH)))
         others = {name for _, name in imports(path, paths) if name.split(".")[0] in (STUDIES, SUITE)}
         found += [
             f"{path.stem}: imports {n}, which is another's" for n in sorted(others) if not f"{n}.".startswith(near)
@@ -173,10 +173,9 @@ def test_a_fit_reaches_few_rooms():
 
 
 def test_the_library_is_thin():
-    """What the mission asks for; a number that is passed is a decision, not an accident. 95 files and 20,000 lines are
-    the house; five files and 1,300 lines more are what learns from recordings."""
+    """What the mission asks for; a number that is passed is a decision, not an accident."""
     files = [path for name, path in modules(ROOT).items() if name.split(".")[0] == LIBRARY]
-    assert len(files) <= 100 and sum(len(p.read_text(encoding="utf-8").splitlines()) for p in files) <= 21_300
+    assert len(files) <= 95 and sum(len(p.read_text(encoding="utf-8").splitlines()) for p in files) <= 20_000
     for package, most in {"humor": 24, "diffusion": 20, "viz": 10}.items():
         assert sum(p.is_relative_to(ROOT / LIBRARY / package) for p in files) <= most, package
 
@@ -197,7 +196,7 @@ SMALL = """
         ("motionlab/low.py", "def f():\n    from motionlab.high import x", "imports motionlab.high"),
         ("motionlab/low.py", "from . import errors", "relative import"),
         ("motionlab/low.py", "assert 1", "assert"),
-        ("motionlab/low.py", "x = 1\n" * 461, "461 lines"),
+        ("motionlab/low.py", "x = 1\n" * 451, "451 lines"),
         ("motionlab/low.py", "from studies.nb01_x import trials", "does not know the studies"),
         ("motionlab/low.py", "from suite import execute", "does not know the studies"),
         ("motionlab/io/deep.py", "from motionlab import judge", "imports motionlab.judge"),
@@ -206,6 +205,8 @@ SMALL = """
         ("notebooks/studies/nb02_y/a.py", "from studies.nb01_x import trials", "a study imports another"),
         ("notebooks/studies/nb01/a.py", "from studies.nb01_x import trials", "a study imports another"),
         ("notebooks/02_y.ipynb", "from studies.nb01_x import trials", "imports studies.nb01_x.trials"),
+        ("notebooks/02_y.ipynb", "from suite.execute import run", "imports suite.execute"),
+        ("notebooks/02_y.ipynb", "from suite.notebook import setup", None),
         ("notebooks/01_x.ipynb", "%cd\nfrom studies.nb01_x import trials\nfrom motionlab import judge", None),
         ("motionlab/deep/__init__.py", "'''It does.'''\nfrom motionlab.judge import x", "only holds"),
         ("notebooks/studies/nb02_y/a.py", "from suite import execute", "a study imports another"),
@@ -225,6 +226,7 @@ def test_control_bad_module_is_found(tmp_path, module, source, complaint):
         "data_synth/truth.py",
     ]
     files += ["notebooks/studies/nb01_x/trials.py", "notebooks/studies/shared/medians.py", "notebooks/suite/execute.py"]
+    files += ["notebooks/suite/notebook.py"]
     for name in files:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()

@@ -1,1 +1,1 @@
-"""The machinery that runs all notebooks; it needs a checkout, and no notebook imports it."""
+"""What every notebook begins with (``notebook``), and the machinery that runs them all; both need a checkout."""
