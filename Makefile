@@ -23,7 +23,7 @@ help:
 	@echo "make doctor      what is installed, what is missing, and the remedy"
 
 notebooks: setup
-	@$(PY) -m motionlab report
+	@PYTHONPATH=notebooks $(PY) -m suite report
 
 test: setup
 	@$(PY) tests/run.py
@@ -33,7 +33,7 @@ lab: setup
 		$$(test $$(id -u) = 0 && echo --allow-root) $(LAB_FLAGS)
 
 full: setup
-	@$(PY) -m motionlab regenerate $(NOTEBOOKS)
+	@PYTHONPATH=notebooks $(PY) -m suite regenerate $(NOTEBOOKS)
 
 records: setup
 	@PYTHONPATH=notebooks OMP_NUM_THREADS=1 $(PY) -m studies.nb07_decoupled.make_record notebooks/results/long/tuning.json
@@ -44,6 +44,7 @@ train: setup
 	@$(PY) -m motionlab train features
 	@for preset in $$($(PY) -c "from motionlab.shipped import DENOISER_PRESETS; print(*DENOISER_PRESETS)"); do \
 		$(PY) -m motionlab train diffusion --preset $$preset || exit 1; done
+	@PYTHONPATH=notebooks $(PY) -m studies.nb10_diffusion.arms
 
 bench: setup
 	@$(PY) tests/bench/run.py

@@ -8,7 +8,7 @@ from importlib import import_module
 from types import ModuleType
 
 __version__ = "0.1.0"
-#: What a stranger imports; the rest runs the notebooks and the command line.
+#: What a stranger imports; the rest is what this needs, and the command line.
 __all__ = [
     "baselines",
     "body",

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from motionlab import doctor
-from motionlab.doctor import ROOT
 from motionlab.errors import DataError, MissingData, ShapeError
 
 if TYPE_CHECKING:
@@ -104,25 +103,6 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
         from motionlab import train
 
         train.add_options(command)
-
-    command = commands.add_parser("report", help="run the notebooks into an HTML report")
-    command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
-    command.add_argument("--out", type=Path, default=ROOT / "report")
-    command.add_argument("--profile", choices=("smoke", "full"), default=os.environ.get("MOTIONLAB_PROFILE") or "smoke")
-    command.set_defaults(run=_report)
-
-    command = commands.add_parser("regenerate", help="run the notebooks in place, full profile, as committed")
-    command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
-    command.add_argument(
-        "--fingerprints", action="store_true", help="only what their smoke runs measure, into the records"
-    )
-    command.add_argument(
-        "--again", action="store_true", help="with --fingerprints: also where the recorded one differs"
-    )
-    command.add_argument(
-        "--widen", action="store_true", help="with --fingerprints: allow also for what the same code gives here"
-    )
-    command.set_defaults(run=_regenerate)
     return parser
 
 
@@ -260,27 +240,6 @@ def _fit(options: argparse.Namespace) -> int:
     from motionlab import fit
 
     return fit.run(options)
-
-
-def _report(options: argparse.Namespace) -> int:
-    from motionlab import execute, report
-
-    runs = report.write_report(options.out, options.profile, options.notebooks)
-    print(f"{execute.run_summary(runs)}; report: {options.out / 'index.html'}")
-    return 0 if all(run.ok for run in runs) else 1
-
-
-def _regenerate(options: argparse.Namespace) -> int:
-    from motionlab import execute, report
-
-    if options.fingerprints:
-        runs = execute.take_fingerprints(options.notebooks, again=options.again, widen=options.widen)
-        print(execute.run_summary(runs))
-        return 0 if all(run.ok for run in runs) else 1
-    runs = execute.regenerate(options.notebooks)
-    report.update_readme(ROOT / "README.md")
-    print(execute.run_summary(runs))
-    return 0 if all(run.ok for run in runs) else 1
 
 
 if __name__ == "__main__":

@@ -57,7 +57,7 @@ def load(path: Path | str) -> tuple[dict[str, Tensor], dict]:
 
 def _nudged(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     """The tensors; with $MOTIONLAB_NUDGE set to a seed, each number off by about 1 part in 10^7, as rounding on another
-    machine might have it: what a fingerprint must stand (``execute``)."""
+    machine might have it: what a fingerprint must stand (``suite.execute``)."""
     seed = os.environ.get("MOTIONLAB_NUDGE")
     if not seed:
         return tensors

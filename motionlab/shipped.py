@@ -63,37 +63,6 @@ DENOISER_PRESETS = {
     "handles": _HELD,
     "told": _TOLD,
 }
-_ARM = replace(_BASE, size="small", steps=2000, lr=8e-4, warm_up=100)
-_ARM_TOLD = replace(_TOLD, size="small", recalls=2000, steps=2000, warm_up=100)
-_ARM_HELD = replace(_HELD, size="small", steps=1000)
-#: Small models, briefly trained, that differ from "all" in one thing each; those of handles from "handles", and
-#: "arrival" from "told".
-ARMS = {
-    "all": _ARM,
-    "seed_1": replace(_ARM, seed=1),
-    "seed_2": replace(_ARM, seed=2),
-    "simple": replace(_ARM, weights=replace(_WEIGHTS, fk=0.0, velocity=0.0, contact=0.0)),
-    "no_fk": replace(_ARM, weights=replace(_WEIGHTS, fk=0.0)),
-    "no_velocity": replace(_ARM, weights=replace(_WEIGHTS, velocity=0.0)),
-    "no_contact": replace(_ARM, weights=replace(_WEIGHTS, contact=0.0)),
-    "plain": replace(_ARM, spectral=False),
-    "noising_10": replace(_ARM, noising=10),
-    "noising_50": replace(_ARM, noising=50),
-    "noising_200": replace(_ARM, noising=200),
-    "eighth": replace(_ARM, share=1 / 8),
-    "quarter": replace(_ARM, share=1 / 4),
-    "half": replace(_ARM, share=1 / 2),
-    "no_unit": replace(_ARM, root_unit=0.0),
-    "synthetic": replace(_ARM, source="synthetic"),
-    "recordings": replace(_ARM, source="recordings"),
-    "told": _ARM_TOLD,
-    "arrival": replace(_ARM_TOLD, arrival=True),
-    "handles": _ARM_HELD,
-    "handles_thesis": replace(_ARM_HELD, linear=False, recalls=0),
-    "handles_no_loss": replace(_ARM_HELD, weights=replace(_HELD.weights, handles=0.0)),
-    "handles_no_embedding": replace(_ARM_HELD, handles=0),
-}
-DENOISER_PRESETS |= {f"arm_{name}": recipe for name, recipe in ARMS.items()}
 #: The same, learnt from hours of real motion (``real_motions``). What is told finds the rest by itself: a guess from
 #: recalled motion makes a step two and a half times as long, and the network is not needed for it (CHANGELOG).
 _REAL = {
@@ -106,7 +75,7 @@ _REAL["told"] = replace(
 )  # fmt: skip
 DENOISER_PRESETS |= {f"real_{name}": recipe for name, recipe in _REAL.items()}
 #: Models that go on from the weights of another one that ships, told of nothing.
-FROM = {"told": "diffusion_stuck", "arm_told": "arm_no_unit", "arm_arrival": "arm_no_unit"}
+FROM = {"told": "diffusion_stuck"}
 _HELD = 256  # held-out windows that the checkpoint is chosen by
 #: Of all steps: no earlier average is chosen. The error of x_0 falls to the end, and KID is too uncertain to tell a
 #: lucky early average from a better late one (CHANGELOG).

@@ -27,7 +27,7 @@ ROUNDING = 1e-6
 STEADY = 0.03
 #: How many times the spread between such runs is allowed.
 SLACK = 5.0
-OURS = ("motionlab", "data_synth", "studies")
+OURS = ("motionlab", "data_synth", "studies", "suite")
 
 
 class Mark(NamedTuple):
@@ -167,7 +167,8 @@ def _silent(node: ast.stmt) -> bool:
 
 def changed_modules(recorded: Mapping[str, str], root: Path) -> list[str]:
     """Lists modules that are not what they were when a record was made: changed, renamed, gone. Only informs."""
-    paths = {name: [root, root / "notebooks"][name.startswith("studies")] / name.replace(".", "/") for name in recorded}
+    beside = {name: name.startswith(("studies", "suite")) for name in recorded}  # the notebooks
+    paths = {name: [root, root / "notebooks"][beside[name]] / name.replace(".", "/") for name in recorded}
     now = {}
     for name, path in paths.items():
         file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")

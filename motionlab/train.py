@@ -125,10 +125,8 @@ def _train(options: argparse.Namespace) -> int:
         seed, steps = options.seed or 0, options.steps
         shipped.make_features(options.data, out, seed=seed, steps=steps, recordings=found or ())
         return 0
-    default = next(iter(_presets()[options.model]))
-    preset = options.preset or default
-    name = preset if preset.startswith("arm_") else f"{options.model}_{preset}"
-    out = options.out or checkpoint.SHIPPED / name
+    preset = options.preset or next(iter(_presets()[options.model]))
+    out = options.out or checkpoint.SHIPPED / f"{options.model}_{preset}"
     kept = out.with_suffix(".partial.pt")
     recipe = _wanted(options, kept)
     if options.model == "diffusion":

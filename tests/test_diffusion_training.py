@@ -22,6 +22,7 @@ from motionlab.diffusion.model import GAIN, DenoiserRecipe, load_denoiser, motio
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.skeleton import STANDARD
+from studies.nb10_diffusion import arms
 
 TINY = {"size": 16, "layers": 1, "heads": 2, "hidden": 16}
 SMALL = DenoiserRecipe(
@@ -363,15 +364,30 @@ def test_the_command_writes_a_checkpoint_of_every_preset(few, tmp_path, capsys, 
 
 
 def test_what_ships_was_made_by_its_preset():
-    for name, recipe in shipped.DENOISER_PRESETS.items():
-        path = checkpoint.SHIPPED / (name if "arm_" in name else f"diffusion_{name}")
-        if name.startswith("real_") and not path.with_suffix(".json").exists():
+    recipes = {f"diffusion_{name}": recipe for name, recipe in shipped.DENOISER_PRESETS.items()}
+    starts = {f"diffusion_{name}": shipped.begins(name, recipe) for name, recipe in shipped.DENOISER_PRESETS.items()}
+    recipes |= {f"arm_{name}": recipe for name, recipe in arms.ARMS.items()}
+    starts |= {f"arm_{name}": checkpoint.SHIPPED / f"arm_{start}" for name, start in arms.FROM.items()}
+    for name, recipe in recipes.items():
+        if name.startswith("diffusion_real_") and not (checkpoint.SHIPPED / f"{name}.json").exists():
             continue  # may be trained, does not ship
-        about = checkpoint.read_recipe(path)
+        about, begun = checkpoint.read_recipe(checkpoint.SHIPPED / name), starts.get(name)
         assert DenoiserRecipe.read(about["recipe"]) == recipe, name
-        begun = shipped.begins(name, recipe)
         assert ("began from" in about) == (begun is not None), name
         assert not begun or about["began from"]["sha256"] == checkpoint.read_recipe(begun)["sha256"], name
+
+
+def test_an_arm_is_trained_by_name_and_goes_on(few, motions, tmp_path, monkeypatch):
+    recipe = replace(shipped.DENOISER_PRESETS["free"], steps=3, seed=1)
+    monkeypatch.setattr(arms, "ARMS", {"mine": recipe})
+    data = gather(splits.prepared(motions, recipe), recipe.frames)
+    training.DenoiserTraining(recipe, data).run(until=2, keep=tmp_path / "arm_mine.partial.pt")
+    arms.command(["mine", "--out", str(tmp_path)])
+    assert load_denoiser(tmp_path / "arm_mine").recipe == recipe
+    assert "arms mine" in checkpoint.read_recipe(tmp_path / "arm_mine")["made by"]
+    assert not list(tmp_path.glob("*.pt"))
+    with pytest.raises(SystemExit):
+        arms.command(["yours", "--out", str(tmp_path)])
 
 
 def test_the_command_goes_on_where_it_was_stopped(few, motions, tmp_path):

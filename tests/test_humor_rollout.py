@@ -9,6 +9,7 @@ from motionlab.humor import state, transition
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import decode_ahead, infer, rollout, sample_rollout
 from motionlab.humor.transition import DecoderLayers, Stepper
+from motionlab.skeleton import STANDARD
 from tests.rolled_inputs import F64, first_states
 
 

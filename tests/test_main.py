@@ -9,12 +9,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab import __main__, doctor, execute, findings, report, staleness
+from motionlab import __main__, doctor, findings, staleness
 from motionlab.doctor import Check
 from motionlab.errors import DataError, MissingData
 from motionlab.io import bvh, load
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
+from suite import __main__ as suite_main
+from suite import execute, report
 
 
 def notebook(*sources, **metadata):
@@ -142,9 +144,17 @@ def test_interrupted_report_still_has_its_index(suite, tmp_path, monkeypatch):
     assert "0 notebooks" in (tmp_path / "report/index.html").read_text(encoding="utf-8")
 
 
-def test_unknown_notebook_is_named(suite):
+def test_unknown_notebook_is_named(suite, capsys):
     with pytest.raises(MissingData, match=r"'07'.*00_fails, 01_runs"):
         execute.find_notebooks(["07"])
+    assert suite_main.main(["report", "07"]) == suite_main.main(["regenerate", "07"]) == 2
+    assert "notebook '07'" in capsys.readouterr().err
+
+
+def test_the_suites_command_writes_the_report(suite, tmp_path, capsys):
+    assert suite_main.main(["report", "01", "--out", str(tmp_path / "report")]) == 0
+    assert "1 of 1 notebooks ran; report: " in capsys.readouterr().out
+    assert suite_main.main(["report", "00", "--out", str(tmp_path / "report")]) == 1
 
 
 def test_readme_takes_the_scoreboard_between_its_marks(suite, tmp_path):

@@ -11,9 +11,9 @@ import torch
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
 from motionlab.io import bvh
-from motionlab.metrics import inbetween
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
+from studies.shared import inbetween_measures as inbetween
 from studies.shared import lafan_benchmark as lafan
 from tests.draws import seeded
 

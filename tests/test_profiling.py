@@ -5,7 +5,7 @@ import time
 import pytest
 import torch
 
-from motionlab.profiling import Stopwatch, Timing, _timed, graph_nodes, interleaved
+from studies.shared.profiling import Stopwatch, Timing, _timed, graph_nodes, interleaved
 
 
 class Clock:

@@ -5,11 +5,10 @@ import pytest
 import torch
 
 from data_synth import clips
-from motionlab import profiling
 from motionlab.humor import compiled, stages, unknowns
 from motionlab.humor.pretrained import load_priors
 from studies.official import unknowns as official_unknowns
-from studies.shared import savings
+from studies.shared import profiling, savings
 from studies.shared.savings import FAITHFUL, LEAN, Savings
 from studies.shared.workload import Part, random_priors, workload
 from tests.draws import seeded

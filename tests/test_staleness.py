@@ -9,10 +9,11 @@ from functools import partial
 
 import pytest
 
-from motionlab import checkpoint, contact, findings, notebook, staleness
+from motionlab import checkpoint, contact, findings, staleness
 from motionlab.errors import DataError
 from motionlab.metrics import gait
 from motionlab.staleness import Mark
+from suite import notebook
 
 
 def ledger(**tests: str) -> str:
@@ -23,7 +24,7 @@ def ledger(**tests: str) -> str:
 
 
 CELLS = [
-    "from toylab import lengths\nfrom motionlab.notebook import setup",
+    "from toylab import lengths\nfrom suite.notebook import setup",
     "found = lengths.of_walks()",
     "lab.record('H00.length', found, baseline=[1.0])\nlab.record('H00.time', [CLOCK])",
     "lab.fingerprint('longest', max(found))",

@@ -211,7 +211,7 @@ def test_a_slider_draws_on_its_own_thread_and_skips_what_is_overtaken():
 def fresh():
     """Lines that a process of its own wrote, out and err: after imports, after a first picture, after a trame view."""
     code = """
-import sys, warnings, motionlab.viz.plots, data_synth.capture, data_synth.body, data_synth.corpus
+import sys, warnings, motionlab.viz.palette, data_synth.capture, data_synth.body, data_synth.corpus
 print([m for m in sys.modules if m.startswith(("vtk", "pyvista"))])
 from motionlab.viz.scene import Scene
 s = Scene((64, 48), panels=("a",)).floor(); s.points([[0, 0, 1]], "ours"); print(s.image().shape); s.close()
@@ -236,7 +236,7 @@ asyncio.run(main())
     return done.stdout.splitlines(), done.stderr.partition("and now trame\n")
 
 
-def test_plots_and_captures_need_no_graphics_library(fresh):
+def test_colours_and_captures_need_no_graphics_library(fresh):
     assert fresh[0][0] == "[]"
 
 

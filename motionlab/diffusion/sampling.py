@@ -17,7 +17,6 @@ from functools import cached_property
 
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from motionlab.errors import ShapeError, check_shape
 
@@ -137,7 +136,6 @@ def ddpm(
     after: After | None = None,
     start: int | None = None,
     rest: int = 0,
-    progress: bool = False,
 ) -> Tensor:
     """Draws samples (B, ...) of p(x_0) by x_{t-1} ~ q(x_{t-1} | x_t, x_0 estimate), Eq. 4.6; no noise in the last step.
 
@@ -152,7 +150,7 @@ def ddpm(
     first = len(schedule) - 1 if start is None else start
     if not 0 <= rest <= max(first, 0):
         raise ValueError(f"rest: expected 0 to {first}, got {rest}")
-    for t in tqdm(range(first, -1, -1), disable=not progress, leave=False, unit="step"):
+    for t in range(first, -1, -1):
         x0 = denoise(x, _stamps(schedule, t, x))
         if t and t == rest:
             return after(x0, x0, 0) if after else x0
@@ -188,7 +186,6 @@ def resampled(
     after: After,
     times: int = 10,
     jump: int = 10,
-    progress: bool = False,
 ) -> Tensor:
     """Draws samples by RePaint: every ``jump`` steps are noised again and repeated, ``times`` times in all, so that
     sampled and known parts come to agree.
@@ -196,12 +193,10 @@ def resampled(
     Source: RePaint (Lugmayr et al. 2022), algorithm 1, jump length and resampling count.
     """
     t, last, left = len(schedule) - 1, len(schedule) - 1, {}
-    bar = tqdm(disable=not progress, leave=False, unit="step")
     while t >= 0:
         x0 = denoise(x, _stamps(schedule, t, x))
         mean, variance = schedule.posterior(x0, x, t)
         x = after(mean + variance.sqrt() * noise_like(x, generator) if t else mean, x0, t)
-        bar.update()
         t -= 1
         if t >= 0 and (last - t) % jump == 0 and left.setdefault(t, times - 1) > 0:
             left[t] -= 1
@@ -209,5 +204,4 @@ def resampled(
             keep = schedule.alpha_bar[back] / schedule.alpha_bar[t]
             x = keep.sqrt().to(x) * x + (1 - keep).sqrt().to(x) * noise_like(x, generator)
             t = back
-    bar.close()
     return x

@@ -32,7 +32,7 @@ from motionlab.heading import (
     world_to_local_orientations,
     world_to_local_positions,
 )
-from motionlab.motion import Motion, velocity
+from motionlab.motion import FPS, Motion, velocity
 from motionlab.skeleton import STANDARD, Skeleton
 
 JOINT_COUNT, CONTACTS = 22, 9
@@ -72,6 +72,18 @@ def _order() -> tuple[Tensor, Tensor]:
 
 #: Official states ``x[..., OFFICIAL_ORDER]`` and raw outputs ``raw[..., OFFICIAL_DELTA_ORDER]`` are ours.
 OFFICIAL_ORDER, OFFICIAL_DELTA_ORDER = _order()
+
+
+def _onward() -> Tensor:
+    matrix = torch.zeros(DELTA, STATE)
+    for name in ("trans", "root_orient", "joints"):
+        speed = SLICES[f"{name}_vel"]
+        matrix[DELTA_SLICES[name], speed] = torch.eye(speed.stop - speed.start) / FPS
+    return matrix
+
+
+#: (216, 339): takes a state to the raw changes of a body that goes on at its velocity for one frame.
+ONWARD = _onward()
 
 
 def from_official(state: Tensor) -> Tensor:

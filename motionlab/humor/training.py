@@ -35,6 +35,7 @@ from motionlab.humor.rollout import infer, rollout, sample_rollout
 from motionlab.humor.state import (
     DELTA,
     DELTA_SLICES,
+    ONWARD,
     SHAPES,
     SLICES,
     STATE,
@@ -59,18 +60,6 @@ ERROR_UNITS = {
 ACTIVE_NATS = 0.05
 #: A foot is down where its ball is less than this above its resting height, metres.
 _DOWN = 0.03
-
-
-def _onward() -> Tensor:
-    """(216, 339): the raw changes of a body that goes on at its velocity for one frame."""
-    matrix = torch.zeros(DELTA, STATE)
-    for name in ("trans", "root_orient", "joints"):
-        speed = SLICES[f"{name}_vel"]
-        matrix[DELTA_SLICES[name], speed] = torch.eye(speed.stop - speed.start) / FPS
-    return matrix
-
-
-ONWARD = _onward()
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ import torch
 
 from motionlab import rotation
 from motionlab.body import AVERAGE_ADULT, BodyModel, lbs
-from motionlab.profiling import _timed
 from motionlab.skeleton import fk
+from studies.shared.profiling import _timed
 
 FRAMES, REPEATS = 64, 7
 

@@ -14,8 +14,8 @@ import torch
 from motionlab import rotation
 from motionlab.io import bvh
 from motionlab.motion import Motion
-from motionlab.profiling import _timed
 from motionlab.skeleton import STANDARD
+from studies.shared.profiling import _timed
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", PendingDeprecationWarning)  # bvhio imports glm by its old name

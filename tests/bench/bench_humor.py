@@ -10,8 +10,7 @@ import time
 import torch
 
 from data_synth import clips
-from motionlab import profiling
-from studies.shared import savings
+from studies.shared import profiling, savings
 from studies.shared.savings import FAITHFUL, LEAN, Savings
 from studies.shared.workload import Part, random_priors, workload
 

@@ -7,8 +7,8 @@ import roma
 import torch
 
 from motionlab import rotation
-from motionlab.profiling import _timed, interleaved
 from motionlab.skeleton import STANDARD, fk
+from studies.shared.profiling import _timed, interleaved
 
 LOOPED = 200  # frames that the slow way is timed on
 

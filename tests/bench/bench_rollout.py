@@ -14,7 +14,7 @@ from motionlab.humor import state
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import rollout
 from motionlab.optimise import minimise_batch
-from motionlab.profiling import interleaved
+from studies.shared.profiling import interleaved
 from studies.shared.torch_search import minimise
 
 FRAMES, ROUNDS = 30, 3

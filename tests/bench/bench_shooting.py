@@ -17,7 +17,7 @@ from motionlab.humor.shooting import coordinates, derivatives
 from motionlab.humor.stages import rolled_terms
 from motionlab.humor.state import ADDED
 from motionlab.humor.transition import DecoderLayers
-from motionlab.profiling import interleaved
+from studies.shared.profiling import interleaved
 from studies.shared.workload import workload
 
 FRAMES, ROUNDS = 60, 3

@@ -12,10 +12,10 @@ from unittest import mock
 import torch
 
 from data_synth import scenes
-from motionlab import parallel, profiling
+from motionlab import parallel
 from motionlab.humor import pretrained, state, testops
 from motionlab.humor.rollout import rollout
-from studies.shared import joints
+from studies.shared import joints, profiling
 
 BATCHES, FRAMES, ROUNDS = (1, 16, 64, 256, 1024), 20, 3
 SCHEDULE = testops.Schedule(steps=(2, 4, 6), inner=8, refine=(1, 2), shooting=testops.Schedule.quick().shooting)

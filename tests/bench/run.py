@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
+#: Where benches find the studies, and what was there before.
+BESIDE = [str(HERE.parents[1] / "notebooks"), *filter(None, [os.environ.get("PYTHONPATH")])]
 
 
 def main(names: list[str]) -> int:
@@ -14,7 +16,8 @@ def main(names: list[str]) -> int:
     for path in paths:
         print(f"== {path.stem.removeprefix('bench_')}", flush=True)
         # one thread: ratios of algorithms, not of thread pools
-        if subprocess.run([sys.executable, path], env={**os.environ, "OMP_NUM_THREADS": "1"}).returncode:
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(BESIDE)}
+        if subprocess.run([sys.executable, path], env=environment).returncode:
             failed.append(path.stem)
     print(f"{len(paths)} benches, {len(failed)} failed{': ' + ', '.join(failed) if failed else ''}")
     return 1 if failed or not paths else 0

@@ -11,7 +11,7 @@ from torch import Tensor
 from motionlab.corpus import Take
 from motionlab.metrics.distribution import DESCRIPTION_UNITS
 from motionlab.viz.palette import PAPER, ROLE
-from motionlab.viz.plots import canvas
+from studies.shared.plots import canvas
 
 
 def descriptions(found: Mapping[str, Mapping[str, Tensor]]) -> Figure:

@@ -13,10 +13,10 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.skeleton import UPRIGHT
 from motionlab.viz.palette import ROLE
-from motionlab.viz.plots import canvas, paints
 from studies.nb02_rotations import representations as rep
 from studies.nb02_rotations.representations import Representation
 from studies.nb02_rotations.trials import FPS, Consistency
+from studies.shared.plots import canvas, paints
 
 #: Which colour a representation has.
 ROLE_OF = {

@@ -12,7 +12,7 @@ from torch import Tensor
 from motionlab.body import BodyModel
 from motionlab.skinning import FAR, SMALL, WeightReport
 from motionlab.viz.palette import ROLE
-from motionlab.viz.plots import canvas
+from studies.shared.plots import canvas
 
 
 def sizes(reports: Mapping[str, WeightReport]) -> Figure:

@@ -13,9 +13,9 @@ from motionlab.humor.state import OFFICIAL_SLICES, STATE, unpack
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
 from motionlab.viz.palette import INK, LINE, ROLE, blend
-from motionlab.viz.plots import canvas, paints
 from motionlab.viz.scene import Scene
 from studies.nb04_prior.parity import Row
+from studies.shared.plots import canvas, paints
 
 #: One colour per part of the state, positions strong and their velocities pale.
 PARTS = {

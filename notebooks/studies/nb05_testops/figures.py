@@ -16,8 +16,8 @@ from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.viz.movie import Mesh, overlay
 from motionlab.viz.palette import INK, LINE, ROLE, colour
-from motionlab.viz.plots import canvas, paints
 from motionlab.viz.scene import Scene
+from studies.shared.plots import canvas, paints
 
 _WOOD, _SKIN = "#b9a88f", to_rgb("#d9cbbd")
 

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from motionlab.viz.palette import INK, LINE, blend, colour
-from motionlab.viz.plots import canvas, paints
 from studies.nb06_profile.scaling import PowerLaw
+from studies.shared.plots import canvas, paints
 
 #: Colours of the parts of a closure, in the order in which they happen.
 _PARTS = {"first state": "stage2", "chain": "baseline", "body": "observation", "terms": "6d", "backward": "stage3"}

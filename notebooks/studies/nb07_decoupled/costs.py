@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from motionlab import profiling
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import infer, rollout
-from motionlab.profiling import Name
 from studies.nb07_decoupled.energy import prior_of, terms
 from studies.nb07_decoupled.search import Plan
 from studies.nb07_decoupled.trials import Case
-from studies.shared import savings
+from studies.shared import profiling, savings
+from studies.shared.profiling import Name
 
 OFFICIAL, LEAN = savings.Savings(frozen=True), savings.LEAN
 FORMS = {"official": OFFICIAL, "lean": LEAN}

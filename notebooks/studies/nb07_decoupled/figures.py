@@ -13,7 +13,7 @@ from torch import Tensor
 from motionlab.motion import Motion
 from motionlab.viz import movie
 from motionlab.viz.palette import INK, LINE, colour
-from motionlab.viz.plots import canvas, paints
+from studies.shared.plots import canvas, paints
 
 Cost = Mapping[tuple[str, int, int | None], Tensor]
 

@@ -11,7 +11,7 @@ from matplotlib.ticker import NullFormatter
 from torch import Tensor
 
 from motionlab.viz.palette import INK, LINE, colour
-from motionlab.viz.plots import canvas, paints
+from studies.shared.plots import canvas, paints
 
 #: Colours of the contenders.
 ROLES = {

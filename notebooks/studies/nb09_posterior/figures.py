@@ -14,8 +14,8 @@ from torch import Tensor
 from motionlab.motion import Motion
 from motionlab.viz import movie
 from motionlab.viz.palette import INK, LINE, PAPER, ROLE, blend, colour
-from motionlab.viz.plots import canvas, paints
 from motionlab.viz.scene import Scene
+from studies.shared.plots import canvas, paints
 
 
 def corner(

@@ -16,7 +16,7 @@ from motionlab.diffusion.sampling import NoiseSchedule
 from motionlab.motion import Motion
 from motionlab.viz import movie
 from motionlab.viz.palette import INK, LINE, ROLE
-from motionlab.viz.plots import canvas, paints
+from studies.shared.plots import canvas, paints
 
 Interval = tuple[float, float, float]  # value, low, high
 _LOSSES = {"simple": "ours", "velocity": "6d", "fk": "axis-angle", "contact": "quaternion", "known": "baseline"}

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from motionlab import findings
 from motionlab.viz.palette import INK, LINE, colour
-from motionlab.viz.plots import canvas, paints
+from studies.shared.plots import canvas, paints
 
 Found = Mapping[str, Mapping[str, Tensor]]  # source -> method -> (N,)
 #: A colour for each method, the same in all figures of the test cases.

@@ -14,10 +14,10 @@ from torch import Tensor
 from motionlab.errors import ShapeError
 from motionlab.heading import heading_frame, local_to_world, stuck_root
 from motionlab.metrics.gait import skating_ratio
-from motionlab.metrics.inbetween import seam
 from motionlab.metrics.pose import mean_acceleration
 from motionlab.motion import Motion
 from motionlab.skeleton import FEET, STANDARD
+from studies.shared.inbetween_measures import seam
 
 _PACE = 5  # frames over which a velocity is measured
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from motionlab.errors import ShapeError
 from motionlab.viz.palette import INK, colour
-from motionlab.viz.plots import canvas, median_band, paints
+from studies.shared.plots import canvas, median_band, paints
 
 
 def roots_and_legs(panels: Mapping[str, tuple[Tensor, Tensor]], roles: Mapping[str, str], most: int = 300) -> Figure:

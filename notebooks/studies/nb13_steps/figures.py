@@ -9,12 +9,13 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from motionlab.viz import movie, plots
+from motionlab.viz import movie
 from motionlab.viz.palette import INK, LINE, ROLE, colour
-from motionlab.viz.plots import canvas, paints
 from studies.nb13_steps.samplers import Point, contributions
 from studies.nb13_steps.seams import Line
 from studies.nb13_steps.settling import Path
+from studies.shared import plots
+from studies.shared.plots import canvas, paints
 
 _ENDS = {"left": ("o", "observation"), "pasted": ("s", "axis-angle"), "faded": ("D", "ours")}
 _SURE = 1.96

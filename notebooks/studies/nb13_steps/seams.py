@@ -25,10 +25,10 @@ from motionlab.diffusion.model import Trained
 from motionlab.errors import ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.metrics.gait import skating_ratio
-from motionlab.metrics.inbetween import keyframe_error, natural_changes, percentile, step_changes
 from motionlab.metrics.pose import joint_errors, masked_mean
 from motionlab.motion import Motion
 from motionlab.skeleton import BALLS
+from studies.shared.inbetween_measures import keyframe_error, natural_changes, percentile, step_changes
 
 ENDS = ("left", "pasted", "faded")
 EXACT = ENDS[1:]

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from motionlab.viz.palette import colour
-from motionlab.viz.plots import canvas, paints
+from studies.shared.plots import canvas, paints
 
 
 def errors(

@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 from motionlab.errors import ShapeError
 from motionlab.findings import interval
 from motionlab.viz.palette import INK, LINE, ROLE, colour
-from motionlab.viz.plots import canvas, paints
+from studies.shared.plots import canvas, paints
 
 Rows = Mapping[str, Sequence[Mapping[str, float]]]  # who -> one row of measures per sampling seed
 

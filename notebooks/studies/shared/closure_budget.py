@@ -14,7 +14,7 @@ from torch import Tensor
 
 from motionlab.errors import DataError
 from motionlab.humor.testops import Schedule
-from motionlab.profiling import Stopwatch
+from studies.shared.profiling import Stopwatch
 from studies.shared.savings import LEAN, Savings
 from studies.shared.workload import Part, Workload
 

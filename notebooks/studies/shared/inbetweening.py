@@ -134,7 +134,7 @@ def errors(filled: Motion, truth: Motion, gap: int) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """One method's gaps of one length. errors (N, gap) metres. l2p, l2q (N,), npss: see ``metrics.inbetween``."""
+    """One method's gaps of one length. errors (N, gap) metres. l2p, l2q (N,), npss: see ``inbetween_measures``."""
 
     errors: Tensor
     l2p: Tensor

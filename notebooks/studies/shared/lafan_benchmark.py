@@ -21,9 +21,9 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.io import bvh
-from motionlab.metrics.inbetween import l2p, l2q, npss
 from motionlab.motion import Motion, windows
 from motionlab.skeleton import UPRIGHT, Skeleton
+from studies.shared.inbetween_measures import l2p, l2q, npss
 
 #: Frames given before a gap; the one frame right after it is the target. Frames to fill.
 PAST, GAPS = 10, (5, 15, 30, 45)

@@ -235,7 +235,7 @@ class Lab:
         if not record.fingerprint and not self.marks and not self.found:
             return []
         if not record.fingerprint:
-            return ["the record has no fingerprint: python -m motionlab regenerate --fingerprints " + self.number]
+            return ["the record has no fingerprint: python -m suite regenerate --fingerprints " + self.number]
         recordings = staleness.recordings_digest(self.data)
         weights = checkpoint.loaded()
         other = [n for n, digest in record.weights.items() if weights.get(n, digest) != digest]

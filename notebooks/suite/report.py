@@ -11,10 +11,11 @@ from functools import cache
 from pathlib import Path
 from threading import Lock
 
-from motionlab import execute, findings
+from motionlab import findings
 from motionlab.errors import DataError
-from motionlab.execute import Run
 from motionlab.findings import Claim, Finding
+from suite import execute
+from suite.execute import Run
 
 README_MARKS = ("<!-- scoreboard:start -->", "<!-- scoreboard:end -->")
 _COLOURS = {

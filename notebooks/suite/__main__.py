@@ -1,0 +1,71 @@
+"""The command line: in a checkout, ``PYTHONPATH=notebooks python -m suite COMMAND``; ``--help`` lists the commands."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from motionlab.doctor import ROOT
+from motionlab.errors import DataError, MissingData
+from suite import execute, report
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns 0 if all notebooks ran, 1 if some failed, 2 if something is missing."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.run(options)
+    except KeyboardInterrupt:
+        print("\nstopped", file=sys.stderr)
+        return 130
+    except (DataError, MissingData) as error:
+        print(f"suite: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m suite", description="Run the notebooks.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    command = commands.add_parser("report", help="run the notebooks into an HTML report")
+    command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
+    command.add_argument("--out", type=Path, default=ROOT / "report")
+    command.add_argument("--profile", choices=("smoke", "full"), default=os.environ.get("MOTIONLAB_PROFILE") or "smoke")
+    command.set_defaults(run=_report)
+
+    command = commands.add_parser("regenerate", help="run the notebooks in place, full profile, as committed")
+    command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
+    command.add_argument(
+        "--fingerprints", action="store_true", help="only what their smoke runs measure, into the records"
+    )
+    command.add_argument(
+        "--again", action="store_true", help="with --fingerprints: also where the recorded one differs"
+    )
+    command.add_argument(
+        "--widen", action="store_true", help="with --fingerprints: allow also for what the same code gives here"
+    )
+    command.set_defaults(run=_regenerate)
+    return parser
+
+
+def _report(options: argparse.Namespace) -> int:
+    runs = report.write_report(options.out, options.profile, options.notebooks)
+    print(f"{execute.run_summary(runs)}; report: {options.out / 'index.html'}")
+    return 0 if all(run.ok for run in runs) else 1
+
+
+def _regenerate(options: argparse.Namespace) -> int:
+    if options.fingerprints:
+        runs = execute.take_fingerprints(options.notebooks, again=options.again, widen=options.widen)
+    else:
+        runs = execute.regenerate(options.notebooks)
+        report.update_readme(ROOT / "README.md")
+    print(execute.run_summary(runs))
+    return 0 if all(run.ok for run in runs) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
