@@ -246,17 +246,6 @@ def test_sign_flips_change_l2q_and_not_npss():
     assert inbetween.npss((jump * p).flatten(2), q.flatten(2)) > 3 * together
 
 
-def test_signs_continue_from_the_frame_before():
-    angle = torch.linspace(0, 9, 40, dtype=torch.float64)  # through a whole turn and a half: w changes its sign
-    rot = rotation.rotation_about("y", angle)[:, None]
-    q = lafan._continued_quaternions(rot)
-    assert torch.allclose(q[:, 0, 0], (angle / 2).cos()) and torch.allclose(q[:, 0, 2], (angle / 2).sin())
-    for sign in (1, -1):
-        rest = lafan._continued_quaternions(rot[25:], sign * q[24])
-        assert torch.allclose(rest, sign * q[25:])
-    assert not torch.allclose(lafan._continued_quaternions(rot[25:]), q[25:])
-
-
 def test_a_method_that_returns_the_truth_is_not_charged_for_its_signs(data):
     """An arm passes w = 0 inside the windows: signs by w >= 0 would make the truth its own worst enemy."""
     local = lafan._file_quaternions(data.windows)
