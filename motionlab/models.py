@@ -36,8 +36,9 @@ def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[
     Every person counts alike, with at most 24 windows of two seconds. The result also goes into the prior's recipe.
 
     Returns:
-        by measure (``training.quality_row``, and the share of walkers who still walk after two seconds): the mean over
-        people, the ends of its 95 % interval by bootstrap over people, and how many there are.
+        by measure (``training.quality_row``, the share of walkers who still walk after two seconds, and what samples
+        look like whose bones are held): the mean over people, the ends of its 95 % interval by bootstrap over people,
+        and how many there are.
     Raises:
         DataError: nobody of ``report`` is in the folder.
     """
@@ -50,7 +51,10 @@ def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[
     for motions in people.values():
         states, contacts = splits.state_windows(motions, most=_MOST, causal=model.causal)
         if len(states):
-            rows.append(training.quality_row(model, states, contacts, seed) | _walkers(model, states, seed))
+            draws, steps = torch.Generator().manual_seed(seed), states.shape[1] - 1
+            made = training.plausibility(model, states[:, 0], steps, draws, rigid=True)
+            rigid = {f"rigid samples' {name}": float(value.nanmean()) for name, value in made.items()}
+            rows.append(training.quality_row(model, states, contacts, seed) | _walkers(model, states, seed) | rigid)
     if not rows:
         raise DataError("nobody of ``report`` is there", path=folder, remedy="unpack cmu_library into it")
     found = {}
@@ -104,11 +108,11 @@ def _models_table() -> str:
     return _markdown(rows)
 
 
-def _quality_table() -> str:
-    """Returns what the transition priors do on people nobody trained on, side by side: Markdown."""
+def _quality_table(kind: str) -> str:
+    """Returns what models of a kind do on people nobody trained on, side by side: Markdown."""
     found = {
         path.stem: recipe[REPORT]
-        for path in sorted(checkpoint.SHIPPED.glob("humor_*.json"))
+        for path in sorted(checkpoint.SHIPPED.glob(f"{kind}_*.json"))
         if REPORT in (recipe := checkpoint.read_recipe(path))
     }
     measures = dict.fromkeys(name for each in found.values() for name in each)
@@ -129,11 +133,14 @@ def _markdown(rows: list[dict[str, str]]) -> str:
 
 
 def write_readme() -> Path:
-    """Writes ``checkpoints/README.md``: the models, and how the transition priors do; returns its path."""
+    """Writes ``checkpoints/README.md``: the models, and how they do; returns its path."""
     path = checkpoint.SHIPPED / "README.md"
     text = "# Models\n\nMade by `python -m motionlab models` from the recipes beside the weights. Small models that "
     text += f"differ in one thing (`arm_*`) are left out.\n\n{_models_table()}\n\n"
     text += "## Transition priors on people nobody trained on\n\nMean over people and its 95 % interval, by bootstrap "
-    text += f"over people.\n\n{_quality_table()}\n\nLicence: MIT, as the project's. {_CREDIT}\n"
+    text += f"over people.\n\n{_quality_table('humor')}\n\n## Diffusion models on the same people\n\nAgainst rivals "
+    text += "that learnt from the same hours, each with the settings that do best on the people who choose "
+    text += f"(`studies.nb11_cases.real_people`).\n\n{_quality_table('diffusion')}\n\n"
+    text += f"Licence: MIT, as the project's. {_CREDIT}\n"
     write_whole(path, text)
     return path

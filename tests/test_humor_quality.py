@@ -80,12 +80,12 @@ def test_a_still_body_is_plausible_and_a_sunk_one_is_not(still, take):
     first = take[0][:2, 0]
     draw = torch.Generator().manual_seed(0)
     first = on_its_feet(first)
-    calm = training._plausibility(touching(still), first, 12, draw)
+    calm = training.plausibility(touching(still), first, 12, draw)
     assert calm["slide"].max() < 1e-2 and calm["bones"].max() < 1e-2 and calm["acceleration"].max() < 0.05
     assert (calm["penetration"] == 0).all() and (calm["sunk"] == 0).all()
     for part in ("joints", "trans"):
         first[:, SLICES[part].start + 2 : SLICES[part].stop : 3] -= 1.5
-    sunk = training._plausibility(still, first, 12, draw)
+    sunk = training.plausibility(still, first, 12, draw)
     assert (sunk["penetration"] == 1).all() and (sunk["sunk"] == 1).all()
 
 
@@ -101,10 +101,10 @@ def test_a_gliding_body_slides_whatever_it_says_of_its_contacts(still, take):
     first, shift = on_its_feet(take[0][:2, 0]), DELTA_SLICES["joints"]
     still.decoder.net[-1].bias[shift.start + 1 : shift.stop : 3] = 0.004  # all joints 4 mm a frame ahead
     for said in (None, []):
-        gliding = training._plausibility(touching(still, said), first, 12, torch.Generator().manual_seed(0))
+        gliding = training.plausibility(touching(still, said), first, 12, torch.Generator().manual_seed(0))
         assert torch.allclose(gliding["slide"], torch.tensor(4.0), atol=1e-2) and (gliding["feet up"] == 0).all()
     first[:, SLICES["joints"].start + 2 : SLICES["joints"].stop : 3] += 0.5
-    floating = training._plausibility(still, first, 12, torch.Generator().manual_seed(0))
+    floating = training.plausibility(still, first, 12, torch.Generator().manual_seed(0))
     assert floating["slide"].isnan().all() and (floating["feet up"] == 1).all()
 
 

@@ -73,19 +73,10 @@ CHAIN_PRESETS = {
     "real": ChainRecipe(),
     "real_wide": ChainRecipe(width=1024, lr=1.5e-3),
     "real_settled": ChainRecipe(
-        steps=2000,
-        lr=1e-3,
-        known=0.35,
-        precise=4.0,
-        opened=0.2,
-        free=0.2,
-        chain=16,
-        kinematics=1.5,
-        supervised=0.0,
-        sampled=1e-6,
-        annealed=1e-6,
+        steps=2000, lr=1e-3, known=0.35, precise=4.0, opened=0.2, chain=16, kinematics=1.5, supervised=0.0,
+        sampled=1e-6, annealed=1e-6,
     ),
-}
+}  # fmt: skip
 
 
 class _Walked(NamedTuple):

@@ -418,9 +418,11 @@ def _looks(first: Tensor, states: Tensor) -> dict[str, Tensor]:
 
 
 @torch.no_grad()
-def _plausibility(model: Cvae, first: Tensor, steps: int, generator: torch.Generator) -> dict[str, Tensor]:
-    """:func:`_looks` of samples (W,) of ``steps`` frames from first states (W, 339), z drawn from the prior."""
-    return _looks(first, sample_rollout(model, first, steps, generator=generator).states)
+def plausibility(
+    model: Cvae, first: Tensor, steps: int, generator: torch.Generator, *, rigid: bool = False
+) -> dict[str, Tensor]:
+    """Computes :func:`_looks` (W,) of samples of ``steps`` frames from first states (W, 339), z from the prior."""
+    return _looks(first, sample_rollout(model, first, steps, generator=generator, rigid=rigid).states)
 
 
 @torch.no_grad()
@@ -438,7 +440,7 @@ def quality_row(model: Cvae, states: Tensor, contacts: Tensor | None = None, see
     Rows that start with "samples' " are :func:`_looks` of samples, those with "data's " of the windows themselves.
     """
     step, way = one_step_errors(model, states), rollout_errors(model, states)
-    made = _plausibility(model, states[:, 0], states.shape[1] - 1, torch.Generator().manual_seed(seed))
+    made = plausibility(model, states[:, 0], states.shape[1] - 1, torch.Generator().manual_seed(seed))
     row = {f"one step, {name}, cm": float(step[name].mean()) for name in step if name != "kl"}
     if contacts is not None:
         row["one step, posterior, contact F1"] = _contact_f1(model, states, contacts)

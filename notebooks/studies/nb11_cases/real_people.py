@@ -1,0 +1,182 @@
+"""Hidden legs, gaps and joints of people nobody trained on: a model that is told, against rivals of the same hours.
+
+    PYTHONPATH=notebooks python -m studies.nb11_cases.real_people FOLDER [--model diffusion_real_told]
+
+Rivals learn from windows of the people who train, settings of everybody are chosen on the people who choose, and the
+people of the report are used once. Every person counts alike; intervals are by bootstrap over people. The result goes
+into the model's recipe, where ``python -m motionlab models`` reads it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import torch
+from torch import Tensor
+from torch.nn.functional import one_hot
+from tqdm import tqdm
+
+from motionlab import checkpoint, corpus, findings, splits
+from motionlab.diffusion.inpainting import Way, repair
+from motionlab.diffusion.model import Trained, motion_model
+from motionlab.diffusion.start import InitialGuess
+from motionlab.diffusion.windows import gather, on_standard
+from motionlab.files import write_whole
+from motionlab.models import REPORT
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD
+from studies.shared import cases, rivals
+from studies.shared.bench import pasted
+
+FRAMES, EACH, PRACTICE = 60, 24, 8  # of a window; windows of each person, for the report and to choose on
+LEARNT, RECALLED = 30_000, 12_000  # training windows that the rivals learn from, and that the start recalls
+FADES = (0, 5, 10)  # frames over which the jump at the edge of what is known may fade
+STEPS = (1, 2, 5, 25)  # of the sampler
+Fill = Callable[..., Motion]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A mask for so many windows, the joints whose error counts (None: all), and whether it has edges in time."""
+
+    mask: Callable[[int], Tensor]
+    joints: tuple[str, ...] | None = None
+    edges: bool = False
+
+
+def _joints(count: int, share: float) -> Tensor:
+    return cases.whole_window(count, FRAMES, share, torch.Generator().manual_seed(7))
+
+
+CASES: Mapping[str, Case] = {
+    "legs hidden": Case(lambda n: cases.legs(n, FRAMES), cases.LOWER),
+    "gap of 30 frames": Case(lambda n: cases.gap(n, FRAMES, 30), edges=True),
+    "gap of 45 frames": Case(lambda n: cases.gap(n, FRAMES, 45), edges=True),
+    "half of the joints": Case(partial(_joints, share=0.5)),
+    "a quarter of the joints": Case(partial(_joints, share=0.25)),
+}
+
+
+def windows_of(takes: Sequence[corpus.Take], each: int) -> tuple[Motion, Tensor]:
+    """At most ``each`` windows of every person, evenly over what there is, and whose each is (N,)."""
+    people: dict[str, list[Motion]] = {}
+    for take in takes:
+        if take.motion.frames >= FRAMES:
+            people.setdefault(take.person, []).append(on_standard(take.motion))
+    cut = [gather(some, FRAMES, mirrored=False).evenly(each) for some in people.values()]
+    whose = torch.arange(len(cut)).repeat_interleave(torch.tensor([len(m.root) for m in cut]))
+    rows = [torch.cat([getattr(m, name) for m in cut]) for name in ("root", "rot", "contacts")]
+    return Motion(STANDARD, *rows[:2], cut[0].fps, rows[2]), whose
+
+
+def contenders(model: Trained, learnt: Motion, clips: Tensor, generator: torch.Generator) -> dict[str, tuple]:
+    """Everybody by name: a function of (motion, known, setting), and the settings to choose from, with and without
+    edges in time."""
+    fitted = rivals.Rivals.fit(learnt, generator)
+    start = InitialGuess(FRAMES, model.layout.size, RECALLED)
+    start.measure(model.encode(learnt), clips, generator)
+
+    def told(motion: Motion, known: Tensor, how: tuple[int, int]) -> Motion:
+        way = Way(put="nothing", steps=how[0], finish=how[1])
+        made = repair(model, motion, cases.columns(model.layout, known), torch.Generator().manual_seed(0), way)
+        return pasted(made, motion, known)
+
+    def alone(motion: Motion, known: Tensor, how: int) -> Motion:
+        there = replace(model, denoiser=_Silent(start), recipe=replace(model.recipe, told=True))
+        way = Way(put="nothing", steps=1, finish=how)
+        made = repair(there, motion, cases.columns(model.layout, known), torch.Generator().manual_seed(0), way)
+        return pasted(made, motion, known)
+
+    def ridge(motion: Motion, known: Tensor, how: tuple[float, int]) -> Motion:
+        return replace(fitted, ridge=how[0]).regression(motion, known, how[1])
+
+    def both(first: Sequence, edges: bool) -> list[tuple]:
+        return [(x, fade) for x in first for fade in (FADES if edges else (0,))]
+
+    plain = {"mean pose": fitted.mean, "nearest": fitted.nearest, "start alone": alone}
+    found = {name: (fill, lambda edges: FADES if edges else (0,)) for name, fill in plain.items()}
+    found["slerp"] = (lambda motion, known, how: rivals.interpolated(motion, known), lambda edges: (0,))
+    found["ridge"] = (ridge, partial(both, rivals.RIDGES))
+    return found | {"told": (told, partial(both, STEPS))}
+
+
+class _Silent(torch.nn.Module):
+    """The start, as a model that says nothing more."""
+
+    def __init__(self, start: InitialGuess) -> None:
+        super().__init__()
+        self.start, self.none = start, torch.nn.Parameter(torch.zeros(()), requires_grad=False)
+
+    def forward(self, x: Tensor, stamps: Tensor, known: Tensor, mask: Tensor) -> Tensor:
+        return self.start.eval()(known, mask.expand_as(x) > 0)
+
+
+def by_person(values: Tensor, whose: Tensor) -> Tensor:
+    """The mean (P,) of values (N,) of each person; windows without a value do not count."""
+    mine = one_hot(whose).double() * values.isfinite()[:, None]
+    return (mine * values.nan_to_num().double()[:, None]).sum(0) / mine.sum(0)
+
+
+def judged(fill: Fill, setting, case: Case, motion: Motion, whose: Tensor) -> dict[str, Tensor]:
+    """What becomes of the windows, by person: error in cm, sliding in mm per frame, acceleration over the truth's."""
+    known = case.mask(len(motion.root))
+    made = fill(motion, known, setting)
+    found = {
+        "cm": cases.error_cm(made, motion, known, case.joints), "slide": cases.slide_mm(made, motion),
+        "acceleration": cases.acceleration_ratio(made, motion),
+    }  # fmt: skip
+    return {name: by_person(x, whose) for name, x in found.items()}
+
+
+def measure(name: str, folder: str) -> tuple[dict[str, dict[str, float]], dict[str, object]]:
+    """Everybody on every case: means and intervals over people of what they leave and of how much more each rival
+    leaves than the model that is told, by measure; and the settings that were chosen."""
+    found = corpus.assemble(folder, splits.real_sources(folder))
+    generator = torch.Generator().manual_seed(0)
+    train = [t.motion for t in found.part("train") if t.motion.frames >= FRAMES]
+    learnt, clips = gather([on_standard(m) for m in tqdm(train, desc="windows")], FRAMES).drawn(LEARNT, generator)
+    everybody = contenders(motion_model(name), replace(learnt, skeleton=STANDARD), clips, generator)
+    practice, practised = windows_of(found.part("choose"), PRACTICE)
+    report, whose = windows_of(found.part("report"), EACH)
+    rows, chosen = {}, {}
+    for title, case in CASES.items():
+        some = {}
+        for who, (fill, settings) in everybody.items():
+            options = list(settings(case.edges))
+            left = [float(judged(fill, o, case, practice, practised)["cm"].mean()) for o in options]
+            best = chosen[f"{title}: {who}"] = options[left.index(min(left))]
+            some[who] = judged(fill, best, case, report, whose)
+            print(f"{title}: {who} {best}: {float(some[who]['cm'].mean()):.1f} cm", flush=True)
+        for who, each in some.items():
+            rows[f"{title}, {who}, cm"] = _over_people(each["cm"], generator)
+            if who != "told":
+                rows[f"{title}, {who} minus told, cm"] = _over_people(each["cm"] - some["told"]["cm"], generator)
+        for what, unit in {"slide": "slide, mm per frame", "acceleration": "acceleration over the truth's"}.items():
+            rows[f"{title}, told, {unit}"] = _over_people(some["told"][what], generator)
+    return rows, chosen
+
+
+def _over_people(values: Tensor, generator: torch.Generator) -> dict[str, float]:
+    mean, low, high = findings.interval(values, "mean", generator)
+    return {"mean": mean, "low": low, "high": high, "people": len(values)}
+
+
+def main() -> None:
+    """Measures, prints and keeps in the model's recipe."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder")
+    parser.add_argument("--model", default="diffusion_real_told")
+    options = parser.parse_args()
+    found, chosen = measure(options.model, options.folder)
+    path = checkpoint.SHIPPED / f"{options.model}.json"
+    about = checkpoint.read_recipe(path) | {REPORT: found, "settings, by the people who choose": chosen}
+    write_whole(path, json.dumps(about, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    main()
