@@ -99,7 +99,8 @@ def contenders(model: Trained, learnt: Motion, clips: Tensor, generator: torch.G
 
     plain = {"mean pose": fitted.mean, "nearest": fitted.nearest, "start alone": alone}
     found = {name: (fill, lambda edges: FADES if edges else (0,)) for name, fill in plain.items()}
-    found["slerp"] = (lambda motion, known, how: rivals.interpolated(motion, known), lambda edges: (0,))
+    between = lambda motion, known, how: rivals.interpolated(motion, known)  # noqa: E731
+    found["slerp"] = (between, lambda edges: (0,) if edges else ())  # needs a frame on either side
     found["ridge"] = (ridge, partial(both, rivals.RIDGES))
     return found | {"told": (told, partial(both, STEPS))}
 
@@ -146,7 +147,8 @@ def measure(name: str, folder: str) -> tuple[dict[str, dict[str, float]], dict[s
     for title, case in CASES.items():
         some = {}
         for who, (fill, settings) in everybody.items():
-            options = list(settings(case.edges))
+            if not (options := list(settings(case.edges))):
+                continue
             left = [float(judged(fill, o, case, practice, practised)["cm"].mean()) for o in options]
             best = chosen[f"{title}: {who}"] = options[left.index(min(left))]
             some[who] = judged(fill, best, case, report, whose)
