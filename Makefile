@@ -42,7 +42,7 @@ records: setup
 train: setup
 	@$(PY) -m motionlab train humor
 	@$(PY) -m motionlab train features
-	@for preset in $$($(PY) -c "from motionlab.shipped import DENOISER_PRESETS; print(*DENOISER_PRESETS)"); do \
+	@for preset in $$($(PY) -c "from motionlab.shipped import DENOISER_PRESETS; print(*(n for n in DENOISER_PRESETS if not n.startswith('real_')))"); do \
 		$(PY) -m motionlab train diffusion --preset $$preset || exit 1; done
 	@PYTHONPATH=notebooks $(PY) -m studies.nb10_diffusion.arms
 

@@ -47,7 +47,7 @@ _POSE = replace(
     _BASE, frames=1, patch=1, root_unit=0.0, contacts=False, spectral=False, linear=True, batch=128, steps=3000,
     weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
 )  # fmt: skip
-_HELD = replace(_POSE, handles=64, recalls=12_000, steps=4000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
+_HANDLES = replace(_POSE, handles=64, recalls=12_000, steps=4000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
 #: What is asked of it from pure noise is what it is used for: such windows are many, and count a third of the clearest.
 _TOLD = replace(
     _BASE, told=True, blind=0.3, recalls=12_000, root_unit=0.0, steps=10_000,
@@ -60,15 +60,11 @@ DENOISER_PRESETS = {
     "world": replace(_PLACE, frame="world"),
     "stuck": _PLACE,
     "pose": _POSE,
-    "handles": _HELD,
+    "handles": _HANDLES,
     "told": _TOLD,
 }
-#: The same, learnt from hours of real motion (``real_motions``). What is told finds the rest by itself: a guess from
-#: recalled motion makes a step two and a half times as long, and the network is not needed for it (CHANGELOG).
-_REAL = {
-    name: replace(DENOISER_PRESETS[name], source=splits.REAL_MOTION) for name in ("free", "fixed", "stuck", "pose")
-}
-_REAL["handles"] = replace(_HELD, source=splits.REAL_MOTION)
+#: The same, learnt from hours of real motion. A model that recalls motion would recall what was not recorded.
+_REAL = {name: replace(DENOISER_PRESETS[name], source=splits.REAL_MOTION) for name in ("free", "fixed", "stuck")}
 _REAL["told"] = replace(
     _TOLD, source=splits.REAL_MOTION, guessed=False, recalls=0, patch=4, steps=12_000,
     weights=replace(_TOLD.weights, fk=1.0),

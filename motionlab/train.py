@@ -132,7 +132,8 @@ def _train(options: argparse.Namespace) -> int:
     if options.model == "diffusion":
         made = f"python -m motionlab train diffusion --preset {options.preset} --size {recipe.size}"
         made += f" --steps {recipe.steps} --seed {recipe.seed}" + (" --start CHECKPOINT" if options.start else "")
-        found = _found_in(options.data) if options.data else []
+        real = recipe.source == splits.REAL_MOTION
+        found = (splits.real_sources if real else _found_in)(options.data) if options.data else []
         start = options.start or shipped.begins(options.preset, recipe)
         how = {"resume": options.resume, "command": made, "recordings": found, "start": start}
         shipped.make(recipe, options.data, out, kept, **how)

@@ -98,7 +98,7 @@ def test_every_part_is_that_of_a_loop(generator, layout, gate):
 
 
 def test_numbers_that_were_not_recorded_teach_nothing(case):
-    """Against the truth put in their place, which has no error; positions follow from all rotations all the same."""
+    """Against the truth put in their place, which has no error."""
     estimate, truth, normaliser, bones = case
     seen = torch.ones(len(truth), LAYOUT.size, dtype=torch.bool)
     seen[1:, LAYOUT.slices["pose"]] = False
@@ -107,10 +107,9 @@ def test_numbers_that_were_not_recorded_teach_nothing(case):
     mended = torch.where(seen[:, None], estimate, truth)
     wanted = losses.denoising_losses(mended, truth, LAYOUT, normaliser, bones, **how)
     all_of_it = losses.denoising_losses(estimate, truth, LAYOUT, normaliser, bones, **how)
-    for name in ("simple", "velocity", "known"):
+    for name in PARTS:
         assert found[name].item() == pytest.approx(wanted[name].item(), rel=1e-9), name
-        assert found[name] < 0.9 * all_of_it[name], name
-    assert found["fk"] == all_of_it["fk"] > wanted["fk"]
+        assert found[name] < all_of_it[name], name
 
 
 def test_windows_count_as_they_are_told_to(case):

@@ -96,8 +96,8 @@ def denoising_losses(
         estimate, truth: x_0 (B, T, D), normalised. offsets: (B or 1, J, 3) metres, the bodies'. gate, even: see
             ``Weights``. known: (B, T, D) or (T, D), 1 where known. handles: (B, T, J, 4), as ``Denoiser`` takes.
         trust: (B,) what fk, contact and handles of each window count; default 1. count: (B,) what each window counts in
-            all parts, 1 on average. seen: (B, D), False for numbers that were not recorded: ``simple``, ``velocity``
-            and ``known`` leave them out.
+            all parts, 1 on average. seen: (B, D), False for numbers that were not recorded: the truth stands in for
+            them, so that no part learns from them.
     Raises:
         ShapeError: the rows are not the layout's.
     """
@@ -121,7 +121,8 @@ def denoising_losses(
         found["known"] = (known * squared).sum() / known.sum().clamp(min=1.0)
     if not set(parts) & set(_LATE):
         return found
-    skeleton, rows = replace(layout.skeleton, offsets=offsets[:, None]), normaliser.undo(estimate)
+    posed = estimate if seen is None else torch.where(seen[:, None], estimate, truth)
+    skeleton, rows = replace(layout.skeleton, offsets=offsets[:, None]), normaliser.undo(posed)
     joints = layout.decode(rows, 1.0, skeleton).positions
     if "fk" in parts:
         true = layout.decode(normaliser.undo(truth), 1.0, skeleton).positions

@@ -421,7 +421,8 @@ def _looks(first: Tensor, states: Tensor) -> dict[str, Tensor]:
 def plausibility(
     model: Cvae, first: Tensor, steps: int, generator: torch.Generator, *, rigid: bool = False
 ) -> dict[str, Tensor]:
-    """Computes :func:`_looks` (W,) of samples of ``steps`` frames from first states (W, 339), z from the prior."""
+    """Computes what samples of ``steps`` frames from first states (W, 339) look like, one number each (W,), z drawn
+    from the prior: slide, feet up, penetration, sunk, acceleration and bones, as ``_looks`` defines them."""
     return _looks(first, sample_rollout(model, first, steps, generator=generator, rigid=rigid).states)
 
 

@@ -16,10 +16,10 @@ from motionlab import checkpoint, shipped, splits
 from motionlab.diffusion.training import DenoiserTraining
 from motionlab.shipped import DENOISER_PRESETS
 
-_BASE, _TOLD, _HELD = (DENOISER_PRESETS[name] for name in ("free", "told", "handles"))
+_BASE, _TOLD, _HANDLES = (DENOISER_PRESETS[name] for name in ("free", "told", "handles"))
 _ARM = replace(_BASE, size="small", steps=2000, lr=8e-4, warm_up=100)
 _ARM_TOLD = replace(_TOLD, size="small", recalls=2000, steps=2000, warm_up=100)
-_ARM_HELD = replace(_HELD, size="small", steps=1000)
+_ARM_HELD = replace(_HANDLES, size="small", steps=1000)
 #: All but those of handles, which differ from "handles", and "arrival", which differs from "told", differ from "all".
 ARMS = {
     "all": _ARM,
@@ -62,8 +62,16 @@ def train(name: str, data: Path | str | None, out: Path = checkpoint.SHIPPED) ->
         resume=kept.exists() and DenoiserTraining.kept_recipe(kept) == ARMS[name],
         command=f"python -m studies.nb10_diffusion.arms {name}",
         recordings=[source for source in splits.SHIPPABLE if (Path(data) / source).is_dir()] if data else [],
-        start=out / f"arm_{FROM[name]}" if name in FROM else None,
+        start=_start(name, out),
     )  # fmt: skip
+
+
+def _start(name: str, out: Path) -> Path | None:
+    """Where the arm that this one begins from lies: beside it, or where arms ship."""
+    if name not in FROM:
+        return None
+    beside = out / f"arm_{FROM[name]}"
+    return beside if beside.with_suffix(".json").exists() else checkpoint.SHIPPED / beside.name
 
 
 def command(arguments: Sequence[str] | None = None) -> None:

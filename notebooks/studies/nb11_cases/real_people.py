@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 from tqdm import tqdm
 
-from motionlab import checkpoint, corpus, findings, splits
+from motionlab import checkpoint, corpus, findings, shipped, splits
 from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.model import Trained, motion_model
 from motionlab.diffusion.start import InitialGuess
@@ -34,6 +34,7 @@ from studies.shared.bench import pasted
 
 FRAMES, EACH, PRACTICE = 60, 24, 8  # of a window; windows of each person, for the report and to choose on
 LEARNT, RECALLED = 30_000, 12_000  # training windows that the rivals learn from, and that the start recalls
+LACKING = ("spine2", "left_foot", "right_foot")  # joints that most recordings lack, so that they stand still
 FADES = (0, 5, 10)  # frames over which the jump at the edge of what is known may fade
 STEPS = (1, 2, 5, 25)  # of the sampler
 Fill = Callable[..., Motion]
@@ -74,15 +75,18 @@ def windows_of(takes: Sequence[corpus.Take], each: int) -> tuple[Motion, Tensor]
 
 
 def contenders(model: Trained, learnt: Motion, clips: Tensor, generator: torch.Generator) -> dict[str, tuple]:
-    """Everybody by name: a function of (motion, known, setting), and the settings to choose from, with and without
-    edges in time."""
+    """Everybody by name: a function of (motion, known, setting), and one of whether the mask has edges in time, which
+    gives the settings to choose from."""
     fitted = rivals.Rivals.fit(learnt, generator)
     start = InitialGuess(FRAMES, model.layout.size, RECALLED)
     start.measure(model.encode(learnt), clips, generator)
 
+    lacking = [STANDARD.index(name) for name in LACKING]
+
     def told(motion: Motion, known: Tensor, how: tuple[int, int]) -> Motion:
-        way = Way(put="nothing", steps=how[0], finish=how[1])
-        made = repair(model, motion, cases.columns(model.layout, known), torch.Generator().manual_seed(0), way)
+        way, given = Way(put="nothing", steps=how[0], finish=how[1]), known.clone()
+        given[..., lacking] = False  # it learnt never to be told of them; the others learnt from what stands there
+        made = repair(model, motion, cases.columns(model.layout, given), torch.Generator().manual_seed(0), way)
         return pasted(made, motion, known)
 
     def alone(motion: Motion, known: Tensor, how: int) -> Motion:
@@ -136,11 +140,11 @@ def judged(fill: Fill, setting, case: Case, motion: Motion, whose: Tensor) -> di
 def measure(name: str, folder: str) -> tuple[dict[str, dict[str, float]], dict[str, object]]:
     """Everybody on every case: means and intervals over people of what they leave and of how much more each rival
     leaves than the model that is told, by measure; and the settings that were chosen."""
+    model, generator = motion_model(name), torch.Generator().manual_seed(0)
     found = corpus.assemble(folder, splits.real_sources(folder))
-    generator = torch.Generator().manual_seed(0)
-    train = [t.motion for t in found.part("train") if t.motion.frames >= FRAMES]
+    train = [m for some in shipped.real_motions(folder).train.values() for m in some if m.frames >= FRAMES]
     learnt, clips = gather([on_standard(m) for m in tqdm(train, desc="windows")], FRAMES).drawn(LEARNT, generator)
-    everybody = contenders(motion_model(name), replace(learnt, skeleton=STANDARD), clips, generator)
+    everybody = contenders(model, replace(learnt, skeleton=STANDARD), clips, generator)
     practice, practised = windows_of(found.part("choose"), PRACTICE)
     report, whose = windows_of(found.part("report"), EACH)
     rows, chosen = {}, {}
@@ -163,6 +167,7 @@ def measure(name: str, folder: str) -> tuple[dict[str, dict[str, float]], dict[s
 
 
 def _over_people(values: Tensor, generator: torch.Generator) -> dict[str, float]:
+    values = values[values.isfinite()]
     mean, low, high = findings.interval(values, "mean", generator)
     return {"mean": mean, "low": low, "high": high, "people": len(values)}
 
