@@ -40,6 +40,7 @@ from motionlab.humor.state import (
     SLICES,
     STATE,
     apply,
+    bone_lengths,
     globalise,
     heading,
     localise,
@@ -402,10 +403,7 @@ def _looks(first: Tensor, states: Tensor) -> dict[str, Tensor]:
     above = balls[..., 2] - STANDARD.sole
     down = above < _DOWN
     speed = 1000 * balls[..., :2].diff(dim=1).norm(dim=-1)
-    parents = list(STANDARD.parents[1:])
-    length = (joints[:, :, 1:] - joints[:, :, parents]).norm(dim=-1)
-    start = unpack(first)["joints"]
-    before = (start[:, 1:] - start[:, parents]).norm(dim=-1)[:, None]
+    length, before = bone_lengths(states), bone_lengths(first)[:, None]
     end = joints[:, -1, :, 2]
     return {
         "slide": masked_mean(speed, down[:, 1:] & down[:, :-1], 2),
