@@ -138,9 +138,9 @@ def write_readme() -> Path:
     text = "# Models\n\nMade by `python -m motionlab models` from the recipes beside the weights. Small models that "
     text += f"differ in one thing (`arm_*`) are left out.\n\n{_models_table()}\n\n"
     text += "## Transition priors on people nobody trained on\n\nMean over people and its 95 % interval, by bootstrap "
-    text += f"over people.\n\n{_quality_table('humor')}\n\n## Diffusion models on the same people\n\nAgainst rivals "
-    text += "that learnt from 30,000 windows of the same motion; everybody's settings are those that do best on the "
-    text += f"people who choose (`studies.nb11_cases.real_people`).\n\n{_quality_table('diffusion')}\n\n"
+    text += f"over people.\n\n{_quality_table('humor')}\n\n"
+    if told := _quality_table("diffusion"):
+        text += f"## Diffusion models, and rivals of the same hours (`studies.nb11_cases.real_people`)\n\n{told}\n\n"
     text += f"Licence: MIT, as the project's. {_CREDIT}\n"
     write_whole(path, text)
     return path

@@ -39,7 +39,7 @@ from torch import Tensor, nn
 
 from motionlab.baselines import cosine_transform
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.start import InitialGuess, doubt
+from motionlab.diffusion.start import InitialGuess, doubt, lines_between
 from motionlab.errors import ShapeError
 
 _LEAST = 1e-6  # of a power or a variance; less is a number that never changes
@@ -67,8 +67,8 @@ class Spectral(nn.Module):
 
     network: (x_t, stamps, ...) -> (B, T, D). alpha_bar: of all noising steps. frames, features, recalls: as of
     ``start.InitialGuess``. guessed: a network that is told what is known corrects that guess of the rest; False: it
-    finds the rest by itself, as in CondMDI. ``spectrum`` (T, D) is data, measured by ``power`` and stored with the
-    weights.
+    corrects straight lines between what is known, and the mean where a number is known at no time. ``spectrum`` (T, D)
+    is data, measured by ``power`` and stored with the weights.
     """
 
     def __init__(
@@ -113,13 +113,12 @@ class Spectral(nn.Module):
             if mask is None:
                 known, mask = torch.zeros_like(x), torch.zeros_like(x)
             given = mask.expand_as(x) > 0
-        if self.start is not None:
-            start, open_ = self.start(known, given, own), self._open(doubt(given), a)
+            start = lines_between(known, given) if self.start is None else self.start(known, given, own)
+            open_ = self._open(doubt(given), a)
             guess = start + open_**2 * wiener(x - a.sqrt() * start)
             told["guess"] = start
         said = self.network(shown, stamps, known, mask, **told)
-        found = guess + open_ * (self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said)))
-        return torch.where(given, known, found) if self.told and self.start is None else found
+        return guess + open_ * (self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said)))
 
     def recall(self, x: Tensor, clips: Tensor) -> None:
         """Measures the initial guess on windows: see ``start.InitialGuess.measure``."""
