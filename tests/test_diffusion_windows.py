@@ -43,8 +43,7 @@ def test_half_of_what_is_drawn_is_seen_in_the_mirror(motions):
 
 
 def test_joints_that_a_motion_lacks_are_not_seen_nor_are_their_mirror_images(motions):
-    short = motions[0].cut(0, 19)
-    data = windows.gather([short, *motions], 20, missing=[("head",), ("left_foot",), ()])
+    data = windows.gather([motions[0].cut(0, 19), *motions], 20, missing=[("head",), ("left_foot",), ()])
     unseen = [name for name, seen in zip(STANDARD.names, data.seen[0], strict=True) if not seen]
     assert unseen == ["left_foot", "right_foot"] and data.seen[1].all() and len(data.seen) == 2
     whole = windows.gather(motions, 20, missing=[(), ()])

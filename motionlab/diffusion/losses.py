@@ -103,8 +103,8 @@ def denoising_losses(
     """
     check_shape(estimate, f"B T {layout.size}", "estimate")
     check_shape(truth, f"B T {layout.size}", "truth")
+    estimate = estimate if seen is None else torch.where(seen[:, None], estimate, truth)
     error, found = estimate - truth, {}
-    error = error if seen is None else error * seen[:, None].to(error)
     count = torch.ones_like(error[:, 0, 0]) if count is None else count.to(error)
     trust = count if trust is None else trust.to(error) * count
     squared = error.square() * count[:, None, None]
@@ -121,8 +121,7 @@ def denoising_losses(
         found["known"] = (known * squared).sum() / known.sum().clamp(min=1.0)
     if not set(parts) & set(_LATE):
         return found
-    posed = estimate if seen is None else torch.where(seen[:, None], estimate, truth)
-    skeleton, rows = replace(layout.skeleton, offsets=offsets[:, None]), normaliser.undo(posed)
+    skeleton, rows = replace(layout.skeleton, offsets=offsets[:, None]), normaliser.undo(estimate)
     joints = layout.decode(rows, 1.0, skeleton).positions
     if "fk" in parts:
         true = layout.decode(normaliser.undo(truth), 1.0, skeleton).positions
