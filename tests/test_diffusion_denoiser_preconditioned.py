@@ -72,8 +72,7 @@ def test_what_the_network_says_counts_in_units_of_the_filters_uncertainty(genera
 
 
 def test_where_there_is_no_noise_the_network_hardly_matters(generator):
-    x = torch.randn(2, 10, 3, generator=generator)
-    model = made(torch.ones(10, 3), value=5.0)
+    x, model = torch.randn(2, 10, 3, generator=generator), made(torch.ones(10, 3), value=5.0)
     first, last = (model(x, torch.full((2,), t)) - x for t in (0, 999))
     assert first.abs().max() < 0.2 and last.abs().max() > 1.0
 
@@ -83,8 +82,7 @@ def test_where_there_is_no_noise_the_network_hardly_matters(generator):
 def told(generator):
     """x_t, its step, the known values (NaN elsewhere) and their mask."""
     known = torch.zeros(2, 12, 3, dtype=torch.bool)
-    known[:, [1, 5]] = True
-    known[1, :, 2] = False
+    known[:, [1, 5]], known[1, :, 2] = True, False
     values = torch.randn(2, 12, 3, generator=generator)
     return torch.randn(2, 12, 3, generator=generator), torch.tensor([350, 600]), values, known
 
@@ -100,15 +98,17 @@ def test_what_is_known_comes_out_and_what_is_not_is_never_read(told):
 def test_without_a_guess_the_network_corrects_straight_lines(told):
     x, stamps, values, known = told
     model, end = made(torch.rand(12, 3) + 0.1, told=True, guessed=False), torch.full((2,), 999)
-    lines = initial.lines_between(values, known)
+    lines, seen = initial.lines_between(values, known), []
+    model.network.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
     out = model(x, stamps, values, known)
     assert model.start is None and torch.allclose(out[known], values[known], atol=1e-6)
     assert torch.allclose(model(x, end, values, known), lines, atol=1e-2) and not torch.allclose(out, lines, atol=1e-2)
+    assert torch.allclose(seen[1], lines, atol=1e-2)  # from pure noise it sees no noise
 
 
 def test_the_network_sees_its_start_and_what_a_model_that_is_told_nothing_sees(told):
     x, stamps, values, known = told
-    model, plain = made(torch.rand(12, 3) + 0.1, told=True), made(torch.ones(12, 3))
+    model, plain = made(torch.rand(12, 3) + 0.1, told=True, recalls=1), made(torch.ones(12, 3))
     plain.spectrum.copy_(model.spectrum)
     seen = []
     for each in (model, plain):
