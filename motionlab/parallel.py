@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -71,8 +72,8 @@ def run_jobs(
             pool.shutdown(wait=False, cancel_futures=True)
             for worker in (left := set(active_children()) - others):
                 worker.terminate()
-            for worker in left:
-                worker.join()
+            while any(worker.is_alive() for worker in left):  # not join: the pool waits, too, and one of two is told
+                time.sleep(0.01)
             raise
 
 
