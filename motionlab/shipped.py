@@ -66,7 +66,8 @@ DENOISER_PRESETS = {
 #: The same, learnt from hours of real motion. A model that recalls motion would recall what was not recorded.
 _REAL = {name: replace(DENOISER_PRESETS[name], source=splits.REAL_MOTION) for name in ("free", "fixed", "stuck")}
 _REAL["told"] = replace(
-    _TOLD, source=splits.REAL_MOTION, recalls=0, patch=4, steps=12_000, weights=replace(_TOLD.weights, fk=1.0)
+    _TOLD, source=splits.REAL_MOTION, guessed=False, recalls=0, patch=4, steps=12_000,
+    weights=replace(_TOLD.weights, fk=1.0),
 )  # fmt: skip
 DENOISER_PRESETS |= {f"real_{name}": recipe for name, recipe in _REAL.items()}
 #: Models that go on from the weights of another one that ships, told of nothing.

@@ -108,7 +108,7 @@ def test_without_a_guess_the_network_corrects_straight_lines(told):
 
 def test_the_network_sees_its_start_and_what_a_model_that_is_told_nothing_sees(told):
     x, stamps, values, known = told
-    model, plain = made(torch.rand(12, 3) + 0.1, told=True, recalls=1), made(torch.ones(12, 3))
+    model, plain = made(torch.rand(12, 3) + 0.1, told=True), made(torch.ones(12, 3))
     plain.spectrum.copy_(model.spectrum)
     seen = []
     for each in (model, plain):

@@ -53,7 +53,7 @@ def test_a_joint_that_no_recording_has_is_not_learnt_nor_told(motions, joint):
     recipe = replace(TOLD, spectral=True, weights=LossWeights(late=0.0), guessed=False)
     run = training.DenoiserTraining(recipe, data)
     with pytest.raises(DataError, match="lack joints"):
-        training.DenoiserTraining(replace(recipe, guessed=True, recalls=1), data)
+        training.DenoiserTraining(replace(recipe, guessed=True), data)
     columns, told = run._seen(torch.zeros(1, dtype=torch.long))[0], []
     assert (~columns).sum() == 6 * (1 + joint.startswith("left_"))
     run.network.register_forward_pre_hook(lambda _, given, how: told.append(how["mask"]), with_kwargs=True)
@@ -328,7 +328,7 @@ def test_presets_of_real_motion_train_on_the_people_who_train(few, motions, tmp_
     about = checkpoint.read_recipe(out)
     assert about["people"] == 3 and "--data FOLDER" in about["made by"]
     assert list(about["minutes that chose the checkpoint"]) == ["people who choose"]
-    assert "filling error" in about["curve"][-1] and load_denoiser(out).denoiser.start.recalls == 0
+    assert "filling error" in about["curve"][-1] and load_denoiser(out).denoiser.start is None
 
 
 @pytest.mark.parametrize("preset", ["free", "fixed", "pose", "told"])

@@ -9,8 +9,8 @@ is the guess, brought to unit size, in place of x_t: there is less noise in it.
 
 A model that takes known numbers corrects the guess made from them (``start.InitialGuess``) instead of the mean, and
 more freely far from them: the same filter and deviation, with a power that ``start.doubt`` makes smaller. Its input is
-that guess besides the input of a model without known numbers, from whose weights it can start; or, where no motion is
-recalled, besides the filter's estimate unscaled, so that from pure noise it sees no noise.
+that guess besides the input of a model without known numbers, from whose weights it can start; or, where straight lines
+are its guess, besides the filter's estimate unscaled, so that from pure noise it sees no noise.
 
 Source: Karras et al. 2022 (EDM), preconditioning, whose data is white, S = 1; the filter: Wiener 1949.
 Differs from the thesis and MDM, whose network gives x_0 itself.
@@ -117,7 +117,7 @@ class Spectral(nn.Module):
             start = lines_between(known, given) if self.start is None else self.start(known, given, own)
             open_ = self._open(doubt(given), a)
             guess = start + open_**2 * wiener(x - a.sqrt() * start)
-            told["guess"], shown = start, shown if self.start is not None and self.start.recalls else guess
+            told["guess"], shown = start, guess if self.start is None else shown
         said = self.network(shown, stamps, known, mask, **told)
         return guess + open_ * (self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said)))
 

@@ -71,7 +71,7 @@ class DenoiserTraining(TrainingRun):
         self.normaliser = (
             start.normaliser if start else Normaliser.measure(some, self.layout, root_unit=recipe.root_unit)
         )
-        if windows.seen is not None and (recipe.linear or recipe.recalls):
+        if windows.seen is not None and (recipe.linear or (recipe.told and recipe.spectral and recipe.guessed)):
             remedy = "choose a preset that recalls no motion, or leave these recordings out"
             raise DataError("motions that lack joints, for a model that recalls whole motions", remedy=remedy)
         model = self._new_model(recipe, some, self._seen(clips))
