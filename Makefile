@@ -9,7 +9,7 @@ INSTALLED := $(VENV)/.motionlab-installed
 PREPARED := $(VENV)/.motionlab-prepared
 PIP := $(PY) -m pip --disable-pip-version-check install -c constraints.txt
 
-.PHONY: notebooks test lab full records train bench doctor setup pins clean
+.PHONY: notebooks test lab full records train train-real bench doctor setup pins clean
 .DEFAULT_GOAL := help
 
 help:
@@ -19,6 +19,7 @@ help:
 	@echo "make full        regenerate the committed notebooks and results"
 	@echo "make records     what notebooks 07 and 08 read and takes hours: what is on record of this recipe is kept"
 	@echo "make train       the shipped weights, trained again (about five hours)"
+	@echo "make train-real  those that learn from hours of recordings, in MOTIONLAB_DATA (about four hours)"
 	@echo "make bench       speed, as ratios measured in one run"
 	@echo "make doctor      what is installed, what is missing, and the remedy"
 
@@ -45,6 +46,11 @@ train: setup
 	@for preset in $$($(PY) -c "from motionlab.shipped import DENOISER_PRESETS; print(*(n for n in DENOISER_PRESETS if not n.startswith('real_')))"); do \
 		$(PY) -m motionlab train diffusion --preset $$preset || exit 1; done
 	@PYTHONPATH=notebooks $(PY) -m studies.nb10_diffusion.arms
+
+train-real: setup
+	@test -n "$$MOTIONLAB_DATA" || { echo "name a folder of recordings: make train-real MOTIONLAB_DATA=FOLDER"; exit 2; }
+	@for model in "humor --preset real" "small --preset real" "features --preset real" "diffusion --preset real_told"; do \
+		$(PY) -m motionlab train $$model --data "$$MOTIONLAB_DATA" || exit 1; done
 
 bench: setup
 	@$(PY) tests/bench/run.py

@@ -66,10 +66,11 @@ DENOISER_PRESETS = {
 #: The same, learnt from hours of real motion. A model that recalls motion would recall what was not recorded.
 _REAL = {name: replace(DENOISER_PRESETS[name], source=splits.REAL_MOTION) for name in ("free", "fixed", "stuck")}
 _REAL["told"] = replace(
-    _TOLD, source=splits.REAL_MOTION, guessed=False, recalls=0, patch=4, steps=12_000,
-    weights=replace(_TOLD.weights, fk=1.0),
+    _TOLD, source=splits.REAL_MOTION, guessed=False, recalls=0, patch=4, blind=0.6, steps=8000, batch=32, lr=6e-4,
+    weights=LossWeights(fk=2.0, velocity=1.0, contact=100.0, late=0.0, even=True, relative=True),
 )  # fmt: skip
 DENOISER_PRESETS |= {f"real_{name}": recipe for name, recipe in _REAL.items()}
+FEATURE_PRESETS = {"usual": embedding.FeatureRecipe(), "real": embedding.FeatureRecipe(steps=4000, real=True)}
 #: Models that go on from the weights of another one that ships, told of nothing.
 FROM = {"told": "diffusion_stuck"}
 _HELD = 256  # held-out windows that the checkpoint is chosen by
@@ -192,7 +193,8 @@ def make(
         "curve": run.curve,
         **({"began from": checkpoint.read_recipe(start)} if start else {}),
     }
-    model.save_denoiser(out, _on_cpu(run.shipped), about, half=True)
+    made = run.shipped
+    model.save_denoiser(out, replace(made, denoiser=made.denoiser.cpu()), about, half=True)
     kept.unlink()
     if (gain := run.curve[-1].get(model.GAIN, 1.0)) <= _SILENT:
         print(f"the network adds nothing to its filter (gain {gain:.3f}): try a lower rate or a longer warm-up")
@@ -209,10 +211,6 @@ def _judge(recipe: DenoiserRecipe, held: Motion) -> training.Judge | None:
 
 def _together(motions: dict[str, list[Motion]], recipe: DenoiserRecipe, copies: int = 0) -> list[Motion]:
     return splits.prepared([m for each in motions.values() for m in each], recipe, copies=copies)
-
-
-def _on_cpu(model: model.Trained) -> model.Trained:
-    return replace(model, denoiser=model.denoiser.cpu())
 
 
 def _accelerator():
@@ -334,22 +332,22 @@ def make_init_gmm(
 
 
 def make_features(
-    folder: Path | str | None, out: Path, *, seed: int = 0, steps: int | None = None, recordings: Sequence[str] = ()
+    folder: Path | str | None, out: Path, recipe: embedding.FeatureRecipe, *, recordings: Sequence[str] = ()
 ) -> dict:
     """Trains and writes the features that generated motion is judged in (``diffusion.embedding``); returns the recipe.
 
-    folder: of recordings, or None. Trained on the training part of ``splits``, watched on the choosing part.
+    folder: of recordings, or None. Trained on the training part of ``splits``, or on the people who train, watched on
+    the choosing part.
     """
-    recipe = embedding.FeatureRecipe(seed=seed, **({"steps": steps} if steps else {}))
-    parts = {part: splits.motions_by_part(folder, part) for part in ("train", "choose")}
-    ready = {part: [m for some in found.values() for m in some] for part, found in parts.items()}
-    windows, held = (gather(splits.prepared(some, DenoiserRecipe()), recipe.frames) for some in ready.values())
+    usual = (splits.motions_by_part(folder, part) for part in ("train", "choose"))
+    train, choose = real_motions(folder)[:2] if recipe.real else usual
+    windows, held = (gather(_together(some, DenoiserRecipe()), recipe.frames) for some in (train, choose))
     features, curve = embedding.train_features(windows, recipe, held.evenly(256), progress=True)
-    with_data = " --data FOLDER" if splits.RECORDED in parts["train"] else ""
+    preset, with_data = "--preset real " * recipe.real, " --data FOLDER" * (splits.RECORDED in train)
     about = {
         "what": "autoencoder over windows of 60 frames: the features that generated motion is judged in",
-        "command": f"python -m motionlab train features --steps {recipe.steps} --seed {seed}{with_data}",
-        "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in parts["train"].items()},
+        "command": f"python -m motionlab train features {preset}--steps {recipe.steps} --seed {recipe.seed}{with_data}",
+        "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in train.items()},
         "recordings": list(recordings),
         "corpus": asdict(corpus.Recipe()),
         "windows": windows.digest,

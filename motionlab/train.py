@@ -27,8 +27,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     command.add_argument(
         "--preset", choices=[name for presets in _presets().values() for name in presets],
-        help="; ".join(f"{model}: {', '.join(presets)}" for model, presets in _presets().items())
-        + " (default: the first)",
+        help="default: the first of " + "; ".join(f"{model}: {', '.join(each)}" for model, each in _presets().items()),
     )  # fmt: skip
     command.add_argument("--size", choices=sorted(SIZES), help="of the denoiser (default: the preset's)")
     command.add_argument("--steps", type=_count, help="optimiser steps, the whole schedule (default: the preset's)")
@@ -37,16 +36,15 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "--data", default=os.environ.get("MOTIONLAB_DATA"), help="recordings, besides synthetic motion"
     )
     command.add_argument("--out", type=Path, help="default: the checkpoint that ships")
-    command.add_argument(
-        "--start", type=Path, help="a checkpoint to begin from (default: new weights, or the preset's)"
-    )
+    command.add_argument("--start", type=Path, help="a checkpoint to begin from (default: the preset's, if any)")
     command.add_argument("--resume", action="store_true", help="go on with a run that was stopped, as it was begun")
     command.set_defaults(run=_train)
 
 
 def _presets() -> dict[str, dict]:
     humor = training.PRIOR_PRESETS | chain_training.CHAIN_PRESETS
-    return {"humor": humor, "diffusion": shipped.DENOISER_PRESETS, "small": dict.fromkeys(("compact", "real"))}
+    found = {"humor": humor, "diffusion": shipped.DENOISER_PRESETS, "features": shipped.FEATURE_PRESETS}
+    return found | {"small": dict.fromkeys(("compact", "real"))}
 
 
 def _count(text: str) -> int:
@@ -94,7 +92,7 @@ def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | m
     kind = training.PriorTraining if options.model == "humor" else diffusion_training.DenoiserTraining
     kind = chain_training.ChainTraining if options.preset in chain_training.CHAIN_PRESETS else kind
     recipe, before = presets[options.preset], kind.kept_recipe(kept) if options.resume else None
-    if options.size and not hasattr(recipe, "size"):
+    if options.size and not isinstance(getattr(recipe, "size", None), str):
         raise DataError(f"{options.model} has no sizes", remedy="leave --size out")
     for name in ("steps", "seed", "size"):
         if not hasattr(recipe, name):
@@ -121,9 +119,10 @@ def _train(options: argparse.Namespace) -> int:
         shipped.make_init_gmm(train, held, out, **how, causal=real)
         return 0
     if options.model == "features":
-        out, found = options.out or checkpoint.SHIPPED / "diffusion_features", options.data and _found_in(options.data)
-        seed, steps = options.seed or 0, options.steps
-        shipped.make_features(options.data, out, seed=seed, steps=steps, recordings=found or ())
+        recipe = _wanted(options, checkpoint.SHIPPED)
+        out = options.out or checkpoint.SHIPPED / ("features_real" if recipe.real else "diffusion_features")
+        found = (splits.real_sources if recipe.real else _found_in)(options.data) if options.data else ()
+        shipped.make_features(options.data, out, recipe, recordings=found)
         return 0
     preset = options.preset or next(iter(_presets()[options.model]))
     out = options.out or checkpoint.SHIPPED / f"{options.model}_{preset}"

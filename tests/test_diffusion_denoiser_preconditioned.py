@@ -95,10 +95,10 @@ def test_what_is_known_comes_out_and_what_is_not_is_never_read(told):
     assert not torch.allclose(model(x, stamps)[known], values[known], atol=1e-2)
 
 
-def test_without_a_guess_the_network_corrects_straight_lines(told):
+def test_without_a_guess_the_network_corrects_smooth_curves(told):
     x, stamps, values, known = told
     model, end = made(torch.rand(12, 3) + 0.1, told=True, guessed=False), torch.full((2,), 999)
-    lines, seen = initial.lines_between(values, known), []
+    lines, seen = initial.smooth_curves(values, known), []
     model.network.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
     out = model(x, stamps, values, known)
     assert model.start is None and torch.allclose(out[known], values[known], atol=1e-6)
@@ -122,7 +122,7 @@ def test_with_a_flat_spectrum_it_is_bayes_rule_number_by_number(told):
     """Prior N(line, doubt^2 s), one observation x_t: mean and deviation by precisions, as in any textbook."""
     x, stamps, values, known = told
     s, a = 0.7, cosine(1000).alpha_bar.float()[stamps][:, None, None]
-    line, prior = initial._smooth_curves(values, known), initial.doubt(known).square() * s
+    line, prior = initial.smooth_curves(values, known), initial.doubt(known).square() * s
     precision = 1 / prior + a / (1 - a)
     mean = (line / prior + a.sqrt() * x / (1 - a)) / precision
     silent, loud = (made(torch.full((12, 3), s), v, told=True)(x, stamps, values, known) for v in (0.0, 1.0))

@@ -123,7 +123,8 @@ def test_files_of_something_else_are_refused(trained, tmp_path):
         embedding._load(tmp_path / "f")
 
 
-def test_the_command_trains_on_the_training_part_only(motions, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("preset", ["usual", "real"])
+def test_the_command_trains_on_the_training_part_only(motions, tmp_path, monkeypatch, preset):
     asked = []
 
     def sources(folder, part):
@@ -131,14 +132,18 @@ def test_the_command_trains_on_the_training_part_only(motions, tmp_path, monkeyp
         return {"synthetic": motions if part == "train" else motions[:1]}
 
     monkeypatch.setattr(splits, "motions_by_part", sources)
-    monkeypatch.setattr(shipped.embedding, "FeatureRecipe", lambda **k: replace(TINY, frames=60, **k))
+    recorded = shipped.RealMotions({splits.RECORDED: motions}, {"people who choose": motions[:1]}, {}, 2)
+    monkeypatch.setattr(shipped, "real_motions", lambda folder: asked.append("people") or recorded)
+    small = {name: replace(TINY, frames=60, real=name == "real") for name in shipped.FEATURE_PRESETS}
+    monkeypatch.setattr(shipped, "FEATURE_PRESETS", small)
     monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
-    assert main(["train", "features", "--steps", "3", "--seed", "2", "--out", str(tmp_path / "f")]) == 0
+    how = "--steps 3 --seed 2"
+    assert main(["train", "features", "--preset", preset, *how.split(), "--out", str(tmp_path / "f")]) == 0
     about = json.loads((tmp_path / "f.json").read_text())
-    assert asked == ["train", "choose"]
-    assert about["command"] == "python -m motionlab train features --steps 3 --seed 2"
+    assert asked == (["people"] if preset == "real" else ["train", "choose"])
+    how = f"--preset real {how} --data FOLDER" if preset == "real" else how
+    assert about["command"] == f"python -m motionlab train features {how}"
     assert about["curve"][-1]["step"] == 3 and about["recipe"]["seed"] == 2
-    assert "loss" in capsys.readouterr().out
 
 
 def test_features_that_ship():

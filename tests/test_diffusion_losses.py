@@ -112,6 +112,18 @@ def test_numbers_that_were_not_recorded_teach_nothing(case):
         assert found[name] < all_of_it[name], name
 
 
+def test_relative_losses_are_shares_of_what_the_guess_leaves_window_by_window(case):
+    estimate, truth, normaliser, bones = case
+    far = torch.tensor([1.0, 10.0, 3.0]).reshape(3, 1, 1) * (estimate - truth)
+    guess, near = truth + 20 * far, truth + 1e-4 * far  # beside it, what is added to the guess's error is little
+    rows = (truth + 10 * far, truth, LAYOUT, normaliser, bones)
+    found = losses.denoising_losses(*rows, parts=["simple", "velocity"], even=True, guess=guess)
+    assert found["simple"].item() == pytest.approx(0.25, rel=1e-3)
+    own, none = (losses.denoising_losses(x, *rows[1:], parts=["simple", "fk"], guess=x) for x in (guess, near))
+    assert own["simple"].item() == pytest.approx(1, rel=1e-3) and own["fk"].item() == pytest.approx(1, rel=0.01)
+    assert none["simple"] < 1e-3 and none["fk"] < 0.1  # where the guess is as good as right, nothing is amplified
+
+
 def test_windows_count_as_they_are_told_to(case):
     """Half of what the first window gives, and one and a half of the second: against each alone."""
     estimate, truth, normaliser, bones = (x[:2] if torch.is_tensor(x) else x for x in case)

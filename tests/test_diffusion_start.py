@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionlab.diffusion.start import _PARTS, _RIDGE, _SURE, InitialGuess, _smooth_curves, doubt, lines_between
+from motionlab.diffusion.start import _PARTS, _RIDGE, _SURE, InitialGuess, doubt, lines_between, smooth_curves
 from motionlab.errors import ShapeError
 
 
@@ -64,7 +64,7 @@ def by_bayes(start, x, mask, left_out=()):
             means.append(code + start.variance * f.T @ np.linalg.solve(square, x[mask] - at))
     guess = mean + factor @ (scipy.special.softmax(odds) @ np.array(means))
     left = torch.from_numpy(x - guess).reshape(1, 8, 12)
-    return guess.reshape(8, 12) + _smooth_curves(left, torch.from_numpy(mask).reshape(1, 8, 12))[0].numpy()
+    return guess.reshape(8, 12) + smooth_curves(left, torch.from_numpy(mask).reshape(1, 8, 12))[0].numpy()
 
 
 @pytest.mark.parametrize("recalls", [0, 150])
@@ -113,7 +113,7 @@ def test_what_goes_together_is_found_where_curves_know_nothing(windows, generato
     known[..., :3] = False  # columns of which nothing is known
     error = (start(windows, known) - windows)[~known].square().mean()
     assert error < 0.2 * (windows.mean(0) - windows)[~known].square().mean()
-    assert error < 0.2 * (_smooth_curves(windows, known) - windows)[~known].square().mean()
+    assert error < 0.2 * (smooth_curves(windows, known) - windows)[~known].square().mean()
 
 
 def test_a_guess_is_kept_for_as_long_as_the_question_is_the_same(windows, generator, monkeypatch):

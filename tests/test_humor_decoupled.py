@@ -24,10 +24,7 @@ def problem(kit, walk):
 
 
 @pytest.fixture(scope="module")
-def start(
-    kit,
-    walk,
-):
+def start(kit, walk):
     """States, latents and shape of two walks, a little off."""
     noise = torch.Generator().manual_seed(1)
     states = state.from_motion(walk)

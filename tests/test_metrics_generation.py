@@ -191,8 +191,7 @@ def test_floor_is_what_halves_of_the_data_give_and_keeps_groups_whole():
 
 
 @pytest.mark.parametrize(
-    "measure",
-    [g.frechet, g.precision_recall, g.density_coverage, lambda x, y: g.kid(x, y, seeded(0))],
+    "measure", [g.frechet, g.precision_recall, g.density_coverage, lambda x, y: g.kid(x, y, seeded(0))]
 )
 def test_bad_sets_are_refused(measure):
     good = normal(10, 3)

@@ -74,7 +74,7 @@ def _signals(motion: Motion) -> Tensor:
 @dataclass(frozen=True)
 class FeatureRecipe:
     """frames: of a window, a multiple of 4. size: latent numbers. width: of convolutions. steps, batch, lr: of Adam,
-    whose rate falls by a cosine. seed: of weights and windows."""
+    whose rate falls by a cosine. seed: of weights and windows. real: learnt from hours of real motion."""
 
     frames: int = 60
     size: int = 64
@@ -83,6 +83,7 @@ class FeatureRecipe:
     batch: int = 64
     lr: float = 2e-3
     seed: int = 0
+    real: bool = False
     average: ClassVar[float] = 0.0  # its weights are the last ones
 
 

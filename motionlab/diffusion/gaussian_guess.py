@@ -9,7 +9,7 @@ is the guess, brought to unit size, in place of x_t: there is less noise in it.
 
 A model that takes known numbers corrects the guess made from them (``start.InitialGuess``) instead of the mean, and
 more freely far from them: the same filter and deviation, with a power that ``start.doubt`` makes smaller. Its input is
-that guess besides the input of a model without known numbers, from whose weights it can start; or, where straight lines
+that guess besides the input of a model without known numbers, from whose weights it can start; or, where smooth curves
 are its guess, besides the filter's estimate unscaled, so that from pure noise it sees no noise.
 
 Source: Karras et al. 2022 (EDM), preconditioning, whose data is white, S = 1; the filter: Wiener 1949.
@@ -40,7 +40,7 @@ from torch import Tensor, nn
 
 from motionlab.baselines import cosine_transform
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.start import InitialGuess, doubt, lines_between
+from motionlab.diffusion.start import InitialGuess, doubt, smooth_curves
 from motionlab.errors import ShapeError
 
 _LEAST = 1e-6  # of a power or a variance; less is a number that never changes
@@ -68,7 +68,7 @@ class Spectral(nn.Module):
 
     network: (x_t, stamps, ...) -> (B, T, D). alpha_bar: of all noising steps. frames, features, recalls: as of
     ``start.InitialGuess``. guessed: a network that is told what is known corrects that guess of the rest; False: it
-    corrects straight lines between what is known, and the mean where a number is known at no time. ``spectrum`` (T, D)
+    corrects smooth curves through what is known, and the mean where a number is known at no time. ``spectrum`` (T, D)
     is data, measured by ``power`` and stored with the weights.
     """
 
@@ -96,11 +96,13 @@ class Spectral(nn.Module):
         known: Tensor | None = None,
         mask: Tensor | None = None,
         own: Tensor | None = None,
+        both: bool = False,
         **told: Tensor | None,
-    ) -> Tensor:
+    ) -> Tensor | tuple[Tensor, Tensor]:
         """Computes an estimate (B, T, D) of x_0; arguments as for the network. Where mask is set it equals ``known``.
 
-        own (B,): in training, the motions that the windows were cut from, not to be recalled.
+        own (B,): in training, the motions that the windows were cut from, not to be recalled. both: returns the guess
+        that the network corrects, too.
         """
         a, s = self.alpha_bar[stamps][:, None, None].to(x), self.spectrum.to(x)
         total = a * s + 1 - a
@@ -114,12 +116,13 @@ class Spectral(nn.Module):
             if mask is None:
                 known, mask = torch.zeros_like(x), torch.zeros_like(x)
             given = mask.expand_as(x) > 0
-            start = lines_between(known, given) if self.start is None else self.start(known, given, own)
+            start = smooth_curves(known, given) if self.start is None else self.start(known, given, own)
             open_ = self._open(doubt(given), a)
             guess = start + open_**2 * wiener(x - a.sqrt() * start)
             told["guess"], shown = start, guess if self.start is None else shown
         said = self.network(shown, stamps, known, mask, **told)
-        return guess + open_ * (self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said)))
+        made = guess + open_ * (self.cosines.T @ ((s * (1 - a) / total).sqrt() * (self.cosines @ said)))
+        return (made, guess) if both else made
 
     def recall(self, x: Tensor, clips: Tensor) -> None:
         """Measures the initial guess on windows: see ``start.InitialGuess.measure``."""

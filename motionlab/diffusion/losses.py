@@ -20,6 +20,7 @@ from motionlab.errors import check_shape
 _GATES = ("predicted", "held", "truth")
 _PARTS = ("simple", "fk", "velocity", "contact", "known", "handles")
 _LATE = ("fk", "contact", "handles")
+_FLOOR, _NEAR = 0.01, 0.01  # added to what a guess leaves: normalised numbers, squared; metres
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,8 @@ class LossWeights:
     group of numbers counts alike, so that the root's place is a quarter of it and not 3 numbers of 144; not in Eq. 4.8.
     snr: windows count 1 + min(snr, signal / noise), so that the small errors at little noise, which jitter and sliding
     are made of, count too; 0: all count alike. Hang et al. 2023 have no 1: then nothing is learned where there is
-    hardly any signal, and samples begin with a mistake.
+    hardly any signal, and samples begin with a mistake. relative: errors of each window count as shares of
+    what the analytic guess leaves (``denoising_losses``), so that short gaps count as hidden legs do; spectral models.
     """
 
     simple: float = 1.0
@@ -49,6 +51,7 @@ class LossWeights:
     by_signal: bool = False
     even: bool = False
     snr: float = 0.0
+    relative: bool = False
 
     def __post_init__(self) -> None:
         if self.gate not in _GATES:
@@ -84,6 +87,7 @@ def denoising_losses(
     trust: Tensor | None = None,
     count: Tensor | None = None,
     seen: Tensor | None = None,
+    guess: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """Computes the training losses by name, each a mean over windows and frames.
 
@@ -97,20 +101,28 @@ def denoising_losses(
             ``Weights``. known: (B, T, D) or (T, D), 1 where known. handles: (B, T, J, 4), as ``Denoiser`` takes.
         trust: (B,) what fk, contact and handles of each window count; default 1. count: (B,) what each window counts in
             all parts, 1 on average. seen: (B, D), False for numbers that were not recorded: the truth stands in for
-            them, so that no part learns from them.
+            them, so that no part learns from them. guess: (B, T, D) to correct; simple and velocity of each window and
+            group are then divided by the guess's mean square error there plus ``_FLOOR``, fk by the guess's own, mean
+            over the window, plus (``_NEAR``)^2 for each joint.
     Raises:
         ShapeError: the rows are not the layout's.
     """
     check_shape(estimate, f"B T {layout.size}", "estimate")
     check_shape(truth, f"B T {layout.size}", "truth")
-    estimate = estimate if seen is None else torch.where(seen[:, None], estimate, truth)
+    if seen is not None:
+        estimate, guess = (x if x is None else torch.where(seen[:, None], x, truth) for x in (estimate, guess))
     error, found = estimate - truth, {}
+    groups = list(layout.slices.values()) if even else [slice(None)]
+    if guess is not None:
+        left = (guess - truth).square()
+        for part in groups:
+            left[..., part] = left[..., part].mean((1, 2), keepdim=True)
+        error = error / (left + _FLOOR).sqrt()
     count = torch.ones_like(error[:, 0, 0]) if count is None else count.to(error)
     trust = count if trust is None else trust.to(error) * count
     squared = error.square() * count[:, None, None]
     still = error.new_zeros(()) if error.shape[1] < 2 else None  # one frame does not move
     if "simple" in parts:
-        groups = layout.slices.values() if even else [slice(None)]
         found["simple"] = sum(squared[..., part].mean() for part in groups) / len(groups)
     if "velocity" in parts:
         moving = error[..., : layout.slices["pose"].stop]
@@ -125,7 +137,11 @@ def denoising_losses(
     joints = layout.decode(rows, 1.0, skeleton).positions
     if "fk" in parts:
         true = layout.decode(normaliser.undo(truth), 1.0, skeleton).positions
-        found["fk"] = (trust[:, None] * (joints - true).square().sum((-1, -2))).mean()
+        far = (joints - true).square().sum((-1, -2))
+        if guess is not None:
+            there = layout.decode(normaliser.undo(guess), 1.0, skeleton).positions
+            far = far / ((there - true).square().sum((-1, -2)).mean(1, keepdim=True) + len(skeleton) * _NEAR**2)
+        found["fk"] = (trust[:, None] * far).mean()
     if "handles" in parts and handles is not None:
         far = (joints - handles[..., :3]).square().sum(-1) * handles[..., 3]
         found["handles"] = (trust[:, None] * far.sum(-1)).mean()

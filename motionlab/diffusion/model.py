@@ -41,7 +41,7 @@ class DenoiserRecipe:
     the known area as input; arrival: and with the time to the next known frame. patch: frames in a token. handles:
     numbers that the places of handles are embedded in; 0: they are not heard of. before: see ``Denoiser``.
     spectral: the network corrects a Wiener filter (``spectral``); guessed: a told one corrects a guess of what is
-    not known, too (``start.InitialGuess``), or straight lines; linear: it corrects what a Gaussian would say, of
+    not known, too (``start.InitialGuess``), or smooth curves; linear: it corrects what a Gaussian would say, of
     single poses, handles and all (``linear``). version: of the synthetic corpus. source: of what it trains on
     ("synthetic", "recordings", "all" of both, or "real": a corpus of people); share: of those motions. copies: of
     every motion, held otherwise (``humor.examples``). noising: steps of the schedule. blind: share of training
@@ -126,6 +126,8 @@ class DenoiserRecipe:
         if self.spectral or self.linear:  # begins as what it corrects: with random words it soon falls silent for good
             torch.nn.init.zeros_(network.output_process.poseFinal.weight)
             torch.nn.init.zeros_(network.output_process.poseFinal.bias)
+        if self.weights.relative and not self.spectral:
+            raise ValueError("relative: only a spectral model has a guess to be compared with")
         if self.linear:
             if self.frames != 1 or self.told:
                 raise ValueError("linear: only for single poses that are told of nothing but handles")

@@ -4,7 +4,7 @@
 unknown entries that go with them. What is then left over at the known entries is passed on by smooth curves: the
 conditional mean, number by number, of a Gaussian process in time of Matern covariance 3/2. Like cubic splines these
 have a velocity that does not jump, but far from known entries they come back to zero. ``doubt`` says how far from the
-guess the truth may be. ``lines_between`` gives straight lines, the input of a network that has no such guess.
+guess the truth may be. ``lines_between`` gives straight lines, the input of a network that has no guess.
 
 Source: Bishop 2006, 12.2 and 2.5.1; Rasmussen and Williams 2006, Eqs. 2.25 and 4.17 (curves); ReMoDiffuse (Zhang et al.
 2023), which also recalls training motion for a diffusion model.
@@ -129,7 +129,7 @@ class InitialGuess(nn.Module):
         near = self._recalled(inverse, seen, eye, own)
         guess = self.mean + (seen + (inverse @ near[..., None])[..., 0] / self.variance) @ self.factor.mT
         guess = guess.unflatten(1, self.shape)
-        return guess + _smooth_curves(known - guess, mask)
+        return guess + smooth_curves(known - guess, mask)
 
     def _recalled(self, inverse: Tensor, seen: Tensor, eye: Tensor, own: Tensor | None) -> Tensor:
         """sum_i w_i z_i (B, K)."""
@@ -149,9 +149,9 @@ def _matern(frames: int) -> Tensor:
     return (1 + far) * torch.exp(-far)
 
 
-def _smooth_curves(x: Tensor, known: Tensor) -> Tensor:
-    """x (B, T, D) where known (bool, B T D), smooth curves elsewhere, 0 where a column knows nothing. What x holds
-    elsewhere is never read."""
+def smooth_curves(x: Tensor, known: Tensor) -> Tensor:
+    """Computes x (B, T, D) with smooth curves through what is known (bool, B T D), 0 in a column that knows nothing.
+    What x holds elsewhere is never read."""
     frames = x.shape[-2]
     patterns, which = torch.unique(known.mT.reshape(-1, frames), dim=0, return_inverse=True)
     seen, cov = patterns.double(), _matern(frames).to(x.device)

@@ -148,14 +148,16 @@ class DenoiserTraining(TrainingRun):
         told = {"known": x0, "mask": known} if recipe.told else {}
         told |= {"own": clips} if recipe.recalls else {}
         told |= {"handles": held} if recipe.handles else {}
+        told |= {"both": True} if recipe.weights.relative else {}
         with self._torch_seeded(seed), torch.autocast(torch.device(self.device).type, torch.bfloat16, recipe.bf16):
-            estimate = self.network(xt, stamps, **told).float()
+            found = self.network(xt, stamps, **told)
+        estimate, guess = (x.float() for x in found) if recipe.weights.relative else (found.float(), None)
         weights = recipe.weights.at(self.step / recipe.steps, self.layout, recipe.told)
         trust = signal if known is None else torch.maximum(signal, known.float().mean((1, 2)))
         parts = denoising_losses(
             estimate, x0, self.layout, self.normaliser, offsets, parts=weights, gate=recipe.weights.gate,
             even=recipe.weights.even, known=known, handles=held, trust=trust if recipe.weights.by_signal else None,
-            count=count, seen=seen,
+            count=count, seen=seen, guess=guess,
         )  # fmt: skip
         return sum(weight * parts[name] for name, weight in weights.items()), parts
 

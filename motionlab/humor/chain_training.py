@@ -38,9 +38,7 @@ class ChainRecipe:
     """What a training run depends on, with its examples.
 
     width: of the networks. steps: of the optimiser. batch: chains of ``length`` transitions; opened, free: shares of
-    them of these kinds;
-    known: share of closed ones in which every step begins at the truth, and precise: how much more their errors count.
-    chain: transitions that gradients flow through. supervised, sampled: shares of the steps that
+    them of these kinds. chain: transitions that gradients flow through. supervised, sampled: shares of the steps that
     see the truth, and by which it has faded out. kl: weight per nat; annealed: share of the steps over which it grows
     to that. kinematics, contact, slide: weights of those losses. average: of the weights, per step. half: networks in
     bfloat16.
@@ -53,8 +51,6 @@ class ChainRecipe:
     chain: int = 8
     opened: float = 0.3
     free: float = 0.2
-    known: float = 0.0
-    precise: float = 1.0
     lr: float = 3e-3
     supervised: float = 0.05
     sampled: float = 0.2
@@ -68,15 +64,7 @@ class ChainRecipe:
     seed: int = 0
 
 
-#: settled: goes on from another one's weights; a third of its steps begin at the truth: single steps become precise.
-CHAIN_PRESETS = {
-    "real": ChainRecipe(),
-    "real_wide": ChainRecipe(width=1024, lr=1.5e-3),
-    "real_settled": ChainRecipe(
-        steps=2000, lr=1e-3, known=0.35, precise=4.0, opened=0.2, chain=16, kinematics=1.5, supervised=0.0,
-        sampled=1e-6, annealed=1e-6,
-    ),
-}  # fmt: skip
+CHAIN_PRESETS = {"real": ChainRecipe(), "real_wide": ChainRecipe(width=1024, lr=1.5e-3)}
 
 
 class _Walked(NamedTuple):
@@ -141,7 +129,6 @@ class ChainTraining(TrainingRun):
                 found = _Walked(*apply(past, self.scales.decode(self.model, past, z)))
                 steps.append(found), pasts.append(past[:closed]), posteriors.append(q), targets.append(now)
                 given = torch.rand(recipe.batch, 1, generator=self.generator) < truth
-                given[: round(recipe.known * recipe.batch)] = True
                 x = torch.where(given, states[:, t + 1], globalise(found.after, frame))
                 x = x.detach() if (t + 1) % recipe.chain == 0 else x
             q = Gaussian(*map(torch.cat, zip(*posteriors, strict=True)))
@@ -175,19 +162,11 @@ class ChainTraining(TrainingRun):
         posed, _ = fk(replace(STANDARD, offsets=offsets[:, None]), parts["trans"], rot)
         whole = {name: parts[name][:judged] - truth[name] for name in SHAPES}
         whole["pose_body"] = whole["pose_body"] * seen[:judged, None, 1:, None, None]
-        count = torch.ones(judged, 1)
-        count[: round(self.recipe.known * self.recipe.batch)] = self.recipe.precise
         speed = parts["joints_vel"][..., STANDARD.contact_indices, :].square().sum(-1)
         inside = (posed - parts["joints"]) / ERROR_UNITS["joints"]
         return {
-            "reconstruction": sum(_counted(error / ERROR_UNITS[name], count) for name, error in whole.items()),
+            "reconstruction": sum(_huber(error / ERROR_UNITS[name]) for name, error in whole.items()),
             "kinematics": _huber((posed[:judged] - truth["joints"]) / ERROR_UNITS["joints"]) + 2 * _huber(inside),
             "contact": F.binary_cross_entropy_with_logits(logits[:judged], contacts[:judged]),
             "slide": (logits.sigmoid() * speed).mean(),
         }
-
-
-def _counted(error: Tensor, count: Tensor) -> Tensor:
-    """Mean Huber error of (B, T, ...), rows counted (B, 1) times."""
-    each = F.smooth_l1_loss(error, torch.zeros_like(error), beta=3.0, reduction="none")
-    return (each.flatten(2).mean(-1) * count).mean()

@@ -5,6 +5,9 @@
 Rivals learn from windows of the people who train, settings of everybody are chosen on the people who choose, and the
 people of the report are used once. Every person counts alike; intervals are by bootstrap over people. The result goes
 into the model's recipe, where ``python -m motionlab models`` reads it.
+
+Most recordings are of a figure without toes and with a stiff back. Nobody is asked for a joint that a figure does not
+have: it stays as it came, whoever fills in the rest, and the model, which learnt never to be told of it, is not.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -22,7 +26,7 @@ from tqdm import tqdm
 
 from motionlab import checkpoint, corpus, findings, shipped, splits
 from motionlab.diffusion.inpainting import Way, repair
-from motionlab.diffusion.model import Trained, motion_model
+from motionlab.diffusion.model import Trained, motion_model, silenced
 from motionlab.diffusion.start import InitialGuess
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.files import write_whole
@@ -34,9 +38,9 @@ from studies.shared.bench import pasted
 
 FRAMES, EACH, PRACTICE = 60, 24, 8  # of a window; windows of each person, for the report and to choose on
 LEARNT, RECALLED = 30_000, 12_000  # training windows that the rivals learn from, and that the start recalls
-LACKING = ("spine2", "left_foot", "right_foot")  # joints that most recordings lack, so that they stand still
 FADES = (0, 5, 10)  # frames over which the jump at the edge of what is known may fade
 STEPS = (1, 2, 5, 25)  # of the sampler
+TOLD = ("told", "own start alone")
 Fill = Callable[..., Motion]
 
 
@@ -62,38 +66,46 @@ CASES: Mapping[str, Case] = {
 }
 
 
-def windows_of(takes: Sequence[corpus.Take], each: int) -> tuple[Motion, Tensor]:
-    """At most ``each`` windows of every person, evenly over what there is, and whose each is (N,)."""
-    people: dict[str, list[Motion]] = {}
+class Windows(NamedTuple):
+    """motion (N, T), whose it is (N,), and which units (N, 1, U) of a frame its figure does not have."""
+
+    motion: Motion
+    whose: Tensor
+    lacks: Tensor
+
+
+def windows_of(takes: Sequence[corpus.Take], each: int) -> Windows:
+    """At most ``each`` windows of every person, evenly over what there is."""
+    people: dict[str, list[tuple[Motion, tuple[str, ...]]]] = {}
     for take in takes:
         if take.motion.frames >= FRAMES:
-            people.setdefault(take.person, []).append(on_standard(take.motion))
-    cut = [gather(some, FRAMES, mirrored=False).evenly(each) for some in people.values()]
-    whose = torch.arange(len(cut)).repeat_interleave(torch.tensor([len(m.root) for m in cut]))
-    rows = [torch.cat([getattr(m, name) for m in cut]) for name in ("root", "rot", "contacts")]
-    return Motion(STANDARD, *rows[:2], cut[0].fps, rows[2]), whose
+            people.setdefault(take.person, []).append((on_standard(take.motion), take.missing))
+    rows, whose, lacks = [], [], []
+    for person, some in enumerate(people.values()):
+        data = gather([m for m, _ in some], FRAMES, mirrored=False)
+        at = data.begins[torch.linspace(0, len(data.begins) - 1, min(each, len(data.begins))).round().long()]
+        rows.append(data.evenly(each))
+        whose.append(torch.full((len(at),), person))
+        lacks += [[name in some[clip][1] for name in STANDARD.names] + [False, False] for clip in data.clip[at]]
+    parts = [torch.cat([getattr(m, name) for m in rows]) for name in ("root", "rot", "contacts")]
+    return Windows(Motion(STANDARD, *parts[:2], rows[0].fps, parts[2]), torch.cat(whose), torch.tensor(lacks)[:, None])
 
 
 def contenders(model: Trained, learnt: Motion, clips: Tensor, generator: torch.Generator) -> dict[str, tuple]:
     """Everybody by name: a function of (motion, known, setting), and one of whether the mask has edges in time, which
-    gives the settings to choose from."""
+    gives the settings to choose from. ``TOLD`` are not told of joints that a figure lacks."""
     fitted = rivals.Rivals.fit(learnt, generator)
     start = InitialGuess(FRAMES, model.layout.size, RECALLED)
     start.measure(model.encode(learnt), clips, generator)
 
-    lacking = [STANDARD.index(name) for name in LACKING]
+    def told(motion: Motion, known: Tensor, how: tuple[int, int], who: Trained = model) -> Motion:
+        way = Way(put="nothing", steps=how[0], finish=how[1])
+        return repair(who, motion, cases.columns(who.layout, known), torch.Generator().manual_seed(0), way)
 
-    def told(motion: Motion, known: Tensor, how: tuple[int, int]) -> Motion:
-        way, given = Way(put="nothing", steps=how[0], finish=how[1]), known.clone()
-        given[..., lacking] = False  # it learnt never to be told of them; the others learnt from what stands there
-        made = repair(model, motion, cases.columns(model.layout, given), torch.Generator().manual_seed(0), way)
-        return pasted(made, motion, known)
+    def alone(motion: Motion, known: Tensor, how: int, who: Trained) -> Motion:
+        return told(motion, known, (1, how), who)
 
-    def alone(motion: Motion, known: Tensor, how: int) -> Motion:
-        there = replace(model, denoiser=_Silent(start), recipe=replace(model.recipe, told=True))
-        way = Way(put="nothing", steps=1, finish=how)
-        made = repair(there, motion, cases.columns(model.layout, known), torch.Generator().manual_seed(0), way)
-        return pasted(made, motion, known)
+    recalled = replace(model, denoiser=_Silent(start), recipe=replace(model.recipe, told=True))
 
     def ridge(motion: Motion, known: Tensor, how: tuple[float, int]) -> Motion:
         return replace(fitted, ridge=how[0]).regression(motion, known, how[1])
@@ -101,7 +113,8 @@ def contenders(model: Trained, learnt: Motion, clips: Tensor, generator: torch.G
     def both(first: Sequence, edges: bool) -> list[tuple]:
         return [(x, fade) for x in first for fade in (FADES if edges else (0,))]
 
-    plain = {"mean pose": fitted.mean, "nearest": fitted.nearest, "start alone": alone}
+    plain = {"mean pose": fitted.mean, "nearest": fitted.nearest, "start alone": partial(alone, who=recalled)}
+    plain["own start alone"] = partial(alone, who=silenced(model))
     found = {name: (fill, lambda edges: FADES if edges else (0,)) for name, fill in plain.items()}
     between = lambda motion, known, how: rivals.interpolated(motion, known)  # noqa: E731
     found["slerp"] = (between, lambda edges: (0,) if edges else ())  # needs a frame on either side
@@ -126,10 +139,12 @@ def by_person(values: Tensor, whose: Tensor) -> Tensor:
     return (mine * values.nan_to_num().double()[:, None]).sum(0) / mine.sum(0)
 
 
-def judged(fill: Fill, setting, case: Case, motion: Motion, whose: Tensor) -> dict[str, Tensor]:
+def judged(who: str, fill: Fill, setting, case: Case, windows: Windows) -> dict[str, Tensor]:
     """What becomes of the windows, by person: error in cm, sliding in mm per frame, acceleration over the truth's."""
+    motion, whose, lacks = windows
     known = case.mask(len(motion.root))
-    made = fill(motion, known, setting)
+    made = fill(motion, known & ~lacks if who in TOLD else known, setting)
+    made = pasted(made, motion, known | lacks)
     found = {
         "cm": cases.error_cm(made, motion, known, case.joints), "slide": cases.slide_mm(made, motion),
         "acceleration": cases.acceleration_ratio(made, motion),
@@ -145,17 +160,16 @@ def measure(name: str, folder: str) -> tuple[dict[str, dict[str, float]], dict[s
     train = [m for some in shipped.real_motions(folder).train.values() for m in some if m.frames >= FRAMES]
     learnt, clips = gather([on_standard(m) for m in tqdm(train, desc="windows")], FRAMES).drawn(LEARNT, generator)
     everybody = contenders(model, replace(learnt, skeleton=STANDARD), clips, generator)
-    practice, practised = windows_of(found.part("choose"), PRACTICE)
-    report, whose = windows_of(found.part("report"), EACH)
+    practice, report = windows_of(found.part("choose"), PRACTICE), windows_of(found.part("report"), EACH)
     rows, chosen = {}, {}
     for title, case in CASES.items():
         some = {}
         for who, (fill, settings) in everybody.items():
             if not (options := list(settings(case.edges))):
                 continue
-            left = [float(judged(fill, o, case, practice, practised)["cm"].mean()) for o in options]
+            left = [float(judged(who, fill, o, case, practice)["cm"].mean()) for o in options]
             best = chosen[f"{title}: {who}"] = options[left.index(min(left))]
-            some[who] = judged(fill, best, case, report, whose)
+            some[who] = judged(who, fill, best, case, report)
             print(f"{title}: {who} {best}: {float(some[who]['cm'].mean()):.1f} cm", flush=True)
         for who, each in some.items():
             rows[f"{title}, {who}, cm"] = _over_people(each["cm"], generator)
