@@ -6,8 +6,7 @@ from motionlab.io.reading import frame_rate, numbers, read_json, read_npz, read_
 
 
 @pytest.mark.parametrize(
-    "error",
-    [KeyError("x"), IndexError(), ShapeError("x"), RecursionError(), MemoryError(), OSError("disk")],
+    "error", [KeyError("x"), IndexError(), ShapeError("x"), RecursionError(), MemoryError(), OSError("disk")]
 )
 def test_every_exception_becomes_a_data_error_with_its_cause(tmp_path, error):
     with pytest.raises(DataError, match=r"file\.abc, line 3: .*remedy: try again") as caught:

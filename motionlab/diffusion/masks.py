@@ -26,11 +26,10 @@ from motionlab.skeleton import STANDARD
 _MOST = 8  # handles of a pose in training, at most
 _NONE, _USUAL = 0.1, 0.45  # how often training draws no handle, and some of ``_EFFECTORS``; else of all joints
 #: What people hold a figure by.
-_EFFECTORS = (
-    "pelvis", "head", "left_wrist", "right_wrist", "left_ankle", "right_ankle", "left_foot", "right_foot",
-)  # fmt: skip
-#: How often training draws each kind of mask.
-_KINDS = {"nothing": 0.15, "frames": 0.05, "gap": 0.25, "joints": 0.2, "entries": 0.05, "legs": 0.3}
+_EFFECTORS = ("pelvis", "head", "left_wrist", "right_wrist", "left_ankle", "right_ankle", "left_foot", "right_foot")
+#: How often training draws each kind of mask, of a model that is told of anything, and of one that learns legs first.
+_ALL = {"nothing": 0.15, "frames": 0.05, "gap": 0.25, "joints": 0.2, "entries": 0.05, "legs": 0.3}
+KINDS = {"all": _ALL, "legs": {"legs": 1.0}}
 LEGS = ("hip", "knee", "ankle", "foot")
 
 
@@ -69,7 +68,7 @@ def units(layout: Layout) -> Tensor:
 
 
 def draw(
-    layout: Layout, frames: int, count: int, generator: torch.Generator, kinds: Mapping[str, float] = _KINDS
+    layout: Layout, frames: int, count: int, generator: torch.Generator, kinds: Mapping[str, float] = _ALL
 ) -> Tensor:
     """Draws masks (count, frames, D), bool, True where known; each window's kind is drawn by its odds.
 

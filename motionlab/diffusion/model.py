@@ -27,7 +27,7 @@ from motionlab.motion import FPS, Motion
 from motionlab.skeleton import Skeleton
 
 #: Fields that came after models had been made: recipes without them had none.
-_LATER = {"before", "blind", "guessed", "handles", "linear", "recalls", "root_unit"}
+_LATER = {"before", "blind", "guessed", "handles", "linear", "masks", "recalls", "root_unit"}
 GAIN = "gain over the filter"  # 0 where the network has fallen silent
 LEVELS = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all noising steps: where the error of x_0 is measured
 
@@ -37,18 +37,18 @@ class DenoiserRecipe:
     """What a training run depends on, with its windows.
 
     size: of the network (``denoiser.SIZES``). frames: of a window; 1: single poses. frame, velocities, contacts,
-    travels: see ``Layout``. root_unit: metres that are one unit of the root's place; 0: its deviation. told: with
-    the known area as input; arrival: and with the time to the next known frame. patch: frames in a token. handles:
-    numbers that the places of handles are embedded in; 0: they are not heard of. before: see ``Denoiser``.
-    spectral: the network corrects a Wiener filter (``spectral``); guessed: a told one corrects a guess of what is
-    not known, too (``start.InitialGuess``), or smooth curves; linear: it corrects what a Gaussian would say, of
-    single poses, handles and all (``linear``). version: of the synthetic corpus. source: of what it trains on
-    ("synthetic", "recordings", "all" of both, or "real": a corpus of people); share: of those motions. copies: of
-    every motion, held otherwise (``humor.examples``). noising: steps of the schedule. blind: share of training
-    windows that are asked from pure noise. recalls: training windows that a told model starts from
-    (``start.InitialGuess``), poses that a linear one does. steps, batch, lr: of AdamW; the rate rises over
-    ``warm_up`` steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of the weights,
-    per step. bf16: the network in bfloat16.
+    travels: see ``Layout``. root_unit: metres that are one unit of the root's place; 0: its deviation. told: with the
+    known area as input; arrival: and with the time to the next known frame. patch: frames in a token. handles: numbers
+    that the places of handles are embedded in; 0: they are not heard of. before: see ``Denoiser``. spectral: the
+    network corrects a Wiener filter (``spectral``); guessed: a told one corrects a guess of what is not known, too
+    (``start.InitialGuess``), or smooth curves; linear: it corrects what a Gaussian would say, of single poses, handles
+    and all (``linear``). version: of the synthetic corpus. source: of what it trains on ("synthetic", "recordings",
+    "all" of both, or "real": a corpus of people); share: of those motions. copies: of every motion, held otherwise
+    (``humor.examples``). noising: steps of the schedule. masks: of ``masks.KINDS``, what a told model is told. blind:
+    share of training windows that are asked from pure noise. recalls: training windows that a told model starts from
+    (``start.InitialGuess``), poses that a linear one does. steps, batch, lr: of AdamW; the rate rises over ``warm_up``
+    steps and falls by a cosine to a fiftieth. clip: of the gradient's norm. average: of the weights, per step. bf16:
+    the network in bfloat16.
     """
 
     size: str = "compact"
@@ -72,6 +72,7 @@ class DenoiserRecipe:
     mirrored: bool = True
     copies: int = 0
     noising: int = 1000
+    masks: str = "all"
     blind: float = 0.0
     recalls: int = 0
     steps: int = 30_000

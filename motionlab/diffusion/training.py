@@ -1,9 +1,8 @@
 """Trains a denoiser to estimate x_0 from x_t at a random step; resumable to the bit, on one device or several.
 
 Source: thesis 4.1.2; MDM (Tevet et al. 2022): AdamW without decay of the weights, steps drawn evenly.
-Differs: warm-up, cosine decay, clipped gradients; what ships is a moving average, chosen by a judge where there is
-one (MDM: by FID, by hand; thesis: by eye); dropout follows the run's own generator; gradients that are not finite are
-skipped.
+Differs: warm-up, cosine decay, clipped gradients; what ships is a moving average, chosen by a judge where there is one
+(MDM: by FID, by hand; thesis: by eye); dropout follows the run's own generator; steps that are not finite are skipped.
 """
 
 from __future__ import annotations
@@ -135,7 +134,8 @@ class DenoiserTraining(TrainingRun):
             t = torch.where(blind, len(self.schedule) - 1, t)
         xt = self.schedule.noised(x0, t, noise_like(x0, self.generator))
         signal, count = self.schedule.alpha_bar[t].to(x0), self._counts[t].to(x0)
-        known = masks.draw(self.layout, recipe.frames, recipe.batch, self.generator) if recipe.told else None
+        kinds = masks.KINDS[recipe.masks]
+        known = masks.draw(self.layout, recipe.frames, recipe.batch, self.generator, kinds) if recipe.told else None
         seen = self._seen(clips)
         known = known if known is None or seen is None else known & seen[:, None]
         held = masks.draw_handles(motion, self.generator) if recipe.handles or recipe.weights.handles else None
@@ -147,8 +147,7 @@ class DenoiserTraining(TrainingRun):
         )
         told = {"known": x0, "mask": known} if recipe.told else {}
         told |= {"own": clips} if recipe.recalls else {}
-        told |= {"handles": held} if recipe.handles else {}
-        told |= {"both": True} if recipe.weights.relative else {}
+        told |= ({"handles": held} if recipe.handles else {}) | ({"both": True} if recipe.weights.relative else {})
         with self._torch_seeded(seed), torch.autocast(torch.device(self.device).type, torch.bfloat16, recipe.bf16):
             found = self.network(xt, stamps, **told)
         estimate, guess = (x.float() for x in found) if recipe.weights.relative else (found.float(), None)

@@ -250,9 +250,8 @@ def start_stage_3(
 def _followed(model: Cvae, states: Tensor, trust: Tensor, weight: float) -> tuple[Tensor, Tensor, Tensor]:
     """z (B, T - 1, 48) of a roll-out from the first of states (B, T, 339) that is steered to follow them.
 
-    trust (B, T, 22): how much each joint of stage 2 is to be believed; where none is, z is the prior's mean.
-    weight: w above. Also the Gauss-Newton matrices (B, T - 1, 48, 48) of the ways, and the prior's
-    1 / sigma^2 (B, T - 1, 48).
+    trust (B, T, 22): how much each joint of stage 2 is to be believed; where none is, z is the prior's mean. weight: w
+    above. Also the Gauss-Newton matrices (B, T - 1, 48, 48) of the ways, and the prior's 1 / sigma^2 (B, T - 1, 48).
     """
     now, found, curvature, precision = states[:, 0], [], [], []
     for aim, share in zip(states[:, 1:].unbind(1), trust[:, 1:].unbind(1), strict=True):
