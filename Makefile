@@ -49,7 +49,7 @@ train: setup
 
 train-real: setup
 	@test -n "$$MOTIONLAB_DATA" || { echo "name a folder of recordings: make train-real MOTIONLAB_DATA=FOLDER"; exit 2; }
-	@for model in "humor --preset real" "small --preset real" "features --preset real" "diffusion --preset real_told"; do \
+	@for model in "humor --preset real" "small --preset real" "features --preset real" "diffusion --preset real_legs" "diffusion --preset real_told"; do \
 		$(PY) -m motionlab train $$model --data "$$MOTIONLAB_DATA" || exit 1; done
 
 bench: setup

@@ -70,7 +70,7 @@ _REAL["legs"] = replace(
     _TOLD, source=splits.REAL_MOTION, guessed=False, recalls=0, patch=4, masks="legs", blind=0.9, steps=3000, batch=32,
     lr=6e-4, weights=LossWeights(fk=2.0, velocity=1.0, contact=100.0, late=0.0, even=True, relative=True),
 )  # fmt: skip
-_REAL["told"] = replace(_REAL["legs"], masks="all", blind=0.6, steps=3500, lr=4e-4)
+_REAL["told"] = replace(_REAL["legs"], masks="all", blind=0.6, steps=3000, lr=4e-4)
 DENOISER_PRESETS |= {f"real_{name}": recipe for name, recipe in _REAL.items()}
 FEATURE_PRESETS = {"usual": embedding.FeatureRecipe(), "real": embedding.FeatureRecipe(steps=4000, real=True)}
 #: Models that go on from the weights of another one that ships, told of nothing.

@@ -146,9 +146,9 @@ def test_the_command_trains_on_the_training_part_only(motions, tmp_path, monkeyp
     assert about["curve"][-1]["step"] == 3 and about["recipe"]["seed"] == 2
 
 
-def test_features_that_ship():
-    features = embedding.motion_features()
-    about = json.loads((embedding.checkpoint.SHIPPED / "diffusion_features.json").read_text())
-    assert about["recipe"]["frames"] == 60 and 64 <= features.recipe.size <= 128
+@pytest.mark.parametrize("name", ["diffusion_features", "features_real"])
+def test_features_that_ship(name):
+    about = json.loads((embedding.checkpoint.SHIPPED / f"{name}.json").read_text())
+    assert about["recipe"]["frames"] == 60 and 64 <= embedding.motion_features(name).recipe.size <= 128
     assert "report" not in json.dumps(about["command"])
     assert max(about["share of variance missed, held out"].values()) < 0.35
