@@ -19,7 +19,7 @@ help:
 	@echo "make full        regenerate the committed notebooks and results"
 	@echo "make records     what notebooks 07 and 08 read and takes hours: what is on record of this recipe is kept"
 	@echo "make train       the shipped weights, trained again (about five hours)"
-	@echo "make train-real  those that learn from hours of recordings, in MOTIONLAB_DATA (about four hours)"
+	@echo "make train-real  those that learn from hours of recordings, in MOTIONLAB_DATA (hours)"
 	@echo "make bench       speed, as ratios measured in one run"
 	@echo "make doctor      what is installed, what is missing, and the remedy"
 

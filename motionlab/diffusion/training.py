@@ -2,7 +2,7 @@
 
 Source: thesis 4.1.2; MDM (Tevet et al. 2022): AdamW without decay of the weights, steps drawn evenly.
 Differs: warm-up, cosine decay, clipped gradients; what ships is a moving average, chosen by a judge where there is one
-(MDM: by FID, by hand; thesis: by eye); dropout follows the run's own generator; steps that are not finite are skipped.
+(MDM: by FID, by hand; thesis: by eye); dropout follows the run's generator; gradients not finite are skipped.
 """
 
 from __future__ import annotations

@@ -52,7 +52,9 @@ def tuned_stage_2(practice: dict[str, scenes.Scene], priors: Priors, schedule: S
     """Finds for each view the smoothness and filter with the least error of legs, or of all joints in plain view."""
     found = {}
     for view, scene in practice.items():
-        rows = stage_2_rows({view: scene}, priors, schedule, smoothness=(100.0, 10.0, 1.5), filters=(0, 5, 9, 15))
+        rows = stage_2_rows(
+            {view: scene}, priors, schedule, smoothness=(100.0, 10.0, 1.5, 0.5, 0.15), filters=(0, 5, 9, 15)
+        )
         key = "all" if view == "plain view" else "legs"
         best = min(rows, key=lambda row: row[key])
         found[view] = best["smoothness"], best["filter, frames"]

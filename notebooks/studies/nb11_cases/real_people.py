@@ -17,7 +17,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -35,6 +34,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from studies.shared import cases, rivals
 from studies.shared.bench import pasted
+from studies.shared.person_windows import PersonWindows, person_windows
 
 FRAMES, EACH, PRACTICE = 60, 24, 8  # of a window; windows of each person, for the report and to choose on
 LEARNT, RECALLED = 30_000, 12_000  # training windows that the rivals learn from, and that the start recalls
@@ -64,31 +64,6 @@ CASES: Mapping[str, Case] = {
     "half of the joints": Case(partial(_joints, share=0.5)),
     "a quarter of the joints": Case(partial(_joints, share=0.25)),
 }
-
-
-class Windows(NamedTuple):
-    """motion (N, T), whose it is (N,), and which units (N, 1, U) of a frame its figure does not have."""
-
-    motion: Motion
-    whose: Tensor
-    lacks: Tensor
-
-
-def windows_of(takes: Sequence[corpus.Take], each: int) -> Windows:
-    """At most ``each`` windows of every person, evenly over what there is."""
-    people: dict[str, list[tuple[Motion, tuple[str, ...]]]] = {}
-    for take in takes:
-        if take.motion.frames >= FRAMES:
-            people.setdefault(take.person, []).append((on_standard(take.motion), take.missing))
-    rows, whose, lacks = [], [], []
-    for person, some in enumerate(people.values()):
-        data = gather([m for m, _ in some], FRAMES, mirrored=False)
-        at = data.begins[torch.linspace(0, len(data.begins) - 1, min(each, len(data.begins))).round().long()]
-        rows.append(data.evenly(each))
-        whose.append(torch.full((len(at),), person))
-        lacks += [[name in some[clip][1] for name in STANDARD.names] + [False, False] for clip in data.clip[at]]
-    parts = [torch.cat([getattr(m, name) for m in rows]) for name in ("root", "rot", "contacts")]
-    return Windows(Motion(STANDARD, *parts[:2], rows[0].fps, parts[2]), torch.cat(whose), torch.tensor(lacks)[:, None])
 
 
 def contenders(model: Trained, learnt: Motion, clips: Tensor, generator: torch.Generator) -> dict[str, tuple]:
@@ -139,7 +114,7 @@ def by_person(values: Tensor, whose: Tensor) -> Tensor:
     return (mine * values.nan_to_num().double()[:, None]).sum(0) / mine.sum(0)
 
 
-def judged(who: str, fill: Fill, setting, case: Case, windows: Windows) -> dict[str, Tensor]:
+def judged(who: str, fill: Fill, setting, case: Case, windows: PersonWindows) -> dict[str, Tensor]:
     """What becomes of the windows, by person: error in cm, sliding in mm per frame, acceleration over the truth's."""
     motion, whose, lacks = windows
     known = case.mask(len(motion.root))
@@ -160,7 +135,7 @@ def measure(name: str, folder: str) -> tuple[dict[str, dict[str, float]], dict[s
     train = [m for some in shipped.real_motions(folder).train.values() for m in some if m.frames >= FRAMES]
     learnt, clips = gather([on_standard(m) for m in tqdm(train, desc="windows")], FRAMES).drawn(LEARNT, generator)
     everybody = contenders(model, replace(learnt, skeleton=STANDARD), clips, generator)
-    practice, report = windows_of(found.part("choose"), PRACTICE), windows_of(found.part("report"), EACH)
+    practice, report = (person_windows(found.part(p), FRAMES, n) for p, n in (("choose", PRACTICE), ("report", EACH)))
     rows, chosen = {}, {}
     for title, case in CASES.items():
         some = {}
