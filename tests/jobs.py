@@ -21,13 +21,12 @@ def come(flag: Path) -> None:
 
 
 def first(folder: Path) -> tuple:
-    """Ends after the second."""
-    come(folder / "second")
+    """Ends after somebody has heard of the second."""
+    come(folder / "heard")
     return os.getpid(), torch.get_num_threads(), copied
 
 
-def second(folder: Path) -> tuple:
-    (folder / "second").touch()
+def second() -> tuple:
     return os.getpid(), torch.get_num_threads(), copied
 
 

@@ -32,8 +32,8 @@ def two_threads(monkeypatch):
 def test_two_jobs_run_at_once_each_in_a_fresh_process_with_one_thread(tmp_path, monkeypatch):
     monkeypatch.setattr(jobs, "copied", True)  # which a process that is no copy does not know
     before, heard = multiprocessing.active_children(), []
-    both = [partial(jobs.first, tmp_path), partial(jobs.second, tmp_path)]
-    found = run_jobs(both, 2, lambda k, result: heard.append((k, result, os.getpid())))
+    both = [partial(jobs.first, tmp_path), jobs.second]  # the first waits until here somebody has heard of the second
+    found = run_jobs(both, 2, lambda *of: heard.append((*of, os.getpid())) or (tmp_path / "heard").touch())
     assert len({os.getpid(), *(pid for pid, _, _ in found)}) == 3
     assert [rest for _, *rest in found] == [[1, False]] * 2
     assert heard == [(1, found[1], os.getpid()), (0, found[0], os.getpid())]  # told as they end, given back in order
@@ -56,10 +56,9 @@ def test_errors_are_the_same_in_another_process(error):
     assert type(back) is type(error) and str(back) == str(error) and vars(back) == vars(error)
 
 
-def test_one_worker_is_this_process(tmp_path):
+def test_one_worker_is_this_process():
     heard = []
-    both = [partial(jobs.second, tmp_path), partial(jobs.first, tmp_path)]
-    assert run_jobs(both, 1, lambda k, _: heard.append(k)) == [(os.getpid(), 1, False)] * 2
+    assert run_jobs([jobs.second] * 2, 1, lambda k, _: heard.append(k)) == [(os.getpid(), 1, False)] * 2
     assert heard == [0, 1] and torch.get_num_threads() == 2
     assert run_jobs([], 1) == []
 
