@@ -20,7 +20,6 @@ from functools import partial
 
 import torch
 from torch import Tensor
-from torch.nn.functional import one_hot
 from tqdm import tqdm
 
 from motionlab import checkpoint, corpus, findings, shipped, splits
@@ -34,7 +33,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from studies.shared import cases, rivals
 from studies.shared.bench import pasted
-from studies.shared.person_windows import PersonWindows, person_windows
+from studies.shared.person_windows import PersonWindows, by_person, person_windows
 
 FRAMES, EACH, PRACTICE = 60, 24, 8  # of a window; windows of each person, for the report and to choose on
 LEARNT, RECALLED = 30_000, 12_000  # training windows that the rivals learn from, and that the start recalls
@@ -106,12 +105,6 @@ class _Silent(torch.nn.Module):
 
     def forward(self, x: Tensor, stamps: Tensor, known: Tensor, mask: Tensor) -> Tensor:
         return self.start.eval()(known, mask.expand_as(x) > 0)
-
-
-def by_person(values: Tensor, whose: Tensor) -> Tensor:
-    """The mean (P,) of values (N,) of each person; windows without a value do not count."""
-    mine = one_hot(whose).double() * values.isfinite()[:, None]
-    return (mine * values.nan_to_num().double()[:, None]).sum(0) / mine.sum(0)
 
 
 def judged(who: str, fill: Fill, setting, case: Case, windows: PersonWindows) -> dict[str, Tensor]:

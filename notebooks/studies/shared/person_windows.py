@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from motionlab.corpus import Take
 from motionlab.diffusion.windows import gather, on_standard
@@ -40,3 +41,9 @@ def person_windows(takes: Sequence[Take], frames: int, each: int) -> PersonWindo
     return PersonWindows(
         Motion(STANDARD, *parts[:2], rows[0].fps, parts[2]), torch.cat(whose), torch.cat(lacks)[:, None]
     )
+
+
+def by_person(values: Tensor, whose: Tensor) -> Tensor:
+    """The mean (P,) of values (N,) of each person; windows without a value do not count."""
+    mine = one_hot(whose).double() * values.isfinite()[:, None]
+    return (mine * values.nan_to_num().double()[:, None]).sum(0) / mine.sum(0)
