@@ -63,8 +63,9 @@ DENOISER_PRESETS = {
     "handles": _HANDLES,
     "told": _TOLD,
 }
-#: The same, learnt from hours of real motion. A model that recalls motion would recall what was not recorded.
-_REAL = {name: replace(DENOISER_PRESETS[name], source=splits.REAL_MOTION) for name in ("free", "fixed", "stuck")}
+#: The same, learnt from hours of real motion; those of single poses from whole bodies, as they recall what they saw.
+_STEPS = {"free": 4500, "fixed": 2000, "stuck": 2000, "pose": 3000, "handles": 4000}
+_REAL = {name: replace(DENOISER_PRESETS[name], source=splits.REAL_MOTION, steps=n) for name, n in _STEPS.items()}
 #: Legs first: of all masks at once a model learns little in the same time (CHANGELOG).
 _REAL["legs"] = replace(
     _TOLD, source=splits.REAL_MOTION, guessed=False, recalls=0, patch=4, masks="legs", blind=0.9, steps=3000, batch=32,
@@ -95,19 +96,19 @@ class RealMotions(NamedTuple):
     people: int
 
 
-def real_motions(folder: Path | str | None) -> RealMotions:
-    """Returns what a corpus of recordings (``corpus.assemble``), and synthetic motion, give to train on.
+def real_motions(folder: Path | str | None, *, whole: bool = False) -> RealMotions:
+    """Returns what recordings (``corpus.assemble``; ``whole``: those that lack no joint) and synthetic motion teach.
 
     Raises:
         DataError: no folder, or nothing usable in it.
     """
     if not folder:
         raise DataError("this preset learns from recordings", remedy="name a folder of them with --data")
-    found = real_corpus.assemble(folder, splits.real_sources(folder))
-    takes, made = found.part("train"), [s.motion for s in corpus.build(version="B").train]
-    train = {splits.RECORDED: [t.motion for t in takes], splits.SYNTHETIC: made}
+    found, made = real_corpus.assemble(folder, splits.real_sources(folder)), corpus.build(version="B").train
+    takes, choose = ([t for t in found.part(p) if not (whole and t.missing)] for p in ("train", "choose"))
+    train = {splits.RECORDED: [t.motion for t in takes], splits.SYNTHETIC: [s.motion for s in made]}
     missing = {splits.RECORDED: [t.missing for t in takes], splits.SYNTHETIC: [()] * len(made)}
-    held = {"people who choose": [t.motion for t in found.part("choose")]}
+    held = {"people who choose": [t.motion for t in choose]}
     return RealMotions(train, held, missing, len({t.person for t in takes}))
 
 
@@ -127,9 +128,9 @@ def training_motions(found: dict[str, list[Motion]], recipe: DenoiserRecipe) -> 
 def _learnt_from(recipe: DenoiserRecipe, folder: Path | str | None) -> RealMotions:
     """What the recipe trains on and is chosen by; no missing joints where all count as recorded."""
     if recipe.source == splits.REAL_MOTION:
-        found = real_motions(folder)
-        missing = training_motions(found.missing, recipe)
-        return found._replace(train=training_motions(found.train, recipe), missing=missing)
+        found = real_motions(folder, whole=recipe.linear)
+        train, missing = (training_motions(each, recipe) for each in (found.train, found.missing))
+        return found._replace(train=train, missing=missing)
     train = training_motions(splits.motions_by_part(folder, "train"), recipe)
     return RealMotions(train, splits.motions_by_part(folder, "choose"), {}, 0)
 

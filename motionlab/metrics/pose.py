@@ -1,8 +1,7 @@
 """Errors of poses in metres and radians, and smoothness of their paths.
 
-Positions are (..., T, J, 3) in metres, world. A measure averages over frames and joints and keeps the batch
-axes (...). Where there is nothing to average (no visible joint, too few frames for a difference) it is NaN,
-never 0.
+Positions are (..., T, J, 3) in metres, world. A measure averages over frames and joints and keeps the batch axes (...).
+Where there is nothing to average (no visible joint, too few frames for a difference) it is NaN, never 0.
 """
 
 from __future__ import annotations
