@@ -97,18 +97,18 @@ class RealMotions(NamedTuple):
 
 
 def real_motions(folder: Path | str | None, *, whole: bool = False) -> RealMotions:
-    """Returns what recordings (``corpus.assemble``; ``whole``: those that lack no joint) and synthetic motion teach.
+    """Returns what recordings (``corpus.assemble``; whole: those that lack no joint) and synthetic motion teach.
 
     Raises:
         DataError: no folder, or nothing usable in it.
     """
     if not folder:
         raise DataError("this preset learns from recordings", remedy="name a folder of them with --data")
-    found, made = real_corpus.assemble(folder, splits.real_sources(folder)), corpus.build(version="B").train
-    takes, choose = ([t for t in found.part(p) if not (whole and t.missing)] for p in ("train", "choose"))
-    train = {splits.RECORDED: [t.motion for t in takes], splits.SYNTHETIC: [s.motion for s in made]}
+    found, made = real_corpus.assemble(folder, splits.real_sources(folder)), corpus.build(version="B")
+    takes = [t for t in found.part("train") if not (whole and t.missing)]
+    train = {splits.RECORDED: [t.motion for t in takes], splits.SYNTHETIC: [s.motion for s in made.train]}
     missing = {splits.RECORDED: [t.missing for t in takes], splits.SYNTHETIC: [()] * len(made)}
-    held = {"people who choose": [t.motion for t in choose]}
+    held = {"people who choose": [t.motion for t in found.part("choose")]}
     return RealMotions(train, held, missing, len({t.person for t in takes}))
 
 
