@@ -107,7 +107,7 @@ def real_motions(folder: Path | str | None, *, whole: bool = False) -> RealMotio
     found, made = real_corpus.assemble(folder, splits.real_sources(folder)), corpus.build(version="B")
     takes = [t for t in found.part("train") if not (whole and t.missing)]
     train = {splits.RECORDED: [t.motion for t in takes], splits.SYNTHETIC: [s.motion for s in made.train]}
-    missing = {splits.RECORDED: [t.missing for t in takes], splits.SYNTHETIC: [()] * len(made)}
+    missing = {splits.RECORDED: [t.missing for t in takes], splits.SYNTHETIC: [()] * len(made.train)}
     held = {"people who choose": [t.motion for t in found.part("choose")]}
     return RealMotions(train, held, missing, len({t.person for t in takes}))
 
