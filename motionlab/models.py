@@ -140,7 +140,7 @@ def write_readme() -> Path:
     text += "## Transition priors on people nobody trained on\n\nMean over people and its 95 % interval, by bootstrap "
     text += f"over people.\n\n{_quality_table('humor')}\n\n"
     if told := _quality_table("diffusion"):
-        text += f"## Diffusion models, and rivals of the same hours (`studies.nb11_cases.real_people`)\n\n{told}\n\n"
-    text += f"Licence: MIT, as the project's. {_CREDIT}\n"
-    write_whole(path, text)
+        text += "## Diffusion models (`studies.nb11_cases.real_people`, `studies.nb15_evaluation.real_generation`)\n\n"
+        text += f"{told}\n\n"
+    write_whole(path, f"{text}Licence: MIT, as the project's. {_CREDIT}\n")
     return path
