@@ -42,9 +42,9 @@ from studies.shared.person_windows import PersonWindows, by_person, person_windo
 
 SHARES, SEEDS = (1 / 32, 1 / 8, 1 / 2, 1.0), (0, 1, 2)
 EACH, PRACTICE = 24, 8  # windows of a person: of the report, and to choose on
-STEPS, EVERY = 800, 200  # of a run, far fewer than of what ships; between the weights to choose from
-PRIOR = replace(CHAIN_PRESETS["real"], steps=STEPS, batch=32, half=False)
-TOLD = replace(DENOISER_PRESETS["real_legs"], steps=STEPS, batch=16)
+#: Far fewer steps than of what ships.
+PRIOR = replace(CHAIN_PRESETS["real"], steps=400, batch=32, half=False)
+TOLD = replace(DENOISER_PRESETS["real_legs"], steps=800, batch=16)
 RIDGE_ROWS = 12_000  # training windows that the ridge learns from
 Errors = dict[str, list[float]]  # by measure, a number for each person
 
@@ -64,10 +64,10 @@ def part_of_people(takes: Sequence[Take], share: float, seed: int) -> list[Take]
 
 
 def best_of(run: TrainingRun, error: Callable[[object], float]):
-    """Trains to the end; the averaged model whose error is least, and its step."""
+    """Trains to the end; of four averaged models on the way the one whose error is least, and its step."""
     best, at, which = float("inf"), 0, None
-    while run.step < STEPS:
-        run.run(until=run.step + EVERY)
+    while run.step < run.recipe.steps:
+        run.run(until=run.step + run.recipe.steps // 4)
         if (found := error(run.averaged)) < best:
             best, at, which = found, run.step, run.averaged
     return which, at
