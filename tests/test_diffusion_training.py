@@ -319,7 +319,7 @@ def test_presets_of_real_motion_train_on_the_people_who_train(few, motions, tmp_
         {"recordings": [("left_foot",), (), (), ("spine2",)], "synthetic": [(), ()]},
         people=3,
     )
-    monkeypatch.setattr(shipped, "real_motions", lambda folder: found)
+    monkeypatch.setattr(shipped, "real_motions", lambda folder, whole: found)
     recipe = shipped.DENOISER_PRESETS["real_told"]
     learnt = shipped._learnt_from(replace(recipe, share=0.5), None)
     assert learnt.missing == {"recordings": [("left_foot",), ("spine2",)], "synthetic": [()]}
