@@ -1,0 +1,107 @@
+"""How well two seconds of a person's future can be told from one state: the prior's mean beside ridge regression.
+
+    PYTHONPATH=notebooks python -m studies.nb04_prior.forecast FOLDER [--prior real]
+
+Ridge regression maps a state, which is all that the prior sees, straight to the joints two seconds later. It learns
+from the people who train, its width is chosen on the people who choose, and both are measured on the people of the
+report, each person counting alike. Of windows in which a person walks it also counts those in which he still walks at
+the end, by the rule that samples of the prior are judged by (``motionlab.models``).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from motionlab import corpus, models, splits
+from motionlab.findings import interval, paired
+from motionlab.humor import pretrained, training
+from motionlab.humor.examples import live_examples
+from motionlab.humor.state import heading, localise, unpack
+from motionlab.motion import Motion
+
+EACH, DRAWS, BATCH = 24, 16_000, 400  # windows of a person who is measured; windows to learn from, drawn so many at once
+AHEAD, WIDTHS = 60, (1e1, 1e2, 1e3, 1e4)  # frames; ridges
+
+
+def people_windows(takes: Sequence[corpus.Take]) -> dict[str, Tensor]:
+    """Windows of states (N, 61, 339) of each person."""
+    people: dict[str, list[Motion]] = {}
+    for take in takes:
+        people.setdefault(take.person, []).append(take.motion)
+    found = {who: splits.state_windows(some, most=EACH, causal=True)[0] for who, some in people.items()}
+    return {who: x for who, x in found.items() if len(x)}
+
+
+def task(states: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Features (N, 340) of first states, joints (N, 66) then and ``AHEAD`` frames later, all in the first frame."""
+    frame = heading(states[:, 0])
+    now, later = localise(states[:, 0], frame), localise(states[:, AHEAD], frame)
+    joints = [unpack(x)["joints"].flatten(1).double() for x in (now, later)]
+    return torch.cat((now, torch.ones(len(now), 1)), 1).double(), *joints
+
+
+def ridges(takes: Sequence[corpus.Take], generator: torch.Generator) -> dict[float, Callable[[Tensor], Tensor]]:
+    """Ridge regressions of each width, that say joints from windows of states."""
+    data = live_examples([t.motion for t in takes], AHEAD + 2, [t.missing for t in takes])
+    drawn = [task(data.draw(BATCH, generator)[0]) for _ in range(DRAWS // BATCH)]
+    x, now, later = (torch.cat(each) for each in zip(*drawn, strict=True))
+    scale = x.std(0).clamp_min(1e-3)
+    scale[-1] = 1.0
+    x = x / scale
+    both, moved = x.T @ x, x.T @ (later - now)
+    found = {}
+    for width in WIDTHS:
+        weights = torch.linalg.solve(both + width * torch.eye(len(both), dtype=both.dtype), moved) / scale[:, None]
+        found[width] = lambda states, weights=weights: (at := task(states))[0] @ weights + at[1]
+    return found
+
+
+def left(said: Tensor, states: Tensor) -> float:
+    """Mean distance of joints (N, 66) from the true ones, cm."""
+    return float(100 * (said - task(states)[2]).unflatten(-1, (-1, 3)).norm(dim=-1).mean())
+
+
+def main() -> None:
+    """Measures and prints."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder")
+    parser.add_argument("--prior", default="real")
+    options = parser.parse_args()
+    takes, generator = corpus.assemble(options.folder, splits.real_sources(options.folder)), torch.Generator()
+    fitted = ridges(takes.part("train"), generator.manual_seed(0))
+    model = pretrained.load_motion_prior(f"humor_{options.prior}")
+    choose, report = (people_windows(takes.part(part)) for part in ("choose", "report"))
+    width = min(WIDTHS, key=lambda w: sum(left(fitted[w](x), x) for x in choose.values()))
+    print(f"width {width:g}")
+    for part, people in (("choose", choose), ("report", report)):
+        rows = {"hold": [], "ridge": [], "prior's mean": []}
+        for x in people.values():
+            rows["hold"].append(left(task(x)[1], x))
+            rows["ridge"].append(left(fitted[width](x), x))
+            rows["prior's mean"].append(float(training.rollout_errors(model, x)["prior mean"][:, AHEAD - 1].mean()))
+        errors = {name: torch.tensor(each) for name, each in rows.items()}
+        for name, each in errors.items():
+            mean, low, high = interval(each, "mean", generator)
+            print(f"{part}: {name} {mean:.1f} [{low:.1f}, {high:.1f}] cm, {len(each)} people")
+        print(part, "prior's mean minus ridge", paired(errors["prior's mean"], errors["ridge"], generator))
+        print(part, "walkers who go on", interval(still_walk(people.values()), "mean", generator))
+
+
+def still_walk(people) -> Tensor:
+    """Of each person's windows of walking, the share that still walks in the last half second."""
+    shares = []
+    for states in people:
+        speed = models._over_floor(states)
+        walks = speed.mean(1) > models._WALKING
+        if walks.any():
+            shares.append((speed[walks, -15:].mean(1) > 0.5 * speed[walks].mean(1)).double().mean())
+    return torch.stack(shares)
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    main()
