@@ -23,7 +23,7 @@ from motionlab.humor.examples import live_examples
 from motionlab.humor.state import heading, localise, unpack
 from motionlab.motion import Motion
 
-EACH, DRAWS, BATCH = 24, 16_000, 400  # windows of a person who is measured; windows to learn from, drawn so many at once
+EACH, DRAWS, BATCH = 24, 16_000, 400  # windows of a person measured; to learn from; drawn at once
 AHEAD, WIDTHS = 60, (1e1, 1e2, 1e3, 1e4)  # frames; ridges
 
 
