@@ -1,8 +1,8 @@
 """Claims, findings and verdicts: what the thesis says, what we measured, and what follows.
 
-A claim and the tests that decide it are written in ``claims.toml`` before the experiment runs. A finding is
-one measurement of one test on one source of data, with its interval. The verdict follows from the two by a
-rule that knows nothing of the experiment.
+A claim and the tests that decide it are written in ``claims.toml`` before the experiment runs. A finding is one
+measurement of one test on one source of data, with its interval. Whether it meets its bound follows by a rule that
+knows nothing of the experiment; what that says of the claim, ``suite.ledger``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import math
 import operator
 import re
 import tomllib
-from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -26,9 +25,8 @@ from motionlab.staleness import Fingerprint, Mark
 
 HOLDS = "holds"
 FAILS = "does not hold"
-CONDITION = "holds with a condition"
 UNJUDGED = "cannot be judged here"
-OPEN = "not measured yet"
+ROLES = ("claim", "control", "apparatus", "beyond")
 _OPERATORS = {">=": operator.ge, "<=": operator.le}
 
 
@@ -38,7 +36,9 @@ class Criterion:
 
     relation, bound: the claim holds where ``value relation bound``. needs: "full" where the smoke profile is
     too small to judge, "real" where recordings are needed. least: fewest samples that may judge. clock: what it
-    measures depends on how fast the machine is, so that no fingerprint holds it.
+    measures depends on how fast the machine is, so that no fingerprint holds it. role: one of ROLES, of which "claim"
+    alone decides (``suite.ledger``). reference: the baseline is no trivial method, so that it may pass. revised: what
+    was changed in the definition after its first measurement, when and why.
     """
 
     id: str
@@ -50,6 +50,9 @@ class Criterion:
     needs: tuple[str, ...] = ()
     least: int = 1
     clock: bool = False
+    role: str = "claim"
+    reference: bool = False
+    revised: str = ""
 
     def bound_text(self) -> str:
         """Returns the bound as a person writes it, such as ">= 3 deg"."""
@@ -58,13 +61,24 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Claim:
-    """One row of the ledger: where the thesis says it, its words, and the tests that decide it."""
+    """One row of the ledger: where the thesis says it, its words, and the tests that decide it.
+
+    answer: what we found, in a sentence whose numbers are named, not typed. condition, needs: what a verdict of "true
+    when" or "undecided" asks for. carriers: the tests that carry it, where others only add. figure: the one that shows
+    it. again: it is to be judged once more.
+    """
 
     id: str
     section: str
     title: str
     thesis: str
     notebook: str
+    answer: str = ""
+    condition: str = ""
+    needs: str = ""
+    figure: str = ""
+    carriers: tuple[str, ...] = ()
+    again: bool = False
     tests: tuple[Criterion, ...] = ()
 
 
@@ -94,8 +108,9 @@ class Finding:
         return self.test.split(".")[0]
 
     def value_text(self) -> str:
-        """Returns value, interval and n, rounded for reading."""
-        interval = f" [{_digits(self.low)}, {_digits(self.high)}]" if self.n > 1 else ""
+        """Returns value, interval (of extremes none) and n, rounded for reading."""
+        extreme = self.n < 2 or self.statistic in ("max", "min")
+        interval = "" if extreme else f" [{_digits(self.low)}, {_digits(self.high)}]"
         return f"{_digits(self.value)}{interval} {self.unit}, n = {self.n}"
 
 
@@ -122,10 +137,12 @@ def load_claims(path: Path | str) -> dict[str, Claim]:
             for name, entry in row.pop("test", {}).items():
                 if entry["relation"] not in _OPERATORS:
                     raise KeyError(f"relation {entry['relation']!r}")
+                if entry.get("role", "claim") not in ROLES:
+                    raise KeyError(f"role {entry['role']!r}")
                 tests.append(
                     Criterion(**{**entry, "id": f"{row['id']}.{name}", "needs": tuple(entry.get("needs", ()))})
                 )
-            claim = Claim(**row, tests=tuple(tests))
+            claim = Claim(**{**row, "carriers": tuple(row.get("carriers", ()))}, tests=tuple(tests))
         except (KeyError, TypeError) as error:
             raise DataError(str(error), path=path, place=f"claim {row.get('id', '?')}") from error
         if claim.id in claims:
@@ -180,19 +197,6 @@ def judge(test: Criterion, low: float, high: float, n: int) -> str:
         return UNJUDGED
     meets = [_OPERATORS[test.relation](end, test.bound) for end in (low, high)]
     return HOLDS if all(meets) else FAILS if not any(meets) else UNJUDGED
-
-
-def _overall(verdicts: Iterable[str]) -> str:
-    """The verdict on a claim from those on its tests and sources: theirs where all agree, else a condition."""
-    found = set(verdicts)
-    if not found:
-        return OPEN
-    judged = found - {UNJUDGED}
-    if not judged:
-        return UNJUDGED
-    if judged == {HOLDS} and UNJUDGED not in found:
-        return HOLDS
-    return FAILS if judged == {FAILS} else CONDITION
 
 
 @dataclass(frozen=True)
@@ -270,25 +274,6 @@ def load_record(path: Path | str) -> Record:
 def load_results(folder: Path | str) -> list[Finding]:
     """Reads the findings of every record in a folder, in notebook order."""
     return [f for path in sorted(Path(folder).glob("*.json")) for f in load_record(path).findings]
-
-
-def scoreboard(claims: dict[str, Claim], found: Sequence[Finding]) -> list[dict[str, str]]:
-    """Returns one row per claim: id, section, title, verdict, how often it held, the notebook that shows it."""
-    rows = []
-    for claim in claims.values():
-        mine = [f for f in found if f.claim == claim.id]
-        held = sum(f.verdict == HOLDS for f in mine)
-        rows.append(
-            {
-                "claim": claim.id,
-                "thesis": claim.section,
-                "in short": claim.title,
-                "verdict": _overall(f.verdict for f in mine),
-                "held": f"{held} of {len(mine)}" if mine else "",
-                "notebook": claim.notebook,
-            }
-        )
-    return rows
 
 
 # ------------------------------------------------------------------------------------------------------ two stages

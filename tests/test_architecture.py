@@ -30,8 +30,8 @@ FLOORS = """
     __main__
 """
 LIBRARY, SYNTHETIC, STUDIES = "motionlab", "data_synth", "studies"
-#: What runs all notebooks: it may import the library; of it a notebook imports its bench, and nobody else anything.
-SUITE, BENCH = "suite", "suite.notebook"
+#: What runs all notebooks: it may import the library; a notebook imports these parts of it, and nobody else anything.
+SUITE, BENCH = "suite", ("suite.notebook", "suite.ledger")
 #: Where commands bring synthetic motion and models together; the rest of the library does not know it.
 COMPOSERS = ("splits", "shipped", "train")
 #: Studies may not import each other, but for these, which are there for several.
@@ -125,7 +125,7 @@ def problems(root: Path = ROOT, text: str = FLOORS) -> list[str]:
         if lines > 450:
             found.append(f"{me}: {lines} lines; is it more than one idea?")
     for path in notebooks(root):
-        near = (f"{STUDIES}.nb{path.stem[:2]}_", *(f"{name}." for name in (*SHARED, BENCH)))
+        near = (f"{STUDIES}.nb{path.stem[:2]}_", *(f"{name}." for name in (*SHARED, *BENCH)))
         others = {name for _, name in imports(path, paths) if name.split(".")[0] in (STUDIES, SUITE)}
         found += [
             f"{path.stem}: imports {n}, which is another's" for n in sorted(others) if not f"{n}.".startswith(near)

@@ -164,7 +164,7 @@ def test_readme_takes_the_scoreboard_between_its_marks(suite, tmp_path):
     report.update_readme(readme)
     text = readme.read_text(encoding="utf-8")
     assert text.startswith("before\n") and text.endswith("after\n") and "stale" not in text
-    assert "| X01 | Size <matters> | **holds** | 1 of 1 | 01_runs |" in text
+    assert "| X01 | Size <matters> | **confirmed** |  | 01_runs |" in text
     report.update_readme(readme)
     assert readme.read_text(encoding="utf-8") == text
 

@@ -79,18 +79,3 @@ def test_last_rung_is_what_every_fit_uses_and_the_first_is_the_faithful_mode(wor
         ours = savings.terms(work.problem, unknown, on)
         assert apart(ours, theirs) < 1e-6
         assert abs(nodes(work, ours) - nodes(work, theirs)) <= 0.01 * nodes(work, theirs)
-
-
-@pytest.mark.parametrize("on", [FAITHFUL, LEAN], ids=["faithful", "lean"])
-def test_closure_leaves_gradients_and_only_of_what_moves(work, on):
-    unknown = work.unknowns(Part(3, FRAMES, first_fixed=True), on)
-    value = savings.closure(work.problem, unknown, on)
-    assert value.shape == (2,) and not value.requires_grad
-    for name, x in unknown.named().items():
-        assert (x.grad is None) == (name in unknowns.FIRST), name
-        assert x.grad is None or x.grad.isfinite().all()
-    weight = work.problem.priors.motion.decoder.net[0].weight
-    with savings.weights_of(work.problem.priors, on):
-        sum(savings.terms(work.problem, unknown, on).values()).sum().backward()
-        assert (weight.grad is None) == on.frozen
-    assert not weight.requires_grad and weight.grad is None

@@ -141,6 +141,10 @@ class Lab:
         """Shows rows (all with the same keys) as a Markdown table; floats with three digits."""
         self.say(_markdown_table(rows) + (f"\n\n{caption}" if caption else ""))
 
+    def fold(self, title: str, rows: Sequence[Mapping[str, object]]) -> None:
+        """Shows rows as a table that opens with a click."""
+        self.say(f"<details><summary>{title} ({len(rows)} rows)</summary>\n\n{_markdown_table(rows)}\n\n</details>")
+
     def show(self, widget: object) -> None:
         """Shows a live widget (a pyvista scene, a slider) where a person sits in front of it, not in a batch run."""
         if not os.environ.get("MOTIONLAB_BATCH"):

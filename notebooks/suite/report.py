@@ -14,16 +14,20 @@ from threading import Lock
 from motionlab import findings
 from motionlab.errors import DataError
 from motionlab.findings import Claim, Finding
-from suite import execute
+from suite import execute, ledger
 from suite.execute import Run
 
 README_MARKS = ("<!-- scoreboard:start -->", "<!-- scoreboard:end -->")
 _COLOURS = {
     findings.HOLDS: "#1a7f37",
     findings.FAILS: "#b3261e",
-    findings.CONDITION: "#9a6700",
     findings.UNJUDGED: "#57606a",
-    findings.OPEN: "#8c959f",
+    ledger.CONFIRMED: "#1a7f37",
+    ledger.REFUTED: "#b3261e",
+    ledger.CONDITION: "#9a6700",
+    ledger.UNDECIDED: "#57606a",
+    ledger.CONSTRUCTION: "#0b6e99",
+    ledger.OPEN: "#8c959f",
 }
 _STYLE = """
 :root { color-scheme: light dark; --line: #8883; --soft: #8882 }
@@ -123,9 +127,9 @@ def _scoreboard_rows(
 ) -> list[dict[str, str]]:
     """One row per claim, as HTML: the recorded verdict, this run's, and a link to the notebook if it ran."""
     ran = {run.notebook for run in runs}
-    now = {row["claim"]: row for row in findings.scoreboard(claims, measured)}
+    now = {row["claim"]: row for row in ledger.scoreboard(claims, measured, answers=False)}
     rows = []
-    for row in findings.scoreboard(claims, recorded):
+    for row in ledger.scoreboard(claims, recorded):
         notebook = next((name for name in ran if name.startswith(row["notebook"][:2])), None)
         rows.append(
             {
@@ -133,18 +137,23 @@ def _scoreboard_rows(
                 "thesis": html.escape(row["thesis"]),
                 "in short": html.escape(row["in short"]),
                 "recorded": _pill(row["verdict"]),
-                "held": row["held"],
+                "answer": html.escape(row["answer"]) + _rest(row),
                 "this run": _pill(now[row["claim"]]["verdict"]),
-                "held now": now[row["claim"]]["held"],
                 "notebook": f"<a href='{notebook}.html'>{notebook}</a>" if notebook else html.escape(row["notebook"]),
             }
         )
     return rows
 
 
+def _rest(row: Mapping[str, str]) -> str:
+    """The condition, or what would decide, as a line of its own."""
+    return "" if row["in full"] == row["verdict"] else f"<br><i>{html.escape(row['in full'])}</i>"
+
+
 def _split_scoreboard(rows: Sequence[Mapping[str, str]]) -> Iterator[str]:
     """The claims that something is known about; the others folded away."""
-    waiting = [row for row in rows if not row["held"] and not row["held now"]]
+    pill = _pill(ledger.OPEN)
+    waiting = [row for row in rows if row["recorded"] == row["this run"] == pill]
     yield _table([row for row in rows if row not in waiting])
     if waiting:
         rest = [{name: row[name] for name in ("claim", "thesis", "in short", "notebook")} for row in waiting]
@@ -204,8 +213,14 @@ def update_readme(path: Path) -> None:
     if start not in text or end not in text:
         raise DataError("no scoreboard marks", path=path, remedy=f"add the lines {start} and {end}")
     claims, recorded = _load_ledger()
-    rows = [row for row in findings.scoreboard(claims, recorded) if row["verdict"] != findings.OPEN]
-    lines = ["| claim | in short | verdict | held | notebook |", "|---|---|---|---|---|"]
-    lines += [f"| {r['claim']} | {r['in short']} | **{r['verdict']}** | {r['held']} | {r['notebook']} |" for r in rows]
+    rows = [row for row in ledger.scoreboard(claims, recorded) if row["verdict"] != ledger.OPEN]
+    lines = ["| claim | in short | verdict | answer | notebook |", "|---|---|---|---|---|"]
+    lines += [f"| {r['claim']} | {r['in short']} | **{_bold(r)} | {r['answer']} | {r['notebook']} |" for r in rows]
     before, after = text.split(start)[0], text.split(end)[1]
     path.write_text(f"{before}{start}\n" + "\n".join(lines) + f"\n{end}{after}", encoding="utf-8")
+
+
+def _bold(row: Mapping[str, str]) -> str:
+    """The verdict in bold, up to its end, and its condition or what would decide behind it."""
+    short, _, _ = row["verdict"].partition(" ...")
+    return short + "**" + row["in full"].removeprefix(short)

@@ -1,0 +1,160 @@
+"""The verdict on a claim of the thesis from what its tests measured, and the claim's answer in words.
+
+    role of a test   asks                                     decides the verdict?
+    claim            is what the thesis says true?            yes, alone
+    control          does the measure fail where it must?     no; where it fails, those beside it are void
+    apparatus        is our instrument right?                 no
+    beyond           what do we add to the thesis?            no
+
+A claim test decides only where its trivial baseline, run through the same measure, does not pass the bound: a baseline
+that lies at the bound, as the zero of a paired difference does, has not passed. A baseline that is no trivial method (a
+reference, another form of the same method) is marked ``reference`` in ``claims.toml``. From two to four samples decide
+nothing: only five that agree are rarer than one in twenty by chance (sign test); a single number is a count.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from motionlab.errors import DataError
+from motionlab.findings import FAILS, HOLDS, UNJUDGED, Claim, Criterion, Finding
+
+CONFIRMED = "confirmed"
+REFUTED = "refuted"
+CONDITION = "true when ..."
+UNDECIDED = "undecided: needs ..."
+CONSTRUCTION = "by construction"
+OPEN = "not measured yet"
+#: Of a finding that decides nothing.
+SILENT, VOID = "not informative", "void: its control failed"
+AGREE = 5  # samples
+_NUMBERS = re.compile(r"\d[\d.,]*\d|\d")
+_BEYOND = {">=": operator.gt, "<=": operator.lt}
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A finding with its test and what it says of the claim: holds, does not hold, cannot be judged, or nothing."""
+
+    test: Criterion
+    finding: Finding
+    says: str
+
+
+def weigh(claim: Claim, found: Iterable[Finding]) -> list[Weighed]:
+    """Returns what each finding of a claim says of it, those that do not decide (``role``) included."""
+    tests = {test.id: test for test in claim.tests}
+    mine = [f for f in found if f.test in tests]
+    void = {f.source for f in mine if tests[f.test].role == "control" and f.verdict == FAILS}
+    return [Weighed(tests[f.test], f, _says(tests[f.test], f, void)) for f in mine]
+
+
+def _says(test: Criterion, finding: Finding, void: set[str]) -> str:
+    if test.role != "claim":
+        return finding.verdict
+    if finding.source in void:
+        return VOID
+    base = finding.baseline_value
+    if not test.reference and base is not None and math.isfinite(base) and _BEYOND[test.relation](base, test.bound):
+        return SILENT
+    return UNJUDGED if 1 < finding.n < AGREE else finding.verdict
+
+
+def verdict(claim: Claim, found: Iterable[Finding]) -> str:
+    """Returns the verdict on a claim: that of its claim tests, where any is informative.
+
+    Refuted where most rows of the tests that carry it fail and none holds (``carriers``; all, where none are named).
+    """
+    weighed = weigh(claim, found)
+    if not weighed:
+        return OPEN
+    deciding = [w for w in weighed if w.test.role == "claim"]
+    if not any(test.role == "claim" for test in claim.tests):
+        return CONSTRUCTION if all(w.says == HOLDS for w in weighed if w.test.role == "apparatus") else UNDECIDED
+    rows = [w for w in deciding if w.says in (HOLDS, FAILS, UNJUDGED)]
+    says = [w.says for w in rows]
+    carried = [w.says for w in rows if not claim.carriers or w.test.id.split(".")[1] in claim.carriers]
+    if HOLDS not in carried and 2 * carried.count(FAILS) > len(carried):
+        return REFUTED
+    if says and set(says) == {HOLDS}:
+        return CONFIRMED
+    return CONDITION if HOLDS in says and FAILS in says else UNDECIDED
+
+
+# --------------------------------------------------------------------------------------------------------- in words
+@dataclass(frozen=True)
+class _Measured:
+    """The findings of one test as an answer may name them: {sits.value:.0%}, {sits[recordings].low:.2f}."""
+
+    rows: tuple[Finding, ...]
+
+    def __getitem__(self, source: str) -> _Measured:
+        rows = tuple(f for f in self.rows if f.source == source)
+        if not rows:
+            raise KeyError(f"source {source}")
+        return _Measured(rows)
+
+    def __getattr__(self, name: str) -> float:
+        if len(self.rows) != 1:
+            raise KeyError(f"{len(self.rows)} sources: name one")
+        first = self.rows[0]
+        more = {"size": abs(first.value), "baseline": first.baseline_value}
+        return more[name] if name in more else getattr(first, name)
+
+
+def answer(claim: Claim, found: Sequence[Finding]) -> str:
+    """Returns a claim's answer with its numbers put in.
+
+    Raises:
+        DataError: it names a number that no finding holds, or has one written in that is not the thesis's own.
+    """
+    named = {test.id.split(".")[1]: tuple(f for f in found if f.test == test.id) for test in claim.tests}
+    place = f"answer of {claim.id}"
+    typed = _NUMBERS.findall(re.sub(r"\{[^}]*\}|\b\dD\b|\bstage \d", "", claim.answer))
+    if foreign := sorted(set(typed) - set(_NUMBERS.findall(f"{claim.thesis} {claim.title}"))):
+        raise DataError(f"{', '.join(foreign)} is typed", place=place, remedy="name the finding: {test.value:.1f}")
+    try:
+        return claim.answer.format(**{name: _Measured(rows) for name, rows in named.items() if rows})
+    except (KeyError, AttributeError, ValueError, TypeError, IndexError) as error:
+        raise DataError(f"no finding for {error}", place=place, remedy="name test, source and number") from error
+
+
+def spoken(claim: Claim, found: Sequence[Finding]) -> str:
+    """Returns the verdict in full: with the condition, or with what would decide."""
+    said = verdict(claim, found)
+    rest = {CONDITION: claim.condition, UNDECIDED: claim.needs}.get(said)
+    return said.replace("...", rest) if rest else said
+
+
+def apart(claim: Claim, found: Sequence[Finding]) -> dict[str, str]:
+    """Returns the verdict on synthetic motion alone and on recordings alone."""
+    parts = {"synthetic": [], "real": []}
+    for f in found:
+        parts["real" if f.source.lower().startswith(_REAL) else "synthetic"].append(f)
+    return {name: verdict(claim, some) for name, some in parts.items()}
+
+
+_REAL = ("recordings", "bandai_namco", "pose2sim", "anidance", "cmu", "captury")
+
+
+def scoreboard(claims: Mapping[str, Claim], found: Sequence[Finding], *, answers: bool = True) -> list[dict[str, str]]:
+    """Returns one row per claim: id, section, title, verdict (also in full), answer, the notebook that shows it.
+
+    answers: False where not all that they name was measured, as in the smoke profile.
+    """
+    return [
+        {
+            "claim": claim.id,
+            "thesis": claim.section,
+            "in short": claim.title,
+            "verdict": verdict(claim, found),
+            "in full": spoken(claim, found),
+            "answer": answer(claim, found) if answers and any(f.claim == claim.id for f in found) else "",
+            "notebook": claim.notebook,
+        }
+        for claim in claims.values()
+    ]
