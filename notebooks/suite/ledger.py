@@ -31,6 +31,8 @@ CONSTRUCTION = "by construction"
 OPEN = "not measured yet"
 #: Of a finding that decides nothing.
 SILENT, VOID = "not informative", "void: its control failed"
+#: Of one that does.
+DECIDES = (HOLDS, FAILS, UNJUDGED)
 AGREE = 5  # samples
 _NUMBERS = re.compile(r"\d[\d.,]*\d|\d")
 _BEYOND = {">=": operator.gt, "<=": operator.lt}
@@ -72,10 +74,9 @@ def verdict(claim: Claim, found: Iterable[Finding]) -> str:
     weighed = weigh(claim, found)
     if not weighed:
         return OPEN
-    deciding = [w for w in weighed if w.test.role == "claim"]
     if not any(test.role == "claim" for test in claim.tests):
         return CONSTRUCTION if all(w.says == HOLDS for w in weighed if w.test.role == "apparatus") else UNDECIDED
-    rows = [w for w in deciding if w.says in (HOLDS, FAILS, UNJUDGED)]
+    rows = [w for w in weighed if w.test.role == "claim" and w.says in DECIDES]
     says = [w.says for w in rows]
     carried = [w.says for w in rows if not claim.carriers or w.test.id.split(".")[1] in claim.carriers]
     if HOLDS not in carried and 2 * carried.count(FAILS) > len(carried):
@@ -134,8 +135,13 @@ def apart(claim: Claim, found: Sequence[Finding]) -> dict[str, str]:
     """Returns the verdict on synthetic motion alone and on recordings alone."""
     parts = {"synthetic": [], "real": []}
     for f in found:
-        parts["real" if f.source.lower().startswith(_REAL) else "synthetic"].append(f)
+        parts["real" if is_real(f) else "synthetic"].append(f)
     return {name: verdict(claim, some) for name, some in parts.items()}
+
+
+def is_real(finding: Finding) -> bool:
+    """Returns whether a finding is of recordings alone."""
+    return finding.source.lower().startswith(_REAL)
 
 
 _REAL = ("recordings", "bandai_namco", "pose2sim", "anidance", "cmu", "captury")

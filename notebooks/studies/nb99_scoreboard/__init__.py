@@ -1,0 +1,1 @@
+"""Notebook 99: what became of every claim."""
