@@ -80,6 +80,7 @@ def test_an_answer_has_the_numbers_of_its_findings_and_no_others():
 
 @pytest.mark.parametrize("each", CLAIMS.values(), ids=CLAIMS)
 def test_every_claim_is_answered_and_says_what_its_verdict_asks_for(each):
-    said = ledger.verdict(each, FOUND)
+    said, (shown,) = ledger.verdict(each, FOUND), NOTEBOOKS.glob(f"{each.notebook}_*.ipynb")
+    assert f"**Figure {each.figure}.**" in shown.read_text(encoding="utf-8")
     assert ledger.answer(each, FOUND) and bool(each.condition) == (said == CONDITION)
     assert bool(each.needs) == (said == UNDECIDED) and said != OPEN

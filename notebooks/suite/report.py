@@ -75,6 +75,7 @@ def write_report(out: Path, profile: str, names: Sequence[str] = ()) -> list[Run
 def _to_html(notebook: Path) -> None:
     if notebook.exists():
         body, _ = _exporter().from_filename(str(notebook))
+        body = body.replace('.ipynb">', '.html">')  # links to other notebooks
         notebook.with_suffix(".html").write_text(body, encoding="utf-8")
 
 
