@@ -51,3 +51,5 @@ def test_formula_by_hand():
     one = torch.tensor([-1.0, 1.0, -1.0, 1.0]).reshape(4, 1, 1).repeat(500, 1, 1)
     assert agreement.r_hat([one, one + 1.0]).item() == pytest.approx((4 / 3) ** 0.5, rel=1e-3)
     assert agreement.r_hat([one, one]).item() == pytest.approx(1.0, abs=1e-6)
+    drifting = torch.linspace(0, 1, 1000).reshape(-1, 1, 1)
+    assert agreement.r_hat([drifting, drifting]).item() > 1.5  # a drift that both share is seen in the halves
