@@ -145,6 +145,8 @@ def load_claims(path: Path | str) -> dict[str, Claim]:
             claim = Claim(**{**row, "carriers": tuple(row.get("carriers", ()))}, tests=tuple(tests))
         except (KeyError, TypeError) as error:
             raise DataError(str(error), path=path, place=f"claim {row.get('id', '?')}") from error
+        if foreign := set(claim.carriers) - {test.id.split(".")[1] for test in tests}:
+            raise DataError(f"no test {', '.join(sorted(foreign))} to carry it", path=path, place=f"claim {claim.id}")
         if claim.id in claims:
             raise DataError("id used twice", path=path, place=f"claim {claim.id}")
         claims[claim.id] = claim

@@ -70,15 +70,17 @@ def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[
 
 @torch.no_grad()
 def _walkers(model, states: torch.Tensor, seed: int) -> dict[str, float]:
-    """Of windows in which a person walks, the share whose samples still do in the last half second."""
+    """Of windows in which a person walks, the share whose samples still do in the last half second, and who do so."""
     speed = _over_floor(states)
     walking = speed.mean(1) > _WALKING
+    names = "walkers who go on", "data's walkers who go on"
     if not walking.any():
-        return {"walkers who go on": float("nan")}
+        return dict.fromkeys(names, float("nan"))
     first, generator = states[walking, 0], torch.Generator().manual_seed(seed)
     made = sample_rollout(model, first, states.shape[1] - 1, generator=generator).states
-    still = _over_floor(made)[:, -15:].mean(1) > 0.5 * speed[walking].mean(1)
-    return {"walkers who go on": float(still.float().mean())}
+    least = 0.5 * speed[walking].mean(1)
+    still = (_over_floor(made)[:, -15:].mean(1) > least, speed[walking, -15:].mean(1) > least)
+    return {name: float(each.float().mean()) for name, each in zip(names, still, strict=True)}
 
 
 def _over_floor(states: torch.Tensor) -> torch.Tensor:

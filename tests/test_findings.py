@@ -122,8 +122,9 @@ def test_ledger_reads(tmp_path):
         CLAIM + TEST.replace(">=", ">"),
         CLAIM + TEST.replace('unit = "mm"\n', ""),
         CLAIM + TEST + 'role = "jury"\n',
+        CLAIM + 'carriers = ["y"]' + TEST,
     ],
-    ids=["not TOML", "id twice", "unknown field", "unknown relation", "no unit", "unknown role"],
+    ids=["not TOML", "id twice", "unknown field", "unknown relation", "no unit", "unknown role", "unknown carrier"],
 )
 def test_a_broken_ledger_names_the_file(tmp_path, text):
     (tmp_path / "claims.toml").write_text(text)

@@ -40,7 +40,7 @@ def test_the_verdict_is_that_of_the_claim_tests(expected):
 def test_only_claim_tests_decide():
     others = [replace(TEST, id=f"X01.{role}", role=role) for role in ("apparatus", "beyond")]
     failed = [replace(ROW, test=each.id, verdict=FAILS) for each in others]
-    assert ledger.verdict(claim(TEST, *others), rows(HOLDS) + failed) == CONFIRMED
+    assert [ledger.verdict(claim(TEST, *others), rows(*some) + failed) for some in ([HOLDS], [])] == [CONFIRMED, OPEN]
     built, tool = [replace(ROW, test="X01.apparatus")], claim(others[0])
     assert ledger.verdict(tool, built) == CONSTRUCTION != ledger.verdict(tool, failed[:1])
 
@@ -71,9 +71,9 @@ def test_carriers_refute_what_others_only_add_to():
 def test_an_answer_has_the_numbers_of_its_findings_and_no_others():
     said = "On stage 3, in 6D: {a.value:.1f} cm of 7, or {a[source 0].baseline:.0%}, n = {a.n}"
     assert ledger.answer(claim(answer=said), rows(HOLDS)) == "On stage 3, in 6D: 4.0 cm of 7, or 100%, n = 9"
-    for wrong in ("{b.value}", "{a[cmu].value}", "{a.mode}", "4 cm", "{a.value:q}"):
+    for wrong in ("{b.value}", "{a[cmu].value}", "{a.mode}", "4 cm", "{a.value:q}", "{a.high}"):
         with pytest.raises(DataError, match="answer of X01"):
-            ledger.answer(claim(answer=wrong), rows(HOLDS))
+            ledger.answer(claim(answer=wrong), rows(HOLDS, high=float("nan")))
     with pytest.raises(DataError, match="2 sources"):
         ledger.answer(claim(answer="{a.value}"), rows(HOLDS, FAILS))
 

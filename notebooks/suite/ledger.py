@@ -75,7 +75,10 @@ def verdict(claim: Claim, found: Iterable[Finding]) -> str:
     if not weighed:
         return OPEN
     if not any(test.role == "claim" for test in claim.tests):
-        return CONSTRUCTION if all(w.says == HOLDS for w in weighed if w.test.role == "apparatus") else UNDECIDED
+        built = {w.says for w in weighed if w.test.role == "apparatus"}
+        return CONSTRUCTION if built == {HOLDS} else UNDECIDED
+    if not any(w.test.role == "claim" for w in weighed):
+        return OPEN
     rows = [w for w in weighed if w.test.role == "claim" and w.says in DECIDES]
     says = [w.says for w in rows]
     carried = [w.says for w in rows if not claim.carriers or w.test.id.split(".")[1] in claim.carriers]
@@ -104,7 +107,10 @@ class _Measured:
             raise KeyError(f"{len(self.rows)} sources: name one")
         first = self.rows[0]
         more = {"size": abs(first.value), "baseline": first.baseline_value}
-        return more[name] if name in more else getattr(first, name)
+        number = more[name] if name in more else getattr(first, name)
+        if not math.isfinite(number):
+            raise ValueError(f"{name} of {first.test}: not finite")
+        return number
 
 
 def answer(claim: Claim, found: Sequence[Finding]) -> str:

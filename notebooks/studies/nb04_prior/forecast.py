@@ -4,8 +4,7 @@
 
 Ridge regression maps a state, which is all that the prior sees, straight to the joints two seconds later. It learns
 from the people who train, its width is chosen on the people who choose, and both are measured on the people of the
-report, each person counting alike. Of windows in which a person walks it also counts those in which he still walks at
-the end, by the rule that samples of the prior are judged by (``motionlab.models``).
+report, each person counting alike.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from motionlab import corpus, models, splits
+from motionlab import corpus, splits
 from motionlab.findings import interval, paired
 from motionlab.humor import pretrained, training
 from motionlab.humor.examples import live_examples
@@ -88,18 +87,6 @@ def main() -> None:
             mean, low, high = interval(each, "mean", generator)
             print(f"{part}: {name} {mean:.1f} [{low:.1f}, {high:.1f}] cm, {len(each)} people")
         print(part, "prior's mean minus ridge", paired(errors["prior's mean"], errors["ridge"], generator))
-        print(part, "walkers who go on", interval(still_walk(people.values()), "mean", generator))
-
-
-def still_walk(people) -> Tensor:
-    """Of each person's windows of walking, the share that still walks in the last half second."""
-    shares = []
-    for states in people:
-        speed = models._over_floor(states)
-        walks = speed.mean(1) > models._WALKING
-        if walks.any():
-            shares.append((speed[walks, -15:].mean(1) > 0.5 * speed[walks].mean(1)).double().mean())
-    return torch.stack(shares)
 
 
 if __name__ == "__main__":

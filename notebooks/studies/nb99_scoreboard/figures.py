@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -15,33 +16,48 @@ FAR = 10.0  # half widths; what lies further, or has no interval, is drawn there
 
 
 class Dot(NamedTuple):
-    """A finding: halves of its interval on the good side of its bound, and whether it is of recordings."""
+    """A finding: halves of its interval on the good side of its bound, whether it is of recordings, and judged."""
 
     margin: float
     real: bool
+    judged: bool
 
 
 def margin(test: Criterion, finding: Finding) -> float:
-    """How far a value lies on the good side of its bound, in halves of its interval; at most ``FAR``."""
+    """How far a value lies on the good side of its bound, in halves of its interval, at most ``FAR``; NaN: no value."""
     way = finding.value - test.bound if test.relation == ">=" else test.bound - finding.value
     half = (finding.high - finding.low) / 2
+    if not math.isfinite(way):
+        return math.nan
     far = way / half if half > 0 else (FAR if way >= 0 else -FAR)
     return max(-FAR, min(FAR, far))
 
 
 def forest(rows: Mapping[str, Sequence[Dot]]) -> Figure:
-    """Draws a line per claim and a dot per finding: right of the band it holds, left of it it does not."""
+    """Draws a line per claim and a dot per finding, an empty one where it cannot be judged.
+
+    Right of the band it holds, left of it it does not; where nothing was measured (NaN) there is no dot.
+    """
     figure, (axis,) = canvas(size=(9.0, 0.24 * len(rows) + 1.2))
     axis.axvspan(-1, 1, color=TILE, zorder=0)
     axis.axvline(0, color=LINE, linewidth=1)
     for line, dots in enumerate(rows.values()):
         axis.axhline(line + 0.5, color=TILE, linewidth=0.6, zorder=0)
         for real, shift in ((False, -0.17), (True, 0.17)):
-            some = [dot.margin for dot in dots if dot.real == real]
-            shown = {"color": colour("real" if real else "synthetic"), "alpha": 0.85, "s": 22, "clip_on": False}
-            axis.scatter(some, [line + shift] * len(some), label="recordings" if real else "synthetic", **shown)
-    handles, labels = axis.get_legend_handles_labels()
-    axis.legend(handles[:2], labels[:2], loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
+            tone = colour("real" if real else "synthetic")
+            some = sorted((d for d in dots if d.real == real and math.isfinite(d.margin)), key=lambda d: d.judged)
+            axis.scatter(
+                [dot.margin for dot in some],
+                [line + shift] * len(some),
+                s=22,
+                clip_on=False,
+                edgecolors=[tone],
+                facecolors=[tone if dot.judged else "white" for dot in some],
+            )
+    for real, label in ((False, "synthetic"), (True, "recordings")):
+        axis.scatter([], [], s=22, color=[colour("real" if real else "synthetic")], label=label)
+    axis.scatter([], [], s=22, edgecolors=[INK], facecolors="white", label="cannot be judged")
+    axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
     axis.set_yticks(range(len(rows)), list(rows), fontsize=8, color=INK)
     axis.set(xlim=(-FAR - 0.4, FAR + 0.4), ylim=(len(rows) - 0.5, -0.5))
     axis.set_xlabel(
