@@ -58,6 +58,7 @@ bench: setup
 
 doctor: setup
 	@$(PY) -m motionlab doctor
+	@PYTHONPATH=notebooks $(PY) -m suite records
 
 setup: $(PREPARED)
 	@:

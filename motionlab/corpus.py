@@ -30,14 +30,13 @@ from tqdm.auto import tqdm
 from motionlab import cleaning, people, rotation
 from motionlab.contact import with_contacts
 from motionlab.errors import DataError, MissingData
-from motionlab.files import write_whole
+from motionlab.files import source_hash, write_whole
 from motionlab.io.reading import reading
 from motionlab.io.recordings import recordings
 from motionlab.motion import FPS, Motion, resample
 from motionlab.parallel import run_jobs
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD
-from motionlab.staleness import source_hash
 
 _FORMAT = 3  # of what is kept
 _SLOWEST = 10.0  # fps: between frames further apart nobody knows what happened

@@ -49,7 +49,6 @@ def examine(data: str | None = None) -> list[Check]:
         _check_rendering(),
         _check_body(),
         _check_checkpoints(),
-        _check_records(),
         _check_data(data),
     ]
 
@@ -133,22 +132,6 @@ def _check_checkpoints() -> Check:
     """Trained weights that ship with the package."""
     weights = sorted((ROOT / "motionlab" / "checkpoints").glob("*.safetensors"))
     return Check("checkpoints", ", ".join(path.stem for path in weights) or "none (notebooks 00-03 need none)")
-
-
-def _check_records() -> Check:
-    """What changed in the code behind the committed records since their fingerprints were taken. For information:
-    whether it matters says the smoke run of `make test`."""
-    from motionlab import findings, staleness
-
-    touched: dict[str, list[str]] = {}
-    paths = sorted((ROOT / "notebooks" / "results").glob("[0-9][0-9].json"))
-    for path in paths:
-        for module in staleness.changed_modules(findings.load_record(path).modules, ROOT):
-            touched.setdefault(module, []).append(path.stem)
-    changed = ", ".join(f"{module} ({' '.join(books)})" for module, books in sorted(touched.items())[:8])
-    more = f" and {len(touched) - 8} more modules" if len(touched) > 8 else ""
-    found = f"changed behind them: {changed}{more}" if touched else "nothing changed"
-    return Check("records", f"{len(paths)}; {found}")
 
 
 def _check_data(data: str | None) -> Check:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import hashlib
 import os
 from pathlib import Path
 
@@ -24,3 +26,17 @@ def write_whole(path: str | Path, content: str | bytes) -> None:
         raise DataError(message, path=path, place="whole file", remedy="name a file in a folder that exists") from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def source_hash(source: str) -> str:
+    """Returns a hash of what Python code does: without comments, layout, documentation and imports."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            node.body = [part for part in node.body if not _silent(part)] or [ast.Pass()]
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:8]
+
+
+def _silent(node: ast.stmt) -> bool:
+    documentation = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    return documentation or isinstance(node, ast.Import | ast.ImportFrom)

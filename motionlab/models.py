@@ -15,10 +15,10 @@ import torch
 from motionlab import checkpoint, corpus, splits
 from motionlab.errors import DataError
 from motionlab.files import write_whole
-from motionlab.findings import interval
 from motionlab.humor import pretrained, training
 from motionlab.humor.rollout import sample_rollout
 from motionlab.humor.state import unpack
+from motionlab.metrics.intervals import interval
 
 #: Where the measurements stand in a recipe.
 REPORT = "people nobody trained on"

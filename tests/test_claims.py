@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from motionlab import findings, staleness
+from suite import findings, staleness
 
 NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"
 CLAIMS = findings.load_claims(NOTEBOOKS / "claims.toml")

@@ -8,10 +8,10 @@ import torch
 
 from motionlab.errors import DataError, ShapeError
 from motionlab.files import write_whole
-from motionlab.findings import Record, save_record
 from motionlab.io import amass, bvh, gltf
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
+from suite.findings import Record, save_record
 
 SAVERS = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save}
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from motionlab.errors import DataError
-from motionlab.findings import FAILS, HOLDS, UNJUDGED, Claim, Criterion, Finding, load_results
 from suite import ledger
+from suite.findings import FAILS, HOLDS, UNJUDGED, Claim, Criterion, Finding, load_results
 from suite.ledger import CONDITION, CONFIRMED, CONSTRUCTION, OPEN, REFUTED, SILENT, UNDECIDED, VOID
 from tests.test_claims import CLAIMS, NOTEBOOKS
 

@@ -9,14 +9,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab import __main__, doctor, findings, staleness
+from motionlab import __main__, doctor
 from motionlab.doctor import Check
 from motionlab.errors import DataError, MissingData
 from motionlab.io import bvh, load
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from suite import __main__ as suite_main
-from suite import execute, report
+from suite import execute, findings, report, staleness
 
 
 def notebook(*sources, **metadata):
@@ -206,18 +206,6 @@ def test_data_folder_is_looked_into(tmp_path):
     assert not doctor._check_data(str(tmp_path)).ok
     (tmp_path / "cmu_amc").mkdir()
     assert "cmu_amc" in doctor._check_data(str(tmp_path)).found
-
-
-def test_doctor_lists_what_changed_behind_the_records(tmp_path, monkeypatch):
-    monkeypatch.setattr(doctor, "ROOT", tmp_path)
-    (tmp_path / "motionlab").mkdir()
-    (tmp_path / "motionlab/pose.py").write_text("x = 1\n")
-    modules = {"motionlab.pose": staleness.source_hash("x = 1\n")}
-    findings.save_record(tmp_path / "notebooks/results/05.json", findings.Record("05_x", "", (), modules=modules))
-    assert doctor._check_records().found == "1; nothing changed"
-    (tmp_path / "motionlab/pose.py").write_text("x = 2\n")
-    check = doctor._check_records()
-    assert check.ok and check.found == "1; changed behind them: motionlab.pose (05)"
 
 
 def test_doctor_exit_status_and_remedy(monkeypatch, capsys):

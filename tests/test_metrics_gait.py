@@ -8,8 +8,8 @@ import torch
 
 from data_synth import scenes
 from data_synth.actions import ACTIONS
-from motionlab import findings, rotation
-from motionlab.metrics import gait
+from motionlab import rotation
+from motionlab.metrics import gait, intervals
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from tests.draws import seeded
@@ -67,7 +67,7 @@ def test_a_turned_world_changes_no_step():
 
 def test_paired_differences():
     x = torch.randn(200, generator=seeded())
-    found = findings.paired(x + 1 + 0.1 * torch.randn(200, generator=seeded(1)), x, seeded(2))
+    found = intervals.paired(x + 1 + 0.1 * torch.randn(200, generator=seeded(1)), x, seeded(2))
     assert found.low < 1 < found.high < 1.1 and found.n == 200
-    assert findings.paired(torch.tensor([1.0, torch.nan, 3.0]), torch.zeros(3), seeded()).n == 2
+    assert intervals.paired(torch.tensor([1.0, torch.nan, 3.0]), torch.zeros(3), seeded()).n == 2
     assert str(found).startswith("+1.0")

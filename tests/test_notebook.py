@@ -6,10 +6,9 @@ import pytest
 import torch
 from IPython.display import HTML
 
-from motionlab import findings
 from motionlab.errors import DataError
-from motionlab.findings import FAILS, HOLDS, UNJUDGED
-from suite import notebook
+from suite import findings, notebook
+from suite.findings import FAILS, HOLDS, UNJUDGED
 from tests.test_staleness import ledger
 
 LEDGER = ledger(quick="", slow='needs = ["full"]').replace("<=", ">=")

@@ -9,11 +9,11 @@ from functools import partial
 
 import pytest
 
-from motionlab import checkpoint, contact, findings, staleness
+from motionlab import checkpoint, contact
 from motionlab.errors import DataError
 from motionlab.metrics import gait
-from motionlab.staleness import Mark
-from suite import notebook
+from suite import execute, findings, notebook, staleness
+from suite.staleness import Mark
 
 
 def ledger(**tests: str) -> str:
@@ -271,3 +271,13 @@ def test_weights_are_part_of_it(suite, tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint, "_LOADED", {"humor_compact": "1" * 12})
     with pytest.raises(staleness.StaleRecord, match="humor_compact are other weights"):
         suite()
+
+
+def test_the_suite_lists_what_changed_behind_the_records(tmp_path):
+    (tmp_path / "motionlab").mkdir()
+    (tmp_path / "motionlab/pose.py").write_text("x = 1\n")
+    modules = {"motionlab.pose": staleness.source_hash("x = 1\n")}
+    findings.save_record(tmp_path / "notebooks/results/05.json", findings.Record("05_x", "", (), modules=modules))
+    assert execute.changed_behind(tmp_path).endswith("behind them: nothing")
+    (tmp_path / "motionlab/pose.py").write_text("x = 2\n")
+    assert "motionlab.pose (05)" in execute.changed_behind(tmp_path)

@@ -48,6 +48,9 @@ def _parser() -> argparse.ArgumentParser:
         "--widen", action="store_true", help="with --fingerprints: allow also for what the same code gives here"
     )
     command.set_defaults(run=_regenerate)
+
+    command = commands.add_parser("records", help="what changed in the code behind the records")
+    command.set_defaults(run=lambda options: print(execute.changed_behind()) or 0)
     return parser
 
 

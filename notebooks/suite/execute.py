@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 
-from motionlab import findings, parallel, staleness
+from motionlab import parallel
 from motionlab.doctor import ROOT
 from motionlab.errors import DataError, MissingData
+from suite import findings, staleness
 
 NOTEBOOKS = ROOT / "notebooks"
 _QUIET = ["--log-level=40"]  # the kernel's advice on encrypting its own sockets is not for the reader
@@ -294,3 +295,15 @@ def run_summary(runs: Sequence[Run]) -> str:
     lines = [f"{'ok ' if r.ok else '-- '} {r.notebook:<{width}} {r.seconds:6.0f} s  {r.status()}" for r in runs]
     lines += [f"    {run.notebook}: {run.error.splitlines()[0]}" for run in runs if not run.ok]
     return "\n".join([*lines, f"{sum(run.ok for run in runs)} of {len(runs)} notebooks ran"])
+
+
+def changed_behind(root: Path = ROOT) -> str:
+    """Says what changed in the code behind the records since their fingerprints were taken. For information: whether
+    it matters says the smoke run of ``make test``."""
+    touched: dict[str, list[str]] = {}
+    paths = sorted((root / "notebooks" / "results").glob("[0-9][0-9].json"))
+    for path in paths:
+        for module in staleness.changed_modules(findings.load_record(path).modules, root):
+            touched.setdefault(module, []).append(path.stem)
+    lines = [f"  {module} ({' '.join(books)})" for module, books in sorted(touched.items())]
+    return "\n".join([f"{len(paths)} records; changed behind them: {len(touched) or 'nothing'}", *lines])

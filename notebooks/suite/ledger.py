@@ -21,7 +21,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from motionlab.errors import DataError
-from motionlab.findings import FAILS, HOLDS, UNJUDGED, Claim, Criterion, Finding
+from suite.findings import FAILS, HOLDS, UNJUDGED, Claim, Criterion, Finding
 
 CONFIRMED = "confirmed"
 REFUTED = "refuted"

@@ -25,9 +25,11 @@ from matplotlib.figure import Figure
 from PIL import Image as Pillow
 from torch import Tensor
 
-from motionlab import checkpoint, findings, parallel, staleness, viz
+from motionlab import checkpoint, parallel, viz
 from motionlab.errors import DataError
-from motionlab.findings import Claim, Criterion, Finding, Record
+from motionlab.metrics.intervals import interval
+from suite import findings, staleness
+from suite.findings import Claim, Criterion, Finding, Record
 
 PROFILES = ("smoke", "full")
 
@@ -176,18 +178,18 @@ class Lab:
         Args:
             samples: one number per independent unit (clip, event, vertex), in the unit of the test.
             source: "synthetic" or the recording set; one finding per test and source.
-            statistic: as in :func:`motionlab.findings.interval`; also applied to ``baseline``.
+            statistic: as in :func:`motionlab.intervals.interval`; also applied to ``baseline``.
         """
         rule = self.criterion(test)
         samples = torch.as_tensor(samples, dtype=torch.float64).flatten()
         if samples.numel():
-            value, low, high = findings.interval(samples, statistic, self.generator(f"{test}/{source}"))
+            value, low, high = interval(samples, statistic, self.generator(f"{test}/{source}"))
         else:
             value = low = high = float("nan")
         if baseline is not None:
             baseline = torch.as_tensor(baseline, dtype=torch.float64).flatten()
             generator = self.generator(f"{test}/{source}/baseline")
-            baseline = findings.interval(baseline, statistic, generator)[0] if baseline.numel() else None
+            baseline = interval(baseline, statistic, generator)[0] if baseline.numel() else None
         finding = Finding(
             test=test,
             source=source,

@@ -11,11 +11,10 @@ from functools import cache
 from pathlib import Path
 from threading import Lock
 
-from motionlab import findings
 from motionlab.errors import DataError
-from motionlab.findings import Claim, Finding
-from suite import execute, ledger
+from suite import execute, findings, ledger
 from suite.execute import Run
+from suite.findings import Claim, Finding
 
 README_MARKS = ("<!-- scoreboard:start -->", "<!-- scoreboard:end -->")
 _COLOURS = {

@@ -16,10 +16,10 @@ import torch
 from torch import Tensor
 
 from motionlab import corpus, splits
-from motionlab.findings import interval, paired
 from motionlab.humor import pretrained, training
 from motionlab.humor.examples import live_examples
 from motionlab.humor.state import heading, localise, unpack
+from motionlab.metrics.intervals import interval, paired
 from motionlab.motion import Motion
 
 EACH, DRAWS, BATCH = 24, 16_000, 400  # windows of a person measured; to learn from; drawn at once

@@ -19,10 +19,10 @@ from torch import Tensor
 from data_synth import scenes
 from motionlab import corpus, splits
 from motionlab.baselines import smoothed
-from motionlab.findings import interval
 from motionlab.humor import pretrained
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule
+from motionlab.metrics.intervals import interval
 from motionlab.motion import Motion
 from motionlab.parallel import one_thread
 from studies.nb05_testops.trials import fit_together, scores, stage_2_rows, with_smoothness

@@ -13,7 +13,6 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from motionlab import findings
 from motionlab.humor import state, testops
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.energies import RGB_LIGHT
@@ -23,7 +22,7 @@ from motionlab.humor.rollout import decode_ahead, infer, rollout
 from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Fitted, Schedule
 from motionlab.humor.unknowns import motion_of
-from motionlab.metrics import gait, pose
+from motionlab.metrics import gait, intervals, pose
 from motionlab.motion import Motion
 from studies.nb07_decoupled.energy import Unknown, posed, rolled_out, to_persistent, to_states
 from studies.nb07_decoupled.search import Found, Plan, adam, lbfgs
@@ -197,7 +196,7 @@ def to_tolerance(history: Tensor, share: float = 0.99) -> Tensor:
 
 def text(values: Tensor, generator: torch.Generator, statistic: str = "median", digits: int = 1) -> str:
     """A statistic of clips with its 95 % bootstrap interval, as a person reads it."""
-    middle, low, high = findings.interval(values, statistic, generator)
+    middle, low, high = intervals.interval(values, statistic, generator)
     return f"{middle:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 

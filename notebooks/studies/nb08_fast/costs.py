@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import DataError
-from motionlab.findings import interval
 from motionlab.humor import stages
 from motionlab.humor.shooting import coordinates, feedback_solver
 from motionlab.humor.stages import Problem
 from motionlab.humor.unknowns import FIRST, Unknowns
+from motionlab.metrics.intervals import interval
 from studies.nb08_fast.trials import Run, Task, clock, shot
 from studies.shared.statistics import middle
 from studies.shared.workload import Workload

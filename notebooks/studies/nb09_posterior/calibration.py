@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from motionlab import findings
 from motionlab.errors import check_shape
+from motionlab.metrics import intervals
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 
@@ -87,7 +87,7 @@ def coverage(levels_of: Tensor, generator: torch.Generator, levels: Sequence[flo
     """A row per level: share of clips whose region holds the truth, from u (C,), and Wilson's 95 % interval."""
     rows = []
     for level in levels:
-        value, low, high = findings.interval((levels_of <= level).double(), "share", generator)
+        value, low, high = intervals.interval((levels_of <= level).double(), "share", generator)
         rows.append({"level": level, "share": value, "low": low, "high": high, "n": len(levels_of)})
     return rows
 

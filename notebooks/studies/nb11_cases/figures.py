@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, ScalarFormatter
 from torch import Tensor
 
-from motionlab import findings
+from motionlab.metrics import intervals
 from motionlab.viz.palette import INK, LINE, colour
 from studies.shared.plots import canvas, paints
 
@@ -44,7 +44,7 @@ def standings(panels: Found, *, xlabel: str, log: bool = False, truth: float | N
             if not len(values):
                 continue
             count = max(count, len(values))
-            value, low, high = findings.interval(values, "mean", generator)
+            value, low, high = intervals.interval(values, "mean", generator)
             quarter, three = np.percentile(values.numpy(), (25, 75))
             ax.plot((quarter, three), (row, row), color=paint[name], lw=6, alpha=0.25, solid_capstyle="butt")
             ax.plot((low, high), (row, row), color=paint[name], lw=2)
@@ -72,7 +72,7 @@ def by_setting(
     for ax, (source, methods) in zip(axes, panels.items(), strict=True):
         paint = paints(list(methods), {name: ROLES[name] for name in methods if name in ROLES})
         for k, (name, settings) in enumerate(methods.items()):
-            value, low, high = np.array([findings.interval(v, "mean", generator) for v in settings.values()]).T
+            value, low, high = np.array([intervals.interval(v, "mean", generator) for v in settings.values()]).T
             x = np.arange(len(settings)) + 0.05 * (k - (len(methods) - 1) / 2)
             ax.plot(x, value, "o-", ms=4, lw=1.4, color=paint[name], label=name)
             ax.vlines(x, low, high, color=paint[name], lw=1.4)

@@ -22,12 +22,13 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from motionlab import checkpoint, corpus, findings, shipped, splits
+from motionlab import checkpoint, corpus, shipped, splits
 from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.model import Trained, motion_model, silenced
 from motionlab.diffusion.start import InitialGuess
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.files import write_whole
+from motionlab.metrics import intervals
 from motionlab.models import REPORT
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
@@ -150,7 +151,7 @@ def measure(name: str, folder: str) -> tuple[dict[str, dict[str, float]], dict[s
 
 def _over_people(values: Tensor, generator: torch.Generator) -> dict[str, float]:
     values = values[values.isfinite()]
-    mean, low, high = findings.interval(values, "mean", generator)
+    mean, low, high = intervals.interval(values, "mean", generator)
     return {"mean": mean, "low": low, "high": high, "people": len(values)}
 
 

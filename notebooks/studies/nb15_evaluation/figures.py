@@ -10,7 +10,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from torch import Generator, Tensor
 
 from motionlab.errors import ShapeError
-from motionlab.findings import interval
+from motionlab.metrics.intervals import interval
 from motionlab.viz.palette import INK, LINE, ROLE, colour
 from studies.shared.plots import canvas, paints
 

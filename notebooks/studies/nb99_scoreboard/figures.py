@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
-from motionlab.findings import Criterion, Finding
 from motionlab.viz.palette import INK, LINE, TILE, colour
 from studies.shared.plots import canvas
+from suite.findings import Criterion, Finding
 
 FAR = 10.0  # half widths; what lies further, or has no interval, is drawn there
 

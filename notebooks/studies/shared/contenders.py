@@ -18,15 +18,14 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from motionlab import findings
 from motionlab.baselines import kalman, nearest_known, savitzky_golay
 from motionlab.contact import contacts_from_positions, resting_heights
-from motionlab.findings import paired
 from motionlab.humor import start as starts
 from motionlab.humor.evidence import Observation3D, evidence
 from motionlab.humor.testops import Fitted
-from motionlab.metrics import gait, pose
+from motionlab.metrics import gait, intervals, pose
 from motionlab.metrics.gait import legs
+from motionlab.metrics.intervals import paired
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.skeleton import FEET, STANDARD, fk
@@ -176,5 +175,5 @@ def _interval(x: Tensor, generator: torch.Generator) -> str:
     x = x[x.isfinite()]
     if not len(x):
         return "-"
-    value, low, high = findings.interval(x, "mean", generator)
+    value, low, high = intervals.interval(x, "mean", generator)
     return f"{value:.2f} [{low:.2f}, {high:.2f}]"

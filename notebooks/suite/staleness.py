@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from motionlab.errors import DataError
+from motionlab.files import source_hash
 
 #: Share of a number, or of the bound it is judged by, that it may differ by without anything having changed.
 TOLERANCE = 1e-3
@@ -149,20 +150,6 @@ def loaded_modules(packages: Iterable[str] = OURS) -> dict[str, str]:
         if name.split(".")[0] in chosen and getattr(module, "__file__", None)
     }
     return {name: source_hash(Path(file).read_text(encoding="utf-8")) for name, file in files.items()}
-
-
-def source_hash(source: str) -> str:
-    """Returns a hash of what Python code does: without comments, layout, documentation and imports."""
-    tree = ast.parse(source)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            node.body = [part for part in node.body if not _silent(part)] or [ast.Pass()]
-    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:8]
-
-
-def _silent(node: ast.stmt) -> bool:
-    documentation = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-    return documentation or isinstance(node, ast.Import | ast.ImportFrom)
 
 
 def changed_modules(recorded: Mapping[str, str], root: Path) -> list[str]:
