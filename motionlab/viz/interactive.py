@@ -1,4 +1,4 @@
-"""A time slider in JupyterLab, or a static picture."""
+"""What reacts in JupyterLab: a time slider over motions, and an experiment whose knobs redraw its picture."""
 
 from __future__ import annotations
 
@@ -11,24 +11,19 @@ from collections.abc import Callable, Mapping
 from unittest import mock
 
 import numpy as np
+from matplotlib.figure import Figure
 from PIL import Image
 
 from motionlab.body import BodyModel
 from motionlab.motion import Motion
-from motionlab.viz.movie import stage, strip
+from motionlab.viz.movie import jpeg, stage, strip
 from motionlab.viz.scene import Scene
 
 BACKENDS = ("static", "picture", "trame")
 _RATE = 25  # steps of the slider per second
 
 
-def _jpeg(picture: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(picture).save(buffer, "jpeg", quality=92, subsampling=0)
-    return buffer.getvalue()
-
-
-def _newest(draw: Callable[[int], None]) -> Callable[[int], None]:
+def _newest(draw: Callable[[object], None]) -> Callable[[object], None]:
     """``draw``, always on the thread that made it, skipping values that newer ones have overtaken.
 
     ipykernel 7 answers widgets on a thread of their own, but a window's OpenGL context and trame's event loop belong
@@ -39,13 +34,13 @@ def _newest(draw: Callable[[int], None]) -> Callable[[int], None]:
         loop = asyncio.get_running_loop()
     except RuntimeError:
         return draw
-    waiting: deque[int] = deque(maxlen=1)
+    waiting: deque[object] = deque(maxlen=1)
 
     def run() -> None:
         if waiting:
             draw(waiting.pop())
 
-    def call(value: int) -> None:
+    def call(value: object) -> None:
         waiting.append(value)
         loop.call_soon_threadsafe(run)
 
@@ -112,10 +107,10 @@ def slider(
     if backend == "trame":
         view, refresh = _trame(scene)
     else:
-        view = ipywidgets.Image(value=_jpeg(scene.image()), format="jpeg", layout={"width": width})
+        view = ipywidgets.Image(value=jpeg(scene.image(), 92), format="jpeg", layout={"width": width})
 
         def refresh() -> None:
-            view.value = _jpeg(scene.image())
+            view.value = jpeg(scene.image(), 92)
 
     def draw(step: int) -> None:
         now = step * seconds / steps
@@ -126,3 +121,50 @@ def slider(
     turn = _newest(draw)
     hand.observe(lambda change: turn(change["new"]), names="value")
     return ipywidgets.VBox([view, ipywidgets.HBox([play, hand, clock], layout={"width": width})])
+
+
+def explore(draw: Callable[..., np.ndarray | Figure], **knobs: object):
+    """Builds an experiment with knobs: whenever one is turned, ``draw(**values)`` draws the picture anew.
+
+    Where drawing cannot keep up, values that newer ones have overtaken are skipped. An error is shown below the
+    picture, which stays.
+
+    Args:
+        draw: values by knob to a picture (H, W, 3) uint8 or a matplotlib figure.
+        knobs: as for ``ipywidgets.interact``: (low, high, step) and numbers make sliders, a list or mapping a menu,
+            True or False a box to tick, or any widget.
+
+    Returns:
+        an ipywidgets box with children (picture, message, knob, knob, ...).
+    """
+    import ipywidgets
+
+    hands = ipywidgets.interactive(lambda **values: None, **knobs).children[:-1]
+    picture, message = ipywidgets.Image(format="png"), ipywidgets.Label()
+
+    def redraw(values: dict[str, object]) -> None:
+        try:
+            picture.value = _png(draw(**values))
+            message.value = ""
+        except Exception as error:  # whatever the experiment raises is for the person who turned the knob
+            message.value = f"{type(error).__name__}: {error}"
+
+    def now() -> dict[str, object]:
+        return {hand.description: hand.value for hand in hands}
+
+    turn = _newest(redraw)
+    for hand in hands:
+        hand.style.description_width = "initial"
+        hand.continuous_update = False
+        hand.observe(lambda change: turn(now()), names="value")
+    redraw(now())
+    return ipywidgets.VBox([picture, message, *hands])
+
+
+def _png(picture: np.ndarray | Figure) -> bytes:
+    buffer = io.BytesIO()
+    if isinstance(picture, Figure):
+        picture.savefig(buffer, format="png", dpi=100, bbox_inches="tight")
+    else:
+        Image.fromarray(picture).save(buffer, "png")
+    return buffer.getvalue()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -85,7 +86,8 @@ def meshes(occluders: Sequence[object]) -> list[Mesh]:
 class Film:
     """A written movie; shows itself in a notebook.
 
-    frames at fps per second play ``seconds`` of motion ``speed`` times as fast as life.
+    frames at fps per second play ``seconds`` of motion ``speed`` times as fast as life. poster: a JPEG of the frame in
+    the middle, which a page shows before the film plays or where it cannot.
     """
 
     path: Path
@@ -94,12 +96,17 @@ class Film:
     seconds: float
     speed: float
     bytes: int
+    poster: bytes = b""
 
     def _repr_html_(self) -> str:
         data = base64.b64encode(self.path.read_bytes()).decode()
         if self.path.suffix == ".gif":
             return f'<img alt="{self.path.stem}" src="data:image/gif;base64,{data}">'
-        return f'<video controls loop autoplay muted src="data:video/mp4;base64,{data}"></video>'
+        still = f"data:image/jpeg;base64,{base64.b64encode(self.poster).decode()}" if self.poster else ""
+        return (
+            f'<video controls loop autoplay muted playsinline style="max-width:100%" poster="{still}" '
+            f'src="data:video/mp4;base64,{data}"></video>'
+        )
 
 
 def write_film(
@@ -124,7 +131,7 @@ def write_film(
                 break
     elif path.suffix == ".mp4":  # its pixels come in pairs
         height, width = (n // 2 * 2 for n in pictures[0].shape[:2])
-        imageio.mimwrite(path, [p[:height, :width] for p in pictures], fps=fps, macro_block_size=2, quality=7)
+        imageio.mimwrite(path, [p[:height, :width] for p in pictures], fps=fps, macro_block_size=2, quality=6)
     else:
         raise ValueError(f"{path}: a film ends in .gif or .mp4")
     return len(pictures[::step]), fps / step, path.stat().st_size
@@ -174,26 +181,32 @@ def film(
     roles: Mapping[str, str] | None = None,
     body: BodyModel | None = None,
     size: tuple[int, int] | None = None,
-    fps: float = 12.5,
+    fps: float | None = None,
     speed: float = 1.0,
-    most: int = 60,
+    most: int | None = None,
     follow: bool = False,
     azimuth: float | None = None,
 ) -> Film:
-    """Writes motions side by side in sync, each under its label, as a GIF or MP4.
+    """Writes motions side by side in sync, each under its label, as an MP4 or a GIF.
 
     Args:
         motions: one, or label -> motion. A label that names a role has its colour, others are "ours";
             ``roles`` (label -> role) says otherwise.
         body: a ``BodyModel`` to show its skin instead of the mannequin.
-        size: of the whole picture; 480 x 360 for one motion, 320 x 340 for each of two, 240 x 320 for each of more.
-        fps: pictures per second. speed: times life. most: pictures; a longer motion plays faster, and the
-            caption says by how much.
+        size: of the whole picture; of an MP4 480 x 420 for each motion, of a GIF 480 x 360 for one motion, 320 x 340
+            for each of two, 240 x 320 for each of more.
+        fps: pictures per second; by default the motion's own rate, 30 at most, and 12.5 in a GIF. speed: times life.
+        most: pictures, 300 by default and 60 in a GIF; a longer motion plays faster, and the caption says by how much.
         follow, azimuth: see :class:`~motionlab.viz.scene.Scene`. A view that follows makes a larger GIF.
 
     Raises:
         ShapeError: no motions, a batch of them, or one without frames. KeyError: an unknown role.
     """
+    shown = [motions] if isinstance(motions, Motion) else list(motions.values())
+    if Path(path).suffix == ".mp4":
+        size, most = size or (480 * len(shown), 420), most or 300
+        fps = fps or min(30.0, max((m.fps for m in shown), default=30.0))
+    fps, most = fps or 12.5, most or 60
     scene, seconds = stage(motions, roles, body, size, follow=follow, azimuth=azimuth)
     count = min(int(seconds / speed * fps + 1e-6) + 1, most)
     pace = max(speed, seconds * fps / most)
@@ -204,7 +217,14 @@ def film(
             clock(f"{now:.1f} s" + (f"  ({pace:.1f} x life)" if abs(pace - 1) > 0.05 else ""))
             pictures.append(scene.image(float(now)))
     frames, rate, size_on_disk = write_film(pictures, path, fps)
-    return Film(Path(path), frames, rate, seconds, pace, size_on_disk)
+    return Film(Path(path), frames, rate, seconds, pace, size_on_disk, jpeg(pictures[len(pictures) // 2]))
+
+
+def jpeg(picture: np.ndarray, quality: int = 80) -> bytes:
+    """Returns a picture (H, W, 3) uint8 as a JPEG."""
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, "jpeg", quality=quality, subsampling=0)
+    return buffer.getvalue()
 
 
 def strip(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from motionlab.doctor import ROOT
 from motionlab.errors import DataError, MissingData
-from suite import execute, report
+from suite import execute, report, shape
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,6 +51,9 @@ def _parser() -> argparse.ArgumentParser:
 
     command = commands.add_parser("records", help="what changed in the code behind the records")
     command.set_defaults(run=lambda options: print(execute.changed_behind()) or 0)
+    command = commands.add_parser("shape", help="how long the notebooks' cells and sentences are")
+    command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
+    command.set_defaults(run=_shape)
     return parser
 
 
@@ -58,6 +61,12 @@ def _report(options: argparse.Namespace) -> int:
     runs = report.write_report(options.out, options.profile, options.notebooks)
     print(f"{execute.run_summary(runs)}; report: {options.out / 'index.html'}")
     return 0 if all(run.ok for run in runs) else 1
+
+
+def _shape(options: argparse.Namespace) -> int:
+    rows = [shape.measure(path) for path in execute.find_notebooks(options.notebooks)]
+    print("\n".join(" | ".join(map(str, each)) for each in (rows[0], *(row.values() for row in rows))))
+    return 0
 
 
 def _regenerate(options: argparse.Namespace) -> int:

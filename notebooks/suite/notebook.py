@@ -27,8 +27,11 @@ from torch import Tensor
 
 from motionlab import checkpoint, parallel, viz
 from motionlab.errors import DataError
+from motionlab.io import load as io_load
 from motionlab.metrics.intervals import interval
-from suite import findings, staleness
+from motionlab.motion import FPS, Motion, resample
+from motionlab.retarget import retarget
+from suite import findings, ledger, staleness
 from suite.findings import Claim, Criterion, Finding, Record
 
 PROFILES = ("smoke", "full")
@@ -147,6 +150,33 @@ class Lab:
         """Shows rows as a table that opens with a click."""
         self.say(f"<details><summary>{title} ({len(rows)} rows)</summary>\n\n{_markdown_table(rows)}\n\n</details>")
 
+    def own(self, file: str | Path) -> Motion:
+        """Reads a person's own recording (BVH, AMC, AMASS npz, GLB) as one motion of the standard joints, 30 fps.
+
+        Raises:
+            DataError: as :func:`motionlab.io.load` and :func:`motionlab.retarget.retarget`.
+        """
+        return resample(retarget(io_load(file)).motion, FPS)
+
+    def answers(self) -> None:
+        """Shows what this notebook answers: verdict and answer of each of its claims.
+
+        The numbers are this run's in the full profile. In the smoke profile they are those of the committed record.
+        """
+        mine = {k: c for k, c in self.claims.items() if c.notebook == self.number}
+        found = self.settled() if self.profile == "full" else list(self._record().findings)
+        lines = []
+        for claim in mine.values():
+            try:
+                said = ledger.answer(claim, found)
+            except DataError:
+                said = "*(This run did not measure all that the answer names.)*"
+            lines.append(f"- **{claim.id}, {claim.title}: {ledger.spoken(claim, found)}.** {said}")
+        self.say("\n".join(lines))
+
+    def _listed(self, title: str, fold: bool, rows: list[dict[str, object]]) -> None:
+        self.fold(title, rows) if fold else self.table(rows)
+
     def show(self, widget: object) -> None:
         """Shows a live widget (a pyvista scene, a slider) where a person sits in front of it, not in a batch run."""
         if not os.environ.get("MOTIONLAB_BATCH"):
@@ -249,9 +279,11 @@ class Lab:
             record.expected(recordings), self._fingerprint()
         )
 
-    def findings(self) -> None:
-        """Shows every number measured in this run."""
-        self.table(
+    def findings(self, *, fold: bool = False) -> None:
+        """Shows every number measured in this run; fold: behind a click."""
+        self._listed(
+            "Every number measured in this run",
+            fold,
             [
                 {
                     "test": f.test,
@@ -262,7 +294,7 @@ class Lab:
                     "note": f.note,
                 }
                 for f in self.found
-            ]
+            ],
         )
 
     def settled(self) -> list[Finding]:
@@ -289,16 +321,19 @@ class Lab:
         file = self.folder / f"{self.notebook}.ipynb"
         return staleness.code_hash(file) if file.exists() else ""
 
-    def verdicts(self) -> None:
+    def verdicts(self, *, fold: bool = False) -> None:
         """Shows the verdict table: no measured number, so that it reads the same in both profiles.
 
+        fold: behind a click.
         A source that only this machine has ("your SMPL") is judged in the numbers above, not here.
         """
         rows = sorted(
             (f for f in self.settled() if not f.source.startswith("your ")),
             key=lambda f: (f.test, f.source != "synthetic", f.source),
         )
-        self.table(
+        self._listed(
+            "Test, bound and verdict",
+            fold,
             [
                 {
                     "test": f.test,
@@ -308,7 +343,7 @@ class Lab:
                     "verdict": f"**{f.verdict}**",
                 }
                 for f in rows
-            ]
+            ],
         )
 
     def close(self) -> None:
