@@ -1,5 +1,7 @@
 """The ledger, the notebooks and the records must agree: a finding is as old as the notebook that found it."""
 
+import json
+import re
 from pathlib import Path
 
 import pytest
@@ -50,3 +52,28 @@ def test_every_test_of_a_written_notebook_was_measured(path):
 def test_a_changed_notebook_would_be_noticed():
     record = findings.Record("02_x", "0" * 16, ())
     assert stale(record, "1" * 16)
+
+
+_NUMBER = re.compile(r"(?<![\w.])\d+(?:[.,]\d+)*(?![\w-]*D\b)")
+
+
+def typed_in(cells):
+    """Numbers in what a notebook opens and closes with, from its answer to its run time, that no output prints."""
+    text = "".join(cells[0]["source"])
+    opening = text[text.index("**Answer.**") : text.index("**Run time.**")]
+    outputs = [o.get("data", {}) for cell in cells for o in cell.get("outputs", [])]
+    printed = " ".join("".join(data.get(kind, "")) for data in outputs for kind in ("text/markdown", "text/plain"))
+    return sorted(set(_NUMBER.findall(opening)) - set(_NUMBER.findall(printed)))
+
+
+@pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("[0-9]*.ipynb")), ids=lambda p: p.stem)
+def test_numbers_of_an_opening_are_measured_below_it(path):
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    if "**Answer.**" in "".join(cells[0]["source"]):
+        assert not typed_in(cells)
+
+
+def test_control_a_number_that_nothing_prints_is_found():
+    cells = [{"source": ["**Answer.** 6D gives 4.5 cm of 30. **Run time.** 9 s"]}]
+    cells.append({"source": "", "outputs": [{"data": {"text/markdown": "30 people"}}]})
+    assert typed_in(cells) == ["4.5"]

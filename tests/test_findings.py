@@ -33,6 +33,13 @@ def test_the_whole_interval_must_meet_the_bound(relation, low, high, expected):
     assert findings.judge(criterion(relation), low, high, n=30) == expected
 
 
+@pytest.mark.parametrize(("low", "high", "expected"), [(1.0, 1.5, HOLDS), (0.4, 0.9, FAILS), (1.4, 1.7, UNJUDGED),
+                                                       (1.6, 2.0, FAILS)])  # fmt: skip
+def test_a_band_has_two_ends(low, high, expected):
+    for rule in (criterion(">=", 1.0, other=1.5), criterion("<=", 1.5, other=1.0)):
+        assert findings.judge(rule, low, high, n=30) == expected and rule.bound_text() == "1 to 1.5 mm"
+
+
 def test_too_few_samples_are_not_judged():
     rule = criterion(least=8)
     assert findings.judge(rule, 2.0, 3.0, n=7) == UNJUDGED

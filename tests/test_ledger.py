@@ -50,6 +50,8 @@ def test_a_bound_that_its_baseline_passes_says_nothing():
     assert ledger.weigh(claim(), passes)[0].says == SILENT and ledger.verdict(claim(), passes) == UNDECIDED
     assert ledger.verdict(claim(), rows(HOLDS, baseline_value=2.0)) == CONFIRMED  # at the bound
     assert ledger.verdict(claim(replace(TEST, reference=True)), passes) == CONFIRMED
+    band = claim(replace(TEST, other=6.0))  # a baseline beyond the other end does not pass
+    assert [ledger.verdict(band, rows(HOLDS, baseline_value=b)) for b in (5.0, 7.0)] == [UNDECIDED, CONFIRMED]
 
 
 def test_where_a_control_fails_the_tests_beside_it_are_void():
@@ -59,7 +61,16 @@ def test_where_a_control_fails_the_tests_beside_it_are_void():
 
 
 def test_a_few_samples_decide_nothing_and_one_is_a_count():
-    assert [ledger.verdict(claim(), rows(HOLDS, n=n)) for n in (1, 4, 5)] == [CONFIRMED, UNDECIDED, CONFIRMED]
+    assert [ledger.verdict(claim(), rows(HOLDS, n=n)) for n in (1, 7, 8)] == [CONFIRMED, UNDECIDED, CONFIRMED]
+    rounds = claim(replace(TEST, clock=True))
+    assert [ledger.verdict(rounds, rows(HOLDS, n=n)) for n in (4, 5)] == [UNDECIDED, CONFIRMED]
+
+
+def test_real_and_synthetic_apart_and_what_a_verdict_asks_for():
+    found = [replace(ROW), replace(ROW, source="CMU, report people", verdict=FAILS)]
+    assert ledger.apart(claim(), found) == {"synthetic": CONFIRMED, "real": REFUTED}
+    assert ledger.spoken(claim(condition="they walk"), found) == "true when they walk"
+    assert ledger.spoken(claim(needs="people"), rows(UNJUDGED)) == "undecided: needs people"
 
 
 def test_carriers_refute_what_others_only_add_to():

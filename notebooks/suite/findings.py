@@ -30,8 +30,9 @@ _OPERATORS = {">=": operator.ge, "<=": operator.le}
 class Criterion:
     """One measurable sentence of a claim: its operational definition and the bound fixed beforehand.
 
-    relation, bound: the claim holds where ``value relation bound``. needs: "full" where the smoke profile is
-    too small to judge, "real" where recordings are needed. least: fewest samples that may judge. clock: what it
+    relation, bound: the claim holds where ``value relation bound``. other: the other end of a two-sided band, of a
+    measure that can also be too good (half the true acceleration is no success). needs: "full" where the smoke profile
+    is too small to judge, "real" where recordings are needed. least: fewest samples that may judge. clock: what it
     measures depends on how fast the machine is, so that no fingerprint holds it. role: one of ROLES, of which "claim"
     alone decides (``suite.ledger``). reference: the baseline is no trivial method, so that it may pass. revised: what
     was changed in the definition after its first measurement, when and why.
@@ -49,10 +50,27 @@ class Criterion:
     role: str = "claim"
     reference: bool = False
     revised: str = ""
+    other: float | None = None
 
     def bound_text(self) -> str:
-        """Returns the bound as a person writes it, such as ">= 3 deg"."""
-        return f"{self.relation} {self.bound:g} {self.unit}".strip()
+        """Returns the bound as a person writes it, such as ">= 3 deg" or "0.8 to 1.2"."""
+        if self.other is None:
+            return f"{self.relation} {self.bound:g} {self.unit}".strip()
+        return "{:g} to {:g} {}".format(*sorted((self.bound, self.other)), self.unit).strip()
+
+    def meets(self, value: float) -> bool:
+        """Returns whether a value lies within the bound, its end included."""
+        within = [_OPERATORS[self.relation](value, self.bound)]
+        if self.other is not None:
+            within.append(_OPERATORS[">=" if self.relation == "<=" else "<="](value, self.other))
+        return all(within)
+
+    def beyond(self, low: float, high: float) -> bool:
+        """Returns whether a whole interval lies on one wrong side of the bound."""
+        ends = (self.bound, self.bound if self.other is None else self.other)
+        below, above = min(ends), max(ends)
+        wrong = {">=": high < below, "<=": low > above}
+        return any(wrong.values()) if self.other is not None else wrong[self.relation]
 
 
 @dataclass(frozen=True)
@@ -155,14 +173,15 @@ def all_tests(claims: dict[str, Claim]) -> dict[str, Criterion]:
 
 
 def judge(test: Criterion, low: float, high: float, n: int) -> str:
-    """Returns the verdict on one measurement: the whole interval must lie on one side of the bound.
+    """Returns the verdict on one measurement: the whole interval must lie on one side of the bound, or in the band.
 
     Too few samples, a NaN, or an interval across the bound cannot be judged.
     """
     if n < test.least or not (math.isfinite(low) and math.isfinite(high)):
         return UNJUDGED
-    meets = [_OPERATORS[test.relation](end, test.bound) for end in (low, high)]
-    return HOLDS if all(meets) else FAILS if not any(meets) else UNJUDGED
+    if test.beyond(low, high):
+        return FAILS
+    return HOLDS if test.meets(low) and test.meets(high) else UNJUDGED
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,14 @@
 
 A claim test decides only where its trivial baseline, run through the same measure, does not pass the bound: a baseline
 that lies at the bound, as the zero of a paired difference does, has not passed. A baseline that is no trivial method (a
-reference, another form of the same method) is marked ``reference`` in ``claims.toml``. From two to four samples decide
-nothing: only five that agree are rarer than one in twenty by chance (sign test); a single number is a count.
+reference, another form of the same method) is marked ``reference`` in ``claims.toml``. Two to seven clips, people
+or seeds decide nothing, nor do fewer than five rounds of a stopwatch: five that agree are rarer than one in twenty by
+chance (sign test). A single number is a count.
 """
 
 from __future__ import annotations
 
 import math
-import operator
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,9 +33,8 @@ OPEN = "not measured yet"
 SILENT, VOID = "not informative", "void: its control failed"
 #: Of one that does.
 DECIDES = (HOLDS, FAILS, UNJUDGED)
-AGREE = 5  # samples
+LEAST, ROUNDS = 8, 5  # clips, people or seeds; rounds of a stopwatch
 _NUMBERS = re.compile(r"\d[\d.,]*\d|\d")
-_BEYOND = {">=": operator.gt, "<=": operator.lt}
 
 
 @dataclass(frozen=True)
@@ -61,9 +60,10 @@ def _says(test: Criterion, finding: Finding, void: set[str]) -> str:
     if finding.source in void:
         return VOID
     base = finding.baseline_value
-    if not test.reference and base is not None and math.isfinite(base) and _BEYOND[test.relation](base, test.bound):
+    at_the_end = base in (test.bound, test.other)
+    if not test.reference and base is not None and math.isfinite(base) and test.meets(base) and not at_the_end:
         return SILENT
-    return UNJUDGED if 1 < finding.n < AGREE else finding.verdict
+    return UNJUDGED if 1 < finding.n < (ROUNDS if test.clock else LEAST) else finding.verdict
 
 
 def verdict(claim: Claim, found: Iterable[Finding]) -> str:

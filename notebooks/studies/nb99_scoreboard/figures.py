@@ -26,6 +26,8 @@ class Dot(NamedTuple):
 def margin(test: Criterion, finding: Finding) -> float:
     """How far a value lies on the good side of its bound, in halves of its interval, at most ``FAR``; NaN: no value."""
     way = finding.value - test.bound if test.relation == ">=" else test.bound - finding.value
+    if test.other is not None:  # the nearer end of the band
+        way = min(way, test.other - finding.value if test.relation == ">=" else finding.value - test.other)
     half = (finding.high - finding.low) / 2
     if not math.isfinite(way):
         return math.nan
