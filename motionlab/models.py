@@ -7,7 +7,7 @@ python -m motionlab models                  # writes checkpoints/README.md from 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -16,9 +16,11 @@ from motionlab import checkpoint, corpus, splits
 from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.humor import pretrained, training
+from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import sample_rollout
 from motionlab.humor.state import unpack
 from motionlab.metrics.intervals import interval
+from motionlab.motion import Motion
 
 #: Where the measurements stand in a recipe.
 REPORT = "people nobody trained on"
@@ -44,17 +46,7 @@ def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[
     """
     model = pretrained.load_motion_prior(name)
     takes = corpus.assemble(folder, splits.real_sources(folder)).part("report")
-    people = {}
-    for take in takes:
-        people.setdefault(take.person, []).append(take.motion)
-    rows = []
-    for motions in people.values():
-        states, contacts = splits.state_windows(motions, most=_MOST, causal=model.causal)
-        if len(states):
-            draws, steps = torch.Generator().manual_seed(seed), states.shape[1] - 1
-            made = training.plausibility(model, states[:, 0], steps, draws, rigid=True)
-            rigid = {f"rigid samples' {name}": float(value.nanmean()) for name, value in made.items()}
-            rows.append(training.quality_row(model, states, contacts, seed) | _walkers(model, states, seed) | rigid)
+    rows = list(person_rows(model, person_states(takes, causal=model.causal), seed).values())
     if not rows:
         raise DataError("nobody of ``report`` is there", path=folder, remedy="unpack cmu_library into it")
     found = {}
@@ -68,8 +60,30 @@ def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[
     return found
 
 
+def person_states(takes: Sequence[corpus.Take], *, causal: bool) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+    """Returns what a prior is judged on: states (W, 61, 339) and contacts (W, 61, 9) of each person, 24 at most."""
+    people: dict[str, list[Motion]] = {}
+    for take in takes:
+        people.setdefault(take.person, []).append(take.motion)
+    found = {who: splits.state_windows(motions, most=_MOST, causal=causal) for who, motions in people.items()}
+    return {who: windows for who, windows in found.items() if len(windows[0])}
+
+
+def person_rows(
+    model: Cvae, people: Mapping[str, tuple[torch.Tensor, torch.Tensor]], seed: int = 0
+) -> dict[str, dict[str, float]]:
+    """Computes the measures of ``judge_prior`` of each person: means over states (W, T, 339), contacts (W, T, 9)."""
+    rows = {}
+    for who, (states, contacts) in people.items():
+        draws, steps = torch.Generator().manual_seed(seed), states.shape[1] - 1
+        made = training.plausibility(model, states[:, 0], steps, draws, rigid=True)
+        rigid = {f"rigid samples' {name}": float(value.nanmean()) for name, value in made.items()}
+        rows[who] = training.quality_row(model, states, contacts, seed) | _walkers(model, states, seed) | rigid
+    return rows
+
+
 @torch.no_grad()
-def _walkers(model, states: torch.Tensor, seed: int) -> dict[str, float]:
+def _walkers(model: Cvae, states: torch.Tensor, seed: int) -> dict[str, float]:
     """Of windows in which a person walks, the share whose samples still do in the last half second, and who do so."""
     speed = _over_floor(states)
     walking = speed.mean(1) > _WALKING

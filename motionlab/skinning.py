@@ -20,8 +20,8 @@ from motionlab.skeleton import Skeleton
 
 #: The thesis prunes weights below this.
 SMALL = 1e-2
-#: Metres along the surface beyond which a small weight counts as long-range.
-FAR = 0.15
+#: Ordinary weights, from which the fall-off is measured: none of them is suspect, none is the joint's own flesh.
+ORDINARY = (1e-2, 1e-1)
 
 
 @dataclass(frozen=True)
@@ -94,20 +94,53 @@ def surface_distance(body: BodyModel) -> Tensor:
 
 def tree_distance(skeleton: Skeleton) -> Tensor:
     """Counts the bones (J, J) between every two joints."""
-    above = _ancestors(skeleton).long()
+    above = ancestors(skeleton).long()
     depth = above.sum(1)
     return depth[:, None] + depth - 2 * (above @ above.T)
 
 
-def spurious(body: BodyModel, threshold: float = SMALL, far: float = FAR, distance: Tensor | None = None) -> Tensor:
+def fall_off(body: BodyModel, distance: Tensor | None = None, quantile: float = 0.99, least: int = 20) -> Tensor:
+    """Computes how fast a body's ordinary weights fall off with distance: (J,), metres per decade of weight.
+
+    A weight w at distance d from its joint's region has fallen at d / log10(0.5 / w) metres per decade, since at the
+    region's edge it is about 0.5. Of each joint's weights in ``ORDINARY``, the ``quantile`` of that rate; a joint with
+    fewer than ``least`` of them has that of all joints together.
+
+    Args:
+        distance: :func:`surface_distance` of the body if it is at hand.
+    Raises:
+        ShapeError: the body has no ordinary weight outside the joints' own regions.
+    """
+    distance = surface_distance(body) if distance is None else distance
+    known = (body.weights >= ORDINARY[0]) & (body.weights < ORDINARY[1]) & distance.isfinite() & (distance > 0)
+    if not known.any():
+        raise ShapeError(f"no weight between {ORDINARY[0]:g} and {ORDINARY[1]:g} to measure a fall-off from")
+    rate = distance / _decades(body)
+    slowest = torch.where(known, rate, torch.nan).nanquantile(quantile, dim=0)
+    return torch.where(known.sum(0) >= least, slowest, rate[known].quantile(quantile))
+
+
+def reach(body: BodyModel, distance: Tensor | None = None, quantile: float = 0.99) -> Tensor:
+    """Computes how far from its joint's region each weight may lie by ordinary fall-off: (V, J), metres.
+
+    reach = fall_off_j log10(0.5 / w): what :func:`fall_off` measures above 1e-2, continued to smaller weights.
+    """
+    return fall_off(body, distance, quantile) * _decades(body)
+
+
+def spurious(
+    body: BodyModel, threshold: float = SMALL, far: Tensor | float | None = None, distance: Tensor | None = None
+) -> Tensor:
     """Finds long-range weights, a mask (V, J): above zero, below ``threshold``, and further than ``far`` metres.
 
     The rule needs both: a small weight next to its joint's region is how smooth skinning fades out.
 
     Args:
+        far: one distance or one per weight (V, J); by default the body's own :func:`reach`.
         distance: :func:`surface_distance` of the body if it is at hand.
     """
     distance = surface_distance(body) if distance is None else distance
+    far = reach(body, distance) if far is None else far
     return (body.weights > 0) & (body.weights < threshold) & (distance > far)
 
 
@@ -222,7 +255,7 @@ def _leakage(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int]
     Source: thesis 3.3.2.
     """
     held = (body.weights[torch.as_tensor(vertices)] >= holds).long()
-    return Leakage(influence(body, root, rot, vertices), held @ _ancestors(body.skeleton).long() > 0)
+    return Leakage(influence(body, root, rot, vertices), held @ ancestors(body.skeleton).long() > 0)
 
 
 def pruning_sweep(body: BodyModel, motion: Motion, vertices: Sequence[int], thresholds: Sequence[float]) -> list[dict]:
@@ -248,8 +281,13 @@ def pruning_sweep(body: BodyModel, motion: Motion, vertices: Sequence[int], thre
     return rows
 
 
-def _ancestors(skeleton: Skeleton) -> Tensor:
-    """Boolean (J, J): entry (j, a) is True where joint a is j itself or above it."""
+def _decades(body: BodyModel) -> Tensor:
+    """How many decades each weight lies below a half, (V, J); infinite where it is zero."""
+    return -(2 * body.weights.double()).log10()
+
+
+def ancestors(skeleton: Skeleton) -> Tensor:
+    """Returns a boolean (J, J): entry (j, a) is True where joint a is j itself or above it."""
     above = torch.eye(len(skeleton), dtype=torch.bool)
     for joint, parent in enumerate(skeleton.parents[1:], start=1):
         above[joint] |= above[parent]

@@ -33,7 +33,7 @@ def in_order(paths: Iterable[Path], first: Callable[[Path], float]) -> list[str]
 
 
 TESTS = in_order((ROOT / "tests").glob("test_*.py"), lambda path: f"tests/{path.name}" not in LONGEST)
-NOTEBOOKS = in_order((ROOT / "notebooks").glob("[0-9][0-9]_*.ipynb"), lambda path: -smoke_seconds(path))
+NOTEBOOKS = in_order((ROOT / "notebooks").glob("[0-9][0-9]*_*.ipynb"), lambda path: -smoke_seconds(path))
 STEPS = {
     "lint": [BIN / "ruff", "check", "."],
     "format": [BIN / "ruff", "format", "--check", "--quiet", "."],

@@ -67,7 +67,7 @@ def room(module: str, known: dict[str, int]) -> str | None:
 
 def notebooks(root: Path = ROOT) -> list[Path]:
     """The suite in its order."""
-    return sorted((root / "notebooks").glob("[0-9][0-9]_*.ipynb"))
+    return sorted((root / "notebooks").glob("[0-9][0-9]*_*.ipynb"))
 
 
 def syntax(path: Path) -> ast.Module:

@@ -38,13 +38,13 @@ def test_recorded_verdicts_follow_from_the_ledger_of_today(path):
         rule = tests[f.test]
         assert f.bound == rule.bound_text(), f"{f.test}: the bound was changed after the measurement"
         assert f.verdict == findings.judge(rule, f.low, f.high, f.n), f.test
-        assert CLAIMS[f.claim].notebook == f.notebook[:2]
+        assert CLAIMS[f.claim].notebook == staleness.number_of(f.notebook)
 
 
 @pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("[0-9]*.ipynb")), ids=lambda p: p.stem)
 def test_every_test_of_a_written_notebook_was_measured(path):
-    due = {t.id for claim in CLAIMS.values() if claim.notebook == path.stem[:2] for t in claim.tests}
-    record = NOTEBOOKS / "results" / f"{path.stem[:2]}.json"
+    due = {t.id for claim in CLAIMS.values() if claim.notebook == staleness.number_of(path.stem) for t in claim.tests}
+    record = NOTEBOOKS / "results" / f"{staleness.number_of(path.stem)}.json"
     done = {f.test for f in findings.load_record(record).findings} if record.exists() else set()
     assert due <= done, f"{path.stem}: not measured: {sorted(due - done)}"
 

@@ -1,3 +1,4 @@
+import json
 import math
 from dataclasses import replace
 
@@ -10,19 +11,18 @@ from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from studies.nb01_data import sources_compared
 from tests.draws import seeded
-
-
-def gaussians(shift, n=400):
-    g = seeded(0)
-    return torch.randn(n, 1, generator=g), torch.randn(n, 1, generator=g) + shift
+from tests.test_architecture import ROOT
 
 
 def test_energy_distance_of_two_gaussians_is_the_known_one():
-    # D^2 = 2 E|X-Y| - 2 E|X-X'|, where E|N(m, 2)| = 2/sqrt(pi) exp(-m^2/4) + m erf(m/2)
-    m = 1.5
+    """The function that notebook 01 writes out: D^2 = 2 E|X-Y| - 2 E|X-X'|, and E|N(m, 2)| is known."""
+    m, g, scope = 1.5, seeded(0), {"torch": torch}
     mean_abs = 2 / math.sqrt(math.pi) * math.exp(-(m**2) / 4) + m * math.erf(m / 2)
-    truth = math.sqrt(2 * mean_abs - 2 * 2 / math.sqrt(math.pi))
-    assert sources_compared._energy_distance(*gaussians(m, n=4000)) == pytest.approx(truth, rel=0.03)
+    x, y = (torch.randn(4000, 1, generator=g) + shift for shift in (0, m))
+    cells = json.loads((ROOT / "notebooks" / "01_motion_data.ipynb").read_text(encoding="utf-8"))["cells"]
+    written = next(text for cell in cells if (text := "".join(cell["source"])).startswith("def energy("))
+    exec(written.split("\n\n")[0], scope)
+    assert scope["energy"](x, y) == pytest.approx(2 * mean_abs - 4 / math.sqrt(math.pi), rel=0.05)
 
 
 def statue(frames=90, height=0.992):
@@ -33,22 +33,22 @@ def statue(frames=90, height=0.992):
     return Motion(STANDARD, root, rot, 30.0)
 
 
-def noisy(seed, shift, count=300):
-    source = seeded(seed)
-    values = {k: shift + torch.randn(count, generator=source) for k in distribution.DESCRIPTION_UNITS}
-    return distribution.Described(values, torch.arange(count // 10).repeat(10))
+def noisy(seed, shift, people=30):
+    table = shift + torch.randn(10 * people, len(distribution.DESCRIPTION_UNITS), generator=seeded(seed))
+    return sources_compared.Windows(table, torch.arange(people).repeat_interleave(10), ("walk",) * len(table))
 
 
 def test_a_judge_tells_apart_what_differs_and_tosses_a_coin_otherwise():
-    assert distribution.told_apart(noisy(0, 0.0), noisy(1, 0.0)) == pytest.approx(0.5, abs=0.08)
-    assert distribution.told_apart(noisy(0, 0.0), noisy(1, 2.0)) > 0.95
-    mine, other = sources_compared.halves(noisy(0, 0.0), seeded(0))
-    assert not set(mine.groups.tolist()) & set(other.groups.tolist())
-    assert len(mine.groups) + len(other.groups) == 300
-    mixture = [noisy(2, 0.0), noisy(3, 3.0), noisy(4, 3.0)]  # a third like ours, wherever it stands in the pool
-    pools = [sources_compared.pool(parts) for parts in (mixture, mixture[::-1])]
-    found = [distribution.told_apart(noisy(0, 0.0), pool) for pool in pools]
-    assert all(0.7 < share < 0.95 for share in found) and found[0] == pytest.approx(found[1], abs=0.06)
+    for other in (noisy(1, 0.0), noisy(1, 0.0, people=4)):  # the few: a quarter of its windows are of the one judged
+        assert sources_compared.judge(noisy(0, 0.0), other).mean() == pytest.approx(0.5, abs=0.08)
+    assert len(found := sources_compared.judge(noisy(0, 0.0), noisy(1, 2.0))) == 30 and found.min() > 0.9
+
+
+def test_what_differs_most_is_found_on_other_people():
+    (made := noisy(1, 0.0)).table[:, 3] -= 1.0
+    found = [sources_compared.lacking(noisy(0, 0.0), some) for some in (noisy(1, 0.0), made)]
+    chance, most = (sources_compared.largest_elsewhere(gaps).mean() for gaps in found)
+    assert chance < 0.3 and most == pytest.approx(1.0, abs=0.15)
 
 
 def test_quick_motion_is_the_share_above_four_hertz():

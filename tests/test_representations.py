@@ -24,7 +24,7 @@ def test_flips_are_found_where_the_vectors_disagree_and_the_rotations_agree():
     torch.testing.assert_close(rotation.axis_angle_to_matrix(decoded), path, atol=1e-5, rtol=0)
     flipped = rep.flipped(carried, decoded)
     assert flipped.any(-1).all()
-    # the frame before the cut agrees, so the first flip is a change, and one change in one second is 60 a minute
-    assert (rep.flips_per_minute(flipped, 30.0) >= 60).all()
+    assert (rep.count_changes(flipped) >= 1).all()  # the frame before the cut agrees
+    torch.testing.assert_close(rep.nearest_vector(decoded, carried), carried, atol=1e-4, rtol=0)
     away = rep.carried_and_decoded(turning(across=False))
     assert not rep.flipped(*away).any()

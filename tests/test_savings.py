@@ -7,6 +7,7 @@ import torch
 from data_synth import clips
 from motionlab.humor import compiled, stages, unknowns
 from motionlab.humor.pretrained import load_priors
+from studies.nb06_profile.program import Closure
 from studies.official import unknowns as official_unknowns
 from studies.shared import profiling, savings
 from studies.shared.savings import FAITHFUL, LEAN, Savings
@@ -60,6 +61,14 @@ def test_a_trained_prior_sees_the_official_heading_and_nothing_else():
     assert not any(
         weight.requires_grad for weight in load_priors("compact").motion.parameters()
     )  # the shared priors stay frozen
+
+
+def test_steps_written_out_are_the_closure(work):
+    for on in (FAITHFUL, LEAN):
+        step = Closure(work, on)
+        with step.gradients():
+            states = step.roll_out(step.first_state())
+            assert apart(step.energies(states, step.pose(states)), terms(work, on)) < 1e-6
 
 
 def test_control_another_shape_is_another_energy(work):

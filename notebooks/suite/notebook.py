@@ -95,8 +95,8 @@ class Lab:
 
     @property
     def number(self) -> str:
-        """The notebook's number, "02"."""
-        return self.notebook[:2]
+        """The notebook's number, "02" or "05a"."""
+        return staleness.number_of(self.notebook)
 
     def headline(self) -> str:
         """Returns profile, data, seed, device and versions in two lines."""

@@ -130,7 +130,7 @@ def _scoreboard_rows(
     now = {row["claim"]: row for row in ledger.scoreboard(claims, measured, answers=False)}
     rows = []
     for row in ledger.scoreboard(claims, recorded):
-        notebook = next((name for name in ran if name.startswith(row["notebook"][:2])), None)
+        notebook = next((name for name in ran if name.startswith(row["notebook"] + "_")), None)
         rows.append(
             {
                 "claim": f"<b>{html.escape(row['claim'])}</b>",

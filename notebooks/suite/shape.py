@@ -7,6 +7,8 @@ import re
 import statistics
 from pathlib import Path
 
+from suite.staleness import number_of
+
 _CODE = re.compile(r"```.*?```|\$\$.*?\$\$|\$[^$]*\$|`[^`]*`", re.DOTALL)
 _SENTENCE = re.compile(r"[^.!?:]+[.!?:](?=\s|$)")
 _TABLE = re.compile(r"^\s*\|.*$", re.MULTILINE)
@@ -27,7 +29,7 @@ def measure(notebook: Path) -> dict[str, object]:
     drawn = [i for i, c in enumerate(cells) if c["cell_type"] == "code" and "lab.figure(" in "".join(c["source"])]
     read = [i for i in drawn if i + 1 < len(cells) and cells[i + 1]["cell_type"] == "markdown"]
     return {
-        "notebook": notebook.stem[:2] if notebook.stem[2] == "_" else notebook.stem[:3],
+        "notebook": number_of(notebook.stem),
         "code cells": len(lines),
         "median lines": int(statistics.median(lines)),
         "longest": max(lines),

@@ -47,12 +47,17 @@ class Mark(NamedTuple):
 Fingerprint = dict[str, Mark]
 
 
+def number_of(notebook: str) -> str:
+    """Returns the number that a notebook's name begins with: "02", or "05a"."""
+    return notebook.partition("_")[0]
+
+
 class StaleRecord(DataError):
     """A record that its code no longer gives; ``moved`` says in what."""
 
     def __init__(self, notebook: str, moved: Sequence[str], seconds: float | None = None) -> None:
         self.moved = tuple(moved)
-        rerun = f"make full NOTEBOOKS={notebook[:2]}" + (
+        rerun = f"make full NOTEBOOKS={number_of(notebook)}" + (
             "" if seconds is None else f" ({_duration(seconds)} when last run)"
         )
         super().__init__("stale: " + "; ".join(moved), place=f"record of {notebook}", remedy=rerun)

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motionlab import people, rotation
+from motionlab import corpus, people, rotation
 from motionlab.contact import contacts_from_positions, resting_heights
 from motionlab.corpus import Corpus, Take
 from motionlab.io.recordings import recordings
@@ -39,6 +39,24 @@ KINDS = {
     "everyday": r"wash|drink|eat|reach|pick|lift|carry|wave|clean|hammer|saw|screw|story|rhyme|signal|vacation|laugh|"
     r"talk|point|direct|look|open|write|chop|fish|conversation|stretch|bow|idle|wait|vignettes|broom|drop",
 }
+
+
+def load(folder: Path | None, every: int = 1) -> Corpus | None:
+    """Assembles the clean recordings of people in a folder, each ``every``-th; None where there is nothing."""
+    sources = [source for source in SOURCES if folder and (folder / source).is_dir()]
+    return corpus.assemble(folder, sources, every=every, progress=False) if sources else None
+
+
+def size(found: Corpus | None) -> str:
+    """Returns how much there is, in words."""
+    if found is None:
+        return "nothing, since MOTIONLAB_DATA is not set"
+    return f"{_minutes(found.takes):.0f} minutes of {len({take.person for take in found.takes})} people"
+
+
+def exist_twice(folder: Path | None) -> bool:
+    """Returns whether a folder has the same performances at 24 and at 120 frames per second."""
+    return bool(folder) and all((folder / source).is_dir() for source in (NATIVE, LIBRARY))
 
 
 def kind_of(take: Take) -> str:

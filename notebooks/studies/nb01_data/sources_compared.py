@@ -1,96 +1,246 @@
-"""How far sources of motion are from each other: their windows described, and a distance with its floor."""
+"""How far sources of motion are from each other: windows described by twelve numbers, compared person by person."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from motionlab.errors import ShapeError, check_shape
-from motionlab.metrics.distribution import DESCRIPTION_UNITS, Described, describe
+from motionlab import splits
+from motionlab.corpus import Corpus, Take
+from motionlab.metrics.distribution import DESCRIPTION_UNITS, describe
 from motionlab.motion import Motion, windows
+from studies.nb01_data.real_motion import kind_of
+from studies.shared.person_windows import by_person
+
+#: What a synthetic performer does -> the kind of recordings that it is compared with.
+KIND_OF_ACTION = {
+    "walk": "walk", "run": "run", "jump": "jump", "dance": "dance", "punch": "fight", "kick": "fight",
+    "sit": "sit", "sit down": "sit", "stand up": "sit", "lie": "floor", "lie down": "floor", "get up": "floor",
+    "reach": "everyday", "wave": "everyday", "idle": "idle", "turn": "other", "crouch": "other",
+}  # fmt: skip
+#: Kinds of motion of which there is synthetic motion and are recordings.
+KINDS = ("walk", "run", "jump", "sit", "floor", "dance", "fight", "everyday")
 
 
-def describe_windows(
-    motions: Sequence[Motion], generator: torch.Generator, *, most: int, seconds: float = 2.0
-) -> Described:
-    """Describe at most ``most`` windows of ``seconds``, half overlapping, drawn at random over all recordings.
+class Windows(NamedTuple):
+    """Windows described: table (N, 12) in the order of ``DESCRIPTION_UNITS``, whose (N,) each is, and its kind."""
 
-    Recordings that are shorter than one window are left out.
+    table: Tensor
+    whose: Tensor
+    kinds: tuple[str, ...]
+
+    def pick(self, mask: Tensor) -> Windows:
+        """Returns the windows under a mask (N,), or at indices."""
+        at = mask.nonzero()[:, 0] if mask.dtype == torch.bool else mask
+        return Windows(self.table[at], self.whose[at], tuple(self.kinds[i] for i in at.tolist()))
+
+    def of(self, *kinds: str) -> Windows:
+        """Returns the windows of these kinds."""
+        return self.pick(torch.tensor([kind in kinds for kind in self.kinds], dtype=torch.bool))
+
+    def mean(self, name: str) -> float:
+        """Computes the mean of one description, every person counting alike."""
+        values = by_person(self.table[:, list(DESCRIPTION_UNITS).index(name)], self.whose)
+        return float(values.nanmean())
+
+    @property
+    def people(self) -> int:
+        """How many people there are."""
+        return len(self.whose.unique())
+
+
+def describe_clips(clips: Iterable[tuple[Motion, str, str | Sequence[str]]], seconds: float = 2.0) -> Windows:
+    """Describes every whole window of clips, one after the other: (motion, person, its kind or one of each frame).
+
+    A clip that is shorter than a window is left out. A window is of the kind of most of its frames.
     """
-    parts, groups = [], []
-    for group, motion in enumerate(motions):
+    tables, whose, kinds, names = [], [], [], {}
+    for motion, person, kind in clips:
         length = round(seconds * motion.fps)
-        if motion.frames >= length:
-            parts.append(describe(windows(motion, length, length // 2)))
-            groups += [group] * len(parts[-1]["root speed"])
-    pick = torch.randperm(len(groups), generator=generator)[:most]
-    return Described({k: torch.cat([p[k] for p in parts])[pick] for k in DESCRIPTION_UNITS}, torch.tensor(groups)[pick])
+        if motion.frames < length:
+            continue
+        found = torch.stack(list(describe(windows(motion, length, length)).values()), dim=-1)
+        tables.append(found.double())
+        whose += [names.setdefault(person, len(names))] * len(found)
+        frames = [kind] * motion.frames if isinstance(kind, str) else kind
+        kinds += [Counter(frames[i * length : (i + 1) * length]).most_common(1)[0][0] for i in range(len(found))]
+    table = torch.cat(tables) if tables else torch.zeros(0, len(DESCRIPTION_UNITS)).double()
+    return Windows(table, torch.tensor(whose, dtype=torch.long), tuple(kinds))
 
 
-def pool(parts: Sequence[Described]) -> Described:
-    """Joins several described sets into one; recordings stay apart."""
-    first = torch.tensor([0] + [int(p.groups.max()) + 1 for p in parts[:-1]]).cumsum(0)
-    groups = torch.cat([p.groups + start for p, start in zip(parts, first, strict=True)])
-    return Described({k: torch.cat([p.values[k] for p in parts]) for k in DESCRIPTION_UNITS}, groups)
+def describe_synthetic(sequences: Sequence, seconds: float = 2.0) -> Windows:
+    """Describes the sequences of a synthetic corpus; kinds are those of recordings."""
+    return describe_clips(
+        (
+            (s.motion, s.take.subject.name, [KIND_OF_ACTION.get(label, "other") for label in s.take.labels])
+            for s in sequences
+        ),
+        seconds,
+    )
 
 
-def apart(part: Described) -> Described:
-    """The same windows, each counted as a recording of its own."""
-    return Described(part.values, torch.arange(len(part.groups)))
+def describe_recorded(takes: Sequence[Take], seconds: float = 2.0) -> Windows:
+    """Describes the takes of a corpus of recordings."""
+    return describe_clips(((take.motion, take.person, kind_of(take)) for take in takes), seconds)
 
 
-def standardised_energy_distance(
-    ours: Described, theirs: Described, generator: torch.Generator, draws: int = 50
-) -> tuple[float, Tensor]:
-    """Energy distance between two sets, standardised by the second's mean and deviation, and the second's floor."""
-    middle, spread = theirs.table.mean(0), theirs.table.std(0)
-    x, y = ((d.table - middle) / spread for d in (ours, theirs))
-    return _energy_distance(x, y), _distance_floor(y, theirs.groups, generator, draws)
+def describe_one(
+    motion: Motion,
+    generator: torch.Generator,
+    *,
+    start: float = 0.0,
+    seconds: float = 2.0,
+    speed: float = 1.0,
+    tremble: float = 0.0,
+) -> Tensor:
+    """Describes one window of a motion (12,): from ``start`` seconds on, played faster, its root trembling by mm.
 
-
-def _energy_distance(x: Tensor, y: Tensor) -> float:
-    """Energy distance between samples (N, D) and (M, D): 0 where the distributions agree, never below.
-
-    2 E|X - Y| - E|X - X'| - E|Y - Y'|, square root; every pair but a sample with itself. The estimate is
-    unbiased before the root and clamped at zero. It has the unit of the features: standardise them first.
-
-    Source: Szekely and Rizzo 2013, Eq. 5.3 (U-statistic form).
-    Raises:
-        ShapeError: fewer than two samples on a side, or different D.
+    Where the motion is shorter, the window ends with it.
     """
-    check_shape(y, f"M {check_shape(x, 'N D', 'x')['D']}", "y")
-    if min(len(x), len(y)) < 2:
-        raise ShapeError(f"energy_distance: needs two samples a side, got {len(x)} and {len(y)}")
-    x, y = x.double(), y.double()
-    within = [torch.cdist(s, s).sum() / (len(s) * (len(s) - 1)) for s in (x, y)]
-    squared = 2 * torch.cdist(x, y).mean() - within[0] - within[1]
-    return math.sqrt(max(squared.item(), 0.0))
+    length = max(3, min(round(seconds * speed * motion.fps), motion.frames))
+    first = min(round(start * motion.fps), motion.frames - length)
+    cut = motion.cut(first, first + length)
+    shaken = cut.root + tremble / 1000 * torch.randn(cut.root.shape, generator=generator)
+    return torch.stack(list(describe(replace(cut, root=shaken, fps=speed * motion.fps)).values()), dim=-1).double()
 
 
-def _distance_floor(x: Tensor, groups: Tensor, generator: torch.Generator, draws: int = 50) -> Tensor:
-    """Distances (draws,) between random halves of one set (N, D), split by group: what sampling alone explains.
+def describe_styles(motions: Sequence[Motion], seconds: float = 2.0) -> Windows:
+    """Describes Bandai-Namco's recordings; their names hold set, action, acted style, number. "People" are styles."""
+    names = [motion.name.split("_") for motion in motions]
+    kinds = ["walk" if name[1].startswith("walk") else "other" for name in names]
+    return describe_clips(zip(motions, [name[2] for name in names], kinds, strict=True), seconds)
 
-    groups (N,): windows of one recording stay on one side, as recordings are the independent units.
 
-    Raises:
-        ShapeError: fewer than two groups.
+def describe_sources(
+    sequences: Sequence, real: Corpus | None, folder: Path | None, *, each: int | None, seconds: float
+) -> dict[str, Windows]:
+    """Describes the synthetic corpus and what recordings there are, by source; ``each`` of Bandai-Namco's at most."""
+    found = {"synthetic": describe_synthetic(sequences, seconds)}
+    if takes := [take for take in real.takes if take.person.startswith("cmu_")] if real else []:
+        found["CMU"] = describe_recorded(takes, seconds)
+    if motions := splits.standard(folder, "bandai_namco", each=each):
+        found["Bandai-Namco"] = describe_styles(motions, seconds)
+    for name, source in (("DeepMimic", "deepmimic"), ("ReActIdle", "reactidle")):
+        if motions := splits.standard(folder, source):
+            found[name] = describe_clips([(motion, source, "") for motion in motions], seconds)
+    return found
+
+
+def standardised(some: Windows, by: Windows) -> Windows:
+    """Returns windows in deviations from the mean of others."""
+    return some._replace(table=(some.table - by.table.mean(0)) / by.table.std(0).clamp_min(1e-12))
+
+
+def at_most(some: Windows, each: int, generator: torch.Generator) -> Windows:
+    """Draws at most ``each`` windows of every person, so that everybody counts alike."""
+    order = torch.randperm(len(some.whose), generator=generator)
+    mine = some.whose[order]
+    kept = [order[mine == person][:each] for person in mine.unique()]
+    return some.pick(torch.cat(kept).sort().values) if kept else some
+
+
+def of_many(some: Windows, least: int) -> Windows:
+    """Returns the windows of people of whom there are at least so many."""
+    names, counts = some.whose.unique(return_counts=True)
+    return some.pick(torch.isin(some.whose, names[counts >= least]))
+
+
+def one_and_the_others(some: Windows) -> Iterator[tuple[Tensor, Tensor]]:
+    """Lists, person by person, the table of one and the table of everybody else."""
+    for person in some.whose.unique():
+        mine = some.whose == person
+        yield some.table[mine], some.table[~mine]
+
+
+def same_kind(
+    real: Windows | None, made: Windows, generator: torch.Generator, *, each: int, least: int
+) -> Iterator[tuple[str, Windows, Windows]]:
+    """Lists kind by kind the recorded and the synthetic windows, where enough people have at least two of them.
+
+    Kinds with fewer synthetic windows than ``each`` are left out; without recordings there are none.
     """
-    names = groups.unique()
-    if len(names) < 2:
-        raise ShapeError("floor: needs at least two groups")
-    found = []
-    for _ in range(draws):
-        mine = torch.isin(groups, names[torch.randperm(len(names), generator=generator)[: len(names) // 2]])
-        if 2 <= int(mine.sum()) <= len(x) - 2:
-            found.append(_energy_distance(x[mine], x[~mine]))
-    return torch.tensor(found)
+    for kind in KINDS if real else ():
+        theirs, ours = at_most(of_many(real.of(kind), 2), each, generator), made.of(kind)
+        if theirs.people >= least and len(ours.whose) >= each:
+            yield kind, theirs, ours
 
 
-def halves(part: Described, generator: torch.Generator) -> tuple[Described, Described]:
-    """Splits one set into two random halves, whole recordings on either side."""
-    names = part.groups.unique()
-    mine = torch.isin(part.groups, names[torch.randperm(len(names), generator=generator)[: len(names) // 2]])
-    return tuple(Described({k: v[m] for k, v in part.values.items()}, part.groups[m]) for m in (mine, ~mine))
+def halves(some: Windows, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Splits the people at random into two halves: the tables of both."""
+    names = some.whose.unique()
+    mine = torch.isin(some.whose, names[torch.randperm(len(names), generator=generator)[: len(names) // 2]])
+    return some.table[mine], some.table[~mine]
+
+
+def judge(real: Windows, made: Windows, neighbours: int = 5) -> Tensor:
+    """Computes how often windows are rightly called recorded or synthetic, a share for each recorded person.
+
+    The share is the mean of that person's own windows and of all synthetic people's; 0.5 is a coin. A window is judged
+    by its nearest windows of *other* people: a vote weighs the more, the fewer windows its side has left without them.
+    The larger set is thinned evenly.
+
+    Source: the classifier two-sample test (Lopez-Paz and Oquab 2017) with nearest neighbours.
+    """
+    count = min(len(real.whose), len(made.whose))
+    real, made = (s.pick(torch.linspace(0, len(s.whose) - 1, count).round().long()) for s in (real, made))
+    x = torch.cat((real.table, made.table))
+    x = (x - x.mean(0)) / x.std(0).clamp_min(1e-12)
+    whose = torch.cat((real.whose, made.whose + real.whose.max() + 1))
+    synthetic = torch.arange(len(x)) >= count
+    own = whose[:, None] == whose
+    near = torch.cdist(x, x).masked_fill(own, torch.inf).topk(min(neighbours, len(x) - 1), largest=False).indices
+    left = torch.stack([(~own & (synthetic == side)).sum(1) for side in (False, True)], dim=1)
+    votes = torch.stack([(synthetic[near] == side).sum(1) for side in (False, True)], dim=1) / left.clamp_min(1)
+    right = ((votes[:, 1] > votes[:, 0]) == synthetic).double()
+    mine = by_person(right[~synthetic], real.whose)
+    return (mine[mine.isfinite()] + by_person(right[synthetic], made.whose).nanmean()) / 2
+
+
+def lacking(real: Windows, made: Windows) -> Tensor:
+    """Computes by how much synthetic windows differ from each person's (P, 12), in deviations of recorded windows."""
+    spread = real.table.std(0).clamp_min(1e-12)
+    theirs = torch.stack([real.table[real.whose == person].mean(0) for person in real.whose.unique()])
+    return (made.table.mean(0) - theirs) / spread
+
+
+def largest_elsewhere(gaps: Tensor) -> Tensor:
+    """Computes the largest of the differences (P, 12), (P,): chosen on one half of the people, measured on the other.
+
+    Its sign is chosen with it: where the halves do not agree, the mean is near zero.
+    """
+    found = torch.empty(len(gaps), dtype=gaps.dtype)
+    for mine, other in ((slice(0, None, 2), slice(1, None, 2)), (slice(1, None, 2), slice(0, None, 2))):
+        middle = gaps[other].mean(0)
+        at = int(middle.abs().argmax())
+        found[mine] = gaps[mine, at] * middle[at].sign()
+    return found
+
+
+def kind_row(kind: str, real: Windows, made: Windows, told: float) -> dict[str, object]:
+    """Computes a row of the table of kinds: in which description synthetic motion differs most, and by how much."""
+    gaps = lacking(real, made).mean(0)
+    names, units = zip(*DESCRIPTION_UNITS.items(), strict=True)
+    at, then = gaps.abs().argsort(descending=True)[:2].tolist()
+    return {
+        "kind": kind,
+        "people": real.people,
+        "windows, recorded": len(real.whose),
+        "synthetic": len(made.whose),
+        "differs most in": f"{names[at]}, {units[at]}",
+        "synthetic mean": float(made.table[:, at].mean()),
+        "recorded mean": real.mean(names[at]),
+        "difference, SD": f"{gaps[at]:+.1f}",
+        "then in": f"{names[then]} {gaps[then]:+.1f} SD",
+        "told apart, %": f"{100 * told:.0f}",
+    }
+
+
+def percent(value: float, low: float, high: float) -> str:
+    """Returns a share with its interval, in percent."""
+    return f"{100 * value:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"

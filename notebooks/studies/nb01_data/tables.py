@@ -1,39 +1,68 @@
-"""Tables of notebook 01: what a folder of recordings holds, and what retargeting costs."""
+"""Tables of notebook 01: is a corpus ground truth, what does retargeting cost."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from motionlab.io.recordings import inventory, recordings
+import torch
+
+from data_synth import corpus, faults
+from data_synth.audit import audit
+from motionlab.contact import with_contacts
+from motionlab.io.recordings import recordings
+from motionlab.metrics.gait import contact_scores
 from motionlab.retarget import retarget
-from motionlab.splits import MOTIONS, evenly
+from motionlab.skeleton import FEET
+from motionlab.splits import evenly
 
-LARGE = ("cmu_library", "cmu_native")
+#: Faults put in on purpose: 5 cm/s of drift, 1 cm too low, knees reflected.
+FAULTS = {
+    "drift": lambda motion: faults.drifting(motion, 0.05),
+    "low": faults.lowered,
+    "knees": faults.knees_reflected,
+}
+#: Sources of joint rotations that are small.
+SMALL = ("animated_drawings", "bandai_namco", "cmu_amc", "deepmimic", "isaacgym_amp_cmu", "reactidle")
 
 
-def inventory_rows(folder: Path | str) -> list[dict[str, object]]:
-    """What a folder of recordings holds, one row per source and kind of file, as a table to show.
+def build_both(seed: int, seconds: float) -> tuple[corpus.Corpus, corpus.Corpus]:
+    """Builds the synthetic corpus in the thesis's two versions: B with a free root, A with its root held."""
+    recipes = [corpus.Recipe(seed=seed, version=version, seconds=seconds) for version in "BA"]
+    return tuple(corpus.build(recipe=recipe, progress=False) for recipe in recipes)
 
-    The two large sources have a table of their own (``real_motion``).
+
+def audited(free: corpus.Corpus, still: corpus.Corpus) -> dict[str, tuple[list[float], list[float]]]:
+    """Computes the worst of every sequence by test, and of its first ten seconds with a fault put in on purpose.
+
+    planted: mm per frame. floor: mm. limits: degrees, of both versions.
     """
-    small = sorted(p.name for p in Path(folder).iterdir() if p.is_dir() and p.name not in LARGE)
+    good = [audit(s.motion) for s in free.sequences]
+    drift, low, knees = ([audit(spoil(s.motion.cut(0, 300))) for s in free.sequences] for spoil in FAULTS.values())
+    both = [*(audit(s.motion) for s in still.sequences), *good]
+    return {
+        "planted": ([1000 * a.contact_speed for a in good], [1000 * a.contact_speed for a in drift]),
+        "floor": ([1000 * a.penetration for a in good], [1000 * a.penetration for a in low]),
+        "limits": ([a.limit_excess for a in both], [a.limit_excess for a in knees]),
+    }
+
+
+def action_rows(found: corpus.Corpus) -> list[dict[str, object]]:
+    """Returns a row per split: sequences, subjects, minutes, and the share of each action."""
     return [
-        {
-            "source": r.source,
-            "files": r.kind,
-            "clips": r.clips,
-            "minutes": r.minutes,
-            "fps": _range(sorted(set(r.fps))),
-            "points": _range(sorted(set(r.points))),
-            "seen, %": 100 * r.seen,
-            "loader": r.loader,
-            "cannot be read": len(r.unread),
-            "shipped weights may train on it": {True: "yes", False: "no", None: "not known"}[r.trainable],
-        }
-        for source in small
-        for r in inventory(folder, source)
+        {**row, "actions": ", ".join(f"{name} {100 * share:.0f} %" for name, share in row["actions"].items())}
+        for row in found.statistics()
     ]
+
+
+def detected_contacts(sequences: Sequence) -> tuple[float, float]:
+    """Computes precision and recall of a detector of foot contacts, that knows heights and speeds, by the labels."""
+    feet = [sequences[0].motion.skeleton.contact_names.index(name) for name in FEET]
+    scores = contact_scores(
+        torch.stack([with_contacts(s.motion).contacts[:, feet] for s in sequences]),
+        torch.stack([s.motion.contacts[:, feet] for s in sequences]),
+    )
+    return float(scores.precision.mean()), float(scores.recall.mean())
 
 
 def retarget_rows(folder: Path | str, *, each: int | None = None) -> list[dict[str, object]]:
@@ -47,7 +76,7 @@ def retarget_rows(folder: Path | str, *, each: int | None = None) -> list[dict[s
         DataError: a recording is at fault.
     """
     rows = []
-    for source in MOTIONS:
+    for source in SMALL:
         if not (Path(folder) / source).is_dir():
             continue
         found = evenly([(path, load) for _, path, load in recordings(folder, source)], each)

@@ -1,115 +1,186 @@
-"""The figures of notebook 02: parameters along a turn, distance from the cut, gaps, flips, consistency."""
+"""The figures of notebook 02: one gap, the ball, numbers of a turn, distance from the cut, gaps, flips, consistency."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.skeleton import UPRIGHT
-from motionlab.viz.palette import ROLE
+from motionlab.motion import FPS
+from motionlab.viz.palette import INK, LINE, ROLE, blend
 from studies.nb02_rotations import representations as rep
+from studies.nb02_rotations.ball import draw_ball
 from studies.nb02_rotations.representations import Representation
-from studies.nb02_rotations.trials import FPS, Consistency
-from studies.shared.plots import canvas, paints
+from studies.nb02_rotations.trials import ARMS, Consistency, Gaps
+from studies.shared.plots import canvas
 
 #: Which colour a representation has.
 ROLE_OF = {
     "axis-angle": "axis-angle",
     "axis-angle, unrolled": "baseline",
-    "quaternion": "quaternion",
+    "axis-angle, nearest vector": "baseline",
+    "quaternion, w ≥ 0": "quaternion",
+    "Euler ZXY": "stage2",
     "6D, lengths free": "observation",
     "6D": "6d",
 }
+_DASHES = {"x": "-", "y": "--", "z": ":", "w": "-."}
 
 
-def leaning_turn(turns: float, frames: int) -> Tensor:
-    """A body (frames, 3, 3) that turns about the vertical while it leans 15 degrees to its left and back."""
-    angle = torch.linspace(0, 2 * math.pi * turns, frames, dtype=torch.float64)
-    lean = rotation.rotation_about("z", math.radians(15) * (0.5 * angle).sin())
-    return rotation.rotation_about("z", angle) @ UPRIGHT.double() @ lean
+def _shade_gap(ax: Axes, frames: int, gap: int) -> None:
+    first = (frames - gap) // 2
+    ax.axvspan((first - 0.5) / FPS, (first + gap - 0.5) / FPS, color=LINE, alpha=0.35, lw=0)
+    ax.text((first + gap / 2 - 0.5) / FPS, 1.01, "hidden", transform=ax.get_xaxis_transform(), ha="center", fontsize=9)
+
+
+def one_gap(truth: Tensor, thetas: Mapping[Representation, Tensor], gap: int) -> Figure:
+    """Draws how far the body has turned, true (T, 3, 3) and filled (T, P), and the axis-angle vector that did it."""
+    fig, axes = canvas(1, 2, size=(11.0, 3.6))
+    time = np.arange(len(truth)) / FPS
+    paths = {"truth": truth} | {how.name: how.decode(theta) for how, theta in thetas.items()}
+    for label, path in paths.items():
+        steps = torch.rad2deg(rotation.geodesic(path[:-1], path[1:])).cumsum(0).numpy()
+        paint, dash = ROLE[ROLE_OF.get(label, label)], {"truth": (0, (4, 2))}.get(label, "-")
+        axes[0].plot(time, [0, *steps], lw=2.2, color=paint, ls=dash, label=label, zorder=3 if label == "truth" else 2)
+    vectors = {"true vector": rotation.matrix_to_axis_angle(truth), "axis-angle": thetas[rep.AXIS_ANGLE]}
+    for (label, vector), role in zip(vectors.items(), ("truth", "axis-angle"), strict=True):
+        for i, part in enumerate("xyz"):
+            name = f"{label}, {part}"
+            axes[1].plot(time, vector[:, i], ls=_DASHES[part], lw=1.6, color=ROLE[role], label=name)
+    axes[0].set(xlabel="time, s", ylabel="degrees turned so far")
+    axes[1].set(xlabel="time, s", ylabel="rotation vector, rad")
+    for ax, columns in zip(axes, (3, 2), strict=True):
+        _shade_gap(ax, len(truth), gap)
+        ax.legend(ncol=columns, loc="upper center", bbox_to_anchor=(0.5, -0.17), frameon=False)
+    return fig
+
+
+def ball(truth: Tensor, filled: Tensor, gap: int, *, azimuth: float = -60.0, upto: float = 1.0) -> Figure:
+    """Draws the ball with the true path (T, 3, 3) and the vectors (T, 3) that smoothness in axis-angle made of it."""
+    vectors = {"truth": rotation.matrix_to_axis_angle(truth), "axis-angle": filled}
+    fig, (ax,) = canvas(1, 1, size=(8.6, 7.2))
+    ax.imshow(draw_ball(vectors, gap, azimuth=azimuth, upto=upto))
+    ax.set_axis_off()
+    true, made = (rep.turned(rep.across_gap(p, gap)) for p in (truth, rotation.axis_angle_to_matrix(filled)))
+    words = {
+        ROLE["truth"]: f"the body as it turned: {true:.0f}° across the gap",
+        ROLE["axis-angle"]: f"filled in axis-angle: {made:.0f}°",
+        ROLE["observation"]: "an upright body, every heading",
+        blend(ROLE["axis-angle"], "white", 0.6): "surface: half a turn, THE CUT",
+    }
+    for paint, label in words.items():
+        ax.plot([], [], color=paint, lw=4, label=label)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=2, frameon=False)
+    return fig
 
 
 def components(path: Tensor, choices: Sequence[Representation]) -> Figure:
-    """Every parameter of a path (T, 3, 3) over the turned angle, one panel per representation."""
-    fig, axes = canvas(1, len(choices), size=(12.5, 2.9))
+    """Draws every parameter of a path (T, 3, 3) over the turned angle, named, one panel per representation."""
+    fig, axes = canvas(2, 3, size=(11.5, 6.4))
     degrees = torch.rad2deg(rotation.geodesic(path[:-1], path[1:]).cumsum(0))
-    for ax, r in zip(axes, choices, strict=True):
-        theta = r.encode(path).numpy()[1:]
-        for i, column in enumerate(theta.T):
-            ax.plot(degrees, column, lw=1.4, color=ROLE[ROLE_OF.get(r.name, "baseline")], alpha=1 - 0.12 * i)
-        ax.set(title=r.name, xlabel="degrees turned")
-    axes[0].set_ylabel("parameters (rad, or unitless)")
+    for ax, how in zip(axes, choices, strict=False):
+        paint = ROLE[ROLE_OF[how.name]]
+        for name, column in zip(how.parts, how.encode(path).numpy()[1:].T, strict=True):
+            tone = blend(paint, "white", 0.45) if name.startswith("b_") else paint
+            label = f"${name}$" if "_" in name else name
+            ax.plot(degrees, column, lw=1.7, color=tone, ls=_DASHES[name[-1].lower()], label=label)
+        unit = "no unit" if len(how.parts) != 3 else "rad"
+        ax.set_title(f"{how.name} ({unit})", pad=36 if len(how.parts) == 6 else 20, loc="left")
+        place = {"loc": "lower left", "bbox_to_anchor": (-0.02, 0.98), "borderpad": 0.1, "columnspacing": 1.2}
+        ax.legend(ncol=3 if len(how.parts) == 6 else 4, frameon=False, **place)
+        ax.set_xlabel("degrees turned")
+    for ax in axes[len(choices) :]:
+        ax.set_axis_off()
     return fig
 
 
-def angles_from_the_cut(angles: Mapping[str, Tensor]) -> Figure:
-    """Share of frames within some degrees of the branch cut, one curve per source; (N,) angles in degrees."""
-    fig, (ax,) = canvas(1, 1, size=(8.5, 3.2))
+def from_the_cut(degrees: Mapping[str, Tensor]) -> Figure:
+    """Draws the share of frames within some degrees of the branch cut, one curve per source; (N,) degrees."""
+    fig, (ax,) = canvas(1, 1, size=(8.5, 3.4))
     away = np.linspace(0, 60, 241)
-    for (source, values), paint in zip(angles.items(), paints(list(angles), {}).values(), strict=True):
-        share = np.searchsorted(np.sort(180 - values.numpy()), away, side="right") / len(values)
-        ax.plot(away, 100 * share, lw=2.4 if source == "synthetic" else 1.5, color=paint, label=source)
-    ax.axvline(0, color=ROLE["axis-angle"], lw=3)
-    ax.set(xlabel="degrees from the branch cut", ylabel="% of frames at most so far", xlim=(-0.5, 60), ylim=(0, 102))
-    ax.legend(loc="lower right", ncol=2)
+    for source, values in degrees.items():
+        share = np.searchsorted(np.sort(values.numpy()), away, side="right") / len(values)
+        role = "synthetic" if source == "synthetic" else "real"
+        ax.plot(away, 100 * share, lw=2.2, color=ROLE[role], label=f"{source}, n = {len(values):,} frames")
+    ax.axvline(0, color=ROLE["axis-angle"], lw=4)
+    ax.text(0.9, 4, "the cut", color=ROLE["axis-angle"], fontsize=10, fontweight="bold")
+    ax.set(xlabel="degrees from the cut", ylabel="frames at most so far, %", xlim=(-0.5, 60), ylim=(0, 102))
+    ax.legend(loc="center right", frameon=False)
     return fig
 
 
-def excess(found: Mapping[tuple[str, str], Tensor], crossing: Mapping[str, Tensor]) -> Figure:
-    """Excess rotation of every filled gap, by representation; gaps across the cut on the left."""
-    names = list(dict.fromkeys(name for _, name in found))
-    fig, axes = canvas(1, 2, size=(12.0, 3.2))
+def excess(gaps: Mapping[str, Gaps], filled: Mapping[tuple[str, str], Tensor]) -> Figure:
+    """Draws the excess rotation of every filled gap by representation; gaps across the cut on the left."""
+    names = list(dict.fromkeys(name for _, name in filled))
+    fig, axes = canvas(1, 2, size=(11.5, 3.5), sharex=True, sharey=True)
     for ax, across, title in zip(axes, (True, False), ("gaps across the cut", "all other gaps"), strict=True):
         count = 0
         for row, name in enumerate(names):
-            values = torch.cat([v[crossing[s] == across] for (s, n), v in found.items() if n == name])
+            found = [rep.excess_rotation(filled[s, name], g.gap)[g.crossing == across] for s, g in gaps.items()]
+            values = torch.cat(found)
             count = len(values)
             jitter = np.random.default_rng(0).uniform(-0.28, 0.28, count)
-            ax.scatter(values, row + jitter, s=9, alpha=0.35, lw=0, color=ROLE[ROLE_OF.get(name, "baseline")])
-        ax.axvline(180, color=ROLE["truth"], lw=0.8, ls=":")
-        ax.axvline(360, color=ROLE["truth"], lw=0.8, ls=":")
-        ax.set(title=f"{title}, n = {count}", xlabel="rotation beyond the shortest way, degrees", xlim=(-15, 400))
+            ax.scatter(values, row + jitter, s=9, alpha=0.35, lw=0, color=ROLE[ROLE_OF[name]])
+        ax.axvspan(180, 400, color=ROLE["axis-angle"], alpha=0.06, lw=0)
+        ax.axvline(360, color=INK, lw=0.8, ls=":")
+        ax.set(xlabel="degrees beyond the shortest way (one dot: one gap)", xlim=(-15, 400))
+        ax.set_title(f"{title}, n = {count:,}", pad=16, loc="left")
+        for at, words in ((180, "the long way"), (360, "full circle")):
+            ax.text(at, 1.01, words, transform=ax.get_xaxis_transform(), ha="center", fontsize=8)
         ax.set_yticks(range(len(names)), names)
-        ax.invert_yaxis()
+    axes[0].invert_yaxis()
     return fig
 
 
-def carried_and_decoded(root: Tensor, seconds: float = 20.0) -> Figure:
-    """The two vectors of one root (T, 3, 3) over time, and how far their midpoint is off."""
-    root = root[: round(seconds * FPS)]
+def liveliest(root: Tensor, seconds: float) -> Tensor:
+    """Cuts out the stretch of a root (T, 3, 3) in which carried and decoded vectors change sides most often."""
+    carried, decoded = rep.carried_and_decoded(root)
+    mask, length = rep.flipped(carried, decoded), min(round(seconds * FPS), len(root))
+    changes = (mask[1:] != mask[:-1]).float().unfold(0, length - 1, 1).sum(-1)
+    start = int(changes.argmax())
+    return root[start : start + length]
+
+
+def carried_and_decoded(root: Tensor, seconds: float = 12.0) -> Figure:
+    """Draws the two vectors of one root (T, 3, 3) over time, and how far their midpoint is off."""
+    root = liveliest(root, seconds)
     carried, decoded = rep.carried_and_decoded(root)
     time = torch.arange(len(root)) / FPS
-    fig, axes = canvas(2, 1, size=(11.0, 4.4), sharex=True)
-    for i, name in enumerate("xyz"):
-        tone = 1 - 0.28 * i
-        axes[0].plot(time, carried[:, i], lw=1.6, color=ROLE["ours"], alpha=tone, label=f"carried {name}")
-        axes[0].plot(time, decoded[:, i], lw=1.6, ls=":", color=ROLE["axis-angle"], alpha=tone, label=f"decoded {name}")
+    fig, axes = canvas(2, 1, size=(11.0, 5.0), sharex=True)
+    for name, vector, role in (("carried", carried, "ours"), ("decoded", decoded, "axis-angle")):
+        for i, part in enumerate("xyz"):
+            style = {"lw": 1.6, "ls": _DASHES[part], "color": ROLE[role]}
+            axes[0].plot(time, vector[:, i], label=f"{name} {part}", **style)
     axes[0].set_ylabel("rotation vector, rad")
-    axes[0].legend(ncol=3, fontsize=8, loc="upper right")
+    axes[0].legend(ncol=6, loc="lower left", bbox_to_anchor=(0, 1.0), frameon=False)
     off = rep.midpoint_error(rep.AXIS_ANGLE, carried, decoded, root)
     axes[1].fill_between(time, off, color=ROLE["axis-angle"], alpha=0.7, lw=0)
-    axes[1].set(xlabel="time, s", ylabel="midpoint off by, degrees", ylim=(0, 190))
+    axes[1].set(xlabel="time, s", ylabel="their average\nis off by, degrees", ylim=(0, 190), yticks=(0, 90, 180))
     return fig
 
 
 def consistency(outcome: Mapping[str, Consistency]) -> Figure:
-    """Worst error of every clip after the consistency fit, sorted, per representation and kind of clip."""
-    fig, axes = canvas(1, 2, size=(11.0, 3.2), sharey=True)
+    """Draws the worst error of every clip after the consistency fit, sorted, per arm and kind of clip."""
+    fig, axes = canvas(1, 2, size=(11.0, 3.8), sharey=True)
     for ax, flipped, title in zip(axes, (True, False), ("clips with a flip", "all other clips"), strict=True):
         count = 0
-        for name in ("axis-angle", "6D"):
+        for name in ARMS:
             values = torch.cat([o.worst_deg[name][o.flipped == flipped] for o in outcome.values()]).sort().values
             count = len(values)
             share = torch.linspace(0, 100, max(count, 1))[:count]
-            ax.plot(share, values.clamp_min(1e-3), lw=2, color=ROLE[ROLE_OF[name]], label=name)
-        ax.set(title=f"{title}, n = {count}", xlabel="clips, sorted, %", yscale="log", ylim=(6e-4, 360))
+            dash = {"axis-angle, nearest vector": (0, (4, 2))}.get(name, "-")
+            ax.plot(share, values, lw=2.2, color=ROLE[ROLE_OF[name]], ls=dash, label=name)
+        ax.set(xlabel="clips, sorted, %", yscale="log", ylim=(1, 220))
+        ax.set_title(f"{title}, n = {count:,}", loc="left")
+        ax.set_yticks([1, 3, 10, 30, 90, 180], ["1", "3", "10", "30", "90", "180"])
+        ax.minorticks_off()
         ax.axhline(30, color=ROLE["truth"], lw=0.8, ls=":")
+        ax.text(50, 28, "above: ruined", fontsize=8, ha="center", va="top")
     axes[0].set_ylabel("worst frame off by, degrees")
-    axes[0].legend(loc="center left")
+    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncol=3, frameon=False)
     return fig

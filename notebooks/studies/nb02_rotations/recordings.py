@@ -1,7 +1,8 @@
-"""Root rotations of every source of recordings, falls included."""
+"""Root rotations of recorded people, falls included, by person."""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import torch
@@ -10,30 +11,52 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.io.points import Positions
 from motionlab.io.recordings import recordings
-from motionlab.splits import MOTIONS, standard
+from motionlab.motion import FPS, resample
+from motionlab.people import person_of
+from motionlab.retarget import retarget
+from motionlab.splits import evenly
 
+#: Sources with joint rotations. CMU's people come once: ``cmu_amc`` only adds trials that the library lacks.
+SOURCES = ("cmu_library", "cmu_amc", "bandai_namco", "deepmimic", "reactidle", "animated_drawings")
+FALLS = "captury_falls"
 #: Names of hips and neck in joint-position files whose pelvis can be turned into a rotation.
 _TRUNK = ("LHip", "RHip", "Neck")
 
 
-def roots(folder: Path | str | None, *, each: int | None = None) -> dict[str, list[Tensor]]:
-    """Root rotations (T, 3, 3) at 30 fps of every source that has them; empty without a folder.
+def roots(
+    folder: Path | str | None, *, each: int | None = None, people: int | None = None
+) -> dict[str, tuple[Tensor, ...]]:
+    """Loads root rotations (T, 3, 3) at 30 fps by person; empty without a folder.
 
-    Falls and floor work come as joint positions: their pelvis is turned by its hips and the line to the neck.
+    A source whose people are not known counts as one person. Falls and floor work come as joint positions: their
+    pelvis is turned by its hips and the line to the neck.
+
+    Args:
+        each: at most so many recordings of a person, evenly over them. people: at most so many people.
     """
-    found = {source: [m.rot[:, 0] for m in standard(folder, source, each=each)] for source in MOTIONS}
-    falls = [] if folder is None or not (Path(folder) / "captury_falls").is_dir() else _fallen(Path(folder))
-    return {source: paths for source, paths in (found | {"captury_falls": falls}).items() if paths}
+    if folder is None:
+        return {}
+    found: dict[str, dict[str, tuple]] = {}
+    for source in (s for s in SOURCES if (Path(folder) / s).is_dir()):
+        for _, path, load in recordings(folder, source):
+            found.setdefault(person_of(source, path), {}).setdefault(path.stem, (path, load))
+    chosen = {who: evenly(list(files.values()), each) for who, files in found.items()}
+    if (Path(folder) / FALLS).is_dir():
+        files = [(path, load) for _, path, load in recordings(folder, FALLS) if path.suffix == ".csv"]
+        chosen[FALLS] = evenly([f for f in files if f[0].name == "biomech.csv"], each)
+    return {who: tuple(_root(*file) for file in chosen[who]) for who in evenly(sorted(chosen), people)}
 
 
-def _fallen(folder: Path) -> list[Tensor]:
-    loaded = [load(path) for _, path, load in recordings(folder, "captury_falls") if path.suffix == ".csv"]
-    takes = [p for p in loaded if isinstance(p, Positions) and set(_TRUNK) <= set(p.names)]
-    return [_thirty(pelvis_rotation(p), p.fps) for p in takes]
+@lru_cache(maxsize=4096)
+def _root(path: Path, load) -> Tensor:
+    found = load(path)
+    if isinstance(found, Positions):
+        return _thirty(pelvis_rotation(found), found.fps)
+    return resample(retarget(found).motion, FPS).rot[:, 0]
 
 
 def pelvis_rotation(positions: Positions) -> Tensor:
-    """Orientation (T, 3, 3) of the pelvis from hips and neck: left along the hips, up towards the neck."""
+    """Computes the orientation (T, 3, 3) of the pelvis from hips and neck: left along the hips, up towards the neck."""
     left, right, neck = positions.select(_TRUNK).positions.unbind(1)
     across, up = left - right, neck - (left + right) / 2
     return rotation.sixd_to_matrix(torch.cat((across, up), dim=-1))
@@ -41,6 +64,6 @@ def pelvis_rotation(positions: Positions) -> Tensor:
 
 def _thirty(path: Tensor, fps: float) -> Tensor:
     """A path of rotations at 30 frames per second, by slerp."""
-    at = torch.arange(int((len(path) - 1) / fps * 30) + 1) * (fps / 30)
+    at = torch.arange(int((len(path) - 1) / fps * FPS) + 1) * (fps / FPS)
     low = at.floor().long().clamp(max=len(path) - 2)
     return rotation.slerp(path[low], path[low + 1], (at - low).to(path))

@@ -1,75 +1,199 @@
 """The experiments of notebook 02 over many recordings: gaps, flips and consistency of the root's rotation.
 
-Roots are (T, 3, 3) at 30 frames per second. The heading of a recording's axes is an accident, and the branch
-cut depends on it, so every trial turns each recording by a heading of its own, drawn at random.
+Roots are (T, 3, 3) at 30 frames per second, by person: ``{"person": [root, ...]}`` (synthetic: by clip). The heading of
+a recording's axes is an accident, and the branch cut depends on it, so every trial turns each recording by a heading of
+its own, drawn at random.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from data_synth import clips, corpus
 from motionlab import rotation
-from motionlab.motion import Motion
+from motionlab.motion import FPS, Motion, resample
+from motionlab.skeleton import UPRIGHT
 from studies.nb02_rotations import representations as rep
-from studies.nb02_rotations.representations import AXIS_ANGLE, SIXD, Representation
+from studies.nb02_rotations.representations import AXIS_ANGLE, SIXD, UNROLLED, Representation
+from studies.shared.person_windows import by_person
 
-FPS = 30.0
-
-
-def at_random_heading(roots: Sequence[Tensor], generator: torch.Generator) -> list[Tensor]:
-    """Each root (T, 3, 3) turned about the vertical by an angle of its own."""
-    angles = 2 * math.pi * torch.rand(len(roots), generator=generator)
-    return [rotation.rotation_about("z", angle.to(root)) @ root for root, angle in zip(roots, angles, strict=True)]
+People = Mapping[str, Sequence[Tensor]]
 
 
-def cut_windows(roots: Sequence[Tensor], length: int, stride: int) -> Tensor:
-    """All windows (N, length, 3, 3) of all roots that are long enough."""
-    pieces = [root.unfold(0, length, stride).movedim(-1, 1) for root in roots if len(root) >= length]
-    return torch.cat(pieces) if pieces else torch.zeros(0, length, 3, 3)
+# ------------------------------------------------------------------------------------------------------- material
+def made(count: int, seconds: float, seed: int, generator: torch.Generator) -> dict[str, list[Tensor]]:
+    """Makes synthetic roots by clip: ``count`` takes of turns, dances, floor work and jumps, and the whole corpus."""
+    takes = clips.draw(count, generator, actions=("turn", "dance", "floor", "jump"))
+    sequences = corpus.build(recipe=corpus.Recipe(seed=seed, seconds=seconds), progress=False).sequences
+    return {f"clip {i}": [take.motion.rot[:, 0]] for i, take in enumerate((*takes, *sequences))}
 
 
-def canonical_angle(roots: Sequence[Tensor]) -> Tensor:
-    """Angle (N,) in degrees of the root's rotation vector in HuMoR's heading frame, every frame of every root.
+def ordinary(count: int, generator: torch.Generator) -> dict[str, list[Tensor]]:
+    """Makes synthetic roots of people who walk, stand, reach and sit, by clip."""
+    takes = clips.draw(count, generator, actions=("walk", "idle", "reach", "sit"))
+    return {f"clip {i}": [take.motion.rot[:, 0]] for i, take in enumerate(takes)}
 
-    Source: HuMoR's canonical frame, where the body faces +y; the cut lies at 180.
+
+def at_random_heading(people: People, generator: torch.Generator) -> dict[str, list[Tensor]]:
+    """Turns each root (T, 3, 3) about the vertical by an angle of its own."""
+    turned = {}
+    for who, roots in people.items():
+        angles = math.tau * torch.rand(len(roots), generator=generator)
+        turned[who] = [rotation.rotation_about("z", a.to(r)) @ r for r, a in zip(roots, angles, strict=True)]
+    return turned
+
+
+def cut_windows(people: People, length: int, stride: int) -> tuple[Tensor, Tensor]:
+    """Cuts all windows (N, length, 3, 3) out of roots that are long enough, and whose each is (N,)."""
+    pieces, whose = [torch.zeros(0, length, 3, 3)], [torch.zeros(0, dtype=torch.long)]
+    for i, roots in enumerate(people.values()):
+        pieces += [r.float().unfold(0, length, stride).movedim(-1, 1) for r in roots if len(r) >= length]
+        whose += [torch.full(((len(r) - length) // stride + 1,), i) for r in roots if len(r) >= length]
+    return torch.cat(pieces), torch.cat(whose)
+
+
+def turn_about(path: Tensor, degrees: float) -> Tensor:
+    """Turns rotations (..., 3, 3) about the vertical: other axes of the room, the same motion."""
+    return rotation.rotation_about("z", torch.tensor(math.radians(degrees)).to(path)) @ path
+
+
+def means(values: Tensor, whose: Tensor, among: Tensor | None = None) -> Tensor:
+    """Computes the mean (P,) of values (N,) of each person who has any; ``among`` (N,) chooses which values count."""
+    if not len(values):
+        return torch.zeros(0)
+    each = by_person(values.double() if among is None else torch.where(among, values.double(), torch.nan), whose)
+    return each[each.isfinite()]
+
+
+# ----------------------------------------------------------------------------------------------- where the cut is
+def degrees_from_cut(people: People) -> Tensor:
+    """Computes how far (N,) every frame's rotation vector is from the cut in HuMoR's heading frame, degrees.
+
+    Source: HuMoR's canonical frame, where the body faces +y; the cut lies at an angle of 180 degrees.
     """
-    path = torch.cat(list(roots))
+    path = torch.cat([root.float() for roots in people.values() for root in roots])
     local = rotation.rotation_about("z", -rotation.yaw(path)) @ path
-    return torch.rad2deg(rotation.matrix_to_axis_angle(local).norm(dim=-1))
+    return 180 - torch.rad2deg(rotation.matrix_to_axis_angle(local).norm(dim=-1))
+
+
+def leaning_turn(turns: float, frames: int) -> Tensor:
+    """Makes a body (frames, 3, 3) that turns about the vertical while it leans 15 degrees to its left and back."""
+    angle = torch.linspace(0, math.tau * turns, frames, dtype=torch.float64)
+    lean = rotation.rotation_about("z", math.radians(15) * (0.5 * angle).sin())
+    return rotation.rotation_about("z", angle) @ UPRIGHT.double() @ lean
+
+
+def through_the_cut(motion: Motion, frames: int) -> Motion:
+    """Cuts out the ``frames`` in which the root turns fastest, with a heading that meets the cut in their middle."""
+    root = motion.rot[:, 0]
+    turn = rotation.geodesic(root[:-1], root[1:])
+    frames = min(frames, motion.frames)
+    start = int(turn.unfold(0, frames - 1, 1).sum(-1).argmax())
+    piece = motion.cut(start, start + frames)
+    return heading_at(piece, -torch.rad2deg(rotation.yaw(piece.rot[piece.frames // 2, 0])).item())
+
+
+def heading_at(motion: Motion, degrees: float) -> Motion:
+    """Turns a motion about the vertical."""
+    turn = rotation.rotation_about("z", torch.tensor(math.radians(degrees)).to(motion.root))
+    rot = torch.cat(((turn @ motion.rot[:, 0])[:, None], motion.rot[:, 1:]), dim=1)
+    return replace(motion, root=motion.root @ turn.mT, rot=rot)
+
+
+def with_roots(motion: Motion, roots: Mapping[str, Tensor], *, around: int, fps: float = 75.0) -> dict[str, Motion]:
+    """Gives copies of a motion other root rotations (T, 3, 3): its middle, ``around`` frames on either side of it.
+
+    fps: more frames, for slow motion.
+    """
+    panels = {"truth": motion} | {
+        name: replace(motion, rot=torch.cat((root.to(motion.rot)[:, None], motion.rot[:, 1:]), dim=1))
+        for name, root in roots.items()
+    }
+    middle = motion.frames // 2
+    first, last = max(middle - around, 0), min(middle + around, motion.frames)
+    return {name: resample(panel.cut(first, last), fps) for name, panel in panels.items()}
+
+
+# ----------------------------------------------------------------------------------------------------------- gaps
+class Gaps(NamedTuple):
+    """Paths (N, T, 3, 3) whose hidden middle is ``gap`` frames, whose each is (N,), and which cross the cut (N,)."""
+
+    path: Tensor
+    whose: Tensor
+    crossing: Tensor
+    gap: int
 
 
 def lively_gaps(
-    roots: Sequence[Tensor],
-    generator: torch.Generator,
-    *,
-    most: int,
-    context: int = 10,
-    length: int = 10,
-    least_deg: float = 20.0,
-) -> Tensor:
-    """Windows (N, context + length + context, 3, 3) whose middle turns by ``least_deg`` or more; at most ``most``.
+    people: People, generator: torch.Generator, *, gap: int, each: int, context: int = 10, least_deg: float = 20.0
+) -> Gaps:
+    """Finds gaps across which the true root turns by ``least_deg`` or more; at most ``each`` of a person.
 
-    Hidden middles do not overlap.
+    ``context`` frames are seen on either side. Hidden middles do not overlap.
     """
-    path = cut_windows(at_random_heading(roots, generator), 2 * context + length, length)
-    turn = torch.rad2deg(rotation.geodesic(path[:, context - 1], path[:, -context]))
-    path = path[turn >= least_deg]
-    return path[torch.randperm(len(path), generator=generator)[:most]]
+    path, whose = cut_windows(at_random_heading(people, generator), 2 * context + gap, gap)
+    middle = rep.across_gap(path, gap)
+    turn = torch.rad2deg(rotation.geodesic(middle[:, 0], middle[:, -1]))
+    order = torch.randperm(len(path), generator=generator)
+    order = order[turn[order] >= least_deg]
+    mine = [order[whose[order] == i][:each] for i in range(len(people))]
+    kept = torch.cat(mine) if mine else order
+    return Gaps(path[kept].double(), whose[kept], rep.crosses_branch(path[kept], gap), gap)
 
 
+def turned_round(gaps: Gaps) -> Tensor:
+    """Turns the gaps that cross the cut by half a turn about the vertical, the farthest from the cut there is."""
+    return turn_about(gaps.path[gaps.crossing], 180)
+
+
+class Shares(NamedTuple):
+    """Share of a person's gaps filled the long way (P,), by description: of all, of those across the cut, and of those
+    in axis-angle turned round."""
+
+    each: dict[str, Tensor]
+    cut: dict[str, Tensor]
+    turned: Tensor
+
+
+def shares(gaps: Gaps, filled: Mapping[str, Tensor], turned: Tensor) -> Shares:
+    """Computes the share of gaps filled the long way: half a turn or more beyond the shortest."""
+    long = {name: rep.excess_rotation(path, gaps.gap) >= 180 for name, path in filled.items()}
+    return Shares(
+        {name: means(which, gaps.whose) for name, which in long.items()},
+        {name: means(which, gaps.whose, gaps.crossing) for name, which in long.items()},
+        means(rep.excess_rotation(turned, gaps.gap) >= 180, gaps.whose[gaps.crossing]),
+    )
+
+
+def long_way_rows(found: Mapping[str, Shares], gaps: Mapping[str, Gaps]) -> list[dict[str, object]]:
+    """Builds the table of gaps filled the long way, a row per description, and one for the control."""
+    percent = lambda x: 100 * x.mean().item() if len(x) else "-"  # noqa: E731
+    heads = {s: f"{s}: % of {len(g.path):,} gaps" for s, g in gaps.items()}
+    across = {s: f"{s}: % of {int(g.crossing.sum())} across the cut" for s, g in gaps.items()}
+    rows = [
+        {"description": name}
+        | {heads[s]: percent(f.each[name]) for s, f in found.items()}
+        | {across[s]: percent(f.cut[name]) for s, f in found.items()}
+        for name in next(iter(found.values())).each
+    ]
+    control = {across[s]: percent(f.turned) for s, f in found.items()}
+    return [*rows, {"description": "axis-angle, turned round", **dict.fromkeys(heads.values(), ""), **control}]
+
+
+# ---------------------------------------------------------------------------------------------------------- flips
 @dataclass(frozen=True, eq=False)
 class Flips:
-    """How often carried and decoded vectors of one root disagree, over recordings.
+    """How often carried and decoded vectors of one root disagree, one number per person (P,).
 
-    per_minute (clips,): changes between agreement and disagreement per minute, weighted by length so that their
-    mean is all changes over all minutes. minutes: in all. share: of frames flipped. midpoint_deg (clips with a
-    flip,): median over the clip's flipped frames of how far the average of the two vectors is from the rotation.
-    sixd_*: the same for 6D. example (T, 3, 3): the root with the most flips per minute.
+    per_minute: changes between agreement and disagreement. midpoint_deg (of people with a flip): median over the
+    flipped frames of how far the average of the two vectors is from the rotation. sixd_*: the same for 6D. minutes: in
+    all. share: of frames flipped. example (T, 3, 3): the root with the most flips.
     """
 
     per_minute: Tensor
@@ -81,94 +205,87 @@ class Flips:
     example: Tensor
 
 
-def count_flips(roots: Sequence[Tensor], generator: torch.Generator) -> Flips:
-    """Compare carried with decoded vectors over whole recordings. Source: thesis 3.3.2, first issue."""
-    rate, sixd_rate, masks, middle, sixd_middle = [], [], [], [], []
-    roots = at_random_heading(roots, generator)
-    for root in roots:
-        carried, decoded = rep.carried_and_decoded(root)
-        mask = rep.flipped(carried, decoded)
-        six = [SIXD.encode(rotation.axis_angle_to_matrix(v)) for v in (carried, decoded)]
-        rate.append(rep.flips_per_minute(mask, FPS))
-        sixd_rate.append(rep.flips_per_minute((six[0] - six[1]).norm(dim=-1) > 0.01, FPS))
-        masks.append(mask)
-        if mask.any():
-            middle.append(rep.midpoint_error(AXIS_ANGLE, carried, decoded, root)[mask].median())
-            sixd_middle.append(rep.midpoint_error(SIXD, *six, root)[mask].median())
-    frames = torch.tensor([float(len(root)) for root in roots])
-    weight = frames / frames.mean()
-    return Flips(
-        per_minute=weight * torch.stack(rate),
-        sixd_per_minute=weight * torch.stack(sixd_rate),
-        minutes=frames.sum().item() / FPS / 60,
-        share=torch.cat(masks).double().mean().item(),
-        midpoint_deg=torch.tensor(middle),
-        sixd_midpoint_deg=torch.tensor(sixd_middle),
-        example=roots[int(torch.stack(rate).argmax())],
-    )
+def count_flips(people: People, generator: torch.Generator) -> Flips:
+    """Compares carried with decoded vectors over whole recordings. Source: thesis 3.3.2, first issue."""
+    rows, middles, masks, most = [], [], [], (-1, None)
+    for roots in at_random_heading(people, generator).values():
+        changes, minutes, off = torch.zeros(2), 0.0, []
+        for root in roots:
+            carried, decoded = rep.carried_and_decoded(root)
+            mask = rep.flipped(carried, decoded)
+            six = [SIXD.encode(rotation.axis_angle_to_matrix(v)) for v in (carried, decoded)]
+            found = torch.stack([rep.count_changes(m) for m in (mask, (six[0] - six[1]).norm(dim=-1) > 0.01)])
+            changes, minutes = changes + found, minutes + len(root) / FPS / 60
+            errors = (rep.midpoint_error(AXIS_ANGLE, carried, decoded, root), rep.midpoint_error(SIXD, *six, root))
+            off.append(torch.stack(errors)[:, mask])
+            masks.append(mask)
+            most = max(most, (int(found[0]), root), key=lambda pair: pair[0])
+        rows.append((*(changes / minutes).tolist(), minutes))
+        flipped = torch.cat(off, dim=1)
+        middles += [flipped.median(1).values] if flipped.shape[1] else []
+    rate, sixd_rate, minutes = torch.tensor(rows, dtype=torch.float64).unbind(1)
+    middle = torch.stack(middles, 1) if middles else torch.zeros(2, 0)
+    share = torch.cat(masks).double().mean().item()
+    return Flips(rate, sixd_rate, minutes.sum().item(), share, middle[0], middle[1], most[1])
 
 
+# ---------------------------------------------------------------------------------------------------- consistency
 @dataclass(frozen=True, eq=False)
 class Consistency:
     """Outcome of the consistency fit on 2 s clips.
 
-    worst_deg: representation -> (clips,) largest error of a clip in degrees. flipped (clips,): where its two
-    vectors disagree somewhere.
+    worst_deg: arm -> (N,) largest error of a clip in degrees. flipped (N,): where its two vectors, the
+    decoder's error included, disagree somewhere.
+    whose (N,): the person.
     """
 
     worst_deg: dict[str, Tensor]
     flipped: Tensor
+    whose: Tensor
+
+    def ruined(self, arm: str, *, flipped: bool = True) -> Tensor:
+        """Computes each person's share of clips, with or without a flip, that end more than 30 degrees off."""
+        return means(self.worst_deg[arm] > 30, self.whose, self.flipped == flipped)
+
+
+#: The arms of the consistency experiment: a representation, and whether the decoded vector is rewritten first.
+ARMS = {"axis-angle": (AXIS_ANGLE, False), "axis-angle, nearest vector": (UNROLLED, True), "6D": (SIXD, False)}
 
 
 def compare_consistency(
-    roots: Sequence[Tensor],
+    people: People,
+    fit: Callable[[Tensor, Tensor], Tensor],
     generator: torch.Generator,
     *,
-    steps: int,
+    each: int,
+    noise_deg: float,
     seconds: float = 2.0,
-    choices: Sequence[Representation] = (AXIS_ANGLE, SIXD),
 ) -> Consistency:
-    """The same energy, decoder noise, optimiser, step length and number of steps in each representation."""
+    """Runs one consistency fit on carried and decoded parameters of the same clips and noise, arm by arm.
+
+    Args:
+        fit: carried (N, T, P), decoded (N, T, P) to the fitted parameters.
+        each: clips of a person at most.
+        noise_deg: the decoder's error per axis and frame; an arm that starts at its optimum proves nothing.
+    Source: thesis 3.3.1 (loss term) and 3.3.2.
+    """
     length = round(seconds * FPS)
-    path = cut_windows(at_random_heading(roots, generator), length, length)
-    carried, decoded = rep.carried_and_decoded(path)
-    seed = int(torch.randint(2**62, (), generator=generator))
-    same_noise = [torch.Generator().manual_seed(seed) for _ in choices]
-    worst = {
-        r.name: rep.consistency(path, r, own, steps=steps)[0].amax(-1)
-        for r, own in zip(choices, same_noise, strict=True)
-    }
-    return Consistency(worst, rep.flipped(carried, decoded).any(-1))
+    path, whose = cut_windows(at_random_heading(people, generator), length, length)
+    order = torch.randperm(len(path), generator=generator)
+    kept = torch.cat([order[:0], *(order[whose[order] == i][:each] for i in range(len(people)))])
+    path, whose = path[kept], whose[kept]
+    noise = math.radians(noise_deg) * torch.randn(*path.shape[:2], 3, generator=generator)
+    carried, _ = rep.carried_and_decoded(path)
+    _, decoded = rep.carried_and_decoded(path @ rotation.axis_angle_to_matrix(noise))
+    worst = {}
+    for name, (how, nearest) in ARMS.items():
+        start, target = carried, rep.nearest_vector(decoded, carried) if nearest else decoded
+        if how is SIXD:
+            start, target = (how.encode(rotation.axis_angle_to_matrix(v)) for v in (carried, decoded))
+        worst[name] = off_by(how, fit(start, target), path).amax(-1)
+    return Consistency(worst, rep.flipped(carried, decoded).any(-1), whose)
 
 
-def through_the_cut(motion: Motion, *, frames: int) -> Motion:
-    """The ``frames`` of a clip in which the root turns fastest, with a heading that meets the cut in their middle."""
-    root = motion.rot[:, 0]
-    turn = rotation.geodesic(root[:-1], root[1:])
-    start = int(turn.unfold(0, frames - 1, 1).sum(-1).argmax())
-    piece = motion.cut(start, start + frames)
-    turn_back = rotation.rotation_about("z", -rotation.yaw(piece.rot[frames // 2, 0]))
-    rot = torch.cat(((turn_back @ piece.rot[:, 0])[:, None], piece.rot[:, 1:]), dim=1)
-    return replace(piece, root=piece.root @ turn_back.mT, rot=rot)
-
-
-def filled_motions(
-    motion: Motion, choices: Sequence[Representation], *, context: int, closures: int
-) -> dict[str, Motion]:
-    """A motion and its copies whose root rotation is hidden between the contexts and filled by smoothness."""
-    root = motion.rot[:, 0]
-    panels = {"truth": motion}
-    for r in choices:
-        filled = rep.fill(root[None], r, context=context, closures=closures)[0][0].to(root)
-        panels[r.name] = replace(motion, rot=torch.cat((filled[:, None], motion.rot[:, 1:]), dim=1))
-    return panels
-
-
-def path_ratio(panels: Mapping[str, Motion], *, context: int) -> dict[str, float]:
-    """Rotation across the gap over the shortest way across, for each panel."""
-    ratio = {}
-    for name, motion in panels.items():
-        root = motion.rot[context - 1 : motion.frames - context + 1, 0].double()
-        length = rotation.geodesic(root[:-1], root[1:]).sum()
-        ratio[name] = (length / rotation.geodesic(root[0], root[-1])).item()
-    return ratio
+def off_by(how: Representation, theta: Tensor, truth: Tensor) -> Tensor:
+    """Computes degrees (...) between the rotation of parameters (..., P) and the true one (..., 3, 3)."""
+    return torch.rad2deg(rotation.geodesic(how.decode(theta).to(truth), truth))

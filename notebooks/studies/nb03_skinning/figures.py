@@ -1,46 +1,54 @@
-"""The figures of notebook 03: weights by size and reach, who moves whom, and what a threshold buys."""
+"""The figures of notebook 03: how weights fall off, who moves whom, how far the legs go, what a threshold buys."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from torch import Tensor
 
 from motionlab.body import BodyModel
-from motionlab.skinning import FAR, SMALL, WeightReport
+from motionlab.skinning import SMALL, WeightReport
 from motionlab.viz.palette import ROLE
-from studies.shared.plots import canvas
+from studies.shared.plots import canvas, median_band
+
+_LEAK, _KEPT = ROLE["axis-angle"], ROLE["ours"]
+
+
+def falls_off(weights: Tensor, distance: Tensor, rate: Tensor, joints: Mapping[str, int]) -> Figure:
+    """Weights (V, J) over distance (V, J), one panel per joint, with the fall-off (J,) that was measured above 1e-2."""
+    fig, axes = canvas(1, len(joints), size=(3.2 * len(joints), 3.1), sharey=True, sharex=True)
+    for ax, (name, joint) in zip(axes, joints.items(), strict=True):
+        w, d = weights[:, joint].double().numpy(), distance[:, joint].numpy()
+        shown = (w > 0) & (d > 0)
+        far = shown & (w < SMALL) & (d > float(rate[joint]) * np.log10(0.5 / np.maximum(w, 1e-9)))
+        for mask, colour, label in ((shown & ~far, _KEPT, "ordinary"), (far, _LEAK, "long-range")):
+            ax.scatter(d[mask], w[mask], s=9 if colour == _KEPT else 26, lw=0, alpha=0.6, color=colour, label=label)
+        line = np.geomspace(1e-4, 0.5, 50)
+        ax.plot(float(rate[joint]) * np.log10(0.5 / line), line, color=ROLE["truth"], lw=1.4, label="measured reach")
+        ax.axhline(SMALL, color=ROLE["truth"], lw=1, ls=":")
+        ax.set(title=f"{name}, n = {shown.sum()}", yscale="log", ylim=(1e-4, 1), xlabel="distance to its region, m")
+        ax.set_xscale("function", functions=(np.sqrt, np.square))
+        ax.set(xlim=(0, 2.1), xticks=[0.02, 0.1, 0.3, 0.6, 1, 2])
+    axes[0].set_ylabel("weight")
+    axes[-1].legend(loc="upper right", markerscale=2)
+    return fig
 
 
 def sizes(reports: Mapping[str, WeightReport]) -> Figure:
     """Histogram of the non-zero weights of each body on a logarithmic axis."""
-    fig, axes = canvas(1, len(reports), size=(3.4 * len(reports), 2.9), sharey=True)
+    fig, axes = canvas(1, len(reports), size=(3.2 * len(reports), 2.7), sharey=True)
     for ax, (name, report) in zip(axes, reports.items(), strict=True):
         edges, share = report.edges.numpy(), 100 * report.counts.numpy() / report.nonzero
         low = edges[1:] <= report.threshold * 1.001
-        for mask, role in ((low, "axis-angle"), (~low, "ours")):
-            ax.bar(edges[:-1][mask], share[mask], np.diff(edges)[mask], align="edge", color=ROLE[role], lw=0)
-        ax.set(title=name, xscale="log", xlabel="weight")
+        for mask, colour in ((low, _LEAK), (~low, _KEPT)):
+            ax.bar(edges[:-1][mask], share[mask], np.diff(edges)[mask], align="edge", color=colour, lw=0)
+        ax.set(title=f"{name}, n = {report.nonzero}", xscale="log", xlabel="weight", yscale="log", xlim=(1e-5, 1))
         ax.axvline(report.threshold, color=ROLE["truth"], lw=1, ls=":")
     axes[0].set_ylabel("% of non-zero weights")
-    return fig
-
-
-def reach(weights: Tensor, distance: Tensor, marked: Tensor | None = None) -> Figure:
-    """Every non-zero weight (V, J) over its distance (V, J) in metres from the joint's region."""
-    fig, (ax,) = canvas(1, 1, size=(7.5, 3.4))
-    present = (weights > 0) & distance.isfinite()
-    ax.scatter(distance[present], weights[present], s=3, lw=0, alpha=0.25, color=ROLE["ours"], label="weights")
-    if marked is not None:
-        ax.scatter(distance[marked], weights[marked], s=5, lw=0, color=ROLE["axis-angle"], label="planted")
-    ax.axvspan(FAR, float(distance[present].max()) * 1.03, 0, 1, color=ROLE["baseline"], alpha=0.08, lw=0)
-    ax.axhline(SMALL, color=ROLE["truth"], lw=1, ls=":")
-    ax.axvline(FAR, color=ROLE["truth"], lw=1, ls=":")
-    ax.set(yscale="log", xlabel="distance along the surface to the joint's own region, m", ylabel="weight")
-    ax.legend(loc="upper right", markerscale=3)
     return fig
 
 
@@ -59,28 +67,66 @@ def who_moves_whom(panels: Mapping[str, Tensor], body: BodyModel, keypoints: Seq
     return fig
 
 
-def trade(rows: Sequence[Mapping[str, float]]) -> Figure:
-    """Leakage against displacement over the pruning threshold, rows as of :func:`motionlab.skinning.pruning_sweep`."""
-    fig, (left,) = canvas(1, 1, size=(7.5, 3.2))
+def legs_moved(groups: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Figure:
+    """Leg displacement of every clip with all weights and after pruning; an exact zero stands at zero."""
+    fig, (ax,) = canvas(1, 1, size=(7.2, 3.2))
+    for place, pair in enumerate(groups.values()):
+        aside = np.linspace(-0.12, 0.12, len(pair[0]))
+        for shift, values, colour, label in ((-0.2, pair[0], _LEAK, "all weights"), (0.2, pair[1], _KEPT, "pruned")):
+            look = {"color": colour, "ms": 6, "alpha": 0.75, "mew": 0, "clip_on": False}
+            ax.plot(place + shift + aside, values, "o", label=label if place == 0 else None, **look)
+    ax.set_xticks(range(len(groups)), [f"{name}\nn = {len(pair[0])} clips" for name, pair in groups.items()])
+    ax.set(ylabel="a leg joint moved by at most, mm")
+    _millimetres(ax)
+    ax.set_ylim(0, 5000)
+    ax.legend(loc="upper right")
+    return fig
+
+
+def legs_by_closures(curves: Mapping[str, Tensor], budgets: Sequence[int]) -> Figure:
+    """Leg displacement (clips, budgets) in mm over the closures spent: median over the clips and quartiles."""
+    fig, (ax,) = canvas(1, 1, size=(7.2, 3.2))
+    lines = iter((":", "-", "--"))
+    for label, rows in curves.items():
+        colour, line = (ROLE["baseline"], next(lines)) if label.startswith("Adam") else (_KEPT, "-")
+        median_band(ax, np.array(budgets), rows.numpy(), colour, f"{label}, n = {len(rows)}", alpha=0.12, ls=line)
+    ax.set(xscale="log", xlabel="closures spent", ylabel="a leg joint moved by at most, mm")
+    ax.set_xticks(budgets, [str(k) for k in budgets])
+    ax.minorticks_off()
+    _millimetres(ax)
+    ax.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return fig
+
+
+def trade(rows: Sequence[Mapping[str, float]], marks: Sequence[float] = (1e-3, SMALL)) -> Figure:
+    """What a pruning threshold leaves of the leak and of the planted entries, and how far it moves the skin.
+
+    rows as of :func:`studies.nb03_skinning.pruning.sweep`.
+    """
+    fig, axes = canvas(1, 3, size=(11.5, 3.3), sharex=True)
     at = [row["threshold"] for row in rows]
-    left.plot(at, [100 * row["leakage"] for row in rows], "o-", color=ROLE["axis-angle"], label="leaked gradient")
-    left.set(xscale="log", xlabel="weights below this are pruned", ylabel="leaked share of gradient norm, %")
-    right = left.twinx()
-    right.plot(at, [row["max_mm"] for row in rows], "s-", color=ROLE["ours"], label="largest displacement")
-    right.plot(at, [row["mean_mm"] for row in rows], "s:", color=ROLE["ours"], label="mean displacement")
-    right.set(ylabel="vertices move by, mm", yscale="symlog")
-    right.spines["right"].set_visible(True)
-    left.axvline(SMALL, color=ROLE["truth"], lw=1, ls=":")
-    handles = [*left.get_lines()[:1], *right.get_lines()]
-    left.legend(handles, [h.get_label() for h in handles], loc="center left")
+
+    def line(ax: Axes, key: str, times: float, look: str, colour: str, label: str) -> None:
+        ax.plot(at, [times * row[key] for row in rows], look, color=colour, label=label, ms=4.5)
+
+    line(axes[0], "leakage", 100, "o-", _LEAK, "")
+    axes[0].set(title="leak to the face's keypoints", ylabel="% of the gradient's norm", ylim=(0, None))
+    line(axes[1], "left", 100, "o-", _LEAK, "")
+    axes[1].set(title="planted entries that are left", ylabel="%", ylim=(0, 104))
+    line(axes[2], "max_mm", 1, "o-", _LEAK, "planted, worst vertex")
+    line(axes[2], "clean_max_mm", 1, "s-", _KEPT, "anny itself, worst vertex")
+    line(axes[2], "clean_mean_mm", 1, "s:", _KEPT, "anny itself, mean")
+    axes[2].set(title="skin moved by pruning", ylabel="mm", yscale="log", ylim=(1e-4, 1e5))
+    axes[2].legend(loc="upper left")
+    for ax in axes:
+        ax.set(xscale="log", xlabel="weights below this are pruned")
+        for mark in marks:
+            ax.axvline(mark, color=ROLE["truth"], lw=1, ls=":")
     return fig
 
 
-def legs_moved(before: Sequence[float], after: Sequence[float], name: str) -> Figure:
-    """Leg displacement of every clip, before and after pruning, joined by a line."""
-    fig, (ax,) = canvas(1, 1, size=(5.0, 3.0))
-    for b, a in zip(before, after, strict=True):
-        ax.plot([0, 1], [max(b, 1e-3), max(a, 1e-3)], "o-", color=ROLE["ours"], alpha=0.6, lw=1)
-    ax.set_xticks([0, 1], ["with all weights", "pruned"])
-    ax.set(yscale="log", ylabel="legs moved by, mm", title=f"{name}, n = {len(before)} clips")
-    return fig
+def _millimetres(ax: Axes) -> None:
+    """A scale from zero: even up to 1 mm, logarithmic above."""
+    ax.set_yscale("symlog", linthresh=1, linscale=0.5)
+    ax.set_ylim(bottom=0)
+    ax.set_yticks([0, 1, 10, 100, 1000], ["0", "1", "10", "100", "1000"])

@@ -1,38 +1,42 @@
-"""Computes how people go on without a model: the pose held, or every joint at constant velocity."""
+"""Chains of single steps, and what becomes of a body when one number of the latent is turned."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor
 
 from motionlab.motion import Motion
-from motionlab.skeleton import Skeleton
+from motionlab.skeleton import STANDARD
 
 
-class Points(NamedTuple):
-    """As much of a motion (B, T) as the measures of ``metrics.gait`` read: of a model of points there is no more."""
-
-    positions: Tensor
-    rot: Tensor
-    skeleton: Skeleton
-    fps: float
-
-
-def going_on(motion: Motion, at: int, steps: int) -> dict[str, Points]:
-    """What knows nothing makes of frame ``at`` of motions (B, T), as (B, steps + 1): "hold", the pose stays; "constant
-    velocity", every joint goes on along a line with its velocity, the central difference that a state contains."""
-    joints, time = motion.positions, torch.arange(float(steps + 1))[:, None, None]
-    velocity = (joints[:, at + 1] - joints[:, at - 1])[:, None] / 2
-    held = joints[:, at, None].expand(-1, steps + 1, -1, -1)
-    rot = motion.rot[:, at, None].expand(-1, steps + 1, -1, -1, -1)
-    paths = {"hold": held, "constant velocity": held + time * velocity}
-    return {name: Points(path, rot, motion.skeleton, motion.fps) for name, path in paths.items()}
+@torch.no_grad()
+def chain(step: Callable[[Tensor], Tensor], first: Tensor, steps: int) -> Tensor:
+    """Computes states (B, steps + 1, 339): a first state (B, 339), and one step after the other."""
+    states = [first]
+    for _ in range(steps):
+        states.append(step(states[-1]))
+    return torch.stack(states, 1)
 
 
-def walks_on(found: Motion | Points, person: Motion, frames: int = 15) -> Tensor:
-    """1 where the pelvis's mean speed over the floor in the last ``frames`` steps is above half of the person's mean
-    speed over the whole of the clip, else 0: (B,)."""
-    ours, own = (m.positions[..., 0, :2].diff(dim=1).norm(dim=-1) * m.fps for m in (found, person))
-    return (ours[:, -frames:].mean(1) > 0.5 * own.mean(1)).to(ours)
+def reading(turned: Mapping[str, Motion], nats: Tensor, active: float) -> str:
+    """Computes the sentences on how many dimensions are in use, and what turning some of them moves."""
+    said = []
+    for name, motion in turned.items():
+        pelvis, joint, way = _effect(motion)
+        said.append(f"*{name}* moves the pelvis by {pelvis:.0f} cm and beside it most the {joint}, by {way:.0f} cm.")
+    return (
+        f"**Reading.** {int((nats > active).sum())} of {len(nats)} dimensions are in use; a transition carries "
+        f"{nats.sum():.0f} nats beyond the prior's guess. From two deviations below to two above, {' '.join(said)} "
+        "Each moves the whole body: no dimension has one plain meaning."
+    )
+
+
+def _effect(motion: Motion) -> tuple[float, str, float]:
+    """What separates the last poses of the first and the last of clips (N, T): cm of the pelvis, and the joint
+    that moves most beside the pelvis, with its cm."""
+    low, high = motion.positions[0, -1], motion.positions[-1, -1]
+    beside = ((high - high[:1]) - (low - low[:1])).norm(dim=-1)
+    most = int(beside.argmax())
+    return 100 * float((high[0] - low[0]).norm()), STANDARD.names[most].replace("_", " "), 100 * float(beside[most])

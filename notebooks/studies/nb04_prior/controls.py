@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import copy
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae, official_weights
-from studies.nb04_prior.parity import Golden, difference
+from studies.nb04_prior import parity as golden_parity
+from studies.nb04_prior.parity import Golden, Row, difference
 
 
 def without_repeated_z(model: Cvae) -> Cvae:
@@ -46,3 +48,15 @@ def misfits(model: Cvae, golden: Golden) -> list[str]:
     ours, theirs = official_weights(model), golden.weight_sums
     other = [n for n in ours.keys() & theirs.keys() if abs(float(ours[n].sum()) - theirs[n]) > 1e-6]
     return sorted(other) + sorted(ours.keys() ^ theirs.keys())
+
+
+def parity(folder: Path | str) -> tuple[list[Row], dict[str, tuple[list[float], float]]]:
+    """Compares with every golden array; returns the rows, and for each test of H01 its errors and the error of what is
+    broken on purpose: half the width, a decoder without its repeated z, one heading for all, the other form."""
+    rows, golden, seeded = golden_parity.parity_rows(folder), Golden(folder), golden_parity.seeded()
+    wrong = errors(golden, seeded)
+    tests = {"tensors": ([float(len(misfits(seeded, golden)))], float(len(misfits(Cvae(512), golden))))}
+    for name, form, arrays, broken in golden_parity.TESTS:
+        other = wrong[broken] if broken else max(golden_parity.chosen(rows, "lean", arrays))
+        tests[name] = golden_parity.chosen(rows, form, arrays), other
+    return rows, tests

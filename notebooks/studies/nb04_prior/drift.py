@@ -9,178 +9,182 @@ Source: thesis 3.3.3, Figs. 3.10 (decoded one by one), 3.11 (the sequence), 3.12
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from motionlab.errors import ShapeError
-from motionlab.humor import state
-from motionlab.humor.cvae import Cvae, Gaussian
+from motionlab.humor import evidence, state, testops, training
+from motionlab.humor.cvae import Cvae
+from motionlab.humor.energies import JOINTS, KEYPOINTS
+from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import decode_ahead, infer, rollout, sample_rollout
+from motionlab.metrics.gait import tilt_and_bend
 from motionlab.motion import Motion
+from studies.nb04_prior.people import Clips
+from studies.shared.person_windows import by_person
+from suite.findings import Finding
 
-LEAST_DESCENT = 0.1  # metres: less is not sitting down
+HIDDEN_BELOW = 0.9  # metres: the height of the table behind which legs are hidden
+
+
+def rough(priors: Priors, truth: Motion, steps: tuple[int, int], *, noise: Tensor | None = None) -> Motion:
+    """Computes stage 2's motion of clips (N, T) from their joints: with noise (N, T, 22, 3), all seen; without, only
+    those above ``HIDDEN_BELOW``."""
+    joints = truth.positions
+    seen = joints[..., 2] >= HIDDEN_BELOW if noise is None else torch.ones(joints.shape[:-1], dtype=torch.bool)
+    points, weights = (joints, KEYPOINTS) if noise is None else (joints + noise, JOINTS)
+    schedule = testops.Schedule(steps=(*steps, 0))
+    return testops.fit(evidence.Observation3D(points, seen), priors, weights=weights, schedule=schedule).stages[2]
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Mean distances of the 22 joints in cm, (N, T) each, from the sequence's own: by what a step or a chain knows.
+
+    step: of one step from the sequence's own state. chain: t steps after the first. added: what the errors of the
+    single steps with z come to, summed as vectors.
+    """
+
+    step: dict[str, Tensor]
+    chain: dict[str, Tensor]
+    added: Tensor
+
+    def curves(self) -> dict[str, Tensor]:
+        """Returns the errors that a figure shows, by name."""
+        return {
+            "one step, z": self.step["posterior"], "single errors added": self.added,
+            "chain, z": self.chain["posterior z"], "closed loop": self.chain["closed loop"],
+            "chain, prior's mean": self.chain["prior mean"], "held pose": self.chain["hold"],
+        }  # fmt: skip
+
+
+def errors(model: Cvae, motion: Motion) -> Errors:
+    """Computes the errors of clips (N, T + 2), the first frame of which is their lead."""
+    states = state.from_motion(motion, causal=model.causal)[:, 1:]
+    step = training.one_step_errors(model, states)
+    step = {name: each.unflatten(0, (len(states), -1)) for name, each in step.items()}
+    with torch.no_grad():
+        q, _ = infer(model, states)
+        made = decode_ahead(model, states[:, :-1], q.mean)[:, :, 0]
+    left = state.unpack(made)["joints"] - state.unpack(states[:, 1:])["joints"]
+    added = 100 * left.cumsum(1).norm(dim=-1).mean(-1)
+    return Errors(step, training.rollout_errors(model, states), added)
+
+
+def measures(found: Errors, whose: Tensor) -> dict[str, tuple[Tensor, str, Tensor | float]]:
+    """Computes H15's tests of a sequence: by name each person's number (P,), the statistic, and the baseline's."""
+    step = {way: by_person(each.mean(1), whose) for way, each in found.step.items() if way != "kl"}
+    last, closed = (by_person(found.chain[way][:, -1], whose) for way in ("posterior z", "closed loop"))
+    straight, guessed, shown = step["constant velocity"], step["prior mean"], step["posterior"]
+    return {
+        "local": (shown / straight, "median", guessed / straight),
+        "encodes": (shown / guessed, "median", 1.0),
+        "diverges": (last / by_person(found.added[:, -1], whose), "median", 1.0),
+        "largely": (last, "mean", closed),
+    }
+
+
+def nats(model: Cvae, motion: Motion) -> Tensor:
+    """Computes what every dimension of z (48,) says beyond the prior's guess, mean over the transitions of clips."""
+    states = state.from_motion(motion, causal=model.causal)[:, 1:]
+    return training.one_step_errors(model, states)["kl"].mean(0)
 
 
 @dataclass(frozen=True, eq=False)
 class Decoded:
-    """A sequence and what its latents decode to: B clips of T + 1 frames, the first of which is always its own.
+    """A sequence and what its latents decode to, N clips of T + 1 frames, the first of which is always its own.
 
-    reference: the sequence. one_step, rolled: with the posterior's mean; blind, blind_rolled: with the prior's, which
-    does not know the transition. posterior, prior (B, T, 48). states (B, T + 1, 339): the sequence's. steps,
-    blind_steps (B, T, 339): the two one-step decodes as states.
+    steps, chain: with the posterior's mean, one by one and rolled out; blind_steps, blind_chain: with the prior's mean,
+    which knows the state before and not the transition.
     """
 
-    reference: Motion
-    one_step: Motion
-    rolled: Motion
-    blind: Motion
-    blind_rolled: Motion
-    posterior: Gaussian
-    prior: Gaussian
-    states: Tensor
-    steps: Tensor
-    blind_steps: Tensor
+    sequence: Motion
+    steps: Motion
+    blind_steps: Motion
+    chain: Motion
+    blind_chain: Motion
 
 
+@torch.no_grad()
 def decode(model: Cvae, motion: Motion) -> Decoded:
-    """Infer the latents of every transition of clips (B, T + 1) and decode them in both ways. No gradients.
+    """Infers the latents of clips (N, T + 2), the first frame of which is their lead, and decodes them in all ways."""
+    states = state.from_motion(motion, causal=model.causal)[:, 1:]
+    posterior, prior = infer(model, states)
 
-    Raises:
-        ShapeError: not a batch of clips, or no transition.
+    def shown(found: Tensor) -> Motion:
+        return state.to_motion(torch.cat((states[:, :1], found), 1), motion.skeleton, motion.fps)
+
+    one_by_one = [shown(decode_ahead(model, states[:, :-1], q.mean)[:, :, 0]) for q in (posterior, prior)]
+    chain = rollout(model, states[:, 0], posterior.mean, with_prior=False).states
+    blind = sample_rollout(model, states[:, 0], states.shape[1] - 1).states
+    return Decoded(replace(motion.cut(1), contacts=None), *one_by_one, shown(chain), shown(blind))
+
+
+def knees_bent(found: Decoded, truth: Motion, whose: Tensor) -> dict[str, Tensor]:
+    """Computes the share (P,) of a person's own knee bend, end less start, that each way of decoding makes.
+
+    truth (N, T + 2): what the person did. Steps one by one: the bend of each step less that of the state it began
+    from, summed. Means over a person's clips.
     """
-    if motion.root.ndim != 3 or motion.frames < 2:
-        raise ShapeError(f"expected clips (B, T + 1) of two frames or more, got root {tuple(motion.root.shape)}")
-    with torch.no_grad():
-        states = state.from_motion(motion)
-        posterior, prior = infer(model, states)
-        first, before = states[:, :1], states[:, :-1]
-
-        def shown(found: Tensor) -> Motion:
-            return state.to_motion(torch.cat((first, found), 1), motion.skeleton, motion.fps)
-
-        steps, blind = (decode_ahead(model, before, q.mean)[:, :, 0] for q in (posterior, prior))
-        return Decoded(
-            reference=replace(motion, contacts=None),
-            one_step=shown(steps),
-            rolled=shown(rollout(model, first[:, 0], posterior.mean, with_prior=False).states),
-            blind=shown(blind),
-            blind_rolled=shown(sample_rollout(model, first[:, 0], motion.frames - 1).states),
-            posterior=posterior,
-            prior=prior,
-            states=states,
-            steps=steps,
-            blind_steps=blind,
-        )
-
-
-def _mean_distance(found: Tensor, wanted: Tensor) -> Tensor:
-    return 100 * (found - wanted).norm(dim=-1).mean(-1)
-
-
-def one_step_errors(found: Decoded) -> dict[str, Tensor]:
-    """Mean joint error (B, T) in cm, world, of a step from the sequence's own state t - 1 to its state t.
-
-    "hold" is that state itself, "constant velocity" moves its joints by the velocities that it contains.
-    """
-    wanted = found.reference.positions[:, 1:]
-    joints, moved = _straight_on(found.states[:, :-1], found.reference.fps, 1.0)
-    return {
-        "posterior": _mean_distance(found.one_step.positions[:, 1:], wanted),
-        "prior's mean": _mean_distance(found.blind.positions[:, 1:], wanted),
-        "constant velocity": _mean_distance(moved, wanted),
-        "hold": _mean_distance(joints, wanted),
+    bends = {name: tilt_and_bend(getattr(found, name))[1].mean(-1) for name in found.__dataclass_fields__}
+    true, own = tilt_and_bend(truth.cut(1))[1].mean(-1), bends["sequence"]
+    wanted = true[:, -1] - true[:, 0]
+    made = {
+        "the sequence itself": own[:, -1] - own[:, 0],
+        "one by one, z": (bends["steps"][:, 1:] - own[:, :-1]).sum(1),
+        "one by one, prior's mean": (bends["blind_steps"][:, 1:] - own[:, :-1]).sum(1),
+        "rolled out, z": bends["chain"][:, -1] - own[:, 0],
+        "rolled out, prior's mean": bends["blind_chain"][:, -1] - own[:, 0],
     }
+    return {name: by_person(bend, whose) / by_person(wanted, whose) for name, bend in made.items()}
 
 
-def velocity_errors(found: Decoded) -> dict[str, Tensor]:
-    """Mean error (B, T) in cm/s of the joint velocities after one step; "hold": those of the state before."""
-
-    def speeds(states: Tensor) -> Tensor:
-        return state.unpack(states)["joints_vel"]
-
-    wanted = speeds(found.states[:, 1:])
-    tried = {"posterior": found.steps, "prior's mean": found.blind_steps, "hold": found.states[:, :-1]}
-    return {name: _mean_distance(speeds(states), wanted) for name, states in tried.items()}
-
-
-def rollout_errors(found: Decoded) -> dict[str, Tensor]:
-    """Mean joint error (B, T) in cm, world, t steps after the first state.
-
-    "errors added": the one-step errors as vectors, summed over the steps, as if no error bred another;
-    "errors at random": the same if each had its own direction.
-    """
-    wanted = found.reference.positions[:, 1:]
-    steps = torch.arange(1.0, wanted.shape[1] + 1)[:, None, None].to(wanted)
-    joints, moved = _straight_on(found.states[:, :1], found.reference.fps, steps)
-    residual = found.one_step.positions[:, 1:] - wanted
-    return {
-        "posterior": _mean_distance(found.rolled.positions[:, 1:], wanted),
-        "prior's mean": _mean_distance(found.blind_rolled.positions[:, 1:], wanted),
-        "constant velocity": _mean_distance(moved, wanted),
-        "hold": _mean_distance(joints, wanted),
-        "errors added": 100 * residual.cumsum(1).norm(dim=-1).mean(-1),
-        "errors at random": 100 * residual.square().sum(-1).cumsum(1).sqrt().mean(-1),
-    }
-
-
-def _straight_on(states: Tensor, fps: float, steps: Tensor | float) -> tuple[Tensor, Tensor]:
-    parts = state.unpack(states)
-    return parts["joints"], parts["joints"] + parts["joints_vel"] * steps / fps
-
-
-def descent_share(decoded: Motion, reference: Motion) -> Tensor:
-    """Of a sequence's descent of the pelvis, the share (B,) that its one-step decodes make; NaN where it does not sink.
-
-    sum_t (decoded_t - reference_{t-1}) / (reference_T - reference_0), heights of the pelvis.
-    """
-    height, wanted = decoded.root[..., 2], reference.root[..., 2]
-    made = (height[:, 1:] - wanted[:, :-1]).sum(1)
-    own = wanted[:, -1] - wanted[:, 0]
-    return torch.where(own < -LEAST_DESCENT, made / own, torch.nan)
-
-
-def ahead_errors(model: Cvae, found: Decoded, steps: int) -> dict[str, Tensor]:
-    """Mean joint error (B, K) in cm, world, after 1..K steps from every state of the sequence that has K left.
-
-    "posterior": all K-step roll-outs at once, each with its own transitions' latents; "prior's mean": without them.
-    """
-    last = found.states.shape[1] - steps
-    if last < 1:
-        raise ShapeError(f"steps: the clips have {found.states.shape[1] - 1} transitions, asked {steps}")
-    starts = found.states[:, :last]
-    with torch.no_grad():
-        ahead = decode_ahead(model, found.states[:, :-1], found.posterior.mean, steps)[:, :last]
-        blind = sample_rollout(model, starts.flatten(0, 1), steps).states.unflatten(0, (-1, last))
-    at = torch.arange(last)[:, None] + 1 + torch.arange(steps)
-    wanted = found.reference.positions[:, at]  # (B, last, K, 22, 3)
-    skeleton = found.reference.skeleton
-    if skeleton.offsets.ndim == 4:
-        skeleton = replace(skeleton, offsets=skeleton.offsets[:, None])
-    time = torch.arange(1.0, steps + 1)[:, None, None].to(wanted)
-    joints, moved = _straight_on(starts[:, :, None], found.reference.fps, time)
-    reached = {
-        "posterior": state.to_motion(ahead, skeleton).positions,
-        "prior's mean": state.to_motion(blind, skeleton).positions,
-        "constant velocity": moved,
-        "hold": joints,
-    }
-    return {name: _mean_distance(positions, wanted).mean(1) for name, positions in reached.items()}
-
-
+@torch.no_grad()
 def vary(model: Cvae, first: Tensor, dimension: int, sizes: Tensor, steps: int) -> Tensor:
-    """Roll-outs (N, steps + 1, 339) from one state (339,), z at the prior's mean but for one dimension.
+    """Computes roll-outs (N, steps + 1, 339) from a state (339,), z at the prior's mean but for one dimension.
 
     sizes (N,): how far that dimension is from the mean, in the prior's standard deviations, at every step.
     """
     x = first.expand(len(sizes), -1)
     states = [x]
-    with torch.no_grad():
-        for _ in range(steps):
-            prior = model.prior(state.localise(x, state.heading(x)))
-            z = prior.mean.clone()
-            z[:, dimension] += sizes * (0.5 * prior.log_var[:, dimension]).exp()
-            x = rollout(model, x, z[:, None], with_prior=False).states[:, 0]
-            states.append(x)
+    for _ in range(steps):
+        prior = model.prior(state.localise(x, state.heading(x)))
+        z = prior.mean.clone()
+        z[:, dimension] += sizes * (0.5 * prior.log_var[:, dimension]).exp()
+        x = rollout(model, x, z[:, None], with_prior=False).states[:, 0]
+        states.append(x)
     return torch.stack(states, 1)
+
+
+def rows(found: Sequence[Finding]) -> list[dict[str, object]]:
+    """Computes the table of the chain from what was recorded of H15, a row per sequence."""
+    table: dict[str, dict[str, object]] = {}
+    for f in found:
+        if f.test in _COLUMNS:
+            row = table.setdefault(f.source, {"z from": f.source, "people": f.n})
+            row |= {name: round(number(f), 2) for name, number in _COLUMNS[f.test].items()}
+    return list(table.values())
+
+
+_COLUMNS = {
+    "H15.local": {"one step / constant velocity": lambda f: f.value},
+    "H15.encodes": {"one step / prior's mean": lambda f: f.value},
+    "H15.diverges": {"chain / single errors added": lambda f: f.value},
+    "H15.largely": {"chain, cm": lambda f: f.value, "closed loop, cm": lambda f: f.baseline_value},
+}
+
+
+def knee_rows(shares: Mapping[str, Mapping[str, Tensor]]) -> list[dict[str, object]]:
+    """Computes a row per group: the mean over people of the share of the knees' bend, by way of decoding."""
+    return [
+        {"group": name} | {way: f"{100 * float(share.mean()):.0f} %" for way, share in ways.items()}
+        for name, ways in shares.items()
+    ]
+
+
+def older_knees(priors: Priors, groups: Mapping[str, Clips], steps: tuple[int, int]) -> list[dict[str, object]]:
+    """Computes ``knee_rows`` with other priors, in stage 2 too."""
+    made = {name: decode(priors.motion, rough(priors, clips.motion, steps)) for name, clips in groups.items()}
+    return knee_rows({name: knees_bent(made[name], clips.motion, clips.whose) for name, clips in groups.items()})

@@ -1,19 +1,23 @@
-"""The figures of notebook 04: what a state holds, what the latents know, and how decoded motion drifts."""
+"""The figures of notebook 04: what a state holds, one step, what a prior reaches, and how decoded motion drifts."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
+import torch
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import NullLocator
 from torch import Tensor
 
 from motionlab.humor.state import OFFICIAL_SLICES, STATE, unpack
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
-from motionlab.viz.palette import INK, LINE, ROLE, blend
+from motionlab.viz.palette import INK, LINE, ROLE
 from motionlab.viz.scene import Scene
+from studies.nb04_prior.gates import GATES
 from studies.nb04_prior.parity import Row
 from studies.shared.plots import canvas, paints
 
@@ -120,94 +124,209 @@ def parity(rows: Sequence[Row]) -> Figure:
     return fig
 
 
-def learning(curve: Sequence[Mapping[str, float]]) -> Figure:
-    """Held-out errors over the steps of a training run, a panel per measure; rows as ``train`` writes them."""
-    measures = {"one step": "one step (cm)", "2 s": "after 2 s, rolled out (cm)", "kl": "KL (nats)"}
-    fig, axes = canvas(1, 3, size=(9.6, 3.0))
-    step = [row["step"] for row in curve]
-    for ax, (key, title) in zip(axes, measures.items(), strict=True):
-        names = [name.split(":")[0] for name in curve[-1] if name.endswith(f": {key}")]
-        for name, paint in paints(names, {"recordings": "real"}).items():
-            y = [row.get(f"{name}: {key}", np.nan) for row in curve]
-            ax.plot(step, y, ".-", ms=3, color=paint, lw=1.5, label=name)
-        ax.set(title=title, xlabel="step", yscale="linear" if key == "kl" else "log")
-        ax.yaxis.set_major_formatter("{x:g}")
-        ax.yaxis.set_minor_formatter("{x:g}")
-    axes[-1].legend(loc="best", frameon=False, fontsize=8)
+def one_step(
+    before: Tensor, after: Mapping[str, Tensor], samples: Tensor, skeleton: Skeleton, *, larger: float
+) -> Figure:
+    """Draws the body (22, 3) before a step and where every joint goes, (22, 3) by label, its way drawn ``larger``.
+
+    samples (S, 22, 3): where the joints went when z was drawn.
+    """
+    fig, axes = canvas(1, 2, size=(9.6, 4.6))
+    turn = _oblique(azimuth=20.0, elevation=8.0)
+    start = before.double().numpy(force=True)
+    paint = paints(list(after), STEP_ROLES)
+    for ax, names in zip(axes, (list(after)[:2], list(after)[2:]), strict=True):
+        points = turn(start)
+        for j, parent in enumerate(skeleton.parents[1:], start=1):
+            ax.plot(*points[[parent, j]].T, color=LINE, lw=6, solid_capstyle="round", zorder=1)
+        if names == list(after)[2:]:
+            cloud = turn(start + larger * (samples.double().numpy(force=True) - start)).reshape(-1, 2)
+            ax.scatter(*cloud.T, s=5, color=ROLE["stage2"], alpha=0.5, lw=0, zorder=2, label="samples of the prior")
+        for name in names:
+            end = turn(start + larger * (after[name].double().numpy(force=True) - start))
+            for a, b in zip(points, end, strict=True):
+                ax.plot(*np.stack((a, b)).T, color=paint[name], lw=1.6, zorder=3)
+            ax.scatter(*end.T, s=9, color=paint[name], zorder=4, label=name)
+        ax.set(aspect="equal")
+        ax.axis("off")
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3, frameon=False, markerscale=1.6)
     return fig
 
 
-def latents(kl: Tensor, scores: Tensor, labels: Sequence[str], active: float) -> Figure:
-    """Nats that every latent dimension (D,) carries, sorted; posterior means (N, 2) in their two main directions."""
-    fig, (left, right) = canvas(1, 2, size=(9.6, 3.7))
-    values = np.sort(kl.numpy(force=True))[::-1]
-    paint = [ROLE["ours"] if value > active else LINE for value in values]
-    left.bar(np.arange(1, len(values) + 1), values, color=paint, width=0.8, lw=0)
-    left.axhline(active, color=ROLE["truth"], lw=1, ls=":")
-    left.set(xlabel="latent dimension, sorted", ylabel="KL from the prior (nats)")
-    left.grid(visible=False, axis="x")
-    points, names = scores.numpy(force=True), list(dict.fromkeys(labels))
-    colours = paints(names)
-    for name in names:
-        mine = np.array([label == name for label in labels])
-        right.scatter(*points[mine].T, s=7, color=colours[name], alpha=0.55, lw=0, label=name)
-    right.set(xlabel="first main direction", ylabel="second")
-    right.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), markerscale=2.2, handletextpad=0.1, frameon=False)
+#: Whose step it is, and its colour.
+STEP_ROLES = {
+    "the person": "truth", "constant velocity": "baseline", "the prior's mean": "ours", "shown the answer": "6d",
+    "held pose": "observation",
+}  # fmt: skip
+
+
+def continuation(samples: Tensor, person: Motion, skeleton: Skeleton, fps: float = 30.0) -> Figure:
+    """Draws where samples (S, T, 22, 3) of joints went, from above, and poses of the first two beside the person's."""
+    fig, (above, side) = canvas(1, 2, size=(10.5, 3.9))
+    above.get_gridspec().set_width_ratios((1.0, 1.7))
+    ways, own = samples.double().numpy(force=True), person.positions.double().numpy(force=True)[: samples.shape[1]]
+    feet = skeleton.indices(["left_foot", "right_foot"])
+    for k, way in enumerate(ways):
+        for foot in feet:
+            above.plot(*way[:, foot, :2].T, color=ROLE["stage2"], lw=0.6, alpha=0.5)
+        above.plot(*way[:, 0, :2].T, color=ROLE["ours"], lw=1.5, alpha=0.8, label="samples" if k == 0 else None)
+    for foot in feet:
+        above.plot(*own[:, foot, :2].T, color=ROLE["observation"], lw=0.8)
+    above.plot(*own[:, 0, :2].T, color=ROLE["truth"], lw=2.2, label="the person")
+    above.plot(*own[0, 0, :2], "o", color="white", mec=INK, ms=6, zorder=5)
+    above.set(xlabel="x (m)", ylabel="y (m)", title="from above: pelvis (thick), feet (thin)")
+    above.set_aspect("equal", adjustable="datalim")
+    above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2, frameon=False)
+    rows = {
+        "the person": (own, "truth"),
+        "sample 1": (ways[0], "ours"),
+        "sample 2": (ways[min(1, len(ways) - 1)], "ours"),
+    }
+    _poses(side, rows, skeleton, samples.shape[1], fps)
     return fig
 
 
-def drift(panels: Mapping[str, Mapping[str, Tensor]], roles: Mapping[str, str], fps: float = 30.0) -> Figure:
-    """Joint error in cm (B, T) over time, a panel per source: medians over clips and quartiles, logarithmic."""
-    fig, axes = canvas(1, len(panels), size=(2.2 + 2.1 * len(panels), 3.3), sharey=True)
-    for ax, (name, series) in zip(axes, panels.items(), strict=True):
-        paint = paints(list(series), roles)
+def _poses(ax, rows: Mapping[str, tuple[np.ndarray, str]], skeleton: Skeleton, frames: int, fps: float) -> None:
+    """A row of stick figures per motion (T, 22, 3), seen from its left at the start, travel taken out."""
+    first = next(iter(rows.values()))[0][0]
+    left = (first[skeleton.index("left_hip")] - first[skeleton.index("right_hip")])[:2]
+    forward = np.array([left[1], -left[0]]) / max(np.hypot(*left), 1e-9)
+    shown = np.linspace(0, frames - 1, 8).round().astype(int)
+    for row, (name, (joints, role)) in enumerate(rows.items()):
+        for column, frame in enumerate(shown):
+            if frame >= len(joints):
+                continue
+            pose = joints[frame] - np.append(joints[frame, 0, :2], 0.0)
+            flat = np.stack((pose[:, :2] @ forward + 1.15 * column, pose[:, 2] - 2.15 * row), -1)
+            for j, parent in enumerate(skeleton.parents[1:], start=1):
+                dark = "right" not in skeleton.names[j]
+                ax.plot(*flat[[parent, j]].T, color=ROLE[role], lw=2.4, alpha=1.0 if dark else 0.45)
+        ax.plot((-0.6, 1.15 * 7 + 0.6), (-2.15 * row,) * 2, color=LINE, lw=1)
+        ax.text(-0.75, -2.15 * row + 0.9, name, ha="right", fontsize=9.5)
+    for column, frame in enumerate(shown):
+        ax.text(1.15 * column, -4.3 - 0.3, f"{frame / fps:.1f} s", ha="center", va="top", fontsize=9)
+    ax.set(aspect="equal", title="poses, travel taken out")
+    ax.axis("off")
+
+
+def gates(found: Mapping[str, Mapping[str, tuple[float, float, float]]]) -> Figure:
+    """Draws a line per gate: what each prior reaches in units of the bound, with its interval; passed left of 1.
+
+    found: by prior and source, by test: the value and the ends of its interval.
+    """
+    labels = {name: gate.label for name, gate in GATES.items()}
+    fig, (ax,) = canvas(size=(9.2, 0.42 * len(labels) + 1.5))
+    ax.axvspan(0.01, 1.0, color=ROLE["6d"], alpha=0.10, lw=0)
+    ax.axvline(1.0, color=INK, lw=1)
+    shift = np.linspace(-0.24, 0.24, len(found))
+    for (name, values), by in zip(found.items(), shift, strict=True):
+        tone = ROLE["ours" if "real" in name.split(",")[0] else "observation"]
+        for line, test in enumerate(labels):
+            if test in values:
+                value, low, high = (min(max(x, 0.02), 30.0) for x in values[test])
+                ax.plot((low, high), (line + by,) * 2, color=tone, lw=1.6)
+                ax.plot(
+                    value, line + by, "o", ms=6, color=tone, mfc="white" if "synthetic" in name else tone, clip_on=False
+                )
+        ax.plot([], [], "o", ms=6, color=tone, mfc="white" if "synthetic" in name else tone, label=name)
+    ax.set(
+        xscale="log",
+        xlim=(0.02, 30),
+        ylim=(len(labels) - 0.4, -0.6),
+        xlabel="in units of the bound (log); green: passed",
+    )
+    ax.set_yticks(range(len(labels)), list(labels.values()))
+    ax.set_xticks((0.1, 0.3, 1, 3, 10), ("0.1", "0.3", "1", "3", "10"))
+    ax.grid(visible=False, axis="y")
+    ax.legend(loc="lower center", bbox_to_anchor=(0.35, 1.0), ncols=2, frameon=False)
+    return fig
+
+
+def steps_by_person(panels: Mapping[str, Mapping[str, Tensor]]) -> Figure:
+    """Draws the error of one step of every person (P,) in cm, a column per way of making it, a panel per source."""
+    fig, axes = canvas(1, len(panels), size=(4.9 * len(panels), 3.3), sharey=True)
+    for ax, (title, ways) in zip(np.atleast_1d(axes), panels.items(), strict=True):
+        paint = paints(list(ways), STEP_ROLES)
+        rows = torch.stack(list(ways.values())).numpy(force=True)
+        ax.plot(range(len(ways)), rows, color=LINE, lw=0.7, zorder=1)
+        for k, (name, values) in enumerate(ways.items()):
+            ax.scatter([k] * len(values), values.numpy(force=True), s=16, color=paint[name], zorder=3, lw=0)
+            ax.plot((k - 0.25, k + 0.25), (values.mean(),) * 2, color=paint[name], lw=3, zorder=4)
+        ax.set(title=f"{title}: {rows.shape[1]} people", yscale="log")
+        ax.set_xticks(range(len(ways)), [name.replace(" ", "\n", 1) for name in ways])
+        ax.set_yticks((0.1, 0.2, 0.5, 1, 2, 5), ("0.1", "0.2", "0.5", "1", "2", "5"))
+        ax.yaxis.set_minor_locator(NullLocator())
+    np.atleast_1d(axes)[0].set_ylabel("joint error after 1/30 s (cm, log)")
+    return fig
+
+
+#: Of how decoded motion drifts.
+DRIFT_ROLES = {
+    "one step, z": "6d", "chain, z": "axis-angle", "single errors added": "axis-angle", "closed loop": "ours",
+    "chain, prior's mean": "quaternion", "held pose": "observation",
+}  # fmt: skip
+
+
+def drift(panels: Mapping[str, Mapping[str, Tensor]], fps: float = 30.0) -> Figure:
+    """Draws joint error in cm (N, T) over time, a panel per source: medians over clips and quartiles, logarithmic."""
+    rows = -(-len(panels) // 3)
+    fig, axes = canvas(
+        rows, min(3, len(panels)), size=(3.1 * min(3, len(panels)) + 1.8, 2.6 * rows), sharey=True, sharex=True
+    )
+    for ax, (name, series) in zip(axes, panels.items(), strict=False):
+        paint = paints(list(series), DRIFT_ROLES)
         for label, values in series.items():
-            y = values.numpy(force=True)
-            low, middle, high = np.percentile(y, (25, 50, 75), axis=0)
-            t = np.arange(1, y.shape[1] + 1) / fps
-            dotted = label.startswith("errors")
+            low, middle, high = np.percentile(values.numpy(force=True), (25, 50, 75), axis=0)
+            t = np.arange(1, len(middle) + 1) / fps
+            dotted = label == "single errors added"
             if not dotted:
-                ax.fill_between(t, low, high, color=paint[label], alpha=0.14, lw=0)
-            ax.plot(t, middle, color=paint[label], lw=1.3 if dotted else 1.9, ls=":" if dotted else "-", label=label)
-        ax.set(title=f"{name}\n{len(y)} clips", xlabel="time (s)", yscale="log")
-    axes[0].set(ylabel="joint error (cm)", ylim=(0.05, None))
-    axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+                ax.fill_between(t, low, high, color=paint[label], alpha=0.13, lw=0)
+            ax.plot(t, middle, color=paint[label], lw=1.5 if dotted else 1.9, ls=":" if dotted else "-", label=label)
+        ax.set(title=f"{name.replace(', ', chr(10), 1)} ({len(values)})", yscale="log", ylim=(0.05, 200))
+        ax.yaxis.set_major_formatter("{x:g}")
+    for ax in axes[-min(3, len(panels)) :]:
+        ax.set_xlabel("time (s)")
+    fig.supylabel("joint error (cm, log)", fontsize=10)
+    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False)
     return fig
 
 
-def paths(cases: Mapping[str, tuple[Motion, Motion]]) -> Figure:
-    """Seen from above: how the pelvis of one clip (T,) went on, and where samples (N, T) from its first pose went."""
-    fig, axes = canvas(1, len(cases), size=(2.9 * len(cases), 3.1))
-    for ax, (name, (truth, samples)) in zip(axes, cases.items(), strict=True):
-        for way in samples.root.numpy(force=True):
-            ax.plot(way[:, 0], way[:, 1], color=ROLE["ours"], lw=1.0, alpha=0.45)
-        way = truth.root.numpy(force=True)
-        ax.plot(way[:, 0], way[:, 1], color=ROLE["truth"], lw=2.2)
-        ax.plot(*way[0, :2], "o", color="white", mec=INK, ms=6, zorder=4)
-        both = np.concatenate((samples.root.numpy(force=True).reshape(-1, 3), way))[:, :2]
-        middle, half = (both.max(0) + both.min(0)) / 2, max(0.55 * np.ptp(both, axis=0).max(), 0.35)
-        ax.set(title=name, xlabel="x (m)", xlim=middle[0] + np.array((-half, half)))
-        ax.set(ylim=middle[1] + np.array((-half, half)), aspect="equal")
-    axes[0].set_ylabel("y (m)")
+#: Ways of decoding a sit, and their colours.
+KNEE_ROLES = {
+    "the sequence itself": "stage2", "one by one, z": "6d", "one by one, prior's mean": "ours",
+    "rolled out, z": "axis-angle", "rolled out, prior's mean": "quaternion",
+}  # fmt: skip
+
+
+def knees(groups: Mapping[str, Mapping[str, Tensor]]) -> Figure:
+    """Draws what share of a person's own knee bend each way of decoding makes: a dot per person, a bar at the mean."""
+    fig, axes = canvas(1, len(groups), size=(3.1 * len(groups) + 2.0, 3.1), sharey=True, sharex=True)
+    for ax, (title, ways) in zip(axes, groups.items(), strict=True):
+        for line, (name, share) in enumerate(ways.items()):
+            tone = ROLE[KNEE_ROLES[name]]
+            values = 100 * share.numpy(force=True)
+            ax.scatter(values.clip(-100, 250), [line] * len(values), s=18, color=tone, alpha=0.6, lw=0)
+            ax.plot((np.clip(values.mean(), -100, 250),) * 2, (line - 0.3, line + 0.3), color=tone, lw=3)
+        ax.axvline(0, color=LINE, lw=1)
+        ax.axvline(100, color=ROLE["truth"], lw=1, ls=":")
+        ax.set(title=f"{title}: {len(values)} people", xlabel="share of the person's bend (%)", xlim=(-110, 260))
+        ax.set_yticks(range(len(ways)), list(ways))
+        ax.set_ylim(len(ways) - 0.5, -0.5)
+        ax.grid(visible=False, axis="y")
     return fig
 
 
-def futures(truth: Motion, samples: Motion, size: tuple[int, int] = (1000, 420)) -> np.ndarray:
-    """One pose, dark, and the last poses of samples (N, T) from it with the ways of their wrists: (H, W, 3) uint8."""
-    with Scene(size) as scene:
-        scene.skeleton(truth, "truth", frame=0)
-        for index in range(len(samples.root)):
-            tone = blend(ROLE["ours"], "white", 0.65 * index / max(len(samples.root) - 1, 1))
-            one = samples.clip(index)
-            scene.skeleton(one, tone, frame=-1, shadow=0.2).trail(one, "pelvis", tone).trail(one, "left_wrist", tone)
-        return scene.floor().image(seconds=truth.frames / truth.fps)
-
-
-def dimensions(effects: Mapping[str, Motion], size: tuple[int, int] = (1150, 360)) -> np.ndarray:
-    """A panel per latent dimension: the last pose of three roll-outs (3, T), below, at and above the prior's mean."""
-    roles = ("baseline", "observation", "ours")
-    with Scene(size, panels=tuple(effects)) as scene:
+def dimensions(effects: Mapping[str, Motion], size: tuple[int, int] = (1280, 330)) -> np.ndarray:
+    """Draws a panel per latent dimension: the last poses of three roll-outs (3, T), side by side, below, at and above
+    the prior's mean."""
+    facing = next(iter(effects.values())).rot[1, 0, 0, :2, 2]
+    azimuth = float(torch.rad2deg(torch.atan2(facing[1], facing[0]))) + 35.0
+    turn = np.radians(azimuth)
+    right = torch.tensor([-np.sin(turn), np.cos(turn), 0.0], dtype=torch.float32)
+    with Scene(size, panels=tuple(effects), azimuth=azimuth, elevation=8.0) as scene:
         for panel, motion in enumerate(effects.values()):
-            for index, role in enumerate(roles):
-                scene.skeleton(motion.clip(index), role, frame=-1, shadow=0.25, panel=panel)
+            for index, role in enumerate(("baseline", "observation", "ours")):
+                moved = motion.clip(index)
+                moved = replace(moved, root=moved.root + 0.85 * (index - 1) * right)
+                scene.skeleton(moved, role, frame=-1, panel=panel)
         return scene.floor().image()

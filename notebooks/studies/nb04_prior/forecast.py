@@ -15,24 +15,14 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from motionlab import corpus, splits
+from motionlab import corpus, models, splits
 from motionlab.humor import pretrained, training
 from motionlab.humor.examples import live_examples
 from motionlab.humor.state import heading, localise, unpack
 from motionlab.metrics.intervals import interval, paired
-from motionlab.motion import Motion
 
-EACH, DRAWS, BATCH = 24, 16_000, 400  # windows of a person measured; to learn from; drawn at once
+DRAWS, BATCH = 16_000, 400  # windows to learn from; drawn at once
 AHEAD, WIDTHS = 60, (1e1, 1e2, 1e3, 1e4)  # frames; ridges
-
-
-def people_windows(takes: Sequence[corpus.Take]) -> dict[str, Tensor]:
-    """Windows of states (N, 61, 339) of each person."""
-    people: dict[str, list[Motion]] = {}
-    for take in takes:
-        people.setdefault(take.person, []).append(take.motion)
-    found = {who: splits.state_windows(some, most=EACH, causal=True)[0] for who, some in people.items()}
-    return {who: x for who, x in found.items() if len(x)}
 
 
 def task(states: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -73,12 +63,12 @@ def main() -> None:
     takes, generator = corpus.assemble(options.folder, splits.real_sources(options.folder)), torch.Generator()
     fitted = ridges(takes.part("train"), generator.manual_seed(0))
     model = pretrained.load_motion_prior(f"humor_{options.prior}")
-    choose, report = (people_windows(takes.part(part)) for part in ("choose", "report"))
-    width = min(WIDTHS, key=lambda w: sum(left(fitted[w](x), x) for x in choose.values()))
+    choose, report = (models.person_states(takes.part(part), causal=True) for part in ("choose", "report"))
+    width = min(WIDTHS, key=lambda w: sum(left(fitted[w](x), x) for x, _ in choose.values()))
     print(f"width {width:g}")
     for part, people in (("choose", choose), ("report", report)):
         rows = {"hold": [], "ridge": [], "prior's mean": []}
-        for x in people.values():
+        for x, _ in people.values():
             rows["hold"].append(left(task(x)[1], x))
             rows["ridge"].append(left(fitted[width](x), x))
             rows["prior's mean"].append(float(training.rollout_errors(model, x)["prior mean"][:, AHEAD - 1].mean()))

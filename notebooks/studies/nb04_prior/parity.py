@@ -8,7 +8,7 @@ Source: golden arrays of the official code (Rempe et al. 2021), float64; see ``t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -134,6 +134,48 @@ def _row(golden: Golden, arrays: str, form: str, found: Tensor, limit: float = E
     expected = golden.states(arrays[:-1]) if arrays.endswith("*") else golden[arrays]
     why = WHY.get(arrays, "") if form == "lean" else ""
     return Row(arrays, form, difference(found, expected), limit, why)
+
+
+#: Tests of H01: the name, the form, the arrays, and what is broken on purpose beside them ("": the other form).
+TESTS = (
+    ("nets", "lean", ("encoder_raw", "prior_raw", "decoder_raw", "kl_posterior", "alt_encoder", "alt_prior",
+                      "alt_decoder"), "decoder_raw"),
+    ("rollout", "lean", ("decode_out", "fwd_", "infer_", "roll_", "rollmean_", "rollworld_"), "roll_*"),
+    ("faithful", "official", ("alt_roll", "alt_infer"), ""),
+)  # fmt: skip
+
+
+def chosen(rows: Sequence[Row], form: str, starts: tuple[str, ...]) -> list[float]:
+    """Returns the errors of arrays of a form whose names start so."""
+    return [row.error for row in rows if row.form == form and row.arrays.startswith(starts)]
+
+
+def missed_rows(rows: Sequence[Row], tests: Mapping[str, tuple[Sequence[float], float]]) -> list[dict[str, str]]:
+    """Returns a table of the arrays that miss their tolerance, the worst first, and why; below them, by how much models
+    miss that are broken on purpose (``controls.parity``)."""
+    missed = sorted((row for row in rows if not row.holds), key=lambda row: -row.error / row.tolerance)
+    lean = [
+        {"array": r.arrays, "error": f"{r.error:.1e}", "tolerance": f"{r.tolerance:.0e}", "because of": r.why}
+        for r in missed
+    ]
+    return lean + [
+        {
+            "array": f"H01.{name}",
+            "error": f"{broken:.1e}",
+            "tolerance": "",
+            "because of": f"broken; ours {max(own):.0e}",
+        }
+        for name, (own, broken) in tests.items()
+    ]
+
+
+def reading(rows: Sequence[Row]) -> str:
+    """Computes the sentence that says how many arrays are met."""
+    official, missed = [row for row in rows if row.form == "official"], [row for row in rows if not row.holds]
+    return (
+        f"**Reading.** As expected: {sum(r.holds for r in official)} of {len(official)} arrays are met in official "
+        f"form. In lean form {len(missed)} miss, each for a known reason, shown by `tests/test_humor_parity.py`."
+    )
 
 
 def gradients(

@@ -11,11 +11,18 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from motionlab.viz.palette import INK, LINE, blend, colour
+from studies.nb06_profile.official_profile import LABEL
 from studies.nb06_profile.scaling import PowerLaw
 from studies.shared.plots import canvas, paints
 
-#: Colours of the parts of a closure, in the order in which they happen.
-_PARTS = {"first state": "stage2", "chain": "baseline", "body": "observation", "terms": "6d", "backward": "stage3"}
+#: Colours of the forms of a closure, and of the official code itself.
+FORMS = {"faithful": "baseline", "lean": "ours", LABEL: "truth"}
+#: Parts of a closure, in the order in which they happen: the chain's family, the body's, and what goes backwards.
+_CHAIN, _BODY = colour("quaternion"), colour("observation")
+_PARTS = {
+    "first state": blend(_CHAIN, "white", 0.45), "chain": _CHAIN, "roll-out function": _CHAIN, "body": _BODY,
+    "terms": blend(_BODY, "white", 0.5), "body and energies": _BODY, "backward": blend(INK, "white", 0.15),
+}  # fmt: skip
 GIB = 2**30
 
 
@@ -25,57 +32,84 @@ def _middle(x: Tensor) -> tuple[float, float, float]:
     return median, median - low, high - median
 
 
-def phases(
-    minutes: Mapping[str, Mapping[str, Mapping[str, float]]], *, size: tuple[float, float] = (9.0, 3.4)
-) -> Figure:
-    """Minutes of each phase, stacked by part; one panel per program: program -> phase -> part -> minutes.
+def _stack(ax: Axes, table: Mapping[str, Mapping[str, float]], digits: int) -> float:
+    """Bars of parts, one row after the other, each with its sum; the longest sum."""
+    left = np.zeros(len(table))
+    for part in (part for part in _PARTS if any(part in row for row in table.values())):
+        width = np.array([row.get(part, 0.0) for row in table.values()])
+        ax.barh(range(len(table)), width, 0.72, left, color=_PARTS[part], label=part)
+        left += width
+    for row, total in enumerate(left):
+        ax.annotate(f" {total:,.{digits}f}", (total, row), va="center", fontsize=9, color=INK)
+    ax.set_yticks(range(len(table)), list(table))
+    ax.set_ylim(len(table) - 0.5, -0.5)
+    ax.grid(visible=False, axis="y")
+    return left.max()
 
-    Every panel has an axis of its own: the sum is in its title.
+
+def bars(seconds: Mapping[str, Mapping[str, float]], *, size: tuple[float, float] | None = None) -> Figure:
+    """Draws closures as bars on one axis, in milliseconds, stacked by part: label -> part -> seconds."""
+    figure, (ax,) = canvas(size=size or (9.0, 1.1 + 0.36 * len(seconds)))
+    table = {label: {part: 1e3 * x for part, x in row.items()} for label, row in seconds.items()}
+    ax.set_xlim(0, 1.12 * _stack(ax, table, 0))
+    ax.set_xlabel("processor time of one closure (ms)")
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    return figure
+
+
+def phases(
+    minutes: Mapping[str, Mapping[str, Mapping[str, float]]], *, size: tuple[float, float] = (10.5, 3.2)
+) -> Figure:
+    """Draws minutes of each phase, stacked by part; one panel per program, all on one axis.
+
+    minutes: program -> phase -> part -> minutes. The sum of a program is in its title.
     """
-    figure, axes = canvas(1, len(minutes), size=size, sharey=True)
-    known = {p for program in minutes.values() for phase in program.values() for p in phase}
-    parts = [part for part in _PARTS if part in known]
+    figure, axes = canvas(1, len(minutes), size=size, sharex=True, sharey=True)
+    longest = 0.0
     for ax, (program, table) in zip(axes, minutes.items(), strict=True):
-        left = np.zeros(len(table))
-        for part in parts:
-            width = np.array([phase.get(part, 0.0) for phase in table.values()])
-            ax.barh(range(len(table)), width, 0.72, left, color=colour(_PARTS[part]), label=part)
-            left += width
-        for row, total in enumerate(left):
-            ax.annotate(f" {total:.1f}", (total, row), va="center", fontsize=9, color=INK)
-        ax.set_yticks(range(len(table)), list(table))
-        ax.set_xlim(0, 1.15 * left.max())
-        ax.grid(visible=False, axis="y")
-        ax.set_title(f"{program}: {left.sum():.1f} min")
+        longest = max(longest, _stack(ax, dict(enumerate(table.values())), 1))
+        ax.set_title(f"{program}:\n{sum(sum(row.values()) for row in table.values()):.1f} min in all")
         ax.set_xlabel("minutes")
-    axes[0].invert_yaxis()
+    names = list(next(iter(minutes.values())))
+    axes[0].set_yticks(range(len(names)), names)
+    axes[0].set_xlim(0, 1.2 * longest)
     axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     return figure
 
 
 def shares(
     claimed: Mapping[str, float],
-    measured: Mapping[str, Mapping[str, Tensor]],
+    least: Mapping[str, float],
+    measured: Mapping[str, Mapping[str, tuple[float, float, float]]],
     *,
-    size: tuple[float, float] = (7.0, 2.6),
+    size: tuple[float, float] = (9.0, 3.0),
 ) -> Figure:
-    """Shares in %: what is claimed as a line with its band of 10 points, what was measured (label -> share -> (n,))."""
+    """Draws shares in %: what is claimed with its band of 10 points, and what was measured.
+
+    claimed: share -> the thesis's %. least: share -> the least that its conclusion asks for. measured: label -> share
+    -> (value, low, high).
+    """
     figure, (ax,) = canvas(size=size)
-    paint, rows = paints(list(measured), {"faithful": "baseline", "lean": "ours"}), list(claimed)
+    rows = [*claimed, *least]
     for row, name in enumerate(rows):
-        ax.fill_betweenx([row - 0.42, row + 0.42], claimed[name] - 10, claimed[name] + 10, color=LINE, alpha=0.45, lw=0)
-        ax.plot([claimed[name]] * 2, [row - 0.42, row + 0.42], color=INK, lw=2, label="thesis" if not row else None)
+        low, high = (claimed[name] - 10, claimed[name] + 10) if name in claimed else (least[name], 100.0)
+        ax.fill_betweenx([row - 0.42, row + 0.42], low, min(high, 100), color=LINE, alpha=0.45, lw=0,
+                         label=None if row else "our bounds")  # fmt: skip
+        if name in claimed:
+            ax.plot([claimed[name]] * 2, [row - 0.42, row + 0.42], color=INK, lw=2, label=None if row else "thesis")
     for k, (label, found) in enumerate(measured.items()):
-        height = 0.4 * ((k + 0.5) / len(measured) - 0.5)
+        height, first = 0.56 * ((k + 0.5) / len(measured) - 0.5), next(iter(found))
         for row, name in enumerate(rows):
-            middle, below, above = _middle(found[name])
-            style = {"color": paint[label], "ms": 7, "capsize": 3, "label": None if row else label}
-            ax.errorbar(middle, row + height, xerr=[[below], [above]], fmt="o", **style)
+            if name in found:
+                value, low, high = found[name]
+                style = {"color": colour(FORMS[label.split(",")[0] if label not in FORMS else label]), "ms": 7}
+                style |= {"capsize": 3, "label": label if name == first else None}
+                ax.errorbar(value, row + height, xerr=[[value - low], [high - value]], fmt="o", **style)
     ax.set_yticks(range(len(rows)), rows)
-    ax.invert_yaxis()
+    ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.set_xlim(0, 100)
     ax.grid(visible=False, axis="y")
-    ax.set_xlabel("share of the program's time (%)")
+    ax.set_xlabel("share of the program's time (%); last row: share of one closure of stage 3")
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     return figure
 
@@ -93,61 +127,75 @@ def _law(ax: Axes, label: str, paint: tuple, x: Sequence[float], y: Tensor, law:
 
 
 def growth(
-    panels: Mapping[str, Measured], ylabels: Sequence[str], *, size: tuple[float, float] = (10.5, 3.6)
+    panels: Mapping[str, Measured],
+    *,
+    others: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+    size: tuple[float, float] = (10.5, 3.8),
 ) -> Figure:
-    """Costs against their size, both logarithmic, each with the posterior of its power law (median, 95 % band).
+    """Draws milliseconds of a closure against its size, both logarithmic, each with the posterior of its power law
+    (median, 95 % band); all panels on one axis.
 
-    panels: label of the x axis -> series -> (x (k,), measurements (k, n), law).
+    panels: label of the x axis -> series -> (x (k,), measurements (k, n), law). others: label of the x axis -> (x, ms)
+    of the official code.
     """
-    figure, axes = canvas(1, len(panels), size=size)
-    for ax, (xlabel, series), ylabel in zip(axes, panels.items(), ylabels, strict=True):
-        paint = paints(list(series), {"faithful": "baseline", "lean": "ours"})
+    figure, axes = canvas(1, len(panels), size=size, sharey=True)
+    for ax, (xlabel, series) in zip(axes, panels.items(), strict=True):
+        paint = paints(list(series), FORMS)
         for label, (x, y, law) in series.items():
             _law(ax, label, paint[label], x, y, law)
-        ax.set(xscale="log", yscale="log", xlabel=xlabel.split("\n")[0], ylabel=ylabel)
-        low, high = ax.get_ylim()
-        ax.set_ylim(low, high * (high / low) ** 0.3)  # room for the legend
+        if xlabel in others:
+            ax.plot(*others[xlabel], "D", color=colour(FORMS[LABEL]), ms=6, mec="white", label=LABEL)
+        ax.set(xscale="log", yscale="log", xlabel=xlabel)
         places = sorted({float(at) for x, _, _ in series.values() for at in x})
         ax.set_xticks(places, [f"{at:g}" for at in places])
         ax.minorticks_off()
+    low, high = axes[0].get_ylim()
+    axes[0].set_ylim(low, high * (high / low) ** 0.45)  # room for the legend
+    axes[0].set_ylabel("one closure (ms)")
+    for ax in axes:
+        ax.yaxis.set_major_formatter("{x:,g}")
         ax.legend(loc="upper left", frameon=False)
     return figure
 
 
 def memory(
-    found: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+    found: Mapping[str, tuple[str, Sequence[float], Sequence[float]]],
     limit: float,
     *,
     claimed: float,
-    size: tuple[float, float] = (7.0, 3.4),
+    size: tuple[float, float] = (9.0, 3.6),
 ) -> Figure:
-    """Peak memory in GiB against clips in a batch, both logarithmic, and where straight lines reach a limit in GiB.
+    """Draws memory in GiB against clips in a batch, both logarithmic, and where straight lines reach a limit in GiB.
 
-    found: series -> (clips, bytes). claimed: clips that are said to fit.
+    found: series -> (form, clips, bytes); a series named "live tensors" is drawn hollow. claimed: clips that are said
+    to fit.
     """
     figure, (ax,) = canvas(size=size)
-    paint = paints(list(found), {"faithful": "baseline", "lean": "ours"})
-    for label, (clips, held) in found.items():
-        y = np.asarray(held) / GIB
+    for label, (form, clips, held) in found.items():
+        y, tone = np.asarray(held) / GIB, colour(FORMS[form])
         slope, level = np.polyfit(clips, y, 1)
-        x = np.geomspace(min(clips), (limit - level) / slope, 40)
-        ax.plot(x, level + slope * x, color=paint[label], lw=1.4, ls="--")
-        ax.plot(x[-1], limit, "|", color=paint[label], ms=14, mew=2)
-        ax.annotate(f"{x[-1]:,.0f} clips", (x[-1], limit), (0, 10), textcoords="offset points", ha="center", fontsize=9)
-        ax.plot(clips, y, "o", color=paint[label], ms=6, label=f"{label}: {1024 * slope:.0f} MiB a clip")
+        hollow, fit = "live tensors" in label, f"{1024 * slope:,.0f} MiB a clip"
+        if slope > 0:
+            x = np.geomspace(min(clips), (limit - level) / slope, 40)
+            ax.plot(x, level + slope * x, color=tone, lw=1.4, ls=":" if hollow else "--")
+            ax.plot(x[-1], limit, "|", color=tone, ms=14, mew=2)
+            fit += f", {x[-1]:,.0f} at {limit:g} GiB"
+        ax.plot(clips, y, "o", color=tone, mfc="white" if hollow else tone, ms=6, label=f"{label}:\n{fit}")
     ax.axhline(limit, color=INK, lw=1.2)
     ax.plot(claimed, limit, "v", color=INK, ms=8)
-    ax.annotate("thesis", (claimed, limit), (0, 10), textcoords="offset points", ha="center", fontsize=9, color=INK)
-    ax.set(xscale="log", yscale="log", xlabel="clips in the batch", ylabel="peak memory of a closure (GiB)")
+    ax.annotate(f"thesis: {claimed:g}", (claimed, limit), (0, 10), textcoords="offset points", ha="center", fontsize=9,
+                color=INK)  # fmt: skip
+    ax.set(xscale="log", yscale="log", xlabel="clips in the batch", ylabel="memory (GiB)")
     ax.set_ylim(top=3 * limit)
-    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_major_formatter("{x:,g}")
     ax.yaxis.set_major_formatter("{x:g}")
-    ax.legend(loc="lower right", frameon=False)
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     return figure
 
 
 def ladder(seconds: Mapping[str, Tensor], *, size: tuple[float, float] | None = None) -> Figure:
-    """Milliseconds of a closure on each rung, median and quartiles, with the gain over the rung above and the first."""
+    """Draws milliseconds of a closure on each rung, median and quartiles, with the gain over the rung above and over
+    the first."""
     figure, (ax,) = canvas(size=size or (8.0, 0.9 + 0.36 * len(seconds)))
     first = before = None
     for row, values in enumerate(seconds.values()):

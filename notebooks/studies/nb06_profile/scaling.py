@@ -7,7 +7,8 @@ Times scatter by a factor, not by an amount, hence the log-normal noise. Its siz
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -81,6 +82,28 @@ def power_law(
     return PowerLaw((levels - slopes * centre).exp(), slopes, noises.exp())
 
 
+def laws(
+    x: Sequence[float], seconds: Mapping[tuple[str, float], Tensor], series: Iterable[str], *, seed: int = 0
+) -> dict[str, tuple[Sequence[float], Tensor, PowerLaw]]:
+    """Finds the power law of each series in milliseconds: (x (k,), measurements (k, n), law).
+
+    seconds: by series and x.
+    """
+    found = {}
+    for name in series:
+        y = 1e3 * torch.stack([seconds[name, at] for at in x])
+        found[name] = x, y, power_law(torch.tensor(x).repeat_interleave(y.shape[1]), y.flatten(), seed=seed)
+    return found
+
+
+def slopes(x: Sequence[float], seconds: Mapping[tuple[str, float], Tensor], name: str) -> Tensor:
+    """Computes one exponent per round (n,): the slope of a line through the logarithms."""
+    u = torch.tensor(x).double().log()
+    y = torch.stack([seconds[name, at] for at in x]).log()
+    u = u - u.mean()
+    return (u[:, None] * y).sum(0) / u.square().sum()
+
+
 def reaches(x: Sequence[float], y: Sequence[float], limit: float) -> Tensor:
     """Where the straight lines through each two points (x_i, y_i), (x_j, y_j) reach y = ``limit``.
 
@@ -97,3 +120,11 @@ def reaches(x: Sequence[float], y: Sequence[float], limit: float) -> Tensor:
             raise DataError(f"from {x0} to {x1} the line goes from {y0} to {y1}", remedy="it must rise")
         found.append(x0 + (limit - y0) * (x1 - x0) / (y1 - y0))
     return torch.tensor(found, dtype=torch.float64)
+
+
+def fits(x: Sequence[float], y: Sequence[float], limit: float) -> float:
+    """Computes the median of :func:`reaches`; infinite where a line does not rise, as that of a few kilobytes."""
+    try:
+        return reaches(x, y, limit).median().item()
+    except DataError:
+        return math.inf

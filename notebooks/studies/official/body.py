@@ -52,7 +52,7 @@ class FullBody:
 
 
 @lru_cache(maxsize=2)
-def smplh_sized(dtype: torch.dtype = torch.float32) -> FullBody:
+def smplh_sized(dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> FullBody:
     """The one body of this size; random where nothing looks."""
     generator = torch.Generator().manual_seed(0)
 
@@ -68,7 +68,7 @@ def smplh_sized(dtype: torch.dtype = torch.float32) -> FullBody:
     regressor = torch.zeros(JOINTS, VERTICES)
     regressor[:, :JOINTS] = torch.eye(JOINTS)
     body = (noise(VERTICES, 3, scale=0.5), noise(VERTICES, 3, SHAPES, scale=0.01), pose.flatten(1), regressor, weights)
-    return FullBody(*(x.to(dtype) for x in body))
+    return FullBody(*(x.to(device, dtype) for x in body))
 
 
 def _landmark_weights() -> Tensor:
@@ -119,7 +119,7 @@ def body_joints_by_lbs(root: Tensor, aa: Tensor, betas: Tensor) -> tuple[Tensor,
     """
     batch, frames = root.shape[:2]
     per_frame = betas[:, None].expand(-1, frames, -1).flatten(0, 1)
-    joints, vertices = skin(smplh_sized(root.dtype), root.flatten(0, 1), aa.flatten(0, 1), per_frame)
+    joints, vertices = skin(smplh_sized(root.dtype, root.device), root.flatten(0, 1), aa.flatten(0, 1), per_frame)
     found = joints[:, : len(STANDARD)], vertices[:, JOINTS : JOINTS + MARKS]
     return found[0].unflatten(0, (batch, frames)), found[1].unflatten(0, (batch, frames))
 

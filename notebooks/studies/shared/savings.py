@@ -62,6 +62,7 @@ class Savings:
 
 FAITHFUL = Savings()
 LEAN = Savings(**{field.name: True for field in fields(Savings)})
+FORMS = {"faithful": FAITHFUL, "lean": LEAN}
 #: A name for what each saving does, in the order of the ladder.
 NAMES = {
     "frozen": "weights frozen", "prior_after": "prior out of the loop", "joints_only": "joints, no mesh",
@@ -175,24 +176,39 @@ def first_state(unknown: Unknowns, priors: Priors, body: _Body) -> Tensor:
     return state.pack(parts | speeds | {"joints_vel": each.joints_vel.unflatten(-1, (22, 3))})
 
 
+def body_of(unknown: Unknowns, evidence: Evidence, on: Savings) -> _Body:
+    """The body that a closure asks, as :func:`first_state` takes it. The evidence is that of the whole clip."""
+    each = unknown.per_window()
+    return _Body(on, each.betas, max(evidence.values.shape[1], each.z.shape[1] + 1))
+
+
+def roll_out(unknown: Unknowns, priors: Priors, first: Tensor, body: _Body) -> tuple[Tensor, rollout.Rollout, Tensor]:
+    """From the first state: states (B, T, 339), the roll-out, and poses in the body's own form."""
+    rolled = chain(priors.motion, first, unknown.per_window().z, body.on)
+    states = torch.cat((first[:, None], rolled.states), 1)
+    parts = state.unpack(states)
+    return states, rolled, body.form(torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), -3))
+
+
+def posed(unknown: Unknowns, evidence: Evidence, states: Tensor, pose: Tensor, body: _Body) -> Posed:
+    """Joints and landmarks of all frames, and where the camera sees them."""
+    trans, camera = states[..., state.SLICES["trans"]], unknown.per_window().camera
+    joints, marks = body.sequence(trans, pose)
+    if not body.on.needed_frames:
+        marks = body.sequence(trans, pose)[1]
+    seen = joints if evidence.view is None else evidence.view.pixels(marks, camera)
+    return Posed(trans, body.rot(pose), joints, seen, body.betas, camera)
+
+
 def roll(unknown: Unknowns, priors: Priors, evidence: Evidence, on: Savings, mark: Mark = record_function) -> Rolled:
     """Stage 3's motion, as ``unknowns.roll``; its parts are marked. The evidence is that of the whole clip."""
-    each = unknown.per_window()
-    z, betas, camera = each.z, each.betas, each.camera
-    body = _Body(on, betas, max(evidence.values.shape[1], z.shape[1] + 1))
+    body = body_of(unknown, evidence, on)
     with mark("first state"):
         first = first_state(unknown, priors, body)
     with mark("chain"):
-        rolled = chain(priors.motion, first, z, on)
-        states = torch.cat((first[:, None], rolled.states), 1)
-        parts = state.unpack(states)
-        pose = body.form(torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), -3))
+        states, rolled, pose = roll_out(unknown, priors, first, body)
     with mark("body"):
-        joints, marks = body.sequence(parts["trans"], pose)
-        if not on.needed_frames:
-            marks = body.sequence(parts["trans"], pose)[1]
-        seen = joints if evidence.view is None else evidence.view.pixels(marks, camera)
-        return Rolled(states, rolled, Posed(parts["trans"], body.rot(pose), joints, seen, betas, camera))
+        return Rolled(states, rolled, posed(unknown, evidence, states, pose, body))
 
 
 def terms(

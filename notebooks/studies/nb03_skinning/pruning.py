@@ -1,0 +1,125 @@
+"""What pruning at a threshold does to a whole skin: where it moves, what still leaks, what planted faults are left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionlab import skinning
+from motionlab.body import BodyModel, lbs
+from motionlab.motion import Motion
+from motionlab.skeleton import fk
+from motionlab.viz.scene import Scene
+from studies.nb03_skinning.partial_fit import leak_percent
+
+LIMITS = (0.0, 5.0)  # of both colour bars
+
+
+def moved_mm(body: BodyModel, other: BodyModel, pose: Motion) -> Tensor:
+    """Computes how far each vertex of two bodies is apart in one pose (1 frame): (V,), mm."""
+    places = [lbs(b, pose.skeleton, pose.root, pose.rot)[0] for b in (body, other)]
+    return 1000 * torch.linalg.vector_norm(places[0] - places[1], dim=-1)
+
+
+def leaked_mm(body: BodyModel, pose: Motion, holds: float = skinning.SMALL) -> Tensor:
+    """Computes how far each vertex moves per radian of the joints that should not move it: (V,), mm per radian.
+
+    Turning joint j by a small w moves v by w x sum_k w_vk (x_vk - p_j), k being j and all below it, x_vk where joint k
+    alone would carry v; the Frobenius norm is sqrt(2) times that sum's. A joint may move what it, or a joint below it,
+    holds with a weight of ``holds``. As :func:`motionlab.skinning.influence`, for all vertices at once, without pose
+    correctives.
+    """
+    positions, world = (x[0] for x in fk(pose.skeleton, pose.root, pose.rot))
+    turn = world @ body.bind_rot.mT
+    carried = torch.einsum("jab,vjb->vja", turn, body.template[:, None] - body.joints) + positions
+    below = skinning.ancestors(body.skeleton).to(body.weights)  # (k, j): j is k or above it
+    arm = (body.weights[..., None] * carried).transpose(1, 2) @ below  # (V, 3, J)
+    arm = arm.mT - (body.weights @ below)[..., None] * positions
+    allowed = (body.weights >= holds).to(below) @ below > 0
+    return 1000 * 2**0.5 * torch.where(allowed[..., None], 0, arm).square().sum((1, 2)).sqrt()
+
+
+def skin(body: BodyModel, pose: Motion, threshold: float, size: tuple[int, int] = (960, 480)) -> np.ndarray:
+    """Draws a body in one pose (1 frame), pruned at a threshold: what still leaks, and how far the skin moved.
+
+    Returns:
+        (H, W, 3) uint8, two panels, millimetres per radian and millimetres.
+    """
+    pruned = skinning.prune(body, threshold)
+    leaks, moved = leaked_mm(pruned, pose), moved_mm(pruned, body, pose)
+    with Scene(size, panels=("gradient that still leaks", "skin moved by pruning")) as scene:
+        for panel, (field, unit) in enumerate(((leaks, "mm per rad"), (moved, "mm"))):
+            look = {"title": unit, "limits": LIMITS, "cmap": "Oranges" if panel == 0 else "Blues"}
+            scene.body(pruned, pose, field=field, frame=0, panel=panel, **look)
+        words = (
+            f"below {threshold:.1e} pruned: {int((leaks > 0).sum())} vertices leak, moved {moved.max():.1f} mm at most"
+        )
+        scene.caption()(words)
+        return scene.floor().image()
+
+
+def sweep(
+    body: BodyModel, clean: BodyModel, planted: Tensor, motion: Motion, keypoints: Sequence[int], thresholds
+) -> list[dict]:
+    """Computes, per pruning threshold, what :func:`motionlab.skinning.pruning_sweep` does and what faults are left.
+
+    More keys: clean_max_mm, clean_mean_mm (what the same threshold moves on the body without faults), left (share of
+    the planted entries that survive).
+    """
+    rows = skinning.pruning_sweep(body, motion, keypoints, thresholds)
+    for row in rows:
+        pruned = skinning.prune(body, row["threshold"])
+        mean, most = skinning.displacement(clean, skinning.prune(clean, row["threshold"]), motion)
+        row |= {"clean_mean_mm": 1000 * mean, "clean_max_mm": 1000 * most}
+        row["left"] = float((pruned.weights[planted] > 0).double().mean())
+    return rows
+
+
+def at(rows: Sequence[Mapping[str, float]], threshold: float) -> Mapping[str, float]:
+    """Returns the row of a sweep at one of its thresholds."""
+    return next(row for row in rows if row["threshold"] == threshold)
+
+
+def listed(body: BodyModel, distance: Tensor, mask: Tensor) -> list[dict]:
+    """Lists masked weights (V, J), the farthest first: between which joints, along the skin and straight."""
+    reach, strongest, rows = skinning.reach(body, distance), body.weights.argmax(1), []
+    for row in skinning.long_range(body, mask, distance):
+        joint, ends = body.skeleton.index(row["joint"]), f"a vertex of {row['holder']} hangs on {row['joint']}"
+        region = body.template[strongest == joint]
+        straight = float((region - body.template[row["vertex"]]).norm(dim=1).min()) if len(region) else float("nan")
+        out = row["metres"] / float(reach[row["vertex"], joint])
+        where = {"along the skin, m": row["metres"], "in reaches": out, "straight, m": straight}
+        rows.append({"farthest": ends, "weight": row["weight"], **where})
+    return rows
+
+
+def farthest(name: str, body: BodyModel, distance: Tensor, mask: Tensor) -> dict:
+    """Returns a body's row in the table of the audit: how many weights are masked (V, J), and the farthest of them."""
+    small = skinning.weight_report(body).small
+    return {"body": name, "small": small, "long-range": int(mask.sum())} | listed(body, distance, mask)[0]
+
+
+def held(body: BodyModel, vertex: int) -> str:
+    """Returns the joints that hold a vertex, the strongest first, as text."""
+    row = body.weights[vertex]
+    order = row.argsort(descending=True)[: int((row > 0).sum())].tolist()
+    return ", ".join(f"{body.skeleton.names[j]} {float(row[j]):.4f}" for j in order)
+
+
+def audited(name: str, body: BodyModel, pose: Motion) -> dict:
+    """Returns a body's row in the table of weights: both readings of the thesis's 3 %, and the leak in one pose."""
+    report = skinning.weight_report(body)
+    leaks = [leak_percent(skinning.prune(body, threshold), pose) for threshold in (0.0, 1e-3, 1e-2)]
+    return {
+        "body": name,
+        "vertices x joints": f"{len(body.weights)} x {body.weights.shape[1]}",
+        "% of all entries": 100 * report.share_of_all,
+        "% of the non-zero": 100 * report.share_of_nonzero,
+        "long-range": int(skinning.spurious(body).sum()),
+        "leak to the legs, %": leaks[0],
+        "leak, pruned 1e-3": leaks[1],
+        "leak, pruned 1e-2": leaks[2],
+    }

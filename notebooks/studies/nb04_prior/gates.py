@@ -1,0 +1,145 @@
+"""What a transition prior is asked to reach on people nobody trained on: the measures of the model table, as tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from motionlab.metrics.intervals import interval
+from suite.findings import Criterion, Finding
+
+Row = Mapping[str, float]
+
+
+class Gate(NamedTuple):
+    """label: for a figure. of: one person's row of the model table to the number that is asked for. over: a measure
+    whose mean over people that number is divided by (of one person it may be nought)."""
+
+    label: str
+    of: Callable[[Row], float]
+    over: str = ""
+
+
+def _measure(name: str) -> Callable[[Row], float]:
+    return lambda row: row[name]
+
+
+def _over(name: str, other: str) -> Callable[[Row], float]:
+    return lambda row: row[name] / row[other]
+
+
+#: By the name of the test of H01.
+GATES = {
+    "one_step": Gate(
+        "one step, prior's mean / constant velocity",
+        _over("one step, prior mean, cm", "one step, constant velocity, cm"),
+    ),
+    "one_step_shown": Gate(
+        "one step, shown the answer / constant velocity",
+        _over("one step, posterior, cm", "one step, constant velocity, cm"),
+    ),
+    "open_loop": Gate("2 s, z known, open loop", _measure("2 s, posterior z, cm")),
+    "closed_loop": Gate("2 s, z known, closed loop", _measure("2 s, closed loop, cm")),
+    "foresight": Gate("2 s, prior's mean alone", _measure("2 s, prior mean, cm")),
+    "bones": Gate("samples: bones change", _measure("samples' bones")),
+    "floor": Gate("samples: ball of a foot in the floor", _measure("samples' penetration")),
+    "slide": Gate("samples: slide / people's slide", _measure("samples' slide"), "data's slide"),
+    "walkers": Gate("samples: walkers who walk on", _measure("walkers who go on")),
+    "active": Gate("active latents", _measure("active")),
+    "contacts": Gate("contacts, F1", _measure("one step, posterior, contact F1")),
+}  # fmt: skip
+
+
+def by_person(gate: Gate, rows: Mapping[str, Row]) -> Tensor:
+    """Computes a gate's number of every person (P,); people of whom there is none are left out."""
+    values = torch.tensor([gate.of(row) for row in rows.values()], dtype=torch.float64)
+    values = values[values.isfinite()]
+    return values / mean_of(rows, gate.over) if gate.over else values
+
+
+def of_the_bound(test: Criterion, mean: float, *values: float) -> tuple[float, ...]:
+    """Computes how large numbers are in units of a bound, so turned that a gate is passed from 1 down; of a band, of
+    the end that is nearer to their mean."""
+    upper = test.relation == "<=" or (test.other is not None and mean > (test.bound + test.other) / 2)
+    bound = test.bound if test.relation == "<=" or not upper else test.other
+    return tuple(value / bound if upper else bound / max(value, 1e-3) for value in (mean, *values))
+
+
+_WAYS = {
+    "held pose": "hold", "constant velocity": "constant velocity", "the prior's mean": "prior mean",
+    "shown the answer": "posterior",
+}  # fmt: skip
+
+
+def one_step(rows: Mapping[str, Row]) -> dict[str, Tensor]:
+    """Computes the error of one step in cm of every person (P,), by what makes it."""
+    return {
+        name: torch.tensor([row[f"one step, {way}, cm"] for row in rows.values()], dtype=torch.float64)
+        for name, way in _WAYS.items()
+    }
+
+
+def reading_of_steps(panels: Mapping[str, Mapping[str, Tensor]]) -> str:
+    """Computes the sentences that say who makes the nearest step on each source."""
+    said = []
+    for source, ways in panels.items():
+        straight, guessed, shown = list(ways.values())[1:]
+        said.append(
+            f"On *{source}* the prior's mean is nearer than constant velocity for {(guessed < straight).sum()} of "
+            f"{len(straight)} people ({guessed.mean():.2f} against {straight.mean():.2f} cm); shown the answer, a step "
+            f"misses by {shown.mean():.2f} cm."
+        )
+    return "**Reading.** " + " ".join(said)
+
+
+def reached(
+    table: Mapping[tuple[str, str], Mapping[str, Row]],
+    criterion: Callable[[str], Criterion],
+    generator: torch.Generator,
+) -> dict[str, dict[str, tuple[float, float, float]]]:
+    """Computes by prior and source what each gate's number is in units of its bound: the mean, and its interval."""
+    found: dict[str, dict[str, tuple[float, float, float]]] = {}
+    for (prior, source), rows in table.items():
+        mine = found.setdefault(f"{prior}, {source}", {})
+        for name, gate in GATES.items():
+            values = by_person(gate, rows)
+            if len(values):
+                test = criterion(f"H01.{name}")
+                mine[name] = of_the_bound(test, *interval(values, "mean", generator))
+    return found
+
+
+def mean_of(rows: Mapping[str, Row], name: str) -> float:
+    """Computes the mean over people of a measure."""
+    values = torch.tensor([row[name] for row in rows.values()], dtype=torch.float64)
+    return float(values[values.isfinite()].mean())
+
+
+def table(rows: Mapping[tuple[str, str], Mapping[str, Row]]) -> list[dict[str, object]]:
+    """Computes the model table: a row per measure, a column per prior and source, means over people."""
+    names: Sequence[str] = list(next(iter(next(iter(rows.values())).values())))
+    return [
+        {"measure": name} | {f"{prior}, {source}": mean_of(each, name) for (prior, source), each in rows.items()}
+        for name in names
+    ]
+
+
+def reading(found: Sequence[Finding], criterion: Callable[[str], Criterion]) -> str:
+    """Computes the sentences that say which gates each source passes, and how far it is from the others."""
+    gated = [f for f in found if f.test.removeprefix("H01.") in GATES and f.n]
+    said = []
+    for source in dict.fromkeys(f.source for f in gated):
+        lots: dict[str, list[str]] = {"passed": [], "open": [], "missed": []}
+        for f in gated:
+            if f.source == source:
+                test = criterion(f.test)
+                clear = test.meets(f.low) and test.meets(f.high)
+                what = f"{GATES[f.test[4:]].label}: {f.value:.3g} {test.unit}".strip() + f" (asked {test.bound:g})"
+                lots["passed" if clear else "missed" if test.beyond(f.low, f.high) else "open"].append(what)
+        text = f"On *{source}* the prior passes {len(lots['passed'])} of {sum(map(len, lots.values()))} gates."
+        text += f" It misses {'; '.join(lots['missed'])}." if lots["missed"] else ""
+        said.append(text + (f" The interval crosses the bound: {'; '.join(lots['open'])}." if lots["open"] else ""))
+    return "**Reading.** " + " ".join(said)

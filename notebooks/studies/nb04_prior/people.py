@@ -1,0 +1,155 @@
+"""The people of notebook 04: clips of two seconds of people nobody trained on, sits, and clips to go on from."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from data_synth import scenes
+from motionlab import corpus, models, people, splits
+from motionlab.corpus import Take
+from motionlab.humor import state
+from motionlab.humor.cvae import Cvae
+from motionlab.metrics.gait import SEATED, tilt_and_bend
+from motionlab.motion import Motion
+
+FRAMES = 62  # two seconds, and a frame before them from which the first velocity is taken
+DESCENT = 0.2  # metres that a pelvis sinks in two seconds of going down
+_STRAIGHT = 40.0  # degrees: knees that bend less are those of somebody who stands
+_SITS = re.compile(r"\bsit(s|ting)?\b(?!.?up)", re.IGNORECASE)
+_NOT = re.compile(r"motorcycle|kneel", re.IGNORECASE)  # mimed saddles; scenes in which this person may be who kneels
+_KINDS = {"walk": r"\bwalk", "run": r"\brun", "sit down": _SITS.pattern, "dance": r"danc|salsa", "jump": r"jump"}
+
+
+@dataclass(frozen=True, eq=False)
+class Clips:
+    """motion (N, 62): clips, a frame of lead each. whose (N,): numbers of the people. names: of those people."""
+
+    motion: Motion
+    whose: Tensor
+    names: tuple[str, ...]
+
+    def described(self) -> str:
+        """Returns how many people and clips there are, and how many of the people taught the priors."""
+        taught = sum(who.startswith("cmu") and people.part_of(who) == "train" for who in self.names)
+        return f"{len(self.names)} people, {taught} of whom taught the prior, {len(self.whose)} clips"
+
+    def of(self, indices: Sequence[int]) -> Clips:
+        """Returns some of the clips."""
+        kept, whose = self.whose[list(indices)].unique(return_inverse=True)
+        return Clips(self.motion.clip(list(indices)), whose, tuple(self.names[i] for i in kept))
+
+
+def everybody(folder: Path | str | None, every: int) -> list[Take]:
+    """Loads all takes of the corpus, or every so manieth recording; none without a folder."""
+    if folder is None:
+        return []
+    return list(corpus.assemble(folder, splits.real_sources(folder), every=every, progress=False).takes)
+
+
+def report_part(takes: Sequence[Take]) -> list[Take]:
+    """Returns the takes of people nobody trained on."""
+    return [take for take in takes if take.part == "report"]
+
+
+def judged(takes: Sequence[Take], strangers: Clips, model: Cvae) -> dict[str, dict[str, tuple[Tensor, Tensor]]]:
+    """Returns what a prior is judged on, by source and person: states (W, 61, 339) and contacts (W, 61, 9)."""
+    drawn = state.from_motion(strangers.motion, causal=model.causal)[:, 1:]
+    each = zip(drawn[:, None], strangers.motion.contacts[:, None, 1:], strict=True)
+    found = {"synthetic": dict(zip(strangers.names, each, strict=True))}
+    real = models.person_states(report_part(takes), causal=model.causal)
+    return found | ({"cmu": real} if real else {})
+
+
+def drawn(count: int, *, seed: int = 0) -> Clips:
+    """Draws synthetic clips, each of a person that the corpus does not know; every eighth from the third sits down."""
+    names = tuple(f"stranger {i}" for i in range(count))
+    return Clips(scenes.held_out(count, seed=seed, frames=FRAMES), torch.arange(count), names)
+
+
+def recorded(takes: Sequence[Take], each: int) -> Clips | None:
+    """Returns at most ``each`` clips of every person, evenly through what they did; None where there are none."""
+    cuts: dict[str, list[Motion]] = {}
+    for take in takes:
+        for start in range(0, take.motion.frames - FRAMES + 1, FRAMES):
+            cuts.setdefault(take.person, []).append(take.motion.cut(start, start + FRAMES))
+    return _together((who, cut) for who, mine in cuts.items() for cut in splits.evenly(mine, each))
+
+
+def going_down(takes: Sequence[Take], each: int) -> Clips | None:
+    """Returns at most ``each`` clips of every person who goes down from standing: the steepest two seconds of a take.
+
+    The pelvis sinks by ``DESCENT`` or more; the knees, at first straighter than 40 degrees, and the thighs end bent by
+    60 degrees or more.
+    """
+    found: dict[str, list[tuple[float, Motion]]] = {}
+    for take in takes:
+        steepest = _steepest(take.motion)
+        if steepest is not None:
+            found.setdefault(take.person, []).append(steepest)
+    ordered = {who: sorted(mine, key=lambda pair: -pair[0])[:each] for who, mine in found.items()}
+    return _together((who, cut) for who, mine in ordered.items() for _, cut in mine)
+
+
+def who_goes_down(takes: Sequence[Take]) -> dict[str, Clips]:
+    """Returns clips of recorded people who go down: whose take's description says that they sit, of all parts, since
+    few do; and who do otherwise (crouch, pick up, kneel), of people nobody trained on."""
+    told = sits(takes)
+    others = [take for take in report_part(takes) if take not in told]
+    found = {"cmu sits": going_down(told, 2), "cmu, other ways down": going_down(others, 3)}
+    return {name: clips for name, clips in found.items() if clips is not None}
+
+
+def sits(takes: Sequence[Take]) -> list[Take]:
+    """Returns the takes whose description says that somebody sits."""
+    return [t for t in takes if _SITS.search(t.said) and not _NOT.search(t.said)]
+
+
+def _steepest(motion: Motion) -> tuple[float, Motion] | None:
+    if motion.frames < FRAMES:
+        return None
+    tilt, bend = (angle.mean(-1) for angle in tilt_and_bend(motion))
+    height, last = motion.root[:, 2], FRAMES - 1
+    sunk = height[:-last] - height[last:]
+    down = (bend[:-last] < _STRAIGHT) & (bend[last:] >= SEATED) & (tilt[last:] >= SEATED) & (sunk >= DESCENT)
+    if not down.any():
+        return None
+    start = int(torch.where(down, sunk, 0.0).argmax())
+    return float(sunk[start]), motion.cut(start, start + FRAMES)
+
+
+def _together(pairs: Iterator[tuple[str, Motion]]) -> Clips | None:
+    some = list(pairs)
+    if not some:
+        return None
+    names = tuple(dict.fromkeys(who for who, _ in some))
+    whose = torch.tensor([names.index(who) for who, _ in some])
+    return Clips(scenes.together([replace(cut, name="") for _, cut in some]), whose, names)
+
+
+def starts(takes: Sequence[Take], strangers: Clips, own: Motion | None = None) -> dict[str, Motion]:
+    """Returns clips (T,) to go on from, by what they show: of people nobody trained on, synthetic ones, your own."""
+    found = {}
+    for kind, words in _KINDS.items():
+        fits = [t for t in report_part(takes) if re.search(words, t.said, re.IGNORECASE) and t.motion.frames > 60]
+        if fits:
+            steepest = _steepest(fits[0].motion) if kind == "sit down" else None
+            found[f"{kind} ({fits[0].person})"] = steepest[1] if steepest else fits[0].motion.cut(0, 140)
+    found |= {f"{kind} (synthetic)": strangers.motion.clip(i) for kind, i in (("walk", 0), ("sit down", 2))}
+    return found | ({"your own": own} if own is not None else {})
+
+
+def judged_rows(
+    models_by_name: Mapping[str, Cvae], takes: Sequence[Take], strangers: Clips, seed: int
+) -> dict[tuple[str, str], dict[str, dict[str, float]]]:
+    """Computes the model table's measures of every person, by prior and source."""
+    return {
+        (name, source): models.person_rows(model, persons, seed)
+        for name, model in models_by_name.items()
+        for source, persons in judged(takes, strangers, model).items()
+    }

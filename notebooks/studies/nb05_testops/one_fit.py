@@ -1,0 +1,140 @@
+"""Notebook 05a: one clip fitted, its energy term by term, and the same fit with other weights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from data_synth import capture, scenes
+from data_synth.scenes import Scene
+from motionlab.body import BodyModel
+from motionlab.contact import with_contacts
+from motionlab.humor import testops
+from motionlab.humor.energies import RGB_LIGHT, Weights
+from motionlab.humor.priors import Priors
+from motionlab.humor.testops import Fitted, Schedule
+from motionlab.motion import Motion
+from motionlab.viz.movie import stage
+from motionlab.viz.palette import INK
+from studies.shared.plots import canvas
+
+#: Terms of the energy that measure squared distances, and those that are minus logarithms of a density.
+SQUARES = ("joints2d", "joints3d_smooth", "pose_prior", "shape_prior", "joint_consistency", "bone_length",
+           "contact_vel", "contact_height")  # fmt: skip
+LOGARITHMS = ("motion_prior", "init_motion_prior")
+Watched = list[tuple[int, dict[str, float]]]
+
+
+def weights_of(smoothness: float = 1.0, prior: float = 1.0, contact: float = 1.0) -> Weights:
+    """Returns the weights of a fit to keypoints with some of them so many times as large.
+
+    smoothness: of stage 2. prior: of the motion prior and of the first state. contact: of both contact terms.
+    """
+    factor = {"joints3d_smooth": smoothness, "motion_prior": prior, "init_motion_prior": prior}
+    factor |= {"contact_vel": contact, "contact_height": contact}
+    usual = asdict(RGB_LIGHT)
+    return Weights(**usual | {name: tuple(f * w for w in usual[name]) for name, f in factor.items()})
+
+
+def filmed(motion: Motion, generator: torch.Generator) -> Scene:
+    """Films one motion (T,) of a person's own in plain view, its knees and feet hidden in the second half."""
+    motion = with_contacts(motion)
+    camera = capture.frame_motion(motion, generator)
+    seen = capture.observe(motion, BodyModel.from_anny(), camera, generator, ())
+    low = [seen.observation.names.index(n) for n in seen.observation.names if "knee" in n or "ankle" in n or "toe" in n]
+    confidence = seen.observation.confidence.clone()
+    confidence[motion.frames // 2 :, low] = 0.0
+    observation = replace(seen.observation, keypoints=seen.observation.keypoints[None], confidence=confidence[None])
+    joints_seen = scenes.joints_seen(confidence[None] > 0, observation.names)
+    batch = scenes.together([motion])
+    wrong = torch.zeros_like(confidence[None], dtype=torch.bool)
+    return Scene(motion.name, batch, replace(observation, camera=None), (camera,), observation.keypoints, joints_seen,
+                 wrong, ((),))  # fmt: skip
+
+
+def fitted(scene: Scene, priors: Priors, schedule: Schedule, weights: Weights) -> tuple[Fitted, Watched]:
+    """Fits a scene of one clip and returns the fit with (stage, terms) of every evaluation of the energy."""
+    watched: Watched = []
+    keep = lambda number, terms: watched.append((number, {n: float(x) for n, x in terms.items()}))  # noqa: E731
+    how = {"cameras": scene.cameras, "floor": "camera", "schedule": schedule, "weights": weights}
+    return testops.fit(scene.observation, priors, watch=keep, **how), watched
+
+
+def errors(motion: Motion, scene: Scene) -> dict[str, float]:
+    """Computes mean errors of a fit (1, T), cm: of joints that were seen, of those that were not, and how it moves."""
+    off = 100 * (motion.positions - scene.truth.positions).norm(dim=-1)
+    speed = lambda x: x.positions.diff(n=2, dim=1).norm(dim=-1).mean().item() * motion.fps**2  # noqa: E731
+    return {
+        "seen joints, cm": off[scene.seen].mean().item(),
+        "hidden joints, cm": off[~scene.seen].mean().item() if (~scene.seen).any() else float("nan"),
+        "acceleration / truth's": speed(motion) / speed(scene.truth),
+    }
+
+
+def terms_over_fit(watched: Watched) -> Figure:
+    """Draws every term over the evaluations of a fit, squares above and logarithms below; dotted: a stage begins."""
+    fig, axes = canvas(2, 1, size=(8.4, 5.2), sharex=True)
+    starts = [k for k in range(len(watched)) if k == 0 or watched[k][0] != watched[k - 1][0]]
+    for ax, names in zip(axes, (SQUARES, LOGARITHMS), strict=True):
+        for k, name in enumerate(names):
+            curve = np.array([terms.get(name, np.nan) for _, terms in watched])
+            if np.isfinite(curve).any():
+                ax.plot(curve, lw=1.6, label=name, color=f"C{k}")
+        for k in starts:
+            ax.axvline(k, color=INK, lw=0.8, ls=":")
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    for k in starts:
+        axes[0].annotate(f"stage {watched[k][0]}", (k, 1.02), xycoords=("data", "axes fraction"), fontsize=9)
+    axes[0].set(yscale="log", ylabel="weighted term")
+    axes[0].set_ylim(bottom=0.01)
+    axes[1].set(ylabel="weighted term (nats)", xlabel="evaluation of the energy")
+    return fig
+
+
+def rows_of(found: Mapping[str, Fitted], scene: Scene, stages: Sequence[int] = (2, 3)) -> list[dict[str, object]]:
+    """Returns a row of errors for every fit, by the label of its weights."""
+    return [
+        {"weights": label, "after": f"stage {k}"} | errors(fit.stages[k], scene)
+        for label, fit in found.items()
+        for k in stages
+    ]
+
+
+def panels(fit: Fitted, scene: Scene, stages: Sequence[int] = (1, 2, 3)) -> dict[str, Motion]:
+    """Returns the truth and the stages of a fit of one clip, as a film shows them."""
+    return {"truth": scene.truth.clip(0)} | {f"stage {k}": fit.stages[k].clip(0) for k in stages}
+
+
+ROLES = {"stage 1": "observation", "stage 2": "stage2", "stage 3": "stage3"}
+
+
+def picture(fit: Fitted, scene: Scene, body: BodyModel, seconds: float) -> np.ndarray:
+    """Draws truth, stage 2 and stage 3 at one time, each titled with the error of the hidden joints."""
+    shown = panels(fit, scene, (2, 3))
+    off = {f"stage {k}": errors(fit.stages[k], scene)["hidden joints, cm"] for k in (2, 3)}
+    titled = {f"{name}, {off[name]:.0f} cm" if name in off else name: m for name, m in shown.items()}
+    roles = {title: ROLES.get(title.split(",")[0], "truth") for title in titled}
+    built, _ = stage(titled, roles, body, size=(1080, 400))
+    with built:
+        return built.image(seconds)
+
+
+def spoken(stages: Mapping[int, Mapping[str, float]]) -> str:
+    """Says what the errors of stages 2 and 3 are."""
+    hidden, seen = "hidden joints, cm", "seen joints, cm"
+    return (
+        f"Hidden joints are {stages[2][hidden]:.0f} cm off after stage 2 and {stages[3][hidden]:.0f} cm after stage 3. "
+        f"Seen joints are {stages[2][seen]:.0f} and {stages[3][seen]:.0f} cm off."
+    )
+
+
+def by_hand(terms: Mapping[str, Tensor], library: Mapping[str, Tensor]) -> list[dict[str, object]]:
+    """Returns a row per term: its value by the energy that the notebook wrote out, and by the library."""
+    return [
+        {"term": name, "written above": value.item(), "library": library[name].item()} for name, value in terms.items()
+    ]

@@ -1,0 +1,108 @@
+"""What one GPU takes for a closure of stage 3: the row that this project's machines cannot fill.
+
+    python -m studies.nb06_profile.on_gpu        # from notebooks/; needs CUDA, writes results/long/gpu.json
+
+Notebook 06 shows the file where it is. Times are wall times between two synchronisations; a GPU runs beside its host,
+so that processor time says nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from data_synth import clips
+from motionlab import files
+from motionlab.humor.priors import InitGmm, Priors
+from studies.nb06_profile.program import alone
+from studies.shared import profiling
+from studies.shared.savings import FORMS
+from studies.shared.workload import Part, Workload, random_priors, workload
+
+FILE = Path(__file__).parents[2] / "results" / "long" / "gpu.json"
+COMMAND = "python -m studies.nb06_profile.on_gpu"
+_BATCHES, _FRAMES, _ROUNDS = (1, 4, 8), 60, 9
+
+
+def moved(work: Workload, device: torch.device | str) -> Workload:
+    """Returns the same fit on another device, with priors of its own."""
+    priors, seen, view = work.problem.priors, work.problem.evidence, work.problem.evidence.view
+    initial = InitGmm(*(getattr(priors.initial, n).to(device) for n in ("weights", "means", "covariances")))
+    there = {n: getattr(view, n).to(device) for n in ("intrinsics", "rotation", "centre")}
+    seen = replace(seen, values=seen.values.to(device), weight=seen.weight.to(device), view=replace(view, **there))
+    own = Priors(priors.motion.to(device), priors.pose.to(device), initial)
+    still, moving = (each.map(lambda x: x.to(device)) for each in (work.still, work.moving))
+    return Workload(replace(work.problem, evidence=seen, priors=own), still, moving)
+
+
+def measure(
+    device: str = "cuda",
+    *,
+    batches: Sequence[int] = _BATCHES,
+    frames: int = _FRAMES,
+    width: int = 1024,
+    rounds: int = _ROUNDS,
+) -> dict[str, object]:
+    """Measures milliseconds and MiB of a closure of each form and batch, and the roll-out's share of one.
+
+    allocated: most bytes of tensors. used: most bytes of the card that were taken, with what the allocator keeps and
+    the context, which decides how many clips fit.
+    """
+    generator, cuda = torch.Generator().manual_seed(0), device == "cuda"
+    walk, priors = clips.draw(1, generator, actions=("walk",))[0].motion.cut(0, frames), random_priors(generator, width)
+    rows, cause = [], None
+    for batch in batches:
+        work = moved(workload(walk, priors, generator, batch), device)
+        calls = {form: work.closure(Part(3, frames), on) for form, on in FORMS.items()}
+        seconds = profiling.interleaved(calls, n=rounds)
+        for form, call in calls.items():
+            row = {"form": form, "clips": batch, "ms": 1e3 * seconds[form].median().item(), "n": rounds}
+            rows.append(row | (_memory(call) if cuda else {}))
+        if batch == 1:
+            took = profiling.interleaved(alone(work), n=rounds)
+            cause = 100 * (took["roll-out"] / took["whole closure"]).median().item()
+    name = torch.cuda.get_device_name() if cuda else device
+    found = {"device": name, "torch": torch.__version__, "frames": frames, "roll-out's share of the closure, %": cause}
+    return found | {"rows": rows}
+
+
+def _memory(call) -> dict[str, float]:
+    torch.cuda.empty_cache()
+    torch.cuda.reset_peak_memory_stats()
+    call()
+    torch.cuda.synchronize()
+    free, whole = torch.cuda.mem_get_info()
+    return {"allocated": torch.cuda.max_memory_allocated() / 2**20, "used": (whole - free) / 2**20}
+
+
+def rows(path: Path = FILE) -> list[dict[str, object]]:
+    """Lists what was measured on a GPU, for a table; one row that says how to measure it where nothing was."""
+    if not path.exists():
+        return [{"machine": "a GPU", "form": "not measured", "clips": "", "ms of a closure": "", "memory, MiB": ""}]
+    found = json.loads(path.read_text(encoding="utf-8"))
+    return [
+        {"machine": found["device"], "form": row["form"], "clips": row["clips"],
+         "ms of a closure": f"{row['ms']:,.0f}", "memory, MiB": f"{row.get('used', float('nan')):,.0f}"}
+        for row in found["rows"]
+    ]  # fmt: skip
+
+
+def main() -> None:
+    """Measures and writes the file."""
+    parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=FILE)
+    out = parser.parse_args().out
+    if not torch.cuda.is_available():
+        raise SystemExit("no CUDA here: nothing was measured")
+    found = measure()
+    files.write_whole(out, json.dumps(found, indent=1) + "\n")
+    print(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()
