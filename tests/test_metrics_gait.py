@@ -12,6 +12,7 @@ from motionlab import rotation
 from motionlab.metrics import gait, intervals
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
+from studies.nb05_testops import measures
 from tests.draws import seeded
 
 
@@ -52,8 +53,8 @@ def test_who_sits(hip, knee, seated):
 
 def test_walking_has_a_cadence_and_standing_none():
     where = torch.ones(2, 60, dtype=torch.bool)
-    assert ((gait.cadence(walking(), where) > 80) & (gait.cadence(walking(), where) < 150)).all()
-    assert (gait.cadence(standing(60), where) == 0).all()
+    assert ((measures.cadence(walking(), where) > 80) & (measures.cadence(walking(), where) < 150)).all()
+    assert (measures.cadence(standing(60), where) == 0).all()
 
 
 def test_a_turned_world_changes_no_step():

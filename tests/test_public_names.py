@@ -17,7 +17,7 @@ SAME_EVERYWHERE = {"load", "save"}
 @cache
 def trees(root: Path = ROOT) -> dict[str, ast.Module]:
     """Syntax of every module, and of every notebook's code cells under its number ("08")."""
-    paths = modules(root) | {path.stem[:2]: path for path in notebooks(root)}
+    paths = modules(root) | {path.stem.partition("_")[0]: path for path in notebooks(root)}
     return {name: syntax(path) for name, path in paths.items()}
 
 

@@ -60,17 +60,6 @@ def right_foot(motion: Motion, truth: Motion) -> Tensor:
     return ((found * true > 0) & clear).float().sum(-1) / clear.float().sum(-1).clamp(min=1)
 
 
-def cadence(motion: Motion, where: Tensor) -> Tensor:
-    """Computes steps a minute: how often one foot passes the other by more than STRIDE, in the frames of a mask."""
-    way = ahead(motion)
-    way = way - masked_mean(way, where, 1)[..., None]
-    side = torch.where(way.abs() > STRIDE, way.sign(), 0.0)
-    last = torch.where(side != 0, torch.arange(side.shape[-1]).expand(side.shape), -1).cummax(-1).values
-    held = torch.where(last >= 0, side.gather(-1, last.clamp(min=0)), 0.0)
-    passed = (held[..., 1:] * held[..., :-1] < 0) & where[..., 1:] & where[..., :-1]
-    return 60 * motion.fps * passed.sum(-1) / where.sum(-1)
-
-
 def skating_ratio(positions: Tensor, fps: float, *, height: float = 0.05, speed: float = 0.5) -> Tensor:
     """Computes the share (...) of frames in which some foot slides over the floor.
 

@@ -23,6 +23,17 @@ from motionlab.observation import Camera, Observation2D, project
 BAND = (2.0, 5.0)  # Hz: where the accents of a dance are
 
 
+def cadence(motion: Motion, where: Tensor) -> Tensor:
+    """Computes steps a minute: how often one foot passes the other by more than STRIDE, in the frames of a mask."""
+    way = gait.ahead(motion)
+    way = way - pose.masked_mean(way, where, 1)[..., None]
+    side = torch.where(way.abs() > gait.STRIDE, way.sign(), 0.0)
+    last = torch.where(side != 0, torch.arange(side.shape[-1]).expand(side.shape), -1).cummax(-1).values
+    held = torch.where(last >= 0, side.gather(-1, last.clamp(min=0)), 0.0)
+    passed = (held[..., 1:] * held[..., :-1] < 0) & where[..., 1:] & where[..., :-1]
+    return 60 * motion.fps * passed.sum(-1) / where.sum(-1)
+
+
 def quarters(error: Tensor) -> tuple[Tensor, Tensor]:
     """Means (B,) of an error (B, T) over the first and over the last quarter of the clip."""
     part = max(1, error.shape[-1] // 4)
