@@ -18,7 +18,6 @@ from motionlab.motion import Motion
 
 SIDES = ("left", "right")
 SEATED = 60.0  # degrees of the thighs' tilt and of the knees' flexion from which somebody sits
-STRIDE = 0.03  # metres: a foot that is not this far ahead of the other has not passed it
 #: HuMoR's depths in metres.
 PENETRATION_DEPTHS = (0.0, 0.03, 0.06, 0.09, 0.12, 0.15)
 

@@ -20,6 +20,7 @@ from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D, project
 
+STRIDE = 0.03  # metres: a foot that is not this far ahead of the other has not passed it
 BAND = (2.0, 5.0)  # Hz: where the accents of a dance are
 
 
@@ -27,7 +28,7 @@ def cadence(motion: Motion, where: Tensor) -> Tensor:
     """Computes steps a minute: how often one foot passes the other by more than STRIDE, in the frames of a mask."""
     way = gait.ahead(motion)
     way = way - pose.masked_mean(way, where, 1)[..., None]
-    side = torch.where(way.abs() > gait.STRIDE, way.sign(), 0.0)
+    side = torch.where(way.abs() > STRIDE, way.sign(), 0.0)
     last = torch.where(side != 0, torch.arange(side.shape[-1]).expand(side.shape), -1).cummax(-1).values
     held = torch.where(last >= 0, side.gather(-1, last.clamp(min=0)), 0.0)
     passed = (held[..., 1:] * held[..., :-1] < 0) & where[..., 1:] & where[..., :-1]
