@@ -64,12 +64,8 @@ DENOISER_PRESETS = {
     "told": _TOLD,
 }
 #: The same, learnt from hours of real motion; those of single poses from whole bodies, as they recall what they saw.
-_STEPS = {"free": 16_000, "fixed": 2000, "stuck": 2000, "pose": 3000, "handles": 4000}
+_STEPS = {"free": 4500, "fixed": 2000, "stuck": 2000, "pose": 3000, "handles": 4000}
 _REAL = {name: replace(DENOISER_PRESETS[name], source=splits.REAL_MOTION, steps=n) for name, n in _STEPS.items()}
-#: Learns three times as much in the same seconds as with the weights of the synthetic one (CHANGELOG).
-_REAL["free"] = replace(
-    _REAL["free"], patch=4, batch=32, lr=6e-4, weights=replace(_WEIGHTS, velocity=1.0, snr=0.0, relative=True)
-)
 #: Legs first: of all masks at once a model learns little in the same time (CHANGELOG).
 _REAL["legs"] = replace(
     _TOLD, source=splits.REAL_MOTION, guessed=False, recalls=0, patch=4, masks="legs", blind=0.9, steps=3000, batch=32,

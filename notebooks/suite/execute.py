@@ -26,7 +26,18 @@ _NARROW = {
 }  # fmt: skip
 #: Other rounding on the same machine, as on another one: fewer wide instructions that sums are made of, two threads,
 #: and weights whose last digits differ. The first two are also tried on recordings.
-OTHER_ROUNDINGS = (_NARROW | {"OMP_NUM_THREADS": "1"},)  # TEMPORARY: coordinator restores the rest
+OTHER_ROUNDINGS = (
+    _NARROW | {"OMP_NUM_THREADS": "2"},
+    {"MOTIONLAB_NUDGE": "1", "OMP_NUM_THREADS": "1"},
+    {"MOTIONLAB_NUDGE": "2", "OMP_NUM_THREADS": "1"},
+    _NARROW | {"OMP_NUM_THREADS": "1"},
+    {
+        "ATEN_CPU_CAPABILITY": "avx2",
+        "MKL_ENABLE_INSTRUCTIONS": "AVX2",
+        "ONEDNN_MAX_CPU_ISA": "AVX2",
+        "OMP_NUM_THREADS": "1",
+    },
+)
 
 
 @dataclass(frozen=True)

@@ -137,7 +137,8 @@ def reading(found: Sequence[Finding], criterion: Callable[[str], Criterion]) -> 
             if f.source == source:
                 test = criterion(f.test)
                 clear = test.meets(f.low) and test.meets(f.high)
-                what = f"{GATES[f.test[4:]].label}: {f.value:.3g} {test.unit}".strip() + f" (asked {test.bound:g})"
+                asked = f"{test.bound:g}" if test.other is None else f"{test.bound:g} to {test.other:g}"
+                what = f"{GATES[f.test[4:]].label}: {f.value:.3g} {test.unit}".strip() + f" (asked {asked})"
                 lots["passed" if clear else "missed" if test.beyond(f.low, f.high) else "open"].append(what)
         text = f"On *{source}* the prior passes {len(lots['passed'])} of {sum(map(len, lots.values()))} gates."
         text += f" It misses {'; '.join(lots['missed'])}." if lots["missed"] else ""
