@@ -108,9 +108,9 @@ def test_the_fast_solver_unless_the_original_schedule_is_asked_for(
     asked = {}
 
     class Track(testops._Track):
-        def __init__(self, schedule, progress):
+        def __init__(self, schedule, *rest):
             asked["schedule"] = schedule
-            super().__init__(testops.Schedule.quick(), progress)
+            super().__init__(testops.Schedule.quick(), *rest)
 
         def motion_stage(self, problem, unknown, by):
             asked.update(mode=problem.mode, weights=problem.weights, solver=by)

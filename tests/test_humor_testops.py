@@ -283,7 +283,7 @@ def test_official_and_faithful_modes_see_one_energy_and_one_gradient(kit, walk, 
 def test_each_mode_has_its_own_schedule(kit, walk, camera, monkeypatch):
     """The official video demo has 80 steps in stage 2, its 3-D configurations 70."""
     asked = []
-    monkeypatch.setattr(testops, "_Track", lambda schedule, progress: asked.append(schedule.steps) or 1 / 0)
+    monkeypatch.setattr(testops, "_Track", lambda schedule, *_: asked.append(schedule.steps) or 1 / 0)
     for mode in testops.MODES:
         for seen in (keypoints(walk, camera), joints(walk)):
             with pytest.raises(ZeroDivisionError):
