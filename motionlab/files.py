@@ -1,4 +1,4 @@
-"""Writes files whole: the old file or the new one is there, never a part of it."""
+"""Writes files whole, the old or the new one and never a part of it; and tells whether code changed."""
 
 from __future__ import annotations
 

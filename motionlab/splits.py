@@ -25,8 +25,6 @@ from motionlab.people import PARTS
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD
 
-#: Sources that store joint rotations.
-MOTIONS = ("animated_drawings", "bandai_namco", "cmu_amc", "deepmimic", "isaacgym_amp_cmu", "reactidle")
 #: Sources on which weights that ship with the project may be trained, by their licences.
 SHIPPABLE = ("cmu_amc", "deepmimic", "reactidle", "animated_drawings", "isaacgym_amp_cmu")
 #: Those that a corpus of real motion is made of (``corpus.assemble``); people, not clips, are kept apart there.

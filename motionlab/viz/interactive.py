@@ -140,12 +140,13 @@ def explore(draw: Callable[..., np.ndarray | Figure], **knobs: object):
         an ipywidgets box with children (picture, message, knob, knob, ...).
     """
     import ipywidgets
+    import traitlets
 
     hands = ipywidgets.interactive(lambda **values: None, **knobs).children[:-1]
     begins = {p.name: p.default for p in inspect.signature(draw).parameters.values() if p.default is not p.empty}
     for hand in hands:
         if hand.description in begins and not isinstance(knobs[hand.description], ipywidgets.Widget):
-            with contextlib.suppress(ipywidgets.widgets.widget_selection.TraitError):  # no value of this knob
+            with contextlib.suppress(traitlets.TraitError):  # no value of this knob
                 hand.value = begins[hand.description]
     picture, message = ipywidgets.Image(format="png"), ipywidgets.Label()
 

@@ -74,8 +74,9 @@ def _regenerate(options: argparse.Namespace) -> int:
         runs = execute.take_fingerprints(options.notebooks, again=options.again, widen=options.widen)
     else:
         runs = execute.regenerate(options.notebooks)
+    print(execute.run_summary(runs))  # first: the README cannot be written where an answer lacks its finding
+    if not options.fingerprints:
         report.update_readme(ROOT / "README.md")
-    print(execute.run_summary(runs))
     return 0 if all(run.ok for run in runs) else 1
 
 
