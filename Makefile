@@ -30,7 +30,7 @@ test: setup
 	@$(PY) tests/run.py
 
 lab: setup
-	@PYVISTA_JUPYTER_BACKEND=trame PYVISTA_TRAME_SERVER_PROXY_PREFIX=/proxy/ $(PY) -m jupyterlab --LabApp.news_url=None --notebook-dir=notebooks \
+	@PYVISTA_JUPYTER_BACKEND=trame PYVISTA_TRAME_SERVER_PROXY_PREFIX=/proxy/ $(PY) -m jupyterlab --notebook-dir=notebooks \
 		$$(test $$(id -u) = 0 && echo --allow-root) $(LAB_FLAGS)
 
 full: setup
@@ -66,6 +66,7 @@ setup: $(PREPARED)
 $(PREPARED): $(INSTALLED) motionlab/body.py motionlab/doctor.py
 	@echo "== preparing: off-screen rendering and the body"
 	@$(PY) -m motionlab doctor --prepare
+	@$(PY) -m jupyter labextension disable --level=sys_prefix @jupyterlab/apputils-extension:announcements
 	@touch $@
 
 $(INSTALLED): constraints.txt pyproject.toml | $(PY)

@@ -21,7 +21,7 @@ from motionlab.motion import Motion
 from motionlab.observation import Observation2D, look_at, project
 from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
 from motionlab.viz import mannequin, palette
-from motionlab.viz.interactive import slider
+from motionlab.viz.interactive import explore, slider
 from motionlab.viz.movie import film, overlay, write_film
 from motionlab.viz.scene import Scene
 
@@ -220,7 +220,7 @@ import asyncio, torch
 from unittest import mock
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
-from motionlab.viz.interactive import slider
+from motionlab.viz.interactive import explore, slider
 rot = torch.eye(3).expand(4, 22, 3, 3).clone(); rot[:, 0] = UPRIGHT
 async def main():
     view, controls = slider(Motion(STANDARD, torch.zeros(4, 3), rot, 10.0), "trame", size=(64, 48)).children
@@ -289,3 +289,12 @@ def test_bad_input_says_what_is_wrong(tmp_path):
     camera = look_at(torch.tensor([3.0, 0.0, 1.0]), torch.zeros(3), focal=100, width=160, height=120)
     with pytest.raises(ShapeError, match="size"):
         Scene((100, 100), camera=camera)
+
+
+def test_an_experiment_is_drawn_anew_and_says_what_went_wrong():
+    draw = lambda rows=2: np.zeros((rows, 8, 3), np.uint8)  # noqa: E731
+    picture, message, knob = explore(draw, rows=(0, 8, 1)).children
+    before, knob.value = picture.value, 4
+    assert picture.value != before and not message.value
+    knob.value = 0
+    assert "Error" in message.value

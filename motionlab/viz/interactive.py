@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import html
 import inspect
 import io
 import os
@@ -148,14 +149,16 @@ def explore(draw: Callable[..., np.ndarray | Figure], **knobs: object):
         if hand.description in begins and not isinstance(knobs[hand.description], ipywidgets.Widget):
             with contextlib.suppress(traitlets.TraitError):  # no value of this knob
                 hand.value = begins[hand.description]
-    picture, message = ipywidgets.Image(format="png"), ipywidgets.Label()
+    room = {"align_self": "flex-start", "max_width": "100%", "max_height": "60vh"}  # as drawn, or as fits the window
+    picture = ipywidgets.Image(format="png", layout=room)
+    message = ipywidgets.HTML(style={"text_color": "#b3261e"})  # a Label would cut a long message
 
     def redraw(values: dict[str, object]) -> None:
         try:
             picture.value = _png(draw(**values))
             message.value = ""
         except Exception as error:  # whatever the experiment raises is for the person who turned the knob
-            message.value = f"{type(error).__name__}: {error}"
+            message.value = html.escape(f"{type(error).__name__}: {error}")
 
     def now() -> dict[str, object]:
         return {hand.description: hand.value for hand in hands}

@@ -61,12 +61,13 @@ def side_by_side(
                 scene.mesh(vertices[0].numpy(), faces.numpy(), _WOOD, opacity=0.35, panel=panel)
         clock = scene.caption()
         whole = min(seconds or whole, whole)
-        times = drawn(np.arange(0.0, whole + 1e-6, speed / fps))
+        count = len(np.arange(0.0, whole + 1e-6, speed / fps))
+        times = drawn(np.arange(count) * speed / fps)
         pictures = []
         for now in times:
             clock(f"{now:.1f} s  ({speed:g} x life)")
             pictures.append(scene.image(float(now)))
-    frames, rate, size_on_disk = write_film(pictures, path, fps, budget=450_000)
+    frames, rate, size_on_disk = write_film(pictures, path, fps * len(pictures) / count, budget=450_000)
     return Film(Path(path), frames, rate, whole, speed, size_on_disk)
 
 
@@ -216,7 +217,7 @@ def film(
         for now in drawn(np.arange(count) * pace / fps):
             clock(f"{now:.1f} s" + (f"  ({pace:.1f} x life)" if abs(pace - 1) > 0.05 else ""))
             pictures.append(scene.image(float(now)))
-    frames, rate, size_on_disk = write_film(pictures, path, fps)
+    frames, rate, size_on_disk = write_film(pictures, path, fps * len(pictures) / count)  # a draft keeps its length
     return Film(Path(path), frames, rate, seconds, pace, size_on_disk, jpeg(pictures[len(pictures) // 2]))
 
 

@@ -178,9 +178,10 @@ class Lab:
         self.fold(title, rows) if fold else self.table(rows)
 
     def show(self, widget: object) -> None:
-        """Shows a live widget (a pyvista scene, a slider) where a person sits in front of it, not in a batch run."""
+        """Shows a live widget (a pyvista scene, a slider) where a person sits in front of it, not in a batch run; a
+        function that makes one is not called there."""
         if not os.environ.get("MOTIONLAB_BATCH"):
-            display(widget)
+            display(widget() if callable(widget) else widget)
 
     def criterion(self, test: str) -> Criterion:
         """Returns the test with this id, "H06.excess".

@@ -78,7 +78,7 @@ def film_wall(
         pictures.append(np.concatenate([_padded(scene.image(float(now)), size[0] * columns) for scene in scenes]))
     for scene in scenes:
         scene.close()
-    frames, rate, size_on_disk = write_film(pictures, path, fps)
+    frames, rate, size_on_disk = write_film(pictures, path, fps * len(pictures) / round(seconds * fps))
     return Film(path, frames, rate, seconds, 1.0, size_on_disk, jpeg(pictures[len(pictures) // 2]))
 
 

@@ -50,7 +50,7 @@ def filmed(motion: Motion, generator: torch.Generator) -> Scene:
     confidence = seen.observation.confidence.clone()
     confidence[motion.frames // 2 :, low] = 0.0
     observation = replace(seen.observation, keypoints=seen.observation.keypoints[None], confidence=confidence[None])
-    joints_seen = scenes.joints_seen(confidence[None] > 0, observation.names)
+    joints_seen = scenes.joints_seen(confidence[None] > 0, motion.skeleton.names)
     batch = scenes.together([motion])
     wrong = torch.zeros_like(confidence[None], dtype=torch.bool)
     return Scene(motion.name, batch, replace(observation, camera=None), (camera,), observation.keypoints, joints_seen,

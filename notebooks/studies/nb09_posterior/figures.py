@@ -218,7 +218,7 @@ def fan_film(
         for now in movie.drawn(np.arange(0.0, seconds + 1e-6, speed / fps)):
             clock(f"{now:.1f} s  ({speed:g} x life)")
             pictures.append(scene.image(float(now)))
-    frames, rate, size = movie.write_film(pictures, path, fps, budget=600_000)
+    frames, rate, size = movie.write_film(pictures, path, len(pictures) * speed / seconds, budget=600_000)
     return movie.Film(Path(path), frames, rate, seconds, speed, size)
 
 
