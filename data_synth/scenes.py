@@ -106,9 +106,13 @@ def film(case: str, count: int = 8, *, seed: int = 0, frames: int = 60, body: Bo
     return _filmed(case, shots, failure, seed, body)
 
 
-def film_recorded(view: str, motions: Sequence[Motion], *, seed: int = 0, body: BodyModel | None = None) -> Scene:
+def film_recorded(
+    view: str, motions: Sequence[Motion], *, seed: int = 0, body: BodyModel | None = None, facing: bool = False
+) -> Scene:
     """Films recorded motions (T), all of one length, with contacts, in a view of ``VIEWS``: one clip for each. The same
     motion has the same camera and noise in every view.
+
+    facing: the camera stands within 45 degrees of where the person looks at the middle frame, else anywhere.
 
     Raises:
         KeyError: no such view; lists them.
@@ -118,7 +122,8 @@ def film_recorded(view: str, motions: Sequence[Motion], *, seed: int = 0, body: 
     shots = []
     for index, motion in enumerate(motions):
         generator = _generator(seed, "recorded", index)
-        camera = capture.frame_motion(motion, generator, stand=(1.1, 1.8))
+        where = {"azimuth": (_facing(motion) - 45.0, _facing(motion) + 45.0)} if facing else {}
+        camera = capture.frame_motion(motion, generator, stand=(1.1, 1.8), **where)
         shots.append((motion, camera, VIEWS[view](motion, camera), generator))
     return _filmed(view, shots, None, seed, body)
 

@@ -12,7 +12,6 @@ from motionlab import rotation
 from motionlab.metrics import gait, intervals
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
-from studies.nb05_testops import measures
 from tests.draws import seeded
 
 
@@ -49,12 +48,6 @@ def test_angles_of_a_seat():
 @pytest.mark.parametrize(("hip", "knee", "seated"), [(90, 90, 1), (90, 20, 0), (20, 90, 0), (0, 0, 0)])
 def test_who_sits(hip, knee, seated):
     assert gait.sits(bent(hip, knee)).tolist() == [seated] * 2
-
-
-def test_walking_has_a_cadence_and_standing_none():
-    where = torch.ones(2, 60, dtype=torch.bool)
-    assert ((measures.cadence(walking(), where) > 80) & (measures.cadence(walking(), where) < 150)).all()
-    assert (measures.cadence(standing(60), where) == 0).all()
 
 
 def test_a_turned_world_changes_no_step():

@@ -38,9 +38,16 @@ def tilt_and_bend(motion: Motion) -> tuple[Tensor, Tensor]:
     return torch.rad2deg((-thigh[..., 2]).clamp(-1, 1).arccos()), torch.rad2deg(cosine.arccos())
 
 
-def sits(motion: Motion, frames: int = 10) -> Tensor:
-    """Computes who sits at the end: 1 where both angles, means over legs and last ``frames``, reach SEATED, else 0."""
-    tilt, bend = (angle[..., -frames:, :].mean((-1, -2)) for angle in tilt_and_bend(motion))
+def sits(motion: Motion, frames: int = 10, when: Tensor | None = None) -> Tensor:
+    """Computes who sits: 1 where both angles, means over legs and frames, reach SEATED, else 0.
+
+    Frames: those of a mask ``when`` (B, T), else the last ``frames``.
+    """
+    angles = [angle.mean(-1) for angle in tilt_and_bend(motion)]
+    if when is None:
+        tilt, bend = (angle[..., -frames:].mean(-1) for angle in angles)
+    else:
+        tilt, bend = (masked_mean(angle, when, 1) for angle in angles)
     return ((tilt >= SEATED) & (bend >= SEATED)).to(tilt)
 
 

@@ -5,32 +5,38 @@ Errors are measured in the axes of the camera, where the true and the found worl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
+from torch import Tensor
 
+from data_synth.scenes import Scene
 from motionlab import rotation
+from motionlab.fit import pixel_distances, pixels_of
+from motionlab.humor.energies import RGB_LIGHT
+from motionlab.humor.evidence import evidence
 from motionlab.humor.priors import Priors
-from motionlab.humor.testops import Fitted, fit
-from motionlab.metrics import pose
+from motionlab.humor.testops import Schedule, fit
+from motionlab.metrics import intervals, pose
 from motionlab.motion import Motion
-from motionlab.observation import Camera
-from studies.nb05_testops.recordings import in_camera, start_cameras
-from studies.shared.contenders import CM, Seen
+from motionlab.observation import Camera, Observation2D
+from studies.nb05_testops import tuning
+from studies.nb05_testops.filmed_people import Filmed
 
 TILT, RISE = 3.0, 0.05  # standard deviations, degrees and metres, of a camera that was placed by eye
+CM = 100.0
 
 
 def placed_by_eye(camera: Camera, generator: torch.Generator) -> Camera:
-    """The camera turned about its centre by a random rotation of ``TILT`` an axis and lifted by ``RISE``."""
+    """Turns a camera about its centre by a random rotation of ``TILT`` an axis and lifts it by ``RISE``."""
     turn = rotation.exp(torch.deg2rad(TILT * torch.randn(3, generator=generator))).to(camera.rotation) @ camera.rotation
     centre = camera.centre + camera.centre.new_tensor([0, 0, 1]) * RISE * torch.randn(1, generator=generator).item()
     return replace(camera, rotation=turn, translation=-turn @ centre)
 
 
 def knowledge(cameras: Sequence[Camera], generator: torch.Generator) -> dict[str, dict[str, object]]:
-    """Arguments of ``testops.fit`` by what is known, from everything to nothing."""
+    """Returns arguments of ``testops.fit`` by what is known, from everything to nothing."""
     size = (cameras[0].width, cameras[0].height)
     return {
         "camera and floor": {"cameras": cameras, "floor": "camera"},
@@ -40,24 +46,129 @@ def knowledge(cameras: Sequence[Camera], generator: torch.Generator) -> dict[str
     }
 
 
-def errors(
-    seen: Seen, truth: Motion, priors: Priors, generator: torch.Generator, **how
-) -> dict[str, dict[int, dict[str, torch.Tensor]]]:
-    """By what is known and by stage: cm (B,), the pelvis on the true one ("root"), with the best turn, shift and scale
-    of every frame ("similarity") and as it stands before the camera ("none").
+def start_cameras(observation: Observation2D, **given: object) -> list[Camera]:
+    """Returns the cameras that a fit starts from, and keeps until stage 3 moves them; arguments as of ``fit``."""
+    seen = evidence(observation, **given)
+    return seen.view.cameras(seen.values.new_zeros(len(seen.values), 3))
 
-    truth: (B, T) of the clips seen. how: goes to ``testops.fit``.
+
+def in_camera(cameras: Sequence[Camera], points: Tensor) -> Tensor:
+    """Computes world points (G, T, K, 3) in the axes of each view's camera."""
+    turn, shift = (torch.stack([getattr(c, n) for c in cameras]).to(points) for n in ("rotation", "translation"))
+    return points @ turn[:, None].mT + shift[:, None, None]
+
+
+def errors(motion: Motion, cameras: Sequence[Camera], scene: Scene) -> dict[str, Tensor]:
+    """Computes errors (B,) of a fit in cm, in the axes of the camera.
+
+    "root": the pelvis put on the true one. "none": as it stands before the camera.
     """
-    there = in_camera(seen.cameras, truth.positions)
-    found = {}
-    for name, given in knowledge(seen.cameras, generator).items():
-        fitted: Fitted = fit(seen.observation, priors, **given, **how)
-        cameras = {2: start_cameras(seen.observation, **given), 3: fitted.cameras}
-        found[name] = {
-            stage: {
-                align: CM * pose.mpjpe(in_camera(cameras[stage], motion.positions), there, align=align)
-                for align in ("root", "similarity", "none")
-            }
-            for stage, motion in fitted.stages.items() if stage in cameras
-        }  # fmt: skip
+    found, there = in_camera(cameras, motion.positions), in_camera(scene.cameras, scene.truth.positions)
+    return {align: CM * pose.mpjpe(found, there, align=align) for align in ("root", "none")}
+
+
+def compared(
+    shot: Filmed, priors: Priors, schedule: Schedule, chosen: tuple[float, int], generator: torch.Generator
+) -> dict[str, dict[str, dict[str, Tensor]]]:
+    """Fits people with less and less known of the camera.
+
+    Returns by "root" and "none" (:func:`errors`), by what is known, and by method, numbers (P,).
+    """
+    found, seen = {"root": {}, "none": {}}, shot.scene.observation
+    for name, given in knowledge(shot.scene.cameras, generator).items():
+        two = tuning.stage_2(seen, priors, RGB_LIGHT, schedule, chosen, **given)
+        three = fit(seen, priors, schedule=schedule, **given)
+        off = {
+            "tuned stage 2": errors(two, start_cameras(seen, **given), shot.scene),
+            "stage 3": errors(three.motion, three.cameras, shot.scene),
+        }
+        for align, by in found.items():
+            by[name] = {method: shot.people.mean(numbers[align]) for method, numbers in off.items()}
     return found
+
+
+# ------------------------------------------------------------------------------------------------------- the plain view
+def misses(pixels: Tensor, seen: Observation2D) -> Tensor:
+    """Computes the mean distance (G,) of points (G, T, 25, 2) from the detections in pixels, weighted by confidence."""
+    away, weight = pixel_distances(pixels, seen)
+    return (away * weight).sum((-1, -2)) / weight.sum((-1, -2))
+
+
+def scores(motion: Motion, shot: Filmed) -> dict[str, Tensor]:
+    """Measures a fit by a known camera, a number (P,) a person.
+
+    "pose": cm, the pelvis put on the true one. "place": cm, as it stands. "px": pixels off the detections. "ratio": the
+    same over the truth's own distance from them. "acceleration": error, m/s^2.
+    """
+    scene, p, t = shot.scene, motion.positions, shot.scene.truth.positions
+    px = misses(pixels_of(motion, list(scene.cameras)), scene.observation)
+    found = {
+        "pose": CM * pose.mpjpe(p, t, align="root"),
+        "place": CM * pose.mpjpe(p, t, align="none"),
+        "px": px,
+        "ratio": px / misses(scene.pixels, scene.observation),
+        "acceleration": pose.acceleration_error(p, t, scene.truth.fps),
+    }
+    return {name: shot.people.mean(values) for name, values in found.items()}
+
+
+def longer(shot: Filmed, found: Motion, priors: Priors, schedule: Schedule, count: int) -> str:
+    """Fits the first clips once more by a longer search, and says what that changes in the pose."""
+    scene, seen, cameras = shot.scene, shot.scene.observation, list(shot.scene.cameras[:count])
+    few = replace(seen, keypoints=seen.keypoints[:count], confidence=seen.confidence[:count])
+    again = fit(few, priors, schedule=schedule, cameras=cameras, floor="camera").motion
+    truth = scene.truth.positions[:count]
+    now, then = (CM * pose.mpjpe(p[:count], truth, align="root").mean() for p in (found.positions, again.positions))
+    return (
+        f"Stage 3 takes six steps here. With the {schedule.steps[2]} of the usual schedule, the first {count} clips "
+        f"are {then:.1f} cm off instead of {now:.1f} cm."
+    )
+
+
+def score_rows(
+    plain: Mapping[str, Mapping[str, Mapping[str, Tensor]]], generator: torch.Generator
+) -> list[dict[str, object]]:
+    """Returns a row per source and method: means over people, of the pose with its interval."""
+    return [
+        {"people": f"{source} ({len(found['pose'])})", "after": method}
+        | {"pose, cm": "{:.1f} [{:.1f}, {:.1f}]".format(*intervals.interval(found["pose"], "mean", generator))}
+        | {"place, cm": found["place"].mean().item(), "pixels / truth's": found["ratio"].mean().item()}
+        | {"acceleration off, m/s²": found["acceleration"].mean().item()}
+        for source, by in plain.items()
+        for method, found in by.items()
+    ]
+
+
+def reading(
+    plain: Mapping[str, Mapping[str, Mapping[str, Tensor]]], chosen: Mapping[str, tuple], generator: torch.Generator
+) -> str:
+    """Says how rough stage 2 is, and what stage 3 adds to it and to a tuned one."""
+    lines = []
+    for source, by in plain.items():
+        pose_of = {name: found["pose"].mean() for name, found in by.items()}
+        gain = intervals.paired(by["stage 3"]["pose"], by["tuned stage 2"]["pose"], generator)
+        lines.append(
+            f"*{source}*, {len(by['stage 2']['pose'])} people: stage 2 is {pose_of['stage 2']:.1f} cm off, tuned "
+            f"({tuning.said(chosen[source])}) {pose_of['tuned stage 2']:.1f} cm, stage 3 {pose_of['stage 3']:.1f} cm. "
+            f"Stage 3 less the tuned stage 2: {gain} cm. In the image stage 3 is {by['stage 3']['ratio'].mean():.1f} "
+            f"times as far from the detections as the truth is, and stage 2 {by['stage 2']['ratio'].mean():.1f} times."
+        )
+    return "\n\n".join(lines)
+
+
+def knowledge_reading(found: Mapping[str, Mapping[str, Mapping[str, Tensor]]], generator: torch.Generator) -> str:
+    """Says what stage 3 loses with the camera, in pose and in place."""
+    inside, place = found["root"], found["none"]
+    most = inside["camera and floor"]["stage 3"]
+    lines = [
+        f"With *{name}* stage 3's pose is {by['stage 3'].mean():.1f} cm off"
+        + (
+            f", {intervals.paired(by['stage 3'], most, generator)} against a known camera"
+            if by["stage 3"] is not most
+            else ""
+        )
+        + f"; the tuned stage 2 is {by['tuned stage 2'].mean():.1f} cm off. In place they are "
+        f"{place[name]['stage 3'].mean():.0f} and {place[name]['tuned stage 2'].mean():.0f} cm off."
+        for name, by in inside.items()
+    ]
+    return "\n\n".join(lines)

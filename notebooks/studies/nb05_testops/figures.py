@@ -6,16 +6,16 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
-import torch
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
+from motionlab.body import BodyModel
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.viz.movie import Mesh, overlay
-from motionlab.viz.palette import INK, LINE, ROLE, colour
+from motionlab.viz.palette import INK, LINE, ROLE
 from motionlab.viz.scene import Scene
 from studies.shared.plots import canvas, paints
 
@@ -30,14 +30,20 @@ def through_the_camera(
     *,
     things: Sequence[Mesh] = (),
     width: int = 460,
+    body: BodyModel | None = None,
 ) -> np.ndarray:
     """What the camera sees, once per layer, with keypoints drawn over it: pictures side by side (H, W, 3) uint8.
 
-    layers: label -> (role, pixels (T, 25, 2), confidence (T, 25)); the detections, or the landmarks of a fit.
+    layers: label -> (role, pixels (T, 25, 2), confidence (T, 25)); the detections, or the landmarks of a fit. body:
+    shows its skin instead of the mannequin.
     """
     size = (width, round(width * camera.height / camera.width))
     with Scene(size, camera=camera) as scene:
-        scene.skeleton(truth, _SKIN, frame=frame).floor()
+        scene.floor()
+        if body is None:
+            scene.skeleton(truth, _SKIN, frame=frame)
+        else:
+            scene.body(body, truth, _SKIN, frame=frame)
         for vertices, faces in things:
             scene.mesh(vertices[0].numpy(), faces.numpy(), _WOOD)
         plain = scene.image()
@@ -45,20 +51,6 @@ def through_the_camera(
     for label, (role, pixels, confidence) in layers.items():
         seen = Observation2D(pixels, confidence, BODY_25, truth.fps, camera)
         drawn.append(_labelled(overlay(seen, plain, frame, role, width=3.5), label))
-    return np.concatenate(drawn, 1)
-
-
-def on_paper(layers: Mapping[str, tuple[str, Tensor, Tensor]], frame: int, *, height: int = 380) -> np.ndarray:
-    """As :func:`through_the_camera` where there is no picture: layers over blank paper, cut to where the points are."""
-    sure = torch.cat([pixels[frame][confidence[frame] > 0] for _, pixels, confidence in layers.values()])
-    low, high = sure.amin(0), sure.amax(0)
-    margin = 0.12 * (high - low).max()
-    scale = height / float((high - low)[1] + 2 * margin)
-    blank = np.full((height, max(round(float((high - low)[0] + 2 * margin) * scale), 200), 3), 246, np.uint8)
-    drawn = []
-    for label, (role, pixels, confidence) in layers.items():
-        seen = Observation2D((pixels - low + margin) * scale, confidence, BODY_25, 30.0)
-        drawn.append(_labelled(overlay(seen, blank, frame, role, width=3.5), label))
     return np.concatenate(drawn, 1)
 
 
@@ -96,26 +88,6 @@ def pairs(
     return fig
 
 
-def gaps(
-    increase: Mapping[tuple[str, str], Mapping[int, Tensor]], *, modes: Sequence[str], places: Sequence[str], roles
-) -> Figure:
-    """Error that a gap adds over its length: a panel per place, a curve per mode; a dot for every clip (B,)."""
-    fig, axes = canvas(1, len(places), size=(3.2 * len(places), 2.9), sharey=True)
-    for ax, place in zip(axes, places, strict=True):
-        for mode in modes:
-            found, paint = increase.get((mode, place), {}), colour(roles[mode])
-            lengths = sorted(found)
-            for length in lengths:
-                ax.scatter([length] * len(found[length]), found[length], s=10, color=paint, alpha=0.45, lw=0)
-            ax.plot(lengths, [found[n].nanmean().item() for n in lengths], color=paint, lw=1.8, label=mode)
-        ax.axhline(0, color=INK, lw=0.8)
-        ax.set(title=f"{place} missing", xlabel="frames without detections", xticks=lengths)
-        ax.set_yscale("symlog", linthresh=1.0)
-    axes[0].set_ylabel("later frames: error added (cm)")
-    axes[0].legend()
-    return fig
-
-
 def spectra(cases: Mapping[str, Mapping[str, Tensor]], edges: Sequence[float], *, roles: Mapping[str, str]) -> Figure:
     """Power over true power by band of frequency, a panel per case: medians over clips (B, bands) and quartiles."""
     fig, axes = canvas(1, len(cases), size=(4.2 * len(cases), 2.9), sharey=True)
@@ -132,13 +104,6 @@ def spectra(cases: Mapping[str, Mapping[str, Tensor]], edges: Sequence[float], *
     axes[0].set_ylabel("power / true power")
     axes[-1].legend()
     return fig
-
-
-def stages_of(
-    truth: Motion, stages: Mapping[int, Motion], index: int, keep: Sequence[int] = (2, 3)
-) -> dict[str, Motion]:
-    """One clip's truth and stages, as panels for :func:`side_by_side`."""
-    return {"truth": truth.clip(index)} | {f"stage {k}": stages[k].clip(index) for k in keep}
 
 
 def grid(pictures: Sequence[np.ndarray], columns: int) -> np.ndarray:

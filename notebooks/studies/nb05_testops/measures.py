@@ -11,28 +11,16 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from motionlab.fit import pixel_distances
 from motionlab.humor import state
-from motionlab.humor.body_shape import landmarks
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import infer, rollout
 from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
-from motionlab.observation import Camera, Observation2D, project
+from motionlab.skeleton import FEET
 
-STRIDE = 0.03  # metres: a foot that is not this far ahead of the other has not passed it
+_TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head")
+SEAT = 0.12  # metres: a trunk so far behind the feet falls, unless something carries it
 BAND = (2.0, 5.0)  # Hz: where the accents of a dance are
-
-
-def cadence(motion: Motion, where: Tensor) -> Tensor:
-    """Computes steps a minute: how often one foot passes the other by more than STRIDE, in the frames of a mask."""
-    way = gait.ahead(motion)
-    way = way - pose.masked_mean(way, where, 1)[..., None]
-    side = torch.where(way.abs() > STRIDE, way.sign(), 0.0)
-    last = torch.where(side != 0, torch.arange(side.shape[-1]).expand(side.shape), -1).cummax(-1).values
-    held = torch.where(last >= 0, side.gather(-1, last.clamp(min=0)), 0.0)
-    passed = (held[..., 1:] * held[..., :-1] < 0) & where[..., 1:] & where[..., :-1]
-    return 60 * motion.fps * passed.sum(-1) / where.sum(-1)
 
 
 def quarters(error: Tensor) -> tuple[Tensor, Tensor]:
@@ -52,6 +40,27 @@ def accumulation(model: Cvae, truth: Motion) -> Tensor:
 
 
 # ---------------------------------------------------------------------------------------- poses and steps
+def unsupported(motion: Motion) -> Tensor:
+    """Computes how far the trunk is behind the feet, metres (B, T), along the pelvis's heading: above 0 behind them."""
+    heading = torch.nn.functional.normalize(motion.rot[..., 0, :2, 2], dim=-1)
+    feet, trunk = (motion.positions[..., motion.skeleton.indices(names), :2].mean(-2) for names in (FEET, _TRUNK))
+    return ((feet - trunk) * heading).sum(-1)
+
+
+def moment(truth: Motion, frames: int = 10) -> Tensor:
+    """Finds the first or the last ``frames`` (B, T) of each clip, whichever have the pelvis lower."""
+    height, when = truth.root[..., 2], torch.zeros(truth.root.shape[:-1], dtype=torch.bool)
+    early = height[..., :frames].mean(-1) < height[..., -frames:].mean(-1)
+    when[..., :frames], when[..., -frames:] = early[..., None], ~early[..., None]
+    return when
+
+
+def seated(motion: Motion, when: Tensor) -> Tensor:
+    """Computes who sits, 1 or 0 (B,), in frames (B, T): thighs and knees bent by ``gait.SEATED`` and the trunk ``SEAT``
+    behind the feet, means over the frames. Who crouches bends the legs as much, over the feet."""
+    return gait.sits(motion, when=when) * (pose.masked_mean(unsupported(motion), when, 1) >= SEAT)
+
+
 def flexion_error(fit: Motion, truth: Motion) -> Tensor:
     """Computes the mean absolute error of ``gait.tilt_and_bend``'s angles over frames and legs, degrees."""
     pairs = zip(gait.tilt_and_bend(fit), gait.tilt_and_bend(truth), strict=True)
@@ -63,13 +72,6 @@ def swing(motion: Motion, where: Tensor) -> Tensor:
     way = gait.ahead(motion)
     mean = pose.masked_mean(way, where, 1)
     return pose.masked_mean((way - mean[..., None]).square(), where, 1).sqrt()
-
-
-def foot_travel(motion: Motion, where: Tensor) -> Tensor:
-    """Computes the horizontal path length of an ankle over the frames of a mask, metres, mean of both."""
-    ankles = motion.positions[..., motion.skeleton.indices([f"{side}_ankle" for side in gait.SIDES]), :2]
-    step = ankles.diff(dim=-3).norm(dim=-1).mean(-1)
-    return torch.where(where[..., 1:] & where[..., :-1], step, 0.0).sum(-1)
 
 
 def error_over_time(fit: Motion, truth: Motion, align: str = "root") -> Tensor:
@@ -90,17 +92,3 @@ def band_power(fit: Motion, truth: Motion, bands: Sequence[float] = BAND) -> Ten
 def acceleration_ratio(fit: Motion, truth: Motion) -> Tensor:
     """Mean size of the acceleration about the pelvis over the true one."""
     return pose.mean_acceleration(_about_pelvis(fit), fit.fps) / pose.mean_acceleration(_about_pelvis(truth), truth.fps)
-
-
-# ----------------------------------------------------------------------------------------------------- in the image
-def pixel_distance(pixels: Tensor, observation: Observation2D) -> Tensor:
-    """Mean distance in pixels of points (B, T, 25, 2) from the detections, weighted by confidence; neck and hips, which
-    a fit ignores, left out."""
-    away, weight = pixel_distances(pixels, observation)
-    return (weight * away).sum((-1, -2)) / weight.sum((-1, -2))
-
-
-def image_of(fit: Motion, betas: Tensor, cameras: Sequence[Camera]) -> Tensor:
-    """Pixels (B, T, 25, 2) of the 25 landmarks of a fit."""
-    points = landmarks(*fit.world, betas)
-    return torch.stack([project(camera, clip)[0] for camera, clip in zip(cameras, points, strict=True)])

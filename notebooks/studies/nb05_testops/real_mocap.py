@@ -18,14 +18,13 @@ from torch import Tensor
 
 from data_synth import scenes
 from motionlab import corpus, splits
-from motionlab.baselines import smoothed
 from motionlab.humor import pretrained
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule
 from motionlab.metrics.intervals import interval
 from motionlab.motion import Motion
 from motionlab.parallel import one_thread
-from studies.nb05_testops.trials import fit_together, scores, stage_2_rows, with_smoothness
+from studies.nb05_testops.trials import Rival, fit_rivals, fit_together, rival_of, scores, tried
 
 FRAMES = 60
 MEASURES = ("all", "legs", "world", "acceleration", "contact F1")
@@ -48,17 +47,12 @@ def filmed(motions: Sequence[Motion], seed: int) -> dict[str, scenes.Scene]:
     return {view: scenes.film_recorded(view, motions, seed=seed) for view in scenes.VIEWS}
 
 
-def tuned_stage_2(practice: dict[str, scenes.Scene], priors: Priors, schedule: Schedule) -> dict[str, tuple]:
-    """Finds for each view the smoothness and filter with the least error of legs, or of all joints in plain view."""
-    found = {}
-    for view, scene in practice.items():
-        rows = stage_2_rows(
-            {view: scene}, priors, schedule, smoothness=(100.0, 10.0, 1.5, 0.5, 0.15), filters=(0, 5, 9, 15)
-        )
-        key = "all" if view == "plain view" else "legs"
-        best = min(rows, key=lambda row: row[key])
-        found[view] = best["smoothness"], best["filter, frames"]
-    return found
+def tuned_stage_2(practice: dict[str, scenes.Scene], priors: Priors, schedule: Schedule) -> dict[str, Rival]:
+    """Finds for each view the stage 2 with the least error of legs, or of all joints in plain view."""
+    found = tried(
+        practice, priors, schedule, smoothness=(100.0, 10.0, 1.5, 0.5, 0.15), pose=(1.0,), windows=(0, 5, 9, 15)
+    )
+    return {view: rival_of(found, view, "all" if view == "plain view" else "legs") for view in practice}
 
 
 def compare(
@@ -69,13 +63,10 @@ def compare(
     best = tuned_stage_2(practice, priors, schedule)
     fits = fit_together(tested, priors, schedule=schedule)
     for view, scene in tested.items():
-        weight, window = best[view]
-        plain = fit_together(
-            {view: scene}, priors, schedule=schedule.without_stage_3(), weights=with_smoothness(weight)
-        )
-        two = scores(smoothed(plain[view].stages[2], window), scene.truth, scene.seen)
+        plain = fit_rivals({view: scene}, {view: best[view]}, priors, schedule)
+        two = scores(plain[view], scene.truth, scene.seen)
         three = scores(fits[view].stages[3], scene.truth, scene.seen)
-        found[view] = {"smoothness": weight, "filter, frames": window, "clips": len(people)}
+        found[view] = vars(best[view]) | {"clips": len(people)}
         for name in MEASURES:
             a, b = _by_person(three[name], people), _by_person(two[name], people)
             found[view][name] = {

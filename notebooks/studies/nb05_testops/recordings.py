@@ -1,26 +1,32 @@
-"""Recordings of real people against references: Pose2Sim's person from each single view, a webcam without reference."""
+"""Real keypoints: Pose2Sim's person from each single view, a synthetic stand-in, and a folder of one's own."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from motionlab.errors import DataError, ShapeError
-from motionlab.fit import landmarks_of, pixel_distances, pixels_of
+from data_synth import scenes
+from motionlab.body import BodyModel
+from motionlab.errors import DataError
+from motionlab.fit import landmarks_of, pixels_of
 from motionlab.humor import testops
-from motionlab.humor.evidence import evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule
 from motionlab.io import openpose, points
 from motionlab.io.cameras import load_qualisys
 from motionlab.metrics import pose
 from motionlab.motion import FPS, Motion
-from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
+from motionlab.observation import BODY_25, Camera, Observation2D, at_rate, project
+from studies.nb05_testops import over_video
+from studies.nb05_testops.camera_knowledge import in_camera, misses, start_cameras
 
 #: The twelve joints that marker tables and keypoints share, ours and Pose2Sim's name of each.
 COMPARED = {
@@ -28,26 +34,45 @@ COMPARED = {
     for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
     for side in ("left", "right")
 }
+_ROWS = [BODY_25.index(name) for name in COMPARED]
 _HIPS = [list(COMPARED).index(f"{side}_hip") for side in ("left", "right")]
+TRIALS = ("single_balancing", "static_p1")
+HOW = ("known", "level", "assumed")  # what a fit may know of the camera
 
 
 class Views(NamedTuple):
     """Several cameras' keypoints of the same seconds, and where the joints were.
 
-    observation: (G, T, 25, 2) of BODY_25, 30 fps. cameras: calibrated, one per view. names: of the views.
-    reference (T, 12, 3): metres, world of the cameras; joints of ``COMPARED``.
+    observation: (G, T, 25, 2) of BODY_25, 30 fps. cameras: calibrated, one per view; None: nothing is known. names: of
+    the views. reference (T, 12, 3): metres, world of the cameras, joints of ``COMPARED``; None: there is none.
+    pictures: of each view, frame by frame. missed: pixels by which a reference of our own misses the detections.
     """
 
     observation: Observation2D
-    cameras: list[Camera]
+    cameras: list[Camera] | None
     names: tuple[str, ...]
-    reference: Tensor
+    reference: Tensor | None
+    pictures: tuple[over_video.Pictures, ...]
+    missed: float = float("nan")
+
+    def clip(self, index: int, frames: int | None = None) -> Observation2D:
+        """Returns one view's keypoints (T, 25, 2), or their first frames."""
+        seen = self.observation
+        return replace(seen, keypoints=seen.keypoints[index, :frames], confidence=seen.confidence[index, :frames])
+
+    def first(self, frames: int) -> Views:
+        """Returns the first frames of every view."""
+        seen, reference = self.observation, None if self.reference is None else self.reference[:frames]
+        short = replace(seen, keypoints=seen.keypoints[:, :frames], confidence=seen.confidence[:, :frames])
+        return self._replace(observation=short, reference=reference)
 
 
+@cache
 def pose2sim(folder: Path | str, *, trial: str = "single_balancing") -> Views:
-    """Pose2Sim's balancing person from four views at 30 fps, with the triangulated and filtered markers.
+    """Reads Pose2Sim's person from four views at 30 fps.
 
-    folder: ``pose2sim_openpose`` of the data set. Only the frames that the reference has.
+    The reference is the triangulated and filtered one of its authors, which is of the balancing take; of another take
+    it is triangulated here from the four views.
 
     Raises:
         DataError: a file cannot be read, or there are not as many cameras as views.
@@ -58,138 +83,231 @@ def pose2sim(folder: Path | str, *, trial: str = "single_balancing") -> Views:
     if not places or len(places) != len(cameras):
         message = f"{len(places)} views and {len(cameras)} cameras"
         raise DataError(message, path=folder / trial, remedy="unpack the data set again")
-    tables = sorted((folder / "ref3d").glob("*.trc"))
-    if not tables:
-        raise DataError("no .trc file in it", path=folder / "ref3d", remedy="unpack the data set again")
-    markers = points.load_trc(tables[0])
-    seen = [openpose.load(place, fps=markers.fps, layout="BODY_25B") for place in places]
-    frames = min(markers.frames, *(each.frames for each in seen))
-    seen = [openpose.to_body_25(each, midpoints=True) for each in seen]
-    whole = replace(
-        seen[0],
-        keypoints=torch.stack([each.keypoints[:frames] for each in seen]),
-        confidence=torch.stack([each.confidence[:frames] for each in seen]),
-        name=trial,
-    )
-    step = round(markers.fps / FPS)
-    if abs(markers.fps / step - FPS) > 1e-3 * FPS:
-        raise DataError(f"{markers.fps:g} frames per second", path=tables[0], remedy="a multiple of 30 is expected")
+    seen = [openpose.to_body_25(openpose.load(p, fps=60.0, layout="BODY_25B"), midpoints=True) for p in places]
+    whole, names = _together(seen, trial), tuple(place.name.removesuffix("_json") for place in places)
     observation = at_rate(whole)
-    reference = markers.select(list(COMPARED.values())).positions[:frames:step][: observation.frames]
-    return Views(observation, cameras, tuple(place.name.removesuffix("_json") for place in places), reference)
+    if trial != "single_balancing":
+        found, missed = triangulated(cameras, observation)
+        return Views(observation, cameras, names, found, tuple(map(over_video.blank, cameras)), missed)
+    markers = points.load_trc(folder / "ref3d" / "Balancing_for_IK.trc").select(list(COMPARED.values())).positions
+    observation = at_rate(_together([_first(each, len(markers)) for each in seen], trial))
+    films = [folder / "videos" / f"{name}.mp4" for name in names]
+    pictures = tuple(over_video.Video(path, camera, 2) for path, camera in zip(films, cameras, strict=True))
+    return Views(observation, cameras, names, markers[::2][: observation.frames], pictures)
 
 
-def fit_views(
-    views: Views, priors: Priors, *, camera: str = "known", schedule: Schedule | None = None, **options
-) -> Fitted:
-    """Every view fitted for itself (all in one batch).
+def _first(seen: Observation2D, frames: int) -> Observation2D:
+    return replace(seen, keypoints=seen.keypoints[:frames], confidence=seen.confidence[:frames])
 
-    camera: "known": the calibration, and with it the floor. "intrinsics": level cameras at a guessed height with the
-    calibration's intrinsics. "assumed": nothing, not even the focal length.
+
+def _together(seen: Sequence[Observation2D], name: str) -> Observation2D:
+    frames = min(each.frames for each in seen)
+    keypoints, confidence = ([getattr(each, n)[:frames] for each in seen] for n in ("keypoints", "confidence"))
+    return replace(seen[0], keypoints=torch.stack(keypoints), confidence=torch.stack(confidence), name=name)
+
+
+def triangulated(cameras: Sequence[Camera], seen: Observation2D) -> tuple[Tensor, float]:
+    """Computes the joints of ``COMPARED`` (T, 12, 3) from several views (G, T), by weighted least squares.
+
+    Also the median distance in pixels by which they miss the detections.
     """
-    return testops.fit(views.observation, priors, schedule=schedule, **_given(views, camera), **options)
+    pixels, weight, rows = seen.keypoints[:, :, _ROWS].double(), seen.confidence[:, :, _ROWS].double(), []
+    for camera, uv, w in zip(cameras, pixels, weight, strict=True):
+        p = camera.intrinsics.double() @ torch.cat((camera.rotation, camera.translation[:, None]), 1).double()
+        rows += [w[..., None] * (uv[..., k : k + 1] * p[2] - p[k]) for k in (0, 1)]
+    x = torch.linalg.svd(torch.stack(rows, -2)).Vh[..., -1, :]
+    found = (x[..., :3] / x[..., 3:]).float()
+    off = torch.stack([(project(c, found)[0] - uv).norm(dim=-1) for c, uv in zip(cameras, pixels, strict=True)])
+    return found, off[weight > 0].median().item()
 
 
-def _given(views: Views, camera: str) -> dict[str, object]:
-    if camera not in ("known", "intrinsics", "assumed"):
-        raise ValueError(f'camera: expected "known", "intrinsics" or "assumed", got {camera!r}')
-    return {
-        "cameras": None if camera == "assumed" else views.cameras,
-        "size": (views.cameras[0].width, views.cameras[0].height),
-        "floor": "camera" if camera == "known" else "guess",
-    }
+def stand_in(count: int, body: BodyModel, *, seed: int, frames: int) -> Views:
+    """Returns easy synthetic clips as views, each with the picture its camera would take."""
+    scene = scenes.film("easy", count, seed=seed, frames=frames)
+    pictures = tuple(over_video.staged(scene.truth.clip(k), camera, body) for k, camera in enumerate(scene.cameras))
+    names = tuple(f"synthetic clip {k + 1}" for k in range(count))
+    return Views(scene.observation, list(scene.cameras), names, None, pictures)
 
 
-def start_cameras(observation: Observation2D, **given: object) -> list[Camera]:
-    """The cameras that a fit starts from, and keeps until stage 3 moves them; arguments as of ``testops.fit``."""
-    seen = evidence(observation, **given)
-    return seen.view.cameras(seen.values.new_zeros(len(seen.values), 3))
+def own(folder: Path | str, *, fps: float = FPS) -> Views:
+    """Reads a folder of OpenPose JSON of one's own; nothing is known of its camera."""
+    seen = at_rate(openpose.to_body_25(openpose.load(folder, fps=fps), midpoints=True))
+    seen = replace(seen, keypoints=seen.keypoints[None], confidence=seen.confidence[None])
+    return Views(seen, None, ("yours",), None, (over_video.blank(start_cameras(seen)[0]),))
 
 
+def shown(own_folder: str | None, data: Path | None, body: BodyModel, *, seed: int) -> Views:
+    """Returns the views of the first experiment: one's own, else Pose2Sim's, else synthetic ones."""
+    if own_folder:
+        return own(own_folder)
+    return pose2sim(data / "pose2sim_openpose") if data else stand_in(2, body, seed=seed, frames=30)
+
+
+def given(views: Views, how: str, focal: float = 1.0, index: int | None = None) -> dict[str, object]:
+    """Returns arguments of ``testops.fit`` for what it may know of the cameras of all views, or of one.
+
+    how: "known": the calibration, and with it the floor. "level": the lens alone; the camera is taken as level, 1.2 m
+    above the floor. "assumed": nothing but the size of the image. focal: times the focal length.
+    """
+    if how not in HOW:
+        raise ValueError(f"how: expected one of {', '.join(HOW)}, got {how!r}")
+    some = start_cameras(views.observation) if views.cameras is None else views.cameras
+    some = some if index is None else [some[index]]
+    if how == "assumed" and focal == 1.0:
+        return {"cameras": [None] * len(some), "size": (some[0].width, some[0].height), "floor": "guess"}
+    lens = [replace(c, intrinsics=_scaled(c, focal)) for c in some]
+    return {"cameras": lens, "floor": "camera" if how == "known" and views.cameras is not None else "guess"}
+
+
+def _scaled(camera: Camera, focal: float) -> Tensor:
+    changed = camera.intrinsics.clone()
+    changed[[0, 1], [0, 1]] *= focal
+    return changed
+
+
+class Refits:
+    """Fits of the first frames of one view, made when they are first asked for."""
+
+    def __init__(self, views: Views, priors: Priors, schedule: Schedule, frames: int = 30) -> None:
+        self.views, self.priors, self.schedule, self.frames = views, priors, schedule, frames
+        self.found: dict[tuple[int, str, float], Fitted] = {}
+
+    def __call__(self, index: int, how: str, focal: float = 1.0) -> Fitted:
+        """Returns the fit of a view; how and focal: as of :func:`given`."""
+        key = (index, how, round(focal, 3))
+        if key not in self.found:
+            seen = self.views.clip(index, self.frames)
+            known = given(self.views, how, focal, index)
+            self.found[key] = testops.fit(seen, self.priors, schedule=self.schedule, **known)
+        return self.found[key]
+
+    def cameras(self, stage: int, index: int, how: str, focal: float = 1.0) -> list[Camera]:
+        """Returns the camera that a stage of a fit saw by: stage 3 may have moved it."""
+        if stage == 3:
+            return self(index, how, focal).cameras
+        return start_cameras(self.views.clip(index, self.frames), **given(self.views, how, focal, index))
+
+
+def camera_rows(refits: Refits, index: int, off: Callable[[Motion, Camera, Observation2D], float]) -> list[dict]:
+    """Returns a row per knowledge of the camera and stage: pixels off, by a function and by the library."""
+    found, seen = [], refits.views.clip(index, refits.frames)
+    for how in HOW:
+        for stage in (2, 3):
+            (camera,) = cameras = refits.cameras(stage, index, how)
+            motion = refits(index, how).stages[stage]
+            library = misses(pixels_of(motion, cameras), seen).item()
+            found.append(
+                {"camera": how, "stage": stage, "px, written above": off(motion, camera, seen), "library": library}
+            )
+    return found
+
+
+def pictured(
+    refits: Refits, body: BodyModel, index: int, how: str, focal: float, frame: int, stages: Sequence[int] = (2, 3)
+) -> np.ndarray:
+    """Draws the detections of a frame, and stages of a fit as bodies, over what the camera filmed."""
+    views, fitted = refits.views, refits(index, how, focal)
+    frame, pictures, count = min(frame, fitted.motion.frames - 1), views.pictures[index], refits.frames
+    seen, panels = views.clip(index, count), {}
+    panels["detected"] = over_video.detections(seen, fitted.cameras[0], pictures, [frame])[0]
+    for stage in stages:
+        (camera,) = cameras = refits.cameras(stage, index, how, focal)
+        off = misses(pixels_of(fitted.stages[stage], cameras), seen).item()
+        motion = fitted.stages[stage].clip(0)
+        panels[f"stage {stage}: {off:.0f} px off"] = over_video.bodies(
+            motion, camera, pictures, [frame], f"stage{stage}", body
+        )[0]
+    return over_video.side_by_side(panels)
+
+
+# ------------------------------------------------------------------------------------------------------------ measures
 def compared(motion: Motion) -> Tensor:
-    """The twelve joints (..., T, 12, 3) of a fitted motion, world."""
-    return landmarks_of(motion)[..., [BODY_25.index(name) for name in COMPARED], :]
-
-
-def in_camera(cameras: Sequence[Camera], points: Tensor) -> Tensor:
-    """World points (G, T, K, 3) in the axes of each view's camera."""
-    turn, shift = (torch.stack([getattr(c, n) for c in cameras]).to(points) for n in ("rotation", "translation"))
-    return points @ turn[:, None].mT + shift[:, None, None]
+    """Computes the twelve joints (..., T, 12, 3) of a fitted motion, world."""
+    return landmarks_of(motion)[..., _ROWS, :]
 
 
 def errors(predicted: Tensor, truth: Tensor) -> dict[str, Tensor]:
-    """Mean distance (G,) in cm of joints (G, T, 12, 3): as they are, hips' middle on the true one, and frame by frame
-    after the best rotation and shift (rigid), or with the best scale as well (Procrustes)."""
+    """Computes mean distances (G,) in cm of joints (G, T, 12, 3).
+
+    "global": as they are. "root": the middle of the hips put on the true one.
+    """
     ours, theirs = (x[..., _HIPS, :].mean(-2, keepdim=True) for x in (predicted, truth))
     found = {"global": predicted, "root": predicted - ours + theirs}
-    found |= {
-        "rigid": pose.align_procrustes(predicted, truth, scale=False),
-        "procrustes": pose.align_procrustes(predicted, truth, scale=True),
-    }
     return {name: 100 * (points - truth).norm(dim=-1).mean((-2, -1)) for name, points in found.items()}
 
 
-def rows(fitted: Fitted, views: Views, camera: str = "known") -> list[dict[str, object]]:
-    """One row per view and stage: px, and in cm the error of the twelve joints, in the axes of the view's camera.
+def measured(motion: Motion, cameras: Sequence[Camera], views: Views) -> dict[str, Tensor]:
+    """Measures a fit of every view (G, T): numbers (G,).
 
-    There the true and the found world agree, whatever is known of the camera: with a known one "global" is the error
-    in the room, else it holds the wrong distance too. camera: as the fit had it.
+    "px": distance from the detections. "root", "global": cm, against the reference. "acceleration": of the twelve
+    joints, over the reference's.
     """
-    if len(fitted.motion.root) != len(views.names):
-        raise ShapeError(f"{len(fitted.motion.root)} fits of {len(views.names)} views")
-    count = fitted.motion.frames
-    truth = in_camera(views.cameras, views.reference[None, :count].expand(len(views.names), -1, -1, -1))
-    before, found = start_cameras(views.observation, **_given(views, camera)), []
-    for stage, motion in fitted.stages.items():
-        if stage == 1:
-            continue
-        cameras = before if stage == 2 else fitted.cameras
-        error = errors(in_camera(cameras, compared(motion)), truth)
-        away, weight = pixel_distances(pixels_of(motion, cameras), views.observation)
-        acceleration = pose.mean_acceleration(motion.positions, motion.fps)
-        for v, view in enumerate(views.names):
-            found.append(
-                {"view": view, "stage": stage, "frames": count}
-                | {"px": float((away[v] * weight[v]).sum() / weight[v].sum())}
-                | {name: float(value[v]) for name, value in error.items()}
-                | {"acceleration": float(acceleration[v])}
-            )
-    return sorted(found, key=lambda row: (row["view"], row["stage"]))
+    truth = views.reference[None, : motion.frames].expand(len(cameras), -1, -1, -1)
+    inside = errors(in_camera(cameras, compared(motion)), in_camera(views.cameras, truth))
+    moving = pose.mean_acceleration(compared(motion), motion.fps) / pose.mean_acceleration(truth, motion.fps)
+    return {"px": misses(pixels_of(motion, list(cameras)), views.observation)} | inside | {"acceleration": moving}
 
 
-def monocular_rows(
-    folder: Path | str, priors: Priors, *, camera: str = "known", schedule: Schedule | None = None, **options
-) -> list[dict[str, object]]:
-    """Pose2Sim's person from each single view, stage 2 against stage 3; see :func:`rows` and :func:`fit_views`."""
-    views = pose2sim(folder)
-    return rows(fit_views(views, priors, camera=camera, schedule=schedule, **options), views, camera)
+_HEADS = {
+    "px": "pixels off",
+    "root": "pose, cm",
+    "global": "in the room, cm",
+    "acceleration": "acceleration / reference's",
+}
 
 
-def webcam(folder: Path | str, start: int = 0, frames: int | None = None) -> Observation2D:
-    """A webcam recording of 3Dance (BODY_25, 30 fps presumed), or some frames of it."""
-    seen = openpose.load(folder, fps=FPS, layout="BODY_25")
-    stop = seen.frames if frames is None else start + frames
-    return replace(seen, keypoints=seen.keypoints[start:stop], confidence=seen.confidence[start:stop])
+def rows(score: Mapping[str, Mapping[str, Mapping[str, Tensor]]]) -> list[dict[str, object]]:
+    """Returns a row per take and method, means over the views, from what :func:`measured` says of each."""
+    return [
+        {"take": trial, "method": method} | {head: _said(numbers[name].mean().item()) for name, head in _HEADS.items()}
+        for trial, found in score.items()
+        for method, numbers in found.items()
+    ]
 
 
-def webcam_rows(fitted: Fitted, observation: Observation2D, **given: object) -> list[dict[str, object]]:
-    """One row per stage of a fit without reference: px, acceleration, and how far feet and pelvis are from the floor.
+def view_rows(found: Mapping[str, Mapping[str, Tensor]], views: Views) -> list[dict[str, object]]:
+    """Returns a row per view and method."""
+    return [
+        {"view": view, "method": method} | {head: _said(numbers[name][k].item()) for name, head in _HEADS.items()}
+        for k, view in enumerate(views.names)
+        for method, numbers in found.items()
+    ]
 
-    given: what the fit was given of the camera (cameras, floor, size). px: of what was detected. lowest: median over
-    frames of the lowest joint's height in cm. pelvis: its median height in cm.
-    """
-    before, found = start_cameras(observation, **given), []
-    for stage, motion in fitted.stages.items():
-        if stage == 1:
-            continue
-        away, weight = pixel_distances(pixels_of(motion, before if stage == 2 else fitted.cameras), observation)
-        height = motion.positions[..., 2]
-        found.append({
-            "stage": stage,
-            "frames": motion.frames,
-            "px": float((away * weight).sum() / weight.sum()),
-            "acceleration": float(pose.mean_acceleration(motion.positions, motion.fps).mean()),
-            "lowest": 100 * float(height.amin(-1).median()),
-            "pelvis": 100 * float(height[..., 0].median()),
-        })  # fmt: skip
-    return found
+
+def _said(value: float) -> object:
+    return value if math.isfinite(value) else "-"
+
+
+def reading(score: Mapping[str, Mapping[str, Mapping[str, Tensor]]], takes: Mapping[str, Views]) -> str:
+    """Says what came out on the balancing person, and on the pose of the other take."""
+    a, b = (score[trial] for trial in TRIALS)
+    mean = {name: {k: x.mean().item() for k, x in found.items()} for name, found in a.items()}
+    still = {name: found["root"].mean().item() for name, found in b.items()}
+    two, three = mean["tuned stage 2"], mean["stage 3"]
+    better = int((a["stage 3"]["root"] < a["tuned stage 2"]["root"]).sum())
+    return (
+        f"The body lies on the person in the camera that fitted it. Stage 3 is {three['px']:.1f} px off the "
+        f"detections, the tuned stage 2 {two['px']:.1f} px. The pose is {three['root']:.1f} cm off after stage 3 and "
+        f"{two['root']:.1f} cm after the tuned stage 2; stage 3 is nearer in {better} of {len(a['stage 3']['root'])} "
+        f"views. In the room stage 3 is {three['global']:.0f} cm off and the tuned stage 2 {two['global']:.0f} cm: "
+        f"another camera sees the difference. Stage 3 accelerates {three['acceleration']:.2f} times as much as the "
+        f"reference, the tuned stage 2 {two['acceleration']:.2f} times. The other take holds one pose, whose reference "
+        f"misses the detections by {takes[TRIALS[1]].missed:.0f} px itself. There stage 3 is {still['stage 3']:.1f} cm "
+        f"off and the tuned stage 2 {still['tuned stage 2']:.1f} cm."
+    )
+
+
+def panels(
+    views: Views, motions: Mapping[str, Motion], body: BodyModel, *, by: int = 0, other: int = 2
+) -> dict[str, over_video.Bodies | over_video.Detected]:
+    """Returns a film's panels: detections, tuned stage 2 and stage 3 in the view that was fitted, and another view."""
+    seen, here = views.clip(by), (views.cameras[by], views.pictures[by])
+    two, three = (motions[name].clip(by) for name in ("tuned stage 2", "stage 3"))
+    return {
+        f"camera {by + 1}: detected": over_video.Detected(seen, *here),
+        "tuned stage 2": over_video.Bodies(two, *here, "stage2", body),
+        "stage 3": over_video.Bodies(three, *here, "stage3", body),
+        f"the same stage 3 from camera {other + 1}": over_video.Bodies(
+            three, views.cameras[other], views.pictures[other], "stage3", body
+        ),
+    }

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
+from data_synth.legs import two_bone
+from motionlab import rotation
 from motionlab.baselines import smoothed
 from motionlab.contact import with_contacts
 from motionlab.humor.energies import RGB, Weights
@@ -18,6 +22,8 @@ from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.parallel import run_jobs
+from motionlab.skeleton import STANDARD
+from studies.nb05_testops.kept_fits import kept, placed
 from studies.nb05_testops.measures import error_over_time
 from studies.shared.contenders import CM, Seen
 
@@ -26,7 +32,7 @@ from studies.shared.contenders import CM, Seen
 class CaseFit:
     """The fits of one case: motions (B, T) after stage 1, 2 and 3, contact probabilities (B, T, 9), cameras as found.
 
-    seconds: wall time of the whole batch that these clips were fitted in, shared out evenly.
+    seconds: wall time of the whole batch that these clips were fitted in, shared out evenly; of a kept one, of then.
     """
 
     stages: dict[int, Motion]
@@ -37,11 +43,11 @@ class CaseFit:
 
 
 def fit_together(
-    seen: Mapping[str, Seen], priors: Priors, *, batch: int = 24, workers: int = 1, **how
+    seen: Mapping[str, Seen], priors: Priors, *, batch: int = 24, workers: int = 1, keep: bool = False, **how
 ) -> dict[str, CaseFit]:
     """Fit the clips of all cases in batches of at most ``batch``, whatever case they belong to, in as many processes.
 
-    how: goes to ``fit``.
+    keep: fits that were made before are not made again (``kept_fits``). how: goes to ``fit``.
     """
     names = list(seen)
     counts = [len(seen[n].cameras) for n in names]
@@ -50,12 +56,13 @@ def fit_together(
     cameras = [camera for n in names for camera in seen[n].cameras]
     size = min(batch, -(-len(cameras) // workers))
     parts = [slice(start, start + size) for start in range(0, len(cameras), size)]
-    like = seen[names[0]].observation
-    observations = [replace(like, keypoints=keypoints[part], confidence=confidence[part]) for part in parts]
-    found = _fits(observations, [cameras[part] for part in parts], partial(fit, priors=priors, **how), workers)
+    like = replace(seen[names[0]].observation, camera=None, name="")
+    clips = [replace(like, keypoints=keypoints[part], confidence=confidence[part]) for part in parts]
+    one = partial(_fit, priors=priors, how=how, keep=keep)
+    found = run_jobs([partial(one, some, cameras[part]) for some, part in zip(clips, parts, strict=True)], workers)
     stages = {stage: _joined([f.stages[stage] for f in found]) for stage in found[0].stages}
     contacts, betas = torch.cat([f.contacts for f in found]), torch.cat([f.betas for f in found])
-    cameras, each = [c for f in found for c in f.cameras], sum(map(seconds, found)) / len(cameras)
+    cameras, each = [c for f in found for c in f.cameras], sum(f.seconds for f in found) / len(cameras)
     ends = torch.tensor(counts).cumsum(0).tolist()
     return {
         n: CaseFit(
@@ -66,12 +73,33 @@ def fit_together(
     }  # fmt: skip
 
 
-def _fits(
-    observations: Sequence[Observation2D], cameras: Sequence[Sequence[Camera]], one: Callable, workers: int
-) -> list[Fitted]:
-    """``one`` fit after the other, or so many at a time, each in a process of its own with one thread."""
-    jobs = [partial(one, seen, cameras=some) for seen, some in zip(observations, cameras, strict=True)]
-    return run_jobs(jobs, workers)
+def _fit(
+    observation: Observation2D, cameras: Sequence[Camera], priors: Priors, how: Mapping[str, object], keep: bool
+) -> CaseFit:
+    """One batch, fitted or as it was kept."""
+
+    def compute() -> dict[str, Tensor]:
+        fitted = fit(observation, priors, cameras=cameras, **how)
+        found = {"contacts": fitted.contacts, "betas": fitted.betas, "seconds": torch.tensor(seconds(fitted))}
+        for name in ("rotation", "translation"):
+            found[name] = torch.stack([getattr(camera, name) for camera in fitted.cameras])
+        for stage, motion in fitted.stages.items():
+            found |= {f"{stage} root": motion.root, f"{stage} rot": motion.rot}
+            found[f"{stage} offsets"] = motion.skeleton.offsets
+        return found
+
+    x = kept(compute, observation, cameras, priors, how) if keep else compute()
+    stages = {
+        int(name.split()[0]): Motion(replace(STANDARD, offsets=x[name.replace("root", "offsets")]), root,
+                                     x[name.replace("root", "rot")], observation.fps)
+        for name, root in x.items() if name.endswith(" root")
+    }  # fmt: skip
+    stages = dict(sorted(stages.items()))
+    if 3 in stages:
+        stages[3] = replace(stages[3], contacts=(x["contacts"] > 0.5).to(x["contacts"]))
+    return CaseFit(
+        stages, x["contacts"], placed(cameras, x["rotation"], x["translation"]), x["betas"], float(x["seconds"])
+    )
 
 
 def seconds(fitted: Fitted) -> float:
@@ -92,13 +120,13 @@ def scores(motion: Motion, truth: Motion, seen: Tensor) -> dict[str, Tensor]:
     """Errors of a fit, one number (B,) per clip.
 
     cm, the pelvis put on the true one: "all", "seen", "hidden" (joints, by the mask (B, T, 22)), "legs" (knees,
-    ankles, feet). "world": cm, as it stands. "acceleration": error in m/s^2. "contact F1": contacts of the motion, or
-    where it has none those that follow from height and speed. "under floor": % of foot joints deeper than 3 cm.
+    ankles, feet). "world": cm, as it stands. "acceleration": error in m/s^2. "contact F1": of contacts that follow from
+    height and speed, for every method alike. "under floor": % of foot joints deeper than 3 cm.
     """
     p, t = motion.positions, truth.positions
     error = pose.joint_errors(p, t, align="root")
     on_seen, on_hidden = pose.mpjpe_visible_occluded(p, t, seen, align="root")
-    touching = (motion if motion.contacts is not None else with_contacts(motion)).contacts
+    touching = with_contacts(replace(motion, contacts=None)).contacts
     feet = motion.skeleton.indices(["left_foot", "right_foot"])
     below = gait.floor_penetration(p[..., feet, :], depths=(0.03,)).frequency[..., 0]
     return {
@@ -113,36 +141,100 @@ def scores(motion: Motion, truth: Motion, seen: Tensor) -> dict[str, Tensor]:
     }
 
 
-def stage_2_rows(
+@dataclass(frozen=True)
+class Rival:
+    """A stage 2 with the weights and the filter that serve it best: smoothness and pose prior over the official ones,
+    frames of a Savitzky-Golay filter over what it found."""
+
+    smoothness: float
+    pose: float
+    window: int
+
+    def weights(self) -> Weights:
+        """Returns the weights of its stages 1 and 2."""
+        return with_smoothness(self.smoothness, self.pose)
+
+
+def tried(
     practice: Mapping[str, Seen],
     priors: Priors,
     schedule: Schedule,
     *,
-    smoothness: Sequence[float] = (100.0, 25.0, 6.0, 1.5),
-    filters: Sequence[int] = (0, 5, 9, 15),
-    workers: int = 1,
-) -> list[dict[str, float]]:
-    """Stage 2 at its best: mean errors over practice scenes (with ``truth`` and ``seen``) by weight and filter."""
-    rows, names = [], ("all", "legs", "world", "acceleration")
-    for weight in smoothness:
-        tried = fit_together(
-            practice,
-            priors,
-            schedule=schedule.without_stage_3(),
-            weights=with_smoothness(weight),
-            batch=80,
-            workers=workers,
-        )
-        for window in filters:
-            found = [scores(smoothed(tried[n].stages[2], window), s.truth, s.seen) for n, s in practice.items()]
-            mean = {name: torch.cat([each[name] for each in found]).nanmean().item() for name in names}
-            rows.append({"smoothness": weight, "filter, frames": window} | mean)
-    return rows
+    smoothness: Sequence[float],
+    pose: Sequence[float],
+    windows: Sequence[int],
+    **how,
+) -> dict[Rival, dict[str, dict[str, Tensor]]]:
+    """Scores stage 2 on practice scenes (with ``truth`` and ``seen``), by rival and scene: every smoothness, weight of
+    the pose prior and filter. how: goes to :func:`fit_together`."""
+    found = {}
+    for smooth, prior in product(smoothness, pose):
+        weights = with_smoothness(smooth, prior)
+        fits = fit_together(practice, priors, schedule=schedule.without_stage_3(), weights=weights, **how)
+        for window in windows:
+            found[Rival(smooth, prior, window)] = {
+                n: scores(smoothed(fits[n].stages[2], window), s.truth, s.seen) for n, s in practice.items()
+            }
+    return found
 
 
-def with_smoothness(weight: float) -> Weights:
-    """The official weights for keypoints with another smoothness in stages 1 and 2."""
-    return replace(RGB, joints3d_smooth=(weight, weight, 0.0))
+def rival_of(found: Mapping[Rival, Mapping[str, Mapping[str, Tensor]]], scene: str, measure: str) -> Rival:
+    """Chooses the rival with the least mean of a measure on one practice scene."""
+    return min(found, key=lambda rival: found[rival][scene][measure].nanmean().item())
+
+
+def fit_rivals(
+    seen: Mapping[str, Seen], rivals: Mapping[str, Rival], priors: Priors, schedule: Schedule, **how
+) -> dict[str, Motion]:
+    """Fits each scene by its own rival, filter included. how: goes to :func:`fit_together`."""
+    found, by_weights = {}, {}
+    for name, rival in rivals.items():
+        by_weights.setdefault((rival.smoothness, rival.pose), []).append(name)
+    for names in by_weights.values():
+        weights = rivals[names[0]].weights()
+        some = {n: seen[n] for n in names}
+        fits = fit_together(some, priors, schedule=schedule.without_stage_3(), weights=weights, **how)
+        found |= {n: smoothed(fits[n].stages[2], rivals[n].window) for n in names}
+    return {name: found[name] for name in seen}
+
+
+def with_smoothness(weight: float, pose: float = 1.0) -> Weights:
+    """The official weights for keypoints with another smoothness and so many times the pose prior in stages 1 and 2."""
+    early = RGB.pose_prior[1] * pose
+    return replace(RGB, joints3d_smooth=(weight, weight, 0.0), pose_prior=(early, early, 0.0))
+
+
+def on_the_floor(motion: Motion, sole: float = 0.09) -> Motion:
+    """Bends the legs of a fit (B, T) so that no ankle is lower than ``sole`` metres: two bones each, knees forward.
+
+    What a floor alone does for stage 2: the pelvis stays, the foot keeps its direction.
+    """
+    rot, world = motion.rot.clone(), motion.world
+    points, turns = world
+    for side in gait.SIDES:
+        hip, knee, ankle = motion.skeleton.indices([f"{side}_{part}" for part in ("hip", "knee", "ankle")])
+        target = points[..., ankle, :].clone()
+        target[..., 2] = target[..., 2].clamp(min=sole)
+        upper = (points[..., knee, :] - points[..., hip, :]).norm(dim=-1).mean(-1)
+        lower = (points[..., ankle, :] - points[..., knee, :]).norm(dim=-1).mean(-1)
+        for clip in range(len(rot)):
+            thigh, shin, _, _ = two_bone(
+                points[clip, :, hip], target[clip], turns[clip, :, 0, :, 0], upper[clip].item(), lower[clip].item()
+            )
+            low = points[clip, :, ankle, 2] < sole
+            new_hip = _turned(turns[clip, :, hip], points[clip, :, knee] - points[clip, :, hip], thigh)
+            new_knee = _turned(turns[clip, :, knee], points[clip, :, ankle] - points[clip, :, knee], shin)
+            local = (turns[clip, :, 0].mT @ new_hip, new_hip.mT @ new_knee, new_knee.mT @ turns[clip, :, ankle])
+            for joint, value in zip((hip, knee, ankle), local, strict=True):
+                rot[clip, :, joint] = torch.where(low[:, None, None], value, rot[clip, :, joint])
+    return replace(motion, rot=rot, contacts=None)
+
+
+def _turned(turn: Tensor, old: Tensor, new: Tensor) -> Tensor:
+    """Orientations (T, 3, 3) turned the shortest way that takes the direction old (T, 3) to new."""
+    axis = torch.linalg.cross(normalize(old, dim=-1), new, dim=-1)
+    sine, cosine = axis.norm(dim=-1), (normalize(old, dim=-1) * new).sum(-1)
+    return rotation.exp(normalize(axis, dim=-1) * torch.atan2(sine, cosine)[..., None]) @ turn
 
 
 def later_error(fit: Motion, truth: Motion, gap: Sequence[int]) -> tuple[Tensor, Tensor]:

@@ -1,0 +1,158 @@
+"""Captury's takes: somebody falls, sits down to lie, and turns; four calibrated cameras, exact projections, 50 fps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionlab.body import BodyModel
+from motionlab.io import points
+from motionlab.io.cameras import load_captury
+from motionlab.motion import FPS, Motion
+from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
+from studies.nb05_testops import over_video
+from studies.nb05_testops.recordings import COMPARED, compared
+
+#: What is shown, from which second on of which take.
+MOMENTS = {
+    "falls": ("video-02-epic-fall", 7.8),
+    "goes down to sit": ("video-09-meditation", 3.6),
+    "sits on the floor": ("video-09-meditation", 6.5),
+    "turns": ("video-05-turn", 4.0),
+}
+SHOWN = ("tuned stage 2", "stage 3")
+#: BODY_25's points as Captury names them; the mean of several.
+_POINTS = {"nose": ("Nose",), "neck": ("Neck",), "mid_hip": ("Hips",)} | {
+    f"{side}_{part}": tuple(f"{side.capitalize()}{name}" for name in names)
+    for side in ("left", "right")
+    for part, names in {
+        "shoulder": ("Arm",), "elbow": ("ForeArm",), "wrist": ("Hand",), "hip": ("UpLeg",), "knee": ("Leg",),
+        "ankle": ("Foot",), "eye": ("Eye",), "ear": ("Ear",), "heel": ("HeelOuter", "HeelInner"),
+        "big_toe": ("FootEEInner",), "small_toe": ("FootEEOuter",),
+    }.items()
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Two seconds of each moment from every camera: keypoints (G, T, 25, 2), a camera each, joints (G, T, 12, 3).
+
+    names: the moment of each of the G views; views of one moment lie together.
+    """
+
+    observation: Observation2D
+    cameras: list[Camera]
+    reference: Tensor
+    names: tuple[str, ...]
+
+
+def moments(folder: Path | str, *, frames: int = 60, views: int = 4) -> Moments:
+    """Reads the moments of Captury's takes at 30 fps, by so many of their cameras."""
+    seen, cameras, joints, names = [], [], [], []
+    for name, (take, start) in MOMENTS.items():
+        place = Path(folder) / take
+        there = points.load_biomech(place / "biomech.csv", fps=50.0).select(list(COMPARED.values())).positions
+        for index, camera in enumerate(load_captury(place / "camera.calib", width=1920)[:views]):
+            table = points.load_projected(place / f"projected{index:02}.csv", camera=camera, fps=50.0)
+            seen.append(_cut(at_rate(_as_body_25(table)), start, frames))
+            cameras.append(camera), joints.append(_at_30(there, start, frames)), names.append(name)
+    whole = replace(
+        seen[0],
+        keypoints=torch.stack([each.keypoints for each in seen]),
+        confidence=torch.stack([each.confidence for each in seen]),
+        camera=None,
+    )
+    return Moments(whole, cameras, torch.stack(joints), tuple(names))
+
+
+def _as_body_25(table: Observation2D) -> Observation2D:
+    rows = [[table.index(name) for name in _POINTS[point]] for point in BODY_25]
+    keypoints = torch.stack([table.keypoints[:, some].mean(1) for some in rows], 1)
+    confidence = torch.stack([table.confidence[:, some].amin(1) for some in rows], 1)
+    return replace(table, keypoints=keypoints, confidence=confidence, names=BODY_25)
+
+
+def _cut(seen: Observation2D, start: float, frames: int) -> Observation2D:
+    first = round(start * FPS)
+    part = slice(first, first + frames)
+    return replace(seen, keypoints=seen.keypoints[part], confidence=seen.confidence[part])
+
+
+def _at_30(joints: Tensor, start: float, frames: int) -> Tensor:
+    """Joints (T, 12, 3) at 50 fps as (frames, 12, 3) at 30, linear between."""
+    at = (round(start * FPS) + torch.arange(frames)) * (50.0 / FPS)
+    low = at.floor().long().clamp(max=len(joints) - 2)
+    return torch.lerp(joints[low], joints[low + 1], (at - low)[:, None, None])
+
+
+def over_time(motion: Motion, truth: Tensor) -> Tensor:
+    """Computes the error (G, T) in cm of the twelve joints, the middle of the hips put on the true one."""
+    hips = [list(COMPARED).index(f"{side}_hip") for side in ("left", "right")]
+    found = compared(motion)
+    centred = [x - x[..., hips, :].mean(-2, keepdim=True) for x in (found, truth)]
+    return 100 * (centred[0] - centred[1]).norm(dim=-1).mean(-1)
+
+
+def rows(curves: Mapping[str, Tensor], names: tuple[str, ...]) -> list[dict[str, object]]:
+    """Returns a row per moment and method: mean error over the views, of the whole clip and of its last quarter."""
+    found = []
+    for moment in dict.fromkeys(names):
+        mine = [k for k, name in enumerate(names) if name == moment]
+        for method, error in list(curves.items())[1:]:
+            last = error[mine, -(error.shape[1] // 4) :].mean()
+            found.append({"moment": moment, "method": method, "views": len(mine)}
+                         | {"pose, cm": error[mine].mean().item(), "last quarter, cm": last.item()})  # fmt: skip
+    return found
+
+
+def panels(curves: Mapping[str, Tensor], names: tuple[str, ...]) -> dict[str, dict[str, Tensor]]:
+    """Returns by moment and method the errors over time (V, T) of its views."""
+    mine = {moment: [k for k, name in enumerate(names) if name == moment] for moment in dict.fromkeys(names)}
+    return {moment: {n: x[some] for n, x in curves.items() if n in SHOWN} for moment, some in mine.items()}
+
+
+def pictured(motions: Mapping[str, Motion], taken: Moments, view: int, body: BodyModel) -> np.ndarray:
+    """Draws joints and bodies of one view over paper at a third, two thirds and the end of the clip, cut to them."""
+    camera, seen = taken.cameras[view], taken.observation
+    pictures, frames = over_video.blank(camera, camera.width), seen.frames
+    at = [frames // 3, 2 * frames // 3, frames - 1]
+    here = replace(seen, keypoints=seen.keypoints[view], confidence=seen.confidence[view])
+    drawn = {"the person's joints": over_video.Detected(here, camera, pictures)} | {
+        name: over_video.Bodies(motions[name].clip(view), camera, pictures, role, body)
+        for name, role in (("tuned stage 2", "stage2"), ("stage 3", "stage3"))
+    }
+    box = _box(here.keypoints[at], camera)
+    return over_video.stacked({n: [(f"{n}, {f / FPS:.1f} s", p[box]) for p, f in zip(d(at), at, strict=True)]
+                               for n, d in drawn.items()}, (400, 300))  # fmt: skip
+
+
+def _box(pixels: Tensor, camera: Camera) -> tuple[slice, slice]:
+    """Rows and columns of a picture, four to three, that hold all pixels with room around them."""
+    low, high = pixels.flatten(0, -2).amin(0), pixels.flatten(0, -2).amax(0)
+    middle, tall = (low + high) / 2, 1.5 * torch.maximum((high - low)[1], 0.75 * (high - low)[0]).item()
+    tall = min(tall, camera.height, 0.75 * camera.width)
+    top = min(max(middle[1].item() - tall / 2, 0), camera.height - tall)
+    left = min(max(middle[0].item() - tall / 1.5, 0), camera.width - tall / 0.75)
+    return slice(int(top), int(top + tall)), slice(int(left), int(left + tall / 0.75))
+
+
+def last_quarter(curves: Mapping[str, Tensor], names: tuple[str, ...], moment: str) -> dict[str, float]:
+    """Computes each method's mean error in cm over the last quarter of a moment, all views."""
+    some = panels(curves, names)[moment]
+    return {name: x[:, -(x.shape[1] // 4) :].mean().item() for name, x in some.items()}
+
+
+def reading(curves: Mapping[str, Tensor], names: tuple[str, ...]) -> str:
+    """Says how each moment ends by the tuned stage 2 and by stage 3."""
+    lines = []
+    for moment in dict.fromkeys(names):
+        end = last_quarter(curves, names, moment)
+        lines.append(
+            f"*{moment}*: {end['tuned stage 2']:.0f} cm for the tuned stage 2, {end['stage 3']:.0f} cm for stage 3"
+        )
+    return "Error in the last half second, four cameras, one take each: " + "; ".join(lines) + "."

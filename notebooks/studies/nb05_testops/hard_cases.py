@@ -1,0 +1,234 @@
+"""Notebook 05b: the cases of thesis 3.2 on synthetic and on real people, the rival of each, and who is compared how.
+
+A case of a source is (case, source); the unit is the person, and every synthetic clip shows another one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from data_synth import corrupt, scenes
+from data_synth.scenes import Scene
+from motionlab.contact import with_contacts
+from motionlab.fit import landmarks_of
+from motionlab.humor.energies import RGB_LIGHT, Weights
+from motionlab.metrics import gait
+from motionlab.metrics.intervals import Paired, paired
+from motionlab.motion import Motion
+from studies.nb05_testops import measures
+from studies.nb05_testops import people_filmed as filmed
+from studies.nb05_testops.people_filmed import Cast
+from studies.nb05_testops.trials import Rival, rival_of, scores
+
+SYNTHETIC, CMU = "synthetic", "CMU"
+Case = tuple[str, str]
+PLAIN, FLIPS, FALSE, SITS, SINKS = "plain view", "legs change sides", "false detections", "sits, desk", "crouches, desk"
+WALL, WALKS, FLOOR, TUMBLE, DANCE = "walks, low wall", "walks", "on the floor", "tumble", "dance"
+#: Case -> the practice case that its rival is tuned on, and by which error.
+TUNED_ON = {
+    PLAIN: (PLAIN, "all"), FLIPS: (FLIPS, "legs"), FALSE: (FALSE, "all"), SITS: (SITS, "legs"), SINKS: (SITS, "legs"),
+    WALL: (WALL, "legs"), WALKS: (PLAIN, "all"), FLOOR: (FLOOR, "all"), TUMBLE: (FLOOR, "all"), DANCE: (PLAIN, "all"),
+}  # fmt: skip
+ALL = tuple(TUNED_ON)
+#: The ablations of sitting: which weights of stage 3 are zero.
+ARMS = {
+    "no densities of z and x0": ("motion_prior", "init_motion_prior"),
+    "no contact terms": ("contact_vel", "contact_height"),
+    "decoder alone": ("motion_prior", "init_motion_prior", "contact_vel", "contact_height"),
+}
+
+
+# ------------------------------------------------------------------------------------------------ who is filmed
+def synthetic(cases: Sequence[str], clips: int, seed: int, frames: int) -> dict[Case, Scene]:
+    """Films ``clips`` synthetic people in each case."""
+    as_filmed = {PLAIN: "easy", FLIPS: "limb flips", FALSE: "false detections", WALL: "walking, legs hidden",
+                 WALKS: "walking", FLOOR: "floor roll", TUMBLE: "tumble", DANCE: "dance"}  # fmt: skip
+    made = {SITS: lambda: _desk(filmed.acted("sit", filmed.sits_down, clips, seed, seconds=1.0), frames, seed),
+            SINKS: lambda: _desk(_crouchers(clips, seed), frames, seed)}  # fmt: skip
+    return {
+        (case, SYNTHETIC): made[case]()
+        if case in made
+        else scenes.film(as_filmed[case], clips, seed=seed, frames=frames)
+        for case in cases
+    }
+
+
+def _crouchers(clips: int, seed: int) -> Cast:
+    """Half of them crouch, half go down on a knee to the floor."""
+    crouch = filmed.acted("crouch", filmed.sinks, clips - clips // 2, seed)
+    kneel = filmed.acted("floor", filmed.sinks, clips // 2, seed, rolls=0, way="kneel")
+    return Cast(crouch.motions + kneel.motions, crouch.people + tuple(f"{who}, kneeling" for who in kneel.people))
+
+
+def real(
+    folder: Path | None, part: str, cases: Sequence[str], clips: int, seed: int, frames: int
+) -> tuple[dict[Case, Scene], dict[Case, tuple[str, ...]]]:
+    """Films at most ``clips`` clips of CMU's people of one part in each case, half as many again in plain view; also
+    who they are. Nothing without recordings."""
+    if folder is None:
+        return {}, {}
+    takes = [take for take in filmed.takes(str(folder)) if take.part == part]
+    cast = {PLAIN: filmed.everyday(takes, clips + clips // 2), FLIPS: filmed.everyday(takes, clips)}
+    cast[FALSE] = cast[FLIPS]
+    drawn = {SITS: (filmed.sits_down, 2, ""), SINKS: (filmed.sinks, 1, ""), WALKS: (filmed.walks, 1, "walk"),
+             FLOOR: (filmed.lies, 2, ""), DANCE: (filmed.lively, 2, "danc|salsa|macarena")}  # fmt: skip
+    cast |= {case: filmed.who(takes, fits, each, clips + 2, seed, said) for case, (fits, each, said) in drawn.items()}
+    cast[WALL] = cast[WALKS]
+    found = {}
+    for case in cases:
+        if case in cast and len(cast[case]):
+            found[case, CMU] = _shot(case, _cut(cast[case], frames), seed)
+    return found, {key: cast[key[0]].people for key in found}
+
+
+def _shot(case: str, cast: Cast, seed: int) -> Scene:
+    """Films a cast in the view of a case, and lets the detector fail where the case says so."""
+    view = {SITS: "legs behind a desk", SINKS: "legs behind a desk", WALL: "behind a low wall"}.get(case, "plain view")
+    scene = scenes.film_recorded(view, cast.motions, seed=seed)
+    spoil = {FLIPS: filmed.flips, FALSE: filmed.false}.get(case)
+    return spoil(scene, seed) if spoil else scene
+
+
+def _desk(cast: Cast, frames: int, seed: int) -> Scene:
+    return scenes.film_recorded("legs behind a desk", _cut(cast, frames).motions, seed=seed)
+
+
+def _cut(cast: Cast, frames: int) -> Cast:
+    """Every so manieth frame of a short run; the whole clip where ``frames`` are all."""
+    step = filmed.FRAMES // frames
+    motions = [replace(m, root=m.root[::step], rot=m.rot[::step], contacts=m.contacts[::step]) for m in cast.motions]
+    return Cast(tuple(motions), cast.people)
+
+
+def hidden_below(motion: Motion, height: float, seed: int) -> Scene:
+    """Films one clip (T,) in plain view and hides every keypoint below a height in metres."""
+    scene = scenes.film_recorded("plain view", [with_contacts(motion)], seed=seed)
+    observation, _ = corrupt.occlude_below(scene.observation, landmarks_of(scene.truth), height)
+    return replace(scene, observation=observation, seen=scenes.joints_seen(observation.visible, motion.skeleton.names))
+
+
+def practice(folder: Path | None, clips: int, seed: int, frames: int) -> dict[Case, Scene]:
+    """Films the clips on which rivals are tuned: other synthetic people, and CMU's people who choose; none for 0."""
+    if not clips:
+        return {}
+    tasks = list(dict.fromkeys(task for task, _ in TUNED_ON.values()))
+    return synthetic(tasks, clips, seed, frames) | real(folder, "choose", tasks, clips, seed, frames)[0]
+
+
+def rows(filmed: Mapping[Case, Scene], people: Mapping[Case, Sequence[str]]) -> list[dict[str, object]]:
+    """Returns a row per case and source: clips, people, what is seen and what is wrong."""
+    return [
+        {
+            "case": case,
+            "source": source,
+            "clips": len(s),
+            "people": len(set(people.get((case, source), range(len(s))))),
+            "leg joints seen, %": 100 * s.seen[..., gait.legs(s.truth)].float().mean().item(),
+            "false detections, %": 100 * s.wrong.float().mean().item(),
+        }
+        for (case, source), s in filmed.items()
+    ]
+
+
+def of(some: Iterable[Case], *cases: str) -> list[Case]:
+    """Returns those of some (case, source) that are of the cases named."""
+    return [key for key in some if key[0] in cases]
+
+
+# -------------------------------------------------------------------------------------------------- who is compared
+def rivals(found: Mapping[Rival, Mapping[Case, Mapping[str, Tensor]]], cases: Sequence[Case]) -> dict[Case, Rival]:
+    """Chooses each case's stage 2 on the practice clips of its own task and source."""
+    chosen = {}
+    for case, source in cases:
+        task, measure = TUNED_ON[case]
+        chosen[case, source] = rival_of(found, (task, source), measure)
+    return chosen
+
+
+def without(arm: str) -> Weights:
+    """Returns the weights of an ablation: the usual ones, some of stage 3's at zero."""
+    return replace(RGB_LIGHT, **dict.fromkeys(ARMS[arm], (0.0, 0.0, 0.0)))
+
+
+def by_person(values: Tensor, people: Sequence[str] | None) -> Tensor:
+    """Computes the mean (P,) of every person's clips (B,); without names each clip is a person."""
+    if people is None:
+        return values
+    rows = [values[[i for i, who in enumerate(people) if who == name]].nanmean() for name in dict.fromkeys(people)]
+    return torch.stack(rows)
+
+
+def swing(motion: Motion, truth: Motion, hidden: Tensor) -> Tensor:
+    """Computes how far the hidden legs swing over how far the true ones do (B,); NaN where fewer than ten frames are
+    hidden."""
+    enough = hidden.sum(-1) >= 10
+    return torch.where(enough, measures.swing(motion, hidden) / measures.swing(truth, hidden), torch.nan)
+
+
+def finite(values: Tensor) -> Tensor:
+    """Returns the values that are numbers."""
+    return values[values.isfinite()]
+
+
+def scored(found: Mapping[Case, Motion], filmed: Mapping[Case, Scene]) -> dict[Case, dict[str, Tensor]]:
+    """Computes ``trials.scores`` of the fits of all cases."""
+    return {key: scores(motion, filmed[key].truth, filmed[key].seen) for key, motion in found.items()}
+
+
+def differences(
+    ours: Mapping[Case, Mapping[str, Tensor]],
+    theirs: Mapping[Case, Mapping[str, Tensor]],
+    people: Mapping[Case, Sequence[str]],
+    measures_: Sequence[str],
+    generator: Callable[[str], torch.Generator],
+) -> dict[str, list[tuple[str, str, Paired]]]:
+    """Computes by measure the mean difference over people of every case and source, with its interval."""
+    found = {}
+    for name in measures_:
+        found[name] = []
+        for key in ours:
+            by = [by_person(x[key][name], people.get(key)) for x in (ours, theirs)]
+            found[name].append((*key, paired(*by, generator(f"{key}/{name}"))))
+    return found
+
+
+def posture(ways: Mapping[str, Motion], truth: Motion) -> dict[str, dict[str, Tensor]]:
+    """Computes by way, one number a clip: who sits ("seated"), whose legs are bent ("bent"), the error of the flexion
+    in degrees ("flexion") and of the legs in cm ("legs")."""
+    when, all_seen = measures.moment(truth), torch.ones(truth.positions.shape[:-1], dtype=torch.bool)
+    return {
+        way: {
+            "seated": measures.seated(motion, when),
+            "bent": gait.sits(motion, when=when),
+            "flexion": measures.flexion_error(motion, truth),
+            "legs": scores(motion, truth, all_seen)["legs"],
+        }
+        for way, motion in ways.items()
+    }
+
+
+def swings(
+    ways: Mapping[str, Mapping[int, Motion]], scene: Scene, people: Sequence[str] | None
+) -> dict[str, dict[int, Tensor]]:
+    """Computes by way and length of the failure how far the hidden legs swing (P,) over the true swing, by person."""
+    hidden = ~scene.seen[..., gait.legs(scene.truth)].any(-1)
+    return {
+        way: {n: finite(by_person(swing(m, scene.truth, hidden), people)) for n, m in by_lead.items()}
+        for way, by_lead in ways.items()
+    }
+
+
+def lateness(ways: Mapping[str, Motion], truth: Motion) -> dict[str, tuple[Tensor, Tensor, Tensor]]:
+    """Computes by way the error over time (B, T) in cm, and its means (B,) over the first and the last quarter."""
+    curves = {way: 100 * measures.error_over_time(motion, truth) for way, motion in ways.items()}
+    return {way: (curve, *measures.quarters(curve)) for way, curve in curves.items()}
+
+
+def panels(truth: Motion, fits: Mapping[str, Motion], index: int = 0) -> dict[str, Motion]:
+    """Returns one clip's truth and fits, as a film shows them."""
+    return {"truth": truth.clip(index)} | {name: motion.clip(index) for name, motion in fits.items()}

@@ -1,0 +1,306 @@
+"""Notebook 05d: frames without detections, and what a fit makes of the frames after them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+from torch import Tensor
+
+from data_synth import scenes
+from data_synth.scenes import Scene
+from motionlab.contact import with_contacts
+from motionlab.humor.energies import RGB, RGB_LIGHT
+from motionlab.humor.priors import Priors
+from motionlab.humor.shooting.feedback_solver import Plan
+from motionlab.humor.testops import Fitted, Schedule, fit
+from motionlab.metrics.intervals import interval
+from motionlab.motion import Motion
+from motionlab.viz.palette import INK, LINE, colour
+from studies.nb05_testops import people_filmed, trials
+from studies.nb05_testops.measures import error_over_time
+from studies.nb05_testops.trials import CaseFit, later_error
+from studies.shared.contenders import CM
+from studies.shared.plots import canvas
+
+ROUGH = replace(RGB, joints3d_smooth=(0.0, 0.0, 0.0))  # the official weights, and nothing that smooths
+#: Ways to fit. "lean" masks what was not seen; "official" starts every frame at one place and masks nothing.
+WAYS: dict[str, dict[str, object]] = {
+    "lean": {"mode": "lean", "solver": "shooting"},
+    "official": {"mode": "official"},
+    "official, not smooth": {"mode": "official", "weights": ROUGH},
+}
+ROLES = {"truth": "truth", "lean": "ours", "official": "baseline", "official, not smooth": "axis-angle"}
+SAID = {"first 1": "first frame", "middle 1": "middle frame", "first 10": "first 10 frames"}
+
+
+HOW = "official unknowns, start and masks at the lean price"
+VIEW = {"follow": True}  # of the film: somebody who flies off stays in the picture
+Refit = Callable[..., Fitted]
+
+
+# ------------------------------------------------------------------------------------------------ who is filmed
+def filmed(folder: Path | None, count: int, seed: int, frames: int) -> tuple[dict[str, Scene], str]:
+    """Films so many synthetic people, and so many of CMU where there are recordings, all from the front; says who."""
+    found = {"synthetic": scenes.film("facing the camera", count, seed=seed, frames=frames)}
+    said = f"Synthetic: {count} clips of {count} people."
+    if folder:
+        cast = people_filmed.everyday([t for t in people_filmed.takes(str(folder)) if t.part == "report"], count)
+        found["CMU"] = from_the_front([m.cut(0, frames) for m in cast.motions], seed)
+        said += f" CMU, people of the part kept for reports: {cast.described()}."
+    return found, said
+
+
+def from_the_front(motions: Sequence[Motion], seed: int) -> Scene:
+    """Films recorded motions (T,) by cameras within 45 degrees of where people look."""
+    return scenes.film_recorded("plain view", [with_contacts(m) for m in motions], seed=seed, facing=True)
+
+
+def some_of(scene: Scene, count: int) -> Scene:
+    """Returns the first clips of a scene."""
+    part = slice(0, count)
+    observation = replace(
+        scene.observation, keypoints=scene.observation.keypoints[part], confidence=scene.observation.confidence[part]
+    )
+    return replace(
+        scene,
+        truth=scene.truth.clip(part),
+        observation=observation,
+        cameras=scene.cameras[part],
+        pixels=scene.pixels[part],
+        seen=scene.seen[part],
+        wrong=scene.wrong[part],
+        occluders=scene.occluders[part],
+    )
+
+
+def gap(variant: str, frames: int) -> list[int]:
+    """Returns the frames of "first 1", "middle 1", "first 10"; none of "whole"."""
+    if variant == "whole":
+        return []
+    place, length = variant.split()
+    return scenes.gap_frames(place, int(length), frames)
+
+
+def lost_file(scene: Scene, frame: int) -> Scene:
+    """Takes one frame's file out of a scene's keypoints: each later file is taken for the frame before its own.
+
+    One frame shorter; the truth is that of the video's frames.
+    """
+    o, last = scene.observation, scene.truth.frames - 1
+    keep = [t for t in range(last + 1) if t != frame]
+    observation = replace(o, keypoints=o.keypoints[:, keep], confidence=o.confidence[:, keep])
+    return replace(scene, observation=observation, truth=scene.truth.cut(0, last))
+
+
+# ------------------------------------------------------------------------------------------------ fits
+def tiny() -> Schedule:
+    """Returns a search of next to no steps, for the smoke profile."""
+    plan = Plan(rounds=1, closures=3, trial=1)
+    return Schedule(steps=(1, 1, 2), inner=3, refine=(1, 1), shooting=plan)
+
+
+def fitted(
+    seen: Mapping[str, Scene],
+    way: str,
+    variants: Sequence[str],
+    priors: Priors,
+    schedule: Schedule | None,
+    keep: bool = False,
+) -> dict[tuple[str, str], CaseFit]:
+    """Fits scenes with frames missing in a way of ``WAYS``: (source, variant) -> fit.
+
+    schedule: None: the way's own. keep: what was fitted before is not fitted again (``kept_fits``).
+    """
+    cases = {
+        (source, variant): scenes.without(scene, gap(variant, scene.truth.frames)) if variant != "whole" else scene
+        for source, scene in seen.items()
+        for variant in variants
+    }
+    return fit_kept(cases, way, priors, schedule, keep)
+
+
+def fit_kept(
+    cases: Mapping[object, Scene], way: str, priors: Priors, schedule: Schedule | None, keep: bool
+) -> dict[object, CaseFit]:
+    """Fits cases of equal many clips in a way of ``WAYS``, a case at a time, so that each is kept once it is made."""
+    size = len(next(iter(cases.values())))
+    return trials.fit_together(cases, priors, batch=size, schedule=schedule, keep=keep, **WAYS[way])
+
+
+def refits(one: Scene, priors: Priors, schedule: Schedule) -> Refit:
+    """Returns a function that fits a scene of one clip anew, by form, smoothness and missing frames; it remembers."""
+
+    @cache
+    def refit(form: str, smooth: bool, place: str = "first", length: int = 0) -> Fitted:
+        usual = RGB if form == "official" else RGB_LIGHT
+        weights = usual if smooth else replace(usual, joints3d_smooth=(0.0, 0.0, 0.0))
+        seen = scenes.without(one, scenes.gap_frames(place, length, one.truth.frames)) if length else one
+        how = {"mode": form, "solver": "rollout" if form == "official" else "shooting", "weights": weights}
+        return fit(seen.observation, priors, cameras=one.cameras, floor="camera", schedule=schedule, **how)
+
+    return refit
+
+
+def added(broken: Motion, whole: Motion, truth: Motion, frames: Sequence[int]) -> tuple[Tensor, Tensor]:
+    """Computes what missing frames add to the world error of a fit, cm (B,), after them and before them.
+
+    broken, whole: the fits (B, T) without these frames, and with them. Before is NaN where nothing comes before.
+    """
+    early, late = later_error(broken, truth, frames)
+    early0, late0 = later_error(whole, truth, frames)
+    return late - late0, early - early0
+
+
+def after_lost_file(found: Motion, whole: Motion, truth: Motion, frame: int) -> dict[str, float]:
+    """Computes the mean world error, cm, of a fit (B, T - 1) to keypoints whose ``frame`` lost its file.
+
+    From that frame on: against the video's truth, more than a fit of all frames has there, and against the truth of one
+    frame later, which the fitted keypoints show.
+    """
+    last = found.frames
+    error = lambda m, start: CM * error_over_time(m, truth.cut(start, start + last), align="none")[:, frame:]  # noqa: E731
+    against, before = error(found, 0), error(whole.cut(0, last), 0)
+    return {
+        "error after it, cm": against.mean().item(),
+        "more than with all files, cm": (against - before).mean().item(),
+        "error beside the next frame, cm": error(found, 1).mean().item(),
+    }
+
+
+def first_speed(motion: Motion) -> Tensor:
+    """Computes the mean speed (B,) of the joints from the first frame to the second, m/s."""
+    return motion.positions[:, :2].diff(dim=1).norm(dim=-1).mean((1, 2)) * motion.fps
+
+
+def jumps(
+    fits: Mapping[tuple[str, str, str], CaseFit], added: Mapping[tuple[str, str, str], Tensor], truth: Motion
+) -> list[dict[str, object]]:
+    """Returns a row per way and variant of the synthetic clips: speed of the first step, and the error later."""
+    rows = [{"fit": "truth", "missing": "-", "first step after stage 2, m/s": first_speed(truth).mean().item()}]
+    rows[0] |= {"error added later, m": "-", "worst clip, m": "-"}
+    for (way, source, variant), found in fits.items():
+        if source == "synthetic" and not variant.startswith("middle"):
+            more = added.get((way, source, variant))
+            row = {"fit": way, "missing": SAID.get(variant, "nothing")}
+            row["first step after stage 2, m/s"] = first_speed(found.stages[2]).mean().item()
+            row["error added later, m"] = "-" if more is None else more.mean().item() / CM
+            rows.append(row | {"worst clip, m": "-" if more is None else more.max().item() / CM})
+    return rows
+
+
+def spoken(added: Mapping[tuple[str, str, str], Tensor], sources: Sequence[str], bound: float) -> str:
+    """Says what one missing frame adds in the official way, by source and place, and whether it is what was expected.
+
+    bound: cm; a mean of that much or more is a breakdown.
+    """
+    means = {(s, v): added["official", s, v].mean().item() for s in sources for v in ("middle 1", "first 1")}
+    said = [
+        f"{x:.1f} cm on {source} clips where the {SAID[variant]} is missing" for (source, variant), x in means.items()
+    ]
+    broken = sum(x >= bound for x in means.values())
+    verdict = {0: "Not as the thesis says", len(means): "As the thesis says"}.get(
+        broken, "Only partly as the thesis says"
+    )
+    return (
+        f"**Reading.** {verdict}. The official way adds {', '.join(said)}. A breakdown would be {bound:g} cm or more."
+    )
+
+
+def why(fits: Mapping[tuple[str, str, str], CaseFit], added: Mapping[tuple[str, str, str], Tensor]) -> str:
+    """Says how the first step after stage 2 and the error go together where nothing is smooth."""
+    way, parts = "official, not smooth", ("first 1", "first 10")
+    speed = {v: first_speed(fits[way, "synthetic", v].stages[2]).mean().item() for v in parts}
+    metres = {v: added[way, "synthetic", v].mean().item() / CM for v in parts}
+    expected = speed["first 1"] > speed["first 10"] and metres["first 1"] > max(1.0, metres["first 10"])
+    ends = "So the error goes with the jump, not with the number of missing frames." if expected else ""
+    return (
+        f"**Reading.** {'As' if expected else 'Not as'} expected. Where nothing is smooth and the first frame is "
+        f"missing, stage 2 begins with a step of {speed['first 1']:.0f} m/s. Stage 3 starts with it, and adds "
+        f"{metres['first 1']:.1f} m. With ten frames missing the first step is {speed['first 10']:.1f} m/s, and "
+        f"{metres['first 10']:.1f} m are added. {ends}"
+    )
+
+
+def lost(rows: Sequence[Mapping[str, object]], bound: float) -> str:
+    """Says what a missing file costs, by source, and whether it is a breakdown: ``bound`` cm or more."""
+    more, other = "more than with all files, cm", "error beside the next frame, cm"
+    said = " and ".join(f"{row[more]:.1f} cm on {row['source']} clips" for row in rows)
+    shifted = " and ".join(f"{row[other]:.1f}" for row in rows)
+    breaks = "a breakdown" if max(row[more] for row in rows) >= bound else "no breakdown"
+    return (
+        f"**Reading.** A missing file adds {said}: {breaks}. Beside the truth of one frame later, which the keypoints "
+        f"show, the fits are off by {shifted} cm."
+    )
+
+
+# ------------------------------------------------------------------------------------------------ figures
+def pulls_drawn(pulls: Mapping[str, Tensor], gone: Sequence[int], frames: int = 8) -> Figure:
+    """Draws how hard terms of the energy pull at each of the first frames, on a logarithmic axis; shaded: unseen."""
+    fig, (ax,) = canvas(size=(7.4, 3.0))
+    paint = {"keypoints": colour("observation"), "smoothness": colour("stage2")}
+    for k, (name, pull) in enumerate(pulls.items()):
+        at = np.arange(frames) + 0.36 * (k - 0.5)
+        ax.bar(at, pull[:frames].clamp(min=1e-3).numpy(), 0.34, color=paint[name], label=name, bottom=0)
+    for t in gone:
+        ax.text(t - 0.18, 0.13, f"{pulls['keypoints'][t]:.0f}", ha="center", color=paint["keypoints"])
+        ax.axvspan(t - 0.5, t + 0.5, color=LINE, alpha=0.4, lw=0)
+    ax.set(yscale="log", xlabel="frame (shaded: without detections)", ylabel="pull at the pelvis\n(energy per metre)")
+    ax.set_ylim(bottom=0.1)
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return fig
+
+
+def over_time(
+    stages: Mapping[int, Motion], whole: Mapping[int, Motion], truth: Motion, frames: Sequence[int], title: str = ""
+) -> Figure:
+    """Draws the world error of stages 2 and 3 of one clip over time; dashed: the same fits with all frames."""
+    fig, (ax,) = canvas(size=(7.4, 3.0))
+    t = np.arange(truth.frames) / truth.fps
+    for k in (2, 3):
+        for motions, style, name in ((whole, (0, (3, 2)), "all frames"), (stages, "-", "frames missing")):
+            error = CM * error_over_time(motions[k], truth, align="none")[0]
+            ax.plot(t, error, ls=style, lw=1.8, color=colour(f"stage{k}"), label=f"stage {k}, {name}")
+    if frames:
+        half = 0.5 / truth.fps
+        ax.axvspan(t[min(frames)] - half, t[max(frames)] + half, color=LINE, alpha=0.5, lw=0)
+    ax.set(yscale="log", ylim=(1, 1e4), xlabel="time (s); shaded: without detections", title=title)
+    ax.set_ylabel("joint error in the world (cm)")
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return fig
+
+
+def by_gap(increase: Mapping[tuple[str, str, str], Tensor], bound: float, generator: torch.Generator) -> Figure:
+    """Draws the error that missing frames add by (way, source, variant): a dot a clip (B,), mean, 95 % interval."""
+    sources = list(dict.fromkeys(source for _, source, _ in increase))
+    variants = list(dict.fromkeys(variant for _, _, variant in increase))
+    fig, axes = canvas(1, len(sources), size=(4.6 * len(sources) + 1.6, 3.4), sharey=True)
+    for ax, source in zip(axes, sources, strict=True):
+        for k, way in enumerate(WAYS):
+            for x, variant in enumerate(variants):
+                if (way, source, variant) not in increase:
+                    continue
+                clips, at = increase[way, source, variant], x + 0.25 * (k - 1)
+                mean, low, high = interval(clips, "mean", generator)
+                spread = np.linspace(-0.05, 0.05, len(clips))
+                ax.scatter(at + spread, clips, s=12, color=colour(ROLES[way]), alpha=0.45, lw=0)
+                whisker = [[mean - low], [high - mean]]
+                ax.errorbar(at + 0.09, mean, whisker, fmt="D", ms=4.5, color=colour(ROLES[way]), lw=1.5)
+            ax.plot([], [], "D", color=colour(ROLES[way]), label=way)
+        ax.axhline(0, color=INK, lw=0.8)
+        ax.axhline(bound, color=INK, lw=1.0, ls=(0, (4, 3)))
+        ax.set_yscale("symlog", linthresh=10.0)
+        ax.set_xticks(range(len(variants)), [SAID[v] for v in variants])
+        ax.set_xlim(-0.5, len(variants) - 0.5)
+        ax.set(title=f"{source}, n = {max(len(v) for (_, s, _), v in increase.items() if s == source)}")
+    axes[0].set_ylabel("later frames: error added (cm)")
+    axes[0].yaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return fig

@@ -1,0 +1,148 @@
+"""Two tests in 3-D, joints with noise and low joints hidden, with every method scored by the same rules.
+
+Contacts of all methods follow from the heights and speeds of their joints, those of stage 3 too: its own labels would
+be judged by another rule than its rivals'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import product
+
+import torch
+from torch import Tensor
+
+from motionlab.humor.energies import JOINTS, KEYPOINTS
+from motionlab.humor.evidence import Observation3D
+from motionlab.humor.priors import Priors
+from motionlab.humor.testops import Schedule, fit
+from motionlab.motion import Motion
+from studies.nb05_testops import tuning
+from studies.nb05_testops.filmed_people import People
+from studies.shared import contenders, joints
+
+#: The weights of each test.
+TESTS = {"noise": JOINTS, "low joints hidden": KEYPOINTS}
+MEASURES = {"all cm": "all joints, cm", "hidden cm": "hidden joints, cm",
+            "acceleration error m/s^2": "acceleration off, m/s^2", "contact F1": "contact F1",
+            "slide mm": "slide, mm a frame"}  # fmt: skip
+
+
+def observed(test: str, people: People, generator: torch.Generator) -> Observation3D:
+    """Returns what a test shows of the people's joints."""
+    return joints.noisy(people.truth, generator) if test == "noise" else joints.low_hidden(people.truth)
+
+
+def best_filter(seen: Observation3D, truth: Motion, tried: Observation3D, practice: Motion, rest: Tensor) -> Tensor:
+    """Computes joints (B, T, 22, 3) by the better of two filters, each tuned on practice clips.
+
+    Which of the two is chosen by their mean error over the clips themselves: to the filters' advantage.
+    """
+    kinds = (contenders.SAVITZKY_GOLAY, contenders.KALMAN)
+    found = [contenders.tuned(kind, tried, practice.positions, rest)(seen, rest) for kind in kinds]
+    return min(found, key=lambda x: (x - truth.positions).norm(dim=-1).mean().item())
+
+
+def compared(
+    test: str,
+    tested: People,
+    practice: People,
+    priors: Priors,
+    schedule: Schedule,
+    generator: torch.Generator,
+    **tried_out: object,
+) -> tuple[dict[str, dict[str, Tensor]], list[dict[str, float]], tuple[float, int]]:
+    """Fits people's joints by every method; numbers of each by measure, one (P,) a person.
+
+    Also the grid that stage 2 was tuned on, and what was chosen. tried_out: goes to ``tuning.grid``.
+    """
+    weights, rest = TESTS[test], contenders.mean_pose(priors.pose)
+    seen, tried = (observed(test, people, generator) for people in (tested, practice))
+    rows = tuning.grid(tried, practice.truth, priors, weights, schedule, align="none", **tried_out)
+    chosen = tuning.best(rows)
+    fitted = fit(seen, priors, weights=weights, schedule=schedule)
+    found = {
+        "best filter": best_filter(seen, tested.truth, tried, practice.truth, rest),
+        "stage 2": fitted.stages[2].positions,
+        "tuned stage 2": tuning.stage_2(seen, priors, weights, schedule, chosen).positions,
+        "stage 3": fitted.motion.positions,
+        "the truth itself": tested.truth.positions,
+    }
+    every = {name: contenders.Found(positions) for name, positions in found.items()}
+    scores = contenders.measures(every, tested.truth, seen.visible)
+    return {n: {m: tested.mean(x) for m, x in row.items()} for n, row in scores.items()}, rows, chosen
+
+
+def rows(found: Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]]) -> list[dict[str, object]]:
+    """Returns a row per source, test and method: means over people."""
+    return [
+        {"people": source, "test": test, "method": method}
+        | {head: numbers[measure].nanmean().item() for measure, head in MEASURES.items()}
+        for (source, test), by_method in found.items()
+        for method, numbers in by_method.items()
+    ]
+
+
+def reading(
+    found: Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]], chosen: Mapping[tuple[str, str], tuple]
+) -> str:
+    """Says what the two tests showed, and what stage 2 was tuned to."""
+    lines = []
+    for (source, test), by in found.items():
+        measure = "all cm" if test == "noise" else "hidden cm"
+        two, three = (by[name][measure].nanmean() for name in ("tuned stage 2", "stage 3"))
+        which = "joints" if test == "noise" else "hidden joints"
+        lines.append(f"*{source}, {test}* ({tuning.said(chosen[source, test])}): the tuned stage 2 leaves the {which} "
+                     f"{two:.2f} cm off, stage 3 {three:.2f} cm.")  # fmt: skip
+        if test == "noise":
+            off = _listed(by, "acceleration error m/s^2", ("stage 2", "tuned stage 2", "stage 3"), 1)
+            right = _listed(by, "contact F1", ("tuned stage 2", "stage 3", "the truth itself"), 2)
+            lines.append(
+                f"Accelerations are off by {off} m/s². Contacts of all methods, found by one rule: F1 {right}."
+            )
+        else:
+            seen = _listed(by, "visible cm", ("tuned stage 2", "stage 3"), 1)
+            lines.append(f"The price: joints that were seen exactly are off by {seen} cm.")
+    return "\n\n".join(lines)
+
+
+def _listed(by: Mapping[str, Mapping[str, Tensor]], measure: str, names: tuple[str, ...], digits: int) -> str:
+    return ", ".join(f"{by[name][measure].nanmean():.{digits}f} ({name})" for name in names)
+
+
+def rows_of_figure(
+    found: Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]],
+) -> tuple[list[dict[str, dict[str, Tensor]]], tuple[str, ...]]:
+    """Returns a figure's rows, by people and test and by method, numbers (P,), and the label of each row."""
+    shown = {
+        "joint error (cm)": ("noise", "all cm"),
+        "acceleration error (m/s²)": ("noise", "acceleration error m/s^2"),
+        "error of hidden joints (cm)": ("low joints hidden", "hidden cm"),
+    }
+    rows = [
+        {
+            f"{source}, {test}": {name: row[measure] for name, row in by.items() if name != "the truth itself"}
+            for (source, test), by in found.items()
+            if test == which
+        }
+        for which, measure in shown.values()
+    ]
+    return rows, tuple(shown)
+
+
+#: What a test is judged by, and the names of its duels in ``claims.toml``.
+JUDGED = {"noise": "all cm", "low joints hidden": "hidden cm"}
+
+
+def duels(sources: Mapping[str, object]) -> list[tuple[str, str, str, str]]:
+    """Returns every duel of stage 3: source, test, the ledger's name of it, and the rival."""
+    noise, hidden = TESTS
+    kinds = [(noise, "polish", rival) for rival in ("stage 2", "tuned stage 2")]
+    kinds += [(noise, "smoothing", "best filter")]
+    kinds += [(hidden, "hidden", rival) for rival in ("stage 2", "tuned stage 2")]
+    return [(source, *kind) for source in sources for kind in kinds]
+
+
+def pairs(sources: Mapping[str, object]) -> list[tuple[str, str]]:
+    """Returns every source with every test."""
+    return list(product(sources, TESTS))

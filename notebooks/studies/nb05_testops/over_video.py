@@ -1,0 +1,162 @@
+"""People drawn through a camera over what it filmed: one picture, and films of panels side by side."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import imageio.v2 as imageio
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from motionlab.body import BodyModel
+from motionlab.motion import Motion
+from motionlab.observation import Camera, Observation2D
+from motionlab.viz.movie import Film, drawn, jpeg, overlay, write_film
+from motionlab.viz.palette import PAPER
+from motionlab.viz.scene import Scene
+
+_OPAQUE = 0.8  # of a body over a video: the person below still shows
+WIDTH = 300  # pixels of a panel
+
+Pictures = Callable[[int], np.ndarray]  # frame -> (H, W, 3) uint8 of the camera's shape
+
+
+def shape(camera: Camera, width: int = WIDTH) -> tuple[int, int]:
+    """Returns width and height of a picture of a camera."""
+    return width, round(width * camera.height / camera.width)
+
+
+class Video:
+    """Every ``step``-th frame of a video, read when the first is asked for, as a camera's picture.
+
+    A frame narrower than the camera's image is black at its right.
+    """
+
+    def __init__(self, path: Path | str, camera: Camera, step: int, width: int = WIDTH) -> None:
+        self.path, self.camera, self.step, self.width = path, camera, step, width
+        self.frames: list[np.ndarray] = []
+
+    def __call__(self, frame: int) -> np.ndarray:
+        """Returns a picture (H, W, 3) uint8; past the end the last one."""
+        if not self.frames:
+            with imageio.get_reader(self.path) as reader:
+                some = (picture for k, picture in enumerate(reader) if k % self.step == 0)
+                self.frames = [_fitting(picture, self.camera, self.width) for picture in some]
+        return self.frames[min(frame, len(self.frames) - 1)]
+
+
+def _fitting(frame: np.ndarray, camera: Camera, width: int) -> np.ndarray:
+    whole = np.zeros((camera.height, camera.width, 3), np.uint8)
+    high, wide = min(camera.height, frame.shape[0]), min(camera.width, frame.shape[1])
+    whole[:high, :wide] = frame[:high, :wide]
+    return np.asarray(Image.fromarray(whole).resize(shape(camera, width), Image.Resampling.BOX))
+
+
+def blank(camera: Camera, width: int = WIDTH) -> Pictures:
+    """Returns paper, for keypoints whose video nobody has."""
+    paper = np.asarray(Image.new("RGB", shape(camera, width), PAPER))
+    return lambda frame: paper
+
+
+def staged(motion: Motion, camera: Camera, body: BodyModel, width: int = WIDTH) -> Pictures:
+    """Returns what a camera would film of a motion on a floor: for people who are synthetic."""
+
+    def picture(frame: int) -> np.ndarray:
+        with Scene(shape(camera, width), camera=camera) as scene:
+            return scene.floor().body(body, motion, "truth", frame=frame).image()
+
+    return picture
+
+
+def bodies(
+    motion: Motion, camera: Camera, pictures: Pictures, frames: Sequence[int], role: str, body: BodyModel
+) -> list[np.ndarray]:
+    """Draws a motion's skin through a camera over the pictures of some frames."""
+    first, found = pictures(frames[0]), []
+    with Scene((first.shape[1], first.shape[0]), camera=camera) as scene:
+        scene.body(body, motion, role, shadow=0)
+        for frame in frames:
+            scene.at(frame / motion.fps).plotter.render()
+            layer = scene.plotter.screenshot(transparent_background=True, return_img=True)
+            share = _OPAQUE * layer[..., 3:] / 255.0
+            found.append((share * layer[..., :3] + (1 - share) * pictures(frame)).astype(np.uint8))
+    return found
+
+
+def detections(seen: Observation2D, camera: Camera, pictures: Pictures, frames: Sequence[int]) -> list[np.ndarray]:
+    """Draws keypoints over the pictures of some frames."""
+    seen, wide = replace(seen, camera=camera), max(2.5, pictures(frames[0]).shape[1] / 250)
+    return [overlay(seen, pictures(frame), frame, "observation", wide) for frame in frames]
+
+
+def side_by_side(panels: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Returns pictures of one height side by side, each under its label."""
+    return np.concatenate([labelled(picture, label) for label, picture in panels.items()], 1)
+
+
+def labelled(picture: np.ndarray, text: str) -> np.ndarray:
+    """Draws a label into the upper left corner of a picture."""
+    image = Image.fromarray(picture)
+    pen, font = ImageDraw.Draw(image), ImageFont.load_default(15)
+    pen.rectangle(pen.textbbox((8, 6), text, font=font), fill=PAPER)
+    pen.text((8, 6), text, fill="#30343b", font=font)
+    return np.asarray(image)
+
+
+def stacked(rows: Mapping[str, Sequence[tuple[str, np.ndarray]]], size: tuple[int, int]) -> np.ndarray:
+    """Returns rows of labelled pictures, each at a size, as one picture."""
+    made = [
+        np.concatenate([labelled(np.asarray(Image.fromarray(p).resize(size)), text) for text, p in row], 1)
+        for row in rows.values()
+    ]
+    return np.concatenate(made)
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """A picture (H, W, 3) uint8 that a page shows as a JPEG, as photographs want it."""
+
+    picture: np.ndarray
+
+    def _repr_html_(self) -> str:
+        return f'<img src="data:image/jpeg;base64,{base64.b64encode(jpeg(self.picture, 85)).decode()}">'
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """A panel of a film: a motion drawn through a camera over its pictures."""
+
+    motion: Motion
+    camera: Camera
+    pictures: Pictures
+    role: str
+    body: BodyModel
+
+    def __call__(self, frames: Sequence[int]) -> list[np.ndarray]:
+        """Draws some frames."""
+        return bodies(self.motion, self.camera, self.pictures, frames, self.role, self.body)
+
+
+@dataclass(frozen=True, eq=False)
+class Detected:
+    """A panel of a film: detections over the pictures of a camera."""
+
+    seen: Observation2D
+    camera: Camera
+    pictures: Pictures
+
+    def __call__(self, frames: Sequence[int]) -> list[np.ndarray]:
+        """Draws some frames."""
+        return detections(self.seen, self.camera, self.pictures, frames)
+
+
+def film(panels: Mapping[str, Bodies | Detected], count: int, fps: float, path: Path) -> Film:
+    """Writes panels as an MP4 at the speed of life."""
+    frames = [int(frame) for frame in drawn(np.arange(count))]
+    rows = [panel(frames) for panel in panels.values()]
+    pictures = [side_by_side(dict(zip(panels, row, strict=True))) for row in zip(*rows, strict=True)]
+    shown, rate, size = write_film(pictures, path, fps)
+    return Film(path, shown, rate, count / fps, 1.0, size, jpeg(pictures[len(pictures) // 2]))

@@ -1,0 +1,182 @@
+"""Real people by what they do: clips of two seconds, as 05b films them, and how a detector fails.
+
+Where something happens in a clip (somebody sits down), the moment is drawn, not fixed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from data_synth import corrupt, scenes
+from data_synth.actions import ACTIONS
+from data_synth.scenes import Scene
+from motionlab import corpus, splits
+from motionlab.corpus import Take
+from motionlab.metrics.gait import SEATED, tilt_and_bend
+from motionlab.motion import Motion
+from studies.nb05_testops.measures import SEAT, unsupported
+
+Fits = Callable[[Motion], Tensor]
+FRAMES = 60
+_STANDS = 45.0  # degrees of thighs and knees: straighter legs are those of somebody who stands
+_MOMENT = 10  # frames over which somebody must stand, or sit
+_DEEP = 0.2  # metres that the pelvis sinks of somebody who crouches
+_OVER_FEET = 0.05  # metres that the trunk of somebody who crouches is behind the feet, at most
+
+
+@dataclass(frozen=True, eq=False)
+class Cast:
+    """Clips (T,) of equal length, and who is in each."""
+
+    motions: tuple[Motion, ...]
+    people: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.motions)
+
+    def described(self) -> str:
+        """Returns how many clips of how many people there are."""
+        return f"{len(self)} clips of {len(set(self.people))} people"
+
+
+@lru_cache(maxsize=2)
+def takes(folder: str) -> tuple[Take, ...]:
+    """Loads the recordings of the CMU library that can be used, of all parts."""
+    found = corpus.assemble(folder, splits.real_sources(folder), progress=False).takes
+    return tuple(t for t in found if t.source == "cmu_library" and t.motion.frames > FRAMES)
+
+
+def everyday(some: Sequence[Take], count: int) -> Cast:
+    """Returns ``count`` clips of whatever people do, as evenly over people as can be."""
+    by_person: dict[str, list[Motion]] = {}
+    for take in some:
+        for start in range(0, take.motion.frames - FRAMES + 1, FRAMES):
+            by_person.setdefault(take.person, []).append(take.motion.cut(start, start + FRAMES))
+    each = -(-count // len(by_person))
+    pairs = [(who, m) for who, motions in by_person.items() for m in splits.evenly(motions, each + 2)[1:-1]]
+    return _cast(splits.evenly(pairs, count))
+
+
+def who(
+    some: Sequence[Take], fits: Callable[[Motion], Tensor], each: int, most: int, seed: int, words: str = ""
+) -> Cast:
+    """Returns clips that begin where ``fits`` (starts,) is true, at most ``each`` a person and ``most`` in all.
+
+    Beginnings are drawn; clips of one take do not overlap. words: what a take's description must match.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    found: dict[str, list[Motion]] = {}
+    for take in some:
+        starts = fits(take.motion).nonzero().flatten() if re.search(words, take.said, re.IGNORECASE) else ()
+        while len(starts):
+            at = int(starts[torch.randint(len(starts), (), generator=generator)])
+            found.setdefault(take.person, []).append(take.motion.cut(at, at + FRAMES))
+            starts = starts[(starts - at).abs() >= FRAMES]
+    pairs = [(person, m) for person, motions in found.items() for m in splits.evenly(motions, each)]
+    return _cast(splits.evenly(pairs, most))
+
+
+def acted(action: str, fits: Fits, count: int, seed: int, **options) -> Cast:
+    """Returns clips of an action of ``data_synth``, each of a person no corpus knows, begun where ``fits`` is true."""
+    cast, index = [], 0
+    while len(cast) < count:
+        generator = torch.Generator().manual_seed(1000 * seed + index)
+        motion = ACTIONS[action](scenes.person(index, generator), generator, **options).motion
+        starts = fits(motion).nonzero().flatten()
+        if len(starts):
+            at = int(starts[torch.randint(len(starts), (), generator=generator)])
+            cast.append((f"stranger {index}", motion.cut(at, at + FRAMES)))
+        index += 1
+    return _cast(cast)
+
+
+def _cast(pairs: Sequence[tuple[str, Motion]]) -> Cast:
+    return Cast(tuple(replace(m, name="") for _, m in pairs), tuple(person for person, _ in pairs))
+
+
+# ------------------------------------------------------------------------------------------------- what a clip shows
+def _over(x: Tensor, frames: int = _MOMENT) -> Tensor:
+    """Means of x (T,) over so many frames, by where they begin."""
+    return x.double().unfold(0, frames, 1).mean(-1)
+
+
+def sits_down(motion: Motion) -> Tensor:
+    """(starts,) true where somebody stands at one end of a clip and sits at the other: bent legs, behind the feet."""
+    angles, behind = _angles(motion), _over(unsupported(motion))
+    return _from_to((angles < _STANDS).all(0), (angles >= SEATED).all(0) & (behind >= SEAT), turned=True)
+
+
+def sinks(motion: Motion) -> Tensor:
+    """(starts,) true where somebody who stands goes down by ``_DEEP``, over the feet: crouches, kneels, bows."""
+    height, behind = _over(motion.root[:, 2]), _over(unsupported(motion))
+    stands, last = (_angles(motion) < _STANDS).all(0), FRAMES - _MOMENT
+    return _from_to(stands, behind <= _OVER_FEET) & (height[:-last] - height[last:] >= _DEEP)
+
+
+def _angles(motion: Motion) -> Tensor:
+    return torch.stack([_over(a.mean(-1)) for a in tilt_and_bend(motion)])
+
+
+def _from_to(begin: Tensor, end: Tensor, *, turned: bool = False) -> Tensor:
+    last = FRAMES - _MOMENT
+    there = begin[:-last] & end[last:]
+    return there | (end[:-last] & begin[last:]) if turned else there
+
+
+def walks(motion: Motion) -> Tensor:
+    """(starts,) true where the pelvis goes 1.5 m or more in the clip."""
+    return (motion.root[FRAMES - 1 :, :2] - motion.root[: motion.frames - FRAMES + 1, :2]).norm(dim=-1) > 1.5
+
+
+def lies(motion: Motion) -> Tensor:
+    """(starts,) true where the trunk lies rather than stands, near the floor, for a fifth of the clip."""
+    trunk = motion.positions[:, motion.skeleton.index("neck")] - motion.root
+    flat = (trunk[:, 2] / trunk.norm(dim=-1) < 0.7) & (motion.root[:, 2] < 0.5)
+    return _over(flat, FRAMES) > 0.2
+
+
+def lively(motion: Motion) -> Tensor:
+    """(starts,) true where the joints move by 0.3 m/s about the pelvis, mean over joints."""
+    speed = (motion.positions - motion.root[:, None]).diff(dim=0).norm(dim=-1).mean(-1) * motion.fps
+    return _over(torch.cat((speed[:1], speed)), FRAMES) > 0.3
+
+
+# ---------------------------------------------------------------------------------------------- what is filmed of them
+def filmed(cast: Cast, view: str, seed: int) -> Scene:
+    """Films every clip in a view of ``scenes.VIEWS``."""
+    return scenes.film_recorded(view, cast.motions, seed=seed)
+
+
+def spoilt(scene: Scene, how: Callable, seed: int, **options) -> Scene:
+    """Lets the detector fail as a function of ``data_synth.corrupt`` does, clip by clip."""
+    generator, rows = torch.Generator().manual_seed(seed), []
+    for index in range(len(scene)):
+        rows.append(how(scene.clip(index), generator, **options))
+    seen, wrong = zip(*rows, strict=True)
+    observation = replace(
+        scene.observation,
+        keypoints=torch.stack([o.keypoints for o in seen]),
+        confidence=torch.stack([o.confidence for o in seen]),
+    )
+    return replace(scene, observation=observation, wrong=torch.stack(wrong))
+
+
+def two_legs(scene: Scene, lead: int, seed: int) -> Scene:
+    """Predicts two legs where one is visible, from ``lead`` frames before a leg is hidden; one draw for all leads."""
+    return spoilt(scene, corrupt.two_legs_from_one, seed, lead=lead)
+
+
+def flips(scene: Scene, seed: int) -> Scene:
+    """Lets the legs change sides in a fifth of the frames, four at a time."""
+    return spoilt(scene, corrupt.flip_limbs, seed, share=0.2, length=4)
+
+
+def false(scene: Scene, seed: int) -> Scene:
+    """Puts confident keypoints on the background, six frames at a time."""
+    return spoilt(scene, corrupt.false_detections, seed, share=0.08, length=6)
