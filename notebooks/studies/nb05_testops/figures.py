@@ -43,7 +43,7 @@ def through_the_camera(
         if body is None:
             scene.skeleton(truth, _SKIN, frame=frame)
         else:
-            scene.body(body, truth, _SKIN, frame=frame)
+            scene.body(body, truth, "truth", frame=frame)
         for vertices, faces in things:
             scene.mesh(vertices[0].numpy(), faces.numpy(), _WOOD)
         plain = scene.image()
@@ -102,7 +102,7 @@ def spectra(cases: Mapping[str, Mapping[str, Tensor]], edges: Sequence[float], *
         ax.set_xticks(range(len(labels)), labels)
         ax.set(title=name, xlabel="frequency (Hz)", yscale="log")
     axes[0].set_ylabel("power / true power")
-    axes[-1].legend()
+    axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return fig
 
 

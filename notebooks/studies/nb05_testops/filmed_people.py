@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,9 +10,8 @@ from torch import Tensor
 
 from data_synth import scenes
 from data_synth.scenes import Scene
-from motionlab import corpus, splits
 from motionlab.motion import Motion
-from studies.nb05_testops import real_mocap
+from studies.nb05_testops.cast import FRAMES, everyday, takes
 from studies.shared.person_windows import by_person
 
 
@@ -49,25 +47,12 @@ def synthetic(count: int, *, seed: int, frames: int) -> People:
     return People("synthetic", scenes.held_out(count, seed=seed, frames=frames), torch.arange(count))
 
 
-def recorded(folder: Path | str, part: str, count: int, *, frames: int = 60) -> People:
-    """Returns clips of the people of one part of CMU's recordings, "choose" or "report", evenly over people.
-
-    They are those of ``real_mocap.clips``, cut to so many frames.
-    """
-    by_person: dict[str, list[Motion]] = {}
-    for take in _takes(Path(folder)).part(part):
-        for start in range(0, take.motion.frames - real_mocap.FRAMES + 1, real_mocap.FRAMES):
-            by_person.setdefault(take.person, []).append(take.motion.cut(start, start + frames))
-    each = -(-count // len(by_person))
-    every = [(who, m) for who, motions in by_person.items() for m in splits.evenly(motions, each + 2)[1:-1]]
-    people, motions = zip(*splits.evenly(every, count), strict=True)
-    names = sorted(set(people))
-    return People("CMU", scenes.together(motions), torch.tensor([names.index(who) for who in people]), motions)
-
-
-@cache
-def _takes(folder: Path) -> corpus.Corpus:
-    return corpus.assemble(folder, ["cmu_library"], progress=False)
+def recorded(folder: Path | str, part: str, count: int, *, frames: int = FRAMES) -> People:
+    """Returns clips of the people of one part of CMU's recordings, "choose" or "report", evenly over people; of each
+    the first frames."""
+    cast = everyday(takes(folder, part), count)
+    motions, names = tuple(m.cut(0, frames) for m in cast.motions), sorted(set(cast.people))
+    return People("CMU", scenes.together(motions), torch.tensor([names.index(who) for who in cast.people]), motions)
 
 
 def sources(

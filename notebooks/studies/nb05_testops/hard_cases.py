@@ -20,9 +20,9 @@ from motionlab.humor.energies import RGB_LIGHT, Weights
 from motionlab.metrics import gait
 from motionlab.metrics.intervals import Paired, paired
 from motionlab.motion import Motion
+from studies.nb05_testops import cast as clips_of
 from studies.nb05_testops import measures
-from studies.nb05_testops import people_filmed as filmed
-from studies.nb05_testops.people_filmed import Cast
+from studies.nb05_testops.cast import Cast, by_person
 from studies.nb05_testops.trials import Rival, rival_of, scores
 
 SYNTHETIC, CMU = "synthetic", "CMU"
@@ -48,7 +48,7 @@ def synthetic(cases: Sequence[str], clips: int, seed: int, frames: int) -> dict[
     """Films ``clips`` synthetic people in each case."""
     as_filmed = {PLAIN: "easy", FLIPS: "limb flips", FALSE: "false detections", WALL: "walking, legs hidden",
                  WALKS: "walking", FLOOR: "floor roll", TUMBLE: "tumble", DANCE: "dance"}  # fmt: skip
-    made = {SITS: lambda: _desk(filmed.acted("sit", filmed.sits_down, clips, seed, seconds=1.0), frames, seed),
+    made = {SITS: lambda: _desk(clips_of.acted("sit", clips_of.sits_down, clips, seed, seconds=1.0), frames, seed),
             SINKS: lambda: _desk(_crouchers(clips, seed), frames, seed)}  # fmt: skip
     return {
         (case, SYNTHETIC): made[case]()
@@ -60,8 +60,8 @@ def synthetic(cases: Sequence[str], clips: int, seed: int, frames: int) -> dict[
 
 def _crouchers(clips: int, seed: int) -> Cast:
     """Half of them crouch, half go down on a knee to the floor."""
-    crouch = filmed.acted("crouch", filmed.sinks, clips - clips // 2, seed)
-    kneel = filmed.acted("floor", filmed.sinks, clips // 2, seed, rolls=0, way="kneel")
+    crouch = clips_of.acted("crouch", clips_of.sinks, clips - clips // 2, seed)
+    kneel = clips_of.acted("floor", clips_of.sinks, clips // 2, seed, rolls=0, way="kneel")
     return Cast(crouch.motions + kneel.motions, crouch.people + tuple(f"{who}, kneeling" for who in kneel.people))
 
 
@@ -72,12 +72,12 @@ def real(
     who they are. Nothing without recordings."""
     if folder is None:
         return {}, {}
-    takes = [take for take in filmed.takes(str(folder)) if take.part == part]
-    cast = {PLAIN: filmed.everyday(takes, clips + clips // 2), FLIPS: filmed.everyday(takes, clips)}
+    takes = clips_of.takes(folder, part)
+    cast = {PLAIN: clips_of.everyday(takes, clips + clips // 2), FLIPS: clips_of.everyday(takes, clips)}
     cast[FALSE] = cast[FLIPS]
-    drawn = {SITS: (filmed.sits_down, 2, ""), SINKS: (filmed.sinks, 1, ""), WALKS: (filmed.walks, 1, "walk"),
-             FLOOR: (filmed.lies, 2, ""), DANCE: (filmed.lively, 2, "danc|salsa|macarena")}  # fmt: skip
-    cast |= {case: filmed.who(takes, fits, each, clips + 2, seed, said) for case, (fits, each, said) in drawn.items()}
+    drawn = {SITS: (clips_of.sits_down, 2, ""), SINKS: (clips_of.sinks, 1, ""), WALKS: (clips_of.walks, 1, "walk"),
+             FLOOR: (clips_of.lies, 2, ""), DANCE: (clips_of.lively, 2, "danc|salsa|macarena")}  # fmt: skip
+    cast |= {case: clips_of.who(takes, fits, each, clips + 2, seed, said) for case, (fits, each, said) in drawn.items()}
     cast[WALL] = cast[WALKS]
     found = {}
     for case in cases:
@@ -90,7 +90,7 @@ def _shot(case: str, cast: Cast, seed: int) -> Scene:
     """Films a cast in the view of a case, and lets the detector fail where the case says so."""
     view = {SITS: "legs behind a desk", SINKS: "legs behind a desk", WALL: "behind a low wall"}.get(case, "plain view")
     scene = scenes.film_recorded(view, cast.motions, seed=seed)
-    spoil = {FLIPS: filmed.flips, FALSE: filmed.false}.get(case)
+    spoil = {FLIPS: clips_of.flips, FALSE: clips_of.false}.get(case)
     return spoil(scene, seed) if spoil else scene
 
 
@@ -100,7 +100,7 @@ def _desk(cast: Cast, frames: int, seed: int) -> Scene:
 
 def _cut(cast: Cast, frames: int) -> Cast:
     """Every so manieth frame of a short run; the whole clip where ``frames`` are all."""
-    step = filmed.FRAMES // frames
+    step = clips_of.FRAMES // frames
     motions = [replace(m, root=m.root[::step], rot=m.rot[::step], contacts=m.contacts[::step]) for m in cast.motions]
     return Cast(tuple(motions), cast.people)
 
@@ -153,14 +153,6 @@ def rivals(found: Mapping[Rival, Mapping[Case, Mapping[str, Tensor]]], cases: Se
 def without(arm: str) -> Weights:
     """Returns the weights of an ablation: the usual ones, some of stage 3's at zero."""
     return replace(RGB_LIGHT, **dict.fromkeys(ARMS[arm], (0.0, 0.0, 0.0)))
-
-
-def by_person(values: Tensor, people: Sequence[str] | None) -> Tensor:
-    """Computes the mean (P,) of every person's clips (B,); without names each clip is a person."""
-    if people is None:
-        return values
-    rows = [values[[i for i, who in enumerate(people) if who == name]].nanmean() for name in dict.fromkeys(people)]
-    return torch.stack(rows)
 
 
 def swing(motion: Motion, truth: Motion, hidden: Tensor) -> Tensor:

@@ -72,7 +72,7 @@ def dose(found: Mapping[str, Mapping[str, Mapping[int, Tensor]]], ylabel: str) -
         ax.axhline(0.5, color=LINE, lw=1.0, ls="--")
         ax.set(title=f"{source}, {len(next(iter(by_lead.values())))} people", xticks=leads)
         ax.set_xticklabels(["none" if n < 0 else str(n) for n in leads])
-        ax.set(xlabel="frames in which two legs are predicted for one", ylim=(0, None))
+        ax.set(xlabel="frames of failure", ylim=(0, None))
     axes[0].set_ylabel(ylabel)
     axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return fig

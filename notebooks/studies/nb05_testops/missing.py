@@ -23,7 +23,8 @@ from motionlab.humor.testops import Fitted, Schedule, fit
 from motionlab.metrics.intervals import interval
 from motionlab.motion import Motion
 from motionlab.viz.palette import INK, LINE, colour
-from studies.nb05_testops import people_filmed, trials
+from studies.nb05_testops import trials
+from studies.nb05_testops.cast import everyday, takes
 from studies.nb05_testops.measures import error_over_time
 from studies.nb05_testops.trials import CaseFit, later_error
 from studies.shared.contenders import CM
@@ -51,7 +52,7 @@ def filmed(folder: Path | None, count: int, seed: int, frames: int) -> tuple[dic
     found = {"synthetic": scenes.film("facing the camera", count, seed=seed, frames=frames)}
     said = f"Synthetic: {count} clips of {count} people."
     if folder:
-        cast = people_filmed.everyday([t for t in people_filmed.takes(str(folder)) if t.part == "report"], count)
+        cast = everyday(takes(folder, "report"), count)
         found["CMU"] = from_the_front([m.cut(0, frames) for m in cast.motions], seed)
         said += f" CMU, people of the part kept for reports: {cast.described()}."
     return found, said
@@ -293,14 +294,16 @@ def by_gap(increase: Mapping[tuple[str, str, str], Tensor], bound: float, genera
                 ax.scatter(at + spread, clips, s=12, color=colour(ROLES[way]), alpha=0.45, lw=0)
                 whisker = [[mean - low], [high - mean]]
                 ax.errorbar(at + 0.09, mean, whisker, fmt="D", ms=4.5, color=colour(ROLES[way]), lw=1.5)
-            ax.plot([], [], "D", color=colour(ROLES[way]), label=way)
+            counts = [len(clips) for (w, s, _), clips in increase.items() if (w, s) == (way, source)]
+            if counts:
+                ax.plot([], [], "D", color=colour(ROLES[way]), label=f"{way}, n = {max(counts)}")
         ax.axhline(0, color=INK, lw=0.8)
         ax.axhline(bound, color=INK, lw=1.0, ls=(0, (4, 3)))
         ax.set_yscale("symlog", linthresh=10.0)
         ax.set_xticks(range(len(variants)), [SAID[v] for v in variants])
         ax.set_xlim(-0.5, len(variants) - 0.5)
-        ax.set(title=f"{source}, n = {max(len(v) for (_, s, _), v in increase.items() if s == source)}")
+        ax.set(title=source)
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1))
     axes[0].set_ylabel("later frames: error added (cm)")
     axes[0].yaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-    axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return fig

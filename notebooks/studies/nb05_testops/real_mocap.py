@@ -14,32 +14,23 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from data_synth import scenes
-from motionlab import corpus, splits
 from motionlab.humor import pretrained
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule
 from motionlab.metrics.intervals import interval
 from motionlab.motion import Motion
 from motionlab.parallel import one_thread
+from studies.nb05_testops.cast import Cast, by_person, everyday, takes
 from studies.nb05_testops.trials import Rival, fit_rivals, fit_together, rival_of, scores, tried
 
-FRAMES = 60
 MEASURES = ("all", "legs", "world", "acceleration", "contact F1")
 
 
-def clips(folder: Path | str, part: str, count: int) -> list[tuple[str, Motion]]:
-    """Returns at most ``count`` clips of two seconds with who performs them, as evenly over people as can be."""
-    takes = [t for t in corpus.assemble(folder, splits.real_sources(folder)).part(part) if t.source == "cmu_library"]
-    by_person: dict[str, list[Motion]] = {}
-    for take in takes:
-        for start in range(0, take.motion.frames - FRAMES + 1, FRAMES):
-            by_person.setdefault(take.person, []).append(take.motion.cut(start, start + FRAMES))
-    each = -(-count // len(by_person))
-    found = [(who, motion) for who, motions in by_person.items() for motion in splits.evenly(motions, each + 2)[1:-1]]
-    return splits.evenly(found, count)
+def clips(folder: Path | str, part: str, count: int) -> Cast:
+    """Returns at most ``count`` clips of two seconds of the people of one part, as evenly over people as can be."""
+    return everyday(takes(folder, part), count)
 
 
 def filmed(motions: Sequence[Motion], seed: int) -> dict[str, scenes.Scene]:
@@ -68,7 +59,7 @@ def compare(
         three = scores(fits[view].stages[3], scene.truth, scene.seen)
         found[view] = vars(best[view]) | {"clips": len(people)}
         for name in MEASURES:
-            a, b = _by_person(three[name], people), _by_person(two[name], people)
+            a, b = by_person(three[name], people), by_person(two[name], people)
             found[view][name] = {
                 "stage 3": float(a.mean()),
                 "tuned stage 2": float(b.mean()),
@@ -76,13 +67,6 @@ def compare(
                 "people": len(a),
             }
     return found
-
-
-def _by_person(values: Tensor, people: Sequence[str]) -> Tensor:
-    """The mean of every person's clips."""
-    names = sorted(set(people))
-    rows = [values[[i for i, who in enumerate(people) if who == name]].nanmean() for name in names]
-    return torch.stack(rows)
 
 
 def main() -> None:
@@ -95,11 +79,11 @@ def main() -> None:
     parser.add_argument("--clips", type=int, default=24)
     options = parser.parse_args()
     one_thread()
-    people, motions = zip(*clips(options.folder, options.part, options.clips), strict=True)
-    _, others = zip(*clips(options.folder, "choose", 8), strict=True)
-    tested, practice = filmed(motions, seed=1), filmed(others, seed=2)
-    found = {name: compare(practice, tested, people, pretrained.load_priors(name)) for name in options.priors}
-    options.out.write_text(json.dumps({"part": options.part, "people": sorted(set(people))} | found, indent=1) + "\n")
+    cast, others = clips(options.folder, options.part, options.clips), clips(options.folder, "choose", 8)
+    tested, practice = filmed(cast.motions, seed=1), filmed(others.motions, seed=2)
+    found = {name: compare(practice, tested, cast.people, pretrained.load_priors(name)) for name in options.priors}
+    told = {"part": options.part, "people": sorted(set(cast.people))} | found
+    options.out.write_text(json.dumps(told, indent=1) + "\n")
     for name, views in found.items():
         for view, row in views.items():
             print(name, view, {m: row[m] for m in ("all", "legs", "acceleration")})

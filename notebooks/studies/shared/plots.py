@@ -87,7 +87,7 @@ def over_time(
         axes[0].set_yscale("log")
         axes[0].set_ylim(bottom=log_from)
     axes[0].set_ylabel(ylabel)
-    axes[-1].legend(loc="best")
+    axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return fig
 
 

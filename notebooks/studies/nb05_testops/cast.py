@@ -1,4 +1,4 @@
-"""Real people by what they do: clips of two seconds, as 05b films them, and how a detector fails.
+"""Who is filmed, by what they do: clips of two seconds of real and synthetic people, and how a detector fails on them.
 
 Where something happens in a clip (somebody sits down), the moment is drawn, not fixed.
 """
@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -45,11 +46,11 @@ class Cast:
         return f"{len(self)} clips of {len(set(self.people))} people"
 
 
-@lru_cache(maxsize=2)
-def takes(folder: str) -> tuple[Take, ...]:
-    """Loads the recordings of the CMU library that can be used, of all parts."""
+@lru_cache(maxsize=8)
+def takes(folder: Path | str, part: str) -> tuple[Take, ...]:
+    """Loads the recordings of the CMU library's people of one part, longer than a clip."""
     found = corpus.assemble(folder, splits.real_sources(folder), progress=False).takes
-    return tuple(t for t in found if t.source == "cmu_library" and t.motion.frames > FRAMES)
+    return tuple(t for t in found if t.source == "cmu_library" and t.part == part and t.motion.frames > FRAMES)
 
 
 def everyday(some: Sequence[Take], count: int) -> Cast:
@@ -63,9 +64,7 @@ def everyday(some: Sequence[Take], count: int) -> Cast:
     return _cast(splits.evenly(pairs, count))
 
 
-def who(
-    some: Sequence[Take], fits: Callable[[Motion], Tensor], each: int, most: int, seed: int, words: str = ""
-) -> Cast:
+def who(some: Sequence[Take], fits: Fits, each: int, most: int, seed: int, words: str = "") -> Cast:
     """Returns clips that begin where ``fits`` (starts,) is true, at most ``each`` a person and ``most`` in all.
 
     Beginnings are drawn; clips of one take do not overlap. words: what a take's description must match.
@@ -147,12 +146,15 @@ def lively(motion: Motion) -> Tensor:
     return _over(torch.cat((speed[:1], speed)), FRAMES) > 0.3
 
 
-# ---------------------------------------------------------------------------------------------- what is filmed of them
-def filmed(cast: Cast, view: str, seed: int) -> Scene:
-    """Films every clip in a view of ``scenes.VIEWS``."""
-    return scenes.film_recorded(view, cast.motions, seed=seed)
+def by_person(values: Tensor, people: Sequence[str] | None) -> Tensor:
+    """Computes the mean (P,) of every person's clips (B,); without names each clip is a person."""
+    if people is None:
+        return values
+    rows = [values[[i for i, who in enumerate(people) if who == name]].nanmean() for name in dict.fromkeys(people)]
+    return torch.stack(rows)
 
 
+# ------------------------------------------------------------------------------------------------ how a detector fails
 def spoilt(scene: Scene, how: Callable, seed: int, **options) -> Scene:
     """Lets the detector fail as a function of ``data_synth.corrupt`` does, clip by clip."""
     generator, rows = torch.Generator().manual_seed(seed), []
