@@ -112,19 +112,6 @@ def scores(motion: Motion, shot: Filmed) -> dict[str, Tensor]:
     return {name: shot.people.mean(values) for name, values in found.items()}
 
 
-def longer(shot: Filmed, found: Motion, priors: Priors, schedule: Schedule, count: int) -> str:
-    """Fits the first clips once more by a longer search, and says what that changes in the pose."""
-    scene, seen, cameras = shot.scene, shot.scene.observation, list(shot.scene.cameras[:count])
-    few = replace(seen, keypoints=seen.keypoints[:count], confidence=seen.confidence[:count])
-    again = fit(few, priors, schedule=schedule, cameras=cameras, floor="camera").motion
-    truth = scene.truth.positions[:count]
-    now, then = (CM * pose.mpjpe(p[:count], truth, align="root").mean() for p in (found.positions, again.positions))
-    return (
-        f"Stage 3 takes six steps here. With the {schedule.steps[2]} of the usual schedule, the first {count} clips "
-        f"are {then:.1f} cm off instead of {now:.1f} cm."
-    )
-
-
 def score_rows(
     plain: Mapping[str, Mapping[str, Mapping[str, Tensor]]], generator: torch.Generator
 ) -> list[dict[str, object]]:
