@@ -24,6 +24,7 @@ from motionlab.viz.scene import Scene
 
 BACKENDS = ("static", "picture", "trame")
 _RATE = 25  # steps of the slider per second
+_DRAWING = "<span style='color: #777777'>drawing …</span>"
 
 
 def _newest(draw: Callable[[object], None]) -> Callable[[object], None]:
@@ -149,11 +150,12 @@ def explore(draw: Callable[..., np.ndarray | Figure], **knobs: object):
         if hand.description in begins and not isinstance(knobs[hand.description], ipywidgets.Widget):
             with contextlib.suppress(traitlets.TraitError):  # no value of this knob
                 hand.value = begins[hand.description]
-    room = {"align_self": "flex-start", "max_width": "100%", "max_height": "60vh"}  # as drawn, or as fits the window
+    room = {"align_self": "flex-start", "margin": "0", "max_width": "100%", "max_height": "60vh"}  # as fits the window
     picture = ipywidgets.Image(format="png", layout=room)
     message = ipywidgets.HTML(style={"text_color": "#b3261e"})  # a Label would cut a long message
 
     def redraw(values: dict[str, object]) -> None:
+        message.value = _DRAWING
         try:
             picture.value = _png(draw(**values))
             message.value = ""

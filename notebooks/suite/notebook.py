@@ -104,9 +104,10 @@ class Lab:
         where = "synthetic motion and the real recordings" if self.data else "synthetic motion"
         cpu = f"CPU, {torch.get_num_threads()} threads"
         device = torch.cuda.get_device_name() if torch.cuda.is_available() else cpu
+        short = "  \nA short run: readings in the text are those of the full one." if self.profile == "smoke" else ""
         return (
             f"**{self.notebook}**, profile *{self.profile}*, seed {self.seed}, on {where}.  \n"
-            f"Python {platform.python_version()}, {packages}; {device}."
+            f"Python {platform.python_version()}, {packages}; {device}.{short}"
         )
 
     def generator(self, salt: object = "") -> torch.Generator:

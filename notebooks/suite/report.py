@@ -82,7 +82,7 @@ def _to_html(notebook: Path) -> None:
 def _exporter():
     from nbconvert import HTMLExporter  # takes seconds to load
 
-    return HTMLExporter(embed_images=True)
+    return HTMLExporter()  # with embed_images it would close every fold; what is shown is embedded already
 
 
 def _write_index(out: Path, runs: Sequence[Run], profile: str) -> Path:

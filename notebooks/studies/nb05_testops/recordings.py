@@ -45,7 +45,8 @@ class Views(NamedTuple):
 
     observation: (G, T, 25, 2) of BODY_25, 30 fps. cameras: calibrated, one per view; None: nothing is known. names: of
     the views. reference (T, 12, 3): metres, world of the cameras, joints of ``COMPARED``; None: there is none.
-    pictures: of each view, frame by frame. missed: pixels by which a reference of our own misses the detections.
+    pictures: of each view, frame by frame. size: of its image where there is no camera, pixels. missed: pixels by which
+    a reference of our own misses the detections.
     """
 
     observation: Observation2D
@@ -53,7 +54,13 @@ class Views(NamedTuple):
     names: tuple[str, ...]
     reference: Tensor | None
     pictures: tuple[over_video.Pictures, ...]
+    size: tuple[int, int] | None = None
     missed: float = float("nan")
+
+    @property
+    def knows(self) -> tuple[str, ...]:
+        """What a fit may know of these cameras, of ``HOW``."""
+        return HOW if self.cameras is not None else HOW[-1:]
 
     def clip(self, index: int, frames: int | None = None) -> Observation2D:
         """Returns one view's keypoints (T, 25, 2), or their first frames."""
@@ -88,7 +95,7 @@ def pose2sim(folder: Path | str, *, trial: str = "single_balancing") -> Views:
     observation = at_rate(whole)
     if trial != "single_balancing":
         found, missed = triangulated(cameras, observation)
-        return Views(observation, cameras, names, found, tuple(map(over_video.blank, cameras)), missed)
+        return Views(observation, cameras, names, found, tuple(map(over_video.blank, cameras)), missed=missed)
     markers = points.load_trc(folder / "ref3d" / "Balancing_for_IK.trc").select(list(COMPARED.values())).positions
     observation = at_rate(_together([_first(each, len(markers)) for each in seen], trial))
     films = [folder / "videos" / f"{name}.mp4" for name in names]
@@ -129,17 +136,22 @@ def stand_in(count: int, body: BodyModel, *, seed: int, frames: int) -> Views:
     return Views(scene.observation, list(scene.cameras), names, None, pictures)
 
 
-def own(folder: Path | str, *, fps: float = FPS) -> Views:
-    """Reads a folder of OpenPose JSON of one's own; nothing is known of its camera."""
+def own(folder: Path | str, *, fps: float = FPS, size: tuple[int, int] | None = None) -> Views:
+    """Reads a folder of OpenPose JSON of one's own; nothing is known of its camera but the size of its image.
+
+    size: width and height in pixels; None: the least usual size that holds the detections.
+    """
     seen = at_rate(openpose.to_body_25(openpose.load(folder, fps=fps), midpoints=True))
     seen = replace(seen, keypoints=seen.keypoints[None], confidence=seen.confidence[None])
-    return Views(seen, None, ("yours",), None, (over_video.blank(start_cameras(seen)[0]),))
+    return Views(seen, None, ("yours",), None, (over_video.blank(start_cameras(seen, size=size)[0]),), size)
 
 
-def shown(own_folder: str | None, data: Path | None, body: BodyModel, *, seed: int) -> Views:
+def shown(
+    own_folder: str | None, data: Path | None, body: BodyModel, *, seed: int, fps: float = FPS, size=None
+) -> Views:
     """Returns the views of the first experiment: one's own, else Pose2Sim's, else synthetic ones."""
     if own_folder:
-        return own(own_folder)
+        return own(own_folder, fps=fps, size=size)
     return pose2sim(data / "pose2sim_openpose") if data else stand_in(2, body, seed=seed, frames=30)
 
 
@@ -147,14 +159,17 @@ def given(views: Views, how: str, focal: float = 1.0, index: int | None = None) 
     """Returns arguments of ``testops.fit`` for what it may know of the cameras of all views, or of one.
 
     how: "known": the calibration, and with it the floor. "level": the lens alone; the camera is taken as level, 1.2 m
-    above the floor. "assumed": nothing but the size of the image. focal: times the focal length.
+    above the floor. "assumed": nothing but the size of the image. focal: times the focal length, also the assumed one.
     """
     if how not in HOW:
         raise ValueError(f"how: expected one of {', '.join(HOW)}, got {how!r}")
-    some = start_cameras(views.observation) if views.cameras is None else views.cameras
+    some = start_cameras(views.observation, size=views.size) if views.cameras is None else views.cameras
     some = some if index is None else [some[index]]
-    if how == "assumed" and focal == 1.0:
-        return {"cameras": [None] * len(some), "size": (some[0].width, some[0].height), "floor": "guess"}
+    if how == "assumed":
+        size = {"size": (some[0].width, some[0].height), "floor": "guess"}
+        if focal == 1.0:
+            return {"cameras": [None] * len(some)} | size
+        some = start_cameras(views.clip(index or 0, 1), cameras=[None], **size) * len(some)
     lens = [replace(c, intrinsics=_scaled(c, focal)) for c in some]
     return {"cameras": lens, "floor": "camera" if how == "known" and views.cameras is not None else "guess"}
 
@@ -191,7 +206,7 @@ class Refits:
 def camera_rows(refits: Refits, index: int, off: Callable[[Motion, Camera, Observation2D], float]) -> list[dict]:
     """Returns a row per knowledge of the camera and stage: pixels off, by a function and by the library."""
     found, seen = [], refits.views.clip(index, refits.frames)
-    for how in HOW:
+    for how in refits.views.knows:
         for stage in (2, 3):
             (camera,) = cameras = refits.cameras(stage, index, how)
             motion = refits(index, how).stages[stage]
