@@ -1,3 +1,4 @@
+import hashlib
 import json
 import os
 from pathlib import Path
@@ -17,7 +18,7 @@ needs_data = pytest.mark.skipif(
 
 
 def figure(names=BODY_25, height: float = 200.0) -> np.ndarray:
-    """A standing person (K, 2) in pixels about the middle of the hips; the face lies around the nose, and fingers do."""
+    """A standing person (K, 2) in pixels about the middle of the hips; face and fingers lie around the nose."""
     place = {"nose": (0, -0.9), "neck": (0, -0.7), "upper_neck": (0, -0.75), "head_top": (0, -1), "mid_hip": (0, 0)}
     rows = {"eye": (0.03, -0.93), "ear": (0.06, -0.91), "shoulder": (0.2, -0.7), "elbow": (0.25, -0.35)}
     rows |= {"wrist": (0.25, 0), "hip": (0.1, 0), "knee": (0.1, 0.5), "ankle": (0.1, 1), "big_toe": (0.12, 1.05)}
@@ -60,7 +61,8 @@ def test_layouts_are_told_apart_and_mapped_by_name(tmp_path, layout):
 
 
 def test_layouts_name_the_points_as_openpose_does():
-    assert all(len(set(names)) == len(names) == int(layout.split("_")[1].rstrip("B")) for layout, names in LAYOUTS.items())
+    for layout, names in LAYOUTS.items():
+        assert len(set(names)) == len(names) == int(layout.split("_")[1].rstrip("B"))
     assert COCO_18[8] == "right_hip" and COCO_18[14:] == BODY_25[15:19]
     assert BODY_25B[16] == "right_ankle" and BODY_25B[17:19] == ("upper_neck", "head_top")
     assert set(BODY_25B) - set(BODY_25) == {"upper_neck", "head_top"}
@@ -195,3 +197,19 @@ def test_people_without_any_confidence_are_nobody(tmp_path, count, layout):
     ghosts = [person(100 * n, confidence=0) for n in range(count)]
     with pytest.raises(DataError, match="nobody was detected in any frame: every confidence is 0"):
         openpose.load(write(tmp_path / "a", {0: ghosts, 1: ghosts}), fps=30, layout=layout)
+
+
+#: SHA-1 of who was chosen before tracking looked at boxes, too (issue 26).
+CHOSEN = "fd449f607a0cfe85c2179bd9ca73a101d6ae7c5e"
+
+
+@needs_data
+def test_the_same_people_are_chosen_as_ever():
+    root, found = Path(os.environ["MOTIONLAB_DATA"]), hashlib.sha1(usedforsecurity=False)
+    places = [root / "openpose_crowd", *sorted((root / "pose2sim_openpose").glob("*/cam*_json"))]
+    for folder in [*places, *sorted(path for path in (root / "3dance_openpose").iterdir() if path.is_dir())]:
+        layout = "BODY_25B" if folder.name.startswith("cam") else "BODY_25"
+        for place in ("longest", "largest", *range(10 if folder == places[0] else 1)):
+            observed = openpose.load(folder, fps=30, layout=layout, person=place)
+            found.update(observed.keypoints.numpy().tobytes() + observed.confidence.numpy().tobytes())
+    assert found.hexdigest() == CHOSEN

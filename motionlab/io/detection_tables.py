@@ -40,16 +40,24 @@ def _yolo(at: Spot, lines: list[tuple[int, str]]) -> Detections:
     people = []
     for text in dict.fromkeys(text for _, text in lines):  # a second run writes the lines again
         at.place, words = f"person {len(people)}", text.split()
-        count, axes = next(((k, d) for k, d in _YOLO if 0 <= len(words) - 5 - k * d <= 2), (0, 0))
-        if not count:
-            message = f"{len(words)} numbers are no class, box and keypoints of people"
-            raise at.error(message, remedy="save the labels of a pose model (save_txt)")
         values = numbers(at, [float(word) for word in words], "N", largest=FARTHEST, nan=True)
-        points, more = values[5 : 5 + count * axes].reshape(count, axes), words[5 + count * axes :]
+        choices = [values[5 : 5 + k * d].reshape(k, d) for k, d in _YOLO if 0 <= len(words) - 5 - k * d <= 2]
+        points = next((points for points in choices if _in_box(points, values[1:5])), None)
+        if points is None:
+            message = f"{len(words)} numbers are no class, box and keypoints of a person in it"
+            raise at.error(message, remedy="save the labels of a pose model (save_txt)")
+        more = words[5 + points.size :]
         tracked = len(more) == 2 or (more and float(more[0]) > 1)
-        scores = points[:, 2] if axes == 3 else None
+        scores = points[:, 2] if points.shape[1] == 3 else None
         people.append((detections.with_scores(at, points[:, :2], scores), whole_number(more[-1]) if tracked else None))
     return detections.collect(at, "Ultralytics", [(0, people)])
+
+
+def _in_box(points: np.ndarray, box: np.ndarray) -> bool:
+    """Whether most points (K, 2 or more) that are not at zero lie in a box (centre and sides) grown by a half."""
+    there = (points[:, :2] != 0).any(-1)
+    inside = (np.abs(points[:, :2] - box[:2]) <= 0.75 * box[2:]).all(-1)
+    return 2 * (inside & there).sum() >= there.sum()
 
 
 def _csv(at: Spot, rows: list[tuple[int, list[str]]]) -> Detections:
