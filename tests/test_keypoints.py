@@ -212,6 +212,18 @@ def test_footage_lists_its_people_and_gives_some(tmp_path):
         check_error(caught.value, word)
 
 
+def test_a_table_with_a_line_per_person(tmp_path):
+    """Points in any order, two people by id, an empty cell, times in seconds with one frame missing."""
+    head = "time;id;leftKnee_y;leftKnee_x;RAnkle_x;RAnkle_y;RAnkle_score;leftKnee_score"
+    rows = [f"{time};{k};{300 + k};{100 * k};7;;0.9;0.8" for time in (0.5, 0.54, 0.58, 0.66) for k in (4, 2)]
+    found = keypoints.load(written(tmp_path / "a.csv", "\n".join([head, *rows])))
+    knee, ankle = found.names.index("left_knee"), found.names.index("right_ankle")
+    assert found.names == COCO_17 and found.fps == pytest.approx(25)
+    assert [(track.id, track.frames.tolist()) for track in found.tracks] == [(4, [0, 1, 2, 4]), (2, [0, 1, 2, 4])]
+    second = found.person(2)
+    assert second.keypoints[0, knee].tolist() == [200, 302] and not second.visible[:, ankle].any()
+
+
 def test_numbers_of_frames_and_images_are_bounded(tmp_path):
     results = detected.coco()
     results[-1]["image_id"] = 10**9
@@ -263,7 +275,7 @@ REAL = {
     "openpose_body25b_2people/pose/cam01_json": ("OpenPose", "BODY_25B", 100, 0, 3, None),
     "openpose_body25b_2people/pose-associated/cam01_json": ("OpenPose", "BODY_25B", 30, 0, 2, None),
     "openpose_coco18_v1.0/random_keypoints.json": ("OpenPose", "COCO_18", 1, 0, 2, None),
-    "pose2sim_halpe26/cam03": ("OpenPose", "HALPE_26", 100, 1, 1, 1.0),
+    "pose2sim_halpe26/cam03": ("RTMPose as OpenPose", "HALPE_26", 100, 1, 1, 1.0),
     "ultralytics/roboflow_labels_1_13_14": ("Ultralytics", "COCO_17", 129, 0, 2, None),
     "ultralytics/yolo_person_index_csv_first250frames.csv": ("CSV table", "COCO_17", 250, 0, 2, None),
 }

@@ -40,7 +40,7 @@ def _yolo(at: Spot, lines: list[tuple[int, str]]) -> Detections:
     people = []
     for text in dict.fromkeys(text for _, text in lines):  # a second run writes the lines again
         at.place, words = f"person {len(people)}", text.split()
-        values = numbers(at, [float(word) for word in words], "N", largest=FARTHEST, nan=True)
+        values = numbers(at, [_cell(at, word) for word in words], "N", largest=FARTHEST, nan=True)
         choices = [values[5 : 5 + k * d].reshape(k, d) for k, d in _YOLO if 0 <= len(words) - 5 - k * d <= 2]
         points = next((points for points in choices if _in_box(points, values[1:5])), None)
         if points is None:
@@ -51,6 +51,13 @@ def _yolo(at: Spot, lines: list[tuple[int, str]]) -> Detections:
         scores = points[:, 2] if points.shape[1] == 3 else None
         people.append((detections.with_scores(at, points[:, :2], scores), whole_number(more[-1]) if tracked else None))
     return detections.collect(at, "Ultralytics", [(0, people)])
+
+
+def _cell(at: Spot, cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        raise at.error(f"{cell!r} is not a number") from None
 
 
 def _in_box(points: np.ndarray, box: np.ndarray) -> bool:
@@ -85,7 +92,7 @@ def _csv(at: Spot, rows: list[tuple[int, list[str]]]) -> Detections:
         name, body = people.setdefault((frame, who), (None if id_at is None else whole_number(row[id_at]), {}))
         for key, places in points:
             body[row[name_at] if long else key] = tuple(
-                float(row[k]) if k is not None and row[k] else None for k in places
+                _cell(at, row[k]) if k is not None and row[k] else None for k in places
             )
     seen: dict[int, list] = {}
     for (frame, _), (name, body) in people.items():
@@ -132,7 +139,7 @@ def _clock(
     if time_at is None:
         return order, None
     at.place = head[time_at]
-    times = numbers(at, [float(row[time_at]) for _, row in rows], "T", largest=1e15)
+    times = numbers(at, [_cell(at, row[time_at]) for _, row in rows], "T", largest=1e15)
     moments, where = np.unique(times, return_inverse=True)
     step = float(np.median(np.diff(moments))) if len(moments) > 1 else 0.0
     if step == 0:

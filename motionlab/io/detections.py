@@ -33,7 +33,8 @@ _MOST_POINTS = 200
 #: Where fewer of the numbers between the first and the last image are there than this share, they are no film's.
 _SPARSE = 0.1
 _FORMATS = "OpenPose, MMPose, AlphaPose, COCO results, Ultralytics, MediaPipe, MoveNet, ViTPose, and CSV tables"
-_ALPHAPOSE = 0.05  # from here on, or from 0.4 on, by the model, AlphaPose draws a point
+#: Detectors that leave no point out draw those from this score on; AlphaPose from here or from 0.4 on, by the model.
+_MMPOSE, _VITPOSE, _MEDIAPIPE, _ALPHAPOSE = 0.3, 0.5, 0.5, 0.05
 _NOBODY = np.zeros((0, 0, 3))
 
 Sighting = tuple[np.ndarray, "int | None"]  # points (K, 3): x, y, confidence; the file's id
@@ -92,7 +93,7 @@ def from_folder(at: Spot, read: Callable[[Spot], Detections], *suffixes: str) ->
         raise at.error("is a file, expected a folder")
     files = next((files for suffix in suffixes if (files := _series(at, suffix))), None)
     if files is None:
-        raise at.error(f"no numbered {' or '.join(suffix[1:].upper() for suffix in suffixes)} file in it")
+        raise at.error(f"no numbered {' or '.join(suffixes)[1:].upper().replace('.', '')} file in it")
     frames, ids, whole = {}, {}, None
     for number in sorted(files):
         with reading(files[number], "run the detector again for this frame") as one:
@@ -178,7 +179,7 @@ def collect_named(at: Spot, detector: str, seen: list[tuple[int, list[tuple[dict
             row[[places[key] for key in points]] = numbers(at, [*points.values()], "K 3", largest=FARTHEST, nan=True)
             rows[-1][1].append((row, name))
     if names == MEDIAPIPE_33 or (names is None and count == len(MEDIAPIPE_33)):
-        detector, more["lowest"] = "MediaPipe", 0.5  # the visibility from which it draws a point
+        detector, more["lowest"] = "MediaPipe", _MEDIAPIPE
     return collect(at, detector, rows, names=names, **more)
 
 
@@ -222,13 +223,12 @@ def stated(at: Spot, *places: object) -> dict:
     """Reads frame rate and image size where one of some objects states them."""
     known = {key: value for place in places if isinstance(place, dict) for key, value in place.items()}
     fps = first_of(known, ("fps", "frame_rate", "framerate"))
-    sizes = [[known.get(f"{kind}{side}") for side in ("width", "height")] for kind in ("", "image_", "canvas_")]
-    sizes = [pair for pair in (known.get("size"), known.get("image_size"), *sizes) if pair is not None]
-    size = next((pair for pair in sizes if None not in pair), None)
-    return {
-        "fps": None if fps is None else frame_rate(at, fps, "fps"),
-        "size": None if size is None else image_size(at, size),
-    }
+    size = first_of(known, ("size", "image_size"))
+    if size is None:
+        pairs = ([known.get(f"{kind}{side}") for side in ("width", "height")] for kind in ("", "image_", "canvas_"))
+        size = next((pair for pair in pairs if None not in pair), None)
+    rate = fps if fps is None else frame_rate(at, fps, "fps")
+    return {"fps": rate, "size": size if size is None else image_size(at, size)}
 
 
 # ---------------------------------------------------------------------------------------------------------------- JSON
@@ -274,8 +274,8 @@ def openpose(at: Spot, document: object) -> Detections:
             raise at.error('expected an object with a list "people"', place=f'{prefix}"people"')
         seen.append((n, _people(at, frame["people"], prefix)))
     points = max((len(person) for _, people in seen for person, _ in people), default=0)
-    lowest = 0.3 if points in (26, 133) else 0.0  # not OpenPose's: RTMPose's, who leaves no point out (see _mmpose)
-    return collect(at, "OpenPose", seen, lowest=lowest, **stated(at, document[0] if several else document))
+    detector, lowest = ("RTMPose as OpenPose", _MMPOSE) if points in (26, 133) else ("OpenPose", 0.0)  # Pose2Sim's
+    return collect(at, detector, seen, lowest=lowest, **stated(at, document[0] if several else document))
 
 
 def _people(at: Spot, people: list, prefix: str, key: str = "pose_keypoints_2d") -> list[Sighting]:
@@ -319,7 +319,7 @@ def _mmpose(at: Spot, document: dict | list) -> Detections:
             people.append((with_scores(at, xy, one.get("keypoint_scores")), whole_number(one.get("track_id"))))
         seen.append((number, people))
     names = point_names(at, meta.get("keypoint_id2name"))
-    return collect(at, "MMPose", seen, names=names, lowest=0.3)  # from here on it draws a point (kpt_thr)
+    return collect(at, "MMPose", seen, names=names, lowest=_MMPOSE)
 
 
 def _results(at: Spot, document: list) -> Detections:
@@ -375,7 +375,7 @@ def _vitpose(at: Spot, document: dict) -> Detections:
             people.append((points[:, [1, 0, 2]], whole_number(key)))
         seen.append((n, people))
     names = point_names(at, document["skeleton"])
-    return collect(at, "ViTPose", seen, names=names, lowest=0.5)  # from here on it draws a point
+    return collect(at, "ViTPose", seen, names=names, lowest=_VITPOSE)
 
 
 def _ultralytics(at: Spot, document: list) -> Detections:
@@ -396,9 +396,7 @@ def _ultralytics(at: Spot, document: list) -> Detections:
 def _landmarks(at: Spot, document: object) -> Detections:
     """MediaPipe, MoveNet and others who write points by name, or BlazePose's 33 in a row, frame by frame."""
     frames = document.get("frames", [document]) if isinstance(document, dict) else document
-    frames = [frames] if _is_body(frames) else frames
-    if not isinstance(frames, list):
-        raise unknown(at)
+    frames = frames if isinstance(frames, list) and not _is_body(frames) else [frames]
     given = [whole_number(first_of(frame, FRAME)) if isinstance(frame, dict) else None for frame in frames]
     seen = []
     for number, frame in zip(range(len(frames)) if None in given else given, frames, strict=True):

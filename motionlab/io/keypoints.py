@@ -176,7 +176,7 @@ def load(
         stop = np.cumsum([len(people) for people in frames])[:-1]
         if not any(len(people) for people in frames):
             raise at.error("nobody was detected in any frame", place="")
-        everybody = np.concatenate([people for people in frames if len(people)])
+        everybody = np.concatenate([people for people in frames if len(people)]).astype(np.float32)
         size = found.size if size is None else image_size(at, size)
         notes = [*found.notes, *_calibrate(at, everybody, size, found.lowest if lowest is None else lowest)]
         if not (everybody[..., 2] > 0).any():
@@ -184,7 +184,7 @@ def load(
         names = found.names if layout is None and found.names else names_of(at, everybody, layout)
         if len(names) != everybody.shape[1]:
             raise at.error(f"{len(names)} names for {everybody.shape[1]} keypoints", place="names")
-        frames = np.split(everybody.astype(np.float32), stop)
+        frames = np.split(everybody, stop)
         ids = [found.ids.get(first + n, []) for n in range(len(frames))]
         tracks, more = _told_apart(frames, ids, gap=max(1, round(min(gap * rate, len(frames)))))
         order = sorted(tracks, key=lambda track: (-len(track.frames), -track.height))
@@ -226,7 +226,7 @@ def _calibrate(at: Spot, people: np.ndarray, size: tuple[float, float] | None, l
     elif high == 2 and np.isin(score, (0, 1, 2)).all():
         notes.append("0, 1 and 2 are flags, no confidences: every point that is labelled counts 1")
     elif high > _OVER:
-        scale = np.percentile(score[seen], 99)
+        scale = np.percentile(score[score > 0], 99)
         score /= scale
         notes.append(f"scores up to {high:.3g}: divided by {scale:.3g}, which 1 % of them pass")
     elif high > 1:
@@ -257,7 +257,7 @@ def _to_pixels(at: Spot, xy: np.ndarray, seen: np.ndarray, size: tuple[float, fl
 
 def _told_apart(frames: list[np.ndarray], ids: list[list], *, gap: int) -> tuple[list[Person], list[str]]:
     """Tracks of frames of people (P, K, 3), and what is to be said of the file's ids (P)."""
-    shown = [np.flatnonzero((people[..., 2] > 0).any(-1)) for people in frames]
+    shown = [np.flatnonzero((people[..., 2] > 0).any(-1)) if len(people) else () for people in frames]
     notes = []
     named = tracking.by_id([[(int(k), here[k]) for k in keys] for here, keys in zip(ids, shown, strict=True)])
     if named is None and any(name is not None for here in ids for name in here):

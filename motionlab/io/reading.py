@@ -168,7 +168,10 @@ def numbers(
         DataError: not numbers, another shape, or a number that is not finite or too large; names the first.
     """
     place = place if place is not None else at.place
-    array = np.asarray(array)
+    try:
+        array = np.asarray(array)
+    except ValueError:
+        raise at.error("expected numbers, got rows of different lengths", place=place) from None
     if nan and array.dtype == object and all(x is None or isinstance(x, int | float) for x in array.flat):
         array = array.astype(np.float64)
     if array.dtype.kind not in "fiub":

@@ -38,7 +38,7 @@ class Track:
         both = (self.latest[:, 2] > 0) & (person[:, 2] > 0)
         if both.any():
             moved = np.median(person[both, :2] - self.latest[both, :2], axis=0) / (frame - self.people[-1][0])
-            self.step = (self.step + moved) / 2
+            self.step = moved if len(self.people) == 1 else (self.step + moved) / 2
         self.people.append((frame, index))
         self.last, self.latest = np.where(person[:, 2:] > 0, person, self.last), person
         self.sizes.append(float(_extent(person)))
@@ -60,6 +60,8 @@ def join(frames: list[np.ndarray], *, gap: int) -> list[Track]:
     tracks: list[Track] = []
     alive: list[Track] = []
     for frame, people in enumerate(frames):
+        if not len(people):
+            continue
         alive = [track for track in alive if frame - track.people[-1][0] <= gap]
         if len(alive) > 2 * _MOST:
             alive = sorted(alive, key=lambda track: track.people[-1][0])[-2 * _MOST :]
