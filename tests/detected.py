@@ -5,8 +5,18 @@ import json
 
 import numpy as np
 
-SIZE = (1280, 720)
-FRAMES = 4
+SIZE, FRAMES, SIDES = (1280, 720), 4, ("left", "right")
+COCO = ["nose", *(f"{s}_{part}" for part in "eye ear shoulder elbow wrist hip knee ankle".split() for s in SIDES)]
+#: MMPose's names of Halpe's 26 points, in configs/_base_/datasets/halpe26.py.
+HALPE = [*COCO, "head", "neck", "hip", *(f"{s}_{part}" for part in ("big_toe", "small_toe", "heel") for s in SIDES)]
+#: MediaPipe's PoseLandmark, in its order.
+BLAZE = """nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear
+mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_pinky right_pinky
+left_index right_index left_thumb right_thumb left_hip right_hip left_knee right_knee left_ankle right_ankle left_heel
+right_heel left_foot_index right_foot_index""".split()
+#: easy_ViTPose's coco_25: COCO with neck and hip in between, and feet.
+FEET = [f"{side}_{part}" for side in SIDES for part in ("big_toe", "small_toe", "heel")]
+VIT = [*COCO[:5], "neck", *COCO[5:13], "hip", *COCO[13:], *FEET]
 
 
 def points(count: int, people: int = 2, frames: int = FRAMES) -> np.ndarray:
@@ -18,136 +28,96 @@ def points(count: int, people: int = 2, frames: int = FRAMES) -> np.ndarray:
     return np.concatenate([moved, sure], -1).round(3)
 
 
-def each(table: np.ndarray) -> list[tuple[int, list[list[list[float]]]]]:
-    """(frame, people) of plain lists."""
-    return list(enumerate(table.tolist()))
-
-
 def flat(person: list[list[float]]) -> list[float]:
     return [x for point in person for x in point]
 
 
-def openpose(count: int = 18, suffix: str = "") -> object:
+def openpose(count: int, suffix: str = "") -> dict:
     """One frame; version 1.0 wrote no _2d."""
-    people = [{f"pose_keypoints{suffix}": flat(p)} for p in points(count, frames=1)[0].tolist()]
-    return {"version": 1.0, "people": people}
+    return {"people": [{f"pose_keypoints{suffix}": flat(p)} for p in points(count, frames=1)[0].tolist()]}
 
 
-def mmpose(count: int = 17, names: list[str] | None = None) -> object:
-    def instance(person):
-        return {
-            "keypoints": [p[:2] for p in person],
-            "keypoint_scores": [p[2] for p in person],
-            "bbox": [[1, 2, 3, 4]],
-            "bbox_score": 0.9,
-        }
-
-    first = 1 if names else 0  # the demo's script counts from 1
-    frames = [
-        {"frame_id": n + first, "instances": [instance(p) for p in people]} for n, people in each(points(count))
-    ]  # fmt: skip
-    if not names:
-        return frames
-    meta = {"dataset_name": "halpe26", "keypoint_id2name": {str(k): name for k, name in enumerate(names)}}
-    return {"meta_info": meta, "instance_info": frames}
+def mmpose(count: int = 17, names: list[str] | None = None) -> list | dict:
+    """Frames from 0; with names as the demo's script writes it, from 1."""
+    frames = []
+    for n, people in enumerate(points(count).tolist(), start=1 if names else 0):
+        found = [{"keypoints": [q[:2] for q in p], "keypoint_scores": [q[2] for q in p]} for p in people]
+        frames.append({"frame_id": n, "instances": [one | {"bbox": [[1, 2, 3, 4]]} for one in found]})
+    meta = {"dataset_name": "h36m", "keypoint_id2name": {str(k): name for k, name in enumerate(names or [])}}
+    return {"meta_info": meta, "instance_info": frames} if names else frames
 
 
-def alphapose(count: int = 26, tracked: bool = False) -> object:
+def results(count: int, image: str = "", ids: list | None = None, first: int = 0) -> list:
+    """AlphaPose's and COCO's: a list of people with their image, "1.jpg" or 1; AlphaPose's has an idx."""
     return [
-        {"image_id": f"{n}.jpg", "category_id": 1, "keypoints": flat(p), "score": 2.9, "box": [1, 2, 3, 4],
-         "idx": 7 + k if tracked else [0.0]}
-        for n, people in each(points(count)) for k, p in enumerate(people)
+        {"image_id": f"{n}{image}" if image else n, "category_id": 1, "keypoints": flat(p), "score": 2.9}
+        | ({"idx": ids[k], "box": [1, 2, 3, 4]} if ids else {})
+        for n, people in enumerate(points(count).tolist(), start=first) for k, p in enumerate(people)
     ]  # fmt: skip
 
 
-def alphapose_images(form: str) -> object:
-    """The formats cmu and open: people by image, 18 points."""
-    keys = {"cmu": ("bodies", "joints"), "open": ("people", "pose_keypoints_2d")}[form]
-    return {
-        f"{n:05d}.png": {"version": "AlphaPose v0.3", keys[0]: [{keys[1]: flat(p)} for p in people]}
-        for n, people in each(points(18))
-    }
+def by_image(people: str, person: str) -> dict:
+    """AlphaPose's formats cmu and open: people by image, 18 points."""
+    frames = [{people: [{person: flat(p)} for p in frame], "version": "v0.3"} for frame in points(18).tolist()]
+    return {f"{n:05d}.png": frame for n, frame in enumerate(frames)}
 
 
-def coco() -> object:
-    return [
-        {"image_id": 10 + n, "category_id": 1, "keypoints": flat(p), "score": 0.8}
-        for n, people in each(points(17)) for p in people
-    ]  # fmt: skip
+def ultralytics() -> list:
+    """What tojson() gives of every frame, with the tracker's ids."""
+    frames = [[zip(*p, strict=True) for p in frame] for frame in points(17).tolist()]
+    keypoints = [[dict(zip(("x", "y", "visible"), map(list, p), strict=True)) for p in frame] for frame in frames]
+    more = {"name": "person", "class": 0, "confidence": 0.9, "box": {"x1": 1.0, "y1": 2.0, "x2": 3.0, "y2": 4.0}}
+    return [[{**more, "track_id": 5 + k, "keypoints": p} for k, p in enumerate(frame)] for frame in keypoints]
 
 
-def ultralytics() -> object:
-    """A list of what tojson() gives of every frame, with the tracker's ids."""
-
-    def person(p, name):
-        x, y, sure = zip(*p, strict=True)
-        box = {"x1": 1.0, "y1": 2.0, "x2": 3.0, "y2": 4.0}
-        found = {"name": "person", "class": 0, "confidence": 0.9, "box": box, "track_id": name}
-        return found | {"keypoints": {"x": x, "y": y, "visible": sure}}
-
-    return [[person(p, 5 + k) for k, p in enumerate(people)] for _, people in each(points(17))]  # fmt: skip
-
-
-def yolo(frame: int = 0, tracked: bool = True) -> str:
+def yolo(frame: int = 0) -> str:
     """One image's predictions: class, box, points as shares of the image; the box's confidence and the id."""
     rows = []
-    for k, p in enumerate(points(17)[frame]):
-        shares = p / (*SIZE, 1)
-        low, high = shares[:, :2].min(0), shares[:, :2].max(0)
-        rows.append("0 " + " ".join(f"{x:.9f}" for x in (*(low + high) / 2, *(high - low), *shares.ravel())))
-        rows[-1] += f" 0.91 {k + 1}" if tracked else ""
+    for k, p in enumerate(points(17)[frame] / (*SIZE, 1)):
+        low, high = p[:, :2].min(0), p[:, :2].max(0)
+        numbers = " ".join(f"{x:.9f}" for x in (*(low + high) / 2, *(high - low), *p.ravel()))
+        rows.append(f"0 {numbers} 0.91 {k + 1}")
     return "\n".join(rows)
 
 
-def mediapipe() -> object:
-    """One person's landmarks as shares of the image, in a frame that says its size and rate."""
-    frames = [
-        {"frame": n, "pose_landmarks": [
-            {"x": x / SIZE[0], "y": y / SIZE[1], "z": -0.1, "visibility": sure} for x, y, sure in people[0]
-        ]} for n, people in each(points(33))
-    ]  # fmt: skip
+def mediapipe() -> dict:
+    """One person's landmarks as shares of the image, with its size and rate."""
+    shares = (points(33)[:, 0] / (*SIZE, 1)).tolist()
+    marks = [[{"x": x, "y": y, "z": -0.1, "visibility": sure} for x, y, sure in frame] for frame in shares]
+    frames = [{"frame": n, "pose_landmarks": frame} for n, frame in enumerate(marks)]
     return {"fps": 25, "width": SIZE[0], "height": SIZE[1], "frames": frames}
 
 
-def mediapipe_csv(names: list[str]) -> str:
-    """A row per frame, time in milliseconds."""
-    head = ["time", *(f"{axis}_{name.upper()}" for name in names for axis in ("X", "Y", "Z", "visibility"))]
-    rows = [",".join(head)]
-    for n, people in each(points(33)):
-        cells = [f"{x / SIZE[0]:.9f},{y / SIZE[1]:.9f},-0.1,{sure}" for x, y, sure in people[0]]
-        rows.append(f"{40 * n},{','.join(cells)}")
+def mediapipe_csv() -> str:
+    """A row per frame, time in milliseconds; as in a real file, one name is there twice."""
+    names = ["right_eye_outer" if name == "right_eye_inner" else name for name in BLAZE]
+    rows = [",".join(["time", *(f"{axis}_{name.upper()}" for name in names for axis in ("X", "Y", "Z", "visibility"))])]
+    for n, frame in enumerate(points(33)[:, 0] / (*SIZE, 1)):
+        rows.append(f"{40 * n}," + ",".join(f"{x:.9f},{y:.9f},-0.1,{sure}" for x, y, sure in frame))
     return "\n".join(rows)
 
 
-def movenet(names: list[str]) -> object:
+def movenet() -> list:
     """Named points, in another order than COCO's."""
-    return [
-        {name: {"x": p[0], "y": p[1]} for name, p in sorted(zip(names, people[0], strict=True))}
-        for _, people in each(points(17))
-    ]
+    named = [sorted(zip(COCO, people[0], strict=True)) for people in points(17).tolist()]
+    return [{name: {"x": p[0], "y": p[1]} for name, p in frame} for frame in named]
 
 
-def vitpose(names: list[str]) -> object:
+def vitpose() -> dict:
     """y, x, score; ids are texts."""
-    frames = [
-        {str(3 + k): [[y, x, sure] for x, y, sure in p] for k, p in enumerate(people)} for _, people in each(points(25))
-    ]
-    return {"keypoints": frames, "skeleton": {str(k): name for k, name in enumerate(names)}}
+    frames = [{str(3 + k): [[y, x, c] for x, y, c in p] for k, p in enumerate(f)} for f in points(25).tolist()]
+    return {"keypoints": frames, "skeleton": {str(k): name for k, name in enumerate(VIT)}}
 
 
-def long_csv(word: str = "person") -> str:
+def long_csv() -> str:
     """A line per point, without confidences."""
-    lines = [f"frame,{word},keypoint,x,y"]
-    for n, people in each(points(17)):
-        lines += [f"{n},{k},{j},{x},{y}" for k, p in enumerate(people) for j, (x, y, _) in enumerate(p)]
-    return "\n".join(lines)
+    rows = [",".join(map(str, (*place, *points(17)[place][:2]))) for place in np.ndindex(FRAMES, 2, 17)]
+    return "\n".join(["frame,person,keypoint,x,y", *rows])
 
 
-def plain_arrays(names: list[str]) -> dict:
-    return {
-        "keypoints": points(17), "names": np.array(names), "fps": np.array(24.0), "size": np.array(SIZE),
-        "ids": np.array([4, 9]), "first": np.array(100),
-    }  # fmt: skip
+def plain_arrays() -> dict:
+    more = {"names": COCO, "fps": 24.0, "size": SIZE, "ids": [4, 9]}
+    return {"keypoints": points(17), **{key: np.array(value) for key, value in more.items()}}
 
 
 def npz(**arrays) -> bytes:
@@ -156,37 +126,27 @@ def npz(**arrays) -> bytes:
     return stream.getvalue()
 
 
-SIDES = ("left", "right")
-COCO = ["nose", *(f"{s}_{part}" for part in "eye ear shoulder elbow wrist hip knee ankle".split() for s in SIDES)]
-#: MMPose's names of Halpe's 26 points, in configs/_base_/datasets/halpe26.py.
-HALPE = [*COCO, "head", "neck", "hip", *(f"{s}_{part}" for part in ("big_toe", "small_toe", "heel") for s in SIDES)]
-#: MediaPipe's PoseLandmark, in its order.
-BLAZE = """nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear
-mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_pinky right_pinky
-left_index right_index left_thumb right_thumb left_hip right_hip left_knee right_knee left_ankle right_ankle left_heel
-right_heel left_foot_index right_foot_index""".split()
-#: easy_ViTPose's coco_25: COCO with neck and hip in between, and feet.
-VIT = [*COCO[:5], "neck", *COCO[5:13], "hip", *COCO[13:], *(f"{s}_{p}" for s in SIDES for p in ("big_toe", "small_toe", "heel"))]  # fmt: skip  # noqa: E501
-
-#: name -> (content, layout's points, people, confidences are there, first frame)
-FORMATS: dict[str, tuple[object, int, int, bool, int]] = {
-    "openpose_1.0.json": (openpose(), 18, 2, True, 0),
-    "openpose_135.json": (openpose(135, "_2d"), 135, 2, True, 0),
-    "mmpose.json": (mmpose(), 17, 2, True, 0),
-    "mmpose_meta.json": (mmpose(26, HALPE), 26, 2, True, 1),
-    "alphapose.json": (alphapose(), 26, 2, True, 0),
-    "alphapose_tracked.json": (alphapose(17, tracked=True), 17, 2, True, 0),
-    "alphapose_cmu.json": (alphapose_images("cmu"), 18, 2, True, 0),
-    "alphapose_open.json": (alphapose_images("open"), 18, 2, True, 0),
-    "coco.json": (coco(), 17, 2, True, 10),
-    "ultralytics.json": (ultralytics(), 17, 2, True, 0),
-    "yolo.txt": (yolo(), 17, 2, True, 0),
-    "mediapipe.json": (mediapipe(), 33, 1, True, 0),
-    "mediapipe.csv": (mediapipe_csv(BLAZE), 33, 1, True, 0),
-    "movenet.json": (movenet(COCO), 17, 1, False, 0),
-    "vitpose.json": (vitpose(VIT), 25, 2, True, 0),
-    "points.csv": (long_csv(), 17, 2, False, 0),
-    "plain.npz": (npz(**plain_arrays(COCO)), 17, 2, True, 100),
+#: name -> (content, layout's points, people, first frame)
+FORMATS: dict[str, tuple[object, int, int, int]] = {
+    "openpose_1.0.json": (openpose(18), 18, 2, 0),
+    "openpose_135.json": (openpose(135, "_2d"), 135, 2, 0),
+    "mmpose.json": (mmpose(), 17, 2, 0),
+    "mmpose_meta.json": (mmpose(26, HALPE), 26, 2, 1),
+    "alphapose.json": (results(26, ".jpg", [[0.0], [0.0]]), 26, 2, 0),
+    "alphapose_tracked.json": (results(17, ".jpg", [7, 8]), 17, 2, 0),
+    "alphapose_cmu.json": (by_image("bodies", "joints"), 18, 2, 0),
+    "alphapose_open.json": (by_image("people", "pose_keypoints_2d"), 18, 2, 0),
+    "coco.json": (results(17, first=10), 17, 2, 10),
+    "ultralytics.json": (ultralytics(), 17, 2, 0),
+    "yolo.txt": (yolo(), 17, 2, 0),
+    "mediapipe.json": (mediapipe(), 33, 1, 0),
+    "mediapipe.csv": (mediapipe_csv(), 33, 1, 0),
+    "movenet.json": (movenet(), 17, 1, 0),
+    "vitpose.json": (vitpose(), 25, 2, 0),
+    "points.csv": (long_csv(), 17, 2, 0),
+    "plain.npz": (npz(**plain_arrays()), 17, 2, 0),
 }
+#: Formats without confidences.
+UNSCORED = ("movenet.json", "points.csv")
 _TEXTS = {name: what[0] if isinstance(what[0], str | bytes) else json.dumps(what[0]) for name, what in FORMATS.items()}
 SEEDS = {name: text.encode() if isinstance(text, str) else text for name, text in _TEXTS.items()}

@@ -135,7 +135,7 @@ def test_mutated_files_load_or_say_why(folder, kind):
         ("amass.npz", seeds.amass_arrays()),
         ("anidance.npz", seeds.anidance_arrays()),
         ("smpl.npz", seeds.smpl_arrays()),
-        ("plain.npz", detected.plain_arrays(detected.COCO)),
+        ("plain.npz", detected.plain_arrays()),
     ],
     ids=["amp", "amass", "anidance", "smpl", "keypoints"],
 )

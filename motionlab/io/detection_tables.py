@@ -47,7 +47,7 @@ def _yolo(at: Spot, lines: list[tuple[int, str]]) -> Detections:
             message = f"{len(words)} numbers are no class, box and keypoints of a person in it"
             raise at.error(message, remedy="save the labels of a pose model (save_txt)")
         more = words[5 + points.size :]
-        tracked = len(more) == 2 or (more and float(more[0]) > 1)
+        tracked = len(more) == 2 or bool(more and whole_number(more[0]))  # one number: a confidence, or an id from 1
         scores = points[:, 2] if points.shape[1] == 3 else None
         people.append((detections.with_scores(at, points[:, :2], scores), whole_number(more[-1]) if tracked else None))
     return detections.collect(at, "Ultralytics", [(0, people)])
@@ -157,7 +157,7 @@ def from_npz(at: Spot) -> Detections:
     Raises:
         DataError: a key is missing or does not fit, or an array is pickled, which is never opened.
     """
-    keys = ("keypoints", "positions_2d", "confidence", "names", "fps", "size", "ids", "first")  # positions_2d: a pickle
+    keys = ("keypoints", "positions_2d", "confidence", "names", "fps", "size", "ids")  # positions_2d holds a pickle
     arrays = read_npz(at, keys, plain=PLAIN)
     if "keypoints" not in arrays:
         raise at.error("the key keypoints is missing", place="keys", remedy=PLAIN)
@@ -175,9 +175,6 @@ def from_npz(at: Spot) -> Detections:
     ids: list[int | None] = [None] * lead[1]
     if "ids" in arrays:
         ids = [whole_number(number) for number in numbers(at, arrays["ids"], str(lead[1]), "ids").tolist()]
-    first = whole_number(numbers(at, arrays.get("first", np.zeros(())), "", "first").item())
-    if first is None:
-        raise at.error("expected the number of the first frame", place="first")
     names = detections.point_names(at, [str(name) for name in arrays.get("names", np.zeros(0)).ravel()[: lead[2] + 1]])
-    seen = [(first + n, [*zip(people, ids, strict=True)]) for n, people in enumerate(points)]
+    seen = [(n, [*zip(people, ids, strict=True)]) for n, people in enumerate(points)]
     return detections.collect(at, "plain npz", seen, names=names, **detections.stated(at, arrays))

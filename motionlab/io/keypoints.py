@@ -5,8 +5,7 @@ COCO results, Ultralytics (tojson, labels, predictions), MediaPipe Pose, MoveNet
 a file per frame. Whatever else you have, save it in one of our own plain layouts:
 
 - npz: ``keypoints`` (frames, joints, 2 or 3) or (frames, people, joints, 2 or 3): x, y and confidence; and what you
-  know of ``names`` (joints), ``fps``, ``size`` (width, height), ``ids`` (people), ``confidence``, ``first`` (number of
-  the first frame).
+  know of ``names`` (joints), ``fps``, ``size`` (width, height), ``ids`` (people), ``confidence``.
 - CSV with a line per point, ``frame, keypoint, x, y``, and if you like ``confidence`` and ``id`` (or ``person``, the
   place in the frame's list); or with a line per frame, ``nose_x, nose_y, nose_confidence, ...``, and if you like
   ``frame``, ``id`` and ``time`` (s or ms).
@@ -76,16 +75,12 @@ class Footage:
 
     def table(self) -> list[dict[str, object]]:
         """Lists the people: a row each, with frames seen, their share, mean confidence of what was seen, height."""
-        return [
-            {
-                "person": track.id,
-                "frames": len(track.frames),
-                "share %": 100 * len(track.frames) / self.frames,
-                "confidence": float(track.points[..., 2][track.points[..., 2] > 0].mean()),
-                "height px": track.height,
-            }
-            for track in self.tracks
-        ]
+        rows = []
+        for track in self.tracks:
+            count, sure = len(track.frames), track.points[..., 2]
+            row = {"person": track.id, "frames": count, "share %": 100 * count / self.frames}
+            rows.append(row | {"confidence": float(sure[sure > 0].mean()), "height px": track.height})
+        return rows
 
     def person(self, which: str | int = "longest") -> Observation2D:
         """Returns one person's keypoints (T, K, 2): of an id, or who was seen longest or is tallest in the image.
@@ -93,11 +88,8 @@ class Footage:
         Raises:
             DataError: nobody has this id.
         """
-        if which == "longest":
-            return self._observation([self.tracks[0]], single=True)
-        if which == "largest":
-            return self._observation([max(self.tracks, key=lambda track: track.height)], single=True)
-        return self._observation(self._of_ids([which]), single=True)
+        known = {"longest": self.tracks[0], "largest": max(self.tracks, key=lambda track: track.height)}
+        return self._observation([known[which]] if which in known else self._of_ids([which]), single=True)
 
     def people(self, which: Sequence[int] | float = 0.5) -> Observation2D:
         """Returns several people's keypoints as one batch (B, T, K, 2).
@@ -108,25 +100,23 @@ class Footage:
         Raises:
             DataError: nobody has one of the ids, or was seen in so large a share; or all of it is too much to hold.
         """
-        if isinstance(which, int | float):
-            tracks = [track for track in self.tracks if len(track.frames) >= which * self.frames]
-            if not tracks:
-                most = len(self.tracks[0].frames) / self.frames
-                raise self._error(f"nobody was seen in {which:.0%} of the frames", f"ask for {most:.3f} or less")
-            return self._observation(tracks)
-        return self._observation(self._of_ids(which))
+        if not isinstance(which, int | float):
+            return self._observation(self._of_ids(which))
+        tracks = [track for track in self.tracks if len(track.frames) >= which * self.frames]
+        if not tracks:
+            most = len(self.tracks[0].frames) / self.frames
+            raise self._error(f"nobody was seen in {which:.0%} of the frames", f"ask for {most:.3f} or less")
+        return self._observation(tracks)
 
     def _error(self, message: str, remedy: str) -> DataError:
         return DataError(message, path=self.path, place="people", remedy=remedy)
 
     def _of_ids(self, ids: Sequence[object]) -> list[Person]:
         known = {track.id: track for track in self.tracks}
-        for each in ids:
-            if each not in known:
-                some = ", ".join(str(name) for name in [*known][:20])
-                raise self._error(f"nobody has id {each!r}", f'use "longest", "largest" or one of {some}')
-        if not ids:
-            raise self._error("no ids were given", "name at least one")
+        if not ids or not set(ids) <= known.keys():
+            some = ", ".join(str(name) for name in [*known][:20])
+            wrong = [each for each in ids if each not in known]
+            raise self._error(f"nobody has the ids {wrong}", f'use "longest", "largest" or some of {some}')
         return [known[each] for each in ids]
 
     def _observation(self, tracks: list[Person], *, single: bool = False) -> Observation2D:
