@@ -18,6 +18,7 @@ _AXES = {"x": 0, "y": 1, **dict.fromkeys(detections.SCORES, 2), "z": 3, "presenc
 _AXIS = "|".join(_AXES)
 #: Points and numbers a point that the lines of YOLO-pose may hold: COCO, Halpe, whole body.
 _YOLO = ((17, 3), (26, 3), (133, 3), (17, 2), (26, 2), (133, 2))
+_MOST_WORDS = 5 + 133 * 3 + 2  # beside the points class, box, confidence, id
 
 
 def from_lines(at: Spot, text: str) -> Detections:
@@ -39,12 +40,12 @@ def _yolo(at: Spot, lines: list[tuple[int, str]]) -> Detections:
     """Each line: class, box, points; then the box's confidence, where asked for, and the track's id, where tracked."""
     people = []
     for text in dict.fromkeys(text for _, text in lines):  # a second run writes the lines again
-        at.place, words = f"person {len(people)}", text.split()
-        values = numbers(at, [_cell(at, word) for word in words], "N", largest=FARTHEST, nan=True)
+        at.place, words = f"person {len(people)}", text.split(None, _MOST_WORDS)
+        values = numbers(at, [_cell(at, word) for word in words[:_MOST_WORDS]], "N", largest=FARTHEST, nan=True)
         choices = [values[5 : 5 + k * d].reshape(k, d) for k, d in _YOLO if 0 <= len(words) - 5 - k * d <= 2]
         points = next((points for points in choices if _in_box(points, values[1:5])), None)
         if points is None:
-            message = f"{len(words)} numbers are no class, box and keypoints of a person in it"
+            message = f"{len(words)} words are no class, box and keypoints of a person in it"
             raise at.error(message, remedy="save the labels of a pose model (save_txt)")
         more = words[5 + points.size :]
         tracked = len(more) == 2 or bool(more and whole_number(more[0]))  # one number: a confidence, or an id from 1
@@ -57,7 +58,7 @@ def _cell(at: Spot, cell: str) -> float:
     try:
         return float(cell)
     except ValueError:
-        raise at.error(f"{cell!r} is not a number") from None
+        raise at.error(f"{cell[:40]!r} is not a number") from None
 
 
 def _in_box(points: np.ndarray, box: np.ndarray) -> bool:
@@ -134,7 +135,7 @@ def _clock(
     for n, (line, row) in enumerate(rows):
         number = n if frame_at is None else whole_number(row[frame_at])
         if number is None:
-            raise at.error(f"{row[frame_at]!r} is no frame number", place=f"line {line}")
+            raise at.error(f"{row[frame_at][:40]!r} is no frame number", place=f"line {line}")
         order.append(number)
     if time_at is None:
         return order, None
