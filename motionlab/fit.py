@@ -18,6 +18,7 @@ from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.humor.testops import Fitted
 from motionlab.io import amass, bvh, gltf, openpose
 from motionlab.io.cameras import load_camera
+from motionlab.io.layouts import to_body_25
 from motionlab.io.reading import reading
 from motionlab.metrics import pose
 from motionlab.motion import Motion
@@ -67,7 +68,7 @@ def _observation(options: argparse.Namespace) -> tuple[Observation2D, int, str |
     person = int(options.person) if options.person.isdigit() else options.person
     seen = openpose.load(options.keypoints, fps=options.fps, layout=options.layout, person=person)
     first = int(seen.name.rsplit(" ", 1)[-1])
-    seen = at_rate(openpose.to_body_25(seen, midpoints=True))
+    seen = at_rate(to_body_25(seen, midpoints=True))
     used = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]
     if seen.frames < 2:
         raise DataError("one frame is no motion", path=options.keypoints, remedy="give two frames or more")

@@ -1,13 +1,16 @@
 """One way to call every loader on one file, and what to ask of its result or its error."""
 
+from functools import partial
 from pathlib import Path
 
+import detected
 import seeds
 import torch
 
 from motionlab.body import BodyModel
 from motionlab.errors import DataError
-from motionlab.io import amass, asf, bvh, cameras, clips, gltf, openpose, points, smpl
+from motionlab.io import amass, asf, bvh, cameras, clips, gltf, keypoints, openpose, points, smpl
+from motionlab.io.keypoints import Footage
 from motionlab.io.points import Positions
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
@@ -55,6 +58,7 @@ LOADERS = {
     "biomech.csv": lambda path: points.load_biomech(path, fps=50),
     "projected.csv": lambda path: points.load_projected(path, camera=seeds.camera(), fps=50),
     ".glb": gltf.load,
+    **dict.fromkeys(detected.SEEDS, partial(keypoints.load, fps=30, size=detected.SIZE)),
 }
 
 
@@ -66,6 +70,9 @@ def numbers_of(value) -> list[torch.Tensor]:
         return [value.positions]
     if isinstance(value, Observation2D):
         return [value.keypoints, value.confidence]
+    if isinstance(value, Footage):
+        everybody = value.people(0.0)
+        return [everybody.keypoints, everybody.confidence, torch.tensor([list(r.values()) for r in value.table()])]
     if isinstance(value, BodyModel):
         return [value.template, value.joints, value.weights, value.shape_directions, value.skeleton.offsets]
     cameras = value.values() if isinstance(value, dict) else value if isinstance(value, list) else [value]

@@ -6,6 +6,7 @@ import re
 import zipfile
 from pathlib import Path
 
+import detected
 import numpy as np
 import pytest
 import seeds
@@ -212,9 +213,10 @@ def test_pickles_are_never_executed(tmp_path, canary, kind, protocol):
         check_error(caught.value, "bad")
 
 
-@pytest.mark.parametrize("kind", ["amp.npz", "amass.npz", "anidance.npz", "smpl.npz"])
+@pytest.mark.parametrize("kind", ["amp.npz", "amass.npz", "anidance.npz", "smpl.npz", "plain.npz"])
 def test_objects_in_archives_are_never_unpickled(tmp_path, canary, kind):
-    whole = {"amp.npz": AMP, "amass.npz": AMASS, "anidance.npz": DANCE, "smpl.npz": SMPL}[kind]
+    known = {"amp.npz": AMP, "amass.npz": AMASS, "anidance.npz": DANCE, "smpl.npz": SMPL}
+    whole = (known | {"plain.npz": detected.plain_arrays()})[kind]
     path = tmp_path / f"bad{kind}"
     for key in whole:
         path.write_bytes(archive(whole, **{key: np.array([Hostile(canary)], dtype=object)}))

@@ -8,6 +8,7 @@ import re
 import warnings
 from pathlib import Path
 
+import detected
 import numpy as np
 import pytest
 import seeds
@@ -134,8 +135,9 @@ def test_mutated_files_load_or_say_why(folder, kind):
         ("amass.npz", seeds.amass_arrays()),
         ("anidance.npz", seeds.anidance_arrays()),
         ("smpl.npz", seeds.smpl_arrays()),
+        ("plain.npz", detected.plain_arrays()),
     ],
-    ids=["amp", "amass", "anidance", "smpl"],
+    ids=["amp", "amass", "anidance", "smpl", "keypoints"],
 )
 def test_changed_archives_load_or_say_why(folder, kind, arrays):
     @mutations

@@ -1,3 +1,4 @@
+import hashlib
 import json
 import os
 from pathlib import Path
@@ -8,6 +9,7 @@ import torch
 
 from motionlab.errors import DataError
 from motionlab.io import openpose
+from motionlab.io.layouts import BODY_25B, COCO_18, LAYOUTS, to_body_25
 from motionlab.observation import BODY_25
 
 needs_data = pytest.mark.skipif(
@@ -16,14 +18,14 @@ needs_data = pytest.mark.skipif(
 
 
 def figure(names=BODY_25, height: float = 200.0) -> np.ndarray:
-    """A standing person (K, 2) in pixels about the middle of the hips; eyes and ears lie around the nose."""
+    """A standing person (K, 2) in pixels about the middle of the hips; face and fingers lie around the nose."""
     place = {"nose": (0, -0.9), "neck": (0, -0.7), "upper_neck": (0, -0.75), "head_top": (0, -1), "mid_hip": (0, 0)}
     rows = {"eye": (0.03, -0.93), "ear": (0.06, -0.91), "shoulder": (0.2, -0.7), "elbow": (0.25, -0.35)}
     rows |= {"wrist": (0.25, 0), "hip": (0.1, 0), "knee": (0.1, 0.5), "ankle": (0.1, 1), "big_toe": (0.12, 1.05)}
-    rows |= {"small_toe": (0.15, 1.05), "heel": (0.1, 1.03)}
+    rows |= {"foot_index": rows["big_toe"], "small_toe": (0.15, 1.05), "heel": (0.1, 1.03)}
     for part, (x, y) in rows.items():
         place |= {f"left_{part}": (x, y), f"right_{part}": (-x, y)}
-    return np.array([place[name] for name in names]) * height / 2
+    return np.array([place.get(name, (0, -0.9)) for name in names]) * height / 2
 
 
 def write(folder: Path, frames: dict[int, list[np.ndarray]], name="clip_{:012d}_keypoints.json") -> Path:
@@ -40,29 +42,30 @@ def person(x: float, y: float = 300.0, confidence: float = 0.8, names=BODY_25, h
     return np.concatenate([points, np.full((len(points), 1), confidence)], axis=1)
 
 
-@pytest.mark.parametrize("layout", openpose.LAYOUTS)
+@pytest.mark.parametrize("layout", LAYOUTS)
 def test_layouts_are_told_apart_and_mapped_by_name(tmp_path, layout):
-    names = openpose.LAYOUTS[layout]
+    names = LAYOUTS[layout]
     folder = write(tmp_path / "a", {n: [person(100 + n, names=names)] for n in range(3)})
     observed = openpose.load(folder, fps=30)
     assert observed.names == names
-    full = openpose.to_body_25(observed)
+    full = to_body_25(observed)
     for k, name in enumerate(BODY_25):
-        if name in names:
-            expected = figure(names)[names.index(name)] + np.array([100, 300])
+        if name in names or name.replace("big_toe", "foot_index") in names:
+            expected = figure([name])[0] + np.array([100, 300])
             np.testing.assert_allclose(full.keypoints[0, k].numpy(), expected, atol=1e-3)
         else:
             assert (full.confidence[:, k] == 0).all() and (full.keypoints[:, k] == 0).all()
-    middle = openpose.to_body_25(observed, midpoints=True)
+    middle = to_body_25(observed, midpoints=True)
     np.testing.assert_allclose(middle.keypoints[0, middle.index("mid_hip")].numpy(), (100, 300), atol=1e-3)
     assert (middle.confidence[:, middle.index("neck")] > 0).all()
 
 
 def test_layouts_name_the_points_as_openpose_does():
-    assert [len(openpose.LAYOUTS[name]) for name in ("BODY_25", "BODY_25B", "COCO_18", "COCO_17")] == [25, 25, 18, 17]
-    assert openpose.COCO_18[8] == "right_hip" and openpose.COCO_18[14:] == BODY_25[15:19]
-    assert openpose.BODY_25B[16] == "right_ankle" and openpose.BODY_25B[17:19] == ("upper_neck", "head_top")
-    assert set(openpose.BODY_25B) - set(BODY_25) == {"upper_neck", "head_top"}
+    for layout, names in LAYOUTS.items():
+        assert len(set(names)) == len(names) == int(layout.split("_")[1].rstrip("B"))
+    assert COCO_18[8] == "right_hip" and COCO_18[14:] == BODY_25[15:19]
+    assert BODY_25B[16] == "right_ankle" and BODY_25B[17:19] == ("upper_neck", "head_top")
+    assert set(BODY_25B) - set(BODY_25) == {"upper_neck", "head_top"}
 
 
 def test_25_points_without_a_face_are_refused_unless_the_layout_is_given(tmp_path):
@@ -176,7 +179,7 @@ def test_real_balancing_views_hold_one_person_throughout():
     root = Path(os.environ["MOTIONLAB_DATA"]) / "pose2sim_openpose/single_balancing"
     for folder in sorted(root.iterdir()):
         observed = openpose.load(folder, fps=60)
-        assert observed.names == openpose.BODY_25B and observed.frames == 100
+        assert observed.names == BODY_25B and observed.frames == 100
         assert observed.visible.any(-1).all() and neck_steps(observed).max() < 30
 
 
@@ -194,3 +197,19 @@ def test_people_without_any_confidence_are_nobody(tmp_path, count, layout):
     ghosts = [person(100 * n, confidence=0) for n in range(count)]
     with pytest.raises(DataError, match="nobody was detected in any frame: every confidence is 0"):
         openpose.load(write(tmp_path / "a", {0: ghosts, 1: ghosts}), fps=30, layout=layout)
+
+
+#: SHA-1 of who was chosen before tracking looked at boxes, too (issue 26).
+CHOSEN = "fd449f607a0cfe85c2179bd9ca73a101d6ae7c5e"
+
+
+@needs_data
+def test_the_same_people_are_chosen_as_ever():
+    root, found = Path(os.environ["MOTIONLAB_DATA"]), hashlib.sha1(usedforsecurity=False)
+    places = [root / "openpose_crowd", *sorted((root / "pose2sim_openpose").glob("*/cam*_json"))]
+    for folder in [*places, *sorted(path for path in (root / "3dance_openpose").iterdir() if path.is_dir())]:
+        layout = "BODY_25B" if folder.name.startswith("cam") else "BODY_25"
+        for place in ("longest", "largest", *range(10 if folder == places[0] else 1)):
+            observed = openpose.load(folder, fps=30, layout=layout, person=place)
+            found.update(observed.keypoints.numpy().tobytes() + observed.confidence.numpy().tobytes())
+    assert found.hexdigest() == CHOSEN

@@ -90,8 +90,11 @@ def read_text(at: Spot) -> str:
     return text
 
 
-def read_json(at: Spot) -> object:
+def read_json(at: Spot, *, nan: bool = False) -> object:
     """Reads the whole file as JSON; NaN and Infinity, which JSON does not have, are refused.
+
+    Args:
+        nan: let NaN pass, where it stands for what was not measured.
 
     Raises:
         DataError: see ``read_text``; or a number is NaN or infinite.
@@ -99,15 +102,22 @@ def read_json(at: Spot) -> object:
     """
 
     def refuse(constant: str) -> float:
+        if nan and constant == "NaN":
+            return math.nan
         raise at.error(f"{constant} is not a number")
 
     return json.loads(read_text(at), parse_constant=refuse)
 
 
-def read_npz(at: Spot, keys: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+def read_npz(
+    at: Spot, keys: tuple[str, ...] | None = None, *, plain: str = "save plain arrays only"
+) -> dict[str, np.ndarray]:
     """Reads the arrays of an npz by key: those of ``keys`` that are there, or all.
 
     Never unpickles: an array of Python objects is refused unread; one that nobody asked for is not touched.
+
+    Args:
+        plain: the remedy for an array of objects.
 
     Raises:
         DataError: see ``read_bytes``; not an archive, an array of objects, too large, or shorter than it promises.
@@ -124,38 +134,46 @@ def read_npz(at: Spot, keys: tuple[str, ...] | None = None) -> dict[str, np.ndar
             if member.file_size > LARGEST:
                 raise at.error(f"{member.file_size} bytes are more than {LARGEST}")
             with archive.open(member) as stream:
-                arrays[key] = _read_npy(at, stream, member.file_size)
+                arrays[key] = _read_npy(at, stream, member.file_size, plain)
     at.place = ""
     return arrays
 
 
-def _read_npy(at: Spot, stream, size: int) -> np.ndarray:
+def _read_npy(at: Spot, stream, size: int, plain: str) -> np.ndarray:
     version = np.lib.format.read_magic(stream)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in header:
         raise at.error(f"npy version {version} is not known")
     shape, fortran, dtype = header[version](stream)
     if dtype.hasobject:
-        raise at.error("holds pickled Python objects, which are never loaded", remedy="save plain arrays only")
+        raise at.error("holds pickled Python objects, which are never loaded", remedy=plain)
     if any(n < 0 for n in shape) or math.prod(shape) * dtype.itemsize > size:
         raise at.error(f"promises shape {shape} of {dtype} but has only {size} bytes")
     data = np.frombuffer(stream.read(), dtype=dtype, count=math.prod(shape))
     return data.reshape(shape, order="F" if fortran else "C")
 
 
-def numbers(at: Spot, array: object, shape: str, place: str | None = None, largest: float = 1e18) -> np.ndarray:
+def numbers(
+    at: Spot, array: object, shape: str, place: str | None = None, largest: float = 1e18, *, nan: bool = False
+) -> np.ndarray:
     """Checks an array's axes and that every number is finite; returns it as float64.
 
     Args:
         shape: words such as ``"T 24 3"``: a number is a fixed size, a word any size of at least one.
         largest: numbers from here on are refused. The default is float32's square root: products beyond it
             overflow, and nothing physical is that large.
+        nan: let NaN and None pass, as NaN.
 
     Raises:
         DataError: not numbers, another shape, or a number that is not finite or too large; names the first.
     """
     place = place if place is not None else at.place
-    array = np.asarray(array)
+    try:
+        array = np.asarray(array)
+    except ValueError:
+        raise at.error("expected numbers, got rows of different lengths", place=place) from None
+    if nan and array.dtype == object and all(x is None or isinstance(x, int | float) for x in array.flat):
+        array = array.astype(np.float64)
     if array.dtype.kind not in "fiub":
         raise at.error(f"expected numbers, got {array.dtype}", place=place)
     words = shape.split()
@@ -165,7 +183,7 @@ def numbers(at: Spot, array: object, shape: str, place: str | None = None, large
     if not fits:
         raise at.error(f"expected shape ({', '.join(words)}), got {array.shape}", place=place)
     array = array.astype(np.float64)
-    bad = ~(np.abs(array) < largest)
+    bad = ~(np.abs(array) < largest) & ~(nan & np.isnan(array))
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise at.error(f"{array[where]} at index {where} is not a usable number", place=place)
@@ -182,6 +200,18 @@ def frame_rate(at: Spot, value: object, place: str = "frame rate") -> float:
     if rate.size != 1 or rate.dtype.kind not in "fiu" or not 0 < (fps := float(rate.reshape(()))) <= 1e5:
         raise at.error(f"expected frames per second above zero, got {value!r}", place=place)
     return fps
+
+
+def image_size(at: Spot, value: object, place: str = "size") -> tuple[float, float]:
+    """Checks an image size: width and height in pixels, above zero, below 100,000.
+
+    Raises:
+        DataError: it is something else.
+    """
+    pair = numbers(at, value, "2", place, largest=1e5)
+    if not (pair > 0).all():
+        raise at.error(f"expected width and height in pixels, got {value!r}", place=place)
+    return float(pair[0]), float(pair[1])
 
 
 def check_writable(path: str | Path, motion: Motion) -> None:

@@ -22,6 +22,7 @@ from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule
 from motionlab.io import openpose, points
 from motionlab.io.cameras import load_qualisys
+from motionlab.io.layouts import to_body_25
 from motionlab.metrics import pose
 from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate, project
@@ -90,7 +91,7 @@ def pose2sim(folder: Path | str, *, trial: str = "single_balancing") -> Views:
     if not places or len(places) != len(cameras):
         message = f"{len(places)} views and {len(cameras)} cameras"
         raise DataError(message, path=folder / trial, remedy="unpack the data set again")
-    seen = [openpose.to_body_25(openpose.load(p, fps=60.0, layout="BODY_25B"), midpoints=True) for p in places]
+    seen = [to_body_25(openpose.load(p, fps=60.0, layout="BODY_25B"), midpoints=True) for p in places]
     whole, names = _together(seen, trial), tuple(place.name.removesuffix("_json") for place in places)
     observation = at_rate(whole)
     if trial != "single_balancing":
@@ -141,7 +142,7 @@ def own(folder: Path | str, *, fps: float = FPS, size: tuple[int, int] | None = 
 
     size: width and height in pixels; None: the least usual size that holds the detections.
     """
-    seen = at_rate(openpose.to_body_25(openpose.load(folder, fps=fps), midpoints=True))
+    seen = at_rate(to_body_25(openpose.load(folder, fps=fps), midpoints=True))
     seen = replace(seen, keypoints=seen.keypoints[None], confidence=seen.confidence[None])
     return Views(seen, None, ("yours",), None, (over_video.blank(start_cameras(seen, size=size)[0]),), size)
 

@@ -1,0 +1,263 @@
+"""Keypoints of any 2-D pose detector, told by their content: people in pixels, joined through time.
+
+Read are OpenPose (BODY_25, BODY_25B, BODY_135, COCO-18; also Pose2Sim's and Sports2D's Halpe-26), MMPose, AlphaPose,
+COCO results, Ultralytics (tojson, labels, predictions), MediaPipe Pose, MoveNet and ViTPose; a file, or a folder with
+a file per frame. Whatever else you have, save it in one of our own plain layouts:
+
+- npz: ``keypoints`` (frames, joints, 2 or 3) or (frames, people, joints, 2 or 3): x, y and confidence; and what you
+  know of ``names`` (joints), ``fps``, ``size`` (width, height), ``ids`` (people), ``confidence``.
+- CSV with a line per point, ``frame, keypoint, x, y``, and if you like ``confidence`` and ``id`` (or ``person``, the
+  place in the frame's list); or with a line per frame, ``nose_x, nose_y, nose_confidence, ...``, and if you like
+  ``frame``, ``id`` and ``time`` (s or ms).
+
+A point that is NaN, at (0, 0), of confidence 0 or not there was not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from motionlab.errors import DataError
+from motionlab.io import tracking
+from motionlab.io.detection_tables import from_lines, from_npz
+from motionlab.io.detections import PLAIN, Detections, from_folder, from_json
+from motionlab.io.layouts import names_of
+from motionlab.io.reading import LARGEST, Spot, frame_rate, image_size, read_json, read_text, reading
+from motionlab.observation import Observation2D
+
+#: Scores to this are ones that ran over; beyond they are of another scale.
+_OVER = 1.2
+#: Coordinates of which half stay below this are shares of the image; of which so many are negative, neither.
+_SHARE, _NEGATIVE = 2.0, 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Person:
+    """One person of a film: the file's id or a number of ours, the frames (N,) in which they were seen, their points.
+
+    frames count from the first frame of the film; points (N, K, 3): x, y in pixels, confidence, 0 where not seen.
+    """
+
+    id: int
+    frames: np.ndarray
+    points: np.ndarray
+
+    @property
+    def height(self) -> float:
+        """Median height of the box around the seen points, pixels."""
+        seen, y = self.points[..., 2] > 0, self.points[..., 1]
+        return float(np.median(np.where(seen, y, -np.inf).max(1) - np.where(seen, y, np.inf).min(1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Footage:
+    """Everybody whom a detector saw in one film, told apart.
+
+    path: what was read. detector: who wrote it. names: of the K points. fps: frames per second. size: width and
+    height in pixels, None where nobody said. first: number of the first frame, as the file counts. frames: T.
+    notes: what was assumed. tracks: the people, whoever was seen in most frames first.
+    """
+
+    path: Path
+    detector: str
+    names: tuple[str, ...]
+    fps: float
+    size: tuple[float, float] | None
+    first: int
+    frames: int
+    notes: tuple[str, ...]
+    tracks: tuple[Person, ...]
+
+    def table(self) -> list[dict[str, object]]:
+        """Lists the people: a row each, with frames seen, their share, mean confidence of what was seen, height."""
+        rows = []
+        for track in self.tracks:
+            count, sure = len(track.frames), track.points[..., 2]
+            row = {"person": track.id, "frames": count, "share %": 100 * count / self.frames}
+            rows.append(row | {"confidence": float(sure[sure > 0].mean()), "height px": track.height})
+        return rows
+
+    def person(self, which: str | int = "longest") -> Observation2D:
+        """Returns one person's keypoints (T, K, 2): of an id, or who was seen longest or is tallest in the image.
+
+        Raises:
+            DataError: nobody has this id.
+        """
+        known = {"longest": self.tracks[0], "largest": max(self.tracks, key=lambda track: track.height)}
+        return self._observation([known[which]] if which in known else self._of_ids([which]), single=True)
+
+    def people(self, which: Sequence[int] | float = 0.5) -> Observation2D:
+        """Returns several people's keypoints as one batch (B, T, K, 2).
+
+        Args:
+            which: their ids, in the order of the batch; or the share of the film in which they must have been seen.
+
+        Raises:
+            DataError: nobody has one of the ids, or was seen in so large a share; or all of it is too much to hold.
+        """
+        if not isinstance(which, int | float):
+            return self._observation(self._of_ids(which))
+        tracks = [track for track in self.tracks if len(track.frames) >= which * self.frames]
+        if not tracks:
+            most = len(self.tracks[0].frames) / self.frames
+            raise self._error(f"nobody was seen in {which:.0%} of the frames", f"ask for {most:.3f} or less")
+        return self._observation(tracks)
+
+    def _error(self, message: str, remedy: str) -> DataError:
+        return DataError(message, path=self.path, place="people", remedy=remedy)
+
+    def _of_ids(self, ids: Sequence[object]) -> list[Person]:
+        known = {track.id: track for track in self.tracks}
+        if not ids or not set(ids) <= known.keys():
+            some = ", ".join(str(name) for name in [*known][:20])
+            wrong = [each for each in ids if each not in known]
+            raise self._error(f"nobody has the ids {wrong}", f'use "longest", "largest" or some of {some}')
+        return [known[each] for each in ids]
+
+    def _observation(self, tracks: list[Person], *, single: bool = False) -> Observation2D:
+        shape = (len(tracks), self.frames, len(self.names), 3)
+        if 4 * np.prod(shape, dtype=float) > LARGEST:
+            raise self._error(f"{shape[:3]} people, frames and points are too many", "take fewer people")
+        table = torch.zeros(shape)
+        for row, track in zip(table, tracks, strict=True):
+            row[torch.from_numpy(track.frames)] = torch.from_numpy(track.points)
+        table = table[0] if single else table
+        name = f"{self.path.name} from frame {self.first}"
+        return Observation2D(table[..., :2], table[..., 2], self.names, self.fps, name=name)
+
+
+def load(
+    path: str | Path,
+    *,
+    fps: float | None = None,
+    size: tuple[float, float] | None = None,
+    layout: str | None = None,
+    lowest: float | None = None,
+    gap: float = 0.5,
+) -> Footage:
+    """Reads what a 2-D pose detector wrote, whichever it was, and joins its people through time, in pixels.
+
+    Frames are ordered by their number; one that is missing is a frame in which nobody was seen. Who is who is told
+    by the file's ids, if each frame's people have different ones; else by place, see ``tracking.join``.
+    Confidences are brought to 0..1; what had to be assumed is in ``notes``.
+
+    Args:
+        fps: frames per second; needed where the file does not say it.
+        size: width and height of the image in pixels; needed where coordinates are shares of the image.
+        layout: one of ``layouts.LAYOUTS``; None takes the file's names, or decides by the number of keypoints.
+        lowest: confidence below which a point was not seen; None is what the detector itself draws by.
+        gap: seconds for which a person may vanish and still be the same one.
+
+    Raises:
+        DataError: nothing that is known, 3-D poses, damaged, nobody at all; or fps or size is needed.
+    """
+    with reading(path, "give what a 2-D pose detector wrote: a file, or a folder with one file per frame") as at:
+        found = from_folder(at, _read_file, ".json", ".txt") if at.path.is_dir() else _read_file(at)
+        frames, first = found.in_order(at)
+        fps = fps if fps is not None else found.fps
+        if fps is None:
+            raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
+        rate = frame_rate(at, fps, "fps")
+        stop = np.cumsum([len(people) for people in frames])[:-1]
+        if not any(len(people) for people in frames):
+            raise at.error("nobody was detected in any frame", place="")
+        everybody = np.concatenate([people for people in frames if len(people)]).astype(np.float32)
+        size = found.size if size is None else image_size(at, size)
+        notes = [*found.notes, *_calibrate(at, everybody, size, found.lowest if lowest is None else lowest)]
+        if not (everybody[..., 2] > 0).any():
+            raise at.error("nobody was detected in any frame: no point is sure enough", place="")
+        names = found.names if layout is None and found.names else names_of(at, everybody, layout)
+        if len(names) != everybody.shape[1]:
+            raise at.error(f"{len(names)} names for {everybody.shape[1]} keypoints", place="names")
+        frames = np.split(everybody, stop)
+        ids = [found.ids.get(first + n, []) for n in range(len(frames))]
+        tracks, more = _told_apart(frames, ids, gap=max(1, round(min(gap * rate, len(frames)))))
+        order = sorted(tracks, key=lambda track: (-len(track.frames), -track.height))
+        notes = (*notes, *more)
+        return Footage(at.path, found.detector, names, rate, size, first, len(frames), notes, tuple(order))
+
+
+def _read_file(at: Spot) -> Detections:
+    """By its first bytes."""
+    with at.path.open("rb") as file:
+        head = file.read(4096).removeprefix(b"\xef\xbb\xbf").lstrip()
+    if head[:2] == b"PK":
+        return from_npz(at)
+    if head[:1] == b"\x80" or head[:6] == b"\x93NUMPY":
+        raise at.error("a pickle, which is never opened, or an array without names", remedy=PLAIN)
+    if head[:1] in (b"{", b"["):
+        return from_json(at, read_json(at, nan=True))
+    return from_lines(at, read_text(at))
+
+
+def _calibrate(at: Spot, people: np.ndarray, size: tuple[float, float] | None, lowest: float) -> list[str]:
+    """Brings people (N, K, 3) to pixels and confidences of 0..1, in place, 0 where not seen; says what it assumed.
+
+    Raises:
+        DataError: the image size is needed, or the coordinates lie around zero as those of 3-D poses do.
+    """
+    notes, xy, score = [], people[..., :2], people[..., 2]
+    if np.isnan(score).all():
+        score[:] = 1
+        notes.append("no confidences in the file: every point that is there counts 1")
+    people[np.isnan(people).any(-1) | (xy == 0).all(-1) | (score == 0)] = 0
+    seen = score != 0
+    if not seen.any():
+        return notes
+    low, high = score[seen].min(), score[seen].max()
+    if low < -1:
+        score[seen] = 1 / (1 + np.exp(-np.clip(score[seen], -500, 500)))
+        notes.append(f"scores from {low:.3g} to {high:.3g} are logits: taken through the logistic function")
+    elif high == 2 and np.isin(score, (0, 1, 2)).all():
+        notes.append("0, 1 and 2 are flags, no confidences: every point that is labelled counts 1")
+    elif high > _OVER:
+        scale = np.percentile(score[score > 0], 99)
+        score /= scale
+        notes.append(f"scores up to {high:.3g}: divided by {scale:.3g}, which 1 % of them pass")
+    elif high > 1:
+        notes.append(f"scores up to {high:.3g}: those above 1 count 1")
+    np.clip(score, 0, 1, out=score)
+    people[score == 0] = 0
+    unsure = (score > 0) & (score < lowest)
+    if unsure.any():
+        notes.append(f"{unsure.sum() / seen.sum():.1%} of the points have a confidence below {lowest:g}: not seen")
+        people[unsure] = 0
+    seen = score > 0
+    if seen.any() and np.median(np.abs(xy[seen])) < _SHARE:
+        _to_pixels(at, xy, seen, size)
+        notes.append(f"shares of the image: multiplied by {size[0]:g} x {size[1]:g}")
+    return notes
+
+
+def _to_pixels(at: Spot, xy: np.ndarray, seen: np.ndarray, size: tuple[float, float] | None) -> None:
+    """Multiplies shares of the image by its size, in place; an image that was stretched for the detector is undone."""
+    if (xy[seen] < 0).mean() > _NEGATIVE:
+        message = "coordinates around zero are no place in an image, but 3-D (world landmarks in metres) or centred"
+        raise at.error(message, place="coordinates", remedy="save the image's landmarks, in pixels or from 0 to 1")
+    if size is None:
+        message = "coordinates are shares of an image whose size the file does not hold"
+        raise at.error(message, place="size", remedy="pass size=(width, height), or --size")
+    xy *= size
+
+
+def _told_apart(frames: list[np.ndarray], ids: list[list], *, gap: int) -> tuple[list[Person], list[str]]:
+    """Tracks of frames of people (P, K, 3), and what is to be said of the file's ids (P)."""
+    shown = [np.flatnonzero((people[..., 2] > 0).any(-1)) if len(people) else () for people in frames]
+    notes = []
+    named = tracking.by_id([[(int(k), here[k]) for k in keys] for here, keys in zip(ids, shown, strict=True)])
+    if named is None and any(name is not None for here in ids for name in here):
+        notes = ["the file's ids do not tell people apart: they are joined by place"]
+    if named is None and max(map(len, shown)) == 1:
+        named = {0: [(n, int(keys[0])) for n, keys in enumerate(shown) if len(keys)]}
+    if named is None:
+        named = {k: track.people for k, track in enumerate(tracking.join(frames, gap=gap))}
+    tracks = []
+    for name, people in named.items():
+        points = np.stack([frames[n][k] for n, k in people])
+        tracks.append(Person(name, np.array([n for n, _ in people]), points))
+    return tracks, notes

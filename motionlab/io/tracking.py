@@ -1,0 +1,146 @@
+"""People through time: who of one frame is who of the next, by where their keypoints lie and their boxes overlap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+#: A person may move by this share of their own size between two sightings.
+_REACH = 0.3
+#: Keypoints that two sightings must share before their distance says anything.
+_SHARED = 3
+#: Boxes that share this part of their union may be one person's.
+_OVERLAP = 0.4
+#: Points that are compared: the body's; those of face and hands come after them in every layout, and follow it.
+_BODY = 33
+#: People who are looked at in one frame, the largest first; twice as many may be missed at a time.
+_MOST = 100
+
+
+@dataclass
+class Track:
+    """One person: where they are in the frames' people lists, and their keypoints when last seen."""
+
+    people: list[tuple[int, int]]  # (frame, index)
+    last: np.ndarray  # (K, 3), every keypoint as last seen
+    latest: np.ndarray  # (K, 3), the last sighting
+    sizes: list[float] = field(default_factory=list)
+    step: np.ndarray = field(default_factory=lambda: np.zeros(2))  # pixels by which they move from frame to frame
+
+    @property
+    def size(self) -> float:
+        """Median extent in the image, pixels."""
+        return float(np.median(self.sizes))
+
+    def add(self, frame: int, index: int, person: np.ndarray) -> None:
+        """Adds a sighting (K, 3) of a later frame."""
+        both = (self.latest[:, 2] > 0) & (person[:, 2] > 0)
+        if both.any():
+            moved = np.median(person[both, :2] - self.latest[both, :2], axis=0) / (frame - self.people[-1][0])
+            self.step = moved if len(self.people) == 1 else (self.step + moved) / 2
+        self.people.append((frame, index))
+        self.last, self.latest = np.where(person[:, 2:] > 0, person, self.last), person
+        self.sizes.append(float(_extent(person)))
+
+    def box(self, frame: int) -> np.ndarray:
+        """Returns the box (4,) of the last sighting, moved on to a frame at the pace so far."""
+        return _boxes(self.latest[None])[0] + np.tile(self.step * (frame - self.people[-1][0]), 2)
+
+
+def join(frames: list[np.ndarray], *, gap: int) -> list[Track]:
+    """Finds everybody's track through frames of people (P, K, 3), by optimal assignment from frame to frame.
+
+    A sighting joins the track whose keypoints, as last seen, lie nearest, within ``_REACH`` of its size. Of those
+    who are left over, one joins the track whose box, moved on at its pace, overlaps its own by ``_OVERLAP``: so
+    does who moved too fast, or shows other keypoints than before. Each assignment is the best over all pairs
+    (Hungarian method). A track that nobody joined for more than ``gap`` frames ends; a sighting that joins none
+    begins one. Uses no randomness, and at most ``_MOST`` people of a frame.
+    """
+    tracks: list[Track] = []
+    alive: list[Track] = []
+    for frame, people in enumerate(frames):
+        if not len(people):
+            continue
+        alive = [track for track in alive if frame - track.people[-1][0] <= gap]
+        if len(alive) > 2 * _MOST:
+            alive = sorted(alive, key=lambda track: track.people[-1][0])[-2 * _MOST :]
+        seen = [k for k, person in enumerate(people) if (person[:, 2] > 0).any()]
+        if len(seen) > _MOST:
+            seen = sorted(sorted(seen, key=lambda k: -_extent(people[k]))[:_MOST])
+        free = dict.fromkeys(seen)
+        for costs, most in ((_distances, _REACH), (_apart, 1 - _OVERLAP)):
+            waiting = [track for track in alive if track.people[-1][0] < frame]
+            for track, k in _assigned(waiting, {k: people[k][:_BODY] for k in free}, frame, costs, most):
+                track.add(frame, k, people[k][:_BODY])
+                del free[k]
+        for k in free:
+            person = people[k][:_BODY]
+            alive.append(Track([(frame, k)], person.copy(), person, [float(_extent(person))]))
+            tracks.append(alive[-1])
+    return tracks
+
+
+def by_id(frames: list[list[tuple[int, int | None]]]) -> dict[int, list[tuple[int, int]]] | None:
+    """Finds everybody's (frame, index) pairs by the ids that a file gives: frames of pairs (index, id).
+
+    None where they tell nobody apart: someone has none, or two people of one frame share one.
+    """
+    tracks: dict[int, list[tuple[int, int]]] = {}
+    for frame, people in enumerate(frames):
+        names = [name for _, name in people]
+        if None in names or len(set(names)) < len(names):
+            return None
+        for index, name in people:
+            tracks.setdefault(name, []).append((frame, index))
+    return tracks
+
+
+def _assigned(tracks: list[Track], people: dict[int, np.ndarray], frame: int, costs, most: float) -> list:
+    """Pairs (track, key of the person) with the lowest sum of costs, none of them above ``most``."""
+    from scipy.optimize import linear_sum_assignment  # half a second, and only videos of several people need it
+
+    if not tracks or not people:
+        return []
+    keys, cost = list(people), costs(tracks, np.stack(list(people.values())), frame)
+    blocked = cost > most
+    pairs = zip(*linear_sum_assignment(np.where(blocked, 1e3, cost)), strict=True)
+    return [(tracks[row], keys[column]) for row, column in pairs if not blocked[row, column]]
+
+
+def _distances(tracks: list[Track], b: np.ndarray, frame: int) -> np.ndarray:
+    """Distance (A, B) of tracks to people (B, K, 3): median over the keypoints that both have.
+
+    A share of the larger extent of the two; infinite where they share fewer than ``_SHARED`` keypoints.
+    """
+    a = np.stack([track.last for track in tracks])
+    both = (a[:, None, :, 2] > 0) & (b[None, :, :, 2] > 0)
+    apart = np.linalg.norm(a[:, None, :, :2] - b[None, :, :, :2], axis=-1)
+    shared = both.sum(-1)
+    ordered = np.sort(np.where(both, apart, np.inf), axis=-1)
+    median = np.take_along_axis(ordered, np.maximum(shared - 1, 0)[..., None] // 2, -1)[..., 0]
+    size = np.maximum(_extent(a)[:, None], _extent(b)[None])
+    return np.where((shared >= _SHARED) & (size > 0), median / np.maximum(size, 1e-9), np.inf)
+
+
+def _apart(tracks: list[Track], b: np.ndarray, frame: int) -> np.ndarray:
+    """1 - intersection over union (A, B) of the boxes of tracks, moved on to the frame, and of people (B, K, 3)."""
+    a, b = np.stack([track.box(frame) for track in tracks])[:, None], _boxes(b)[None]
+    sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
+    shared = np.maximum(sides, 0).prod(-1)
+    return 1 - shared / np.maximum(sum((box[..., 2:] - box[..., :2]).prod(-1) for box in (a, b)) - shared, 1e-9)
+
+
+def _boxes(people: np.ndarray) -> np.ndarray:
+    """Left, top, right, bottom (..., 4) of the seen keypoints of people (..., K, 3), each of whom shows one."""
+    seen = people[..., 2:] > 0
+    top = np.where(seen, people[..., :2], np.inf).min(-2)
+    return np.concatenate([top, np.where(seen, people[..., :2], -np.inf).max(-2)], -1)
+
+
+def _extent(people: np.ndarray) -> np.ndarray:
+    """Diagonal (...) of the box around the seen keypoints of people (..., K, 3), pixels; 0 where none is seen."""
+    seen = people[..., 2:] > 0
+    top = np.where(seen, people[..., :2], -np.inf).max(-2)
+    bottom = np.where(seen, people[..., :2], np.inf).min(-2)
+    return np.where(seen.any((-1, -2)), np.linalg.norm(np.maximum(top - bottom, 0), axis=-1), 0.0)
