@@ -204,6 +204,12 @@ def posture(ways: Mapping[str, Motion], truth: Motion) -> dict[str, dict[str, Te
     }
 
 
+def crouchers(count: int, seed: int) -> dict[str, Tensor]:
+    """Computes ``posture`` of the true motion of so many synthetic people who crouch or go down on a knee."""
+    truth = scenes.together(_crouchers(count, seed).motions)
+    return posture({"truth": truth}, truth)["truth"]
+
+
 def swings(
     ways: Mapping[str, Mapping[int, Motion]], scene: Scene, people: Sequence[str] | None
 ) -> dict[str, dict[int, Tensor]]:
