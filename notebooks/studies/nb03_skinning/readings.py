@@ -77,9 +77,11 @@ def who(influence: Mapping[str, Tensor], legs: list[int]) -> str:
     """Reads the map of influence, whose first row is the nose."""
     nose = 1000 * influence["planted"][0]
     clean = max(float(influence[name][:, legs].max()) for name in ("anny", "planted, then pruned"))
+    left = 1000 * float(influence["planted, then pruned"][:, legs].max())
+    pruned = f"Pruned, legs move the face by {left:.1f} mm per radian." if left else "Pruned, the map is anny's again."
     return (
         f"{_said(nose[legs].max() > clean == 0)} The planted nose moves up to {nose[legs].max():.1f} mm per radian of "
-        f"a leg joint; of the joint that moves it most, {nose.max():.0f} mm. Pruned, the map is anny's again."
+        f"a leg joint; of the joint that moves it most, {nose.max():.0f} mm. {pruned}"
     )
 
 

@@ -220,7 +220,7 @@ def gates(found: Mapping[str, Mapping[str, tuple[float, float, float]]]) -> Figu
     ax.axvline(1.0, color=INK, lw=1)
     shift = np.linspace(-0.24, 0.24, len(found))
     for (name, values), by in zip(found.items(), shift, strict=True):
-        tone = ROLE["ours" if "real" in name.split(",")[0] else "observation"]
+        tone = ROLE["observation" if name.startswith("compact,") else "ours"]
         for line, test in enumerate(labels):
             if test in values:
                 value, low, high = (min(max(x, 0.02), 30.0) for x in values[test])

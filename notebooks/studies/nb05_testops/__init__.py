@@ -1,1 +1,1 @@
-"""Notebook 05: what the fit repairs and breaks."""
+"""Notebooks 05a to 05d: what the fit repairs and breaks."""

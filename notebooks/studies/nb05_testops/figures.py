@@ -1,4 +1,4 @@
-"""The figures of notebook 05: fits beside their truth, in the world, in the image and over time."""
+"""The figures of notebooks 05a and 05b: fits beside their truth, in the world, in the image and over time."""
 
 from __future__ import annotations
 

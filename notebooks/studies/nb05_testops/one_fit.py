@@ -18,6 +18,7 @@ from motionlab.humor import testops
 from motionlab.humor.energies import RGB_LIGHT, Weights
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule
+from motionlab.metrics import gait
 from motionlab.motion import Motion
 from motionlab.viz.movie import stage
 from motionlab.viz.palette import INK
@@ -66,13 +67,17 @@ def fitted(scene: Scene, priors: Priors, schedule: Schedule, weights: Weights) -
 
 
 def errors(motion: Motion, scene: Scene) -> dict[str, float]:
-    """Computes mean errors of a fit (1, T), cm: of joints that were seen, of those that were not, and how it moves."""
+    """Computes mean errors of a fit (1, T), cm: of joints that were seen, of those that were not; how it moves, and how
+    far feet slide where the true ones stand."""
     off = 100 * (motion.positions - scene.truth.positions).norm(dim=-1)
     speed = lambda x: x.positions.diff(n=2, dim=1).norm(dim=-1).mean().item() * motion.fps**2  # noqa: E731
+    feet = motion.skeleton.indices([f"{side}_{part}" for side in gait.SIDES for part in ("ankle", "foot")])
+    steps = [x.positions[..., feet, :] for x in (motion, scene.truth)]
     return {
         "seen joints, cm": off[scene.seen].mean().item(),
         "hidden joints, cm": off[~scene.seen].mean().item() if (~scene.seen).any() else float("nan"),
         "acceleration / truth's": speed(motion) / speed(scene.truth),
+        "slide, mm/frame": gait.slide_where_truth_stands_mm(*steps).mean().item(),
     }
 
 
