@@ -54,7 +54,9 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("--unit", type=_metres, help="of a .bvh: m, cm, mm, inch or metres (default: detected)")
     command.add_argument("--up", choices=("y", "z"), help="of a .bvh: the axis that points up (default: detected)")
     command.add_argument("--standard", action="store_true", help="retarget to the 22 standard joints (always for .npz)")
-    command.add_argument("--body", action="store_true", help="dress the joints in the default body (.glb)")
+    flesh = command.add_mutually_exclusive_group()
+    flesh.add_argument("--body", action="store_true", help="the default body on the 22 joints (of a .glb the default)")
+    flesh.add_argument("--bones", "--no-body", action="store_true", help="a .glb of the file's own joints, no body")
     command.set_defaults(run=_convert)
 
     command = commands.add_parser("fit", help="a motion from the 2-D keypoints of one camera")
@@ -194,8 +196,9 @@ def _convert(options: argparse.Namespace) -> int:
     suffix = options.target.suffix.lower()
     if suffix not in SAVERS:
         raise DataError("cannot write this format", path=options.target, remedy=f"use one of {', '.join(SAVERS)}")
-    if options.body and suffix != ".glb":
-        raise DataError("only a GLB holds a body", path=options.target, remedy="leave out --body")
+    if (options.body or options.bones) and suffix != ".glb":
+        raise DataError("only a GLB holds a body", path=options.target, remedy="leave out --body and --bones")
+    body = suffix == ".glb" and not options.bones
     guided = {key: value for key in ("unit", "up") if (value := getattr(options, key)) is not None}
     if guided and options.source.suffix.lower() != ".bvh":
         raise DataError("its unit and axes are known", path=options.source, remedy="--unit and --up are for .bvh only")
@@ -205,11 +208,11 @@ def _convert(options: argparse.Namespace) -> int:
         found = retarget(motion, proportions="standard", leg=leg)
         motion = found.motion
         print(f"note: AMASS files hold no bone lengths: put on the standard body, {found.scale:.3f} times the size")
-    elif (options.standard or options.body) and motion.skeleton.names != STANDARD.names:
+    elif (options.standard or body) and motion.skeleton.names != STANDARD.names:
         motion = retarget(motion).motion
     if options.fps is not None:
         motion = resample(motion, options.fps)
-    more = {"body": BodyModel.from_anny()} if options.body else {}
+    more = {"body": BodyModel.from_anny()} if body else {}
     import_module(f"motionlab.io.{SAVERS[suffix]}").save(options.target, motion, **more)
     for note in motion.notes:
         print(f"note: {note}")
