@@ -19,13 +19,14 @@ FLOORS = """
     observation retarget humor.cvae diffusion.start diffusion.losses diffusion.masks
     io viz data_synth humor.body_shape humor.energies humor.priors humor.transition
         diffusion.denoiser diffusion.gaussian_guess diffusion.planting diffusion.windows
-    cleaning people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
+    cleaning detect people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
         diffusion.model
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
     corpus splits humor.training humor.unknowns diffusion.pose_completion
     shipped doctor humor.chain_training humor.stages humor.start
     train models humor.shooting
     humor.testops
+    scene_fit scene_report
     fit
     __main__
 """
