@@ -97,7 +97,7 @@ class Task:
 
 
 #: Lean's, from one start and without leaps to other valleys.
-DEFAULT = replace(testops.Schedule.lean(), shooting=Plan(rounds=6, closures=20, tolerance=3e-3, trial=0, leaps=0))
+DEFAULT = replace(testops.Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=2e-3, trial=0, leaps=0))
 QUICK = replace(testops.Schedule.quick(), steps=(2, 4, 3), shooting=Plan(rounds=3, closures=12, trial=0, leaps=0))
 
 

@@ -206,4 +206,4 @@ def strips(people: Sequence[Record], seconds: float) -> str:
 
 def _svg(high: int, parts: Sequence[str]) -> str:
     box = f'viewBox="0 0 {_WIDE} {high}" width="{_WIDE}" height="{high}" font-family="sans-serif" font-size="11"'
-    return f'<svg xmlns="http://www.w3.org/2000/svg" {box}>{"".join(parts)}</svg>'
+    return f"<svg {box}>{''.join(parts)}</svg>"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
+import subprocess
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import imageio.v2 as imageio
+import imageio_ffmpeg
 import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter
@@ -42,14 +44,14 @@ class Video:
                 for frame in wanted:
                     yield self._checked(at, _image(self.images[min(frame, self.frames - 1)]))
                 return
-            with imageio.get_reader(self.path, "ffmpeg") as reader:
-                stream, now, picture = iter(reader), -1, None
-                for frame in wanted:
-                    while now < frame and (following := next(stream, None)) is not None:
-                        picture, now = following, now + 1
-                    if picture is None:
-                        raise at.error("no picture in it")
-                    yield self._checked(at, np.asarray(picture))
+            now, picture, stream = -1, None, _decoded(at, self.size)
+            for frame in wanted:
+                while now < frame and (following := next(stream, None)) is not None:
+                    picture, now = following, now + 1
+                if picture is None:
+                    raise at.error("no picture in it")
+                yield picture
+            stream.close()
 
     def _checked(self, at: Spot, picture: np.ndarray) -> np.ndarray:
         if picture.shape[1::-1] != self.size:
@@ -73,12 +75,41 @@ def open_video(path: str | Path) -> Video:
             return Video(at.path, None, first.shape[1::-1], len(images), images)
         if not at.path.stat().st_size:
             raise at.error("the file is empty")
-        with imageio.get_reader(at.path, "ffmpeg") as reader:
-            fps, first = float(reader.get_meta_data()["fps"]), np.asarray(reader.get_data(0))
-            frames = int(reader.count_frames())
+        try:
+            frames = int(imageio_ffmpeg.count_frames_and_secs(str(at.path))[0])
+        except RuntimeError as error:
+            raise at.error("no video that FFmpeg can read") from error
+        stream = imageio_ffmpeg.read_frames(str(at.path))
+        found = next(stream)
+        stream.close()
+        fps = float(found["fps"])
         if not 0 < fps < 1e4:
             raise at.error(f"{fps:g} frames per second")
-        return Video(at.path, fps, first.shape[1::-1], max(frames, 1))
+        return Video(at.path, fps, tuple(found["size"]), max(frames, 1))
+
+
+def _decoded(at: Spot, size: tuple[int, int]) -> Iterator[np.ndarray]:
+    """All pictures of a video; FFmpeg ends with the generator."""
+    words = [
+        imageio_ffmpeg.get_ffmpeg_exe(),
+        "-v",
+        "error",
+        "-i",
+        str(at.path),
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-",
+    ]
+    shape = (size[1], size[0], 3)
+    quiet = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, **quiet) as process:
+        try:
+            while len(data := process.stdout.read(math.prod(shape))) == math.prod(shape):
+                yield np.frombuffer(data, np.uint8).reshape(shape)
+        finally:
+            process.kill()
 
 
 def _numbered(path: Path) -> tuple[list[int], str]:

@@ -72,6 +72,7 @@ def bodies_over(
 def _edges(scene: Scene, fine: bool) -> None:
     if not fine and not viz.draft:
         scene.plotter.disable_anti_aliasing()
+        scene.plotter.enable_anti_aliasing("msaa", multi_samples=4)
 
 
 def labelled(picture: np.ndarray, text: str) -> np.ndarray:
