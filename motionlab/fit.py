@@ -170,12 +170,16 @@ def open_clip(
     Raises:
         DataError: either cannot be read, or the video is shorter than the keypoints. MissingData: see ``detect.find``.
     """
-    shown = None if video_path is None else video.open_video(video_path)
+    shown, earlier = None if video_path is None else video.open_video(video_path), []
     if keypoints_path is None:
         if shown is None:
             raise MissingData("the keypoints", "Give a video, or --keypoints FILE_OR_FOLDER.")
-        keypoints_path = Path(out or ".") / "keypoints.npz"
-        if not keypoints_path.exists():
+        if out is None:
+            raise DataError("nowhere to keep the keypoints that are found", remedy="name a folder: --out OUT/")
+        keypoints_path = _folder(out) / "keypoints.npz"
+        if keypoints_path.exists():
+            earlier = [f"keypoints of an earlier run: {keypoints_path}; delete it to find them again"]
+        else:
             detect.find(shown, keypoints_path, fps=fps, progress=progress)
     how = {"size": size, "layout": layout}
     if size is None and shown is not None:
@@ -186,7 +190,7 @@ def open_clip(
         if error.place != "fps" or shown is None or shown.fps is None:
             raise
         read = keypoints.load(keypoints_path, fps=shown.fps, **how)
-    notes = list(read.notes)
+    notes = [*earlier, *read.notes]
     size = tuple(round(n) for n in read.size) if read.size else None
     if shown is None:
         return Clip(read, None, 0, size, tuple(notes))
@@ -397,7 +401,7 @@ def _person(k: int, each: int, clip: Clip, fitted: SceneFit, away: Tensor, weigh
         "surprise": surprise if np.isfinite(surprise) else None,
         "doubtful": not (surprise <= SURPRISED and rms <= MISFIT_WIDTH * fitted.camera.width),
         "bounds": {"surprise": SURPRISED, "rms": MISFIT_WIDTH * fitted.camera.width},
-        "acceleration": float(pose.mean_acceleration(motion.positions, motion.fps)),
+        "acceleration": float(pose.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
         "contacts": dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
         "contacts_by_time": {
             name: _spans(motion.contacts[:, n] > 0.5, motion.fps)

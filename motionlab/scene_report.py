@@ -35,7 +35,7 @@ def lines(record: Record) -> list[str]:
         said += [
             f"person {row['id']}: in {100 * row['share']:.0f} % of the frames, {100 * row['detected']:.0f} % of the "
             f"keypoints detected; reprojection {row['pixels']['mean']:.1f} px mean, {row['pixels']['median']:.1f} px "
-            f"median; acceleration {row['acceleration']:.2f} m/s^2",
+            f"median; acceleration {_acceleration(row)}",
             f"  {doubt(row)}",
             "  contacts: " + ", ".join(f"{n.replace('_', ' ')} {100 * c:.0f} %" for n, c in row["contacts"].items()),
             f"  AMASS: {row['amass']['says']}",
@@ -49,6 +49,10 @@ def doubt(row: Record) -> str:
     prior = "no motion prior was used" if surprise is None else f"surprise of the prior {surprise:.2f}"
     text = f"{prior} (up to {bounds['surprise']:g} is usual), missed by {rms:.0f} px rms (up to {bounds['rms']:.0f})"
     return f"doubtful: {text}" if row["doubtful"] else f"no doubts: {text}"
+
+
+def _acceleration(row: Record) -> str:
+    return "unknown" if row["acceleration"] is None else f"{row['acceleration']:.2f} m/s^2"
 
 
 def moving(record: Record) -> str:
@@ -119,7 +123,7 @@ def _person(row: Record) -> str:
         "there": spans,
         "detected": f"{100 * row['detected']:.0f} % of the keypoints",
         "reprojection": f"{row['pixels']['mean']:.1f} px mean, {row['pixels']['median']:.1f} px median",
-        "acceleration": f"{row['acceleration']:.2f} m/s² mean over joints and frames",
+        "acceleration": f"{_acceleration(row)}, mean over joints and frames",
         "feet": f"lowest {row['feet_above_floor_cm']:+.1f} cm from the floor (2 % of the frames are lower)",
         "bones": ", ".join(f"{name} {beta:+.1f}" for name, beta in row["bones"].items()) + " (standard deviations)",
         "files": ", ".join(row["files"].values()),
