@@ -50,7 +50,13 @@ def run(options: argparse.Namespace) -> int:
     """Runs the command, with the options that ``__main__`` reads."""
     names = ("video", "person", "fps", "size", "layout", "camera", "camera_name", "prior", "pose_prior", "initial",
              "pelvis", "solver", "quick")  # fmt: skip
-    record = run_clip(options.keypoints, options.out, progress=True, **{name: getattr(options, name) for name in names})
+    how = {name: getattr(options, name) for name in names}
+    try:
+        record = run_clip(options.keypoints, options.out, progress=True, **how)
+    except KeyboardInterrupt:
+        kept = len(list((options.out / "windows").glob("*.npz")))
+        print(f"\n{kept} windows are kept in {options.out}; the same command goes on from there" if kept else "")
+        raise
     for line in scene_report.lines(record):
         print(line)
     print(f"{options.out}: {', '.join([*record['files'], RESULT])}")
@@ -181,17 +187,19 @@ def open_clip(
             earlier = [f"keypoints of an earlier run: {keypoints_path}; delete it to find them again"]
         else:
             detect.find(shown, keypoints_path, fps=fps, progress=progress)
-    how = {"size": size, "layout": layout}
-    if size is None and shown is not None:
-        how["size"] = shown.size
-    try:
-        read = keypoints.load(keypoints_path, fps=fps, **how)
-    except DataError as error:
-        if error.place != "fps" or shown is None or shown.fps is None:
-            raise
-        read = keypoints.load(keypoints_path, fps=shown.fps, **how)
+    how = {"fps": fps, "size": size, "layout": layout}
+    for _ in how:
+        try:
+            read = keypoints.load(keypoints_path, **how)
+            break
+        except DataError as error:  # what the file does not say, the video may
+            known = None if shown is None or error.place not in ("fps", "size") else getattr(shown, error.place)
+            if known is None or how[error.place] is not None:
+                raise
+            how[error.place] = known
     notes = [*earlier, *read.notes]
-    size = tuple(round(n) for n in read.size) if read.size else None
+    size = read.size or (shown and shown.size)
+    size = size and (round(size[0]), round(size[1]))
     if shown is None:
         return Clip(read, None, 0, size, tuple(notes))
     rate = shown.fps or read.fps
@@ -259,7 +267,7 @@ def _drift(clip: Clip) -> np.ndarray:
     """How far the background moved (N,), shares of the image's width; see ``video.background_drift``."""
     step = max(1, round(clip.rate / 2), clip.count // _SAMPLES)
     frames = range(0, clip.count, step)
-    pictures = list(clip.video.pictures([clip.first + frame for frame in frames]))
+    pictures = clip.video.pictures([clip.first + frame for frame in frames])
     boxes: list[list[tuple[float, ...]]] = []
     scale = clip.video.size[0] / clip.size[0] if clip.size else 1.0
     for frame in frames:

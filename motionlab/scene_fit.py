@@ -209,7 +209,8 @@ def _key(part: Observation2D, camera: Camera, task: Task) -> str:
     """A name for a window: what goes into its fit."""
     content = hashlib.sha256()
     tensors = (part.keypoints, part.confidence, camera.intrinsics, camera.rotation, camera.translation)
-    for tensor in (*tensors, *task.priors.motion.parameters()):
+    networks = (task.priors.motion, task.priors.pose)
+    for tensor in (*tensors, *(weight for network in networks for weight in network.parameters())):
         content.update(tensor.detach().cpu().contiguous().numpy().tobytes())
     content.update(repr((task.schedule, task.solver, task.size)).encode())
     return content.hexdigest()[:16]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -121,7 +121,7 @@ def _image(path: Path) -> np.ndarray:
         return np.asarray(picture.convert("RGB"))
 
 
-def background_drift(pictures: Sequence[np.ndarray], boxes: Sequence[Sequence[Sequence[float]]]) -> np.ndarray:
+def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Sequence[float]]]) -> np.ndarray:
     """Computes how far the background moved since the first picture (N,), shares of the width; NaN where untold.
 
     By phase correlation of neighbouring pictures, people left out. A camera that turns or travels shows; one that
@@ -133,12 +133,14 @@ def background_drift(pictures: Sequence[np.ndarray], boxes: Sequence[Sequence[Se
 
     Source: Kuglin and Hines 1975.
     """
-    small = [_small(picture) for picture in pictures]
-    away, found = np.zeros(2), [0.0]
+    small, away, found = [], np.zeros(2), [0.0]
+    for picture in pictures:
+        small.append(_small(picture))
+        shape = picture.shape
     for k in range(1, len(small)):
         mask = np.ones(small[0].shape)
         for n in (k - 1, k):
-            _leave_out(mask, boxes[n], pictures[n].shape)
+            _leave_out(mask, boxes[n], shape)
         step = _shift(small[k - 1], small[k], gaussian_filter(mask, 2.0) * mask)
         told = np.isfinite(step).all()
         away = away + step if told else away
