@@ -17,8 +17,9 @@ from motionlab import fit, scene_fit
 from motionlab.__main__ import main
 from motionlab.checkpoint import SHIPPED
 from motionlab.errors import DataError
-from motionlab.humor import body_shape, pretrained, stages, testops
+from motionlab.humor import body_shape, pretrained, testops
 from motionlab.humor.energies import RGB, RGB_LIGHT
+from motionlab.humor.shooting import feedback_solver
 from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.io import amass, bvh, gltf, video
 from motionlab.io.cameras import load_camera
@@ -148,7 +149,7 @@ def test_the_fast_solver_unless_the_original_schedule_is_asked_for(
 
 
 def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monkeypatch):
-    calls, terms = [], stages.motion_terms
+    calls, terms = [], feedback_solver.rolled_terms
 
     def interrupted(*arguments, **options):
         calls.append(1)
@@ -156,13 +157,13 @@ def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monk
             signal.raise_signal(signal.SIGINT)
         return terms(*arguments, **options)
 
-    monkeypatch.setattr(stages, "motion_terms", interrupted)
+    monkeypatch.setattr(feedback_solver, "rolled_terms", interrupted)
     out = tmp_path / "out"
     assert run("--keypoints", keypoints, "--fps", 30, "--out", out, "--quick") == 0
     assert amass.load(out / "motion.npz").frames == FRAMES
-    assert "interrupted" in capsys.readouterr().out
+    assert "the best so far" in capsys.readouterr().out
     assert record(out)["stopped"] and not fit.finished(out)
-    assert len(calls) < 14
+    assert len(calls) < 10
 
 
 def test_priors_from_files(tmp_path, keypoints, capsys, monkeypatch, few):
@@ -292,7 +293,7 @@ BAD = {
     "empty folder": (lambda folder, at: folder.mkdir(), "frame"),
     "no folder": (lambda folder, at: None, "no such file"),
     "nobody": (nobody, "nobody was detected"),
-    "nothing that is used": (only_hips, "no keypoint that a fit uses"),
+    "nothing that is used": (only_hips, "no frame shows 4 keypoints"),
     "one frame": (lambda folder, at: write_json(folder, at.keypoints[:1], at.confidence[:1]), "one frame"),
 }
 
