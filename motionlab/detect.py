@@ -18,7 +18,7 @@ from motionlab.io.layouts import HALPE_26
 from motionlab.io.video import Video
 
 #: (H, W, 3) uint8, blue first -> points (P, 26, 2) in pixels and scores (P, 26) of the people in it.
-Finder = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+_Finder = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 _LOWEST = 0.3  # score from which RTMPose draws a point
 _OTHERWISE = (
     "Run a 2-D pose detector yourself and give what it wrote with --keypoints: OpenPose "
@@ -29,7 +29,7 @@ _OTHERWISE = (
 )
 
 
-def rtmpose(mode: str = "balanced") -> Finder:
+def _rtmpose(mode: str = "balanced") -> _Finder:
     """Loads RTMPose with its detector of people; mode: lightweight, balanced or performance.
 
     Raises:
@@ -49,21 +49,22 @@ def rtmpose(mode: str = "balanced") -> Finder:
 
 
 def find(
-    video: Video, path: str | Path, *, finder: Finder | None = None, fps: float | None = None, progress: bool = False
+    video: Video, path: str | Path, *, finder: _Finder | None = None, fps: float | None = None, progress: bool = False
 ) -> None:
     """Finds the keypoints of everybody in a video and writes them as npz, as ``io.keypoints`` reads it.
 
     Args:
-        finder: what finds them in one picture; default ``rtmpose()``.
+        finder: what finds them in one picture; default RTMPose's.
         fps: of a folder of images.
 
     Raises:
-        MissingData: see ``rtmpose``. DataError: no frame rate, or nobody in any frame. ShapeError: another layout.
+        MissingData: rtmlib is not installed, or its weights are not here and cannot be fetched.
+        DataError: no frame rate, or nobody in any frame. ShapeError: another layout.
     """
     fps = fps or video.fps
     if fps is None:
         raise DataError("images hold no frames per second", path=video.path, remedy="pass fps=, or --fps")
-    finder, frames = finder or rtmpose(), []
+    finder, frames = finder or _rtmpose(), []
     pictures = tqdm(video.pictures(range(video.frames)), total=video.frames, unit="frame", disable=not progress)
     for picture in pictures:
         points, scores = (np.asarray(x, float) for x in finder(np.ascontiguousarray(picture[..., ::-1])))

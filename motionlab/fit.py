@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def finished(out: str | Path) -> bool:
+def is_finished(out: str | Path) -> bool:
     """Says whether ``run_clip`` has written a folder, to the end and without having been stopped."""
     try:
         return not json.loads((Path(out) / RESULT).read_text(encoding="utf-8"))["stopped"]
@@ -120,8 +120,7 @@ def run_clip(
         motion=prior, pose=pose_prior, initial=initial, pelvis=None if pelvis is None else tuple(pelvis)
     )
     windows = out / "windows"
-    task = Task(priors, given, placed, clip.size, solver, quick, windows, progress)
-    fitted = fit_people(seen, task)
+    fitted = fit_people(seen, Task(priors, given, placed, clip.size, solver, quick, windows, progress))
     drift = None if clip.video is None else _drift(clip)
     record = _record(clip, ids, fitted, drift, given is not None, placed)
     record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped}
@@ -256,11 +255,9 @@ def _check_image(camera: Camera, seen: Observation2D, path: Path) -> None:
     outside = ((seen.keypoints < 0) | (seen.keypoints > size)).any(-1) & (seen.confidence > 0)
     share = float(outside.sum() / (seen.confidence > 0).sum())
     if share > _OUTSIDE:
-        raise DataError(
-            f"{100 * share:.0f} % of the detections lie outside its image of {camera.width} x {camera.height}",
-            path=path,
-            remedy="give the camera that took these images, at the same resolution (see --camera-name)",
-        )
+        message = f"{share:.0%} of the detections lie outside its image of {camera.width} x {camera.height}"
+        remedy = "give the camera that took these images, at the same resolution (see --camera-name)"
+        raise DataError(message, path=path, remedy=remedy)
 
 
 def _drift(clip: Clip) -> np.ndarray:
@@ -389,8 +386,7 @@ def _record(
 def _person(k: int, each: int, clip: Clip, fitted: SceneFit, away: Tensor, weight: Tensor) -> dict[str, object]:
     """The row of one person; away, weight (T, 25) as ``pixel_distances`` gives them."""
     motion, shown, seen = fitted.motions[k], fitted.shown[k], weight > 0
-    rms = float(away[seen].square().mean().sqrt())
-    surprise = float(fitted.surprise[k])
+    rms, surprise = float(away[seen].square().mean().sqrt()), float(fitted.surprise[k])
     contacts = motion.contacts[shown].mean(0).tolist()
     used = [n for n in range(len(BODY_25)) if n not in UNUSED_BODY_25]
     by_time = [float(a[s].median()) if s.any() else None for a, s in zip(away, seen, strict=True)]

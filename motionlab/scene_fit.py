@@ -85,8 +85,8 @@ class Task:
     def schedule(self) -> testops.Schedule | None:
         """The work of a fit; None is the official configuration."""
         if self.quick:
-            return QUICK
-        return DEFAULT if self.solver == "shooting" else None
+            return QUICK_WORK
+        return FULL_WORK if self.solver == "shooting" else None
 
     def fit(self, seen: Observation2D, camera: Camera | None, floor: str | None, **how) -> testops.Fitted:
         """Fits a batch under one camera."""
@@ -97,8 +97,8 @@ class Task:
 
 
 #: Lean's, from one start and without leaps to other valleys.
-DEFAULT = replace(testops.Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=2e-3, trial=0, leaps=0))
-QUICK = replace(testops.Schedule.quick(), steps=(2, 4, 3), shooting=Plan(rounds=3, closures=12, trial=0, leaps=0))
+FULL_WORK = replace(testops.Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=2e-3, trial=0, leaps=0))
+QUICK_WORK = replace(testops.Schedule.quick(), steps=(2, 4, 3), shooting=Plan(rounds=3, closures=12, trial=0, leaps=0))
 
 
 def fit_people(seen: Observation2D, task: Task) -> SceneFit:
@@ -180,7 +180,7 @@ def _common_camera(seen: Observation2D, enough: Tensor, task: Task) -> tuple[Cam
     who = enough[:, span].any(-1).nonzero()[:, 0].tolist()[:TOGETHER]
     part = _cut(seen, who, span)
     floor = None if task.camera is None else "guess"
-    fitted = task.fit(part, task.camera, floor, schedule=QUICK, solver="shooting")
+    fitted = task.fit(part, task.camera, floor, schedule=QUICK_WORK, solver="shooting")
     if fitted.stopped:
         raise KeyboardInterrupt
     weight = part.confidence[..., _USED].sum((1, 2)) / (1 + fitted.doubts.misfit.nan_to_num(1e6))

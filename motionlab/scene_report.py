@@ -29,21 +29,21 @@ def lines(record: Record) -> list[str]:
     said += [
         f"energy: {sum(energy.values()):.1f} ({', '.join(f'{name} {value:.1f}' for name, value in terms)})",
         f"search ended: {_runs(record['ended'])}" + (" (stopped: the best so far)" if record["stopped"] else ""),
-        f"camera {record['camera']['source']}; {moving(record)}",
+        f"camera {record['camera']['source']}; {_moving(record)}",
     ]
     for row in record["people"]:
         said += [
             f"person {row['id']}: in {100 * row['share']:.0f} % of the frames, {100 * row['detected']:.0f} % of the "
             f"keypoints detected; reprojection {row['pixels']['mean']:.1f} px mean, {row['pixels']['median']:.1f} px "
             f"median; acceleration {_acceleration(row)}",
-            f"  {doubt(row)}",
+            f"  {_doubt(row)}",
             "  contacts: " + ", ".join(f"{n.replace('_', ' ')} {100 * c:.0f} %" for n, c in row["contacts"].items()),
             f"  AMASS: {row['amass']['says']}",
         ]
     return said
 
 
-def doubt(row: Record) -> str:
+def _doubt(row: Record) -> str:
     """Says whether a person's fit is to be doubted, and why."""
     surprise, rms, bounds = row["surprise"], row["pixels"]["rms"], row["bounds"]
     prior = "no motion prior was used" if surprise is None else f"surprise of the prior {surprise:.2f}"
@@ -55,7 +55,7 @@ def _acceleration(row: Record) -> str:
     return "unknown" if row["acceleration"] is None else f"{row['acceleration']:.2f} m/s^2"
 
 
-def moving(record: Record) -> str:
+def _moving(record: Record) -> str:
     """Says whether the camera, which is assumed not to move, moved."""
     found = record["moving_camera"]
     if found["moved"] is None:
@@ -88,7 +88,7 @@ def page(record: Record, poster: bytes = b"") -> str:
         else f"{footage['path']}: {footage['frames']} frames at "
         f"{footage['fps']:g} per second, {footage['size'][0]} x {footage['size'][1]} pixels",
         "camera": f"{record['camera']['source']}: focal length {focal:.0f} px, image of {record['camera']['width']} x "
-        f"{record['camera']['height']}; {moving(record)}",
+        f"{record['camera']['height']}; {_moving(record)}",
         "fit": f"solver {record['solver']}{', quick' if record['quick'] else ''}, {record['frames']} frames at "
         f"{record['fps']:g} per second in {record['windows']} window(s); search ended: {_runs(record['ended'])}",
     }
@@ -108,9 +108,9 @@ def page(record: Record, poster: bytes = b"") -> str:
         *(_person(row) for row in people),
         "<h2>Distance from the detections</h2>",
         "<p>Median over the keypoints of a frame, pixels. A gap: nothing was seen.</p>",
-        chart([row["pixels"]["by_time"] for row in people], record["fps"], [f"person {row['id']}" for row in people]),
+        _chart([row["pixels"]["by_time"] for row in people], record["fps"], [f"person {row['id']}" for row in people]),
         "<h2>By joint</h2>", _table(_joints(people)),
-        "<h2>Contacts with the floor</h2>", strips(people, record["frames"] / record["fps"]),
+        "<h2>Contacts with the floor</h2>", _strips(people, record["frames"] / record["fps"]),
         "<h2>Notes</h2><ul>", *(f"<li>{escape(note)}</li>" for note in record["notes"]), "</ul>",
         "</body></html>",
     ])  # fmt: skip
@@ -129,7 +129,7 @@ def _person(row: Record) -> str:
         "files": ", ".join(row["files"].values()),
         "AMASS": f"{row['amass']['says']}. betas: {row['amass']['betas']}",
     }
-    head = f"<h3>Person {row['id']}</h3><p{doubted}>{escape(doubt(row))}</p>"
+    head = f"<h3>Person {row['id']}</h3><p{doubted}>{escape(_doubt(row))}</p>"
     return head + _table([{"": key, " ": text} for key, text in facts.items()])
 
 
@@ -158,7 +158,7 @@ def _class(value: object) -> str:
     return " class=n" if str(value).replace(".", "", 1).lstrip("+-").isdigit() else ""
 
 
-def chart(curves: Sequence[Sequence[float | None]], fps: float, names: Sequence[str]) -> str:
+def _chart(curves: Sequence[Sequence[float | None]], fps: float, names: Sequence[str]) -> str:
     """Draws curves over time as SVG; None is a gap."""
     top = max((v for curve in curves for v in curve if v is not None), default=1.0) or 1.0
     count = max(2, *(len(curve) for curve in curves))
@@ -192,7 +192,7 @@ def chart(curves: Sequence[Sequence[float | None]], fps: float, names: Sequence[
     return _svg(_HIGH, parts)
 
 
-def strips(people: Sequence[Record], seconds: float) -> str:
+def _strips(people: Sequence[Record], seconds: float) -> str:
     """Draws when the feet of each person touch the floor, a line each, as SVG."""
     parts, row = [], 0
     for k, person in enumerate(people):

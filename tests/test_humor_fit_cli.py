@@ -78,14 +78,14 @@ def record(out: Path) -> dict:
 def few(monkeypatch) -> None:
     """Quick fits of even fewer steps."""
     plan = Plan(rounds=1, closures=3, leaps=0, trial=0)
-    monkeypatch.setattr(scene_fit, "QUICK", testops.Schedule(steps=(1, 1, 1), inner=4, shooting=plan))
+    monkeypatch.setattr(scene_fit, "QUICK_WORK", testops.Schedule(steps=(1, 1, 1), inner=4, shooting=plan))
 
 
 def test_everything_is_written_and_said(tmp_path, keypoints, capsys):
     out, camera = tmp_path / "out", write_camera(tmp_path / "camera.json")
     assert run("--keypoints", keypoints, "--fps", 30, "--camera", camera, "--out", out, "--quick") == 0
     files = {"motion.npz", "motion.bvh", "scene.glb", "overlay.mp4", "report.html", "fit.json"}
-    assert {path.name for path in out.iterdir()} == files and fit.finished(out)
+    assert {path.name for path in out.iterdir()} == files and fit.is_finished(out)
     motions = [amass.load(out / "motion.npz"), bvh.load(out / "motion.bvh"), gltf.load(out / "scene.glb")]
     assert [m.frames for m in motions] == [FRAMES] * 3
     where = [m.positions[:, m.skeleton.indices(list(STANDARD.names))] for m in motions[1:]]
@@ -140,7 +140,7 @@ def test_the_fast_solver_unless_the_original_schedule_is_asked_for(
 
     monkeypatch.setattr(testops, "_Track", Track)
     assert run("--keypoints", keypoints, "--fps", 30, "--out", tmp_path / "out", *words) == 0
-    lean, official = scene_fit.DEFAULT, testops.Schedule.official(keypoints=True)
+    lean, official = scene_fit.FULL_WORK, testops.Schedule.official(keypoints=True)
     assert asked == {
         "mode": mode, "weights": weights, "solver": solver, "schedule": lean if mode == "lean" else official
     }  # fmt: skip
@@ -162,7 +162,7 @@ def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monk
     assert run("--keypoints", keypoints, "--fps", 30, "--out", out, "--quick") == 0
     assert amass.load(out / "motion.npz").frames == FRAMES
     assert "the best so far" in capsys.readouterr().out
-    assert record(out)["stopped"] and not fit.finished(out)
+    assert record(out)["stopped"] and not fit.is_finished(out)
     assert len(calls) < 10
 
 
@@ -243,7 +243,9 @@ def test_a_long_clip_stopped_in_the_middle_goes_on(tmp_path, short_windows, few,
     monkeypatch.setattr(testops, "fit", counted)
     assert run(*common, out) == 130
     assert (
-        not fit.finished(out) and len(list((out / "windows").iterdir())) == 1 and {*out.iterdir()} == {out / "windows"}
+        not fit.is_finished(out)
+        and len(list((out / "windows").iterdir())) == 1
+        and {*out.iterdir()} == {out / "windows"}
     )
     calls[:] = [1] * 4
     assert run(*common, out) == 0 and len(calls) == 4 + 3  # the camera and two windows

@@ -50,7 +50,7 @@ def desk(tmp_path_factory) -> Path:
 
 def test_every_command_of_the_page_runs(desk, monkeypatch, capsys):
     plan = Plan(rounds=1, closures=2, leaps=0, trial=0)
-    monkeypatch.setattr(scene_fit, "QUICK", testops.Schedule(steps=(1, 1, 1), inner=3, shooting=plan))
+    monkeypatch.setattr(scene_fit, "QUICK_WORK", testops.Schedule(steps=(1, 1, 1), inner=3, shooting=plan))
     monkeypatch.setitem(sys.modules, "rtmlib", None)  # as where the extra is not installed
     monkeypatch.chdir(desk)
     assert len(COMMANDS) == 7
