@@ -80,9 +80,9 @@ def test_people_of_every_frame_are_kept_in_pixels(tmp_path, video):
         bright = np.argwhere(picture[..., 0] > 0)
         if not len(bright):
             return np.zeros((0, 26, 2)), np.zeros((0, 26))
-        ramp = np.arange(26)[:, None] + np.array([[0.0, 0.0]])
+        ramp = np.arange(26)[:, None] * np.array([[4.0, 6.0]])  # as large as a person
         scores = np.stack((np.full(26, 0.9), np.where(np.arange(26) < 5, 0.1, 0.8)))
-        return np.stack((bright[0][::-1] + ramp, bright[0][::-1] + ramp + 60)), scores
+        return np.stack((bright[0][::-1] + ramp, bright[0][::-1] + ramp + 300)), scores
 
     detect.find(video, tmp_path / "keypoints.npz", finder=two)
     found = keypoints.load(tmp_path / "keypoints.npz")
