@@ -113,7 +113,8 @@ def over_footage(
     below = (as_camera(p, camera, size) for p in pictures) if pictures is not None else (paper for _ in frames)
     how = {"roles": roles, "shown": shown, "fine": False}
     right = camera.rotation[0]
-    with Scene((max(320, 2 * round(0.4 * size[1])), size[1]), azimuth=_degrees(right)) as side:
+    title, wide = ("from the camera's right",), max(320, 2 * round(0.4 * size[1]))
+    with Scene((wide, size[1]), panels=title, azimuth=_degrees(right)) as side:
         _edges(side, fine=False)
         side.floor()
         for k, (motion, role) in enumerate(zip(motions, roles, strict=True)):
@@ -124,9 +125,7 @@ def over_footage(
                 for person, role in zip(seen, roles, strict=False):
                     front = _dotted(front, person, frame, size[0] / camera.width, role)
                 text = "over the footage" if pictures is not None else "through the camera"
-                picture = np.concatenate(
-                    (labelled(front, text), labelled(side.image(frame / fps), "from the camera's right")), 1
-                )
+                picture = np.concatenate((labelled(front, text), side.image(frame / fps)), 1)
                 film.append_data(picture)
                 poster = picture if poster is None or frame == count // 2 else poster
     return Film(Path(path), count, fps, count / fps, 1.0, Path(path).stat().st_size, jpeg(poster))
