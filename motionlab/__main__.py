@@ -54,25 +54,31 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("--unit", type=_metres, help="of a .bvh: m, cm, mm, inch or metres (default: detected)")
     command.add_argument("--up", choices=("y", "z"), help="of a .bvh: the axis that points up (default: detected)")
     command.add_argument("--standard", action="store_true", help="retarget to the 22 standard joints (always for .npz)")
-    command.add_argument("--body", action="store_true", help="dress the joints in the default body (.glb)")
+    flesh = command.add_mutually_exclusive_group()
+    flesh.add_argument("--body", action="store_true", help="the default body on the 22 joints (of a .glb the default)")
+    flesh.add_argument("--bones", "--no-body", action="store_true", help="a .glb of the file's own joints, no body")
     command.set_defaults(run=_convert)
 
-    command = commands.add_parser("fit", help="a motion from the 2-D keypoints of one camera")
-    command.add_argument("--keypoints", type=Path, required=True, metavar="DIR", help="OpenPose JSON, a file per frame")
-    command.add_argument("--out", type=Path, required=True, metavar="OUT.npz", help="the motion as AMASS")
+    command = commands.add_parser("fit", help="from a video and its 2-D keypoints to a scene")
+    command.add_argument("video", nargs="?", type=Path, help="a video, or a folder of images; without it: on paper")
+    command.add_argument(
+        "--keypoints", type=Path, metavar="PATH",
+        help="what a 2-D pose detector wrote, told by content: a file, or a folder with a file per frame "
+        "(default: found in the video, needs motionlab[detect])",
+    )  # fmt: skip
+    command.add_argument("--out", type=Path, metavar="FOLDER/", help="gets motion, scene, film and report")
+    command.add_argument("--people", action="store_true", help="list who was seen, and stop")
+    command.add_argument(
+        "--person", nargs="+", default=["longest"], metavar="ID", help="longest, largest, all, or ids (see --people)"
+    )
+    command.add_argument("--size", type=_size, metavar="WxH", help="of the image, where no file says it, in pixels")
+    command.add_argument("--fps", type=float, help="of the keypoints, where neither they nor the video say it")
+    command.add_argument("--layout", help="of the keypoints, where it is not told: BODY_25, COCO_17, HALPE_26, ...")
     command.add_argument(
         "--camera", type=Path, metavar="FILE", help='Qualisys XML, Captury .calib, or JSON: "intrinsics" (3x3, px), '
         '"width", "height"; if known "rotation" (3x3) and "translation" from the world, z up, floor z = 0'
     )  # fmt: skip
-    command.add_argument("--camera-name", help="which of the file's cameras (default: by the number in DIR's name)")
-    command.add_argument("--fps", type=float, default=30.0, help="of the keypoints, which do not store it (default 30)")
-    command.add_argument("--layout", help="of the keypoints: BODY_25, BODY_25B, COCO_17, COCO_18 (default: detected)")
-    command.add_argument("--person", default="longest", help="longest, largest, or a place in the list of people")
-    command.add_argument("--bvh", type=Path, help="the motion on the fitted bones")
-    command.add_argument("--glb", type=Path, help="the same, for a 3-D viewer")
-    command.add_argument(
-        "--video", nargs="?", const="", metavar="IMAGES", help="OUT.gif: the fit over a folder of images, or on grey"
-    )
+    command.add_argument("--camera-name", help="which of the file's cameras (default: by the number in PATH's name)")
     command.add_argument("--prior", type=Path, metavar="FILE", help="of motion: an official HuMoR .pth, or your own")
     command.add_argument("--pose-prior", type=Path, metavar="FILE", help="a VPoser snapshot, or your own")
     command.add_argument("--initial", type=Path, metavar="FILE", help="of first states: official .npz, or your own")
@@ -84,7 +90,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
         "--solver", choices=("shooting", "rollout"), default="shooting",
         help="of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more",
     )  # fmt: skip
-    command.add_argument("--quick", action="store_true", help="few steps: a first look")
+    command.add_argument("--quick", action="store_true", help="few steps, a small film: a first look")
     command.set_defaults(run=_fit)
 
     command = commands.add_parser("prepare", help="recordings into training motion: what is kept, what is cut and why")
@@ -194,8 +200,9 @@ def _convert(options: argparse.Namespace) -> int:
     suffix = options.target.suffix.lower()
     if suffix not in SAVERS:
         raise DataError("cannot write this format", path=options.target, remedy=f"use one of {', '.join(SAVERS)}")
-    if options.body and suffix != ".glb":
-        raise DataError("only a GLB holds a body", path=options.target, remedy="leave out --body")
+    if (options.body or options.bones) and suffix != ".glb":
+        raise DataError("only a GLB holds a body", path=options.target, remedy="leave out --body and --bones")
+    body = suffix == ".glb" and not options.bones
     guided = {key: value for key in ("unit", "up") if (value := getattr(options, key)) is not None}
     if guided and options.source.suffix.lower() != ".bvh":
         raise DataError("its unit and axes are known", path=options.source, remedy="--unit and --up are for .bvh only")
@@ -205,11 +212,11 @@ def _convert(options: argparse.Namespace) -> int:
         found = retarget(motion, proportions="standard", leg=leg)
         motion = found.motion
         print(f"note: AMASS files hold no bone lengths: put on the standard body, {found.scale:.3f} times the size")
-    elif (options.standard or options.body) and motion.skeleton.names != STANDARD.names:
+    elif (options.standard or body) and motion.skeleton.names != STANDARD.names:
         motion = retarget(motion).motion
     if options.fps is not None:
         motion = resample(motion, options.fps)
-    more = {"body": BodyModel.from_anny()} if options.body else {}
+    more = {"body": BodyModel.from_anny()} if body else {}
     import_module(f"motionlab.io.{SAVERS[suffix]}").save(options.target, motion, **more)
     for note in motion.notes:
         print(f"note: {note}")
@@ -236,10 +243,27 @@ def _has_standard_bones(skeleton: Skeleton) -> bool:
     return skeleton.names == STANDARD.names and bool((skeleton.offsets - STANDARD.offsets)[1:].abs().max() < 1e-4)
 
 
+def _size(text: str) -> tuple[int, int]:
+    """An image size such as 1280x720."""
+    sides = text.lower().split("x")
+    if len(sides) != 2 or not all(side.isdecimal() and 0 < int(side) < 100_000 for side in sides):
+        raise argparse.ArgumentTypeError(f"expected width x height in pixels, such as 1280x720, got {text!r}")
+    return int(sides[0]), int(sides[1])
+
+
 def _fit(options: argparse.Namespace) -> int:
     from motionlab import fit
 
-    return fit.run(options)
+    if options.out is None and not options.people:
+        raise DataError("nowhere to write to", place="--out", remedy="name a folder: --out OUT/")
+    if not options.people:
+        return fit.run(options)
+    how = {name: getattr(options, name) for name in ("out", "fps", "size", "layout")}
+    clip = fit.open_clip(options.keypoints, options.video, progress=True, **how)
+    print(text_table(clip.footage.table()))
+    for note in clip.notes:
+        print(f"note: {note}")
+    return 0
 
 
 if __name__ == "__main__":

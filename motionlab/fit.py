@@ -1,92 +1,253 @@
-"""``python -m motionlab fit``: a motion from the keypoints of one camera, by HuMoR's test-time optimisation."""
+"""``python -m motionlab fit``: from a video and its keypoints to a scene, by HuMoR's test-time optimisation.
+
+``run_clip`` does one clip: motions as BVH and AMASS, the skinned people as one GLB, a film of them over the footage,
+and a report. ``fit.json`` is written last: a folder that has it is finished.
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
+import shutil
+import tempfile
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
-from motionlab.errors import DataError
-from motionlab.humor import body_shape, pretrained, testops
+from motionlab import detect, scene_report
+from motionlab.body import BodyModel
+from motionlab.errors import DataError, MissingData
+from motionlab.humor import body_shape, pretrained
 from motionlab.humor.energies import UNUSED_BODY_25
-from motionlab.humor.testops import Fitted
-from motionlab.io import amass, bvh, gltf, openpose
+from motionlab.humor.testops import MISFIT_WIDTH, SURPRISED
+from motionlab.io import amass, bvh, gltf, keypoints, video
 from motionlab.io.cameras import load_camera
+from motionlab.io.keypoints import Footage
 from motionlab.io.layouts import to_body_25
-from motionlab.io.reading import reading
+from motionlab.io.video import Video
 from motionlab.metrics import pose
-from motionlab.motion import Motion
+from motionlab.motion import Motion, resample
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate, project
-from motionlab.skeleton import STANDARD
-from motionlab.viz.movie import overlay, write_film
+from motionlab.retarget import retarget
+from motionlab.scene_fit import SceneFit, Task, fit_people
+from motionlab.skeleton import BALLS, FEET, STANDARD
+from motionlab.viz import footage as film
 
-_PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
-_FILM = 12.0  # frames per second of the overlay, at most
-_MODES = {"shooting": "lean", "rollout": "official"}  # of a fit by each solver: with rollout all of it is the original
+RESULT = "fit.json"
 _OUTSIDE = 0.2  # share of detections outside the image from which a camera does not fit
+_ROLES = ("ours", "baseline", "6d", "axis-angle", "quaternion", "synthetic", "stage2", "stage3")
+_SMALL = 320 * 240  # pixels of the film of a quick fit
+_SAMPLES = 60  # pictures in which the background is compared, half a second or more apart
+_LEG = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
 
 
 def run(options: argparse.Namespace) -> int:
     """Runs the command, with the options that ``__main__`` reads."""
-    for path, suffix in ((options.out, ".npz"), (options.bvh, ".bvh"), (options.glb, ".glb")):
-        _check_target(path, suffix)
-    seen, first, floor = _observation(options)
-    known = pretrained.load_priors(
-        motion=options.prior,
-        pose=options.pose_prior,
-        initial=options.initial,
-        pelvis=None if options.pelvis is None else tuple(options.pelvis),
-    )
-    pictures = None if options.video is None else _pictures(options.video, first, seen, options.fps)
-    schedule = testops.Schedule.quick() if options.quick else None  # the mode's own
-    print(f"{seen.name}: {seen.frames} frames at 30 fps; Ctrl-C keeps the best so far")
-    size = pictures[0].size if pictures else None
-    how = {"mode": _MODES[options.solver], "solver": options.solver, "schedule": schedule, "floor": floor, "size": size}
-    fitted = testops.fit(seen, known, progress=True, **how)
-    motion = fitted.motion.clip(0)
-    for line in _report(fitted, seen).lines():
+    names = ("video", "person", "fps", "size", "layout", "camera", "camera_name", "prior", "pose_prior", "initial",
+             "pelvis", "solver", "quick")  # fmt: skip
+    how = {name: getattr(options, name) for name in names}
+    try:
+        record = run_clip(options.keypoints, options.out, progress=True, **how)
+    except KeyboardInterrupt:
+        kept = len(list((options.out / "windows").glob("*.npz")))
+        print(f"\n{kept} windows are kept in {options.out}; the same command goes on from there" if kept else "")
+        raise
+    for line in scene_report.lines(record):
         print(line)
-    _write(options, motion)
-    if pictures is not None:
-        _film(options.out.with_suffix(".gif"), fitted, pictures)
+    print(f"{options.out}: {', '.join([*record['files'], RESULT])}")
     return 0
 
 
-def _observation(options: argparse.Namespace) -> tuple[Observation2D, int, str | None]:
-    """The keypoints in BODY_25's order at 30 fps with their camera, the number of the first frame, and what is known
-    of the floor ("guess": nothing, though there is a camera; see ``testops.fit``).
+def is_finished(out: str | Path) -> bool:
+    """Says whether ``run_clip`` has written a folder, to the end and without having been stopped."""
+    try:
+        return not json.loads((Path(out) / RESULT).read_text(encoding="utf-8"))["stopped"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def run_clip(
+    keypoints: str | Path | None,
+    out: str | Path,
+    *,
+    video: str | Path | None = None,
+    person: str | int | Sequence[str | int] = "longest",
+    fps: float | None = None,
+    size: tuple[int, int] | None = None,
+    layout: str | None = None,
+    camera: str | Path | None = None,
+    camera_name: str | None = None,
+    prior: str | Path | None = None,
+    pose_prior: str | Path | None = None,
+    initial: str | Path | None = None,
+    pelvis: Sequence[float] | None = None,
+    solver: str = "shooting",
+    quick: bool = False,
+    progress: bool = False,
+) -> dict[str, object]:
+    """Fits the people of one clip and writes a folder: all of it, or nothing new. Returns what ``fit.json`` says.
+
+    Ctrl-C keeps the best so far of a clip of up to 6 s, and says so; of a longer one the windows that are done are
+    kept in the folder, and the same call goes on from there.
+
+    Args:
+        keypoints: what a 2-D pose detector wrote, see ``io.keypoints``; None: found in the video, see ``detect``.
+        out: folder to write, made if it is not there.
+        video: a video or a folder of images; None draws on paper.
+        person: "longest", "largest", "all", an id, or several ids.
+        fps, size, layout: of the keypoints; where neither they nor the video say it.
+        camera, camera_name: see ``io.cameras.load_camera``; without one a level camera is assumed.
+        prior, pose_prior, initial, pelvis: see ``humor.pretrained.load_priors``.
+        solver: "shooting", or "rollout" for the original's schedule.
 
     Raises:
-        DataError: nobody, one frame, nothing that a fit uses, or a camera of another image.
+        DataError: something cannot be read, used or written. MissingData: no keypoints, and no detector.
+        KeyboardInterrupt: stopped, and not finished.
     """
-    person = int(options.person) if options.person.isdigit() else options.person
-    seen = openpose.load(options.keypoints, fps=options.fps, layout=options.layout, person=person)
-    first = int(seen.name.rsplit(" ", 1)[-1])
-    seen = at_rate(to_body_25(seen, midpoints=True))
+    began, out = time.perf_counter(), _folder(out)
+    clip = open_clip(keypoints, video, out=out, fps=fps, size=size, layout=layout, progress=progress)
+    ids = _ids(clip.footage, person)
+    seen = _observation(clip.footage, ids)
+    given, placed = (None, False) if camera is None else load_camera(camera, camera_name, clip.footage.path)
+    if given is not None:
+        _check_image(given, seen, Path(camera))
+    priors = pretrained.load_priors(
+        motion=prior, pose=pose_prior, initial=initial, pelvis=None if pelvis is None else tuple(pelvis)
+    )
+    windows = out / "windows"
+    fitted = fit_people(seen, Task(priors, given, placed, clip.size, solver, quick, windows, progress))
+    drift = None if clip.video is None else _drift(clip)
+    record = _record(clip, ids, fitted, drift, given is not None, placed)
+    record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped}
+    with tempfile.TemporaryDirectory(prefix=".fit-", dir=out) as part:
+        record["files"] = _write(Path(part), clip, ids, fitted, record, quick)
+        record["seconds"] = time.perf_counter() - began
+        poster = record.pop("poster")
+        (Path(part) / "report.html").write_text(scene_report.page(record, poster), encoding="utf-8")
+        (Path(part) / RESULT).write_text(json.dumps(record, indent=1, allow_nan=False), encoding="utf-8")
+        _move(Path(part), out, [*record["files"], RESULT])
+    shutil.rmtree(windows, ignore_errors=True)
+    return record
+
+
+# --------------------------------------------------------------------------------------------------------------- input
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """Keypoints with their footage. video: None where there is none. first: the video's frame of the first keypoints.
+    size: of the image, None where nobody says. notes: what was assumed."""
+
+    footage: Footage
+    video: Video | None
+    first: int
+    size: tuple[int, int] | None
+    notes: tuple[str, ...]
+
+    @property
+    def rate(self) -> float:
+        """Frames per second of the film."""
+        return self.footage.fps if self.video is None or self.video.fps is None else self.video.fps
+
+    @property
+    def count(self) -> int:
+        """Frames of the film."""
+        return max(1, round(self.footage.frames / self.footage.fps * self.rate))
+
+
+def open_clip(
+    keypoints_path: str | Path | None,
+    video_path: str | Path | None = None,
+    *,
+    out: str | Path | None = None,
+    fps: float | None = None,
+    size: tuple[int, int] | None = None,
+    layout: str | None = None,
+    progress: bool = False,
+) -> Clip:
+    """Reads keypoints and opens their video, which says rate and size where the keypoints do not.
+
+    out: folder for the keypoints, where they have to be found (``keypoints.npz``).
+
+    Raises:
+        DataError: either cannot be read, or the video is shorter than the keypoints. MissingData: see ``detect.find``.
+    """
+    shown, earlier = None if video_path is None else video.open_video(video_path), []
+    if keypoints_path is None:
+        if shown is None:
+            raise MissingData("the keypoints", "Give a video, or --keypoints FILE_OR_FOLDER.")
+        if out is None:
+            raise DataError("nowhere to keep the keypoints that are found", remedy="name a folder: --out OUT/")
+        keypoints_path = _folder(out) / "keypoints.npz"
+        if keypoints_path.exists():
+            earlier = [f"keypoints of an earlier run: {keypoints_path}; delete it to find them again"]
+        else:
+            detect.find(shown, keypoints_path, fps=fps, progress=progress)
+    how = {"fps": fps, "size": size, "layout": layout}
+    for _ in how:
+        try:
+            read = keypoints.load(keypoints_path, **how)
+            break
+        except DataError as error:  # what the file does not say, the video may
+            known = None if shown is None or error.place not in ("fps", "size") else getattr(shown, error.place)
+            if known is None or how[error.place] is not None:
+                raise
+            how[error.place] = known
+    notes = [*earlier, *read.notes]
+    size = read.size or (shown and shown.size)
+    size = size and (round(size[0]), round(size[1]))
+    if shown is None:
+        return Clip(read, None, 0, size, tuple(notes))
+    rate = shown.fps or read.fps
+    need = round(read.frames / read.fps * rate)
+    starts = dict.fromkeys((round(read.first * rate / read.fps), round((read.first - 1) * rate / read.fps), 0))
+    first = next((at for at in starts if 0 <= at and at + need <= shown.frames), None)
+    if shown.frames in (need, need + 1):
+        first = 0
+    if first is None:
+        message = f"{shown.frames} frames, but the keypoints reach frame {read.first + read.frames - 1}"
+        raise DataError(message, path=shown.path, remedy="give the footage that the keypoints are of, and its --fps")
+    if abs(rate / read.fps - 1) > 0.02:
+        notes.append(f"keypoints at {read.fps:g} frames per second, footage at {rate:g}: put together by time")
+    if first:
+        notes.append(f"the keypoints begin at frame {first} of the footage")
+    return Clip(read, shown, first, size, tuple(notes))
+
+
+def _ids(read: Footage, person: str | int | Sequence[str | int]) -> list[int]:
+    """The ids of the people who are meant."""
+    words = [person] if isinstance(person, str | int) else list(person)
+    if words == ["all"]:
+        least = min(read.fps, read.frames / 2)  # a second, or half of a shorter clip
+        return [track.id for track in read.tracks if len(track.frames) >= least] or [read.tracks[0].id]
+    if words == ["longest"]:
+        return [read.tracks[0].id]
+    if words == ["largest"]:
+        return [max(read.tracks, key=lambda track: track.height).id]
+    known = {str(track.id): track.id for track in read.tracks}
+    wrong = [str(word) for word in words if str(word) not in known]
+    if wrong:
+        some = ", ".join([*known][:20])
+        message = f"nobody has the id {', '.join(wrong)}"
+        raise DataError(message, path=read.path, place="people", remedy=f"use longest, largest, all or some of {some}")
+    return list(dict.fromkeys(known[str(word)] for word in words))
+
+
+def _observation(read: Footage, ids: Sequence[int]) -> Observation2D:
+    """Keypoints (P, T, 25, 2) at 30 fps, in the layout that a fit uses."""
+    seen = at_rate(to_body_25(read.people(ids), midpoints=True))
     used = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]
     if seen.frames < 2:
-        raise DataError("one frame is no motion", path=options.keypoints, remedy="give two frames or more")
-    if not (seen.confidence[:, used] > 0).any():
-        message = "no keypoint that a fit uses was detected (it leaves out neck and hips)"
-        raise DataError(message, path=options.keypoints, remedy="use another recording, or another --person")
-    if options.camera is None:
-        return seen, first, None
-    camera, placed = load_camera(options.camera, options.camera_name, options.keypoints)
-    _check_image(camera, seen, options.camera)
-    return replace(seen, camera=camera), first, None if placed else "guess"
-
-
-def _check_target(path: Path | None, suffix: str) -> None:
-    if path is not None and path.suffix.lower() != suffix:
-        raise DataError(f"expected a name that ends in {suffix}", path=path, remedy="rename it")
-    if path is not None and not path.resolve().parent.is_dir():
-        raise DataError("its folder is not there", path=path, remedy="make the folder first")
+        raise DataError("one frame is no motion", path=read.path, remedy="give two frames or more")
+    for each, confidence in zip(ids, seen.confidence, strict=True):
+        if (confidence[:, used] > 0).sum(-1).max() < 4:
+            message = "no frame shows 4 keypoints that a fit uses (it leaves out neck and hips)"
+            remedy = "use another recording, or another --person"
+            raise DataError(message, path=read.path, place=f"person {each}", remedy=remedy)
+    return seen
 
 
 def _check_image(camera: Camera, seen: Observation2D, path: Path) -> None:
@@ -94,113 +255,171 @@ def _check_image(camera: Camera, seen: Observation2D, path: Path) -> None:
     outside = ((seen.keypoints < 0) | (seen.keypoints > size)).any(-1) & (seen.confidence > 0)
     share = float(outside.sum() / (seen.confidence > 0).sum())
     if share > _OUTSIDE:
-        raise DataError(
-            f"{100 * share:.0f} % of the detections lie outside its image of {camera.width} x {camera.height}",
-            path=path,
-            remedy="give the camera that took these images, at the same resolution (see --camera-name)",
-        )
+        message = f"{share:.0%} of the detections lie outside its image of {camera.width} x {camera.height}"
+        remedy = "give the camera that took these images, at the same resolution (see --camera-name)"
+        raise DataError(message, path=path, remedy=remedy)
 
 
-def _write(options: argparse.Namespace, motion: Motion) -> None:
-    amass.save(options.out, motion)
-    lift = float(motion.skeleton.standing_height() - STANDARD.standing_height())
-    print(
-        f"{options.out}: {motion.frames} frames; AMASS holds no bone lengths: on the standard body the feet are "
-        f"{100 * lift:+.1f} cm off the floor"
-    )
-    for path, save in ((options.bvh, bvh.save), (options.glb, gltf.save)):
-        if path is not None:
-            save(path, motion)
-            print(path)
+def _drift(clip: Clip) -> np.ndarray:
+    """How far the background moved (N,), shares of the image's width; see ``video.background_drift``."""
+    step = max(1, round(clip.rate / 2), clip.count // _SAMPLES)
+    frames = range(0, clip.count, step)
+    pictures = clip.video.pictures([clip.first + frame for frame in frames])
+    boxes: list[list[tuple[float, ...]]] = []
+    scale = clip.video.size[0] / clip.size[0] if clip.size else 1.0
+    for frame in frames:
+        at, here = round(frame / clip.rate * clip.footage.fps), []
+        for track in clip.footage.tracks:
+            near = np.abs(track.frames - at)
+            points = track.points[near.argmin()]
+            points = points[points[:, 2] > 0, :2] * scale
+            if near.min() <= clip.footage.fps / 2 and len(points):
+                here.append((*points.min(0), *points.max(0)))
+        boxes.append(here)
+    return video.background_drift(pictures, boxes)
 
 
-class _Frames:
-    """Pictures of the frames at 30 fps, opened when they are looked at."""
-
-    def __init__(self, paths: list[Path]) -> None:
-        self.paths = paths
-
-    def __getitem__(self, frame: int) -> Image.Image:
-        path = self.paths[frame]
-        try:
-            return Image.open(path).convert("RGB")
-        except (OSError, UnidentifiedImageError) as error:
-            raise DataError(f"cannot be read: {error}", path=path, remedy="extract the video's frames again") from error
-
-
-def _pictures(folder: str, first: int, seen: Observation2D, fps: float) -> _Frames | tuple[()]:
-    """The images of a folder that show the fitted frames; () for none."""
-    if not folder:
-        return ()
-    with reading(folder, "extract the video's frames into it") as at:
-        if not at.path.is_dir():
-            raise at.error("no such folder")
-        paths = sorted(path for path in at.path.iterdir() if path.suffix.lower() in _PICTURES)
-        last = first + round((seen.frames - 1) * fps / 30)
-        if len(paths) <= last:
-            raise at.error(f"{len(paths)} images, but the keypoints reach frame {last}")
-        return _Frames([paths[first + round(frame * fps / 30)] for frame in range(seen.frames)])
+# -------------------------------------------------------------------------------------------------------------- output
+def _folder(out: str | Path) -> Path:
+    out = Path(out)
+    if out.suffix.lower() in (".npz", ".bvh", ".glb", ".json", ".mp4", ".gif") or out.is_file():
+        remedy = f"give a folder, such as --out {out.with_suffix('')}/: motion.npz, motion.bvh, scene.glb, ... go there"
+        raise DataError("fit writes a folder, not one file", path=out, remedy=remedy)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot be made: {error.strerror}", path=out, remedy="name another folder") from error
+    return out
 
 
-def _film(path: Path, fitted: testops.Fitted, pictures: _Frames | tuple[()], width: int = 480) -> None:
-    """The fitted landmarks over the pictures, or on grey, as a GIF."""
-    motion, camera = fitted.motion, fitted.cameras[0]
-    pixels = pixels_of(motion, fitted.cameras)[0]
-    drawn = Observation2D(pixels, torch.ones(pixels.shape[:2]), BODY_25, motion.fps, camera)
-    step = max(1, round(motion.fps / _FILM))
-    height = round(width * camera.height / camera.width)
-    blank = np.full((height, width, 3), 235, np.uint8)
-    frames = range(0, motion.frames, step)
-    below = {f: np.asarray(pictures[f].resize((width, height))) if pictures else blank for f in frames}
-    pictures = [overlay(drawn, below[f], f, width=3.0) for f in frames]
-    write_film(pictures, path, motion.fps / step, budget=10_000_000)
-    print(path)
+def _write(
+    folder: Path, clip: Clip, ids: Sequence[int], fitted: SceneFit, record: dict[str, object], quick: bool
+) -> list[str]:
+    """Writes all but the report; adds to the record what concerns the files; returns their names."""
+    body, files = BodyModel.from_anny(), []
+    for each, motion, row in zip(ids, fitted.motions, record["people"], strict=True):
+        stem = "motion" if len(ids) == 1 else f"motion_{each}"
+        bvh.save(folder / f"{stem}.bvh", motion)
+        standard = retarget(replace(motion, contacts=None), proportions="standard", leg=_LEG)
+        amass.save(folder / f"{stem}.npz", replace(standard.motion, contacts=motion.contacts))
+        row["files"] = {"bvh": f"{stem}.bvh", "amass": f"{stem}.npz"}
+        row["amass"] = {
+            "betas": "zeros: SMPL's are no function of bone lengths alone, and no model of SMPL is at hand",
+            "scale": standard.scale,
+            "raised_m": standard.floor,
+            "says": f"put on a body of standard size, {standard.scale:.3f} times as large, path and all; its feet "
+            "stand on z = 0. BVH and GLB have the fitted bones. trans is the pelvis, without SMPL's J_0",
+        }
+        files += row["files"].values()
+    names = [f"person {each}" for each in ids]
+    gltf.save(folder / "scene.glb", fitted.motions[0] if len(ids) == 1 else fitted.motions, body=body, names=names)
+    made = _film(folder / "overlay.mp4", clip, fitted, body, quick)
+    record["poster"] = made.poster
+    return [*files, "scene.glb", "overlay.mp4", "report.html"]
 
 
-# ---------------------------------------------------------------------------------------------------------- the report
-@dataclass(frozen=True)
-class FitReport:
-    """What is said of one fitted recording: distance from the detections, smoothness, contacts, what was assumed.
-
-    pixels: mean distance of the landmarks from the detections, weighted by confidence, neck and hips (which a fit
-    ignores) left out; median_pixels: the median, each detection counted once. acceleration: mean over joints and
-    frames, m/s^2. contacts: share of the frames in which each of the contact joints touches the floor. seen: share of
-    the 22 used keypoints that were detected. energy: after each stage, by term. reasons: why each search ended.
-    """
-
-    frames: int
-    fps: float
-    pixels: float
-    median_pixels: float
-    acceleration: float
-    contacts: dict[str, float]
-    seen: float
-    energy: dict[int, dict[str, float]]
-    reasons: tuple[str, ...]
-    notes: tuple[str, ...]
-
-    def lines(self) -> list[str]:
-        """Returns the report as lines for a terminal."""
-        touch = ", ".join(f"{name.replace('_', ' ')} {100 * share:.0f} %" for name, share in self.contacts.items())
-        return [
-            *(f"note: {note}" for note in self.notes),
-            *(f"energy after stage {n}: {sum(e.values()):.1f} ({_terms(e)})" for n, e in self.energy.items()),
-            f"search ended: {_runs(self.reasons)}",
-            f"detections: {100 * self.seen:.0f} % of the keypoints",
-            f"reprojection: {self.pixels:.1f} px mean, {self.median_pixels:.1f} px median",
-            f"acceleration: {self.acceleration:.2f} m/s^2 mean",
-            f"contacts: {touch}",
-        ]
+def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool) -> film.Film:
+    count, rate, fps = clip.count, clip.rate, fitted.seen.fps
+    at = (torch.arange(count) / rate * fps).round().long().clamp(max=fitted.seen.frames - 1)
+    motions = []
+    for motion in fitted.motions:
+        motion = resample(replace(motion, contacts=None), rate) if rate != motion.fps else motion
+        hold = torch.arange(count).clamp(max=motion.frames - 1)  # what lies behind the last sample
+        motions.append(replace(motion, root=motion.root[hold], rot=motion.rot[hold], contacts=None))
+    seen = [
+        replace(fitted.seen, keypoints=points[at], confidence=sure[at], fps=rate)
+        for points, sure in zip(fitted.seen.keypoints, fitted.seen.confidence, strict=True)
+    ]
+    pictures = None if clip.video is None else clip.video.pictures(range(clip.first, clip.first + count))
+    roles = [_ROLES[k % len(_ROLES)] for k in range(len(motions))]
+    how = {"roles": roles, "shown": fitted.shown[:, at].tolist(), "seen": seen} | ({"area": _SMALL} if quick else {})
+    return film.over_footage(motions, fitted.camera, pictures, path, body, **how)
 
 
-def _runs(words: tuple[str, ...]) -> str:
-    """Words in a row, each run of the same once with its length: "steps, closures (9)"."""
-    counts = [(word, len(list(same))) for word, same in groupby(words)]
-    return ", ".join(f"{word} ({n})" if n > 1 else word for word, n in counts)
+def _move(part: Path, out: Path, files: Sequence[str]) -> None:
+    """Moves files into place, the last one last; what an earlier run wrote is gone before."""
+    try:
+        old = json.loads((out / RESULT).read_text(encoding="utf-8"))["files"]
+    except (OSError, ValueError, KeyError, TypeError):
+        old = []
+    for name in (RESULT, *(Path(str(name)).name for name in old)):
+        (out / name).unlink(missing_ok=True)
+    for name in files:
+        (part / name).replace(out / name)
 
 
-def _terms(energy: dict[str, float]) -> str:
-    return ", ".join(f"{name} {value:.1f}" for name, value in sorted(energy.items(), key=lambda item: -item[1])[:4])
+# ---------------------------------------------------------------------------------------------------------- the record
+def _record(
+    clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray | None, given: bool, placed: bool
+) -> dict[str, object]:
+    """What there is to say, as plain numbers; see ``scene_report.page``."""
+    camera, read = fitted.camera, clip.footage
+    pixels = torch.stack([project(camera, landmarks_of(motion))[0] for motion in fitted.motions])
+    away, weight = pixel_distances(pixels, fitted.seen)
+    people = [_person(k, each, clip, fitted, away[k], weight[k]) for k, each in enumerate(ids)]
+    worst = None if drift is None or not np.isfinite(drift[1:]).any() else float(np.nanmax(drift))
+    left_out = [track.id for track in read.tracks if track.id not in ids]
+    source = "given, and its place" if placed else "given, its place found" if given else "assumed, level at first"
+    return {
+        "keypoints": {
+            "path": str(read.path), "detector": read.detector, "points": len(read.names), "fps": read.fps,
+            "frames": read.frames, "size": clip.size, "people": read.table(),
+        },
+        "footage": None if clip.video is None else {
+            "path": str(clip.video.path), "fps": clip.rate, "frames": clip.video.frames, "size": clip.video.size,
+            "first": clip.first,
+        },
+        "camera": {
+            "source": source, "width": camera.width, "height": camera.height,
+            **{key: getattr(camera, key).tolist() for key in ("intrinsics", "rotation", "translation")},
+        },
+        "moving_camera": {
+            "assumed": "the camera does not move", "background_drift": worst,
+            "moved": None if worst is None else worst > video.MOVED,
+        },
+        "people": people, "left_out": left_out, "frames": fitted.seen.frames, "fps": fitted.seen.fps,
+        "windows": fitted.windows, "energy": fitted.energy, "ended": list(fitted.reasons),
+        "notes": [*clip.notes, *fitted.notes],
+    }  # fmt: skip
+
+
+def _person(k: int, each: int, clip: Clip, fitted: SceneFit, away: Tensor, weight: Tensor) -> dict[str, object]:
+    """The row of one person; away, weight (T, 25) as ``pixel_distances`` gives them."""
+    motion, shown, seen = fitted.motions[k], fitted.shown[k], weight > 0
+    rms, surprise = float(away[seen].square().mean().sqrt()), float(fitted.surprise[k])
+    contacts = motion.contacts[shown].mean(0).tolist()
+    used = [n for n in range(len(BODY_25)) if n not in UNUSED_BODY_25]
+    by_time = [float(a[s].median()) if s.any() else None for a, s in zip(away, seen, strict=True)]
+    low = motion.positions[shown][:, STANDARD.indices(BALLS), 2].amin(-1)
+    return {
+        "id": each,
+        "share": float(shown.float().mean()),
+        "spans_s": _spans(shown, motion.fps),
+        "detected": float(seen[shown][:, used].float().mean()),
+        "missing_by_joint": {BODY_25[n]: 1 - float(seen[:, n].float().mean()) for n in used},
+        "pixels": {
+            "mean": float((weight * away).sum() / weight.sum()), "median": float(away[seen].median()), "rms": rms,
+            "by_joint": {BODY_25[n]: float(away[:, n][seen[:, n]].mean()) for n in used if seen[:, n].any()},
+            "by_time": by_time,
+        },
+        "surprise": surprise if np.isfinite(surprise) else None,
+        "doubtful": not (surprise <= SURPRISED and rms <= MISFIT_WIDTH * fitted.camera.width),
+        "bounds": {"surprise": SURPRISED, "rms": MISFIT_WIDTH * fitted.camera.width},
+        "acceleration": float(pose.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
+        "contacts": dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
+        "contacts_by_time": {
+            name: _spans(motion.contacts[:, n] > 0.5, motion.fps)
+            for n, name in enumerate(motion.skeleton.contact_names) if name in FEET
+        },
+        "feet_above_floor_cm": 100 * float(low.quantile(0.02) - STANDARD.sole),
+        "bones": dict(zip(body_shape.BONE_GROUPS, body_shape.from_skeleton(motion.skeleton).tolist(), strict=True)),
+    }  # fmt: skip
+
+
+def _spans(mask: Tensor, fps: float) -> list[list[float]]:
+    """Beginning and end in seconds of the runs of True in a mask (T,)."""
+    edges = torch.nn.functional.pad(mask.int(), (1, 1)).diff().nonzero()[:, 0].reshape(-1, 2)
+    return [[a / fps, b / fps] for a, b in edges.tolist()]
 
 
 def landmarks_of(motion: Motion) -> Tensor:
@@ -229,25 +448,3 @@ def pixel_distances(pixels: Tensor, observation: Observation2D) -> tuple[Tensor,
     seen = (weight > 0) & keypoints.isfinite().all(-1)
     away = (pixels - torch.where(seen[..., None], keypoints, 0.0)).norm(dim=-1)
     return torch.where(seen, away, 0.0), torch.where(seen, weight, 0.0)
-
-
-def _report(fitted: Fitted, observation: Observation2D, clip: int = 0) -> FitReport:
-    """The report of one recording of a fit to keypoints of BODY_25."""
-    motion = fitted.motion.clip(clip)
-    away, weight = pixel_distances(pixels_of(fitted.motion, fitted.cameras), observation)
-    away, weight = away[clip], weight[clip]
-    seen = weight > 0
-    contacts = (fitted.contacts[clip] > 0.5).float().mean(0).tolist()
-    fits = [each for results in fitted.results.values() for each in results]
-    return FitReport(
-        frames=motion.frames,
-        fps=motion.fps,
-        pixels=float((weight * away).sum() / weight.sum()),
-        median_pixels=float(away[seen].median()) if seen.any() else float("nan"),
-        acceleration=float(pose.mean_acceleration(motion.positions, motion.fps)),
-        contacts=dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
-        seen=float(seen.sum() / (seen.numel() * (1 - len(UNUSED_BODY_25) / seen.shape[-1]))),
-        energy={n: {name: float(e[clip]) for name, e in terms.items()} for n, terms in fitted.energies.items()},
-        reasons=tuple(each.reasons[min(clip, len(each.reasons) - 1)] for each in fits),
-        notes=fitted.notes,
-    )

@@ -19,13 +19,14 @@ FLOORS = """
     observation retarget humor.cvae diffusion.start diffusion.losses diffusion.masks
     io viz data_synth humor.body_shape humor.energies humor.priors humor.transition
         diffusion.denoiser diffusion.gaussian_guess diffusion.planting diffusion.windows
-    cleaning people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
+    cleaning detect people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
         diffusion.model
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
     corpus splits humor.training humor.unknowns diffusion.pose_completion
     shipped doctor humor.chain_training humor.stages humor.start
     train models humor.shooting
     humor.testops
+    scene_fit scene_report
     fit
     __main__
 """
@@ -176,8 +177,9 @@ def test_a_fit_reaches_few_rooms():
 def test_the_library_is_thin():
     """What the mission asks for; a number that is passed is a decision, not an accident."""
     files = [path for name, path in modules(ROOT).items() if name.split(".")[0] == LIBRARY]
-    # 95 files and 20,000 lines until issue 26: keypoints of every detector (five files) took 1,000 lines
-    assert len(files) <= 100 and sum(len(p.read_text(encoding="utf-8").splitlines()) for p in files) <= 21_000
+    # 95 files and 20,000 lines until issue 26: keypoints of every detector (five files) took 1,000 lines, and the way
+    # from a video to a scene (footage, windows, film, report, detector: five files) 900
+    assert len(files) <= 105 and sum(len(p.read_text(encoding="utf-8").splitlines()) for p in files) <= 22_000
     for package, most in {"humor": 24, "diffusion": 20, "viz": 10}.items():
         assert sum(p.is_relative_to(ROOT / LIBRARY / package) for p in files) <= most, package
 

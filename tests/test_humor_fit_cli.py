@@ -6,24 +6,26 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import fit
+from motionlab import fit, scene_fit
 from motionlab.__main__ import main
 from motionlab.checkpoint import SHIPPED
 from motionlab.errors import DataError
-from motionlab.humor import body_shape, pretrained, stages, testops
+from motionlab.humor import body_shape, pretrained, testops
 from motionlab.humor.energies import RGB, RGB_LIGHT
+from motionlab.humor.shooting import feedback_solver
 from motionlab.humor.shooting.feedback_solver import Plan
-from motionlab.io import amass, bvh, gltf
+from motionlab.io import amass, bvh, gltf, video
 from motionlab.io.cameras import load_camera
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate, look_at, project
-from motionlab.skeleton import STANDARD
+from motionlab.skeleton import BALLS, STANDARD
 
 CAMERA = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=900.0, width=1280, height=720)
 FRAMES = 8
@@ -68,33 +70,53 @@ def run(*words: object) -> int:
     return main(["fit", *map(str, words)])
 
 
+def record(out: Path) -> dict:
+    return json.loads((out / "fit.json").read_text())
+
+
+@pytest.fixture
+def few(monkeypatch) -> None:
+    """Quick fits of even fewer steps."""
+    plan = Plan(rounds=1, closures=3, leaps=0, trial=0)
+    monkeypatch.setattr(scene_fit, "QUICK_WORK", testops.Schedule(steps=(1, 1, 1), inner=4, shooting=plan))
+
+
 def test_everything_is_written_and_said(tmp_path, keypoints, capsys):
-    out = {suffix: tmp_path / f"fit.{suffix}" for suffix in ("npz", "bvh", "glb", "gif")}
-    camera = write_camera(tmp_path / "camera.json")
-    words = ("--camera", camera, "--out", out["npz"], "--bvh", out["bvh"], "--glb", out["glb"], "--video", "--quick")
-    assert run("--keypoints", keypoints, *words) == 0
-    motions = [amass.load(out["npz"]), bvh.load(out["bvh"]), gltf.load(out["glb"])]
+    out, camera = tmp_path / "out", write_camera(tmp_path / "camera.json")
+    assert run("--keypoints", keypoints, "--fps", 30, "--camera", camera, "--out", out, "--quick") == 0
+    files = {"motion.npz", "motion.bvh", "scene.glb", "overlay.mp4", "report.html", "fit.json"}
+    assert {path.name for path in out.iterdir()} == files and fit.is_finished(out)
+    motions = [amass.load(out / "motion.npz"), bvh.load(out / "motion.bvh"), gltf.load(out / "scene.glb")]
     assert [m.frames for m in motions] == [FRAMES] * 3
     where = [m.positions[:, m.skeleton.indices(list(STANDARD.names))] for m in motions[1:]]
     assert (where[0] - where[1]).abs().max() < 1e-3
-    with Image.open(out["gif"]) as film:
-        assert film.n_frames == FRAMES // 2 and film.width == 480
+    balls = motions[0].positions[:, STANDARD.indices(BALLS), 2].amin(-1)
+    assert balls.quantile(0.02) == pytest.approx(STANDARD.sole, abs=1e-3)  # on the standard body, on the floor
     said = capsys.readouterr().out
-    for word in ("reprojection", "acceleration", "contacts", "energy after stage 3", "joints2d"):
+    for word in ("reprojection", "acceleration", "contacts", "energy", "joints2d", "camera given, and its place"):
         assert word in said
-    assert "assumed" not in said
+    found = record(out)
+    person = found["people"][0]
+    assert person["pixels"]["median"] < 20 and len(person["pixels"]["by_time"]) == FRAMES
+    assert person["missing_by_joint"]["left_wrist"] == 0 and set(found["files"]) == files - {"fit.json"}
+    assert torch.allclose(torch.tensor(found["camera"]["rotation"]), CAMERA.rotation, atol=1e-5)
+    page = (out / "report.html").read_text()
+    assert "<svg" in page and "overlay.mp4" in page and "http" not in page  # no network
 
 
-def test_assumed_camera_is_said_and_images_lie_below(tmp_path, keypoints, capsys):
+def test_the_film_has_the_frames_of_the_images_and_lies_over_them(tmp_path, keypoints, few, capsys):
     pictures = tmp_path / "images"
     pictures.mkdir()
     for frame in range(FRAMES):
-        Image.new("RGB", (640, 360), (200, 30 * frame, 40)).save(pictures / f"{frame:03d}.png")
-    assert run("--keypoints", keypoints, "--out", tmp_path / "fit.npz", "--video", pictures, "--quick") == 0
+        Image.new("RGB", (640, 360), (200, 30 * frame, 40)).save(pictures / f"{frame}.png")
+    out = tmp_path / "out"
+    assert run(pictures, "--keypoints", keypoints, "--fps", 25, "--out", out, "--quick", "--size", "1280x720") == 0
     assert "camera assumed: focal length" in capsys.readouterr().out
-    with Image.open(tmp_path / "fit.gif") as film:
-        corner = film.convert("RGB").getpixel((2, 2))
-    assert corner[0] > 150 and corner[2] < 90  # the picture, not the grey canvas
+    film = video.open_video(out / "overlay.mp4")
+    shown = list(film.pictures(range(film.frames)))
+    assert len(shown) == FRAMES and film.fps == 25
+    corners = np.array([picture[-6, 6] for picture in shown], int)
+    assert (np.abs(corners - [[200, 30 * frame, 40] for frame in range(FRAMES)]) < 25).all()
 
 
 @pytest.mark.parametrize(
@@ -117,17 +139,17 @@ def test_the_fast_solver_unless_the_original_schedule_is_asked_for(
             return super().motion_stage(problem, unknown, by)
 
     monkeypatch.setattr(testops, "_Track", Track)
-    assert run("--keypoints", keypoints, "--out", tmp_path / "fit.npz", *words) == 0
-    lean, official = testops.Schedule.lean(), testops.Schedule.official(keypoints=True)
+    assert run("--keypoints", keypoints, "--fps", 30, "--out", tmp_path / "out", *words) == 0
+    lean, official = scene_fit.FULL_WORK, testops.Schedule.official(keypoints=True)
     assert asked == {
         "mode": mode, "weights": weights, "solver": solver, "schedule": lean if mode == "lean" else official
     }  # fmt: skip
     assert official.steps == (30, 80, 70) and official.inner == 20 and official.refine == (30, 55)  # as published
-    assert amass.load(tmp_path / "fit.npz").frames == FRAMES
+    assert amass.load(tmp_path / "out" / "motion.npz").frames == FRAMES
 
 
 def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monkeypatch):
-    calls, terms = [], stages.motion_terms
+    calls, terms = [], feedback_solver.rolled_terms
 
     def interrupted(*arguments, **options):
         calls.append(1)
@@ -135,31 +157,128 @@ def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monk
             signal.raise_signal(signal.SIGINT)
         return terms(*arguments, **options)
 
-    monkeypatch.setattr(stages, "motion_terms", interrupted)
-    assert run("--keypoints", keypoints, "--out", tmp_path / "fit.npz", "--quick") == 0
-    assert amass.load(tmp_path / "fit.npz").frames == FRAMES
-    assert "interrupted" in capsys.readouterr().out
+    monkeypatch.setattr(feedback_solver, "rolled_terms", interrupted)
+    out = tmp_path / "out"
+    assert run("--keypoints", keypoints, "--fps", 30, "--out", out, "--quick") == 0
+    assert amass.load(out / "motion.npz").frames == FRAMES
+    assert "the best so far" in capsys.readouterr().out
+    assert record(out)["stopped"] and not fit.is_finished(out)
     assert len(calls) < 10
 
 
-def test_priors_from_files(tmp_path, keypoints, capsys, monkeypatch):
+def test_priors_from_files(tmp_path, keypoints, capsys, monkeypatch, few):
     """What the options say is what is loaded; an official prior without its pelvis is refused before the fit."""
     asked, real = [], pretrained.load_priors
     monkeypatch.setattr(pretrained, "load_priors", lambda **given: asked.append(given) or real(**given))
-    few = testops.Schedule(steps=(1, 1, 1), inner=2, shooting=Plan(rounds=1, closures=2, leaps=0, trial=0))
-    monkeypatch.setattr(testops.Schedule, "quick", lambda: few)
     shipped = {n: SHIPPED / f"{n}.safetensors" for n in ("humor_compact", "pose_prior_compact", "init_gmm_compact")}
     options = ("--prior", "--pose-prior", "--initial")
     words = [word for pair in zip(options, shipped.values(), strict=True) for word in pair]
-    assert run("--keypoints", keypoints, "--out", tmp_path / "fit.npz", "--quick", *words) == 0
+    common = ("--keypoints", keypoints, "--fps", 30, "--quick")
+    assert run(*common, "--out", tmp_path / "out", *words) == 0
     assert list(asked[0].values()) == [*shipped.values(), None]
     torch.save({"model": {}}, tmp_path / "humor.pth")
-    words = ("--keypoints", keypoints, "--out", tmp_path / "other.npz", "--quick", "--prior", tmp_path / "humor.pth")
+    words = (*common, "--out", tmp_path / "other", "--prior", tmp_path / "humor.pth")
     assert run(*words) == 2
     assert "J_0" in capsys.readouterr().err
     assert run(*words, "--pelvis", "0", "-0.2", "0.1") == 2
     assert asked[2]["pelvis"] == (0.0, -0.2, 0.1)
-    assert "no state dict" in capsys.readouterr().err and not (tmp_path / "other.npz").exists()
+    assert "no state dict" in capsys.readouterr().err and not (tmp_path / "other" / "fit.json").exists()
+
+
+# ----------------------------------------------------------------------------------------- people, and long footage
+def two_people(folder: Path, motion: Motion) -> Path:
+    """One in all frames, and a second, 1.5 m to the left, who is there in the last four."""
+    other = replace(motion, root=motion.root + torch.tensor([-1.5, 0.5, 0.0]))
+    both = torch.stack([project(CAMERA, fit.landmarks_of(each))[0] for each in (motion, other)], 1)  # (T, 2, 25, 2)
+    sure = torch.ones(*both.shape[:-1], 1)
+    sure[:-4, 1] = 0
+    table = torch.cat((both, sure), -1).numpy()
+    np.savez(folder / "two.npz", keypoints=table, names=np.array(BODY_25), fps=30.0, size=np.array([1280, 720]))
+    return folder / "two.npz"
+
+
+def test_people_are_listed_and_fitted_into_one_scene(tmp_path, walk, few, capsys):
+    file, out = two_people(tmp_path, walk), tmp_path / "out"
+    assert run("--keypoints", file, "--people") == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:3]]
+    assert [row[1:3] for row in rows] == [[str(FRAMES), "100.0"], ["4", "50.0"]]
+    assert run("--keypoints", file, "--person", "all", "--quick", "--out", out) == 0
+    found = record(out)
+    ids = [row["id"] for row in found["people"]]
+    assert len(ids) == 2 and [row["frames"] for row in found["keypoints"]["people"]] == [FRAMES, 4]
+    motions = [bvh.load(out / f"motion_{each}.bvh") for each in ids]
+    assert [m.frames for m in motions] == [FRAMES, FRAMES] and not (out / "motion.bvh").exists()
+    apart = (motions[0].root - motions[1].root)[-1]
+    assert apart[0] > 0.7  # side by side under one camera: the second stands to the left
+    skins = [gltf.load(out / "scene.glb", person=k) for k in (0, 1)]
+    for each, motion in zip(skins, motions, strict=True):
+        assert (each.root - motion.root).abs().max() < 1e-3
+    assert run("--keypoints", file, "--person", str(ids[1]), "--quick", "--out", out) == 0
+    assert (out / "motion.bvh").exists() and not (out / f"motion_{ids[0]}.bvh").exists()  # what was there is replaced
+
+
+@pytest.fixture
+def short_windows(monkeypatch) -> None:
+    monkeypatch.setattr(scene_fit, "WHOLE", 10)
+    monkeypatch.setattr(scene_fit, "WINDOW", 8)
+    monkeypatch.setattr(scene_fit, "OVERLAP", 2)
+    monkeypatch.setattr(scene_fit, "_SHOWN", 1)
+
+
+def test_a_long_clip_stopped_in_the_middle_goes_on(tmp_path, short_windows, few, monkeypatch):
+    """Ctrl-C in the second of three windows: the first is kept; a rerun fits two, and ends where a whole run does."""
+    motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion.cut(20, 40)
+    observation = seen(motion)
+    folder = write_json(tmp_path / "long", observation.keypoints, observation.confidence)
+    whole, out, calls, real = tmp_path / "whole", tmp_path / "out", [], testops.fit
+    common = ("--keypoints", folder, "--fps", 30, "--quick", "--out")
+    assert run(*common, whole) == 0
+
+    def counted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 3:  # the first is the camera's
+            raise KeyboardInterrupt
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(testops, "fit", counted)
+    assert run(*common, out) == 130
+    assert (
+        not fit.is_finished(out)
+        and len(list((out / "windows").iterdir())) == 1
+        and {*out.iterdir()} == {out / "windows"}
+    )
+    calls[:] = [1] * 4
+    assert run(*common, out) == 0 and len(calls) == 4 + 3  # the camera and two windows
+    assert not (out / "windows").exists() and record(out)["windows"] == 3
+    with np.load(whole / "motion.npz") as a, np.load(out / "motion.npz") as b:
+        assert all(np.array_equal(a[key], b[key]) for key in a)
+
+
+def test_somebody_who_leaves_and_returns(tmp_path, short_windows, few):
+    motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion.cut(20, 46)
+    observation = seen(motion)
+    observation.confidence[6:20] = 0
+    folder = write_json(tmp_path / "keypoints", observation.keypoints, observation.confidence)
+    found = fit.run_clip(folder, tmp_path / "out", fps=30, quick=True)
+    assert found["people"][0]["spans_s"] == [[0.0, 7 / 30], [19 / 30, 26 / 30]]
+    assert bvh.load(tmp_path / "out" / "motion.bvh").frames == 26
+    assert found["people"][0]["pixels"]["by_time"][10] is None
+
+
+def test_windows_of_one_motion_are_joined_to_it(walk):
+    """Two windows that agree give the motion back; bones that differ become their mean, the feet as high as before."""
+    whole = walk.cut(0, 8)
+    betas = body_shape.from_skeleton(walk.skeleton)
+    parts = [
+        {"start": at, "root": whole.root[at : at + 5], "rot": whole.rot[at : at + 5], "contacts": torch.ones(5, 9),
+         "betas": betas} for at in (0, 3)
+    ]  # fmt: skip
+    same = scene_fit._joined(parts, 8, 30.0)
+    own = replace(whole, skeleton=same.skeleton)
+    assert (same.positions - own.positions).abs().max() < 1e-4 and same.contacts.all()
+    parts[1]["betas"] = betas + 1.0
+    low = scene_fit._joined(parts, 8, 30.0).positions[..., 2].amin(-1)
+    assert (low[:3] - own.positions[:3, :, 2].amin(-1)).abs().max() < 1e-4
 
 
 def nobody(folder: Path, at: Observation2D) -> None:
@@ -173,10 +292,10 @@ def only_hips(folder: Path, at: Observation2D) -> None:
 
 
 BAD = {
-    "empty folder": (lambda folder, at: folder.mkdir(), "no numbered JSON"),
-    "no folder": (lambda folder, at: None, "no such folder"),
+    "empty folder": (lambda folder, at: folder.mkdir(), "frame"),
+    "no folder": (lambda folder, at: None, "no such file"),
     "nobody": (nobody, "nobody was detected"),
-    "nothing that is used": (only_hips, "no keypoint that a fit uses"),
+    "nothing that is used": (only_hips, "no frame shows 4 keypoints"),
     "one frame": (lambda folder, at: write_json(folder, at.keypoints[:1], at.confidence[:1]), "one frame"),
 }
 
@@ -185,30 +304,43 @@ BAD = {
 def test_keypoints_that_cannot_be_used(tmp_path, walk, capsys, name):
     make, message = BAD[name]
     make(tmp_path / "keypoints", seen(walk))
-    words = ("--layout", "BODY_25", "--out", tmp_path / "fit.npz", "--quick")
+    words = ("--layout", "BODY_25", "--fps", 30, "--out", tmp_path / "out", "--quick")
     assert run("--keypoints", tmp_path / "keypoints", *words) == 2
     said = capsys.readouterr().err
     assert message in said and "remedy" in said
-    assert not (tmp_path / "fit.npz").exists()
+    assert not (tmp_path / "out" / "fit.json").exists()
 
 
 def test_options_that_cannot_be_used(tmp_path, keypoints, capsys):
     small = replace(CAMERA, width=200, height=200)
     pictures = tmp_path / "images"
     pictures.mkdir()
-    cases = {
-        "detections lie outside": ("--camera", write_camera(tmp_path / "small.json", small)),
-        "no width, height": ("--camera", tmp_path / "empty.json"),
-        "0 images": ("--video", pictures),
-        "expected a name that ends in .bvh": ("--bvh", tmp_path / "fit.txt"),
-        "nobody fits": ("--person", "7"),
-    }
     (tmp_path / "empty.json").write_text('{"intrinsics": [[900, 0, 640], [0, 900, 360], [0, 0, 1]]}')
+    (tmp_path / "text.mp4").write_text("no video")
+    out = ("--out", tmp_path / "out")
+    cases = {
+        "detections lie outside": ("--camera", write_camera(tmp_path / "small.json", small), *out),
+        "no width, height": ("--camera", tmp_path / "empty.json", *out),
+        "0 images": (pictures, *out),
+        "text.mp4": (tmp_path / "text.mp4", *out),
+        "nobody has the id 7": ("--person", "7", *out),
+        "give a folder, such as --out": ("--out", tmp_path / "fit.npz"),
+        "name a folder": (),
+    }
     for message, words in cases.items():
-        assert run("--keypoints", keypoints, "--out", tmp_path / "fit.npz", "--quick", *words) == 2
+        assert run("--keypoints", keypoints, "--fps", 30, "--quick", *words) == 2
         said = capsys.readouterr().err
         assert message in said and "remedy" in said
-    assert run("--keypoints", keypoints, "--out", tmp_path / "fit.json") == 2
+    assert run("--keypoints", keypoints, *out) == 2
+    assert "--fps" in capsys.readouterr().err  # which option says it
+    Image.new("RGB", (640, 360)).save(pictures / "0.png")
+    assert run(pictures, "--keypoints", keypoints, "--fps", 30, *out) == 2
+    assert "1 frames, but the keypoints reach frame 7" in capsys.readouterr().err
+    assert run(*out) == 2
+    assert "--keypoints" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        run("--keypoints", keypoints, "--size", "1280", *out)
+    assert not list((tmp_path / "out").glob("*.*"))
 
 
 def test_cameras_of_a_file(tmp_path):
@@ -250,24 +382,19 @@ def test_at_rate_halves_and_interpolates(walk):
     assert torch.allclose(slow.keypoints[1::2], middle, atol=1e-3)
 
 
-def as_fit(motion: Motion, cameras: list[Camera]) -> testops.Fitted:
-    """A fit that found this motion."""
-    batch = replace(motion, root=motion.root[None], rot=motion.rot[None], contacts=None)
-    skeleton = replace(motion.skeleton, offsets=motion.skeleton.offsets.expand(1, 1, 22, 3))
-    batch = replace(batch, skeleton=skeleton)
-    nothing = torch.zeros(1, motion.frames, 9)
-    betas = body_shape.from_skeleton(motion.skeleton)[None]
-    return testops.Fitted(batch, {2: batch, 3: batch}, nothing, nothing, nothing, betas, cameras, {}, {})
-
-
-def test_report_counts_only_what_was_seen(walk):
+def test_the_record_counts_only_what_was_seen(walk):
     observation = seen(walk)
     hidden = observation.confidence.clone()
     hidden[:, BODY_25.index("left_wrist")] = 0
     wrong = observation.keypoints.clone()
     wrong[:, BODY_25.index("left_wrist")] = 1e4
     wrong[:, BODY_25.index("right_knee")] += torch.tensor([3.0, 4.0])
-    found = fit._report(as_fit(walk, [CAMERA]), replace(observation, keypoints=wrong, confidence=hidden), clip=0)
-    assert found.pixels == pytest.approx(5 / 21, abs=1e-3)
-    assert found.median_pixels < 0.01
-    assert found.seen == pytest.approx(21 / 22)
+    given = replace(observation, keypoints=wrong[None], confidence=hidden[None])
+    there = torch.ones(1, FRAMES, dtype=torch.bool)
+    found = scene_fit.SceneFit((walk,), there, given, CAMERA, torch.zeros(1), {}, 1, (), ())
+    pixels = project(CAMERA, fit.landmarks_of(walk))[0][None]
+    away, weight = fit.pixel_distances(pixels, given)
+    row = fit._person(0, 7, None, found, away[0], weight[0])
+    assert row["pixels"]["mean"] == pytest.approx(5 / 21, abs=1e-3)
+    assert row["pixels"]["median"] < 0.01 and row["pixels"]["by_joint"]["right_knee"] == pytest.approx(5, abs=1e-2)
+    assert row["detected"] == pytest.approx(21 / 22) and row["missing_by_joint"]["left_wrist"] == 1

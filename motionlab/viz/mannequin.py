@@ -231,8 +231,8 @@ def move_surface(mesh: pv.PolyData, points: np.ndarray, normals: np.ndarray) -> 
     mesh.Modified()
 
 
-def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 1.0) -> None:
-    """Shows a surface in one colour (r, g, b), or in a colour per vertex (V, 3) uint8."""
+def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 1.0) -> pv.Actor:
+    """Shows a surface in one colour (r, g, b), or in a colour per vertex (V, 3) uint8; returns its actor."""
     if isinstance(paint, np.ndarray):
         mesh.point_data["paint"] = paint
         look = {"scalars": "paint", "rgb": True}
@@ -240,9 +240,10 @@ def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 
         look = {"color": paint}
     actor = plotter.add_mesh(mesh, opacity=opacity, reset_camera=False, **look, **SKIN)
     actor.prop.interpolation = "Phong"
+    return actor
 
 
-def add_field(plotter: pv.Plotter, mesh: pv.PolyData, values: np.ndarray, title: str, limits, cmap: str) -> None:
+def add_field(plotter: pv.Plotter, mesh: pv.PolyData, values: np.ndarray, title: str, limits, cmap: str) -> pv.Actor:
     """Shows a scalar per vertex on a surface, with a bar that names it."""
     mesh.point_data["field"] = values
     height = plotter.window_size[1]
@@ -256,6 +257,7 @@ def add_field(plotter: pv.Plotter, mesh: pv.PolyData, values: np.ndarray, title:
     )
     actor.prop.interpolation = "Phong"
     plotter.scalar_bars[title].SetVerticalTitleSeparation(8)
+    return actor
 
 
 def polyline(path: np.ndarray) -> pv.PolyData:

@@ -148,8 +148,8 @@ class Scene:
         def shape(index: int) -> tuple[np.ndarray, np.ndarray]:
             return figure.pose(positions[index], orientations[index])
 
-        def show(plotter: pv.Plotter, mesh: pv.PolyData) -> None:
-            mannequin.add_surface(plotter, mesh, figure.colours)
+        def show(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor:
+            return mannequin.add_surface(plotter, mesh, figure.colours)
 
         return self._surface(motion, shape, figure.faces, show, frame, shadow, panel)
 
@@ -166,8 +166,12 @@ class Scene:
         frame: int | None = None,
         shadow: float = 0.42,
         panel: int = 0,
+        shown: Sequence[bool] | None = None,
     ) -> Scene:
-        """Adds the skin of a body moved by a motion; a ``field`` (V,) is painted on it, with a bar named ``title``."""
+        """Adds the skin of a body moved by a motion; a ``field`` (V,) is painted on it, with a bar named ``title``.
+
+        ``shown`` says in which of the motion's frames there is somebody; by default in all.
+        """
         paint = blend(colour(role), "white", 0.3)
         faces = body.faces.cpu().numpy()
         mannequin.single(motion)
@@ -178,15 +182,14 @@ class Scene:
                 skin = mannequin.array(lbs(body, now.skeleton, now.root, now.rot)[0])
             return skin, mannequin.vertex_normals(skin, faces)
 
-        def show(plotter: pv.Plotter, mesh: pv.PolyData) -> None:
+        def show(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor | None:
             if field is None:
-                mannequin.add_surface(plotter, mesh, paint)
-            else:
-                mannequin.add_field(plotter, mesh, mannequin.array(field), title, limits, cmap)
+                return mannequin.add_surface(plotter, mesh, paint)
+            return mannequin.add_field(plotter, mesh, mannequin.array(field), title, limits, cmap)
 
-        return self._surface(motion, shape, faces, show, frame, shadow, panel)
+        return self._surface(motion, shape, faces, show, frame, shadow, panel, shown)
 
-    def _surface(self, motion, shape, faces, show, frame, shadow, panel) -> Scene:
+    def _surface(self, motion, shape, faces, show, frame, shadow, panel, there=None) -> Scene:
         if frame is not None and not -motion.frames <= frame < motion.frames:
             raise IndexError(f"frame {frame}: the motion has {motion.frames}")
         plotter, positions = self._panel(panel), mannequin.array(motion.positions)
@@ -196,11 +199,14 @@ class Scene:
         points, normals = shape(shown)
         mesh = mannequin.surface(points, faces, normals)
         shade = _Shadow(plotter, points, faces, shadow) if shadow else None
-        show(plotter, mesh)
+        actors = [show(plotter, mesh), *([shade.actor] if shade else [])]
 
         def update(seconds: float) -> None:
             nonlocal shown
             index = int(np.clip(round(seconds * motion.fps), 0, motion.frames - 1))
+            if there is not None:
+                for actor in actors:
+                    actor.SetVisibility(bool(there[index]))
             if index != shown:
                 shown = index
                 points, normals = shape(index)
@@ -384,7 +390,7 @@ class _Shadow:
         self.pixels.point_data.set_scalars(rgba, "rgba")
         texture = pv.Texture(self.pixels)
         texture.interpolate = True
-        plotter.add_mesh(self.square, texture=texture, lighting=False, reset_camera=False)
+        self.actor = plotter.add_mesh(self.square, texture=texture, lighting=False, reset_camera=False)
         self.move(points)
 
     def move(self, points: np.ndarray) -> None:

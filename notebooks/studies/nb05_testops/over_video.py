@@ -9,16 +9,16 @@ from pathlib import Path
 
 import imageio.v2 as imageio
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from motionlab.body import BodyModel
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
+from motionlab.viz.footage import as_camera, bodies_over, labelled
 from motionlab.viz.movie import Film, drawn, jpeg, overlay, write_film
 from motionlab.viz.palette import PAPER
 from motionlab.viz.scene import Scene
 
-_OPAQUE = 0.8  # of a body over a video: the person below still shows
 WIDTH = 300  # pixels of a panel
 
 Pictures = Callable[[int], np.ndarray]  # frame -> (H, W, 3) uint8 of the camera's shape
@@ -44,15 +44,8 @@ class Video:
         if not self.frames:
             with imageio.get_reader(self.path) as reader:
                 some = (picture for k, picture in enumerate(reader) if k % self.step == 0)
-                self.frames = [_fitting(picture, self.camera, self.width) for picture in some]
+                self.frames = [as_camera(picture, self.camera, shape(self.camera, self.width)) for picture in some]
         return self.frames[min(frame, len(self.frames) - 1)]
-
-
-def _fitting(frame: np.ndarray, camera: Camera, width: int) -> np.ndarray:
-    whole = np.zeros((camera.height, camera.width, 3), np.uint8)
-    high, wide = min(camera.height, frame.shape[0]), min(camera.width, frame.shape[1])
-    whole[:high, :wide] = frame[:high, :wide]
-    return np.asarray(Image.fromarray(whole).resize(shape(camera, width), Image.Resampling.BOX))
 
 
 def blank(camera: Camera, width: int = WIDTH) -> Pictures:
@@ -75,15 +68,8 @@ def bodies(
     motion: Motion, camera: Camera, pictures: Pictures, frames: Sequence[int], role: str, body: BodyModel
 ) -> list[np.ndarray]:
     """Draws a motion's skin through a camera over the pictures of some frames."""
-    first, found = pictures(frames[0]), []
-    with Scene((first.shape[1], first.shape[0]), camera=camera) as scene:
-        scene.body(body, motion, role, shadow=0)
-        for frame in frames:
-            scene.at(frame / motion.fps).plotter.render()
-            layer = scene.plotter.screenshot(transparent_background=True, return_img=True)
-            share = _OPAQUE * layer[..., 3:] / 255.0
-            found.append((share * layer[..., :3] + (1 - share) * pictures(frame)).astype(np.uint8))
-    return found
+    how = {"size": pictures(frames[0]).shape[1::-1], "roles": [role]}
+    return list(bodies_over([motion], camera, map(pictures, frames), frames, body=body, **how))
 
 
 def detections(seen: Observation2D, camera: Camera, pictures: Pictures, frames: Sequence[int]) -> list[np.ndarray]:
@@ -95,15 +81,6 @@ def detections(seen: Observation2D, camera: Camera, pictures: Pictures, frames: 
 def side_by_side(panels: Mapping[str, np.ndarray]) -> np.ndarray:
     """Returns pictures of one height side by side, each under its label."""
     return np.concatenate([labelled(picture, label) for label, picture in panels.items()], 1)
-
-
-def labelled(picture: np.ndarray, text: str) -> np.ndarray:
-    """Draws a label into the upper left corner of a picture."""
-    image = Image.fromarray(picture)
-    pen, font = ImageDraw.Draw(image), ImageFont.load_default(15)
-    pen.rectangle(pen.textbbox((8, 6), text, font=font), fill=PAPER)
-    pen.text((8, 6), text, fill="#30343b", font=font)
-    return np.asarray(image)
 
 
 def stacked(rows: Mapping[str, Sequence[tuple[str, np.ndarray]]], size: tuple[int, int]) -> np.ndarray:

@@ -1,0 +1,83 @@
+"""Keypoints found in a video by rtmlib, an optional extra: RTMPose's 26 points of body and feet on onnxruntime.
+
+rtmlib downloads its weights at first use. Anything that finds people can stand in its place, see ``find``.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from motionlab.errors import DataError, MissingData, ShapeError
+from motionlab.files import write_whole
+from motionlab.io.layouts import HALPE_26
+from motionlab.io.video import Video
+
+#: (H, W, 3) uint8, blue first -> points (P, 26, 2) in pixels and scores (P, 26) of the people in it.
+_Finder = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+_LOWEST = 0.3  # score from which RTMPose draws a point
+_OTHERWISE = (
+    "Run a 2-D pose detector yourself and give what it wrote with --keypoints: OpenPose "
+    "(openpose.bin --video clip.mp4 --write_json json/), MMPose (python demo/inferencer_demo.py clip.mp4 "
+    "--pose2d body26 --pred-out-dir json/), AlphaPose (python scripts/demo_inference.py --video clip.mp4 "
+    "--outdir json/), Ultralytics (yolo pose predict source=clip.mp4 save_txt=True), MediaPipe, MoveNet, ViTPose, "
+    "Sports2D, or an npz or CSV of your own, as motionlab.io.keypoints describes it."
+)
+
+
+def _rtmpose(mode: str = "balanced") -> _Finder:
+    """Loads RTMPose with its detector of people; mode: lightweight, balanced or performance.
+
+    Raises:
+        MissingData: rtmlib is not installed, or its weights are not here and cannot be fetched.
+    """
+    try:
+        from rtmlib import BodyWithFeet
+    except ImportError as error:
+        raise MissingData(
+            "the optional extra that finds keypoints", f"pip install 'motionlab[detect]'. {_OTHERWISE}"
+        ) from error
+    try:
+        return BodyWithFeet(mode=mode, backend="onnxruntime", device="cpu")
+    except Exception as error:  # whatever a download raises
+        how = f"It could not be fetched ({error}): connect once to the network. {_OTHERWISE}"
+        raise MissingData("the weights of RTMPose", how) from error
+
+
+def find(
+    video: Video, path: str | Path, *, finder: _Finder | None = None, fps: float | None = None, progress: bool = False
+) -> None:
+    """Finds the keypoints of everybody in a video and writes them as npz, as ``io.keypoints`` reads it.
+
+    Args:
+        finder: what finds them in one picture; default RTMPose's.
+        fps: of a folder of images.
+
+    Raises:
+        MissingData: rtmlib is not installed, or its weights are not here and cannot be fetched.
+        DataError: no frame rate, or nobody in any frame. ShapeError: another layout.
+    """
+    fps = fps or video.fps
+    if fps is None:
+        raise DataError("images hold no frames per second", path=video.path, remedy="pass fps=, or --fps")
+    finder, frames = finder or _rtmpose(), []
+    pictures = tqdm(video.pictures(range(video.frames)), total=video.frames, unit="frame", disable=not progress)
+    for picture in pictures:
+        points, scores = (np.asarray(x, float) for x in finder(np.ascontiguousarray(picture[..., ::-1])))
+        if points.shape[1:] != (len(HALPE_26), 2) or scores.shape != points.shape[:-1]:
+            raise ShapeError(f"finder: expected (P, 26, 2) and (P, 26), got {points.shape} and {scores.shape}")
+        sure = np.where(scores < _LOWEST, 0.0, scores)
+        frames.append(np.concatenate((points, sure[..., None]), -1))
+    most = max(len(people) for people in frames)
+    table = np.zeros((len(frames), max(most, 1), len(HALPE_26), 3), np.float32)
+    for row, people in zip(table, frames, strict=True):
+        row[: len(people)] = people
+    if not (table[..., 2] > 0).any():
+        raise DataError("nobody was found in any frame", path=video.path, remedy="use another video")
+    archive = io.BytesIO()
+    np.savez_compressed(archive, keypoints=table, names=np.array(HALPE_26), fps=fps, size=np.array(video.size))
+    write_whole(path, archive.getvalue())

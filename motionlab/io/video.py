@@ -1,0 +1,177 @@
+"""Footage: a video or a folder of numbered images, its rate and size; and whether the camera that took it moved."""
+
+from __future__ import annotations
+
+import math
+import re
+import subprocess
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+from motionlab.io.reading import Spot, reading
+
+_PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
+_SMALL = 160  # pixels across a picture in which the background is compared
+#: Share of the width by which the background may be off before a camera has moved: two pixels of ``_SMALL``.
+MOVED = 0.0125
+_SURE = 0.04  # height of a correlation's peak below which two backgrounds cannot be compared
+
+
+@dataclass(frozen=True, eq=False)
+class Video:
+    """A video, or images in the order of their numbers. fps: None of images. size: width, height in pixels."""
+
+    path: Path
+    fps: float | None
+    size: tuple[int, int]
+    frames: int
+    images: tuple[Path, ...] = ()
+
+    def pictures(self, wanted: Sequence[int]) -> Iterator[np.ndarray]:
+        """Yields pictures (H, W, 3) uint8 of frames in rising order, one at a time; past the end the last one.
+
+        Raises:
+            DataError: a picture cannot be read, or has another size than the first.
+        """
+        with reading(self.path, "convert it to MP4 (H.264), or to PNGs") as at:
+            if self.images:
+                for frame in wanted:
+                    yield self._checked(at, _image(self.images[min(frame, self.frames - 1)]))
+                return
+            now, picture, stream = -1, None, _decoded(at, self.size)
+            for frame in wanted:
+                while now < frame and (following := next(stream, None)) is not None:
+                    picture, now = following, now + 1
+                if picture is None:
+                    raise at.error("no picture in it")
+                yield picture
+            stream.close()
+
+    def _checked(self, at: Spot, picture: np.ndarray) -> np.ndarray:
+        if picture.shape[1::-1] != self.size:
+            raise at.error(f"a picture of {picture.shape[1::-1]} among those of {self.size} pixels")
+        return picture
+
+
+def open_video(path: str | Path) -> Video:
+    """Opens a video that FFmpeg reads, or a folder of images.
+
+    Raises:
+        DataError: neither, or nothing in it.
+    """
+    with reading(path, "give a video, or a folder with an image per frame") as at:
+        if at.path.is_dir():
+            found = [each for each in at.path.iterdir() if each.suffix.lower() in _PICTURES]
+            if not found:
+                raise at.error(f"0 images ({', '.join(_PICTURES)}) in this folder")
+            images = tuple(sorted(found, key=_numbered))
+            first = _image(images[0])
+            return Video(at.path, None, first.shape[1::-1], len(images), images)
+        if not at.path.stat().st_size:
+            raise at.error("the file is empty")
+        try:
+            frames = int(imageio_ffmpeg.count_frames_and_secs(str(at.path))[0])
+        except RuntimeError as error:
+            raise at.error("no video that FFmpeg can read") from error
+        stream = imageio_ffmpeg.read_frames(str(at.path))
+        found = next(stream)
+        stream.close()
+        fps = float(found["fps"])
+        if not 0 < fps < 1e4:
+            raise at.error(f"{fps:g} frames per second")
+        return Video(at.path, fps, tuple(found["size"]), max(frames, 1))
+
+
+def _decoded(at: Spot, size: tuple[int, int]) -> Iterator[np.ndarray]:
+    """All pictures of a video; FFmpeg ends with the generator."""
+    words = [
+        imageio_ffmpeg.get_ffmpeg_exe(),
+        "-v",
+        "error",
+        "-i",
+        str(at.path),
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-",
+    ]
+    shape = (size[1], size[0], 3)
+    quiet = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, **quiet) as process:
+        try:
+            while len(data := process.stdout.read(math.prod(shape))) == math.prod(shape):
+                yield np.frombuffer(data, np.uint8).reshape(shape)
+        finally:
+            process.kill()
+
+
+def _numbered(path: Path) -> tuple[list[int], str]:
+    return [int(number) for number in re.findall(r"\d+", path.stem)], path.name
+
+
+def _image(path: Path) -> np.ndarray:
+    with reading(path, "extract the video's frames again") as at, Image.open(at.path) as picture:
+        return np.asarray(picture.convert("RGB"))
+
+
+def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Sequence[float]]]) -> np.ndarray:
+    """Computes how far the background moved since the first picture (N,), shares of the width; NaN where untold.
+
+    By phase correlation of neighbouring pictures, people left out. A camera that turns or travels shows; one that
+    only zooms does not.
+
+    Args:
+        pictures: N of (H, W, 3) uint8, a fraction of a second apart.
+        boxes: of the people in each picture: left, top, right, bottom in pixels.
+
+    Source: Kuglin and Hines 1975.
+    """
+    small, away, found = [], np.zeros(2), [0.0]
+    for picture in pictures:
+        small.append(_small(picture))
+        shape = picture.shape
+    for k in range(1, len(small)):
+        mask = np.ones(small[0].shape)
+        for n in (k - 1, k):
+            _leave_out(mask, boxes[n], shape)
+        step = _shift(small[k - 1], small[k], gaussian_filter(mask, 2.0) * mask)
+        told = np.isfinite(step).all()
+        away = away + step if told else away
+        found.append(float(np.linalg.norm(away)) / _SMALL if told else np.nan)
+    return np.array(found)
+
+
+def _small(picture: np.ndarray) -> np.ndarray:
+    high = max(8, round(_SMALL * picture.shape[0] / picture.shape[1]))
+    grey = np.asarray(Image.fromarray(picture).convert("L").resize((_SMALL, high), Image.Resampling.BOX), float)
+    return grey - gaussian_filter(grey, 4.0)
+
+
+def _leave_out(mask: np.ndarray, boxes: Sequence[Sequence[float]], shape: tuple[int, ...]) -> None:
+    """Sets a mask to 0 in boxes that are a fifth larger on each side."""
+    for left, top, right, bottom in boxes:
+        if not np.isfinite((left, top, right, bottom)).all():
+            continue
+        wide, high = 0.2 * (right - left), 0.2 * (bottom - top)
+        x, y = mask.shape[1] / shape[1], mask.shape[0] / shape[0]
+        rows = slice(*(int(max(v, 0)) for v in ((top - high) * y, (bottom + high) * y + 1)))
+        mask[rows, slice(*(int(max(v, 0)) for v in ((left - wide) * x, (right + wide) * x + 1)))] = 0
+
+
+def _shift(before: np.ndarray, after: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Pixels (2,) by which the pattern moved; NaN where no peak says so."""
+    window = mask * np.outer(*(np.hanning(n) for n in mask.shape))
+    one, other = (np.fft.rfft2(each * window) for each in (before, after))
+    cross = other * one.conj()
+    found = np.fft.irfft2(cross / (np.abs(cross) + 1e-6 * np.abs(cross).max() + 1e-12), mask.shape)
+    peak = np.array(np.unravel_index(found.argmax(), found.shape))
+    if found.max() < _SURE:
+        return np.full(2, np.nan)
+    return np.where(peak > np.array(found.shape) / 2, peak - found.shape, peak).astype(float)

@@ -1,0 +1,280 @@
+"""Several people of one footage, seen by one camera: fits in a batch, long footage in windows that are kept on disk.
+
+Where the camera's place is not known, a coarse fit of everybody finds one for all: the mean of what each of them says.
+Then they are fitted together under it. Footage of more than ``WHOLE`` frames is fitted in windows of ``WINDOW``; one
+that is done is kept, so that a rerun goes on where the last one stopped. What they share is blended.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from motionlab import rotation
+from motionlab.baselines import interpolate
+from motionlab.errors import DataError
+from motionlab.files import write_whole
+from motionlab.humor import body_shape, testops
+from motionlab.humor.energies import UNUSED_BODY_25
+from motionlab.humor.priors import Priors
+from motionlab.humor.shooting.feedback_solver import Plan
+from motionlab.humor.unknowns import window_starts
+from motionlab.io.reading import read_npz, reading
+from motionlab.motion import Motion
+from motionlab.observation import BODY_25, Camera, Observation2D
+from motionlab.skeleton import BALLS, STANDARD
+
+#: Frames (at 30 fps) that are fitted at once, and the windows of more: their length and what neighbours share.
+WHOLE, WINDOW, OVERLAP = 180, 120, 24
+#: People who are fitted at once: 120 frames of one take about 0.5 GB.
+TOGETHER = 8
+#: Frames for which somebody may be unseen and still be shown.
+_SHOWN = 15
+_ENOUGH = 4  # keypoints that place a person
+_KEYS = ("root", "rot", "contacts", "betas", "surprise", "missed")
+_USED = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]
+_MODES = {"shooting": "lean", "rollout": "official"}  # of a fit by each solver: with rollout all of it is the original
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFit:
+    """P people of one scene, T frames at 30 fps, world coordinates, z up.
+
+    motions: one per person, of the whole footage, on the fitted bones; unseen times are filled in. shown (P, T): seen,
+    or only for a moment not. seen: keypoints of BODY_25 (P, T, 25, 2). camera: one for all. surprise (P,): see
+    ``testops.Doubts``. windows: how many. reasons: why each search ended. stopped: whether Ctrl-C ended it.
+    """
+
+    motions: tuple[Motion, ...]
+    shown: Tensor
+    seen: Observation2D
+    camera: Camera
+    surprise: Tensor
+    energy: dict[str, list[float]]
+    windows: int
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+    stopped: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """How a scene is fitted. camera: None for an assumed one. placed: whether its place is known. size: of the image.
+
+    keep: folder for the windows that are done; None keeps none.
+    """
+
+    priors: Priors
+    camera: Camera | None = None
+    placed: bool = False
+    size: tuple[int, int] | None = None
+    solver: str = "shooting"
+    quick: bool = False
+    keep: Path | None = None
+    progress: bool = False
+
+    @property
+    def schedule(self) -> testops.Schedule | None:
+        """The work of a fit; None is the official configuration."""
+        if self.quick:
+            return QUICK_WORK
+        return FULL_WORK if self.solver == "shooting" else None
+
+    def fit(self, seen: Observation2D, camera: Camera | None, floor: str | None, **how) -> testops.Fitted:
+        """Fits a batch under one camera."""
+        cameras = None if camera is None else [camera] * len(seen.keypoints)
+        how = {"schedule": self.schedule, "progress": self.progress, "solver": self.solver} | how
+        how["mode"] = _MODES[how["solver"]]
+        return testops.fit(seen, self.priors, cameras=cameras, floor=floor, size=self.size, **how)
+
+
+#: Lean's, from one start and without leaps to other valleys.
+FULL_WORK = replace(testops.Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=2e-3, trial=0, leaps=0))
+QUICK_WORK = replace(testops.Schedule.quick(), steps=(2, 4, 3), shooting=Plan(rounds=3, closures=12, trial=0, leaps=0))
+
+
+def fit_people(seen: Observation2D, task: Task) -> SceneFit:
+    """Fits people (P, T, 25, 2), keypoints of BODY_25 at 30 fps, who share one static camera.
+
+    Ctrl-C keeps the best so far of footage in one window; of longer footage it keeps the windows that are done.
+
+    Raises:
+        DataError: nothing that a fit uses was seen of somebody. KeyboardInterrupt: stopped between windows.
+    """
+    enough = (seen.confidence[..., _USED] > 0).sum(-1) >= _ENOUGH
+    if not enough.any(-1).all():
+        nobody = (~enough.any(-1)).nonzero()[:, 0].tolist()
+        message = f"no frame shows {_ENOUGH} keypoints that a fit uses (it leaves out neck and hips)"
+        raise DataError(message, place=f"person {nobody[0]}", remedy="use another recording, or another --person")
+    people, frames = enough.shape
+    whole = frames <= WHOLE or task.solver == "rollout"  # which cuts windows of its own
+    starts = (0,) if whole else window_starts(frames, WINDOW, OVERLAP)
+    length = frames if whole else WINDOW
+    camera, floor, notes = task.camera, "camera" if task.placed else "guess", []
+    if task.camera is None:
+        floor = None
+    if not task.placed and (people > 1 or len(starts) > 1):
+        camera, notes = _common_camera(seen, enough, task)
+        floor = "camera"
+    pieces: list[list[dict[str, Tensor]]] = [[] for _ in range(people)]
+    reasons, energy, stopped, bar = [], {}, False, None
+    if len(starts) > 1:
+        bar = tqdm(starts, unit="window", desc="windows", disable=not task.progress)
+    for start in bar if bar is not None else starts:
+        span = slice(start, start + length)
+        who = enough[:, span].any(-1).nonzero()[:, 0].tolist()
+        for some in (who[k : k + TOGETHER] for k in range(0, len(who), TOGETHER)):
+            part = _cut(seen, some, span)
+            file = None if len(starts) == 1 or task.keep is None else task.keep / f"{_key(part, camera, task)}.npz"
+            found = None if file is None else _kept(file, len(some), length)
+            if found is None:
+                inner = task if len(starts) == 1 else replace(task, progress=False)
+                fitted = inner.fit(part, camera, floor)
+                stopped |= fitted.stopped
+                if fitted.stopped and len(starts) > 1:
+                    raise KeyboardInterrupt
+                notes += [note for note in fitted.notes if "doubts" not in note]
+                reasons += [each.reasons[-1] for results in fitted.results.values() for each in results]
+                for name, value in fitted.energies[max(fitted.energies)].items():
+                    energy.setdefault(name, [0.0] * people)
+                    for p, e in zip(some, value.tolist(), strict=True):
+                        energy[name][p] += e
+                found = _arrays(fitted)
+                if floor in (None, "guess"):  # one person, one window
+                    camera = fitted.cameras[0]
+                if file is not None:
+                    _keep(file, found)
+            for row, person in enumerate(some):
+                pieces[person].append({"start": start} | {key: found[key][row] for key in _KEYS})
+    camera = camera if camera is not None else task.camera
+    motions = [_joined(parts, frames, seen.fps) for parts in pieces]
+    surprise = torch.stack([torch.stack([part["surprise"] for part in parts]).mean() for parts in pieces])
+    shown = _shown(enough)
+    if not task.placed:
+        motions, camera, lift = _on_the_floor(motions, shown, camera)
+        notes += [f"the floor was moved by {100 * lift:+.1f} cm so that the feet stand on z = 0"]
+    return SceneFit(
+        tuple(motions), shown, seen, camera, surprise, energy, len(starts), tuple(reasons),
+        tuple(dict.fromkeys(notes)), stopped,
+    )  # fmt: skip
+
+
+def _cut(seen: Observation2D, people: Sequence[int], span: slice) -> Observation2D:
+    return replace(seen, keypoints=seen.keypoints[people][:, span], confidence=seen.confidence[people][:, span])
+
+
+def _common_camera(seen: Observation2D, enough: Tensor, task: Task) -> tuple[Camera, list[str]]:
+    """One camera for all: a coarse fit of at most 4 s of everybody, where most is seen; the mean of their cameras,
+    weighted by what was seen of each and by how well the fit met it."""
+    length = min(seen.frames, WINDOW)
+    most = seen.confidence[..., _USED].sum((0, 2)).unfold(0, length, 1).sum(-1).argmax()
+    span = slice(int(most), int(most) + length)
+    who = enough[:, span].any(-1).nonzero()[:, 0].tolist()[:TOGETHER]
+    part = _cut(seen, who, span)
+    floor = None if task.camera is None else "guess"
+    fitted = task.fit(part, task.camera, floor, schedule=QUICK_WORK, solver="shooting")
+    if fitted.stopped:
+        raise KeyboardInterrupt
+    weight = part.confidence[..., _USED].sum((1, 2)) / (1 + fitted.doubts.misfit.nan_to_num(1e6))
+    weight = weight / weight.sum()
+    turn = sum(w * c.rotation for w, c in zip(weight, fitted.cameras, strict=True))
+    centre = sum(w * c.centre for w, c in zip(weight, fitted.cameras, strict=True))
+    turn = rotation.nearest(turn)
+    camera = replace(fitted.cameras[0], rotation=turn, translation=-turn @ centre)
+    return camera, [note for note in fitted.notes if "camera assumed" in note]
+
+
+# ------------------------------------------------------------------------------------------------------------- windows
+def _arrays(fitted: testops.Fitted) -> dict[str, Tensor]:
+    motion, people = fitted.motion, len(fitted.betas)
+    nothing = motion.root.new_full((people,), float("nan"))
+    doubts = fitted.doubts
+    windows = 1 if doubts is None else len(doubts.surprise) // people
+    return {
+        "root": motion.root, "rot": motion.rot, "contacts": fitted.contacts, "betas": fitted.betas.detach(),
+        "surprise": nothing if doubts is None else doubts.surprise.unflatten(0, (people, windows)).mean(-1),
+        "missed": nothing if doubts is None else doubts.misfit.unflatten(0, (people, windows)).mean(-1),
+    }  # fmt: skip
+
+
+def _key(part: Observation2D, camera: Camera, task: Task) -> str:
+    """A name for a window: what goes into its fit."""
+    content = hashlib.sha256()
+    tensors = (part.keypoints, part.confidence, camera.intrinsics, camera.rotation, camera.translation)
+    networks = (task.priors.motion, task.priors.pose)
+    for tensor in (*tensors, *(weight for network in networks for weight in network.parameters())):
+        content.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+    content.update(repr((task.schedule, task.solver, task.size)).encode())
+    return content.hexdigest()[:16]
+
+
+def _keep(file: Path, found: dict[str, Tensor]) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    archive = io.BytesIO()
+    np.savez(archive, **{key: value.numpy() for key, value in found.items()})
+    write_whole(file, archive.getvalue())
+
+
+def _kept(file: Path, people: int, length: int) -> dict[str, Tensor] | None:
+    """What an earlier run found, if it is there and whole."""
+    if not file.exists():
+        return None
+    with reading(file, "delete it") as at:
+        found = {key: torch.from_numpy(value.copy()) for key, value in read_npz(at, _KEYS).items()}
+        if set(found) != set(_KEYS) or found["root"].shape != (people, length, 3):
+            raise at.error("not a window of this footage")
+        return found
+
+
+def _joined(parts: Sequence[dict[str, Tensor]], frames: int, fps: float) -> Motion:
+    """One motion from the windows of a person, on the mean of their bones; where there are none, interpolated."""
+    betas = torch.stack([part["betas"] for part in parts]).mean(0)
+    skeleton = replace(STANDARD, offsets=body_shape.offsets(betas))
+    root, rot = torch.zeros(frames, 3), torch.eye(3).repeat(frames, 22, 1, 1)
+    contacts, known = torch.zeros(frames, 9), torch.zeros(frames, dtype=torch.bool)
+    for part in parts:
+        own = replace(STANDARD, offsets=body_shape.offsets(part["betas"]))
+        now = Motion(own, part["root"], part["rot"], fps)
+        if len(parts) > 1:  # other bones: the lowest joint stays as high as it was
+            mean = replace(now, skeleton=skeleton)
+            low = (each.positions[..., 2].amin(-1) for each in (now, mean))
+            now = replace(mean, root=mean.root + (next(low) - next(low))[:, None] * torch.tensor([0.0, 0.0, 1.0]))
+        span = slice(part["start"], part["start"] + len(now.root))
+        shared = int(known[span].sum())  # the first of them
+        ramp = torch.ones(len(now.root))
+        ramp[:shared] = torch.arange(1, shared + 1) / (shared + 1)
+        root[span] = torch.lerp(root[span], now.root, ramp[:, None])
+        contacts[span] = torch.lerp(contacts[span], part["contacts"], ramp[:, None])
+        rot[span] = rotation.slerp(rot[span], now.rot, ramp[:, None].expand(-1, 22))
+        known[span] = True
+    motion = Motion(skeleton, root, rot, fps)
+    if not known.all():
+        motion = interpolate(motion, known)
+    return replace(motion, contacts=(contacts > 0.5).float())
+
+
+def _shown(enough: Tensor) -> Tensor:
+    """Frames (P, T) within half a second of one in which enough was seen."""
+    near = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)
+    return near[:, 0] > 0
+
+
+def _on_the_floor(motions: Sequence[Motion], shown: Tensor, camera: Camera) -> tuple[list[Motion], Camera, float]:
+    """Raises the whole scene, its camera too, so that the lowest ball of the foot is at sole height.
+
+    Of each person the height that 2 % of the frames are below; of several people the median of them.
+    """
+    feet = STANDARD.indices(BALLS)
+    low = [m.positions[on][:, feet, 2].amin(-1).quantile(0.02) for m, on in zip(motions, shown, strict=True)]
+    lift = float(STANDARD.sole - torch.stack(low).median())
+    up = torch.tensor([0.0, 0.0, lift])
+    moved = [replace(motion, root=motion.root + up) for motion in motions]
+    return moved, replace(camera, translation=camera.translation - camera.rotation @ up), lift

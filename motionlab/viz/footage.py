@@ -1,0 +1,143 @@
+"""People over what filmed them: skins through the camera in front of a picture, beside the scene from the side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import imageio.v2 as imageio
+import numpy as np
+import torch
+from PIL import Image, ImageDraw, ImageFont
+from torch import Tensor
+
+from motionlab import viz
+from motionlab.body import BodyModel
+from motionlab.motion import Motion
+from motionlab.observation import Camera, Observation2D
+from motionlab.viz.movie import Film, jpeg
+from motionlab.viz.palette import INK, PAPER, blend, colour
+from motionlab.viz.scene import Scene
+
+_OPAQUE = 0.8  # of a body over a video: the person below still shows
+_AREA = 640 * 480  # pixels of the picture in a film
+
+
+def as_camera(picture: np.ndarray, camera: Camera, size: tuple[int, int]) -> np.ndarray:
+    """Converts a picture (H, W, 3) uint8 to what a camera's image is at another size (width, height).
+
+    A frame of another shape keeps its upper left corner and is black where the camera's image is larger.
+    """
+    high, wide = picture.shape[:2]
+    if abs(wide * camera.height - high * camera.width) > max(camera.width, camera.height):
+        whole = np.zeros((camera.height, camera.width, 3), np.uint8)
+        high, wide = min(camera.height, high), min(camera.width, wide)
+        whole[:high, :wide] = picture[:high, :wide]
+        picture = whole
+    return np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
+
+
+def bodies_over(
+    motions: Sequence[Motion],
+    camera: Camera,
+    pictures: Iterable[np.ndarray],
+    frames: Sequence[int],
+    size: tuple[int, int],
+    body: BodyModel,
+    *,
+    roles: Sequence[str | tuple],
+    shown: Sequence[Sequence[bool]] | None = None,
+    fine: bool = True,
+) -> Iterator[np.ndarray]:
+    """Draws the skins of people through their camera over pictures, one per frame; whoever is nearer hides the other.
+
+    Args:
+        motions: one clip per person, at one rate.
+        pictures: (H, W, 3) uint8, those of ``frames`` in their order, of the size (width, height) and the camera's
+            shape.
+        shown: (P, T) in which frames there is somebody.
+        fine: smooth edges, at three times the time.
+    """
+    with Scene(size, camera=camera) as scene:
+        _edges(scene, fine)
+        for k, (motion, role) in enumerate(zip(motions, roles, strict=True)):
+            scene.body(body, motion, role, shadow=0, shown=None if shown is None else shown[k])
+        for frame, picture in zip(frames, pictures, strict=True):
+            scene.at(frame / motions[0].fps).plotter.render()
+            layer = scene.plotter.screenshot(transparent_background=True, return_img=True)
+            share = _OPAQUE * layer[..., 3:] / 255.0
+            yield (share * layer[..., :3] + (1 - share) * picture).astype(np.uint8)
+
+
+def _edges(scene: Scene, fine: bool) -> None:
+    if not fine and not viz.draft:
+        scene.plotter.disable_anti_aliasing()
+        scene.plotter.enable_anti_aliasing("msaa", multi_samples=4)
+
+
+def labelled(picture: np.ndarray, text: str) -> np.ndarray:
+    """Draws a label into the upper left corner of a picture."""
+    image = Image.fromarray(picture)
+    pen, font = ImageDraw.Draw(image), ImageFont.load_default(15)
+    pen.rectangle(pen.textbbox((8, 6), text, font=font), fill=PAPER)
+    pen.text((8, 6), text, fill=INK, font=font)
+    return np.asarray(image)
+
+
+def over_footage(
+    motions: Sequence[Motion],
+    camera: Camera,
+    pictures: Iterable[np.ndarray] | None,
+    path: str | Path,
+    body: BodyModel,
+    *,
+    roles: Sequence[str | tuple],
+    shown: Sequence[Sequence[bool]] | None = None,
+    seen: Sequence[Observation2D] = (),
+    area: int = _AREA,
+) -> Film:
+    """Writes an MP4 of people over what their camera filmed, beside the scene from the camera's right.
+
+    Args:
+        motions: one clip per person, all of one rate, which is the film's, and one length.
+        pictures: one (H, W, 3) uint8 for each frame; None is paper.
+        shown: (P, T) in which frames there is somebody.
+        seen: detections of each person, a frame for each of the film, drawn as dots.
+        area: of the picture over the footage, pixels.
+    """
+    count, fps = motions[0].frames, motions[0].fps
+    scale = (area / (camera.width * camera.height)) ** 0.5
+    size = (2 * round(camera.width * scale / 2), 2 * round(camera.height * scale / 2))
+    frames = range(count)
+    paper = np.asarray(Image.new("RGB", size, PAPER))
+    below = (as_camera(p, camera, size) for p in pictures) if pictures is not None else (paper for _ in frames)
+    how = {"roles": roles, "shown": shown, "fine": False}
+    right = camera.rotation[0]
+    title, wide = ("from the camera's right",), max(320, 2 * round(0.4 * size[1]))
+    with Scene((wide, size[1]), panels=title, azimuth=_degrees(right)) as side:
+        _edges(side, fine=False)
+        side.floor()
+        for k, (motion, role) in enumerate(zip(motions, roles, strict=True)):
+            side.body(body, motion, role, shown=None if shown is None else shown[k])
+        poster = None
+        with imageio.get_writer(path, fps=fps, macro_block_size=2, quality=6) as film:
+            for frame, front in enumerate(bodies_over(motions, camera, below, frames, size, body, **how)):
+                for person, role in zip(seen, roles, strict=False):
+                    front = _dotted(front, person, frame, size[0] / camera.width, role)
+                text = "over the footage" if pictures is not None else "through the camera"
+                picture = np.concatenate((labelled(front, text), side.image(frame / fps)), 1)
+                film.append_data(picture)
+                poster = picture if poster is None or frame == count // 2 else poster
+    return Film(Path(path), count, fps, count / fps, 1.0, Path(path).stat().st_size, jpeg(poster))
+
+
+def _degrees(direction: Tensor) -> float:
+    return float(torch.rad2deg(torch.atan2(direction[1], direction[0])))
+
+
+def _dotted(picture: np.ndarray, seen: Observation2D, frame: int, scale: float, role: str | tuple) -> np.ndarray:
+    image = Image.fromarray(picture)
+    pen, tone = ImageDraw.Draw(image), tuple(round(255 * c) for c in blend(colour(role), "white", 0.5))
+    for at in (seen.keypoints[frame][seen.confidence[frame] > 0] * scale).tolist():
+        pen.circle(tuple(at), 2.5, fill=tone, outline=(20, 20, 20))
+    return np.asarray(image)

@@ -1,0 +1,62 @@
+"""People over footage: whoever is nearer hides the other, nobody is drawn who is not there, a film keeps its frames."""
+
+import numpy as np
+import pytest
+import torch
+
+from motionlab.body import BodyModel
+from motionlab.io import video
+from motionlab.motion import Motion
+from motionlab.observation import BODY_25, Observation2D, look_at
+from motionlab.skeleton import STANDARD, UPRIGHT
+from motionlab.viz.footage import as_camera, bodies_over, over_footage
+
+CAMERA = look_at(torch.tensor([0.0, -4.0, 1.2]), torch.tensor([0.0, 0.0, 0.9]), focal=150.0, width=160, height=120)
+RED, GREEN = (0.9, 0.1, 0.1), (0.1, 0.7, 0.1)
+
+
+@pytest.fixture(scope="module")
+def body() -> BodyModel:
+    return BodyModel.from_anny()
+
+
+def standing(y: float, frames: int = 2) -> Motion:
+    rot = torch.eye(3).repeat(frames, 22, 1, 1)
+    rot[:, 0] = UPRIGHT
+    root = torch.tensor([0.0, y, float(STANDARD.standing_height())]).repeat(frames, 1)
+    return Motion(STANDARD, root, rot, 25.0)
+
+
+def test_the_nearer_hides_the_farther_in_either_order(body):
+    near, far = standing(-1.0), standing(1.0)
+    paper = np.full((120, 160, 3), 255, np.uint8)
+    for people, roles in (((near, far), (RED, GREEN)), ((far, near), (GREEN, RED))):
+        shown = [[True, people[0] is near], [True, people[1] is near]]
+        both, alone = bodies_over(people, CAMERA, [paper] * 2, range(2), (160, 120), body, roles=roles, shown=shown)
+        red, green = both[62, 80, :2].astype(int)
+        assert red > green + 40  # the chest of the one in front
+        assert (np.abs(both.astype(int) - alone).max(-1) > 40).mean() < 0.05  # who is behind hardly shows
+        assert (alone[:4] == 255).all() and (alone[..., 0] <= 255).all()
+    nobody = next(bodies_over([near], CAMERA, [paper], range(1), (160, 120), body, roles=[RED], shown=[[False, False]]))
+    assert np.array_equal(nobody, paper)
+
+
+def test_a_film_has_a_frame_for_each_of_the_footage(tmp_path, body):
+    motion = standing(0.0, frames=4)
+    seen = Observation2D(torch.full((4, 25, 2), 20.0), torch.ones(4, 25), BODY_25, 25.0)
+    pictures = (np.full((120, 160, 3), 60 * frame, np.uint8) for frame in range(4))
+    film = over_footage(
+        [motion], CAMERA, pictures, tmp_path / "film.mp4", body, roles=["ours"], seen=[seen], area=19200
+    )
+    found = video.open_video(tmp_path / "film.mp4")
+    assert (found.frames, found.fps) == (4, 25.0) == (film.frames, film.fps) and film.poster[:2] == b"\xff\xd8"
+    corners = [int(picture[110, 5].mean()) for picture in found.pictures(range(4))]
+    assert np.abs(np.array(corners) - [0, 60, 120, 180]).max() < 12
+
+
+def test_a_picture_becomes_the_camera_s(body):
+    picture = np.zeros((60, 80, 3), np.uint8)
+    assert as_camera(picture, CAMERA, (160, 120)).shape == (120, 160, 3)  # half the resolution
+    narrow = np.full((120, 150, 3), 200, np.uint8)
+    found = as_camera(narrow, CAMERA, (160, 120))
+    assert (found[:, :149] == 200).all() and (found[:, 151:] == 0).all()
