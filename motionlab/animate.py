@@ -13,25 +13,22 @@ Source: thesis 4.2.1 (in-betweening, occluded legs), 4.4.1 (seams); inertialisat
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
-from tqdm.auto import tqdm
 
 from motionlab import rotation
-from motionlab.contact import with_contacts
+from motionlab.corrections import Fill, Keep, Standard, by_windows, pasted
 from motionlab.diffusion.inpainting import Way, offset_decay, repair
 from motionlab.diffusion.masks import units
 from motionlab.diffusion.model import Trained, motion_model
-from motionlab.diffusion.planting import planted
 from motionlab.errors import DataError
 from motionlab.heading import local_to_world, stuck_root
-from motionlab.motion import FPS, Motion, resample
-from motionlab.retarget import Retargeted, retarget
-from motionlab.skeleton import STANDARD, fk
+from motionlab.motion import Motion
+from motionlab.retarget import retarget
+from motionlab.skeleton import STANDARD
 
 METHODS = ("network", "curves", "nearest")
 TOLD, RECALLS = "diffusion_real_told", "diffusion_told"  # the network, and whose training windows are recalled
@@ -39,27 +36,7 @@ GROUPS = {"legs": ("left_hip", "right_hip"), "arms": ("left_shoulder", "right_sh
     f"{side}_{limb}": (f"{side}_{top}",)
     for side in ("left", "right") for limb, top in (("leg", "hip"), ("arm", "shoulder"))
 }  # fmt: skip
-_FADE = 0.6  # seconds over which the velocity at a key carries on
-_STRIDE = 20  # frames between windows where a joint is never known
-_EDGE = 2  # frames of a window that stay beside a gap
-
-Fill = Callable[[Motion, Tensor], Motion]
-
-
-@dataclass(frozen=True, eq=False)
-class Keep:
-    """What of a motion (T) with J joints is kept: frames (T,) with all joints, and joints (J,) in all frames, bool.
-
-    Joint 0 counts with the root's place.
-    """
-
-    frames: Tensor
-    joints: Tensor
-
-    @property
-    def rot(self) -> Tensor:
-        """(T, J), where rotations are kept; its first column is the root's place, too."""
-        return self.frames[:, None] | self.joints
+_FADE = (2.0, 0.8)  # seconds over which the velocity at a key carries on, of the root and of joints
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,14 +120,14 @@ def inbetween(
     notes = [f"{chosen}: {why}" if chosen == usual else f"{chosen}, as asked; the default here is {usual}: {why}"]
     drawn = curves(motion, keep)
     try:
-        body = _Standard.of(motion, drawn, keep)
+        body = Standard.of(motion, drawn, keep)
     except DataError as error:
         if method in ("network", "nearest"):
             raise
         return Animated(drawn, ("curves without planted feet, as its joints are not known", str(error)))
     made = body.joints
     if chosen != "curves":
-        made = body.corrected(_filler(chosen, seed), progress)
+        made = body.corrected(by_windows(_filler(chosen, seed), body.lacking, progress))
     return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
 
 
@@ -179,9 +156,9 @@ def complete(
         raise DataError("no joints to complete", path=motion.name, place="hidden joints", remedy=remedy)
     keep = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.ones(len(motion.skeleton), dtype=torch.bool))
     keep.joints[sorted(hide)] = False
-    body = _Standard.of(motion, curves(motion, keep), keep)
+    body = Standard.of(motion, curves(motion, keep), keep)
     why = "of people nobody trained on it leaves hidden legs 16 cm off, ridge regression 18, the nearest motion 26"
-    made = body.corrected(_filler(chosen, seed, steps=2), progress)
+    made = body.corrected(by_windows(_filler(chosen, seed, steps=2), body.lacking, progress))
     note = f"{chosen}: {why}" if chosen == "network" else f"{chosen}, as asked; the default is network: {why}"
     return Animated(body.back(made, plant=plant), (note, "the floor is taken to be at height 0", *body.notes(plant)))
 
@@ -204,7 +181,7 @@ def longest_gap(frames: Tensor) -> int:
 
 
 # ------------------------------------------------------------------------------------------------------ curves
-def curves(motion: Motion, keep: Keep, fade: float = _FADE) -> Motion:
+def curves(motion: Motion, keep: Keep, fade: tuple[float, float] = _FADE) -> Motion:
     """Computes a motion (T) whose frames between kept ones lie on smooth curves on its own joints; no other is read.
 
     Lines between the keys around, in places and 6-D rotations, plus from either side what the velocity there differs
@@ -228,13 +205,17 @@ def curves(motion: Motion, keep: Keep, fade: float = _FADE) -> Motion:
     line, wide = left.clamp(max=len(slope) - 1), width[left.clamp(max=len(width) - 1)]
     since, until = (time - keys[left]).double()[:, None], (keys[right] - time).double()[:, None]
     inside = (since > 0) & (until > 0)
-    extra = _fading(since, wide, fade * motion.fps) * (speed[left] - slope[line])
-    extra = torch.where(inside, extra - _fading(until, wide, fade * motion.fps) * (speed[right] - slope[line]), 0.0)
+    extra = torch.zeros_like(slope[line])
+    for part, seconds in zip((slice(0, 3), slice(3, None)), fade, strict=True):
+        for key, away, sign in ((left, since, 1), (right, until, -1)):
+            off = (speed[key] - slope[line])[:, part]
+            extra[:, part] += sign * _fading(away, wide, seconds * motion.fps) * off
+    extra = torch.where(inside, extra, 0.0)
     share = torch.where(inside, since / wide, 0.0)
     place = torch.lerp(root[left], root[right], share) + extra[:, :3]
     turned = rotation.slerp(rot[left], rot[right], share) @ rotation.exp(extra[:, 3:].unflatten(-1, (-1, 3)))
     made = replace(motion, root=place.to(motion.root), rot=turned.to(motion.rot), contacts=None)
-    return _pasted(made, motion, keep)
+    return pasted(made, motion, keep)
 
 
 def _speeds(slope: Tensor, width: Tensor) -> Tensor:
@@ -252,147 +233,7 @@ def _fading(since: Tensor, width: Tensor, fade: float) -> Tensor:
     return n * (u**3 - 2 * u**2 + u)
 
 
-def _pasted(made: Motion, motion: Motion, keep: Keep) -> Motion:
-    """``made`` with what is kept of ``motion``, bit for bit."""
-    rot = torch.where(keep.rot[..., None, None], motion.rot, made.rot)
-    return replace(made, rot=rot, root=torch.where(keep.rot[:, :1], motion.root, made.root))
-
-
-# --------------------------------------------------------------------------------------- on the standard joints
-@dataclass(frozen=True, eq=False)
-class _Standard:
-    """The own motion, as drawn by curves, on 22 joints in its own proportions; and the way back.
-
-    drawn: on its own joints. joints: the same on the 22, feet on the floor. found: how it was retargeted. lift: metres
-    that it was raised. mapped: standard joint -> own joint. known (T, 22 + 2): units (``masks.units``) that are kept.
-    """
-
-    motion: Motion
-    drawn: Motion
-    keep: Keep
-    joints: Motion
-    found: Retargeted
-    lift: float
-    mapped: dict[int, int]
-    known: Tensor
-
-    @classmethod
-    def of(cls, motion: Motion, drawn: Motion, keep: Keep) -> _Standard:
-        lift = 0.0
-        if keep.frames.any():
-            index = keep.frames.nonzero()[:, 0]
-            lift = retarget(replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=None)).floor
-        found = retarget(drawn, floor=False)
-        up = torch.tensor([0.0, 0.0, lift])
-        joints = replace(found.motion, root=found.motion.root + up, contacts=None, notes=())
-        mapped = {STANDARD.index(n): motion.skeleton.index(own) for n, own in found.names.items()}
-        known = torch.zeros(motion.frames, len(STANDARD) + 2, dtype=torch.bool)
-        for j, own in mapped.items():
-            known[:, j] = keep.rot[:, own]
-        known[:, -2], known[:, -1] = keep.rot[:, 0], keep.frames
-        return cls(motion, drawn, keep, joints, found, lift, mapped, known)
-
-    def notes(self, plant: bool) -> tuple[str, ...]:
-        """What was decided on the way."""
-        missing = f"; made up nothing of {', '.join(self.found.unmapped)}" if self.found.unmapped else ""
-        feet = "feet that stand are planted" if plant else "feet are not planted"
-        return (f"joints read as {self.found.rig}{missing}", feet)
-
-    # -------------------------------------------------------------------------------------------------- a model
-    def corrected(self, fill: Fill, progress: bool, rate: float = FPS) -> Motion:
-        """The 22 joints with what is not kept filled in by ``fill``, at the model's rate, then brought to their own."""
-        slow, known = self._at_model_rate(rate)
-        body, scale = _on_body(slow)
-        made = _by_windows(body, known, fill, progress)
-        hips = _hips(made, 1.0) / scale
-        rot = torch.where(known[:, :22, None, None] | self._lacking()[:, None, None], slow.rot, made.rot)
-        root = hips - _hips(replace(slow, rot=rot, root=torch.zeros_like(slow.root)), 1.0)
-        root = torch.where(known[:, -2:-1], slow.root, root)
-        turn = slow.rot.mT @ rot  # corrections are small and smooth: they, not poses, go to the other rate
-        change = replace(slow, root=root - slow.root, rot=turn, contacts=made.contacts)
-        change = resample(change, self.motion.fps, "spline").cut(0, self.motion.frames)
-        own = self.joints
-        return replace(own, root=own.root + change.root, rot=own.rot @ change.rot, contacts=change.contacts)
-
-    def _lacking(self) -> Tensor:
-        """(22,): joints that the figure does not have."""
-        return torch.tensor([j not in self.mapped for j in range(len(STANDARD))])
-
-    def _at_model_rate(self, rate: float) -> tuple[Motion, Tensor]:
-        """The 22 joints at the model's rate, to the last frame and beyond, and what is known of them: a sample is where
-        the frames on either side of it are."""
-        own, frames = self.joints, self.motion.frames
-        ratio = own.fps / rate
-        count = math.ceil((frames - 1) / ratio - 1e-6) + 1
-        index = torch.arange(math.ceil((count - 1) * ratio) + 2).clamp(max=frames - 1)
-        slow = resample(replace(own, root=own.root[index], rot=own.rot[index]), rate).cut(0, count)
-        at = torch.arange(count) * ratio
-        low = (at + 1e-4).floor().long().clamp(max=frames - 1)
-        high = (at - 1e-4).ceil().long().clamp(max=frames - 1)
-        known = self.known[low] & self.known[high]
-        # a key between two samples: both stay, so that no correction reaches it
-        times = (torch.arange(frames) / ratio)
-        for side in ((times + 1e-4).floor(), (times - 1e-4).ceil()):
-            column = side.long().clamp(max=count - 1)[:, None].expand(self.known.shape)
-            known = known | torch.zeros_like(known, dtype=torch.long).scatter_reduce(
-                0, column, self.known.long(), "amax"
-            ).bool()
-        return with_contacts(slow), known
-
-    # ------------------------------------------------------------------------------------------------ and back
-    def back(self, made: Motion, *, plant: bool) -> Motion:
-        """The own motion with the turns and shifts by which ``made`` differs from ``joints``; kept numbers are those
-        of the motion."""
-        if plant and made.frames > 1:
-            made = self._planted(made)
-        skeleton, own = self.motion.skeleton, self.drawn.to(torch.float64)
-        before, after = self.joints.to(torch.float64).world[1], made.to(torch.float64).world[1]
-        turn = after @ before.mT
-        standing = {own_: j for j, own_ in self.mapped.items()}
-        world, local = own.world[1], own.rot.clone()
-        fresh: list[Tensor] = []
-        for j, parent in enumerate(skeleton.parents):
-            above = fresh[parent] if parent >= 0 else torch.eye(3, dtype=torch.float64)
-            fresh.append(turn[:, standing[j]] @ world[:, j] if j in standing else above @ local[:, j])
-            local[:, j] = above.mT @ fresh[j]
-        hips = [self.mapped[STANDARD.index(f"{side}_hip")] for side in ("left", "right")]
-        here = fk(own.skeleton, torch.zeros_like(own.root), local)[0][:, hips].mean(1)
-        root = _hips(made.to(torch.float64), 1.0) - torch.tensor([0.0, 0.0, self.lift]).double() - here
-        made = replace(self.motion, root=root.to(self.motion.root), rot=local.to(self.motion.rot), contacts=None)
-        return _pasted(made, self.motion, self.keep)
-
-    def _planted(self, made: Motion) -> Motion:
-        """Feet that stand stay in place, between frames whose legs are known."""
-        labelled = made if made.contacts is not None else with_contacts(made)
-        known = self.known[:, _LEGS].all(-1)
-        contacts = torch.where(known[:, None], with_contacts(made).contacts, labelled.contacts)
-        some = replace(made, root=made.root[None], rot=made.rot[None], contacts=contacts[None])
-        feet = planted(some, known=known[None])
-        free = ~known
-        return replace(made, rot=torch.where(free[:, None, None, None], feet.rot[0], made.rot))
-
-
-_LEGS = [
-    0, *(STANDARD.index(f"{side}_{part}") for side in ("left", "right") for part in ("hip", "knee", "ankle")),
-    len(STANDARD),
-]  # fmt: skip
-
-
-def _hips(motion: Motion, scale: float) -> Tensor:
-    """The middle between the hips (T, 3)."""
-    return scale * motion.positions[:, motion.skeleton.indices(["left_hip", "right_hip"])].mean(1)
-
-
-def _on_body(joints: Motion) -> tuple[Motion, float]:
-    """The motion on the body that models know, its path scaled with it, legs as they are turned; and the scale."""
-    knee = STANDARD.index("left_knee")
-    moved = retarget(joints, proportions="standard", plant=False, floor=False).motion
-    scale = float(STANDARD.offsets[knee].norm() / moved.skeleton.offsets[knee].norm())
-    made = replace(moved, skeleton=STANDARD, root=moved.root * scale, rot=joints.rot, contacts=joints.contacts)
-    return replace(made, notes=()), scale
-
-
-# ----------------------------------------------------------------------------------------------------- windows
+# ----------------------------------------------------------------------------------------------------- methods
 def _filler(method: str, seed: int, steps: int = 1) -> Fill:
     """Fills windows (B, 60) by a method; see :func:`_by_windows`."""
     generator = torch.Generator().manual_seed(seed)
@@ -418,67 +259,3 @@ def _nearest(model: Trained, motion: Motion, known: Tensor) -> Motion:
         made.append(whole.unflatten(0, row.shape))
     rows = offset_decay(torch.stack(made), torch.where(known, x, 0.0), known.to(x), 10)
     return local_to_world(frame, model.decode(rows, STANDARD))
-
-
-def _by_windows(motion: Motion, known: Tensor, fill: Fill, progress: bool) -> Motion:
-    """A motion (T) on the models' body, what is not known (T, U) filled in window by window.
-
-    A gap that fits into a window with a known frame on either side is filled in one, in its middle; what was filled in
-    is known to the next. Longer ones, and joints that are never known, by windows that overlap and fade into each
-    other.
-    """
-    frames, size = motion.frames, motion_model(TOLD).recipe.frames
-    index = torch.arange(max(frames, size)).clamp(max=frames - 1)
-    known = known[index] & (torch.arange(len(index)) < frames)[:, None]
-    contacts = motion.contacts[index]
-    motion = replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=contacts)
-    done = known.clone()
-    for first, last in tqdm(_runs(~known[:, :-1].all(-1)), desc="gaps", disable=not progress, leave=False):
-        inner = last - first <= size - 2 * _EDGE
-        if inner:
-            starts = [min(max(first - (size - (last - first)) // 2, 0), len(index) - size)]
-        else:
-            begin, end = max(first - _STRIDE, 0), min(last + _STRIDE, len(index))
-            end = max(end, begin + size)
-            begin, end = (begin, end) if end <= len(index) else (len(index) - (end - begin), len(index))
-            begin = max(begin, 0)
-            count = max(math.ceil((end - begin - size) / _STRIDE), 0) + 1
-            starts = torch.linspace(begin, end - size, count).round().long().tolist()
-        motion = _filled(motion, done, fill, starts, size, (first, last))
-        done[first:last] = True
-    return motion.cut(0, frames)
-
-
-def _runs(open_: Tensor) -> list[tuple[int, int]]:
-    """Begin and end of every run of True (T,)."""
-    edges = torch.cat((open_.new_zeros(1), open_, open_.new_zeros(1))).long().diff()
-    return list(zip((edges == 1).nonzero()[:, 0].tolist(), (edges == -1).nonzero()[:, 0].tolist(), strict=True))
-
-
-def _filled(
-    motion: Motion, known: Tensor, fill: Fill, starts: Sequence[int], size: int, run: tuple[int, int]
-) -> Motion:
-    """The motion with the frames of a run filled in by windows of ``size`` frames, weighted where they overlap."""
-    at = torch.tensor(starts)[:, None] + torch.arange(size)
-    cut = replace(motion, root=motion.root[at], rot=motion.rot[at], contacts=motion.contacts[at])
-    made = fill(cut, known[at])
-    weight = torch.minimum(torch.arange(size) + 1, size - torch.arange(size)).to(motion.root).expand(at.shape)
-    total = torch.zeros(motion.frames).index_add_(0, at.flatten(), weight.flatten()).clamp(min=1.0)
-
-    def mean(x: Tensor) -> Tensor:  # (B, size, ...) -> (T, ...)
-        rest = (1,) * (x.ndim - 2)
-        whole = torch.zeros(motion.frames, *x.shape[2:]).index_add_(
-            0, at.flatten(), (x * weight.reshape(*at.shape, *rest)).flatten(0, 1)
-        )
-        return whole / total.reshape(-1, *rest)
-
-    mine = torch.zeros(motion.frames, dtype=torch.bool)
-    mine[run[0] : run[1]] = True
-    rot = rotation.sixd_to_matrix(rotation.matrix_to_sixd(mean(made.rot)))
-    open_ = mine[:, None] & ~known
-    return replace(
-        motion,
-        rot=torch.where(open_[:, :22, None, None], rot, motion.rot),
-        root=torch.where(open_[:, -2:-1], mean(made.root), motion.root),
-        contacts=torch.where(open_[:, -1:], (mean(made.contacts) > 0.5).to(rot), motion.contacts),
-    )

@@ -45,7 +45,7 @@ def rewrite(source: str | Path, target: str | Path, loaded: Motion, made: Motion
 
 
 def changed(loaded: Motion, made: Motion) -> tuple[Tensor, Tensor]:
-    """Returns where rotations (T, J) and root positions (T,) are not bit for bit those of ``loaded``; new frames are."""
+    """Returns where rotations (T, J) and root places (T,) are not bit for bit those of ``loaded``; new frames are."""
     rot, root = torch.ones(made.rot.shape[:2], dtype=torch.bool), torch.ones(made.frames, dtype=torch.bool)
     rot[: loaded.frames] = (made.rot[: loaded.frames] != loaded.rot).any(-1).any(-1)
     root[: loaded.frames] = (made.root[: loaded.frames] != loaded.root).any(-1)
