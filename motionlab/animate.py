@@ -26,7 +26,7 @@ from motionlab.diffusion.masks import units
 from motionlab.diffusion.model import Trained, motion_model
 from motionlab.errors import DataError
 from motionlab.heading import local_to_world, stuck_root
-from motionlab.motion import Motion
+from motionlab.motion import FPS, Motion
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD
 
@@ -37,6 +37,11 @@ GROUPS = {"legs": ("left_hip", "right_hip"), "arms": ("left_shoulder", "right_sh
     for side in ("left", "right") for limb, top in (("leg", "hip"), ("arm", "shoulder"))
 }  # fmt: skip
 _FADE = (2.0, 0.8)  # seconds over which the velocity at a key carries on, of the root and of joints
+
+#: By the people who choose: the mean of curves and network leaves less than either; a gap should take no more frames of
+#: a window than this, so that a longer one is shown to the network faster than it is.
+_TRUST, _MOST = 0.5, 40
+_MEASURED = 2.5  # seconds of the longest gaps that were measured, and a little
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +119,7 @@ def inbetween(
     """
     if not keep.frames.any():
         raise DataError("no frame is kept", path=motion.name, place="keys", remedy="keep one frame at least")
-    gap = longest_gap(keep.frames) / motion.fps
+    gap = longest_gap(keep.frames) / motion.fps  # seconds
     usual, why = best_method(gap)
     chosen = _checked(method or usual)
     notes = [f"{chosen}: {why}" if chosen == usual else f"{chosen}, as asked; the default here is {usual}: {why}"]
@@ -127,7 +132,9 @@ def inbetween(
         return Animated(drawn, ("curves without planted feet, as its joints are not known", str(error)))
     made = body.joints
     if chosen != "curves":
-        made = body.corrected(by_windows(_filler(chosen, seed), body.lacking, progress))
+        fill = by_windows(_filler(chosen, seed), body.lacking, progress)
+        rate = min(FPS, _MOST / gap) if gap else FPS
+        made = body.corrected(fill, rate=rate, share=_TRUST if chosen == "network" else 1.0)
     return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
 
 
@@ -165,6 +172,8 @@ def complete(
 
 def best_method(gap: float) -> tuple[str, str]:
     """Returns the method that left the least error in gaps of so many seconds, and why it is the default."""
+    if gap > _MEASURED:
+        return "curves", f"gaps of more than {_MEASURED:g} s were not measured"
     return "network", "to be measured"
 
 

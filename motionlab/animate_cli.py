@@ -183,3 +183,29 @@ def _generate(options: argparse.Namespace) -> int:
         found = renew.generated(options.seconds, start=start, seed=options.seed + k, plant=options.plant)
         _done(options.start, options.out / f"generated_{options.seed + k}{suffix}", start, found)
     return 0
+
+
+def editor(path: Path | str, backend: str | None = None, **guided: str):
+    """Builds the widget of ``inbetween`` for a file: see ``viz.keyframes.keyframe_editor``. guided: unit, up of a BVH.
+
+    Raises:
+        DataError: not a readable motion.
+    """
+    from motionlab import animate
+    from motionlab.viz.keyframes import keyframe_editor
+
+    path = Path(path)
+    motion = load(path, argparse.Namespace(unit=guided.get("unit"), up=guided.get("up")))
+
+    def fill(keys: str, joints: list[str], method: str) -> tuple[Motion, tuple[str, ...]]:
+        found = animate.inbetween(
+            motion, animate.kept(motion, key_frames(keys, motion.frames), joints), method=method or None
+        )
+        return found.motion, found.notes
+
+    def export(made: Motion, name: str) -> str:
+        return f"{name}: {save(path, Path(name), motion, made)}"
+
+    joints = (*animate.GROUPS, *motion.skeleton.names)
+    how = {"joints": joints, "methods": _METHODS, "target": f"{path.stem}_inbetween{path.suffix}", "backend": backend}
+    return keyframe_editor(motion, fill, export, **how)

@@ -16,6 +16,7 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from motionlab import rotation
+from motionlab.baselines import nearest_known
 from motionlab.contact import with_contacts
 from motionlab.diffusion.planting import planted
 from motionlab.motion import FPS, Motion, resample
@@ -24,6 +25,7 @@ from motionlab.skeleton import STANDARD, fk
 
 WINDOW = 60  # frames that models see
 _STRIDE = 20  # frames between windows where a joint is never known
+_EASE = 0.2  # seconds beside what is known over which planting sets in
 _EDGE = 2  # frames of a window that stay beside a gap
 
 Fill = Callable[[Motion, Tensor], Motion]  #: (motions, known (..., U)) -> motions, on the body that models know
@@ -95,8 +97,12 @@ class Standard:
         return (f"joints read as {self.found.rig}{missing}", feet)
 
     # -------------------------------------------------------------------------------------------------- a model
-    def corrected(self, fill: Fill, rate: float = FPS) -> Motion:
-        """The 22 joints with what is not kept filled in by ``fill``, at the model's rate, then brought to their own."""
+    def corrected(self, fill: Fill, *, rate: float = FPS, share: float = 1.0) -> Motion:
+        """Computes the 22 joints with what is not kept filled in by ``fill``, at their own rate again.
+
+        rate: frames per second that ``fill`` is shown as its own; less: more seconds in a window. share: of the way
+        from what the curves have drawn to what ``fill`` says.
+        """
         slow, known = self.at_model_rate(rate)
         body, scale = on_body(slow)
         made = fill(body, known)
@@ -104,8 +110,8 @@ class Standard:
         rot = torch.where(known[:, :22, None, None] | self.lacking[:, None, None], slow.rot, made.rot)
         root = hips - _hips(replace(slow, rot=rot, root=torch.zeros_like(slow.root)), 1.0)
         root = torch.where(known[:, -2:-1], slow.root, root)
-        turn = slow.rot.mT @ rot  # corrections are small and smooth: they, not poses, go to the other rate
-        change = replace(slow, root=root - slow.root, rot=turn, contacts=made.contacts)
+        turn = rotation.exp(share * rotation.log(slow.rot.mT @ rot))  # smooth: this, not poses, goes to the other rate
+        change = replace(slow, root=share * (root - slow.root), rot=turn, contacts=made.contacts)
         change = resample(change, self.motion.fps, "spline").cut(0, self.motion.frames)
         own = self.joints
         return replace(own, root=own.root + change.root, rot=own.rot @ change.rot, contacts=change.contacts)
@@ -170,8 +176,16 @@ class Standard:
         contacts = torch.where(known[:, None], with_contacts(made).contacts, labelled.contacts)
         some = replace(made, root=made.root[None], rot=made.rot[None], contacts=contacts[None])
         feet = planted(some, known=known[None])
-        free = ~known
-        return replace(made, rot=torch.where(free[:, None, None, None], feet.rot[0], made.rot))
+        return replace(made, rot=rotation.slerp(made.rot, feet.rot[0], _risen(known, _EASE * made.fps)[:, None]))
+
+
+def _risen(known: Tensor, frames: float) -> Tensor:
+    """(T,): 0 where known (T,), 1 so many frames away, 3 u^2 - 2 u^3 between."""
+    time = torch.arange(len(known))
+    before, after = nearest_known(known)
+    u = torch.minimum((time - before).abs(), (after - time).abs()) / max(frames, 1.0)
+    u = torch.where(known.any(), u.clamp(max=1.0), 1.0)
+    return 3 * u**2 - 2 * u**3
 
 
 _LEGS = [

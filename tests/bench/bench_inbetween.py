@@ -1,0 +1,130 @@
+"""In-betweening of real BVH files of people nobody trained on: network, curves, nearest and slerp.
+
+Clips of the CMU library's ``report`` people, at 30 frames per second, on the files' own skeletons. Gaps with known
+motion around them, and lone keys so many frames apart. Every person counts alike; intervals are by bootstrap over
+people. Feet slide: the way over the floor, mm per frame, of ankles that are at most 3 cm above where they rest.
+
+    MOTIONLAB_DATA=FOLDER python tests/bench/bench_inbetween.py [CLIPS_A_PERSON [PART]]
+"""
+
+import os
+import sys
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import torch
+
+from motionlab import animate, baselines, io, people
+from motionlab.errors import DataError
+from motionlab.metrics import intervals
+from motionlab.metrics.pose import joint_errors
+from motionlab.motion import Motion, resample
+
+FPS, FRAMES, GAPS, LOW = 30.0, 130, (15, 30, 60), 0.03
+METHODS = ("slerp", *animate.METHODS)
+
+
+def clips(folder: Path, part: str, each: int) -> list[tuple[str, Motion]]:
+    """(person, the middle of a clip), at most ``each`` of every person, evenly over the files that are long enough."""
+    found: dict[str, list[Motion]] = defaultdict(list)
+    for path in sorted(folder.glob("*/*.bvh")):
+        person = people.person_of("cmu_library", path.relative_to(folder))
+        if people.part_of(person) == part:
+            found[person].append(path)
+    rows = []
+    for person, paths in found.items():
+        some = [paths[int((k + 0.5) * len(paths) / (3 * each))] for k in range(3 * each)]
+        used = 0
+        for path in dict.fromkeys(some[1::3] + some):
+            try:
+                motion = resample(io.load(path), FPS)
+            except DataError:
+                continue
+            if used < each and motion.frames >= FRAMES:
+                start = (motion.frames - FRAMES) // 2
+                rows.append((person, motion.cut(start, start + FRAMES)))
+                used += 1
+    return rows
+
+
+def kept_frames(kind: str, gap: int) -> set[int]:
+    """A gap in the middle, or keys with so many frames between them."""
+    if kind == "gap":
+        start = (FRAMES - gap) // 2
+        return set(range(start)) | set(range(start + gap, FRAMES))
+    return set(range((FRAMES - 1) % (gap + 1) // 2, FRAMES, gap + 1))
+
+
+def slide(motion: Motion, truth: Motion, where: torch.Tensor) -> float:
+    """mm per frame of ankles that are low, in the frames ``where``; NaN where none is."""
+    feet = [j for name, j in animate._standard_joints(truth).items() if name.endswith("ankle")]
+    floor = truth.positions[:, feet, 2].quantile(0.02, dim=0)
+    p = motion.positions[:, feet]
+    low = (p[..., 2] < floor + LOW) & where[:, None]
+    on = low[1:] & low[:-1]
+    return float(1000 * p.diff(dim=0)[..., :2].norm(dim=-1)[on].mean())
+
+
+def main() -> None:
+    data = os.environ.get("MOTIONLAB_DATA")
+    if not data or not (Path(data) / "cmu_library").is_dir():
+        print("no MOTIONLAB_DATA with cmu_library in it: nothing measured")
+        return
+    each, part = int([*sys.argv, 1][1]) if len(sys.argv) > 1 else 1, sys.argv[2] if len(sys.argv) > 2 else "report"
+    rows = clips(Path(data) / "cmu_library", part, each)
+    print(f"{len(rows)} clips of {len({who for who, _ in rows})} people ({part})")
+    error, slid, seconds = (defaultdict(lambda: defaultdict(list)) for _ in range(3))
+    exact = 0
+    for done, (person, motion) in enumerate(rows):
+        for kind in ("gap", "keys"):
+            for gap in GAPS:
+                frames = kept_frames(kind, gap)
+                keep = animate.kept(motion, frames)
+                inside = ~keep.frames & (torch.arange(FRAMES) > min(frames)) & (torch.arange(FRAMES) < max(frames))
+                for method in METHODS:
+                    begin = time.perf_counter()
+                    if method == "slerp":
+                        made = baselines.interpolate(motion, keep.frames)
+                    else:
+                        made = animate.inbetween(motion, keep, method=method).motion
+                    seconds[method][gap].append(time.perf_counter() - begin)
+                    exact += not (
+                        torch.equal(made.rot[keep.frames], motion.rot[keep.frames])
+                        and torch.equal(made.root[keep.frames], motion.root[keep.frames])
+                    )
+                    far = 100 * joint_errors(made.positions, motion.positions, align="none")[inside].mean()
+                    error[kind, gap, method][person].append(float(far))
+                    slid[kind, gap, method][person].append(slide(made, motion, inside))
+                slid[kind, gap, "original"][person].append(slide(motion, motion, inside))
+        print(f"{done + 1}/{len(rows)}", end="\r", flush=True)
+    print(f"motions whose kept frames are not exact to the bit: {exact}")
+    generator = torch.Generator().manual_seed(0)
+
+    def by_person(found) -> torch.Tensor:
+        return torch.tensor([torch.tensor(some).nanmean() for some in found.values()])
+
+    for kind in ("gap", "keys"):
+        for gap in GAPS:
+            usual = animate.best_method(gap / FPS)[0]
+            best = by_person(error[kind, gap, usual])
+            print(f"{kind} {gap} frames; default {usual}; joint error, cm")
+            for method in METHODS:
+                mine = by_person(error[kind, gap, method])
+                mean, low, high = intervals.interval(mine, "mean", generator)
+                less = f"; less {usual}: {intervals.paired(mine, best, generator)}" if method != usual else ""
+                way, truth = (
+                    torch.tensor([x for some in slid[kind, gap, who].values() for x in some])
+                    for who in (method, "original")
+                )
+                both = way.isfinite() & truth.isfinite()
+                share = 100 * float((way <= truth)[both].double().mean())
+                print(
+                    f"  {method:8} {mean:5.2f} [{low:.2f}, {high:.2f}]{less}; slide {float(way[both].mean()):.1f} mm "
+                    f"a frame (original {float(truth[both].mean()):.1f}), no more than it in {share:.0f} % of "
+                    f"{int(both.sum())}; {1000 * sum(seconds[method][gap]) / len(seconds[method][gap]):.0f} ms"
+                )
+
+
+if __name__ == "__main__":
+    main()
