@@ -87,7 +87,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("--quick", action="store_true", help="few steps: a first look")
     command.set_defaults(run=_fit)
 
-    animate_cli.add_options(commands)
+    animate_cli.add_commands(commands)
 
     command = commands.add_parser("prepare", help="recordings into training motion: what is kept, what is cut and why")
     command.add_argument("folder", help="of recordings, one sub-folder per source")

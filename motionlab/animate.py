@@ -111,7 +111,7 @@ def inbetween(
 ) -> Animated:
     """Computes a motion (T) between its kept frames, with kept joints as they are; frames beside all keys hold still.
 
-    method: one of ``METHODS``; None: the one that is measured best for the longest gap (``best_method``).
+    method: one of ``METHODS``; None: the one that is measured best for the longest gap (``_usual_method``).
 
     Raises:
         DataError: no frame is kept; a skeleton whose joints are not known (with ``curves`` that is a note); or no such
@@ -119,8 +119,8 @@ def inbetween(
     """
     if not keep.frames.any():
         raise DataError("no frame is kept", path=motion.name, place="keys", remedy="keep one frame at least")
-    gap = longest_gap(keep.frames) / motion.fps  # seconds
-    usual, why = best_method(gap)
+    gap = _longest_gap(keep.frames) / motion.fps  # seconds
+    usual, why = _usual_method(gap)
     chosen = _checked(method or usual)
     notes = [f"{chosen}: {why}" if chosen == usual else f"{chosen}, as asked; the default here is {usual}: {why}"]
     drawn = curves(motion, keep)
@@ -138,7 +138,7 @@ def inbetween(
     return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
 
 
-def complete(
+def completed(
     motion: Motion,
     hidden: Sequence[str],
     *,
@@ -170,7 +170,7 @@ def complete(
     return Animated(body.back(made, plant=plant), (note, "the floor is taken to be at height 0", *body.notes(plant)))
 
 
-def best_method(gap: float) -> tuple[str, str]:
+def _usual_method(gap: float) -> tuple[str, str]:
     """Returns the method that left the least error in gaps of so many seconds, and why it is the default."""
     if gap > _MEASURED:
         return "curves", f"gaps of more than {_MEASURED:g} s were not measured"
@@ -183,7 +183,7 @@ def _checked(method: str) -> str:
     return method
 
 
-def longest_gap(frames: Tensor) -> int:
+def _longest_gap(frames: Tensor) -> int:
     """Returns the most frames in a row that are not kept, between two that are."""
     at = frames.nonzero()[:, 0]
     return int(at.diff().max()) - 1 if len(at) > 1 else 0

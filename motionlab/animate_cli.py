@@ -17,7 +17,7 @@ _METHODS = ("network", "curves", "nearest")
 _WRITERS = {".bvh": "bvh", ".npz": "amass", ".glb": "gltf"}
 
 
-def add_options(commands: argparse._SubParsersAction) -> None:
+def add_commands(commands: argparse._SubParsersAction) -> None:
     """Adds the four commands; nothing heavy is imported before one runs."""
     command = _command(commands, "inbetween", "frames between keys, which stay as they are", _inbetween)
     command.add_argument("--keys", required=True, help="frames that stay, from 0: 0,45,90 or 0-20,60-last")
@@ -76,7 +76,7 @@ def _noise(text: str) -> tuple[float, float] | None:
         raise argparse.ArgumentTypeError(f"expected auto or degrees[,millimetres], got {text!r}") from None
 
 
-def key_frames(text: str, frames: int) -> set[int]:
+def _key_frames(text: str, frames: int) -> set[int]:
     """Reads frame numbers such as ``0,45,60-last`` of a motion of so many frames.
 
     Raises:
@@ -94,7 +94,7 @@ def key_frames(text: str, frames: int) -> set[int]:
     return found
 
 
-def load(path: Path, options: argparse.Namespace) -> Motion:
+def _load(path: Path, options: argparse.Namespace) -> Motion:
     """Reads the motion that a command works on.
 
     Raises:
@@ -108,7 +108,7 @@ def load(path: Path, options: argparse.Namespace) -> Motion:
     return io.load(path, **guided)
 
 
-def save(source: Path | None, target: Path, loaded: Motion | None, made: Motion) -> str:
+def _save(source: Path | None, target: Path, loaded: Motion | None, made: Motion) -> str:
     """Writes a motion, into a copy of the file it came from where the format is the same; says which it was.
 
     Raises:
@@ -133,7 +133,7 @@ def save(source: Path | None, target: Path, loaded: Motion | None, made: Motion)
 
 
 def _done(source: Path | None, target: Path, loaded: Motion | None, found: Animated) -> int:
-    said = save(source, target, loaded, found.motion)
+    said = _save(source, target, loaded, found.motion)
     for note in (*found.notes, said):
         print(f"note: {note}")
     made = found.motion
@@ -144,8 +144,8 @@ def _done(source: Path | None, target: Path, loaded: Motion | None, found: Anima
 def _inbetween(options: argparse.Namespace) -> int:
     from motionlab import animate
 
-    motion = load(options.source, options)
-    keep = animate.kept(motion, key_frames(options.keys, motion.frames), options.joints)
+    motion = _load(options.source, options)
+    keep = animate.kept(motion, _key_frames(options.keys, motion.frames), options.joints)
     how = {"method": options.method, "seed": options.seed, "plant": options.plant, "progress": True}
     return _done(options.source, options.out, motion, animate.inbetween(motion, keep, **how))
 
@@ -154,7 +154,7 @@ def _repair(options: argparse.Namespace) -> int:
     from motionlab import renew
     from motionlab.diffusion.denoising import Noise
 
-    motion = load(options.source, options)
+    motion = _load(options.source, options)
     noise = None if options.noise is None else Noise.of(options.noise[0], options.noise[1] / 10)
     how = {"method": options.method, "seed": options.seed, "plant": options.plant, "progress": True}
     return _done(options.source, options.out, motion, renew.repaired(motion, noise, **how))
@@ -163,19 +163,19 @@ def _repair(options: argparse.Namespace) -> int:
 def _complete(options: argparse.Namespace) -> int:
     from motionlab import animate, renew
 
-    motion = load(options.source, options)
+    motion = _load(options.source, options)
     how = {"method": options.method, "seed": options.seed, "plant": options.plant}
     if options.known:
         found = renew.posed(motion, options.known, **how)
     else:
-        found = animate.complete(motion, options.hidden or [], progress=True, **how)
+        found = animate.completed(motion, options.hidden or [], progress=True, **how)
     return _done(options.source, options.out, motion, found)
 
 
 def _generate(options: argparse.Namespace) -> int:
     from motionlab import renew
 
-    start = load(options.start, options) if options.start else None
+    start = _load(options.start, options) if options.start else None
     suffix = f".{options.format}" if options.format else options.start.suffix.lower() if options.start else ".bvh"
     suffix = suffix if suffix in _WRITERS else ".bvh"
     options.out.mkdir(parents=True, exist_ok=True)
@@ -195,16 +195,16 @@ def editor(path: Path | str, backend: str | None = None, **guided: str):
     from motionlab.viz.keyframes import keyframe_editor
 
     path = Path(path)
-    motion = load(path, argparse.Namespace(unit=guided.get("unit"), up=guided.get("up")))
+    motion = _load(path, argparse.Namespace(unit=guided.get("unit"), up=guided.get("up")))
 
     def fill(keys: str, joints: list[str], method: str) -> tuple[Motion, tuple[str, ...]]:
         found = animate.inbetween(
-            motion, animate.kept(motion, key_frames(keys, motion.frames), joints), method=method or None
+            motion, animate.kept(motion, _key_frames(keys, motion.frames), joints), method=method or None
         )
         return found.motion, found.notes
 
     def export(made: Motion, name: str) -> str:
-        return f"{name}: {save(path, Path(name), motion, made)}"
+        return f"{name}: {_save(path, Path(name), motion, made)}"
 
     joints = (*animate.GROUPS, *motion.skeleton.names)
     how = {"joints": joints, "methods": _METHODS, "target": f"{path.stem}_inbetween{path.suffix}", "backend": backend}

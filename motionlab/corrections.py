@@ -48,7 +48,7 @@ class Keep:
 
 
 def pasted(made: Motion, motion: Motion, keep: Keep) -> Motion:
-    """``made`` with what is kept of ``motion``, bit for bit."""
+    """Puts what is kept of ``motion`` into ``made``, bit for bit."""
     rot = torch.where(keep.rot[..., None, None], motion.rot, made.rot)
     return replace(made, rot=rot, root=torch.where(keep.rot[:, :1], motion.root, made.root))
 
@@ -72,7 +72,7 @@ class Standard:
 
     @classmethod
     def of(cls, motion: Motion, drawn: Motion, keep: Keep, lift: float = 0.0) -> Standard:
-        """Retargets what curves have drawn. lift: metres up to the floor, where no frame is kept to tell.
+        """Makes it by retargeting what curves have drawn. lift: metres up to the floor, where no frame is kept to tell.
 
         Raises:
             DataError: a skeleton whose joints are not known.
@@ -91,7 +91,7 @@ class Standard:
         return cls(motion, drawn, keep, joints, found, lift, mapped, known)
 
     def notes(self, plant: bool) -> tuple[str, ...]:
-        """What was decided on the way."""
+        """Returns what was decided on the way."""
         missing = f"; made up nothing of {', '.join(self.found.unmapped)}" if self.found.unmapped else ""
         feet = "feet that stand are planted" if plant else "feet are not planted"
         return (f"joints read as {self.found.rig}{missing}", feet)
@@ -104,7 +104,7 @@ class Standard:
         from what the curves have drawn to what ``fill`` says.
         """
         slow, known = self.at_model_rate(rate)
-        body, scale = on_body(slow)
+        body, scale = _on_body(slow)
         made = fill(body, known)
         hips = _hips(made, 1.0) / scale
         rot = torch.where(known[:, :22, None, None] | self.lacking[:, None, None], slow.rot, made.rot)
@@ -117,8 +117,8 @@ class Standard:
         return replace(own, root=own.root + change.root, rot=own.rot @ change.rot, contacts=change.contacts)
 
     def on_model_body(self) -> tuple[Motion, float]:
-        """The motion at the models' rate on the body that they know, and by how much it is larger there."""
-        return on_body(self.at_model_rate()[0])
+        """Returns the motion at the models' rate on the body that they know, and by how much it is larger there."""
+        return _on_body(self.at_model_rate()[0])
 
     @property
     def lacking(self) -> Tensor:
@@ -126,8 +126,10 @@ class Standard:
         return torch.tensor([j not in self.mapped for j in range(len(STANDARD))])
 
     def at_model_rate(self, rate: float = FPS) -> tuple[Motion, Tensor]:
-        """The 22 joints at the model's rate, to the last frame and beyond, and what is known of them: a sample is where
-        the frames on either side of it are."""
+        """Returns the 22 joints at the model's rate, to the last frame and beyond, and what is known of them.
+
+        A sample is known where the frames on either side of it are.
+        """
         own, frames = self.joints, self.motion.frames
         ratio = own.fps / rate
         count = math.ceil((frames - 1) / ratio - 1e-6) + 1
@@ -149,8 +151,8 @@ class Standard:
 
     # ------------------------------------------------------------------------------------------------ and back
     def back(self, made: Motion, *, plant: bool) -> Motion:
-        """The own motion with the turns and shifts by which ``made`` differs from ``joints``; kept numbers are those
-        of the motion."""
+        """Computes the own motion with the turns and shifts by which ``made`` differs from ``joints``; what is kept is
+        the motion's."""
         if plant and made.frames > 1:
             made = self._planted(made)
         skeleton, own = self.motion.skeleton, self.drawn.to(torch.float64)
@@ -199,7 +201,7 @@ def _hips(motion: Motion, scale: float) -> Tensor:
     return scale * motion.positions[:, motion.skeleton.indices(["left_hip", "right_hip"])].mean(1)
 
 
-def on_body(joints: Motion) -> tuple[Motion, float]:
+def _on_body(joints: Motion) -> tuple[Motion, float]:
     """The motion on the body that models know, its path scaled with it, legs as they are turned; and the scale."""
     knee = STANDARD.index("left_knee")
     moved = retarget(joints, proportions="standard", plant=False, floor=False).motion
@@ -228,7 +230,7 @@ def _by_windows(motion: Motion, known: Tensor, fill: Fill, lacking: Tensor, prog
             starts = [min(max(first - (WINDOW - (last - first)) // 2, 0), motion.frames - WINDOW)]
         else:
             starts = overlapping(max(first - _STRIDE, 0), min(last + _STRIDE, motion.frames), motion.frames)
-        motion = filled(motion, done, fill, starts, (first, last))
+        motion = filled_in(motion, done, fill, starts, (first, last))
         done[first:last] = has
     return motion.cut(0, frames)
 
@@ -253,7 +255,7 @@ def runs(on: Tensor) -> list[tuple[int, int]]:
     return list(zip((edges == 1).nonzero()[:, 0].tolist(), (edges == -1).nonzero()[:, 0].tolist(), strict=True))
 
 
-def filled(motion: Motion, known: Tensor, fill: Fill, starts: Sequence[int], run: tuple[int, int]) -> Motion:
+def filled_in(motion: Motion, known: Tensor, fill: Fill, starts: Sequence[int], run: tuple[int, int]) -> Motion:
     """Computes the motion (T) with the frames of a run filled in by windows, weighted where they overlap."""
     at = torch.tensor(starts)[:, None] + torch.arange(WINDOW)
     cut = replace(motion, root=motion.root[at], rot=motion.rot[at], contacts=motion.contacts[at])

@@ -20,7 +20,7 @@ from tqdm.auto import tqdm
 from motionlab import baselines, cleaning, rotation
 from motionlab.animate import Animated, curves, found_joints, inbetween
 from motionlab.contact import with_contacts
-from motionlab.corrections import WINDOW, Keep, Standard, filled, merged, overlapping, padded, runs
+from motionlab.corrections import WINDOW, Keep, Standard, filled_in, merged, overlapping, padded, runs
 from motionlab.diffusion.denoising import Noise, ReverseProcess, denoise
 from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.masks import units
@@ -44,7 +44,7 @@ _CALM = 9  # frames over which poses from handles are smoothed, at the models' r
 
 
 # ------------------------------------------------------------------------------------------------------ repair
-def measured_noise(motion: Motion) -> Noise:
+def _measured_noise(motion: Motion) -> Noise:
     """Measures the noise of a motion (T) that is new in every frame, from the median sixth difference in time.
 
     Of independent noise these have 924 times its variance; motion, which is smooth, has hardly any. Lasting noise is
@@ -84,7 +84,7 @@ def repaired(
     if method not in ("network", "curves"):
         raise DataError(f"{method!r} repairs nothing", place="--method", remedy="use network or curves")
     notes: list[str] = []
-    noise = noise or measured_noise(motion)
+    noise = noise or _measured_noise(motion)
     notes.append(f"noise: {math.degrees(noise.turn):.2f} degrees about each axis, {1000 * noise.shift:.1f} mm")
     noisy = noise.turn > CLEAN.turn or noise.shift > CLEAN.shift
     jumps = torch.zeros(motion.frames, dtype=torch.bool) if noisy else _jumps(motion)
@@ -238,7 +238,7 @@ def _going_on(motion: Motion, known: Tensor, generator: torch.Generator) -> Moti
     while last < frames:
         begin = max(min(last - _PAST, len(index) - WINDOW), 0)
         stop = begin + WINDOW
-        motion = filled(
+        motion = filled_in(
             motion, done, lambda m, k: repair(model, m, k[..., columns], generator, _GUIDED), [begin], (last, stop)
         )
         done[last:stop], last = has, stop

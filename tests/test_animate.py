@@ -64,7 +64,7 @@ def test_known_frames_stay_in_the_file_to_the_bit_and_the_rest_is_what_was_made(
     SAVE[suffix](source, walk())
     assert command("inbetween", source, "--keys", KEYS, "--method", "curves", "--out", out) == 0
     before, after = io.load(source), io.load(out)
-    keep = animate.kept(before, animate_cli.key_frames(KEYS, before.frames))
+    keep = animate.kept(before, animate_cli._key_frames(KEYS, before.frames))
     assert keep.frames.sum() == 24 and "byte for byte" in capsys.readouterr().out
     assert same(before, after, keep) and after.fps == before.fps and after.skeleton.names == before.skeleton.names
     made = animate.inbetween(before, keep, method="curves").motion
@@ -98,7 +98,7 @@ def test_hidden_legs_are_made_from_the_rest_alone_in_windows_that_overlap():
     legs = sorted(animate.found_joints(motion, ["legs"]))
     rot = motion.rot.clone()
     rot[:, legs] = rotation.random((150, len(legs)), torch.Generator().manual_seed(1))
-    made, again = (animate.complete(m, ["legs"], plant=False).motion for m in (motion, replace(motion, rot=rot)))
+    made, again = (animate.completed(m, ["legs"], plant=False).motion for m in (motion, replace(motion, rot=rot)))
     others = [j for j in range(len(STANDARD)) if j not in legs]
     assert torch.equal(made.rot, again.rot) and torch.equal(made.rot[:, others], motion.rot[:, others])
     assert torch.equal(made.root, motion.root)
@@ -159,7 +159,7 @@ def test_noise_is_measured_and_taken_away_and_a_clean_motion_stays():
     motion = walk(120, 30.0)
     noise = Noise.of(3.0, 1.0)
     noisy = noise.on(motion, torch.Generator().manual_seed(0))
-    found = renew.measured_noise(noisy)
+    found = renew._measured_noise(noisy)
     assert found.turn == pytest.approx(noise.turn, rel=0.15) and found.shift == pytest.approx(noise.shift, rel=0.3)
     assert torch.equal(renew.repaired(motion).motion.rot, motion.rot)
     before = (noisy.positions - motion.positions).norm(dim=-1).mean()
@@ -242,7 +242,7 @@ def test_the_editor_fills_in_what_is_chosen_and_exports_it(tmp_path):
     assert box.children[0] is not first and "curves, as asked" in box.children[3].value
     box.children[0].children[1].children[1].value = 15
     this.click()
-    kept_now = animate_cli.key_frames(frames.value, 30)
+    kept_now = animate_cli._key_frames(frames.value, 30)
     assert {0, 29} < kept_now and len(kept_now) == 3
     box.children[2].value = ("arms",)
     name.value = str(out)

@@ -44,7 +44,7 @@ def rewrite(source: str | Path, target: str | Path, loaded: Motion, made: Motion
     write_whole(target, content)
 
 
-def changed(loaded: Motion, made: Motion) -> tuple[Tensor, Tensor]:
+def _changed(loaded: Motion, made: Motion) -> tuple[Tensor, Tensor]:
     """Returns where rotations (T, J) and root places (T,) are not bit for bit those of ``loaded``; new frames are."""
     rot, root = torch.ones(made.rot.shape[:2], dtype=torch.bool), torch.ones(made.frames, dtype=torch.bool)
     rot[: loaded.frames] = (made.rot[: loaded.frames] != loaded.rot).any(-1).any(-1)
@@ -79,7 +79,7 @@ def _bvh(at: Spot, loaded: Motion, made: Motion) -> str:
     scale = next((unit for unit in bvh.UNITS.values() if abs(scale / unit - 1) < 1e-4), scale)
     top = index[0]
     rot, root = _base(loaded, made, turns[:, top], torch.from_numpy(place[:, top]), scale)
-    new_rot, new_root = changed(loaded, made)
+    new_rot, new_root = _changed(loaded, made)
     column, starts = 0, []
     for joint in joints:
         starts.append(column)
@@ -141,7 +141,7 @@ def _npz(at: Spot, loaded: Motion, made: Motion) -> bytes:
     for key in ("trans", "contacts", "poses", *amass.POSE_PARTS):
         if key in arrays and len(arrays[key]) == count:
             arrays[key] = np.concatenate((arrays[key], np.repeat(arrays[key][-1:], made.frames - count, 0)))
-    new_rot, new_root = (x.numpy() for x in changed(loaded, made))
+    new_rot, new_root = (x.numpy() for x in _changed(loaded, made))
     turns = rotation.matrix_to_axis_angle(made.rot.double()).numpy()
     parts = [("poses", 0)] * len(made.skeleton) if "poses" in arrays else [("root_orient", 0)]
     parts += [("pose_body", 3)] * (len(made.skeleton) - len(parts))
@@ -173,7 +173,7 @@ def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
     }
     read = {key: gltf._array(at, content, blob, o, 4 if key[1] == "rotation" else 3, f"node {key[0]} {key[1]}")
             for key, o in outputs.items() if key[1] in ("rotation", "translation")}  # fmt: skip
-    new_rot, new_root = changed(loaded, made)
+    new_rot, new_root = _changed(loaded, made)
     top = index[0]
     still = content["nodes"][top]
     turn = read.get((top, "rotation"), np.tile(still.get("rotation", (0.0, 0, 0, 1)), (loaded.frames, 1)))
@@ -208,7 +208,7 @@ REWRITERS: dict[str, Callable[[Spot, Motion, Motion], str | bytes]] = {".bvh": _
 
 
 def rewritable(source: str | Path) -> bool:
-    """Whether a file can be rewritten: a BVH, an AMASS npz or a GLB."""
+    """Returns whether a file can be rewritten: a BVH, an AMASS npz or a GLB."""
     suffix = Path(source).suffix.lower()
     if suffix != ".npz":
         return suffix in REWRITERS

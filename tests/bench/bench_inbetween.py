@@ -106,7 +106,7 @@ def main() -> None:
 
     for kind in ("gap", "keys"):
         for gap in GAPS:
-            usual = animate.best_method(gap / FPS)[0]
+            usual = animate._usual_method(gap / FPS)[0]
             best = by_person(error[kind, gap, usual])
             print(f"{kind} {gap} frames; default {usual}; joint error, cm")
             for method in METHODS:
