@@ -125,11 +125,11 @@ def _save(source: Path | None, target: Path, loaded: Motion | None, made: Motion
     same = source is not None and suffix == source.suffix.lower() and not (grown and suffix == ".glb")
     if same and rewriting.rewritable(source):
         rewriting.rewrite(source, target, loaded, made)
-        return "what was kept has the file's own numbers, byte for byte"
+        return "what did not change has the file's own numbers, byte for byte"
     if suffix == ".npz" and len(made.skeleton) != 22:
         raise DataError("AMASS has 22 joints of its own", path=target, remedy="write a .bvh, and convert that")
     import_module(f"motionlab.io.{_WRITERS[suffix]}").save(target, made)
-    return "written anew, numbers rounded as that format does (below 1e-6 m and 1e-6 degrees in a BVH)"
+    return "written anew, its numbers rounded as the format does (in a BVH to 1e-8 m and 1e-6 degrees)"
 
 
 def _done(source: Path | None, target: Path, loaded: Motion | None, found: Animated) -> int:
@@ -178,6 +178,8 @@ def _generate(options: argparse.Namespace) -> int:
     start = _load(options.start, options) if options.start else None
     suffix = f".{options.format}" if options.format else options.start.suffix.lower() if options.start else ".bvh"
     suffix = suffix if suffix in _WRITERS else ".bvh"
+    if options.count < 1:
+        raise DataError(f"{options.count} motions", place="--count", remedy="give a number above 0")
     options.out.mkdir(parents=True, exist_ok=True)
     for k in range(options.count):  # each is on disk before the next is begun
         found = renew.generated(options.seconds, start=start, seed=options.seed + k, plant=options.plant)

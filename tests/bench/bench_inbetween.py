@@ -66,39 +66,34 @@ def slide(motion: Motion, truth: Motion, where: torch.Tensor) -> float:
     return float(1000 * p.diff(dim=0)[..., :2].norm(dim=-1)[on].mean())
 
 
-def main() -> None:
-    data = os.environ.get("MOTIONLAB_DATA")
-    if not data or not (Path(data) / "cmu_library").is_dir():
-        print("no MOTIONLAB_DATA with cmu_library in it: nothing measured")
-        return
-    each, part = int([*sys.argv, 1][1]) if len(sys.argv) > 1 else 1, sys.argv[2] if len(sys.argv) > 2 else "report"
-    rows = clips(Path(data) / "cmu_library", part, each)
-    print(f"{len(rows)} clips of {len({who for who, _ in rows})} people ({part})")
-    error, slid, seconds = (defaultdict(lambda: defaultdict(list)) for _ in range(3))
-    exact = 0
-    for done, (person, motion) in enumerate(rows):
-        for kind in ("gap", "keys"):
-            for gap in GAPS:
-                frames = kept_frames(kind, gap)
-                keep = animate.kept(motion, frames)
-                inside = ~keep.frames & (torch.arange(FRAMES) > min(frames)) & (torch.arange(FRAMES) < max(frames))
-                for method in METHODS:
-                    begin = time.perf_counter()
-                    if method == "slerp":
-                        made = baselines.interpolate(motion, keep.frames)
-                    else:
-                        made = animate.inbetween(motion, keep, method=method).motion
-                    seconds[method][gap].append(time.perf_counter() - begin)
-                    exact += not (
-                        torch.equal(made.rot[keep.frames], motion.rot[keep.frames])
-                        and torch.equal(made.root[keep.frames], motion.root[keep.frames])
-                    )
-                    far = 100 * joint_errors(made.positions, motion.positions, align="none")[inside].mean()
-                    error[kind, gap, method][person].append(float(far))
-                    slid[kind, gap, method][person].append(slide(made, motion, inside))
-                slid[kind, gap, "original"][person].append(slide(motion, motion, inside))
-        print(f"{done + 1}/{len(rows)}", end="\r", flush=True)
-    print(f"motions whose kept frames are not exact to the bit: {exact}")
+def measured(person: str, motion: Motion, found: dict) -> str:
+    """Fills in every gap of a clip by every method; which motions do not keep their frames to the bit."""
+    moved = []
+    for kind in ("gap", "keys"):
+        for gap in GAPS:
+            frames = kept_frames(kind, gap)
+            keep = animate.kept(motion, frames)
+            inside = ~keep.frames & (torch.arange(FRAMES) > min(frames)) & (torch.arange(FRAMES) < max(frames))
+            for method in METHODS:
+                begin = time.perf_counter()
+                if method == "slerp":
+                    made = baselines.interpolate(motion, keep.frames)
+                else:
+                    made = animate.inbetween(motion, keep, method=method).motion
+                found["seconds"][method][gap].append(time.perf_counter() - begin)
+                same = torch.equal(made.rot[keep.frames], motion.rot[keep.frames])
+                if not same or not torch.equal(made.root[keep.frames], motion.root[keep.frames]):
+                    moved.append(f"{method} {kind} {gap}")
+                far = 100 * joint_errors(made.positions, motion.positions, align="none")[inside].mean()
+                found["error"][kind, gap, method][person].append(float(far))
+                found["slid"][kind, gap, method][person].append(slide(made, motion, inside))
+            found["slid"][kind, gap, "original"][person].append(slide(motion, motion, inside))
+    return ", ".join(moved)
+
+
+def report(found: dict) -> None:
+    """Prints a row per case and method."""
+    error, slid, seconds = found.values()
     generator = torch.Generator().manual_seed(0)
 
     def by_person(found) -> torch.Tensor:
@@ -124,6 +119,24 @@ def main() -> None:
                     f"a frame (original {float(truth[both].mean()):.1f}), no more than it in {share:.0f} % of "
                     f"{int(both.sum())}; {1000 * sum(seconds[method][gap]) / len(seconds[method][gap]):.0f} ms"
                 )
+
+
+def main() -> None:
+    data = os.environ.get("MOTIONLAB_DATA")
+    if not data or not (Path(data) / "cmu_library").is_dir():
+        print("no MOTIONLAB_DATA with cmu_library in it: nothing measured")
+        return
+    each, part = int([*sys.argv, 1][1]) if len(sys.argv) > 1 else 1, sys.argv[2] if len(sys.argv) > 2 else "report"
+    rows = clips(Path(data) / "cmu_library", part, each)
+    print(f"{len(rows)} clips of {len({who for who, _ in rows})} people ({part})")
+    found = {name: defaultdict(lambda: defaultdict(list)) for name in ("error", "slid", "seconds")}
+    try:
+        for done, (person, motion) in enumerate(rows):
+            moved = measured(person, motion, found)
+            print(f"{done + 1}/{len(rows)}{moved and ', kept frames that moved: ' + str(moved)}", end="\r", flush=True)
+    except KeyboardInterrupt:
+        print("\nstopped: what there is")
+    report(found)
 
 
 if __name__ == "__main__":
