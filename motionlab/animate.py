@@ -109,7 +109,9 @@ def inbetween(
     plant: bool = True,
     progress: bool = False,
 ) -> Animated:
-    """Computes a motion (T) between its kept frames, with kept joints as they are; frames beside all keys hold still.
+    """Computes a motion (T) between its kept frames, with kept joints as they are.
+
+    Before the first kept frame and behind the last one curves hold the pose.
 
     method: one of ``METHODS``; None: the one that is measured best for the longest gap (``_usual_method``).
 

@@ -106,7 +106,6 @@ def test_hidden_legs_are_made_from_the_rest_alone_in_windows_that_overlap():
     assert starts[0] == 0 and starts[-1] == 188 - WINDOW and max(np.diff(starts)) <= 20
     size = acceleration(made.positions, made.fps)[:, legs].mean(-1)
     assert size.max() < 6 * size.median()  # no frame at which windows meet stands out
-    print(size.max() / size.median())
 
 
 # ---------------------------------------------------------------------------------------------- seams and feet
