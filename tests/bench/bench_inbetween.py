@@ -4,11 +4,11 @@ Clips of the CMU library's ``report`` people, at 30 frames per second, on the fi
 motion around them, and lone keys so many frames apart. Every person counts alike; intervals are by bootstrap over
 people. Feet slide: the way over the floor, mm per frame, of ankles that are at most 3 cm above where they rest.
 
-    MOTIONLAB_DATA=FOLDER python tests/bench/bench_inbetween.py [CLIPS_A_PERSON [PART]]
+    MOTIONLAB_DATA=FOLDER python tests/bench/bench_inbetween.py [--clips 2] [--kinds gap]
 """
 
+import argparse
 import os
-import sys
 import time
 from collections import defaultdict
 from pathlib import Path
@@ -66,15 +66,15 @@ def slide(motion: Motion, truth: Motion, where: torch.Tensor) -> float:
     return float(1000 * p.diff(dim=0)[..., :2].norm(dim=-1)[on].mean())
 
 
-def measured(person: str, motion: Motion, found: dict) -> str:
+def measured(person: str, motion: Motion, found: dict, options: argparse.Namespace) -> str:
     """Fills in every gap of a clip by every method; which motions do not keep their frames to the bit."""
     moved = []
-    for kind in ("gap", "keys"):
+    for kind in options.kinds:
         for gap in GAPS:
             frames = kept_frames(kind, gap)
             keep = animate.kept(motion, frames)
             inside = ~keep.frames & (torch.arange(FRAMES) > min(frames)) & (torch.arange(FRAMES) < max(frames))
-            for method in METHODS:
+            for method in options.methods:
                 begin = time.perf_counter()
                 if method == "slerp":
                     made = baselines.interpolate(motion, keep.frames)
@@ -99,12 +99,12 @@ def report(found: dict) -> None:
     def by_person(found) -> torch.Tensor:
         return torch.tensor([torch.tensor(some).nanmean() for some in found.values()])
 
-    for kind in ("gap", "keys"):
+    for kind in sorted({kind for kind, _, _ in error}):
         for gap in GAPS:
             usual = animate._usual_method(gap / FPS)[0]
             best = by_person(error[kind, gap, usual])
             print(f"{kind} {gap} frames; default {usual}; joint error, cm")
-            for method in METHODS:
+            for method in [m for m in METHODS if (kind, gap, m) in error]:
                 mine = by_person(error[kind, gap, method])
                 mean, low, high = intervals.interval(mine, "mean", generator)
                 less = f"; less {usual}: {intervals.paired(mine, best, generator)}" if method != usual else ""
@@ -126,13 +126,18 @@ def main() -> None:
     if not data or not (Path(data) / "cmu_library").is_dir():
         print("no MOTIONLAB_DATA with cmu_library in it: nothing measured")
         return
-    each, part = int([*sys.argv, 1][1]) if len(sys.argv) > 1 else 1, sys.argv[2] if len(sys.argv) > 2 else "report"
-    rows = clips(Path(data) / "cmu_library", part, each)
-    print(f"{len(rows)} clips of {len({who for who, _ in rows})} people ({part})")
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--clips", type=int, default=1, help="of each person")
+    parser.add_argument("--part", choices=people.PARTS, default="report")
+    parser.add_argument("--kinds", nargs="+", choices=("gap", "keys"), default=("gap", "keys"))
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
+    options = parser.parse_args()
+    rows = clips(Path(data) / "cmu_library", options.part, options.clips)
+    print(f"{len(rows)} clips of {len({who for who, _ in rows})} people ({options.part})")
     found = {name: defaultdict(lambda: defaultdict(list)) for name in ("error", "slid", "seconds")}
     try:
         for done, (person, motion) in enumerate(rows):
-            moved = measured(person, motion, found)
+            moved = measured(person, motion, found, options)
             print(f"{done + 1}/{len(rows)}{moved and ', kept frames that moved: ' + str(moved)}", end="\r", flush=True)
     except KeyboardInterrupt:
         print("\nstopped: what there is")
