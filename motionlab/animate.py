@@ -181,7 +181,7 @@ def _usual_method(gap: float) -> tuple[str, str]:
         return "curves", "in gaps of half a second as near as the network (3.6 cm; slerp 6.6), and simpler"
     return (
         "network",
-        "in gaps of one and two seconds as near as curves (9.8 and 21 cm; slerp 15 and 27), feet slide less",
+        "in gaps of 1 and 2 s as near as curves (9.8 and 21 cm; slerp 15 and 27), and feet slide less",
     )
 
 
