@@ -10,6 +10,8 @@ from types import ModuleType
 __version__ = "0.1.0"
 #: What a stranger imports; the rest is what this needs, and the command line.
 __all__ = [
+    "animate",
+    "animate_cli",
     "baselines",
     "body",
     "cleaning",
@@ -26,6 +28,7 @@ __all__ = [
     "optimise",
     "people",
     "posterior",
+    "renew",
     "retarget",
     "rotation",
     "skeleton",

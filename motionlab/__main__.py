@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionlab import doctor
+from motionlab import animate_cli, doctor
 from motionlab.errors import DataError, MissingData, ShapeError
 
 if TYPE_CHECKING:
@@ -92,6 +92,8 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     )  # fmt: skip
     command.add_argument("--quick", action="store_true", help="few steps, a small film: a first look")
     command.set_defaults(run=_fit)
+
+    animate_cli.add_commands(commands)
 
     command = commands.add_parser("prepare", help="recordings into training motion: what is kept, what is cut and why")
     command.add_argument("folder", help="of recordings, one sub-folder per source")

@@ -22,9 +22,10 @@ FLOORS = """
     cleaning detect people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
         diffusion.model
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
-    corpus splits humor.training humor.unknowns diffusion.pose_completion
-    shipped doctor humor.chain_training humor.stages humor.start
-    train models humor.shooting
+    corpus splits humor.training humor.unknowns diffusion.pose_completion corrections
+    shipped doctor humor.chain_training humor.stages humor.start animate
+    train models humor.shooting renew
+    animate_cli
     humor.testops
     scene_fit scene_report
     fit

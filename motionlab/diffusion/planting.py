@@ -24,6 +24,7 @@ from torch import Tensor
 from torch.nn.functional import max_pool1d, normalize, one_hot, pad
 
 from motionlab import rotation
+from motionlab.baselines import nearest_known
 from motionlab.contact import contacts_from_positions, resting_heights
 from motionlab.diffusion.start import lines_between
 from motionlab.errors import DataError, ShapeError
@@ -41,11 +42,12 @@ _DAMPING = 1e-4  # square metres per square radian, the least
 _HIPS, _KNEES = ("left_hip", "right_hip"), ("left_knee", "right_knee")
 
 
-def planted(motion: Motion, *, slow: bool = True) -> Motion:
+def planted(motion: Motion, *, slow: bool = True, known: Tensor | None = None) -> Motion:
     """Computes motions (B, T) on one body whose feet stay in place wherever their contacts say so.
 
     slow: and where they are low and slow: motion that was filled in knows its contacts no better than its legs, and
     what stands on a step has none. A sample, whose contacts were made with its legs, only grows calmer by that.
+    known: bool (B, T), frames whose feet are right already: they stay, and a run stands where its known frames do.
 
     Raises:
         DataError: no contacts. ShapeError: a single clip, a body for each, or one frame, which has no speed.
@@ -57,9 +59,11 @@ def planted(motion: Motion, *, slow: bool = True) -> Motion:
     skeleton = motion.skeleton
     hip, ankle, ball = (motion.positions[..., skeleton.indices(names), :] for names in (_HIPS, ANKLES, BALLS))
     heel_down, ball_down = (_stands(motion, names, slow) for names in (ANKLES, BALLS))
-    shift = _lines(_place(ball, ball_down) - ball, ball_down)
-    flat = torch.where(heel_down[..., None], _place(ankle, heel_down) - ankle - shift, 0.0)
-    flat = _lines(flat, heel_down | ~_near(heel_down))
+    right = torch.zeros_like(motion.root[..., :1], dtype=torch.bool) if known is None else known[..., None]
+    shift = torch.where(right[..., None], 0.0, _place(ball, ball_down, right) - ball)
+    shift = _lines(shift, ball_down | right)
+    flat = torch.where((heel_down & ~right)[..., None], _place(ankle, heel_down, right) - ankle - shift, 0.0)
+    flat = _lines(flat, heel_down | ~_near(heel_down) | right)
     thigh, shin, foot = (skeleton.offsets[skeleton.indices(names)].norm(dim=-1) for names in (_KNEES, ANKLES, BALLS))
     there = ball + shift
     heel = there + foot[:, None] * normalize(ankle + shift + flat - there, dim=-1)
@@ -78,12 +82,24 @@ def _stands(motion: Motion, names: tuple[str, ...], slow: bool = True) -> Tensor
     return says | (contacts_from_positions(points, motion.fps, rest, height=(_LOW, _LOW), speed=_SLOW[names]) > 0)
 
 
-def _place(points: Tensor, stands: Tensor) -> Tensor:
-    """The mean (B, T, F, 3) of points over the run of ``stands`` (B, T, F) that a frame is of."""
+def _place(points: Tensor, stands: Tensor, known: Tensor) -> Tensor:
+    """The mean (B, T, F, 3) of points over the run of ``stands`` (B, T, F) that a frame is of; in a run with known
+    frames (B, T, 1) where these are, and in a line between them."""
     begins = stands & ~pad(stands, (0, 0, 1, 0))[..., :-1, :]
-    run = one_hot(torch.where(stands, begins.cumsum(-2), 0), stands.shape[-2] + 1).to(points)
+    number = torch.where(stands, begins.cumsum(-2), 0)
+    run = one_hot(number, stands.shape[-2] + 1).to(points)
     mean = torch.einsum("btfr,btfc->bfrc", run, points) / run.sum(-3)[..., None].clamp(min=1)
-    return torch.einsum("btfr,bfrc->btfc", run, mean)
+    mean = torch.einsum("btfr,bfrc->btfc", run, mean)
+    fixed = stands & known
+    if not fixed.any():
+        return mean
+    time = torch.arange(stands.shape[-2])[:, None].expand(stands.shape)
+    sides = [at.mT for at in nearest_known(fixed.mT)]
+    mine = [(number.gather(-2, at) == number) & fixed.gather(-2, at) & stands for at in sides]
+    share = ((time - sides[0]) / (sides[1] - sides[0]).clamp(min=1)).to(points)
+    share = torch.where(mine[0] & mine[1], share, mine[1].to(points))[..., None]
+    before, after = (points.gather(-3, at[..., None].expand_as(points)) for at in sides)
+    return torch.where((mine[0] | mine[1])[..., None], torch.lerp(before, after, share), mean)
 
 
 def _lines(shift: Tensor, known: Tensor) -> Tensor:

@@ -1,0 +1,287 @@
+"""Corrects a motion of any skeleton on the 22 standard joints, at the rate and in the windows that models know.
+
+The motion is retargeted in its own proportions; a model fills in what is not kept; and only the turn by which a
+standard joint was corrected goes back to the joint that it stands for, so that no pose is retargeted there and back.
+What is kept stays bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+from tqdm.auto import tqdm
+
+from motionlab import rotation
+from motionlab.baselines import nearest_known
+from motionlab.contact import with_contacts
+from motionlab.diffusion.planting import planted
+from motionlab.motion import FPS, Motion, resample
+from motionlab.retarget import Retargeted, retarget
+from motionlab.skeleton import STANDARD, fk
+
+WINDOW = 60  # frames that models see
+_STRIDE = 20  # frames between windows where a joint is never known
+_EASE = 0.2  # seconds beside what is known over which planting sets in
+_EDGE = 2  # frames of a window that stay beside a gap
+
+Fill = Callable[[Motion, Tensor], Motion]  #: (motions, known (..., U)) -> motions, on the body that models know
+
+
+@dataclass(frozen=True, eq=False)
+class Keep:
+    """What of a motion (T) with J joints is kept: frames (T,) with all joints, and joints (J,) in all frames, bool.
+
+    Joint 0 counts with the root's place.
+    """
+
+    frames: Tensor
+    joints: Tensor
+
+    @property
+    def rot(self) -> Tensor:
+        """(T, J), where rotations are kept; its first column is the root's place, too."""
+        return self.frames[:, None] | self.joints
+
+
+def pasted(made: Motion, motion: Motion, keep: Keep) -> Motion:
+    """Puts what is kept of ``motion`` into ``made``, bit for bit."""
+    rot = torch.where(keep.rot[..., None, None], motion.rot, made.rot)
+    return replace(made, rot=rot, root=torch.where(keep.rot[:, :1], motion.root, made.root))
+
+
+@dataclass(frozen=True, eq=False)
+class Standard:
+    """The own motion, as drawn by curves, on 22 joints in its own proportions; and the way back.
+
+    drawn: on its own joints. joints: the same on the 22, feet on the floor. found: how it was retargeted. lift: metres
+    that it was raised. mapped: standard joint -> own joint. known (T, 22 + 2): units (``masks.units``) that are kept.
+    """
+
+    motion: Motion
+    drawn: Motion
+    keep: Keep
+    joints: Motion
+    found: Retargeted
+    lift: float
+    mapped: dict[int, int]
+    known: Tensor
+
+    @classmethod
+    def of(cls, motion: Motion, drawn: Motion, keep: Keep, lift: float = 0.0) -> Standard:
+        """Makes it by retargeting what curves have drawn. lift: metres up to the floor, where no frame is kept to tell.
+
+        Raises:
+            DataError: a skeleton whose joints are not known.
+        """
+        if keep.frames.any():
+            index = keep.frames.nonzero()[:, 0]
+            lift = retarget(replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=None)).floor
+        found = retarget(drawn, floor=False)
+        up = torch.tensor([0.0, 0.0, lift])
+        joints = replace(found.motion, root=found.motion.root + up, contacts=None, notes=())
+        mapped = {STANDARD.index(n): motion.skeleton.index(own) for n, own in found.names.items()}
+        known = torch.zeros(motion.frames, len(STANDARD) + 2, dtype=torch.bool)
+        for j, own in mapped.items():
+            known[:, j] = keep.rot[:, own]
+        known[:, -2], known[:, -1] = keep.rot[:, 0], keep.frames
+        return cls(motion, drawn, keep, joints, found, lift, mapped, known)
+
+    def notes(self, plant: bool) -> tuple[str, ...]:
+        """Returns what was decided on the way."""
+        missing = f"; made up nothing of {', '.join(self.found.unmapped)}" if self.found.unmapped else ""
+        feet = "feet that stand are planted" if plant else "feet are not planted"
+        return (f"joints read as {self.found.rig}{missing}", feet)
+
+    # -------------------------------------------------------------------------------------------------- a model
+    def corrected(self, fill: Fill, *, rate: float = FPS, share: float = 1.0) -> Motion:
+        """Computes the 22 joints with what is not kept filled in by ``fill``, at their own rate again.
+
+        rate: frames per second that ``fill`` is shown as its own; less: more seconds in a window. share: of the way
+        from what the curves have drawn to what ``fill`` says.
+        """
+        slow, known = self.at_model_rate(rate)
+        body, scale = _on_body(slow)
+        made = fill(body, known)
+        hips = _hips(made, 1.0) / scale
+        rot = torch.where(known[:, :22, None, None] | self.lacking[:, None, None], slow.rot, made.rot)
+        root = hips - _hips(replace(slow, rot=rot, root=torch.zeros_like(slow.root)), 1.0)
+        root = torch.where(known[:, -2:-1], slow.root, root)
+        turn = rotation.exp(share * rotation.log(slow.rot.mT @ rot))  # smooth: this, not poses, goes to the other rate
+        change = replace(slow, root=share * (root - slow.root), rot=turn, contacts=made.contacts)
+        change = resample(change, self.motion.fps, "spline").cut(0, self.motion.frames)
+        own = self.joints
+        return replace(own, root=own.root + change.root, rot=own.rot @ change.rot, contacts=change.contacts)
+
+    def on_model_body(self) -> tuple[Motion, float]:
+        """Returns the motion at the models' rate on the body that they know, and by how much it is larger there."""
+        return _on_body(self.at_model_rate()[0])
+
+    @property
+    def lacking(self) -> Tensor:
+        """(22,): joints that the figure does not have."""
+        return torch.tensor([j not in self.mapped for j in range(len(STANDARD))])
+
+    def at_model_rate(self, rate: float = FPS) -> tuple[Motion, Tensor]:
+        """Returns the 22 joints at the model's rate, to the last frame and beyond, and what is known of them.
+
+        A sample is known where the frames on either side of it are.
+        """
+        own, frames = self.joints, self.motion.frames
+        ratio = own.fps / rate
+        count = math.ceil((frames - 1) / ratio - 1e-6) + 1
+        index = torch.arange(math.ceil((count - 1) * ratio) + 2).clamp(max=frames - 1)
+        slow = resample(replace(own, root=own.root[index], rot=own.rot[index]), rate).cut(0, count)
+        at = torch.arange(count) * ratio
+        low = (at + 1e-4).floor().long().clamp(max=frames - 1)
+        high = (at - 1e-4).ceil().long().clamp(max=frames - 1)
+        known = self.known[low] & self.known[high]
+        # a key between two samples: both stay, so that no correction reaches it
+        times = torch.arange(frames) / ratio
+        for side in ((times + 1e-4).floor(), (times - 1e-4).ceil()):
+            column = side.long().clamp(max=count - 1)[:, None].expand(self.known.shape)
+            known = (
+                known
+                | torch.zeros_like(known, dtype=torch.long).scatter_reduce(0, column, self.known.long(), "amax").bool()
+            )
+        return with_contacts(slow), known
+
+    # ------------------------------------------------------------------------------------------------ and back
+    def back(self, made: Motion, *, plant: bool) -> Motion:
+        """Computes the own motion with the turns and shifts by which ``made`` differs from ``joints``; what is kept is
+        the motion's."""
+        if plant and made.frames > 1:
+            made = self._planted(made)
+        skeleton, own = self.motion.skeleton, self.drawn.to(torch.float64)
+        before, after = self.joints.to(torch.float64).world[1], made.to(torch.float64).world[1]
+        turn = after @ before.mT
+        standing = {own_: j for j, own_ in self.mapped.items()}
+        world, local = own.world[1], own.rot.clone()
+        fresh: list[Tensor] = []
+        for j, parent in enumerate(skeleton.parents):
+            above = fresh[parent] if parent >= 0 else torch.eye(3, dtype=torch.float64)
+            fresh.append(turn[:, standing[j]] @ world[:, j] if j in standing else above @ local[:, j])
+            local[:, j] = above.mT @ fresh[j]
+        hips = [self.mapped[STANDARD.index(f"{side}_hip")] for side in ("left", "right")]
+        here = fk(own.skeleton, torch.zeros_like(own.root), local)[0][:, hips].mean(1)
+        root = _hips(made.to(torch.float64), 1.0) - torch.tensor([0.0, 0.0, self.lift]).double() - here
+        made = replace(self.motion, root=root.to(self.motion.root), rot=local.to(self.motion.rot), contacts=None)
+        return pasted(made, self.motion, self.keep)
+
+    def _planted(self, made: Motion) -> Motion:
+        """Feet that stand stay in place, between frames whose legs are known."""
+        labelled = made if made.contacts is not None else with_contacts(made)
+        known = self.known[:, _LEGS].all(-1)
+        contacts = torch.where(known[:, None], with_contacts(made).contacts, labelled.contacts)
+        some = replace(made, root=made.root[None], rot=made.rot[None], contacts=contacts[None])
+        feet = planted(some, known=known[None])
+        return replace(made, rot=rotation.slerp(made.rot, feet.rot[0], _risen(known, _EASE * made.fps)[:, None]))
+
+
+def _risen(known: Tensor, frames: float) -> Tensor:
+    """(T,): 0 where known (T,), 1 so many frames away, 3 u^2 - 2 u^3 between."""
+    time = torch.arange(len(known))
+    before, after = nearest_known(known)
+    u = torch.minimum((time - before).abs(), (after - time).abs()) / max(frames, 1.0)
+    u = torch.where(known.any(), u.clamp(max=1.0), 1.0)
+    return 3 * u**2 - 2 * u**3
+
+
+_LEGS = [
+    0, *(STANDARD.index(f"{side}_{part}") for side in ("left", "right") for part in ("hip", "knee", "ankle")),
+    len(STANDARD),
+]  # fmt: skip
+
+
+def _hips(motion: Motion, scale: float) -> Tensor:
+    """The middle between the hips (T, 3)."""
+    return scale * motion.positions[:, motion.skeleton.indices(["left_hip", "right_hip"])].mean(1)
+
+
+def _on_body(joints: Motion) -> tuple[Motion, float]:
+    """The motion on the body that models know, its path scaled with it, legs as they are turned; and the scale."""
+    knee = STANDARD.index("left_knee")
+    moved = retarget(joints, proportions="standard", plant=False, floor=False).motion
+    scale = float(STANDARD.offsets[knee].norm() / moved.skeleton.offsets[knee].norm())
+    made = replace(moved, skeleton=STANDARD, root=moved.root * scale, rot=joints.rot, contacts=joints.contacts)
+    return replace(made, notes=()), scale
+
+
+def by_windows(fill: Fill, lacking: Tensor, progress: bool = False) -> Fill:
+    """Returns what fills a whole motion (T) by a fill of windows (B, 60); see :func:`_by_windows`."""
+    return lambda motion, known: _by_windows(motion, known, fill, lacking, progress)
+
+
+def _by_windows(motion: Motion, known: Tensor, fill: Fill, lacking: Tensor, progress: bool) -> Motion:
+    """A motion (T) on the models' body, what is not known (T, U) filled in window by window.
+
+    A gap that fits into a window with a known frame on either side is filled in one, in its middle; what was filled in
+    is known to the next. Longer ones, and joints that are never known, by windows that overlap and fade into each
+    other. lacking (22,): joints that the figure does not have; nothing is ever told of them.
+    """
+    frames, has = motion.frames, torch.cat((~lacking, torch.ones(2, dtype=torch.bool)))
+    motion, known = padded(motion, known)
+    done = known.clone()
+    for first, last in tqdm(runs(~(known | ~has)[:, :-1].all(-1)), desc="gaps", disable=not progress, leave=False):
+        if last - first <= WINDOW - 2 * _EDGE:
+            starts = [min(max(first - (WINDOW - (last - first)) // 2, 0), motion.frames - WINDOW)]
+        else:
+            starts = overlapping(max(first - _STRIDE, 0), min(last + _STRIDE, motion.frames), motion.frames)
+        motion = filled_in(motion, done, fill, starts, (first, last))
+        done[first:last] = has
+    return motion.cut(0, frames)
+
+
+def padded(motion: Motion, known: Tensor) -> tuple[Motion, Tensor]:
+    """Returns a motion (T) of a window or more and what is known of it (T, U): its last frame again, unknown."""
+    index = torch.arange(max(motion.frames, WINDOW)).clamp(max=motion.frames - 1)
+    known = known[index] & (torch.arange(len(index)) < motion.frames)[:, None]
+    return replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=motion.contacts[index]), known
+
+
+def overlapping(begin: int, end: int, frames: int) -> list[int]:
+    """Returns where windows begin that cover begin to end, at most ``_STRIDE`` frames apart, inside the frames."""
+    begin = max(min(begin, frames - WINDOW), 0)
+    last = max(end - WINDOW, begin)
+    return torch.linspace(begin, last, math.ceil((last - begin) / _STRIDE) + 1).round().long().tolist()
+
+
+def runs(on: Tensor) -> list[tuple[int, int]]:
+    """Returns begin and end of every run of True (T,)."""
+    edges = torch.cat((on.new_zeros(1), on, on.new_zeros(1))).long().diff()
+    return list(zip((edges == 1).nonzero()[:, 0].tolist(), (edges == -1).nonzero()[:, 0].tolist(), strict=True))
+
+
+def filled_in(motion: Motion, known: Tensor, fill: Fill, starts: Sequence[int], run: tuple[int, int]) -> Motion:
+    """Computes the motion (T) with the frames of a run filled in by windows, weighted where they overlap."""
+    at = torch.tensor(starts)[:, None] + torch.arange(WINDOW)
+    cut = replace(motion, root=motion.root[at], rot=motion.rot[at], contacts=motion.contacts[at])
+    whole = merged(fill(cut, known[at]), at, motion.frames)
+    mine = torch.zeros(motion.frames, dtype=torch.bool)
+    mine[run[0] : run[1]] = True
+    open_ = mine[:, None] & ~known
+    return replace(
+        motion,
+        rot=torch.where(open_[:, :-2, None, None], whole.rot, motion.rot),
+        root=torch.where(open_[:, -2:-1], whole.root, motion.root),
+        contacts=torch.where(open_[:, -1:], whole.contacts, motion.contacts),
+    )
+
+
+def merged(windows: Motion, at: Tensor, frames: int) -> Motion:
+    """Computes one motion (T) of windows (B, 60) at frames (B, 60), which fade into each other where they overlap."""
+    rise = torch.arange(WINDOW)
+    weight = torch.minimum(rise + 1, WINDOW - rise).to(windows.root).expand(at.shape)
+    total = torch.zeros(frames).index_add_(0, at.flatten(), weight.flatten()).clamp(min=1.0)
+
+    def mean(x: Tensor) -> Tensor:  # (B, 60, ...) -> (T, ...)
+        part = x * weight.reshape(*at.shape, *(1,) * (x.ndim - 2))
+        whole = torch.zeros(frames, *x.shape[2:]).index_add_(0, at.flatten(), part.flatten(0, 1))
+        return whole / total.reshape(-1, *(1,) * (x.ndim - 2))
+
+    rot = rotation.sixd_to_matrix(rotation.matrix_to_sixd(mean(windows.rot)))
+    contacts = None if windows.contacts is None else (mean(windows.contacts) > 0.5).to(rot)
+    return replace(windows, root=mean(windows.root), rot=rot, contacts=contacts)

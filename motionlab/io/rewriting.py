@@ -1,0 +1,217 @@
+"""Writes a changed motion back into the file that it came from: what did not change stays, byte for byte.
+
+A rotation or root position that equals the loaded one keeps the numbers, the channel order, unit and axes of the file;
+whatever else the file holds (End Sites, betas, a skin) stays. Frames may be added behind the last one, not in a GLB.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionlab import rotation
+from motionlab.files import write_whole
+from motionlab.io import amass, bvh, gltf
+from motionlab.io.reading import Spot, check_writable, read_bytes, read_npz, read_text, reading
+from motionlab.motion import Motion
+
+_REMEDY = "name an --out of another format, which is written anew"
+
+
+def rewrite(source: str | Path, target: str | Path, loaded: Motion, made: Motion) -> None:
+    """Writes ``made`` as a copy of the file ``source``, in which only what differs from ``loaded`` is new.
+
+    Args:
+        loaded: as ``source`` was read, (T) frames. made: on the same joints, (T) frames or more.
+
+    Raises:
+        DataError: another skeleton or fewer frames; no such format; or the file has no channel for what changed.
+    """
+    check_writable(target, made)
+    suffix = Path(source).suffix.lower()
+    with reading(source, _REMEDY) as at:
+        if made.skeleton.names != loaded.skeleton.names or made.frames < loaded.frames:
+            raise at.error("not the motion of this file")
+        if suffix not in REWRITERS:
+            raise at.error(f"a {suffix} file cannot be rewritten")
+        content = REWRITERS[suffix](at, loaded, made)
+    write_whole(target, content)
+
+
+def _changed(loaded: Motion, made: Motion) -> tuple[Tensor, Tensor]:
+    """Returns where rotations (T, J) and root places (T,) are not bit for bit those of ``loaded``; new frames are."""
+    rot, root = torch.ones(made.rot.shape[:2], dtype=torch.bool), torch.ones(made.frames, dtype=torch.bool)
+    rot[: loaded.frames] = (made.rot[: loaded.frames] != loaded.rot).any(-1).any(-1)
+    root[: loaded.frames] = (made.root[: loaded.frames] != loaded.root).any(-1)
+    return rot, root
+
+
+def _base(loaded: Motion, made: Motion, turn: Tensor, place: Tensor, scale: float) -> tuple[Tensor, Tensor]:
+    """Local rotations (T, J, 3, 3) and root places (T, 3) of ``made`` as the file counts them, float64.
+
+    turn (T, 3, 3), place (T, 3): of the root joint in the file, against what is above it. What is above, axes and
+    unit follow from the loaded motion: rot_0 = B turn, root = C + scale B place. New frames go by the last one.
+    """
+    above = loaded.rot[:, 0].double() @ turn.mT
+    origin = loaded.root.double() - scale * (above @ place[..., None])[..., 0]
+    at = torch.arange(made.frames).clamp(max=loaded.frames - 1)
+    rot = made.rot.double().clone()
+    rot[:, 0] = above[at].mT @ rot[:, 0]
+    root = (above[at].mT @ (made.root.double() - origin[at])[..., None])[..., 0] / scale
+    return rot, root
+
+
+# -------------------------------------------------------------------------------------------------------- BVH
+def _bvh(at: Spot, loaded: Motion, made: Motion) -> str:
+    text = read_text(at)
+    joints, values, _ = bvh._parse(at, text)
+    place, turns = bvh._local(joints, values)
+    names = [joint.name for joint in joints]
+    index = [names.index(name) for name in loaded.skeleton.names]
+    lengths = loaded.skeleton.offsets[1:].norm(dim=-1).double().sum()
+    scale = float(lengths / np.linalg.norm(place.mean(0)[index[1:]], axis=-1).sum())
+    scale = next((unit for unit in bvh.UNITS.values() if abs(scale / unit - 1) < 1e-4), scale)
+    top = index[0]
+    rot, root = _base(loaded, made, turns[:, top], torch.from_numpy(place[:, top]), scale)
+    new_rot, new_root = _changed(loaded, made)
+    column, starts = 0, []
+    for joint in joints:
+        starts.append(column)
+        column += len(joint.channels)
+    more = made.frames - loaded.frames
+    table = np.concatenate((values, np.repeat(values[-1:], more, 0)))
+    mine = np.zeros(table.shape, dtype=bool)
+    for k, i in enumerate(index):
+        turning = [c for c, name in enumerate(joints[i].channels) if name.endswith("rotation")]
+        rows = new_rot[:, k].numpy()
+        if turning and rows.any():
+            order = "".join(joints[i].channels[c][0].upper() for c in turning)
+            angles = torch.rad2deg(rotation.matrix_to_euler(rot[rows, k], order)).numpy()
+            where = np.array(turning) + starts[i]
+            table[np.ix_(rows, where)] = angles
+            mine[np.ix_(rows, where)] = True
+        elif rows[: loaded.frames].any() and not joints[i].is_end:
+            raise at.error(f"{names[i]} has no rotation channels", place=names[i])
+    moving = {name[0]: c for c, name in enumerate(joints[top].channels) if name.endswith("position")}
+    if new_root[: loaded.frames].any() and len(moving) < 3:
+        raise at.error(f"{names[top]} has no position channels", place=names[top])
+    for axis, c in moving.items():
+        table[new_root.numpy(), starts[top] + c] = root[new_root, "xyz".index(axis)].numpy()
+        mine[new_root.numpy(), starts[top] + c] = True
+    angle = np.array([name.endswith("rotation") for joint in joints for name in joint.channels])
+    for t in range(1, len(table)):  # a turn goes on from the frame before, not by a whole turn elsewhere
+        turn = 360 * np.round((table[t - 1] - table[t]) / 360)
+        table[t] += np.where(mine[t] & angle, turn, 0.0)
+    return _bvh_text(text, table, mine, loaded.frames)
+
+
+def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, frames: int) -> str:
+    """The file's text with new numbers where ``mine``; lines without one as they are."""
+    lines = text.split("\n")
+    start = next(n for n, line in enumerate(lines) if line.split()[:1] == ["MOTION"])
+    rows = [n for n in range(start + 1, len(lines)) if lines[n].strip()]
+    heading, rows = rows[:2], rows[2:]
+    for t, n in enumerate(rows):
+        if mine[t].any():
+            words = lines[n].split()
+            lines[n] = " ".join(f"{x:.6f}" if new else w for w, x, new in zip(words, table[t], mine[t], strict=True))
+    last = lines[rows[-1]].split()
+    extra = [
+        " ".join(f"{x:.6f}" if new else w for w, x, new in zip(last, table[t], mine[t], strict=True))
+        for t in range(frames, len(table))
+    ]
+    if extra:
+        lines[heading[0]] = f"Frames: {len(table)}"
+        lines[rows[-1] + 1 : rows[-1] + 1] = extra
+    return "\n".join(lines)
+
+
+# -------------------------------------------------------------------------------------------------------- npz
+def _npz(at: Spot, loaded: Motion, made: Motion) -> bytes:
+    arrays = {k: np.array(x) for k, x in read_npz(at).items()}
+    if "trans" not in arrays or not {"poses", "pose_body"} & set(arrays):
+        raise at.error("not an AMASS file", place="keys")
+    count = loaded.frames
+    for key in ("trans", "contacts", "poses", *amass.POSE_PARTS):
+        if key in arrays and len(arrays[key]) == count:
+            arrays[key] = np.concatenate((arrays[key], np.repeat(arrays[key][-1:], made.frames - count, 0)))
+    new_rot, new_root = (x.numpy() for x in _changed(loaded, made))
+    turns = rotation.matrix_to_axis_angle(made.rot.double()).numpy()
+    parts = [("poses", 0)] * len(made.skeleton) if "poses" in arrays else [("root_orient", 0)]
+    parts += [("pose_body", 3)] * (len(made.skeleton) - len(parts))
+    for j, (key, less) in enumerate(parts):
+        columns = slice(3 * j - less, 3 * j - less + 3)
+        arrays[key][new_rot[:, j], columns] = turns[new_rot[:, j], j]
+    offset = (loaded.root[-1].double() - torch.from_numpy(arrays["trans"][count - 1].astype(np.float64))).numpy()
+    arrays["trans"][new_root] = made.root.double().numpy()[new_root] - offset
+    if "contacts" in arrays and made.contacts is not None:
+        rows = new_rot.any(1) | new_root
+        arrays["contacts"][rows] = made.contacts.numpy()[rows]
+    archive = io.BytesIO()
+    np.savez_compressed(archive, **arrays)
+    return archive.getvalue()
+
+
+# -------------------------------------------------------------------------------------------------------- GLB
+def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
+    if made.frames != loaded.frames:
+        raise at.error("frames cannot be added to a GLB")
+    content, blob = gltf._chunks(at)
+    data, animation = bytearray(read_bytes(at)), content["animations"][0]
+    start = data.rindex(blob, 0) if blob else len(data)
+    nodes = [node.get("name") for node in content["nodes"]]
+    index = [nodes.index(name) for name in loaded.skeleton.names]
+    outputs = {
+        (c["target"].get("node"), c["target"]["path"]): animation["samplers"][c["sampler"]]["output"]
+        for c in animation["channels"]
+    }
+    read = {key: gltf._array(at, content, blob, o, 4 if key[1] == "rotation" else 3, f"node {key[0]} {key[1]}")
+            for key, o in outputs.items() if key[1] in ("rotation", "translation")}  # fmt: skip
+    new_rot, new_root = _changed(loaded, made)
+    top = index[0]
+    still = content["nodes"][top]
+    turn = read.get((top, "rotation"), np.tile(still.get("rotation", (0.0, 0, 0, 1)), (loaded.frames, 1)))
+    place = read.get((top, "translation"), np.tile(still.get("translation", (0.0, 0, 0)), (loaded.frames, 1)))
+    turn = rotation.quaternion_to_matrix(torch.from_numpy(turn[:, [3, 0, 1, 2]]).double())
+    rot, root = _base(loaded, made, turn, torch.from_numpy(place).double(), 1.0)
+    new = {(i, "rotation"): (new_rot[:, k], rotation.matrix_to_quaternion(rot[:, k])[:, [1, 2, 3, 0]])
+           for k, i in enumerate(index)} | {(top, "translation"): (new_root, root)}  # fmt: skip
+    for key, (rows, numbers) in new.items():
+        if not rows.any():
+            continue
+        if key not in outputs or list(outputs.values()).count(outputs[key]) > 1:
+            raise at.error(f"{nodes[key[0]]} has no {key[1]} of its own", place=f"node {key[0]}")
+        _put(data, start, content, outputs[key], rows.numpy(), read[key], numbers.numpy())
+    return bytes(data)
+
+
+def _put(data: bytearray, start: int, content: dict, output: int, rows: np.ndarray, old: np.ndarray, new: np.ndarray):
+    """Overwrite rows of an accessor; quaternions take the sign of the frame before."""
+    accessor = content["accessors"][output]
+    view = content["bufferViews"][accessor["bufferView"]]
+    width = old.shape[1]
+    first = start + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    old = old.copy()
+    for t in np.flatnonzero(rows):
+        flip = -1.0 if width == 4 and t and (old[t - 1] @ new[t]) < 0 else 1.0
+        old[t] = flip * new[t]
+        struct.pack_into(f"<{width}f", data, first + int(t) * view.get("byteStride", 4 * width), *old[t])
+
+
+REWRITERS: dict[str, Callable[[Spot, Motion, Motion], str | bytes]] = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
+
+
+def rewritable(source: str | Path) -> bool:
+    """Returns whether a file can be rewritten: a BVH, an AMASS npz or a GLB."""
+    suffix = Path(source).suffix.lower()
+    if suffix != ".npz":
+        return suffix in REWRITERS
+    with reading(source) as at:
+        keys = set(read_npz(at, ("trans", "poses", "pose_body")))
+    return "trans" in keys and len(keys) > 1

@@ -1,0 +1,245 @@
+"""Makes motion that was not there: without noise and glitches, from a few known joints, or from nothing.
+
+    repaired(motion)                                  # what trembles or jumps
+    posed(motion, ("left_wrist", "head"))             # all but the places of these
+    generated(4.0)                                    # a new motion, or what may follow on one
+
+Source: thesis 4.2.1 (denoising), 4.2.4 (poses from handles), 4.2.3 (generation).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+from tqdm.auto import tqdm
+
+from motionlab import baselines, cleaning, rotation
+from motionlab.animate import Animated, curves, found_joints, inbetween
+from motionlab.contact import with_contacts
+from motionlab.corrections import WINDOW, Keep, Standard, filled_in, merged, overlapping, padded, runs
+from motionlab.diffusion.denoising import Noise, ReverseProcess, denoise
+from motionlab.diffusion.inpainting import Way, repair
+from motionlab.diffusion.masks import units
+from motionlab.diffusion.model import motion_model
+from motionlab.diffusion.planting import planted, reach_targets
+from motionlab.diffusion.pose_completion import complete
+from motionlab.errors import DataError
+from motionlab.heading import heading_frame, local_to_world, world_to_local_positions
+from motionlab.motion import FPS, Motion
+from motionlab.retarget import retarget
+from motionlab.skeleton import STANDARD
+
+FREE, HANDLES = "diffusion_real_free", "diffusion_real_handles"
+CLEAN = Noise(0.35 * math.pi / 180, 0.0015)  # as much is measured on clean recordings
+_PROCESS = ReverseProcess(level=0.35, topped=False, filtered=True)
+_LIVELY, _QUICK = 12.0, 6.0  # strength of acceleration that is motion: rad/s^(3/2) of joints, m/s^(3/2) of the root
+_PAST, _STEPS = 20, 50  # frames that a new window goes on from; of the sampler
+_GUIDED = Way(put="imputed", weight=5.0, steps=_STEPS, finish=8)
+_JUMPS = 0.2  # share of frames; with more it is noise that jumps
+_CALM = 9  # frames over which poses from handles are smoothed, at the models' rate
+
+
+# ------------------------------------------------------------------------------------------------------ repair
+def _measured_noise(motion: Motion) -> Noise:
+    """Measures the noise of a motion (T) that is new in every frame, from the median sixth difference in time.
+
+    Of independent noise these have 924 times its variance; motion, which is smooth, has hardly any. Lasting noise is
+    not seen.
+
+    Raises:
+        DataError: fewer than 12 frames.
+    """
+    if motion.frames < 12:
+        raise DataError(f"{motion.frames} frames", path=motion.name, place="noise", remedy="say how many degrees")
+    size = 0.6745 * 924**0.5
+    turn = rotation.log(motion.rot[:-1].double().mT @ motion.rot[1:].double()).diff(n=5, dim=0).abs()
+    joints = turn.quantile(0.5, dim=0).mean(-1) / size
+    live = joints[joints > 1e-5]
+    shift = motion.root.double().diff(n=6, dim=0).abs().quantile(0.5, dim=0).mean() / size
+    return Noise(float(live.median()) if len(live) else 0.0, float(shift))
+
+
+def repaired(
+    motion: Motion,
+    noise: Noise | None = None,
+    *,
+    method: str = "network",
+    seed: int = 0,
+    plant: bool = True,
+    progress: bool = False,
+) -> Animated:
+    """Computes a motion (T) without glitches and noise, and says what was found.
+
+    Frames that no body reaches (``cleaning``) are filled in from those around (``animate.inbetween``). Noise is then
+    smoothed away by a Kalman smoother of its size; with ``network`` a denoiser goes back from there. noise: None:
+    measured. Where there is no more than clean recordings have, only glitches change.
+
+    Raises:
+        DataError: no such method, or a skeleton whose joints are not known.
+    """
+    if method not in ("network", "curves"):
+        raise DataError(f"{method!r} repairs nothing", place="--method", remedy="use network or curves")
+    notes: list[str] = []
+    noise = noise or _measured_noise(motion)
+    notes.append(f"noise: {math.degrees(noise.turn):.2f} degrees about each axis, {1000 * noise.shift:.1f} mm")
+    noisy = noise.turn > CLEAN.turn or noise.shift > CLEAN.shift
+    jumps = torch.zeros(motion.frames, dtype=torch.bool) if noisy else _jumps(motion)
+    if jumps.any():
+        spans = ", ".join(f"{a}-{b - 1}" for a, b in runs(jumps))
+        notes.append(f"frames {spans} jump: filled in from those around")
+        keep = Keep(~jumps, torch.zeros(len(motion.skeleton), dtype=torch.bool))
+        found = inbetween(motion, keep, seed=seed, plant=plant, progress=progress)
+        return Animated(found.motion, (*notes, "no more noise than clean recordings have", *found.notes))
+    if not noisy:
+        return Animated(motion, (*notes, "no more noise than clean recordings have, and no jump: left as it is"))
+    smooth = _smoothed(motion, noise)
+    nothing = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.zeros(len(motion.skeleton), dtype=torch.bool))
+    lift = retarget(smooth).floor
+    body = Standard.of(motion, smooth, nothing, lift=lift)
+    made = body.joints
+    if method == "network":
+        given, _ = Standard.of(motion, motion, nothing, lift=lift).on_model_body()
+        made = body.corrected(lambda rough, known: _denoised(given, rough, noise, seed, progress))
+    notes.append(f"{method}: a Kalman smoother" + ", and a look of the free denoiser" * (method == "network"))
+    return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
+
+
+def _jumps(motion: Motion) -> Tensor:
+    """(T,): frames that no body reaches from those before and behind."""
+    found = (
+        cleaning.faults(retarget(motion).motion)["teleport"] if motion.frames > 2 else torch.zeros(motion.frames) > 0
+    )
+    return found if 0 < found.float().mean() < _JUMPS else torch.zeros_like(found)
+
+
+def _smoothed(motion: Motion, noise: Noise) -> Motion:
+    """A Kalman smoother over joints and root, each with its own noise."""
+
+    def by(size: float, lively: float):
+        return lambda x: baselines.kalman(x, motion.fps, max(size, 1e-6), lively)
+
+    turned = baselines.smooth(motion, by(noise.turn, _LIVELY))
+    return replace(turned, root=by(noise.shift, _QUICK)(motion.root))
+
+
+def _denoised(given: Motion, rough: Motion, noise: Noise, seed: int, progress: bool) -> Motion:
+    """A rough motion (T) on the models' body, denoised in windows that overlap."""
+    generator, model, frames = torch.Generator().manual_seed(seed), motion_model(FREE), rough.frames
+    open_ = torch.zeros(frames, len(STANDARD) + 2, dtype=torch.bool)
+    (rough, _), (given, _) = padded(rough, open_), padded(given, open_)
+    at = torch.tensor(overlapping(0, rough.frames, rough.frames))[:, None] + torch.arange(WINDOW)
+    parts = []
+    for some in tqdm(at.split(16), desc="windows", disable=not progress, leave=False):
+        cuts = [replace(m, root=m.root[some], rot=m.rot[some], contacts=m.contacts[some]) for m in (given, rough)]
+        parts.append(denoise(model, *cuts, noise, generator, _PROCESS))
+    root, rot, contacts = (torch.cat([getattr(p, name) for p in parts]) for name in ("root", "rot", "contacts"))
+    return merged(replace(parts[0], root=root, rot=rot, contacts=contacts), at, rough.frames).cut(0, frames)
+
+
+# -------------------------------------------------------------------------------------------- from a few joints
+def posed(
+    motion: Motion, known: Sequence[str], *, method: str = "network", seed: int = 0, plant: bool = True
+) -> Animated:
+    """Computes a motion (T) of which only the places of some joints are known, and where it stands and faces.
+
+    Every pose is completed by itself, calmed over time, and brought to the places by inverse kinematics.
+
+    Raises:
+        DataError: an unknown joint or one that no standard joint stands for; or another method than network.
+    """
+    if method != "network":
+        raise DataError(f"{method} completes no poses", place="--method", remedy="use network")
+    names = retarget(motion.cut(0, 1), floor=False).names
+    owners = {motion.skeleton.index(own): standard for standard, own in names.items()}
+    joints = sorted(found_joints(motion, known))
+    lost = [motion.skeleton.names[j] for j in joints if j not in owners]
+    if lost or not joints:
+        remedy = f"use some of {', '.join(names)}"
+        raise DataError(f"no standard joint stands for {', '.join(lost) or 'nothing'}", place="--known", remedy=remedy)
+    nothing = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.zeros(len(motion.skeleton), dtype=torch.bool))
+    rest = replace(motion, rot=torch.eye(3).to(motion.rot).expand_as(motion.rot), contacts=None)
+    body, (given, _) = Standard.of(motion, rest, nothing), Standard.of(motion, motion, nothing).on_model_body()
+    which = torch.zeros(len(STANDARD), dtype=torch.bool)
+    which[STANDARD.indices([owners[j] for j in joints])] = True
+    made = body.corrected(lambda *_: _from_handles(given, which, seed))
+    made = body.back(made, plant=plant)
+    targets = motion.positions[:, joints]
+    reached = reach_targets(made, [motion.skeleton.names[j] for j in joints], targets, steps=40)
+    far = (reached.positions[:, joints] - targets).norm(dim=-1)
+    which = ", ".join(motion.skeleton.names[j] for j in joints)
+    note = f"the places of {which} are kept to {1000 * float(far.max()):.2g} mm"
+    why = "poses that it recalls and kinematics; the nearest known pose is 0.4 to 1.2 cm further off (notebook 14)"
+    return Animated(reached, (f"network: {why}", f"{note}; where it stands and faces was read", *body.notes(plant)))
+
+
+def _from_handles(given: Motion, which: Tensor, seed: int) -> Motion:
+    """Poses (T) on the models' body, handles where ``given`` has them; else only place and heading are read."""
+    every = given.positions
+    frame = heading_frame(given.root[:, None], given.rot[:, None, 0])
+    local = world_to_local_positions(frame, every[:, None])[:, 0]
+    generator = torch.Generator().manual_seed(seed)
+    poses = complete(motion_model(HANDLES), local, which.expand(len(local), -1), generator, steps=1)
+    world = local_to_world(frame, poses)
+    made = replace(given, root=world.root[:, 0], rot=world.rot[:, 0], contacts=None)
+    window = min(_CALM, made.frames - 1 + made.frames % 2)
+    return with_contacts(baselines.smoothed(made, window) if window > 2 else made)
+
+
+# ---------------------------------------------------------------------------------------------------- generate
+def generated(seconds: float, *, start: Motion | None = None, seed: int = 0, plant: bool = True) -> Animated:
+    """Draws a new motion of so many seconds on the standard body, or what may follow on ``start``, which stays.
+
+    Two seconds at a time, each going on from the last ``_PAST`` frames.
+
+    Raises:
+        DataError: no seconds, or a start whose joints are not known.
+    """
+    if not 0 < seconds < math.inf:
+        raise DataError(f"a motion of {seconds:g} s", place="--seconds", remedy="give a number above 0")
+    generator = torch.Generator().manual_seed(seed)
+    if start is None:
+        return _new(max(round(seconds * FPS), 2), generator, plant)
+    more = max(round(seconds * start.fps), 1)
+    index = torch.arange(start.frames + more).clamp(max=start.frames - 1)
+    longer = replace(start, root=start.root[index], rot=start.rot[index], contacts=None)
+    keep = Keep(torch.arange(len(index)) < start.frames, torch.zeros(len(start.skeleton), dtype=torch.bool))
+    body = Standard.of(longer, curves(longer, keep), keep)
+    motion = body.back(body.corrected(lambda m, known: _going_on(m, known, generator)), plant=plant)
+    return Animated(motion, (f"network: {FREE}, guided by the last {_PAST} frames", *body.notes(plant)))
+
+
+def _new(frames: int, generator: torch.Generator, plant: bool) -> Animated:
+    model = motion_model(FREE)
+    first = model.sample(1, generator, steps=_STEPS, rest=0.05).clip(0)
+    index = torch.arange(max(frames, WINDOW)).clamp(max=WINDOW - 1)
+    motion = replace(first, root=first.root[index], rot=first.rot[index], contacts=first.contacts[index])
+    known = (torch.arange(len(index)) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
+    motion = _going_on(motion, known, generator).cut(0, frames)
+    if plant:
+        some = replace(motion, root=motion.root[None], rot=motion.rot[None], contacts=motion.contacts[None])
+        motion = planted(some, slow=False).clip(0)
+    return Animated(replace(motion, name="generated", notes=()), (f"network: {FREE}, {_STEPS} steps",))
+
+
+def _going_on(motion: Motion, known: Tensor, generator: torch.Generator) -> Motion:
+    """A motion (T) on the models' body whose last frames are not known, window by window."""
+    frames, model = motion.frames, motion_model(FREE)
+    columns = units(model.layout)
+    last = int(known[:, -1].sum())
+    end = max(math.ceil((frames - last) / (WINDOW - _PAST)), 0) * (WINDOW - _PAST) + last
+    index = torch.arange(max(end, WINDOW)).clamp(max=frames - 1)
+    motion = replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=motion.contacts[index])
+    has = known[0] if last else torch.ones_like(known[0])  # never told of a joint that the figure does not have
+    done = (torch.arange(len(index)) < last)[:, None] & has
+    while last < frames:
+        begin = max(min(last - _PAST, len(index) - WINDOW), 0)
+        stop = begin + WINDOW
+        motion = filled_in(
+            motion, done, lambda m, k: repair(model, m, k[..., columns], generator, _GUIDED), [begin], (last, stop)
+        )
+        done[last:stop], last = has, stop
+    return motion.cut(0, frames)

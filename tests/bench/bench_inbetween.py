@@ -1,0 +1,148 @@
+"""In-betweening of real BVH files of people nobody trained on: network, curves, nearest and slerp.
+
+Clips of the CMU library's ``report`` people, at 30 frames per second, on the files' own skeletons. Gaps with known
+motion around them, and lone keys so many frames apart. Every person counts alike; intervals are by bootstrap over
+people. Feet slide: the way over the floor, mm per frame, of ankles that are at most 3 cm above where they rest.
+
+    MOTIONLAB_DATA=FOLDER python tests/bench/bench_inbetween.py [--clips 2] [--kinds gap]
+"""
+
+import argparse
+import os
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import torch
+
+from motionlab import animate, baselines, io, people
+from motionlab.errors import DataError
+from motionlab.metrics import intervals
+from motionlab.metrics.pose import joint_errors
+from motionlab.motion import Motion, resample
+
+FPS, FRAMES, GAPS, LOW = 30.0, 130, (15, 30, 60), 0.03
+METHODS = ("slerp", *animate.METHODS)
+
+
+def clips(folder: Path, part: str, each: int) -> list[tuple[str, Motion]]:
+    """(person, the middle of a clip), at most ``each`` of every person, evenly over the files that are long enough."""
+    found: dict[str, list[Motion]] = defaultdict(list)
+    for path in sorted(folder.glob("*/*.bvh")):
+        person = people.person_of("cmu_library", path.relative_to(folder))
+        if people.part_of(person) == part:
+            found[person].append(path)
+    rows = []
+    for person, paths in found.items():
+        some = [paths[int((k + 0.5) * len(paths) / (3 * each))] for k in range(3 * each)]
+        used = 0
+        for path in dict.fromkeys(some[1::3] + some):
+            try:
+                motion = resample(io.load(path), FPS)
+            except DataError:
+                continue
+            if used < each and motion.frames >= FRAMES:
+                start = (motion.frames - FRAMES) // 2
+                rows.append((person, motion.cut(start, start + FRAMES)))
+                used += 1
+    return rows
+
+
+def kept_frames(kind: str, gap: int) -> set[int]:
+    """A gap in the middle, or keys with so many frames between them."""
+    if kind == "gap":
+        start = (FRAMES - gap) // 2
+        return set(range(start)) | set(range(start + gap, FRAMES))
+    return set(range((FRAMES - 1) % (gap + 1) // 2, FRAMES, gap + 1))
+
+
+def slide(motion: Motion, truth: Motion, where: torch.Tensor) -> float:
+    """mm per frame of ankles that are low, in the frames ``where``; NaN where none is."""
+    feet = [j for name, j in animate._standard_joints(truth).items() if name.endswith("ankle")]
+    floor = truth.positions[:, feet, 2].quantile(0.02, dim=0)
+    p = motion.positions[:, feet]
+    low = (p[..., 2] < floor + LOW) & where[:, None]
+    on = low[1:] & low[:-1]
+    return float(1000 * p.diff(dim=0)[..., :2].norm(dim=-1)[on].mean())
+
+
+def measured(person: str, motion: Motion, found: dict, options: argparse.Namespace) -> str:
+    """Fills in every gap of a clip by every method; which motions do not keep their frames to the bit."""
+    moved = []
+    for kind in options.kinds:
+        for gap in GAPS:
+            frames = kept_frames(kind, gap)
+            keep = animate.kept(motion, frames)
+            inside = ~keep.frames & (torch.arange(FRAMES) > min(frames)) & (torch.arange(FRAMES) < max(frames))
+            for method in options.methods:
+                begin = time.perf_counter()
+                if method == "slerp":
+                    made = baselines.interpolate(motion, keep.frames)
+                else:
+                    made = animate.inbetween(motion, keep, method=method).motion
+                found["seconds"][method][gap].append(time.perf_counter() - begin)
+                same = torch.equal(made.rot[keep.frames], motion.rot[keep.frames])
+                if not same or not torch.equal(made.root[keep.frames], motion.root[keep.frames]):
+                    moved.append(f"{method} {kind} {gap}")
+                far = 100 * joint_errors(made.positions, motion.positions, align="none")[inside].mean()
+                found["error"][kind, gap, method][person].append(float(far))
+                found["slid"][kind, gap, method][person].append(slide(made, motion, inside))
+            found["slid"][kind, gap, "original"][person].append(slide(motion, motion, inside))
+    return ", ".join(moved)
+
+
+def report(found: dict) -> None:
+    """Prints a row per case and method."""
+    error, slid, seconds = found.values()
+    generator = torch.Generator().manual_seed(0)
+
+    def by_person(found) -> torch.Tensor:
+        return torch.tensor([torch.tensor(some).nanmean() for some in found.values()])
+
+    for kind in sorted({kind for kind, _, _ in error}):
+        for gap in GAPS:
+            usual = animate._usual_method(gap / FPS)[0]
+            best = by_person(error[kind, gap, usual])
+            print(f"{kind} {gap} frames; default {usual}; joint error, cm")
+            for method in [m for m in METHODS if (kind, gap, m) in error]:
+                mine = by_person(error[kind, gap, method])
+                mean, low, high = intervals.interval(mine, "mean", generator)
+                less = f"; less {usual}: {intervals.paired(mine, best, generator)}" if method != usual else ""
+                way, truth = (
+                    torch.tensor([x for some in slid[kind, gap, who].values() for x in some])
+                    for who in (method, "original")
+                )
+                both = way.isfinite() & truth.isfinite()
+                share = 100 * float((way <= truth)[both].double().mean())
+                print(
+                    f"  {method:8} {mean:5.2f} [{low:.2f}, {high:.2f}]{less}; slide {float(way[both].mean()):.1f} mm "
+                    f"a frame (original {float(truth[both].mean()):.1f}), no more than it in {share:.0f} % of "
+                    f"{int(both.sum())}; {1000 * sum(seconds[method][gap]) / len(seconds[method][gap]):.0f} ms"
+                )
+
+
+def main() -> None:
+    data = os.environ.get("MOTIONLAB_DATA")
+    if not data or not (Path(data) / "cmu_library").is_dir():
+        print("no MOTIONLAB_DATA with cmu_library in it: nothing measured")
+        return
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--clips", type=int, default=1, help="of each person")
+    parser.add_argument("--part", choices=people.PARTS, default="report")
+    parser.add_argument("--kinds", nargs="+", choices=("gap", "keys"), default=("gap", "keys"))
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
+    options = parser.parse_args()
+    rows = clips(Path(data) / "cmu_library", options.part, options.clips)
+    print(f"{len(rows)} clips of {len({who for who, _ in rows})} people ({options.part})")
+    found = {name: defaultdict(lambda: defaultdict(list)) for name in ("error", "slid", "seconds")}
+    try:
+        for done, (person, motion) in enumerate(rows):
+            moved = measured(person, motion, found, options)
+            print(f"{done + 1}/{len(rows)}{moved and ', kept frames that moved: ' + str(moved)}", end="\r", flush=True)
+    except KeyboardInterrupt:
+        print("\nstopped: what there is")
+    report(found)
+
+
+if __name__ == "__main__":
+    main()

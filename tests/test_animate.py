@@ -1,0 +1,252 @@
+"""The animator's commands: what is kept stays to the bit, nothing hidden is read, no seam, feet stand, clear errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from motionlab import __main__, animate, animate_cli, baselines, io, renew, rotation
+from motionlab.corrections import WINDOW, Keep, Standard, overlapping
+from motionlab.diffusion.denoising import Noise
+from motionlab.errors import DataError
+from motionlab.io import amass, bvh, gltf
+from motionlab.metrics.pose import acceleration
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, UPRIGHT
+
+SAVE = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save}
+KEYS = "0,45,80-100,last"
+MIXAMO = {"pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2", "neck": "Neck"} | {
+    "head": "Head"} | {
+    f"{side}_{a}": f"{side.capitalize()}{b}"
+    for side in ("left", "right")
+    for a, b in {"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "foot": "ToeBase", "collar": "Shoulder",
+                 "shoulder": "Arm", "elbow": "ForeArm", "wrist": "Hand"}.items()
+}  # fmt: skip
+
+
+def walk(frames: int = 130, fps: float = 24.0) -> Motion:
+    """Somebody who walks along +y at 1 m/s: hips, knees and shoulders swing, once in 1.1 seconds."""
+    phase = 2 * torch.pi * torch.arange(frames) / fps / 1.1
+    rot = torch.eye(3).repeat(frames, len(STANDARD), 1, 1)
+    rot[:, 0] = UPRIGHT @ rotation.rotation_about("y", 0.05 * phase.sin())
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        at = {part: STANDARD.index(f"{side}_{part}") for part in ("hip", "knee", "shoulder")}
+        rot[:, at["hip"]] = rotation.rotation_about("x", -0.35 * sign * phase.sin())
+        rot[:, at["knee"]] = rotation.rotation_about("x", 0.4 - 0.35 * sign * phase.cos())
+        down = rotation.rotation_about("z", torch.full((frames,), -1.3 * sign))
+        rot[:, at["shoulder"]] = rotation.rotation_about("x", 0.3 * sign * phase.sin()) @ down
+    root = torch.zeros(frames, 3)
+    root[:, 1], root[:, 2] = torch.arange(frames) / fps, float(STANDARD.standing_height()) - 0.03
+    return Motion(STANDARD, root, rot, fps, name="walk")
+
+
+def mixamo(motion: Motion) -> Motion:
+    return replace(motion, skeleton=replace(motion.skeleton, names=tuple(MIXAMO[n] for n in STANDARD.names),
+                                            contact_names=()))  # fmt: skip
+
+
+def same(a: Motion, b: Motion, keep: Keep) -> bool:
+    """Is what is kept of ``a`` in ``b`` to the bit?"""
+    rot = (a.rot == b.rot).all(-1).all(-1) | ~keep.rot
+    return bool(rot.all() and ((a.root == b.root).all(-1) | ~keep.rot[:, 0]).all())
+
+
+def command(*words: object) -> int:
+    return __main__.main([str(word) for word in words])
+
+
+# ------------------------------------------------------------------------------------------------ what is kept
+@pytest.mark.parametrize("suffix", [".bvh", ".npz", ".glb"])
+def test_known_frames_stay_in_the_file_to_the_bit_and_the_rest_is_what_was_made(suffix, tmp_path, capsys):
+    source, out = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
+    SAVE[suffix](source, walk())
+    assert command("inbetween", source, "--keys", KEYS, "--method", "curves", "--out", out) == 0
+    before, after = io.load(source), io.load(out)
+    keep = animate.kept(before, animate_cli._key_frames(KEYS, before.frames))
+    assert keep.frames.sum() == 24 and "byte for byte" in capsys.readouterr().out
+    assert same(before, after, keep) and after.fps == before.fps and after.skeleton.names == before.skeleton.names
+    made = animate.inbetween(before, keep, method="curves").motion
+    assert (after.positions - made.positions).abs().max() < 1e-4
+    assert (after.positions - before.positions)[~keep.frames].norm(dim=-1).max() > 0.02  # it was filled in
+    if suffix == ".bvh":
+        old, new = (path.read_text().splitlines()[-before.frames :] for path in (source, out))
+        assert [a == b for a, b in zip(old, new, strict=True)] == keep.frames.tolist()
+    if suffix == ".npz":
+        old, new = (np.load(path) for path in (source, out))
+        assert set(old) == set(new) and (old["poses"][keep.frames] == new["poses"][keep.frames]).all()
+    smoothed = baselines.smoothed(before, 5)  # a method that does not care what is kept
+    assert not same(before, smoothed, keep)
+
+
+@pytest.mark.parametrize("method", animate.METHODS)
+def test_kept_joints_stay_and_what_is_not_kept_is_never_read(method):
+    motion = mixamo(walk())
+    keep = animate.kept(motion, {0, 40, 129}, ["arms", "Head"])
+    generator = torch.Generator().manual_seed(0)
+    other = rotation.random(motion.rot.shape[:2], generator)
+    scrambled = replace(motion, rot=torch.where(keep.rot[..., None, None], motion.rot, other))
+    scrambled = replace(scrambled, root=torch.where(keep.rot[:, :1], motion.root, motion.root + 3.0))
+    made, again = (animate.inbetween(m, keep, method=method).motion for m in (motion, scrambled))
+    assert same(motion, made, keep) and torch.equal(made.rot, again.rot) and torch.equal(made.root, again.root)
+    assert keep.joints.sum() == 7 and not torch.equal(made.rot, motion.rot)
+
+
+def test_hidden_legs_are_made_from_the_rest_alone_in_windows_that_overlap():
+    motion = mixamo(walk(150))
+    legs = sorted(animate.found_joints(motion, ["legs"]))
+    rot = motion.rot.clone()
+    rot[:, legs] = rotation.random((150, len(legs)), torch.Generator().manual_seed(1))
+    made, again = (animate.completed(m, ["legs"], plant=False).motion for m in (motion, replace(motion, rot=rot)))
+    others = [j for j in range(len(STANDARD)) if j not in legs]
+    assert torch.equal(made.rot, again.rot) and torch.equal(made.rot[:, others], motion.rot[:, others])
+    assert torch.equal(made.root, motion.root)
+    starts = overlapping(0, 188, 188)
+    assert starts[0] == 0 and starts[-1] == 188 - WINDOW and max(np.diff(starts)) <= 20
+    size = acceleration(made.positions, made.fps)[:, legs].mean(-1)
+    assert size.max() < 6 * size.median()  # no frame at which windows meet stands out
+
+
+# ---------------------------------------------------------------------------------------------- seams and feet
+def seam(made: Motion, keep: Keep) -> float:
+    """The largest change of velocity (m/s) at the frames beside a gap, over that inside what is known."""
+    change = made.positions.diff(n=2, dim=0).norm(dim=-1).amax(-1) * made.fps
+    beside = (keep.frames[:-1] ^ keep.frames[1:]).nonzero()[:, 0]
+    at = torch.cat((beside - 1, beside)).clamp(0, len(change) - 1)
+    inside = keep.frames[:-2] & keep.frames[1:-1] & keep.frames[2:]
+    return float(change[at].max() / change[inside].max())
+
+
+@pytest.mark.parametrize("method", ["network", "curves"])
+@pytest.mark.parametrize("gap", [20, 100])
+def test_no_seam_at_the_ends_of_a_gap_shorter_or_longer_than_a_window(method, gap):
+    motion = walk(180, 30.0)
+    keep = animate.kept(motion, set(range(180)) - set(range(40, 40 + gap)))
+    made = animate.inbetween(motion, keep, method=method).motion
+    assert seam(made, keep) < 4
+    held = baselines.hold(motion, keep.frames)
+    assert seam(held, keep) > 8  # a pose that waits, and jumps at the end
+
+
+def test_feet_that_stand_are_planted_where_the_known_frames_have_them():
+    motion = walk(60, 30.0)
+    still = replace(motion, rot=motion.rot[:1].repeat(60, 1, 1, 1), root=motion.root[:1].repeat(60, 1))
+    sway = torch.zeros(60)
+    sway[20:40] = 0.04 * torch.hann_window(20)
+    given = replace(still, root=still.root + torch.stack((sway, 0 * sway, 0 * sway), -1))
+    keep = animate.kept(given, set(range(20)) | set(range(40, 60)))
+    body = Standard.of(given, given, keep)
+    feet = STANDARD.indices(["left_foot", "right_foot"])
+    slid, stood = (body.back(body.joints, plant=p).positions[:, feet] for p in (False, True))
+    down = given.positions[0, feet, 2].argmin()
+    assert (slid[:, down] - slid[0, down]).norm(dim=-1).max() > 0.03
+    assert (stood[:, down] - stood[0, down]).norm(dim=-1).max() < 0.005
+
+
+def test_the_standard_joints_and_back_changes_nothing():
+    motion = mixamo(walk(40))
+    keep = Keep(torch.zeros(40, dtype=torch.bool), torch.zeros(22, dtype=torch.bool))
+    body = Standard.of(motion, motion, keep)
+    assert (body.back(body.joints, plant=False).positions - motion.positions).abs().max() < 1e-4
+    moved = replace(body.joints, root=body.joints.root + 0.1)
+    assert (body.back(moved, plant=False).positions - motion.positions - 0.1).abs().max() < 1e-4
+
+
+# ------------------------------------------------------------------------------------------------------ others
+def test_noise_is_measured_and_taken_away_and_a_clean_motion_stays():
+    motion = walk(120, 30.0)
+    noise = Noise.of(3.0, 1.0)
+    noisy = noise.on(motion, torch.Generator().manual_seed(0))
+    found = renew._measured_noise(noisy)
+    assert found.turn == pytest.approx(noise.turn, rel=0.15) and found.shift == pytest.approx(noise.shift, rel=0.3)
+    assert torch.equal(renew.repaired(motion).motion.rot, motion.rot)
+    before = (noisy.positions - motion.positions).norm(dim=-1).mean()
+    for method in ("curves", "network"):
+        made = renew.repaired(noisy, method=method).motion
+        assert (made.positions - motion.positions).norm(dim=-1).mean() < 0.75 * before
+
+
+def test_a_frame_that_jumps_is_filled_in_and_the_others_stay():
+    motion = walk(90, 30.0)
+    broken = replace(motion, root=motion.root + 2.0 * (torch.arange(90) == 50)[:, None])
+    made = renew.repaired(broken)
+    assert "jump" in " ".join(made.notes)
+    assert (made.motion.root[50] - motion.root[50]).norm() < 0.05
+    assert torch.equal(made.motion.rot[:40], motion.rot[:40]) and torch.equal(made.motion.root[60:], motion.root[60:])
+
+
+def test_poses_from_handles_have_them_where_they_were():
+    motion = mixamo(walk(30, 30.0))
+    made = renew.posed(motion, ["left_wrist", "Head"]).motion
+    hands = motion.skeleton.indices(["LeftHand", "Head"])
+    assert (made.positions - motion.positions)[:, hands].norm(dim=-1).max() < 1e-4
+    assert (made.positions - motion.positions).norm(dim=-1).mean() > 0.005  # the others were not read
+
+
+def test_what_is_drawn_is_the_same_for_one_seed_and_another_for_another():
+    first, again, other = (renew.generated(1.0, seed=seed).motion for seed in (0, 0, 1))
+    assert first.frames == 30 and torch.equal(first.rot, again.rot) and not torch.equal(first.rot, other.rot)
+
+
+def test_what_follows_on_a_motion_begins_where_it_ends(tmp_path):
+    source = tmp_path / "in.bvh"
+    bvh.save(source, walk(60))
+    assert command("generate", "--seconds", 1, "--start", source, "--out", tmp_path / "made") == 0
+    before, after = io.load(source), io.load(tmp_path / "made" / "generated_0.bvh")
+    assert after.frames == 84 and torch.equal(after.rot[:60], before.rot) and torch.equal(after.root[:60], before.root)
+    assert (after.positions[60] - after.positions[59]).norm(dim=-1).max() * after.fps < 4  # m/s
+    held = replace(after, root=torch.cat((after.root[:60], after.root[:24])))  # back to the start
+    assert (held.positions[60] - held.positions[59]).norm(dim=-1).max() * after.fps > 4
+
+
+# ------------------------------------------------------------------------------------------------------ errors
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("inbetween", "--keys", "0,500"), "give numbers from 0 to 19"),
+        (("inbetween", "--keys", "0,x"), "write frames from 0"),
+        (("inbetween", "--keys", "9-3"), "write frames from 0"),
+        (("inbetween", "--keys", "0,last", "--joints", "tail"), "use legs, arms"),
+        (("complete", "--hidden", "pelvis"), "name some below the root"),
+        (("complete", "--known", "tail"), "use legs, arms"),
+        (("inbetween", "--keys", "0,last", "--up", "y"), "are for .bvh only"),
+    ],
+)
+def test_bad_keys_and_joints_are_refused_with_a_remedy(words, said, tmp_path, capsys):
+    source = tmp_path / "in.glb"
+    gltf.save(source, walk(20))
+    assert command(words[0], source, *words[1:], "--out", tmp_path / "out.glb") == 2
+    assert said in capsys.readouterr().err and not (tmp_path / "out.glb").exists()
+
+
+def test_a_skeleton_of_unknown_joints_gets_curves_and_is_told_so():
+    motion = walk(30)
+    beast = replace(motion, skeleton=replace(STANDARD, names=tuple(f"b{j}" for j in range(22)), contact_names=()))
+    keep = animate.kept(beast, {0, 29})
+    found = animate.inbetween(beast, keep)
+    assert same(beast, found.motion, keep) and "curves" in found.notes[0]
+    with pytest.raises(DataError, match="rename its joints"):
+        animate.inbetween(beast, keep, method="network")
+
+
+# ------------------------------------------------------------------------------------------------------ widget
+def test_the_editor_fills_in_what_is_chosen_and_exports_it(tmp_path):
+    source, out = tmp_path / "in.bvh", tmp_path / "out.bvh"
+    bvh.save(source, mixamo(walk(30)))
+    box = animate_cli.editor(source, backend="picture")
+    frames, this, way, name, export = box.children[1].children
+    first = box.children[0]
+    way.value = "curves"
+    assert box.children[0] is not first and "curves, as asked" in box.children[3].value
+    box.children[0].children[1].children[1].value = 15
+    this.click()
+    kept_now = animate_cli._key_frames(frames.value, 30)
+    assert {0, 29} < kept_now and len(kept_now) == 3
+    box.children[2].value = ("arms",)
+    name.value = str(out)
+    export.click()
+    before, after = io.load(source), io.load(out)
+    assert same(before, after, animate.kept(before, kept_now, ["arms"])) and not torch.equal(before.rot, after.rot)
+    frames.value = "0,900"
+    assert "give numbers from 0 to 29" in box.children[3].value
