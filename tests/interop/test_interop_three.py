@@ -75,7 +75,7 @@ def play(scene: Path, times: list[float], folder: Path) -> dict:
 @pytest.fixture(scope="module")
 def people(motions):
     walk, other = (replace(motion.cut(0, 90), contacts=None) for motion in motions)
-    return [walk, replace(other, root=other.root + torch.tensor([1.5, 0.0, 0.0]))]
+    return [walk, replace(other, root=other.root + torch.tensor([-1.5, 0.0, 0.0]))]
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: apt-get install chromium")
