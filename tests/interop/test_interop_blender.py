@@ -1,13 +1,11 @@
 """Blender opens what we write: how many armatures, meshes and actions; joints and skin are where ours are.
 
-``bpy`` of the extra ``interop`` is asked in a process of its own; $MOTIONLAB_BLENDER names another Python that has it.
+$MOTIONLAB_INTEROP names the Python that has ``bpy``; it is asked in a process of its own.
 """
 
-import importlib.util
 import json
 import os
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,14 +17,12 @@ from motionlab.body import BodyModel, lbs
 from motionlab.io import bvh, gltf
 from motionlab.motion import Motion
 
-pytestmark = pytest.mark.interop
+PYTHON = os.environ.get("MOTIONLAB_INTEROP")
+pytestmark = [pytest.mark.interop, pytest.mark.skipif(PYTHON is None, reason="no Python with Blender: make interop")]
 FRAMES = (0, 17, 40, 63, 89)
-PYTHON = os.environ.get("MOTIONLAB_BLENDER") or (sys.executable if importlib.util.find_spec("bpy") else None)
 
 
 def blender(path: Path, fps: float = 30.0) -> dict:
-    if PYTHON is None:
-        pytest.skip("no Blender: pip install 'motionlab[interop]', on Python 3.11")
     script = Path(__file__).with_name("blender_reads.py")
     command = [PYTHON, script, path, fps, *FRAMES]
     run = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=300)
