@@ -20,7 +20,7 @@ J = TypeVar("J")
 #: How often a clip may lose its process while it is alone in it, until it is the one to blame.
 LIVES = 2
 #: Seconds that a cluster has to answer, and to have a worker.
-PATIENCE = 30.0
+PATIENCE = 60.0
 
 
 @dataclass(frozen=True)
