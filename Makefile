@@ -7,14 +7,17 @@ VENV ?= .venv
 PY := $(VENV)/bin/python
 INSTALLED := $(VENV)/.motionlab-installed
 PREPARED := $(VENV)/.motionlab-prepared
+INTEROP := .venv-interop
+THREE := three@0.180.0
 PIP := $(PY) -m pip --disable-pip-version-check install -c constraints.txt
 
-.PHONY: notebooks test lab full records train train-real bench doctor setup pins clean
+.PHONY: notebooks test interop lab full records train train-real bench doctor setup pins clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make notebooks   set up, run the notebooks, write report/index.html (MOTIONLAB_PROFILE=full for the long version)"
 	@echo "make test        set up, lint, unit tests, notebooks checked by nbval"
+	@echo "make interop     set up, open our files in Blender, three.js, aitviewer and ffprobe (a second environment, 3 GB)"
 	@echo "make lab         set up, open the notebooks in JupyterLab with interactive 3-D"
 	@echo "make full        regenerate the committed notebooks and results"
 	@echo "make records     what notebooks 07 and 08 read and takes hours: what is on record of this recipe is kept"
@@ -28,6 +31,11 @@ notebooks: setup
 
 test: setup
 	@$(PY) tests/run.py
+
+interop: setup $(INTEROP)/.installed
+	@mkdir -p report/interop
+	@MOTIONLAB_INTEROP=$(INTEROP)/bin/python MOTIONLAB_THREE=$(INTEROP)/package MOTIONLAB_INTEROP_OUT=report/interop \
+		$(PY) -m pytest -q -rs -p no:nbval tests/interop
 
 lab: setup
 	@PYVISTA_JUPYTER_BACKEND=trame PYVISTA_TRAME_SERVER_PROXY_PREFIX=/proxy/ $(PY) -m jupyterlab --notebook-dir=notebooks \
@@ -82,8 +90,18 @@ $(PY):
 	@$(PYTHON) -m venv $(VENV) || \
 		{ rm -rf $(VENV); echo "no venv in this Python; on Debian/Ubuntu: apt-get install -y python3-venv"; exit 1; }
 
+# Other programs, in an environment of their own: what they need (an older trimesh) is not what we need.
+$(INTEROP)/.installed: tests/interop/requirements.txt
+	@python3.11 -c 'import venv' || { echo "Blender as a module needs python3.11 on the path"; exit 1; }
+	@echo "== installing other programs into $(INTEROP) (minutes the first time)"
+	@python3.11 -m venv $(INTEROP)
+	@$(INTEROP)/bin/python -m pip --disable-pip-version-check install -r tests/interop/requirements.txt
+	@if command -v npm > /dev/null; then cd $(INTEROP) && npm pack --silent $(THREE) && tar xzf three-*.tgz; \
+		else echo "no npm: three.js will be skipped"; fi
+	@touch $@
+
 pins: setup
 	@$(PY) tests/pins.py
 
 clean:
-	rm -rf .venv .cache report build *.egg-info
+	rm -rf .venv $(INTEROP) .cache report build *.egg-info

@@ -46,14 +46,17 @@ def one_thread() -> None:
 
 
 def run_jobs(
-    jobs: Sequence[Callable[[], T]], workers: int, done: Callable[[int, T], object] = lambda k, found: None
+    jobs: Sequence[Callable[[], T]],
+    workers: int,
+    done: Callable[[int, T], object] = lambda k, found: None,
+    apart: bool = False,
 ) -> list[T]:
     """Runs jobs in ``workers`` processes, one thread each; returns their results in order. With one worker they run
-    here, one after the other. One that fails, or Ctrl-C, ends them all.
+    here, one after the other, unless ``apart``. One that fails, or Ctrl-C, ends them all.
 
     done: called here with the number of a job and what it returned, as soon as it has."""
     found = {}
-    if workers == 1:
+    if workers == 1 and not apart:
         with threads_for(1):
             for k, job in enumerate(jobs):
                 found[k] = job()

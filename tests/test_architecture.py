@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: module, or a package that is named here as a whole.
 FLOORS = """
     errors parallel
-    files optimise posterior rotation skeleton training_loop diffusion.sampling
+    batch files optimise posterior rotation skeleton training_loop diffusion.sampling
     body checkpoint motion
     heading
     baselines contact skinning humor.state diffusion.features

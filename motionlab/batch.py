@@ -1,0 +1,177 @@
+"""Runs a function over many clips, on this machine or on a Dask cluster: finished ones are skipped, one that fails or
+kills its process is named and the others go on, and what is done stays done."""
+
+from __future__ import annotations
+
+import traceback
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Generic, TypeVar
+
+from tqdm import tqdm
+
+from motionlab.errors import DataError, MissingData, NotConverged, ShapeError
+from motionlab.parallel import run_jobs, threads_for
+
+J = TypeVar("J")
+#: How often a clip may lose its process while it is alone in it, until it is the one to blame.
+LIVES = 2
+#: Seconds that a cluster has to answer, and to have a worker.
+PATIENCE = 60.0
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Why a clip failed. trace: where, if it was no error that names the clip's own fault."""
+
+    message: str
+    trace: str = ""
+
+
+@dataclass(frozen=True)
+class Batch(Generic[J]):
+    """What became of the jobs, each by its place in the list: what the function returned, what had been finished
+    before, and what failed."""
+
+    names: tuple[str, ...]
+    results: dict[int, Any] = field(default_factory=dict)
+    skipped: tuple[int, ...] = ()
+    failed: dict[int, Failed] = field(default_factory=dict)
+
+    def lines(self) -> list[str]:
+        """Returns the report for a terminal: one line for all, and one for each clip that failed."""
+        counts = {"done": self.results, "finished before": self.skipped, "failed": self.failed}
+        said = ", ".join(f"{len(those)} {word}" for word, those in counts.items() if those or word == "done")
+        return [
+            f"{len(self.names)} clips: {said}",
+            *(f"{self.names[k]}: {self.failed[k].message}" for k in self.failed),
+        ]
+
+
+def run(
+    function: Callable[[J], Any],
+    jobs: Sequence[J],
+    *,
+    finished: Callable[[J], bool] | None = None,
+    jobs_at_once: int = 1,
+    cluster: str | None = None,
+    name: Callable[[J], str] = str,
+) -> Batch[J]:
+    """Calls a function with every job that is not finished yet, each on one thread; shows progress.
+
+    A job that raises is reported when it does and at the end, and so is one whose process is killed twice while it is
+    alone in it; all others are done. What one process computes, several do: nothing is shared between jobs. A single
+    job runs in this process, where Ctrl-C means to a fit that it should end at its best; of several, Ctrl-C ends those
+    that have begun, without a result.
+
+    Args:
+        function: of one job; it and the jobs are pickled, so a module's function, or a ``functools.partial`` of one.
+        finished: whether a job has been, by what its function writes last. It is asked before, and after.
+        jobs_at_once: processes on this machine.
+        cluster: address of a Dask scheduler, tcp://HOST:PORT, to have its workers do them. They need this library,
+            and the folders of the jobs under the same names.
+        name: of a job, for messages.
+
+    Raises:
+        ValueError: jobs_at_once is below 1.
+        MissingData: a cluster without the package ``distributed``.
+        DataError: no such cluster, one without workers, or one that went away; what is done stays done.
+    """
+    if jobs_at_once < 1:
+        raise ValueError(f"jobs_at_once: expected 1 or more, got {jobs_at_once}")
+    left = [k for k, job in enumerate(jobs) if finished is None or not finished(job)]
+    batch = Batch(tuple(map(name, jobs)), skipped=tuple(sorted({*range(len(jobs))} - {*left})))
+    with tqdm(total=len(jobs), initial=len(batch.skipped), desc="clips", disable=len(jobs) < 2) as progress:
+
+        def done(k: int, found: Any) -> None:
+            if not isinstance(found, Failed) and finished is not None and not finished(jobs[k]):
+                found = Failed("done, but what it writes last is not here: do its workers share this folder?")
+            if isinstance(found, Failed):
+                batch.failed[k] = found
+                progress.write(f"{batch.names[k]}: {found.message}\n{found.trace}".rstrip())
+                progress.set_postfix(failed=len(batch.failed))
+            else:
+                batch.results[k] = found
+            progress.update()
+
+        work = {k: partial(_attempt, function, jobs[k]) for k in left}
+        if cluster is None:
+            _on_processes(work, jobs_at_once, done, apart=len(jobs) > 1)
+        else:
+            _on_cluster(work, cluster, done)
+    return batch
+
+
+def _attempt(function: Callable[[J], Any], job: J) -> Any:
+    """What the function returns, or why it does not: errors themselves may not survive the way between processes."""
+    try:
+        with threads_for(1):
+            return function(job)
+    except (DataError, MissingData, ShapeError, NotConverged) as error:
+        return Failed(str(error))
+    except Exception as error:  # one clip's, and there are others
+        return Failed(f"{type(error).__name__}: {error}", traceback.format_exc())
+
+
+def _on_processes(
+    work: dict[int, Callable[[], Any]], count: int, done: Callable[[int, Any], None], apart: bool
+) -> None:
+    """Do all of it. Where a process is killed, its pool is lost: those that had begun go on in one process, where the
+    first without a result is the one to blame."""
+    left, killed = dict(work), Counter()
+
+    def together(keys: list[int], workers: int) -> bool:
+        def ended(i: int, found: Any) -> None:
+            del left[keys[i]]
+            done(keys[i], found)
+
+        try:
+            run_jobs([work[k] for k in keys], workers, ended, apart)
+        except BrokenProcessPool:
+            return False
+        return True
+
+    while left and not together(list(left), min(count, len(left))):
+        begun = list(left)[:count]  # they begin in their order
+        while (suspects := [k for k in begun if k in left]) and not together(suspects, 1):
+            first = next(k for k in suspects if k in left)
+            killed[first] += 1
+            if killed[first] == LIVES:
+                del left[first]
+                done(first, Failed(f"its process was killed {LIVES} times: is there enough memory?"))
+
+
+def _on_cluster(work: dict[int, Callable[[], Any]], address: str, done: Callable[[int, Any], None]) -> None:
+    """Do all of it. Dask gives what a lost worker had begun, or held, to another."""
+    try:
+        import distributed
+    except ImportError as error:
+        raise MissingData("the package distributed, which speaks to a Dask cluster,", _INSTALL) from error
+    try:
+        client = distributed.Client(address, timeout=PATIENCE)
+    except (OSError, ValueError) as error:
+        message = f"no Dask scheduler answers: {error}"
+        raise DataError(message, path=address, remedy="start `dask scheduler`, which says its address") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError as error:
+            remedy = f"start `dask worker {address} --nthreads 1` on each machine, one a core"
+            raise DataError("the cluster has no worker", path=address, remedy=remedy) from error
+        futures = {client.submit(each, pure=False): k for k, each in work.items()}
+        try:
+            for future in distributed.as_completed(list(futures)):
+                k = futures.pop(future)
+                error = None if future.status == "finished" else future.exception()
+                if future.cancelled() or isinstance(error, distributed.CancelledError):
+                    raise DataError("the cluster went away", path=address, remedy=_AGAIN)
+                done(k, future.result() if error is None else Failed(f"{type(error).__name__}: {error}"))
+        finally:
+            client.cancel(list(futures))
+
+
+_INSTALL = "Install it: pip install 'motionlab[cluster]'."
+_AGAIN = "start it and run the same command again: what is finished is skipped"

@@ -1,0 +1,161 @@
+"""Many clips: what several processes, or the workers of a real Dask cluster, compute is what one computes, whoever is
+killed in the middle; what is finished is skipped, what fails is named."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from motionlab import batch
+from motionlab.errors import DataError, MissingData
+from tests import jobs
+
+ROOT = Path(__file__).resolve().parents[1]
+COUNT = 40
+
+
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory):
+    """What a plain loop computes."""
+    folder = tmp_path_factory.mktemp("serial")
+    return [jobs.clip((folder, k)) for k in range(COUNT)]
+
+
+def clips(folder, count=COUNT):
+    return [(folder, k) for k in range(count)]
+
+
+def run(folder, count=COUNT, **how):
+    return batch.run(jobs.clip, clips(folder, count), finished=jobs.kept, name=lambda job: f"clip {job[1]}", **how)
+
+
+def in_files(folder):
+    return [json.loads((folder / f"{k}.json").read_text()) for k in range(COUNT)]
+
+
+def kill_the_seventh(folder):
+    """A thread that kills the process in which clip 7 has begun; gives the process's number."""
+    (folder / "kill").touch()
+    killed = []
+
+    def wait():
+        while not ((folder / "begun").exists() and (text := (folder / "begun").read_text())):
+            time.sleep(0.01)  # however long a busy machine takes to start a process
+        killed.append(int(text))
+        os.kill(killed[0], signal.SIGKILL)
+
+    threading.Thread(target=wait, daemon=True).start()
+    return killed
+
+
+def test_a_process_that_is_killed_loses_nothing(tmp_path, serial):
+    killed = kill_the_seventh(tmp_path)
+    found = run(tmp_path, jobs_at_once=2)
+    assert len(killed) == 1 and killed != [os.getpid()]
+    assert [found.results[k] for k in range(COUNT)] == serial == in_files(tmp_path)
+    assert not found.failed and found.lines() == ["40 clips: 40 done"]
+
+
+def test_a_clip_that_kills_every_process_is_found_out(tmp_path):
+    (tmp_path / "poison").touch()
+    found = run(tmp_path, 19)
+    assert list(found.failed) == [17] and len(found.results) == 18
+    assert "killed 2 times" in found.failed[17].message
+
+
+def test_what_is_finished_is_skipped_and_what_fails_is_named_while_others_go_on(tmp_path, serial, capsys):
+    (tmp_path / "faulty").touch()
+    found = run(tmp_path, 20)
+    assert len(found.results) == 18 and sorted(found.failed) == [11, 13]
+    assert found.lines() == [
+        "20 clips: 18 done, 2 failed",
+        "clip 11: clip 11: not one frame (remedy: record it again)",
+        "clip 13: ZeroDivisionError: ",
+    ]
+    said = capsys.readouterr()
+    assert "record it again" in said.out and "in clip" in said.out  # where the bug is
+    (tmp_path / "faulty").unlink()
+    before = (tmp_path / "3.json").stat().st_mtime_ns
+    again = run(tmp_path)
+    assert sorted(again.results) == [11, 13, *range(20, COUNT)] and len(again.skipped) == 18
+    assert (tmp_path / "3.json").stat().st_mtime_ns == before and in_files(tmp_path) == serial
+
+
+def test_a_function_that_leaves_nothing_behind_has_failed(tmp_path):
+    found = batch.run(str, clips(tmp_path, 1), finished=jobs.kept)
+    assert not found.results and "share this folder" in found.failed[0].message
+
+
+def test_one_clip_runs_here(tmp_path):
+    assert batch.run(lambda job: os.getpid(), [0]).results == {0: os.getpid()}
+    assert batch.run(str, []).lines() == ["0 clips: 0 done"]
+    with pytest.raises(ValueError, match="jobs_at_once"):
+        batch.run(str, [], jobs_at_once=0)
+
+
+def test_without_distributed_the_remedy_is_said(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingData, match=r"motionlab\[cluster\]"):
+        batch.run(str, [1, 2], cluster="tcp://127.0.0.1:1")
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """A scheduler and two workers as a person starts them, none of which comes back; its address, and the workers."""
+    pytest.importorskip("distributed")
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{os.environ.get('PYTHONPATH', '')}", "OMP_NUM_THREADS": "1"}
+    processes = []
+
+    def start(program, *words):
+        log = (tmp_path / f"{program}{len(processes)}.log").open("wb")
+        command = [sys.executable, "-m", f"distributed.cli.dask_{program}", *words]
+        process = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=log, stderr=log)
+        processes.append(process)
+        log.close()
+
+    found = tmp_path / "scheduler.json"
+    start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", found)
+    jobs.come(found)
+    while not (text := found.read_text()):
+        time.sleep(0.01)
+    address = json.loads(text)["address"]
+    for _ in range(2):
+        start("worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard")
+    yield address, processes
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+def test_a_cluster_computes_the_same_though_a_worker_is_killed(tmp_path, serial, cluster, monkeypatch):
+    address, processes = cluster
+    monkeypatch.setattr(batch, "PATIENCE", 10 * batch.PATIENCE)  # a busy machine
+    folder = tmp_path / "clips"
+    folder.mkdir()
+    killed = kill_the_seventh(folder)
+    found = run(folder, cluster=address)
+    assert killed[0] in [process.pid for process in processes[1:]]
+    assert [process.poll() is None for process in processes].count(False) == 1
+    assert [found.results[k] for k in range(COUNT)] == serial == in_files(folder)
+    (folder / "faulty").touch()
+    (folder / "11.json").unlink()
+    again = run(folder, cluster=address)
+    assert list(again.failed) == [11] and len(again.skipped) == COUNT - 1
+
+
+def test_no_cluster_and_no_worker_are_said(monkeypatch, cluster):
+    address, processes = cluster
+    monkeypatch.setattr(batch, "PATIENCE", 1.0)
+    with pytest.raises(DataError, match="dask scheduler"):
+        batch.run(str, [1, 2], cluster="tcp://127.0.0.1:1")
+    for process in processes[1:]:
+        process.kill()
+        process.wait()
+    with pytest.raises(DataError, match="no worker"):
+        batch.run(str, [1, 2], cluster=address)
