@@ -51,7 +51,7 @@ class Batch(Generic[J]):
         ]
 
 
-def run(
+def run_many(
     function: Callable[[J], Any],
     jobs: Sequence[J],
     *,
@@ -60,7 +60,7 @@ def run(
     cluster: str | None = None,
     name: Callable[[J], str] = str,
 ) -> Batch[J]:
-    """Calls a function with every job that is not finished yet, each on one thread; shows progress.
+    """Runs a function on every job that is not finished yet, each on one thread; shows progress.
 
     A job that raises is reported when it does and at the end, and so is one whose process is killed twice while it is
     alone in it; all others are done. What one process computes, several do: nothing is shared between jobs. A single

@@ -1,7 +1,7 @@
 """Several people of one footage, seen by one camera: fits in a batch, long footage in windows that are kept on disk.
 
 Where the camera's place is not known, a coarse fit of everybody finds one for all: the mean of what each of them says.
-Then they are fitted together under it. Footage of more than ``WHOLE`` frames is fitted in windows of ``WINDOW``; one
+Then they are fitted together under it. Footage of more than ``WHOLE`` frames is fitted in windows of ``STRETCH``; one
 that is done is kept, so that a rerun goes on where the last one stopped. What they share is blended.
 """
 
@@ -33,7 +33,7 @@ from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.skeleton import BALLS, STANDARD
 
 #: Frames (at 30 fps) that are fitted at once, and the windows of more: their length and what neighbours share.
-WHOLE, WINDOW, OVERLAP = 180, 120, 24
+WHOLE, STRETCH, OVERLAP = 180, 120, 24
 #: People who are fitted at once: 120 frames of one take about 0.5 GB.
 TOGETHER = 8
 #: Frames for which somebody may be unseen and still be shown.
@@ -116,8 +116,8 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
         raise DataError(message, place=f"person {nobody[0]}", remedy="use another recording, or another --person")
     people, frames = enough.shape
     whole = frames <= WHOLE or task.solver == "rollout"  # which cuts windows of its own
-    starts = (0,) if whole else window_starts(frames, WINDOW, OVERLAP)
-    length = frames if whole else WINDOW
+    starts = (0,) if whole else window_starts(frames, STRETCH, OVERLAP)
+    length = frames if whole else STRETCH
     camera, floor, notes = task.camera, "camera" if task.placed else "guess", []
     if task.camera is None:
         floor = None
@@ -174,7 +174,7 @@ def _cut(seen: Observation2D, people: Sequence[int], span: slice) -> Observation
 def _common_camera(seen: Observation2D, enough: Tensor, task: Task) -> tuple[Camera, list[str]]:
     """One camera for all: a coarse fit of at most 4 s of everybody, where most is seen; the mean of their cameras,
     weighted by what was seen of each and by how well the fit met it."""
-    length = min(seen.frames, WINDOW)
+    length = min(seen.frames, STRETCH)
     most = seen.confidence[..., _USED].sum((0, 2)).unfold(0, length, 1).sum(-1).argmax()
     span = slice(int(most), int(most) + length)
     who = enough[:, span].any(-1).nonzero()[:, 0].tolist()[:TOGETHER]

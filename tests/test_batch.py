@@ -32,7 +32,7 @@ def clips(folder, count=COUNT):
 
 
 def run(folder, count=COUNT, **how):
-    return batch.run(jobs.clip, clips(folder, count), finished=jobs.kept, name=lambda job: f"clip {job[1]}", **how)
+    return batch.run_many(jobs.clip, clips(folder, count), finished=jobs.kept, name=lambda job: f"clip {job[1]}", **how)
 
 
 def in_files(folder):
@@ -88,21 +88,21 @@ def test_what_is_finished_is_skipped_and_what_fails_is_named_while_others_go_on(
 
 
 def test_a_function_that_leaves_nothing_behind_has_failed(tmp_path):
-    found = batch.run(str, clips(tmp_path, 1), finished=jobs.kept)
+    found = batch.run_many(str, clips(tmp_path, 1), finished=jobs.kept)
     assert not found.results and "share this folder" in found.failed[0].message
 
 
 def test_one_clip_runs_here(tmp_path):
-    assert batch.run(lambda job: os.getpid(), [0]).results == {0: os.getpid()}
-    assert batch.run(str, []).lines() == ["0 clips: 0 done"]
+    assert batch.run_many(lambda job: os.getpid(), [0]).results == {0: os.getpid()}
+    assert batch.run_many(str, []).lines() == ["0 clips: 0 done"]
     with pytest.raises(ValueError, match="jobs_at_once"):
-        batch.run(str, [], jobs_at_once=0)
+        batch.run_many(str, [], jobs_at_once=0)
 
 
 def test_without_distributed_the_remedy_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingData, match=r"motionlab\[cluster\]"):
-        batch.run(str, [1, 2], cluster="tcp://127.0.0.1:1")
+        batch.run_many(str, [1, 2], cluster="tcp://127.0.0.1:1")
 
 
 @pytest.fixture
@@ -153,9 +153,9 @@ def test_no_cluster_and_no_worker_are_said(monkeypatch, cluster):
     address, processes = cluster
     monkeypatch.setattr(batch, "PATIENCE", 1.0)
     with pytest.raises(DataError, match="dask scheduler"):
-        batch.run(str, [1, 2], cluster="tcp://127.0.0.1:1")
+        batch.run_many(str, [1, 2], cluster="tcp://127.0.0.1:1")
     for process in processes[1:]:
         process.kill()
         process.wait()
     with pytest.raises(DataError, match="no worker"):
-        batch.run(str, [1, 2], cluster=address)
+        batch.run_many(str, [1, 2], cluster=address)

@@ -220,7 +220,7 @@ def test_people_are_listed_and_fitted_into_one_scene(tmp_path, walk, few, capsys
 @pytest.fixture
 def short_windows(monkeypatch) -> None:
     monkeypatch.setattr(scene_fit, "WHOLE", 10)
-    monkeypatch.setattr(scene_fit, "WINDOW", 8)
+    monkeypatch.setattr(scene_fit, "STRETCH", 8)
     monkeypatch.setattr(scene_fit, "OVERLAP", 2)
     monkeypatch.setattr(scene_fit, "_SHOWN", 1)
 

@@ -34,7 +34,7 @@ class Video:
     images: tuple[Path, ...] = ()
 
     def pictures(self, wanted: Sequence[int]) -> Iterator[np.ndarray]:
-        """Yields pictures (H, W, 3) uint8 of frames in rising order, one at a time; past the end the last one.
+        """Returns pictures (H, W, 3) uint8 of frames in rising order, one after the other; past the end the last one.
 
         Raises:
             DataError: a picture cannot be read, or has another size than the first.
