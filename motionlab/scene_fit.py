@@ -96,8 +96,8 @@ class Task:
         return testops.fit(seen, self.priors, cameras=cameras, floor=floor, size=self.size, **how)
 
 
-#: Lean's, from one start and without leaps to other valleys.
-FULL_WORK = replace(testops.Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=2e-3, trial=0, leaps=0))
+#: The work of a fit, and that of a first look: few steps from one start.
+FULL_WORK = testops.Schedule.lean()
 QUICK_WORK = replace(testops.Schedule.quick(), steps=(2, 4, 3), shooting=Plan(rounds=3, closures=12, trial=0, leaps=0))
 
 
