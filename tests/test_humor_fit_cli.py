@@ -1,7 +1,6 @@
 """``python -m motionlab fit``: outputs, reports, Ctrl-C, input that cannot be used; real input and its comparison."""
 
 import json
-import signal
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -154,7 +153,7 @@ def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monk
     def interrupted(*arguments, **options):
         calls.append(1)
         if len(calls) == 2:
-            signal.raise_signal(signal.SIGINT)
+            raise KeyboardInterrupt
         return terms(*arguments, **options)
 
     monkeypatch.setattr(feedback_solver, "rolled_terms", interrupted)
