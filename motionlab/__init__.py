@@ -11,7 +11,6 @@ __version__ = "0.1.0"
 #: What a stranger imports; the rest is what this needs, and the command line.
 __all__ = [
     "animate",
-    "animate_cli",
     "baselines",
     "batch",
     "body",

@@ -6,15 +6,20 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionlab import animate_cli, doctor
+from motionlab import doctor
+from motionlab.commands import animator, footage
+from motionlab.commands.many import text_table
 from motionlab.errors import DataError, MissingData, ShapeError
 
 if TYPE_CHECKING:
     from motionlab.skeleton import Skeleton
+
+
+WRITTEN = (".bvh", ".npz", ".glb")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,7 +54,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
     command = commands.add_parser("convert", help="one motion file into another format, told by the suffixes")
     command.add_argument("source", metavar="IN", type=Path, help=".bvh .amc .npz .glb, or DeepMimic's .txt")
-    command.add_argument("target", metavar="OUT", type=Path, help=" ".join(sorted(SAVERS)))
+    command.add_argument("target", metavar="OUT", type=Path, help=" ".join(WRITTEN))
     command.add_argument("--fps", type=float, help="frames per second of the output (default: those of the input)")
     command.add_argument("--unit", type=_metres, help="of a .bvh: m, cm, mm, inch or metres (default: detected)")
     command.add_argument("--up", choices=("y", "z"), help="of a .bvh: the axis that points up (default: detected)")
@@ -59,41 +64,8 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     flesh.add_argument("--bones", "--no-body", action="store_true", help="a .glb of the file's own joints, no body")
     command.set_defaults(run=_convert)
 
-    command = commands.add_parser("fit", help="from a video and its 2-D keypoints to a scene")
-    command.add_argument("video", nargs="?", type=Path, help="a video, or a folder of images; without it: on paper")
-    command.add_argument(
-        "--keypoints", type=Path, metavar="PATH",
-        help="what a 2-D pose detector wrote, told by content: a file, or a folder with a file per frame "
-        "(default: found in the video, needs motionlab[detect])",
-    )  # fmt: skip
-    command.add_argument("--out", type=Path, metavar="FOLDER/", help="gets motion, scene, film and report")
-    command.add_argument("--people", action="store_true", help="list who was seen, and stop")
-    command.add_argument(
-        "--person", nargs="+", default=["longest"], metavar="ID", help="longest, largest, all, or ids (see --people)"
-    )
-    command.add_argument("--size", type=_size, metavar="WxH", help="of the image, where no file says it, in pixels")
-    command.add_argument("--fps", type=float, help="of the keypoints, where neither they nor the video say it")
-    command.add_argument("--layout", help="of the keypoints, where it is not told: BODY_25, COCO_17, HALPE_26, ...")
-    command.add_argument(
-        "--camera", type=Path, metavar="FILE", help='Qualisys XML, Captury .calib, or JSON: "intrinsics" (3x3, px), '
-        '"width", "height"; if known "rotation" (3x3) and "translation" from the world, z up, floor z = 0'
-    )  # fmt: skip
-    command.add_argument("--camera-name", help="which of the file's cameras (default: by the number in PATH's name)")
-    command.add_argument("--prior", type=Path, metavar="FILE", help="of motion: an official HuMoR .pth, or your own")
-    command.add_argument("--pose-prior", type=Path, metavar="FILE", help="a VPoser snapshot, or your own")
-    command.add_argument("--initial", type=Path, metavar="FILE", help="of first states: official .npz, or your own")
-    command.add_argument(
-        "--pelvis", type=float, nargs=3, metavar=("X", "Y", "Z"),
-        help="needed with official files: the pelvis from SMPL's translation, J_0 of the mean body in metres",
-    )  # fmt: skip
-    command.add_argument(
-        "--solver", choices=("shooting", "rollout"), default="shooting",
-        help="of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more",
-    )  # fmt: skip
-    command.add_argument("--quick", action="store_true", help="few steps, a small film: a first look")
-    command.set_defaults(run=_fit)
-
-    animate_cli.add_commands(commands)
+    footage.add_command(commands)
+    animator.add_commands(commands)
 
     command = commands.add_parser("prepare", help="recordings into training motion: what is kept, what is cut and why")
     command.add_argument("folder", help="of recordings, one sub-folder per source")
@@ -179,29 +151,17 @@ def _span(ends: tuple[float, float]) -> str:
     return low if low == high else f"{low}-{high}"
 
 
-def text_table(rows: Sequence[Mapping[str, object]]) -> str:
-    """Returns rows (all with the same keys) as aligned columns."""
-    cells = [[f"{v:.1f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
-    cells = [list(rows[0]), *cells] if rows else [["nothing found"]]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
-    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in cells)
-
-
-SAVERS = {".bvh": "bvh", ".npz": "amass", ".glb": "gltf"}
-
-
 def _convert(options: argparse.Namespace) -> int:
-    from importlib import import_module
-
     from motionlab import io
     from motionlab.body import BodyModel
+    from motionlab.io.rewriting import WRITERS
     from motionlab.motion import resample
     from motionlab.retarget import retarget
     from motionlab.skeleton import STANDARD
 
     suffix = options.target.suffix.lower()
-    if suffix not in SAVERS:
-        raise DataError("cannot write this format", path=options.target, remedy=f"use one of {', '.join(SAVERS)}")
+    if suffix not in WRITERS:
+        raise DataError("cannot write this format", path=options.target, remedy=f"use one of {', '.join(WRITTEN)}")
     if (options.body or options.bones) and suffix != ".glb":
         raise DataError("only a GLB holds a body", path=options.target, remedy="leave out --body and --bones")
     body = suffix == ".glb" and not options.bones
@@ -219,7 +179,7 @@ def _convert(options: argparse.Namespace) -> int:
     if options.fps is not None:
         motion = resample(motion, options.fps)
     more = {"body": BodyModel.from_anny()} if body else {}
-    import_module(f"motionlab.io.{SAVERS[suffix]}").save(options.target, motion, **more)
+    WRITERS[suffix](options.target, motion, **more)
     for note in motion.notes:
         print(f"note: {note}")
     print(f"{options.target}: {motion.frames} frames at {motion.fps:g} fps, {len(motion.skeleton)} joints")
@@ -243,29 +203,6 @@ def _has_standard_bones(skeleton: Skeleton) -> bool:
     from motionlab.skeleton import STANDARD
 
     return skeleton.names == STANDARD.names and bool((skeleton.offsets - STANDARD.offsets)[1:].abs().max() < 1e-4)
-
-
-def _size(text: str) -> tuple[int, int]:
-    """An image size such as 1280x720."""
-    sides = text.lower().split("x")
-    if len(sides) != 2 or not all(side.isdecimal() and 0 < int(side) < 100_000 for side in sides):
-        raise argparse.ArgumentTypeError(f"expected width x height in pixels, such as 1280x720, got {text!r}")
-    return int(sides[0]), int(sides[1])
-
-
-def _fit(options: argparse.Namespace) -> int:
-    from motionlab import fit
-
-    if options.out is None and not options.people:
-        raise DataError("nowhere to write to", place="--out", remedy="name a folder: --out OUT/")
-    if not options.people:
-        return fit.run(options)
-    how = {name: getattr(options, name) for name in ("out", "fps", "size", "layout")}
-    clip = fit.open_clip(options.keypoints, options.video, progress=True, **how)
-    print(text_table(clip.footage.table()))
-    for note in clip.notes:
-        print(f"note: {note}")
-    return 0
 
 
 if __name__ == "__main__":

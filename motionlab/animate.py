@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -67,6 +68,24 @@ def kept(motion: Motion, frames: Collection[int] | None = None, joints: Sequence
     keep.frames[sorted(frames or ())] = True
     keep.joints[sorted(found_joints(motion, joints))] = True
     return keep
+
+
+def frames_named(text: str, frames: int) -> set[int]:
+    """Reads frame numbers such as ``0,45,60-last`` of a motion of so many frames.
+
+    Raises:
+        DataError: what is no number or range; names it.
+    """
+    found: set[int] = set()
+    for word in filter(None, text.replace(" ", "").split(",")):
+        ends = [frames - 1 if end == "last" else int(end) if end.isdecimal() else None for end in word.split("-")]
+        if None in ends or len(ends) > 2 or ends[0] > ends[-1]:
+            remedy = "write frames from 0 and ranges, as 0,45,60-last"
+            raise DataError(f"{word!r} is no frame", place="--keys", remedy=remedy)
+        found |= set(range(ends[0], ends[-1] + 1))
+    if not found:
+        raise DataError("no frame is kept", place="--keys", remedy="write frames from 0, as 0,45,last")
+    return found
 
 
 def found_joints(motion: Motion, words: Sequence[str]) -> set[int]:
@@ -276,3 +295,30 @@ def _nearest(model: Trained, motion: Motion, known: Tensor) -> Motion:
         made.append(whole.unflatten(0, row.shape))
     rows = offset_decay(torch.stack(made), torch.where(known, x, 0.0), known.to(x), 10)
     return local_to_world(frame, model.decode(rows, STANDARD))
+
+
+# ------------------------------------------------------------------------------------------------------ widget
+def editor(path: str | Path, backend: str | None = None, **guided: str):
+    """Builds the widget of ``inbetween`` for a file: see ``viz.keyframes.keyframe_editor``. guided: unit, up of a BVH.
+
+    Raises:
+        DataError: not a readable motion.
+    """
+    from motionlab import io
+    from motionlab.io.rewriting import write_back
+    from motionlab.viz.keyframes import keyframe_editor
+
+    path = Path(path)
+    motion = io.load(path, **guided)
+
+    def fill(keys: str, joints: list[str], method: str) -> tuple[Motion, tuple[str, ...]]:
+        keep = kept(motion, frames_named(keys, motion.frames), joints)
+        found = inbetween(motion, keep, method=method or None)
+        return found.motion, found.notes
+
+    def export(made: Motion, name: str) -> str:
+        return f"{name}: {write_back(path, Path(name), motion, made)}"
+
+    joints = (*GROUPS, *motion.skeleton.names)
+    how = {"joints": joints, "methods": METHODS, "target": f"{path.stem}_inbetween{path.suffix}", "backend": backend}
+    return keyframe_editor(motion, fill, export, **how)

@@ -1,4 +1,4 @@
-"""``python -m motionlab fit``: from a video and its keypoints to a scene, by HuMoR's test-time optimisation.
+"""From a video and its keypoints to a scene, by HuMoR's test-time optimisation: ``python -m motionlab fit``.
 
 ``run_clip`` does one clip: motions as BVH and AMASS, the skinned people as one GLB, a film of them over the footage,
 and a report. ``fit.json`` is written last: a folder that has it is finished.
@@ -6,7 +6,6 @@ and a report. ``fit.json`` is written last: a folder that has it is finished.
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import tempfile
@@ -46,27 +45,11 @@ _SAMPLES = 60  # pictures in which the background is compared, half a second or 
 _LEG = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
 
 
-def run(options: argparse.Namespace) -> int:
-    """Runs the command, with the options that ``__main__`` reads."""
-    names = ("video", "person", "fps", "size", "layout", "camera", "camera_name", "prior", "pose_prior", "initial",
-             "pelvis", "solver", "quick")  # fmt: skip
-    how = {name: getattr(options, name) for name in names}
-    try:
-        record = run_clip(options.keypoints, options.out, progress=True, **how)
-    except KeyboardInterrupt:
-        kept = len(list((options.out / "windows").glob("*.npz")))
-        print(f"\n{kept} windows are kept in {options.out}; the same command goes on from there" if kept else "")
-        raise
-    for line in scene_report.lines(record):
-        print(line)
-    print(f"{options.out}: {', '.join([*record['files'], RESULT])}")
-    return 0
-
-
 def is_finished(out: str | Path) -> bool:
     """Says whether ``run_clip`` has written a folder, to the end and without having been stopped."""
     try:
-        return not json.loads((Path(out) / RESULT).read_text(encoding="utf-8"))["stopped"]
+        record = json.loads((Path(out) / RESULT).read_text(encoding="utf-8"))
+        return not record["stopped"] and "overlay.mp4" in record["files"]
     except (OSError, ValueError, KeyError, TypeError):
         return False
 
@@ -93,7 +76,7 @@ def run_clip(
     """Fits the people of one clip and writes a folder: all of it, or nothing new. Returns what ``fit.json`` says.
 
     Ctrl-C keeps the best so far of a clip of up to 6 s, and says so; of a longer one the windows that are done are
-    kept in the folder, and the same call goes on from there.
+    kept in the folder, and the same call goes on from there. While the film is drawn, it costs the film alone.
 
     Args:
         keypoints: what a 2-D pose detector wrote, see ``io.keypoints``; None: found in the video, see ``detect``.
@@ -313,9 +296,14 @@ def _write(
         files += row["files"].values()
     names = [f"person {each}" for each in ids]
     gltf.save(folder / "scene.glb", fitted.motions[0] if len(ids) == 1 else fitted.motions, body=body, names=names)
-    made = _film(folder / "overlay.mp4", clip, fitted, body, quick)
-    record["poster"] = made.poster
-    return [*files, "scene.glb", "overlay.mp4", "report.html"]
+    files.append("scene.glb")
+    try:
+        record["poster"] = _film(folder / "overlay.mp4", clip, fitted, body, quick).poster
+        files.append("overlay.mp4")
+    except KeyboardInterrupt:  # the motion is there
+        record["poster"] = b""
+        record["notes"].append("stopped while the film was drawn: there is none")
+    return [*files, "report.html"]
 
 
 def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool) -> film.Film:

@@ -101,7 +101,9 @@ def page(record: Record, poster: bytes = b"") -> str:
         "<!DOCTYPE html><html lang=en><head><meta charset=utf-8>",
         f"<title>{escape(str(name))}</title><style>{_STYLE}</style></head><body>",
         f"<h1>A scene from {escape(str(name))}</h1>{stopped}",
-        f'<video controls loop muted playsinline src="overlay.mp4" poster="{still}"></video>',
+        f'<video controls loop muted playsinline src="overlay.mp4" poster="{still}"></video>'
+        if "overlay.mp4" in record["files"]
+        else "",
         f"<p>The fitted people {film}. Dots are detections.</p>",
         _table([{"": key, " ": text} for key, text in facts.items()]),
         "<h2>People</h2>", _table(everybody),

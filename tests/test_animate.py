@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import __main__, animate, animate_cli, baselines, io, renew, rotation
+from motionlab import __main__, animate, baselines, io, renew, rotation
 from motionlab.corrections import WINDOW, Keep, Standard, overlapping
 from motionlab.diffusion.denoising import Noise
 from motionlab.errors import DataError
@@ -64,7 +64,7 @@ def test_known_frames_stay_in_the_file_to_the_bit_and_the_rest_is_what_was_made(
     SAVE[suffix](source, walk())
     assert command("inbetween", source, "--keys", KEYS, "--method", "curves", "--out", out) == 0
     before, after = io.load(source), io.load(out)
-    keep = animate.kept(before, animate_cli._key_frames(KEYS, before.frames))
+    keep = animate.kept(before, animate.frames_named(KEYS, before.frames))
     assert keep.frames.sum() == 24 and "byte for byte" in capsys.readouterr().out
     assert same(before, after, keep) and after.fps == before.fps and after.skeleton.names == before.skeleton.names
     made = animate.inbetween(before, keep, method="curves").motion
@@ -234,14 +234,14 @@ def test_a_skeleton_of_unknown_joints_gets_curves_and_is_told_so():
 def test_the_editor_fills_in_what_is_chosen_and_exports_it(tmp_path):
     source, out = tmp_path / "in.bvh", tmp_path / "out.bvh"
     bvh.save(source, mixamo(walk(30)))
-    box = animate_cli.editor(source, backend="picture")
+    box = animate.editor(source, backend="picture")
     frames, this, way, name, export = box.children[1].children
     first = box.children[0]
     way.value = "curves"
     assert box.children[0] is not first and "curves, as asked" in box.children[3].value
     box.children[0].children[1].children[1].value = 15
     this.click()
-    kept_now = animate_cli._key_frames(frames.value, 30)
+    kept_now = animate.frames_named(frames.value, 30)
     assert {0, 29} < kept_now and len(kept_now) == 3
     box.children[2].value = ("arms",)
     name.value = str(out)

@@ -25,10 +25,10 @@ FLOORS = """
     corpus splits humor.training humor.unknowns diffusion.pose_completion corrections
     shipped doctor humor.chain_training humor.stages humor.start animate
     train models humor.shooting renew
-    animate_cli
     humor.testops
     scene_fit scene_report
     fit
+    commands
     __main__
 """
 LIBRARY, SYNTHETIC, STUDIES = "motionlab", "data_synth", "studies"
@@ -179,8 +179,11 @@ def test_the_library_is_thin():
     """What the mission asks for; a number that is passed is a decision, not an accident."""
     files = [path for name, path in modules(ROOT).items() if name.split(".")[0] == LIBRARY]
     # 95 files and 20,000 lines until issue 26, which asks for tools: keypoints of every detector took 1,000 lines, the
-    # way from a video to a scene 1,200, the animator's commands 1,300, many clips 200
-    assert len(files) <= 110 and sum(len(p.read_text(encoding="utf-8").splitlines()) for p in files) <= 23_500
+    # way from a video to a scene 1,200, an animator's tools 1,200, many clips 200; what reads options is counted apart
+    commands = [path for path in files if path.parent.name == "commands" or path.name == "__main__.py"]
+    rest = [path for path in files if path not in commands]
+    lines = lambda some: sum(len(path.read_text(encoding="utf-8").splitlines()) for path in some)  # noqa: E731
+    assert len(rest) <= 108 and lines(rest) <= 23_000 and lines(commands) <= 700
     for package, most in {"humor": 24, "diffusion": 20, "viz": 10}.items():
         assert sum(p.is_relative_to(ROOT / LIBRARY / package) for p in files) <= most, package
 

@@ -165,6 +165,25 @@ def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monk
     assert len(calls) < 10
 
 
+def test_ctrl_c_while_the_film_is_drawn_costs_the_film_alone(tmp_path, keypoints, capsys, monkeypatch, few):
+    drawn = fit.film.over_footage
+
+    def interrupted(motions, camera, pictures, path, *arguments, **options):
+        path.write_bytes(b"half a film")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fit.film, "over_footage", interrupted)
+    out, words = tmp_path / "out", ("--keypoints", keypoints, "--fps", 30, "--quick")
+    assert run(*words, "--out", out) == 0
+    assert "stopped while the film was drawn" in capsys.readouterr().out
+    assert amass.load(out / "motion.npz").frames == FRAMES and (out / "scene.glb").exists()
+    assert not (out / "overlay.mp4").exists() and "<video" not in (out / "report.html").read_text()
+    assert not fit.is_finished(out)
+    monkeypatch.setattr(fit.film, "over_footage", drawn)
+    assert run(*words, "--out", out) == 0
+    assert fit.is_finished(out) and "<video" in (out / "report.html").read_text()
+
+
 def test_priors_from_files(tmp_path, keypoints, capsys, monkeypatch, few):
     """What the options say is what is loaded; an official prior without its pelvis is refused before the fit."""
     asked, real = [], pretrained.load_priors

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
+from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.io import amass, bvh, gltf
 from motionlab.io.reading import Spot, check_writable, read_bytes, read_npz, read_text, reading
@@ -24,7 +25,7 @@ from motionlab.motion import Motion
 _REMEDY = "name an --out of another format, which is written anew"
 
 
-def rewrite(source: str | Path, target: str | Path, loaded: Motion, made: Motion) -> None:
+def _rewrite(source: str | Path, target: str | Path, loaded: Motion, made: Motion) -> None:
     """Writes ``made`` as a copy of the file ``source``, in which only what differs from ``loaded`` is new.
 
     Args:
@@ -204,10 +205,11 @@ def _put(data: bytearray, start: int, content: dict, output: int, rows: np.ndarr
         struct.pack_into(f"<{width}f", data, first + int(t) * view.get("byteStride", 4 * width), *old[t])
 
 
+WRITERS: dict[str, Callable[[Path, Motion], None]] = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save}
 REWRITERS: dict[str, Callable[[Spot, Motion, Motion], str | bytes]] = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
 
 
-def rewritable(source: str | Path) -> bool:
+def _rewritable(source: str | Path) -> bool:
     """Returns whether a file can be rewritten: a BVH, an AMASS npz or a GLB."""
     suffix = Path(source).suffix.lower()
     if suffix != ".npz":
@@ -215,3 +217,27 @@ def rewritable(source: str | Path) -> bool:
     with reading(source) as at:
         keys = set(read_npz(at, ("trans", "poses", "pose_body")))
     return "trans" in keys and len(keys) > 1
+
+
+def write_back(source: str | Path | None, target: str | Path, loaded: Motion | None, made: Motion) -> str:
+    """Writes what was made of a motion: where the format stays, into a copy of its file; says which it was.
+
+    Args:
+        source, loaded: the file and the motion that was read from it; None where there is none.
+
+    Raises:
+        DataError: a format that cannot be written.
+    """
+    target = Path(target)
+    suffix = target.suffix.lower()
+    if suffix not in WRITERS:
+        raise DataError("cannot write this format", path=target, remedy=f"use one of {', '.join(WRITERS)}")
+    grown = loaded is not None and made.frames > loaded.frames
+    same = source is not None and suffix == Path(source).suffix.lower() and not (grown and suffix == ".glb")
+    if same and _rewritable(source):
+        _rewrite(source, target, loaded, made)
+        return "what did not change has the file's own numbers, byte for byte"
+    if suffix == ".npz" and len(made.skeleton) != 22:
+        raise DataError("AMASS has 22 joints of its own", path=target, remedy="write a .bvh, and convert that")
+    WRITERS[suffix](target, made)
+    return "written anew, its numbers rounded as the format does (in a BVH to 1e-8 m and 1e-6 degrees)"

@@ -1,0 +1,189 @@
+"""``fit``: from a video and its keypoints to a scene, one clip or a folder of them."""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from functools import partial
+from pathlib import Path
+
+from motionlab.commands import many
+from motionlab.commands.many import Job, text_table
+from motionlab.errors import DataError
+
+#: A clip's keypoints are one of the first, or a folder that holds some of the second; its video one of the third, or a
+#: folder that holds some of the last.
+_TABLES, _PER_FRAME = (".json", ".csv", ".npz"), (".json", ".txt")
+_VIDEOS, _PICTURES = (
+    (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg"),
+    (".png", ".jpg", ".jpeg", ".bmp", ".webp"),
+)
+_PASSED_ON = ("person", "fps", "size", "layout", "camera", "camera_name", "prior", "pose_prior", "initial", "pelvis",
+              "solver", "quick")  # fmt: skip
+
+
+def add_command(commands: argparse._SubParsersAction) -> None:
+    """Adds the command; nothing heavy is imported before it runs."""
+    command = commands.add_parser("fit", help="from a video and its 2-D keypoints to a scene")
+    command.add_argument("video", nargs="?", type=Path, help="a video, or a folder of images; without it: on paper")
+    command.add_argument(
+        "--keypoints", type=Path, metavar="PATH",
+        help="what a 2-D pose detector wrote, told by content: a file, or a folder with a file per frame "
+        "(default: found in the video, needs motionlab[detect])",
+    )  # fmt: skip
+    command.add_argument("--out", type=Path, metavar="FOLDER/", help="gets motion, scene, film and report")
+    command.add_argument("--people", action="store_true", help="list who was seen, and stop")
+    command.add_argument(
+        "--person", nargs="+", default=["longest"], metavar="ID", help="longest, largest, all, or ids (see --people)"
+    )
+    command.add_argument("--size", type=_size, metavar="WxH", help="of the image, where no file says it, in pixels")
+    command.add_argument("--fps", type=float, help="of the keypoints, where neither they nor the video say it")
+    command.add_argument("--layout", help="of the keypoints, where it is not told: BODY_25, COCO_17, HALPE_26, ...")
+    command.add_argument(
+        "--camera", type=Path, metavar="FILE", help='Qualisys XML, Captury .calib, or JSON: "intrinsics" (3x3, px), '
+        '"width", "height"; if known "rotation" (3x3) and "translation" from the world, z up, floor z = 0'
+    )  # fmt: skip
+    command.add_argument("--camera-name", help="which of the file's cameras (default: by the number in PATH's name)")
+    command.add_argument("--prior", type=Path, metavar="FILE", help="of motion: an official HuMoR .pth, or your own")
+    command.add_argument("--pose-prior", type=Path, metavar="FILE", help="a VPoser snapshot, or your own")
+    command.add_argument("--initial", type=Path, metavar="FILE", help="of first states: official .npz, or your own")
+    command.add_argument(
+        "--pelvis", type=float, nargs=3, metavar=("X", "Y", "Z"),
+        help="needed with official files: the pelvis from SMPL's translation, J_0 of the mean body in metres",
+    )  # fmt: skip
+    command.add_argument(
+        "--solver", choices=("shooting", "rollout"), default="shooting",
+        help="of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more",
+    )  # fmt: skip
+    command.add_argument("--quick", action="store_true", help="few steps, a small film: a first look")
+    command.add_argument(
+        "--each", action="store_true",
+        help="the two paths are folders of clips, put together by their names: a scene for each, in FOLDER/NAME/",
+    )  # fmt: skip
+    many.add_sharing(command, "with --each")
+    command.set_defaults(run=_fit)
+
+
+def _size(text: str) -> tuple[int, int]:
+    """An image size such as 1280x720."""
+    sides = text.lower().split("x")
+    if len(sides) != 2 or not all(side.isdecimal() and 0 < int(side) < 100_000 for side in sides):
+        raise argparse.ArgumentTypeError(f"expected width x height in pixels, such as 1280x720, got {text!r}")
+    return int(sides[0]), int(sides[1])
+
+
+def _fit(options: argparse.Namespace) -> int:
+    if options.out is None and not options.people:
+        raise DataError("nowhere to write to", place="--out", remedy="name a folder: --out OUT/")
+    if options.each:
+        return _fit_each(options)
+    if options.jobs is not None or options.cluster is not None:
+        remedy = "give folders of clips and --each"
+        raise DataError("one clip is not shared out", place="--jobs, --cluster", remedy=remedy)
+    return _list_people(options) if options.people else _fit_one(options)
+
+
+def _list_people(options: argparse.Namespace) -> int:
+    from motionlab import fit
+
+    how = {name: getattr(options, name) for name in ("out", "fps", "size", "layout")}
+    clip = fit.open_clip(options.keypoints, options.video, progress=True, **how)
+    print(text_table(clip.footage.table()))
+    for note in clip.notes:
+        print(f"note: {note}")
+    return 0
+
+
+def _fit_one(options: argparse.Namespace) -> int:
+    from motionlab import fit, scene_report
+
+    how = {name: getattr(options, name) for name in _PASSED_ON}
+    try:
+        record = fit.run_clip(options.keypoints, options.out, video=options.video, progress=True, **how)
+    except KeyboardInterrupt:
+        kept = len(list((options.out / "windows").glob("*.npz")))
+        print(f"\n{kept} windows are kept in {options.out}; the same command goes on from there" if kept else "")
+        raise
+    for line in scene_report.lines(record):
+        print(line)
+    print(f"{options.out}: {', '.join([*record['files'], fit.RESULT])}")
+    return 0
+
+
+def _fit_each(options: argparse.Namespace) -> int:
+    if options.people:
+        raise DataError("lists the people of one clip", place="--people", remedy="leave out --each, or --people")
+    clips = [
+        (name, keypoints, video, options.out / name)
+        for name, (keypoints, video) in _clips_of(options.keypoints, options.video).items()
+    ]
+    how = {name: getattr(options, name) for name in _PASSED_ON}
+    if how["camera"] is not None:
+        how["camera"] = how["camera"].resolve()
+    return many.run_clips(partial(_fit_clip, how=how), clips, _is_fitted, options)
+
+
+def _fit_clip(clip: Job, how: dict[str, object]) -> list[str]:
+    """Fits one of many; says who is to be doubted."""
+    from motionlab import fit
+
+    _, keypoints, video, out = clip
+    record = fit.run_clip(keypoints, out, video=video, **how)
+    doubted = [f"person {row['id']} is doubtful, see report.html" for row in record["people"] if row["doubtful"]]
+    return [*record["notes"], *doubted]
+
+
+def _is_fitted(clip: Job) -> bool:
+    from motionlab import fit
+
+    return fit.is_finished(clip[3])
+
+
+def _clips_of(keypoints: Path | None, videos: Path | None) -> dict[str, tuple[Path | None, Path | None]]:
+    """Returns the clips of two folders, by name: keypoints (None: still to be found) and video (None: there is none).
+
+    A clip's keypoints are a .json, .csv or .npz file, or a folder; its video is a file or a folder of images. They
+    belong together where the keypoints are called as the video is, or begin so: walk.mp4 and walk_keypoints.json.
+
+    Raises:
+        DataError: no such folder, nothing in it, a video without keypoints or the other way round, or two for one.
+    """
+    seen = _named(keypoints, _TABLES, _PER_FRAME)
+    if videos is None:
+        return {name: (path, None) for name, path in seen.items()}
+    shown = _named(videos, _VIDEOS, _PICTURES)
+    if keypoints is None:
+        return {name: (None, path) for name, path in shown.items()}
+    of = defaultdict(list)
+    for name, path in seen.items():
+        whose = [video for video in shown if name.startswith(video) and not name[len(video) :][:1].isalnum()]
+        of[max(whose, key=len, default="")].append(path)
+    remedy = "call a clip's keypoints as its video, or begin their name so; move away what is no clip"
+    if of[""]:
+        raise DataError(f"no video is called as {of[''][0].name}", path=videos, place=of[""][0].name, remedy=remedy)
+    for name, path in shown.items():
+        if len(of[name]) != 1:
+            names = ", ".join(other.name for other in of[name]) or "none"
+            raise DataError(f"the keypoints of {path.name}: {names}", path=keypoints, place=path.name, remedy=remedy)
+    return {name: (of[name][0], path) for name, path in shown.items()}
+
+
+def _named(folder: Path | None, files: tuple[str, ...], inside: tuple[str, ...]) -> dict[str, Path]:
+    """The files of a folder with these suffixes, and the folders that hold some with those, by name without suffix."""
+    if folder is None:
+        return {}
+    if not folder.is_dir():
+        raise DataError("no such folder", path=folder, remedy="with --each, name folders that hold the clips")
+    found = {}
+    for path in sorted(folder.iterdir()):
+        each, wanted = (path.iterdir(), inside) if path.is_dir() else ([path], files)
+        if path.name.startswith(".") or not any(one.suffix.lower() in wanted for one in each):
+            continue
+        name = path.name if path.is_dir() else path.stem
+        if name in found:
+            message = f"{found[name].name} and {path.name} have one name"
+            raise DataError(message, path=folder, place=name, remedy="give each clip a name of its own")
+        found[name] = path
+    if not found:
+        raise DataError("holds no clips", path=folder, remedy="with --each, name folders that hold the clips")
+    return found

@@ -1,0 +1,69 @@
+"""What the commands on many clips share: ``--jobs`` and ``--cluster``, and what is said at the end."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+Job = tuple[str, Path | None, Path | None, Path]  # name, what it is read from (one or two paths), and where it goes
+
+
+def add_sharing(command: argparse.ArgumentParser, what: str) -> None:
+    """Adds the options of a command that works on a folder of clips."""
+    command.add_argument("--jobs", type=int, metavar="N", help=f"{what}: so many at once, a process each (default 1)")
+    command.add_argument(
+        "--cluster", metavar="tcp://HOST:PORT",
+        help=f"{what}: on the workers of this Dask scheduler, who share the folders (needs motionlab[cluster])",
+    )  # fmt: skip
+
+
+def run_clips(
+    function: Callable[[Job], Sequence[str]],
+    clips: Sequence[Job],
+    finished: Callable[[Job], bool],
+    options: argparse.Namespace,
+) -> int:
+    """Runs a command on every clip that is not finished; prints what was done, and every note once.
+
+    function: of a clip, to its notes; a module's function or a partial of one. Returns 1 where a clip failed, else 0.
+
+    Raises:
+        DataError: --jobs below 1, or no cluster. MissingData: the package that speaks to one.
+    """
+    from motionlab import batch
+    from motionlab.errors import DataError
+
+    if options.jobs is not None and options.jobs < 1:
+        raise DataError(f"{options.jobs} jobs", place="--jobs", remedy="give a number above 0")
+    clips = [(name, *(path and path.resolve() for path in paths)) for name, *paths in clips]  # for other machines
+    how = {"jobs_at_once": options.jobs or 1, "cluster": options.cluster, "name": _name}
+    found = batch.run_many(function, clips, finished=finished, **how)
+    said = defaultdict(list)
+    for k, notes in sorted(found.results.items()):
+        for note in notes:
+            said[note].append(found.names[k])
+    for note, names in said.items():
+        print(f"note: {note} ({names[0] if len(names) == 1 else f'{len(names)} clips'})")
+    report = found.lines()
+    print(report[0])
+    if found.skipped:
+        print("note: to make a finished one again, delete what was written of it")
+    for line in report[1:]:
+        print(line, file=sys.stderr)
+    return 1 if found.failed else 0
+
+
+def _name(clip: Job) -> str:
+    """Returns the name of a clip, for messages."""
+    return clip[0]
+
+
+def text_table(rows: Sequence[dict[str, object]]) -> str:
+    """Returns rows (all with the same keys) as aligned columns."""
+    cells = [[f"{v:.1f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
+    cells = [list(rows[0]), *cells] if rows else [["nothing found"]]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in cells)

@@ -1,0 +1,153 @@
+"""Commands on folders of clips: each is what one alone gives, what is finished is skipped, what fails is named."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from data_synth.actions import ACTIONS
+from data_synth.subjects import SUBJECTS
+from motionlab import fit, scene_fit
+from motionlab.__main__ import main
+from motionlab.commands.footage import _clips_of
+from motionlab.errors import DataError
+from motionlab.humor import testops
+from motionlab.humor.shooting.feedback_solver import Plan
+from motionlab.io import bvh
+from motionlab.observation import look_at, project
+
+CAMERA = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=90.0, width=128, height=72)
+
+
+def walk(seed: int, frames: int):
+    return ACTIONS["walk"](SUBJECTS[seed], torch.Generator().manual_seed(seed)).motion.cut(20, 20 + frames)
+
+
+# ------------------------------------------------------------------------------------------------------ inbetween
+@pytest.fixture
+def motions(tmp_path):
+    """Three BVH files of 30 frames."""
+    folder = tmp_path / "motions"
+    folder.mkdir()
+    for k in range(3):
+        bvh.save(folder / f"walk{k}.bvh", walk(k, 30))
+    return folder
+
+
+def inbetween(source, out, *words):
+    return main(["inbetween", str(source), "--keys", "0,15,last", "--method", "curves", "--out", str(out), *words])
+
+
+def test_a_folder_in_two_processes_is_what_each_file_alone_gives(motions, tmp_path, capsys):
+    assert inbetween(motions, tmp_path / "made", "--jobs", "2") == 0
+    said = capsys.readouterr().out
+    assert "3 clips: 3 done" in said and said.count("byte for byte") == 1 and "(3 clips)" in said
+    for path in motions.iterdir():
+        assert inbetween(path, tmp_path / "one.bvh") == 0
+        made = (tmp_path / "made" / path.name).read_text()
+        assert made == (tmp_path / "one.bvh").read_text() != path.read_text()
+
+
+def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, capsys):
+    (motions / "broken.bvh").write_text("HIERARCHY\nROOT")
+    assert inbetween(motions, tmp_path / "made") == 1
+    said = capsys.readouterr()
+    assert "4 clips: 3 done, 1 failed" in said.out and "broken.bvh" in said.err and "Traceback" not in said.err
+    bvh.save(motions / "broken.bvh", walk(3, 30))  # mended
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "made").iterdir()}
+    assert inbetween(motions, tmp_path / "made") == 0
+    assert "4 clips: 1 done, 3 finished before" in capsys.readouterr().out
+    assert len(before) == 3 and all(path.stat().st_mtime_ns == time for path, time in before.items())
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("motions/walk0.bvh", "one.bvh", "--jobs", "2"), "one motion is not shared out"),
+        (("motions", "one.bvh"), "goes into a folder"),
+        (("empty", "made"), "no motion (.bvh, .npz, .glb) in this folder"),
+        (("motions", "made", "--jobs", "0"), "give a number above 0"),
+        (("motions", "made", "--cluster", "tcp://127.0.0.1:1"), "no Dask scheduler answers"),
+    ],
+)
+def test_folders_that_cannot_be_used(motions, tmp_path, monkeypatch, capsys, words, said):
+    from motionlab import batch
+
+    monkeypatch.setattr(batch, "PATIENCE", 0.3)
+    (tmp_path / "empty").mkdir()
+    assert inbetween(tmp_path / words[0], tmp_path / words[1], *words[2:]) == 2
+    assert said in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------------------------------------------------ fit
+@pytest.fixture
+def footage(tmp_path):
+    """videos/ with two folders of images, keypoints/ with the folders of a detector."""
+    for k, name in enumerate(("cam1", "cam1_2")):
+        points = project(CAMERA, fit.landmarks_of(walk(k, 6)))[0]
+        videos, keypoints = tmp_path / "videos" / name, tmp_path / "keypoints" / f"{name}_json"
+        videos.mkdir(parents=True), keypoints.mkdir(parents=True)
+        for frame, row in enumerate(torch.cat((points, torch.ones_like(points[..., :1])), -1).flatten(1).tolist()):
+            people = {"version": 1.3, "people": [{"pose_keypoints_2d": row}]}
+            (keypoints / f"{name}_{frame:012d}_keypoints.json").write_text(json.dumps(people))
+            Image.fromarray(np.full((72, 128, 3), 40 * frame, np.uint8)).save(videos / f"{frame:04d}.png")
+    return tmp_path
+
+
+def fit_each(folder, *words):
+    how = ["--each", "--quick", "--fps", "30", "--out", str(folder / "scenes"), *words]
+    return main(["fit", str(folder / "videos"), "--keypoints", str(folder / "keypoints"), *how])
+
+
+def test_each_clip_of_a_folder_becomes_a_scene_and_finished_ones_are_skipped(footage, monkeypatch, capsys):
+    plan = Plan(rounds=1, closures=2, leaps=0, trial=0)
+    monkeypatch.setattr(scene_fit, "QUICK_WORK", testops.Schedule(steps=(1, 1, 1), inner=3, shooting=plan))
+    assert fit_each(footage) == 0
+    assert "2 clips: 2 done" in capsys.readouterr().out
+    for name in ("cam1", "cam1_2"):
+        record = json.loads((footage / "scenes" / name / fit.RESULT).read_text())
+        assert f"{name}_json" in record["keypoints"]["path"] and record["footage"]["path"].endswith(name)
+    shutil.rmtree(footage / "scenes" / "cam1")
+    assert fit_each(footage) == 0
+    assert "2 clips: 1 done, 1 finished before" in capsys.readouterr().out
+
+
+def test_clips_are_put_together_by_their_names(footage):
+    found = _clips_of(footage / "keypoints", footage / "videos")
+    assert {name: (a.name, b.name) for name, (a, b) in found.items()} == {
+        "cam1": ("cam1_json", "cam1"),
+        "cam1_2": ("cam1_2_json", "cam1_2"),
+    }
+    assert _clips_of(None, footage / "videos")["cam1"] == (None, footage / "videos" / "cam1")
+    assert _clips_of(footage / "keypoints", None)["cam1_json"] == (footage / "keypoints" / "cam1_json", None)
+    for name in ("cam1.npz", "cam1.csv"):  # two for one video
+        (footage / "keypoints" / name).touch()
+    with pytest.raises(DataError, match="one name"):
+        _clips_of(footage / "keypoints", footage / "videos")
+    (footage / "keypoints" / "cam1.csv").unlink()
+    with pytest.raises(DataError, match=r"the keypoints of cam1: cam1\.npz, cam1_json"):
+        _clips_of(footage / "keypoints", footage / "videos")
+    (footage / "keypoints" / "cam1.npz").rename(footage / "keypoints" / "cam12.npz")
+    with pytest.raises(DataError, match=r"no video is called as cam12\.npz"):
+        _clips_of(footage / "keypoints", footage / "videos")
+    (footage / "keypoints" / "cam12.npz").unlink()
+    shutil.rmtree(footage / "keypoints" / "cam1_json")
+    with pytest.raises(DataError, match="the keypoints of cam1: none"):
+        _clips_of(footage / "keypoints", footage / "videos")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--each", "--people"), "lists the people of one clip"),
+        (("--jobs", "2"), "give folders of clips and --each"),
+        (("--each", "--keypoints", "nowhere"), "no such folder"),
+    ],
+)
+def test_options_of_many_clips_that_cannot_be_used(footage, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(footage)
+    assert main(["fit", "videos", "--keypoints", "keypoints", "--out", "scenes", *words]) == 2
+    assert said in capsys.readouterr().err
