@@ -68,7 +68,7 @@ def errors(motion: Motion, cameras: Sequence[Camera], scene: Scene) -> dict[str,
 
 
 def compared(
-    shot: Filmed, priors: Priors, schedule: Schedule, chosen: tuple[float, int], generator: torch.Generator
+    shot: Filmed, priors: Priors, schedule: Schedule, chosen: tuning.Choice, generator: torch.Generator
 ) -> dict[str, dict[str, dict[str, Tensor]]]:
     """Fits people with less and less known of the camera.
 
@@ -127,7 +127,9 @@ def score_rows(
 
 
 def reading(
-    plain: Mapping[str, Mapping[str, Mapping[str, Tensor]]], chosen: Mapping[str, tuple], generator: torch.Generator
+    plain: Mapping[str, Mapping[str, Mapping[str, Tensor]]],
+    chosen: Mapping[str, tuning.Choice],
+    generator: torch.Generator,
 ) -> str:
     """Says how rough stage 2 is, and what stage 3 adds to it and to a tuned one."""
     lines = []

@@ -51,14 +51,14 @@ def compared(
     schedule: Schedule,
     generator: torch.Generator,
     **tried_out: object,
-) -> tuple[dict[str, dict[str, Tensor]], list[dict[str, float]], tuple[float, int]]:
+) -> tuple[dict[str, dict[str, Tensor]], list[dict[str, float]], tuning.Choice]:
     """Fits people's joints by every method; numbers of each by measure, one (P,) a person.
 
-    Also the grid that stage 2 was tuned on, and what was chosen. tried_out: goes to ``tuning.grid``.
+    Also the grid that stage 2 was tuned on, and what was chosen. tried_out: goes to ``tuning.search``.
     """
     weights, rest = TESTS[test], contenders.mean_pose(priors.pose)
     seen, tried = (observed(test, people, generator) for people in (tested, practice))
-    rows = tuning.grid(tried, practice.truth, priors, weights, schedule, align="none", **tried_out)
+    rows = tuning.search(tried, practice.truth, priors, weights, schedule, align="none", **tried_out)
     chosen = tuning.best(rows)
     fitted = fit(seen, priors, weights=weights, schedule=schedule)
     found = {
@@ -84,7 +84,7 @@ def rows(found: Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]]) ->
 
 
 def reading(
-    found: Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]], chosen: Mapping[tuple[str, str], tuple]
+    found: Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]], chosen: Mapping[tuple[str, str], tuning.Choice]
 ) -> str:
     """Says what the two tests showed, and what stage 2 was tuned to."""
     lines = []

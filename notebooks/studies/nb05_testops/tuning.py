@@ -1,24 +1,42 @@
-"""A stage 2 that is hard to beat: its smoothness and a filter after it, chosen together on clips of other people."""
+"""A stage 2 that is hard to beat: its smoothness, its pose prior and a filter after it, chosen together on clips of
+other people."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from motionlab.baselines import smoothed
 from motionlab.humor.energies import Weights
 from motionlab.humor.evidence import Observation3D
 from motionlab.humor.priors import Priors
-from motionlab.humor.testops import Fitted, Schedule, fit
+from motionlab.humor.testops import Schedule, fit
 from motionlab.metrics import pose
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 
-#: Times the usual weight of smoothness in stages 1 and 2; frames of the Savitzky-Golay filter, 0 for none.
-FACTORS, WINDOWS = (0.03, 0.1, 0.3, 1.0, 3.0), (0, 5, 9, 15, 21)
+#: Times the usual weights in stages 1 and 2, of smoothness and of the pose prior.
+FACTORS, POSES = (0.03, 0.1, 0.3, 1.0, 3.0), (0.0, 0.04, 0.2, 1.0, 5.0, 25.0)
+WINDOWS = (0, 5, 9, 15, 21)  # frames of the Savitzky-Golay filter, 0 for none
 
 
-def grid(
+class Choice(NamedTuple):
+    """How a stage 2 is tuned: smoothness and pose prior over the usual ones, frames of the filter after it."""
+
+    smoothness: float
+    pose: float
+    window: int
+
+    def weights(self, usual: Weights) -> Weights:
+        """Returns the usual weights with smoothness and pose prior of stages 1 and 2 changed."""
+        first, second, last = usual.joints3d_smooth
+        smooth = (self.smoothness * first, self.smoothness * second, last)
+        first, second, last = usual.pose_prior
+        return replace(usual, joints3d_smooth=smooth, pose_prior=(self.pose * first, self.pose * second, last))
+
+
+def search(
     practice: Observation2D | Observation3D,
     truth: Motion,
     priors: Priors,
@@ -27,45 +45,51 @@ def grid(
     *,
     align: str,
     factors: Sequence[float] = FACTORS,
+    poses: Sequence[float] = POSES,
     windows: Sequence[int] = WINDOWS,
     **given: object,
 ) -> list[dict[str, float]]:
-    """Computes stage 2's mean error on practice clips (B, T) by smoothness and filter, one row for each pair.
+    """Computes stage 2's mean error on practice clips (B, T), a row for each smoothness, pose prior and filter tried.
 
-    align: "none" in the world, "root" with the pelvis put on the true one. given: of the camera, goes to ``fit``.
+    From the usual weights on, smoothness and pose prior are tried in turn, each with every filter, until neither
+    changes any more. align: "none" in the world, "root" with the pelvis put on the true one. given: of the camera, goes
+    to ``fit``.
     """
-    rows = []
-    for factor in factors:
-        found = without_stage_3(practice, priors, weights, schedule, factor, **given).stages[2]
+    rows, chosen = {}, Choice(1.0, 1.0, 0)
+
+    def measure(tried: Choice) -> None:
+        if tried in rows:
+            return
+        found = fit(
+            practice, priors, weights=tried.weights(weights), schedule=schedule.without_stage_3(), **given
+        ).stages[2]
         for window in windows:
             error = pose.mpjpe(filtered(found, window).positions, truth.positions, align=align)
-            rows.append({"smoothness x": factor, "filter, frames": window, "cm": 100 * error.mean().item()})
-    return rows
+            rows[tried._replace(window=window)] = 100 * error.mean().item()
+
+    while True:
+        before = chosen
+        for factor in factors:
+            measure(Choice(factor, chosen.pose, 0))
+        chosen = min(rows, key=rows.get)
+        for prior in poses:
+            measure(Choice(chosen.smoothness, prior, 0))
+        chosen = min(rows, key=rows.get)
+        if chosen == before:
+            names = ("smoothness x", "pose prior x", "filter, frames")
+            return [dict(zip(names, tried, strict=True)) | {"cm": error} for tried, error in rows.items()]
 
 
-def best(rows: Sequence[dict[str, float]]) -> tuple[float, int]:
-    """Returns smoothness and filter of the row with the least error."""
+def best(rows: Sequence[dict[str, float]]) -> Choice:
+    """Returns the choice of the row with the least error."""
     row = min(rows, key=lambda row: row["cm"])
-    return row["smoothness x"], row["filter, frames"]
+    return Choice(row["smoothness x"], row["pose prior x"], row["filter, frames"])
 
 
-def said(chosen: tuple[float, int]) -> str:
+def said(chosen: Choice) -> str:
     """Says what was chosen."""
-    return f"smoothness x {chosen[0]:g}, " + (f"filter over {chosen[1]} frames" if chosen[1] else "no filter")
-
-
-def without_stage_3(
-    observed: Observation2D | Observation3D,
-    priors: Priors,
-    weights: Weights,
-    schedule: Schedule,
-    factor: float,
-    **given: object,
-) -> Fitted:
-    """Fits stages 1 and 2 alone, with so many times the usual smoothness."""
-    first, second, last = weights.joints3d_smooth
-    changed = replace(weights, joints3d_smooth=(factor * first, factor * second, last))
-    return fit(observed, priors, weights=changed, schedule=schedule.without_stage_3(), **given)
+    after = f"filter over {chosen.window} frames" if chosen.window else "no filter"
+    return f"smoothness x {chosen.smoothness:g}, pose prior x {chosen.pose:g}, {after}"
 
 
 def filtered(motion: Motion, window: int) -> Motion:
@@ -79,12 +103,12 @@ def stage_2(
     priors: Priors,
     weights: Weights,
     schedule: Schedule,
-    chosen: tuple[float, int],
+    chosen: Choice,
     **given: object,
 ) -> Motion:
-    """Fits stage 2 with the smoothness and the filter that were chosen."""
-    factor, window = chosen
-    return filtered(without_stage_3(observed, priors, weights, schedule, factor, **given).stages[2], window)
+    """Fits stage 2 with the weights and the filter that were chosen."""
+    changed, schedule = chosen.weights(weights), schedule.without_stage_3()
+    return filtered(fit(observed, priors, weights=changed, schedule=schedule, **given).stages[2], chosen.window)
 
 
 def ways(
@@ -92,7 +116,7 @@ def ways(
     priors: Priors,
     weights: Weights,
     schedule: Schedule,
-    chosen: tuple[float, int],
+    chosen: Choice,
     **given: object,
 ) -> dict[str, Motion]:
     """Fits an observation by all stages, and by stage 2 as it was tuned: motions by name."""
