@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +29,7 @@ FRAMES, SIZE = 6, (1280, 720)
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory) -> Path:
-    """clip.mp4, keypoints/ of the two people in it, camera.json."""
+    """clip.mp4, keypoints/ of the two people in it, camera.json; videos/ and detections/ of two clips."""
     folder = tmp_path_factory.mktemp("desk")
     motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion.cut(20, 20 + FRAMES)
     motion = replace(motion, root=motion.root - motion.root[:1] * torch.tensor([1.0, 1.0, 0.0]))
@@ -43,6 +44,10 @@ def desk(tmp_path_factory) -> Path:
         (folder / "keypoints" / f"clip_{frame:012d}_keypoints.json").write_text(text)
     shades = np.random.default_rng(1).integers(0, 255, (72, 128, 3), np.uint8).repeat(10, 0).repeat(10, 1)
     imageio.mimwrite(folder / "clip.mp4", [shades] * FRAMES, fps=25)
+    for name in ("a", "b"):
+        shutil.copytree(folder / "keypoints", folder / "detections" / f"{name}_json")
+        (folder / "videos").mkdir(exist_ok=True)
+        shutil.copy(folder / "clip.mp4", folder / "videos" / f"{name}.mp4")
     content = {name: getattr(camera, name).tolist() for name in ("intrinsics", "rotation", "translation")}
     (folder / "camera.json").write_text(json.dumps(content | {"width": SIZE[0], "height": SIZE[1]}))
     return folder
@@ -53,7 +58,7 @@ def test_every_command_of_the_page_runs(desk, monkeypatch, capsys):
     monkeypatch.setattr(scene_fit, "QUICK_WORK", testops.Schedule(steps=(1, 1, 1), inner=3, shooting=plan))
     monkeypatch.setitem(sys.modules, "rtmlib", None)  # as where the extra is not installed
     monkeypatch.chdir(desk)
-    assert len(COMMANDS) == 7
+    assert len(COMMANDS) == 8
     for command in COMMANDS:
         words = shlex.split(command)[1:]
         finds_keypoints = words[0] == "fit" and "--keypoints" not in words
@@ -67,6 +72,7 @@ def test_every_command_of_the_page_runs(desk, monkeypatch, capsys):
     )
     assert len(json.loads((desk / "everybody" / fit.RESULT).read_text())["people"]) == 2
     assert json.loads((desk / "placed" / fit.RESULT).read_text())["camera"]["source"] == "given, and its place"
+    assert all(fit.is_finished(desk / "scenes" / name) for name in ("a", "b"))
     named = set(re.findall(r"^\| `([\w.]+)` \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
     assert named == {path.name for path in (desk / "scene").iterdir()} - {"walk.glb"}  # the table lists what is there
     assert gltf.load(desk / "scene" / "walk.glb").frames == gltf.load(desk / "scene" / "scene.glb").frames
