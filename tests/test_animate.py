@@ -1,5 +1,7 @@
 """The animator's commands: what is kept stays to the bit, nothing hidden is read, no seam, feet stand, clear errors."""
 
+import asyncio
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -257,6 +259,34 @@ def test_the_editor_fills_in_what_is_chosen_and_exports_it(tmp_path):
     before, after = io.load(source), io.load(out)
     assert same(before, after, animate.kept(before, {0, 15, 29}, ["arms"])) and not torch.equal(before.rot, after.rot)
     assert f"{out} is written" in message.value
+
+
+def test_the_editor_exports_what_was_typed_last_though_it_is_not_drawn_yet(tmp_path):
+    source, out = tmp_path / "in.bvh", tmp_path / "out.bvh"
+    bvh.save(source, mixamo(walk(30)))
+
+    def person(hands) -> None:
+        hands["frames"].value = "0,7,last"
+        hands["player"].hand.value = 20
+        hands["keep"].click()
+        hands["file"].value = str(out)
+        hands["export"].click()
+
+    async def session() -> str:
+        hands = animate_cli.editor(source, backend="picture").hands
+        other = threading.Thread(target=person, args=[hands])  # as ipykernel answers widgets
+        other.start()
+        other.join()  # the loop stands still, as under a slow draw
+        assert not out.exists()
+        for _ in range(3000):
+            if out.exists():
+                break
+            await asyncio.sleep(0.01)
+        return hands["frames"].value
+
+    assert asyncio.run(session()) == "0,7,20,last"
+    before, after = io.load(source), io.load(out)
+    assert same(before, after, animate.kept(before, {0, 7, 20, 29})) and not torch.equal(before.rot, after.rot)
 
 
 def test_the_editor_says_what_is_wrong_and_exports_nothing_until_it_is_right(tmp_path, monkeypatch):

@@ -111,23 +111,28 @@ def keyframe_editor(
         keep.description, keep.icon = ("let this frame go", "unlock") if at() in kept else ("keep this frame", "lock")
 
     def toggle(_: object) -> None:
-        frames.value = _text(kept ^ {at()}, last)
+        try:
+            now = set(read(frames.value))  # of which some may still be waiting to be drawn
+        except ValueError:
+            now = kept
+        frames.value = _text(now ^ {at()}, last)
 
     def jump(to: int | None) -> None:
         if to is not None:
             player.hand.value = to
 
     def write(_: object) -> None:
-        attempt(lambda: (export(made["motion"], file.value),))
+        if not out.disabled:
+            attempt(lambda: (export(made["motion"], file.value),))
 
-    again = _newest(redraw)
+    again, then = _newest(redraw), _newest(write)  # in the order in which they were asked for
     for hand in (frames, chosen, method):
         hand.observe(lambda change: again(change["new"]), names="value")
     player.hand.observe(mark, names="value")
     keep.on_click(toggle)
     before.on_click(lambda _: jump(max((k for k in kept if k < at()), default=None)))
     after.on_click(lambda _: jump(min((k for k in kept if k > at()), default=None)))
-    out.on_click(write)
+    out.on_click(then)
     redraw(None)
 
     def titled(title: str, *hands: ipywidgets.Widget, width: str) -> ipywidgets.VBox:
