@@ -17,7 +17,7 @@ PIP := $(PY) -m pip --disable-pip-version-check install -c constraints.txt
 help:
 	@echo "make notebooks   set up, run the notebooks, write report/index.html (MOTIONLAB_PROFILE=full for the long version)"
 	@echo "make test        set up, lint, unit tests, notebooks checked by nbval"
-	@echo "make interop     set up, open our files in Blender, three.js, aitviewer and ffprobe (a second environment, 3 GB)"
+	@echo "make interop     set up, open our files in Blender, three.js, aitviewer and ffprobe, find keypoints by rtmlib (3.5 GB more)"
 	@echo "make lab         set up, open the notebooks in JupyterLab with interactive 3-D"
 	@echo "make full        regenerate the committed notebooks and results"
 	@echo "make records     what notebooks 07 and 08 read and takes hours: what is on record of this recipe is kept"
@@ -32,8 +32,9 @@ notebooks: setup
 test: setup
 	@$(PY) tests/run.py
 
-interop: setup $(INTEROP)/.installed
+interop: setup $(INTEROP)/.installed $(INTEROP)/.detect
 	@mkdir -p report/interop
+	@MOTIONLAB_DETECT=1 PYTHONPATH=$(INTEROP)/detect $(PY) -m pytest -q -rs -p no:nbval tests/test_detect.py
 	@MOTIONLAB_INTEROP=$(INTEROP)/bin/python MOTIONLAB_THREE=$(INTEROP)/package MOTIONLAB_INTEROP_OUT=report/interop \
 		$(PY) -m pytest -q -rs -p no:nbval tests/interop
 
@@ -98,6 +99,13 @@ $(INTEROP)/.installed: tests/interop/requirements.txt
 	@$(INTEROP)/bin/python -m pip --disable-pip-version-check install -r tests/interop/requirements.txt
 	@if command -v npm > /dev/null; then cd $(INTEROP) && npm pack --silent $(THREE) && tar xzf three-*.tgz; \
 		else echo "no npm: three.js will be skipped"; fi
+	@touch $@
+
+# The extra `detect`, for our own Python, in a folder of its own: the pinned packages stay as they are.
+$(INTEROP)/.detect: tests/interop/detect.txt $(INSTALLED) | $(INTEROP)/.installed
+	@echo "== installing rtmlib and onnxruntime into $(INTEROP)/detect"
+	@rm -rf $(INTEROP)/detect
+	@$(PIP) --no-deps --target $(INTEROP)/detect -r tests/interop/detect.txt
 	@touch $@
 
 pins: setup

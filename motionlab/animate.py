@@ -70,21 +70,26 @@ def kept(motion: Motion, frames: Collection[int] | None = None, joints: Sequence
     return keep
 
 
-def frames_named(text: str, frames: int) -> set[int]:
-    """Reads frame numbers such as ``0,45,60-last`` of a motion of so many frames.
+def frames_named(text: str, frames: int, place: str = "--keys") -> set[int]:
+    """Reads frame numbers such as ``0,45,60-last`` of a motion of so many frames, from what ``place`` names.
 
     Raises:
         DataError: what is no number or range; names it.
     """
     found: set[int] = set()
     for word in filter(None, text.replace(" ", "").split(",")):
-        ends = [frames - 1 if end == "last" else int(end) if end.isdecimal() else None for end in word.split("-")]
+        ends = [
+            frames - 1 if end == "last" else int(end) if end.isdecimal() and len(end) < 10 else None
+            for end in word.split("-")
+        ]
         if None in ends or len(ends) > 2 or ends[0] > ends[-1]:
             remedy = "write frames from 0 and ranges, as 0,45,60-last"
-            raise DataError(f"{word!r} is no frame", place="--keys", remedy=remedy)
+            raise DataError(f"{word!r} is no frame", place=place, remedy=remedy)
+        if ends[-1] >= frames:
+            raise DataError(f"no frame {ends[-1]}", place=place, remedy=f"give numbers from 0 to {frames - 1}")
         found |= set(range(ends[0], ends[-1] + 1))
     if not found:
-        raise DataError("no frame is kept", place="--keys", remedy="write frames from 0, as 0,45,last")
+        raise DataError("no frame is kept", place=place, remedy="write frames from 0, as 0,45,last")
     return found
 
 
@@ -308,17 +313,22 @@ def editor(path: str | Path, backend: str | None = None, **guided: str):
     from motionlab.io.rewriting import write_back
     from motionlab.viz.keyframes import keyframe_editor
 
-    path = Path(path)
+    path = Path(path).resolve()
     motion = io.load(path, **guided)
 
-    def fill(keys: str, joints: list[str], method: str) -> tuple[Motion, tuple[str, ...]]:
-        keep = kept(motion, frames_named(keys, motion.frames), joints)
-        found = inbetween(motion, keep, method=method or None)
+    def read(keys: str) -> set[int]:
+        return frames_named(keys, motion.frames, "frames kept")
+
+    def fill(frames: set[int], joints: list[str], method: str) -> tuple[Motion, tuple[str, ...]]:
+        found = inbetween(motion, kept(motion, frames, joints), method=method or None)
         return found.motion, found.notes
 
     def export(made: Motion, name: str) -> str:
-        return f"{name}: {write_back(path, Path(name), motion, made)}"
+        target = Path(name).resolve()
+        if target == path:  # what is kept is read from there at each export
+            raise DataError("this is the file that was opened", path=name, remedy="give another name")
+        return f"{target} is written: {write_back(path, target, motion, made)}"
 
     joints = (*GROUPS, *motion.skeleton.names)
     how = {"joints": joints, "methods": METHODS, "target": f"{path.stem}_inbetween{path.suffix}", "backend": backend}
-    return keyframe_editor(motion, fill, export, **how)
+    return keyframe_editor(motion, read, fill, export, **how)

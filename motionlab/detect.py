@@ -5,7 +5,9 @@ rtmlib downloads its weights at first use. Anything that finds people can stand 
 
 from __future__ import annotations
 
+import contextlib
 import io
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -42,10 +44,19 @@ def _rtmpose(mode: str = "balanced") -> _Finder:
             "the optional extra that finds keypoints", f"pip install 'motionlab[detect]'. {_OTHERWISE}"
         ) from error
     try:
-        return BodyWithFeet(mode=mode, backend="onnxruntime", device="cpu")
+        with contextlib.redirect_stdout(sys.stderr):  # it says what it loads
+            network = BodyWithFeet(mode=mode, backend="onnxruntime", device="cpu")
     except Exception as error:  # whatever a download raises
         how = f"It could not be fetched ({error}): connect once to the network. {_OTHERWISE}"
-        raise MissingData("the weights of RTMPose", how) from error
+        raise MissingData("RTMPose's file of weights", how) from error
+
+    def finder(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        boxes = network.det_model(picture)
+        if not len(boxes):  # it would take the whole picture for a person
+            return np.zeros((0, len(HALPE_26), 2)), np.zeros((0, len(HALPE_26)))
+        return network.pose_model(picture, bboxes=boxes)
+
+    return finder
 
 
 def find(

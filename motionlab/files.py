@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import hashlib
 import os
 from pathlib import Path
@@ -25,7 +26,8 @@ def write_whole(path: str | Path, content: str | bytes) -> None:
         message = f"cannot be written: {error.strerror or error}"
         raise DataError(message, path=path, place="whole file", remedy="name a file in a folder that exists") from error
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # not there, or a name that cannot be
+            part.unlink()
 
 
 def source_hash(source: str) -> str:

@@ -1,5 +1,7 @@
 """The animator's commands: what is kept stays to the bit, nothing hidden is read, no seam, feet stand, clear errors."""
 
+import asyncio
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -235,18 +237,78 @@ def test_the_editor_fills_in_what_is_chosen_and_exports_it(tmp_path):
     source, out = tmp_path / "in.bvh", tmp_path / "out.bvh"
     bvh.save(source, mixamo(walk(30)))
     box = animate.editor(source, backend="picture")
-    frames, this, way, name, export = box.children[1].children
-    first = box.children[0]
-    way.value = "curves"
-    assert box.children[0] is not first and "curves, as asked" in box.children[3].value
-    box.children[0].children[1].children[1].value = 15
-    this.click()
-    kept_now = animate.frames_named(frames.value, 30)
-    assert {0, 29} < kept_now and len(kept_now) == 3
-    box.children[2].value = ("arms",)
-    name.value = str(out)
+    player, frames, keep, method, file, export, message = (
+        box.hands[name] for name in ("player", "frames", "keep", "method", "file", "export", "message")
+    )
+    player.hand.value = 15  # each frame is a step of the slider
+    assert player.clock.value == "frame 15 of 29, 0.62 s" and keep.description == "keep this frame"
+    first = player.view.value
+    method.value = "nearest"
+    assert player.view.value != first and "nearest, as asked" in message.value
+    method.value = "curves"
+    keep.click()
+    assert frames.value == "0,15,last" and keep.description == "let this frame go"
+    assert player.clock.value == "frame 15 of 29, 0.62 s, kept" and "27 of 30 frames made" in message.value
+    box.hands["next"].click()
+    assert player.hand.value == 29
+    box.hands["previous"].click()
+    assert player.hand.value == 15
+    box.hands["joints"].value = ("arms",)
+    file.value = str(out)
     export.click()
     before, after = io.load(source), io.load(out)
-    assert same(before, after, animate.kept(before, kept_now, ["arms"])) and not torch.equal(before.rot, after.rot)
-    frames.value = "0,900"
-    assert "give numbers from 0 to 29" in box.children[3].value
+    assert same(before, after, animate.kept(before, {0, 15, 29}, ["arms"])) and not torch.equal(before.rot, after.rot)
+    assert f"{out} is written" in message.value
+
+
+def test_the_editor_exports_what_was_typed_last_though_it_is_not_drawn_yet(tmp_path):
+    source, out = tmp_path / "in.bvh", tmp_path / "out.bvh"
+    bvh.save(source, mixamo(walk(30)))
+
+    def person(hands) -> None:
+        hands["frames"].value = "0,7,last"
+        hands["player"].hand.value = 20
+        hands["keep"].click()
+        hands["file"].value = str(out)
+        hands["export"].click()
+
+    async def session() -> str:
+        hands = animate.editor(source, backend="picture").hands
+        other = threading.Thread(target=person, args=[hands])  # as ipykernel answers widgets
+        other.start()
+        other.join()  # the loop stands still, as under a slow draw
+        assert not out.exists()
+        for _ in range(3000):
+            if out.exists():
+                break
+            await asyncio.sleep(0.01)
+        return hands["frames"].value
+
+    assert asyncio.run(session()) == "0,7,20,last"
+    before, after = io.load(source), io.load(out)
+    assert same(before, after, animate.kept(before, {0, 7, 20, 29})) and not torch.equal(before.rot, after.rot)
+
+
+def test_the_editor_says_what_is_wrong_and_exports_nothing_until_it_is_right(tmp_path, monkeypatch):
+    source = tmp_path / "in.bvh"
+    bvh.save(source, mixamo(walk(30)))
+    hands = animate.editor(source, backend="picture").hands
+    frames, keep, file, export, message = (hands[name] for name in ("frames", "keep", "file", "export", "message"))
+    wrong = {"0,900": "give numbers from 0 to 29", "a<b": "&#x27;a&lt;b&#x27; is no frame", "": "no frame is kept"}
+    for text, said in (wrong | {"0-9999999999": "is no frame", "5-2": "is no frame"}).items():
+        frames.value = text
+        assert said in message.value and "--keys" not in message.value and export.disabled, text
+    frames.value = "3-5,20"
+    hands["player"].hand.value = 4
+    keep.click()  # a frame out of a range
+    assert frames.value == "3,5,20" and not export.disabled
+    before = source.read_bytes()
+    said = {source: "this is the file that was opened", tmp_path / "no/x.bvh": "cannot be written", "x.fbx": "x.fbx"}
+    for name, words in (said | {tmp_path / f"{'x' * 300}.bvh": "too long"}).items():
+        file.value = str(name)
+        export.click()
+        assert words in message.value, name
+    assert source.read_bytes() == before and list(tmp_path.iterdir()) == [source]
+    monkeypatch.setattr(animate, "inbetween", lambda *a, **k: 1 / 0)
+    frames.value = "0,10"
+    assert "ZeroDivisionError" in message.value and export.disabled

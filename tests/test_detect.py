@@ -1,6 +1,12 @@
-"""Keypoints from a video: rtmlib and onnxruntime on a small network made here, which finds the brightest spot."""
+"""Keypoints from a video: rtmlib and onnxruntime on small networks made here, which find the brightest spot.
 
+`make interop` installs the two and sets $MOTIONLAB_DETECT, so that nothing is skipped.
+"""
+
+import importlib
+import os
 import sys
+import urllib.error
 
 import numpy as np
 import pytest
@@ -12,6 +18,7 @@ from motionlab.io.layouts import HALPE_26
 from motionlab.io.video import Video
 
 WIDE, HIGH, FRAMES = 192, 256, 5  # of the network's input, and of the pictures
+LEFTS, TOP = (30, 130), 100  # of two people who stand still
 
 
 class Pictures(Video):
@@ -35,16 +42,23 @@ def video(tmp_path) -> Video:
     return Pictures(tmp_path / "clip.mp4", 25.0, (WIDE, HIGH), FRAMES)
 
 
+def extra(name: str):
+    """A package of the extra ``detect``, or of its test."""
+    if "MOTIONLAB_DETECT" in os.environ:
+        return importlib.import_module(name)
+    return pytest.importorskip(name, reason=f"no {name}: make interop")
+
+
 def brightest(path) -> None:
     """A network of RTMPose's form: for each of 26 points the brightness of every half column and half row."""
-    onnx = pytest.importorskip("onnx")
+    onnx = extra("onnx")
     make, kind = onnx.helper, onnx.TensorProto.FLOAT
     nodes, initial, outputs = [], [], []
     for axis, length, other in (("x", WIDE, 2), ("y", HIGH, 3)):
         spread = np.zeros((length, 26, 2 * length), np.float32)
         spread[np.arange(length), :, 2 * np.arange(length)] = 0.4
         initial += [
-            make.make_tensor(f"spread_{axis}", kind, (length, 26 * 2 * length), spread.ravel()),
+            onnx.numpy_helper.from_array(spread.reshape(length, -1), f"spread_{axis}"),
             make.make_tensor(f"shape_{axis}", onnx.TensorProto.INT64, (3,), (1, 26, 2 * length)),
             make.make_tensor(f"axes_{axis}", onnx.TensorProto.INT64, (2,), (1, other)),
         ]
@@ -61,8 +75,7 @@ def brightest(path) -> None:
 
 
 def test_a_network_finds_what_moves(tmp_path, video):
-    pytest.importorskip("onnxruntime")
-    rtmlib = pytest.importorskip("rtmlib")
+    rtmlib = extra("rtmlib")
     brightest(tmp_path / "small.onnx")
     network = rtmlib.RTMPose(str(tmp_path / "small.onnx"), (WIDE, HIGH), backend="onnxruntime")
     detect.find(video, tmp_path / "keypoints.npz", finder=network)
@@ -72,6 +85,82 @@ def test_a_network_finds_what_moves(tmp_path, video):
     assert track.frames.tolist() == [0, 1, 3, 4]  # the empty picture is no person
     for frame, points in zip(track.frames, track.points, strict=True):
         assert np.abs(points[:, :2] - corner(frame)).max() < 3  # the square's upper left corner, to two cells
+
+
+def people(path, size: int = 640) -> None:
+    """A network of YOLOX's form: where ``Two`` has people, each sure where its half of the picture has white in it."""
+    onnx = extra("onnx")
+    make, kind, whole = onnx.helper, onnx.TensorProto.FLOAT, onnx.TensorProto.INT64
+    scale, middle = size / HIGH, WIDE * size // HIGH // 2
+    boxes = [scale * edge for left in LEFTS for edge in (left, TOP, left + 20, TOP + 40)]
+    initial = [make.make_tensor("boxes", kind, (1, 2, 4), boxes), make.make_tensor("white", kind, (1,), [240.0])]
+    for name, values in {"0": [0], "1": [middle], "2": [2 * middle], "columns": [3], "all": [1, 2, 3]}.items():
+        initial.append(make.make_tensor(name, whole, (len(values),), values))
+    nodes = []
+    for half in (0, 1):
+        nodes += [
+            make.make_node("Slice", ["input", f"{half}", f"{half + 1}", "columns"], [f"half{half}"]),
+            make.make_node("ReduceMax", [f"half{half}", "all"], [f"most{half}"]),
+            make.make_node("Greater", [f"most{half}", "white"], [f"seen{half}"]),
+            make.make_node("Cast", [f"seen{half}"], [f"score{half}"], to=kind),
+        ]
+    nodes += [
+        make.make_node("Concat", ["score0", "score1"], ["scores4"], axis=1),
+        make.make_node("Flatten", ["scores4"], ["scores2"]),
+        make.make_node("Unsqueeze", ["scores2", "two"], ["scores"]),
+        make.make_node("Concat", ["boxes", "scores"], ["people"], axis=2),
+    ]
+    initial.append(make.make_tensor("two", whole, (1,), [2]))
+    takes = [make.make_tensor_value_info("input", kind, (1, 3, size, size))]
+    gives = [make.make_tensor_value_info("people", kind, (1, 2, 5))]
+    graph = make.make_graph(nodes, "people", takes, gives, initial)
+    model = make.make_model(graph, opset_imports=[make.make_opsetid("", 18)], ir_version=9)
+    path.write_bytes(model.SerializeToString())
+
+
+class Two(Pictures):
+    """Two bright bars, then the left one alone, then grey, in which a pose would be seen but no person, then both."""
+
+    def pictures(self, wanted):
+        for frame in wanted:
+            picture = np.full((HIGH, WIDE, 3), 190 if frame == 2 else 0, np.uint8)
+            for left in {1: LEFTS[:1], 2: ()}.get(frame, LEFTS):
+                picture[TOP : TOP + 40, left : left + 20] = 255
+            yield picture
+
+
+def test_the_detector_that_is_installed_finds_two_people_by_networks_made_here(tmp_path, monkeypatch, capsys):
+    rtmlib = extra("rtmlib")
+    weights = rtmlib.BodyWithFeet.MODE["balanced"]
+    assert (weights["det_input_size"], weights["pose_input_size"]) == ((640, 640), (WIDE, HIGH))
+    folder = tmp_path / "hub/checkpoints"
+    folder.mkdir(parents=True)
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))  # where rtmlib looks before it downloads
+    for name, write in (("det", people), ("pose", brightest)):
+        write(folder / f"{weights[name].rpartition('/')[2].removesuffix('.zip')}.onnx")
+    detect.find(Two(tmp_path / "clip.mp4", 25.0, (WIDE, HIGH), FRAMES), tmp_path / "keypoints.npz")
+    assert not capsys.readouterr().out
+    with np.load(tmp_path / "keypoints.npz") as found:
+        table = found["keypoints"]
+    assert table.shape == (FRAMES, 2, 26, 3)
+    assert (table[..., 2] > 0).all(-1).sum(1).tolist() == [2, 1, 0, 2, 2]
+    assert not (table[..., 2] > 0)[2].any()  # the pose network alone would see somebody in the grey
+    for k, left in enumerate(LEFTS):
+        seen = table[[0, 3, 4], k, :, :2]
+        assert np.abs(seen - (left, TOP)).max() < 2, left
+
+
+def test_without_a_network_the_detector_says_that_its_weights_are_missing(tmp_path, video, monkeypatch):
+    files = importlib.import_module(f"{extra('rtmlib').__name__}.tools.file")
+
+    def unreachable(*_, **__):
+        raise urllib.error.URLError("no route to host")
+
+    monkeypatch.setattr(files, "urlopen", unreachable)
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "empty"))
+    with pytest.raises(MissingData, match=r"weights.*no route to host.*--keypoints"):
+        detect.find(video, tmp_path / "keypoints.npz")
+    assert not (tmp_path / "keypoints.npz").exists()
 
 
 def test_people_of_every_frame_are_kept_in_pixels(tmp_path, video):

@@ -18,10 +18,11 @@ ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 ASKED = [Requirement(line) for line in PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"]]
 PINS = _read_pins(ROOT / "constraints.txt")
-#: What `make interop` asks from an environment of its own.
+#: What `make interop` asks from an environment of its own, and for the extra `detect`.
 APART = {
     _normal_name(line.split("==")[0])
-    for line in (ROOT / "tests/interop/requirements.txt").read_text(encoding="utf-8").splitlines()
+    for name in ("requirements.txt", "detect.txt")
+    for line in (ROOT / "tests/interop" / name).read_text(encoding="utf-8").splitlines()
     if "==" in line
 }
 CONDA = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))
@@ -94,8 +95,11 @@ def test_what_the_code_imports_is_a_dependency(folder):
 
 def test_what_the_tests_import_is_a_dependency_or_for_developers():
     beside = {"studies", "suite"}  # beside the notebooks, on pytest's path
-    extras = {"rtmlib", "onnxruntime", "onnx"}  # of the extra ``detect``: its test is skipped where they are not there
-    assert undeclared(ROOT / "tests", ASKED) <= beside | APART | extras
+    assert undeclared(ROOT / "tests", ASKED) <= beside | APART
+
+
+def test_the_extra_that_finds_keypoints_is_tested_with_what_it_asks_for():
+    assert {_normal_name(line) for line in PROJECT["optional-dependencies"]["detect"]} <= APART
 
 
 def test_control_undeclared_imports_are_found(tmp_path):

@@ -65,6 +65,12 @@ class Unwell(Exception):
     """Not an OSError: whatever interrupts a writer."""
 
 
+def test_a_name_that_no_file_can_have_is_refused_in_words(tmp_path):
+    with pytest.raises(DataError, match="name too long"):
+        write_whole(tmp_path / f"{'x' * 300}.bvh", "new")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), Unwell()])
 @pytest.mark.parametrize("write", [lambda p: write_whole(p, "new"), lambda p: save_record(p, Record("01", "x", ()))])
 def test_the_old_file_stays_whole_when_writing_fails(tmp_path, monkeypatch, write, failure):

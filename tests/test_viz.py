@@ -182,6 +182,36 @@ def test_a_slider_moves_the_picture():
         slider(standing(), "hologram")
 
 
+def test_a_figure_takes_another_motion_and_the_eye_follows_it():
+    slow, fast = standing(), standing(speed=3.0)
+    turned = replace(standing(), rot=fast.rot.flip(0))
+    scene = Scene(SMALL, follow=True).floor().skeleton(slow)
+    before = scene.image(0.5)
+    same = Scene(SMALL, follow=True).floor().skeleton(turned).image(0.5)
+    assert not np.array_equal(before, same)
+    np.testing.assert_array_equal(scene.exchange(turned).image(), same)
+    np.testing.assert_array_equal(scene.exchange(slow).image(), before)
+    scene.exchange(fast)
+    np.testing.assert_array_equal(scene.image(0.7), Scene(SMALL, follow=True).floor().skeleton(fast).image(0.7))
+    with pytest.raises(ShapeError, match="8, 22, 3"):
+        scene.exchange(standing(frames=7))
+
+
+def test_a_hand_that_turned_the_eye_keeps_its_turn_as_the_eye_travels():
+    scene = Scene(SMALL, follow=True).floor().skeleton(standing(speed=3.0)).at(0.0)
+    eye = scene.plotter.renderers[0].camera
+    offset, up = np.array([0.5, -2.0, 1.5]), (0.6, 0.0, 0.8)
+    first = np.array(eye.focal_point)
+    eye.position, eye.up = first + offset, up
+    for now in (0.3, 0.7, 0.0):
+        away = np.array(Scene(SMALL, follow=True).skeleton(standing(speed=3.0)).at(now).plotter.camera.focal_point)
+        scene.at(now)
+        np.testing.assert_allclose(eye.focal_point, away)
+        np.testing.assert_allclose(np.subtract(eye.position, eye.focal_point), offset)
+        np.testing.assert_allclose(eye.up, up)
+    assert np.linalg.norm(away - first) < 1e-9
+
+
 async def until(condition):
     """The loop runs until the condition holds; half a minute without it, and what is asserted next fails."""
     for _ in range(3000):

@@ -90,10 +90,7 @@ def slider(
     Raises:
         ValueError: no such backend.
     """
-    if backend is None:
-        backend = "trame" if os.environ.get("PYVISTA_JUPYTER_BACKEND") == "trame" else "picture"
-    if backend not in BACKENDS:
-        raise ValueError(f"no backend {backend!r}; backends are {', '.join(BACKENDS)}")
+    backend = _checked(backend)
     if backend == "static":
         return strip(motions if isinstance(motions, Motion) else next(iter(motions.values())), body=body)
     import ipywidgets
@@ -101,30 +98,68 @@ def slider(
     panels = 1 if isinstance(motions, Motion) else len(motions)
     size = size or (640 if panels == 1 else min(420 * panels, 1100), 420)
     scene, seconds = stage(motions, None, body, size, follow=follow)
-    steps = max(round(seconds * _RATE), 1)
-    width = f"{size[0]}px"
-    play = ipywidgets.Play(min=0, max=steps, interval=1000 // _RATE)
-    hand = ipywidgets.IntSlider(min=0, max=steps, readout=False, layout={"flex": "1 1 auto"})
-    clock = ipywidgets.Label("0.00 s", layout={"width": "5em"})
-    ipywidgets.jslink((play, "value"), (hand, "value"))
-    scene.at(0.0)
-    if backend == "trame":
-        view, refresh = _trame(scene)
-    else:
-        view = ipywidgets.Image(value=jpeg(scene.image(), 92), format="jpeg", layout={"width": width})
+    shown = Player(scene, seconds, backend)
+    shown.clock.layout.width = "5em"
+    row = ipywidgets.HBox([shown.play, shown.hand, shown.clock], layout={"width": f"{size[0]}px"})
+    return ipywidgets.VBox([shown.view, row])
 
-        def refresh() -> None:
-            view.value = jpeg(scene.image(), 92)
 
-    def draw(step: int) -> None:
-        now = step * seconds / steps
-        scene.at(now)
-        refresh()
-        clock.value = f"{now:.2f} s"
+def _checked(backend: str | None) -> str:
+    if backend is None:
+        backend = "trame" if os.environ.get("PYVISTA_JUPYTER_BACKEND") == "trame" else "picture"
+    if backend not in BACKENDS:
+        raise ValueError(f"no backend {backend!r}; backends are {', '.join(BACKENDS)}")
+    return backend
 
-    turn = _newest(draw)
-    hand.observe(lambda change: turn(change["new"]), names="value")
-    return ipywidgets.VBox([view, ipywidgets.HBox([play, hand, clock], layout={"width": width})])
+
+class Player:
+    """A scene in JupyterLab as widgets to arrange: ``view``, ``play``, ``hand`` (a slider) and ``clock`` (a label).
+
+    Args:
+        seconds: how long the scene moves.
+        backend: as of :func:`slider`, but not "static".
+        steps: of the slider from start to end; by default 25 per second.
+        words: step of the picture that is shown, to what the clock says.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        seconds: float,
+        backend: str | None = None,
+        *,
+        steps: int | None = None,
+        words: Callable[[int], str] | None = None,
+    ) -> None:
+        import ipywidgets
+
+        self.scene, self.seconds = scene, seconds
+        self.steps = steps or max(round(seconds * _RATE), 1)
+        self._words = words or (lambda step: f"{step * seconds / self.steps:.2f} s")
+        stride = max(round(self.steps / max(seconds, 1e-3) / _RATE), 1)  # at more steps per second some are skipped
+        interval = max(round(1000 * stride * seconds / self.steps), 1)
+        self.play = ipywidgets.Play(min=0, max=self.steps, step=stride, interval=interval)
+        self.hand = ipywidgets.IntSlider(min=0, max=self.steps, readout=False, layout={"flex": "1 1 auto"})
+        self.clock = ipywidgets.Label(self._words(0))
+        ipywidgets.jslink((self.play, "value"), (self.hand, "value"))
+        scene.at(0.0)
+        if _checked(backend) == "trame":
+            self.view, self._refresh = _trame(scene)
+        else:
+            width = f"{scene.size[0]}px"
+            self.view = ipywidgets.Image(value=jpeg(scene.image(), 92), format="jpeg", layout={"width": width})
+            self._refresh = self._picture
+        turn = _newest(self.draw)
+        self.hand.observe(lambda change: turn(change["new"]), names="value")
+
+    def _picture(self) -> None:
+        self.view.value = jpeg(self.scene.image(), 92)
+
+    def draw(self, step: int) -> None:
+        """Shows the scene as it now is at a step of the slider."""
+        self.scene.at(step * self.seconds / self.steps)
+        self._refresh()
+        self.clock.value = self._words(step)
 
 
 def explore(draw: Callable[..., np.ndarray | Figure], **knobs: object):

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Collection, Sequence
+from itertools import groupby
 
 from motionlab.motion import Motion
-from motionlab.viz.interactive import _newest, slider
+from motionlab.viz.interactive import Player, _newest
+from motionlab.viz.movie import stage
+from motionlab.viz.palette import ROLE, TILE
+
+_SIZE = (840, 420)
+_WRONG = "#b3261e"
 
 
 def keyframe_editor(
     motion: Motion,
-    fill: Callable[[str, list[str], str], tuple[Motion, Sequence[str]]],
+    read: Callable[[str], Collection[int]],
+    fill: Callable[[Collection[int], list[str], str], tuple[Motion, Sequence[str]]],
     export: Callable[[Motion, str], str],
     *,
     joints: Sequence[str] = (),
@@ -20,65 +28,150 @@ def keyframe_editor(
     target: str = "inbetween.bvh",
     backend: str | None = None,
 ):
-    """Builds an editor: the motion beside what is made between its keys, a time slider that plays both, keys, joints,
-    a method, and a button that exports. Whatever is changed is filled in and drawn anew at once; what goes wrong is
-    said below.
+    """Builds an editor: the motion beside what is made between its keys, one slider that moves and plays both frame by
+    frame over a strip of the keys, what is kept, a method, and a button that exports. Whatever is changed is filled in
+    and drawn anew at once. What goes wrong is said below in red; the picture stays, and nothing is exported until it
+    is right.
 
     Args:
-        fill: (keys as text, joints that stay, method or "") to the motion made and notes. export: (motion, file name)
-            to what is to be said. joints: to choose from. methods: to choose from, besides the default.
-        keys, target: at first. backend: of the view, as of ``slider``: "picture" or "trame".
+        read: keys as text to frame numbers. fill: (frames that stay, joints that stay, method or "") to the motion
+            made, of the same skeleton and length, and notes. export: (motion, file name) to what is to be said.
+        joints: to choose from. methods: to choose from, besides the default. keys, target: at first.
+        backend: of the view, as of ``slider``: "picture" or "trame".
 
     Returns:
-        an ipywidgets box with children (view, buttons, joints, message).
+        an ipywidgets box; its attribute ``hands`` holds by name what a person touches and reads: player, frames, keep,
+        previous, next, joints, method, file, export, message.
     """
     import ipywidgets
 
-    frames = ipywidgets.Text(value=keys, description="frames kept", continuous_update=False)
-    this = ipywidgets.Button(description="keep this frame", tooltip="or let it go again")
-    which = ipywidgets.SelectMultiple(options=list(joints), description="joints kept", rows=6)
-    way = ipywidgets.Dropdown(options=[("default", ""), *((m, m) for m in methods)], description="method")
-    name = ipywidgets.Text(value=target, description="file")
-    out = ipywidgets.Button(description="export")
-    message, made = ipywidgets.HTML(), {"motion": motion}
-    buttons = ipywidgets.HBox([frames, this, way, name, out], layout={"flex_flow": "row wrap"})
-    box = ipywidgets.VBox([ipywidgets.HBox(), buttons, which, message])
+    kept: set[int] = set()
+    made = {"motion": motion}
+    last = motion.frames - 1
+    wide = {"width": f"{_SIZE[0]}px"}
+    whole = {"width": "auto", "margin": "2px"}
 
-    def say(text: str) -> None:
-        message.value = html.escape(text)
+    def words(step: int) -> str:
+        frame = min(step, last)
+        return f"frame {frame} of {last}, {frame / motion.fps:.2f} s{', kept' if frame in kept else ''}"
 
-    def now() -> int:
-        hand = box.children[0].children[1].children[1]
-        return round(hand.value / max(hand.max, 1) * (motion.frames - 1))
+    scene, seconds = stage({"given": motion, "in between": motion}, None, None, _SIZE, follow=True)
+    player = Player(scene, seconds, backend, steps=max(last, 1), words=words)
+    player.hand.layout, player.clock.layout = {"width": "auto", "margin": "0"}, {"width": "15em", "margin": "2px 12px"}
+    strip = ipywidgets.HTML(layout={"width": "auto", "margin": "0"})
+    before, after = (
+        ipywidgets.Button(icon=f"step-{way}", tooltip=f"to the {name} kept frame", layout={"width": "3em"})
+        for way, name in (("backward", "previous"), ("forward", "next"))
+    )
+    keep = ipywidgets.Button(layout={"width": "11em"})
+    frames = ipywidgets.Text(value=keys, continuous_update=False, placeholder="as 0,45,60-80,last", layout=whole)
+    method = ipywidgets.Dropdown(options=[("default", ""), *((m, m) for m in methods)], layout=whole)
+    chosen = ipywidgets.SelectMultiple(options=list(joints), rows=9, layout=whole)
+    file = ipywidgets.Text(value=target, continuous_update=False, layout=whole | {"flex": "1 1 auto"})
+    out = ipywidgets.Button(description="export", layout={"width": "7em"})
+    message = ipywidgets.HTML(layout=wide)
+
+    def say(*lines: str, wrong: bool = False) -> None:
+        message.style.text_color = _WRONG if wrong else None
+        message.value = "<div style='line-height: 1.5'>" + "<br>".join(map(html.escape, lines)) + "</div>"
+
+    def attempt(act: Callable[[], Sequence[str]]) -> bool:
+        try:
+            say(*act())
+        except ValueError as error:  # of what was chosen or typed
+            say(str(error), wrong=True)
+        except Exception as error:  # for the person too: on the kernel's loop nobody else would hear of it
+            say(f"{type(error).__name__}: {error}", wrong=True)
+        else:
+            return True
+        return False
+
+    def make() -> Sequence[str]:
+        now = set(read(frames.value))
+        say("making what lies between …")
+        began = time.perf_counter()
+        made["motion"], notes = fill(now, list(chosen.value), method.value)
+        taken = time.perf_counter() - began
+        kept.clear()
+        kept.update(now)
+        strip.value = _strip(kept, motion.frames)
+        scene.exchange(made["motion"], panel=1)
+        player.draw(player.hand.value)
+        mark()
+        count = motion.frames - len(kept)
+        return (f"{count} of {motion.frames} frames made in {taken:.1f} s, {len(kept)} kept as they are", *notes)
 
     def redraw(_: object) -> None:
-        say("drawing …")
-        try:
-            made["motion"], notes = fill(frames.value, list(which.value), way.value)
-        except ValueError as error:  # of the keys, joints or method that were chosen
-            say(str(error))
-            return
-        step = box.children[0].children[1].children[1].value if box.children[0].children else 0
-        view = slider({"given": motion, "in between": made["motion"]}, backend or None)
-        view.children[1].children[1].value = step
-        box.children = (view, *box.children[1:])
-        say("; ".join(notes))
+        out.disabled = not attempt(make)
+
+    def at() -> int:
+        return min(player.hand.value, last)
+
+    def mark(_: object = None) -> None:
+        keep.description, keep.icon = ("let this frame go", "unlock") if at() in kept else ("keep this frame", "lock")
 
     def toggle(_: object) -> None:
-        words, frame = [word for word in frames.value.split(",") if word], str(now())
-        frames.value = ",".join([w for w in words if w != frame] if frame in words else [*words, frame])
+        try:
+            now = set(read(frames.value))  # of which some may still be waiting to be drawn
+        except ValueError:
+            now = kept
+        frames.value = _text(now ^ {at()}, last)
+
+    def jump(to: int | None) -> None:
+        if to is not None:
+            player.hand.value = to
 
     def write(_: object) -> None:
-        try:
-            say(export(made["motion"], name.value))
-        except ValueError as error:
-            say(str(error))
+        if not out.disabled:
+            attempt(lambda: (export(made["motion"], file.value),))
 
-    again = _newest(redraw)
-    for hand in (frames, which, way):
-        hand.style.description_width = "initial"
+    again, then = _newest(redraw), _newest(write)  # in the order in which they were asked for
+    for hand in (frames, chosen, method):
         hand.observe(lambda change: again(change["new"]), names="value")
-    this.on_click(toggle)
-    out.on_click(write)
+    player.hand.observe(mark, names="value")
+    keep.on_click(toggle)
+    before.on_click(lambda _: jump(max((k for k in kept if k < at()), default=None)))
+    after.on_click(lambda _: jump(min((k for k in kept if k > at()), default=None)))
+    out.on_click(then)
     redraw(None)
+
+    def titled(title: str, *hands: ipywidgets.Widget, width: str) -> ipywidgets.VBox:
+        head = ipywidgets.HTML(f"<b>{title}</b>", layout={"margin": "0 2px"})
+        return ipywidgets.VBox([head, *hands], layout={"width": width})
+
+    files = ipywidgets.HBox([file, out])
+    right = [("frames kept, from 0: 0,45,60-80,last", frames), ("method", method), ("file", files)]
+    below = [
+        titled("joints kept in all frames (Ctrl-click: several, or none)", chosen, width="50%"),
+        ipywidgets.VBox([titled(title, hand, width="100%") for title, hand in right], layout={"width": "50%"}),
+    ]
+    buttons = ipywidgets.HBox([player.play, before, after, keep, player.clock])
+    time_line = ipywidgets.VBox([player.hand, strip, buttons], layout=wide)
+    box = ipywidgets.VBox([player.view, time_line, ipywidgets.HBox(below, layout=wide), message])
+    box.hands = {"player": player, "frames": frames, "keep": keep, "previous": before, "next": after}
+    box.hands |= {"joints": chosen, "method": method, "file": file, "export": out, "message": message}
     return box
+
+
+def _runs(frames: Collection[int]) -> list[tuple[int, int]]:
+    """First and last of each run of frames without a gap."""
+    runs = groupby(enumerate(sorted(frames)), lambda pair: pair[1] - pair[0])
+    return [(run[0], run[-1]) for run in ([frame for _, frame in group] for _, group in runs)]
+
+
+def _text(frames: Collection[int], last: int) -> str:
+    """Frames as a person writes them: 0,60-80,last."""
+    ends = [[("last" if end == last and end else str(end)) for end in run] for run in _runs(frames)]
+    return ",".join(first if first == end else f"{first}-{end}" for first, end in ends)
+
+
+def _strip(kept: Collection[int], count: int) -> str:
+    """A bar as long as the slider's, with a mark at each kept frame."""
+    share = 100 / max(count - 1, 1)
+    here = f"position: absolute; top: 0; bottom: 0; background: {ROLE['ours']}"
+    marks = "".join(
+        f"<div style='{here}; left: calc({first * share:.3f}% - 1px); width: calc({(end - first) * share:.3f}% + 3px)'>"
+        "</div>"
+        for first, end in _runs(kept)
+    )
+    return f"<div style='position: relative; height: 8px; margin: 0 8px; background: {TILE}'>{marks}</div>"

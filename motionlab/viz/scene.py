@@ -104,6 +104,9 @@ class Scene:
         if viz.draft:
             self.plotter.render_window.SetMultiSamples(0)
         self._updates: list[Callable[[float], None]] = []
+        self._figures: dict[int, tuple[list[np.ndarray], int]] = {}  # panel -> what moves its last one, place in _seen
+        self._exchanged = 0  # times a figure got another motion
+        self._eyes: dict[int, tuple] = {}  # panel -> where its eye was put and what it looks at
         self._seen: list[list[tuple[np.ndarray, float]]] = [[] for _ in panels]  # paths (T, M, 3) and their fps
         self._left: np.ndarray | None = None
         self._floors: set[int] = set()
@@ -143,15 +146,33 @@ class Scene:
         shadow is, 0 for none.
         """
         figure = mannequin.build(mannequin.single(motion).skeleton, colour(role))
-        positions, orientations = map(mannequin.array, motion.world)
+        world = list(map(mannequin.array, motion.world))
 
         def shape(index: int) -> tuple[np.ndarray, np.ndarray]:
-            return figure.pose(positions[index], orientations[index])
+            return figure.pose(world[0][index], world[1][index])
 
         def show(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor:
             return mannequin.add_surface(plotter, mesh, figure.colours)
 
-        return self._surface(motion, shape, figure.faces, show, frame, shadow, panel)
+        self._surface(motion, shape, figure.faces, show, frame, shadow, panel)
+        if frame is None:
+            self._figures[panel] = (world, len(self._seen[panel]) - 1)
+        return self
+
+    def exchange(self, motion: Motion, *, panel: int = 0) -> Scene:
+        """Puts another motion, of the same skeleton and length, into a panel's last figure; nothing is built anew.
+
+        Raises:
+            ShapeError: other joints, or more or fewer frames.
+        """
+        (world, place), now = self._figures[panel], list(map(mannequin.array, mannequin.single(motion).world))
+        if world[0].shape != now[0].shape:
+            raise ShapeError(f"motion: expected places {world[0].shape} as of the figure, got {now[0].shape}")
+        world[:] = now
+        self._exchanged += 1
+        self._seen[panel][place] = (now[0], motion.fps)
+        self._framing = None
+        return self
 
     def body(
         self,
@@ -194,6 +215,7 @@ class Scene:
             raise IndexError(f"frame {frame}: the motion has {motion.frames}")
         plotter, positions = self._panel(panel), mannequin.array(motion.positions)
         shown = 0 if frame is None else frame % motion.frames
+        drawn = (shown, self._exchanged)
         if self._left is None:
             self._left = viewpoint.left_of(motion.cut(shown, shown + 1))
         points, normals = shape(shown)
@@ -202,13 +224,13 @@ class Scene:
         actors = [show(plotter, mesh), *([shade.actor] if shade else [])]
 
         def update(seconds: float) -> None:
-            nonlocal shown
+            nonlocal drawn
             index = int(np.clip(round(seconds * motion.fps), 0, motion.frames - 1))
             if there is not None:
                 for actor in actors:
                     actor.SetVisibility(bool(there[index]))
-            if index != shown:
-                shown = index
+            if (index, self._exchanged) != drawn:
+                drawn = (index, self._exchanged)
                 points, normals = shape(index)
                 mannequin.move_surface(mesh, points, normals)
                 if shade:
@@ -290,7 +312,13 @@ class Scene:
         for panel in self._floors:
             tiles = _floor_tiles(self._framing.centres[panel], self._framing.radii[panel])
             self._panel(panel).add_mesh(
-                tiles, scalars="paint", rgb=True, lighting=False, reset_camera=False, name=f"floor {panel}"
+                tiles,
+                scalars="paint",
+                rgb=True,
+                lighting=False,
+                reset_camera=False,
+                name=f"floor {panel}",
+                render=False,
             )
 
     def at(self, seconds: float) -> Scene:
@@ -305,9 +333,19 @@ class Scene:
                 if self.camera:
                     viewpoint.match_camera(renderer.camera, self.camera)
                 else:
-                    self._framing.aim(renderer.camera, panel, self.seconds)
+                    self._aim(renderer.camera, panel)
                 renderer.camera_set = True
         return self
+
+    def _aim(self, eye: pv.Camera, panel: int) -> None:
+        """Moves the eye of a panel to where it belongs; one that a hand has turned meanwhile travels on, turned."""
+        found, up = (eye.position, eye.focal_point), eye.up
+        was = self._eyes.get(panel, found)
+        self._framing.aim(eye, panel, self.seconds)
+        self._eyes[panel] = (eye.position, eye.focal_point)
+        if found != was:
+            travel = np.subtract(eye.focal_point, was[1])
+            eye.position, eye.focal_point, eye.up = found[0] + travel, found[1] + travel, up
 
     def image(self, seconds: float | None = None) -> np.ndarray:
         """Draws the picture (H, W, 3) uint8 at a time, the present one by default."""
