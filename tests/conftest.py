@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -10,6 +16,7 @@ import pytest
 if TYPE_CHECKING:
     import torch
 
+ROOT = Path(__file__).resolve().parents[1]
 os.environ.setdefault("MOTIONLAB_BATCH", "1")  # nobody sits in front of a test
 
 
@@ -67,3 +74,33 @@ def camera():
     from tests.fit_inputs import side_camera
 
     return side_camera()
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
+    """A scheduler and two workers as a person starts them, none of which comes back; its address, and the workers."""
+    pytest.importorskip("distributed")
+    from tests import jobs
+
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{os.environ.get('PYTHONPATH', '')}", "OMP_NUM_THREADS": "1"}
+    processes = []
+
+    def start(program, *words):
+        log = (tmp_path / f"{program}{len(processes)}.log").open("wb")
+        command = [sys.executable, "-m", f"distributed.cli.dask_{program}", *words]
+        process = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=log, stderr=log)
+        processes.append(process)
+        log.close()
+
+    found = tmp_path / "scheduler.json"
+    start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", found)
+    jobs.come(found)
+    while not (text := found.read_text()):
+        time.sleep(0.01)
+    address = json.loads(text)["address"]
+    for _ in range(2):
+        start("worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard")
+    yield address, processes
+    for process in processes:
+        process.kill()
+        process.wait()

@@ -4,7 +4,6 @@ killed in the middle; what is finished is skipped, what fails is named."""
 import json
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -103,34 +102,6 @@ def test_without_distributed_the_remedy_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingData, match=r"motionlab\[cluster\]"):
         batch.run_many(str, [1, 2], cluster="tcp://127.0.0.1:1")
-
-
-@pytest.fixture
-def cluster(tmp_path):
-    """A scheduler and two workers as a person starts them, none of which comes back; its address, and the workers."""
-    pytest.importorskip("distributed")
-    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{os.environ.get('PYTHONPATH', '')}", "OMP_NUM_THREADS": "1"}
-    processes = []
-
-    def start(program, *words):
-        log = (tmp_path / f"{program}{len(processes)}.log").open("wb")
-        command = [sys.executable, "-m", f"distributed.cli.dask_{program}", *words]
-        process = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=log, stderr=log)
-        processes.append(process)
-        log.close()
-
-    found = tmp_path / "scheduler.json"
-    start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", found)
-    jobs.come(found)
-    while not (text := found.read_text()):
-        time.sleep(0.01)
-    address = json.loads(text)["address"]
-    for _ in range(2):
-        start("worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard")
-    yield address, processes
-    for process in processes:
-        process.kill()
-        process.wait()
 
 
 def test_a_cluster_computes_the_same_though_a_worker_is_killed(tmp_path, serial, cluster, monkeypatch):

@@ -10,7 +10,7 @@ from PIL import Image
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import fit, scene_fit
+from motionlab import batch, fit, scene_fit
 from motionlab.__main__ import main
 from motionlab.commands.footage import _clips_of
 from motionlab.errors import DataError
@@ -51,6 +51,16 @@ def test_a_folder_in_two_processes_is_what_each_file_alone_gives(motions, tmp_pa
         assert made == (tmp_path / "one.bvh").read_text() != path.read_text()
 
 
+def test_a_cluster_gives_what_one_process_gives(motions, tmp_path, monkeypatch, cluster, capsys):
+    monkeypatch.setattr(batch, "PATIENCE", 10 * batch.PATIENCE)  # a busy machine
+    monkeypatch.chdir(tmp_path)  # the workers stand elsewhere
+    assert inbetween("motions", "made", "--cluster", cluster[0]) == 0
+    assert inbetween("motions", "serial") == 0
+    assert capsys.readouterr().out.count("3 clips: 3 done") == 2
+    for path in motions.iterdir():
+        assert (tmp_path / "made" / path.name).read_bytes() == (tmp_path / "serial" / path.name).read_bytes()
+
+
 def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, capsys):
     (motions / "broken.bvh").write_text("HIERARCHY\nROOT")
     assert inbetween(motions, tmp_path / "made") == 1
@@ -74,8 +84,6 @@ def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, caps
     ],
 )
 def test_folders_that_cannot_be_used(motions, tmp_path, monkeypatch, capsys, words, said):
-    from motionlab import batch
-
     monkeypatch.setattr(batch, "PATIENCE", 0.3)
     (tmp_path / "empty").mkdir()
     assert inbetween(tmp_path / words[0], tmp_path / words[1], *words[2:]) == 2
