@@ -37,6 +37,17 @@ def as_camera(picture: np.ndarray, camera: Camera, size: tuple[int, int]) -> np.
     return np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
 
 
+def film_size(camera: Camera, area: float) -> tuple[int, int]:
+    """Computes an even width and height of about so many pixels, within half a pixel of the camera's shape if any is.
+
+    Rounding both to even numbers would miss the shape of a portrait, whose height counts double.
+    """
+    ratio = camera.height / camera.width
+    wide = 2 * round((area / ratio) ** 0.5 / 2)
+    some = [(w, 2 * round(w * ratio / 2)) for w in range(max(2, wide - 8), wide + 10, 2)]
+    return min(some, key=lambda s: (max(abs(s[0] * ratio - s[1]), 0.5), abs(s[0] - wide)))
+
+
 def bodies_over(
     motions: Sequence[Motion],
     camera: Camera,
@@ -106,9 +117,7 @@ def over_footage(
         area: of the picture over the footage, pixels.
     """
     count, fps = motions[0].frames, motions[0].fps
-    scale = (area / (camera.width * camera.height)) ** 0.5
-    size = (2 * round(camera.width * scale / 2), 2 * round(camera.height * scale / 2))
-    frames = range(count)
+    size, frames = film_size(camera, area), range(count)
     paper = np.asarray(Image.new("RGB", size, PAPER))
     below = (as_camera(p, camera, size) for p in pictures) if pictures is not None else (paper for _ in frames)
     how = {"roles": roles, "shown": shown, "fine": False}
