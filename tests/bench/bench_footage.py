@@ -140,13 +140,13 @@ def main() -> None:
     parser.add_argument("--plans", nargs="+", choices=PLANS, default=[*PLANS])
     parser.add_argument("--cameras", nargs="+", choices=CAMERAS, default=CAMERAS)
     options = parser.parse_args()
-    if options.files is None:
-        print("no keypoint_formats in or beside MOTIONLAB_DATA: no table of files")
+    if not options.views and options.files is None:
+        print("no keypoint_formats in or beside MOTIONLAB_DATA: nothing read")
     elif not options.views:
         files_table(options.files)
-    if options.views and not (data / "pose2sim_openpose").is_dir():
+    elif not (data / "pose2sim_openpose").is_dir():
         print("no MOTIONLAB_DATA with pose2sim_openpose in it: nothing measured")
-    elif options.views:
+    else:
         views_table(data / "pose2sim_openpose", options.plans, options.cameras, options.alone)
 
 
