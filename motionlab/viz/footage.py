@@ -37,6 +37,17 @@ def as_camera(picture: np.ndarray, camera: Camera, size: tuple[int, int]) -> np.
     return np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
 
 
+def film_size(camera: Camera, area: float) -> tuple[int, int]:
+    """Computes an even width and height of about so many pixels, within half a pixel of the camera's shape if any is.
+
+    Rounding both to even numbers would miss the shape of a portrait, whose height counts double.
+    """
+    ratio = camera.height / camera.width
+    wide = 2 * round((area / ratio) ** 0.5 / 2)
+    some = [(w, 2 * round(w * ratio / 2)) for w in range(max(2, wide - 8), wide + 10, 2)]
+    return min(some, key=lambda s: (max(abs(s[0] * ratio - s[1]), 0.5), abs(s[0] - wide)))
+
+
 def bodies_over(
     motions: Sequence[Motion],
     camera: Camera,
@@ -56,7 +67,7 @@ def bodies_over(
         pictures: (H, W, 3) uint8, those of ``frames`` in their order, of the size (width, height) and the camera's
             shape.
         shown: (P, T) in which frames there is somebody.
-        fine: smooth edges, at three times the time.
+        fine: smooth edges; where the processor draws, that takes three times as long.
     """
     with Scene(size, camera=camera) as scene:
         _edges(scene, fine)
@@ -72,7 +83,7 @@ def bodies_over(
 def _edges(scene: Scene, fine: bool) -> None:
     if not fine and not viz.draft:
         scene.plotter.disable_anti_aliasing()
-        scene.plotter.enable_anti_aliasing("msaa", multi_samples=4)
+        scene.plotter.render_window.SetMultiSamples(0)
 
 
 def labelled(picture: np.ndarray, text: str) -> np.ndarray:
@@ -106,15 +117,13 @@ def over_footage(
         area: of the picture over the footage, pixels.
     """
     count, fps = motions[0].frames, motions[0].fps
-    scale = (area / (camera.width * camera.height)) ** 0.5
-    size = (2 * round(camera.width * scale / 2), 2 * round(camera.height * scale / 2))
-    frames = range(count)
+    size, frames = film_size(camera, area), range(count)
     paper = np.asarray(Image.new("RGB", size, PAPER))
     below = (as_camera(p, camera, size) for p in pictures) if pictures is not None else (paper for _ in frames)
     how = {"roles": roles, "shown": shown, "fine": False}
     right = camera.rotation[0]
-    title, wide = ("from the camera's right",), max(320, 2 * round(0.4 * size[1]))
-    with Scene((wide, size[1]), panels=title, azimuth=_degrees(right)) as side:
+    wide = max(320, 2 * round(0.4 * size[1]))
+    with Scene((wide, size[1]), azimuth=_degrees(right)) as side:
         _edges(side, fine=False)
         side.floor()
         for k, (motion, role) in enumerate(zip(motions, roles, strict=True)):
@@ -125,7 +134,8 @@ def over_footage(
                 for person, role in zip(seen, roles, strict=False):
                     front = _dotted(front, person, frame, size[0] / camera.width, role)
                 text = "over the footage" if pictures is not None else "through the camera"
-                picture = np.concatenate((labelled(front, text), side.image(frame / fps)), 1)
+                beside = labelled(side.image(frame / fps), "from the camera's right")
+                picture = np.concatenate((labelled(front, text), beside), 1)
                 film.append_data(picture)
                 poster = picture if poster is None or frame == count // 2 else poster
     return Film(Path(path), count, fps, count / fps, 1.0, Path(path).stat().st_size, jpeg(poster))

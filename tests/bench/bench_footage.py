@@ -1,0 +1,154 @@
+"""Real footage: which files of 2-D detectors load, and how far fits under several plans are from a 3-D reference.
+
+The table of files takes every sample of a folder: a file, or a folder of files without a SOURCE.txt. With ``--views``
+there is the person instead whom Pose2Sim filmed from four sides (``pose2sim_openpose`` in MOTIONLAB_DATA), fitted by
+the solver of ``fit`` under each plan of work: joint error with the pelvis on the reference's, and processor seconds.
+
+    MOTIONLAB_DATA=FOLDER python tests/bench/bench_footage.py [--files KEYPOINT_FORMATS] [--views] [--plans lean quick]
+"""
+
+import argparse
+import os
+import resource
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from motionlab import scene_fit
+from motionlab.errors import DataError
+from motionlab.humor import pretrained, testops
+from motionlab.humor.shooting.feedback_solver import Plan
+from motionlab.humor.testops import Schedule
+from motionlab.io import keypoints
+from motionlab.io.keypoints import Footage
+from motionlab.io.layouts import LAYOUTS
+
+#: Given to a file that does not say its rate or its image's size.
+_UNSAID = {"fps": 30.0, "size": (1280.0, 720.0)}
+#: What a fit may spend; the first is the default of ``fit``, and "first look" that of ``fit --quick``.
+PLANS = {
+    "default": scene_fit.FULL_WORK,
+    "lean": Schedule.lean(),
+    "8 rounds": replace(Schedule.lean(), shooting=Plan(rounds=8, closures=20)),
+    "5 rounds": replace(Schedule.lean(), shooting=Plan(rounds=5, closures=20, leaps=0)),
+    "quick": Schedule.quick(),
+    "first look": scene_fit.QUICK_WORK,
+}
+CAMERAS = ("known", "assumed")
+
+
+# --------------------------------------------------------------------------------------------------------------- files
+def samples(folder: Path) -> Iterator[Path]:
+    """Finds what is to be read: files beside a SOURCE.txt, and folders that have none but keypoints."""
+    here = sorted(folder.iterdir())
+    files = [path for path in here if path.is_file() and path.suffix in (".json", ".csv", ".txt", ".npz", ".trc")]
+    if files and not any(path.name == "SOURCE.txt" for path in files) and files[0].suffix in (".json", ".txt"):
+        yield folder
+    else:
+        yield from (path for path in files if path.name != "SOURCE.txt" and "README" not in path.name)
+    for path in here:
+        if path.is_dir():
+            yield from samples(path)
+
+
+def row(path: Path) -> tuple[str, ...]:
+    """Detector, layout, frames, people and share of the points seen in a sample, or why it is refused."""
+    said: dict[str, object] = {}
+    while True:
+        try:
+            return _row(keypoints.load(path, **said), said)
+        except DataError as error:
+            if error.place not in _UNSAID or error.place in said:
+                why = error.args[0].split(" (remedy")[0].removeprefix(str(error.path)).lstrip(":, ")
+                return (f"refused: {why}",)
+            said[error.place] = _UNSAID[error.place]
+
+
+def _row(found: Footage, said: dict[str, object]) -> tuple[str, ...]:
+    layout = next((name for name, names in LAYOUTS.items() if names == found.names), f"{len(found.names)} points")
+    long = sum(len(track.frames) >= found.frames / 2 for track in found.tracks)
+    seen = sum(int((track.points[..., 2] > 0).sum()) for track in found.tracks)
+    share = seen / sum(track.points[..., 2].size for track in found.tracks)
+    people = f"{long}" if long == len(found.tracks) else f"{long} of {len(found.tracks)}"
+    return found.detector, layout, str(found.frames), people, f"{100 * share:.0f}", ", ".join(said)
+
+
+def files_table(folder: Path) -> None:
+    """Prints a row per sample of a folder."""
+    head = ("file", "detector", "layout", "frames", "people", "seen %", "had to be said")
+    rows = [(str(path.relative_to(folder)), *row(path)) for path in samples(folder)]
+    table(head, rows)
+    print("people: there in half of the frames, of all; seen: of the points of whoever is there")
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Prints rows in columns; the last cell of a row that is short may run on."""
+    wide = [max(len(cells[k]) for cells in (head, *rows) if k < len(cells) - 1 or len(cells) == len(head))
+            for k in range(len(head))]  # fmt: skip
+    for cells in (head, *rows):
+        print("  ".join(cell.ljust(width) for cell, width in zip(cells, wide, strict=False)).rstrip())
+
+
+# --------------------------------------------------------------------------------------------------------------- views
+def views_table(folder: Path, plans: Sequence[str], cameras: Sequence[str], alone: int | None) -> None:
+    """Prints the error of every view under each plan, fitted together, or of one alone; and processor seconds."""
+    sys.path.append(str(Path(__file__).resolve().parents[2] / "notebooks"))
+    from studies.nb05_testops import recordings
+
+    views, priors = recordings.pose2sim(folder), pretrained.load_priors()
+    if alone is not None:
+        views = _one(views, alone)
+    print(f"{views.observation.frames} frames of {', '.join(views.names)}; joint error, pelvis aligned, cm")
+    for how in cameras:
+        for name in plans:
+            known = recordings.given(views, how)
+            before = _seconds()
+            fitted = testops.fit(views.observation, priors, schedule=PLANS[name], solver="shooting", **known)
+            spent, searched = _seconds() - before, sum(len(each.history) for each in fitted.results[3])
+            found = recordings.measured(fitted.motion, fitted.cameras, views)
+            each = ", ".join(f"{value:.2f}" for value in found["root"].tolist())
+            surprise = ", ".join(f"{value:.1f}" for value in fitted.doubts.surprise.tolist())
+            print(
+                f"camera {how:7} {name:11} {found['root'].mean():5.2f} ({each}); in the room "
+                f"{found['global'].mean():5.1f}; {found['px'].mean():.1f} px; acceleration "
+                f"{found['acceleration'].mean():.2f}; surprise {surprise}; {spent:.1f} s, {searched} closures",
+                flush=True,
+            )
+
+
+def _one(views, k: int):
+    """One of several views."""
+    seen = views.observation
+    seen = replace(seen, keypoints=seen.keypoints[k : k + 1], confidence=seen.confidence[k : k + 1])
+    part = {name: getattr(views, name)[k : k + 1] for name in ("cameras", "names", "pictures")}
+    return views._replace(observation=seen, **part)
+
+
+def _seconds() -> float:
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+
+
+def main() -> None:
+    data = Path(os.environ.get("MOTIONLAB_DATA", "none"))
+    beside = [folder for folder in (data / "keypoint_formats", data.parent / "keypoint_formats") if folder.is_dir()]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--files", type=Path, default=beside[0] if beside else None, help="folder of keypoint files")
+    parser.add_argument("--views", action="store_true", help="fit Pose2Sim's four views; a minute or so each plan")
+    parser.add_argument("--alone", type=int, metavar="VIEW", help="fit one view, 0 to 3, by itself")
+    parser.add_argument("--plans", nargs="+", choices=PLANS, default=[*PLANS])
+    parser.add_argument("--cameras", nargs="+", choices=CAMERAS, default=CAMERAS)
+    options = parser.parse_args()
+    if not options.views and options.files is None:
+        print("no keypoint_formats in or beside MOTIONLAB_DATA: nothing read")
+    elif not options.views:
+        files_table(options.files)
+    elif not (data / "pose2sim_openpose").is_dir():
+        print("no MOTIONLAB_DATA with pose2sim_openpose in it: nothing measured")
+    else:
+        views_table(data / "pose2sim_openpose", options.plans, options.cameras, options.alone)
+
+
+if __name__ == "__main__":
+    main()
