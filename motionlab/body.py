@@ -208,9 +208,13 @@ def lbs(
 
     Returns:
         (..., T, V, 3), metres.
+    Raises:
+        ShapeError: other joints than the body's, or in another order.
     Source: thesis 3.3.2; Loper et al. 2015, Eq. 2-4 (with pose correctives where the body has them).
     """
     check_shape(root, "... T 3", "root")
+    if skeleton.names != body.skeleton.names:
+        raise ShapeError("skeleton: not the body's joints in their order; put the motion on them: retarget.retarget")
     rows = slice(None) if vertices is None else torch.as_tensor(vertices, device=body.template.device)
     template, weights, joints = (x.to(rot) for x in (body.template[rows], body.weights[rows], body.joints))
     if betas is not None:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 import twins
@@ -201,6 +203,16 @@ def test_the_default_body_has_the_standard_skeleton(default_body):
     assert keypoints["left_eye"][0] < 0 < keypoints["right_eye"][0]  # facing +y, left is -x
     assert keypoints["nose"][1] == max(p[1] for k, p in keypoints.items() if "toe" not in k)
     assert keypoints["left_heel"][1] < 0 < keypoints["left_big_toe"][1]
+
+
+def test_lbs_refuses_a_motion_on_other_joints_than_the_bodys():
+    """A BVH has its own order of joints: its numbers would move other bones, unseen."""
+    stout = capsule_body()
+    skeleton, still = stout.skeleton, torch.eye(3).expand(1, len(stout.skeleton), 3, 3)
+    lbs(stout, skeleton, torch.zeros(1, 3), still)
+    other = replace(skeleton, names=(skeleton.names[0], *skeleton.names[:0:-1]))
+    with pytest.raises(ShapeError, match="retarget"):
+        lbs(stout, other, torch.zeros(1, 3), still)
 
 
 def test_lbs_agrees_with_annys_own_skinning(default_body, anny_model, generator):
