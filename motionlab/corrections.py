@@ -16,7 +16,6 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from motionlab import rotation
-from motionlab.baselines import nearest_known
 from motionlab.contact import with_contacts
 from motionlab.diffusion.planting import planted
 from motionlab.motion import FPS, Motion, resample
@@ -172,22 +171,13 @@ class Standard:
         return pasted(made, self.motion, self.keep)
 
     def _planted(self, made: Motion) -> Motion:
-        """Feet that stand stay in place, between frames whose legs are known."""
+        """Feet that stand stay in place, between frames whose legs are known; between kept frames they step."""
         labelled = made if made.contacts is not None else with_contacts(made)
         known = self.known[:, _LEGS].all(-1)
         contacts = torch.where(known[:, None], with_contacts(made).contacts, labelled.contacts)
         some = replace(made, root=made.root[None], rot=made.rot[None], contacts=contacts[None])
-        feet = planted(some, known=known[None])
-        return replace(made, rot=rotation.slerp(made.rot, feet.rot[0], _risen(known, _EASE * made.fps)[:, None]))
-
-
-def _risen(known: Tensor, frames: float) -> Tensor:
-    """(T,): 0 where known (T,), 1 so many frames away, 3 u^2 - 2 u^3 between."""
-    time = torch.arange(len(known))
-    before, after = nearest_known(known)
-    u = torch.minimum((time - before).abs(), (after - time).abs()) / max(frames, 1.0)
-    u = torch.where(known.any(), u.clamp(max=1.0), 1.0)
-    return 3 * u**2 - 2 * u**3
+        step = bool(self.keep.frames.any())
+        return replace(made, rot=planted(some, known=known[None], ease=_EASE * made.fps, step=step).rot[0])
 
 
 _LEGS = [

@@ -18,7 +18,7 @@ FLOORS = """
     baselines contact skinning humor.state diffusion.features
     observation retarget humor.cvae diffusion.start diffusion.losses diffusion.masks
     io viz data_synth humor.body_shape humor.energies humor.priors humor.transition
-        diffusion.denoiser diffusion.gaussian_guess diffusion.planting diffusion.windows
+        diffusion.denoiser diffusion.footsteps diffusion.gaussian_guess diffusion.planting diffusion.windows
     cleaning detect people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
         diffusion.model
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
