@@ -1,9 +1,9 @@
 """In-betweening of real BVH files of people nobody trained on: network, curves, nearest and slerp.
 
-Clips of the CMU library's ``report`` people, at 30 frames per second, on the files' own skeletons. Kinds: a ``gap`` with
-known motion around it; lone ``keys`` so many frames apart; ``one`` key alone with so many frames on either side; and
-ten known frames with so many ``beyond`` them on either side. Every person counts alike; intervals are by bootstrap over
-people. ``slerp+`` is slerp through the planting of the others.
+Clips of the CMU library's ``report`` people, at 30 frames per second, on the files' own skeletons. Kinds: a ``gap``
+with known motion around it; lone ``keys`` so many frames apart; ``one`` key alone with so many frames on either side;
+and ten known frames with so many ``beyond`` them on either side. Every person counts alike; intervals are by bootstrap
+over people. ``slerp+`` is slerp through the planting of the others.
 
 Feet slide: the way over the floor, mm per frame, of ankles that are at most 3 cm above where they rest. A gap is good
 where that is no more than the original's and 1 mm. Seam: the largest acceleration of a joint at the frames beside a
@@ -137,7 +137,7 @@ def report(found: dict) -> None:
 
     for kind in sorted({kind for kind, _, _ in error}):
         for gap in GAPS:
-            usual = animate._usual_method(gap / FPS if kind in ("gap", "keys") else 0.0)[0]
+            usual = animate._usual_method(gap / FPS * (kind in ("gap", "keys")), gap / FPS * (kind == "beyond"))[0]
             if (kind, gap, usual) not in error:
                 continue
             best = by_person(error[kind, gap, usual])
@@ -153,11 +153,12 @@ def report(found: dict) -> None:
                 both = way.isfinite() & truth.isfinite()
                 share, strict = (100 * float((way <= truth + more)[both].double().mean()) for more in (MORE, 0.0))
                 seam, knee = torch.tensor([x for some in popped[kind, gap, method].values() for x in some]).T
+                ms = 1000 * sum(seconds[method][gap]) / len(seconds[method][gap])
                 print(
                     f"  {method:8} {mean:5.2f} [{low:.2f}, {high:.2f}]{less}; slide {float(way[both].mean()):.1f} mm "
                     f"a frame (original {float(truth[both].mean()):.1f}), good {share:.0f} % of {int(both.sum())} "
                     f"(without the mm: {strict:.0f} %); seam {float(seam.median()):.2f}, nine in ten below "
-                    f"{float(seam.quantile(0.9)):.2f}; knee {float(knee.median()):.0f}; {1000 * sum(seconds[method][gap]) / len(seconds[method][gap]):.0f} ms"
+                    f"{float(seam.quantile(0.9)):.2f}; knee {float(knee.median()):.0f}; {ms:.0f} ms"
                 )
 
 
