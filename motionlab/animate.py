@@ -39,8 +39,9 @@ GROUPS = {"legs": ("left_hip", "right_hip"), "arms": ("left_shoulder", "right_sh
 }  # fmt: skip
 _FADE = (2.0, 0.8)  # seconds over which the velocity at a key carries on, of the root and of joints
 
-#: By the people who choose: the mean of curves and network leaves less than either; a gap should take no more frames of
-#: a window than this, so that a longer one is shown to the network faster than it is.
+#: By the people who choose: between keys the mean of curves and network leaves less than either (beyond them, the
+#: network alone); a gap should take no more frames of a window than this, so that a longer one is shown to the network
+#: faster than it is.
 _TRUST, _MOST = 0.5, 40
 _SHORT = 0.75  # seconds, between gaps that were measured
 _MEASURED = 2.5  # seconds of the longest gaps that were measured, and a little
@@ -157,7 +158,9 @@ def inbetween(
     if chosen != "curves":
         fill = by_windows(_filler(chosen, seed), body.lacking, progress)
         rate = min(FPS, _MOST / gap) if gap else FPS
-        made = body.corrected(fill, rate=rate, share=_TRUST if chosen == "network" else 1.0)
+        keys, time = keep.frames.nonzero()[:, 0], torch.arange(motion.frames)
+        between = (time > keys[0]) & (time < keys[-1])
+        made = body.corrected(fill, rate=rate, share=torch.where(between & (chosen == "network"), _TRUST, 1.0))
     return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
 
 

@@ -162,6 +162,22 @@ def report(found: dict) -> None:
                 )
 
 
+def hidden_legs(rows: list[tuple[str, Motion]]) -> None:
+    """Prints how far legs that are never seen come from where they were, by the methods of ``completed``."""
+    generator, found = torch.Generator().manual_seed(0), {"network": defaultdict(list), "nearest": defaultdict(list)}
+    for person, motion in rows:
+        legs = sorted(animate.found_joints(motion, ["legs"]))
+        for method, far in found.items():
+            made = animate.completed(motion, ["legs"], method=method).motion
+            below = [j for j in legs if motion.skeleton.parents[j] in legs]  # hips stay where they are
+            far[person].append(100 * float((made.positions - motion.positions)[:, below].norm(dim=-1).mean()))
+    means = {who: torch.tensor([sum(x) / len(x) for x in far.values()]) for who, far in found.items()}
+    for method, mine in means.items():
+        mean, low, high = intervals.interval(mine, "mean", generator)
+        print(f"hidden legs, {method}: {mean:.1f} cm [{low:.1f}, {high:.1f}]")
+    print(f"network less nearest: {intervals.paired(means['network'], means['nearest'], generator)}")
+
+
 def main() -> None:
     data = os.environ.get("MOTIONLAB_DATA")
     if not data or not (Path(data) / "cmu_library").is_dir():
@@ -172,9 +188,13 @@ def main() -> None:
     parser.add_argument("--part", choices=people.PARTS, default="report")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
+    parser.add_argument("--legs", action="store_true", help="hidden legs instead")
     options = parser.parse_args()
     rows = clips(Path(data) / "cmu_library", options.part, options.clips)
     print(f"{len(rows)} clips of {len({who for who, _ in rows})} people ({options.part})")
+    if options.legs:
+        hidden_legs(rows)
+        return
     found = {name: defaultdict(lambda: defaultdict(list)) for name in ("error", "slid", "pops", "seconds")}
     try:
         for done, (person, motion) in enumerate(rows):
