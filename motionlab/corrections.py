@@ -16,7 +16,6 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from motionlab import rotation
-from motionlab.baselines import nearest_known
 from motionlab.contact import with_contacts
 from motionlab.diffusion.planting import planted
 from motionlab.motion import FPS, Motion, resample
@@ -97,11 +96,11 @@ class Standard:
         return (f"joints read as {self.found.rig}{missing}", feet)
 
     # -------------------------------------------------------------------------------------------------- a model
-    def corrected(self, fill: Fill, *, rate: float = FPS, share: float = 1.0) -> Motion:
+    def corrected(self, fill: Fill, *, rate: float = FPS, share: float | Tensor = 1.0) -> Motion:
         """Computes the 22 joints with what is not kept filled in by ``fill``, at their own rate again.
 
         rate: frames per second that ``fill`` is shown as its own; less: more seconds in a window. share: of the way
-        from what the curves have drawn to what ``fill`` says.
+        from what the curves have drawn to what ``fill`` says; one number, or (T,) one for each frame.
         """
         slow, known = self.at_model_rate(rate)
         body, scale = _on_body(slow)
@@ -110,7 +109,10 @@ class Standard:
         rot = torch.where(known[:, :22, None, None] | self.lacking[:, None, None], slow.rot, made.rot)
         root = hips - _hips(replace(slow, rot=rot, root=torch.zeros_like(slow.root)), 1.0)
         root = torch.where(known[:, -2:-1], slow.root, root)
-        turn = rotation.exp(share * rotation.log(slow.rot.mT @ rot))  # smooth: this, not poses, goes to the other rate
+        at = (torch.arange(slow.frames) * (self.motion.fps / rate)).round().long().clamp(max=self.motion.frames - 1)
+        share = torch.as_tensor(share).expand(self.motion.frames)[at, None]
+        # smooth: this, not poses, goes to the other rate
+        turn = rotation.exp(share[..., None] * rotation.log(slow.rot.mT @ rot))
         change = replace(slow, root=share * (root - slow.root), rot=turn, contacts=made.contacts)
         change = resample(change, self.motion.fps, "spline").cut(0, self.motion.frames)
         own = self.joints
@@ -172,22 +174,13 @@ class Standard:
         return pasted(made, self.motion, self.keep)
 
     def _planted(self, made: Motion) -> Motion:
-        """Feet that stand stay in place, between frames whose legs are known."""
+        """Feet that stand stay in place, between frames whose legs are known; between kept frames they step."""
         labelled = made if made.contacts is not None else with_contacts(made)
         known = self.known[:, _LEGS].all(-1)
         contacts = torch.where(known[:, None], with_contacts(made).contacts, labelled.contacts)
         some = replace(made, root=made.root[None], rot=made.rot[None], contacts=contacts[None])
-        feet = planted(some, known=known[None])
-        return replace(made, rot=rotation.slerp(made.rot, feet.rot[0], _risen(known, _EASE * made.fps)[:, None]))
-
-
-def _risen(known: Tensor, frames: float) -> Tensor:
-    """(T,): 0 where known (T,), 1 so many frames away, 3 u^2 - 2 u^3 between."""
-    time = torch.arange(len(known))
-    before, after = nearest_known(known)
-    u = torch.minimum((time - before).abs(), (after - time).abs()) / max(frames, 1.0)
-    u = torch.where(known.any(), u.clamp(max=1.0), 1.0)
-    return 3 * u**2 - 2 * u**3
+        step = bool(self.keep.frames.any())
+        return replace(made, rot=planted(some, known=known[None], ease=_EASE * made.fps, step=step).rot[0])
 
 
 _LEGS = [

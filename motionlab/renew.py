@@ -172,7 +172,7 @@ def posed(
     far = (reached.positions[:, joints] - targets).norm(dim=-1)
     which = ", ".join(motion.skeleton.names[j] for j in joints)
     note = f"the places of {which} are kept to {1000 * float(far.max()):.2g} mm"
-    why = "poses that it recalls and kinematics; the nearest known pose is 0.4 to 1.2 cm further off (notebook 14)"
+    why = "of people it never saw, the other joints came 0.4 to 1.2 cm nearer than in the most similar pose it learned"
     return Animated(reached, (f"network: {why}", f"{note}; where it stands and faces was read", *body.notes(plant)))
 
 

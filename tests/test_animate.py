@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from motionlab import __main__, animate, baselines, io, renew, rotation
+from motionlab.body import BodyModel
 from motionlab.corrections import WINDOW, Keep, Standard, overlapping
 from motionlab.diffusion.denoising import Noise
 from motionlab.errors import DataError
@@ -200,6 +201,25 @@ def test_what_follows_on_a_motion_begins_where_it_ends(tmp_path):
     assert (after.positions[60] - after.positions[59]).norm(dim=-1).max() * after.fps < 4  # m/s
     held = replace(after, root=torch.cat((after.root[:60], after.root[:24])))  # back to the start
     assert (held.positions[60] - held.positions[59]).norm(dim=-1).max() * after.fps > 4
+
+
+@pytest.mark.parametrize("body", [True, False])
+def test_who_goes_on_from_a_glb_is_told_that_its_body_is_lost(body, tmp_path, capsys):
+    source = tmp_path / "in.glb"
+    gltf.save(source, walk(30), BodyModel.from_anny() if body else None)
+    assert command("generate", "--seconds", 0.5, "--start", source, "--out", tmp_path / "made") == 0
+    assert ("the body of the .glb is lost" in capsys.readouterr().out) == body
+    assert io.load(tmp_path / "made" / "generated_0.glb").frames == 42
+
+
+def test_beyond_keys_that_move_the_default_goes_on_and_beyond_a_lone_one_it_waits():
+    motion = walk(60, 30.0)
+    moving, lone = (animate.inbetween(motion, animate.kept(motion, frames)) for frames in (range(45), {44}))
+    made = moving.motion.root[44:, 1].diff() * 30
+    assert moving.notes[0].startswith("network") and made[0] > 0.4  # m/s, of 1: no dead stop
+    assert lone.notes[0].startswith("curves") and (lone.motion.root.diff(dim=0).abs() < 1e-4).all()
+    held = animate.inbetween(motion, animate.kept(motion, range(45)), method="curves").motion
+    assert (held.root[45:].diff(dim=0).abs() < 1e-4).all()
 
 
 # ------------------------------------------------------------------------------------------------------ errors

@@ -26,6 +26,7 @@ from torch.nn.functional import max_pool1d, normalize, one_hot, pad
 from motionlab import rotation
 from motionlab.baselines import nearest_known
 from motionlab.contact import contacts_from_positions, resting_heights
+from motionlab.diffusion import footsteps
 from motionlab.diffusion.start import lines_between
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
@@ -37,17 +38,22 @@ _LOW = 0.2  # metres above where a joint rests: lower and slow, it stands, too
 _SLOW = {ANKLES: (0.25, 0.5), BALLS: (0.35, 0.7)}  # m/s, strict and loose (``contact.contacts_from_positions``)
 _FADE = 4  # frames beside a run in which a foot turns to lie flat
 _STRETCHED = 0.998  # of a straight leg: longer is out of reach, unless it was
+_BENT = 0.985  # the same for steps: a knee that straightens at once pops
 _FARTHEST = 0.5  # radians that a joint turns in one step towards its target, at most
 _DAMPING = 1e-4  # square metres per square radian, the least
 _HIPS, _KNEES = ("left_hip", "right_hip"), ("left_knee", "right_knee")
 
 
-def planted(motion: Motion, *, slow: bool = True, known: Tensor | None = None) -> Motion:
+def planted(
+    motion: Motion, *, slow: bool = True, known: Tensor | None = None, ease: float = 0.0, step: bool = False
+) -> Motion:
     """Computes motions (B, T) on one body whose feet stay in place wherever their contacts say so.
 
     slow: and where they are low and slow: motion that was filled in knows its contacts no better than its legs, and
     what stands on a step has none. A sample, whose contacts were made with its legs, only grows calmer by that.
     known: bool (B, T), frames whose feet are right already: they stay, and a run stands where its known frames do.
+    ease: frames beside known ones over which runs without known frames set in.
+    step: for motion that was filled in between known frames: what glides there steps, and is lifted (``footsteps``).
 
     Raises:
         DataError: no contacts. ShapeError: a single clip, a body for each, or one frame, which has no speed.
@@ -58,16 +64,34 @@ def planted(motion: Motion, *, slow: bool = True, known: Tensor | None = None) -
         raise DataError("no contacts", place=motion.name, remedy="contact.with_contacts labels a motion")
     skeleton = motion.skeleton
     hip, ankle, ball = (motion.positions[..., skeleton.indices(names), :] for names in (_HIPS, ANKLES, BALLS))
+    thigh, shin, foot = (skeleton.offsets[skeleton.indices(names)].norm(dim=-1) for names in (_KNEES, ANKLES, BALLS))
     heel_down, ball_down = (_stands(motion, names, slow) for names in (ANKLES, BALLS))
     right = torch.zeros_like(motion.root[..., :1], dtype=torch.bool) if known is None else known[..., None]
-    shift = torch.where(right[..., None], 0.0, _place(ball, ball_down, right) - ball)
-    shift = _lines(shift, ball_down | right)
-    flat = torch.where((heel_down & ~right)[..., None], _place(ankle, heel_down, right) - ankle - shift, 0.0)
-    flat = _lines(flat, heel_down | ~_near(heel_down) | right)
-    thigh, shin, foot = (skeleton.offsets[skeleton.indices(names)].norm(dim=-1) for names in (_KNEES, ANKLES, BALLS))
+    sets_in = _risen(right[..., 0], ease)[..., None]
+    at_heel, at_ball = (
+        (_place(points, stands, right) - points) * torch.where(_holds(stands, right), 1.0, sets_in)[..., None]
+        for points, stands in ((ankle, heel_down), (ball, ball_down))
+    )
+    shift = torch.where(right[..., None], 0.0, at_ball)
+    anew = moving = torch.zeros_like(ball_down)
+    if step:
+        alone = heel_down & ~ball_down & ~right  # a heel that stands takes its ball along
+        shift, ball_down = torch.where(alone[..., None], at_heel, shift), ball_down | alone
+        leg = float((thigh + shin).mean())
+        when, anew, moving = footsteps.retimed(ball, heel_down | ball_down, right, leg, motion.fps)
+        shift = torch.where(anew[..., None], footsteps.at_times(ball, when) - ball, shift)
+        at_heel = torch.where(anew[..., None], footsteps.at_times(ankle, when) - ankle, at_heel)
+    shift = _lines(shift, ball_down | right | anew)
+    flat = torch.where(((heel_down | anew) & ~right)[..., None], at_heel - shift, 0.0)
+    flat = _lines(flat, heel_down | ~_near(heel_down | anew) | right | anew)
+    if step:
+        shift, flat = (_begun_slowly(x, right[..., 0], ease) for x in (shift, flat))
+        still = ((heel_down | ball_down) & ~moving) | right
+        rest = resting_heights(skeleton)[[skeleton.contact_names.index(name) for name in ANKLES]]
+        shift[..., 2] += footsteps.lifted(ankle + shift + flat, still, rest, leg)
     there = ball + shift
     heel = there + foot[:, None] * normalize(ankle + shift + flat - there, dim=-1)
-    longest = torch.maximum(_STRETCHED * (thigh + shin), (ankle - hip).norm(dim=-1))
+    longest = torch.maximum((_BENT if step else _STRETCHED) * (thigh + shin), (ankle - hip).norm(dim=-1))
     heel = _within(heel, there, foot[:, None], hip, longest[..., None])
     return _turned(motion, heel, there)
 
@@ -100,6 +124,37 @@ def _place(points: Tensor, stands: Tensor, known: Tensor) -> Tensor:
     share = torch.where(mine[0] & mine[1], share, mine[1].to(points))[..., None]
     before, after = (points.gather(-3, at[..., None].expand_as(points)) for at in sides)
     return torch.where((mine[0] | mine[1])[..., None], torch.lerp(before, after, share), mean)
+
+
+def _holds(stands: Tensor, known: Tensor) -> Tensor:
+    """(B, T, F): frames of runs of ``stands`` (B, T, F) that hold a known frame (B, T, 1)."""
+    number = torch.where(stands, (stands & ~pad(stands, (0, 0, 1, 0))[..., :-1, :]).cumsum(-2), 0)
+    has = torch.zeros_like(number).scatter_reduce(-2, number, (stands & known).long(), "amax")
+    return stands & (has.gather(-2, number) > 0)
+
+
+def _risen(known: Tensor, frames: float) -> Tensor:
+    """(B, T): 0 where known (B, T), 1 so many frames away, 3 u^2 - 2 u^3 between; 1 where nothing is known."""
+    time = torch.arange(known.shape[-1])
+    before, after = nearest_known(known)
+    u = torch.minimum((time - before).abs(), (after - time).abs()) / max(frames, 1e-6)
+    u = torch.where(known.any(-1, keepdim=True), u.clamp(max=1.0), 1.0)
+    return 3 * u**2 - 2 * u**3
+
+
+def _begun_slowly(shift: Tensor, known: Tensor, frames: float) -> Tensor:
+    """shift (B, T, F, 3), 0 where known (B, T), without the velocity that it has there, which fades over so many
+    frames: less v n (u^3 - 2 u^2 + u), from both sides of a gap."""
+    time, (before, after) = torch.arange(known.shape[-1]), nearest_known(known)
+    some = known.any(-1, keepdim=True)
+    wide = torch.where((before < time) & (after > time), after - before, frames).clamp(min=1.0, max=max(frames, 1.0))
+    less = torch.zeros_like(shift)
+    for beside, away in ((before + 1, time - before), (after - 1, after - time)):
+        speed = shift.gather(-3, beside.clamp(0, len(time) - 1)[..., None, None].expand_as(shift))
+        u = (away / wide).clamp(0, 1)
+        size = torch.where(some & (away > 0), wide * (u**3 - 2 * u**2 + u), 0.0)
+        less = less + size[..., None, None] * speed
+    return shift - less
 
 
 def _lines(shift: Tensor, known: Tensor) -> Tensor:

@@ -239,5 +239,14 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
         return "what did not change has the file's own numbers, byte for byte"
     if suffix == ".npz" and len(made.skeleton) != 22:
         raise DataError("AMASS has 22 joints of its own", path=target, remedy="write a .bvh, and convert that")
+    lost = "; the body of the .glb is lost: what is written is a skeleton that moves" if _skinned(source) else ""
     WRITERS[suffix](target, made)
-    return "written anew, its numbers rounded as the format does (in a BVH to 1e-8 m and 1e-6 degrees)"
+    return f"written anew, its numbers rounded as the format does (in a BVH to 1e-8 m and 1e-6 degrees){lost}"
+
+
+def _skinned(source: str | Path | None) -> bool:
+    """Returns whether a file is a GLB with a body."""
+    if source is None or Path(source).suffix.lower() != ".glb":
+        return False
+    with reading(source) as at:
+        return bool(gltf._chunks(at)[0].get("meshes"))

@@ -28,6 +28,7 @@ def main(path: str, fps: float, frames: list[int]) -> dict:
         "fps": scene.render.fps / scene.render.fps_base,
         "objects": len(objects),
         "actions": len(bpy.data.actions),
+        "spans": [[round(frame) for frame in action.frame_range] for action in bpy.data.actions],
         "armatures": {o.name: moved_by(o) for o in armatures},
         "lengths": {o.name: {bone.name: bone.length for bone in o.data.bones} for o in armatures},
         "meshes": {o.name: [m.object.name for m in o.modifiers if m.type == "ARMATURE"] for o in meshes},
