@@ -179,7 +179,7 @@ def test_the_library_is_thin():
     """What the mission asks for; a number that is passed is a decision, not an accident."""
     files = [path for name, path in modules(ROOT).items() if name.split(".")[0] == LIBRARY]
     # 95 files and 20,000 lines until issue 26, which asks for tools: keypoints of every detector took 1,000 lines, the
-    # way from a video to a scene 1,200, an animator's tools 1,200 with feet that step 1,500, their widget 200, many clips 200; what reads
+    # way from a video to a scene 1,200, an animator's tools 1,500 and their widget 200, many clips 200; what reads
     # options is counted apart
     commands = [path for path in files if path.parent.name == "commands" or path.name == "__main__.py"]
     rest = [path for path in files if path not in commands]
