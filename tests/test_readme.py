@@ -9,10 +9,12 @@ import torch
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
+from motionlab.__main__ import _parser
 from motionlab.fit import landmarks_of
 from motionlab.io import bvh, gltf
 from motionlab.observation import look_at, project
 from motionlab.skeleton import STANDARD
+from tests.test_architecture import notebooks
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
@@ -79,3 +81,33 @@ def test_control_a_wrong_example_fails(desk, monkeypatch):
     monkeypatch.chdir(desk)
     with pytest.raises(ImportError):
         exec(EXAMPLES[0].replace("import io", "import input_output"), {})
+
+
+# ------------------------------------------------------------------------------------------------------ commands
+def commands() -> list[tuple[str, str]]:
+    """Where a command of the library is printed, in README, pages and text of notebooks, and what it says."""
+    texts = {
+        path.name: path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *(ROOT / "docs").glob("*.md"))
+    }
+    for path in notebooks(ROOT):
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        texts[path.stem] = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+    return [(name, words) for name, text in texts.items() for words in re.findall(COMMAND, text)]
+
+
+COMMAND = r"python -m motionlab ([^`\n#]+)"
+
+
+def refused(words: str) -> bool:
+    """Whether the command line does not understand a command, or cannot write what it is asked to."""
+    try:
+        options = _parser(words.split()[:1]).parse_args(words.split())
+    except SystemExit:
+        return True
+    return words.startswith("fit ") and options.out is not None and bool(options.out.suffix)
+
+
+def test_every_printed_command_is_understood(capsys):
+    found = commands()
+    assert len(found) > 15 and not [(name, words) for name, words in found if len(words.split()) > 1 and refused(words)]
+    assert refused("fit FOLDER --out motion.npz") and refused("fit clip.mp4 --glb x.glb")  # as printed once
