@@ -8,16 +8,11 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from motionlab import doctor
 from motionlab.commands import animator, footage
 from motionlab.commands.many import text_table
 from motionlab.errors import DataError, MissingData, ShapeError
-
-if TYPE_CHECKING:
-    from motionlab.skeleton import Skeleton
-
 
 WRITTEN = (".bvh", ".npz", ".glb")
 
@@ -154,7 +149,7 @@ def _span(ends: tuple[float, float]) -> str:
 def _convert(options: argparse.Namespace) -> int:
     from motionlab import io
     from motionlab.body import BodyModel
-    from motionlab.io.rewriting import WRITERS
+    from motionlab.io.rewriting import WRITERS, for_amass
     from motionlab.motion import resample
     from motionlab.retarget import retarget
     from motionlab.skeleton import STANDARD
@@ -169,11 +164,10 @@ def _convert(options: argparse.Namespace) -> int:
     if guided and options.source.suffix.lower() != ".bvh":
         raise DataError("its unit and axes are known", path=options.source, remedy="--unit and --up are for .bvh only")
     motion = io.load(options.source, **guided)
-    if suffix == ".npz" and not _has_standard_bones(motion.skeleton):
-        leg = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
-        found = retarget(motion, proportions="standard", leg=leg)
-        motion = found.motion
-        print(f"note: AMASS files hold no bone lengths: put on the standard body, {found.scale:.3f} times the size")
+    if suffix == ".npz":
+        motion, note = for_amass(motion)
+        if note:
+            print(f"note: {note}")
     elif (options.standard or body) and motion.skeleton.names != STANDARD.names:
         motion = retarget(motion).motion
     if options.fps is not None:
@@ -197,12 +191,6 @@ def _metres(text: str) -> float:
     if not 0 < metres < math.inf:
         raise argparse.ArgumentTypeError(f"expected metres above zero or one of {', '.join(UNITS)}, got {text!r}")
     return metres
-
-
-def _has_standard_bones(skeleton: Skeleton) -> bool:
-    from motionlab.skeleton import STANDARD
-
-    return skeleton.names == STANDARD.names and bool((skeleton.offsets - STANDARD.offsets)[1:].abs().max() < 1e-4)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,8 @@ from motionlab.files import write_whole
 from motionlab.io import amass, bvh, gltf
 from motionlab.io.reading import Spot, check_writable, read_bytes, read_npz, read_text, reading
 from motionlab.motion import Motion
+from motionlab.retarget import retarget
+from motionlab.skeleton import STANDARD, Skeleton
 
 _REMEDY = "name an --out of another format, which is written anew"
 
@@ -237,11 +239,33 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
     if same and _rewritable(source):
         _rewrite(source, target, loaded, made)
         return "what did not change has the file's own numbers, byte for byte"
-    if suffix == ".npz" and len(made.skeleton) != 22:
-        raise DataError("AMASS has 22 joints of its own", path=target, remedy="write a .bvh, and convert that")
+    if suffix == ".npz":
+        made, body = for_amass(made)
+        body = body and f"; {body}"
+    else:
+        body = ""
     lost = "; the body of the .glb is lost: what is written is a skeleton that moves" if _skinned(source) else ""
     WRITERS[suffix](target, made)
-    return f"written anew, its numbers rounded as the format does (in a BVH to 1e-8 m and 1e-6 degrees){lost}"
+    return f"written anew, its numbers rounded as the format does (in a BVH to 1e-8 m and 1e-6 degrees){lost}{body}"
+
+
+def for_amass(motion: Motion) -> tuple[Motion, str]:
+    """Puts a motion on the 22 standard joints, in their order and proportions, as AMASS files have it; says so.
+
+    A motion that is there already is given back, with nothing to say.
+
+    Raises:
+        DataError: a skeleton whose joints are not known.
+    """
+    if _has_standard_bones(motion.skeleton):
+        return motion, ""
+    leg = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
+    found = retarget(motion, proportions="standard", leg=leg)
+    return found.motion, f"AMASS files hold no bone lengths: put on the standard body, {found.scale:.3f} times the size"
+
+
+def _has_standard_bones(skeleton: Skeleton) -> bool:
+    return skeleton.names == STANDARD.names and bool((skeleton.offsets - STANDARD.offsets)[1:].abs().max() < 1e-4)
 
 
 def _skinned(source: str | Path | None) -> bool:
