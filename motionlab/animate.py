@@ -340,8 +340,6 @@ def editor(path: str | Path, backend: str | None = None, **guided: str):
 
     def export(made: Motion, name: str) -> str:
         target = Path(name).resolve()
-        if target == path:  # what is kept is read from there at each export
-            raise DataError("this is the file that was opened", path=name, remedy="give another name")
         return f"{target} is written: {write_back(path, target, motion, made)}"
 
     joints = (*GROUPS, *motion.skeleton.names)

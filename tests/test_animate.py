@@ -208,7 +208,7 @@ def test_who_goes_on_from_a_glb_is_told_that_its_body_is_lost(body, tmp_path, ca
     source = tmp_path / "in.glb"
     gltf.save(source, walk(30), BodyModel.from_anny() if body else None)
     assert command("generate", "--seconds", 0.5, "--start", source, "--out", tmp_path / "made") == 0
-    assert ("the body of the .glb is lost" in capsys.readouterr().out) == body
+    assert ("the body of the file that was read is lost" in capsys.readouterr().out) == body
     assert io.load(tmp_path / "made" / "generated_0.glb").frames == 42
 
 

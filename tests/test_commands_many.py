@@ -78,6 +78,9 @@ def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, caps
     [
         (("motions/walk0.bvh", "one.bvh", "--jobs", "2"), "one motion is not shared out"),
         (("motions", "one.bvh"), "goes into a folder"),
+        (("motions", "motions/../motions"), "the motions would be written over"),
+        (("motions/walk0.bvh", "motions/../motions/walk0.bvh"), "this is the file that was opened"),
+        (("motions/walk0.bvh", "one.fbx"), "use one of .bvh, .npz, .glb"),
         (("empty", "made"), "no motion (.bvh, .npz, .glb) in this folder"),
         (("motions", "made", "--jobs", "0"), "give a number above 0"),
         (("motions", "made", "--cluster", "tcp://127.0.0.1:1"), "no Dask scheduler answers"),
@@ -86,8 +89,10 @@ def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, caps
 def test_folders_that_cannot_be_used(motions, tmp_path, monkeypatch, capsys, words, said):
     monkeypatch.setattr(batch, "PATIENCE", 0.3)
     (tmp_path / "empty").mkdir()
+    before = {path: path.read_bytes() for path in motions.iterdir()}
     assert inbetween(tmp_path / words[0], tmp_path / words[1], *words[2:]) == 2
     assert said in capsys.readouterr().err
+    assert before == {path: path.read_bytes() for path in motions.iterdir()}
 
 
 # ------------------------------------------------------------------------------------------------------------ fit

@@ -96,6 +96,8 @@ def _on_motions(options: argparse.Namespace) -> int:
         return 0
     if options.out.suffix.lower() in _WRITERS:
         raise DataError("a folder of motions goes into a folder", path=options.out, remedy="name a folder")
+    if options.out.exists() and options.out.samefile(options.source):
+        raise DataError("the motions would be written over", path=options.out, remedy="name another folder")
     found = sorted(path for path in options.source.iterdir() if path.suffix.lower() in _WRITERS)
     if not found:
         raise DataError(f"no motion ({', '.join(_WRITERS)}) in this folder", path=options.source, remedy="name another")
@@ -110,9 +112,10 @@ def _is_made(clip: Job) -> bool:
 
 def _make(clip: Job, options: argparse.Namespace, progress: bool = False) -> list[str]:
     """Reads a motion, makes another of it, and writes that; says how."""
-    from motionlab.io.rewriting import write_back
+    from motionlab.io.rewriting import check_target, write_back
 
     _, source, _, target = clip
+    check_target(source, target)
     motion = _load(source, options)
     found = options.make(options, motion, progress)
     return [*found.notes, write_back(source, target, motion, found.motion)]

@@ -252,6 +252,34 @@ def _rewritable(source: str | Path) -> bool:
     return "trans" in keys and len(keys) > 1
 
 
+#: What is said of a file that is written anew.
+_ANEW = {
+    ".bvh": "written anew, its numbers rounded to 1e-8 m and 1e-6 degrees",
+    ".npz": "written anew as SMPL-H's parameters, in double precision",
+    ".glb": "written anew in single precision, as bones without a body (`convert` writes one with a body)",
+}
+
+
+def check_target(source: str | Path | None, target: str | Path) -> None:
+    """Checks that ``target`` can be what is made of ``source`` (None: of nothing).
+
+    Raises:
+        DataError: a format that cannot be written, or the file that is read.
+    """
+    target = Path(target)
+    if target.suffix.lower() not in WRITERS:
+        raise DataError("cannot write this format", path=target, remedy=f"use one of {', '.join(WRITERS)}")
+    if source is not None and _is_one_file(Path(source), target):  # what is kept is read from there at each export
+        raise DataError("this is the file that was opened", path=target, remedy="give another name")
+
+
+def _is_one_file(source: Path, target: Path) -> bool:
+    try:
+        return target.samefile(source)
+    except OSError:  # one is not there, or has no name that can be
+        return False
+
+
 def write_back(source: str | Path | None, target: str | Path, loaded: Motion | None, made: Motion) -> str:
     """Writes what was made of a motion: where the format stays, into a copy of its file; says which it was.
 
@@ -259,25 +287,30 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
         source, loaded: the file and the motion that was read from it; None where there is none.
 
     Raises:
-        DataError: a format that cannot be written.
+        DataError: a target that cannot be (:func:`check_target`), or for an .npz a skeleton of unknown joints.
     """
-    target = Path(target)
-    suffix = target.suffix.lower()
-    if suffix not in WRITERS:
-        raise DataError("cannot write this format", path=target, remedy=f"use one of {', '.join(WRITERS)}")
+    check_target(source, target)
+    suffix = Path(target).suffix.lower()
     grown = loaded is not None and made.frames > loaded.frames
     same = source is not None and suffix == Path(source).suffix.lower() and not (grown and suffix == ".glb")
     if same and _rewritable(source):
         _rewrite(source, target, loaded, made)
-        return "what did not change has the file's own numbers, byte for byte"
+        return _stayed(loaded, made)
+    lost = "; the body of the file that was read is lost" if _skinned(source) else ""
     if suffix == ".npz":
         made, body = for_amass(made)
-        body = body and f"; {body}"
-    else:
-        body = ""
-    lost = "; the body of the .glb is lost: what is written is a skeleton that moves" if _skinned(source) else ""
+        lost += body and f"; {body}"
     WRITERS[suffix](target, made)
-    return f"written anew, its numbers rounded as the format does (in a BVH to 1e-8 m and 1e-6 degrees){lost}{body}"
+    return f"{_ANEW[suffix]}{lost}"
+
+
+def _stayed(loaded: Motion, made: Motion) -> str:
+    """Says how much of a rewritten file is as it was: frames, and joints that stay in frames that changed."""
+    new, new_root = _changed(loaded, made)
+    new[:, 0] |= new_root
+    frames, joints = int((~new.any(1)).sum()), int((~new.any(0)).sum())
+    also = f", and {joints} of {new.shape[1]} joints in all frames," if joints and frames < made.frames else ""
+    return f"{frames} of {made.frames} frames{also} have the file's own numbers, byte for byte"
 
 
 def for_amass(motion: Motion) -> tuple[Motion, str]:
