@@ -32,7 +32,7 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     command.add_argument(
         "--noise", type=_noise, metavar="auto|DEGREES[,MM]", help="of joints and root (default: auto, as measured)"
     )
-    command.add_argument("--method", choices=_METHODS[:2], default="network", help="default: network")
+    command.add_argument("--method", choices=_METHODS[:2], help="default: network; for jumps as of inbetween")
 
     command = _command(commands, "complete", "joints that are missing or wrong", _complete)
     which = command.add_mutually_exclusive_group(required=True)
