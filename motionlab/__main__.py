@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import sys
 from collections.abc import Sequence
@@ -12,9 +11,8 @@ from pathlib import Path
 from motionlab import doctor
 from motionlab.commands import animator, footage
 from motionlab.commands.many import text_table
+from motionlab.commands.motions import WRITTEN, add_axes, read_motion
 from motionlab.errors import DataError, MissingData, ShapeError
-
-WRITTEN = (".bvh", ".npz", ".glb")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,8 +49,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("source", metavar="IN", type=Path, help=".bvh .amc .npz .glb, or DeepMimic's .txt")
     command.add_argument("target", metavar="OUT", type=Path, help=" ".join(WRITTEN))
     command.add_argument("--fps", type=float, help="frames per second of the output (default: those of the input)")
-    command.add_argument("--unit", type=_metres, help="of a .bvh: m, cm, mm, inch or metres (default: detected)")
-    command.add_argument("--up", choices=("y", "z"), help="of a .bvh: the axis that points up (default: detected)")
+    add_axes(command)
     command.add_argument("--standard", action="store_true", help="retarget to the 22 standard joints (always for .npz)")
     flesh = command.add_mutually_exclusive_group()
     flesh.add_argument("--body", action="store_true", help="the default body on the 22 joints (of a .glb the default)")
@@ -147,7 +144,6 @@ def _span(ends: tuple[float, float]) -> str:
 
 
 def _convert(options: argparse.Namespace) -> int:
-    from motionlab import io
     from motionlab.body import BodyModel
     from motionlab.io.rewriting import WRITERS, for_amass
     from motionlab.motion import resample
@@ -160,10 +156,7 @@ def _convert(options: argparse.Namespace) -> int:
     if (options.body or options.bones) and suffix != ".glb":
         raise DataError("only a GLB holds a body", path=options.target, remedy="leave out --body and --bones")
     body = suffix == ".glb" and not options.bones
-    guided = {key: value for key in ("unit", "up") if (value := getattr(options, key)) is not None}
-    if guided and options.source.suffix.lower() != ".bvh":
-        raise DataError("its unit and axes are known", path=options.source, remedy="--unit and --up are for .bvh only")
-    motion = io.load(options.source, **guided)
+    motion = read_motion(options.source, options)
     if suffix == ".npz":
         motion, note = for_amass(motion)
         if note:
@@ -178,19 +171,6 @@ def _convert(options: argparse.Namespace) -> int:
         print(f"note: {note}")
     print(f"{options.target}: {motion.frames} frames at {motion.fps:g} fps, {len(motion.skeleton)} joints")
     return 0
-
-
-def _metres(text: str) -> float:
-    """A unit of length by its name, or as metres per unit."""
-    from motionlab.io.bvh import UNITS
-
-    try:
-        metres = UNITS.get(text) or float(text)
-    except ValueError:
-        metres = math.nan
-    if not 0 < metres < math.inf:
-        raise argparse.ArgumentTypeError(f"expected metres above zero or one of {', '.join(UNITS)}, got {text!r}")
-    return metres
 
 
 if __name__ == "__main__":

@@ -73,6 +73,20 @@ def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, caps
     assert len(before) == 3 and all(path.stat().st_mtime_ns == time for path, time in before.items())
 
 
+def test_files_of_a_folder_that_are_passed_over_are_counted(motions, tmp_path, capsys):
+    assert inbetween(motions, tmp_path / "made") == 0
+    assert "passed over" not in capsys.readouterr().out
+    for name in ("take.amc", "notes.txt", "walk0.BAK"):
+        (motions / name).write_text("x")
+    (motions / "older").mkdir()
+    assert inbetween(motions, tmp_path / "again", "--jobs", "1") == 0
+    assert "note: 3 of 6 files were passed over: not .bvh .npz .glb" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["inbetween", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert ".amc and DeepMimic's .txt, which are read, not written, or a folder: of it all .bvh .npz .glb" in said
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
