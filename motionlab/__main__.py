@@ -145,14 +145,13 @@ def _span(ends: tuple[float, float]) -> str:
 
 def _convert(options: argparse.Namespace) -> int:
     from motionlab.body import BodyModel
-    from motionlab.io.rewriting import WRITERS, for_amass
+    from motionlab.io.rewriting import WRITERS, check_target, for_amass
     from motionlab.motion import resample
     from motionlab.retarget import retarget
     from motionlab.skeleton import STANDARD
 
     suffix = options.target.suffix.lower()
-    if suffix not in WRITERS:
-        raise DataError("cannot write this format", path=options.target, remedy=f"use one of {', '.join(WRITTEN)}")
+    check_target(options.source, options.target)
     if (options.body or options.bones) and suffix != ".glb":
         raise DataError("only a GLB holds a body", path=options.target, remedy="leave out --body and --bones")
     body = suffix == ".glb" and not options.bones

@@ -277,6 +277,7 @@ def test_convert_takes_the_unit_and_the_axis_of_a_bvh(tmp_path, capsys):
         ("a.bvh", ("--fps", "nan"), "positive"),
         ("a.bvh", ("--body",), "only a GLB"),
         ("a.npz", ("--no-body",), "only a GLB"),
+        ("still.bvh", ("--fps", "10"), "this is the file that was opened"),
     ],
 )
 def test_convert_says_in_one_line_what_it_cannot_do(tmp_path, capsys, target, flags, words):
