@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from motionlab import doctor
 from motionlab.commands import animator, footage
 from motionlab.commands.many import text_table
+from motionlab.commands.motions import WRITTEN, add_axes, read_motion
 from motionlab.errors import DataError, MissingData, ShapeError
-
-if TYPE_CHECKING:
-    from motionlab.skeleton import Skeleton
-
-
-WRITTEN = (".bvh", ".npz", ".glb")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -56,8 +49,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("source", metavar="IN", type=Path, help=".bvh .amc .npz .glb, or DeepMimic's .txt")
     command.add_argument("target", metavar="OUT", type=Path, help=" ".join(WRITTEN))
     command.add_argument("--fps", type=float, help="frames per second of the output (default: those of the input)")
-    command.add_argument("--unit", type=_metres, help="of a .bvh: m, cm, mm, inch or metres (default: detected)")
-    command.add_argument("--up", choices=("y", "z"), help="of a .bvh: the axis that points up (default: detected)")
+    add_axes(command)
     command.add_argument("--standard", action="store_true", help="retarget to the 22 standard joints (always for .npz)")
     flesh = command.add_mutually_exclusive_group()
     flesh.add_argument("--body", action="store_true", help="the default body on the 22 joints (of a .glb the default)")
@@ -152,28 +144,22 @@ def _span(ends: tuple[float, float]) -> str:
 
 
 def _convert(options: argparse.Namespace) -> int:
-    from motionlab import io
     from motionlab.body import BodyModel
-    from motionlab.io.rewriting import WRITERS
+    from motionlab.io.rewriting import WRITERS, check_target, for_amass
     from motionlab.motion import resample
     from motionlab.retarget import retarget
     from motionlab.skeleton import STANDARD
 
     suffix = options.target.suffix.lower()
-    if suffix not in WRITERS:
-        raise DataError("cannot write this format", path=options.target, remedy=f"use one of {', '.join(WRITTEN)}")
+    check_target(options.source, options.target)
     if (options.body or options.bones) and suffix != ".glb":
         raise DataError("only a GLB holds a body", path=options.target, remedy="leave out --body and --bones")
     body = suffix == ".glb" and not options.bones
-    guided = {key: value for key in ("unit", "up") if (value := getattr(options, key)) is not None}
-    if guided and options.source.suffix.lower() != ".bvh":
-        raise DataError("its unit and axes are known", path=options.source, remedy="--unit and --up are for .bvh only")
-    motion = io.load(options.source, **guided)
-    if suffix == ".npz" and not _has_standard_bones(motion.skeleton):
-        leg = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
-        found = retarget(motion, proportions="standard", leg=leg)
-        motion = found.motion
-        print(f"note: AMASS files hold no bone lengths: put on the standard body, {found.scale:.3f} times the size")
+    motion = read_motion(options.source, options)
+    if suffix == ".npz":
+        motion, note = for_amass(motion)
+        if note:
+            print(f"note: {note}")
     elif (options.standard or body) and motion.skeleton.names != STANDARD.names:
         motion = retarget(motion).motion
     if options.fps is not None:
@@ -184,25 +170,6 @@ def _convert(options: argparse.Namespace) -> int:
         print(f"note: {note}")
     print(f"{options.target}: {motion.frames} frames at {motion.fps:g} fps, {len(motion.skeleton)} joints")
     return 0
-
-
-def _metres(text: str) -> float:
-    """A unit of length by its name, or as metres per unit."""
-    from motionlab.io.bvh import UNITS
-
-    try:
-        metres = UNITS.get(text) or float(text)
-    except ValueError:
-        metres = math.nan
-    if not 0 < metres < math.inf:
-        raise argparse.ArgumentTypeError(f"expected metres above zero or one of {', '.join(UNITS)}, got {text!r}")
-    return metres
-
-
-def _has_standard_bones(skeleton: Skeleton) -> bool:
-    from motionlab.skeleton import STANDARD
-
-    return skeleton.names == STANDARD.names and bool((skeleton.offsets - STANDARD.offsets)[1:].abs().max() < 1e-4)
 
 
 if __name__ == "__main__":

@@ -40,6 +40,7 @@ _LIVELY, _QUICK = 12.0, 6.0  # strength of acceleration that is motion: rad/s^(3
 _PAST, _STEPS = 20, 50  # frames that a new window goes on from; of the sampler
 _GUIDED = Way(put="imputed", weight=5.0, steps=_STEPS, finish=8)
 _JUMPS = 0.2  # share of frames; with more it is noise that jumps
+_LEAST = 12  # frames in which noise can be measured
 _CALM = 9  # frames over which poses from handles are smoothed, at the models' rate
 
 
@@ -51,10 +52,11 @@ def _measured_noise(motion: Motion) -> Noise:
     not seen.
 
     Raises:
-        DataError: fewer than 12 frames.
+        DataError: fewer than ``_LEAST`` frames.
     """
-    if motion.frames < 12:
-        raise DataError(f"{motion.frames} frames", path=motion.name, place="noise", remedy="say how many degrees")
+    if motion.frames < _LEAST:
+        what = f"too short to measure noise: {_LEAST} frames are needed, it has {motion.frames}"
+        raise DataError(what, path=motion.name, place="noise", remedy="give --noise")
     size = 0.6745 * 924**0.5
     turn = rotation.log(motion.rot[:-1].double().mT @ motion.rot[1:].double()).diff(n=5, dim=0).abs()
     joints = turn.quantile(0.5, dim=0).mean(-1) / size
@@ -67,7 +69,7 @@ def repaired(
     motion: Motion,
     noise: Noise | None = None,
     *,
-    method: str = "network",
+    method: str | None = None,
     seed: int = 0,
     plant: bool = True,
     progress: bool = False,
@@ -75,35 +77,44 @@ def repaired(
     """Computes a motion (T) without glitches and noise, and says what was found.
 
     Frames that no body reaches (``cleaning``) are filled in from those around (``animate.inbetween``). Noise is then
-    smoothed away by a Kalman smoother of its size; with ``network`` a denoiser goes back from there. noise: None:
-    measured. Where there is no more than clean recordings have, only glitches change.
+    smoothed away by a Kalman smoother of its size; with ``network`` a denoiser goes back from there. Noise that is
+    given is believed; None: measured, and left where there is no more of it than clean recordings have.
+
+    method: "network" or "curves", of both; None: network for noise, for jumps what ``inbetween`` chooses.
 
     Raises:
         DataError: no such method, or a skeleton whose joints are not known.
     """
-    if method not in ("network", "curves"):
+    if method not in (None, "network", "curves"):
         raise DataError(f"{method!r} repairs nothing", place="--method", remedy="use network or curves")
-    notes: list[str] = []
+    given = noise is not None
     noise = noise or _measured_noise(motion)
-    notes.append(f"noise: {math.degrees(noise.turn):.2f} degrees about each axis, {1000 * noise.shift:.1f} mm")
-    noisy = noise.turn > CLEAN.turn or noise.shift > CLEAN.shift
-    jumps = torch.zeros(motion.frames, dtype=torch.bool) if noisy else _jumps(motion)
+    noisy = max(noise.turn, noise.shift) > 0 if given else noise.turn > CLEAN.turn or noise.shift > CLEAN.shift
+    size = f"noise: {math.degrees(noise.turn):.2f} degrees about each axis, {1000 * noise.shift:.1f} mm"
+    notes = [size + ", as given" * given]
+    if not noisy:
+        notes.append("none is taken away" if given else "no more noise than clean recordings have")
+    jumps = _jumps(motion)
     if jumps.any():
         spans = ", ".join(f"{a}-{b - 1}" for a, b in runs(jumps))
         notes.append(f"frames {spans} jump: filled in from those around")
         keep = Keep(~jumps, torch.zeros(len(motion.skeleton), dtype=torch.bool))
-        found = inbetween(motion, keep, seed=seed, plant=plant, progress=progress)
-        return Animated(found.motion, (*notes, "no more noise than clean recordings have", *found.notes))
+        found = inbetween(motion, keep, method=method, seed=seed, plant=plant and not noisy, progress=progress)
+        motion = found.motion
+        if not noisy:
+            return Animated(motion, (*notes, *found.notes))
+        notes.append(found.notes[0])
     if not noisy:
-        return Animated(motion, (*notes, "no more noise than clean recordings have, and no jump: left as it is"))
+        return Animated(motion, (*notes, "no jump: left as it is"))
+    method = method or "network"
     smooth = _smoothed(motion, noise)
     nothing = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.zeros(len(motion.skeleton), dtype=torch.bool))
     lift = retarget(smooth).floor
     body = Standard.of(motion, smooth, nothing, lift=lift)
     made = body.joints
     if method == "network":
-        given, _ = Standard.of(motion, motion, nothing, lift=lift).on_model_body()
-        made = body.corrected(lambda rough, known: _denoised(given, rough, noise, seed, progress))
+        rough, _ = Standard.of(motion, motion, nothing, lift=lift).on_model_body()
+        made = body.corrected(lambda calm, known: _denoised(rough, calm, noise, seed, progress))
     notes.append(f"{method}: a Kalman smoother" + ", and a look of the free denoiser" * (method == "network"))
     return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
 

@@ -179,6 +179,29 @@ def test_a_frame_that_jumps_is_filled_in_and_the_others_stay():
     assert torch.equal(made.motion.rot[:40], motion.rot[:40]) and torch.equal(made.motion.root[60:], motion.root[60:])
 
 
+def test_noise_that_is_given_is_believed_and_jumps_are_filled_in_first(monkeypatch):
+    motion = walk(90, 30.0)
+    calm = renew.repaired(motion, Noise.of(0.3, 0.1), method="curves", plant=False)  # less than CLEAN
+    assert not torch.equal(calm.motion.rot, motion.rot) and "as given" in calm.notes[0]
+    assert torch.equal(renew.repaired(motion, Noise(0.0, 0.0)).motion.rot, motion.rot)
+    jump = 2.0 * (torch.arange(90) == 50)[:, None]
+    noisy = Noise.of(1.0, 0.5).on(motion, torch.Generator().manual_seed(0))
+    asked, fill = [], animate.inbetween
+    monkeypatch.setattr(renew, "inbetween", lambda *a, **k: asked.append(k["method"]) or fill(*a, **k))
+    made = renew.repaired(replace(noisy, root=noisy.root + jump), method="curves")
+    off = (made.motion.root - motion.root).norm(dim=-1)
+    assert off.max() < 0.05 and "jump: filled in" in made.notes[1] and asked == ["curves"]
+    renew.repaired(replace(motion, root=motion.root + jump))
+    assert asked[1:] == [None]  # what is measured best
+
+
+def test_a_motion_too_short_to_measure_noise_is_repaired_once_it_is_told():
+    motion = walk(8, 30.0)
+    with pytest.raises(DataError, match=r"12 frames are needed, it has 8 \(remedy: give --noise\)"):
+        renew.repaired(motion)
+    assert renew.repaired(motion, Noise.of(1.0, 0.5), method="curves").motion.frames == 8
+
+
 def test_poses_from_handles_have_them_where_they_were():
     motion = mixamo(walk(30, 30.0))
     made = renew.posed(motion, ["left_wrist", "Head"]).motion
@@ -208,7 +231,7 @@ def test_who_goes_on_from_a_glb_is_told_that_its_body_is_lost(body, tmp_path, ca
     source = tmp_path / "in.glb"
     gltf.save(source, walk(30), BodyModel.from_anny() if body else None)
     assert command("generate", "--seconds", 0.5, "--start", source, "--out", tmp_path / "made") == 0
-    assert ("the body of the .glb is lost" in capsys.readouterr().out) == body
+    assert ("the body of the file that was read is lost" in capsys.readouterr().out) == body
     assert io.load(tmp_path / "made" / "generated_0.glb").frames == 42
 
 
@@ -220,6 +243,19 @@ def test_beyond_keys_that_move_the_default_goes_on_and_beyond_a_lone_one_it_wait
     assert lone.notes[0].startswith("curves") and (lone.motion.root.diff(dim=0).abs() < 1e-4).all()
     held = animate.inbetween(motion, animate.kept(motion, range(45)), method="curves").motion
     assert (held.root[45:].diff(dim=0).abs() < 1e-4).all()
+
+
+def test_reasons_are_given_only_where_they_are_one():
+    motion = walk(120, 30.0)
+    every, lone, far, gap = (
+        animate.inbetween(motion, animate.kept(motion, frames)) for frames in (range(120), {44}, range(30), {0, 30, 60})
+    )
+    assert every.notes == ("every frame is kept: nothing is made",) and every.motion is motion
+    assert lone.notes[0] == "curves" and far.notes[0] == "curves: more than 2.5 s beyond the keys was not measured"
+    assert gap.notes[0].endswith("feet slide by 3 and 7 mm a frame, with curves by 7 and 10")
+    short = motion.cut(0, 30)
+    arm, legs = (animate.completed(short, [part], method="nearest").notes[0] for part in ("left_arm", "legs"))
+    assert "was not measured" in arm and "hidden legs came back 15 cm off" in legs
 
 
 # ------------------------------------------------------------------------------------------------------ errors

@@ -73,11 +73,28 @@ def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, caps
     assert len(before) == 3 and all(path.stat().st_mtime_ns == time for path, time in before.items())
 
 
+def test_files_of_a_folder_that_are_passed_over_are_counted(motions, tmp_path, capsys):
+    assert inbetween(motions, tmp_path / "made") == 0
+    assert "passed over" not in capsys.readouterr().out
+    for name in ("take.amc", "notes.txt", "walk0.BAK"):
+        (motions / name).write_text("x")
+    (motions / "older").mkdir()
+    assert inbetween(motions, tmp_path / "again", "--jobs", "1") == 0
+    assert "note: 3 of 6 files were passed over: not .bvh .npz .glb" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["inbetween", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert ".amc and DeepMimic's .txt, which are read, not written, or a folder: of it all .bvh .npz .glb" in said
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (("motions/walk0.bvh", "one.bvh", "--jobs", "2"), "one motion is not shared out"),
         (("motions", "one.bvh"), "goes into a folder"),
+        (("motions", "motions/../motions"), "the motions would be written over"),
+        (("motions/walk0.bvh", "motions/../motions/walk0.bvh"), "this is the file that was opened"),
+        (("motions/walk0.bvh", "one.fbx"), "use one of .bvh, .npz, .glb"),
         (("empty", "made"), "no motion (.bvh, .npz, .glb) in this folder"),
         (("motions", "made", "--jobs", "0"), "give a number above 0"),
         (("motions", "made", "--cluster", "tcp://127.0.0.1:1"), "no Dask scheduler answers"),
@@ -86,8 +103,10 @@ def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, caps
 def test_folders_that_cannot_be_used(motions, tmp_path, monkeypatch, capsys, words, said):
     monkeypatch.setattr(batch, "PATIENCE", 0.3)
     (tmp_path / "empty").mkdir()
+    before = {path: path.read_bytes() for path in motions.iterdir()}
     assert inbetween(tmp_path / words[0], tmp_path / words[1], *words[2:]) == 2
     assert said in capsys.readouterr().err
+    assert before == {path: path.read_bytes() for path in motions.iterdir()}
 
 
 # ------------------------------------------------------------------------------------------------------------ fit

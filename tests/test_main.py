@@ -9,10 +9,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab import __main__, doctor
+from motionlab import __main__, animate, doctor
+from motionlab.commands import animator, motions
 from motionlab.doctor import Check
 from motionlab.errors import DataError, MissingData
-from motionlab.io import bvh, load
+from motionlab.io import bvh, load, rewriting
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from suite import __main__ as suite_main
@@ -276,6 +277,7 @@ def test_convert_takes_the_unit_and_the_axis_of_a_bvh(tmp_path, capsys):
         ("a.bvh", ("--fps", "nan"), "positive"),
         ("a.bvh", ("--body",), "only a GLB"),
         ("a.npz", ("--no-body",), "only a GLB"),
+        ("still.bvh", ("--fps", "10"), "this is the file that was opened"),
     ],
 )
 def test_convert_says_in_one_line_what_it_cannot_do(tmp_path, capsys, target, flags, words):
@@ -320,6 +322,11 @@ def test_data_needs_a_folder(monkeypatch, capsys):
 def test_table_is_aligned():
     rows = [{"source": "cmu_amc", "minutes": 5.84}, {"source": "x", "minutes": 10.0}]
     assert __main__.text_table(rows) == "source   minutes\ncmu_amc  5.8\nx        10.0"
+
+
+def test_what_the_commands_offer_is_what_the_library_does():
+    """They may not import it before one runs."""
+    assert tuple(rewriting.WRITERS) == motions.WRITTEN and animator._METHODS == animate.METHODS
 
 
 def test_help_loads_neither_torch_nor_numpy():

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from motionlab.commands import many
 from motionlab.commands.many import Job
+from motionlab.commands.motions import WRITTEN, add_axes, read_motion
 from motionlab.errors import DataError
 
 if TYPE_CHECKING:
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
     from motionlab.motion import Motion
 
 _METHODS = ("network", "curves", "nearest")
-_WRITERS = (".bvh", ".npz", ".glb")
+_READ = f"a motion: {' '.join(WRITTEN)}, or .amc and DeepMimic's .txt, which are read, not written"
+_OUT = f"{' '.join(WRITTEN)}; the format of IN keeps the file's own numbers; of a folder: another folder"
 
 
 def add_commands(commands: argparse._SubParsersAction) -> None:
@@ -32,7 +34,7 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     command.add_argument(
         "--noise", type=_noise, metavar="auto|DEGREES[,MM]", help="of joints and root (default: auto, as measured)"
     )
-    command.add_argument("--method", choices=_METHODS[:2], default="network", help="default: network")
+    command.add_argument("--method", choices=_METHODS[:2], help="default: network; for jumps as of inbetween")
 
     command = _command(commands, "complete", "joints that are missing or wrong", _complete)
     which = command.add_mutually_exclusive_group(required=True)
@@ -44,7 +46,7 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     command.add_argument("--seconds", type=float, default=4.0, help="of each (default 4)")
     command.add_argument("--count", type=int, default=1, help="how many, each from its own seed (default 1)")
     command.add_argument("--start", type=Path, metavar="IN", help="a motion to go on from, which stays as it is")
-    command.add_argument("--format", choices=[s[1:] for s in _WRITERS], help="default: that of --start, or bvh")
+    command.add_argument("--format", choices=[s[1:] for s in WRITTEN], help="default: that of --start, or bvh")
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER")
     command.set_defaults(run=_generate)
     _usual(command)
@@ -52,10 +54,8 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
 
 def _command(commands: argparse._SubParsersAction, name: str, text: str, make: Callable) -> argparse.ArgumentParser:
     command = commands.add_parser(name, help=text)
-    command.add_argument("source", metavar="IN", type=Path, help=".bvh .amc .npz .glb, DeepMimic's .txt, or a folder")
-    command.add_argument(
-        "--out", type=Path, required=True, help="the same format keeps the file's own numbers; of a folder: a folder"
-    )
+    command.add_argument("source", metavar="IN", type=Path, help=f"{_READ}, or a folder: of it all {' '.join(WRITTEN)}")
+    command.add_argument("--out", type=Path, required=True, help=_OUT)
     many.add_sharing(command, "of a folder")
     command.set_defaults(make=make, run=_on_motions)
     _usual(command)
@@ -65,8 +65,7 @@ def _command(commands: argparse._SubParsersAction, name: str, text: str, make: C
 def _usual(command: argparse.ArgumentParser) -> None:
     command.add_argument("--seed", type=int, default=0, help="of what is drawn at random (default 0)")
     command.add_argument("--no-planting", dest="plant", action="store_false", help="leave sliding feet alone")
-    command.add_argument("--unit", choices=("m", "cm", "mm", "inch"), help="of a .bvh (default: detected)")
-    command.add_argument("--up", choices=("y", "z"), help="of a .bvh: the axis that points up (default: detected)")
+    add_axes(command)
 
 
 def _words(text: str) -> list[str]:
@@ -94,12 +93,17 @@ def _on_motions(options: argparse.Namespace) -> int:
             print(f"note: {note}")
         print(f"{options.out}: written")
         return 0
-    if options.out.suffix.lower() in _WRITERS:
+    if options.out.suffix.lower() in WRITTEN:
         raise DataError("a folder of motions goes into a folder", path=options.out, remedy="name a folder")
-    found = sorted(path for path in options.source.iterdir() if path.suffix.lower() in _WRITERS)
+    if options.out.exists() and options.out.samefile(options.source):
+        raise DataError("the motions would be written over", path=options.out, remedy="name another folder")
+    files = [path for path in options.source.iterdir() if path.is_file()]
+    found = sorted(path for path in files if path.suffix.lower() in WRITTEN)
     if not found:
-        raise DataError(f"no motion ({', '.join(_WRITERS)}) in this folder", path=options.source, remedy="name another")
+        raise DataError(f"no motion ({', '.join(WRITTEN)}) in this folder", path=options.source, remedy="name another")
     options.out.mkdir(parents=True, exist_ok=True)
+    if len(found) < len(files):
+        print(f"note: {len(files) - len(found)} of {len(files)} files were passed over: not {' '.join(WRITTEN)}")
     clips = [(path.name, path, None, options.out / path.name) for path in found]
     return many.run_clips(partial(_make, options=options), clips, _is_made, options)
 
@@ -110,26 +114,13 @@ def _is_made(clip: Job) -> bool:
 
 def _make(clip: Job, options: argparse.Namespace, progress: bool = False) -> list[str]:
     """Reads a motion, makes another of it, and writes that; says how."""
-    from motionlab.io.rewriting import write_back
+    from motionlab.io.rewriting import check_target, write_back
 
     _, source, _, target = clip
-    motion = _load(source, options)
+    check_target(source, target)
+    motion = read_motion(source, options)
     found = options.make(options, motion, progress)
     return [*found.notes, write_back(source, target, motion, found.motion)]
-
-
-def _load(path: Path, options: argparse.Namespace) -> Motion:
-    """Reads the motion that a command works on.
-
-    Raises:
-        DataError: not a readable motion, or an option that is for another format.
-    """
-    from motionlab import io
-
-    guided = {key: value for key in ("unit", "up") if (value := getattr(options, key)) is not None}
-    if guided and path.suffix.lower() != ".bvh":
-        raise DataError("its unit and axes are known", path=path, remedy="--unit and --up are for .bvh only")
-    return io.load(path, **guided)
 
 
 def _inbetween(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
@@ -162,9 +153,9 @@ def _generate(options: argparse.Namespace) -> int:
     from motionlab import renew
     from motionlab.io.rewriting import write_back
 
-    start = _load(options.start, options) if options.start else None
+    start = read_motion(options.start, options) if options.start else None
     suffix = f".{options.format}" if options.format else options.start.suffix.lower() if options.start else ".bvh"
-    suffix = suffix if suffix in _WRITERS else ".bvh"
+    suffix = suffix if suffix in WRITTEN else ".bvh"
     if options.count < 1:
         raise DataError(f"{options.count} motions", place="--count", remedy="give a number above 0")
     options.out.mkdir(parents=True, exist_ok=True)

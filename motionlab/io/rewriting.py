@@ -21,6 +21,8 @@ from motionlab.files import write_whole
 from motionlab.io import amass, bvh, gltf
 from motionlab.io.reading import Spot, check_writable, read_bytes, read_npz, read_text, reading
 from motionlab.motion import Motion
+from motionlab.retarget import retarget
+from motionlab.skeleton import STANDARD, Skeleton
 
 _REMEDY = "name an --out of another format, which is written anew"
 
@@ -87,7 +89,7 @@ def _bvh(at: Spot, loaded: Motion, made: Motion) -> str:
         column += len(joint.channels)
     more = made.frames - loaded.frames
     table = np.concatenate((values, np.repeat(values[-1:], more, 0)))
-    mine = np.zeros(table.shape, dtype=bool)
+    mine, turned = np.zeros(table.shape, dtype=bool), {}
     for k, i in enumerate(index):
         turning = [c for c, name in enumerate(joints[i].channels) if name.endswith("rotation")]
         rows = new_rot[:, k].numpy()
@@ -97,6 +99,7 @@ def _bvh(at: Spot, loaded: Motion, made: Motion) -> str:
             where = np.array(turning) + starts[i]
             table[np.ix_(rows, where)] = angles
             mine[np.ix_(rows, where)] = True
+            turned[tuple(where)] = order
         elif rows[: loaded.frames].any() and not joints[i].is_end:
             raise at.error(f"{names[i]} has no rotation channels", place=names[i])
     moving = {name[0]: c for c, name in enumerate(joints[top].channels) if name.endswith("position")}
@@ -105,32 +108,62 @@ def _bvh(at: Spot, loaded: Motion, made: Motion) -> str:
     for axis, c in moving.items():
         table[new_root.numpy(), starts[top] + c] = root[new_root, "xyz".index(axis)].numpy()
         mine[new_root.numpy(), starts[top] + c] = True
-    angle = np.array([name.endswith("rotation") for joint in joints for name in joint.channels])
-    for t in range(1, len(table)):  # a turn goes on from the frame before, not by a whole turn elsewhere
-        turn = 360 * np.round((table[t - 1] - table[t]) / 360)
-        table[t] += np.where(mine[t] & angle, turn, 0.0)
+    if turned:
+        where = np.array(list(turned))
+        proper = np.array([order[0] == order[2] for order in turned.values()])
+        table[:, where] = _carried_on(table[:, where], mine[:, where[:, 0]], proper, values[0, where])
     return _bvh_text(text, table, mine, loaded.frames)
 
 
+def _carried_on(angles: np.ndarray, mine: np.ndarray, proper: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Euler angles (T, K, 3) in degrees, those that are ``mine`` (T, K) as near as may be to the frame before.
+
+    Each turn has two solutions, (a, b, c) and (a + 180, 180 - b, c + 180), the middle one -b where the outer axes are
+    the same, ``proper`` (K,); and whole turns. What comes before the first frame that stays goes by the frame behind
+    it; joints of which nothing stays begin near ``first`` (K, 3).
+    """
+    other = angles + 180.0
+    other[..., 1] = np.where(proper, 0.0, 180.0) - angles[..., 1]
+    both, made = np.stack((angles, other)), angles.copy()
+
+    def nearest(t: int, beside: np.ndarray) -> np.ndarray:
+        options = both[:, t] + 360 * np.round((beside - both[:, t]) / 360)
+        off = np.abs(options - beside).sum(-1)
+        return np.where((off[1] < off[0])[:, None], options[1], options[0])
+
+    early = np.logical_and.accumulate(mine) & ~mine.all(0)
+    late = mine & ~early
+    for t in np.flatnonzero(late.any(1)):
+        made[t] = np.where(late[t, :, None], nearest(t, made[t - 1] if t else first), made[t])
+    for t in np.flatnonzero(early.any(1))[::-1]:
+        made[t] = np.where(early[t, :, None], nearest(t, made[t + 1]), made[t])
+    return made
+
+
 def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, frames: int) -> str:
-    """The file's text with new numbers where ``mine``; lines without one as they are."""
-    lines = text.split("\n")
+    """The file's text with new numbers where ``mine``, and its own line ends; lines without one as they are."""
+    lines = text.splitlines(keepends=True)
     start = next(n for n, line in enumerate(lines) if line.split()[:1] == ["MOTION"])
     rows = [n for n in range(start + 1, len(lines)) if lines[n].strip()]
     heading, rows = rows[:2], rows[2:]
-    for t, n in enumerate(rows):
-        if mine[t].any():
-            words = lines[n].split()
-            lines[n] = " ".join(f"{x:.6f}" if new else w for w, x, new in zip(words, table[t], mine[t], strict=True))
-    last = lines[rows[-1]].split()
-    extra = [
-        " ".join(f"{x:.6f}" if new else w for w, x, new in zip(last, table[t], mine[t], strict=True))
-        for t in range(frames, len(table))
+    end = _line_end(lines[start])
+    words = [lines[n].split() for n in rows]
+    words += words[-1:] * (len(table) - frames)
+    found = [
+        " ".join(f"{x:.6f}" if new else w for w, x, new in zip(old, row, its, strict=True))
+        for old, row, its in zip(words, table, mine, strict=True)
     ]
-    if extra:
-        lines[heading[0]] = f"Frames: {len(table)}"
-        lines[rows[-1] + 1 : rows[-1] + 1] = extra
-    return "\n".join(lines)
+    for n, line, its in zip(rows, found, mine, strict=False):
+        lines[n] = line + _line_end(lines[n]) if its.any() else lines[n]
+    if len(table) > frames:
+        lines[heading[0]] = f"Frames: {len(table)}{end}"
+        lines[rows[-1]] = lines[rows[-1]].removesuffix(_line_end(lines[rows[-1]])) + end
+        lines[rows[-1] + 1 : rows[-1] + 1] = [line + end for line in found[frames:]]
+    return "".join(lines)
+
+
+def _line_end(line: str) -> str:
+    return line[len(line.rstrip("\r\n")) :]
 
 
 # -------------------------------------------------------------------------------------------------------- npz
@@ -219,6 +252,34 @@ def _rewritable(source: str | Path) -> bool:
     return "trans" in keys and len(keys) > 1
 
 
+#: What is said of a file that is written anew.
+_ANEW = {
+    ".bvh": "written anew, its numbers rounded to 1e-8 m and 1e-6 degrees",
+    ".npz": "written anew as SMPL-H's parameters, in double precision",
+    ".glb": "written anew in single precision, as bones without a body (`convert` writes one with a body)",
+}
+
+
+def check_target(source: str | Path | None, target: str | Path) -> None:
+    """Checks that ``target`` can be what is made of ``source`` (None: of nothing).
+
+    Raises:
+        DataError: a format that cannot be written, or the file that is read.
+    """
+    target = Path(target)
+    if target.suffix.lower() not in WRITERS:
+        raise DataError("cannot write this format", path=target, remedy=f"use one of {', '.join(WRITERS)}")
+    if source is not None and _is_one_file(Path(source), target):  # what is kept is read from there at each export
+        raise DataError("this is the file that was opened", path=target, remedy="give another name")
+
+
+def _is_one_file(source: Path, target: Path) -> bool:
+    try:
+        return target.samefile(source)
+    except OSError:  # one is not there, or has no name that can be
+        return False
+
+
 def write_back(source: str | Path | None, target: str | Path, loaded: Motion | None, made: Motion) -> str:
     """Writes what was made of a motion: where the format stays, into a copy of its file; says which it was.
 
@@ -226,22 +287,49 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
         source, loaded: the file and the motion that was read from it; None where there is none.
 
     Raises:
-        DataError: a format that cannot be written.
+        DataError: a target that cannot be (:func:`check_target`), or for an .npz a skeleton of unknown joints.
     """
-    target = Path(target)
-    suffix = target.suffix.lower()
-    if suffix not in WRITERS:
-        raise DataError("cannot write this format", path=target, remedy=f"use one of {', '.join(WRITERS)}")
+    check_target(source, target)
+    suffix = Path(target).suffix.lower()
     grown = loaded is not None and made.frames > loaded.frames
     same = source is not None and suffix == Path(source).suffix.lower() and not (grown and suffix == ".glb")
     if same and _rewritable(source):
         _rewrite(source, target, loaded, made)
-        return "what did not change has the file's own numbers, byte for byte"
-    if suffix == ".npz" and len(made.skeleton) != 22:
-        raise DataError("AMASS has 22 joints of its own", path=target, remedy="write a .bvh, and convert that")
-    lost = "; the body of the .glb is lost: what is written is a skeleton that moves" if _skinned(source) else ""
+        return _stayed(loaded, made)
+    lost = "; the body of the file that was read is lost" if _skinned(source) else ""
+    if suffix == ".npz":
+        made, body = for_amass(made)
+        lost += body and f"; {body}"
     WRITERS[suffix](target, made)
-    return f"written anew, its numbers rounded as the format does (in a BVH to 1e-8 m and 1e-6 degrees){lost}"
+    return f"{_ANEW[suffix]}{lost}"
+
+
+def _stayed(loaded: Motion, made: Motion) -> str:
+    """Says how much of a rewritten file is as it was: frames, and joints that stay in frames that changed."""
+    new, new_root = _changed(loaded, made)
+    new[:, 0] |= new_root
+    frames, joints = int((~new.any(1)).sum()), int((~new.any(0)).sum())
+    also = f", and {joints} of {new.shape[1]} joints in all frames," if joints and frames < made.frames else ""
+    return f"{frames} of {made.frames} frames{also} have the file's own numbers, byte for byte"
+
+
+def for_amass(motion: Motion) -> tuple[Motion, str]:
+    """Puts a motion on the 22 standard joints, in their order and proportions, as AMASS files have it; says so.
+
+    A motion that is there already is given back, with nothing to say.
+
+    Raises:
+        DataError: a skeleton whose joints are not known.
+    """
+    if _has_standard_bones(motion.skeleton):
+        return motion, ""
+    leg = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
+    found = retarget(motion, proportions="standard", leg=leg)
+    return found.motion, f"AMASS files hold no bone lengths: put on the standard body, {found.scale:.3f} times the size"
+
+
+def _has_standard_bones(skeleton: Skeleton) -> bool:
+    return skeleton.names == STANDARD.names and bool((skeleton.offsets - STANDARD.offsets)[1:].abs().max() < 1e-4)
 
 
 def _skinned(source: str | Path | None) -> bool:

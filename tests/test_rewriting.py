@@ -1,0 +1,102 @@
+"""What is written back: another format means the same, joint by joint, and a file keeps its own way of writing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from motionlab import animate, io, rotation
+from motionlab.io import bvh, gltf
+from motionlab.io.rewriting import write_back
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD
+from tests.test_animate import walk
+
+
+def right_first(motion: Motion) -> Motion:
+    """The same motion with right limbs before left ones."""
+    depth = [0]
+    for parent in STANDARD.parents[1:]:
+        depth.append(depth[parent] + 1)
+    order = sorted(range(len(STANDARD)), key=lambda j: (depth[j], -j))
+    parents = tuple(-1 if STANDARD.parents[j] < 0 else order.index(STANDARD.parents[j]) for j in order)
+    names = tuple(STANDARD.names[j] for j in order)
+    skeleton = replace(STANDARD, names=names, parents=parents, offsets=STANDARD.offsets[order], contact_names=())
+    return replace(motion, skeleton=skeleton, rot=motion.rot[:, order], contacts=None)
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".glb"])
+def test_an_npz_of_another_format_has_every_joint_where_it_was(suffix, tmp_path):
+    """AMASS has its joints in SMPL's order, other files in theirs."""
+    source, out = tmp_path / f"in{suffix}", tmp_path / "out.npz"
+    {".bvh": bvh, ".glb": gltf}[suffix].save(source, right_first(walk(20)))
+    loaded = io.load(source)
+    said = write_back(source, out, loaded, loaded)
+    before, after = (m.positions - m.root[:, None] for m in (loaded, io.load(out)))
+    off = after - before[:, loaded.skeleton.indices(STANDARD.names)]
+    assert off.norm(dim=-1).max() < 0.01 and "on the standard body" in said
+
+
+@pytest.mark.parametrize("kept", ["0-20,60-last", "20-60", "last"])
+def test_no_channel_jumps_where_a_middle_angle_is_beyond_a_quarter_turn(kept, tmp_path):
+    """Somebody who walks to 130 degrees, about the middle axis of ZYX."""
+    source, out = tmp_path / "in.bvh", tmp_path / "out.bvh"
+    motion, turn = walk(90), rotation.rotation_about("z", torch.tensor(np.deg2rad(130.0))).float()
+    rot = torch.cat((turn @ motion.rot[:, :1], motion.rot[:, 1:]), 1)
+    bvh.save(source, replace(motion, rot=rot, root=motion.root @ turn.T), order="ZYX")
+    lines = source.read_text().splitlines()
+    for n in range(len(lines) - 90, len(lines)):
+        words = lines[n].split()
+        z, y, x = (float(word) for word in words[3:6])
+        words[3:6] = (f"{angle:.6f}" for angle in ((z + 360) % 360 - 180, 180 - y, (x + 360) % 360 - 180))
+        lines[n] = " ".join(words)
+    source.write_text("\n".join([*lines, ""]))
+    loaded = io.load(source)
+    keep = animate.kept(loaded, animate.frames_named(kept, 90))
+    made = animate.inbetween(loaded, keep, method="curves", plant=False).motion
+    write_back(source, out, loaded, made)
+    old, new = (np.loadtxt(path.read_text().splitlines()[-90:]) for path in (source, out))
+    assert 100 < old[:, 4].min() and np.abs(np.diff(old[:, 3:], axis=0)).max() < 8
+    assert np.abs(np.diff(new[:, 3:], axis=0)).max() < 8 and (new != old).any()
+    assert (io.load(out).positions - made.positions).abs().max() < 1e-4
+
+
+@pytest.mark.parametrize("ends", [b"\r\n", b"\n", b"\r"])
+@pytest.mark.parametrize("more", [0, 3])
+def test_a_bvh_keeps_its_line_ends(ends, more, tmp_path):
+    source, out = tmp_path / "in.bvh", tmp_path / "out.bvh"
+    bvh.save(source, walk(20))
+    content = source.read_bytes().replace(b"\n", ends).removesuffix(ends if more else b"")
+    source.write_bytes(content)
+    loaded = io.load(source)
+    index = torch.arange(20 + more).clamp(max=19)
+    rot = loaded.rot[index].clone()
+    rot[10] = rot[12]
+    write_back(source, out, loaded, replace(loaded, rot=rot, root=loaded.root[index]))
+    found = out.read_bytes()
+    assert found.count(ends) == content.count(ends) + more + bool(more)
+    assert not {b"\r", b"\n"} & set(found.replace(ends, b" ").split(b" ")) and io.load(out).frames == 20 + more
+    assert found.replace(ends, b"").count(b"\n") + found.replace(ends, b"").count(b"\r") == 0
+
+
+@pytest.mark.parametrize(
+    ("suffix", "said"), [(".bvh", "1e-8 m"), (".npz", "double precision"), (".glb", "bones without a body")]
+)
+def test_each_format_that_is_written_anew_has_its_own_sentence(suffix, said, tmp_path):
+    found = write_back(None, tmp_path / f"out{suffix}", None, walk(5))
+    assert said in found and ("BVH" in found or "degrees" in found) == (suffix == ".bvh")
+
+
+def test_it_is_said_how_many_frames_and_joints_stayed(tmp_path):
+    source, out = tmp_path / "in.bvh", tmp_path / "out.bvh"
+    bvh.save(source, walk(20))
+    loaded = io.load(source)
+    bent, wrist, shaken = loaded.rot.clone(), loaded.rot.clone(), loaded.rot[torch.arange(20).roll(1)]
+    bent[4:6], wrist[:, -1] = bent[7], rotation.rotation_about("x", torch.tensor(0.1))
+    own = "have the file's own numbers, byte for byte"
+    for rot, said in ((loaded.rot, "20 of 20 frames"), (wrist, "0 of 20 frames, and 21 of 22 joints in all frames,")):
+        assert write_back(source, out, loaded, replace(loaded, rot=rot)) == f"{said} {own}"
+    assert write_back(source, out, loaded, replace(loaded, rot=bent)).startswith("18 of 20 frames")
+    moved = replace(loaded, rot=rotation.rotation_about("y", torch.tensor(0.1)) @ shaken, root=loaded.root + 1)
+    assert write_back(source, out, loaded, moved) == f"0 of 20 frames {own}"
