@@ -7,6 +7,18 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import groupby
 
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionlab.humor import body_shape
+from motionlab.humor.energies import UNUSED_BODY_25
+from motionlab.humor.testops import MISFIT_WIDTH, SURPRISED
+from motionlab.metrics import pose
+from motionlab.observation import BODY_25
+from motionlab.scene_fit import SceneFit
+from motionlab.skeleton import BALLS, FEET, STANDARD
+
 _INK = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#882255", "#cc79a7", "#56b4e9", "#332288")
 _STYLE = """
 body { font: 15px/1.5 sans-serif; color: #30343b; background: #f6f7f9; max-width: 62rem; margin: 2rem auto; }
@@ -19,6 +31,48 @@ video, svg { max-width: 100%; background: #fff }
 _WIDE, _HIGH = 860, 190
 
 Record = Mapping[str, object]
+
+
+def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor) -> dict[str, object]:
+    """Returns the record's row of the k-th fitted person, whose id is ``each``.
+
+    away, weight: (T, 25), as ``fit.pixel_distances`` gives them.
+    """
+    motion, shown, seen = fitted.motions[k], fitted.shown[k], weight > 0
+    rms, surprise = float(away[seen].square().mean().sqrt()), float(fitted.surprise[k])
+    contacts = motion.contacts[shown].mean(0).tolist()
+    used = [n for n in range(len(BODY_25)) if n not in UNUSED_BODY_25]
+    by_time = [float(a[s].median()) if s.any() else None for a, s in zip(away, seen, strict=True)]
+    low = motion.positions[shown][:, STANDARD.indices(BALLS), 2].amin(-1)
+    return {
+        "id": each,
+        "share": float(shown.float().mean()),
+        "spans_s": _spans(shown, motion.fps),
+        "detected": float(seen[shown][:, used].float().mean()),
+        "missing_by_joint": {BODY_25[n]: 1 - float(seen[:, n].float().mean()) for n in used},
+        "pixels": {
+            "mean": float((weight * away).sum() / weight.sum()), "median": float(away[seen].median()), "rms": rms,
+            "by_joint": {BODY_25[n]: float(away[:, n][seen[:, n]].mean()) for n in used if seen[:, n].any()},
+            "by_time": by_time,
+        },
+        "surprise": surprise if np.isfinite(surprise) else None,
+        "doubtful": not (surprise <= SURPRISED and rms <= MISFIT_WIDTH * fitted.camera.width),
+        "bounds": {"surprise": SURPRISED, "rms": MISFIT_WIDTH * fitted.camera.width},
+        "acceleration": float(pose.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
+        "contacts": dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
+        "contacts_by_time": {
+            name: _spans(motion.contacts[:, n] > 0.5, motion.fps)
+            for n, name in enumerate(motion.skeleton.contact_names) if name in FEET
+        },
+        "feet_above_floor_cm": 100 * float(low.quantile(0.02) - STANDARD.sole),
+        "bones": dict(zip(body_shape.BONE_GROUPS, body_shape.from_skeleton(motion.skeleton).tolist(), strict=True)),
+    }  # fmt: skip
+
+
+def _spans(mask: Tensor, fps: float) -> list[list[float]]:
+    """Beginning and end in seconds of the runs of True in a mask (T,)."""
+    edges = torch.nn.functional.pad(mask.int(), (1, 1)).diff().nonzero()[:, 0].reshape(-1, 2)
+    return [[a / fps, b / fps] for a, b in edges.tolist()]
 
 
 def lines(record: Record) -> list[str]:

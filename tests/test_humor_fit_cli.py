@@ -12,7 +12,7 @@ from PIL import Image
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import fit, scene_fit
+from motionlab import fit, scene_fit, scene_report
 from motionlab.__main__ import main
 from motionlab.checkpoint import SHIPPED
 from motionlab.errors import DataError
@@ -412,7 +412,7 @@ def test_the_record_counts_only_what_was_seen(walk):
     found = scene_fit.SceneFit((walk,), there, given, CAMERA, torch.zeros(1), {}, 1, (), ())
     pixels = project(CAMERA, fit.landmarks_of(walk))[0][None]
     away, weight = fit.pixel_distances(pixels, given)
-    row = fit._person(0, 7, None, found, away[0], weight[0])
+    row = scene_report.person_row(0, 7, found, away[0], weight[0])
     assert row["pixels"]["mean"] == pytest.approx(5 / 21, abs=1e-3)
     assert row["pixels"]["median"] < 0.01 and row["pixels"]["by_joint"]["right_knee"] == pytest.approx(5, abs=1e-2)
     assert row["detected"] == pytest.approx(21 / 22) and row["missing_by_joint"]["left_wrist"] == 1
