@@ -270,6 +270,8 @@ def test_a_long_clip_stopped_in_the_middle_goes_on(tmp_path, short_windows, few,
     assert not (out / "windows").exists() and record(out)["windows"] == 3
     with np.load(whole / "motion.npz") as a, np.load(out / "motion.npz") as b:
         assert all(np.array_equal(a[key], b[key]) for key in a)
+    rows = [{**record(folder), "seconds": 0.0} for folder in (whole, out)]
+    assert rows[0] == rows[1] and len(rows[0]["ended"]) > 3 and rows[0]["energy"]  # of all windows, whoever fitted them
 
 
 def test_somebody_who_leaves_and_returns(tmp_path, short_windows, few):
