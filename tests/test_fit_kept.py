@@ -111,3 +111,26 @@ def test_the_background_is_compared_before_the_fit(tmp_path, monkeypatch):
     monkeypatch.setattr(fit, "fit_people", no_fit)
     with pytest.raises(KeyboardInterrupt):
         fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", video=tmp_path / "clip.mp4", quick=True)
+
+
+# ----------------------------------------------------------------------------------------------- what was asked
+def test_a_folder_is_finished_only_for_the_options_it_was_made_with(tmp_path, monkeypatch):
+    file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
+    fit.run_clip(file, out, quick=True, person="all")
+    assert fit.is_finished(out) and fit.is_finished(out, {"quick": True, "person": ["all"], "camera": None})
+    others = {
+        "quick": False,
+        "person": "longest",
+        "solver": "rollout",
+        "fps": 25.0,
+        "size": (640, 480),
+        "layout": "COCO_17",
+    }
+    others |= {name: tmp_path / "other" for name in ("camera", "prior", "pose_prior", "initial")}
+    others |= {"layout": "COCO_17", "camera_name": "left", "pelvis": [0.0, 0.0, 0.0]}
+    for name, value in others.items():
+        assert not fit.is_finished(out, {"quick": True, "person": "all", name: value}), name
+    monkeypatch.chdir(tmp_path)
+    assert fit._asked({"camera": "camera.json"}) == fit._asked(
+        {"camera": tmp_path / "camera.json"}
+    )  # wherever one stands

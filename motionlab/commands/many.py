@@ -25,10 +25,12 @@ def run_clips(
     clips: Sequence[Job],
     finished: Callable[[Job], bool],
     options: argparse.Namespace,
+    compared: bool = False,
 ) -> int:
     """Runs a command on every clip that is not finished; prints what was done, and every note once.
 
-    function: of a clip, to its notes; a module's function or a partial of one. Returns 1 where a clip failed, else 0.
+    function: of a clip, to its notes; a module's function or a partial of one. compared: whether ``finished`` asks for
+    the same options. Returns 1 where a clip failed, else 0.
 
     Raises:
         DataError: --jobs below 1, or no cluster. MissingData: the package that speaks to one.
@@ -50,7 +52,8 @@ def run_clips(
     report = found.lines()
     print(report[0])
     if found.skipped:
-        print("note: to make a finished one again, delete what was written of it")
+        which = "a finished one" if compared else "what was made before, perhaps with other options,"
+        print(f"note: to make {which} again, delete what was written of it")
     for line in report[1:]:
         print(line, file=sys.stderr)
     return 1 if found.failed else 0
