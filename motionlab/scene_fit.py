@@ -213,7 +213,8 @@ def _key(part: Observation2D, camera: Camera, task: Task) -> str:
     """A name for a window: what goes into its fit."""
     content = hashlib.sha256()
     tensors = (part.keypoints, part.confidence, camera.intrinsics, camera.rotation, camera.translation)
-    networks = (task.priors.motion, task.priors.pose)
+    networks, first = (task.priors.motion, task.priors.pose), task.priors.initial
+    tensors += (first.weights, first.means, first.covariances)
     for tensor in (*tensors, *(weight for network in networks for weight in network.parameters())):
         content.update(tensor.detach().cpu().contiguous().numpy().tobytes())
     content.update(repr((task.schedule, task.solver, task.size, _KEYS, _SAID)).encode())

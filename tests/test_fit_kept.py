@@ -12,9 +12,10 @@ from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
 from motionlab import fit, scene_fit
 from motionlab.humor import testops
+from motionlab.humor.priors import InitGmm
 from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.io import amass
-from motionlab.observation import BODY_25, look_at, project
+from motionlab.observation import BODY_25, Observation2D, look_at, project
 
 CAMERA = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=900.0, width=1280, height=720)
 LONG, SHORT = 20, 6
@@ -134,3 +135,11 @@ def test_a_folder_is_finished_only_for_the_options_it_was_made_with(tmp_path, mo
     assert fit._asked({"camera": "camera.json"}) == fit._asked(
         {"camera": tmp_path / "camera.json"}
     )  # wherever one stands
+
+
+def test_a_window_is_kept_under_all_that_goes_into_its_fit(kit):
+    seen = Observation2D(torch.zeros(1, 8, 25, 2), torch.ones(1, 8, 25), BODY_25, 30.0, CAMERA)
+    first = kit.initial
+    moved = InitGmm(first.weights, first.means + 1, first.covariances)
+    names = {scene_fit._key(seen, CAMERA, scene_fit.Task(priors)) for priors in (kit, replace(kit, initial=moved))}
+    assert len(names) == 2
