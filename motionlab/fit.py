@@ -93,9 +93,10 @@ def run_clip(
     """Fits the people of one clip and writes a folder: motions and report together, then the film. Returns what
     ``fit.json`` says.
 
-    Ctrl-C keeps the best so far of a clip of up to 6 s, and says so; of a longer one the windows that are done are
-    kept in the folder, and the same call goes on from there. While the film is drawn, it costs the film alone, and so
-    does whatever else keeps it from being drawn; the windows of a long clip stay until there is one.
+    Ctrl-C keeps the best so far of a clip of up to 6 s (with "rollout" of any length), and says so; of a longer one the
+    windows that are done are kept in the folder, and the same call goes on from there. While the film is drawn, it
+    costs the film alone, and so does whatever else keeps it from being drawn; the windows of a long clip stay until
+    there is one.
 
     Args:
         keypoints: what a 2-D pose detector wrote, see ``io.keypoints``; None: found in the video, see ``detect``.
@@ -105,7 +106,7 @@ def run_clip(
         fps, size, layout: of the keypoints; where neither they nor the video say it.
         camera, camera_name: see ``io.cameras.load_camera``; without one a level camera is assumed.
         prior, pose_prior, initial, pelvis: see ``humor.pretrained.load_priors``.
-        solver: "shooting", or "rollout" for the original's schedule.
+        solver: "shooting", or "rollout" for the original's schedule, which takes a clip of any length as one piece.
 
     Raises:
         DataError: something cannot be read, used or written. MissingData: no keypoints, and no detector.

@@ -65,7 +65,8 @@ def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, caps
     (motions / "broken.bvh").write_text("HIERARCHY\nROOT")
     assert inbetween(motions, tmp_path / "made") == 1
     said = capsys.readouterr()
-    assert "4 clips: 3 done, 1 failed" in said.out and "broken.bvh" in said.err and "Traceback" not in said.err
+    assert "4 clips: 3 done, 1 failed" in said.out and "failed: broken.bvh" in said.err
+    assert "Traceback" not in said.err and "remedy" not in said.out and said.err.count("remedy") == 1
     bvh.save(motions / "broken.bvh", walk(3, 30))  # mended
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "made").iterdir()}
     assert inbetween(motions, tmp_path / "made") == 0
@@ -81,6 +82,7 @@ def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, caps
         (("motions", "one.bvh"), "goes into a folder"),
         (("empty", "made"), "no motion (.bvh, .npz, .glb) in this folder"),
         (("motions", "made", "--jobs", "0"), "give a number above 0"),
+        (("motions", "made", "--jobs", "2", "--cluster", "tcp://127.0.0.1:1"), "leave out --jobs"),
         (("motions", "made", "--cluster", "tcp://127.0.0.1:1"), "no Dask scheduler answers"),
     ],
 )
@@ -169,3 +171,23 @@ def test_options_of_many_clips_that_cannot_be_used(footage, monkeypatch, capsys,
     monkeypatch.chdir(footage)
     assert main(["fit", "videos", "--keypoints", "keypoints", "--out", "scenes", *words]) == 2
     assert said in capsys.readouterr().err
+    assert main(["fit", "--each", "--out", "scenes"]) == 2
+    assert "no folder of clips" in capsys.readouterr().err
+
+
+def test_paths_of_options_are_the_same_where_workers_stand(footage, monkeypatch):
+    asked = []
+    monkeypatch.setattr(batch, "run_many", lambda function, *_, **__: asked.append(function) or batch.Batch(()))
+    monkeypatch.chdir(footage)
+    options = {"--camera": "camera", "--prior": "prior", "--pose-prior": "pose_prior", "--initial": "initial"}
+    fit_each(footage, *(word for option in options for word in (option, "a.npz")))
+    assert {asked[0].keywords["how"][name] for name in options.values()} == {footage / "a.npz"}
+
+
+def test_ctrl_c_in_a_folder_of_one_clip_is_said_once(footage, monkeypatch, capsys):
+    """It runs in this process, and ends at its best, which is not done."""
+    shutil.rmtree(footage / "videos" / "cam1_2"), shutil.rmtree(footage / "keypoints" / "cam1_2_json")
+    monkeypatch.setattr(fit, "run_clip", lambda *_, **__: {"notes": [], "people": []})
+    assert fit_each(footage) == 1
+    said = capsys.readouterr()
+    assert (said.out + said.err).count("stopped before it was done") == 1 and "workers" not in said.out + said.err

@@ -113,6 +113,9 @@ def _fit_one(options: argparse.Namespace) -> int:
 def _fit_each(options: argparse.Namespace) -> int:
     if options.people:
         raise DataError("lists the people of one clip", place="--people", remedy="leave out --each, or --people")
+    if options.video is None and options.keypoints is None:
+        remedy = "name a folder of videos, or --keypoints with a folder of what a detector wrote"
+        raise DataError("no folder of clips", place="--each", remedy=remedy)
     clips = [
         (name, keypoints, video, options.out / name)
         for name, (keypoints, video) in _clips_of(options.keypoints, options.video).items()
