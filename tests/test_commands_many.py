@@ -2,6 +2,9 @@
 
 import json
 import shutil
+import threading
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +13,10 @@ from PIL import Image
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import batch, fit, scene_fit
+from motionlab import batch, fit
 from motionlab.__main__ import main
 from motionlab.commands.footage import _clips_of
 from motionlab.errors import DataError
-from motionlab.humor import testops
-from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.io import bvh
 from motionlab.observation import look_at, project
 
@@ -94,18 +95,22 @@ def test_folders_that_cannot_be_used(motions, tmp_path, monkeypatch, capsys, wor
 
 
 # ------------------------------------------------------------------------------------------------------------ fit
-@pytest.fixture
-def footage(tmp_path):
+def make_footage(folder):
     """videos/ with two folders of images, keypoints/ with the folders of a detector."""
     for k, name in enumerate(("cam1", "cam1_2")):
         points = project(CAMERA, fit.landmarks_of(walk(k, 6)))[0]
-        videos, keypoints = tmp_path / "videos" / name, tmp_path / "keypoints" / f"{name}_json"
+        videos, keypoints = folder / "videos" / name, folder / "keypoints" / f"{name}_json"
         videos.mkdir(parents=True), keypoints.mkdir(parents=True)
         for frame, row in enumerate(torch.cat((points, torch.ones_like(points[..., :1])), -1).flatten(1).tolist()):
             people = {"version": 1.3, "people": [{"pose_keypoints_2d": row}]}
             (keypoints / f"{name}_{frame:012d}_keypoints.json").write_text(json.dumps(people))
             Image.fromarray(np.full((72, 128, 3), 40 * frame, np.uint8)).save(videos / f"{frame:04d}.png")
-    return tmp_path
+    return folder
+
+
+@pytest.fixture
+def footage(tmp_path):
+    return make_footage(tmp_path)
 
 
 def fit_each(folder, *words):
@@ -113,17 +118,35 @@ def fit_each(folder, *words):
     return main(["fit", str(folder / "videos"), "--keypoints", str(folder / "keypoints"), *how])
 
 
-def test_each_clip_of_a_folder_becomes_a_scene_and_finished_ones_are_skipped(footage, monkeypatch, capsys):
-    plan = Plan(rounds=1, closures=2, leaps=0, trial=0)
-    monkeypatch.setattr(scene_fit, "QUICK_WORK", testops.Schedule(steps=(1, 1, 1), inner=3, shooting=plan))
-    assert fit_each(footage) == 0
-    assert "2 clips: 2 done" in capsys.readouterr().out
+def arrays(folder):
+    """What the motions of a folder's clips are, to the bit."""
+    found = {}
+    for path in sorted(folder.glob("*/motion.npz")):
+        with np.load(path) as archive:
+            found[path.parent.name] = {key: archive[key].tobytes() for key in archive}
+    return found
+
+
+@pytest.fixture(scope="module")
+def two_at_once(tmp_path_factory):
+    """Two clips, and what two processes make of them."""
+    folder = make_footage(tmp_path_factory.mktemp("footage"))
+    assert fit_each(folder, "--jobs", "2") == 0
+    return folder
+
+
+def test_each_clip_of_a_folder_becomes_a_scene_and_finished_ones_are_skipped(
+    two_at_once, tmp_path, monkeypatch, capsys
+):
+    """What is made again, alone, is what it was beside another."""
+    scenes, before = two_at_once / "scenes", arrays(two_at_once / "scenes")
     for name in ("cam1", "cam1_2"):
-        record = json.loads((footage / "scenes" / name / fit.RESULT).read_text())
+        record = json.loads((scenes / name / fit.RESULT).read_text())
         assert f"{name}_json" in record["keypoints"]["path"] and record["footage"]["path"].endswith(name)
-    shutil.rmtree(footage / "scenes" / "cam1")
-    assert fit_each(footage) == 0
+    shutil.move(scenes / "cam1", tmp_path)
+    assert fit_each(two_at_once) == 0
     assert "2 clips: 1 done, 1 finished before" in capsys.readouterr().out
+    assert arrays(scenes) == before and len(before) == 2 and before["cam1"] != before["cam1_2"]
     found = []
 
     def no_run(function, clips, *, finished, **how):
@@ -131,8 +154,25 @@ def test_each_clip_of_a_folder_becomes_a_scene_and_finished_ones_are_skipped(foo
         return batch.Batch(())
 
     monkeypatch.setattr(batch, "run_many", no_run)
-    assert fit_each(footage) == fit_each(footage, "--person", "all") == 0
+    assert fit_each(two_at_once) == fit_each(two_at_once, "--person", "all") == 0
     assert found == [[True, True], [False, False]]  # made with other options is not finished
+
+
+def test_a_cluster_fits_the_same_though_a_worker_is_killed(two_at_once, tmp_path, monkeypatch, cluster, capsys):
+    monkeypatch.setattr(batch, "PATIENCE", 10 * batch.PATIENCE)  # a busy machine
+    address, processes = cluster
+    out = tmp_path / "scenes"
+
+    def kill():
+        while not all((out / name).is_dir() for name in ("cam1", "cam1_2")):  # both have begun
+            time.sleep(0.01)
+        processes[1].kill()
+
+    threading.Thread(target=kill, daemon=True).start()
+    monkeypatch.chdir(two_at_once)  # the workers stand elsewhere
+    assert fit_each(Path(), "--cluster", address, "--out", str(out)) == 0
+    assert "2 clips: 2 done" in capsys.readouterr().out and processes[1].wait() != 0
+    assert arrays(out) == arrays(two_at_once / "scenes")
 
 
 def test_clips_are_put_together_by_their_names(footage):
