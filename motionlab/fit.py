@@ -37,7 +37,6 @@ from motionlab.viz import footage as film
 
 RESULT = "fit.json"
 _OUTSIDE = 0.2  # share of detections outside the image from which a camera does not fit
-_ROLES = ("ours", "baseline", "6d", "axis-angle", "quaternion", "synthetic", "stage2", "stage3")
 _SMALL = 320 * 240  # pixels of the film of a quick fit
 _SAMPLES = 60  # pictures in which the background is compared, half a second or more apart
 _LEG = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
@@ -351,7 +350,7 @@ def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool
         for points, sure in zip(fitted.seen.keypoints, fitted.seen.confidence, strict=True)
     ]
     pictures = None if clip.video is None else clip.video.pictures(range(clip.first, clip.first + count))
-    roles = [_ROLES[k % len(_ROLES)] for k in range(len(motions))]
+    roles = [scene_report.PEOPLE[k % len(scene_report.PEOPLE)] for k in range(len(motions))]
     how = {"roles": roles, "shown": fitted.shown[:, at].tolist(), "seen": seen} | ({"area": _SMALL} if quick else {})
     return film.over_footage(motions, fitted.camera, pictures, path, body, **how)
 

@@ -1,6 +1,7 @@
 """What ``fit`` keeps when it is stopped or the film cannot be drawn, and which folders count as finished."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,12 +11,13 @@ import torch
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import fit, scene_fit
+from motionlab import fit, scene_fit, scene_report
 from motionlab.humor import testops
 from motionlab.humor.priors import InitGmm
 from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.io import amass
 from motionlab.observation import BODY_25, Observation2D, look_at, project
+from motionlab.viz.palette import ROLE
 
 CAMERA = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=900.0, width=1280, height=720)
 LONG, SHORT = 20, 6
@@ -87,6 +89,8 @@ def test_a_film_that_cannot_be_drawn_is_a_note(tmp_path, monkeypatch):
     assert not (out / "overlay.mp4").exists() and amass.load(out / "motion.npz").frames == SHORT
     assert found["notes"] == record(out)["notes"] and "the film is not drawn yet" not in found["notes"]
     assert fit.is_finished(out)  # the same call would not draw it either
+    page = (out / "report.html").read_text()
+    assert "<video" not in page and "Dots are detections" not in page and "There is no film" in page
 
 
 def test_what_is_written_first_is_no_finished_folder(tmp_path, monkeypatch):
@@ -143,3 +147,22 @@ def test_a_window_is_kept_under_all_that_goes_into_its_fit(kit):
     moved = InitGmm(first.weights, first.means + 1, first.covariances)
     names = {scene_fit._key(seen, CAMERA, scene_fit.Task(priors)) for priors in (kit, replace(kit, initial=moved))}
     assert len(names) == 2
+
+
+def test_the_report_says_who_has_which_colour_and_how_many_are_not_listed(tmp_path, monkeypatch):
+    drawn = {}
+
+    def film(motions, camera, pictures, path, *_, roles, **__):
+        drawn["roles"] = roles
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fit.film, "over_footage", film)
+    found = fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", quick=True)
+    person, seen = found["people"][0], found["keypoints"]["people"][0]
+    crowd = {**found["keypoints"], "people": [seen | {"person": k} for k in range(45)]}
+    page = scene_report.page(found | {"people": [person | {"id": k} for k in range(9)], "keypoints": crowd})
+    assert "<p>and 5 more</p>" in page and "more</p>" not in (tmp_path / "out" / "report.html").read_text()
+    marks = re.findall(r'color: (#\w+)">&#9679;</span> Person (\d)<', page)
+    assert [int(k) for _, k in marks] == [*range(9)] and marks[0][0] == marks[8][0]
+    assert len({ink for ink, _ in marks}) == 8 and marks[0][0] == ROLE[drawn["roles"][0]]  # as in the film
+    assert page.count(f'fill="{marks[1][0]}">person 1<') == 1  # and in the chart
