@@ -199,7 +199,7 @@ def open_clip(
         if out is None:
             raise DataError("nowhere to keep the keypoints that are found", remedy="name a folder: --out OUT/")
         keypoints_path = _folder(out) / "keypoints.npz"
-        if keypoints_path.exists():
+        if keypoints_path.exists() and detect.found_in(keypoints_path) in (None, shown.path.name):
             earlier = [f"keypoints of an earlier run: {keypoints_path}; delete it to find them again"]
         else:
             detect.find(shown, keypoints_path, fps=fps, progress=progress)
