@@ -3,6 +3,7 @@ kills its process is named and the others go on, and what is done stays done."""
 
 from __future__ import annotations
 
+import sys
 import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -65,33 +66,37 @@ def run_many(
     A job that raises is reported when it does and at the end, and so is one whose process is killed twice while it is
     alone in it; all others are done. What one process computes, several do: nothing is shared between jobs. A single
     job runs in this process, where Ctrl-C means to a fit that it should end at its best; of several, Ctrl-C ends those
-    that have begun, without a result.
+    that have begun, without a result. A cluster drops what
+    has not begun; what its workers have begun they finish, unseen from here.
 
     Args:
         function: of one job; it and the jobs are pickled, so a module's function, or a ``functools.partial`` of one.
         finished: whether a job has been, by what its function writes last. It is asked before, and after.
         jobs_at_once: processes on this machine.
-        cluster: address of a Dask scheduler, tcp://HOST:PORT, to have its workers do them. They need this library,
-            and the folders of the jobs under the same names.
+        cluster: address of a Dask scheduler, tcp://HOST:PORT, to have its workers do them, who have one thread each.
+            They need this library, and the folders of the jobs under the same names.
         name: of a job, for messages.
 
     Raises:
-        ValueError: jobs_at_once is below 1.
+        ValueError: jobs_at_once is below 1, or above it with a cluster, which has processes of its own.
         MissingData: a cluster without the package ``distributed``.
-        DataError: no such cluster, one without workers, or one that went away; what is done stays done.
+        DataError: no such cluster, one without workers, with workers of several threads, or one that went away; what
+            is done stays done.
     """
     if jobs_at_once < 1:
         raise ValueError(f"jobs_at_once: expected 1 or more, got {jobs_at_once}")
+    if jobs_at_once > 1 and cluster is not None:
+        raise ValueError("jobs_at_once: a cluster does as many as it has workers")
     left = [k for k, job in enumerate(jobs) if finished is None or not finished(job)]
     batch = Batch(tuple(map(name, jobs)), skipped=tuple(sorted({*range(len(jobs))} - {*left})))
     with tqdm(total=len(jobs), initial=len(batch.skipped), desc="clips", disable=len(jobs) < 2) as progress:
 
         def done(k: int, found: Any) -> None:
             if not isinstance(found, Failed) and finished is not None and not finished(jobs[k]):
-                found = Failed("done, but what it writes last is not here: do its workers share this folder?")
+                found = Failed(_NOT_DONE if cluster is None else _NOT_HERE)
             if isinstance(found, Failed):
                 batch.failed[k] = found
-                progress.write(f"{batch.names[k]}: {found.message}\n{found.trace}".rstrip())
+                progress.write(f"{batch.names[k]}: {found.message}\n{found.trace}".rstrip(), file=sys.stderr)
                 progress.set_postfix(failed=len(batch.failed))
             else:
                 batch.results[k] = found
@@ -161,6 +166,10 @@ def _on_cluster(work: dict[int, Callable[[], Any]], address: str, done: Callable
         except TimeoutError as error:
             remedy = f"start `dask worker {address} --nthreads 1` on each machine, one a core"
             raise DataError("the cluster has no worker", path=address, remedy=remedy) from error
+        several = [name for name, worker in client.scheduler_info()["workers"].items() if worker["nthreads"] > 1]
+        if several:  # torch counts its threads per process: jobs beside each other would change each other's numbers
+            message = f"{len(several)} workers have several threads, such as {several[0]}"
+            raise DataError(message, path=address, remedy="start each with --nthreads 1, one a core")
         futures = {client.submit(each, pure=False): k for k, each in work.items()}
         try:
             for future in distributed.as_completed(list(futures)):
@@ -173,5 +182,7 @@ def _on_cluster(work: dict[int, Callable[[], Any]], address: str, done: Callable
             client.cancel(list(futures))
 
 
+_NOT_DONE = "stopped before it was done"
+_NOT_HERE = "done, but what it writes last is not here: do its workers share this folder?"
 _INSTALL = "Install it: pip install 'motionlab[cluster]'."
 _AGAIN = "start it and run the same command again: what is finished is skipped"

@@ -6,6 +6,7 @@ rtmlib downloads its weights at first use. Anything that finds people can stand 
 from __future__ import annotations
 
 import contextlib
+import http.client
 import io
 import sys
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from tqdm import tqdm
 from motionlab.errors import DataError, MissingData, ShapeError
 from motionlab.files import write_whole
 from motionlab.io.layouts import HALPE_26
+from motionlab.io.reading import read_npz, reading
 from motionlab.io.video import Video
 
 #: (H, W, 3) uint8, blue first -> points (P, 26, 2) in pixels and scores (P, 26) of the people in it.
@@ -35,19 +37,21 @@ def _rtmpose(mode: str = "balanced") -> _Finder:
     """Loads RTMPose with its detector of people; mode: lightweight, balanced or performance.
 
     Raises:
-        MissingData: rtmlib is not installed, or its weights are not here and cannot be fetched.
+        MissingData: a package is not installed, or the weights cannot be fetched or used.
     """
     try:
         from rtmlib import BodyWithFeet
-    except ImportError as error:
-        raise MissingData(
-            "the optional extra that finds keypoints", f"pip install 'motionlab[detect]'. {_OTHERWISE}"
-        ) from error
-    try:
+
         with contextlib.redirect_stdout(sys.stderr):  # it says what it loads
             network = BodyWithFeet(mode=mode, backend="onnxruntime", device="cpu")
-    except Exception as error:  # whatever a download raises
+    except ImportError as error:  # of rtmlib, or of the onnxruntime that it imports when a network is made
+        what = f"a package of the optional extra that finds keypoints ({error})"
+        raise MissingData(what, f"pip install 'motionlab[detect]'. {_OTHERWISE}") from error
+    except (OSError, http.client.HTTPException) as error:  # what a download raises
         how = f"It could not be fetched ({error}): connect once to the network. {_OTHERWISE}"
+        raise MissingData("RTMPose's file of weights", how) from error
+    except Exception as error:  # what onnxruntime raises of a file that it cannot use
+        how = f"What is there cannot be used ({type(error).__name__}: {error}): delete it, and try again. {_OTHERWISE}"
         raise MissingData("RTMPose's file of weights", how) from error
 
     def finder(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -90,5 +94,17 @@ def find(
     if not (table[..., 2] > 0).any():
         raise DataError("nobody was found in any frame", path=video.path, remedy="use another video")
     archive = io.BytesIO()
-    np.savez_compressed(archive, keypoints=table, names=np.array(HALPE_26), fps=fps, size=np.array(video.size))
+    about = {"names": np.array(HALPE_26), "fps": fps, "size": np.array(video.size), "video": np.array(video.path.name)}
+    np.savez_compressed(archive, keypoints=table, **about)
     write_whole(path, archive.getvalue())
+
+
+def found_in(path: Path) -> str | None:
+    """Returns the name of the video whose keypoints ``find`` wrote; None where the file does not say.
+
+    Raises:
+        DataError: no npz.
+    """
+    with reading(path, "delete it to find the keypoints again") as at:
+        name = read_npz(at, ("video",)).get("video")
+        return None if name is None else str(name)

@@ -1,7 +1,7 @@
 """From a video and its keypoints to a scene, by HuMoR's test-time optimisation: ``python -m motionlab fit``.
 
 ``run_clip`` does one clip: motions as BVH and AMASS, the skinned people as one GLB, a film of them over the footage,
-and a report. ``fit.json`` is written last: a folder that has it is finished.
+and a report. ``fit.json`` says at the end whether the folder is finished: not stopped, and nothing left to draw.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import json
 import shutil
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,35 +23,51 @@ from motionlab.body import BodyModel
 from motionlab.errors import DataError, MissingData
 from motionlab.humor import body_shape, pretrained
 from motionlab.humor.energies import UNUSED_BODY_25
-from motionlab.humor.testops import MISFIT_WIDTH, SURPRISED
 from motionlab.io import amass, bvh, gltf, keypoints, video
 from motionlab.io.cameras import load_camera
 from motionlab.io.keypoints import Footage
 from motionlab.io.layouts import to_body_25
 from motionlab.io.video import Video
-from motionlab.metrics import pose
 from motionlab.motion import Motion, resample
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate, project
 from motionlab.retarget import retarget
 from motionlab.scene_fit import SceneFit, Task, fit_people
-from motionlab.skeleton import BALLS, FEET, STANDARD
+from motionlab.skeleton import STANDARD
 from motionlab.viz import footage as film
 
 RESULT = "fit.json"
 _OUTSIDE = 0.2  # share of detections outside the image from which a camera does not fit
-_ROLES = ("ours", "baseline", "6d", "axis-angle", "quaternion", "synthetic", "stage2", "stage3")
 _SMALL = 320 * 240  # pixels of the film of a quick fit
 _SAMPLES = 60  # pictures in which the background is compared, half a second or more apart
 _LEG = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
 
 
-def is_finished(out: str | Path) -> bool:
-    """Says whether ``run_clip`` has written a folder, to the end and without having been stopped."""
+def is_finished(out: str | Path, how: Mapping[str, object] | None = None) -> bool:
+    """Says whether ``run_clip`` has written a folder, to the end and without having been stopped.
+
+    how: the options of a call of ``run_clip``; then only a folder that was asked for with the same ones is finished.
+    """
     try:
         record = json.loads((Path(out) / RESULT).read_text(encoding="utf-8"))
-        return not record["stopped"] and "overlay.mp4" in record["files"]
+        return record["finished"] is True and (how is None or record["asked"] == _asked(how))
     except (OSError, ValueError, KeyError, TypeError):
         return False
+
+
+def _asked(how: Mapping[str, object]) -> dict[str, object]:
+    """What decides about a fit, of the options of ``run_clip``, as plain JSON: an option that is not given is null,
+    or says what stands for it."""
+    files = {name: how.get(name) for name in ("camera", "prior", "pose_prior", "initial")}
+    sides = {name: how.get(name) for name in ("size", "pelvis")}
+    person = how.get("person", "longest")
+    return {
+        "person": [str(word) for word in ([person] if isinstance(person, str | int) else person)],
+        "solver": how.get("solver", "shooting"),
+        "quick": how.get("quick", False),
+        **{name: None if path is None else str(Path(path).resolve()) for name, path in files.items()},
+        **{name: None if row is None else [*map(float, row)] for name, row in sides.items()},
+        **{name: how.get(name) for name in ("fps", "layout", "camera_name")},
+    }
 
 
 def run_clip(
@@ -73,10 +89,13 @@ def run_clip(
     quick: bool = False,
     progress: bool = False,
 ) -> dict[str, object]:
-    """Fits the people of one clip and writes a folder: all of it, or nothing new. Returns what ``fit.json`` says.
+    """Fits the people of one clip and writes a folder: motions and report together, then the film. Returns what
+    ``fit.json`` says.
 
-    Ctrl-C keeps the best so far of a clip of up to 6 s, and says so; of a longer one the windows that are done are
-    kept in the folder, and the same call goes on from there. While the film is drawn, it costs the film alone.
+    Ctrl-C keeps the best so far of a clip of up to 6 s (with "rollout" of any length), and says so; of a longer one the
+    windows that are done are kept in the folder, and the same call goes on from there. While the film is drawn, it
+    costs the film alone, and so does whatever else keeps it from being drawn; the windows of a long clip stay until
+    there is one.
 
     Args:
         keypoints: what a 2-D pose detector wrote, see ``io.keypoints``; None: found in the video, see ``detect``.
@@ -86,12 +105,13 @@ def run_clip(
         fps, size, layout: of the keypoints; where neither they nor the video say it.
         camera, camera_name: see ``io.cameras.load_camera``; without one a level camera is assumed.
         prior, pose_prior, initial, pelvis: see ``humor.pretrained.load_priors``.
-        solver: "shooting", or "rollout" for the original's schedule.
+        solver: "shooting", or "rollout" for the original's schedule, which takes a clip of any length as one piece.
 
     Raises:
         DataError: something cannot be read, used or written. MissingData: no keypoints, and no detector.
         KeyboardInterrupt: stopped, and not finished.
     """
+    asked = _asked(locals())  # the options, and nothing else yet
     began, out = time.perf_counter(), _folder(out)
     clip = open_clip(keypoints, video, out=out, fps=fps, size=size, layout=layout, progress=progress)
     ids = _ids(clip.footage, person)
@@ -103,18 +123,32 @@ def run_clip(
         motion=prior, pose=pose_prior, initial=initial, pelvis=None if pelvis is None else tuple(pelvis)
     )
     windows = out / "windows"
+    drift = None if clip.video is None else _drift(clip)  # before the fit, which it must not lose
     fitted = fit_people(seen, Task(priors, given, placed, clip.size, solver, quick, windows, progress))
-    drift = None if clip.video is None else _drift(clip)
     record = _record(clip, ids, fitted, drift, given is not None, placed)
-    record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped}
+    record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped, "asked": asked}
+    body = BodyModel.from_anny()
     with tempfile.TemporaryDirectory(prefix=".fit-", dir=out) as part:
-        record["files"] = _write(Path(part), clip, ids, fitted, record, quick)
-        record["seconds"] = time.perf_counter() - began
-        poster = record.pop("poster")
-        (Path(part) / "report.html").write_text(scene_report.page(record, poster), encoding="utf-8")
-        (Path(part) / RESULT).write_text(json.dumps(record, indent=1, allow_nan=False), encoding="utf-8")
-        _move(Path(part), out, [*record["files"], RESULT])
-    shutil.rmtree(windows, ignore_errors=True)
+        part, poster = Path(part), b""
+        record["files"] = [*_write(part, ids, fitted, record, body), "report.html"]
+        early = record | {"finished": False, "notes": [*record["notes"], "the film is not drawn yet"]}
+        _report(part, early, began)
+        _clear(out)
+        _move(part, out, [*record["files"], RESULT])
+        try:
+            poster, drawn = _film(part / "overlay.mp4", clip, fitted, body, quick).poster, True
+            record["files"].insert(-1, "overlay.mp4")
+        except KeyboardInterrupt:
+            record["notes"].append("stopped while the film was drawn: there is none")
+            drawn = False
+        except Exception as error:  # of the machine: a film is not worth a fit
+            record["notes"].append(f"the film could not be drawn: {type(error).__name__}: {error}")
+            drawn = None
+        record["finished"] = not fitted.stopped and drawn is not False  # the same call would not draw it either
+        _report(part, record, began, poster)
+        _move(part, out, [*(["overlay.mp4"] if drawn else []), "report.html", RESULT])
+    if drawn:
+        shutil.rmtree(windows, ignore_errors=True)
     return record
 
 
@@ -165,7 +199,7 @@ def open_clip(
         if out is None:
             raise DataError("nowhere to keep the keypoints that are found", remedy="name a folder: --out OUT/")
         keypoints_path = _folder(out) / "keypoints.npz"
-        if keypoints_path.exists():
+        if keypoints_path.exists() and detect.found_in(keypoints_path) in (None, shown.path.name):
             earlier = [f"keypoints of an earlier run: {keypoints_path}; delete it to find them again"]
         else:
             detect.find(shown, keypoints_path, fps=fps, progress=progress)
@@ -275,11 +309,9 @@ def _folder(out: str | Path) -> Path:
     return out
 
 
-def _write(
-    folder: Path, clip: Clip, ids: Sequence[int], fitted: SceneFit, record: dict[str, object], quick: bool
-) -> list[str]:
-    """Writes all but the report; adds to the record what concerns the files; returns their names."""
-    body, files = BodyModel.from_anny(), []
+def _write(folder: Path, ids: Sequence[int], fitted: SceneFit, record: dict[str, object], body: BodyModel) -> list[str]:
+    """Writes all but film and report; adds to the record what concerns the files; returns their names."""
+    files = []
     for each, motion, row in zip(ids, fitted.motions, record["people"], strict=True):
         stem = "motion" if len(ids) == 1 else f"motion_{each}"
         bvh.save(folder / f"{stem}.bvh", motion)
@@ -296,14 +328,13 @@ def _write(
         files += row["files"].values()
     names = [f"person {each}" for each in ids]
     gltf.save(folder / "scene.glb", fitted.motions[0] if len(ids) == 1 else fitted.motions, body=body, names=names)
-    files.append("scene.glb")
-    try:
-        record["poster"] = _film(folder / "overlay.mp4", clip, fitted, body, quick).poster
-        files.append("overlay.mp4")
-    except KeyboardInterrupt:  # the motion is there
-        record["poster"] = b""
-        record["notes"].append("stopped while the film was drawn: there is none")
-    return [*files, "report.html"]
+    return [*files, "scene.glb"]
+
+
+def _report(folder: Path, record: dict[str, object], began: float, poster: bytes = b"") -> None:
+    record["seconds"] = time.perf_counter() - began
+    (folder / "report.html").write_text(scene_report.page(record, poster), encoding="utf-8")
+    (folder / RESULT).write_text(json.dumps(record, indent=1, allow_nan=False), encoding="utf-8")
 
 
 def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool) -> film.Film:
@@ -319,19 +350,23 @@ def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool
         for points, sure in zip(fitted.seen.keypoints, fitted.seen.confidence, strict=True)
     ]
     pictures = None if clip.video is None else clip.video.pictures(range(clip.first, clip.first + count))
-    roles = [_ROLES[k % len(_ROLES)] for k in range(len(motions))]
+    roles = [scene_report.PEOPLE[k % len(scene_report.PEOPLE)] for k in range(len(motions))]
     how = {"roles": roles, "shown": fitted.shown[:, at].tolist(), "seen": seen} | ({"area": _SMALL} if quick else {})
     return film.over_footage(motions, fitted.camera, pictures, path, body, **how)
 
 
-def _move(part: Path, out: Path, files: Sequence[str]) -> None:
-    """Moves files into place, the last one last; what an earlier run wrote is gone before."""
+def _clear(out: Path) -> None:
+    """Deletes what an earlier run wrote."""
     try:
         old = json.loads((out / RESULT).read_text(encoding="utf-8"))["files"]
     except (OSError, ValueError, KeyError, TypeError):
         old = []
     for name in (RESULT, *(Path(str(name)).name for name in old)):
         (out / name).unlink(missing_ok=True)
+
+
+def _move(part: Path, out: Path, files: Sequence[str]) -> None:
+    """Moves files into place, the last one last."""
     for name in files:
         (part / name).replace(out / name)
 
@@ -344,7 +379,7 @@ def _record(
     camera, read = fitted.camera, clip.footage
     pixels = torch.stack([project(camera, landmarks_of(motion))[0] for motion in fitted.motions])
     away, weight = pixel_distances(pixels, fitted.seen)
-    people = [_person(k, each, clip, fitted, away[k], weight[k]) for k, each in enumerate(ids)]
+    people = [scene_report.person_row(k, each, fitted, away[k], weight[k]) for k, each in enumerate(ids)]
     worst = None if drift is None or not np.isfinite(drift[1:]).any() else float(np.nanmax(drift))
     left_out = [track.id for track in read.tracks if track.id not in ids]
     source = "given, and its place" if placed else "given, its place found" if given else "assumed, level at first"
@@ -369,45 +404,6 @@ def _record(
         "windows": fitted.windows, "energy": fitted.energy, "ended": list(fitted.reasons),
         "notes": [*clip.notes, *fitted.notes],
     }  # fmt: skip
-
-
-def _person(k: int, each: int, clip: Clip, fitted: SceneFit, away: Tensor, weight: Tensor) -> dict[str, object]:
-    """The row of one person; away, weight (T, 25) as ``pixel_distances`` gives them."""
-    motion, shown, seen = fitted.motions[k], fitted.shown[k], weight > 0
-    rms, surprise = float(away[seen].square().mean().sqrt()), float(fitted.surprise[k])
-    contacts = motion.contacts[shown].mean(0).tolist()
-    used = [n for n in range(len(BODY_25)) if n not in UNUSED_BODY_25]
-    by_time = [float(a[s].median()) if s.any() else None for a, s in zip(away, seen, strict=True)]
-    low = motion.positions[shown][:, STANDARD.indices(BALLS), 2].amin(-1)
-    return {
-        "id": each,
-        "share": float(shown.float().mean()),
-        "spans_s": _spans(shown, motion.fps),
-        "detected": float(seen[shown][:, used].float().mean()),
-        "missing_by_joint": {BODY_25[n]: 1 - float(seen[:, n].float().mean()) for n in used},
-        "pixels": {
-            "mean": float((weight * away).sum() / weight.sum()), "median": float(away[seen].median()), "rms": rms,
-            "by_joint": {BODY_25[n]: float(away[:, n][seen[:, n]].mean()) for n in used if seen[:, n].any()},
-            "by_time": by_time,
-        },
-        "surprise": surprise if np.isfinite(surprise) else None,
-        "doubtful": not (surprise <= SURPRISED and rms <= MISFIT_WIDTH * fitted.camera.width),
-        "bounds": {"surprise": SURPRISED, "rms": MISFIT_WIDTH * fitted.camera.width},
-        "acceleration": float(pose.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
-        "contacts": dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
-        "contacts_by_time": {
-            name: _spans(motion.contacts[:, n] > 0.5, motion.fps)
-            for n, name in enumerate(motion.skeleton.contact_names) if name in FEET
-        },
-        "feet_above_floor_cm": 100 * float(low.quantile(0.02) - STANDARD.sole),
-        "bones": dict(zip(body_shape.BONE_GROUPS, body_shape.from_skeleton(motion.skeleton).tolist(), strict=True)),
-    }  # fmt: skip
-
-
-def _spans(mask: Tensor, fps: float) -> list[list[float]]:
-    """Beginning and end in seconds of the runs of True in a mask (T,)."""
-    edges = torch.nn.functional.pad(mask.int(), (1, 1)).diff().nonzero()[:, 0].reshape(-1, 2)
-    return [[a / fps, b / fps] for a, b in edges.tolist()]
 
 
 def landmarks_of(motion: Motion) -> Tensor:

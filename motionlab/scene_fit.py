@@ -39,7 +39,8 @@ TOGETHER = 8
 #: Frames for which somebody may be unseen and still be shown.
 _SHOWN = 15
 _ENOUGH = 4  # keypoints that place a person
-_KEYS = ("root", "rot", "contacts", "betas", "surprise", "missed")
+_KEYS = ("root", "rot", "contacts", "betas", "surprise")  # of each person
+_SAID = ("energy", "terms", "reasons", "notes")  # of their fit: energy (E, P) of the named terms
 _USED = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]
 _MODES = {"shooting": "lean", "rollout": "official"}  # of a fit by each solver: with rollout all of it is the original
 
@@ -141,17 +142,16 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
                 stopped |= fitted.stopped
                 if fitted.stopped and len(starts) > 1:
                     raise KeyboardInterrupt
-                notes += [note for note in fitted.notes if "doubts" not in note]
-                reasons += [each.reasons[-1] for results in fitted.results.values() for each in results]
-                for name, value in fitted.energies[max(fitted.energies)].items():
-                    energy.setdefault(name, [0.0] * people)
-                    for p, e in zip(some, value.tolist(), strict=True):
-                        energy[name][p] += e
                 found = _arrays(fitted)
                 if floor in (None, "guess"):  # one person, one window
                     camera = fitted.cameras[0]
                 if file is not None:
                     _keep(file, found)
+            notes += found["notes"].tolist()
+            reasons += found["reasons"].tolist()
+            for name, values in zip(found["terms"].tolist(), found["energy"].tolist(), strict=True):
+                for person, value in zip(some, values, strict=True):
+                    energy.setdefault(name, [0.0] * people)[person] += value
             for row, person in enumerate(some):
                 pieces[person].append({"start": start} | {key: found[key][row] for key in _KEYS})
     camera = camera if camera is not None else task.camera
@@ -193,15 +193,19 @@ def _common_camera(seen: Observation2D, enough: Tensor, task: Task) -> tuple[Cam
 
 
 # ------------------------------------------------------------------------------------------------------------- windows
-def _arrays(fitted: testops.Fitted) -> dict[str, Tensor]:
+def _arrays(fitted: testops.Fitted) -> dict[str, Tensor | np.ndarray]:
+    """What is kept of a fit: tensors, and in arrays of text what it said."""
     motion, people = fitted.motion, len(fitted.betas)
     nothing = motion.root.new_full((people,), float("nan"))
     doubts = fitted.doubts
     windows = 1 if doubts is None else len(doubts.surprise) // people
+    energy = fitted.energies[max(fitted.energies)]
     return {
         "root": motion.root, "rot": motion.rot, "contacts": fitted.contacts, "betas": fitted.betas.detach(),
         "surprise": nothing if doubts is None else doubts.surprise.unflatten(0, (people, windows)).mean(-1),
-        "missed": nothing if doubts is None else doubts.misfit.unflatten(0, (people, windows)).mean(-1),
+        "energy": torch.stack([*energy.values()]).detach(), "terms": np.array([*energy], str),
+        "reasons": np.array([one.reasons[-1] for some in fitted.results.values() for one in some], str),
+        "notes": np.array([note for note in fitted.notes if "doubts" not in note], str),
     }  # fmt: skip
 
 
@@ -209,27 +213,31 @@ def _key(part: Observation2D, camera: Camera, task: Task) -> str:
     """A name for a window: what goes into its fit."""
     content = hashlib.sha256()
     tensors = (part.keypoints, part.confidence, camera.intrinsics, camera.rotation, camera.translation)
-    networks = (task.priors.motion, task.priors.pose)
+    networks, first = (task.priors.motion, task.priors.pose), task.priors.initial
+    tensors += (first.weights, first.means, first.covariances)
     for tensor in (*tensors, *(weight for network in networks for weight in network.parameters())):
         content.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-    content.update(repr((task.schedule, task.solver, task.size)).encode())
+    content.update(repr((task.schedule, task.solver, task.size, _KEYS, _SAID)).encode())
     return content.hexdigest()[:16]
 
 
-def _keep(file: Path, found: dict[str, Tensor]) -> None:
+def _keep(file: Path, found: dict[str, Tensor | np.ndarray]) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     archive = io.BytesIO()
-    np.savez(archive, **{key: value.numpy() for key, value in found.items()})
+    np.savez(archive, **{key: np.asarray(value) for key, value in found.items()})
     write_whole(file, archive.getvalue())
 
 
-def _kept(file: Path, people: int, length: int) -> dict[str, Tensor] | None:
+def _kept(file: Path, people: int, length: int) -> dict[str, Tensor | np.ndarray] | None:
     """What an earlier run found, if it is there and whole."""
     if not file.exists():
         return None
     with reading(file, "delete it") as at:
-        found = {key: torch.from_numpy(value.copy()) for key, value in read_npz(at, _KEYS).items()}
-        if set(found) != set(_KEYS) or found["root"].shape != (people, length, 3):
+        found = {
+            key: value if value.dtype.kind == "U" else torch.from_numpy(value.copy())
+            for key, value in read_npz(at, (*_KEYS, *_SAID)).items()
+        }
+        if set(found) != {*_KEYS, *_SAID} or found["root"].shape != (people, length, 3):
             raise at.error("not a window of this footage")
         return found
 

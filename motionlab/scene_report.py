@@ -7,7 +7,22 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import groupby
 
-_INK = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#882255", "#cc79a7", "#56b4e9", "#332288")
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionlab.humor import body_shape
+from motionlab.humor.energies import UNUSED_BODY_25
+from motionlab.humor.testops import MISFIT_WIDTH, SURPRISED
+from motionlab.metrics import pose
+from motionlab.observation import BODY_25
+from motionlab.scene_fit import SceneFit
+from motionlab.skeleton import BALLS, FEET, STANDARD
+from motionlab.viz.palette import ROLE
+
+#: The colours of the people, in the film and here, one after the other.
+PEOPLE = ("ours", "baseline", "6d", "axis-angle", "quaternion", "synthetic", "stage2", "stage3")
+_LISTED = 40  # people in the table of who was seen
 _STYLE = """
 body { font: 15px/1.5 sans-serif; color: #30343b; background: #f6f7f9; max-width: 62rem; margin: 2rem auto; }
 table { border-collapse: collapse; margin: .6rem 0 }
@@ -19,6 +34,53 @@ video, svg { max-width: 100%; background: #fff }
 _WIDE, _HIGH = 860, 190
 
 Record = Mapping[str, object]
+
+
+def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor) -> dict[str, object]:
+    """Returns the record's row of the k-th fitted person, whose id is ``each``.
+
+    away, weight: (T, 25), as ``fit.pixel_distances`` gives them.
+    """
+    motion, shown, seen = fitted.motions[k], fitted.shown[k], weight > 0
+    rms, surprise = float(away[seen].square().mean().sqrt()), float(fitted.surprise[k])
+    contacts = motion.contacts[shown].mean(0).tolist()
+    used = [n for n in range(len(BODY_25)) if n not in UNUSED_BODY_25]
+    by_time = [float(a[s].median()) if s.any() else None for a, s in zip(away, seen, strict=True)]
+    low = motion.positions[shown][:, STANDARD.indices(BALLS), 2].amin(-1)
+    return {
+        "id": each,
+        "share": float(shown.float().mean()),
+        "spans_s": _spans(shown, motion.fps),
+        "detected": float(seen[shown][:, used].float().mean()),
+        "missing_by_joint": {BODY_25[n]: 1 - float(seen[:, n].float().mean()) for n in used},
+        "pixels": {
+            "mean": float((weight * away).sum() / weight.sum()), "median": float(away[seen].median()), "rms": rms,
+            "by_joint": {BODY_25[n]: float(away[:, n][seen[:, n]].mean()) for n in used if seen[:, n].any()},
+            "by_time": by_time,
+        },
+        "surprise": surprise if np.isfinite(surprise) else None,
+        "doubtful": not (surprise <= SURPRISED and rms <= MISFIT_WIDTH * fitted.camera.width),
+        "bounds": {"surprise": SURPRISED, "rms": MISFIT_WIDTH * fitted.camera.width},
+        "acceleration": float(pose.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
+        "contacts": dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
+        "contacts_by_time": {
+            name: _spans(motion.contacts[:, n] > 0.5, motion.fps)
+            for n, name in enumerate(motion.skeleton.contact_names) if name in FEET
+        },
+        "feet_above_floor_cm": 100 * float(low.quantile(0.02) - STANDARD.sole),
+        "bones": dict(zip(body_shape.BONE_GROUPS, body_shape.from_skeleton(motion.skeleton).tolist(), strict=True)),
+    }  # fmt: skip
+
+
+def _spans(mask: Tensor, fps: float) -> list[list[float]]:
+    """Beginning and end in seconds of the runs of True in a mask (T,)."""
+    edges = torch.nn.functional.pad(mask.int(), (1, 1)).diff().nonzero()[:, 0].reshape(-1, 2)
+    return [[a / fps, b / fps] for a, b in edges.tolist()]
+
+
+def _ink(k: int) -> str:
+    """The colour of the k-th fitted person."""
+    return ROLE[PEOPLE[k % len(PEOPLE)]]
 
 
 def lines(record: Record) -> list[str]:
@@ -92,22 +154,25 @@ def page(record: Record, poster: bytes = b"") -> str:
         "fit": f"solver {record['solver']}{', quick' if record['quick'] else ''}, {record['frames']} frames at "
         f"{record['fps']:g} per second in {record['windows']} window(s); search ended: {_runs(record['ended'])}",
     }
+    drawn = "overlay.mp4" in record["files"]
     everybody = [
         {"person": row["person"], "seen in %": f"{row['share %']:.0f}", "confidence": f"{row['confidence']:.2f}",
          "height, px": f"{row['height px']:.0f}", "fitted": "no" if row["person"] in record["left_out"] else "yes"}
-        for row in keypoints["people"][:40]
+        for row in keypoints["people"][:_LISTED]
     ]  # fmt: skip
     return "\n".join([
         "<!DOCTYPE html><html lang=en><head><meta charset=utf-8>",
         f"<title>{escape(str(name))}</title><style>{_STYLE}</style></head><body>",
         f"<h1>A scene from {escape(str(name))}</h1>{stopped}",
         f'<video controls loop muted playsinline src="overlay.mp4" poster="{still}"></video>'
-        if "overlay.mp4" in record["files"]
+        if drawn
         else "",
-        f"<p>The fitted people {film}. Dots are detections.</p>",
+        f"<p>The fitted people {film}. Dots are detections.</p>" if drawn else "<p>There is no film; see Notes.</p>",
+        "<p>Who is who: " + ", ".join(f"{_mark(k)} person {row['id']}" for k, row in enumerate(people)) + "</p>",
         _table([{"": key, " ": text} for key, text in facts.items()]),
         "<h2>People</h2>", _table(everybody),
-        *(_person(row) for row in people),
+        f"<p>and {more} more</p>" if (more := len(keypoints["people"]) - len(everybody)) else "",
+        *(_person(row, _mark(k)) for k, row in enumerate(people)),
         "<h2>Distance from the detections</h2>",
         "<p>Median over the keypoints of a frame, pixels. A gap: nothing was seen.</p>",
         _chart([row["pixels"]["by_time"] for row in people], record["fps"], [f"person {row['id']}" for row in people]),
@@ -118,7 +183,12 @@ def page(record: Record, poster: bytes = b"") -> str:
     ])  # fmt: skip
 
 
-def _person(row: Record) -> str:
+def _mark(k: int) -> str:
+    """A spot in the colour of the k-th fitted person."""
+    return f'<span style="color: {_ink(k)}">&#9679;</span>'
+
+
+def _person(row: Record, mark: str) -> str:
     spans = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in row["spans_s"])
     doubted = ' class="doubt"' if row["doubtful"] else ""
     facts = {
@@ -131,7 +201,7 @@ def _person(row: Record) -> str:
         "files": ", ".join(row["files"].values()),
         "AMASS": f"{row['amass']['says']}. betas: {row['amass']['betas']}",
     }
-    head = f"<h3>Person {row['id']}</h3><p{doubted}>{escape(_doubt(row))}</p>"
+    head = f"<h3>{mark} Person {row['id']}</h3><p{doubted}>{escape(_doubt(row))}</p>"
     return head + _table([{"": key, " ": text} for key, text in facts.items()])
 
 
@@ -182,7 +252,7 @@ def _chart(curves: Sequence[Sequence[float | None]], fps: float, names: Sequence
         for share, anchor in ((0, "start"), (0.5, "middle"), (1, "end"))
     ]
     for k, (curve, name) in enumerate(zip(curves, names, strict=True)):
-        ink, path, pen = _INK[k % len(_INK)], [], "M"
+        ink, path, pen = _ink(k), [], "M"
         for frame, value in enumerate(curve):
             if value is None:
                 pen = "M"
@@ -202,7 +272,7 @@ def _strips(people: Sequence[Record], seconds: float) -> str:
             top = 6 + 18 * row
             parts.append(f'<text x="4" y="{top + 11}">{person["id"]} {escape(name.replace("_", " "))}</text>')
             parts += [
-                f'<rect x="{120 + (_WIDE - 130) * a / seconds:.1f}" y="{top}" height="13" fill="{_INK[k % len(_INK)]}" '
+                f'<rect x="{120 + (_WIDE - 130) * a / seconds:.1f}" y="{top}" height="13" fill="{_ink(k)}" '
                 f'width="{max((_WIDE - 130) * (b - a) / seconds, 1):.1f}"/>'
                 for a, b in spans
             ]

@@ -26,7 +26,8 @@ FLOORS = """
     shipped doctor humor.chain_training humor.stages humor.start animate
     train models humor.shooting renew
     humor.testops
-    scene_fit scene_report
+    scene_fit
+    scene_report
     fit
     commands
     __main__

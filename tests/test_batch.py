@@ -78,7 +78,7 @@ def test_what_is_finished_is_skipped_and_what_fails_is_named_while_others_go_on(
         "clip 13: ZeroDivisionError: ",
     ]
     said = capsys.readouterr()
-    assert "record it again" in said.out and "in clip" in said.out  # where the bug is
+    assert said.err.count("record it again") == 1 and "in clip" in said.err and not said.out  # where the bug is
     (tmp_path / "faulty").unlink()
     before = (tmp_path / "3.json").stat().st_mtime_ns
     again = run(tmp_path)
@@ -88,7 +88,7 @@ def test_what_is_finished_is_skipped_and_what_fails_is_named_while_others_go_on(
 
 def test_a_function_that_leaves_nothing_behind_has_failed(tmp_path):
     found = batch.run_many(str, clips(tmp_path, 1), finished=jobs.kept)
-    assert not found.results and "share this folder" in found.failed[0].message
+    assert not found.results and found.failed[0].message == "stopped before it was done"  # there are no workers
 
 
 def test_one_clip_runs_here(tmp_path):
@@ -118,6 +118,24 @@ def test_a_cluster_computes_the_same_though_a_worker_is_killed(tmp_path, serial,
     (folder / "11.json").unlink()
     again = run(folder, cluster=address)
     assert list(again.failed) == [11] and len(again.skipped) == COUNT - 1
+
+
+def test_workers_of_several_threads_are_refused(cluster, monkeypatch):
+    address, _ = cluster
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(batch, "PATIENCE", 10 * batch.PATIENCE)  # a busy machine
+    real = distributed.Client.scheduler_info
+
+    def two(self, *arguments, **options):
+        found = real(self, *arguments, **options)
+        assert {worker["nthreads"] for worker in found["workers"].values()} <= {1}
+        return found | {"workers": {name: worker | {"nthreads": 2} for name, worker in found["workers"].items()}}
+
+    monkeypatch.setattr(distributed.Client, "scheduler_info", two)
+    with pytest.raises(DataError, match="--nthreads 1"):
+        batch.run_many(str, [1, 2], cluster=address)
+    with pytest.raises(ValueError, match="as many as it has workers"):
+        batch.run_many(str, [1, 2], cluster=address, jobs_at_once=2)
 
 
 def test_no_cluster_and_no_worker_are_said(monkeypatch, cluster):

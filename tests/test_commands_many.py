@@ -2,6 +2,9 @@
 
 import json
 import shutil
+import threading
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +13,10 @@ from PIL import Image
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import batch, fit, scene_fit
+from motionlab import batch, fit
 from motionlab.__main__ import main
 from motionlab.commands.footage import _clips_of
 from motionlab.errors import DataError
-from motionlab.humor import testops
-from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.io import bvh
 from motionlab.observation import look_at, project
 
@@ -65,11 +66,13 @@ def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, caps
     (motions / "broken.bvh").write_text("HIERARCHY\nROOT")
     assert inbetween(motions, tmp_path / "made") == 1
     said = capsys.readouterr()
-    assert "4 clips: 3 done, 1 failed" in said.out and "broken.bvh" in said.err and "Traceback" not in said.err
+    assert "4 clips: 3 done, 1 failed" in said.out and "failed: broken.bvh" in said.err
+    assert "Traceback" not in said.err and "remedy" not in said.out and said.err.count("remedy") == 1
     bvh.save(motions / "broken.bvh", walk(3, 30))  # mended
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "made").iterdir()}
     assert inbetween(motions, tmp_path / "made") == 0
-    assert "4 clips: 1 done, 3 finished before" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "4 clips: 1 done, 3 finished before" in said and "perhaps with other options" in said
     assert len(before) == 3 and all(path.stat().st_mtime_ns == time for path, time in before.items())
 
 
@@ -97,6 +100,7 @@ def test_files_of_a_folder_that_are_passed_over_are_counted(motions, tmp_path, c
         (("motions/walk0.bvh", "one.fbx"), "use one of .bvh, .npz, .glb"),
         (("empty", "made"), "no motion (.bvh, .npz, .glb) in this folder"),
         (("motions", "made", "--jobs", "0"), "give a number above 0"),
+        (("motions", "made", "--jobs", "2", "--cluster", "tcp://127.0.0.1:1"), "leave out --jobs"),
         (("motions", "made", "--cluster", "tcp://127.0.0.1:1"), "no Dask scheduler answers"),
     ],
 )
@@ -110,18 +114,22 @@ def test_folders_that_cannot_be_used(motions, tmp_path, monkeypatch, capsys, wor
 
 
 # ------------------------------------------------------------------------------------------------------------ fit
-@pytest.fixture
-def footage(tmp_path):
+def make_footage(folder):
     """videos/ with two folders of images, keypoints/ with the folders of a detector."""
     for k, name in enumerate(("cam1", "cam1_2")):
         points = project(CAMERA, fit.landmarks_of(walk(k, 6)))[0]
-        videos, keypoints = tmp_path / "videos" / name, tmp_path / "keypoints" / f"{name}_json"
+        videos, keypoints = folder / "videos" / name, folder / "keypoints" / f"{name}_json"
         videos.mkdir(parents=True), keypoints.mkdir(parents=True)
         for frame, row in enumerate(torch.cat((points, torch.ones_like(points[..., :1])), -1).flatten(1).tolist()):
             people = {"version": 1.3, "people": [{"pose_keypoints_2d": row}]}
             (keypoints / f"{name}_{frame:012d}_keypoints.json").write_text(json.dumps(people))
             Image.fromarray(np.full((72, 128, 3), 40 * frame, np.uint8)).save(videos / f"{frame:04d}.png")
-    return tmp_path
+    return folder
+
+
+@pytest.fixture
+def footage(tmp_path):
+    return make_footage(tmp_path)
 
 
 def fit_each(folder, *words):
@@ -129,17 +137,61 @@ def fit_each(folder, *words):
     return main(["fit", str(folder / "videos"), "--keypoints", str(folder / "keypoints"), *how])
 
 
-def test_each_clip_of_a_folder_becomes_a_scene_and_finished_ones_are_skipped(footage, monkeypatch, capsys):
-    plan = Plan(rounds=1, closures=2, leaps=0, trial=0)
-    monkeypatch.setattr(scene_fit, "QUICK_WORK", testops.Schedule(steps=(1, 1, 1), inner=3, shooting=plan))
-    assert fit_each(footage) == 0
-    assert "2 clips: 2 done" in capsys.readouterr().out
+def arrays(folder):
+    """What the motions of a folder's clips are, to the bit."""
+    found = {}
+    for path in sorted(folder.glob("*/motion.npz")):
+        with np.load(path) as archive:
+            found[path.parent.name] = {key: archive[key].tobytes() for key in archive}
+    return found
+
+
+@pytest.fixture(scope="module")
+def two_at_once(tmp_path_factory):
+    """Two clips, and what two processes make of them."""
+    folder = make_footage(tmp_path_factory.mktemp("footage"))
+    assert fit_each(folder, "--jobs", "2") == 0
+    return folder
+
+
+def test_each_clip_of_a_folder_becomes_a_scene_and_finished_ones_are_skipped(
+    two_at_once, tmp_path, monkeypatch, capsys
+):
+    """What is made again, alone, is what it was beside another."""
+    scenes, before = two_at_once / "scenes", arrays(two_at_once / "scenes")
     for name in ("cam1", "cam1_2"):
-        record = json.loads((footage / "scenes" / name / fit.RESULT).read_text())
+        record = json.loads((scenes / name / fit.RESULT).read_text())
         assert f"{name}_json" in record["keypoints"]["path"] and record["footage"]["path"].endswith(name)
-    shutil.rmtree(footage / "scenes" / "cam1")
-    assert fit_each(footage) == 0
+    shutil.move(scenes / "cam1", tmp_path)
+    assert fit_each(two_at_once) == 0
     assert "2 clips: 1 done, 1 finished before" in capsys.readouterr().out
+    assert arrays(scenes) == before and len(before) == 2 and before["cam1"] != before["cam1_2"]
+    found = []
+
+    def no_run(function, clips, *, finished, **how):
+        found.append([finished(clip) for clip in clips])
+        return batch.Batch(())
+
+    monkeypatch.setattr(batch, "run_many", no_run)
+    assert fit_each(two_at_once) == fit_each(two_at_once, "--person", "all") == 0
+    assert found == [[True, True], [False, False]]  # made with other options is not finished
+
+
+def test_a_cluster_fits_the_same_though_a_worker_is_killed(two_at_once, tmp_path, monkeypatch, cluster, capsys):
+    monkeypatch.setattr(batch, "PATIENCE", 10 * batch.PATIENCE)  # a busy machine
+    address, processes = cluster
+    out = tmp_path / "scenes"
+
+    def kill():
+        while not all((out / name).is_dir() for name in ("cam1", "cam1_2")):  # both have begun
+            time.sleep(0.01)
+        processes[1].kill()
+
+    threading.Thread(target=kill, daemon=True).start()
+    monkeypatch.chdir(two_at_once)  # the workers stand elsewhere
+    assert fit_each(Path(), "--cluster", address, "--out", str(out)) == 0
+    assert "2 clips: 2 done" in capsys.readouterr().out and processes[1].wait() != 0
+    assert arrays(out) == arrays(two_at_once / "scenes")
 
 
 def test_clips_are_put_together_by_their_names(footage):
@@ -178,3 +230,23 @@ def test_options_of_many_clips_that_cannot_be_used(footage, monkeypatch, capsys,
     monkeypatch.chdir(footage)
     assert main(["fit", "videos", "--keypoints", "keypoints", "--out", "scenes", *words]) == 2
     assert said in capsys.readouterr().err
+    assert main(["fit", "--each", "--out", "scenes"]) == 2
+    assert "no folder of clips" in capsys.readouterr().err
+
+
+def test_paths_of_options_are_the_same_where_workers_stand(footage, monkeypatch):
+    asked = []
+    monkeypatch.setattr(batch, "run_many", lambda function, *_, **__: asked.append(function) or batch.Batch(()))
+    monkeypatch.chdir(footage)
+    options = {"--camera": "camera", "--prior": "prior", "--pose-prior": "pose_prior", "--initial": "initial"}
+    fit_each(footage, *(word for option in options for word in (option, "a.npz")))
+    assert {asked[0].keywords["how"][name] for name in options.values()} == {footage / "a.npz"}
+
+
+def test_ctrl_c_in_a_folder_of_one_clip_is_said_once(footage, monkeypatch, capsys):
+    """It runs in this process, and ends at its best, which is not done."""
+    shutil.rmtree(footage / "videos" / "cam1_2"), shutil.rmtree(footage / "keypoints" / "cam1_2_json")
+    monkeypatch.setattr(fit, "run_clip", lambda *_, **__: {"notes": [], "people": []})
+    assert fit_each(footage) == 1
+    said = capsys.readouterr()
+    assert (said.out + said.err).count("stopped before it was done") == 1 and "workers" not in said.out + said.err

@@ -8,10 +8,11 @@ import os
 import sys
 import urllib.error
 
+import imageio.v2 as imageio
 import numpy as np
 import pytest
 
-from motionlab import detect
+from motionlab import detect, fit
 from motionlab.errors import DataError, MissingData, ShapeError
 from motionlab.io import keypoints
 from motionlab.io.layouts import HALPE_26
@@ -190,9 +191,21 @@ def test_what_is_missing_is_said(tmp_path, video, monkeypatch):
         def BodyWithFeet(self, **how):
             raise OSError("no route to host")
 
-    monkeypatch.setitem(sys.modules, "rtmlib", Offline())
-    with pytest.raises(MissingData, match="no route to host"):
-        detect.find(video, tmp_path / "keypoints.npz")
+    class Bare:
+        def BodyWithFeet(self, **how):
+            raise ModuleNotFoundError("No module named 'onnxruntime'", name="onnxruntime")
+
+    class Damaged:
+        def BodyWithFeet(self, **how):
+            raise RuntimeError("INVALID_PROTOBUF : Load model from yolox.onnx failed")
+
+    cases = {Offline: "could not be fetched.*no route to host", Damaged: "cannot be used.*yolox.onnx.*delete it"}
+    cases[Bare] = r"package.*No module named 'onnxruntime'.*pip install 'motionlab\[detect\]'"
+    for package, message in cases.items():
+        monkeypatch.setitem(sys.modules, "rtmlib", package())
+        with pytest.raises(MissingData, match=message) as caught:
+            detect.find(video, tmp_path / "keypoints.npz")
+        assert ("fetched (" in str(caught.value)) == (package is Offline)
     with pytest.raises(DataError, match="nobody was found"):
         detect.find(video, tmp_path / "keypoints.npz", finder=lambda picture: (np.zeros((0, 26, 2)), np.zeros((0, 26))))
     with pytest.raises(ShapeError, match="26"):
@@ -201,3 +214,20 @@ def test_what_is_missing_is_said(tmp_path, video, monkeypatch):
     with pytest.raises(DataError, match="--fps"):
         detect.find(images, tmp_path / "keypoints.npz")
     assert not list(tmp_path.iterdir())
+
+
+def test_keypoints_of_another_video_are_not_taken_for_those_of_this_one(tmp_path, monkeypatch):
+    for name in ("a", "b"):
+        imageio.mimwrite(tmp_path / f"{name}.mp4", [np.zeros((HIGH, WIDE, 3), np.uint8)] * FRAMES, fps=25)
+    spots, found = np.arange(52).reshape(1, 26, 2) * 3.0, []
+    monkeypatch.setattr(detect, "_rtmpose", lambda: lambda picture: found.append(1) or (spots, np.ones((1, 26))))
+    out = tmp_path / "out"
+    for name, count in (("a", FRAMES), ("a", FRAMES), ("b", 2 * FRAMES), ("b", 2 * FRAMES)):
+        clip = fit.open_clip(None, tmp_path / f"{name}.mp4", out=out)
+        assert len(found) == count and clip.footage.frames == FRAMES
+        assert detect.found_in(out / "keypoints.npz") == f"{name}.mp4"
+    assert any("earlier run" in note for note in clip.notes)
+    with np.load(out / "keypoints.npz") as whole:
+        np.savez(out / "keypoints.npz", **{key: whole[key] for key in whole if key != "video"})
+    fit.open_clip(None, tmp_path / "a.mp4", out=out)
+    assert len(found) == 2 * FRAMES  # of a file that does not say, as before

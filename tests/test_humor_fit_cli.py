@@ -12,7 +12,7 @@ from PIL import Image
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import fit, scene_fit
+from motionlab import fit, scene_fit, scene_report
 from motionlab.__main__ import main
 from motionlab.checkpoint import SHIPPED
 from motionlab.errors import DataError
@@ -270,6 +270,8 @@ def test_a_long_clip_stopped_in_the_middle_goes_on(tmp_path, short_windows, few,
     assert not (out / "windows").exists() and record(out)["windows"] == 3
     with np.load(whole / "motion.npz") as a, np.load(out / "motion.npz") as b:
         assert all(np.array_equal(a[key], b[key]) for key in a)
+    rows = [{**record(folder), "seconds": 0.0} for folder in (whole, out)]
+    assert rows[0] == rows[1] and len(rows[0]["ended"]) > 3 and rows[0]["energy"]  # of all windows, whoever fitted them
 
 
 def test_somebody_who_leaves_and_returns(tmp_path, short_windows, few):
@@ -412,7 +414,7 @@ def test_the_record_counts_only_what_was_seen(walk):
     found = scene_fit.SceneFit((walk,), there, given, CAMERA, torch.zeros(1), {}, 1, (), ())
     pixels = project(CAMERA, fit.landmarks_of(walk))[0][None]
     away, weight = fit.pixel_distances(pixels, given)
-    row = fit._person(0, 7, None, found, away[0], weight[0])
+    row = scene_report.person_row(0, 7, found, away[0], weight[0])
     assert row["pixels"]["mean"] == pytest.approx(5 / 21, abs=1e-3)
     assert row["pixels"]["median"] < 0.01 and row["pixels"]["by_joint"]["right_knee"] == pytest.approx(5, abs=1e-2)
     assert row["detected"] == pytest.approx(21 / 22) and row["missing_by_joint"]["left_wrist"] == 1

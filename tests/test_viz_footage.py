@@ -9,7 +9,7 @@ from motionlab.io import video
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, look_at
 from motionlab.skeleton import STANDARD, UPRIGHT
-from motionlab.viz.footage import as_camera, bodies_over, film_size, over_footage
+from motionlab.viz.footage import _film_size, as_camera, bodies_over, over_footage
 
 CAMERA = look_at(torch.tensor([0.0, -4.0, 1.2]), torch.tensor([0.0, 0.0, 0.9]), focal=150.0, width=160, height=120)
 RED, GREEN = (0.9, 0.1, 0.1), (0.1, 0.7, 0.1)
@@ -65,7 +65,7 @@ def test_a_picture_becomes_the_camera_s(body):
 @pytest.mark.parametrize("shape", [(1088, 1920), (720, 1280), (480, 854), (1920, 1080), (576, 576), (640, 480)])
 def test_a_film_has_the_shape_of_its_footage_also_a_portrait(shape):
     for area in (640 * 480, 320 * 240):
-        wide, high = film_size(Camera(torch.eye(3), torch.eye(3), torch.zeros(3), *shape), area)
+        wide, high = _film_size(Camera(torch.eye(3), torch.eye(3), torch.zeros(3), *shape), area)
         assert (
             wide % 2 == high % 2 == 0
             and abs(wide * shape[1] / shape[0] - high) <= 1

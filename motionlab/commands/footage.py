@@ -113,14 +113,17 @@ def _fit_one(options: argparse.Namespace) -> int:
 def _fit_each(options: argparse.Namespace) -> int:
     if options.people:
         raise DataError("lists the people of one clip", place="--people", remedy="leave out --each, or --people")
+    if options.video is None and options.keypoints is None:
+        remedy = "name a folder of videos, or --keypoints with a folder of what a detector wrote"
+        raise DataError("no folder of clips", place="--each", remedy=remedy)
     clips = [
         (name, keypoints, video, options.out / name)
         for name, (keypoints, video) in _clips_of(options.keypoints, options.video).items()
     ]
     how = {name: getattr(options, name) for name in _PASSED_ON}
-    if how["camera"] is not None:
-        how["camera"] = how["camera"].resolve()
-    return many.run_clips(partial(_fit_clip, how=how), clips, _is_fitted, options)
+    for name in ("camera", "prior", "pose_prior", "initial"):  # for workers that stand elsewhere
+        how[name] = how[name] and how[name].resolve()
+    return many.run_clips(partial(_fit_clip, how=how), clips, partial(_is_fitted, how=how), options, compared=True)
 
 
 def _fit_clip(clip: Job, how: dict[str, object]) -> list[str]:
@@ -133,10 +136,10 @@ def _fit_clip(clip: Job, how: dict[str, object]) -> list[str]:
     return [*record["notes"], *doubted]
 
 
-def _is_fitted(clip: Job) -> bool:
+def _is_fitted(clip: Job, how: dict[str, object]) -> bool:
     from motionlab import fit
 
-    return fit.is_finished(clip[3])
+    return fit.is_finished(clip[3], how)
 
 
 def _clips_of(keypoints: Path | None, videos: Path | None) -> dict[str, tuple[Path | None, Path | None]]:

@@ -25,19 +25,24 @@ def run_clips(
     clips: Sequence[Job],
     finished: Callable[[Job], bool],
     options: argparse.Namespace,
+    compared: bool = False,
 ) -> int:
     """Runs a command on every clip that is not finished; prints what was done, and every note once.
 
-    function: of a clip, to its notes; a module's function or a partial of one. Returns 1 where a clip failed, else 0.
+    function: of a clip, to its notes; a module's function or a partial of one. compared: whether ``finished`` asks for
+    the same options. Returns 1 where a clip failed, else 0.
 
     Raises:
-        DataError: --jobs below 1, or no cluster. MissingData: the package that speaks to one.
+        DataError: --jobs below 1 or with --cluster, or no cluster. MissingData: the package that speaks to one.
     """
     from motionlab import batch
     from motionlab.errors import DataError
 
     if options.jobs is not None and options.jobs < 1:
         raise DataError(f"{options.jobs} jobs", place="--jobs", remedy="give a number above 0")
+    if options.jobs is not None and options.cluster is not None:
+        remedy = "leave out --jobs: a cluster does as many at once as it has workers"
+        raise DataError("processes here, or a cluster", place="--jobs, --cluster", remedy=remedy)
     clips = [(name, *(path and path.resolve() for path in paths)) for name, *paths in clips]  # for other machines
     how = {"jobs_at_once": options.jobs or 1, "cluster": options.cluster, "name": _name}
     found = batch.run_many(function, clips, finished=finished, **how)
@@ -47,12 +52,12 @@ def run_clips(
             said[note].append(found.names[k])
     for note, names in said.items():
         print(f"note: {note} ({names[0] if len(names) == 1 else f'{len(names)} clips'})")
-    report = found.lines()
-    print(report[0])
+    print(found.lines()[0])
     if found.skipped:
-        print("note: to make a finished one again, delete what was written of it")
-    for line in report[1:]:
-        print(line, file=sys.stderr)
+        which = "a finished one" if compared else "what was made before, perhaps with other options,"
+        print(f"note: to make {which} again, delete what was written of it")
+    if found.failed:  # why was said when it happened
+        print(f"failed: {', '.join(found.names[k] for k in sorted(found.failed))}", file=sys.stderr)
     return 1 if found.failed else 0
 
 

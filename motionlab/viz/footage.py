@@ -37,7 +37,7 @@ def as_camera(picture: np.ndarray, camera: Camera, size: tuple[int, int]) -> np.
     return np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
 
 
-def film_size(camera: Camera, area: float) -> tuple[int, int]:
+def _film_size(camera: Camera, area: float) -> tuple[int, int]:
     """Computes an even width and height of about so many pixels, within half a pixel of the camera's shape if any is.
 
     Rounding both to even numbers would miss the shape of a portrait, whose height counts double.
@@ -117,7 +117,7 @@ def over_footage(
         area: of the picture over the footage, pixels.
     """
     count, fps = motions[0].frames, motions[0].fps
-    size, frames = film_size(camera, area), range(count)
+    size, frames = _film_size(camera, area), range(count)
     paper = np.asarray(Image.new("RGB", size, PAPER))
     below = (as_camera(p, camera, size) for p in pictures) if pictures is not None else (paper for _ in frames)
     how = {"roles": roles, "shown": shown, "fine": False}

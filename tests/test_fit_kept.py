@@ -1,0 +1,168 @@
+"""What ``fit`` keeps when it is stopped or the film cannot be drawn, and which folders count as finished."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_synth.actions import ACTIONS
+from data_synth.subjects import SUBJECTS
+from motionlab import fit, scene_fit, scene_report
+from motionlab.humor import testops
+from motionlab.humor.priors import InitGmm
+from motionlab.humor.shooting.feedback_solver import Plan
+from motionlab.io import amass
+from motionlab.observation import BODY_25, Observation2D, look_at, project
+from motionlab.viz.palette import ROLE
+
+CAMERA = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=900.0, width=1280, height=720)
+LONG, SHORT = 20, 6
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch) -> None:
+    """Few steps, and windows of 8 frames: a clip of 20 has three."""
+    plan = Plan(rounds=1, closures=2, leaps=0, trial=0)
+    monkeypatch.setattr(scene_fit, "QUICK_WORK", testops.Schedule(steps=(1, 1, 1), inner=3, shooting=plan))
+    for name, value in {"WHOLE": 10, "STRETCH": 8, "OVERLAP": 2, "_SHOWN": 1}.items():
+        monkeypatch.setattr(scene_fit, name, value)
+
+
+def keypoints(folder: Path, frames: int) -> Path:
+    """Perfect detections of a walk."""
+    motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion.cut(20, 20 + frames)
+    motion = replace(motion, root=motion.root - motion.root[:1] * torch.tensor([1.0, 1.0, 0.0]))
+    points = project(CAMERA, fit.landmarks_of(motion))[0]
+    table = torch.cat((points, torch.ones_like(points[..., :1])), -1)[:, None].numpy()
+    file = folder / f"walk{frames}.npz"
+    np.savez(file, keypoints=table, names=np.array(BODY_25), fps=30.0, size=np.array([1280, 720]))
+    return file
+
+
+def record(out: Path) -> dict:
+    return json.loads((out / fit.RESULT).read_text())
+
+
+def spoil(monkeypatch, error: BaseException):
+    """The film ends in an error; gives how to undo that."""
+    drawn = fit.film.over_footage
+
+    def broken(motions, camera, pictures, path, *arguments, **options):
+        assert (path.parents[1] / "scene.glb").exists()  # the fit is in its place before a film is begun
+        path.write_bytes(b"half a film")
+        raise error
+
+    monkeypatch.setattr(fit.film, "over_footage", broken)
+    return lambda: monkeypatch.setattr(fit.film, "over_footage", drawn)
+
+
+def no_fit(*_, **__):
+    raise AssertionError("fitted again")
+
+
+def test_windows_stay_until_the_film_of_long_footage_is_drawn(tmp_path, monkeypatch):
+    file, out = keypoints(tmp_path, LONG), tmp_path / "out"
+    mend = spoil(monkeypatch, KeyboardInterrupt())
+    found = fit.run_clip(file, out, quick=True)
+    assert "stopped while the film was drawn: there is none" in found["notes"] and not found["finished"]
+    assert len(list((out / "windows").iterdir())) == found["windows"] == 3 and not fit.is_finished(out)
+    mend()
+    fits, real = [], testops.fit
+    monkeypatch.setattr(testops, "fit", lambda *a, **k: fits.append(1) or real(*a, **k))
+    assert fit.run_clip(file, out, quick=True)["finished"] and fit.is_finished(out)
+    assert len(fits) == 1  # for the camera; no window is fitted again
+    assert (out / "overlay.mp4").exists() and not (out / "windows").exists()
+
+
+def test_a_film_that_cannot_be_drawn_is_a_note(tmp_path, monkeypatch):
+    file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
+    fit.run_clip(file, out, quick=True)
+    assert (out / "overlay.mp4").exists()
+    spoil(monkeypatch, RuntimeError("bad X server connection"))
+    found = fit.run_clip(file, out, quick=True)
+    assert "the film could not be drawn: RuntimeError: bad X server connection" in found["notes"]
+    assert {path.name for path in out.iterdir()} == {*found["files"], fit.RESULT}
+    assert not (out / "overlay.mp4").exists() and amass.load(out / "motion.npz").frames == SHORT
+    assert found["notes"] == record(out)["notes"] and "the film is not drawn yet" not in found["notes"]
+    assert fit.is_finished(out)  # the same call would not draw it either
+    page = (out / "report.html").read_text()
+    assert "<video" not in page and "Dots are detections" not in page and "There is no film" in page
+
+
+def test_what_is_written_first_is_no_finished_folder(tmp_path, monkeypatch):
+    """Killed while the film is drawn: the motions are there, and fit.json says what is missing."""
+    file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
+    spoil(monkeypatch, SystemExit())
+    with pytest.raises(SystemExit):
+        fit.run_clip(file, out, quick=True)
+    assert amass.load(out / "motion.npz").frames == SHORT and not fit.is_finished(out)
+    assert "the film is not drawn yet" in record(out)["notes"]
+
+
+def test_the_background_is_compared_before_the_fit(tmp_path, monkeypatch):
+    """Ctrl-C in it costs no fit."""
+    import imageio.v2 as imageio
+
+    imageio.mimwrite(tmp_path / "clip.mp4", [np.zeros((72, 128, 3), np.uint8)] * SHORT, fps=30)
+
+    def stopped(clip):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fit, "_drift", stopped)
+    monkeypatch.setattr(fit, "fit_people", no_fit)
+    with pytest.raises(KeyboardInterrupt):
+        fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", video=tmp_path / "clip.mp4", quick=True)
+
+
+# ----------------------------------------------------------------------------------------------- what was asked
+def test_a_folder_is_finished_only_for_the_options_it_was_made_with(tmp_path, monkeypatch):
+    file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
+    fit.run_clip(file, out, quick=True, person="all")
+    assert fit.is_finished(out) and fit.is_finished(out, {"quick": True, "person": ["all"], "camera": None})
+    others = {
+        "quick": False,
+        "person": "longest",
+        "solver": "rollout",
+        "fps": 25.0,
+        "size": (640, 480),
+        "layout": "COCO_17",
+    }
+    others |= {name: tmp_path / "other" for name in ("camera", "prior", "pose_prior", "initial")}
+    others |= {"layout": "COCO_17", "camera_name": "left", "pelvis": [0.0, 0.0, 0.0]}
+    for name, value in others.items():
+        assert not fit.is_finished(out, {"quick": True, "person": "all", name: value}), name
+    monkeypatch.chdir(tmp_path)
+    assert fit._asked({"camera": "camera.json"}) == fit._asked(
+        {"camera": tmp_path / "camera.json"}
+    )  # wherever one stands
+
+
+def test_a_window_is_kept_under_all_that_goes_into_its_fit(kit):
+    seen = Observation2D(torch.zeros(1, 8, 25, 2), torch.ones(1, 8, 25), BODY_25, 30.0, CAMERA)
+    first = kit.initial
+    moved = InitGmm(first.weights, first.means + 1, first.covariances)
+    names = {scene_fit._key(seen, CAMERA, scene_fit.Task(priors)) for priors in (kit, replace(kit, initial=moved))}
+    assert len(names) == 2
+
+
+def test_the_report_says_who_has_which_colour_and_how_many_are_not_listed(tmp_path, monkeypatch):
+    drawn = {}
+
+    def film(motions, camera, pictures, path, *_, roles, **__):
+        drawn["roles"] = roles
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fit.film, "over_footage", film)
+    found = fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", quick=True)
+    person, seen = found["people"][0], found["keypoints"]["people"][0]
+    crowd = {**found["keypoints"], "people": [seen | {"person": k} for k in range(45)]}
+    page = scene_report.page(found | {"people": [person | {"id": k} for k in range(9)], "keypoints": crowd})
+    assert "<p>and 5 more</p>" in page and "more</p>" not in (tmp_path / "out" / "report.html").read_text()
+    marks = re.findall(r'color: (#\w+)">&#9679;</span> Person (\d)<', page)
+    assert [int(k) for _, k in marks] == [*range(9)] and marks[0][0] == marks[8][0]
+    assert len({ink for ink, _ in marks}) == 8 and marks[0][0] == ROLE[drawn["roles"][0]]  # as in the film
+    assert page.count(f'fill="{marks[1][0]}">person 1<') == 1  # and in the chart
