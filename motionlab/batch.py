@@ -184,5 +184,5 @@ def _on_cluster(work: dict[int, Callable[[], Any]], address: str, done: Callable
 
 _NOT_DONE = "stopped before it was done"
 _NOT_HERE = "done, but what it writes last is not here: do its workers share this folder?"
-_INSTALL = "Install it: pip install 'motionlab[cluster]'."
+_INSTALL = "Install it in the checkout: pip install -e '.[cluster]'."
 _AGAIN = "start it and run the same command again: what is finished is skipped"

@@ -46,7 +46,7 @@ def _rtmpose(mode: str = "balanced") -> _Finder:
             network = BodyWithFeet(mode=mode, backend="onnxruntime", device="cpu")
     except ImportError as error:  # of rtmlib, or of the onnxruntime that it imports when a network is made
         what = f"a package of the optional extra that finds keypoints ({error})"
-        raise MissingData(what, f"pip install 'motionlab[detect]'. {_OTHERWISE}") from error
+        raise MissingData(what, f"In the checkout: pip install -e '.[detect]'. {_OTHERWISE}") from error
     except (OSError, http.client.HTTPException) as error:  # what a download raises
         how = f"It could not be fetched ({error}): connect once to the network. {_OTHERWISE}"
         raise MissingData("RTMPose's file of weights", how) from error

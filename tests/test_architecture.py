@@ -185,7 +185,7 @@ def test_the_library_is_thin():
     commands = [path for path in files if path.parent.name == "commands" or path.name == "__main__.py"]
     rest = [path for path in files if path not in commands]
     lines = lambda some: sum(len(path.read_text(encoding="utf-8").splitlines()) for path in some)  # noqa: E731
-    assert len(rest) <= 109 and lines(rest) <= 23_500 and lines(commands) <= 700
+    assert len(rest) <= 110 and lines(rest) <= 23_600 and lines(commands) <= 700
     for package, most in {"humor": 24, "diffusion": 20, "viz": 10}.items():
         assert sum(p.is_relative_to(ROOT / LIBRARY / package) for p in files) <= most, package
 

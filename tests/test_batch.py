@@ -100,7 +100,7 @@ def test_one_clip_runs_here(tmp_path):
 
 def test_without_distributed_the_remedy_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MissingData, match=r"motionlab\[cluster\]"):
+    with pytest.raises(MissingData, match=r"-e '\.\[cluster\]'"):
         batch.run_many(str, [1, 2], cluster="tcp://127.0.0.1:1")
 
 

@@ -184,7 +184,7 @@ def test_what_is_missing_is_said(tmp_path, video, monkeypatch):
     monkeypatch.setitem(sys.modules, "rtmlib", None)
     with pytest.raises(MissingData) as caught:
         detect.find(video, tmp_path / "keypoints.npz")
-    for word in ("pip install 'motionlab[detect]'", "--keypoints", "OpenPose", "MMPose", "AlphaPose", "--write_json"):
+    for word in ("pip install -e '.[detect]'", "--keypoints", "OpenPose", "MMPose", "AlphaPose", "--write_json"):
         assert word in str(caught.value)
 
     class Offline:
@@ -200,7 +200,7 @@ def test_what_is_missing_is_said(tmp_path, video, monkeypatch):
             raise RuntimeError("INVALID_PROTOBUF : Load model from yolox.onnx failed")
 
     cases = {Offline: "could not be fetched.*no route to host", Damaged: "cannot be used.*yolox.onnx.*delete it"}
-    cases[Bare] = r"package.*No module named 'onnxruntime'.*pip install 'motionlab\[detect\]'"
+    cases[Bare] = r"package.*No module named 'onnxruntime'.*pip install -e '\.\[detect\]'"
     for package, message in cases.items():
         monkeypatch.setitem(sys.modules, "rtmlib", package())
         with pytest.raises(MissingData, match=message) as caught:
