@@ -172,7 +172,7 @@ class Lab:
                 said = ledger.answer(claim, found)
             except DataError:
                 said = "*(This run did not measure all that the answer names.)*"
-            lines.append(f"- **{claim.id}, {claim.title}: {ledger.spoken(claim, found)}.** {said}")
+            lines.append(f'- **{claim.id}**, "{claim.title}": **{ledger.spoken(claim, found)}.** {said}')
         self.say("\n".join(lines))
 
     def _listed(self, title: str, fold: bool, rows: list[dict[str, object]]) -> None:

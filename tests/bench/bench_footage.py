@@ -3,8 +3,10 @@
 The table of files takes every sample of a folder: a file, or a folder of files without a SOURCE.txt. With ``--views``
 there is the person instead whom Pose2Sim filmed from four sides (``pose2sim_openpose`` in MOTIONLAB_DATA), fitted by
 the solver of ``fit`` under each plan of work: joint error with the pelvis on the reference's, and processor seconds.
+With ``--people`` there are people of CMU's recordings, filmed by a simulated camera, each fitted alone as ``fit`` does:
+the plans are compared person by person.
 
-    MOTIONLAB_DATA=FOLDER python tests/bench/bench_footage.py [--files KEYPOINT_FORMATS] [--views] [--plans lean quick]
+    MOTIONLAB_DATA=FOLDER python tests/bench/bench_footage.py [--files KEYPOINT_FORMATS] [--views] [--people 12]
 """
 
 import argparse
@@ -15,6 +17,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import torch
+
 from motionlab import scene_fit
 from motionlab.errors import DataError
 from motionlab.humor import pretrained, testops
@@ -23,6 +27,7 @@ from motionlab.humor.testops import Schedule
 from motionlab.io import keypoints
 from motionlab.io.keypoints import Footage
 from motionlab.io.layouts import LAYOUTS
+from motionlab.metrics.intervals import interval
 
 #: Given to a file that does not say its rate or its image's size.
 _UNSAID = {"fps": 30.0, "size": (1280.0, 720.0)}
@@ -32,6 +37,9 @@ PLANS = {
     "lean": Schedule.lean(),
     "8 rounds": replace(Schedule.lean(), shooting=Plan(rounds=8, closures=20)),
     "5 rounds": replace(Schedule.lean(), shooting=Plan(rounds=5, closures=20, leaps=0)),
+    "1 % gain": replace(Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=1e-2)),
+    "stride 2": replace(Schedule.lean(), shooting=Plan(rounds=6, closures=20, leaps=1, trial=1, stride=2)),
+    "stride 4": replace(Schedule.lean(), shooting=Plan(rounds=5, closures=15, leaps=1, trial=1, stride=4)),
     "quick": Schedule.quick(),
     "first look": scene_fit.QUICK_WORK,
 }
@@ -93,7 +101,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 # --------------------------------------------------------------------------------------------------------------- views
 def views_table(folder: Path, plans: Sequence[str], cameras: Sequence[str], alone: int | None) -> None:
     """Prints the error of every view under each plan, fitted together, or of one alone; and processor seconds."""
-    sys.path.append(str(Path(__file__).resolve().parents[2] / "notebooks"))
+    _import_studies()
     from studies.nb05_testops import recordings
 
     views, priors = recordings.pose2sim(folder), pretrained.load_priors()
@@ -125,6 +133,46 @@ def _one(views, k: int):
     return views._replace(observation=seen, **part)
 
 
+# -------------------------------------------------------------------------------------------------------------- people
+def people_table(folder: Path, plans: Sequence[str], cameras: Sequence[str], count: int, part: str) -> None:
+    """Prints, for each plan, the joint error of people filmed by a simulated camera, fitted one by one, pelvis
+    aligned, and how much more it is than under the first plan, with its interval over people."""
+    _import_studies()
+    from studies.nb05_testops import filmed_people
+
+    clips = filmed_people.filmed(filmed_people.recorded(folder, part, count), seed=3)
+    scene, priors = clips.scene, pretrained.load_priors()
+    truth = scene.truth.positions - scene.truth.positions[..., :1, :]
+    size = (int(scene.cameras[0].width), int(scene.cameras[0].height))
+    for how in cameras:
+        first = None
+        for name in plans:
+            off, spent = [], []
+            for k in range(len(clips.people.whose)):
+                seen = replace(
+                    scene.observation, keypoints=scene.observation.keypoints[k : k + 1],
+                    confidence=scene.observation.confidence[k : k + 1],
+                )  # fmt: skip
+                known = {"cameras": [scene.cameras[k]], "floor": "camera"} if how == "known" else {"size": size}
+                before = _seconds()
+                found = testops.fit(seen, priors, schedule=PLANS[name], solver="shooting", **known).motion.positions[0]
+                spent.append(_seconds() - before)
+                off.append(100 * float((found - found[:, :1] - truth[k]).norm(dim=-1).mean()))
+            error = clips.people.mean(torch.tensor(off))
+            first = error if first is None else first
+            more, low, high = interval(error - first, "mean", torch.Generator().manual_seed(0))
+            print(
+                f"camera {how:7} {name:15} {error.mean():6.2f} cm, {more:+.2f} "
+                f"[{low:+.2f}, {high:+.2f}] to {plans[0]}; {sum(spent) / len(spent):.1f} s a clip "
+                f"(n = {len(error)} people)",
+                flush=True,
+            )
+
+
+def _import_studies() -> None:
+    sys.path.append(str(Path(__file__).resolve().parents[2] / "notebooks"))
+
+
 def _seconds() -> float:
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
@@ -137,10 +185,17 @@ def main() -> None:
     parser.add_argument("--files", type=Path, default=beside[0] if beside else None, help="folder of keypoint files")
     parser.add_argument("--views", action="store_true", help="fit Pose2Sim's four views; a minute or so each plan")
     parser.add_argument("--alone", type=int, metavar="VIEW", help="fit one view, 0 to 3, by itself")
+    parser.add_argument("--people", type=int, metavar="N", help="fit so many people of CMU, each alone")
+    parser.add_argument("--part", choices=("choose", "report"), default="choose", help="whose people these are")
     parser.add_argument("--plans", nargs="+", choices=PLANS, default=[*PLANS])
     parser.add_argument("--cameras", nargs="+", choices=CAMERAS, default=CAMERAS)
     options = parser.parse_args()
-    if not options.views and options.files is None:
+    if options.people:
+        if not (data / "cmu_library").is_dir():
+            print("no MOTIONLAB_DATA with cmu_library in it: nothing measured")
+        else:
+            people_table(data, options.plans, options.cameras, options.people, options.part)
+    elif not options.views and options.files is None:
         print("no keypoint_formats in or beside MOTIONLAB_DATA: nothing read")
     elif not options.views:
         files_table(options.files)
