@@ -6,6 +6,7 @@ and a report. ``fit.json`` says at the end whether the folder is finished: not s
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import tempfile
@@ -36,6 +37,7 @@ from motionlab.skeleton import STANDARD
 from motionlab.viz import footage as film
 
 RESULT = "fit.json"
+_READ = ("keypoints", "video", "camera", "prior", "pose_prior", "initial")
 _OUTSIDE = 0.2  # share of detections outside the image from which a camera does not fit
 _SMALL = 320 * 240  # pixels of the film of a quick fit
 _SAMPLES = 60  # pictures in which the background is compared, half a second or more apart
@@ -45,29 +47,33 @@ _LEG = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].nor
 def is_finished(out: str | Path, how: Mapping[str, object] | None = None) -> bool:
     """Says whether ``run_clip`` has written a folder, to the end and without having been stopped.
 
-    how: the options of a call of ``run_clip``; then only a folder that was asked for with the same ones is finished.
+    how: the arguments of a call of ``run_clip`` by name; then only a folder that was made with the same ones is
+    finished, of files with the same content.
     """
     try:
         record = json.loads((Path(out) / RESULT).read_text(encoding="utf-8"))
-        return record["finished"] is True and (how is None or record["asked"] == _asked(how))
+        return record["finished"] is True and (how is None or record["asked"] == _asked(**how))
     except (OSError, ValueError, KeyError, TypeError):
         return False
 
 
-def _asked(how: Mapping[str, object]) -> dict[str, object]:
-    """What decides about a fit, of the options of ``run_clip``, as plain JSON: an option that is not given is null,
-    or says what stands for it."""
-    files = {name: how.get(name) for name in ("camera", "prior", "pose_prior", "initial")}
-    sides = {name: how.get(name) for name in ("size", "pelvis")}
-    person = how.get("person", "longest")
+def _asked(person="longest", solver="shooting", quick=False, size=None, pelvis=None, **given) -> dict[str, object]:
+    """What decides about a fit, of the arguments of ``run_clip``, as plain JSON: null is not given; of files a hash."""
     return {
         "person": [str(word) for word in ([person] if isinstance(person, str | int) else person)],
-        "solver": how.get("solver", "shooting"),
-        "quick": how.get("quick", False),
-        **{name: None if path is None else str(Path(path).resolve()) for name, path in files.items()},
-        **{name: None if row is None else [*map(float, row)] for name, row in sides.items()},
-        **{name: how.get(name) for name in ("fps", "layout", "camera_name")},
+        "solver": solver,
+        "quick": quick,
+        **{name: None if given.get(name) is None else _stamp(Path(given[name]), name != "video") for name in _READ},
+        **{name: None if row is None else [*map(float, row)] for name, row in (("size", size), ("pelvis", pelvis))},
+        **{name: given.get(name) for name in ("fps", "layout", "camera_name")},
     }
+
+
+def _stamp(path: Path, whole: bool) -> str:
+    """A hash of a file, or of the files of a folder: of their content, or of name and sizes."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path] if path.exists() else []
+    parts = [file.read_bytes() for file in files] if whole else [path.name, *(file.stat().st_size for file in files)]
+    return hashlib.sha256(b"".join(hashlib.sha256(repr(part).encode()).digest() for part in parts)).hexdigest()[:16]
 
 
 def run_clip(
@@ -111,7 +117,8 @@ def run_clip(
         DataError: something cannot be read, used or written. MissingData: no keypoints, and no detector.
         KeyboardInterrupt: stopped, and not finished.
     """
-    asked = _asked(locals())  # the options, and nothing else yet
+    asked = _asked(person, solver, quick, size, pelvis, keypoints=keypoints, video=video, camera=camera, prior=prior,
+                   pose_prior=pose_prior, initial=initial, fps=fps, layout=layout, camera_name=camera_name)  # fmt: skip
     began, out = time.perf_counter(), _folder(out)
     clip = open_clip(keypoints, video, out=out, fps=fps, size=size, layout=layout, progress=progress)
     ids = _ids(clip.footage, person)

@@ -122,23 +122,24 @@ def test_the_background_is_compared_before_the_fit(tmp_path, monkeypatch):
 def test_a_folder_is_finished_only_for_the_options_it_was_made_with(tmp_path, monkeypatch):
     file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
     fit.run_clip(file, out, quick=True, person="all")
-    assert fit.is_finished(out) and fit.is_finished(out, {"quick": True, "person": ["all"], "camera": None})
-    others = {
-        "quick": False,
-        "person": "longest",
-        "solver": "rollout",
-        "fps": 25.0,
-        "size": (640, 480),
-        "layout": "COCO_17",
-    }
-    others |= {name: tmp_path / "other" for name in ("camera", "prior", "pose_prior", "initial")}
+    made = {"keypoints": file, "quick": True, "person": "all"}
+    assert fit.is_finished(out) and fit.is_finished(out, made | {"person": ["all"], "camera": None})
+    others = {"quick": False, "person": "longest", "solver": "rollout", "fps": 25.0, "size": (640, 480)}
+    others |= {name: tmp_path / "other" for name in ("camera", "prior", "pose_prior", "initial", "video")}
     others |= {"layout": "COCO_17", "camera_name": "left", "pelvis": [0.0, 0.0, 0.0]}
     for name, value in others.items():
-        assert not fit.is_finished(out, {"quick": True, "person": "all", name: value}), name
-    monkeypatch.chdir(tmp_path)
-    assert fit._asked({"camera": "camera.json"}) == fit._asked(
-        {"camera": tmp_path / "camera.json"}
-    )  # wherever one stands
+        assert not fit.is_finished(out, made | {name: value}), name
+
+
+def test_a_folder_is_not_finished_once_the_keypoints_say_something_else(tmp_path):
+    file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
+    fit.run_clip(file, out, quick=True)
+    made = {"keypoints": file, "quick": True}
+    moved = tmp_path / "elsewhere.npz"
+    moved.write_bytes(file.read_bytes())
+    assert fit.is_finished(out, made) and fit.is_finished(out, made | {"keypoints": moved})  # wherever the file lies
+    file.write_bytes(file.read_bytes() + b" ")
+    assert not fit.is_finished(out, made)
 
 
 def test_a_window_is_kept_under_all_that_goes_into_its_fit(kit):

@@ -8,7 +8,8 @@ from functools import partial
 from pathlib import Path
 
 from motionlab.commands import many
-from motionlab.commands.many import Job, text_table
+from motionlab.commands.many import Job
+from motionlab.commands.printing import text_table
 from motionlab.errors import DataError
 
 #: A clip's keypoints are one of the first, or a folder that holds some of the second; its video one of the third, or a
@@ -139,7 +140,8 @@ def _fit_clip(clip: Job, how: dict[str, object]) -> list[str]:
 def _is_fitted(clip: Job, how: dict[str, object]) -> bool:
     from motionlab import fit
 
-    return fit.is_finished(clip[3], how)
+    _, keypoints, video, out = clip
+    return fit.is_finished(out, {"keypoints": keypoints, "video": video} | how)
 
 
 def _clips_of(keypoints: Path | None, videos: Path | None) -> dict[str, tuple[Path | None, Path | None]]:

@@ -64,11 +64,3 @@ def run_clips(
 def _name(clip: Job) -> str:
     """Returns the name of a clip, for messages."""
     return clip[0]
-
-
-def text_table(rows: Sequence[dict[str, object]]) -> str:
-    """Returns rows (all with the same keys) as aligned columns."""
-    cells = [[f"{v:.1f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
-    cells = [list(rows[0]), *cells] if rows else [["nothing found"]]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
-    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in cells)
