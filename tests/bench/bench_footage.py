@@ -19,6 +19,7 @@ from pathlib import Path
 
 import torch
 
+from data_synth import scenes
 from motionlab import scene_fit
 from motionlab.errors import DataError
 from motionlab.humor import pretrained, testops
@@ -134,21 +135,21 @@ def _one(views, k: int):
 
 
 # -------------------------------------------------------------------------------------------------------------- people
-def people_table(folder: Path, plans: Sequence[str], cameras: Sequence[str], count: int, part: str) -> None:
+def people_table(folder: Path, plans: Sequence[str], cameras: Sequence[str], count: int, part: str, view: str) -> None:
     """Prints, for each plan, the joint error of people filmed by a simulated camera, fitted one by one, pelvis
     aligned, and how much more it is than under the first plan, with its interval over people."""
     _import_studies()
     from studies.nb05_testops import filmed_people
 
-    clips = filmed_people.filmed(filmed_people.recorded(folder, part, count), seed=3)
-    scene, priors = clips.scene, pretrained.load_priors()
+    people, priors = filmed_people.recorded(folder, part, count), pretrained.load_priors()
+    scene = scenes.film_recorded(view, people.motions, seed=3)
     truth = scene.truth.positions - scene.truth.positions[..., :1, :]
     size = (int(scene.cameras[0].width), int(scene.cameras[0].height))
     for how in cameras:
         first = None
         for name in plans:
             off, spent = [], []
-            for k in range(len(clips.people.whose)):
+            for k in range(len(people.whose)):
                 seen = replace(
                     scene.observation, keypoints=scene.observation.keypoints[k : k + 1],
                     confidence=scene.observation.confidence[k : k + 1],
@@ -158,7 +159,7 @@ def people_table(folder: Path, plans: Sequence[str], cameras: Sequence[str], cou
                 found = testops.fit(seen, priors, schedule=PLANS[name], solver="shooting", **known).motion.positions[0]
                 spent.append(_seconds() - before)
                 off.append(100 * float((found - found[:, :1] - truth[k]).norm(dim=-1).mean()))
-            error = clips.people.mean(torch.tensor(off))
+            error = people.mean(torch.tensor(off))
             first = error if first is None else first
             more, low, high = interval(error - first, "mean", torch.Generator().manual_seed(0))
             print(
@@ -187,6 +188,7 @@ def main() -> None:
     parser.add_argument("--alone", type=int, metavar="VIEW", help="fit one view, 0 to 3, by itself")
     parser.add_argument("--people", type=int, metavar="N", help="fit so many people of CMU, each alone")
     parser.add_argument("--part", choices=("choose", "report"), default="choose", help="whose people these are")
+    parser.add_argument("--view", default="plain view", help="of the simulated camera, or legs behind a desk")
     parser.add_argument("--plans", nargs="+", choices=PLANS, default=[*PLANS])
     parser.add_argument("--cameras", nargs="+", choices=CAMERAS, default=CAMERAS)
     options = parser.parse_args()
@@ -194,7 +196,7 @@ def main() -> None:
         if not (data / "cmu_library").is_dir():
             print("no MOTIONLAB_DATA with cmu_library in it: nothing measured")
         else:
-            people_table(data, options.plans, options.cameras, options.people, options.part)
+            people_table(data, options.plans, options.cameras, options.people, options.part, options.view)
     elif not options.views and options.files is None:
         print("no keypoint_formats in or beside MOTIONLAB_DATA: nothing read")
     elif not options.views:
