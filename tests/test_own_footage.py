@@ -80,4 +80,4 @@ def test_every_command_of_the_page_runs(desk, monkeypatch, capsys):
 
 def test_pictures_of_the_page_are_there_and_small():
     pictures = [PAGE.parent / name for name in re.findall(r"!\[[^]]*\]\((.*?)\)", PAGE.read_text(encoding="utf-8"))]
-    assert len(pictures) == 1 and sum(path.stat().st_size for path in pictures) < 300_000
+    assert len(pictures) == 3 and sum(path.stat().st_size for path in pictures) < 300_000

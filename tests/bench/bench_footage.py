@@ -41,6 +41,7 @@ PLANS = {
     "1 % gain": replace(Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=1e-2)),
     "stride 2": replace(Schedule.lean(), shooting=Plan(rounds=6, closures=20, leaps=1, trial=1, stride=2)),
     "stride 4": replace(Schedule.lean(), shooting=Plan(rounds=5, closures=15, leaps=1, trial=1, stride=4)),
+    "4 rounds": replace(Schedule.lean(), shooting=Plan(rounds=4, closures=15, leaps=0, trial=1, stride=4)),
     "quick": Schedule.quick(),
     "first look": scene_fit.QUICK_WORK,
 }
