@@ -42,6 +42,9 @@ PLANS = {
     "stride 2": replace(Schedule.lean(), shooting=Plan(rounds=6, closures=20, leaps=1, trial=1, stride=2)),
     "stride 4": replace(Schedule.lean(), shooting=Plan(rounds=5, closures=15, leaps=1, trial=1, stride=4)),
     "4 rounds": replace(Schedule.lean(), shooting=Plan(rounds=4, closures=15, leaps=0, trial=1, stride=4)),
+    "3 rounds": replace(Schedule.lean(), shooting=Plan(rounds=3, closures=15, leaps=0, trial=1, stride=4)),
+    "3 coarse": replace(scene_fit.QUICK_WORK, shooting=Plan(rounds=3, closures=12, trial=0, leaps=0, stride=4)),
+    "2 coarse": replace(scene_fit.QUICK_WORK, shooting=Plan(rounds=2, closures=15, trial=0, leaps=0, stride=4)),
     "quick": Schedule.quick(),
     "first look": scene_fit.QUICK_WORK,
 }
