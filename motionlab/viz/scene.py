@@ -14,6 +14,7 @@ import importlib
 import os
 import sys
 from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 
 import numpy as np
 import pyvista as pv
@@ -197,18 +198,12 @@ class Scene:
         faces = body.faces.cpu().numpy()
         mannequin.single(motion)
 
-        def shape(index: int) -> tuple[np.ndarray, np.ndarray]:
-            with torch.no_grad():
-                now = motion.cut(index, index + 1)
-                skin = mannequin.array(lbs(body, now.skeleton, now.root, now.rot)[0])
-            return skin, mannequin.vertex_normals(skin, faces)
-
         def show(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor | None:
             if field is None:
                 return mannequin.add_surface(plotter, mesh, paint)
             return mannequin.add_field(plotter, mesh, mannequin.array(field), title, limits, cmap)
 
-        return self._surface(motion, shape, faces, show, frame, shadow, panel, shown)
+        return self._surface(motion, partial(_skin, body, motion), faces, show, frame, shadow, panel, shown)
 
     def _surface(self, motion, shape, faces, show, frame, shadow, panel, there=None) -> Scene:
         if frame is not None and not -motion.frames <= frame < motion.frames:
@@ -440,3 +435,12 @@ class _Shadow:
         self.pixels.Modified()
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.width / 2 + centre
         self.square.points = np.column_stack((corners, np.full(4, _SHADOW_Z)))
+
+
+@lru_cache(maxsize=16)  # a film draws a frame of several people twice: over the footage and from the side
+def _skin(body: BodyModel, motion: Motion, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) of a frame and their normals."""
+    with torch.no_grad():
+        now = motion.cut(index, index + 1)
+        skin = mannequin.array(lbs(body, now.skeleton, now.root, now.rot)[0])
+    return skin, mannequin.vertex_normals(skin, body.faces.cpu().numpy())

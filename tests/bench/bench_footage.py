@@ -29,6 +29,8 @@ from motionlab.io import keypoints
 from motionlab.io.keypoints import Footage
 from motionlab.io.layouts import LAYOUTS
 from motionlab.metrics.intervals import interval
+from motionlab.metrics.pose import joint_errors
+from motionlab.motion import Motion
 
 #: Given to a file that does not say its rate or its image's size.
 _UNSAID = {"fps": 30.0, "size": (1280.0, 720.0)}
@@ -139,37 +141,47 @@ def _one(views, k: int):
 
 
 # -------------------------------------------------------------------------------------------------------------- people
-def people_table(folder: Path, plans: Sequence[str], cameras: Sequence[str], count: int, part: str, view: str) -> None:
+def people_table(folder: Path, options: argparse.Namespace) -> None:
     """Prints, for each plan, the joint error of people filmed by a simulated camera, fitted one by one, pelvis
-    aligned, and how much more it is than under the first plan, with its interval over people."""
+    aligned, and how much more it is than under the first plan, with its interval over people; of sitters, how many
+    clips sit."""
     _import_studies()
-    from studies.nb05_testops import filmed_people
+    from studies.nb05_testops import cast as clips_of
+    from studies.nb05_testops import measures
 
-    people, priors = filmed_people.recorded(folder, part, count), pretrained.load_priors()
-    scene = scenes.film_recorded(view, people.motions, seed=3)
-    truth = scene.truth.positions - scene.truth.positions[..., :1, :]
-    size = (int(scene.cameras[0].width), int(scene.cameras[0].height))
-    for how in cameras:
+    if options.cast == "synthetic sits":
+        cast = clips_of.acted("sit", clips_of.sits_down, options.people, 7, seconds=1.0)
+    else:
+        takes = clips_of.takes(folder, options.part)
+        sits = options.cast == "sits"
+        some = clips_of.who(takes, clips_of.sits_down, 2, options.people, 7) if sits else None
+        cast = some or clips_of.everyday(takes, options.people)
+    motions = [motion.cut(0, clips_of.FRAMES) for motion in cast.motions]
+    scene, priors = scenes.film_recorded(options.view, motions, seed=3), pretrained.load_priors()
+    when, size = measures.moment(scene.truth), (int(scene.cameras[0].width), int(scene.cameras[0].height))
+    for how in options.cameras:
         first = None
-        for name in plans:
-            off, spent = [], []
-            for k in range(len(people.whose)):
+        for name in options.plans:
+            found, spent = [], []
+            for k in range(len(cast.people)):
                 seen = replace(
                     scene.observation, keypoints=scene.observation.keypoints[k : k + 1],
                     confidence=scene.observation.confidence[k : k + 1],
                 )  # fmt: skip
                 known = {"cameras": [scene.cameras[k]], "floor": "camera"} if how == "known" else {"size": size}
                 before = _seconds()
-                found = testops.fit(seen, priors, schedule=PLANS[name], solver="shooting", **known).motion.positions[0]
+                found.append(testops.fit(seen, priors, schedule=PLANS[name], solver="shooting", **known).motion)
                 spent.append(_seconds() - before)
-                off.append(100 * float((found - found[:, :1] - truth[k]).norm(dim=-1).mean()))
-            error = people.mean(torch.tensor(off))
+            bones = replace(found[0].skeleton, offsets=torch.cat([m.skeleton.offsets for m in found]))
+            made = Motion(bones, torch.cat([m.root for m in found]), torch.cat([m.rot for m in found]), found[0].fps)
+            off = joint_errors(made.positions, scene.truth.positions, align="root").mean((-1, -2))
+            error = clips_of.by_person(100 * off, cast.people)
             first = error if first is None else first
             more, low, high = interval(error - first, "mean", torch.Generator().manual_seed(0))
+            sat = f"; {100 * measures.seated(made, when).double().mean():.0f} % sit" if "sits" in options.cast else ""
             print(
-                f"camera {how:7} {name:15} {error.mean():6.2f} cm, {more:+.2f} "
-                f"[{low:+.2f}, {high:+.2f}] to {plans[0]}; {sum(spent) / len(spent):.1f} s a clip "
-                f"(n = {len(error)} people)",
+                f"camera {how:7} {name:10} {error.mean():6.2f} cm, {more:+.2f} [{low:+.2f}, {high:+.2f}] to "
+                f"{options.plans[0]}; {sum(spent) / len(spent):.1f} s a clip (n = {len(error)} people){sat}",
                 flush=True,
             )
 
@@ -192,6 +204,7 @@ def main() -> None:
     parser.add_argument("--alone", type=int, metavar="VIEW", help="fit one view, 0 to 3, by itself")
     parser.add_argument("--people", type=int, metavar="N", help="fit so many people of CMU, each alone")
     parser.add_argument("--part", choices=("choose", "report"), default="choose", help="whose people these are")
+    parser.add_argument("--cast", choices=("everyday", "sits", "synthetic sits"), default="everyday")
     parser.add_argument("--view", default="plain view", help="of the simulated camera, or legs behind a desk")
     parser.add_argument("--plans", nargs="+", choices=PLANS, default=[*PLANS])
     parser.add_argument("--cameras", nargs="+", choices=CAMERAS, default=CAMERAS)
@@ -200,7 +213,7 @@ def main() -> None:
         if not (data / "cmu_library").is_dir():
             print("no MOTIONLAB_DATA with cmu_library in it: nothing measured")
         else:
-            people_table(data, options.plans, options.cameras, options.people, options.part, options.view)
+            people_table(data, options)
     elif not options.views and options.files is None:
         print("no keypoint_formats in or beside MOTIONLAB_DATA: nothing read")
     elif not options.views:
