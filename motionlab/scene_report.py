@@ -142,6 +142,7 @@ def page(record: Record, poster: bytes = b"") -> str:
     film = "over the footage, and from the camera's right" if footage else "through its camera, and from its right"
     stopped = "<p class=doubt>Stopped before it was done: the best so far.</p>" if record["stopped"] else ""
     focal = record["camera"]["intrinsics"][0][0]
+    pieces = f"in {record['windows']} windows" if record["windows"] > 1 else "in one piece"
     facts = {
         "keypoints": f"{keypoints['path']}: {keypoints['detector']}, {keypoints['points']} points, "
         f"{keypoints['frames']} frames at {keypoints['fps']:g} per second",
@@ -152,7 +153,7 @@ def page(record: Record, poster: bytes = b"") -> str:
         "camera": f"{record['camera']['source']}: focal length {focal:.0f} px, image of {record['camera']['width']} x "
         f"{record['camera']['height']}; {_moving(record)}",
         "fit": f"solver {record['solver']}{', quick' if record['quick'] else ''}, {record['frames']} frames at "
-        f"{record['fps']:g} per second in {record['windows']} window(s); search ended: {_runs(record['ended'])}",
+        f"{record['fps']:g} per second {pieces}; search ended: {_runs(record['ended'])}",
     }
     drawn = "overlay.mp4" in record["files"]
     everybody = [
