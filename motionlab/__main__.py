@@ -11,7 +11,7 @@ from pathlib import Path
 from motionlab import doctor
 from motionlab.commands import animator, footage
 from motionlab.commands.motions import WRITTEN, add_axes, read_motion
-from motionlab.commands.printing import calm_bars, text_table
+from motionlab.commands.printing import text_table
 from motionlab.errors import DataError, MissingData, ShapeError
 
 
@@ -19,7 +19,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns 0 if all is well, 1 if something is missing or failed, 2 for unusable input."""
     arguments = sys.argv[1:] if arguments is None else arguments
     options = _parser(arguments).parse_args(arguments)
-    calm_bars()
     try:
         return options.run(options)
     except KeyboardInterrupt:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from motionlab.commands import many
 from motionlab.commands.many import Job
 from motionlab.commands.motions import WRITTEN, add_axes, read_motion
+from motionlab.commands.printing import is_watched
 from motionlab.errors import DataError
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def _on_motions(options: argparse.Namespace) -> int:
         if options.jobs is not None or options.cluster is not None:
             remedy = "give a folder of motions"
             raise DataError("one motion is not shared out", place="--jobs, --cluster", remedy=remedy)
-        for note in _make((options.source.name, options.source, None, options.out), options, progress=True):
+        for note in _make((options.source.name, options.source, None, options.out), options, progress=is_watched()):
             print(f"note: {note}")
         print(f"{options.out}: written")
         return 0

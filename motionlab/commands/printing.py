@@ -1,8 +1,7 @@
-"""How the commands print: tables, and progress bars where somebody watches."""
+"""How the commands print: tables, and progress where somebody watches."""
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 
@@ -15,11 +14,6 @@ def text_table(rows: Sequence[dict[str, object]]) -> str:
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in cells)
 
 
-def calm_bars() -> None:
-    """Makes progress bars write a line every ten seconds at most where stderr is a file or a pipe, not a terminal.
-
-    To be called before tqdm is imported, which reads it then; what the person has set stays.
-    """
-    if not sys.stderr.isatty():
-        for name, seconds in (("TQDM_MININTERVAL", "10"), ("TQDM_DELAY", "10")):
-            os.environ.setdefault(name, seconds)
+def is_watched() -> bool:
+    """Says whether somebody watches: progress bars fill a file or a pipe with a line for every step."""
+    return sys.stderr.isatty()

@@ -41,6 +41,8 @@ PLANS = {
     "8 rounds": replace(Schedule.lean(), shooting=Plan(rounds=8, closures=20)),
     "5 rounds": replace(Schedule.lean(), shooting=Plan(rounds=5, closures=20, leaps=0)),
     "1 % gain": replace(Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=1e-2)),
+    "1 %, stride 2": replace(Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=1e-2, stride=2)),
+    "1 %, stride 4": replace(Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=1e-2, stride=4)),
     "stride 2": replace(Schedule.lean(), shooting=Plan(rounds=6, closures=20, leaps=1, trial=1, stride=2)),
     "stride 4": replace(Schedule.lean(), shooting=Plan(rounds=5, closures=15, leaps=1, trial=1, stride=4)),
     "4 rounds": replace(Schedule.lean(), shooting=Plan(rounds=4, closures=15, leaps=0, trial=1, stride=4)),
@@ -180,7 +182,7 @@ def people_table(folder: Path, options: argparse.Namespace) -> None:
             more, low, high = interval(error - first, "mean", torch.Generator().manual_seed(0))
             sat = f"; {100 * measures.seated(made, when).double().mean():.0f} % sit" if "sits" in options.cast else ""
             print(
-                f"camera {how:7} {name:10} {error.mean():6.2f} cm, {more:+.2f} [{low:+.2f}, {high:+.2f}] to "
+                f"camera {how:7} {name:14} {error.mean():6.2f} cm, {more:+.2f} [{low:+.2f}, {high:+.2f}] to "
                 f"{options.plans[0]}; {sum(spent) / len(spent):.1f} s a clip (n = {len(error)} people){sat}",
                 flush=True,
             )
