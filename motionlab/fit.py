@@ -47,8 +47,7 @@ _LEG = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].nor
 def is_finished(out: str | Path, how: Mapping[str, object] | None = None) -> bool:
     """Says whether ``run_clip`` has written a folder, to the end and without having been stopped.
 
-    how: the arguments of a call of ``run_clip`` by name; then only a folder that was made with the same ones is
-    finished, of files with the same content.
+    how: arguments of ``run_clip`` by name; then only a folder made with the same, of files with the same content.
     """
     try:
         record = json.loads((Path(out) / RESULT).read_text(encoding="utf-8"))
@@ -63,6 +62,7 @@ def _asked(person="longest", solver="shooting", quick=False, size=None, pelvis=N
         "person": [str(word) for word in ([person] if isinstance(person, str | int) else person)],
         "solver": solver,
         "quick": quick,
+        "work": repr(Task(None, solver=solver, quick=quick).schedule),
         **{name: None if given.get(name) is None else _stamp(Path(given[name]), name != "video") for name in _READ},
         **{name: None if row is None else [*map(float, row)] for name, row in (("size", size), ("pelvis", pelvis))},
         **{name: given.get(name) for name in ("fps", "layout", "camera_name")},
@@ -70,10 +70,14 @@ def _asked(person="longest", solver="shooting", quick=False, size=None, pelvis=N
 
 
 def _stamp(path: Path, whole: bool) -> str:
-    """A hash of a file, or of the files of a folder: of their content, or of name and sizes."""
-    files = sorted(path.iterdir()) if path.is_dir() else [path] if path.exists() else []
-    parts = [file.read_bytes() for file in files] if whole else [path.name, *(file.stat().st_size for file in files)]
-    return hashlib.sha256(b"".join(hashlib.sha256(repr(part).encode()).digest() for part in parts)).hexdigest()[:16]
+    """A hash of a name (a camera may be told by it) and a file, or the files of a folder: their content or sizes."""
+    files = [file for file in sorted(path.iterdir()) if file.is_file()] if path.is_dir() else [path]
+    found = hashlib.sha256(path.name.encode())
+    for file in files:
+        size = str(file.stat().st_size) if file.is_file() else ""
+        read = whole and size and (len(files) == 1 or file.suffix in (".json", ".txt"))  # beside them: pictures
+        found.update(f"/{file.name} {size} ".encode() + (file.read_bytes() if read else b""))
+    return found.hexdigest()[:16]
 
 
 def run_clip(

@@ -135,11 +135,27 @@ def test_a_folder_is_not_finished_once_the_keypoints_say_something_else(tmp_path
     file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
     fit.run_clip(file, out, quick=True)
     made = {"keypoints": file, "quick": True}
-    moved = tmp_path / "elsewhere.npz"
+    moved = tmp_path / "elsewhere" / file.name
+    moved.parent.mkdir()
     moved.write_bytes(file.read_bytes())
     assert fit.is_finished(out, made) and fit.is_finished(out, made | {"keypoints": moved})  # wherever the file lies
     file.write_bytes(file.read_bytes() + b" ")
     assert not fit.is_finished(out, made)
+
+
+def test_a_folder_is_known_by_its_keypoints_and_their_names(tmp_path):
+    folder = tmp_path / "clip_json"
+    (folder / "pictures").mkdir(parents=True)
+    for k in range(3):
+        (folder / f"clip_{k}_keypoints.json").write_text(f'{{"people": [], "frame": {k}}}')
+    (folder / "clip.mp4").write_bytes(b"film")
+    stamps = [fit._stamp(folder, whole=True)]
+    (folder / "clip_2_keypoints.json").rename(folder / "clip_5_keypoints.json")  # a gap
+    stamps.append(fit._stamp(folder, whole=True))
+    (folder / "clip_5_keypoints.json").write_text('{"people": [], "frame": 9}')
+    stamps.append(fit._stamp(folder, whole=True))
+    stamps.append(fit._stamp(folder.rename(tmp_path / "clip_cam2"), whole=True))
+    assert len(set(stamps)) == 4 and fit._stamp(tmp_path / "none", whole=True)
 
 
 def test_a_window_is_kept_under_all_that_goes_into_its_fit(kit):

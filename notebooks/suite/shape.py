@@ -29,7 +29,7 @@ def measure(notebook: Path) -> dict[str, object]:
     prose = _TABLE.sub("", _CODE.sub("x", prose))
     sentences = [len(s.split()) for part in re.split(r"\n\s*\n|\n[-*#]|\n\d+\.", prose) for s in _split(part)]
     drawn = [i for i, c in enumerate(cells) if c["cell_type"] == "code" and "lab.figure(" in "".join(c["source"])]
-    read = [i for i, after in zip(drawn, [*drawn[1:], len(cells)], strict=True) if _is_read(cells[i:after])]
+    read = [i for i, after in zip(drawn, [*drawn, len(cells)][1:], strict=True) if _is_read(cells[i:after])]
     return {
         "notebook": number_of(notebook.stem),
         "code cells": len(lines),
@@ -46,7 +46,8 @@ def measure(notebook: Path) -> dict[str, object]:
 def _is_read(cells: Sequence[dict]) -> bool:
     """Whether a reading stands among the outputs of cells, or in the text after the first of them."""
     printed = ["".join(out.get("data", {}).get("text/markdown", "")) for c in cells for out in c.get("outputs", ())]
-    return any("**Reading" in text for text in [*printed, *("".join(c["source"]) for c in cells[1:])])
+    written = ["".join(c["source"]) for c in cells[1:] if c["cell_type"] == "markdown"]
+    return any("**Reading" in text for text in printed + written)
 
 
 def _split(part: str) -> list[str]:

@@ -156,7 +156,7 @@ def people_table(folder: Path, options: argparse.Namespace) -> None:
         takes = clips_of.takes(folder, options.part)
         sits = options.cast == "sits"
         some = clips_of.who(takes, clips_of.sits_down, 2, options.people, 7) if sits else None
-        cast = some or clips_of.everyday(takes, options.people)
+        cast = some if sits else clips_of.everyday(takes, options.people)
     motions = [motion.cut(0, clips_of.FRAMES) for motion in cast.motions]
     scene, priors = scenes.film_recorded(options.view, motions, seed=3), pretrained.load_priors()
     when, size = measures.moment(scene.truth), (int(scene.cameras[0].width), int(scene.cameras[0].height))
@@ -211,7 +211,7 @@ def main() -> None:
     parser.add_argument("--cameras", nargs="+", choices=CAMERAS, default=CAMERAS)
     options = parser.parse_args()
     if options.people:
-        if not (data / "cmu_library").is_dir():
+        if options.cast != "synthetic sits" and not (data / "cmu_library").is_dir():
             print("no MOTIONLAB_DATA with cmu_library in it: nothing measured")
         else:
             people_table(data, options)
