@@ -34,12 +34,13 @@ def in_order(paths: Iterable[Path], first: Callable[[Path], float]) -> list[str]
 
 TESTS = in_order((ROOT / "tests").glob("test_*.py"), lambda path: f"tests/{path.name}" not in LONGEST)
 NOTEBOOKS = in_order((ROOT / "notebooks").glob("[0-9][0-9]*_*.ipynb"), lambda path: -smoke_seconds(path))
+NOTEBOOK_STEP = "notebooks (nbval, smoke)"
 STEPS = {
     "lint": [BIN / "ruff", "check", "."],
     "format": [BIN / "ruff", "format", "--check", "--quiet", "."],
     "spelling": [BIN / "codespell"],
     "tests": [sys.executable, "-m", "pytest", "-q", "-p", "no:nbval", *BY_FILE, *TESTS],  # nbval takes seconds to load
-    "notebooks (nbval, smoke)": [
+    NOTEBOOK_STEP: [
         *(sys.executable, "-m", "pytest", "-q", *BY_FILE, *NOTEBOOKS),
         # lax: only cells that say so are compared. Warnings: those of the kernel are judged by
         # test_notebook_hygiene, those of the machinery around it are not ours.
@@ -55,6 +56,10 @@ def main() -> int:
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # our modules are compiled once, not by every process
     rows = []
     for name, command in STEPS.items():
+        if name == NOTEBOOK_STEP and environment.get("MOTIONLAB_DATA"):
+            print("== recordings, prepared once by all cores, not within the time of a cell", flush=True)
+            prepare = (sys.executable, "-m", "motionlab", "prepare", environment["MOTIONLAB_DATA"])
+            subprocess.run(prepare, cwd=ROOT, env=environment)  # a notebook that needs what is missing says so
         print(f"== {name}", flush=True)
         start = time.perf_counter()
         status = subprocess.run([str(part) for part in command], cwd=ROOT, env=environment).returncode
