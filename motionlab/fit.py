@@ -62,7 +62,6 @@ def _asked(person="longest", solver="shooting", quick=False, size=None, pelvis=N
         "person": [str(word) for word in ([person] if isinstance(person, str | int) else person)],
         "solver": solver,
         "quick": quick,
-        "work": repr(Task(None, solver=solver, quick=quick).schedule),
         **{name: None if given.get(name) is None else _stamp(Path(given[name]), name != "video") for name in _READ},
         **{name: None if row is None else [*map(float, row)] for name, row in (("size", size), ("pelvis", pelvis))},
         **{name: given.get(name) for name in ("fps", "layout", "camera_name")},
