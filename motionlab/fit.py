@@ -6,6 +6,7 @@ and a report. ``fit.json`` says at the end whether the folder is finished: not s
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import shutil
@@ -73,9 +74,10 @@ def _stamp(path: Path, whole: bool) -> str:
     files = [file for file in sorted(path.iterdir()) if file.is_file()] if path.is_dir() else [path]
     found = hashlib.sha256(path.name.encode())
     for file in files:
-        size = str(file.stat().st_size) if file.is_file() else ""
-        read = whole and size and (len(files) == 1 or file.suffix in (".json", ".txt"))  # beside them: pictures
-        found.update(f"/{file.name} {size} ".encode() + (file.read_bytes() if read else b""))
+        with contextlib.suppress(OSError):  # what is not there or may not be read is refused by its loader
+            found.update(f"/{file.name} {file.stat().st_size} ".encode())
+            if whole and (file == path or file.suffix in (".json", ".txt")):  # pictures may lie beside them
+                found.update(file.read_bytes())
     return found.hexdigest()[:16]
 
 

@@ -97,8 +97,7 @@ class Task:
         return testops.fit(seen, self.priors, cameras=cameras, floor=floor, size=self.size, **how)
 
 
-#: The work of a fit: as near as ``Schedule.lean`` but for hidden sitters (0.3 cm), in two thirds of its time, as
-#: ``tests/bench/bench_footage.py`` measured; and that of a first look: few steps from one start.
+#: The work of a fit, as near as ``Schedule.lean`` in two thirds of its time (CHANGELOG); a first look, from one start.
 FULL_WORK = replace(testops.Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=1e-2, stride=4))
 QUICK_WORK = replace(testops.Schedule.quick(), steps=(2, 4, 3), shooting=Plan(3, 12, trial=0, leaps=0, stride=4))
 

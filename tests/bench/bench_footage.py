@@ -152,11 +152,10 @@ def people_table(folder: Path, options: argparse.Namespace) -> None:
 
     if options.cast == "synthetic sits":
         cast = clips_of.acted("sit", clips_of.sits_down, options.people, 7, seconds=1.0)
+    elif options.cast == "sits":
+        cast = clips_of.who(clips_of.takes(folder, options.part), clips_of.sits_down, 2, options.people, 7)
     else:
-        takes = clips_of.takes(folder, options.part)
-        sits = options.cast == "sits"
-        some = clips_of.who(takes, clips_of.sits_down, 2, options.people, 7) if sits else None
-        cast = some if sits else clips_of.everyday(takes, options.people)
+        cast = clips_of.everyday(clips_of.takes(folder, options.part), options.people)
     motions = [motion.cut(0, clips_of.FRAMES) for motion in cast.motions]
     scene, priors = scenes.film_recorded(options.view, motions, seed=3), pretrained.load_priors()
     when, size = measures.moment(scene.truth), (int(scene.cameras[0].width), int(scene.cameras[0].height))
