@@ -282,12 +282,14 @@ class _Track:
         shared = unknown.shared()
         latent = unknown.latent[:, 0]
         begun = (self.stages[2], latent, shared, seen.trust, problem.priors, cuts, length, problem.mode)
-        rolled, factors = starts.start_stage_3(*begun, problem.weights.pull)
         cut = replace(problem, evidence=seen.pieces(torch.tensor(cuts), length), starts=cuts)
+        pull = problem.weights.pull
         if whole:
-            calm, _ = starts.start_stage_3(*begun, problem.weights.pull, starts.CALM)
-            rolled, self.results[3] = solve(cut, calm, s.shooting, rival=rolled, progress=self.budget["progress"])
+            calm, _ = starts.start_stage_3(*begun, pull, starts.CALM)
+            rival = starts.start_stage_3(*begun, pull)[0] if s.shooting.second else None
+            rolled, self.results[3] = solve(cut, calm, s.shooting, rival=rival, progress=self.budget["progress"])
         else:
+            rolled, factors = starts.start_stage_3(*begun, pull)
             rolled, self.results[3] = stages.stage_3(
                 cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **self._budget(3)
             )

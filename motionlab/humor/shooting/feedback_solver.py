@@ -7,7 +7,8 @@ minima are those of ``stages.stage_3``.
 
 There may be a second start: after some rounds, with slopes at few frames until then, the lower one goes on. Later
 rounds search several valleys at once, of which each component of the initial-state mixture makes one (``valleys``),
-each in its own coordinates: a closure of four roll-outs takes about twice as long as one of one, not four times.
+each in its own coordinates: a closure of four roll-outs takes about twice as long as one of one, not four times. They
+may be a race, of which after some closures the lowest alone goes on.
 
 Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop); for the valleys none: HuMoR (Rempe et al. 2021)
 has the mixture, and its optimiser stays where stage 2 puts it.
@@ -41,10 +42,13 @@ class Plan:
     """How much work.
 
     rounds: linearisations at most. closures: of L-BFGS after each. tolerance: a clip is done when a round gains less
-    than this share of its energy's size, and a round when a step, and then one down the gradient, gain less than a
-    twentieth of that. stride: frames between those at which the networks are differentiated. leaps: components of the
-    first state's mixture whose valleys a clip tries in a round (``valleys``), if they promise more. trial: rounds that
-    a second start goes along, before the first leaps; with 0 it is not used. coarse: the least stride of these rounds.
+    than this share of its energy's size, or than ``least``; and a round when a step, and then one down the gradient,
+    gain less than a twentieth of that share. stride: frames between those at which the networks are differentiated.
+    leaps: components of the first state's mixture whose valleys a clip tries in a round (``valleys``), if they promise
+    more. heat: closures after which only the lowest of a clip's searches goes on, and where that one stayed the clip
+    leaps no more; 0: all go on, in every round. trial: rounds that a second start goes along, before the first leaps;
+    with 0 it is not used. coarse: the least stride of these rounds. second: False: the first goes along alone. ridges:
+    what is added to the matrix of z in each round, from the last of them on always the last.
     """
 
     rounds: int = 25
@@ -54,11 +58,15 @@ class Plan:
     leaps: int = 3
     trial: int = 2
     coarse: int = 4
-    ridge: float = 1e-6
+    least: float = 0.0
+    heat: int = 0
+    second: bool = True
+    ridges: tuple[float, ...] = (1e-6,)
 
     def __post_init__(self) -> None:
-        if min(self.rounds, self.closures, self.stride, self.coarse) < 1 or min(self.leaps, self.trial) < 0:
-            raise ValueError(f"rounds, closures, strides: expected 1 or more, leaps, trial: 0 or more, got {self}")
+        counts = self.rounds, self.closures, self.stride, self.coarse, len(self.ridges)
+        if min(counts) < 1 or min(self.leaps, self.trial, self.heat) < 0:
+            raise ValueError(f"rounds, closures, strides, ridges: 1 or more, leaps, trial, heat: 0 or more, got {self}")
 
 
 @dataclass
@@ -98,24 +106,28 @@ def solve(
         raise ShapeError(f"z: expected one window per recording, got {unknown.z.shape[1]}")
     plan, report, clips = plan or Plan(), report or ShootingReport(), len(unknown.z)
     unknown = unknown.map(lambda x: x.detach().clone())
-    trial = 0
+    trial = 0 if rival is None and plan.second else plan.trial
     if rival is not None:
-        both, trial = _beside(unknown, rival), plan.trial
+        both = _beside(unknown, rival)
         unknown = both if trial else unknown
     mark, fits = time.perf_counter(), []
     report.began = report.clock()
     energy = unknown.betas.new_full((len(unknown.betas),), float("inf"))
     live = torch.arange(len(energy), device=energy.device)
+    leaping = torch.ones_like(energy, dtype=torch.bool)
     for count in range(plan.rounds):
         if count == trial:
             live = live[torch.isin(live, _lower(energy, clips))]
         if not len(live):
             break
         now = plan if count >= trial else replace(plan, leaps=0, stride=max(plan.stride, plan.coarse))
+        now = replace(now, ridges=plan.ridges[min(count, len(plan.ridges) - 1) :])
         here = unknown.rows(live)
         try:
             size = energy[live].abs().nan_to_num(posinf=0.0)  # 0: not known yet
-            found, fit = _round(problem.rows(live % clips), here, size, now, report, linearise, progress)
+            found, fit, leaping[live] = _round(
+                problem.rows(live % clips), here, size, leaping[live], now, report, linearise, progress
+            )
         except (KeyboardInterrupt, NotConverged) as ended:
             del report.seconds[len(report.history) :]
             if not fits:
@@ -132,7 +144,7 @@ def solve(
         fits.append(_of_clips(whole, torch.arange(len(energy), device=energy.device) % clips)[1])
         report.history += fits[-1].history.unbind(0)
         del report.seconds[len(report.history) :]  # Ctrl-C between an energy and its gradient
-        gained = gain > plan.tolerance * energy[live].abs()
+        gained = gain > (plan.tolerance * energy[live].abs()).clamp(min=plan.least)
         mark, live = time.perf_counter(), live[gained] if count >= trial else live
         if interrupted(fit):
             break
@@ -158,27 +170,41 @@ def _round(
     problem: Problem,
     unknown: Unknowns,
     size: Tensor,
+    leaping: Tensor,
     plan: Plan,
     report: ShootingReport,
     linearise: Callable[..., Loop],
     progress: bool,
-) -> tuple[Unknowns, BatchFit]:
+) -> tuple[Unknowns, BatchFit, Tensor]:
     """One linearisation and the searches around it: from where a clip is, and from where it may leap to.
 
-    size (B,): of each clip's energy.
+    size (B,): of each clip's energy. leaping: bool (B,), clips that may leap; returned anew.
     """
-    began = report.clock()
-    loop = linearise(problem, unknown, ridge=plan.ridge, stride=plan.stride)
-    who, shaper, first = _starts(problem, unknown, loop, plan.leaps, plan.tolerance)
+    began, clips = report.clock(), len(size)
+    loop = linearise(problem, unknown, ridge=plan.ridges[0], stride=plan.stride)
+    who, shaper, first = _starts(problem, unknown, loop, plan.leaps if leaping.any() else 0, plan.tolerance)
+    if not leaping.all():
+        may = leaping[who]
+        may[:clips] = True
+        who, shaper, first = who[may], shaper[may], first[may]
     report.linearised.append(report.clock() - began)
 
     def note() -> None:
         report.seconds.append(report.clock() - report.began)
 
-    how = {"note": note, "progress": progress, "enough": (_LEAST_STEP * plan.tolerance * size)[who]}
-    rows, fit = searched(problem, unknown, loop, who, shaper, first, plan.closures, **how)
-    best, fit = _of_clips(fit, who)
-    return rows.rows(best), fit
+    how, enough = {"note": note, "progress": progress}, _LEAST_STEP * plan.tolerance * size
+    heat = min(plan.heat, plan.closures - 1) if len(who) > clips else 0
+    rows, race = searched(problem, unknown, loop, who, shaper, first, heat or plan.closures, enough=enough[who], **how)
+    best, fit = _of_clips(race, who)
+    rows = rows.rows(best)
+    if not heat or interrupted(fit):
+        return rows, fit, leaping
+    how |= {"nu": race.variables["nu"][best], "enough": enough}
+    first = race.variables["first"][best]
+    rows, more = searched(problem, unknown, loop, who[best], shaper[best], first, plan.closures - heat, **how)
+    whole = replace(more, history=torch.cat((fit.history, more.history)), seconds=fit.seconds + more.seconds)
+    tried = torch.isin(torch.arange(clips, device=who.device), who[clips:])
+    return rows, whole, leaping & ((best >= clips) | ~tried)
 
 
 def searched(
@@ -190,6 +216,7 @@ def searched(
     first: Tensor,
     closures: int,
     *,
+    nu: Tensor | None = None,
     enough: float | Tensor = 0.0,
     note: Callable[[], None] = lambda: None,
     progress: bool = False,
@@ -197,8 +224,8 @@ def searched(
     """Minimises the energy from R starts around one linearisation; row r belongs to clip who[r] and starts at first (R,
     f), in coordinates of its own: shaper (R, f, f) in place of ``Loop.first``.
 
-    enough: a row is done when a step, and then one down the gradient, gain no more than this, (R,) or one number. note:
-    called whenever energies are known.
+    nu: where its latents start, (R, T - 1, 48); default 0. enough: a row is done when a step, and then one down the
+    gradient, gain no more than this, (R,) or one number. note: called whenever energies are known.
     """
     some, here = problem.rows(who), unknown.rows(who)
     around = loop.rows(who)._replace(first=shaper)
@@ -212,7 +239,8 @@ def searched(
         note()
         return found
 
-    start = {"nu": torch.zeros_like(here.z[:, 0]).requires_grad_(), "first": first.clone().requires_grad_()}
+    nu = torch.zeros_like(here.z[:, 0]) if nu is None else nu
+    start = {"nu": nu.clone().requires_grad_(), "first": first.clone().requires_grad_()}
     how = {"steps": 1, "inner": closures, "max_closures": closures, "tolerance_change": enough}
     fit = minimise_batch(energy, start, rows=True, unit=True, progress=progress, **how)
     with torch.no_grad():
