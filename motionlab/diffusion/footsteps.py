@@ -145,7 +145,7 @@ def flown(legs: Tensor, stands: Tensor, known: Tensor, rest: Tensor, leg: float,
 
 def _moves(stands: Tensor, known: Tensor) -> list[tuple[int, int]]:
     """The frames between which a foot goes: it stands or is known there, bool (T,), and not in between."""
-    at = (stands | known).nonzero()[:, 0].tolist()
+    at = (stands | known).nonzero()[:, 0].tolist() if len(stands) > 2 else []
     together = (stands[:-1] & stands[1:]) | (known[:-1] & known[1:])
     return [(a, b) for a, b in pairwise(at) if b - a > 1 or not together[a]]
 
