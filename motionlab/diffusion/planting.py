@@ -82,15 +82,14 @@ def planted(
         at_heel = torch.where(anew[..., None], footsteps.at_times(ankle, when) - ankle, at_heel)
     shift = _lines(shift, ball_down | right | anew)
     flat = torch.where(((heel_down | anew) & ~right)[..., None], at_heel - shift, 0.0)
-    flat = _lines(flat, heel_down | ~_near(heel_down | anew) | right | anew)
-    if step:
-        shift, flat = (_begun_slowly(x, right[..., 0], ease) for x in (shift, flat))
+    flat = _lines(flat, (heel_down & ~_near(right)) | ~_near(heel_down | anew) | right | anew)
     there, heel = ball + shift, ankle + shift + flat
-    if step:  # off the floor, which is where ankles were lowest
+    if step:  # off the floor, which is where known ankles are lowest
         rest = resting_heights(skeleton)[[skeleton.contact_names.index(name) for name in ANKLES]] + _RAISED
         rest = torch.where(right, ankle[..., 2], rest).amin(1).clamp(max=rest)
         still, legs = (heel_down | ball_down) & ~moving, torch.stack((hip, heel, there))
         _, heel, there = footsteps.flown(legs, still, right.expand_as(still), rest, leg, motion.fps)
+        heel, there = (x + _begun_slowly(y - x, right[..., 0], ease) for x, y in ((ankle, heel), (ball, there)))
     heel = there + foot[:, None] * normalize(heel - there, dim=-1)
     longest = torch.maximum((_BENT if step else _STRETCHED) * (thigh + shin), (ankle - hip).norm(dim=-1))
     heel = _within(heel, there, foot[:, None], hip, longest[..., None])
