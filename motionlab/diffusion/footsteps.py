@@ -2,27 +2,35 @@
 
 What a model or a curve fills in is a mean of what may happen: where people take a step at some moment, it glides. Who
 stands before a gap and stands elsewhere behind it has stepped; so a foot that is said to stand but travels is timed
-anew along its own way (:func:`retimed`), and one that goes from place to place is lifted (:func:`lifted`).
+anew along its own way (:func:`retimed`), and one that goes from place to place goes off the floor (:func:`flown`).
 
 Numbers: of recordings of people who choose, at 30 frames per second, lengths in legs.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from itertools import pairwise, product
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from motionlab.baselines import nearest_known
-
 _STRIDE = 1.2  # legs that a foot goes in one step
 _TRAVELS = 0.1  # legs: a foot that stands before and behind a gap, farther apart than this, stepped between
 _SECONDS = (0.25, 0.3)  # that a step takes, and so much more per leg
 _TURNS = 0.2  # of a step's way, by which feet that step together are moved apart in time
-#: A step rises to so much of its length, and of a leg at most; over the first share of its time, and sinks as long.
-_HIGH, _RISE = (0.12, 0.08), 0.3
+#: A step rises to so much of its length, of a leg at most, and at least to so many metres, or of its length.
+_HIGH = (0.12, 0.08, 0.05, 0.5)
+_RISES = (0.15, 0.25, 0.4)  # of its time, in which it rises, and sinks
+_SOFT = 0.04  # metres: what lies so much higher already is hardly lifted
+_PEEL = 0.07  # seconds before a step in which the heel rises already
+_DRAGS = 0.035  # metres above where it rests: lower, an ankle that moves drags
+_HASTE = 2 / 30**2  # metres of dragging that one m/s^2 of acceleration weighs
+_STRAIGHT = 0.985  # of a leg: longer is out of reach
+
+_Ends = tuple[int, int]  # the frames between which a foot goes
 
 
 @dataclass(frozen=True)
@@ -113,19 +121,74 @@ def at_times(x: Tensor, when: Tensor) -> Tensor:
     return torch.lerp(a, b, (when - low).to(x)[..., None])
 
 
-def lifted(ankle: Tensor, still: Tensor, rest: Tensor, leg: float) -> Tensor:
-    """Computes metres (B, T, F) by which ankles (B, T, F, 3) have to rise where they are not ``still``, bool (B, T, F).
+def flown(legs: Tensor, stands: Tensor, known: Tensor, rest: Tensor, leg: float, fps: float) -> Tensor:
+    """Computes hips, ankles and balls (3, B, T, F, 3) of feet that go from place to place off the floor, from such that
+    drag.
 
-    rest: (F,) their height on the floor. leg: metres.
+    Where a foot neither ``stands`` nor is known, bool (B, T, F), it goes its own way, as it is or eased, and lifted,
+    whichever drags and hurries least (:func:`_badness`). Where that is less time than a step takes it stands less long.
+    rest: (B, F) heights of ankles on the floor, metres. leg: metres.
     """
-    time = torch.arange(still.shape[1])[:, None]
-    before, after = (at.mT for at in nearest_known(still.mT))
-    inside = (before < time) & (time < after)
-    ends = [ankle.gather(1, at[..., None].expand_as(ankle))[..., :2] for at in (before, after)]
-    far = (ends[1] - ends[0]).norm(dim=-1)
-    u = (torch.minimum(time - before, after - time) / (after - before).clamp(min=1) / _RISE).clamp(0, 1)
-    bump = torch.where(inside, 3 * u**2 - 2 * u**3, 0.0)
-    need = (_HIGH[0] * far).clamp(max=_HIGH[1] * leg)
-    lacks = torch.where(inside, (need * bump - (ankle[..., 2] - rest)).clamp(min=0), 0.0)
-    most = torch.zeros_like(lacks).scatter_reduce(1, before, lacks, "amax")
-    return most.gather(1, before) * bump
+    legs, peel = legs.clone(), round(_PEEL * fps)
+    for clip, foot in product(range(stands.shape[0]), range(stands.shape[2])):
+        on, sure = stands[clip, :, foot], known[clip, :, foot]
+        for ends in _moves(on, sure):
+            far = float((legs[1, clip, ends[1], foot] - legs[1, clip, ends[0], foot])[:2].norm())
+            first, last = _longer(ends, round((_SECONDS[0] + _SECONDS[1] * far / leg) * fps), on & ~sure)
+            start = max(first - peel - 2, 0)
+            cut = (clip, slice(start, last + 3), foot)
+            old, new = ((a - start, b - start) for a, b in (ends, (first, last)))
+            high = min(max(_HIGH[0] * far, min(_HIGH[2], _HIGH[3] * far)), _HIGH[1] * leg)
+            begin = max(new[0] - peel, 0) if not sure[max(first - peel, 0) : first + 1].any() else new[0]
+            ways = _ways(legs[:, *cut], sure[cut[1]], old, new, begin, high, rest[clip, foot])
+            legs[:, *cut] = min(ways, key=lambda way: _badness(way, rest[clip, foot], leg, fps))
+    return legs
+
+
+def _moves(stands: Tensor, known: Tensor) -> list[_Ends]:
+    """The frames between which a foot goes: it stands or is known there, bool (T,), and not in between."""
+    at = (stands | known).nonzero()[:, 0].tolist() if len(stands) > 2 else []
+    together = (stands[:-1] & stands[1:]) | (known[:-1] & known[1:])
+    return [(a, b) for a, b in pairwise(at) if b - a > 1 or not together[a]]
+
+
+def _longer(ends: _Ends, frames: int, spare: Tensor) -> _Ends:
+    """``ends`` so many frames apart at least, if there are so many to spare, bool (T,); half of those stay."""
+    free = [(int(side.long().cumprod(0).sum()) - 1) // 2 for side in (spare[: ends[0] + 1].flip(0), spare[ends[1] :])]
+    lacks = max(frames - (ends[1] - ends[0]), 0)
+    each = math.ceil(lacks / max(sum(n > 0 for n in free), 1))
+    return ends[0] - max(min(each, free[0]), 0), ends[1] + max(min(each, free[1]), 0)
+
+
+def _ways(way: Tensor, known: Tensor, old: _Ends, new: _Ends, begin: int, high: float, rest: Tensor):
+    """Ways (3, N, 3) of hip, ankle and ball: the given one, and with what lies between the frames ``old`` eased over
+    those between ``new`` and lifted so high above where the ankle rests, the heel from ``begin`` on."""
+    time, (first, last) = torch.arange(way.shape[1], dtype=torch.float64), new
+    u = ((time - first) / (last - first)).clamp(0, 1)
+    stretch = min((last - first) / (old[1] - old[0]), 3.0)  # more would go there and back
+    slope = [stretch * known[end] for end in new]  # what is known goes on as fast as it came
+    share = 3 * u**2 - 2 * u**3 + slope[0] * (u**3 - 2 * u**2 + u) + slope[1] * (u**3 - u**2)
+    when = torch.where((u > 0) & (u < 1), old[0] + (old[1] - old[0]) * share, time)
+    eased = at_times(way[1:].transpose(0, 1)[None], when[None, :, None].expand(1, -1, 2))[0].transpose(0, 1)
+    yield way
+    for rise in _RISES:
+        heel, ball = (_bump(time, start, last, rise) for start in (begin, first))
+        lacks = high * ball - (eased[0, :, 2] - rest)
+        lift = (lacks + (lacks**2 + _SOFT**2).sqrt()) / 2 * torch.stack((heel, ball))
+        yield torch.cat((way[:1], eased + pad(lift[..., None], (2, 0)).to(eased)))
+
+
+def _bump(time: Tensor, first: int, last: int, rise: float) -> Tensor:
+    """0 up to ``first`` and from ``last`` on, 1 between, which it reaches and leaves in ``rise`` of the time."""
+    u = (torch.minimum(time - first, last - time) / ((last - first) * rise)).clamp(0, 1)
+    return 3 * u**2 - 2 * u**3
+
+
+def _badness(way: Tensor, rest: Tensor, leg: float, fps: float) -> float:
+    """Metres that an ankle (of 3, N, 3) goes while it is low; and how hasty it is, and the knee."""
+    low = way[1, :, 2] < rest + _DRAGS
+    slid = (way[1].diff(dim=0)[:, :2].norm(dim=-1) * (low[1:] & low[:-1])).sum()
+    reach = (way[1] - way[0]).norm(dim=-1).clamp(max=_STRAIGHT * leg)
+    knee = (leg**2 - reach**2).sqrt() / 2  # from the line between hip and ankle
+    haste = way[1].diff(n=2, dim=0).norm(dim=-1).amax() + knee.diff(n=2).abs().amax()
+    return float(slid + _HASTE * fps**2 * haste)

@@ -36,6 +36,7 @@ from motionlab.skeleton import ANKLES, BALLS
 _STANDS = 0.5  # of a contact: more is one
 _LOW = 0.2  # metres above where a joint rests: lower and slow, it stands, too
 _SLOW = {ANKLES: (0.25, 0.5), BALLS: (0.35, 0.7)}  # m/s, strict and loose (``contact.contacts_from_positions``)
+_RAISED = 0.1  # metres above where an ankle rests: at most so high it does in known frames
 _FADE = 4  # frames beside a run in which a foot turns to lie flat
 _STRETCHED = 0.998  # of a straight leg: longer is out of reach, unless it was
 _BENT = 0.985  # the same for steps: a knee that straightens at once pops
@@ -52,8 +53,8 @@ def planted(
     slow: and where they are low and slow: motion that was filled in knows its contacts no better than its legs, and
     what stands on a step has none. A sample, whose contacts were made with its legs, only grows calmer by that.
     known: bool (B, T), frames whose feet are right already: they stay, and a run stands where its known frames do.
-    ease: frames beside known ones over which runs without known frames set in.
-    step: for motion that was filled in between known frames: what glides there steps, and is lifted (``footsteps``).
+    step: for motion that was filled in between known frames: what glides there steps, off the floor (``footsteps``).
+    ease: frames beside known ones over which feet that step set in.
 
     Raises:
         DataError: no contacts. ShapeError: a single clip, a body for each, or one frame, which has no speed.
@@ -67,10 +68,8 @@ def planted(
     thigh, shin, foot = (skeleton.offsets[skeleton.indices(names)].norm(dim=-1) for names in (_KNEES, ANKLES, BALLS))
     heel_down, ball_down = (_stands(motion, names, slow) for names in (ANKLES, BALLS))
     right = torch.zeros_like(motion.root[..., :1], dtype=torch.bool) if known is None else known[..., None]
-    sets_in = _risen(right[..., 0], ease)[..., None]
     at_heel, at_ball = (
-        (_place(points, stands, right) - points) * torch.where(_holds(stands, right), 1.0, sets_in)[..., None]
-        for points, stands in ((ankle, heel_down), (ball, ball_down))
+        _place(points, stands, right) - points for points, stands in ((ankle, heel_down), (ball, ball_down))
     )
     shift = torch.where(right[..., None], 0.0, at_ball)
     anew = moving = torch.zeros_like(ball_down)
@@ -83,14 +82,15 @@ def planted(
         at_heel = torch.where(anew[..., None], footsteps.at_times(ankle, when) - ankle, at_heel)
     shift = _lines(shift, ball_down | right | anew)
     flat = torch.where(((heel_down | anew) & ~right)[..., None], at_heel - shift, 0.0)
-    flat = _lines(flat, heel_down | ~_near(heel_down | anew) | right | anew)
-    if step:
-        shift, flat = (_begun_slowly(x, right[..., 0], ease) for x in (shift, flat))
-        still = ((heel_down | ball_down) & ~moving) | right
-        rest = resting_heights(skeleton)[[skeleton.contact_names.index(name) for name in ANKLES]]
-        shift[..., 2] += footsteps.lifted(ankle + shift + flat, still, rest, leg)
-    there = ball + shift
-    heel = there + foot[:, None] * normalize(ankle + shift + flat - there, dim=-1)
+    flat = _lines(flat, (heel_down & ~_near(right)) | ~_near(heel_down | anew) | right | anew)
+    there, heel = ball + shift, ankle + shift + flat
+    if step:  # off the floor, which is where known ankles are lowest
+        rest = resting_heights(skeleton)[[skeleton.contact_names.index(name) for name in ANKLES]] + _RAISED
+        rest = torch.where(right, ankle[..., 2], rest).amin(1).clamp(max=rest)
+        still, legs = (heel_down | ball_down) & ~moving, torch.stack((hip, heel, there))
+        _, heel, there = footsteps.flown(legs, still, right.expand_as(still), rest, leg, motion.fps)
+        heel, there = (x + _begun_slowly(y - x, right[..., 0], ease) for x, y in ((ankle, heel), (ball, there)))
+    heel = there + foot[:, None] * normalize(heel - there, dim=-1)
     longest = torch.maximum((_BENT if step else _STRETCHED) * (thigh + shin), (ankle - hip).norm(dim=-1))
     heel = _within(heel, there, foot[:, None], hip, longest[..., None])
     return _turned(motion, heel, there)
@@ -124,22 +124,6 @@ def _place(points: Tensor, stands: Tensor, known: Tensor) -> Tensor:
     share = torch.where(mine[0] & mine[1], share, mine[1].to(points))[..., None]
     before, after = (points.gather(-3, at[..., None].expand_as(points)) for at in sides)
     return torch.where((mine[0] | mine[1])[..., None], torch.lerp(before, after, share), mean)
-
-
-def _holds(stands: Tensor, known: Tensor) -> Tensor:
-    """(B, T, F): frames of runs of ``stands`` (B, T, F) that hold a known frame (B, T, 1)."""
-    number = torch.where(stands, (stands & ~pad(stands, (0, 0, 1, 0))[..., :-1, :]).cumsum(-2), 0)
-    has = torch.zeros_like(number).scatter_reduce(-2, number, (stands & known).long(), "amax")
-    return stands & (has.gather(-2, number) > 0)
-
-
-def _risen(known: Tensor, frames: float) -> Tensor:
-    """(B, T): 0 where known (B, T), 1 so many frames away, 3 u^2 - 2 u^3 between; 1 where nothing is known."""
-    time = torch.arange(known.shape[-1])
-    before, after = nearest_known(known)
-    u = torch.minimum((time - before).abs(), (after - time).abs()) / max(frames, 1e-6)
-    u = torch.where(known.any(-1, keepdim=True), u.clamp(max=1.0), 1.0)
-    return 3 * u**2 - 2 * u**3
 
 
 def _begun_slowly(shift: Tensor, known: Tensor, frames: float) -> Tensor:
