@@ -168,3 +168,72 @@ def test_a_leap_to_nowhere_leaves_the_clip_where_it_was(case, monkeypatch):
     found, fits = solve(problem, unknown, replace(ALONE, rounds=1, leaps=2))
     torch.testing.assert_close(total(problem, found), total(problem, alone), rtol=1e-9, atol=0)
     assert fits[0].history.isfinite().all()
+
+
+def rows_of_searches(monkeypatch):
+    """How many rows every search has, as they come."""
+    sizes, plain = [], feedback_solver.minimise_batch
+
+    def noted(energy, start, **how):
+        sizes.append(len(start["nu"]))
+        return plain(energy, start, **how)
+
+    monkeypatch.setattr(feedback_solver, "minimise_batch", noted)
+    return sizes
+
+
+def test_of_searches_that_race_the_lowest_goes_on_alone(case, settled, monkeypatch):
+    """It ends in the valley that all of them together end in, and goes on from where the race left it."""
+    problem, _ = case
+    sizes = rows_of_searches(monkeypatch)
+    found, fits = solve(problem, settled, replace(ALONE, leaps=1, heat=4))
+    assert sizes[:2] == [2 * CLIPS, CLIPS] and max(sizes[2:]) <= 2 * CLIPS
+    assert (component(problem, found) == 1).all()
+    assert (total(problem, found) < total(problem, settled) - 0.1).all()
+    torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
+    first = fits[0].history
+    assert 4 < len(first) <= ALONE.closures and (first[4] < first[0]).all()
+
+
+@pytest.mark.parametrize("heat", [0, 3])
+def test_who_stays_after_a_race_leaps_no_more(case, monkeypatch, heat):
+    """Leaps into nowhere: a race that they lose is the last; without races they are tried in every round."""
+    problem, unknown = case
+    asked = []
+
+    def astray(problem, unknown, loop, most, share):
+        asked.append(most)
+        every = torch.arange(len(loop.first)).repeat(2 if most else 1)
+        first = torch.zeros(len(every), loop.first.shape[-1], dtype=F64)
+        first[CLIPS:] = 30.0
+        return every, loop.first[every], first
+
+    monkeypatch.setattr(feedback_solver, "_starts", astray)
+    plan = replace(ALONE, rounds=3, leaps=1, heat=heat, tolerance=0.0)
+    _, fits = solve(problem, unknown, plan)
+    assert len(fits) == 3 and asked == ([1, 0, 0] if heat else [1, 1, 1])
+
+
+def test_a_plan_says_when_leaps_begin_how_sure_the_matrix_is_and_what_gain_is_none(case, monkeypatch):
+    problem, unknown = case
+    asked, ridges, plain = [], [], feedback_solver._starts
+
+    def starts(problem, unknown, loop, most, share):
+        asked.append(most)
+        return plain(problem, unknown, loop, most, share)
+
+    def linearise(problem, unknown, *, ridge, stride):
+        ridges.append(ridge)
+        return linearised(problem, unknown, ridge=ridge, stride=stride)
+
+    monkeypatch.setattr(feedback_solver, "_starts", starts)
+    plan = replace(ALONE, rounds=4, closures=5, leaps=1, trial=2, second=False, ridges=(0.1, 0.01), tolerance=0.0)
+    _, fits = solve(problem, unknown, plan, linearise=linearise)
+    assert asked == [0, 0, 1, 1] and ridges == [0.1, 0.01, 0.01, 0.01] and len(fits) == 4
+    gained = float((fits[2].energy - fits[3].energy).max())
+    _, fewer = solve(problem, unknown, replace(plan, rounds=9, least=1.01 * gained), linearise=linearise)
+    assert len(fewer) <= 4 and torch.equal(fewer[0].energy, fits[0].energy)
+    with pytest.raises(ValueError, match="heat"):
+        Plan(heat=-1)
+    with pytest.raises(ValueError, match="ridges"):
+        Plan(ridges=())

@@ -76,8 +76,10 @@ def bodies_over(
         for frame, picture in zip(frames, pictures, strict=True):
             scene.at(frame / motions[0].fps).plotter.render()
             layer = scene.plotter.screenshot(transparent_background=True, return_img=True)
-            share = _OPAQUE * layer[..., 3:] / 255.0
-            yield (share * layer[..., :3] + (1 - share) * picture).astype(np.uint8)
+            there, mixed = layer[..., 3] > 0, picture.copy()
+            share = _OPAQUE * layer[there, 3:] / 255.0
+            mixed[there] = share * layer[there, :3] + (1 - share) * picture[there]
+            yield mixed
 
 
 def _edges(scene: Scene, fine: bool) -> None:

@@ -21,7 +21,6 @@ import pyvista as pv
 import torch
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
-from trimesh import remesh
 
 from motionlab import viz
 from motionlab.body import BodyModel, lbs
@@ -245,6 +244,8 @@ class Scene:
         path = path[None] if path.ndim == 2 else path
         shade = None
         if shadow:
+            from trimesh import remesh  # half a second, and a film of people has no mesh
+
             fine, finer = (path[0], faces) if len(path) > 1 else remesh.subdivide_to_size(path[0], faces, max_edge=0.08)
             shade = _Shadow(plotter, fine, finer, shadow)
         mesh = pv.PolyData.from_regular_faces(path[0].copy(), faces)
