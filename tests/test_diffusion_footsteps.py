@@ -89,7 +89,9 @@ def test_a_step_is_eased_and_lifted_by_its_length_and_one_that_is_high_already_i
     stands, known = (u == 0) | (u == 1), torch.zeros(40, dtype=torch.bool)
     made = flown(legs_of(length * u), stands, known)[1, 0, :, 0]
     torch.testing.assert_close(made[:, 0], length * (3 * u**2 - 2 * u**3))
-    assert high < float(made[:, 2].max()) - 0.08 < high + 0.01 and made[(u == 0) | (u == 1)][2:, 2].min() == 0.08
+    assert high < float(made[:, 2].max()) - 0.08 < high + 0.01
+    standing = made[(u == 0) | (u == 1), 2]
+    assert standing.min() == 0.08 and (standing > 0.08 + 1e-6).sum() <= 2  # the heel peels before its step
     low = made[:, 2] < 0.11
     drags = (made[:, 0].diff() * (low[1:] & low[:-1])).sum()
     assert drags < 0.1 * length or length < 0.1  # the control: all of it

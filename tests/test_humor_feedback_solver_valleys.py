@@ -14,7 +14,7 @@ from motionlab.humor.shooting.feedback_solver import Plan, solve
 from motionlab.optimise import BatchFit
 from tests.draws import seeded
 from tests.rolled_inputs import F64
-from tests.test_humor_shooting import CLIPS, made, noisy, nought, total
+from tests.test_humor_shooting import CLIPS, made, noisy, nought, of_both, total
 
 ALONE = Plan(rounds=12, closures=20, tolerance=1e-5, leaps=0)
 
@@ -186,8 +186,8 @@ def test_of_searches_that_race_the_lowest_goes_on_alone(case, settled, monkeypat
     """It ends in the valley that all of them together end in, and goes on from where the race left it."""
     problem, _ = case
     sizes = rows_of_searches(monkeypatch)
-    found, fits = solve(problem, settled, replace(ALONE, leaps=1, heat=4))
-    assert sizes[:2] == [2 * CLIPS, CLIPS] and max(sizes[2:]) <= 2 * CLIPS
+    found, fits = solve(problem, settled, replace(ALONE, leaps=1, race=4))
+    assert sizes[:2] == [2 * CLIPS, CLIPS]
     assert (component(problem, found) == 1).all()
     assert (total(problem, found) < total(problem, settled) - 0.1).all()
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
@@ -195,8 +195,8 @@ def test_of_searches_that_race_the_lowest_goes_on_alone(case, settled, monkeypat
     assert 4 < len(first) <= ALONE.closures and (first[4] < first[0]).all()
 
 
-@pytest.mark.parametrize("heat", [0, 3])
-def test_who_stays_after_a_race_leaps_no_more(case, monkeypatch, heat):
+@pytest.mark.parametrize("race", [0, 3])
+def test_who_stays_after_a_race_leaps_no_more(case, monkeypatch, race):
     """Leaps into nowhere: a race that they lose is the last; without races they are tried in every round."""
     problem, unknown = case
     asked = []
@@ -209,9 +209,9 @@ def test_who_stays_after_a_race_leaps_no_more(case, monkeypatch, heat):
         return every, loop.first[every], first
 
     monkeypatch.setattr(feedback_solver, "_starts", astray)
-    plan = replace(ALONE, rounds=3, leaps=1, heat=heat, tolerance=0.0)
+    plan = replace(ALONE, rounds=3, leaps=1, race=race, tolerance=0.0)
     _, fits = solve(problem, unknown, plan)
-    assert len(fits) == 3 and asked == ([1, 0, 0] if heat else [1, 1, 1])
+    assert len(fits) == 3 and asked == ([1, 0, 0] if race else [1, 1, 1])
 
 
 def test_a_plan_says_when_leaps_begin_how_sure_the_matrix_is_and_what_gain_is_none(case, monkeypatch):
@@ -227,13 +227,55 @@ def test_a_plan_says_when_leaps_begin_how_sure_the_matrix_is_and_what_gain_is_no
         return linearised(problem, unknown, ridge=ridge, stride=stride)
 
     monkeypatch.setattr(feedback_solver, "_starts", starts)
-    plan = replace(ALONE, rounds=4, closures=5, leaps=1, trial=2, second=False, ridges=(0.1, 0.01), tolerance=0.0)
+    plan = replace(
+        ALONE, rounds=4, closures=5, leaps=1, trial=2, second=False, damped=(0.1, 0.02), ridge=0.01, tolerance=0.0
+    )
     _, fits = solve(problem, unknown, plan, linearise=linearise)
-    assert asked == [0, 0, 1, 1] and ridges == [0.1, 0.01, 0.01, 0.01] and len(fits) == 4
+    assert asked == [0, 0, 1, 1] and ridges == [0.1, 0.02, 0.01, 0.01] and len(fits) == 4
     gained = float((fits[2].energy - fits[3].energy).max())
-    _, fewer = solve(problem, unknown, replace(plan, rounds=9, least=1.01 * gained), linearise=linearise)
+    _, fewer = solve(
+        problem, unknown, replace(plan, rounds=9, least=1.01 * gained / (unknown.z.shape[2] + 1)), linearise=linearise
+    )
     assert len(fewer) <= 4 and torch.equal(fewer[0].energy, fits[0].energy)
-    with pytest.raises(ValueError, match="heat"):
-        Plan(heat=-1)
-    with pytest.raises(ValueError, match="ridges"):
-        Plan(ridges=())
+    for wrong in ({"race": -1}, {"race": 29}, {"trial": -1}):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            Plan(**wrong)
+
+
+def test_of_a_batch_one_clip_may_leap_on(case, settled, monkeypatch):
+    """The other, which stayed after its race, is not asked again. A second start that a plan leaves out is not used."""
+    problem, unknown = case
+    mixed = of_both(settled.rows(slice(0, 1)), unknown.rows(slice(1, 2)))
+    rows, starts, search = [], feedback_solver._starts, feedback_solver.searched
+
+    def forced(problem, unknown, loop, most, share):
+        """A leap for each, of the second clip into nowhere."""
+        who, shaper, first = starts(problem, unknown, loop, most, -1e9)
+        return who, shaper, torch.where((who[:, None] == 1) & (torch.arange(len(who)) >= CLIPS)[:, None], 30.0, first)
+
+    def noted(problem, unknown, loop, who, *args, **how):
+        rows.append(who.tolist())
+        return search(problem, unknown, loop, who, *args, **how)
+
+    monkeypatch.setattr(feedback_solver, "_starts", forced)
+    monkeypatch.setattr(feedback_solver, "searched", noted)
+    plan = replace(ALONE, rounds=2, leaps=1, race=4, tolerance=0.0, trial=0)
+    solve(problem, mixed, replace(plan, second=False), rival=mixed)
+    assert rows == [[0, 1, 0, 1], [0, 1], [0, 1, 0], [0, 1]]
+
+
+@pytest.mark.parametrize("at", [2, 5, 9])
+def test_ctrl_c_in_a_race_or_behind_it_keeps_the_best(case, settled, monkeypatch, at):
+    problem, _ = case
+    calls, plain = [], feedback_solver.rolled_terms
+
+    def interrupted(*args):
+        calls.append(1)
+        if len(calls) == at + 1:  # the first is of ``valleys``
+            raise KeyboardInterrupt
+        return plain(*args)
+
+    monkeypatch.setattr(feedback_solver, "rolled_terms", interrupted)
+    found, fits = solve(problem, settled, replace(ALONE, leaps=1, race=4))
+    assert fits[-1].reasons == ["interrupted"] * CLIPS and len(fits) == 1
+    assert (total(problem, found) <= total(problem, settled) + 1e-9).all()

@@ -4,12 +4,13 @@ What a model or a curve fills in is a mean of what may happen: where people take
 stands before a gap and stands elsewhere behind it has stepped; so a foot that is said to stand but travels is timed
 anew along its own way (:func:`retimed`), and one that goes from place to place goes off the floor (:func:`flown`).
 
-Numbers: of recordings of people who choose, at 30 frames per second, lengths in legs.
+Numbers: of recordings of people who choose, at 30 frames per second; lengths in legs where nothing else is said.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise, product
 
@@ -21,8 +22,8 @@ _STRIDE = 1.2  # legs that a foot goes in one step
 _TRAVELS = 0.1  # legs: a foot that stands before and behind a gap, farther apart than this, stepped between
 _SECONDS = (0.25, 0.3)  # that a step takes, and so much more per leg
 _TURNS = 0.2  # of a step's way, by which feet that step together are moved apart in time
-#: A step rises to so much of its length, of a leg at most, and at least to so many metres, or of its length.
-_HIGH = (0.12, 0.08, 0.05, 0.5)
+_HIGH, _HIGHEST = 0.12, 0.08  # a step rises to so much of its length, at most to so much of a leg
+_LEAST, _SHORT = 0.05, 0.5  # and to so many metres at least, or where it is short to so much of its length
 _RISES = (0.15, 0.25, 0.4)  # of its time, in which it rises, and sinks
 _SOFT = 0.04  # metres: what lies so much higher already is hardly lifted
 _PEEL = 0.07  # seconds before a step in which the heel rises already
@@ -122,12 +123,12 @@ def at_times(x: Tensor, when: Tensor) -> Tensor:
 
 
 def flown(legs: Tensor, stands: Tensor, known: Tensor, rest: Tensor, leg: float, fps: float) -> Tensor:
-    """Computes hips, ankles and balls (3, B, T, F, 3) of feet that go from place to place off the floor, from such that
-    drag.
+    """Computes hips, ankles and balls (3, B, T, F, 3), metres, z up, of feet that leave the floor as they go from place
+    to place, from ones that may drag.
 
-    Where a foot neither ``stands`` nor is known, bool (B, T, F), it goes its own way, as it is or eased, and lifted,
-    whichever drags and hurries least (:func:`_badness`). Where that is less time than a step takes it stands less long.
-    rest: (B, F) heights of ankles on the floor, metres. leg: metres.
+    Where a foot neither ``stands`` nor is known, bool (B, T, F), it goes its own way: as it is, or eased and lifted,
+    whichever drags and hurries least (:func:`_badness`). If that is less time than a step takes, the foot leaves
+    earlier and arrives later. rest: (B, F) heights of ankles on the floor, metres. leg: metres.
     """
     legs, peel = legs.clone(), round(_PEEL * fps)
     for clip, foot in product(range(stands.shape[0]), range(stands.shape[2])):
@@ -138,7 +139,7 @@ def flown(legs: Tensor, stands: Tensor, known: Tensor, rest: Tensor, leg: float,
             start = max(first - peel - 2, 0)
             cut = (clip, slice(start, last + 3), foot)
             old, new = ((a - start, b - start) for a, b in (ends, (first, last)))
-            high = min(max(_HIGH[0] * far, min(_HIGH[2], _HIGH[3] * far)), _HIGH[1] * leg)
+            high = min(max(_HIGH * far, min(_LEAST, _SHORT * far)), _HIGHEST * leg)
             begin = max(new[0] - peel, 0) if not sure[max(first - peel, 0) : first + 1].any() else new[0]
             ways = _ways(legs[:, *cut], sure[cut[1]], old, new, begin, high, rest[clip, foot])
             legs[:, *cut] = min(ways, key=lambda way: _badness(way, rest[clip, foot], leg, fps))
@@ -153,14 +154,16 @@ def _moves(stands: Tensor, known: Tensor) -> list[_Ends]:
 
 
 def _longer(ends: _Ends, frames: int, spare: Tensor) -> _Ends:
-    """``ends`` so many frames apart at least, if there are so many to spare, bool (T,); half of those stay."""
+    """``ends`` moved apart, towards so many frames, by what is to spare on either side, bool (T,); half of it stays."""
     free = [(int(side.long().cumprod(0).sum()) - 1) // 2 for side in (spare[: ends[0] + 1].flip(0), spare[ends[1] :])]
     lacks = max(frames - (ends[1] - ends[0]), 0)
     each = math.ceil(lacks / max(sum(n > 0 for n in free), 1))
     return ends[0] - max(min(each, free[0]), 0), ends[1] + max(min(each, free[1]), 0)
 
 
-def _ways(way: Tensor, known: Tensor, old: _Ends, new: _Ends, begin: int, high: float, rest: Tensor):
+def _ways(
+    way: Tensor, known: Tensor, old: _Ends, new: _Ends, begin: int, high: float, rest: Tensor
+) -> Iterator[Tensor]:
     """Ways (3, N, 3) of hip, ankle and ball: the given one, and with what lies between the frames ``old`` eased over
     those between ``new`` and lifted so high above where the ankle rests, the heel from ``begin`` on."""
     time, (first, last) = torch.arange(way.shape[1], dtype=torch.float64), new

@@ -36,7 +36,7 @@ from motionlab.skeleton import ANKLES, BALLS
 _STANDS = 0.5  # of a contact: more is one
 _LOW = 0.2  # metres above where a joint rests: lower and slow, it stands, too
 _SLOW = {ANKLES: (0.25, 0.5), BALLS: (0.35, 0.7)}  # m/s, strict and loose (``contact.contacts_from_positions``)
-_RAISED = 0.1  # metres above where an ankle rests: at most so high it does in known frames
+_RAISED = 0.1  # metres above where an ankle should rest: so high, at most, it may rest in known frames
 _FADE = 4  # frames beside a run in which a foot turns to lie flat
 _STRETCHED = 0.998  # of a straight leg: longer is out of reach, unless it was
 _BENT = 0.985  # the same for steps: a knee that straightens at once pops
@@ -84,9 +84,10 @@ def planted(
     flat = torch.where(((heel_down | anew) & ~right)[..., None], at_heel - shift, 0.0)
     flat = _lines(flat, (heel_down & ~_near(right)) | ~_near(heel_down | anew) | right | anew)
     there, heel = ball + shift, ankle + shift + flat
-    if step:  # off the floor, which is where known ankles are lowest
-        rest = resting_heights(skeleton)[[skeleton.contact_names.index(name) for name in ANKLES]] + _RAISED
-        rest = torch.where(right, ankle[..., 2], rest).amin(1).clamp(max=rest)
+    if step:  # off the floor, which is where known ankles that stand are lowest
+        rest, sure = resting_heights(skeleton)[[skeleton.contact_names.index(n) for n in ANKLES]], right & heel_down
+        lowest = torch.where(sure, ankle[..., 2], torch.inf).amin(1).clamp(max=rest + _RAISED)
+        rest = torch.where(sure.any(1), lowest, rest)
         still, legs = (heel_down | ball_down) & ~moving, torch.stack((hip, heel, there))
         _, heel, there = footsteps.flown(legs, still, right.expand_as(still), rest, leg, motion.fps)
         heel, there = (x + _begun_slowly(y - x, right[..., 0], ease) for x, y in ((ankle, heel), (ball, there)))

@@ -286,7 +286,7 @@ class _Track:
         pull = problem.weights.pull
         if whole:
             calm, _ = starts.start_stage_3(*begun, pull, starts.CALM)
-            rival = starts.start_stage_3(*begun, pull)[0] if s.shooting.second else None
+            rival = starts.start_stage_3(*begun, pull)[0] if s.shooting.second and s.shooting.trial else None
             rolled, self.results[3] = solve(cut, calm, s.shooting, rival=rival, progress=self.budget["progress"])
         else:
             rolled, factors = starts.start_stage_3(*begun, pull)

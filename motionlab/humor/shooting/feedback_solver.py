@@ -42,13 +42,14 @@ class Plan:
     """How much work.
 
     rounds: linearisations at most. closures: of L-BFGS after each. tolerance: a clip is done when a round gains less
-    than this share of its energy's size, or than ``least``; and a round when a step, and then one down the gradient,
-    gain less than a twentieth of that share. stride: frames between those at which the networks are differentiated.
-    leaps: components of the first state's mixture whose valleys a clip tries in a round (``valleys``), if they promise
-    more. heat: closures after which only the lowest of a clip's searches goes on, and where that one stayed the clip
-    leaps no more; 0: all go on, in every round. trial: rounds that a second start goes along, before the first leaps;
-    with 0 it is not used. coarse: the least stride of these rounds. second: False: the first goes along alone. ridges:
-    what is added to the matrix of z in each round, from the last of them on always the last.
+    than this share of its energy's size, or less energy per frame than ``least``; and a round when a step, and then one
+    down the gradient, gain less than a twentieth of that share. stride: frames between those at which the networks are
+    differentiated. leaps: components of the first state's mixture whose valleys a clip tries in a round (``valleys``),
+    if they promise more. race: where a clip leaps, closures after which only the lowest search of each clip goes on;
+    where that is the one that stayed, the clip leaps no more. 0: all go on, in every round. trial: rounds that a second
+    start goes along, before the first leaps; with 0 it is not used. coarse: the least stride of these rounds. second:
+    False: no second start; the rounds of the trial remain. ridge: added to the matrix of z; damped: instead of it in
+    the first rounds, where the matrix is too sure of itself.
     """
 
     rounds: int = 25
@@ -58,15 +59,17 @@ class Plan:
     leaps: int = 3
     trial: int = 2
     coarse: int = 4
+    ridge: float = 1e-6
+    damped: tuple[float, ...] = ()
     least: float = 0.0
-    heat: int = 0
+    race: int = 0
     second: bool = True
-    ridges: tuple[float, ...] = (1e-6,)
 
     def __post_init__(self) -> None:
-        counts = self.rounds, self.closures, self.stride, self.coarse, len(self.ridges)
-        if min(counts) < 1 or min(self.leaps, self.trial, self.heat) < 0:
-            raise ValueError(f"rounds, closures, strides, ridges: 1 or more, leaps, trial, heat: 0 or more, got {self}")
+        if min(self.rounds, self.closures, self.stride, self.coarse) < 1 or min(self.leaps, self.trial) < 0:
+            raise ValueError(f"rounds, closures, strides: expected 1 or more, leaps, trial: 0 or more, got {self}")
+        if self.race and not 0 < self.race < self.closures - 1:
+            raise ValueError(f"race: expected closures and two more to be left after it, got {self}")
 
 
 @dataclass
@@ -109,7 +112,7 @@ def solve(
     trial = 0 if rival is None and plan.second else plan.trial
     if rival is not None:
         both = _beside(unknown, rival)
-        unknown = both if trial else unknown
+        unknown = both if trial and plan.second else unknown
     mark, fits = time.perf_counter(), []
     report.began = report.clock()
     energy = unknown.betas.new_full((len(unknown.betas),), float("inf"))
@@ -121,7 +124,7 @@ def solve(
         if not len(live):
             break
         now = plan if count >= trial else replace(plan, leaps=0, stride=max(plan.stride, plan.coarse))
-        now = replace(now, ridges=plan.ridges[min(count, len(plan.ridges) - 1) :])
+        now = replace(now, ridge=(*plan.damped, plan.ridge)[min(count, len(plan.damped))])
         here = unknown.rows(live)
         try:
             size = energy[live].abs().nan_to_num(posinf=0.0)  # 0: not known yet
@@ -144,7 +147,8 @@ def solve(
         fits.append(_of_clips(whole, torch.arange(len(energy), device=energy.device) % clips)[1])
         report.history += fits[-1].history.unbind(0)
         del report.seconds[len(report.history) :]  # Ctrl-C between an energy and its gradient
-        gained = gain > (plan.tolerance * energy[live].abs()).clamp(min=plan.least)
+        done = plan.tolerance * energy[live].abs()
+        gained = gain > (done.clamp(min=plan.least * (unknown.z.shape[2] + 1)) if plan.least else done)
         mark, live = time.perf_counter(), live[gained] if count >= trial else live
         if interrupted(fit):
             break
@@ -181,7 +185,7 @@ def _round(
     size (B,): of each clip's energy. leaping: bool (B,), clips that may leap; returned anew.
     """
     began, clips = report.clock(), len(size)
-    loop = linearise(problem, unknown, ridge=plan.ridges[0], stride=plan.stride)
+    loop = linearise(problem, unknown, ridge=plan.ridge, stride=plan.stride)
     who, shaper, first = _starts(problem, unknown, loop, plan.leaps if leaping.any() else 0, plan.tolerance)
     if not leaping.all():
         may = leaping[who]
@@ -193,17 +197,21 @@ def _round(
         report.seconds.append(report.clock() - report.began)
 
     how, enough = {"note": note, "progress": progress}, _LEAST_STEP * plan.tolerance * size
-    heat = min(plan.heat, plan.closures - 1) if len(who) > clips else 0
-    rows, race = searched(problem, unknown, loop, who, shaper, first, heat or plan.closures, enough=enough[who], **how)
-    best, fit = _of_clips(race, who)
+    race = plan.race if len(who) > clips else 0
+    rows, fit = searched(problem, unknown, loop, who, shaper, first, race or plan.closures, enough=enough[who], **how)
+    found = fit.variables
+    best, fit = _of_clips(fit, who)
     rows = rows.rows(best)
-    if not heat or interrupted(fit):
+    if not race or interrupted(fit):
         return rows, fit, leaping
-    how |= {"nu": race.variables["nu"][best], "enough": enough}
-    first = race.variables["first"][best]
-    rows, more = searched(problem, unknown, loop, who[best], shaper[best], first, plan.closures - heat, **how)
-    whole = replace(more, history=torch.cat((fit.history, more.history)), seconds=fit.seconds + more.seconds)
+    how |= {"nu": found["nu"][best], "enough": enough}
+    try:
+        args = who[best], shaper[best], found["first"][best], plan.closures - race
+        rows, more = searched(problem, unknown, loop, *args, **how)
+    except KeyboardInterrupt:  # before its first energy
+        return rows, replace(fit, reasons=["interrupted"] * clips), leaping
     tried = torch.isin(torch.arange(clips, device=who.device), who[clips:])
+    whole = replace(more, history=torch.cat((fit.history, more.history)))
     return rows, whole, leaping & ((best >= clips) | ~tried)
 
 
