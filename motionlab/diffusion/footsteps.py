@@ -172,7 +172,9 @@ def _ways(
     slope = [stretch * known[end] for end in new]  # what is known goes on as fast as it came
     share = 3 * u**2 - 2 * u**3 + slope[0] * (u**3 - 2 * u**2 + u) + slope[1] * (u**3 - u**2)
     when = torch.where((u > 0) & (u < 1), old[0] + (old[1] - old[0]) * share, time)
-    eased = at_times(way[1:].transpose(0, 1)[None], when[None, :, None].expand(1, -1, 2))[0].transpose(0, 1)
+    moved = at_times(way[None, 2, :, None], when[None, :, None])[0, :, 0] - way[2]
+    moved[:, 2] = 0
+    eased = way[1:] + moved  # on the floor, as its ball: a heel rolls up, and comes down, when it did
     yield way
     for rise in _RISES:
         heel, ball = (_bump(time, start, last, rise) for start in (begin, first))
