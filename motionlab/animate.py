@@ -219,8 +219,8 @@ def _usual_method(gap: float, beyond: float) -> tuple[str, str]:
         return "curves", "in gaps of half a second as near as the network (3.6 cm; slerp 6.6), and simpler"
     return (
         "network",
-        "in gaps of 1 and 2 s as near as curves (9.8 and 21 cm; slerp 15 and 27), and feet slide by 1 and 3 mm a frame,"
-        " with curves by 2.5 and 4",
+        "in gaps of 1 and 2 s as near as curves (9.8 and 21 cm; slerp 15 and 27), and feet slide by 1.4 and 3.2 mm a"
+        " frame, with curves by 2.7 and 3.4",
     )
 
 

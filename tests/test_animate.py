@@ -252,7 +252,7 @@ def test_reasons_are_given_only_where_they_are_one():
     )
     assert every.notes == ("every frame is kept: nothing is made",) and every.motion is motion
     assert lone.notes[0] == "curves" and far.notes[0] == "curves: more than 2.5 s beyond the keys was not measured"
-    assert gap.notes[0].endswith("feet slide by 1 and 3 mm a frame, with curves by 2.5 and 4")
+    assert gap.notes[0].endswith("feet slide by 1.4 and 3.2 mm a frame, with curves by 2.7 and 3.4")
     short = motion.cut(0, 30)
     arm, legs = (animate.completed(short, [part], method="nearest").notes[0] for part in ("left_arm", "legs"))
     assert "was not measured" in arm and "hidden legs came back 15 cm off" in legs
