@@ -95,7 +95,8 @@ def test_a_record_of_walks_that_is_none_is_refused(tmp_path, what):
 def test_the_record_is_of_the_recipe_that_the_code_has_and_the_notebook_says_what_is_in_it():
     assert json.loads(OFFICIAL.read_text(encoding="utf-8"))["recipe"] == official_command.RECIPE
     rows = load(OFFICIAL)
-    plan = json.loads(json.dumps(asdict(Plan())))  # what the record does not say came later, and is off
+    plan = json.loads(json.dumps(asdict(Plan())))
+    assert (plan["least"], plan["race"], plan["damped"], plan["second"]) == (0, 0, [], True)  # later, and off
     assert all(plan | row["shooting"]["plan"] == plan for row in rows)
     assert [row["task"] for row in rows] == ["noisy joints", "low joints hidden", official_command.WALK]
     assert all(len(row["faithful"]["energy"]) == official_command.CLIPS for row in rows)

@@ -29,7 +29,7 @@ _SOFT = 0.04  # metres: what lies so much higher already is hardly lifted
 _PEEL = 0.07  # seconds before a step in which the heel rises already
 _DRAGS = 0.035  # metres above where it rests: lower, an ankle that moves drags
 _HASTE = 2 / 30**2  # metres of dragging that one m/s^2 of acceleration weighs
-_STRAIGHT = 0.985  # of a leg: longer is out of reach
+STRAIGHT = 0.985  # of a leg: farther a step does not reach, as a knee that straightens at once pops
 
 _Ends = tuple[int, int]  # the frames between which a foot goes
 
@@ -193,7 +193,7 @@ def _badness(way: Tensor, rest: Tensor, leg: float, fps: float) -> float:
     """Metres that an ankle (of 3, N, 3) goes while it is low; and how hasty it is, and the knee."""
     low = way[1, :, 2] < rest + _DRAGS
     slid = (way[1].diff(dim=0)[:, :2].norm(dim=-1) * (low[1:] & low[:-1])).sum()
-    reach = (way[1] - way[0]).norm(dim=-1).clamp(max=_STRAIGHT * leg)
+    reach = (way[1] - way[0]).norm(dim=-1).clamp(max=STRAIGHT * leg)
     knee = (leg**2 - reach**2).sqrt() / 2  # from the line between hip and ankle
     haste = way[1].diff(n=2, dim=0).norm(dim=-1).amax() + knee.diff(n=2).abs().amax()
     return float(slid + _HASTE * fps**2 * haste)

@@ -39,7 +39,6 @@ _SLOW = {ANKLES: (0.25, 0.5), BALLS: (0.35, 0.7)}  # m/s, strict and loose (``co
 _RAISED = 0.1  # metres above where an ankle should rest: so high, at most, it may rest in known frames
 _FADE = 4  # frames beside a run in which a foot turns to lie flat
 _STRETCHED = 0.998  # of a straight leg: longer is out of reach, unless it was
-_BENT = 0.985  # the same for steps: a knee that straightens at once pops
 _FARTHEST = 0.5  # radians that a joint turns in one step towards its target, at most
 _DAMPING = 1e-4  # square metres per square radian, the least
 _HIPS, _KNEES = ("left_hip", "right_hip"), ("left_knee", "right_knee")
@@ -92,7 +91,7 @@ def planted(
         _, heel, there = footsteps.flown(legs, still, right.expand_as(still), rest, leg, motion.fps)
         heel, there = (x + _begun_slowly(y - x, right[..., 0], ease) for x, y in ((ankle, heel), (ball, there)))
     heel = there + foot[:, None] * normalize(heel - there, dim=-1)
-    longest = torch.maximum((_BENT if step else _STRETCHED) * (thigh + shin), (ankle - hip).norm(dim=-1))
+    longest = torch.maximum((footsteps.STRAIGHT if step else _STRETCHED) * (thigh + shin), (ankle - hip).norm(dim=-1))
     heel = _within(heel, there, foot[:, None], hip, longest[..., None])
     return _turned(motion, heel, there)
 
