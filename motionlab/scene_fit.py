@@ -97,7 +97,7 @@ class Task:
         return testops.fit(seen, self.priors, cameras=cameras, floor=floor, size=self.size, **how)
 
 
-#: The work of a fit, as near as ``Schedule.lean`` in a third of its time (CHANGELOG); a first look.
+#: The work of a fit, as near as ``Schedule.lean`` in less than half of its time (CHANGELOG); a first look.
 FULL_WORK = replace(
     testops.Schedule.lean(),
     tolerance=3e-4,
