@@ -27,6 +27,7 @@ from motionlab.body import BodyModel, lbs
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.observation import Camera
+from motionlab.tailoring import tailored
 from motionlab.viz import mannequin, viewpoint
 from motionlab.viz.palette import LINE, PAPER, TILE, blend, colour
 
@@ -443,5 +444,5 @@ def _skin(body: BodyModel, motion: Motion, index: int) -> tuple[np.ndarray, np.n
     """Vertices (V, 3) of a frame and their normals."""
     with torch.no_grad():
         now = motion.cut(index, index + 1)
-        skin = mannequin.array(lbs(body, now.skeleton, now.root, now.rot)[0])
+        skin = mannequin.array(lbs(tailored(body, now.skeleton), now.skeleton, now.root, now.rot)[0])
     return skin, mannequin.vertex_normals(skin, body.faces.cpu().numpy())
