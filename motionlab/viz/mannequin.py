@@ -294,6 +294,14 @@ def add_caption(plotter: pv.Plotter, height: int):
     return plotter.add_text(" ", position="lower_left", font_size=max(round(height / 60), 6), color=INK, font="arial")
 
 
+def add_note(plotter: pv.Plotter, text: str, height: int):
+    """Adds a line of text in the lower right corner; returns its actor, hidden."""
+    size = max(round(height / 60), 6)
+    actor = plotter.add_text(text, position="lower_right", font_size=size, color=INK, font="arial")
+    actor.SetVisibility(False)
+    return actor
+
+
 def add_label(plotter: pv.Plotter, point: np.ndarray, text: str, height: int) -> None:
     """Adds a word at a point of the world, upright on the screen."""
     plotter.add_point_labels(
