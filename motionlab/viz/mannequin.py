@@ -9,6 +9,8 @@ import numpy as np
 import pyvista as pv
 from scipy.sparse import csr_array
 from torch import Tensor
+from vtkmodules.vtkCommonCore import vtkInformation
+from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLActor
 
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
@@ -238,6 +240,10 @@ def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 
         look = {"scalars": "paint", "rgb": True}
     else:
         look = {"color": paint}
+    if opacity < 1:  # first its depth alone: what lies inside or on the far side must not show through
+        deep = vtkInformation()
+        deep.Set(vtkOpenGLActor.GLDepthMaskOverride(), 1)
+        plotter.add_mesh(mesh, opacity=1e-3, reset_camera=False).SetPropertyKeys(deep)
     actor = plotter.add_mesh(mesh, opacity=opacity, reset_camera=False, **look, **SKIN)
     actor.prop.interpolation = "Phong"
     return actor

@@ -29,7 +29,7 @@ from motionlab.viz.palette import ROLE, colour, side_of, sides
 from motionlab.viz.scene import Scene
 
 Mesh = tuple[Tensor, Tensor]  # vertices (1, V, 3), faces (F, 3)
-_WOOD, _GHOST = "#b9a88f", (0.5, 0.5, 0.5)
+_WOOD, _GHOST = "#b9a88f", (0.35, 0.35, 0.35)
 _DRAFT = 5  # pictures of a film that is only drawn to see that it draws
 _HANDLE = (0.835, 0.369, 0.0)  # vermillion: seen beside every role
 _ARMS_LEGS = [
@@ -175,7 +175,7 @@ def _add(scene: Scene, motion: Motion, role, body: BodyModel | None, ghost: Moti
     add = scene.skeleton if body is None else partial(scene.body, body)
     add(motion, role, **how)
     if ghost is not None:
-        add(ghost, _GHOST, **how | {"opacity": 0.3, "shadow": 0, "framed": False})
+        add(ghost, _GHOST, **how | {"opacity": 0.35, "shadow": 0, "framed": False})
 
 
 def film(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +34,7 @@ class Framing:
     towards: np.ndarray
     distance: float
     aspect: float
-    targets: list[np.ndarray]
+    targets: Sequence[np.ndarray]
     tracks: list[tuple[np.ndarray, float]]
     centres: list[np.ndarray]
     radii: list[float]
@@ -112,11 +113,11 @@ def choose_framing(
     room = max(1.5 * calm, _BESIDE if follow else _AROUND)
     near = [[path[far <= room] for path, far in zip(*both, strict=True)] for both in zip(local, off, strict=True)]
     fits = [_fit_view(_around(panel, 0.16), towards, aspect, headroom, footroom) for panel in near]
-    distance = max(d for _, d in fits)
-    targets = [target for target, _ in fits]
+    targets, distances = zip(*fits, strict=True)
+    distance = min(max(distances), 1.2 * sorted(distances)[(len(fits) - 1) // 2] if follow else np.inf)
     together, far = _fit_view(_around([p for panel in near for p in panel], 0.16), towards, aspect, headroom, footroom)
-    if follow or far < 1.4 * distance:
-        distance, targets = far, [together] * len(seen)
+    if far < 1.4 * distance:
+        distance, targets = far, (together,) * len(seen)
     floors = [_around(panel, 0.0)[:, :2] for panel in paths]
     centres = [(floor.min(0) + floor.max(0)) / 2 for floor in floors]
     reach = [np.ptp(floor, axis=0).max() / 2 for floor in floors]
