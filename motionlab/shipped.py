@@ -38,8 +38,8 @@ _BASE = DenoiserRecipe(
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: in world space;
 #: stuck: its twin in the stuck frame, all else equal. pose: single poses. handles: single poses, told where some joints
 #: should be. told: told what is known, from the weights of stuck, whose units it shares.
-#: root_unit: so that a unit of noise moves the root about as far as it moves a hand (docs/experiments.md); not where the frame
-#: is the question, or where the root is mostly known.
+#: root_unit: so that a unit of noise moves the root about as far as it moves a hand (docs/experiments.md); not where
+#: the frame is the question, or where the root is mostly known.
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
 #: would have a hundred times the gradient of all else.
 _FAR = replace(_WEIGHTS, fk=0.002, contact=20.0)

@@ -16,17 +16,18 @@ MARKS = ("<!-- findings:start -->", "<!-- findings:end -->")
 FINDINGS = (
     (
         ("H03", "H04", "H07"),
-        "**A motion prior fills in what the camera did not see.** When people sit down behind a desk, it brings their "
-        "hidden legs {legs[synthetic].size:.0f} cm nearer to the truth than a tuned fit without it "
-        "({legs[synthetic].n} synthetic people). In plain view it is still {pose[CMU].size:.1f} cm "
-        "({pose[CMU].n} recorded people). But it does not know what it hardly learnt: people who roll on the floor end "
-        "{roll[synthetic].size:.0f} cm farther off with it ({roll[synthetic].n} synthetic people).",
+        "**A motion prior fills in what the camera did not see.** With it, the hidden legs of {legs[synthetic].n} "
+        "synthetic people who sit down end {legs[synthetic].size:.0f} cm nearer to the truth than after a tuned fit "
+        "without it. In plain view it is still {pose[CMU].size:.1f} cm ({pose[CMU].n} recorded people). But it does "
+        "not know what it hardly learnt: people who roll on the floor end {roll[synthetic].size:.0f} cm farther off "
+        "with it ({roll[synthetic].n} synthetic people).",
     ),
     (
         ("H06",),
         "**Three numbers for a rotation make bodies spin.** Where a rotation vector jumps inside a gap of hidden "
         "frames, smoothing turns the body the long way round in {crossing[recordings].value:.0%} of the gaps "
-        "({crossing[recordings].n} recorded people). In 6D that happens in {cure[recordings].value:.0%} of all gaps.",
+        "({crossing[recordings].n} recorded people). With six numbers for a rotation, that happens in "
+        "{cure[recordings].value:.0%} of all gaps.",
     ),
     (
         ("H22",),
@@ -41,7 +42,7 @@ _COUNTED = {
     "refuted": "refuted",
     "true when": "true on a condition",
     "by construction": "true by construction",
-    "undecided": "undecided",
+    "undecided": "still undecided",
 }
 _SCOREBOARD = """# Scoreboard
 
@@ -81,11 +82,11 @@ def first_findings(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str
         named = [claims[name] for name in names]
         whole = Claim("README", "", "", "", "", answer=text, tests=sum((claim.tests for claim in named), ()))
         book = named[0].notebook.partition("_")[0]
-        again = ", provisional" if any(claim.again for claim in named) else ""
+        again = ", to be measured again" if any(claim.again for claim in named) else ""
         lines.append(f"- {ledger.answer(whole, found)} ([{book}](notebooks/{files[book]}){again})\n")
     counts = Counter(_short(ledger.verdict(claim, found)) for claim in claims.values())
-    each = ", ".join(f"{counts[word]} {said}" for word, said in _COUNTED.items())
-    return "".join(lines) + f"\nOf the thesis's {len(claims)} claims, {each}.\n"
+    *each, last = (f"{counts[word]} {said}" for word, said in _COUNTED.items())
+    return "".join(lines) + f"\nOf the thesis's {len(claims)} claims, {', '.join(each)}, and {last}.\n"
 
 
 def scoreboard(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str:
