@@ -13,6 +13,7 @@ Source: thesis 4.2.1 (in-betweening, occluded legs), 4.4.1 (seams); inertialisat
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
+from motionlab.body import BodyModel
 from motionlab.corrections import Fill, Keep, Standard, by_windows, pasted, runs
 from motionlab.diffusion.inpainting import Way, offset_decay, repair
 from motionlab.diffusion.masks import units
@@ -326,8 +328,10 @@ def _nearest(model: Trained, motion: Motion, known: Tensor) -> Motion:
 
 
 # ------------------------------------------------------------------------------------------------------ widget
-def editor(path: str | Path, backend: str | None = None, **guided: str):
-    """Builds the widget of ``inbetween`` for a file: see ``viz.keyframes.keyframe_editor``. guided: unit, up of a BVH.
+def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | str | None = "anny", **guided: str):
+    """Builds the widget of ``inbetween`` for a file: see ``viz.keyframes.keyframe_editor``.
+
+    body: whose skin is shown; None, or joints that are not known: a figure. guided: unit, up of a BVH.
 
     Raises:
         DataError: not a readable motion.
@@ -350,6 +354,13 @@ def editor(path: str | Path, backend: str | None = None, **guided: str):
         target = Path(name).resolve()
         return f"{target} is written: {write_back(path, target, motion, made)}"
 
-    joints = (*GROUPS, *motion.skeleton.names)
-    how = {"joints": joints, "methods": METHODS, "target": f"{path.stem}_inbetween{path.suffix}", "backend": backend}
-    return keyframe_editor(motion, read, fill, export, **how)
+    def dress(made: Motion) -> Motion:
+        shown = retarget(made, floor=False).motion
+        return replace(shown, root=shown.root + torch.tensor([0.0, 0.0, lift]))
+
+    how = {"methods": METHODS, "target": f"{path.stem}_inbetween{path.suffix}", "backend": backend}
+    if body:
+        with contextlib.suppress(DataError):
+            lift = retarget(motion).floor
+            how |= {"body": BodyModel.from_anny() if isinstance(body, str) else body, "dress": dress}
+    return keyframe_editor(motion, read, fill, export, joints=(*GROUPS, *motion.skeleton.names), **how)

@@ -51,7 +51,3 @@ def test_the_call_of_the_page_opens_the_editor(desk):
     code = code.replace('"walk.bvh"', '"walk.bvh", backend="picture"').replace("animate.editor", "box = animate.editor")
     exec(code, names := {})
     assert names["box"].hands["player"].hand.max == 196
-
-
-def test_the_readme_names_the_page():
-    assert "docs/animate.md" in (ROOT / "README.md").read_text(encoding="utf-8")

@@ -17,7 +17,7 @@ from motionlab.io import bvh, load, rewriting
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from suite import __main__ as suite_main
-from suite import execute, findings, report, staleness
+from suite import execute, findings, pages, report, staleness
 
 
 def notebook(*sources, **metadata):
@@ -158,22 +158,31 @@ def test_the_suites_command_writes_the_report(suite, tmp_path, capsys):
     assert suite_main.main(["report", "00", "--out", str(tmp_path / "report")]) == 1
 
 
-def test_readme_takes_the_scoreboard_between_its_marks(suite, tmp_path):
+def test_the_scoreboard_page_holds_what_was_measured(suite):
+    claims, found = findings.load_claims(suite / "claims.toml"), findings.load_results(suite / "results")
+    page = pages.scoreboard(claims, found)
+    assert "| X01 | Size <matters> | **confirmed** |  | [01](../notebooks/01_runs.ipynb) |" in page
+    assert "X02" not in page
+
+
+def test_readme_takes_its_findings_between_its_marks(suite, tmp_path, monkeypatch):
+    monkeypatch.setattr(pages, "FINDINGS", ((("X01",), "It is {size.value:.1f} cm."),))
+    start, end = pages.MARKS
+    (tmp_path / "docs").mkdir()
     readme = tmp_path / "README.md"
-    start, end = report.README_MARKS
     readme.write_text(f"before\n{start}\nstale\n{end}\nafter\n", encoding="utf-8")
-    report.update_readme(readme)
+    pages.update(tmp_path)
     text = readme.read_text(encoding="utf-8")
     assert text.startswith("before\n") and text.endswith("after\n") and "stale" not in text
-    assert "| X01 | Size <matters> | **confirmed** |  | 01_runs |" in text
-    report.update_readme(readme)
+    assert "- It is 4.0 cm. ([01](notebooks/01_runs.ipynb))" in text
+    pages.update(tmp_path)
     assert readme.read_text(encoding="utf-8") == text
-
-
-def test_readme_without_marks_is_an_error(suite, tmp_path):
-    (tmp_path / "README.md").write_text("nothing", encoding="utf-8")
-    with pytest.raises(DataError, match="no scoreboard marks"):
-        report.update_readme(tmp_path / "README.md")
+    monkeypatch.setattr(pages, "FINDINGS", ((("X01",), "It is 4 cm."),))
+    with pytest.raises(DataError, match="4 is typed"):
+        pages.update(tmp_path)
+    readme.write_text("nothing", encoding="utf-8")
+    with pytest.raises(DataError, match="no marks for the findings"):
+        pages.update(tmp_path)
 
 
 def test_rendering_is_really_tried():

@@ -1,5 +1,5 @@
 """A public name of the library has one meaning and two who need it: the library itself and somebody else, two
-notebooks, or the stranger for whom the README names it as API."""
+notebooks, or the stranger for whom docs/library.md names it as API."""
 
 import ast
 import re
@@ -82,8 +82,8 @@ def users(parsed: dict[str, ast.Module]) -> dict[tuple[str, str], set[str]]:
 
 
 def api(text: str) -> set[tuple[str, str]]:
-    """(module, name) that the README's library section names, in lines such as "- `io.smpl`: `load`"."""
-    section = text.partition("\n## The library")[2].partition("\n## ")[0]
+    """(module, name) that a page names room by room, in lines such as "- `io.smpl`: `load`"."""
+    section = text.partition("\n## Room by room")[2].partition("\n## ")[0]
     found = set()
     for line in re.findall(r"^- `([\w.]+)`: (.*(?:\n  .*)*)", section, re.MULTILINE):
         found |= {(f"{LIBRARY}.{line[0]}", name) for name in re.findall(r"`(\w+)`", line[1])}
@@ -121,19 +121,19 @@ def ambiguous(parsed: dict[str, ast.Module]) -> list[str]:
     return [f"{n}: {', '.join(at)}" for n, at in sorted(places.items()) if len(at) > 1 and n not in SAME_EVERYWHERE]
 
 
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/library.md").read_text(encoding="utf-8")
 
 
 def test_what_is_public_is_needed():
-    """By another module of the library, by two notebooks, or by strangers: then the README says so."""
-    assert not idle(trees(), api(README))
+    """By another module of the library, by two notebooks, or by strangers: then docs/library.md says so."""
+    assert not idle(trees(), api(PAGE))
 
 
-def test_what_the_readme_offers_exists():
+def test_what_the_page_offers_exists():
     parsed = trees()
-    assert api(README)
-    assert not [f"{m}.{n}" for m, n in sorted(api(README)) if m not in parsed or n not in defined(parsed[m])]
-    rooms = set(re.findall(r"`(\w+)", " ".join(re.findall(r"^- (`.*?`): ", README, re.MULTILINE))))
+    assert api(PAGE)
+    assert not [f"{m}.{n}" for m, n in sorted(api(PAGE)) if m not in parsed or n not in defined(parsed[m])]
+    rooms = set(re.findall(r"`(\w+)", " ".join(re.findall(r"^- (`.*?`): ", PAGE, re.MULTILINE))))
     assert {"heading", "io"} <= rooms <= set(motionlab.__all__)
 
 

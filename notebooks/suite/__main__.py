@@ -10,7 +10,7 @@ from pathlib import Path
 
 from motionlab.doctor import ROOT
 from motionlab.errors import DataError, MissingData
-from suite import execute, report, shape
+from suite import execute, pages, report, shape
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,6 +51,8 @@ def _parser() -> argparse.ArgumentParser:
 
     command = commands.add_parser("records", help="what changed in the code behind the records")
     command.set_defaults(run=lambda options: print(execute.changed_behind()) or 0)
+    command = commands.add_parser("pages", help="docs/scoreboard.md and README's findings, from the records")
+    command.set_defaults(run=lambda options: pages.update(ROOT) or 0)
     command = commands.add_parser("shape", help="how long the notebooks' cells and sentences are")
     command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
     command.set_defaults(run=_shape)
@@ -74,9 +76,9 @@ def _regenerate(options: argparse.Namespace) -> int:
         runs = execute.take_fingerprints(options.notebooks, again=options.again, widen=options.widen)
     else:
         runs = execute.regenerate(options.notebooks)
-    print(execute.run_summary(runs))  # first: the README cannot be written where an answer lacks its finding
+    print(execute.run_summary(runs))  # first: the pages cannot be written where an answer lacks its finding
     if not options.fingerprints:
-        report.update_readme(ROOT / "README.md")
+        pages.update(ROOT)
     return 0 if all(run.ok for run in runs) else 1
 
 

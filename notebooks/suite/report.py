@@ -11,12 +11,10 @@ from functools import cache
 from pathlib import Path
 from threading import Lock
 
-from motionlab.errors import DataError
 from suite import execute, findings, ledger
 from suite.execute import Run
 from suite.findings import Claim, Finding
 
-README_MARKS = ("<!-- scoreboard:start -->", "<!-- scoreboard:end -->")
 _COLOURS = {
     findings.HOLDS: "#1a7f37",
     findings.FAILS: "#b3261e",
@@ -200,27 +198,3 @@ def _table(rows: Sequence[Mapping[str, str]]) -> str:
     head = "".join(f"<th>{name}</th>" for name in rows[0])
     body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row.values()) + "</tr>\n" for row in rows)
     return f"<div class='wide'><table><tr>{head}</tr>\n{body}</table></div>"
-
-
-def update_readme(path: Path) -> None:
-    """Writes the scoreboard of the committed results between the marks of the README.
-
-    Raises:
-        DataError: the README has no marks.
-    """
-    start, end = README_MARKS
-    text = path.read_text(encoding="utf-8")
-    if start not in text or end not in text:
-        raise DataError("no scoreboard marks", path=path, remedy=f"add the lines {start} and {end}")
-    claims, recorded = _load_ledger()
-    rows = [row for row in ledger.scoreboard(claims, recorded) if row["verdict"] != ledger.OPEN]
-    lines = ["| claim | in short | verdict | answer | notebook |", "|---|---|---|---|---|"]
-    lines += [f"| {r['claim']} | {r['in short']} | **{_bold(r)} | {r['answer']} | {r['notebook']} |" for r in rows]
-    before, after = text.split(start)[0], text.split(end)[1]
-    path.write_text(f"{before}{start}\n" + "\n".join(lines) + f"\n{end}{after}", encoding="utf-8")
-
-
-def _bold(row: Mapping[str, str]) -> str:
-    """The verdict in bold, up to its end, and its condition or what would decide behind it."""
-    short, _, _ = row["verdict"].partition(" ...")
-    return short + "**" + row["in full"].removeprefix(short)
