@@ -72,7 +72,7 @@ def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, caps
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "made").iterdir()}
     assert inbetween(motions, tmp_path / "made") == 0
     said = capsys.readouterr().out
-    assert "4 clips: 1 done, 3 finished before" in said and "perhaps with other options" in said
+    assert "4 clips: 1 done, 3 finished before" in said and "perhaps made with other options" in said
     assert len(before) == 3 and all(path.stat().st_mtime_ns == time for path, time in before.items())
 
 
