@@ -46,7 +46,7 @@ class Picture:
     @property
     def alt(self) -> str:
         """What it shows, in the first sentence of its caption."""
-        return re.sub(r"[*`$]", "", " ".join(_SENTENCE.split(self.caption.strip())[:2]))
+        return re.sub(r"[*`$]", "", _SENTENCE.split(self.caption.strip())[0])
 
 
 @dataclass(frozen=True)
@@ -124,10 +124,10 @@ class _Renderer(IPythonRenderer):
     """Formulas as MathML; tables that scroll by themselves where the page is narrow."""
 
     def block_math(self, body: str) -> str:
-        return f"<div class='formula'>{convert(body.strip(), display='block')}</div>"
+        return f"<div class='formula' tabindex='0'>{_formula(body, 'block')}</div>"
 
     def inline_math(self, body: str) -> str:
-        return convert(body.strip())
+        return _formula(body, "inline")
 
     def latex_environment(self, name: str, body: str) -> str:
         return self.block_math(rf"\begin{{{name}}}{body}\end{{{name}}}")
@@ -136,9 +136,17 @@ class _Renderer(IPythonRenderer):
         return f"<div class='wide' tabindex='0'><table>{text}</table></div>\n"
 
 
+def _formula(tex: str, display: str) -> str:
+    """MathML of a formula as browsers draw it: script and upright letters, a space behind a function's name."""
+    found = convert(re.sub(r"\\mathcal\s+(\w)", r"\\mathcal{\1}", tex.strip()), display=display)
+    found = re.sub(r"<mi>(&#x000[4-7][0-9A-F];)</mi>", r"<mi mathvariant='normal'>\1</mi>", found)
+    return re.sub(r"(<mi>(?:log|exp|sin|cos)</mi>)(?=<mi>)", r"\1<mspace width='0.167em'/>", found)
+
+
 def markdown(text: str) -> str:
     """Converts Markdown with formulas to HTML with MathML."""
-    return MarkdownWithMath(renderer=_Renderer(escape=False, anchor_link_text="#")).render(text)
+    found = MarkdownWithMath(renderer=_Renderer(escape=False, anchor_link_text="#")).render(text)
+    return re.sub(r"<p>(<div class='formula'.*?</div>)\s*</p>", r"\1", found)  # no paragraph holds a block
 
 
 def _inline(text: str) -> str:

@@ -1,8 +1,8 @@
 """The report: a gallery of the committed notebooks, stamped with what a run of today says of their numbers.
 
-A film, three sentences, a card for every notebook, the claims, and the tests on a page of their own; relative links and
-no script from elsewhere, so that a folder or a static host serves it as it is. The pages are the notebooks as committed:
-a short run is compared with their records, and its own numbers are not shown. A full run shows its own notebooks.
+A film, three sentences, a card for every notebook, the claims, and the tests on a page of their own. Links are relative
+and nothing comes from elsewhere, so that a folder or a static host serves it as it is. The pages are the notebooks as
+committed: a short run is compared with their records, and its own numbers are not shown. A full run shows its own.
 """
 
 from __future__ import annotations
@@ -100,7 +100,9 @@ def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: boo
                 done=lambda run, _: ran.append(run),
             )
     finally:
-        build(out, ran, full=profile == "full")
+        for entry in build(out, ran, full=profile == "full"):
+            if entry.check.mark == "bad":
+                print(f"{entry.page.name}: {entry.check.said}")
     return sorted(ran, key=lambda each: each.notebook)
 
 
@@ -151,7 +153,9 @@ def _check(run: Run | None, record: Record, now: Record, *, full: bool) -> Check
     if not expected:
         return Check("", f"Run {day} to its end; no numbers are on record to compare")
     if moved := record.moved(now):
-        return Check("bad", f"Checked {day}: {len(moved)} of {len(expected)} numbers are others than recorded", tuple(moved))
+        return Check(
+            "bad", f"Checked {day}: {len(moved)} of {len(expected)} numbers are others than recorded", tuple(moved)
+        )
     agree = sum(not name.endswith((": n", ": baseline")) for name in expected)
     return Check("good", f"Checked {day}: {agree} finding{'s' * (agree != 1)} agree{'s' * (agree == 1)}", agree=agree)
 
