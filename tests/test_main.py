@@ -98,8 +98,8 @@ def test_a_full_run_shows_its_own_notebooks_where_they_ran_to_their_end(suite, t
     ("measured", "said"),
     [
         ({"X01.size": 4.001, "X01.size: n": 9.0}, "1 finding agrees"),
-        ({"X01.size": 5.0, "X01.size: n": 9.0}, "1 of 2 numbers are others than recorded"),
-        ({}, "2 of 2 numbers are others than recorded"),
+        ({"X01.size": 5.0, "X01.size: n": 9.0}, "1 of 2 numbers differ from the record"),
+        ({}, "2 of 2 numbers differ from the record"),
     ],
 )
 def test_a_page_says_whether_todays_numbers_are_those_on_record(suite, tmp_path, measured, said):

@@ -89,11 +89,11 @@ def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: boo
     paths = execute.find_notebooks(names)
     today = out / "today"
     shutil.rmtree(today, ignore_errors=True)
-    today.mkdir(parents=True)
     ran: list[Run] = []
     environment = {"MOTIONLAB_PROFILE": profile, "MOTIONLAB_BATCH": "1"} | execute.data_variable()
     try:
         if run:
+            today.mkdir(parents=True)
             execute.run_side_by_side(
                 [(path, today / path.name) for path in paths],
                 environment | {"MOTIONLAB_RESULTS": str((today / "results").resolve())},
@@ -111,8 +111,6 @@ def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[En
 
     Of a short run it compares the numbers with the records; what agrees leaves nothing but these numbers behind.
     """
-    for old in (*out.glob("*.html"), *out.glob("media/*")):
-        old.unlink()
     today = {run.notebook: run for run in runs}
     claims, found = _load_ledger()
     shown = []
@@ -154,7 +152,7 @@ def _check(run: Run | None, record: Record, now: Record, *, full: bool) -> Check
         return Check("", f"Run {day} to its end; no numbers are on record to compare")
     if moved := record.moved(now):
         return Check(
-            "bad", f"Checked {day}: {len(moved)} of {len(expected)} numbers are others than recorded", tuple(moved)
+            "bad", f"Checked {day}: {len(moved)} of {len(expected)} numbers differ from the record", tuple(moved)
         )
     agree = sum(not name.endswith((": n", ": baseline")) for name in expected)
     return Check("good", f"Checked {day}: {agree} finding{'s' * (agree != 1)} agree{'s' * (agree == 1)}", agree=agree)
@@ -203,7 +201,9 @@ def _measured(finding: Finding) -> str:
     """What was measured, as a person writes it."""
     if not math.isfinite(finding.value):
         return "not run: nothing to measure" if finding.n == 0 else f"no number, n = {finding.n}"
-    return f"{finding.statistic} {finding.value_text()}".replace(" ,", ",")
+    return f"{finding.statistic} {finding.value_text()}".replace(" ,", ",").replace(
+        "n = ", "n\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}"
+    )
 
 
 def _answer(claim: Claim, found: Sequence[Finding]) -> str:
