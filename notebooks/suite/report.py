@@ -14,14 +14,17 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jinja2
 
 from motionlab.errors import DataError
-from suite import execute, findings, ledger, page, staleness
+from suite import execute, findings, ledger, staleness
 from suite.execute import Run
 from suite.findings import Claim, Finding, Record
-from suite.page import Page
+
+if TYPE_CHECKING:
+    from suite.page import Page
 
 README_MARKS = ("<!-- scoreboard:start -->", "<!-- scoreboard:end -->")
 TEMPLATES = Path(__file__).parent / "pages"
@@ -111,6 +114,8 @@ def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[En
 
     Of a short run it compares the numbers with the records; what agrees leaves nothing but these numbers behind.
     """
+    from suite import page  # takes seconds to load
+
     today = {run.notebook: run for run in runs}
     claims, found = _load_ledger()
     shown = []
