@@ -284,12 +284,7 @@ class Lab:
             return []
         if not record.fingerprint:
             return ["the record has no fingerprint: python -m suite regenerate --fingerprints " + self.number]
-        recordings = staleness.recordings_digest(self.data)
-        weights = checkpoint.loaded()
-        other = [n for n, digest in record.weights.items() if weights.get(n, digest) != digest]
-        return [f"{name} are other weights" for name in other] + staleness.differences(
-            record.expected(recordings), self._fingerprint()
-        )
+        return record.moved(self._measured(0.0))
 
     def findings(self, *, fold: bool = False) -> None:
         """Shows every number measured in this run; fold: behind a click."""
