@@ -87,7 +87,7 @@ def test_files_of_a_folder_that_are_passed_over_are_counted(motions, tmp_path, c
     with pytest.raises(SystemExit):
         main(["inbetween", "--help"])
     said = " ".join(capsys.readouterr().out.split())
-    assert ".amc and DeepMimic's .txt, which are read, not written, or a folder: of it all .bvh .npz .glb" in said
+    assert "a motion (.bvh .npz .glb .amc, or DeepMimic's .txt), or a folder: of it all .bvh .npz .glb" in said
 
 
 @pytest.mark.parametrize(

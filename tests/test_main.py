@@ -310,8 +310,9 @@ def test_convert_takes_the_unit_and_the_axis_of_a_bvh(tmp_path, capsys):
     ("target", "flags", "words"),
     [
         ("nowhere/a.bvh", (), "cannot be written"),
-        ("a.bvh", ("--fps", "0"), "positive"),
-        ("a.bvh", ("--fps", "nan"), "positive"),
+        ("a.bvh", ("--fps", "0"), "give 1 to 1000"),
+        ("a.bvh", ("--fps", "nan"), "give 1 to 1000"),
+        ("a.bvh", ("--fps", "1e9"), "give 1 to 1000"),
         ("a.bvh", ("--body",), "only a GLB"),
         ("a.npz", ("--no-body",), "only a GLB"),
         ("still.bvh", ("--fps", "10"), "this is the file that was opened"),
