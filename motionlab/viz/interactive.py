@@ -135,7 +135,7 @@ def slider(
     import ipywidgets
 
     panels = 1 if isinstance(motions, Motion) else len(motions)
-    size = size or (640 if panels == 1 else min(420 * panels, 1100), 420)
+    size = size or (640 if panels == 1 else min(420 * panels, 1020), 420)
     how = {"things": things, "ghost": ghost, "follow": follow, "azimuth": azimuth}
     shown = Player(*stage(motions, roles, body, size, **how), backend)
     shown.clock.layout.width = "5em"
