@@ -72,18 +72,46 @@ notebook = "02"
 """
 
 
-def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path):
+def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path, capsys):
     before = dict(os.environ)
     runs = report.write_report(tmp_path / "report", "smoke")
     assert [(run.notebook, run.status()) for run in runs] == [("00_fails", "failed at cell 2"), ("01_runs", "ran")]
-    assert "ZeroDivisionError" in runs[0].error
+    assert "ZeroDivisionError" in runs[0].error and "00_fails: Run today" in capsys.readouterr().out
     index = (tmp_path / "report/index.html").read_text(encoding="utf-8")
-    assert "failed at cell 2" in index and "href='01_runs.html'" in index and "Size &lt;matters&gt;" in index
-    assert "Not measured yet: 1" in index and ">X02<" in index.partition("<details>")[2]
+    assert 'href="01_runs.html"' in index and "Size &lt;matters&gt;" in index and "not measured yet" in index
+    page = (tmp_path / "report/00_fails.html").read_text(encoding="utf-8")
+    assert "failed at cell 2" in page and "ZeroDivisionError: division by zero" in page
     page = (tmp_path / "report/01_runs.html").read_text(encoding="utf-8")
-    assert f"smoke {suite}" in page
+    assert "no numbers are on record" in page and f"smoke {suite}" not in page  # what a short run shows stays out
     assert dict(os.environ) == before
     assert "1 of 2 notebooks ran" in execute.run_summary(runs)
+
+
+def test_a_full_run_shows_its_own_notebooks_where_they_ran_to_their_end(suite, tmp_path):
+    report.write_report(tmp_path / "report", "full")
+    pages = {name: (tmp_path / f"report/{name}.html").read_text(encoding="utf-8") for name in ("00_fails", "01_runs")}
+    assert f"full {suite}" in pages["01_runs"] and "Run in full today" in pages["01_runs"]
+    assert "failed at cell 2" in pages["00_fails"] and "Traceback" not in pages["00_fails"]
+
+
+@pytest.mark.parametrize(
+    ("measured", "said"),
+    [
+        ({"X01.size": 4.001, "X01.size: n": 9.0}, "1 finding agrees"),
+        ({"X01.size": 5.0, "X01.size: n": 9.0}, "1 of 2 numbers differ from the record"),
+        ({}, "2 of 2 numbers differ from the record"),
+    ],
+)
+def test_a_page_says_whether_todays_numbers_are_those_on_record(suite, tmp_path, measured, said):
+    record = findings.load_record(suite / "results/01.json")
+    marks = {"X01.size": staleness.mark(4.0), "X01.size: n": staleness.Mark(9.0, 0.0)}
+    findings.save_record(suite / "results/01.json", replace(record, fingerprint=marks))
+    now = {name: staleness.mark(value) for name, value in measured.items()}
+    findings.save_record(tmp_path / "out/today/results/01.json", replace(record, findings=(), fingerprint=now))
+    report.build(tmp_path / "out", [execute.Run("01_runs", 1.0)])
+    page = (tmp_path / "out/01_runs.html").read_text(encoding="utf-8")
+    assert said in page and ("X01.size was 4, is 5" in page) == (measured.get("X01.size") == 5.0)
+    assert "Not checked today" in (tmp_path / "out/00_fails.html").read_text(encoding="utf-8")
 
 
 def test_regenerate_writes_what_ran_and_keeps_what_failed(suite, monkeypatch):
@@ -142,7 +170,7 @@ def test_interrupted_report_still_has_its_index(suite, tmp_path, monkeypatch):
     monkeypatch.setattr(execute, "run_side_by_side", interrupt)
     with pytest.raises(KeyboardInterrupt):
         report.write_report(tmp_path / "report", "smoke")
-    assert "0 notebooks" in (tmp_path / "report/index.html").read_text(encoding="utf-8")
+    assert "Not checked today" in (tmp_path / "report/index.html").read_text(encoding="utf-8")
 
 
 def test_unknown_notebook_is_named(suite, capsys):

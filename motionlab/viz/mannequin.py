@@ -17,6 +17,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
 from motionlab.viz.palette import INK, side_of, sides
 
+_DEEPER = 60.0  # steps of the depth buffer, about a centimetre
 _SIDES, _ROUND = 16, np.linspace(0, np.pi / 2, 5)
 
 
@@ -240,11 +241,19 @@ def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 
         look = {"scalars": "paint", "rgb": True}
     else:
         look = {"color": paint}
-    if opacity < 1:  # first its depth alone: what lies inside or on the far side must not show through
+    opaque = opacity == 1
+    layers = [
+        plotter.add_mesh(mesh, opacity=share, reset_camera=False, **look, **SKIN)
+        for share in ([1.0] if opaque else [1e-3, opacity])
+    ]
+    if not opaque:  # first its depth alone, so that nothing inside or behind shows through
         deep = vtkInformation()
         deep.Set(vtkOpenGLActor.GLDepthMaskOverride(), 1)
-        plotter.add_mesh(mesh, opacity=1e-3, reset_camera=False).SetPropertyKeys(deep)
-    actor = plotter.add_mesh(mesh, opacity=opacity, reset_camera=False, **look, **SKIN)
+        layers[0].SetPropertyKeys(deep)
+        for layer in layers:  # and a little deeper than it is, so that it does not paint what is in its place
+            layer.mapper.SetResolveCoincidentTopologyToPolygonOffset()
+            layer.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, _DEEPER)
+    actor = layers[-1]
     actor.prop.interpolation = "Phong"
     return actor
 

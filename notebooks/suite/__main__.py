@@ -30,10 +30,11 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m suite", description="Run the notebooks.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    command = commands.add_parser("report", help="run the notebooks into an HTML report")
+    command = commands.add_parser("report", help="the notebooks as pages, checked by running them")
     command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
     command.add_argument("--out", type=Path, default=ROOT / "report")
     command.add_argument("--profile", choices=("smoke", "full"), default=os.environ.get("MOTIONLAB_PROFILE") or "smoke")
+    command.add_argument("--no-run", action="store_true", help="only the pages, which then say: not checked today")
     command.set_defaults(run=_report)
 
     command = commands.add_parser("regenerate", help="run the notebooks in place, full profile, as committed")
@@ -60,8 +61,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _report(options: argparse.Namespace) -> int:
-    runs = report.write_report(options.out, options.profile, options.notebooks)
-    print(f"{execute.run_summary(runs)}; report: {options.out / 'index.html'}")
+    runs = report.write_report(options.out, options.profile, options.notebooks, run=not options.no_run)
+    print(f"{'not run' if options.no_run else execute.run_summary(runs)}; report: {options.out / 'index.html'}")
     return 0 if all(run.ok for run in runs) else 1
 
 
