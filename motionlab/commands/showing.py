@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 _MOST = 6  # motions side by side: more are too small to see
 _FILMS, _PICTURE = (".mp4", ".gif"), ".png"
-_TITLE = 36  # pixels above a row of poses
 _PICTURES = 900  # of a film: 30 s at 30 a second; they are all in memory
 
 
@@ -77,8 +76,7 @@ def _show(options: argparse.Namespace) -> int:
             print(f"{label}: {note}")
         motions[label] = _cut(motion, path, options.cut)
     if options.out.suffix == _PICTURE:
-        _write_poses(motions, options.out, options.bones)
-        print(f"{options.out}: a picture of key poses")
+        print(_draw_poses(motions, options.out, options.bones))
     else:
         print(draw_film(motions, options.out, bones=options.bones, follow=options.follow))
     return 0
@@ -113,19 +111,13 @@ def _labels(files: list[Path]) -> list[str]:
     return labels
 
 
-def _write_poses(motions: Mapping[str, Motion], path: Path, bones: bool) -> None:
-    """A row of eight key poses for each motion, its name above."""
-    from PIL import Image, ImageDraw
+def _draw_poses(motions: Mapping[str, Motion], path: Path, bones: bool) -> str:
+    """Draws a row of eight key poses for each motion, under its label; says what was written."""
+    from PIL import Image
 
     from motionlab.body import BodyModel
     from motionlab.viz import movie
-    from motionlab.viz.palette import INK, PAPER
 
-    body = None if bones else BodyModel.from_anny()
-    rows = [Image.fromarray(movie.strip(motion, min(8, motion.frames), body=body)) for motion in motions.values()]
-    width, height = rows[0].width, rows[0].height + _TITLE
-    picture = Image.new("RGB", (width, height * len(rows)), PAPER)
-    for k, (label, row) in enumerate(zip(motions, rows, strict=True)):
-        picture.paste(row, (0, k * height + _TITLE))
-        ImageDraw.Draw(picture).text((width / 2, k * height + _TITLE / 2), label, fill=INK, font_size=18, anchor="mm")
-    picture.save(path)
+    poses = min(8, *(motion.frames for motion in motions.values()))
+    Image.fromarray(movie.strip(motions, poses, body=None if bones else BodyModel.from_anny())).save(path)
+    return f"{path}: {poses} key poses"
