@@ -318,6 +318,20 @@ def test_the_editor_fills_in_what_is_chosen_and_exports_it(tmp_path):
     assert f"{out} is written" in message.value
 
 
+def test_the_editor_draws_a_body_or_a_figure_where_joints_are_not_known(tmp_path):
+    known, strange = tmp_path / "known.bvh", tmp_path / "strange.bvh"
+    bvh.save(known, mixamo(walk(8)))
+    beast = replace(STANDARD, names=tuple(f"b{j}" for j in range(22)), contact_names=())
+    bvh.save(strange, replace(walk(8), skeleton=beast))
+
+    def skins(path, **how) -> int:
+        plotter = animate.editor(path, "picture", **how).hands["player"].scene.plotter
+        meshes = [actor.mapper.dataset for actor in plotter.renderers[0].actors.values() if hasattr(actor, "mapper")]
+        return sum(mesh.n_cells > 10_000 for mesh in meshes)
+
+    assert skins(known) > 0 == skins(known, body=None) == skins(strange)
+
+
 def test_the_editor_exports_what_was_typed_last_though_it_is_not_drawn_yet(tmp_path):
     source, out = tmp_path / "in.bvh", tmp_path / "out.bvh"
     bvh.save(source, mixamo(walk(30)))

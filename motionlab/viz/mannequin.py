@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import numpy as np
 import pyvista as pv
-from scipy.sparse import csr_array
 from torch import Tensor
 from vtkmodules.vtkCommonCore import vtkInformation
 from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLActor
@@ -213,9 +212,8 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Computes unit normals (V, 3): the area-weighted mean of the faces around each vertex."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     face = np.cross(b - a, c - a)
-    rows, columns = faces.T.ravel(), np.tile(np.arange(len(faces)), 3)
-    around = csr_array((np.ones(rows.size), (rows, columns)), shape=(len(vertices), len(faces)))
-    normals = around @ face
+    at = faces.ravel()
+    normals = np.stack([np.bincount(at, np.repeat(face[:, k], 3), len(vertices)) for k in range(3)], -1)
     return normals / (np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-20)
 
 
