@@ -62,7 +62,7 @@ def setup(
     if folder and not Path(folder).is_dir():
         raise DataError("no such folder", path=folder, remedy="set MOTIONLAB_DATA to the unpacked recordings")
     here = Path.cwd()
-    viz.draft = profile == "smoke"
+    viz.draft = profile == "smoke" and bool(os.environ.get("MOTIONLAB_BATCH"))  # a person wants to see whole films
     parallel.one_thread()
     lab = Lab(
         notebook=notebook,
