@@ -202,8 +202,8 @@ def spoken(added: Mapping[tuple[str, str, str], Tensor], sources: Sequence[str],
     """
     means = {(s, v): added["official", s, v].mean().item() for s in sources for v in ("middle 1", "first 1")}
     said = [
-        f"- {source} clips, {SAID[variant]} missing: {abs(x):.1f} cm {'farther from' if x > 0 else 'nearer to'} the truth"
-        for (source, variant), x in means.items()
+        f"- {source} clips without the {SAID[v]}: {abs(x):.1f} cm {'farther from' if x > 0 else 'nearer to'} the truth"
+        for (source, v), x in means.items()
     ]
     broken = sum(x >= bound for x in means.values())
     verdict = {0: "Not as the thesis says", len(means): "As the thesis says"}.get(
@@ -211,7 +211,7 @@ def spoken(added: Mapping[tuple[str, str, str], Tensor], sources: Sequence[str],
     )
     return (
         f"**Reading.** {verdict}. A breakdown would be {bound:g} cm farther from the truth, or more. "
-        "With one frame missing, the later frames of the official fit end:\n\n" + "\n".join(said)
+        "Beside the same fit with all frames, later frames of the official fit end:\n\n" + "\n".join(said)
     )
 
 

@@ -90,13 +90,10 @@ def errors(motion: Motion, scene: Scene) -> dict[str, float]:
 
 def ends(shown: Mapping[str, Motion], look: Mapping[str, object]) -> dict[str, np.ndarray]:
     """Draws the body late in the clip by stage, as ``look`` (keywords of ``movie.stage``) says."""
-    found = {}
-    for name, motion in shown.items():
-        if name in ROLES:
-            built, seconds = stage({name: motion}, size=(330, 360), follow=True, **look)
-            with built:
-                found[name] = built.image(0.85 * seconds)
-    return found
+    fits = {name: motion for name, motion in shown.items() if name in ROLES}
+    built, seconds = stage(fits, size=(330 * len(fits), 360), follow=True, **look)
+    with built:
+        return dict(zip(fits, np.split(built.image(0.85 * seconds), len(fits), axis=1), strict=True))
 
 
 def terms_over_fit(watched: Watched, bodies: Mapping[str, np.ndarray]) -> Figure:
@@ -111,8 +108,9 @@ def terms_over_fit(watched: Watched, bodies: Mapping[str, np.ndarray]) -> Figure
             curve = np.array([found.get(term, np.nan) for found in terms])
             below[k].plot(curve, lw=2, color=ROLE[role], label=label)
         below[k].set(xlabel=f"evaluation in {name}")
-    below[0].set(yscale="symlog", ylabel="weighted term of the energy")
-    below[-1].legend(loc="upper right")
+    below[0].set(ylabel="weighted term of the energy")
+    below[0].set_yscale("symlog", linthresh=10.0)
+    below[0].legend(loc="lower left")
     return fig
 
 
