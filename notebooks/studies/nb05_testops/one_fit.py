@@ -132,12 +132,16 @@ ROLES = {"stage 1": "observation", "stage 2": "stage2", "stage 3": "stage3"}
 
 
 def picture(fit: Fitted, scene: Scene, body: BodyModel, seconds: float, *, things: Sequence[Mesh] = ()) -> np.ndarray:
-    """Draws truth, stage 2 and stage 3 at one time, the fits over the truth and titled with the error of the hidden
-    joints."""
-    shown = panels(fit, scene, (2, 3))
-    off = {f"stage {k}": errors(fit.stages[k], scene)["hidden joints, cm"] for k in (2, 3)}
-    titled = {f"{name}, {off[name]:.0f} cm" if name in off else name: m for name, m in shown.items()}
-    roles = {title: ROLES.get(title.split(",")[0], "truth") for title in titled}
+    """Draws truth, stage 2 and stage 3 at one time, the fits over the truth. Titles: errors of the hidden joints in the
+    room and, "pose", with the pelvis put on the true one."""
+    shown, roles = panels(fit, scene, (2, 3)), {}
+    titled = {"truth": shown["truth"]}
+    for k in (2, 3):
+        motion = fit.stages[k]
+        moved = replace(motion, root=scene.truth.root)
+        room, pose = (errors(m, scene)["hidden joints, cm"] for m in (motion, moved))
+        title = f"stage {k}: {room:.0f} cm, pose {pose:.0f}"
+        titled[title], roles[title] = shown[f"stage {k}"], ROLES[f"stage {k}"]
     built, _ = stage(titled, roles, body, size=(1080, 400), things=things, ghost=shown["truth"])
     with built:
         return built.image(seconds)

@@ -43,7 +43,8 @@ def forest(groups: Mapping[str, Mapping[str, Sequence[Dot]]]) -> Figure:
     Right of the band it holds, left of it it does not; where nothing was measured (NaN) there is no dot. The band is
     drawn to scale, what lies beyond it on a logarithmic axis.
     """
-    lines = [(name, dots) for verdict, rows in groups.items() for name, dots in [(verdict, None), *rows.items()]]
+    heads = {verdict: verdict.split(":")[0].removesuffix(" ...") for verdict in groups}
+    lines = [(name, dots) for v, rows in groups.items() for name, dots in [(heads[v], None), *rows.items()]]
     figure, (axis,) = canvas(size=(11.0, 0.24 * len(lines) + 1.2))
     axis.axvspan(-1, 1, color=TILE, zorder=0)
     axis.axvline(0, color=LINE, linewidth=1)
