@@ -313,7 +313,7 @@ def knees(groups: Mapping[str, Mapping[str, Tensor]]) -> Figure:
     return fig
 
 
-def dimensions(effects: Mapping[str, Motion], size: tuple[int, int] = (1280, 330)) -> np.ndarray:
+def dimensions(effects: Mapping[str, Motion], body: BodyModel, size: tuple[int, int] = (1280, 330)) -> np.ndarray:
     """Draws a panel per latent dimension: the last poses of three roll-outs (3, T), side by side, below, at and above
     the prior's mean."""
     facing = next(iter(effects.values())).rot[1, 0, 0, :2, 2]
@@ -325,5 +325,5 @@ def dimensions(effects: Mapping[str, Motion], size: tuple[int, int] = (1280, 330
             for index, role in enumerate(("baseline", "observation", "ours")):
                 moved = motion.clip(index)
                 moved = replace(moved, root=moved.root + 0.85 * (index - 1) * right)
-                scene.skeleton(moved, role, frame=-1, panel=panel)
+                scene.body(body, moved, role, frame=-1, panel=panel)
         return scene.floor().image()
