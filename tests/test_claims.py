@@ -58,9 +58,9 @@ _NUMBER = re.compile(r"(?<![\w.])\d+(?:[.,]\d+)*(?![\w-]*D\b)")
 
 
 def typed_in(cells):
-    """Numbers in what a notebook opens and closes with, from its answer to its run time, that no output prints."""
+    """Numbers in what a notebook opens and closes with, from its answer on, that no output prints."""
     text = "".join(cells[0]["source"])
-    opening = text[text.index("**Answer.**") : text.index("**Run time.**")]
+    opening = text[text.index("**Answer.**") :].partition("**Run time.**")[0]
     outputs = [o.get("data", {}) for cell in cells for o in cell.get("outputs", [])]
     printed = " ".join("".join(data.get(kind, "")) for data in outputs for kind in ("text/markdown", "text/plain"))
     return sorted(set(_NUMBER.findall(opening)) - set(_NUMBER.findall(printed)))
