@@ -101,10 +101,14 @@ class Task:
 FULL_WORK = replace(
     testops.Schedule.lean(),
     tolerance=3e-4,
+    guesses=True,
     shooting=Plan(8, 20, 1e-2, least=0.033, stride=4, race=5, second=False, damped=(0.1, 0.01)),
 )
 QUICK_WORK = replace(
-    testops.Schedule.quick(), steps=(2, 4, 3), shooting=Plan(2, 12, trial=0, leaps=0, stride=8, damped=(0.1, 0.01))
+    testops.Schedule.quick(),
+    steps=(2, 4, 3),
+    guesses=True,
+    shooting=Plan(2, 12, trial=0, leaps=0, stride=8, damped=(0.1, 0.01)),
 )
 
 

@@ -53,7 +53,8 @@ class Schedule:
     moves. window, overlap: frames of stage 3's windows, and the least that neighbours share. tolerance: a recording is
     done with a stage when an iteration gains less than this share of its own energy at the stage's start. shooting: the
     work of that solver in stage 3, instead of short, refine, window and the third number of steps (which, at 0, still
-    leaves stage 3 out).
+    leaves stage 3 out). guesses: begin stage 3 with the floor below stage 2's feet, where its height is not known; and
+    where no foot was seen let shooting try a second start, which sits.
 
     Source: the official configurations.
     """
@@ -66,6 +67,7 @@ class Schedule:
     overlap: int = 10
     tolerance: float = 1e-5
     shooting: Plan = field(default_factory=Plan)
+    guesses: bool = False
 
     @classmethod
     def lean(cls) -> Schedule:
@@ -279,17 +281,24 @@ class _Track:
         whole = solver == "shooting" and frames <= _WHOLE
         length = frames if whole else min(s.window, frames)
         cuts = (0,) if whole else window_starts(frames, s.window, s.overlap)
-        shared = unknown.shared()
-        latent = unknown.latent[:, 0]
-        begun = (self.stages[2], latent, shared, seen.trust, problem.priors, cuts, length, problem.mode)
         cut = replace(problem, evidence=seen.pieces(torch.tensor(cuts), length), starts=cuts)
-        pull = problem.weights.pull
+        pull, plan = problem.weights.pull, s.shooting
+        begun = self._begun(problem, unknown, self.stages[2], unknown.latent, seen.trust)
+        rest = (problem.priors, cuts, length, problem.mode, pull)
         if whole:
-            calm, _ = starts.start_stage_3(*begun, pull, starts.CALM)
-            rival = starts.start_stage_3(*begun, pull)[0] if s.shooting.second and s.shooting.trial else None
-            rolled, self.results[3] = solve(cut, calm, s.shooting, rival=rival, progress=self.budget["progress"])
+            calm, rival = starts.start_stage_3(*begun, *rest, starts.CALM)[0], None
+            if plan.second and plan.trial:
+                rival = starts.start_stage_3(*begun, *rest)[0]
+            elif s.guesses and seen.hides_feet.any():
+                plan = replace(plan, second=True, trial=max(plan.trial, 1))
+                rival = self._seated(problem, unknown, rest)
+                rival = Unknowns(**{
+                    name: torch.where(seen.hides_feet.reshape(-1, *(1,) * (x.ndim - 1)), x, getattr(calm, name))
+                    for name, x in rival.named().items()
+                })  # fmt: skip
+            rolled, self.results[3] = solve(cut, calm, plan, rival=rival, progress=self.budget["progress"])
         else:
-            rolled, factors = starts.start_stage_3(*begun, pull)
+            rolled, factors = starts.start_stage_3(*begun, *rest)
             rolled, self.results[3] = stages.stage_3(
                 cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **self._budget(3)
             )
@@ -311,6 +320,21 @@ class _Track:
         long = (f"more than {_WHOLE} frames: stage 3 by rollout, in windows",) * (solver == "shooting" and not whole)
         fitted = self._fitted(problem, rolled, contacts, rolled.z, first, cuts, *long, *says.sentences())
         return replace(fitted, doubts=says)
+
+    def _begun(self, problem: Problem, unknown: Unknowns, motion: Motion, latent: Tensor, trust: Tensor) -> tuple:
+        """What stage 3 begins with; the floor is guessed below the feet of ``motion`` where its height is not known."""
+        shared, view = unknown.shared(), problem.evidence.view
+        if self.schedule.guesses and view is not None and view.free:
+            up = torch.nn.functional.pad(-starts.above_floor(motion)[:, None], (2, 0))
+            motion, shared["camera"] = replace(motion, root=motion.root + up[:, None]), shared["camera"] + up
+        return motion, latent[:, 0], shared, trust
+
+    def _seated(self, problem: Problem, unknown: Unknowns, rest: tuple) -> Unknowns:
+        """The start of stage 3 of somebody who sits where stage 2 is."""
+        sits, trust = starts.seated(self.stages[2]), problem.evidence.trust.clone()
+        trust[..., starts.LEGS] = 1.0
+        latent = problem.priors.pose.encode(sits.rot[:, None, :, 1:]).mean
+        return starts.start_stage_3(*self._begun(problem, unknown, sits, latent, trust), *rest, starts.CALM)[0]
 
     def without_stage_3(self, problem: Problem, unknown: Unknowns, why: str) -> Fitted:
         why = "interrupted" if self.stopped else why
