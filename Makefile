@@ -9,6 +9,7 @@ INSTALLED := $(VENV)/.motionlab-installed
 PREPARED := $(VENV)/.motionlab-prepared
 INTEROP := .venv-interop
 THREE := three@0.180.0
+WHOLE_NAMES := {"@jupyterlab/filebrowser-extension:browser": {"showLastModifiedColumn": false, "showFileSizeColumn": false}}
 PIP := $(PY) -m pip --disable-pip-version-check install -c constraints.txt
 
 .PHONY: notebooks test interop lab full records train train-real bench doctor setup pins clean
@@ -18,7 +19,7 @@ help:
 	@echo "make notebooks   set up, run the notebooks, write report/index.html (MOTIONLAB_PROFILE=full for the long version)"
 	@echo "make test        set up, lint, unit tests, notebooks checked by nbval"
 	@echo "make interop     set up, open our files in Blender, three.js, aitviewer and ffprobe, find keypoints by rtmlib (3.5 GB more)"
-	@echo "make lab         set up, open the notebooks in JupyterLab with interactive 3-D"
+	@echo "make lab         set up, open copies of the notebooks (lab/) in JupyterLab with interactive 3-D, short runs"
 	@echo "make full        regenerate the committed notebooks and results"
 	@echo "make records     what notebooks 07 and 08 read and takes hours: what is on record of this recipe is kept"
 	@echo "make train       the shipped weights, trained again (about five hours)"
@@ -39,8 +40,12 @@ interop: setup $(INTEROP)/.installed $(INTEROP)/.detect
 		$(PY) -m pytest -q -rs -p no:nbval tests/interop
 
 lab: setup
-	@PYVISTA_JUPYTER_BACKEND=trame PYVISTA_TRAME_SERVER_PROXY_PREFIX=/proxy/ $(PY) -m jupyterlab --notebook-dir=notebooks \
-		$$(test $$(id -u) = 0 && echo --allow-root) $(LAB_FLAGS)
+	@PYTHONPATH=notebooks $(PY) -m suite.copies lab
+	@mkdir -p lab/.settings && echo '$(WHOLE_NAMES)' > lab/.settings/overrides.json
+	@PYTHONPATH=$(CURDIR)/notebooks MOTIONLAB_PROFILE=$${MOTIONLAB_PROFILE:-smoke} \
+		PYVISTA_JUPYTER_BACKEND=trame PYVISTA_TRAME_SERVER_PROXY_PREFIX=/proxy/ $(PY) -m jupyterlab --notebook-dir=lab \
+		--LabApp.app_settings_dir=$(CURDIR)/lab/.settings --ContentsManager.hide_globs='["claims.toml","results","__pycache__"]' \
+		$$(test $$(id -u) = 0 && echo --allow-root) $(LAB_FLAGS) lab/00_start_here.ipynb
 
 full: setup
 	@PYTHONPATH=notebooks $(PY) -m suite regenerate $(NOTEBOOKS)

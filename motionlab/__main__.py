@@ -1,4 +1,4 @@
-"""The command line: ``python -m motionlab COMMAND``; ``--help`` lists the commands."""
+"""The command line: ``motionlab COMMAND``, or ``python -m motionlab COMMAND``; ``--help`` lists the commands."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from pathlib import Path
 
 from motionlab import doctor
 from motionlab.commands import animator, footage
-from motionlab.commands.motions import WRITTEN, add_axes, read_motion
-from motionlab.commands.printing import text_table
+from motionlab.commands.motions import READ, WRITTEN, add_axes, on_standard, read_motion
+from motionlab.commands.printing import add_command, text_table
+from motionlab.commands.showing import add_show
 from motionlab.errors import DataError, MissingData, ShapeError
 
 
@@ -33,44 +34,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     """The commands; what takes seconds to import is imported by the command that needs it."""
-    parser = argparse.ArgumentParser(prog="python -m motionlab", description="Human motion priors, measured.")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser = argparse.ArgumentParser(
+        prog="motionlab", description="Draws, converts, mends and makes human motion, and finds it in videos.",
+        epilog="example:\n  motionlab show walk.bvh --out walk.mp4\n\n"
+        "motionlab COMMAND --help says what a command takes, with an example of its own.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", title="commands")
 
-    command = commands.add_parser("doctor", help="what is installed, what is missing, and the remedy")
-    command.add_argument("--prepare", action="store_true", help="install rendering libraries if root, bake the body")
-    command.set_defaults(run=_doctor)
-
-    command = commands.add_parser("data", help="the recordings in a folder: clips, minutes, fps, joints")
-    command.add_argument("folder", nargs="?", help="default: $MOTIONLAB_DATA")
-    command.add_argument("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
-    command.set_defaults(run=_data)
-
-    command = commands.add_parser("convert", help="one motion file into another format, told by the suffixes")
-    command.add_argument("source", metavar="IN", type=Path, help=".bvh .amc .npz .glb, or DeepMimic's .txt")
+    add_show(commands)
+    text = "write a motion file in another format, told by the endings of the names"
+    command = add_command(commands, "convert", text, "convert walk.bvh walk.glb", _convert)
+    command.add_argument("source", metavar="IN", type=Path, help=READ)
     command.add_argument("target", metavar="OUT", type=Path, help=" ".join(WRITTEN))
     command.add_argument("--fps", type=float, help="frames per second of the output (default: those of the input)")
     add_axes(command)
-    command.add_argument("--standard", action="store_true", help="retarget to the 22 standard joints (always for .npz)")
+    command.add_argument("--standard", action="store_true", help="put it on the 22 standard joints (always for .npz)")
     flesh = command.add_mutually_exclusive_group()
     flesh.add_argument("--body", action="store_true", help="the default body on the 22 joints (of a .glb the default)")
     flesh.add_argument("--bones", "--no-body", action="store_true", help="a .glb of the file's own joints, no body")
-    command.set_defaults(run=_convert)
 
-    footage.add_command(commands)
     animator.add_commands(commands)
+    footage.add_fit(commands)
 
-    command = commands.add_parser("prepare", help="recordings into training motion: what is kept, what is cut and why")
+    text = "say what is installed, what is missing, and how to mend it"
+    command = add_command(commands, "doctor", text, "doctor", _doctor)
+    command.add_argument("--prepare", action="store_true", help="install rendering libraries if root, bake the body")
+
+    text = "list the recordings in a folder: clips, minutes, frame rates, joints"
+    command = add_command(commands, "data", text, "data recordings/", _data)
+    command.add_argument("folder", nargs="?", help="default: $MOTIONLAB_DATA")
+    command.add_argument("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
+
+    text = "make training motion of recordings; say what is cut out and why"
+    command = add_command(commands, "prepare", text, "prepare recordings/ --out prepared/", _prepare)
     command.add_argument("folder", help="of recordings, one sub-folder per source")
     command.add_argument("--sources", nargs="+", metavar="NAME", help="only these sub-folders")
     command.add_argument("--strict", action="store_true", help="stop at a recording that cannot be used")
     command.add_argument("--out", type=Path, help="where it is kept (default: the user's cache)")
-    command.set_defaults(run=_prepare)
 
-    command = commands.add_parser("models", help="the table of the models that ship, into checkpoints/README.md")
+    text = "write the table of the models that ship"
+    command = add_command(commands, "models", text, "models", _models)
     command.add_argument("--data", help="recordings: measure the transition priors on people nobody trained on, first")
-    command.set_defaults(run=_models)
 
-    command = commands.add_parser("train", help="train a model: a checkpoint with its recipe")
+    command = add_command(commands, "train", "train a model on synthetic motion and your recordings", "train humor --out prior")
     if "train" in arguments[:1]:  # its presets come with torch
         from motionlab import train
 
@@ -147,8 +154,6 @@ def _convert(options: argparse.Namespace) -> int:
     from motionlab.body import BodyModel
     from motionlab.io.rewriting import WRITERS, check_target, for_amass
     from motionlab.motion import resample
-    from motionlab.retarget import retarget
-    from motionlab.skeleton import STANDARD
 
     suffix = options.target.suffix.lower()
     check_target(options.source, options.target)
@@ -160,8 +165,8 @@ def _convert(options: argparse.Namespace) -> int:
         motion, note = for_amass(motion)
         if note:
             print(f"note: {note}")
-    elif (options.standard or body) and motion.skeleton.names != STANDARD.names:
-        motion = retarget(motion).motion
+    elif options.standard or body:
+        motion = on_standard(motion)
     if options.fps is not None:
         motion = resample(motion, options.fps)
     more = {"body": BodyModel.from_anny()} if body else {}

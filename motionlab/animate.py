@@ -13,6 +13,7 @@ Source: thesis 4.2.1 (in-betweening, occluded legs), 4.4.1 (seams); inertialisat
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
+from motionlab.body import BodyModel
 from motionlab.corrections import Fill, Keep, Standard, by_windows, pasted, runs
 from motionlab.diffusion.inpainting import Way, offset_decay, repair
 from motionlab.diffusion.masks import units
@@ -154,14 +156,15 @@ def inbetween(
     chosen = _checked(method or usual)
     if keep.frames.all():
         return Animated(motion, ("every frame is kept: nothing is made",))
-    notes = [(chosen if chosen == usual else f"{chosen}, as asked; the default here is {usual}") + (why and f": {why}")]
+    asked = "" if chosen == usual else f", as asked; the default here is {usual}"
+    notes = [f"method: {chosen}{asked}{why and f', because {why}'}"]
     drawn = curves(motion, keep)
     try:
         body = Standard.of(motion, drawn, keep)
     except DataError as error:
         if method in ("network", "nearest"):
             raise
-        return Animated(drawn, ("curves without planted feet, as its joints are not known", str(error)))
+        return Animated(drawn, ("method: curves, and feet are not planted, because its joints are not known", str(error)))
     made = body.joints
     if chosen != "curves":
         fill = by_windows(_filler(chosen, seed), body.lacking, progress)
@@ -198,11 +201,13 @@ def completed(
     keep = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.ones(len(motion.skeleton), dtype=torch.bool))
     keep.joints[sorted(hide)] = False
     body = Standard.of(motion, curves(motion, keep), keep)
-    why = "how far off these joints come was not measured"
+    why = "how close these joints come to the true ones was not measured"
     if hide >= {own for j, own in body.mapped.items() if STANDARD.names[j] in _LEGS}:
-        why = "of 15 people it never saw, hidden legs came back 15 cm off; taken from the most similar recording, 27 cm"
+        why = "hidden legs came out 15 cm off on 15 people whom it had never seen"
+        why += " (legs of the most similar recording: 27 cm off)"
     made = body.corrected(by_windows(_filler(chosen, seed, steps=2), body.lacking, progress))
-    note = f"{chosen}: {why}" if chosen == "network" else f"{chosen}, as asked; the default is network: {why}"
+    asked = "" if chosen == "network" else ", as asked; the default is network"
+    note = f"method: {chosen}{asked}; {why}"
     return Animated(body.back(made, plant=plant), (note, "the floor is taken to be at height 0", *body.notes(plant)))
 
 
@@ -214,14 +219,12 @@ def _usual_method(gap: float, beyond: float) -> tuple[str, str]:
     if gap > _MEASURED:
         return "curves", f"gaps of more than {_MEASURED:g} s were not measured"
     if gap < _SHORT and 0 < beyond < _MEASURED:
-        return "network", "beyond the keys it goes on, half a second later 15 cm off; curves wait there, 18 cm off"
+        return "network", "it moves on beyond the keys: half a second later it is 15 cm off, standing still 18 cm"
     if gap < _SHORT:
-        return "curves", "in gaps of half a second as near as the network (3.6 cm; slerp 6.6), and simpler"
-    return (
-        "network",
-        "in gaps of 1 and 2 s as near as curves (9.8 and 21 cm; slerp 15 and 27), and feet slide by 1.4 and 3.2 mm a"
-        " frame, with curves by 2.7 and 3.4",
-    )
+        why = "in gaps of half a second they are as close to the true motion as the network, 3.6 cm, and simpler"
+        return "curves", f"{why} (straight from key to key: 6.6 cm)"
+    why = "its feet slide less than those of curves: in gaps of 1 and 2 s 1.4 and 3.2 mm a frame, not 2.7 and 3.4; with"
+    return "network", f"{why} either, joints are 9.8 and 21 cm off (straight from key to key: 15 and 27)"
 
 
 def _checked(method: str) -> str:
@@ -325,8 +328,10 @@ def _nearest(model: Trained, motion: Motion, known: Tensor) -> Motion:
 
 
 # ------------------------------------------------------------------------------------------------------ widget
-def editor(path: str | Path, backend: str | None = None, **guided: str):
-    """Builds the widget of ``inbetween`` for a file: see ``viz.keyframes.keyframe_editor``. guided: unit, up of a BVH.
+def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | str | None = "anny", **guided: str):
+    """Builds the widget of ``inbetween`` for a file: see ``viz.keyframes.keyframe_editor``.
+
+    body: whose skin is shown; None, or joints that are not known: a figure. guided: unit, up of a BVH.
 
     Raises:
         DataError: not a readable motion.
@@ -349,6 +354,13 @@ def editor(path: str | Path, backend: str | None = None, **guided: str):
         target = Path(name).resolve()
         return f"{target} is written: {write_back(path, target, motion, made)}"
 
-    joints = (*GROUPS, *motion.skeleton.names)
-    how = {"joints": joints, "methods": METHODS, "target": f"{path.stem}_inbetween{path.suffix}", "backend": backend}
-    return keyframe_editor(motion, read, fill, export, **how)
+    def dress(made: Motion) -> Motion:
+        shown = retarget(made, floor=False).motion
+        return replace(shown, root=shown.root + torch.tensor([0.0, 0.0, lift]))
+
+    how = {"methods": METHODS, "target": f"{path.stem}_inbetween{path.suffix}", "backend": backend}
+    if body:
+        with contextlib.suppress(DataError):
+            lift = retarget(motion).floor
+            how |= {"body": BodyModel.from_anny() if isinstance(body, str) else body, "dress": dress}
+    return keyframe_editor(motion, read, fill, export, joints=(*GROUPS, *motion.skeleton.names), **how)

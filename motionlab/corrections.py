@@ -91,9 +91,9 @@ class Standard:
 
     def notes(self, plant: bool) -> tuple[str, ...]:
         """Returns what was decided on the way."""
-        missing = f"; made up nothing of {', '.join(self.found.unmapped)}" if self.found.unmapped else ""
-        feet = "feet that stand are planted" if plant else "feet are not planted"
-        return (f"joints read as {self.found.rig}{missing}", feet)
+        missing = f"; the file has no {', '.join(self.found.unmapped)}, so none is made" if self.found.unmapped else ""
+        feet = "feet that stand are held in place" if plant else "feet that stand may slide: they are not planted"
+        return (f"joints recognised by their names: {self.found.rig}{missing}", feet)
 
     # -------------------------------------------------------------------------------------------------- a model
     def corrected(self, fill: Fill, *, rate: float = FPS, share: float | Tensor = 1.0) -> Motion:
@@ -218,7 +218,7 @@ def _by_windows(motion: Motion, known: Tensor, fill: Fill, lacking: Tensor, prog
     frames, has = motion.frames, torch.cat((~lacking, torch.ones(2, dtype=torch.bool)))
     motion, known = padded(motion, known)
     done = known.clone()
-    for first, last in tqdm(runs(~(known | ~has)[:, :-1].all(-1)), desc="gaps", disable=not progress, leave=False):
+    for first, last in tqdm(runs(~(known | ~has)[:, :-1].all(-1)), desc="filling in gaps", disable=not progress, leave=False):
         if last - first <= WINDOW - 2 * _EDGE:
             starts = [min(max(first - (WINDOW - (last - first)) // 2, 0), motion.frames - WINDOW)]
         else:

@@ -39,6 +39,7 @@ _PROCESS = ReverseProcess(level=0.35, topped=False, filtered=True)
 _LIVELY, _QUICK = 12.0, 6.0  # strength of acceleration that is motion: rad/s^(3/2) of joints, m/s^(3/2) of the root
 _PAST, _STEPS = 20, 50  # frames that a new window goes on from; of the sampler
 _GUIDED = Way(put="imputed", weight=5.0, steps=_STEPS, finish=8)
+_SECONDS = (0.5, 600.0)  # of new motion: half a window's worth is hardly one, and ten minutes take as long to make
 _JUMPS = 0.2  # share of frames; with more it is noise that jumps
 _LEAST = 12  # frames in which noise can be measured
 _CALM = 9  # frames over which poses from handles are smoothed, at the models' rate
@@ -90,14 +91,14 @@ def repaired(
     given = noise is not None
     noise = noise or _measured_noise(motion)
     noisy = max(noise.turn, noise.shift) > 0 if given else noise.turn > CLEAN.turn or noise.shift > CLEAN.shift
-    size = f"noise: {math.degrees(noise.turn):.2f} degrees about each axis, {1000 * noise.shift:.1f} mm"
+    size = f"noise: joints tremble by {math.degrees(noise.turn):.2f} degrees, the root by {1000 * noise.shift:.1f} mm"
     notes = [size + ", as given" * given]
     if not noisy:
-        notes.append("none is taken away" if given else "no more noise than clean recordings have")
+        notes.append("there is none to take away" if given else "that is no more than in clean recordings: it stays")
     jumps = _jumps(motion)
     if jumps.any():
         spans = ", ".join(f"{a}-{b - 1}" for a, b in runs(jumps))
-        notes.append(f"frames {spans} jump: filled in from those around")
+        notes.append(f"frames that jump: {spans}; they are made anew from those around")
         keep = Keep(~jumps, torch.zeros(len(motion.skeleton), dtype=torch.bool))
         found = inbetween(motion, keep, method=method, seed=seed, plant=plant and not noisy, progress=progress)
         motion = found.motion
@@ -105,7 +106,7 @@ def repaired(
             return Animated(motion, (*notes, *found.notes))
         notes.append(found.notes[0])
     if not noisy:
-        return Animated(motion, (*notes, "no jump: left as it is"))
+        return Animated(motion, (*notes, "no frame jumps: the motion stays as it is"))
     method = method or "network"
     smooth = _smoothed(motion, noise)
     nothing = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.zeros(len(motion.skeleton), dtype=torch.bool))
@@ -115,7 +116,7 @@ def repaired(
     if method == "network":
         rough, _ = Standard.of(motion, motion, nothing, lift=lift).on_model_body()
         made = body.corrected(lambda calm, known: _denoised(rough, calm, noise, seed, progress))
-    notes.append(f"{method}: a Kalman smoother" + ", and a look of the free denoiser" * (method == "network"))
+    notes.append("noise is smoothed away" + ", and the network corrects what that blurs" * (method == "network"))
     return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
 
 
@@ -144,7 +145,7 @@ def _denoised(given: Motion, rough: Motion, noise: Noise, seed: int, progress: b
     (rough, _), (given, _) = padded(rough, open_), padded(given, open_)
     at = torch.tensor(overlapping(0, rough.frames, rough.frames))[:, None] + torch.arange(WINDOW)
     parts = []
-    for some in tqdm(at.split(16), desc="windows", disable=not progress, leave=False):
+    for some in tqdm(at.split(16), desc="taking noise away", disable=not progress, leave=False):
         cuts = [replace(m, root=m.root[some], rot=m.rot[some], contacts=m.contacts[some]) for m in (given, rough)]
         parts.append(denoise(model, *cuts, noise, generator, _PROCESS))
     root, rot, contacts = (torch.cat([getattr(p, name) for p in parts]) for name in ("root", "rot", "contacts"))
@@ -182,9 +183,10 @@ def posed(
     reached = reach_targets(made, [motion.skeleton.names[j] for j in joints], targets, steps=40)
     far = (reached.positions[:, joints] - targets).norm(dim=-1)
     which = ", ".join(motion.skeleton.names[j] for j in joints)
-    note = f"the places of {which} are kept to {1000 * float(far.max()):.2g} mm"
-    why = "of people it never saw, the other joints came 0.4 to 1.2 cm nearer than in the most similar pose it learned"
-    return Animated(reached, (f"network: {why}", f"{note}; where it stands and faces was read", *body.notes(plant)))
+    note = f"{which}: at most {1000 * float(far.max()):.2g} mm from where they were"
+    read = "read from the file besides: where the body stands and which way it faces"
+    why = "on people whom it had never seen, the other joints came 0.4 to 1.2 cm closer than the most similar known pose"
+    return Animated(reached, (f"method: network, because {why}", note, read, *body.notes(plant)))
 
 
 def _from_handles(given: Motion, which: Tensor, seed: int) -> Motion:
@@ -201,42 +203,45 @@ def _from_handles(given: Motion, which: Tensor, seed: int) -> Motion:
 
 
 # ---------------------------------------------------------------------------------------------------- generate
-def generated(seconds: float, *, start: Motion | None = None, seed: int = 0, plant: bool = True) -> Animated:
+def generated(
+    seconds: float, *, start: Motion | None = None, seed: int = 0, plant: bool = True, progress: bool = False
+) -> Animated:
     """Draws a new motion of so many seconds on the standard body, or what may follow on ``start``, which stays.
 
     Two seconds at a time, each going on from the last ``_PAST`` frames.
 
     Raises:
-        DataError: no seconds, or a start whose joints are not known.
+        DataError: fewer or more seconds than ``_SECONDS``, or a start whose joints are not known.
     """
-    if not 0 < seconds < math.inf:
-        raise DataError(f"a motion of {seconds:g} s", place="--seconds", remedy="give a number above 0")
+    if not _SECONDS[0] <= seconds <= _SECONDS[1]:  # not a number is neither
+        remedy = f"ask for {_SECONDS[0]:g} to {_SECONDS[1]:g} s"
+        raise DataError(f"{seconds:g} s is no length of a motion", place="--seconds", remedy=remedy)
     generator = torch.Generator().manual_seed(seed)
     if start is None:
-        return _new(max(round(seconds * FPS), 2), generator, plant)
+        return _new(round(seconds * FPS), generator, plant, progress)
     more = max(round(seconds * start.fps), 1)
     index = torch.arange(start.frames + more).clamp(max=start.frames - 1)
     longer = replace(start, root=start.root[index], rot=start.rot[index], contacts=None)
     keep = Keep(torch.arange(len(index)) < start.frames, torch.zeros(len(start.skeleton), dtype=torch.bool))
     body = Standard.of(longer, curves(longer, keep), keep)
-    motion = body.back(body.corrected(lambda m, known: _going_on(m, known, generator)), plant=plant)
-    return Animated(motion, (f"network: {FREE}, guided by the last {_PAST} frames", *body.notes(plant)))
+    motion = body.back(body.corrected(lambda m, known: _going_on(m, known, generator, progress)), plant=plant)
+    return Animated(motion, (f"made by the model {FREE}, which goes on from the end", *body.notes(plant)))
 
 
-def _new(frames: int, generator: torch.Generator, plant: bool) -> Animated:
+def _new(frames: int, generator: torch.Generator, plant: bool, progress: bool) -> Animated:
     model = motion_model(FREE)
     first = model.sample(1, generator, steps=_STEPS, rest=0.05).clip(0)
     index = torch.arange(max(frames, WINDOW)).clamp(max=WINDOW - 1)
     motion = replace(first, root=first.root[index], rot=first.rot[index], contacts=first.contacts[index])
     known = (torch.arange(len(index)) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
-    motion = _going_on(motion, known, generator).cut(0, frames)
+    motion = _going_on(motion, known, generator, progress).cut(0, frames)
     if plant:
         some = replace(motion, root=motion.root[None], rot=motion.rot[None], contacts=motion.contacts[None])
         motion = planted(some, slow=False).clip(0)
-    return Animated(replace(motion, name="generated", notes=()), (f"network: {FREE}, {_STEPS} steps",))
+    return Animated(replace(motion, name="generated", notes=()), (f"made by the model {FREE}",))
 
 
-def _going_on(motion: Motion, known: Tensor, generator: torch.Generator) -> Motion:
+def _going_on(motion: Motion, known: Tensor, generator: torch.Generator, progress: bool) -> Motion:
     """A motion (T) on the models' body whose last frames are not known, window by window."""
     frames, model = motion.frames, motion_model(FREE)
     columns = units(model.layout)
@@ -246,11 +251,13 @@ def _going_on(motion: Motion, known: Tensor, generator: torch.Generator) -> Moti
     motion = replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=motion.contacts[index])
     has = known[0] if last else torch.ones_like(known[0])  # never told of a joint that the figure does not have
     done = (torch.arange(len(index)) < last)[:, None] & has
-    while last < frames:
-        begin = max(min(last - _PAST, len(index) - WINDOW), 0)
-        stop = begin + WINDOW
-        motion = filled_in(
-            motion, done, lambda m, k: repair(model, m, k[..., columns], generator, _GUIDED), [begin], (last, stop)
-        )
-        done[last:stop], last = has, stop
+    with tqdm(total=end, initial=last, desc="making motion", unit="frame", disable=not progress, leave=False) as bar:
+        while last < frames:
+            begin = max(min(last - _PAST, len(index) - WINDOW), 0)
+            stop = begin + WINDOW
+            motion = filled_in(
+                motion, done, lambda m, k: repair(model, m, k[..., columns], generator, _GUIDED), [begin], (last, stop)
+            )
+            bar.update(stop - last)
+            done[last:stop], last = has, stop
     return motion.cut(0, frames)

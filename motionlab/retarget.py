@@ -282,9 +282,10 @@ def retarget(
     target, where = replace(target, root=target.root + up), {name: place + up for name, place in where.items()}
     error = {n: float((target.positions[:, STANDARD.index(n)] - p).norm(dim=-1).mean()) for n, p in where.items()}
     unmapped = tuple(name for name in STANDARD.names if name not in where)
-    notes = [f"{body.rig} names"]
-    notes += [f"raised {lift:+.3f} m to the floor"] if floor else []
-    notes += [f"without a source: {', '.join(unmapped)}"] if unmapped else []
+    notes = [f"joints recognised by their names: {body.rig}"]
+    way = "raised" if lift > 0 else "lowered"
+    notes += [f"{way} by {abs(lift):.3f} m, so that the feet stand on the floor"] if abs(lift) > 0.0005 else []
+    notes += [f"the file has no {', '.join(unmapped)}: made up from the joints around"] if unmapped else []
     return Retargeted(
         motion=replace(target, notes=(*motion.notes, *notes)).to(motion.root.dtype),
         residual=sum(error.values()) / len(error),

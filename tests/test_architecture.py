@@ -15,7 +15,7 @@ FLOORS = """
     batch files optimise posterior rotation skeleton training_loop diffusion.sampling
     body checkpoint motion
     heading
-    baselines contact skinning humor.state diffusion.features
+    baselines contact skinning tailoring humor.state diffusion.features
     observation retarget humor.cvae diffusion.footsteps diffusion.start diffusion.losses diffusion.masks
     io viz data_synth humor.body_shape humor.energies humor.priors humor.transition
         diffusion.denoiser diffusion.gaussian_guess diffusion.planting diffusion.windows

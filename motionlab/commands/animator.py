@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 from motionlab.commands import many
 from motionlab.commands.many import Job
-from motionlab.commands.motions import WRITTEN, add_axes, read_motion
-from motionlab.commands.printing import is_watched
+from motionlab.commands.motions import READ, WRITTEN, add_axes, make_folder, read_motion
+from motionlab.commands.printing import add_command, is_watched
+from motionlab.commands.showing import add_film, check_film, write_film
 from motionlab.errors import DataError
 
 if TYPE_CHECKING:
@@ -20,51 +21,58 @@ if TYPE_CHECKING:
     from motionlab.motion import Motion
 
 _METHODS = ("network", "curves", "nearest")
-_READ = f"a motion: {' '.join(WRITTEN)}, or .amc and DeepMimic's .txt, which are read, not written"
-_OUT = f"{' '.join(WRITTEN)}; the format of IN keeps the file's own numbers; of a folder: another folder"
+_IN = f"a motion ({READ}), or a folder: of it all {' '.join(WRITTEN)}"
+_OUT = f"a file ({' '.join(WRITTEN)}; the format of IN keeps the file's own numbers), or for a folder another folder"
 
 
 def add_commands(commands: argparse._SubParsersAction) -> None:
     """Adds the four commands; nothing heavy is imported before one runs."""
-    command = _command(commands, "inbetween", "frames between keys, which stay as they are", _inbetween)
+    example = "walk.bvh --keys 0,30,60,90,120-last --out between.bvh --film between.mp4"
+    command = _command(commands, "inbetween", "keep the frames you name, make those between them", example, _inbetween)
     command.add_argument("--keys", required=True, help="frames that stay, from 0: 0,45,90 or 0-20,60-last")
     command.add_argument("--joints", type=_words, default=[], help="joints that stay in all frames, as left_wrist,arms")
     command.add_argument("--method", choices=_METHODS, help="default: what is measured best for the longest gap")
 
-    command = _command(commands, "repair", "a motion without glitches and noise", _repair)
+    example = "walk.bvh --out repaired.bvh"
+    command = _command(commands, "repair", "take noise and jumps out of a motion", example, _repair)
     command.add_argument(
         "--noise", type=_noise, metavar="auto|DEGREES[,MM]", help="of joints and root (default: auto, as measured)"
     )
     command.add_argument("--method", choices=_METHODS[:2], help="default: network; for jumps as of inbetween")
 
-    command = _command(commands, "complete", "joints that are missing or wrong", _complete)
+    example = "walk.bvh --hidden legs --out completed.bvh"
+    command = _command(commands, "complete", "make joints that are missing or wrong", example, _complete)
     which = command.add_mutually_exclusive_group(required=True)
     which.add_argument("--hidden", type=_words, help="joints to make: legs, left_arm, right_knee, ...; others stay")
     which.add_argument("--known", type=_words, help="joints whose places alone are known: left_wrist,head, ...")
     command.add_argument("--method", choices=("network", "nearest"), default="network", help="default: network")
 
-    command = commands.add_parser("generate", help="new motions, or what may follow on one")
-    command.add_argument("--seconds", type=float, default=4.0, help="of each (default 4)")
+    text, example = "make new motions, or what may follow on one", "generate --seconds 4 --count 2 --out made/"
+    command = add_command(commands, "generate", text, example, _generate)
+    command.add_argument("--seconds", type=float, default=4.0, help="how long each is, or goes on (default 4)")
     command.add_argument("--count", type=int, default=1, help="how many, each from its own seed (default 1)")
     command.add_argument("--start", type=Path, metavar="IN", help="a motion to go on from, which stays as it is")
     command.add_argument("--format", choices=[s[1:] for s in WRITTEN], help="default: that of --start, or bvh")
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER")
-    command.set_defaults(run=_generate)
+    add_film(command, "what was made, side by side")
     _usual(command)
 
 
-def _command(commands: argparse._SubParsersAction, name: str, text: str, make: Callable) -> argparse.ArgumentParser:
-    command = commands.add_parser(name, help=text)
-    command.add_argument("source", metavar="IN", type=Path, help=f"{_READ}, or a folder: of it all {' '.join(WRITTEN)}")
+def _command(
+    commands: argparse._SubParsersAction, name: str, text: str, example: str, make: Callable
+) -> argparse.ArgumentParser:
+    command = add_command(commands, name, text, f"{name} {example}", _on_motions)
+    command.add_argument("source", metavar="IN", type=Path, help=_IN)
     command.add_argument("--out", type=Path, required=True, help=_OUT)
+    add_film(command, "what was given beside what was made of it; not of a folder")
     many.add_sharing(command, "of a folder")
-    command.set_defaults(make=make, run=_on_motions)
+    command.set_defaults(make=make)
     _usual(command)
     return command
 
 
 def _usual(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--seed", type=int, default=0, help="of what is drawn at random (default 0)")
+    command.add_argument("--seed", type=_seed, default=0, help="of what is drawn at random (default 0)")
     command.add_argument("--no-planting", dest="plant", action="store_false", help="leave sliding feet alone")
     add_axes(command)
 
@@ -73,15 +81,24 @@ def _words(text: str) -> list[str]:
     return [word for word in text.split(",") if word.strip()]
 
 
+def _seed(text: str) -> int:
+    if not text.isdecimal() or len(text) > 18:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0, of 18 digits at most, got {text!r}")
+    return int(text)
+
+
 def _noise(text: str) -> tuple[float, float] | None:
     """Degrees and millimetres; None for auto."""
     if text == "auto":
         return None
+    degrees, _, mm = text.partition(",")
     try:
-        degrees, _, mm = text.partition(",")
-        return float(degrees), float(mm or 5 * float(degrees))
+        size = float(degrees), float(mm or 5 * float(degrees))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"expected auto or degrees[,millimetres], got {text!r}") from None
+        size = (-1.0,)
+    if not all(0 <= part < 1000 for part in size):  # not a number is neither
+        raise argparse.ArgumentTypeError(f"expected auto or degrees[,millimetres], from 0 to 1000, got {text!r}")
+    return size
 
 
 def _on_motions(options: argparse.Namespace) -> int:
@@ -90,10 +107,18 @@ def _on_motions(options: argparse.Namespace) -> int:
         if options.jobs is not None or options.cluster is not None:
             remedy = "give a folder of motions"
             raise DataError("one motion is not shared out", place="--jobs, --cluster", remedy=remedy)
-        for note in _make((options.source.name, options.source, None, options.out), options, progress=is_watched()):
+        if options.film:
+            check_film(options.film)
+        given, made, notes = _made(options.source, options.out, options, progress=is_watched())
+        for note in notes:
             print(f"note: {note}")
         print(f"{options.out}: written")
+        if options.film:
+            print(write_film({"given": given, "made": made}, options.film))
         return 0
+    if options.film:
+        remedy = "leave out --film, and draw the ones you want: motionlab show IN OUT --out FILM.mp4"
+        raise DataError("a film shows one motion, this is a folder", path=options.source, place="--film", remedy=remedy)
     if options.out.suffix.lower() in WRITTEN:
         raise DataError("a folder of motions goes into a folder", path=options.out, remedy="name a folder")
     if options.out.exists() and options.out.samefile(options.source):
@@ -102,7 +127,7 @@ def _on_motions(options: argparse.Namespace) -> int:
     found = sorted(path for path in files if path.suffix.lower() in WRITTEN)
     if not found:
         raise DataError(f"no motion ({', '.join(WRITTEN)}) in this folder", path=options.source, remedy="name another")
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(options.out)
     if len(found) < len(files):
         print(f"note: {len(files) - len(found)} of {len(files)} files were passed over: not {' '.join(WRITTEN)}")
     clips = [(path.name, path, None, options.out / path.name) for path in found]
@@ -113,15 +138,22 @@ def _is_made(clip: Job) -> bool:
     return clip[3].exists()
 
 
-def _make(clip: Job, options: argparse.Namespace, progress: bool = False) -> list[str]:
-    """Reads a motion, makes another of it, and writes that; says how."""
+def _make(clip: Job, options: argparse.Namespace) -> list[str]:
+    """Does it with one of many; says how."""
+    _, source, _, target = clip
+    return _made(source, target, options)[-1]
+
+
+def _made(
+    source: Path, target: Path, options: argparse.Namespace, progress: bool = False
+) -> tuple[Motion, Motion, list[str]]:
+    """Reads a motion, makes another of it, and writes that; returns both, and how it was made."""
     from motionlab.io.rewriting import check_target, write_back
 
-    _, source, _, target = clip
     check_target(source, target)
     motion = read_motion(source, options)
     found = options.make(options, motion, progress)
-    return [*found.notes, write_back(source, target, motion, found.motion)]
+    return motion, found.motion, [*found.notes, write_back(source, target, motion, found.motion)]
 
 
 def _inbetween(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
@@ -154,16 +186,25 @@ def _generate(options: argparse.Namespace) -> int:
     from motionlab import renew
     from motionlab.io.rewriting import write_back
 
+    if options.count < 1:
+        raise DataError(f"{options.count} motions", place="--count", remedy="give a number above 0")
+    make_folder(options.out)
+    if options.film:
+        check_film(options.film, options.count)
     start = read_motion(options.start, options) if options.start else None
     suffix = f".{options.format}" if options.format else options.start.suffix.lower() if options.start else ".bvh"
     suffix = suffix if suffix in WRITTEN else ".bvh"
-    if options.count < 1:
-        raise DataError(f"{options.count} motions", place="--count", remedy="give a number above 0")
-    options.out.mkdir(parents=True, exist_ok=True)
+    how = {"start": start, "plant": options.plant, "progress": is_watched()}
+    made, said = {}, []
     for k in range(options.count):  # each is on disk before the next is begun
-        found = renew.generated(options.seconds, start=start, seed=options.seed + k, plant=options.plant)
+        found = renew.generated(options.seconds, seed=options.seed + k, **how)
         target = options.out / f"generated_{options.seed + k}{suffix}"
+        made[target.name] = found.motion
         for note in (*found.notes, write_back(options.start, target, start, found.motion)):
-            print(f"note: {note}")
+            if note not in said:  # once, though it is true of all
+                print(f"note: {note}")
+                said.append(note)
         print(f"{target}: {found.motion.frames} frames at {found.motion.fps:g} fps")
+    if options.film:
+        print(write_film(made, options.film))
     return 0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from motionlab.commands import many
 from motionlab.commands.many import Job
-from motionlab.commands.printing import is_watched, text_table
+from motionlab.commands.printing import add_command, is_watched, text_table
 from motionlab.errors import DataError
 
 #: A clip's keypoints are one of the first, or a folder that holds some of the second; its video one of the third, or a
@@ -23,9 +23,10 @@ _PASSED_ON = ("person", "fps", "size", "layout", "camera", "camera_name", "prior
               "solver", "quick")  # fmt: skip
 
 
-def add_command(commands: argparse._SubParsersAction) -> None:
+def add_fit(commands: argparse._SubParsersAction) -> None:
     """Adds the command; nothing heavy is imported before it runs."""
-    command = commands.add_parser("fit", help="from a video and its 2-D keypoints to a scene")
+    text = "find the 3-D motion of the people in a video, from 2-D keypoints"
+    command = add_command(commands, "fit", text, "fit clip.mp4 --keypoints keypoints/ --out scene/", _fit)
     command.add_argument("video", nargs="?", type=Path, help="a video, or a folder of images; without it: on paper")
     command.add_argument(
         "--keypoints", type=Path, metavar="PATH",
@@ -62,7 +63,6 @@ def add_command(commands: argparse._SubParsersAction) -> None:
         help="the two paths are folders of clips, put together by their names: a scene for each, in FOLDER/NAME/",
     )  # fmt: skip
     many.add_sharing(command, "with --each")
-    command.set_defaults(run=_fit)
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""What the commands on motion files share: the formats that are written, and ``--unit`` and ``--up`` of a BVH."""
+"""What the commands on motion files share: formats, ``--unit`` and ``--up`` of a BVH, and the 22 standard joints."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from motionlab.motion import Motion
 
 WRITTEN = (".bvh", ".npz", ".glb")
+READ = f"{' '.join(WRITTEN)} .amc, or DeepMimic's .txt"
 
 
 def add_axes(command: argparse.ArgumentParser) -> None:
@@ -33,6 +34,31 @@ def read_motion(path: Path, options: argparse.Namespace) -> Motion:
     if guided and path.suffix.lower() != ".bvh":
         raise DataError("its unit and axes are known", path=path, remedy="--unit and --up are for .bvh only")
     return io.load(path, **guided)
+
+
+def make_folder(path: Path) -> None:
+    """Makes a folder, and those above, unless they are there.
+
+    Raises:
+        DataError: it cannot be made, or is a file.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        message = f"this folder cannot be made: {error.strerror or error}"
+        raise DataError(message, path=path, remedy="name another folder") from error
+
+
+def on_standard(motion: Motion) -> Motion:
+    """Puts a motion on the 22 standard joints in its own proportions, unless it is there; says so in its notes.
+
+    Raises:
+        DataError: a skeleton whose joints are not known.
+    """
+    from motionlab.retarget import retarget
+    from motionlab.skeleton import STANDARD
+
+    return motion if motion.skeleton.names == STANDARD.names else retarget(motion).motion
 
 
 def _metres(text: str) -> float:

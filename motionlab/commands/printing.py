@@ -1,9 +1,22 @@
-"""How the commands print: tables, and progress where somebody watches."""
+"""What the commands say: of themselves, in tables, and how far they are where somebody watches."""
 
 from __future__ import annotations
 
+import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+
+
+def add_command(
+    commands: argparse._SubParsersAction, name: str, text: str, example: str, run: Callable | None = None
+) -> argparse.ArgumentParser:
+    """Adds a command: what it does in a line, one example of it, and what runs it, options -> exit status."""
+    command = commands.add_parser(
+        name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=f"example:\n  motionlab {example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    command.set_defaults(run=run)
+    return command
 
 
 def text_table(rows: Sequence[dict[str, object]]) -> str:

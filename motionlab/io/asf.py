@@ -62,13 +62,13 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
         figure = _parse_asf(at, read_text(at))
         if unit is None:
             unit = _INCH / figure.length
-            notes.append(f"unit not in the file: 1/{figure.length:g} inch = {unit:.5f} m, CMU's convention")
+            notes.append(f"the file names no unit: taken as 1/{figure.length:g} inch = {unit:.5f} m, as CMU does")
         skeleton = _skeleton(figure, unit)
     with reading(amc, "take the .amc of the take again, with the .asf of the same subject") as at:
         degrees, table = _parse_amc(at, read_text(at), figure)
         if fps is None:
             fps = _CMU_FPS
-            notes.append(f"frame rate not in the file: {fps:g}, CMU's")
+            notes.append(f"the file names no frame rate: taken as {fps:g}, as CMU does")
         fps = frame_rate(at, fps, "fps argument")
         to_radians = np.pi / 180 if degrees else 1.0
         rot = torch.eye(3, dtype=torch.float64).expand(len(table), len(skeleton), 3, 3).clone()

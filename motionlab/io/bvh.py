@@ -195,7 +195,7 @@ def _reroot(at: Spot, joints: list[_Joint], parents: list[int], place: np.ndarra
         first = rot[:, joint] @ first
     if above:
         names = ", ".join(joints[j].name for j in above)
-        notes.append(f"root is {joints[top].name}, whose position channels move; {names} composed into it")
+        notes.append(f"root is {joints[top].name}, whose position changes; what {names} above it do is composed into it")
     kept = [j for j in range(len(joints)) if j not in set(above)]
     mean = place.mean(0)
     for j in kept[1:]:
@@ -205,10 +205,10 @@ def _reroot(at: Spot, joints: list[_Joint], parents: list[int], place: np.ndarra
             if translations == "strict" and moves > RIGID * reach:
                 line = f"line {joints[j].line}"
                 raise at.error(f"{what}: bones of changing length", place=line, remedy='translations="mean"')
-            notes.append(f"{what}: mean kept")
+            notes.append(f"{what}: its mean place is kept")
         elif strays[j]:
             off = np.abs(mean[j] - offset[j]).max() / reach
-            notes.append(f"{joints[j].name} rests {off:.1%} of the figure off its OFFSET")
+            notes.append(f"{joints[j].name} is always {off:.1%} of the figure off its OFFSET: believed as it moves")
     rot = rot[:, kept].clone()
     rot[:, 0] = first
     offsets = torch.from_numpy(np.where(strays[:, None], mean, offset)[kept])
@@ -228,12 +228,12 @@ def _to_world(at: Spot, motion: Motion, unit: str | float | None, up: str | None
         points = motion.cut(step=max(motion.frames // 20, 1)).positions
         _, y, z = (points.amax(1) - points.amin(1)).mean(0).tolist()
         up = "z" if z > 1.2 * y else "y"
-        sure = "" if max(y, z) > 1.2 * min(y, z) else ", too close to tell: pass up="
+        sure = "" if max(y, z) > 1.2 * min(y, z) else ", too close to be sure: say it with up=, or --up"
         notes.append(f"up axis {up} detected: the figure extends {y:.3g} units along y, {z:.3g} along z{sure}")
     if unit is None:
         fits = [name for name in ("m", "cm", "mm") if PLAUSIBLE[0] <= size * UNITS[name] <= PLAUSIBLE[1]]
         unit = UNITS[fits[0]] if fits else ASSUMED / size
-        guess = f"no unit fits: scaled to {ASSUMED:.2f} m, lengths are relative; pass unit="
+        guess = f"no unit fits: scaled to {ASSUMED:.2f} m, lengths are relative; say it with unit=, or --unit"
         meaning = f"taken as {fits[0]}" if fits else guess
         notes.append(f"unit detected: the figure is about {size:.3g} units tall, {meaning}")
     scale = UNITS[unit] if isinstance(unit, str) else float(unit)

@@ -151,7 +151,7 @@ def _evenly(motion: Motion, times: np.ndarray) -> Motion:
     low = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
     weight = torch.from_numpy(((at - times[low]) / (times[low + 1] - times[low])).clip(0, 1))
     low = torch.from_numpy(low)
-    note = f"frames last differently (up to {np.diff(times).max():.2f} frames): resampled evenly"
+    note = f"frames last up to {np.diff(times).max():.2f} times as long as usual: resampled to one rate"
     return replace(
         motion,
         root=torch.lerp(motion.root[low], motion.root[low + 1], weight[:, None]),

@@ -25,6 +25,7 @@ from motionlab.files import write_whole
 from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_bytes, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
+from motionlab.tailoring import tailored
 
 _COMPONENTS = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
 _VERTICES, _INDICES = 34962, 34963  # targets of a buffer view
@@ -53,7 +54,8 @@ def save(
         motions: one clip, or one per person at one frame rate; no batch axes. All begin at time 0.
         body: its mesh and weights; None writes the armatures alone, bound in the rest pose.
         names: of the people; by default those of the motions, numbered where they are not different.
-        betas: (B,) shape of the body, or one for each person; bone lengths are always the motion's.
+        betas: (B,) shape of the body, or one for each person; else the body is tailored to the motion's bones, whose
+            lengths are the motion's either way.
         influences: joints per vertex, 4 or 8; the largest ones are kept and scaled to sum to 1. Every
             viewer reads 4; Blender reads 8, three.js only the first 4 of them. A vertex of anny hangs on up
             to 6 joints: 8 are exact, 4 leave out up to 3 % of a vertex's weight (millimetres at a few).
@@ -84,7 +86,8 @@ def save(
         if body is None:
             _bind(file, first, name, skeleton, skeleton.rest_positions(), torch.eye(3).expand(len(skeleton), 3, 3))
         else:
-            template, joints = body.template, body.joints
+            worn = body if shape is not None else tailored(body, skeleton)
+            template, joints = worn.template, worn.joints
             if shape is not None:
                 template = template + body.shape_directions @ shape.to(template)
                 joints = joints + body.joint_directions @ shape.to(joints)

@@ -255,7 +255,7 @@ def _rewritable(source: str | Path) -> bool:
 #: What is said of a file that is written anew.
 _ANEW = {
     ".bvh": "written anew, its numbers rounded to 1e-8 m and 1e-6 degrees",
-    ".npz": "written anew as SMPL-H's parameters, in double precision",
+    ".npz": "written anew as parameters of SMPL-H, in double precision",
     ".glb": "written anew in single precision, as bones without a body (`convert` writes one with a body)",
 }
 
@@ -310,7 +310,7 @@ def _stayed(loaded: Motion, made: Motion) -> str:
     new[:, 0] |= new_root
     frames, joints = int((~new.any(1)).sum()), int((~new.any(0)).sum())
     also = f", and {joints} of {new.shape[1]} joints in all frames," if joints and frames < made.frames else ""
-    return f"{frames} of {made.frames} frames{also} have the file's own numbers, byte for byte"
+    return f"{frames} of {made.frames} frames{also} keep the file's own numbers, byte for byte"
 
 
 def for_amass(motion: Motion) -> tuple[Motion, str]:
@@ -325,7 +325,7 @@ def for_amass(motion: Motion) -> tuple[Motion, str]:
         return motion, ""
     leg = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
     found = retarget(motion, proportions="standard", leg=leg)
-    return found.motion, f"AMASS files hold no bone lengths: put on the standard body, {found.scale:.3f} times the size"
+    return found.motion, f"AMASS files hold no bone lengths: it is put on the standard body, {found.scale:.3f} times as large"
 
 
 def _has_standard_bones(skeleton: Skeleton) -> bool:

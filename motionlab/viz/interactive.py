@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
 import html
 import inspect
@@ -10,7 +11,7 @@ import io
 import os
 import sys
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from unittest import mock
 
 import numpy as np
@@ -19,7 +20,7 @@ from PIL import Image
 
 from motionlab.body import BodyModel
 from motionlab.motion import Motion
-from motionlab.viz.movie import jpeg, stage, strip
+from motionlab.viz.movie import Film, Mesh, jpeg, stage, strip
 from motionlab.viz.scene import Scene
 
 BACKENDS = ("static", "picture", "trame")
@@ -52,7 +53,10 @@ def _newest(draw: Callable[[object], None]) -> Callable[[object], None]:
 
 
 def _trame(scene: Scene):
-    """A view in the browser, drawn by the kernel and turned with the mouse, and what sends it a new picture."""
+    """A view in the browser, drawn by the kernel and turned with the mouse, and what sends it a new picture.
+
+    The horizon stays level; what turns one panel turns all.
+    """
     from trame_pyvista.jupyter import elegantly_launch, get_server
 
     server = get_server(name=scene.plotter.theme.trame.jupyter_server_name)
@@ -60,6 +64,8 @@ def _trame(scene: Scene):
         # trame's WebAssembly view, not used here, downloads itself when the server starts: an error without a network
         with mock.patch.dict(sys.modules, {"trame.widgets.vtklocal": None}):
             elegantly_launch(server)
+    scene.plotter.enable_terrain_style(mouse_wheel_zooms=True)
+    scene.plotter.render_window.AddObserver("StartEvent", lambda *_: scene.heed())
     scene.plotter.notebook = True  # else pyvista guesses, and shows nothing where it sees no notebook
     view = scene.plotter.show(jupyter_backend="server", jupyter_kwargs={"add_menu": False}, return_viewer=True)
     return view, view.viewer.update
@@ -69,20 +75,26 @@ def slider(
     motions: Motion | Mapping[str, Motion],
     backend: str | None = None,
     *,
+    roles: Mapping[str, str] | None = None,
     body: BodyModel | None = None,
-    size=None,
-    follow=False,
+    things: Sequence[Mesh] = (),
+    ghost: Motion | None = None,
+    size: tuple[int, int] | None = None,
+    follow: bool = True,
+    azimuth: float | None = None,
 ):
     """Builds a time slider over motions side by side, with a play button that plays at the speed of life.
 
     Where drawing cannot keep up, frames are skipped; the clock is that of the picture shown.
 
     Args:
-        motions: one, or label -> motion, as in :func:`motionlab.viz.movie.film`.
-        backend: "static": key poses as one picture (H, W, 3) (CI); "picture": an image that is drawn anew;
-            "trame": a view that a person turns with the mouse, through pyvista's trame back end. By default "trame"
-            where ``$PYVISTA_JUPYTER_BACKEND`` says so, as ``make lab`` does, else "picture".
+        motions, roles, body, things, ghost, azimuth: as of :func:`motionlab.viz.movie.film`.
+        backend: "static": key poses as one picture (H, W, 3), a row for each motion (CI); "picture": an image that is
+            drawn anew, with buttons that turn it; "trame": a view that a person turns with the mouse, through pyvista's
+            trame back end. By default "trame" where ``$PYVISTA_JUPYTER_BACKEND`` says so, as ``make lab`` does, else
+            "picture".
         size: width and height in pixels.
+        follow: the eye travels with each motion instead of standing far enough away.
 
     Returns:
         an array for "static", else an ipywidgets box with children (view, controls).
@@ -92,16 +104,17 @@ def slider(
     """
     backend = _checked(backend)
     if backend == "static":
-        return strip(motions if isinstance(motions, Motion) else next(iter(motions.values())), body=body)
+        several = {"": motions} if isinstance(motions, Motion) else motions
+        return strip(several, roles=roles, body=body, ghost=ghost, azimuth=azimuth)
     import ipywidgets
 
     panels = 1 if isinstance(motions, Motion) else len(motions)
     size = size or (640 if panels == 1 else min(420 * panels, 1100), 420)
-    scene, seconds = stage(motions, None, body, size, follow=follow)
-    shown = Player(scene, seconds, backend)
+    how = {"things": things, "ghost": ghost, "follow": follow, "azimuth": azimuth}
+    shown = Player(*stage(motions, roles, body, size, **how), backend)
     shown.clock.layout.width = "5em"
-    row = ipywidgets.HBox([shown.play, shown.hand, shown.clock], layout={"width": f"{size[0]}px"})
-    return ipywidgets.VBox([shown.view, row])
+    row = [shown.play, shown.hand, shown.clock, *shown.turns]
+    return ipywidgets.VBox([shown.view, ipywidgets.HBox(row, layout={"width": f"{size[0]}px"})])
 
 
 def _checked(backend: str | None) -> str:
@@ -113,7 +126,8 @@ def _checked(backend: str | None) -> str:
 
 
 class Player:
-    """A scene in JupyterLab as widgets to arrange: ``view``, ``play``, ``hand`` (a slider) and ``clock`` (a label).
+    """A scene in JupyterLab as widgets to arrange: ``view``, ``play``, ``hand`` (a slider), ``clock`` (a label) and
+    ``turns`` (buttons that turn the picture, where no mouse does).
 
     Args:
         seconds: how long the scene moves.
@@ -142,6 +156,7 @@ class Player:
         self.hand = ipywidgets.IntSlider(min=0, max=self.steps, readout=False, layout={"flex": "1 1 auto"})
         self.clock = ipywidgets.Label(self._words(0))
         ipywidgets.jslink((self.play, "value"), (self.hand, "value"))
+        self.turns = []
         scene.at(0.0)
         if _checked(backend) == "trame":
             self.view, self._refresh = _trame(scene)
@@ -149,8 +164,17 @@ class Player:
             width = f"{scene.size[0]}px"
             self.view = ipywidgets.Image(value=jpeg(scene.image(), 92), format="jpeg", layout={"width": width})
             self._refresh = self._picture
-        turn = _newest(self.draw)
-        self.hand.observe(lambda change: turn(change["new"]), names="value")
+            turn = _newest(self._turn)
+            for way, degrees in (("left", 30.0), ("right", -30.0)):
+                button = ipywidgets.Button(icon=f"rotate-{way}", tooltip=f"turn to the {way}", layout={"width": "3em"})
+                button.on_click(lambda _, by=degrees: turn(by))
+                self.turns.append(button)
+        moved = _newest(self.draw)
+        self.hand.observe(lambda change: moved(change["new"]), names="value")
+
+    def _turn(self, degrees: float) -> None:
+        self.scene.turn(degrees)
+        self.draw(self.hand.value)
 
     def _picture(self) -> None:
         self.view.value = jpeg(self.scene.image(), 92)
@@ -162,57 +186,72 @@ class Player:
         self.clock.value = self._words(step)
 
 
-def explore(draw: Callable[..., np.ndarray | Figure], **knobs: object):
+def explore(
+    draw: Callable[..., np.ndarray | Figure | Film], *, units: Mapping[str, str] | None = None, **knobs: object
+):
     """Builds an experiment with knobs: whenever one is turned, ``draw(**values)`` draws the picture anew.
 
     Where drawing cannot keep up, values that newer ones have overtaken are skipped. An error is shown below the
     picture, which stays.
 
     Args:
-        draw: values by knob to a picture (H, W, 3) uint8 or a matplotlib figure.
+        draw: values by knob to a picture (H, W, 3) uint8, a matplotlib figure or a film.
+        units: of knobs, by name: "gap (s)".
         knobs: as for ``ipywidgets.interact``: (low, high, step) and numbers make sliders, a list or mapping a menu,
             True or False a box to tick, or any widget. They begin at the defaults of ``draw``, where it has some.
 
     Returns:
         an ipywidgets box with children (picture, message, knob, knob, ...).
+
+    Raises:
+        ValueError: a unit of no knob.
     """
     import ipywidgets
     import traitlets
 
-    hands = ipywidgets.interactive(lambda **values: None, **knobs).children[:-1]
+    if strange := set(units or {}) - set(knobs):
+        raise ValueError(f"units: no knob {', '.join(sorted(strange))}; knobs are {', '.join(knobs)}")
+    hands = dict(zip(knobs, ipywidgets.interactive(lambda **values: None, **knobs).children[:-1], strict=True))
     begins = {p.name: p.default for p in inspect.signature(draw).parameters.values() if p.default is not p.empty}
-    for hand in hands:
-        if hand.description in begins and not isinstance(knobs[hand.description], ipywidgets.Widget):
+    for name, hand in hands.items():
+        if name in begins and not isinstance(knobs[name], ipywidgets.Widget):
             with contextlib.suppress(traitlets.TraitError):  # no value of this knob
-                hand.value = begins[hand.description]
-    room = {"align_self": "flex-start", "margin": "0", "max_width": "100%", "max_height": "60vh"}  # as fits the window
-    picture = ipywidgets.Image(format="png", layout=room)
+                hand.value = begins[name]
+        if name in (units or {}):
+            hand.description = f"{name} ({units[name]})"
+    picture = ipywidgets.HTML()
     message = ipywidgets.HTML(style={"text_color": "#b3261e"})  # a Label would cut a long message
 
     def redraw(values: dict[str, object]) -> None:
         message.value = _DRAWING
         try:
-            picture.value = _png(draw(**values))
+            picture.value = _shown(draw(**values))
             message.value = ""
         except Exception as error:  # whatever the experiment raises is for the person who turned the knob
             message.value = html.escape(f"{type(error).__name__}: {error}")
 
     def now() -> dict[str, object]:
-        return {hand.description: hand.value for hand in hands}
+        return {name: hand.value for name, hand in hands.items()}
 
     turn = _newest(redraw)
-    for hand in hands:
+    for hand in hands.values():
         hand.style.description_width = "initial"
         hand.continuous_update = False
         hand.observe(lambda change: turn(now()), names="value")
     redraw(now())
-    return ipywidgets.VBox([picture, message, *hands])
+    return ipywidgets.VBox([picture, message, *hands.values()])
 
 
-def _png(picture: np.ndarray | Figure) -> bytes:
+def _shown(picture: np.ndarray | Figure | Film) -> str:
+    """HTML of a picture no higher than fits the window; its shape is said, so that what is below stays in place."""
+    if isinstance(picture, Film):
+        return picture._repr_html_()
     buffer = io.BytesIO()
     if isinstance(picture, Figure):
         picture.savefig(buffer, format="png", dpi=100, bbox_inches="tight")
     else:
         Image.fromarray(picture).save(buffer, "png")
-    return buffer.getvalue()
+    width, height = Image.open(buffer).size
+    data = base64.b64encode(buffer.getvalue()).decode()
+    room = f"width: {width}px; aspect-ratio: {width} / {height}; max-width: min(100%, {60 * width / height:.0f}vh)"
+    return f'<img style="{room}" src="data:image/png;base64,{data}">'

@@ -5,8 +5,10 @@ from __future__ import annotations
 import html
 import time
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from itertools import groupby
 
+from motionlab.body import BodyModel
 from motionlab.motion import Motion
 from motionlab.viz.interactive import Player, _newest
 from motionlab.viz.movie import stage
@@ -22,6 +24,8 @@ def keyframe_editor(
     fill: Callable[[Collection[int], list[str], str], tuple[Motion, Sequence[str]]],
     export: Callable[[Motion, str], str],
     *,
+    dress: Callable[[Motion], Motion] = lambda motion: motion,
+    body: BodyModel | None = None,
     joints: Sequence[str] = (),
     methods: Sequence[str] = (),
     keys: str = "0,last",
@@ -36,6 +40,7 @@ def keyframe_editor(
     Args:
         read: keys as text to frame numbers. fill: (frames that stay, joints that stay, method or "") to the motion
             made, of the same skeleton and length, and notes. export: (motion, file name) to what is to be said.
+        dress: a motion to what is shown of it, of the body's joints where a ``body`` is drawn instead of the figure.
         joints: to choose from. methods: to choose from, besides the default. keys, target: at first.
         backend: of the view, as of ``slider``: "picture" or "trame".
 
@@ -55,7 +60,9 @@ def keyframe_editor(
         frame = min(step, last)
         return f"frame {frame} of {last}, {frame / motion.fps:.2f} s{', kept' if frame in kept else ''}"
 
-    scene, seconds = stage({"given": motion, "in between": motion}, None, None, _SIZE, follow=True)
+    given = dress(motion)
+    panels = {"given": given, "in between": replace(given)}  # two motions: one is exchanged, the other is its ghost
+    scene, seconds = stage(panels, {"given": "truth"}, body, _SIZE, follow=True, ghost=given)
     player = Player(scene, seconds, backend, steps=max(last, 1), words=words)
     player.hand.layout, player.clock.layout = {"width": "auto", "margin": "0"}, {"width": "15em", "margin": "2px 12px"}
     strip = ipywidgets.HTML(layout={"width": "auto", "margin": "0"})
@@ -95,7 +102,7 @@ def keyframe_editor(
         kept.clear()
         kept.update(now)
         strip.value = _strip(kept, motion.frames)
-        scene.exchange(made["motion"], panel=1)
+        scene.exchange(dress(made["motion"]), panel=1)
         player.draw(player.hand.value)
         mark()
         count = motion.frames - len(kept)
@@ -145,7 +152,7 @@ def keyframe_editor(
         titled("joints kept in all frames (Ctrl-click: several, or none)", chosen, width="50%"),
         ipywidgets.VBox([titled(title, hand, width="100%") for title, hand in right], layout={"width": "50%"}),
     ]
-    buttons = ipywidgets.HBox([player.play, before, after, keep, player.clock])
+    buttons = ipywidgets.HBox([player.play, before, after, keep, player.clock, *player.turns])
     time_line = ipywidgets.VBox([player.hand, strip, buttons], layout=wide)
     box = ipywidgets.VBox([player.view, time_line, ipywidgets.HBox(below, layout=wide), message])
     box.hands = {"player": player, "frames": frames, "keep": keep, "previous": before, "next": after}

@@ -9,6 +9,8 @@ import numpy as np
 import pyvista as pv
 from scipy.sparse import csr_array
 from torch import Tensor
+from vtkmodules.vtkCommonCore import vtkInformation
+from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLActor
 
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
@@ -238,6 +240,10 @@ def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 
         look = {"scalars": "paint", "rgb": True}
     else:
         look = {"color": paint}
+    if opacity < 1:  # first its depth alone: what lies inside or on the far side must not show through
+        deep = vtkInformation()
+        deep.Set(vtkOpenGLActor.GLDepthMaskOverride(), 1)
+        plotter.add_mesh(mesh, opacity=1e-3, reset_camera=False).SetPropertyKeys(deep)
     actor = plotter.add_mesh(mesh, opacity=opacity, reset_camera=False, **look, **SKIN)
     actor.prop.interpolation = "Phong"
     return actor
@@ -292,6 +298,14 @@ def add_title(plotter: pv.Plotter, text: str, height: int) -> None:
 def add_caption(plotter: pv.Plotter, height: int):
     """Adds a line of text in the lower left corner; set it with ``.set_text("lower_left", ...)``."""
     return plotter.add_text(" ", position="lower_left", font_size=max(round(height / 60), 6), color=INK, font="arial")
+
+
+def add_note(plotter: pv.Plotter, text: str, height: int):
+    """Adds a line of text in the lower right corner; returns its actor, hidden."""
+    size = max(round(height / 60), 6)
+    actor = plotter.add_text(text, position="lower_right", font_size=size, color=INK, font="arial")
+    actor.SetVisibility(False)
+    return actor
 
 
 def add_label(plotter: pv.Plotter, point: np.ndarray, text: str, height: int) -> None:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import base64
 import io
+import os
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -13,6 +16,7 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
+from tqdm.auto import tqdm
 
 from motionlab import viz
 from motionlab.body import BodyModel
@@ -25,7 +29,7 @@ from motionlab.viz.palette import ROLE, colour, side_of, sides
 from motionlab.viz.scene import Scene
 
 Mesh = tuple[Tensor, Tensor]  # vertices (1, V, 3), faces (F, 3)
-_WOOD = "#b9a88f"
+_WOOD, _GHOST = "#b9a88f", (0.35, 0.35, 0.35)
 _DRAFT = 5  # pictures of a film that is only drawn to see that it draws
 _HANDLE = (0.835, 0.369, 0.0)  # vermillion: seen beside every role
 _ARMS_LEGS = [
@@ -47,28 +51,12 @@ def side_by_side(
     *,
     roles: Mapping[str, str],
     things: Sequence[Mesh] = (),
-    seconds: float | None = None,
     size: tuple[int, int] | None = None,
     fps: float = 12.0,
     speed: float = 0.6,
-    azimuth: float | None = None,
 ) -> Film:
-    """Writes a film with one panel per motion (label -> one clip) and the things that stood in the way in each."""
-    scene, whole = stage(motions, roles, size=size, azimuth=azimuth)
-    with scene:
-        for panel in range(len(motions)):
-            for vertices, faces in things:
-                scene.mesh(vertices[0].numpy(), faces.numpy(), _WOOD, opacity=0.35, panel=panel)
-        clock = scene.caption()
-        whole = min(seconds or whole, whole)
-        count = len(np.arange(0.0, whole + 1e-6, speed / fps))
-        times = drawn(np.arange(count) * speed / fps)
-        pictures = []
-        for now in times:
-            clock(f"{now:.1f} s  ({speed:g} x life)")
-            pictures.append(scene.image(float(now)))
-    frames, rate, size_on_disk = write_film(pictures, path, fps * len(pictures) / count, budget=450_000)
-    return Film(Path(path), frames, rate, whole, speed, size_on_disk)
+    """Writes a GIF of :func:`film` with one panel per motion (label -> one clip), slower than life, of any length."""
+    return film(motions, path, roles=roles, things=things, size=size, fps=fps, speed=speed, most=10_000)
 
 
 def drawn(times: np.ndarray) -> np.ndarray:
@@ -154,25 +142,40 @@ def stage(
     roles: Mapping[str, str] | None = None,
     body: BodyModel | None = None,
     size: tuple[int, int] | None = None,
+    *,
+    things: Sequence[Mesh] = (),
+    ghost: Motion | None = None,
     **view,
 ) -> tuple[Scene, float]:
     """Builds a scene with a floor and one panel per motion; returns it and the seconds until the longest has ended.
 
     The arguments are those of :func:`film`; ``view`` goes to :class:`~motionlab.viz.scene.Scene`.
     """
-    panels = {"": motions} if isinstance(motions, Motion) else dict(motions)
-    if not panels:
-        raise ShapeError("no motions to show")
-    roles = {label: label if label in ROLE else "ours" for label in panels} | dict(roles or {})
+    panels, roles = _cast(motions, roles)
     seconds = max((single(motion).frames - 1) / motion.fps for motion in panels.values())
     size = size or {1: (480, 360), 2: (640, 340)}.get(len(panels), (240 * len(panels), 320))
     scene = Scene(size, panels=tuple(panels), **view).floor()
-    for index, (label, motion) in enumerate(panels.items()):
-        if body is None:
-            scene.skeleton(motion, roles[label], panel=index)
-        else:
-            scene.body(body, motion, roles[label], panel=index)
+    for panel, (label, motion) in enumerate(panels.items()):
+        _add(scene, motion, roles[label], body, None if motion is ghost else ghost, panel=panel)
+        for vertices, faces in things:
+            scene.mesh(vertices[0].numpy(), faces.numpy(), _WOOD, opacity=0.35, framed=False, panel=panel)
     return scene, seconds
+
+
+def _cast(motions, roles) -> tuple[dict[str, Motion], dict[str, str]]:
+    """Label -> motion, and label -> role."""
+    panels = {"": motions} if isinstance(motions, Motion) else dict(motions)
+    if not panels:
+        raise ShapeError("no motions to show")
+    return panels, {label: label if label in ROLE else "ours" for label in panels} | dict(roles or {})
+
+
+def _add(scene: Scene, motion: Motion, role, body: BodyModel | None, ghost: Motion | None, **how) -> None:
+    """A motion and, translucent, what it is compared with."""
+    add = scene.skeleton if body is None else partial(scene.body, body)
+    add(motion, role, **how)
+    if ghost is not None:
+        add(ghost, _GHOST, **how | {"opacity": 0.35, "shadow": 0, "framed": False})
 
 
 def film(
@@ -181,12 +184,15 @@ def film(
     *,
     roles: Mapping[str, str] | None = None,
     body: BodyModel | None = None,
+    things: Sequence[Mesh] = (),
+    ghost: Motion | None = None,
     size: tuple[int, int] | None = None,
     fps: float | None = None,
     speed: float = 1.0,
     most: int | None = None,
     follow: bool = False,
     azimuth: float | None = None,
+    progress: bool | None = None,
 ) -> Film:
     """Writes motions side by side in sync, each under its label, as an MP4 or a GIF.
 
@@ -194,31 +200,40 @@ def film(
         motions: one, or label -> motion. A label that names a role has its colour, others are "ours";
             ``roles`` (label -> role) says otherwise.
         body: a ``BodyModel`` to show its skin instead of the mannequin.
+        things: what stood there and hid somebody, translucent in every panel: see :func:`meshes`.
+        ghost: a motion that stands, grey and translucent, in every other panel than its own: the truth.
         size: of the whole picture; of an MP4 480 x 420 for each motion, of a GIF 480 x 360 for one motion, 320 x 340
             for each of two, 240 x 320 for each of more.
         fps: pictures per second; by default the motion's own rate, 30 at most, and 12.5 in a GIF. speed: times life.
         most: pictures, 300 by default and 60 in a GIF; a longer motion plays faster, and the caption says by how much.
         follow, azimuth: see :class:`~motionlab.viz.scene.Scene`. A view that follows makes a larger GIF.
+        progress: a bar; by default where somebody watches.
 
     Raises:
         ShapeError: no motions, a batch of them, or one without frames. KeyError: an unknown role.
     """
-    shown = [motions] if isinstance(motions, Motion) else list(motions.values())
-    if Path(path).suffix == ".mp4":
+    shown, path = [motions] if isinstance(motions, Motion) else list(motions.values()), Path(path)
+    if path.suffix == ".mp4":
         size, most = size or (480 * len(shown), 420), most or 300
         fps = fps or min(30.0, max((m.fps for m in shown), default=30.0))
     fps, most = fps or 12.5, most or 60
-    scene, seconds = stage(motions, roles, body, size, follow=follow, azimuth=azimuth)
+    scene, seconds = stage(motions, roles, body, size, things=things, ghost=ghost, follow=follow, azimuth=azimuth)
     count = min(int(seconds / speed * fps + 1e-6) + 1, most)
     pace = max(speed, seconds * fps / most)
+    off = not (_watched() if progress is None else progress)
     with scene:
         clock = scene.caption()
         pictures = []
-        for now in drawn(np.arange(count) * pace / fps):
+        for now in tqdm(drawn(np.arange(count) * pace / fps), f"film {path.name}", leave=False, disable=off):
             clock(f"{now:.1f} s" + (f"  ({pace:.1f} x life)" if abs(pace - 1) > 0.05 else ""))
             pictures.append(scene.image(float(now)))
     frames, rate, size_on_disk = write_film(pictures, path, fps * len(pictures) / count)  # a draft keeps its length
-    return Film(Path(path), frames, rate, seconds, pace, size_on_disk, jpeg(pictures[len(pictures) // 2]))
+    return Film(path, frames, rate, seconds, pace, size_on_disk, jpeg(pictures[len(pictures) // 2]))
+
+
+def _watched() -> bool:
+    """Whether somebody sees a bar: in a terminal, or in a notebook that is not run in a batch."""
+    return not os.environ.get("MOTIONLAB_BATCH") and ("ipykernel" in sys.modules or sys.stderr.isatty())
 
 
 def jpeg(picture: np.ndarray, quality: int = 80) -> bytes:
@@ -229,35 +244,50 @@ def jpeg(picture: np.ndarray, quality: int = 80) -> bytes:
 
 
 def strip(
-    motion: Motion,
+    motions: Motion | Mapping[str, Motion],
     n: int = 8,
     role: str | tuple = "ours",
     *,
+    roles: Mapping[str, str] | None = None,
     body: BodyModel | None = None,
+    ghost: Motion | None = None,
     size: tuple[int, int] = (1200, 330),
-    azimuth=None,
+    azimuth: float | None = None,
 ) -> np.ndarray:
     """Draws ``n`` poses evenly through time, side by side in one picture (H, W, 3), each over its time in seconds.
 
-    Travel is taken out; heights above the floor are kept.
+    Travel is taken out; heights above the floor are kept, and who flies off leaves the picture. Several motions
+    (label -> motion) are rows of ``size`` each, in colours as of :func:`film`; a ``ghost`` stands as far off as it is.
     """
+    if not isinstance(motions, Motion):
+        panels, roles = _cast(motions, roles)
+        if azimuth is None:
+            azimuth = _across(next(iter(panels.values())), size)
+        rows = [(label, motion, roles[label], None if motion is ghost else ghost) for label, motion in panels.items()]
+    else:
+        rows = [("", motions, role, ghost)]
+    return np.concatenate([_row(*row, n, body, size, azimuth) for row in rows])
+
+
+def _across(motion: Motion, size: tuple[int, int]) -> float:
+    return viewpoint.good_azimuth(mannequin.array(motion.root), viewpoint.left_of(motion), size[0] / size[1])
+
+
+def _row(label, motion, role, ghost, n, body, size, azimuth) -> np.ndarray:
     frames = np.linspace(0, single(motion).frames - 1, n).round().astype(int)
-    if azimuth is None:
-        azimuth = viewpoint.good_azimuth(mannequin.array(motion.root), viewpoint.left_of(motion), size[0] / size[1])
+    azimuth = _across(motion, size) if azimuth is None else azimuth
     turn = np.radians(azimuth)
     towards, right = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
-    with Scene(size, azimuth=azimuth, elevation=6.0, footroom=0.13) as scene:
+    with Scene(size, panels=(label,), azimuth=azimuth, elevation=6.0, footroom=0.13) as scene:
         reach = mannequin.array(motion.positions[frames]) - mannequin.array(motion.root[frames])[:, None]
         side = reach @ right
         gap = 0.25
         step = np.concatenate(([0.0], np.cumsum(side.max(1)[:-1] - side.min(1)[1:] + gap)))
-        for place, frame in zip(step, frames, strict=True):
+        height = mannequin.array(motion.root[frames, 2])
+        for place, frame, near in zip(step, frames, height < height.min() + 1.5, strict=True):
             home = torch.tensor(place * right - [*mannequin.array(motion.root[frame, :2]), 0.0]).to(motion.root)
-            here = replace(motion, root=motion.root + home)
-            if body is None:
-                scene.skeleton(here, role, frame=int(frame))
-            else:
-                scene.body(body, here, role, frame=int(frame))
+            here, beside = (m and replace(m, root=m.root + home) for m in (motion, ghost))
+            _add(scene, here, role, body, beside, frame=int(frame), framed=near)
             scene.label(place * right + 0.25 * towards, f"{frame / motion.fps:.2f} s")
         return scene.floor().image()
 

@@ -19,7 +19,6 @@ from functools import lru_cache, partial
 import numpy as np
 import pyvista as pv
 import torch
-from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from motionlab import viz
@@ -27,17 +26,15 @@ from motionlab.body import BodyModel, lbs
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.observation import Camera
+from motionlab.tailoring import tailored
 from motionlab.viz import mannequin, viewpoint
-from motionlab.viz.palette import LINE, PAPER, TILE, blend, colour
+from motionlab.viz.ground import Shadow, floor_tiles
+from motionlab.viz.palette import LINE, PAPER, blend, colour
 
 # It comes with CUDA builds of torch. Loaded after Mesa's LLVM, it kills the process.
 with contextlib.suppress(ImportError, OSError):
     importlib.import_module("triton._C.libtriton")
 
-_TILE = 0.5  # metres
-_FLOOR_Z, _SHADOW_Z = -0.008, -0.003  # metres below the floor: soles stay on top, layers do not fight
-_CELLS, _WIDTH = 144, 3.6  # cells of the square that carries a shadow; its least width, metres
-_LIGHT = np.array([0.10, -0.16])  # metres a shadow moves sideways per metre of height
 #: What gives Debian and Ubuntu a window to draw into.
 RENDERING_PACKAGES = "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri libglx-mesa0 libxrender1"
 RENDERING_REMEDY = f"apt-get update && apt-get install -y {RENDERING_PACKAGES}"
@@ -104,10 +101,11 @@ class Scene:
         if viz.draft:
             self.plotter.render_window.SetMultiSamples(0)
         self._updates: list[Callable[[float], None]] = []
-        self._figures: dict[int, tuple[list[np.ndarray], int]] = {}  # panel -> what moves its last one, place in _seen
-        self._exchanged = 0  # times a figure got another motion
+        self._figures: dict[int, tuple[list[Motion], int]] = {}  # panel -> motion of its last one, place in _seen
         self._eyes: dict[int, tuple] = {}  # panel -> where its eye was put and what it looks at
+        self._hand: tuple[np.ndarray, np.ndarray] | None = None  # eye from what it looks at, and that from the subject
         self._seen: list[list[tuple[np.ndarray, float]]] = [[] for _ in panels]  # paths (T, M, 3) and their fps
+        self._gone: list[pv.CornerAnnotation] = []  # what a panel says whose people are all out of it
         self._left: np.ndarray | None = None
         self._floors: set[int] = set()
         self._framing: viewpoint.Framing | None = None
@@ -117,6 +115,7 @@ class Scene:
             if not viz.draft:
                 plotter.enable_anti_aliasing("ssaa", all_renderers=False)
             mannequin.add_lights(plotter)
+            self._gone.append(mannequin.add_note(plotter, "left the picture", size[1]))
             if label:
                 mannequin.add_title(plotter, label, size[1])
 
@@ -138,39 +137,43 @@ class Scene:
         return self
 
     def skeleton(
-        self, motion: Motion, role: str | tuple = "ours", *, frame: int | None = None, shadow=0.42, panel: int = 0
+        self,
+        motion: Motion,
+        role: str | tuple = "ours",
+        *,
+        frame: int | None = None,
+        shadow: float = 0.42,
+        opacity: float = 1.0,
+        framed: bool = True,
+        panel: int = 0,
     ) -> Scene:
         """Adds a figure with volume, its left side light and its right side dark.
 
         ``frame`` holds one frame; by default the figure moves with the scene's time. ``shadow`` is how dark its
-        shadow is, 0 for none.
+        shadow is, 0 for none. What is not ``framed`` does not decide where the eye stands.
         """
         figure = mannequin.build(mannequin.single(motion).skeleton, colour(role))
-        world = list(map(mannequin.array, motion.world))
 
-        def shape(index: int) -> tuple[np.ndarray, np.ndarray]:
-            return figure.pose(world[0][index], world[1][index])
+        def shape(now: Motion, index: int) -> tuple[np.ndarray, np.ndarray]:
+            return figure.pose(*(mannequin.array(whole[index]) for whole in now.world))
 
         def show(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor:
-            return mannequin.add_surface(plotter, mesh, figure.colours)
+            return mannequin.add_surface(plotter, mesh, figure.colours, opacity)
 
-        self._surface(motion, shape, figure.faces, show, frame, shadow, panel)
-        if frame is None:
-            self._figures[panel] = (world, len(self._seen[panel]) - 1)
-        return self
+        return self._surface(motion, shape, figure.faces, show, frame, shadow, panel, framed=framed)
 
     def exchange(self, motion: Motion, *, panel: int = 0) -> Scene:
-        """Puts another motion, of the same skeleton and length, into a panel's last figure; nothing is built anew.
+        """Puts another motion, of as many joints and frames, into a panel's last framed figure or body that moves.
 
         Raises:
             ShapeError: other joints, or more or fewer frames.
         """
-        (world, place), now = self._figures[panel], list(map(mannequin.array, mannequin.single(motion).world))
-        if world[0].shape != now[0].shape:
-            raise ShapeError(f"motion: expected places {world[0].shape} as of the figure, got {now[0].shape}")
-        world[:] = now
-        self._exchanged += 1
-        self._seen[panel][place] = (now[0], motion.fps)
+        held, place = self._figures[panel]
+        was, now = (mannequin.array(m.positions) for m in (held[0], mannequin.single(motion)))
+        if was.shape != now.shape:
+            raise ShapeError(f"motion: expected places {was.shape} as of the figure, got {now.shape}")
+        held[0] = motion
+        self._seen[panel][place] = (now, motion.fps)
         self._framing = None
         return self
 
@@ -186,6 +189,8 @@ class Scene:
         cmap: str = "viridis",
         frame: int | None = None,
         shadow: float = 0.42,
+        opacity: float = 1.0,
+        framed: bool = True,
         panel: int = 0,
         shown: Sequence[bool] | None = None,
     ) -> Scene:
@@ -199,45 +204,57 @@ class Scene:
 
         def show(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor | None:
             if field is None:
-                return mannequin.add_surface(plotter, mesh, paint)
+                return mannequin.add_surface(plotter, mesh, paint, opacity)
             return mannequin.add_field(plotter, mesh, mannequin.array(field), title, limits, cmap)
 
-        return self._surface(motion, partial(_skin, body, motion), faces, show, frame, shadow, panel, shown)
+        return self._surface(motion, partial(_skin, body), faces, show, frame, shadow, panel, shown, framed)
 
-    def _surface(self, motion, shape, faces, show, frame, shadow, panel, there=None) -> Scene:
+    def _surface(self, motion, shape, faces, show, frame, shadow, panel, there=None, framed=True) -> Scene:
         if frame is not None and not -motion.frames <= frame < motion.frames:
             raise IndexError(f"frame {frame}: the motion has {motion.frames}")
-        plotter, positions = self._panel(panel), mannequin.array(motion.positions)
+        plotter, held = self._panel(panel), [motion]
         shown = 0 if frame is None else frame % motion.frames
-        drawn = (shown, self._exchanged)
+        drawn = (shown, motion)
         if self._left is None:
             self._left = viewpoint.left_of(motion.cut(shown, shown + 1))
-        points, normals = shape(shown)
+        points, normals = shape(motion, shown)
         mesh = mannequin.surface(points, faces, normals)
-        shade = _Shadow(plotter, points, faces, shadow) if shadow else None
+        shade = Shadow(plotter, points, faces, shadow) if shadow else None
         actors = [show(plotter, mesh), *([shade.actor] if shade else [])]
 
         def update(seconds: float) -> None:
             nonlocal drawn
-            index = int(np.clip(round(seconds * motion.fps), 0, motion.frames - 1))
+            now = held[0]
+            index = int(np.clip(round(seconds * now.fps), 0, now.frames - 1))
             if there is not None:
                 for actor in actors:
                     actor.SetVisibility(bool(there[index]))
-            if (index, self._exchanged) != drawn:
-                drawn = (index, self._exchanged)
-                points, normals = shape(index)
+            if (index, now) != drawn:
+                drawn = (index, now)
+                points, normals = shape(now, index)
                 mannequin.move_surface(mesh, points, normals)
                 if shade:
                     shade.move(points)
 
+        positions = mannequin.array(motion.positions)
         if frame is None:
             self._updates.append(update)
             update(self.seconds)
-            return self._watch(panel, positions, motion.fps)
-        return self._watch(panel, positions[shown][None])
+            if framed:
+                self._figures[panel] = (held, len(self._seen[panel]))
+        return self._watch(panel, positions if frame is None else positions[[shown]], motion.fps) if framed else self
 
     def mesh(
-        self, vertices, faces, paint: str | tuple = LINE, *, fps: float = 30.0, opacity=1.0, shadow=0.0, panel: int = 0
+        self,
+        vertices,
+        faces,
+        paint: str | tuple = LINE,
+        *,
+        fps: float = 30.0,
+        opacity: float = 1.0,
+        shadow: float = 0.0,
+        framed: bool = True,
+        panel: int = 0,
     ) -> Scene:
         """Adds a mesh of faces (F, 3) that stands still, (V, 3) metres, or moves, (T, V, 3) at ``fps``: a table."""
         path, faces, plotter = np.asarray(vertices, float), np.asarray(faces), self._panel(panel)
@@ -247,7 +264,7 @@ class Scene:
             from trimesh import remesh  # half a second, and a film of people has no mesh
 
             fine, finer = (path[0], faces) if len(path) > 1 else remesh.subdivide_to_size(path[0], faces, max_edge=0.08)
-            shade = _Shadow(plotter, fine, finer, shadow)
+            shade = Shadow(plotter, fine, finer, shadow)
         mesh = pv.PolyData.from_regular_faces(path[0].copy(), faces)
         plotter.add_mesh(mesh, color=paint, opacity=opacity, reset_camera=False, **mannequin.SKIN)
 
@@ -258,7 +275,7 @@ class Scene:
 
         if len(path) > 1:
             self._updates.append(update)
-        return self._watch(panel, path, fps)
+        return self._watch(panel, path, fps) if framed else self
 
     def points(self, points, role: str | tuple = "observation", *, radius: float = 0.02, panel: int = 0) -> Scene:
         """Adds still markers at (N, 3) metres."""
@@ -306,7 +323,7 @@ class Scene:
             footroom=self.footroom,
         )
         for panel in self._floors:
-            tiles = _floor_tiles(self._framing.centres[panel], self._framing.radii[panel])
+            tiles = floor_tiles(self._framing.centres[panel], self._framing.radii[panel])
             self._panel(panel).add_mesh(
                 tiles,
                 scalars="paint",
@@ -319,29 +336,48 @@ class Scene:
 
     def at(self, seconds: float) -> Scene:
         """Moves everything to a time."""
+        turned = self.heed()
         self.seconds, fresh = float(seconds), self._framing is None
         for update in self._updates:
             update(self.seconds)
         if fresh:
             self._arrange()
-        if fresh or self.follow:
-            for panel, renderer in enumerate(self.plotter.renderers):
-                if self.camera:
-                    viewpoint.match_camera(renderer.camera, self.camera)
-                else:
-                    self._aim(renderer.camera, panel)
-                renderer.camera_set = True
+        if fresh or turned or self.follow:
+            self._aim()
+        for seen, words, renderer in zip(self._seen, self._gone, self.plotter.renderers, strict=True):
+            moving = [path[min(round(self.seconds * fps), len(path) - 1)] for path, fps in seen if len(path) > 1]
+            words.SetVisibility(
+                bool(moving and not self.camera) and not self._framing.sees(renderer.camera, np.concatenate(moving))
+            )
         return self
 
-    def _aim(self, eye: pv.Camera, panel: int) -> None:
-        """Moves the eye of a panel to where it belongs; one that a hand has turned meanwhile travels on, turned."""
-        found, up = (eye.position, eye.focal_point), eye.up
-        was = self._eyes.get(panel, found)
-        self._framing.aim(eye, panel, self.seconds)
-        self._eyes[panel] = (eye.position, eye.focal_point)
-        if found != was:
-            travel = np.subtract(eye.focal_point, was[1])
-            eye.position, eye.focal_point, eye.up = found[0] + travel, found[1] + travel, up
+    def _aim(self) -> None:
+        for panel, renderer in enumerate(self.plotter.renderers):
+            eye = renderer.camera
+            if self.camera:
+                viewpoint.match_camera(eye, self.camera)
+            else:
+                self._framing.aim(eye, panel, self.seconds, self._hand)
+                self._eyes[panel] = (eye.position, eye.focal_point)
+            renderer.camera_set = True
+
+    def heed(self) -> bool:
+        """Turns the eyes of all panels as a hand has turned one of them since they were put; says whether one has.
+
+        All stay upright, above the floor and near the subject, and travel on with it, turned.
+        """
+        for panel, put in self._eyes.items():
+            eye = self.plotter.renderers[panel].camera
+            if (eye.position, eye.focal_point) != put and self._framing:
+                self._hand = self._framing.reached(eye, panel, self.seconds)
+                self._aim()
+                return True
+        return False
+
+    def turn(self, degrees: float) -> Scene:
+        """Turns all eyes around the subject, to the right as it is seen from above."""
+        self.plotter.renderers[0].camera.Azimuth(degrees)
+        return self
 
     def image(self, seconds: float | None = None) -> np.ndarray:
         """Draws the picture (H, W, 3) uint8 at a time, the present one by default."""
@@ -360,88 +396,10 @@ class Scene:
         self.close()
 
 
-def _floor_tiles(centre: np.ndarray, radius: float) -> pv.PolyData:
-    """A checkerboard of 0.5 m tiles on the world's grid, colours in cell_data "paint", that fades into the paper."""
-    low = np.floor((np.asarray(centre[:2]) - radius) / _TILE).astype(int)
-    count = int(np.ceil(2 * radius / _TILE)) + 1
-    fine = 2  # cells per tile: a smoother fade
-    step = _TILE / fine
-    i, j = np.meshgrid(np.arange(count * fine), np.arange(count * fine), indexing="ij")
-    corner = low * _TILE + np.stack((i, j), -1).reshape(-1, 2) * step
-    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * step
-    points = np.full((len(corner), 4, 3), _FLOOR_Z)
-    points[..., :2] = corner[:, None] + square
-    odd = ((low[0] + i // fine + low[1] + j // fine) % 2).reshape(-1, 1)
-    away = np.linalg.norm(corner + step / 2 - np.asarray(centre[:2]), axis=-1, keepdims=True) / radius
-    fade = np.clip((away - 0.35) / 0.65, 0, 1)
-    fade = fade * fade * (3 - 2 * fade)
-    dark, light = np.array(blend(TILE, TILE, 0)), np.array(blend(TILE, "white", 0.75))
-    rgb = (1 - fade) * np.where(odd, light, dark) + fade * np.array(blend(PAPER, PAPER, 0))
-    faces = np.insert(np.arange(4 * len(corner)).reshape(-1, 4), 0, 4, axis=1)
-    mesh = pv.PolyData(points.reshape(-1, 3), faces.ravel())
-    mesh.cell_data["paint"] = (255 * rgb).round().astype(np.uint8)
-    return mesh
-
-
-def _vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """A third of the area of the faces around each vertex, square metres (V,)."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=-1) / 6
-    return np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))
-
-
-def _darkness(points: np.ndarray, areas: np.ndarray, centre: np.ndarray, width: float = _WIDTH) -> np.ndarray:
-    """How much light a surface keeps from the floor around ``centre``, (cells, cells) in 0..1, row = y.
-
-    The surface is splatted on the floor with its area; what is high is blurred widely, what touches
-    sharply, so contact is visible.
-    """
-    height = np.clip(points[:, 2], 0, None)
-    at = (points[:, :2] + height[:, None] * _LIGHT - centre[:2]) / width + 0.5
-    cell = np.floor(at * _CELLS).astype(int)
-    inside = ((cell >= 0) & (cell < _CELLS)).all(1)
-    flat = np.where(inside, cell[:, 1] * _CELLS + cell[:, 0], 0)
-    low, areas = np.exp(-((height / 0.18) ** 2)), areas * inside
-    unit = (width / _CELLS) ** 2
-    layers = []
-    for share, sigma, gain in ((low, 0.022, 0.9), (1 - low, 0.075, 0.55)):
-        splat = np.bincount(flat, areas * share, minlength=_CELLS**2).reshape(_CELLS, _CELLS) / unit
-        layers.append(gain * gaussian_filter(splat, sigma * _CELLS / width, mode="constant", truncate=2.5))
-    return 1 - np.exp(-sum(layers))
-
-
-class _Shadow:
-    """A translucent square on the floor that follows one surface (V, 3), (F, 3); ``move`` redraws it in place."""
-
-    def __init__(self, plotter: pv.Plotter, points: np.ndarray, faces: np.ndarray, strength: float) -> None:
-        self.areas, self.strength = _vertex_areas(points, faces), strength
-        self.width = max(_WIDTH, float(np.ptp(points[:, :2], axis=0).max()) + 1.5)
-        self.square = pv.PolyData(np.zeros((4, 3)), [4, 0, 1, 2, 3])
-        self.square.active_texture_coordinates = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
-        self.pixels = pv.ImageData(dimensions=(_CELLS, _CELLS, 1))
-        rgba = np.zeros((_CELLS * _CELLS, 4), np.uint8)
-        rgba[:, :3] = (36, 40, 52)
-        self.pixels.point_data.set_scalars(rgba, "rgba")
-        texture = pv.Texture(self.pixels)
-        texture.interpolate = True
-        self.actor = plotter.add_mesh(self.square, texture=texture, lighting=False, reset_camera=False)
-        self.move(points)
-
-    def move(self, points: np.ndarray) -> None:
-        """Redraw for the surface's vertices (V, 3), world."""
-        centre = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
-        alpha = 255 * self.strength * _darkness(points, self.areas, centre, self.width)
-        self.pixels.point_data["rgba"][:, 3] = alpha.ravel()
-        self.pixels.GetPointData().GetScalars().Modified()
-        self.pixels.Modified()
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.width / 2 + centre
-        self.square.points = np.column_stack((corners, np.full(4, _SHADOW_Z)))
-
-
 @lru_cache(maxsize=16)  # a film draws a frame of several people twice: over the footage and from the side
 def _skin(body: BodyModel, motion: Motion, index: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) of a frame and their normals."""
     with torch.no_grad():
         now = motion.cut(index, index + 1)
-        skin = mannequin.array(lbs(body, now.skeleton, now.root, now.rot)[0])
+        skin = mannequin.array(lbs(tailored(body, now.skeleton), now.skeleton, now.root, now.rot)[0])
     return skin, mannequin.vertex_normals(skin, body.faces.cpu().numpy())

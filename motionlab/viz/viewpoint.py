@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,12 @@ from motionlab.observation import Camera
 from motionlab.viz.mannequin import array
 from motionlab.viz.palette import side_of
 
+_UP, _BESIDE, _AROUND = (
+    0.7,
+    1.2,
+    2.5,
+)  # metres that somebody may be off: in height, an eye that follows, one that stands
+_CLOSEST, _FARTHEST, _ASIDE = 0.3, 2.5, 0.25  # of the distance that was chosen: what a hand may make of it
 _NEAR, _FAR = 0.1, 100.0  # metres; 24 bits of depth still tell 1 mm apart at 20 m
 _HIGH, _WIDE = np.tan(np.radians((14.0, 17.0)))  # half the view at most: a long lens bends a body little
 
@@ -27,18 +34,48 @@ class Framing:
     towards: np.ndarray
     distance: float
     aspect: float
-    targets: list[np.ndarray]
+    targets: Sequence[np.ndarray]
     tracks: list[tuple[np.ndarray, float]]
     centres: list[np.ndarray]
     radii: list[float]
 
-    def aim(self, eye: pv.Camera, panel: int, seconds: float) -> None:
-        """Moves the eye of a panel to where it belongs at a time."""
-        target = self.targets[panel]
-        if self.tracks:
-            track, fps = self.tracks[panel]
-            target = target + track[int(np.clip(round(seconds * fps), 0, len(track) - 1))]
-        _aim(eye, target, self.towards, self.distance, self.aspect)
+    def target(self, panel: int, seconds: float) -> np.ndarray:
+        """Returns what the eye of a panel looks at (3,) at a time, if no hand has turned it."""
+        if not self.tracks:
+            return self.targets[panel]
+        track, fps = self.tracks[panel]
+        return self.targets[panel] + track[int(np.clip(round(seconds * fps), 0, len(track) - 1))]
+
+    def aim(self, eye: pv.Camera, panel: int, seconds: float, hand: tuple[np.ndarray, np.ndarray] | None) -> None:
+        """Moves the eye of a panel to where it belongs at a time, or where a hand has put it: as from ``reached``."""
+        offset, shift = hand or (self.distance * self.towards, np.zeros(3))
+        focal = self.target(panel, seconds) + shift
+        eye.position, eye.focal_point, eye.up = focal + offset, focal, (0.0, 0.0, 1.0)
+        eye.view_angle = float(np.degrees(2 * np.arctan(_half_angle(self.aspect))))
+        eye.clipping_range = max(_NEAR, 0.1 * np.linalg.norm(offset)), 5 * self.distance + 80
+
+    def reached(self, eye: pv.Camera, panel: int, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+        """Computes where a hand has put an eye: from what it looks at, and that from where it looked, both (3,).
+
+        Not below the floor, and neither nearer, farther nor more to the side than that the subject is seen.
+        """
+        shift = eye.focal_point - self.target(panel, seconds)
+        shift *= min(1.0, _ASIDE * self.distance / max(np.linalg.norm(shift), 1e-9))
+        offset = np.subtract(eye.position, eye.focal_point)
+        far = np.linalg.norm(offset)
+        offset *= np.clip(far / self.distance, _CLOSEST, _FARTHEST) * self.distance / max(far, 1e-9)
+        offset[2] = max(offset[2], _NEAR - self.target(panel, seconds)[2] - shift[2])
+        return offset, shift
+
+    def sees(self, eye: pv.Camera, points: np.ndarray) -> bool:
+        """Says whether any of the points (N, 3) lies in the picture of an eye."""
+        ahead = np.subtract(eye.focal_point, eye.position)
+        ahead /= np.linalg.norm(ahead)
+        right = np.cross(ahead, eye.up)
+        right /= np.linalg.norm(right)
+        x, y, depth = np.stack((right, np.cross(right, ahead), ahead)) @ (points - eye.position).T
+        reach = _half_angle(self.aspect) * depth
+        return bool(((np.abs(x) < self.aspect * reach) & (np.abs(y) < reach)).any())
 
 
 def choose_framing(
@@ -55,7 +92,8 @@ def choose_framing(
     """Chooses the view of all panels.
 
     Panels share one target while that costs little distance, so that drift between them shows; motions in
-    different places get their own.
+    different places get their own. Who flies off does not make the others small: what is far from where a panel mostly
+    is, by metres and by half as much again as in the calmer half of the panels, does not count.
 
     Args:
         seen: per panel the paths (T, M, 3) with their frames per second.
@@ -65,18 +103,21 @@ def choose_framing(
     moving = [max(panel, key=lambda entry: len(entry[0]), default=(np.zeros((1, 1, 3)), 1.0)) for panel in seen]
     azimuth = good_azimuth(moving[0][0][:, 0], left, aspect) if azimuth is None else azimuth
     towards = _direction(azimuth, elevation)
-    tracks = []
+    tracks, local = [], paths
     if follow:
         tracks = [(_steady_track(path[:, 0], fps), fps) for path, fps in moving]
-        local = [[path[: len(t)] - t[: len(path), None]] for (path, _), (t, _) in zip(moving, tracks, strict=True)]
-    else:
-        local = paths
-    fits = [_fit_view(_around(panel, 0.16), towards, aspect, headroom, footroom) for panel in local]
-    distance = max(d for _, d in fits)
-    targets = [target for target, _ in fits]
-    together, far = _fit_view(_around([p for panel in local for p in panel], 0.16), towards, aspect, headroom, footroom)
-    if follow or far < 1.4 * distance:
-        distance, targets = far, [together] * len(seen)
+        along = zip(paths, tracks, strict=True)
+        local = [[path[: len(t)] - t[: len(path), None] for path in some] for some, (t, _) in along]
+    off = [_from_home(panel) for panel in local]
+    calm = sorted(max(map(np.max, far), default=0.0) for far in off)[(len(off) - 1) // 2]
+    room = max(1.5 * calm, _BESIDE if follow else _AROUND)
+    near = [[path[far <= room] for path, far in zip(*both, strict=True)] for both in zip(local, off, strict=True)]
+    fits = [_fit_view(_around(panel, 0.16), towards, aspect, headroom, footroom) for panel in near]
+    targets, distances = zip(*fits, strict=True)
+    distance = min(max(distances), 1.2 * sorted(distances)[(len(fits) - 1) // 2] if follow else np.inf)
+    together, far = _fit_view(_around([p for panel in near for p in panel], 0.16), towards, aspect, headroom, footroom)
+    if far < 1.4 * distance:
+        distance, targets = far, (together,) * len(seen)
     floors = [_around(panel, 0.0)[:, :2] for panel in paths]
     centres = [(floor.min(0) + floor.max(0)) / 2 for floor in floors]
     reach = [np.ptp(floor, axis=0).max() / 2 for floor in floors]
@@ -142,11 +183,21 @@ def _around(paths: list[np.ndarray], pad: float) -> np.ndarray:
     return grown
 
 
+def _from_home(paths: list[np.ndarray]) -> list[np.ndarray]:
+    """How far what a panel shows is in each frame (T,) from where its longest path mostly is; 0 of what is still."""
+    middle = [path.mean(1) for path in paths]
+    home = np.median(max(middle, key=len), axis=0) if paths else 0.0
+    return [np.linalg.norm(m - home, axis=-1) if len(m) > 1 else np.zeros(1) for m in middle]
+
+
 def _steady_track(path: np.ndarray, fps: float) -> np.ndarray:
-    """The track (T, 3) of an eye that follows a root path (T, 3): its slow horizontal part, 0.6 s wide."""
-    track = gaussian_filter1d(path, 0.6 * fps, axis=0, mode="nearest")
-    track[:, 2] = 0.0
-    return track
+    """The track (T, 3) of an eye that follows a root path (T, 3): its slow part, 0.6 s wide, level while the root is
+    within ``_UP`` of its usual height."""
+    usual = np.median(path[:, 2])
+    height = path[:, 2] - path[:, 2].clip(usual - _UP, usual + _UP)
+    beyond = int(2.4 * fps)  # mirrored through its ends, so that the eye does not lag behind there
+    track = np.pad(np.column_stack((path[:, :2], height)), ((beyond, beyond), (0, 0)), "reflect", reflect_type="odd")
+    return gaussian_filter1d(track, 0.6 * fps, axis=0)[beyond : beyond + len(path)]
 
 
 def _half_angle(aspect: float) -> float:
@@ -176,10 +227,3 @@ def match_camera(eye: pv.Camera, camera: Camera) -> None:
     eye.SetExplicitProjectionTransformMatrix(pv.vtkmatrix_from_array(projection))
     eye.UseExplicitProjectionTransformMatrixOn()
     eye.clipping_range = _NEAR, _FAR
-
-
-def _aim(eye: pv.Camera, target: np.ndarray, towards: np.ndarray, distance: float, aspect: float) -> None:
-    """Stand ``distance`` metres from the target in direction ``towards`` and look at it, z up."""
-    eye.position, eye.focal_point, eye.up = target + distance * towards, target, (0.0, 0.0, 1.0)
-    eye.view_angle = float(np.degrees(2 * np.arctan(_half_angle(aspect))))
-    eye.clipping_range = max(_NEAR, 0.1 * distance), 5 * distance + 80

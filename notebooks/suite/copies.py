@@ -1,0 +1,54 @@
+"""Copies of the notebooks to play with: JupyterLab saves what it shows, and tracked files stay as they are.
+
+``python -m suite.copies FOLDER`` makes the folder, or brings it up to date.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+NOTEBOOKS = Path(__file__).resolve().parents[1]
+_SHARED = ("claims.toml", "results")  # what notebooks read from where they lie
+
+
+def refresh(folder: Path, notebooks: Path = NOTEBOOKS) -> list[str]:
+    """Copies into a folder what is missing there or has changed since, unless a person has edited their copy.
+
+    What was copied last is kept in ``folder/.copied``. To run a notebook is not to edit it: only cells' text counts.
+
+    Returns:
+        names of notebooks that changed both here and there: the person's are kept.
+    """
+    copied, kept = folder / ".copied", []
+    copied.mkdir(parents=True, exist_ok=True)
+    for name in _SHARED:
+        if not (folder / name).is_symlink() and (notebooks / name).exists():
+            (folder / name).symlink_to((notebooks / name).resolve())
+    for source in sorted(notebooks.glob("*.ipynb")):
+        mine, last = folder / source.name, copied / source.name
+        if mine.exists() and last.exists() and last.read_bytes() == source.read_bytes():
+            continue
+        if mine.exists() and _text(mine) not in (_text(source), _text(last)):
+            kept.append(source.name)
+            continue
+        for target in (mine, last):
+            shutil.copyfile(source, target)
+    return kept
+
+
+def _text(path: Path) -> list[str] | None:
+    """What a person writes in a notebook; None where there is none that can be read."""
+    try:
+        return ["".join(cell["source"]) for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+if __name__ == "__main__":
+    for name in refresh(folder := Path(sys.argv[1])):
+        print(
+            f"{folder / name}: you edited it and it has a new version; yours is kept. Rename yours to get the new one"
+        )
