@@ -30,6 +30,7 @@ from motionlab.humor.unknowns import window_starts
 from motionlab.io.reading import read_npz, reading
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D
+from motionlab.optimise import begins
 from motionlab.skeleton import BALLS, STANDARD
 
 #: Frames (at 30 fps) that are fitted at once, and the windows of more: their length and what neighbours share.
@@ -80,7 +81,7 @@ class Task:
     solver: str = "shooting"
     quick: bool = False
     keep: Path | None = None
-    progress: bool = False
+    progress: bool | str = False
 
     @property
     def schedule(self) -> testops.Schedule | None:
@@ -136,21 +137,21 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
         camera, notes = _common_camera(seen, enough, task)
         floor = "camera"
     pieces: list[list[dict[str, Tensor]]] = [[] for _ in range(people)]
-    reasons, energy, stopped, bar = [], {}, False, None
-    if len(starts) > 1:
-        bar = tqdm(starts, unit="window", desc="windows", disable=not task.progress)
-    for start in bar if bar is not None else starts:
+    reasons, energy, stopped, many = [], {}, False, len(starts) > 1
+    for k, start in enumerate(tqdm(starts, "windows", unit="window", disable=not many or task.progress is not True)):
+        if many:
+            begins(f"window {k + 1} of {len(starts)}", task.progress)
         span = slice(start, start + length)
         who = enough[:, span].any(-1).nonzero()[:, 0].tolist()
         for some in (who[k : k + TOGETHER] for k in range(0, len(who), TOGETHER)):
             part = _cut(seen, some, span)
-            file = None if len(starts) == 1 or task.keep is None else task.keep / f"{_key(part, camera, task)}.npz"
+            file = None if not many or task.keep is None else task.keep / f"{_key(part, camera, task)}.npz"
             found = None if file is None else _kept(file, len(some), length)
             if found is None:
-                inner = task if len(starts) == 1 else replace(task, progress=False)
+                inner = task if not many else replace(task, progress=False)
                 fitted = inner.fit(part, camera, floor)
                 stopped |= fitted.stopped
-                if fitted.stopped and len(starts) > 1:
+                if fitted.stopped and many:
                     raise KeyboardInterrupt
                 found = _arrays(fitted)
                 if floor in (None, "guess"):  # one person, one window
@@ -189,6 +190,7 @@ def _common_camera(seen: Observation2D, enough: Tensor, task: Task) -> tuple[Cam
     span = slice(int(most), int(most) + length)
     who = enough[:, span].any(-1).nonzero()[:, 0].tolist()[:TOGETHER]
     part = _cut(seen, who, span)
+    begins("the camera, by a coarse fit of everybody", task.progress)
     floor = None if task.camera is None else "guess"
     fitted = task.fit(part, task.camera, floor, schedule=QUICK_WORK, solver="shooting")
     if fitted.stopped:
@@ -286,12 +288,16 @@ def _shown(enough: Tensor) -> Tensor:
 
 
 def _on_the_floor(motions: Sequence[Motion], shown: Tensor, camera: Camera) -> tuple[list[Motion], Camera, float]:
-    """Raises the whole scene, its camera too, so that the lowest ball of the foot is at sole height.
+    """Raises the whole scene, its camera too, so that the balls of the feet are at sole height.
 
-    Of each person the height that 2 % of the frames are below; of several people the median of them.
+    Of each person those that the prior says are in contact, in the median; without any, the height that the lower one
+    is below in 2 % of the frames. Of several people the median.
     """
-    feet = STANDARD.indices(BALLS)
-    low = [m.positions[on][:, feet, 2].amin(-1).quantile(0.02) for m, on in zip(motions, shown, strict=True)]
+    feet, low = STANDARD.indices(BALLS), []
+    for motion, on in zip(motions, shown, strict=True):
+        height = motion.positions[on][:, feet, 2]
+        rests = motion.contacts[on][:, [motion.skeleton.contact_names.index(name) for name in BALLS]] > 0
+        low.append(height[rests].median() if rests.any() else height.amin(-1).quantile(0.02))
     lift = float(STANDARD.sole - torch.stack(low).median())
     up = torch.tensor([0.0, 0.0, lift])
     moved = [replace(motion, root=motion.root + up) for motion in motions]

@@ -88,7 +88,7 @@ def _list_people(options: argparse.Namespace) -> int:
     from motionlab import fit
 
     how = {name: getattr(options, name) for name in ("out", "fps", "size", "layout")}
-    clip = fit.open_clip(options.keypoints, options.video, progress=is_watched(), **how)
+    clip = fit.open_clip(options.keypoints, options.video, progress=is_watched() or "lines", **how)
     print(text_table(clip.footage.table()))
     for note in clip.notes:
         print(f"note: {note}")
@@ -100,7 +100,7 @@ def _fit_one(options: argparse.Namespace) -> int:
 
     how = {name: getattr(options, name) for name in _PASSED_ON}
     try:
-        record = fit.run_clip(options.keypoints, options.out, video=options.video, progress=is_watched(), **how)
+        record = fit.run_clip(options.keypoints, options.out, video=options.video, progress=is_watched() or "lines", **how)
     except KeyboardInterrupt:
         kept = len(list((options.out / "windows").glob("*.npz")))
         print(f"\n{kept} windows are kept in {options.out}; the same command goes on from there" if kept else "")

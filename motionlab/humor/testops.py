@@ -33,11 +33,13 @@ from motionlab.humor.stages import Problem
 from motionlab.humor.unknowns import Form, Rolled, Unknowns, stitch_windows, window_starts
 from motionlab.motion import FPS, Motion
 from motionlab.observation import Camera, Observation2D
+from motionlab.optimise import begins
 from motionlab.parallel import threads_for
 from motionlab.skeleton import STANDARD, fk
 
 MODES = ("lean", "official")
 SOLVERS = ("rollout", "shooting")
+_NAMES = ("stage 1 of 3: where they are", "stage 2 of 3: pose and size", "stage 3 of 3: motion")
 _WHOLE = 600  # frames that shooting takes at once: it keeps 3 MB of each
 #: From here on a fit is doubtful. On practice clips, of moves that the prior has seen, surprise was 0.05 to
 #: 0.47 and misfit 6 to 13 pixels of 1280, or 7 cm where every joint had N(0, 4 cm) of noise.
@@ -169,7 +171,7 @@ def fit(
     cameras: Sequence[Camera] | None = None,
     floor: str | None = None,
     size: tuple[int, int] | None = None,
-    progress: bool = False,
+    progress: bool | str = False,
     watch: Callable[[int, dict[str, Tensor]], None] | None = None,
 ) -> Fitted:
     """Fits every recording of a batch. Ctrl-C keeps the best so far. On the observation's device, where the priors and
@@ -192,7 +194,7 @@ def fit(
         cameras: one per recording, instead of the observation's.
         floor: for keypoints, "camera" (the camera's pose is known, and so the floor), "refine" or "guess".
         size: of the image in pixels, where no camera says.
-        progress: show bars with the energy. watch: called with the stage and its weighted terms (G',) of the recordings
+        progress: show bars with the energy; or "lines": say which stage begins, on stderr. watch: called with the stage and its weighted terms (G',) of the recordings
             that still move, at every evaluation; not by solver "shooting".
 
     Raises:
@@ -251,9 +253,8 @@ def start_stage_1(problem: Problem) -> Unknowns:
 class _Track:
     """The way of one fit: runs its stages and keeps what they found."""
 
-    def __init__(self, schedule: Schedule, progress: bool, watch: Callable | None) -> None:
-        self.schedule, self.watch = schedule, watch
-        self.budget = {"inner": schedule.inner, "tolerance": schedule.tolerance, "progress": progress}
+    def __init__(self, schedule: Schedule, progress: bool | str, watch: Callable | None) -> None:
+        self.schedule, self.progress, self.watch = schedule, progress, watch
         self.stages: dict[int, Motion] = {}
         self.energies: dict[int, dict[str, Tensor]] = {}
         self.results: dict[int, list[object]] = {}
@@ -263,7 +264,9 @@ class _Track:
         return _stopped(self.results)
 
     def _budget(self, stage: int) -> dict[str, object]:
-        return self.budget | {"watch": self.watch and partial(self.watch, stage)}
+        name = begins(_NAMES[stage - 1], self.progress)
+        how = {"inner": self.schedule.inner, "tolerance": self.schedule.tolerance, "progress": name}
+        return how | {"watch": self.watch and partial(self.watch, stage)}
 
     def pose_stage(self, problem: Problem, unknown: Unknowns, stage: int) -> Unknowns:
         steps = self.schedule.steps[stage - 1]
@@ -282,7 +285,7 @@ class _Track:
         length = frames if whole else min(s.window, frames)
         cuts = (0,) if whole else window_starts(frames, s.window, s.overlap)
         cut = replace(problem, evidence=seen.pieces(torch.tensor(cuts), length), starts=cuts)
-        pull, plan = problem.weights.pull, s.shooting
+        pull, plan, budget = problem.weights.pull, s.shooting, self._budget(3)
         begun = self._begun(problem, unknown, self.stages[2], unknown.latent, seen.trust)
         rest = (problem.priors, cuts, length, problem.mode, pull)
         if whole:
@@ -296,11 +299,11 @@ class _Track:
                     name: torch.where(seen.hides_feet.reshape(-1, *(1,) * (x.ndim - 1)), x, getattr(calm, name))
                     for name, x in rival.named().items()
                 })  # fmt: skip
-            rolled, self.results[3] = solve(cut, calm, plan, rival=rival, progress=self.budget["progress"])
+            rolled, self.results[3] = solve(cut, calm, plan, rival=rival, progress=budget["progress"])
         else:
             rolled, factors = starts.start_stage_3(*begun, *rest)
             rolled, self.results[3] = stages.stage_3(
-                cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **self._budget(3)
+                cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **budget
             )
         with torch.no_grad():
             self.energies[3] = stages.motion_terms(cut, rolled)
