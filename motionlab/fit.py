@@ -352,9 +352,7 @@ def _report(folder: Path, record: dict[str, object], began: float, poster: bytes
     (folder / RESULT).write_text(json.dumps(record, indent=1, allow_nan=False), encoding="utf-8")
 
 
-def _film(
-    path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool, progress: bool | str
-) -> film.Film:
+def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool, progress: bool | str) -> film.Film:
     count, rate, fps = clip.count, clip.rate, fitted.seen.fps
     at = (torch.arange(count) / rate * fps).round().long().clamp(max=fitted.seen.frames - 1)
     motions = []

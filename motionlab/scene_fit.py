@@ -1,7 +1,7 @@
 """Several people of one footage, seen by one camera: fits in a batch, long footage in windows that are kept on disk.
 
-Where the camera's place is not known, a coarse fit of everybody finds one for all: the mean of what each of them says.
-Then they are fitted together under it. Footage of more than ``WHOLE`` frames is fitted in windows of ``STRETCH``; one
+Where the camera's place is not known, a fit of the seconds that show most finds one for all: the mean of what each of
+them says. Then they are fitted together under it. Footage of more than ``WHOLE`` frames is fitted in windows of ``STRETCH``; one
 that is done is kept, so that a rerun goes on where the last one stopped. What they share is blended.
 """
 
@@ -183,16 +183,17 @@ def _cut(seen: Observation2D, people: Sequence[int], span: slice) -> Observation
 
 
 def _common_camera(seen: Observation2D, enough: Tensor, task: Task) -> tuple[Camera, list[str]]:
-    """One camera for all: a coarse fit of at most 4 s of everybody, where most is seen; the mean of their cameras,
-    weighted by what was seen of each and by how well the fit met it."""
+    """One camera for all, from at most 4 s where most is seen: that of one person, or of a coarse fit of everybody the
+    mean of their cameras, weighted by what was seen of each and by how well the fit met it."""
     length = min(seen.frames, STRETCH)
     most = seen.confidence[..., _USED].sum((0, 2)).unfold(0, length, 1).sum(-1).argmax()
     span = slice(int(most), int(most) + length)
     who = enough[:, span].any(-1).nonzero()[:, 0].tolist()[:TOGETHER]
     part = _cut(seen, who, span)
-    begins("the camera, by a coarse fit of everybody", task.progress)
+    begins("the camera, from the seconds that show most", task.progress)
     floor = None if task.camera is None else "guess"
-    fitted = task.fit(part, task.camera, floor, schedule=QUICK_WORK, solver="shooting")
+    work = QUICK_WORK if len(part.keypoints) > 1 else task.schedule
+    fitted = task.fit(part, task.camera, floor, schedule=work, solver="shooting")
     if fitted.stopped:
         raise KeyboardInterrupt
     weight = part.confidence[..., _USED].sum((1, 2)) / (1 + fitted.doubts.misfit.nan_to_num(1e6))

@@ -205,9 +205,9 @@ def _viterbi(cost: Tensor, change: Tensor, weight: float = 0.3) -> Tensor:
 
 
 # ------------------------------------------------------------------------------------------------------- of stage 3
-def above_floor(motion: Motion) -> Tensor:
-    """Computes how high the lower foot of motions (..., T) is above the floor in the median frame, metres (...)."""
-    return motion.positions[..., STANDARD.indices(BALLS), 2].amin(-1).median(-1).values - STANDARD.sole
+def above_floor(joints: Tensor) -> Tensor:
+    """Computes how high the lower foot of joints (..., T, 22, 3) is in the median frame, metres above the floor (...)."""
+    return joints[..., STANDARD.indices(BALLS), 2].amin(-1).median(-1).values - STANDARD.sole
 
 
 def seated(motion: Motion) -> Motion:

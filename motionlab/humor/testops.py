@@ -194,8 +194,9 @@ def fit(
         cameras: one per recording, instead of the observation's.
         floor: for keypoints, "camera" (the camera's pose is known, and so the floor), "refine" or "guess".
         size: of the image in pixels, where no camera says.
-        progress: show bars with the energy; or "lines": say which stage begins, on stderr. watch: called with the stage and its weighted terms (G',) of the recordings
-            that still move, at every evaluation; not by solver "shooting".
+        progress: show bars with the energy; or "lines": say which stage begins, on stderr.
+        watch: called with the stage and its weighted terms (G',) of the recordings that still move, at every
+            evaluation; not by solver "shooting".
 
     Raises:
         DataError: nothing to fit, or a frame rate other than the prior's.
@@ -328,7 +329,7 @@ class _Track:
         """What stage 3 begins with; the floor is guessed below the feet of ``motion`` where its height is not known."""
         shared, view = unknown.shared(), problem.evidence.view
         if self.schedule.guesses and view is not None and view.free:
-            up = torch.nn.functional.pad(-starts.above_floor(motion)[:, None], (2, 0))
+            up = torch.nn.functional.pad(-starts.above_floor(motion.positions)[:, None], (2, 0))
             motion, shared["camera"] = replace(motion, root=motion.root + up[:, None]), shared["camera"] + up
         return motion, latent[:, 0], shared, trust
 
