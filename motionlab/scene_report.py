@@ -29,6 +29,7 @@ _LISTED = 40  # people in the table of who was seen
 _STYLE = """
 body { font: 15px/1.5 sans-serif; color: #30343b; background: #f6f7f9; max-width: 62rem; margin: 2rem auto;
   padding: 0 1rem; overflow-wrap: anywhere }
+h1 { font-size: 1.6rem }
 table { border-collapse: collapse; margin: .6rem 0; display: block; overflow-x: auto }
 td, th { padding: .15rem .7rem; border-bottom: 1px solid #c3c9d3; text-align: left; overflow-wrap: normal }
 td:last-child { overflow-wrap: anywhere }
@@ -104,7 +105,7 @@ def lines(record: Record) -> list[str]:
             f"keypoints detected; reprojection {row['pixels']['mean']:.1f} px mean, {row['pixels']['median']:.1f} px "
             f"median; acceleration {_acceleration(row)}",
             f"  {_doubt(row)}",
-            *(f"  {text}" for text in unknown(row)),
+            *(f"  {text}" for text in not_known(row)),
             "  contacts: " + ", ".join(f"{n.replace('_', ' ')} {100 * c:.0f} %" for n, c in row["contacts"].items()),
             f"  AMASS: {row['amass']['says']}",
         ]
@@ -119,14 +120,13 @@ def _doubt(row: Record) -> str:
     return f"doubtful: {text}" if row["doubtful"] else f"no doubts: {text}"
 
 
-def unknown(row: Record) -> list[str]:
+def not_known(row: Record) -> list[str]:
     """Returns what cannot be known of a person: whether somebody sits or stands whose feet were not seen."""
     if row["feet_seen"] >= FEET_SEEN:
         return []
     return [
         f"not known whether this person sits or stands: the feet were seen in {100 * row['feet_seen']:.0f} % of the "
-        "frames. The legs are the likelier of two guesses; the floor, the distance and a camera that was not given go "
-        "with them"
+        "frames. The legs are a guess, and the height of the floor depends on it"
     ]
 
 
@@ -215,13 +215,13 @@ def _person(row: Record, mark: str) -> str:
         "detected": f"{100 * row['detected']:.0f} % of the keypoints",
         "reprojection": f"{row['pixels']['mean']:.1f} px mean, {row['pixels']['median']:.1f} px median",
         "acceleration": f"{_acceleration(row)}, mean over joints and frames",
-        "feet": f"the lower one {row['feet_above_floor_cm']:+.1f} cm from the floor, in the median frame",
+        "feet": f"the lower one {round(row['feet_above_floor_cm'], 1) + 0.0:+.1f} cm from the floor, in the median frame",
         "bones": ", ".join(f"{name} {beta:+.1f}" for name, beta in row["bones"].items()) + " (standard deviations)",
         "files": ", ".join(row["files"].values()),
         "AMASS": f"{row['amass']['says']}. betas: {row['amass']['betas']}",
     }
     head = f"<h3>{mark} Person {row['id']}</h3><p{doubted}>{escape(_doubt(row))}</p>"
-    head += "".join(f'<p class="doubt">{escape(text)}</p>' for text in unknown(row))
+    head += "".join(f'<p class="doubt">{escape(text)}</p>' for text in not_known(row))
     return head + _table([{"": key, " ": text} for key, text in facts.items()])
 
 

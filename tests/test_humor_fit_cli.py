@@ -439,9 +439,9 @@ def test_the_record_counts_only_what_was_seen(walk):
     row = scene_report.person_row(0, 7, found, away[0], weight[0])
     assert row["pixels"]["mean"] == pytest.approx(5 / 21, abs=1e-3)
     assert row["pixels"]["median"] < 0.01 and row["pixels"]["by_joint"]["right_knee"] == pytest.approx(5, abs=1e-2)
-    assert scene_report.unknown(row) == []
+    assert scene_report.not_known(row) == []
     hidden[:, [BODY_25.index(f"{side}_{part}") for side in ("left", "right") for part in FOOT]] = 0
     unseen = replace(found, seen=replace(given, confidence=hidden[None]))
-    said = scene_report.unknown(scene_report.person_row(0, 7, unseen, away[0], weight[0]))
+    said = scene_report.not_known(scene_report.person_row(0, 7, unseen, away[0], weight[0]))
     assert len(said) == 1 and "0 % of the frames" in said[0]
     assert row["detected"] == pytest.approx(21 / 22) and row["missing_by_joint"]["left_wrist"] == 1

@@ -46,7 +46,7 @@ def test_legs_of_somebody_who_sits_whatever_the_trunk_does():
         tilt, bend = tilt_and_bend(sits)
         assert (tilt - 85).abs().max() < 1 and (bend - 85).abs().max() < 1
         assert max(angle.mean() for angle in tilt_and_bend(batch)) < 60  # as they were
-        rest = [j for j in range(22) if j not in start.LEGS]
+        rest = [j for j in range(22) if j not in start.SITTING_LEGS]
         assert torch.equal(sits.rot[:, :, rest], batch.rot[:, :, rest])
         ahead = sits.positions[0, :, STANDARD.indices(["left_knee", "right_knee"]), :2].mean(1) - motion.root[:, :2]
         assert (ahead * motion.rot[:, 0, :2, 2]).sum(-1).min() > 0.2  # to where the pelvis faces

@@ -134,7 +134,7 @@ def _fit_clip(clip: Job, how: dict[str, object]) -> list[str]:
     _, keypoints, video, out = clip
     record = fit.run_clip(keypoints, out, video=video, **how)
     doubted = [f"person {row['id']} is doubtful, see report.html" for row in record["people"] if row["doubtful"]]
-    guessed = [f"person {row['id']}: {text}" for row in record["people"] for text in scene_report.unknown(row)]
+    guessed = [f"person {row['id']}: {text}" for row in record["people"] for text in scene_report.not_known(row)]
     return [*record["notes"], *doubted, *guessed]
 
 

@@ -65,7 +65,7 @@ _ITERATIONS, _STEP = 2, 1e-2
 EAGER, CALM = 0.02, 0.3
 _LASTING = 1.0  # p
 _LEG = ("hip", "knee", "ankle", "foot")
-LEGS = STANDARD.indices([f"{side}_{part}" for side in ("left", "right") for part in _LEG])
+SITTING_LEGS = STANDARD.indices([f"{side}_{part}" for side in ("left", "right") for part in _LEG])
 _SITTING = (math.radians(85), math.radians(25))  # of who sits: how far the legs bend, and each thigh points outwards
 _LEVER = 0.3**2  # square metres per squared radian
 #: The joint that tells most of a joint's rotation: its first child, or itself at the end of a limb.

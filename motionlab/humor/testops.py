@@ -336,7 +336,7 @@ class _Track:
     def _seated(self, problem: Problem, unknown: Unknowns, rest: tuple) -> Unknowns:
         """The start of stage 3 of somebody who sits where stage 2 is."""
         sits, trust = starts.seated(self.stages[2]), problem.evidence.trust.clone()
-        trust[..., starts.LEGS] = 1.0
+        trust[..., starts.SITTING_LEGS] = 1.0
         latent = problem.priors.pose.encode(sits.rot[:, None, :, 1:]).mean
         return starts.start_stage_3(*self._begun(problem, unknown, sits, latent, trust), *rest, starts.CALM)[0]
 

@@ -92,7 +92,7 @@ def _edges(scene: Scene, fine: bool) -> None:
 def labelled(picture: np.ndarray, text: str) -> np.ndarray:
     """Draws a label into the upper left corner of a picture."""
     image = Image.fromarray(picture)
-    pen, font = ImageDraw.Draw(image), ImageFont.load_default(15)
+    pen, font = ImageDraw.Draw(image), ImageFont.load_default(max(12, round(image.height / 28)))
     pen.rectangle(pen.textbbox((8, 6), text, font=font), fill=PAPER)
     pen.text((8, 6), text, fill=INK, font=font)
     return np.asarray(image)

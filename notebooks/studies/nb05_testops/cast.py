@@ -111,12 +111,6 @@ def sits_down(motion: Motion) -> Tensor:
     return _from_to((angles < _STANDS).all(0), (angles >= SEATED).all(0) & (behind >= SEAT), turned=True)
 
 
-def stays_seated(motion: Motion) -> Tensor:
-    """(starts,) true where somebody sits from the first to the last frame of a clip."""
-    sits = (_angles(motion) >= SEATED).all(0) & (_over(unsupported(motion)) >= SEAT)
-    return sits.unfold(0, FRAMES - _MOMENT + 1, 1).all(-1)
-
-
 def sinks(motion: Motion) -> Tensor:
     """(starts,) true where somebody who stands goes down by ``_DEEP``, over the feet: crouches, kneels, bows."""
     height, behind = _over(motion.root[:, 2]), _over(unsupported(motion))
