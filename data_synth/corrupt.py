@@ -48,14 +48,6 @@ def drop_frames(observation: Observation2D, frames: Iterable[int]) -> tuple[Obse
     return _hide(observation, mask)
 
 
-def drop_gaps(
-    observation: Observation2D, generator: torch.Generator, share: float = 0.1, length: int = 1
-) -> tuple[Observation2D, Tensor]:
-    """Nothing detected in gaps of ``length`` frames at random times; overlapping gaps join."""
-    frames = _runs(observation.confidence.shape[:-1], share, length, generator)
-    return _hide(observation, frames[..., None].expand_as(observation.confidence))
-
-
 def flip_limbs(
     observation: Observation2D,
     generator: torch.Generator,
@@ -147,22 +139,6 @@ def noisy_joints(positions: Tensor, generator: torch.Generator, sigma: float = 0
     check_shape(positions, "... T J 3", "positions")
     noise = sigma * torch.randn(positions.shape, generator=generator, dtype=positions.dtype)
     return positions + noise, torch.ones(positions.shape[:-1], dtype=torch.bool)
-
-
-def missing_joints(
-    positions: Tensor, generator: torch.Generator, share: float = 0.5, length: int = 1
-) -> tuple[Tensor, Tensor]:
-    """3-D positions (..., T, J, 3) with random joints missing (NaN) for runs of frames; mask (..., T, J)."""
-    check_shape(positions, "... T J 3", "positions")
-    mask = _runs(positions[..., 0].transpose(-1, -2).shape, share, length, generator).transpose(-1, -2)
-    return positions.masked_fill(mask[..., None], torch.nan), mask
-
-
-def joints_below(positions: Tensor, height: float = 0.9) -> tuple[Tensor, Tensor]:
-    """3-D positions (..., T, J, 3) with those below ``height`` metres missing (NaN); mask (..., T, J)."""
-    check_shape(positions, "... T J 3", "positions")
-    mask = positions[..., 2] < height
-    return positions.masked_fill(mask[..., None], torch.nan), mask
 
 
 def _put(

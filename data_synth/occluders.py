@@ -1,4 +1,4 @@
-"""Things that stand in the way, as meshes: table, desk, wall, chair, another person; and where to put them.
+"""Things that stand in the way, as meshes: table, desk, wall, another person; and where to put them.
 
 Floor z = 0, metres, world. Every maker returns an :class:`Occluder`; the functions that end in ``_before``
 place one between a camera and a motion so that it hides a stated part.
@@ -62,14 +62,6 @@ def desk(
     ends = [((s * (length / 2 - 0.02), 0, height / 2), (0.04, depth, height)) for s in (-1, 1)]
     panel = ((0, 0, height / 2), (length, 0.03, height))
     return _boxes("desk", [((0, 0, height - 0.02), (length, depth, 0.04)), panel, *ends], x, y, yaw)
-
-
-def chair(x: float, y: float, yaw: float = 0.0, *, seat: float = 0.45, width: float = 0.45) -> Occluder:
-    """A chair whose sitter faces the direction ``yaw`` radians from +x; (x, y) is the middle of the seat."""
-    reach = width / 2 - 0.03
-    legs = [((sx * reach, sy * reach, seat / 2), (0.04, 0.04, seat)) for sx, sy in _CORNERS]
-    back = ((-width / 2 + 0.02, 0, seat + 0.25), (0.04, width, 0.5))
-    return _boxes("chair", [((0, 0, seat - 0.02), (width, width, 0.04)), back, *legs], x, y, yaw)
 
 
 def wall(

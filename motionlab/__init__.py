@@ -1,7 +1,7 @@
 """motionlab: a thin library for studying human motion priors.
 
 Modules are imported when they are first used: ``from motionlab import io, retarget`` costs what these two cost, and
-``import motionlab`` nothing. The README's library section says what is where.
+``import motionlab`` nothing. docs/library.md says what is where.
 """
 
 from importlib import import_module
@@ -19,6 +19,7 @@ __all__ = [
     "corpus",
     "diffusion",
     "errors",
+    "examples",
     "fit",
     "heading",
     "humor",

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from motionlab import doctor
 from motionlab.commands import animator, footage
-from motionlab.commands.motions import READ, WRITTEN, add_axes, on_standard, read_motion
+from motionlab.commands.motions import READ, WRITTEN, add_axes, read_motion, with_standard_joints
 from motionlab.commands.printing import add_command, text_table
 from motionlab.commands.showing import add_show
 from motionlab.errors import DataError, MissingData, ShapeError
@@ -77,7 +77,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command = add_command(commands, "models", text, "models", _models)
     command.add_argument("--data", help="recordings: measure the transition priors on people nobody trained on, first")
 
-    command = add_command(commands, "train", "train a model on synthetic motion and your recordings", "train humor --out prior")
+    command = add_command(commands, "train", "train a model, and keep its recipe with it", "train humor --out prior")
     if "train" in arguments[:1]:  # its presets come with torch
         from motionlab import train
 
@@ -166,8 +166,10 @@ def _convert(options: argparse.Namespace) -> int:
         if note:
             print(f"note: {note}")
     elif options.standard or body:
-        motion = on_standard(motion)
+        motion = with_standard_joints(motion)
     if options.fps is not None:
+        if not 1 <= options.fps <= 1000:  # not a number is neither
+            raise DataError(f"{options.fps:g} frames per second", place="--fps", remedy="give 1 to 1000")
         motion = resample(motion, options.fps)
     more = {"body": BodyModel.from_anny()} if body else {}
     WRITERS[suffix](options.target, motion, **more)

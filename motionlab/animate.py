@@ -164,7 +164,7 @@ def inbetween(
     except DataError as error:
         if method in ("network", "nearest"):
             raise
-        return Animated(drawn, ("method: curves, and feet are not planted, because its joints are not known", str(error)))
+        return Animated(drawn, ("method: curves, without planted feet, as its joints are not known", str(error)))
     made = body.joints
     if chosen != "curves":
         fill = by_windows(_filler(chosen, seed), body.lacking, progress)

@@ -218,7 +218,8 @@ def _by_windows(motion: Motion, known: Tensor, fill: Fill, lacking: Tensor, prog
     frames, has = motion.frames, torch.cat((~lacking, torch.ones(2, dtype=torch.bool)))
     motion, known = padded(motion, known)
     done = known.clone()
-    for first, last in tqdm(runs(~(known | ~has)[:, :-1].all(-1)), desc="filling in gaps", disable=not progress, leave=False):
+    gaps = runs(~(known | ~has)[:, :-1].all(-1))
+    for first, last in tqdm(gaps, desc="filling in gaps", disable=not progress, leave=False):
         if last - first <= WINDOW - 2 * _EDGE:
             starts = [min(max(first - (WINDOW - (last - first)) // 2, 0), motion.frames - WINDOW)]
         else:

@@ -97,7 +97,7 @@ def repaired(
         notes.append("there is none to take away" if given else "that is no more than in clean recordings: it stays")
     jumps = _jumps(motion)
     if jumps.any():
-        spans = ", ".join(f"{a}-{b - 1}" for a, b in runs(jumps))
+        spans = ", ".join(f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in runs(jumps))
         notes.append(f"frames that jump: {spans}; they are made anew from those around")
         keep = Keep(~jumps, torch.zeros(len(motion.skeleton), dtype=torch.bool))
         found = inbetween(motion, keep, method=method, seed=seed, plant=plant and not noisy, progress=progress)
@@ -185,7 +185,7 @@ def posed(
     which = ", ".join(motion.skeleton.names[j] for j in joints)
     note = f"{which}: at most {1000 * float(far.max()):.2g} mm from where they were"
     read = "read from the file besides: where the body stands and which way it faces"
-    why = "on people whom it had never seen, the other joints came 0.4 to 1.2 cm closer than the most similar known pose"
+    why = "on people it had never seen, the other joints came 0.4 to 1.2 cm closer than the most similar known pose"
     return Animated(reached, (f"method: network, because {why}", note, read, *body.notes(plant)))
 
 
@@ -215,7 +215,7 @@ def generated(
     """
     if not _SECONDS[0] <= seconds <= _SECONDS[1]:  # not a number is neither
         remedy = f"ask for {_SECONDS[0]:g} to {_SECONDS[1]:g} s"
-        raise DataError(f"{seconds:g} s is no length of a motion", place="--seconds", remedy=remedy)
+        raise DataError(f"cannot make {seconds:g} s of motion", place="--seconds", remedy=remedy)
     generator = torch.Generator().manual_seed(seed)
     if start is None:
         return _new(round(seconds * FPS), generator, plant, progress)

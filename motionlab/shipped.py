@@ -38,8 +38,8 @@ _BASE = DenoiserRecipe(
 #: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: in world space;
 #: stuck: its twin in the stuck frame, all else equal. pose: single poses. handles: single poses, told where some joints
 #: should be. told: told what is known, from the weights of stuck, whose units it shares.
-#: root_unit: so that a unit of noise moves the root about as far as it moves a hand (CHANGELOG); not where the frame
-#: is the question, or where the root is mostly known.
+#: root_unit: so that a unit of noise moves the root about as far as it moves a hand (docs/experiments.md); not where
+#: the frame is the question, or where the root is mostly known.
 #: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
 #: would have a hundred times the gradient of all else.
 _FAR = replace(_WEIGHTS, fk=0.002, contact=20.0)
@@ -66,7 +66,7 @@ DENOISER_PRESETS = {
 #: The same, learnt from hours of real motion; those of single poses from whole bodies, as they recall what they saw.
 _STEPS = {"free": 15_000, "fixed": 24_000, "stuck": 24_000, "pose": 3000, "handles": 4000}
 _REAL = {name: replace(DENOISER_PRESETS[name], source=splits.REAL_MOTION, steps=n) for name, n in _STEPS.items()}
-#: Legs first: of all masks at once a model learns little in the same time (CHANGELOG).
+#: Legs first: of all masks at once a model learns little in the same time (docs/experiments.md).
 _REAL["legs"] = replace(
     _TOLD, source=splits.REAL_MOTION, guessed=False, recalls=0, patch=4, masks="legs", blind=0.9, steps=3000, batch=32,
     lr=6e-4, weights=LossWeights(fk=2.0, velocity=1.0, contact=100.0, late=0.0, even=True, relative=True),
@@ -78,7 +78,7 @@ FEATURE_PRESETS = {"usual": embedding.FeatureRecipe(), "real": embedding.Feature
 FROM = {"told": "diffusion_stuck", "real_told": "diffusion_real_legs"}
 _HELD = 256  # held-out windows that the checkpoint is chosen by
 #: Of all steps: no earlier average is chosen. The error of x_0 falls to the end, and KID is too uncertain to tell a
-#: lucky early average from a better late one (CHANGELOG).
+#: lucky early average from a better late one (docs/experiments.md).
 _JUDGE_FROM = 0.6
 _SILENT = 0.01  # gain over the filter; less says that the network has collapsed
 _SHORT, _LONG = 5000, 10_000  # steps; fewer are not judged, more are measured more rarely

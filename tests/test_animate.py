@@ -190,7 +190,7 @@ def test_noise_that_is_given_is_believed_and_jumps_are_filled_in_first(monkeypat
     monkeypatch.setattr(renew, "inbetween", lambda *a, **k: asked.append(k["method"]) or fill(*a, **k))
     made = renew.repaired(replace(noisy, root=noisy.root + jump), method="curves")
     off = (made.motion.root - motion.root).norm(dim=-1)
-    assert off.max() < 0.05 and "jump: filled in" in made.notes[1] and asked == ["curves"]
+    assert off.max() < 0.05 and made.notes[1].startswith("frames that jump: ") and asked == ["curves"]
     renew.repaired(replace(motion, root=motion.root + jump))
     assert asked[1:] == [None]  # what is measured best
 
@@ -239,8 +239,8 @@ def test_beyond_keys_that_move_the_default_goes_on_and_beyond_a_lone_one_it_wait
     motion = walk(60, 30.0)
     moving, lone = (animate.inbetween(motion, animate.kept(motion, frames)) for frames in (range(45), {44}))
     made = moving.motion.root[44:, 1].diff() * 30
-    assert moving.notes[0].startswith("network") and made[0] > 0.4  # m/s, of 1: no dead stop
-    assert lone.notes[0].startswith("curves") and (lone.motion.root.diff(dim=0).abs() < 1e-4).all()
+    assert moving.notes[0].startswith("method: network") and made[0] > 0.4  # m/s, of 1: no dead stop
+    assert lone.notes[0].startswith("method: curves") and (lone.motion.root.diff(dim=0).abs() < 1e-4).all()
     held = animate.inbetween(motion, animate.kept(motion, range(45)), method="curves").motion
     assert (held.root[45:].diff(dim=0).abs() < 1e-4).all()
 
@@ -251,11 +251,12 @@ def test_reasons_are_given_only_where_they_are_one():
         animate.inbetween(motion, animate.kept(motion, frames)) for frames in (range(120), {44}, range(30), {0, 30, 60})
     )
     assert every.notes == ("every frame is kept: nothing is made",) and every.motion is motion
-    assert lone.notes[0] == "curves" and far.notes[0] == "curves: more than 2.5 s beyond the keys was not measured"
-    assert gap.notes[0].endswith("feet slide by 1.4 and 3.2 mm a frame, with curves by 2.7 and 3.4")
+    assert lone.notes[0] == "method: curves"
+    assert far.notes[0] == "method: curves, because more than 2.5 s beyond the keys was not measured"
+    assert gap.notes[0].startswith("method: network, because its feet slide less than those of curves")
     short = motion.cut(0, 30)
     arm, legs = (animate.completed(short, [part], method="nearest").notes[0] for part in ("left_arm", "legs"))
-    assert "was not measured" in arm and "hidden legs came back 15 cm off" in legs
+    assert "was not measured" in arm and "hidden legs came out 15 cm off" in legs
 
 
 # ------------------------------------------------------------------------------------------------------ errors
@@ -315,6 +316,20 @@ def test_the_editor_fills_in_what_is_chosen_and_exports_it(tmp_path):
     before, after = io.load(source), io.load(out)
     assert same(before, after, animate.kept(before, {0, 15, 29}, ["arms"])) and not torch.equal(before.rot, after.rot)
     assert f"{out} is written" in message.value
+
+
+def test_the_editor_draws_a_body_or_a_figure_where_joints_are_not_known(tmp_path):
+    known, strange = tmp_path / "known.bvh", tmp_path / "strange.bvh"
+    bvh.save(known, mixamo(walk(8)))
+    beast = replace(STANDARD, names=tuple(f"b{j}" for j in range(22)), contact_names=())
+    bvh.save(strange, replace(walk(8), skeleton=beast))
+
+    def skins(path, **how) -> int:
+        plotter = animate.editor(path, "picture", **how).hands["player"].scene.plotter
+        meshes = [actor.mapper.dataset for actor in plotter.renderers[0].actors.values() if hasattr(actor, "mapper")]
+        return sum(mesh.n_cells > 10_000 for mesh in meshes)
+
+    assert skins(known) > 0 == skins(known, body=None) == skins(strange)
 
 
 def test_the_editor_exports_what_was_typed_last_though_it_is_not_drawn_yet(tmp_path):

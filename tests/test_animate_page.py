@@ -1,4 +1,4 @@
-"""docs/animate.md: every command of the page is run, in a folder with a short walk; the editor opens."""
+"""docs/animate.md: every command of the page is run, in a folder like the checkout; the editor opens."""
 
 import re
 import shlex
@@ -6,45 +6,48 @@ import shutil
 
 import pytest
 
-from motionlab import io
+from motionlab import examples, io, viz
 from motionlab.__main__ import main
-from motionlab.io import bvh
-from tests.test_animate import mixamo, walk
 from tests.test_architecture import ROOT
 
 PAGE = (ROOT / "docs" / "animate.md").read_text(encoding="utf-8")
-COMMANDS = re.findall(r"^python -m (motionlab .*)$", PAGE, re.MULTILINE)
+COMMANDS = re.findall(r"^((?:motionlab|cp) .*)$", PAGE, re.MULTILINE)
 
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
-    """walk.bvh, and motions/ with two of them."""
-    bvh.save(tmp_path / "walk.bvh", mixamo(walk(90, 30.0)))
+    """The walk where the page finds it, and motions/ with two of them; films have a few pictures."""
+    (tmp_path / "motionlab").mkdir()
+    (tmp_path / "motionlab" / "examples").symlink_to(examples.WALK.parent)
     (tmp_path / "motions").mkdir()
-    for name in ("a", "b"):
-        shutil.copy(tmp_path / "walk.bvh", tmp_path / "motions" / f"{name}.bvh")
+    for name in ("a.bvh", "b.bvh"):
+        shutil.copy(examples.WALK, tmp_path / "motions" / name)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(viz, "draft", True)
     return tmp_path
 
 
 def test_every_command_of_the_page_runs(desk, capsys):
-    assert len(COMMANDS) == 10
+    assert len(COMMANDS) == 13
     for command in COMMANDS:
-        assert main(shlex.split(command)[1:]) == 0, command
+        first, *words = shlex.split(command)
+        if first == "cp":
+            shutil.copy(*words)
+            continue
+        assert main(words) == 0, command
         said = capsys.readouterr().out
         if "--keys 0,30,60-last" in command:
-            assert "32 of 90 frames have the file's own numbers, byte for byte" in said
-    assert io.load("longer/generated_0.bvh").frames == 120 and len(list((desk / "made").iterdir())) == 2
+            assert "139 of 197 frames keep the file's own numbers, byte for byte" in said
+    assert io.load("longer/generated_0.bvh").frames == 227
+    assert {path.name for path in (desk / "made").iterdir()} == {"generated_0.bvh", "generated_1.bvh", "both.mp4"}
     assert {path.name for path in (desk / "filled").iterdir()} == {"a.bvh", "b.bvh"}
+    assert {path.name for path in desk.glob("*.mp4")} == {"walk.mp4", "between.mp4", "three.mp4"}
     assert (desk / "repaired.bvh").read_bytes() == (desk / "walk.bvh").read_bytes() != (desk / "calm.bvh").read_bytes()
 
 
 def test_the_call_of_the_page_opens_the_editor(desk):
+    shutil.copy(examples.WALK, desk)
     (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     code = code.replace('"walk.bvh"', '"walk.bvh", backend="picture"').replace("animate.editor", "box = animate.editor")
     exec(code, names := {})
-    assert names["box"].hands["player"].hand.max == 89
-
-
-def test_the_readme_names_the_page():
-    assert "docs/animate.md" in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert names["box"].hands["player"].hand.max == 196

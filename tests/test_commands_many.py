@@ -72,7 +72,7 @@ def test_what_is_made_is_skipped_and_what_fails_is_named(motions, tmp_path, caps
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "made").iterdir()}
     assert inbetween(motions, tmp_path / "made") == 0
     said = capsys.readouterr().out
-    assert "4 clips: 1 done, 3 finished before" in said and "perhaps with other options" in said
+    assert "4 clips: 1 done, 3 finished before" in said and "perhaps made with other options" in said
     assert len(before) == 3 and all(path.stat().st_mtime_ns == time for path, time in before.items())
 
 
@@ -87,7 +87,7 @@ def test_files_of_a_folder_that_are_passed_over_are_counted(motions, tmp_path, c
     with pytest.raises(SystemExit):
         main(["inbetween", "--help"])
     said = " ".join(capsys.readouterr().out.split())
-    assert ".amc and DeepMimic's .txt, which are read, not written, or a folder: of it all .bvh .npz .glb" in said
+    assert "a motion (.bvh .npz .glb .amc, or DeepMimic's .txt), or a folder: of it all .bvh .npz .glb" in said
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def test_axes_and_units_given_or_detected_and_noted(tmp_path):
     detected = bvh.load(path)
     torch.testing.assert_close(detected.positions, given_both.positions)
     assert any("up axis y detected" in note for note in detected.notes)
-    assert any("taken as cm" in note for note in detected.notes)
+    assert any("unit cm detected" in note for note in detected.notes)
     z_up = bvh.load(path, unit=0.01, up="z")
     torch.testing.assert_close(z_up.positions @ UPRIGHT.T, given_both.positions)
     metres = bvh.load(path, unit="m", up="y")
@@ -209,7 +209,7 @@ Frame Time: 0.0333333
 def test_translation_in_a_joint_below_the_root_is_composed(tmp_path):
     text = moved_hips("0 0 -3 0 0 90", "0 93 5 0 0 0")
     motion = bvh.load(write(tmp_path, text), unit="cm", up="z")
-    assert motion.skeleton.names[0] == "Hips" and "joint_Root composed" in motion.notes[0]
+    assert motion.skeleton.names[0] == "Hips" and "motion of joint_Root" in motion.notes[0]
     expected = np.array([0, 0, -3]) + turn("Y", 90) @ np.array([0, 93, 5])
     np.testing.assert_allclose(motion.root[0].numpy(), expected / 100, atol=1e-6)
     np.testing.assert_allclose(motion.rot[1, 0].numpy(), turn("Y", 90) @ turn("Y", 30), atol=1e-6)
@@ -345,7 +345,7 @@ def test_bandai_translation_is_in_the_hips_and_sometimes_in_the_root_too():
         rows, loaded = _rows(path), bvh.load(path)
         hips = rows[:, 6:9] + rows[:, :3]
         np.testing.assert_allclose(loaded.root.numpy(), hips @ UPRIGHT.numpy().T / 100, atol=1e-5)
-        assert "joint_Root composed" in loaded.notes[0]
+        assert "motion of joint_Root" in loaded.notes[0]
 
 
 def _rows(path: Path) -> np.ndarray:

@@ -18,6 +18,7 @@ from motionlab.errors import DataError, ShapeError
 from motionlab.io import gltf
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT, fk
+from motionlab.tailoring import tailored
 
 FRAMES, FPS = 21, 30.0
 WORLD_FROM_GLTF = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0.0]])
@@ -119,6 +120,23 @@ def test_joints_and_vertices_of_a_viewer_are_ours(written, body, frame):
     vertices = viewer_vertices(content, array, frame) @ WORLD_FROM_GLTF.T
     ours = lbs(body, STANDARD, motion.root, motion.rot)[frame].numpy()
     assert np.abs(vertices - ours).max() < 1e-3
+
+
+def test_on_other_bones_a_viewer_shows_the_tailored_body_on_the_motion_s_own_joints(tmp_path, body):
+    """A neck lower by 20 cm: the file's joints stay the motion's, the skin is the tailored one."""
+    offsets = STANDARD.offsets.clone()
+    offsets[STANDARD.index("neck"), 1] -= 0.2
+    low = replace(spin(), skeleton=replace(STANDARD, offsets=offsets))
+    gltf.save(tmp_path / "low.glb", low, body)
+    content, array = parse(tmp_path / "low.glb")
+    joints = viewer_joints(content, array, 7)[:22, :3, 3] @ WORLD_FROM_GLTF.T
+    assert np.abs(joints - low.positions[7].numpy()).max() < 1e-5
+    vertices = viewer_vertices(content, array, 7) @ WORLD_FROM_GLTF.T
+
+    def away(worn):
+        return np.abs(vertices - lbs(worn, low.skeleton, low.root, low.rot)[7].numpy()).max()
+
+    assert away(tailored(body, low.skeleton)) < 1e-3 and away(body) > 0.02
 
 
 def test_a_bind_pose_taken_for_the_t_pose_would_show(tmp_path, body):

@@ -17,7 +17,7 @@ from motionlab.io import bvh, load, rewriting
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from suite import __main__ as suite_main
-from suite import execute, findings, report, staleness
+from suite import execute, findings, pages, report, staleness
 
 
 def notebook(*sources, **metadata):
@@ -72,18 +72,46 @@ notebook = "02"
 """
 
 
-def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path):
+def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path, capsys):
     before = dict(os.environ)
     runs = report.write_report(tmp_path / "report", "smoke")
     assert [(run.notebook, run.status()) for run in runs] == [("00_fails", "failed at cell 2"), ("01_runs", "ran")]
-    assert "ZeroDivisionError" in runs[0].error
+    assert "ZeroDivisionError" in runs[0].error and "00_fails: Run today" in capsys.readouterr().out
     index = (tmp_path / "report/index.html").read_text(encoding="utf-8")
-    assert "failed at cell 2" in index and "href='01_runs.html'" in index and "Size &lt;matters&gt;" in index
-    assert "Not measured yet: 1" in index and ">X02<" in index.partition("<details>")[2]
+    assert 'href="01_runs.html"' in index and "Size &lt;matters&gt;" in index and "not measured yet" in index
+    page = (tmp_path / "report/00_fails.html").read_text(encoding="utf-8")
+    assert "failed at cell 2" in page and "ZeroDivisionError: division by zero" in page
     page = (tmp_path / "report/01_runs.html").read_text(encoding="utf-8")
-    assert f"smoke {suite}" in page
+    assert "no numbers are on record" in page and f"smoke {suite}" not in page  # what a short run shows stays out
     assert dict(os.environ) == before
     assert "1 of 2 notebooks ran" in execute.run_summary(runs)
+
+
+def test_a_full_run_shows_its_own_notebooks_where_they_ran_to_their_end(suite, tmp_path):
+    report.write_report(tmp_path / "report", "full")
+    pages = {name: (tmp_path / f"report/{name}.html").read_text(encoding="utf-8") for name in ("00_fails", "01_runs")}
+    assert f"full {suite}" in pages["01_runs"] and "Run in full today" in pages["01_runs"]
+    assert "failed at cell 2" in pages["00_fails"] and "Traceback" not in pages["00_fails"]
+
+
+@pytest.mark.parametrize(
+    ("measured", "said"),
+    [
+        ({"X01.size": 4.001, "X01.size: n": 9.0}, "1 finding agrees"),
+        ({"X01.size": 5.0, "X01.size: n": 9.0}, "1 of 2 numbers differ from the record"),
+        ({}, "2 of 2 numbers differ from the record"),
+    ],
+)
+def test_a_page_says_whether_todays_numbers_are_those_on_record(suite, tmp_path, measured, said):
+    record = findings.load_record(suite / "results/01.json")
+    marks = {"X01.size": staleness.mark(4.0), "X01.size: n": staleness.Mark(9.0, 0.0)}
+    findings.save_record(suite / "results/01.json", replace(record, fingerprint=marks))
+    now = {name: staleness.mark(value) for name, value in measured.items()}
+    findings.save_record(tmp_path / "out/today/results/01.json", replace(record, findings=(), fingerprint=now))
+    report.build(tmp_path / "out", [execute.Run("01_runs", 1.0)])
+    page = (tmp_path / "out/01_runs.html").read_text(encoding="utf-8")
+    assert said in page and ("X01.size was 4, is 5" in page) == (measured.get("X01.size") == 5.0)
+    assert "Not checked today" in (tmp_path / "out/00_fails.html").read_text(encoding="utf-8")
 
 
 def test_regenerate_writes_what_ran_and_keeps_what_failed(suite, monkeypatch):
@@ -142,7 +170,7 @@ def test_interrupted_report_still_has_its_index(suite, tmp_path, monkeypatch):
     monkeypatch.setattr(execute, "run_side_by_side", interrupt)
     with pytest.raises(KeyboardInterrupt):
         report.write_report(tmp_path / "report", "smoke")
-    assert "0 notebooks" in (tmp_path / "report/index.html").read_text(encoding="utf-8")
+    assert "Not checked today" in (tmp_path / "report/index.html").read_text(encoding="utf-8")
 
 
 def test_unknown_notebook_is_named(suite, capsys):
@@ -158,22 +186,31 @@ def test_the_suites_command_writes_the_report(suite, tmp_path, capsys):
     assert suite_main.main(["report", "00", "--out", str(tmp_path / "report")]) == 1
 
 
-def test_readme_takes_the_scoreboard_between_its_marks(suite, tmp_path):
+def test_the_scoreboard_page_holds_what_was_measured(suite):
+    claims, found = findings.load_claims(suite / "claims.toml"), findings.load_results(suite / "results")
+    page = pages.scoreboard(claims, found)
+    assert "| X01 | Size <matters> | **confirmed** |  | [01](../notebooks/01_runs.ipynb) |" in page
+    assert "X02" not in page
+
+
+def test_readme_takes_its_findings_between_its_marks(suite, tmp_path, monkeypatch):
+    monkeypatch.setattr(pages, "FINDINGS", ((("X01",), "It is {size.value:.1f} cm."),))
+    start, end = pages.MARKS
+    (tmp_path / "docs").mkdir()
     readme = tmp_path / "README.md"
-    start, end = report.README_MARKS
     readme.write_text(f"before\n{start}\nstale\n{end}\nafter\n", encoding="utf-8")
-    report.update_readme(readme)
+    pages.update(tmp_path)
     text = readme.read_text(encoding="utf-8")
     assert text.startswith("before\n") and text.endswith("after\n") and "stale" not in text
-    assert "| X01 | Size <matters> | **confirmed** |  | 01_runs |" in text
-    report.update_readme(readme)
+    assert "- It is 4.0 cm. ([01](notebooks/01_runs.ipynb))" in text
+    pages.update(tmp_path)
     assert readme.read_text(encoding="utf-8") == text
-
-
-def test_readme_without_marks_is_an_error(suite, tmp_path):
-    (tmp_path / "README.md").write_text("nothing", encoding="utf-8")
-    with pytest.raises(DataError, match="no scoreboard marks"):
-        report.update_readme(tmp_path / "README.md")
+    monkeypatch.setattr(pages, "FINDINGS", ((("X01",), "It is 4 cm."),))
+    with pytest.raises(DataError, match="4 is typed"):
+        pages.update(tmp_path)
+    readme.write_text("nothing", encoding="utf-8")
+    with pytest.raises(DataError, match="no marks for the findings"):
+        pages.update(tmp_path)
 
 
 def test_rendering_is_really_tried():
@@ -273,8 +310,9 @@ def test_convert_takes_the_unit_and_the_axis_of_a_bvh(tmp_path, capsys):
     ("target", "flags", "words"),
     [
         ("nowhere/a.bvh", (), "cannot be written"),
-        ("a.bvh", ("--fps", "0"), "positive"),
-        ("a.bvh", ("--fps", "nan"), "positive"),
+        ("a.bvh", ("--fps", "0"), "give 1 to 1000"),
+        ("a.bvh", ("--fps", "nan"), "give 1 to 1000"),
+        ("a.bvh", ("--fps", "1e9"), "give 1 to 1000"),
         ("a.bvh", ("--body",), "only a GLB"),
         ("a.npz", ("--no-body",), "only a GLB"),
         ("still.bvh", ("--fps", "10"), "this is the file that was opened"),

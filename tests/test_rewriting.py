@@ -94,7 +94,7 @@ def test_it_is_said_how_many_frames_and_joints_stayed(tmp_path):
     loaded = io.load(source)
     bent, wrist, shaken = loaded.rot.clone(), loaded.rot.clone(), loaded.rot[torch.arange(20).roll(1)]
     bent[4:6], wrist[:, -1] = bent[7], rotation.rotation_about("x", torch.tensor(0.1))
-    own = "have the file's own numbers, byte for byte"
+    own = "keep the file's own numbers, byte for byte"
     for rot, said in ((loaded.rot, "20 of 20 frames"), (wrist, "0 of 20 frames, and 21 of 22 joints in all frames,")):
         assert write_back(source, out, loaded, replace(loaded, rot=rot)) == f"{said} {own}"
     assert write_back(source, out, loaded, replace(loaded, rot=bent)).startswith("18 of 20 frames")

@@ -22,7 +22,7 @@ from motionlab.observation import Observation2D, look_at, project
 from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
 from motionlab.viz import mannequin, palette
 from motionlab.viz.interactive import explore, slider
-from motionlab.viz.movie import film, overlay, write_film
+from motionlab.viz.movie import film, overlay, stage, write_film
 from motionlab.viz.scene import Scene
 
 SMALL = (160, 120)
@@ -170,14 +170,19 @@ def test_a_gif_over_its_budget_loses_frames_but_not_its_length(tmp_path):
 def test_a_slider_moves_the_picture():
     box = slider(standing(), "picture", size=SMALL)
     view, controls = box.children
-    play, hand, clock = controls.children
+    play, hand, clock, left, right = controls.children
     before = view.value
     hand.value = hand.max
     assert view.value != before and clock.value == "0.70 s"
     hand.value = 0
     assert view.value == before and clock.value == "0.00 s"
+    left.click()
+    assert view.value != before
+    right.click()
+    assert view.value == before
     assert play.max == hand.max and play.interval * play.max == pytest.approx(700, rel=0.05)  # as fast as life
-    assert slider(standing(), "static").shape[2] == 3
+    one, three = (slider(m, "static") for m in (standing(), dict.fromkeys(("truth", "rival", "ours"), standing())))
+    assert three.shape == (3 * one.shape[0], *one.shape[1:])
     with pytest.raises(ValueError, match="static, picture, trame"):
         slider(standing(), "hologram")
 
@@ -197,19 +202,84 @@ def test_a_figure_takes_another_motion_and_the_eye_follows_it():
         scene.exchange(standing(frames=7))
 
 
-def test_a_hand_that_turned_the_eye_keeps_its_turn_as_the_eye_travels():
-    scene = Scene(SMALL, follow=True).floor().skeleton(standing(speed=3.0)).at(0.0)
-    eye = scene.plotter.renderers[0].camera
-    offset, up = np.array([0.5, -2.0, 1.5]), (0.6, 0.0, 0.8)
-    first = np.array(eye.focal_point)
-    eye.position, eye.up = first + offset, up
+def test_a_hand_that_turned_one_eye_turns_all_and_the_turn_travels_on():
+    slow, fast = standing(speed=0.0), standing(speed=3.0)
+    scene = Scene((320, 120), panels=("a", "b"), follow=True).floor().skeleton(slow).skeleton(fast, panel=1).at(0.0)
+    eyes = [renderer.camera for renderer in scene.plotter.renderers]
+    usual, start = np.subtract(eyes[0].position, eyes[0].focal_point), np.array(eyes[1].focal_point)
+    offset = rotation.rotation_about("z", torch.tensor(1.0)).numpy() @ usual + [0.0, 0.0, 1.0]
+    eyes[1].position, eyes[1].up = start + offset, (0.6, 0.0, 0.8)
     for now in (0.3, 0.7, 0.0):
-        away = np.array(Scene(SMALL, follow=True).skeleton(standing(speed=3.0)).at(now).plotter.camera.focal_point)
+        plain = Scene((320, 120), panels=("a", "b"), follow=True).skeleton(slow).skeleton(fast, panel=1).at(now)
         scene.at(now)
-        np.testing.assert_allclose(eye.focal_point, away)
-        np.testing.assert_allclose(np.subtract(eye.position, eye.focal_point), offset)
-        np.testing.assert_allclose(eye.up, up)
-    assert np.linalg.norm(away - first) < 1e-9
+        for eye, other in zip(eyes, plain.plotter.renderers, strict=True):
+            np.testing.assert_allclose(eye.focal_point, other.camera.focal_point, atol=1e-6)
+            np.testing.assert_allclose(np.subtract(eye.position, eye.focal_point), offset, atol=1e-6)
+            assert eye.up == (0.0, 0.0, 1.0)
+    assert np.linalg.norm(np.subtract(eyes[1].focal_point, start)) < 1e-6
+
+
+@pytest.mark.parametrize("away", [1e-3, 1e3])
+def test_no_hand_loses_the_body(away):
+    scene = Scene(SMALL).floor().skeleton(standing())
+    scene.at(0.0)
+    eye = scene.plotter.camera
+    for _ in range(3):
+        eye.position = np.add(eye.focal_point, away * np.subtract(eye.position, eye.focal_point))
+        eye.focal_point = np.add(eye.focal_point, [50.0, 0.0, 0.0])
+        scene.heed()
+    picture = scene.turn(degrees=180.0).image()
+    blue = (picture[..., 2].astype(int) - picture[..., 0]) > 40
+    assert blue.sum() > 20
+    eye.position = np.add(eye.focal_point, [1.0, 0.0, -5.0])  # from below the floor
+    scene.heed()
+    assert eye.position[2] > 0
+
+
+def flying(speed: float) -> Motion:
+    """Somebody who leaves the floor ever faster."""
+    motion = standing(30, 30.0, speed=0.3)
+    t = torch.linspace(0, 1, 30)
+    return replace(motion, root=motion.root + speed * torch.stack((t, t, t**2), -1))
+
+
+@pytest.mark.parametrize("follow", [True, False])
+def test_who_flies_off_does_not_shrink_the_others(follow):
+    calm = standing(30, 30.0, speed=0.3)
+
+    def height(rival: Motion) -> float:
+        """Of the truth in its own panel, as a share of the picture."""
+        with Scene((960, 420), panels=("truth", "rival", "ours"), follow=follow) as scene:
+            for panel, motion in enumerate((calm, rival, calm)):
+                scene.skeleton(motion, (1.0, 0.0, 0.0), shadow=0, panel=panel)
+            picture = scene.image(0.5)[:, :320].astype(int)
+            rows = np.nonzero((2 * picture[..., 0] - picture[..., 1:].sum(-1) > 80).any(1))[0]
+        return np.ptp(rows) / 420
+
+    assert height(flying(40.0)) > 0.7 * height(calm) > 0.4
+
+
+def test_the_eye_stays_with_who_flies_if_it_follows_and_else_says_that_they_left():
+    seen = {}
+    for follow in (True, False):
+        scene = Scene((640, 240), panels=("truth", "rival"), follow=follow)
+        scene.skeleton(standing(30, 30.0)).skeleton(flying(8.0), panel=1)
+        seen[follow] = [bool(scene.at(now)._gone[1].GetVisibility()) for now in (0.0, 0.9)]
+        assert not scene._gone[0].GetVisibility()
+    assert seen == {True: [False, False], False: [False, True]}
+
+
+def test_a_ghost_stands_in_the_other_panels_only():
+    truth = standing(4)
+    off = replace(truth, root=truth.root + torch.tensor([0.4, 0.0, 0.0]))
+    pictures = []
+    for ghost in (None, truth):
+        scene, _ = stage({"truth": truth, "ours": off, "same": replace(truth)}, size=(480, 160), ghost=ghost)
+        with scene:
+            pictures.append(scene.image().astype(int))
+    changed = np.abs(pictures[0] - pictures[1]).max(-1) > 15
+    own, beside, same = (changed[:, k : k + 160].sum() for k in (0, 160, 320))
+    assert own == 0 and beside > 50 and same < 0.2 * beside
 
 
 async def until(condition):
@@ -223,7 +293,7 @@ async def until(condition):
 def test_a_slider_draws_on_its_own_thread_and_skips_what_is_overtaken():
     async def drag() -> tuple:
         view, controls = slider(standing(), "picture", size=SMALL).children
-        _, hand, clock = controls.children
+        _, hand, clock, *_ = controls.children
         before, drawn = view.value, []
         view.observe(lambda _: drawn.append((threading.get_ident(), clock.value)), names="value")
         other = threading.Thread(target=lambda: [setattr(hand, "value", k) for k in range(1, hand.max + 1)])
@@ -328,3 +398,23 @@ def test_an_experiment_is_drawn_anew_and_says_what_went_wrong():
     assert picture.value != before and not message.value
     knob.value = 0
     assert "Error" in message.value
+
+
+def test_knobs_say_their_units_and_a_result_may_be_a_film(tmp_path):
+    def draw(seconds=0.5):
+        return film(standing().cut(0, int(10 * seconds)), tmp_path / "a.mp4", size=SMALL)
+
+    picture, message, knob = explore(draw, units={"seconds": "s"}, seconds=(0.2, 0.8, 0.1)).children
+    before, knob.value = picture.value, 0.8
+    assert "<video" in before and picture.value != before and not message.value
+    assert knob.description == "seconds (s)"
+    with pytest.raises(ValueError, match="gap; knobs are seconds"):
+        explore(draw, units={"gap": "s"}, seconds=(0.2, 0.8, 0.1))
+
+
+def test_a_film_has_a_bar_where_somebody_watches(tmp_path, capsys):
+    how = {"size": SMALL, "fps": 10.0}
+    film(standing(), tmp_path / "walk.gif", **how)
+    assert capsys.readouterr().err == ""
+    film(standing(), tmp_path / "walk.gif", progress=True, **how)
+    assert "film walk.gif" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from motionlab.commands import many
 from motionlab.commands.many import Job
 from motionlab.commands.motions import READ, WRITTEN, add_axes, make_folder, read_motion
 from motionlab.commands.printing import add_command, is_watched
-from motionlab.commands.showing import add_film, check_film, write_film
+from motionlab.commands.showing import add_film, check_film, draw_film
 from motionlab.errors import DataError
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def _on_motions(options: argparse.Namespace) -> int:
             print(f"note: {note}")
         print(f"{options.out}: written")
         if options.film:
-            print(write_film({"given": given, "made": made}, options.film))
+            print(draw_film({"given": given, "made": made}, options.film))
         return 0
     if options.film:
         remedy = "leave out --film, and draw the ones you want: motionlab show IN OUT --out FILM.mp4"
@@ -206,5 +206,5 @@ def _generate(options: argparse.Namespace) -> int:
                 said.append(note)
         print(f"{target}: {found.motion.frames} frames at {found.motion.fps:g} fps")
     if options.film:
-        print(write_film(made, options.film))
+        print(draw_film(made, options.film))
     return 0

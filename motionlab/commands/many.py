@@ -54,8 +54,8 @@ def run_clips(
         print(f"note: {note} ({names[0] if len(names) == 1 else f'{len(names)} clips'})")
     print(found.lines()[0])
     if found.skipped:
-        which = "a finished one" if compared else "what was made before, perhaps with other options,"
-        print(f"note: to make {which} again, delete what was written of it")
+        how = "" if compared else ", perhaps made with other options"
+        print(f"note: clips that were finished before{how}, stay as they are; to make one again, delete what it wrote")
     if found.failed:  # why was said when it happened
         print(f"failed: {', '.join(found.names[k] for k in sorted(found.failed))}", file=sys.stderr)
     return 1 if found.failed else 0

@@ -30,6 +30,8 @@ def read_motion(path: Path, options: argparse.Namespace) -> Motion:
     """
     from motionlab import io
 
+    if path.is_dir():
+        raise DataError("this is a folder", path=path, remedy="name the files in it that you mean")
     guided = {key: value for key in ("unit", "up") if (value := getattr(options, key)) is not None}
     if guided and path.suffix.lower() != ".bvh":
         raise DataError("its unit and axes are known", path=path, remedy="--unit and --up are for .bvh only")
@@ -49,7 +51,7 @@ def make_folder(path: Path) -> None:
         raise DataError(message, path=path, remedy="name another folder") from error
 
 
-def on_standard(motion: Motion) -> Motion:
+def with_standard_joints(motion: Motion) -> Motion:
     """Puts a motion on the 22 standard joints in its own proportions, unless it is there; says so in its notes.
 
     Raises:

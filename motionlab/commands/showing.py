@@ -8,14 +8,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionlab.commands.motions import READ, add_axes, on_standard, read_motion
+from motionlab.commands.motions import READ, add_axes, read_motion, with_standard_joints
 from motionlab.commands.printing import add_command
 from motionlab.errors import DataError
 
 if TYPE_CHECKING:
     from motionlab.motion import Motion
 
-MOST = 6  # motions side by side: more are too small to see
+_MOST = 6  # motions side by side: more are too small to see
 _FILMS, _PICTURE = (".mp4", ".gif"), ".png"
 _PICTURES = 900  # of a film: 30 s at 30 a second; they are all in memory
 
@@ -24,7 +24,7 @@ def add_show(commands: argparse._SubParsersAction) -> None:
     """Adds the command; nothing heavy is imported before it runs."""
     text = "draw motion files side by side: a film, or a picture of key poses"
     command = add_command(commands, "show", text, "show walk.bvh --out walk.mp4", _show)
-    command.add_argument("files", nargs="+", type=Path, metavar="IN", help=f"a motion: {READ}; up to {MOST} of them")
+    command.add_argument("files", nargs="+", type=Path, metavar="IN", help=f"a motion: {READ}; up to {_MOST} of them")
     command.add_argument(
         "--out", type=Path, required=True, metavar="FILE", help="a film (.mp4, .gif), or key poses (.png), a row a file"
     )
@@ -50,16 +50,16 @@ def check_film(path: Path, count: int = 1, picture: bool = False) -> None:
         raise DataError("no film can be written in this format", path=path, remedy=f"end it in {' or '.join(endings)}")
     if not path.parent.is_dir():
         raise DataError("there is no such folder", path=path.parent, remedy="make it first, or name another")
-    if count > MOST:
-        raise DataError(f"{count} motions side by side", path=path, remedy=f"show {MOST} at most")
+    if count > _MOST:
+        raise DataError(f"{count} motions are too many to see", path=path, remedy=f"show {_MOST} at most")
 
 
-def write_film(motions: Mapping[str, Motion], path: Path, *, bones: bool = False, follow: bool = True) -> str:
+def draw_film(motions: Mapping[str, Motion], path: Path, *, bones: bool = False, follow: bool = True) -> str:
     """Draws motions side by side, each under its label, a body for each; says what was written."""
     from motionlab.body import BodyModel
     from motionlab.viz import movie
 
-    motions = motions if bones else {label: on_standard(motion) for label, motion in motions.items()}
+    motions = motions if bones else {label: with_standard_joints(motion) for label, motion in motions.items()}
     how = {"body": None if bones else BodyModel.from_anny(), "roles": {"given": "observation"}}
     film = movie.film(motions, path, follow=follow, most=_PICTURES if path.suffix == ".mp4" else None, **how)
     faster = f", played {film.speed:.1f} times as fast" if film.speed > 1.05 else ""
@@ -70,15 +70,15 @@ def _show(options: argparse.Namespace) -> int:
     check_film(options.out, len(options.files), picture=True)
     motions = {}
     for label, path in zip(_labels(options.files), options.files, strict=True):
-        motion = _cut(read_motion(path, options), path, options.cut)
-        motions[label] = motion if options.bones else on_standard(motion)
-        for note in motions[label].notes:
+        motion = read_motion(path, options)
+        motion = motion if options.bones else with_standard_joints(motion)
+        for note in motion.notes:
             print(f"{label}: {note}")
+        motions[label] = _cut(motion, path, options.cut)
     if options.out.suffix == _PICTURE:
-        _write_poses(motions, options.out, options.bones)
-        print(f"{options.out}: a picture of key poses")
+        print(_draw_poses(motions, options.out, options.bones))
     else:
-        print(write_film(motions, options.out, bones=options.bones, follow=options.follow))
+        print(draw_film(motions, options.out, bones=options.bones, follow=options.follow))
     return 0
 
 
@@ -111,19 +111,13 @@ def _labels(files: list[Path]) -> list[str]:
     return labels
 
 
-def _write_poses(motions: Mapping[str, Motion], path: Path, bones: bool) -> None:
-    """A row of eight key poses for each motion, its name above."""
-    import numpy as np
-    from PIL import Image, ImageDraw
+def _draw_poses(motions: Mapping[str, Motion], path: Path, bones: bool) -> str:
+    """Draws a row of eight key poses for each motion, under its label; says what was written."""
+    from PIL import Image
 
     from motionlab.body import BodyModel
     from motionlab.viz import movie
-    from motionlab.viz.palette import INK
 
-    body = None if bones else BodyModel.from_anny()
-    rows = []
-    for label, motion in motions.items():
-        row = Image.fromarray(movie.strip(motion, min(8, motion.frames), body=body))
-        ImageDraw.Draw(row).text((14, 10), label, fill=INK, font_size=18)
-        rows.append(np.asarray(row))
-    Image.fromarray(movie.stack_pictures(rows)).save(path)
+    poses = min(8, *(motion.frames for motion in motions.values()))
+    Image.fromarray(movie.strip(motions, poses, body=None if bones else BodyModel.from_anny())).save(path)
+    return f"{path}: {poses} key poses"

@@ -1,4 +1,4 @@
-"""Motion to try things on. It is our own and has the licence of the code, MIT; ``data_synth.example_walk`` made it."""
+"""Motion to try things on: our own, made by ``tests/test_examples.py``, with the licence of the code, MIT."""
 
 from pathlib import Path
 

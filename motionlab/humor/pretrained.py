@@ -36,7 +36,7 @@ from motionlab.humor.priors import (
 from motionlab.io.reading import numbers, read_npz, reading
 
 #: The priors that an ordinary user gets: ``humor_real``, ``pose_prior_real``, ``init_gmm_real``, learnt from hours of
-#: real motion. "compact" knows 42 minutes, and is what notebooks 02 to 15 were measured with.
+#: real motion. "compact" knows 42 minutes; a notebook that was measured with it names it.
 DEFAULT = "real"
 #: Suffixes of files that torch wrote: the official code's checkpoints, VPoser's snapshots.
 _TORCH = (".pth", ".pt", ".ckpt", ".tar")

@@ -106,7 +106,8 @@ def load(path: str | Path, *, skeleton: Skeleton = STANDARD, pelvis_offset: Tens
     if len(skeleton) != BODY // 3:
         raise ShapeError(f"skeleton: expected the {BODY // 3} body joints of SMPL, got {len(skeleton)}")
     amass = _read(path)
-    notes = () if pelvis_offset is not None else ("where the pelvis of this body is, J_0(betas), was not given: SMPL's translation is taken for it",)
+    guess = "pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root"
+    notes = () if pelvis_offset is not None else (guess,)
     if amass.poses.shape[1] > BODY:
         notes += (f"{amass.model}: hands and face are left out, 22 joints of the body are read",)
     turns = amass.poses[:, :BODY].unflatten(-1, (-1, 3))

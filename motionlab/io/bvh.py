@@ -195,7 +195,7 @@ def _reroot(at: Spot, joints: list[_Joint], parents: list[int], place: np.ndarra
         first = rot[:, joint] @ first
     if above:
         names = ", ".join(joints[j].name for j in above)
-        notes.append(f"root is {joints[top].name}, whose position changes; what {names} above it do is composed into it")
+        notes.append(f"root is {joints[top].name}, whose position changes; it takes on the motion of {names} above")
     kept = [j for j in range(len(joints)) if j not in set(above)]
     mean = place.mean(0)
     for j in kept[1:]:
@@ -233,9 +233,9 @@ def _to_world(at: Spot, motion: Motion, unit: str | float | None, up: str | None
     if unit is None:
         fits = [name for name in ("m", "cm", "mm") if PLAUSIBLE[0] <= size * UNITS[name] <= PLAUSIBLE[1]]
         unit = UNITS[fits[0]] if fits else ASSUMED / size
-        guess = f"no unit fits: scaled to {ASSUMED:.2f} m, lengths are relative; say it with unit=, or --unit"
-        meaning = f"taken as {fits[0]}" if fits else guess
-        notes.append(f"unit detected: the figure is about {size:.3g} units tall, {meaning}")
+        found = f"unit {fits[0]} detected" if fits else f"no unit fits, so it is made {ASSUMED:.2f} m tall"
+        more = "" if fits else "; give it with unit=, or --unit"
+        notes.append(f"{found}: the figure is about {size:.3g} units tall{more}")
     scale = UNITS[unit] if isinstance(unit, str) else float(unit)
     world = WORLD[up].to(motion.root)
     rot = motion.rot.clone()

@@ -353,7 +353,7 @@ def _image_numbers(at: Spot, images: Iterable) -> tuple[dict, list[str]]:
         tail = re.search(r"(\d{1,15})(?:_keypoints)?(?:\.\w{1,5})?$", image) if isinstance(image, str) else None
         found[image] = whole_number(tail[1] if tail else image)
     if None in found.values():
-        return {image: n for n, image in enumerate(found)}, ["images without numbers: taken in the file's order"]
+        return {image: n for n, image in enumerate(found)}, ["images have no numbers: taken in the file's order"]
     values = sorted(found.values())
     if len(set(values)) < len(values):
         raise at.error("two images have the same number", place="image_id", remedy="one file per camera")

@@ -204,7 +204,7 @@ def _calibrate(at: Spot, people: np.ndarray, size: tuple[float, float] | None, l
     notes, xy, score = [], people[..., :2], people[..., 2]
     if np.isnan(score).all():
         score[:] = 1
-        notes.append("no confidences in the file: every point that is there counts 1")
+        notes.append("the file has no confidences: every point in it counts 1")
     people[np.isnan(people).any(-1) | (xy == 0).all(-1) | (score == 0)] = 0
     seen = score != 0
     if not seen.any():
@@ -214,23 +214,23 @@ def _calibrate(at: Spot, people: np.ndarray, size: tuple[float, float] | None, l
         score[seen] = 1 / (1 + np.exp(-np.clip(score[seen], -500, 500)))
         notes.append(f"scores from {low:.3g} to {high:.3g} are logits: taken through the logistic function")
     elif high == 2 and np.isin(score, (0, 1, 2)).all():
-        notes.append("0, 1 and 2 are flags, no confidences: every point that is labelled counts 1")
+        notes.append("0, 1 and 2 are flags, not confidences: every labelled point counts 1")
     elif high > _OVER:
         scale = np.percentile(score[score > 0], 99)
         score /= scale
-        notes.append(f"scores up to {high:.3g}: divided by {scale:.3g}, which 1 % of them pass")
+        notes.append(f"scores go up to {high:.3g}: divided by {scale:.3g}, which 99 % of them do not pass")
     elif high > 1:
-        notes.append(f"scores up to {high:.3g}: those above 1 count 1")
+        notes.append(f"scores go up to {high:.3g}: those above 1 count 1")
     np.clip(score, 0, 1, out=score)
     people[score == 0] = 0
     unsure = (score > 0) & (score < lowest)
     if unsure.any():
-        notes.append(f"{unsure.sum() / seen.sum():.1%} of the points have a confidence below {lowest:g}: not seen")
+        notes.append(f"{unsure.sum() / seen.sum():.1%} of the points have a confidence below {lowest:g}: left out")
         people[unsure] = 0
     seen = score > 0
     if seen.any() and np.median(np.abs(xy[seen])) < _SHARE:
         _to_pixels(at, xy, seen, size)
-        notes.append(f"shares of the image: multiplied by {size[0]:g} x {size[1]:g}")
+        notes.append(f"coordinates are shares of the image: multiplied by its size, {size[0]:g} x {size[1]:g}")
     return notes
 
 
@@ -251,7 +251,7 @@ def _told_apart(frames: list[np.ndarray], ids: list[list], *, gap: int) -> tuple
     notes = []
     named = tracking.by_id([[(int(k), here[k]) for k in keys] for here, keys in zip(ids, shown, strict=True)])
     if named is None and any(name is not None for here in ids for name in here):
-        notes = ["the file's ids do not tell people apart: they are joined by place"]
+        notes = ["the file's ids do not tell people apart: people are followed by where they are"]
     if named is None and max(map(len, shown)) == 1:
         named = {0: [(n, int(keys[0])) for n, keys in enumerate(shown) if len(keys)]}
     if named is None:

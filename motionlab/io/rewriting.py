@@ -325,7 +325,7 @@ def for_amass(motion: Motion) -> tuple[Motion, str]:
         return motion, ""
     leg = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
     found = retarget(motion, proportions="standard", leg=leg)
-    return found.motion, f"AMASS files hold no bone lengths: it is put on the standard body, {found.scale:.3f} times as large"
+    return found.motion, f"AMASS files hold no bone lengths: put on the standard body, {found.scale:.3f} times as large"
 
 
 def _has_standard_bones(skeleton: Skeleton) -> bool:

@@ -82,7 +82,7 @@ class Shadow:
         self.move(points)
 
     def move(self, points: np.ndarray) -> None:
-        """Redraw for the surface's vertices (V, 3), world."""
+        """Moves it to the surface's vertices (V, 3), world."""
         centre = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
         alpha = 255 * self.strength * _darkness(points, self.areas, centre, self.width)
         self.pixels.point_data["rgba"][:, 3] = alpha.ravel()

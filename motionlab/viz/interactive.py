@@ -25,6 +25,7 @@ from motionlab.viz.scene import Scene
 
 BACKENDS = ("static", "picture", "trame")
 _RATE = 25  # steps of the slider per second
+_REST, _WHEEL = 0.4, 1.1  # seconds without motion until edges are smoothed; times as far by a notch of the wheel
 _DRAWING = "<span style='color: #777777'>drawing …</span>"
 
 
@@ -55,7 +56,7 @@ def _newest(draw: Callable[[object], None]) -> Callable[[object], None]:
 def _trame(scene: Scene):
     """A view in the browser, drawn by the kernel and turned with the mouse, and what sends it a new picture.
 
-    The horizon stays level; what turns one panel turns all.
+    What turns one panel turns all. While something moves it is drawn quickly, and once more when it rests.
     """
     from trame_pyvista.jupyter import elegantly_launch, get_server
 
@@ -64,11 +65,36 @@ def _trame(scene: Scene):
         # trame's WebAssembly view, not used here, downloads itself when the server starts: an error without a network
         with mock.patch.dict(sys.modules, {"trame.widgets.vtklocal": None}):
             elegantly_launch(server)
-    scene.plotter.enable_terrain_style(mouse_wheel_zooms=True)
-    scene.plotter.render_window.AddObserver("StartEvent", lambda *_: scene.heed())
+    scene.plotter.enable_terrain_style(mouse_wheel_zooms=False)  # the horizon stays level
+    hand, window = scene.plotter.iren, scene.plotter.render_window
+    hand.interactor.EnableRenderOff()  # a hand moves the eye; trame draws as often as it can
     scene.plotter.notebook = True  # else pyvista guesses, and shows nothing where it sees no notebook
     view = scene.plotter.show(jupyter_backend="server", jupyter_kwargs={"add_menu": False}, return_viewer=True)
-    return view, view.viewer.update
+    resting: list[asyncio.TimerHandle] = []
+
+    def stir() -> None:
+        scene.smooth(False)
+        while resting:
+            resting.pop().cancel()
+        resting.append(asyncio.get_running_loop().call_later(_REST, settle))
+
+    def settle() -> None:
+        scene.smooth(True)
+        view.viewer.update()
+
+    def update() -> None:
+        stir()
+        view.viewer.update()
+
+    def wheel(_: object, event: str) -> None:
+        away = _WHEEL ** hand.interactor.GetInteractorStyle().GetMouseWheelMotionFactor()
+        scene.turn(away=away if event == "MouseWheelBackwardEvent" else 1 / away)
+        update()
+
+    window.AddObserver("StartEvent", lambda *_: stir() if scene.heed() else None)
+    for event in ("MouseWheelForwardEvent", "MouseWheelBackwardEvent"):
+        hand.add_observer(event, wheel)
+    return view, update
 
 
 def slider(
@@ -109,7 +135,7 @@ def slider(
     import ipywidgets
 
     panels = 1 if isinstance(motions, Motion) else len(motions)
-    size = size or (640 if panels == 1 else min(420 * panels, 1100), 420)
+    size = size or (640 if panels == 1 else min(420 * panels, 1020), 420)
     how = {"things": things, "ghost": ghost, "follow": follow, "azimuth": azimuth}
     shown = Player(*stage(motions, roles, body, size, **how), backend)
     shown.clock.layout.width = "5em"

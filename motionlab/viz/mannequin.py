@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import numpy as np
 import pyvista as pv
-from scipy.sparse import csr_array
 from torch import Tensor
 from vtkmodules.vtkCommonCore import vtkInformation
 from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLActor
@@ -17,6 +16,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
 from motionlab.viz.palette import INK, side_of, sides
 
+_DEEPER = 60.0  # steps of the depth buffer, about a centimetre
 _SIDES, _ROUND = 16, np.linspace(0, np.pi / 2, 5)
 
 
@@ -212,9 +212,8 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Computes unit normals (V, 3): the area-weighted mean of the faces around each vertex."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     face = np.cross(b - a, c - a)
-    rows, columns = faces.T.ravel(), np.tile(np.arange(len(faces)), 3)
-    around = csr_array((np.ones(rows.size), (rows, columns)), shape=(len(vertices), len(faces)))
-    normals = around @ face
+    at = faces.ravel()
+    normals = np.stack([np.bincount(at, np.repeat(face[:, k], 3), len(vertices)) for k in range(3)], -1)
     return normals / (np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-20)
 
 
@@ -240,11 +239,19 @@ def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 
         look = {"scalars": "paint", "rgb": True}
     else:
         look = {"color": paint}
-    if opacity < 1:  # first its depth alone: what lies inside or on the far side must not show through
+    opaque = opacity == 1
+    layers = [
+        plotter.add_mesh(mesh, opacity=share, reset_camera=False, **look, **SKIN)
+        for share in ([1.0] if opaque else [1e-3, opacity])
+    ]
+    if not opaque:  # first its depth alone, so that nothing inside or behind shows through
         deep = vtkInformation()
         deep.Set(vtkOpenGLActor.GLDepthMaskOverride(), 1)
-        plotter.add_mesh(mesh, opacity=1e-3, reset_camera=False).SetPropertyKeys(deep)
-    actor = plotter.add_mesh(mesh, opacity=opacity, reset_camera=False, **look, **SKIN)
+        layers[0].SetPropertyKeys(deep)
+        for layer in layers:  # and a little deeper than it is, so that it does not paint what is in its place
+            layer.mapper.SetResolveCoincidentTopologyToPolygonOffset()
+            layer.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, _DEEPER)
+    actor = layers[-1]
     actor.prop.interpolation = "Phong"
     return actor
 

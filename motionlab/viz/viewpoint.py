@@ -193,7 +193,7 @@ def _from_home(paths: list[np.ndarray]) -> list[np.ndarray]:
 def _steady_track(path: np.ndarray, fps: float) -> np.ndarray:
     """The track (T, 3) of an eye that follows a root path (T, 3): its slow part, 0.6 s wide, level while the root is
     within ``_UP`` of its usual height."""
-    usual = np.median(path[:, 2])
+    usual = np.quantile(path[:, 2], 0.1)
     height = path[:, 2] - path[:, 2].clip(usual - _UP, usual + _UP)
     beyond = int(2.4 * fps)  # mirrored through its ends, so that the eye does not lag behind there
     track = np.pad(np.column_stack((path[:, :2], height)), ((beyond, beyond), (0, 0)), "reflect", reflect_type="odd")

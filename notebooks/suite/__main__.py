@@ -10,7 +10,7 @@ from pathlib import Path
 
 from motionlab.doctor import ROOT
 from motionlab.errors import DataError, MissingData
-from suite import execute, report, shape
+from suite import execute, pages, report, shape
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,10 +30,11 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m suite", description="Run the notebooks.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    command = commands.add_parser("report", help="run the notebooks into an HTML report")
+    command = commands.add_parser("report", help="the notebooks as pages, checked by running them")
     command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
     command.add_argument("--out", type=Path, default=ROOT / "report")
     command.add_argument("--profile", choices=("smoke", "full"), default=os.environ.get("MOTIONLAB_PROFILE") or "smoke")
+    command.add_argument("--no-run", action="store_true", help="only the pages, which then say: not checked today")
     command.set_defaults(run=_report)
 
     command = commands.add_parser("regenerate", help="run the notebooks in place, full profile, as committed")
@@ -51,6 +52,8 @@ def _parser() -> argparse.ArgumentParser:
 
     command = commands.add_parser("records", help="what changed in the code behind the records")
     command.set_defaults(run=lambda options: print(execute.changed_behind()) or 0)
+    command = commands.add_parser("pages", help="docs/scoreboard.md and README's findings, from the records")
+    command.set_defaults(run=lambda options: pages.update(ROOT) or 0)
     command = commands.add_parser("shape", help="how long the notebooks' cells and sentences are")
     command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
     command.set_defaults(run=_shape)
@@ -58,8 +61,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _report(options: argparse.Namespace) -> int:
-    runs = report.write_report(options.out, options.profile, options.notebooks)
-    print(f"{execute.run_summary(runs)}; report: {options.out / 'index.html'}")
+    runs = report.write_report(options.out, options.profile, options.notebooks, run=not options.no_run)
+    print(f"{'not run' if options.no_run else execute.run_summary(runs)}; report: {options.out / 'index.html'}")
     return 0 if all(run.ok for run in runs) else 1
 
 
@@ -74,9 +77,9 @@ def _regenerate(options: argparse.Namespace) -> int:
         runs = execute.take_fingerprints(options.notebooks, again=options.again, widen=options.widen)
     else:
         runs = execute.regenerate(options.notebooks)
-    print(execute.run_summary(runs))  # first: the README cannot be written where an answer lacks its finding
+    print(execute.run_summary(runs))  # first: the pages cannot be written where an answer lacks its finding
     if not options.fingerprints:
-        report.update_readme(ROOT / "README.md")
+        pages.update(ROOT)
     return 0 if all(run.ok for run in runs) else 1
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from motionlab.errors import DataError
 from motionlab.files import write_whole
+from suite import staleness
 from suite.staleness import Fingerprint, Mark
 
 HOLDS = "holds"
@@ -219,6 +220,13 @@ class Record:
         if self.recordings and self.recordings.items() <= recordings.items():
             return self.fingerprint | self.fingerprint_on_recordings
         return {name: mark for name, mark in self.fingerprint.items() if name not in self.fingerprint_on_recordings}
+
+    def moved(self, now: Record) -> list[str]:
+        """Lists how a smoke run differs from this record, a phrase each."""
+        other = [name for name, digest in self.weights.items() if now.weights.get(name, digest) != digest]
+        return [f"{name} are other weights" for name in other] + staleness.differences(
+            self.expected(now.recordings), now.fingerprint
+        )
 
 
 _NUMBERS = ("value", "low", "high")  # of a finding; NaN where there was nothing to measure

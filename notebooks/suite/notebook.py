@@ -62,7 +62,7 @@ def setup(
     if folder and not Path(folder).is_dir():
         raise DataError("no such folder", path=folder, remedy="set MOTIONLAB_DATA to the unpacked recordings")
     here = Path.cwd()
-    viz.draft = profile == "smoke"
+    viz.draft = profile == "smoke" and bool(os.environ.get("MOTIONLAB_BATCH"))  # a person wants to see whole films
     parallel.one_thread()
     lab = Lab(
         notebook=notebook,
@@ -107,8 +107,18 @@ class Lab:
         short = "  \nA short run: readings in the text are those of the full one." if self.profile == "smoke" else ""
         return (
             f"**{self.notebook}**, profile *{self.profile}*, seed {self.seed}, on {where}.  \n"
-            f"Python {platform.python_version()}, {packages}; {device}.{short}"
+            f"Python {platform.python_version()}, {packages}; {device}.{short}  \n{self.cost()}"
         )
+
+    def cost(self) -> str:
+        """Returns how long a full and a short run of this notebook took when they were last recorded."""
+        known = self._record().provenance
+        full, short = (float(known.get(name, "nan")) for name in ("seconds", "smoke seconds"))
+        worked = float(known.get("processor seconds", "nan"))
+        if not full < float("inf"):
+            return "It was never recorded how long a run takes."
+        work = f", {worked / 60:.0f} of them a processor's" if worked < float("inf") else ""
+        return f"When it was last recorded, a full run took {full / 60:.0f} minutes{work}, a short one {short:.0f} s."
 
     def generator(self, salt: object = "") -> torch.Generator:
         """Returns a fresh generator that depends on the notebook's seed and on ``salt`` only."""
@@ -274,12 +284,7 @@ class Lab:
             return []
         if not record.fingerprint:
             return ["the record has no fingerprint: python -m suite regenerate --fingerprints " + self.number]
-        recordings = staleness.recordings_digest(self.data)
-        weights = checkpoint.loaded()
-        other = [n for n, digest in record.weights.items() if weights.get(n, digest) != digest]
-        return [f"{name} are other weights" for name in other] + staleness.differences(
-            record.expected(recordings), self._fingerprint()
-        )
+        return record.moved(self._measured(0.0))
 
     def findings(self, *, fold: bool = False) -> None:
         """Shows every number measured in this run; fold: behind a click."""
@@ -357,20 +362,20 @@ class Lab:
         Raises:
             StaleRecord: a smoke run differs from its fingerprint, and $MOTIONLAB_VERIFY is set.
         """
-        seconds = time.perf_counter() - self.opened
+        seconds, worked = time.perf_counter() - self.opened, _processor_seconds()
         elsewhere = os.environ.get("MOTIONLAB_RESULTS")
         if elsewhere:
-            findings.save_record(Path(elsewhere) / f"{self.number}.json", self._measured(seconds))
+            findings.save_record(Path(elsewhere) / f"{self.number}.json", self._measured(seconds, worked))
         elif self.profile == "full" and os.environ.get("MOTIONLAB_RECORD"):
-            findings.save_record(self.folder / "results" / f"{self.number}.json", self._measured(seconds))
+            findings.save_record(self.folder / "results" / f"{self.number}.json", self._measured(seconds, worked))
         moved = self.stale()
         if moved and os.environ.get("MOTIONLAB_VERIFY"):
             raise staleness.StaleRecord(self.notebook, moved, self._record().seconds)
         if moved:
             self.say("**The record is not what this code gives** (or a knob was turned): " + "; ".join(moved) + ".")
-        self.say(f"Ran in {seconds:.0f} s; {len(self.found)} findings.")
+        self.say(f"Ran in {seconds:.0f} s, {worked:.0f} s of processor time; {len(self.found)} findings.")
 
-    def _measured(self, seconds: float) -> Record:
+    def _measured(self, seconds: float, worked: float) -> Record:
         """The record of this run."""
         provenance = {name: version(name) for name in ("torch", "kornia", "pyvista", "numpy")}
         provenance |= {"profile": self.profile, "seed": str(self.seed), "python": platform.python_version()}
@@ -378,12 +383,17 @@ class Lab:
             notebook=self.notebook,
             source_hash=self._code(),
             findings=tuple(self.settled()),
-            provenance=provenance | {"seconds": f"{seconds:.0f}"},
+            provenance=provenance | {"seconds": f"{seconds:.0f}", "processor seconds": f"{worked:.0f}"},
             fingerprint=self._fingerprint() if self.profile == "smoke" else {},
             weights=checkpoint.loaded(),
             recordings=staleness.recordings_digest(self.data),
             modules=staleness.loaded_modules() if os.environ.get("MOTIONLAB_RECORD") else {},
         )
+
+
+def _processor_seconds() -> float:
+    """What this process and those that it began and waited for have worked."""
+    return sum(os.times()[:4])
 
 
 def _png(write: Callable[[io.BytesIO], object]) -> bytes:

@@ -1,118 +1,224 @@
-"""The HTML report of a run of the notebooks: an index page with the scoreboard, and a page per notebook."""
+"""The report: a gallery of the committed notebooks, stamped with what a run of today says of their numbers.
+
+A film, three sentences, a card for every notebook, the claims, and the tests on a page of their own. Links are relative
+and nothing comes from elsewhere, so that a folder or a static host serves it as it is. The pages are the notebooks as
+committed: a short run is compared with their records, and its own numbers are not shown. A full run shows its own.
+"""
 
 from __future__ import annotations
 
-import html
-import os
+import math
 import shutil
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from threading import Lock
+from typing import TYPE_CHECKING
+
+import jinja2
 
 from motionlab.errors import DataError
-from suite import execute, findings, ledger
+from suite import execute, findings, ledger, staleness
 from suite.execute import Run
-from suite.findings import Claim, Finding
+from suite.findings import Claim, Finding, Record
 
-README_MARKS = ("<!-- scoreboard:start -->", "<!-- scoreboard:end -->")
-_COLOURS = {
-    findings.HOLDS: "#1a7f37",
-    findings.FAILS: "#b3261e",
-    findings.UNJUDGED: "#57606a",
-    ledger.CONFIRMED: "#1a7f37",
-    ledger.REFUTED: "#b3261e",
-    ledger.CONDITION: "#9a6700",
-    ledger.UNDECIDED: "#57606a",
-    ledger.CONSTRUCTION: "#0b6e99",
-    ledger.OPEN: "#8c959f",
+if TYPE_CHECKING:
+    from suite.page import Page
+
+#: The film that the page begins with, by its caption; without it, the first.
+FILM = "**Figure 00.2.**"
+TEMPLATES = Path(__file__).parent / "templates"
+#: The parts of the gallery, by the number that each begins with.
+PARTS = {
+    "00": "Start here",
+    "01": "Motion, rotations, skin",
+    "04": "A prior of transitions: repairing what a camera saw",
+    "10": "A diffusion model: making motion",
+    "99": "All answers",
 }
-_STYLE = """
-:root { color-scheme: light dark; --line: #8883; --soft: #8882 }
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1rem }
-h1 { margin-bottom: 0 } h2 { margin-top: 2.2rem } .note { opacity: .75; margin-top: .2rem }
-table { border-collapse: collapse; width: 100%; font-size: .92rem }
-th, td { text-align: left; padding: .4rem .7rem; border-bottom: 1px solid var(--line); vertical-align: top }
-th { font-weight: 600; background: var(--soft) }
-.pill { color: white; border-radius: 1rem; padding: .1rem .6rem; font-size: .82rem; white-space: nowrap }
-details { margin: 1rem 0 } summary { cursor: pointer }
-.wide { overflow-x: auto } pre { background: var(--soft); padding: .6rem; overflow-x: auto; font-size: .8rem }
-"""
+#: A verdict's colour and how it reads in a chip; the ledger's come in the order in which they are listed.
+_VERDICTS = {
+    ledger.CONFIRMED: ("#1a7f37", "confirmed"),
+    ledger.CONDITION: ("#9a6700", "true on a condition"),
+    ledger.REFUTED: ("#b3261e", "refuted"),
+    ledger.CONSTRUCTION: ("#0b6e99", "by construction"),
+    ledger.UNDECIDED: ("#57606a", "undecided"),
+    ledger.OPEN: ("#6e7781", "not measured yet"),
+    findings.HOLDS: ("#1a7f37", "holds"),
+    findings.FAILS: ("#b3261e", "does not hold"),
+    findings.UNJUDGED: ("#57606a", "cannot be judged"),
+}
 
 
-def write_report(out: Path, profile: str, names: Sequence[str] = ()) -> list[Run]:
-    """Runs notebooks side by side, even where some fail, into ``out``: NN.ipynb, NN.html and index.html.
+@dataclass(frozen=True)
+class Check:
+    """What today's run says of a notebook: "good", "bad" or "" (nothing), in a sentence, with details.
 
-    Numbers measured in this run go to ``out``/results; the committed results stay as they are. Interrupting
-    writes the index of what has run, then raises KeyboardInterrupt.
+    agree: how many findings are those of the record."""
+
+    mark: str
+    said: str
+    details: tuple[str, ...] = ()
+    agree: int = 0
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A notebook in the gallery: its page, its record, what today's run says of it, its claims with their verdicts."""
+
+    page: Page
+    record: Record
+    check: Check
+    claims: tuple[tuple[Claim, str], ...]
+
+    @property
+    def needs(self) -> str:
+        """The data that its numbers come from."""
+        real = self.record.fingerprint_on_recordings or any(map(ledger.is_real, self.record.findings))
+        return "synthetic motion and recordings" if real else "synthetic motion alone"
+
+    @property
+    def duration(self) -> str:
+        """How long its full run took; empty where nobody knows."""
+        return "" if self.record.seconds is None else staleness.duration(self.record.seconds)
+
+
+def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: bool = True) -> list[Run]:
+    """Runs notebooks side by side, even where some fail, into ``out``/today, and writes the pages.
+
+    The committed results stay as they are. Interrupting writes the pages with what has run, then raises
+    KeyboardInterrupt. run: False where nothing is to be run; the pages say so.
     """
     paths = execute.find_notebooks(names)
-    out.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(out / "results", ignore_errors=True)
+    today = out / "today"
+    shutil.rmtree(today, ignore_errors=True)
     ran: list[Run] = []
-    one_page_at_a_time = Lock()
-
-    def done(run: Run, notebook: Path) -> None:
-        ran.append(run)
-        with one_page_at_a_time:
-            _to_html(notebook)
-
     environment = {"MOTIONLAB_PROFILE": profile, "MOTIONLAB_BATCH": "1"} | execute.data_variable()
     try:
-        runs = execute.run_side_by_side(
-            [(path, out / path.name) for path in paths],
-            environment | {"MOTIONLAB_RESULTS": str((out / "results").resolve())},
-            done=done,
-        )
+        if run:
+            today.mkdir(parents=True)
+            execute.run_side_by_side(
+                [(path, today / path.name) for path in paths],
+                environment | {"MOTIONLAB_RESULTS": str((today / "results").resolve())},
+                done=lambda run, _: ran.append(run),
+            )
     finally:
-        order = {path.stem: k for k, path in enumerate(paths)}
-        _write_index(out, sorted(ran, key=lambda run: order[run.notebook]), profile)
-    return runs
+        for entry in build(out, ran, full=profile == "full"):
+            if entry.check.mark == "bad":
+                print(f"{entry.page.name}: {entry.check.said}")
+    return sorted(ran, key=lambda each: each.notebook)
 
 
-def _to_html(notebook: Path) -> None:
-    if notebook.exists():
-        body, _ = _exporter().from_filename(str(notebook))
-        body = body.replace('.ipynb">', '.html">')  # links to other notebooks
-        notebook.with_suffix(".html").write_text(body, encoding="utf-8")
+def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[Entry]:
+    """Builds the pages from the committed notebooks, or, of a full run, from its own in ``out``/today.
 
+    Of a short run it compares the numbers with the records; what agrees leaves nothing but these numbers behind.
+    """
+    from suite import page  # takes seconds to load
 
-@cache
-def _exporter():
-    from nbconvert import HTMLExporter  # takes seconds to load
-
-    return HTMLExporter()  # with embed_images it would close every fold; what is shown is embedded already
-
-
-def _write_index(out: Path, runs: Sequence[Run], profile: str) -> Path:
-    """The first page: scoreboard, what this run measured, and how each notebook went."""
-    claims, recorded = _load_ledger()
-    measured = findings.load_results(out / "results")
-    failed = sum(not run.ok for run in runs)
-    data = os.environ.get("MOTIONLAB_DATA")
-    where = f"synthetic motion and the recordings in {data}" if data else "synthetic motion"
-    page = [
-        "<!doctype html><html lang='en'><meta charset='utf-8'><meta name='viewport' content='width=device-width'>",
-        f"<title>motionlab report</title><style>{_STYLE}</style>",
-        "<h1>motionlab</h1>",
-        f"<p class='note'>{len(runs)} notebooks, {failed} failed, {sum(run.seconds for run in runs):.0f} s; "
-        f"profile <b>{profile}</b>, on {html.escape(where)}; {time.strftime('%Y-%m-%d %H:%M')}.</p>",
-        "<h2>Scoreboard</h2>",
-        f"<p class='note'>What the thesis claims and what we found. “Recorded” is the committed full run, “this run” "
-        f"is what the {profile} profile gives here.</p>",
-        *_split_scoreboard(_scoreboard_rows(claims, recorded, measured, runs)),
-        "<h2>Notebooks</h2>",
-        _table(_notebook_rows(out, runs)),
-        *(f"<pre>{html.escape(run.notebook)}: {html.escape(run.error)}</pre>" for run in runs if not run.ok),
-        "<h2>Measured</h2>",
-        "<p class='note'>Every number of this run; those of profile full are repeated from the record.</p>",
-        _table(_finding_rows(measured or recorded)),
-        "</html>",
+    today = {run.notebook: run for run in runs}
+    claims, found = _load_ledger()
+    shown = []
+    for path in execute.find_notebooks():
+        run, mine = today.get(path.stem), f"{staleness.number_of(path.stem)}.json"
+        record = _record(path.parent / "results" / mine, path.stem)
+        now = _record(out / "today/results" / mine, path.stem)
+        copy = out / "today" / path.name
+        if full and run and run.ok:
+            path, record = copy, now
+            found = [*(f for f in found if f.notebook != path.stem), *record.findings]
+        check = _check(run, record, now, full=full)
+        if check.mark == "good" and not full:
+            copy.unlink(missing_ok=True)
+        shown.append((page.read(path, out), record, check))
+    entries = [
+        Entry(*each, tuple((c, ledger.verdict(c, found)) for c in claims.values() if c.notebook == each[0].number))
+        for each in shown
     ]
-    index = out / "index.html"
-    index.write_text("\n".join(page), encoding="utf-8")
-    return index
+    _write(out, entries, claims, found)
+    return entries
+
+
+def _record(path: Path, notebook: str) -> Record:
+    return findings.load_record(path) if path.exists() else Record(notebook, "", ())
+
+
+def _check(run: Run | None, record: Record, now: Record, *, full: bool) -> Check:
+    """What today's run says of a notebook."""
+    if run is None:
+        return Check("", "Not checked today")
+    day = f"today ({time.strftime('%Y-%m-%d')})"
+    if not run.ok:
+        return Check("bad", f"Run {day}: {run.status()}", (run.error,))
+    if full:
+        return Check("good", f"Run in full {day}")
+    expected = record.expected(now.recordings)
+    if not expected:
+        return Check("", f"Run {day} to its end; no numbers are on record to compare")
+    if moved := record.moved(now):
+        return Check(
+            "bad", f"Checked {day}: {len(moved)} of {len(expected)} numbers differ from the record", tuple(moved)
+        )
+    agree = sum(not name.endswith((": n", ": baseline")) for name in expected)
+    return Check("good", f"Checked {day}: {agree} finding{'s' * (agree != 1)} agree{'s' * (agree == 1)}", agree=agree)
+
+
+# --------------------------------------------------------------------------------------------------------------- pages
+def _write(out: Path, entries: Sequence[Entry], claims: Mapping[str, Claim], found: Sequence[Finding]) -> None:
+    """Write the gallery, a page for every notebook, that of the tests, and their style."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"measured": _measured, "answer": lambda claim: _answer(claim, found)}
+    films = [picture for entry in entries for picture in entry.page.pictures if picture.film]
+    environment.globals |= {
+        "entries": entries,
+        "claims": {claim: ledger.verdict(claim, found) for claim in claims.values()},
+        "pages": {entry.page.number: f"{entry.page.name}.html" for entry in entries},
+        "verdicts": _VERDICTS,
+        "spoken": {claim.id: ledger.spoken(claim, found) for claim in claims.values()},
+        "findings": found,
+        "film": next((film for film in films if film.caption.startswith(FILM)), next(iter(films), None)),
+        "points": next((entry.page.points for entry in reversed(entries) if entry.page.points), ()),
+        "checks": Counter(entry.check.mark for entry in entries),
+        "day": time.strftime("%Y-%m-%d"),
+    }
+
+    def write(name: str, template: str, **values: object) -> None:
+        (out / name).write_text(environment.get_template(template).render(values), encoding="utf-8")
+
+    write("index.html", "index.html", parts=_parts(entries))
+    write("tests.html", "tests.html", tests=findings.all_tests(dict(claims)))
+    for before, entry, after in zip([None, *entries], entries, [*entries[1:], None], strict=False):
+        write(f"{entry.page.name}.html", "notebook.html", entry=entry, before=before, after=after)
+    shutil.copy(TEMPLATES / "style.css", out / "style.css")
+
+
+def _parts(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
+    """The entries under the headings of the gallery."""
+    parts: dict[str, list[Entry]] = {}
+    for entry in entries:
+        head = [title for number, title in PARTS.items() if number <= entry.page.number][-1]
+        parts.setdefault(head, []).append(entry)
+    return parts
+
+
+def _measured(finding: Finding) -> str:
+    """What was measured, as a person writes it."""
+    if not math.isfinite(finding.value):
+        return "not run: nothing to measure" if finding.n == 0 else f"no number, n = {finding.n}"
+    return f"{finding.statistic} {finding.value_text()}".replace(" ,", ",").replace(
+        "n = ", "n\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}"
+    )
+
+
+def _answer(claim: Claim, found: Sequence[Finding]) -> str:
+    """The claim's answer; of a full run that did not measure all that it names, a sentence that says so."""
+    try:
+        return ledger.answer(claim, found) if any(f.claim == claim.id for f in found) else ""
+    except DataError:
+        return "This run did not measure all that the answer names."
 
 
 def _load_ledger() -> tuple[dict[str, Claim], list[Finding]]:
@@ -120,107 +226,3 @@ def _load_ledger() -> tuple[dict[str, Claim], list[Finding]]:
     ledger = execute.NOTEBOOKS / "claims.toml"
     claims = findings.load_claims(ledger) if ledger.exists() else {}
     return claims, findings.load_results(execute.NOTEBOOKS / "results")
-
-
-def _scoreboard_rows(
-    claims: dict[str, Claim], recorded: Sequence[Finding], measured: Sequence[Finding], runs: Sequence[Run]
-) -> list[dict[str, str]]:
-    """One row per claim, as HTML: the recorded verdict, this run's, and a link to the notebook if it ran."""
-    ran = {run.notebook for run in runs}
-    now = {row["claim"]: row for row in ledger.scoreboard(claims, measured, answers=False)}
-    rows = []
-    for row in ledger.scoreboard(claims, recorded):
-        notebook = next((name for name in ran if name.startswith(row["notebook"] + "_")), None)
-        rows.append(
-            {
-                "claim": f"<b>{html.escape(row['claim'])}</b>",
-                "thesis": html.escape(row["thesis"]),
-                "in short": html.escape(row["in short"]),
-                "recorded": _pill(row["verdict"]),
-                "answer": html.escape(row["answer"]) + _rest(row),
-                "this run": _pill(now[row["claim"]]["verdict"]),
-                "notebook": f"<a href='{notebook}.html'>{notebook}</a>" if notebook else html.escape(row["notebook"]),
-            }
-        )
-    return rows
-
-
-def _rest(row: Mapping[str, str]) -> str:
-    """The condition, or what would decide, as a line of its own."""
-    return "" if row["in full"] == row["verdict"] else f"<br><i>{html.escape(row['in full'])}</i>"
-
-
-def _split_scoreboard(rows: Sequence[Mapping[str, str]]) -> Iterator[str]:
-    """The claims that something is known about; the others folded away."""
-    pill = _pill(ledger.OPEN)
-    waiting = [row for row in rows if row["recorded"] == row["this run"] == pill]
-    yield _table([row for row in rows if row not in waiting])
-    if waiting:
-        rest = [{name: row[name] for name in ("claim", "thesis", "in short", "notebook")} for row in waiting]
-        yield f"<details><summary>Not measured yet: {len(waiting)}</summary>{_table(rest)}</details>"
-
-
-def _notebook_rows(out: Path, runs: Sequence[Run]) -> list[dict[str, str]]:
-    return [
-        {
-            "notebook": f"<a href='{run.notebook}.html'>{run.notebook}</a>"
-            if (out / f"{run.notebook}.html").exists()
-            else run.notebook,
-            "status": run.status() if run.ok else f"<b style='color:{_COLOURS[findings.FAILS]}'>{run.status()}</b>",
-            "seconds": f"{run.seconds:.0f}",
-        }
-        for run in runs
-    ]
-
-
-def _finding_rows(found: Sequence[Finding]) -> list[dict[str, str]]:
-    return [
-        {
-            "test": html.escape(f.test),
-            "source": html.escape(f.source),
-            "measured (95 % interval)": html.escape(f"{f.statistic} {f.value_text()}"),
-            "bound": html.escape(f.bound),
-            "baseline": ""
-            if f.baseline_value is None
-            else html.escape(f"{f.baseline}: {f.baseline_value:.3g} {f.unit}"),
-            "profile": f.profile,
-            "verdict": _pill(f.verdict),
-        }
-        for f in found
-    ]
-
-
-def _pill(verdict: str) -> str:
-    return f"<span class='pill' style='background:{_COLOURS[verdict]}'>{html.escape(verdict)}</span>"
-
-
-def _table(rows: Sequence[Mapping[str, str]]) -> str:
-    if not rows:
-        return "<p>Nothing yet.</p>"
-    head = "".join(f"<th>{name}</th>" for name in rows[0])
-    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row.values()) + "</tr>\n" for row in rows)
-    return f"<div class='wide'><table><tr>{head}</tr>\n{body}</table></div>"
-
-
-def update_readme(path: Path) -> None:
-    """Writes the scoreboard of the committed results between the marks of the README.
-
-    Raises:
-        DataError: the README has no marks.
-    """
-    start, end = README_MARKS
-    text = path.read_text(encoding="utf-8")
-    if start not in text or end not in text:
-        raise DataError("no scoreboard marks", path=path, remedy=f"add the lines {start} and {end}")
-    claims, recorded = _load_ledger()
-    rows = [row for row in ledger.scoreboard(claims, recorded) if row["verdict"] != ledger.OPEN]
-    lines = ["| claim | in short | verdict | answer | notebook |", "|---|---|---|---|---|"]
-    lines += [f"| {r['claim']} | {r['in short']} | **{_bold(r)} | {r['answer']} | {r['notebook']} |" for r in rows]
-    before, after = text.split(start)[0], text.split(end)[1]
-    path.write_text(f"{before}{start}\n" + "\n".join(lines) + f"\n{end}{after}", encoding="utf-8")
-
-
-def _bold(row: Mapping[str, str]) -> str:
-    """The verdict in bold, up to its end, and its condition or what would decide behind it."""
-    short, _, _ = row["verdict"].partition(" ...")
-    return short + "**" + row["in full"].removeprefix(short)

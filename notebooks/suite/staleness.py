@@ -58,12 +58,13 @@ class StaleRecord(DataError):
     def __init__(self, notebook: str, moved: Sequence[str], seconds: float | None = None) -> None:
         self.moved = tuple(moved)
         rerun = f"make full NOTEBOOKS={number_of(notebook)}" + (
-            "" if seconds is None else f" ({_duration(seconds)} when last run)"
+            "" if seconds is None else f" ({duration(seconds)} when last run)"
         )
         super().__init__("stale: " + "; ".join(moved), place=f"record of {notebook}", remedy=rerun)
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """Returns a duration as a person says it: "8 min", or "1.6 h"."""
     return f"{seconds / 3600:.1f} h" if seconds >= 5400 else f"{max(1, round(seconds / 60))} min"
 
 

@@ -1,0 +1,211 @@
+"""One notebook as a page: text, pictures, films and formulas as HTML that needs no script and no network."""
+
+from __future__ import annotations
+
+import base64
+import html
+import itertools
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+from latex2mathml.converter import convert
+from nbconvert.filters import Highlight2HTML, ansi2html
+from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
+from PIL import Image
+
+from suite.staleness import number_of
+
+_EMBEDDED = re.compile(r'data:(?:image|video)/([\w+]+);base64,([^"]+)')
+_PICTURE = re.compile(r"<(?:video|img)\b[^<]*(?:</video>)?\s*")
+_SENTENCE = re.compile(r"(?<=[.!?])\s+(?=[A-Z*$])")
+_SHORT = 60  # characters: a first sentence such as "No." needs the next one
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture or film that a notebook stores: its file and that of its first frame, relative to the report."""
+
+    file: str
+    still: str
+    size: tuple[int, int]
+    caption: str = ""
+
+    @property
+    def film(self) -> bool:
+        """It is a video."""
+        return self.file.endswith(".mp4")
+
+    @property
+    def moves(self) -> bool:
+        """It is a video or an animated picture."""
+        return self.file.endswith((".mp4", ".gif"))
+
+    @property
+    def alt(self) -> str:
+        """What it shows, in the first sentence of its caption."""
+        return re.sub(r"[*`$]", "", _SENTENCE.split(self.caption.strip())[0])
+
+
+@dataclass(frozen=True)
+class Page:
+    """A notebook: its name, title, question and answer, the points that its first cell makes in bold, pictures, body.
+
+    question, answer, points and body are HTML."""
+
+    name: str
+    title: str
+    question: str
+    answer: str
+    points: tuple[str, ...]
+    pictures: tuple[Picture, ...]
+    body: str
+
+    @property
+    def number(self) -> str:
+        """The notebook's number, "02" or "05a"."""
+        return number_of(self.name)
+
+    @property
+    def picture(self) -> Picture | None:
+        """The one for its card: the first that moves, else the first."""
+        return next((each for each in self.pictures if each.moves), next(iter(self.pictures), None))
+
+
+def read(notebook: Path, out: Path) -> Page:
+    """Reads a notebook with its stored outputs; writes its pictures and films into ``out``/media."""
+    import nbformat  # takes seconds to load
+
+    (out / "media").mkdir(parents=True, exist_ok=True)
+    book = nbformat.read(notebook, as_version=4)
+    numbers = itertools.count(1)
+
+    def keep(embedded: re.Match[str]) -> str:
+        """Write what is embedded, and name the file."""
+        file = f"media/{number_of(notebook.stem)}-{next(numbers)}.{embedded[1]}"
+        (out / file).write_bytes(base64.b64decode(embedded[2]))
+        return file
+
+    pictures: list[Picture] = []
+    body: list[str] = []
+    code = ""  # that showed nothing yet: folded together with what follows
+    for cell in (*book.cells, nbformat.v4.new_markdown_cell("")):
+        if cell.cell_type == "code":
+            code += _highlight()(cell.source)
+            if not cell.outputs:
+                continue
+        if code:
+            body.append(f"<details class='code'><summary>Code</summary>{code}</details>")
+            code = ""
+        if cell.cell_type == "markdown":
+            body.append(markdown(cell.source))
+        shown = _shown(cell.get("outputs", ()), keep, out)
+        pictures += [each for each in shown if isinstance(each, Picture)]
+        body += [_figure(each) if isinstance(each, Picture) else each for each in shown]
+    first = next((cell.source for cell in book.cells if cell.cell_type == "markdown"), "")
+    answer = _said(first, "Answer", "We find")
+    points = re.findall(r"^- \*\*(.+?)\*\*", answer, re.MULTILINE)
+    title = re.match(r"# (?:\S+ · )?(.*)", first)
+    return Page(
+        name=notebook.stem,
+        title=title[1] if title else notebook.stem,
+        question=_inline(_said(first, "Question")),
+        answer=_inline(points[0] if points else _begin(answer)),
+        points=tuple(map(_inline, points)),
+        pictures=tuple(pictures),
+        body=re.sub(r'\.ipynb(?=["#])', ".html", "\n".join(body)),  # links to other notebooks
+    )
+
+
+# ---------------------------------------------------------------------------------------------------------------- text
+class _Renderer(IPythonRenderer):
+    """Formulas as MathML; tables that scroll by themselves where the page is narrow."""
+
+    def block_math(self, body: str) -> str:
+        return f"<div class='formula' tabindex='0'>{_formula(body, 'block')}</div>"
+
+    def inline_math(self, body: str) -> str:
+        return _formula(body, "inline")
+
+    def latex_environment(self, name: str, body: str) -> str:
+        return self.block_math(rf"\begin{{{name}}}{body}\end{{{name}}}")
+
+    def table(self, text: str) -> str:
+        return f"<div class='wide' tabindex='0'><table>{text}</table></div>\n"
+
+
+def _formula(tex: str, display: str) -> str:
+    """MathML of a formula as browsers draw it: script and upright letters, a space behind a function's name."""
+    found = convert(re.sub(r"\\mathcal\s+(\w)", r"\\mathcal{\1}", tex.strip()), display=display)
+    found = re.sub(r"<mi>(&#x000[4-7][0-9A-F];)</mi>", r"<mi mathvariant='normal'>\1</mi>", found)
+    return re.sub(r"(<mi>(?:log|exp|sin|cos)</mi>)(?=<mi>)", r"\1<mspace width='0.167em'/>", found)
+
+
+def markdown(text: str) -> str:
+    """Converts Markdown with formulas to HTML with MathML."""
+    found = MarkdownWithMath(renderer=_Renderer(escape=False, anchor_link_text="#")).render(text)
+    return re.sub(r"<p>(<div class='formula'.*?</div>)\s*</p>", r"\1", found)  # no paragraph holds a block
+
+
+def _inline(text: str) -> str:
+    return markdown(text).strip().removeprefix("<p>").removesuffix("</p>")
+
+
+def _said(text: str, *heads: str) -> str:
+    """The paragraph, and a list right below it, that begins with one of these words in bold."""
+    found = re.search(rf"^\*\*(?:{'|'.join(heads)})\.?\*\*(?: \([^)]*\)\.)?\s*(.+?)(?=\n\n|\Z)", text, re.M | re.S)
+    return found[1] if found else ""
+
+
+def _begin(text: str) -> str:
+    """The first sentence; where it is short, with those after it."""
+    said = ""
+    for sentence in _SENTENCE.split(text):
+        if len(said) >= _SHORT:
+            break
+        said = f"{said} {sentence}".strip()
+    return said
+
+
+@cache
+def _highlight() -> Callable[[str], str]:
+    return Highlight2HTML(pygments_lexer="ipython3")
+
+
+# ------------------------------------------------------------------------------------------------------------- outputs
+def _shown(outputs: list, keep: Callable[[re.Match[str]], str], out: Path) -> list[Picture | str]:
+    """The outputs of a cell, HTML where they are no pictures; a picture takes the caption that follows it."""
+    shown: list[Picture | str] = []
+    for output in outputs:
+        data = output.get("data", {})
+        text, embedded = data.get("text/markdown", ""), data.get("text/html", "").strip()
+        if "image/png" in data:
+            embedded = f'<img src="data:image/png;base64,{data["image/png"]}">'
+        if text.startswith("**Figure") and shown and isinstance(shown[-1], Picture):
+            shown[-1] = replace(shown[-1], caption=text)
+        elif text:
+            shown.append(markdown(text))
+        elif embedded and _PICTURE.fullmatch(embedded):
+            files = [keep(each) for each in _EMBEDDED.finditer(embedded)]
+            still = next(file for file in files if not file.endswith(".mp4"))
+            with Image.open(out / still) as image:
+                shown.append(Picture(max(files, key=lambda file: file.endswith(".mp4")), still, image.size))
+        elif embedded:
+            shown.append(_EMBEDDED.sub(keep, embedded))
+        else:
+            plain = output.get("text") or "\n".join(output.get("traceback", ())) or data.get("text/plain", "")
+            shown.append(f"<pre>{ansi2html(plain)}</pre>")
+    return shown
+
+
+def _figure(picture: Picture) -> str:
+    alt = html.escape(picture.alt or "A picture; the text beside it says what it shows.")
+    size = "width='{}' height='{}'".format(*picture.size)
+    if picture.film:
+        how = "controls loop autoplay muted playsinline preload='metadata'"
+        shown = f"<video {how} {size} poster='{picture.still}' src='{picture.file}' aria-label='{alt}'></video>"
+    else:
+        shown = f"<img {size} src='{picture.file}' alt='{alt}' loading='lazy'>"
+    return f"<figure>{shown}<figcaption>{markdown(picture.caption)}</figcaption></figure>"

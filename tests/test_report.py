@@ -1,0 +1,159 @@
+"""The report: what it links to is there, it needs no network, and its formulas and pictures come through."""
+
+import base64
+import io
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from suite import page, report
+
+LIMIT = 40_000_000  # bytes
+
+
+class Seen(HTMLParser):
+    """What a page refers to, the places in it that others may refer to, and what it shows without a description."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.loads, self.links, self.ids, self.mute, self.formulas = [], [], set(), [], []
+        self.inside = False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        self.loads += [given[name] for name in ("src", "poster", "srcset", "data") if given.get(name)]
+        self.loads += [given["href"]] if tag == "link" else []
+        self.links += [given["href"]] if tag == "a" and given.get("href") else []
+        self.ids |= {given["id"]} if given.get("id") else set()
+        if (tag == "img" and not given.get("alt")) or (tag == "video" and not given.get("aria-label")):
+            self.mute.append(self.get_starttag_text())
+        self.inside = self.inside or tag == "math"
+
+    def handle_endtag(self, tag):
+        self.inside = self.inside and tag != "math"
+
+    def handle_data(self, data):
+        if self.inside:
+            self.formulas.append(data)
+
+
+def problems(folder):
+    """What a browser without a network would miss, a phrase each."""
+    seen = {path.name: Seen(path.read_text(encoding="utf-8")) for path in folder.glob("*.html")}
+    for name, mine in seen.items():
+        for target in mine.loads:
+            if re.match(r"(?:https?:)?//", target):
+                yield f"{name} loads {target}"
+            elif not target.startswith("data:") and not (folder / target).is_file():
+                yield f"{name}: no file {target}"
+        for target in mine.links:
+            file, _, anchor = target.partition("#")
+            if re.match(r"https?://|mailto:", target):
+                continue  # a paper
+            if not (folder / (file or name)).is_file():
+                yield f"{name}: no page {target}"
+            elif anchor and anchor not in seen[file or name].ids:
+                yield f"{name}: no place {target}"
+        yield from (f"{name} shows without a description: {each[:80]}" for each in mine.mute)
+        yield from (f"{name}: TeX in a formula: {each}" for each in mine.formulas if "\\" in each)
+    for path in folder.rglob("*.css"):
+        yield from (f"{path.name} loads {each}" for each in re.findall(r"@import.*|url\(.*?\)", path.read_text()))
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    if size > LIMIT:
+        yield f"{size / 1e6:.0f} MB"
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    out = tmp_path_factory.mktemp("report")
+    return out, report.build(out)
+
+
+def test_the_report_needs_nothing_but_its_folder(built):
+    out, entries = built
+    found = list(problems(out))
+    assert not found, "\n".join(found)
+    assert {f"{entry.page.name}.html" for entry in entries} < {path.name for path in out.glob("*.html")}
+
+
+def test_every_notebook_has_a_card_and_no_row_is_not_a_number(built):
+    out, entries = built
+    index = (out / "index.html").read_text(encoding="utf-8")
+    assert index.count('<article class="card">') == len(entries) and "<video autoplay" in index
+    assert all(entry.page.question and entry.page.answer and entry.page.picture for entry in entries)
+    tests = (out / "tests.html").read_text(encoding="utf-8")
+    assert not re.search(r"\b(nan|None)\b", tests) and "not run: nothing to measure" in tests
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("<script src='https://cdn.example/x.js'></script>", "loads https"),
+        ("<link href='//cdn.example/x.css'>", "loads //"),
+        ("<img src='gone.png' alt='x'>", "no file gone.png"),
+        ("<img src='there.png'>", "without a description"),
+        ("<a href='gone.html'>x</a>", "no page gone.html"),
+        ("<a href='#gone'>x</a>", "no place #gone"),
+        ("<a href='a.html#gone'>x</a>", "no place a.html#gone"),
+        (r"<math><mi>\foo</mi></math>", "TeX in a formula"),
+        ("<a href='https://arxiv.org/abs/2105.04668'>a paper</a><a href='a.html#here' id='here'>x</a>", None),
+    ],
+)
+def test_control_a_page_that_lacks_something_is_found(tmp_path, text, complaint):
+    (tmp_path / "a.html").write_text(text, encoding="utf-8")
+    (tmp_path / "there.png").touch()
+    found = list(problems(tmp_path))
+    assert complaint in found[0] if complaint else not found
+
+
+def test_control_a_report_that_is_too_large_is_found(tmp_path):
+    with (tmp_path / "big").open("wb") as file:
+        file.truncate(LIMIT + 1)
+    assert list(problems(tmp_path)) == ["40 MB"]
+
+
+def test_formulas_are_mathml_and_dollars_in_code_stay():
+    text = page.markdown(r"A $\mathrm{E}\lVert x_t \rVert$ of $\mathcal N$, `a$b`." + "\n\n" + r"$$\sum_t x_t$$")
+    assert text.count("<math") == 3 and "<munder>" in text and "a$b" in text and "<p><div" not in text
+    assert "<mi mathvariant='normal'>&#x00045;</mi>" in text and "&#x1D4A9;" in text
+
+
+def encoded(colour, kind="PNG"):
+    file = io.BytesIO()
+    Image.new("RGB", (8, 4), colour).save(file, kind)
+    return base64.b64encode(file.getvalue()).decode()
+
+
+def stored(path: Path):
+    """A notebook with a plot, a film, code that shows nothing, and an error."""
+    import nbformat  # takes seconds to load
+
+    new = nbformat.v4
+    poster = f'poster="data:image/jpeg;base64,{encoded("red", "JPEG")}"'
+    film = f'<video loop {poster} src="data:video/mp4;base64,AAAA"></video>'
+    found = "No. It is *not*, as far as anybody could see by looking at it. More follows. See [02](02_other.ipynb)."
+    cells = [new.new_markdown_cell(f"# 07 · A title\n\n**Question.** Is it $x$?\n\n**We find** (n = 1). {found}")]
+    cells += [new.new_code_cell(code) for code in ("quiet = 1", "draw()", "fail()")]
+    said = "text/markdown"
+    shown = [("image/png", encoded("blue")), (said, "**Figure 07.1.** A $plot$. Twice.")]
+    shown += [("text/html", film), (said, "**Figure 07.2.** A film.")]
+    cells[2].outputs = [new.new_output("display_data", data={kind: data}) for kind, data in shown]
+    cells[3].outputs = [new.new_output("error", ename="E", evalue="x", traceback=["\x1b[31mE\x1b[0m: <x>"])]
+    nbformat.write(new.new_notebook(cells=cells), path)
+    return path
+
+
+def test_a_notebook_becomes_a_page_with_its_pictures_as_files(tmp_path):
+    found = page.read(stored(tmp_path / "07_toy.ipynb"), tmp_path)
+    assert (found.number, found.title) == ("07", "A title") and found.question.startswith("Is it <math")
+    assert found.answer == "No. It is <em>not</em>, as far as anybody could see by looking at it."
+    plot, film = found.pictures
+    assert (plot.file, plot.size, plot.alt) == ("media/07-1.png", (8, 4), "Figure 07.1. A plot.")
+    assert (film.still, film.file) == ("media/07-2.jpeg", "media/07-3.mp4") and found.picture == film
+    assert (tmp_path / film.file).read_bytes() == b"\0\0\0" and "base64" not in found.body
+    assert found.body.count("<details class='code'>") == 2 and "quiet" in found.body  # with the code that follows
+    assert "E</span>: &lt;x&gt;" in found.body and 'href="02_other.html"' in found.body
