@@ -39,6 +39,7 @@ from motionlab.skeleton import STANDARD, fk
 
 MODES = ("lean", "official")
 SOLVERS = ("rollout", "shooting")
+_WEIGHED = 4  # rounds after which a start that sits is judged: after 2, some that stood up sat to the end
 _NAMES = ("stage 1 of 3: where they are", "stage 2 of 3: pose and size", "stage 3 of 3: motion")
 _WHOLE = 600  # frames that shooting takes at once: it keeps 3 MB of each
 #: From here on a fit is doubtful. On practice clips, of moves that the prior has seen, surprise was 0.05 to
@@ -294,7 +295,7 @@ class _Track:
             if plan.second and plan.trial:
                 rival = starts.start_stage_3(*begun, *rest)[0]
             elif s.guesses and seen.hides_feet.any():
-                plan = replace(plan, second=True, trial=max(plan.trial, 1))
+                plan = replace(plan, second=True, trial=max(plan.trial, _WEIGHED))
                 rival = self._seated(problem, unknown, rest)
                 rival = Unknowns(**{
                     name: torch.where(seen.hides_feet.reshape(-1, *(1,) * (x.ndim - 1)), x, getattr(calm, name))
