@@ -284,17 +284,17 @@ def reading(ways: Sequence[Mapping], labels: Sequence[Mapping], toes: Sequence[M
     spline, linear = (next(row for row in ways if row["way"] == way) for way in ("spline", "linear"))
     best = min(ways, key=lambda row: row["places, mm"])["way"]
     text = (
-        f"The {best} is nearer: {spline['places, mm']:.2f} mm for the spline against {linear['places, mm']:.2f} for "
-        f"straight lines. Its mean acceleration is {spline['mean acceleration']:.2f} m/s^2 where the truth has "
-        f"{spline['of the truth']:.2f}. "
+        f"The {best} is nearer to the truth: the spline is {spline['places, mm']:.2f} mm off, straight lines "
+        f"{linear['places, mm']:.2f} mm. The spline's mean acceleration is {spline['mean acceleration']:.2f} m/s^2; "
+        f"the truth has {spline['of the truth']:.2f}. "
     )
     parts = {part: [row["F1"] for row in labels if row["part"] == part] for part in ("train", "report")}
-    scores = ", ".join(f"{np.mean(f1):.2f} on {len(f1)} people of {part}" for part, f1 in parts.items() if f1)
+    scores = ", ".join(f"{np.mean(f1):.2f} on {len(f1)} people of *{part}*" for part, f1 in parts.items() if f1)
     text += f"Foot contacts have an F1 of {scores}. "
     for row in toes:
         if row["part"] == "report":
             text += (
-                f"Toes cannot be guessed: on people it never saw the regression misses by {row['regression']:.0f} "
-                f"degrees, a rigid toe by {row['rigid']:.0f}."
+                f"Toes cannot be guessed. On people it never saw, a regression from the rest of the body misses by "
+                f"{row['regression']:.0f} degrees, a toe that never bends by {row['rigid']:.0f}."
             )
     return text

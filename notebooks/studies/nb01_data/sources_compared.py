@@ -230,14 +230,14 @@ def kind_row(kind: str, real: Windows, made: Windows, told: float) -> dict[str, 
     return {
         "kind": kind,
         "people": real.people,
-        "windows, recorded": len(real.whose),
-        "synthetic": len(made.whose),
+        "recorded windows": len(real.whose),
+        "synthetic windows": len(made.whose),
         "differs most in": f"{names[at]}, {units[at]}",
         "synthetic mean": float(made.table[:, at].mean()),
         "recorded mean": real.mean(names[at]),
         "difference, SD": f"{gaps[at]:+.1f}",
-        "then in": f"{names[then]} {gaps[then]:+.1f} SD",
-        "told apart, %": f"{100 * told:.0f}",
+        "next largest difference": f"{names[then]} {gaps[then]:+.1f} SD",
+        "judge is right, %": f"{100 * told:.0f}",
     }
 
 

@@ -1,4 +1,4 @@
-"""The figures of notebook 03: how weights fall off, who moves whom, how far the legs go, what a threshold buys."""
+"""The figures of notebook 03: how weights fall off, how far the legs go, what a threshold buys."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from motionlab.body import BodyModel
 from motionlab.skinning import SMALL, WeightReport
 from motionlab.viz.palette import ROLE
 from studies.shared.plots import canvas, median_band
@@ -49,21 +47,6 @@ def sizes(reports: Mapping[str, WeightReport]) -> Figure:
         ax.set(title=f"{name}, n = {report.nonzero}", xscale="log", xlabel="weight", yscale="log", xlim=(1e-5, 1))
         ax.axvline(report.threshold, color=ROLE["truth"], lw=1, ls=":")
     axes[0].set_ylabel("% of non-zero weights")
-    return fig
-
-
-def who_moves_whom(panels: Mapping[str, Tensor], body: BodyModel, keypoints: Sequence[str]) -> Figure:
-    """Heat map of influence (K, J), metres per radian, one panel per body; empty squares are exact zeros."""
-    fig, axes = canvas(1, len(panels), size=(5.0 * len(panels), 3.2), sharey=True)
-    image = None
-    for ax, (name, influence) in zip(axes, panels.items(), strict=True):
-        shown = np.ma.masked_equal(influence.numpy(), 0)
-        image = ax.imshow(shown, norm=LogNorm(1e-5, 1), cmap="viridis", aspect="auto")
-        ax.set_xticks(range(len(body.skeleton)), body.skeleton.names, rotation=90, fontsize=9)
-        ax.set_yticks(range(len(keypoints)), keypoints, fontsize=9.5)
-        ax.set_title(name)
-        ax.grid(visible=False)
-    fig.colorbar(image, ax=axes, label="m per rad", fraction=0.03, pad=0.015)
     return fig
 
 

@@ -11,9 +11,10 @@ from torch import Tensor
 from motionlab import skinning
 from motionlab.body import BodyModel, lbs
 from motionlab.motion import Motion
+from motionlab.observation import Camera, look_at
 from motionlab.skeleton import fk
 from motionlab.viz.scene import Scene
-from studies.nb03_skinning.partial_fit import leak_percent
+from studies.nb03_skinning.partial_fit import LEGS, leak_percent
 
 LIMITS = (0.0, 5.0)  # of both colour bars
 
@@ -24,13 +25,26 @@ def moved_mm(body: BodyModel, other: BodyModel, pose: Motion) -> Tensor:
     return 1000 * torch.linalg.vector_norm(places[0] - places[1], dim=-1)
 
 
+def moved_by_mm(body: BodyModel, pose: Motion, names: Sequence[str]) -> Tensor:
+    """Computes how far each vertex moves per radian of some joints, in one pose (1 frame): (V,), mm per radian."""
+    return 1000 * _levers(body, pose)[:, body.skeleton.indices(names)].norm(dim=-1)
+
+
 def leaked_mm(body: BodyModel, pose: Motion, holds: float = skinning.SMALL) -> Tensor:
     """Computes how far each vertex moves per radian of the joints that should not move it: (V,), mm per radian.
 
+    A joint may move what it, or a joint below it, holds with a weight of ``holds``.
+    """
+    below = skinning.ancestors(body.skeleton).to(body.weights)
+    allowed = (body.weights >= holds).to(below) @ below > 0
+    return 1000 * torch.where(allowed, 0, _levers(body, pose)).norm(dim=-1)
+
+
+def _levers(body: BodyModel, pose: Motion) -> Tensor:
+    """How far each vertex moves per radian of each joint: (V, J), metres, without pose correctives.
+
     Turning joint j by a small w moves v by w x sum_k w_vk (x_vk - p_j), k being j and all below it, x_vk where joint k
-    alone would carry v; the Frobenius norm is sqrt(2) times that sum's. A joint may move what it, or a joint below it,
-    holds with a weight of ``holds``. As :func:`motionlab.skinning.influence`, for all vertices at once, without pose
-    correctives.
+    alone would carry v; the Frobenius norm is sqrt(2) times that sum's. As :func:`motionlab.skinning.influence`.
     """
     positions, world = (x[0] for x in fk(pose.skeleton, pose.root, pose.rot))
     turn = world @ body.bind_rot.mT
@@ -38,8 +52,7 @@ def leaked_mm(body: BodyModel, pose: Motion, holds: float = skinning.SMALL) -> T
     below = skinning.ancestors(body.skeleton).to(body.weights)  # (k, j): j is k or above it
     arm = (body.weights[..., None] * carried).transpose(1, 2) @ below  # (V, 3, J)
     arm = arm.mT - (body.weights @ below)[..., None] * positions
-    allowed = (body.weights >= holds).to(below) @ below > 0
-    return 1000 * 2**0.5 * torch.where(allowed[..., None], 0, arm).square().sum((1, 2)).sqrt()
+    return 2**0.5 * arm.norm(dim=-1)
 
 
 def skin(body: BodyModel, pose: Motion, threshold: float, size: tuple[int, int] = (960, 480)) -> np.ndarray:
@@ -59,6 +72,30 @@ def skin(body: BodyModel, pose: Motion, threshold: float, size: tuple[int, int] 
         )
         scene.caption()(words)
         return scene.floor().image()
+
+
+def moved_by_legs(bodies: Mapping[str, BodyModel], pose: Motion, size: tuple[int, int] = (960, 420)) -> np.ndarray:
+    """Draws bodies in one pose (1 frame), painted by what the joints of the legs move, whole and from near the face.
+
+    Returns:
+        (2 H, W, 3) uint8, a panel per body, millimetres per radian.
+    """
+    fields = {name: moved_by_mm(body, pose, LEGS) for name, body in bodies.items()}
+    look, rows = {"frame": 0, "title": "mm per rad", "limits": (0.0, 2.0), "cmap": "Oranges"}, []
+    width = round(size[0] / len(bodies))
+    for eye in (None, _before_the_face(pose, width, size[1])):
+        with Scene(size, panels=tuple(bodies) if eye is None else ("",) * len(bodies), camera=eye) as scene:
+            for panel, (name, field) in enumerate(fields.items()):
+                scene.body(bodies[name], pose, field=field, panel=panel, **look)
+            rows.append(scene.floor().image())
+    return np.concatenate(rows)
+
+
+def _before_the_face(pose: Motion, width: int, height: int) -> Camera:
+    head, world = (x[0, pose.skeleton.index("head")] for x in fk(pose.skeleton, pose.root, pose.rot))
+    face = head + world @ torch.tensor([0.0, 0.05, 0.0])
+    eye = face + world @ torch.tensor([-0.5, 0.1, 1.4])
+    return look_at(eye, face, focal=3.0 * height, width=width, height=height)
 
 
 def sweep(

@@ -56,10 +56,10 @@ def found(body: BodyModel, mask: Tensor, rows: Sequence[Mapping[str, object]]) -
     face = sum(int(mask[body.keypoint_vertices[name]].sum()) for name in FACE)
     out = ", ".join(f"{row['in reaches']:.1f}" for row in rows)
     return (
-        f"**Reading.** A handful: {int(mask.sum())} of {int((body.weights > 0).sum())} weights of the rig that we use: "
-        f"{counts}, each to the other side of the body. On the keypoints of the face there are {face}. The farthest "
-        f"lie {out} reaches out, rig by rig; what lies little beyond 1 may be fall-off still. How these weights came "
-        "about, nothing here says."
+        f"**Reading.** A handful: {int(mask.sum())} of {int((body.weights > 0).sum())} weights of the rig that we use. "
+        f"They go to the other side of the body: {counts}. On the keypoints of the face there are {face}. Rig by rig, "
+        f"the farthest lie {out} reaches out. What lies little beyond 1 may still be fall-off. Nothing here says how "
+        "these weights came about."
     )
 
 
@@ -74,14 +74,14 @@ def audit(finding: Finding, scores: Sequence[tuple[float, float]]) -> str:
 
 
 def who(influence: Mapping[str, Tensor], legs: list[int]) -> str:
-    """Reads the map of influence, whose first row is the nose."""
+    """Reads what joints do to the keypoints of the face (K, J), the first of which is the nose."""
     nose = 1000 * influence["planted"][0]
     clean = max(float(influence[name][:, legs].max()) for name in ("anny", "planted, then pruned"))
     left = 1000 * float(influence["planted, then pruned"][:, legs].max())
-    pruned = f"Pruned, legs move the face by {left:.1f} mm per radian." if left else "Pruned, the map is anny's again."
+    pruned = f"Pruned, legs move the face by {left:.1f} mm per radian." if left else "Pruned, the legs move it by 0 mm."
     return (
-        f"{_said(nose[legs].max() > clean == 0)} The planted nose moves up to {nose[legs].max():.1f} mm per radian of "
-        f"a leg joint; of the joint that moves it most, {nose.max():.0f} mm. {pruned}"
+        f"{_said(nose[legs].max() > clean == 0)} On the planted body a joint of the legs moves the nose by up to "
+        f"{nose[legs].max():.1f} mm per radian. The joint that moves it most does so by {nose.max():.0f} mm. {pruned}"
     )
 
 
@@ -110,7 +110,7 @@ def budget(curves: Mapping[str, Tensor]) -> str:
     first, last = (", ".join(f"{some[at]:.0f}" for some in adam) for at in (0, -1))
     return (
         f"{_said(grows)} At the least budget Adam's three steps give {first} mm on average; at the largest, {last} mm. "
-        "So the number belongs to its budget, but no step length spares the legs. L-BFGS moves them by "
+        "So the number depends on the budget, but no step length spares the legs. L-BFGS moves them by "
         f"{max(lbfgs):.1f} mm at most."
     )
 
@@ -122,7 +122,7 @@ def trade(rows: Sequence[Mapping[str, float]]) -> str:
         f"{_said(low['leakage'] == 0 and low['max_mm'] < high['max_mm'])} 1e-3 ends the leak to the face and moves the "
         f"planted skin by {low['max_mm']:.1f} mm at worst, 1e-2 by {high['max_mm']:.1f} mm. Most of that is repair: "
         f"1e-2 moves anny without faults by {high['clean_max_mm']:.1f} mm at worst. And 1e-3 leaves "
-        f"{100 * low['left']:.0f} % of the planted weights. It suffices for the nose as printed, where three joints "
+        f"{100 * low['left']:.0f} % of the planted weights. It suffices for the thesis's nose, where three joints "
         "share 0.002, and for no larger weight."
     )
 
@@ -131,7 +131,8 @@ def cost(source: str, finding: Finding, worst_mm: float) -> str:
     """Reads what pruning anny costs on many clips."""
     return (
         f"{_said(finding.high < 2)} {source.capitalize()}, {finding.n} clips: 95 % of the vertices move by less than "
-        f"{finding.value:.2f} mm, the worst by {worst_mm:.1f} mm. Below 5e-2 it is {finding.baseline_value:.2f} mm."
+        f"{finding.value:.2f} mm, the worst by {worst_mm:.1f} mm. Below 5e-2, 95 % move by less than "
+        f"{finding.baseline_value:.2f} mm."
     )
 
 

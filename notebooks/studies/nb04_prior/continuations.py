@@ -25,11 +25,12 @@ def reading(turned: Mapping[str, Motion], nats: Tensor, active: float) -> str:
     said = []
     for name, motion in turned.items():
         pelvis, joint, way = _effect(motion)
-        said.append(f"*{name}* moves the pelvis by {pelvis:.0f} cm and beside it most the {joint}, by {way:.0f} cm.")
+        said.append(f"*{name}* moves the pelvis by {pelvis:.0f} cm and, seen from it, the {joint} by {way:.0f} cm.")
     return (
         f"**Reading.** {int((nats > active).sum())} of {len(nats)} dimensions are in use; a transition carries "
-        f"{nats.sum():.0f} nats beyond the prior's guess. From two deviations below to two above, {' '.join(said)} "
-        "Each moves the whole body: no dimension has one plain meaning."
+        f"{nats.sum():.0f} nats beyond the prior's guess. Each was turned from two deviations below to two above; the "
+        f"joint that moves most is named. {' '.join(said)} Each moves the whole body: no dimension has one plain "
+        "meaning."
     )
 
 

@@ -122,6 +122,28 @@ def decode(model: Cvae, motion: Motion) -> Decoded:
     return Decoded(replace(motion.cut(1), contacts=None), *one_by_one, shown(chain), shown(blind))
 
 
+@torch.no_grad()
+def closed_loop(model: Cvae, motion: Motion) -> Motion:
+    """Computes clips (N, T + 1) as :func:`decode` does, z inferred at every step from where the chain has got to."""
+    states = state.from_motion(motion, causal=model.causal)[:, 1:]
+    made = [states[:, 0]]
+    for true in states[:, 1:].unbind(1):
+        z = infer(model, torch.stack((made[-1], true), 1))[0].mean
+        made.append(rollout(model, made[-1], z, with_prior=False).states[:, 0])
+    return state.to_motion(torch.stack(made, 1), motion.skeleton, motion.fps)
+
+
+def ways_of_two_seconds(model: Cvae, motion: Motion) -> dict[str, Motion]:
+    """Computes what the person did, and three chains from the start: of the clip whose prior's mean ends in the middle
+    of all clips (N, T + 2)."""
+    found = decode(model, motion)
+    ends = (found.blind_chain.positions[:, -1] - found.sequence.positions[:, -1]).norm(dim=-1).mean(-1)
+    middle = int(ends.argsort()[len(ends) // 2])
+    shown = (found.sequence, closed_loop(model, motion.clip([middle])), found.chain, found.blind_chain)
+    names = ("the person", "z known, closed loop", "z known, open loop", "prior's mean alone")
+    return {n: m.clip(0 if len(m.root) == 1 else middle) for n, m in zip(names, shown, strict=True)}
+
+
 def knees_bent(found: Decoded, truth: Motion, whose: Tensor) -> dict[str, Tensor]:
     """Computes the share (P,) of a person's own knee bend, end less start, that each way of decoding makes.
 

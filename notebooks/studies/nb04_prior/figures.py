@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import torch
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import NullLocator
 from torch import Tensor
 
+from motionlab.body import BodyModel
 from motionlab.humor.state import OFFICIAL_SLICES, STATE, unpack
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
@@ -20,6 +22,7 @@ from motionlab.viz.scene import Scene
 from studies.nb04_prior.gates import GATES
 from studies.nb04_prior.parity import Row
 from studies.shared.plots import canvas, paints
+from suite.findings import Criterion
 
 #: One colour per part of the state, positions strong and their velocities pale.
 PARTS = {
@@ -160,86 +163,80 @@ STEP_ROLES = {
 }  # fmt: skip
 
 
-def continuation(samples: Tensor, person: Motion, skeleton: Skeleton, fps: float = 30.0) -> Figure:
-    """Draws where samples (S, T, 22, 3) of joints went, from above, and poses of the first two beside the person's."""
-    fig, (above, side) = canvas(1, 2, size=(10.5, 3.9))
-    above.get_gridspec().set_width_ratios((1.0, 1.7))
-    ways, own = samples.double().numpy(force=True), person.positions.double().numpy(force=True)[: samples.shape[1]]
-    feet = skeleton.indices(["left_foot", "right_foot"])
-    for k, way in enumerate(ways):
-        for foot in feet:
-            above.plot(*way[:, foot, :2].T, color=ROLE["stage2"], lw=0.6, alpha=0.5)
-        above.plot(*way[:, 0, :2].T, color=ROLE["ours"], lw=1.5, alpha=0.8, label="samples" if k == 0 else None)
-    for foot in feet:
-        above.plot(*own[:, foot, :2].T, color=ROLE["observation"], lw=0.8)
-    above.plot(*own[:, 0, :2].T, color=ROLE["truth"], lw=2.2, label="the person")
-    above.plot(*own[0, 0, :2], "o", color="white", mec=INK, ms=6, zorder=5)
-    above.set(xlabel="x (m)", ylabel="y (m)", title="from above: pelvis (thick), feet (thin)")
-    above.set_aspect("equal", adjustable="datalim")
-    above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2, frameon=False)
-    rows = {
-        "the person": (own, "truth"),
-        "sample 1": (ways[0], "ours"),
-        "sample 2": (ways[min(1, len(ways) - 1)], "ours"),
-    }
-    _poses(side, rows, skeleton, samples.shape[1], fps)
-    return fig
+def continuation(samples: Motion, person: Motion, body: BodyModel, size: tuple[int, int] = (1200, 400)) -> np.ndarray:
+    """Draws where samples (S, T) of a motion have got to after a third, two thirds and all of their time.
 
-
-def _poses(ax, rows: Mapping[str, tuple[np.ndarray, str]], skeleton: Skeleton, frames: int, fps: float) -> None:
-    """A row of stick figures per motion (T, 22, 3), seen from its left at the start, travel taken out."""
-    first = next(iter(rows.values()))[0][0]
-    left = (first[skeleton.index("left_hip")] - first[skeleton.index("right_hip")])[:2]
-    forward = np.array([left[1], -left[0]]) / max(np.hypot(*left), 1e-9)
-    shown = np.linspace(0, frames - 1, 8).round().astype(int)
-    for row, (name, (joints, role)) in enumerate(rows.items()):
-        for column, frame in enumerate(shown):
-            if frame >= len(joints):
-                continue
-            pose = joints[frame] - np.append(joints[frame, 0, :2], 0.0)
-            flat = np.stack((pose[:, :2] @ forward + 1.15 * column, pose[:, 2] - 2.15 * row), -1)
-            for j, parent in enumerate(skeleton.parents[1:], start=1):
-                dark = "right" not in skeleton.names[j]
-                ax.plot(*flat[[parent, j]].T, color=ROLE[role], lw=2.4, alpha=1.0 if dark else 0.45)
-        ax.plot((-0.6, 1.15 * 7 + 0.6), (-2.15 * row,) * 2, color=LINE, lw=1)
-        ax.text(-0.75, -2.15 * row + 0.9, name, ha="right", fontsize=9.5)
-    for column, frame in enumerate(shown):
-        ax.text(1.15 * column, -4.3 - 0.3, f"{frame / fps:.1f} s", ha="center", va="top", fontsize=9)
-    ax.set(aspect="equal", title="poses, travel taken out")
-    ax.axis("off")
-
-
-def gates(found: Mapping[str, Mapping[str, tuple[float, float, float]]]) -> Figure:
-    """Draws a line per gate: what each prior reaches in units of the bound, with its interval; passed left of 1.
-
-    found: by prior and source, by test: the value and the ends of its interval.
+    Translucent: the samples. Dark: the person. Grey: the pose that all of them left.
     """
-    labels = {name: gate.label for name, gate in GATES.items()}
-    fig, (ax,) = canvas(size=(9.2, 0.42 * len(labels) + 1.5))
-    ax.axvspan(0.01, 1.0, color=ROLE["6d"], alpha=0.10, lw=0)
-    ax.axvline(1.0, color=INK, lw=1)
-    shift = np.linspace(-0.24, 0.24, len(found))
-    for (name, values), by in zip(found.items(), shift, strict=True):
-        tone = ROLE["observation" if name.startswith("compact,") else "ours"]
-        for line, test in enumerate(labels):
-            if test in values:
-                value, low, high = (min(max(x, 0.02), 30.0) for x in values[test])
-                ax.plot((low, high), (line + by,) * 2, color=tone, lw=1.6)
-                ax.plot(
-                    value, line + by, "o", ms=6, color=tone, mfc="white" if "synthetic" in name else tone, clip_on=False
-                )
-        ax.plot([], [], "o", ms=6, color=tone, mfc="white" if "synthetic" in name else tone, label=name)
-    ax.set(
-        xscale="log",
-        xlim=(0.02, 30),
-        ylim=(len(labels) - 0.4, -0.6),
-        xlabel="in units of the bound (log); green: passed",
-    )
-    ax.set_yticks(range(len(labels)), list(labels.values()))
-    ax.set_xticks((0.1, 0.3, 1, 3, 10), ("0.1", "0.3", "1", "3", "10"))
-    ax.grid(visible=False, axis="y")
-    ax.legend(loc="lower center", bbox_to_anchor=(0.35, 1.0), ncols=2, frameon=False)
+    frames = [round((samples.frames - 1) * k / 3) for k in (1, 2, 3)]
+    with Scene(size, panels=tuple(f"after {frame / samples.fps:.1f} s" for frame in frames)) as scene:
+        for panel, frame in enumerate(frames):
+            scene.body(body, person, "observation", frame=0, opacity=0.35, panel=panel)
+            scene.body(body, person, "truth", frame=min(frame, person.frames - 1), panel=panel)
+            for way in range(len(samples.root)):
+                scene.body(body, samples.clip(way), "ours", frame=frame, opacity=0.25, shadow=0, panel=panel)
+        return scene.floor().image()
+
+
+#: Of two seconds that are chained (:func:`drift.ways_of_two_seconds`).
+WAYS = {
+    "the person": "truth", "z known, closed loop": "ours", "z known, open loop": "axis-angle",
+    "prior's mean alone": "quaternion",
+}  # fmt: skip
+#: Gates in centimetres, in the order of the chains that they judge.
+_IN_CM = ("closed_loop", "open_loop", "foresight")
+
+
+def gates(
+    found: Mapping[str, Mapping[str, tuple[float, float, float]]],
+    criterion: Callable[[str], Criterion],
+    ways: Mapping[str, Motion],
+    body: BodyModel,
+) -> Figure:
+    """Draws a panel per gate, in its own unit: what each prior reaches, with its interval; green where it is passed.
+
+    found: by prior and source, by test: the value and the ends of its interval. ways: the person, and the chains that
+    the gates in centimetres judge; they stand above them as they end, the person's end in grey behind them.
+    """
+    fig, axes = canvas(4, 4, size=(11.0, 9.6))
+    axes[0].get_gridspec().set_height_ratios((2.6, 1.0, 1.0, 1.0))
+    for ax, picture in zip(axes[:4], _ends(ways, body), strict=True):
+        ax.imshow(picture)
+        ax.axis("off")
+    order = (*_IN_CM, *(name for name in GATES if name not in _IN_CM))
+    for ax, name in zip(axes[5:], order, strict=True):
+        _gate(ax, name, criterion(f"H01.{name}"), {who: each.get(name) for who, each in found.items()})
+        if name in _IN_CM:
+            ax.set(xlim=(0, 110), xlabel="cm after 2 s")
+    axes[4].axis("off")
+    axes[4].legend(*axes[5].get_legend_handles_labels(), loc="center left", frameon=False)
     return fig
+
+
+def _gate(ax: Axes, name: str, test: Criterion, reached: Mapping[str, tuple[float, float, float] | None]) -> None:
+    most = 1.1 * max(x for each in reached.values() if each for x in (*each, test.bound))
+    ends = sorted((test.bound, {None: 0.0 if test.relation == "<=" else most}.get(test.other, test.other)))
+    ax.axvspan(*ends, color=ROLE["6d"], alpha=0.15, lw=0)
+    for line, (who, each) in enumerate(reached.items()):
+        tone = ROLE["observation" if who.startswith("compact,") else "ours"]
+        look = {"ms": 6, "color": tone, "mfc": "white" if "synthetic" in who else tone, "label": who}
+        value, low, high = each or (np.nan,) * 3
+        ax.plot((low, high), (line, line), color=tone, lw=1.6)
+        ax.plot(value, line, "o", clip_on=False, **look)
+    ax.set(xlim=(0, most), ylim=(len(reached) - 0.4, -0.6), yticks=[], xlabel=test.unit)
+    ax.set_title(GATES[name].label, fontsize=9)
+    ax.grid(visible=False, axis="y")
+
+
+def _ends(ways: Mapping[str, Motion], body: BodyModel) -> list[np.ndarray]:
+    """The last pose of each motion, the first one's in grey behind the others."""
+    person = next(iter(ways.values()))
+    with Scene((300 * len(ways), 420), panels=tuple(ways)) as scene:
+        for panel, (name, motion) in enumerate(ways.items()):
+            scene.body(body, motion, WAYS[name], frame=-1, panel=panel)
+            if motion is not person:
+                scene.body(body, person, "observation", frame=-1, opacity=0.35, shadow=0, panel=panel)
+        return np.split(scene.floor().image(), len(ways), axis=1)
 
 
 def steps_by_person(panels: Mapping[str, Mapping[str, Tensor]]) -> Figure:
@@ -316,7 +313,7 @@ def knees(groups: Mapping[str, Mapping[str, Tensor]]) -> Figure:
     return fig
 
 
-def dimensions(effects: Mapping[str, Motion], size: tuple[int, int] = (1280, 330)) -> np.ndarray:
+def dimensions(effects: Mapping[str, Motion], body: BodyModel, size: tuple[int, int] = (1280, 330)) -> np.ndarray:
     """Draws a panel per latent dimension: the last poses of three roll-outs (3, T), side by side, below, at and above
     the prior's mean."""
     facing = next(iter(effects.values())).rot[1, 0, 0, :2, 2]
@@ -328,5 +325,5 @@ def dimensions(effects: Mapping[str, Motion], size: tuple[int, int] = (1280, 330
             for index, role in enumerate(("baseline", "observation", "ours")):
                 moved = motion.clip(index)
                 moved = replace(moved, root=moved.root + 0.85 * (index - 1) * right)
-                scene.skeleton(moved, role, frame=-1, panel=panel)
+                scene.body(body, moved, role, frame=-1, panel=panel)
         return scene.floor().image()

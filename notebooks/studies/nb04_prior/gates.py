@@ -34,19 +34,19 @@ def _over(name: str, other: str) -> Callable[[Row], float]:
 #: By the name of the test of H01.
 GATES = {
     "one_step": Gate(
-        "one step, prior's mean / constant velocity",
+        "one step, prior's mean",
         _over("one step, prior mean, cm", "one step, constant velocity, cm"),
     ),
     "one_step_shown": Gate(
-        "one step, shown the answer / constant velocity",
+        "one step, shown the answer",
         _over("one step, posterior, cm", "one step, constant velocity, cm"),
     ),
     "open_loop": Gate("2 s, z known, open loop", _measure("2 s, posterior z, cm")),
     "closed_loop": Gate("2 s, z known, closed loop", _measure("2 s, closed loop, cm")),
     "foresight": Gate("2 s, prior's mean alone", _measure("2 s, prior mean, cm")),
     "bones": Gate("samples: bones change", _measure("samples' bones")),
-    "floor": Gate("samples: ball of a foot in the floor", _measure("samples' penetration")),
-    "slide": Gate("samples: slide / people's slide", _measure("samples' slide"), "data's slide"),
+    "floor": Gate("samples: foot in the floor", _measure("samples' penetration")),
+    "slide": Gate("samples: feet slide", _measure("samples' slide"), "data's slide"),
     "walkers": Gate("samples: walkers who walk on", _measure("walkers who go on")),
     "active": Gate("active latents", _measure("active")),
     "contacts": Gate("contacts, F1", _measure("one step, posterior, contact F1")),
@@ -58,14 +58,6 @@ def by_person(gate: Gate, rows: Mapping[str, Row]) -> Tensor:
     values = torch.tensor([gate.of(row) for row in rows.values()], dtype=torch.float64)
     values = values[values.isfinite()]
     return values / mean_of(rows, gate.over) if gate.over else values
-
-
-def of_the_bound(test: Criterion, mean: float, *values: float) -> tuple[float, ...]:
-    """Computes how large numbers are in units of a bound, so turned that a gate is passed from 1 down; of a band, of
-    the end that is nearer to their mean."""
-    upper = test.relation == "<=" or (test.other is not None and mean > (test.bound + test.other) / 2)
-    bound = test.bound if test.relation == "<=" or not upper else test.other
-    return tuple(value / bound if upper else bound / max(value, 1e-3) for value in (mean, *values))
 
 
 _WAYS = {
@@ -89,26 +81,23 @@ def reading_of_steps(panels: Mapping[str, Mapping[str, Tensor]]) -> str:
         straight, guessed, shown = list(ways.values())[1:]
         said.append(
             f"On *{source}* the prior's mean is nearer than constant velocity for {(guessed < straight).sum()} of "
-            f"{len(straight)} people ({guessed.mean():.2f} against {straight.mean():.2f} cm); shown the answer, a step "
+            f"{len(straight)} people ({guessed.mean():.2f} against {straight.mean():.2f} cm). Shown the answer, a step "
             f"misses by {shown.mean():.2f} cm."
         )
     return "**Reading.** " + " ".join(said)
 
 
 def reached(
-    table: Mapping[tuple[str, str], Mapping[str, Row]],
-    criterion: Callable[[str], Criterion],
-    generator: torch.Generator,
+    table: Mapping[tuple[str, str], Mapping[str, Row]], generator: torch.Generator
 ) -> dict[str, dict[str, tuple[float, float, float]]]:
-    """Computes by prior and source what each gate's number is in units of its bound: the mean, and its interval."""
+    """Computes by prior and source what each gate's number is: the mean over people, and its interval."""
     found: dict[str, dict[str, tuple[float, float, float]]] = {}
     for (prior, source), rows in table.items():
         mine = found.setdefault(f"{prior}, {source}", {})
         for name, gate in GATES.items():
             values = by_person(gate, rows)
             if len(values):
-                test = criterion(f"H01.{name}")
-                mine[name] = of_the_bound(test, *interval(values, "mean", generator))
+                mine[name] = interval(values, "mean", generator)
     return found
 
 
@@ -127,20 +116,32 @@ def table(rows: Mapping[tuple[str, str], Mapping[str, Row]]) -> list[dict[str, o
     ]
 
 
+def rows(found: Sequence[Finding], criterion: Callable[[str], Criterion]) -> list[dict[str, str]]:
+    """Computes a row per gate: what it asks, and for each source what was measured and how that was judged."""
+    table: dict[str, dict[str, str]] = {}
+    for f in found:
+        name, test = f.test.removeprefix("H01."), criterion(f.test)
+        if name in GATES and f.n:
+            row = table.setdefault(name, {"gate": GATES[name].label, "asked": test.bound_text()})
+            row[f.source] = f"{f.value:.3g} [{f.low:.3g}, {f.high:.3g}], {_judged(f, test)}"
+    return list(table.values())
+
+
 def reading(found: Sequence[Finding], criterion: Callable[[str], Criterion]) -> str:
-    """Computes the sentences that say which gates each source passes, and how far it is from the others."""
-    gated = [f for f in found if f.test.removeprefix("H01.") in GATES and f.n]
-    said = []
-    for source in dict.fromkeys(f.source for f in gated):
-        lots: dict[str, list[str]] = {"passed": [], "open": [], "missed": []}
-        for f in gated:
-            if f.source == source:
-                test = criterion(f.test)
-                clear = test.meets(f.low) and test.meets(f.high)
-                asked = f"{test.bound:g}" if test.other is None else f"{test.bound:g} to {test.other:g}"
-                what = f"{GATES[f.test[4:]].label}: {f.value:.3g} {test.unit}".strip() + f" (asked {asked})"
-                lots["passed" if clear else "missed" if test.beyond(f.low, f.high) else "open"].append(what)
-        text = f"On *{source}* the prior passes {len(lots['passed'])} of {sum(map(len, lots.values()))} gates."
-        text += f" It misses {'; '.join(lots['missed'])}." if lots["missed"] else ""
-        said.append(text + (f" The interval crosses the bound: {'; '.join(lots['open'])}." if lots["open"] else ""))
-    return "**Reading.** " + " ".join(said)
+    """Computes the sentences that say how many gates each source passes, misses and leaves open."""
+    said: dict[str, list[str]] = {}
+    for f in found:
+        if f.test.removeprefix("H01.") in GATES and f.n:
+            said.setdefault(f.source, []).append(_judged(f, criterion(f.test)))
+    lines = [
+        f"On *{source}* it passes {each.count('passed')} of {len(each)} gates, misses {each.count('missed')}, and "
+        f"leaves {each.count('open')} open."
+        for source, each in said.items()
+    ]
+    return "**Reading.** " + " ".join(lines) + " *Open* means that the interval contains the bound."
+
+
+def _judged(f: Finding, test: Criterion) -> str:
+    if test.meets(f.low) and test.meets(f.high):
+        return "passed"
+    return "missed" if test.beyond(f.low, f.high) else "open"

@@ -126,38 +126,40 @@ def score_rows(
     ]
 
 
-def reading(
+def gains(
     plain: Mapping[str, Mapping[str, Mapping[str, Tensor]]],
     chosen: Mapping[str, tuning.Choice],
     generator: torch.Generator,
-) -> str:
-    """Says how rough stage 2 is, and what stage 3 adds to it and to a tuned one."""
-    lines = []
-    for source, by in plain.items():
-        pose_of = {name: found["pose"].mean() for name, found in by.items()}
-        gain = intervals.paired(by["stage 3"]["pose"], by["tuned stage 2"]["pose"], generator)
-        lines.append(
-            f"*{source}*, {len(by['stage 2']['pose'])} people: stage 2 is {pose_of['stage 2']:.1f} cm off, tuned "
-            f"({tuning.said(chosen[source])}) {pose_of['tuned stage 2']:.1f} cm, stage 3 {pose_of['stage 3']:.1f} cm. "
-            f"Stage 3 less the tuned stage 2: {gain} cm. In the image stage 3 is {by['stage 3']['ratio'].mean():.1f} "
-            f"times as far from the detections as the truth is, and stage 2 {by['stage 2']['ratio'].mean():.1f} times."
-        )
-    return "\n\n".join(lines)
+) -> list[dict[str, object]]:
+    """Returns a row per source: what stage 2 was tuned to, and what stage 3 gains over it with its 95 % interval."""
+    return [
+        {
+            "people": f"{source} ({len(by['stage 3']['pose'])})",
+            "stage 2 is tuned to": tuning.said(chosen[source]),
+            "stage 3 less the tuned stage 2: pose, cm": intervals.paired(
+                by["stage 3"]["pose"], by["tuned stage 2"]["pose"], generator
+            ),
+        }
+        for source, by in plain.items()
+    ]
 
 
-def knowledge_reading(found: Mapping[str, Mapping[str, Mapping[str, Tensor]]], generator: torch.Generator) -> str:
-    """Says what stage 3 loses with the camera, in pose and in place."""
+def knowledge_rows(
+    found: Mapping[str, Mapping[str, Mapping[str, Tensor]]], generator: torch.Generator
+) -> list[dict[str, object]]:
+    """Returns a row by what is known of the camera: errors in pose and in place, and what the pose loses."""
     inside, place = found["root"], found["none"]
     most = inside["camera and floor"]["stage 3"]
-    lines = [
-        f"With *{name}* stage 3's pose is {by['stage 3'].mean():.1f} cm off"
-        + (
-            f", {intervals.paired(by['stage 3'], most, generator)} against a known camera"
-            if by["stage 3"] is not most
-            else ""
-        )
-        + f"; the tuned stage 2 is {by['tuned stage 2'].mean():.1f} cm off. In place they are "
-        f"{place[name]['stage 3'].mean():.0f} and {place[name]['tuned stage 2'].mean():.0f} cm off."
-        for name, by in inside.items()
+    return [
+        {
+            "known": name,
+            "stage 3: pose, cm": f"{by['stage 3'].mean():.1f}",
+            "more than with all known": ""
+            if by["stage 3"] is most
+            else intervals.paired(by["stage 3"], most, generator),
+            "place, cm": f"{place[name]['stage 3'].mean():.0f}",
+            "tuned stage 2: pose, cm": f"{by['tuned stage 2'].mean():.1f}",
+            "its place, cm": f"{place[name]['tuned stage 2'].mean():.0f}",
+        }
+        for k, (name, by) in enumerate(inside.items())
     ]
-    return "\n\n".join(lines)

@@ -230,3 +230,45 @@ def lateness(ways: Mapping[str, Motion], truth: Motion) -> dict[str, tuple[Tenso
 def panels(truth: Motion, fits: Mapping[str, Motion], index: int = 0) -> dict[str, Motion]:
     """Returns one clip's truth and fits, as a film shows them."""
     return {"truth": truth.clip(index)} | {name: motion.clip(index) for name, motion in fits.items()}
+
+
+def by_part(
+    parts: Mapping[str, Mapping[Case, Motion]], sitters: Mapping[Case, Scene], people: Mapping[Case, Sequence[str]]
+) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, Tensor]]]:
+    """Computes by source and part of a fit the share of clips that sit, and the error of the legs in cm by person."""
+    shares, off = {}, {}
+    for key, scene in sitters.items():
+        found = posture({name: motions[key] for name, motions in parts.items()}, scene.truth)
+        shares[key[1]] = {name: x["seated"].mean().item() for name, x in found.items()}
+        off[key[1]] = {name: by_person(x["legs"], people.get(key)) for name, x in found.items()}
+    return shares, off
+
+
+def failures(
+    three: Mapping[int, Tensor], two: Mapping[int, Tensor], short: int, long: int
+) -> dict[str, tuple[Tensor, Tensor]]:
+    """Returns what H05 asks of stages 3 and 2, by test: the swing, or what a failure of so many frames costs."""
+    asked = {"walks": (-1, None), "stops": (short, None), "cause": (short, -1), "dose": (long, -1)}
+    less = lambda x, n, other: x[n] if other is None else x[n] - x[other]  # noqa: E731
+    return {test: (less(three, *which), less(two, *which)) for test, which in asked.items()}
+
+
+def smoothing(
+    dance: Case,
+    power: Mapping[Case, Mapping[str, Tensor]],
+    stages: Mapping[int, Motion],
+    truth: Motion,
+    people: Sequence[str] | None,
+) -> list[tuple[str, str, Tensor, Tensor]]:
+    """Returns what H08 asks of a dance: test, statistic, and numbers of stages 3 and 2 by person.
+
+    power: case -> way -> power over true power (B, bands); the second band holds the accents.
+    """
+    band = {k: by_person(power[dance][f"stage {k}"][:, 1], people) for k in (2, 3)}
+    walked = {k: power[WALKS, dance[1]][f"stage {k}"][:, 1].mean() for k in (2, 3)}
+    calm = {k: by_person(measures.acceleration_ratio(stages[k], truth), people) for k in (2, 3)}
+    return [
+        ("band", "median", band[3], band[2]),
+        ("acceleration", "mean", calm[3], calm[2]),
+        ("stylised", "mean", band[3] - walked[3], band[2] - walked[2]),
+    ]

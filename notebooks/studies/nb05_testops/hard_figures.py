@@ -10,8 +10,10 @@ from torch import Tensor
 
 from data_synth.scenes import Scene
 from motionlab.body import BodyModel
+from motionlab.motion import Motion
 from motionlab.viz.movie import meshes
 from motionlab.viz.palette import INK, LINE, colour
+from motionlab.viz.scene import Scene as Scene3D
 from studies.nb05_testops.figures import through_the_camera
 from studies.nb05_testops.hard_cases import SYNTHETIC
 from studies.shared.plots import canvas
@@ -84,3 +86,14 @@ def seen_by(scene: Scene, label: str, frame: int, body: BodyModel, index: int = 
     layer = {label: ("observation", clip.keypoints, clip.confidence)}
     how = {"things": things, "body": body, "width": 620}
     return through_the_camera(scene.truth.clip(index), scene.cameras[index], layer, frame, **how)
+
+
+def wrists(motions: Mapping[str, Motion], roles: Mapping[str, str], body: BodyModel) -> np.ndarray:
+    """Draws bodies at the end of their clips, and the way of both wrists, a panel each."""
+    with Scene3D((400 * len(motions), 420), panels=tuple(motions)).floor() as scene:
+        for panel, (label, motion) in enumerate(motions.items()):
+            role = roles.get(label, label)
+            scene.body(body, motion, role, panel=panel)
+            for side in ("left", "right"):
+                scene.trail(motion, f"{side}_wrist", role, panel=panel)
+        return scene.image(60.0)

@@ -42,7 +42,6 @@ SAID = {"first 1": "first frame", "middle 1": "middle frame", "first 10": "first
 
 
 HOW = "official unknowns, start and masks at the lean price"
-VIEW = {"follow": True}  # of the film: somebody who flies off stays in the picture
 Refit = Callable[..., Fitted]
 
 
@@ -196,21 +195,25 @@ def jumps(
     return rows
 
 
+def _more(error: float, unit: str) -> str:
+    """An error added, in words."""
+    return f"{abs(error):.1f} {unit} {'farther from' if error > 0 else 'nearer to'} the truth"
+
+
 def spoken(added: Mapping[tuple[str, str, str], Tensor], sources: Sequence[str], bound: float) -> str:
     """Says what one missing frame adds in the official way, by source and place, and whether it is what was expected.
 
     bound: cm; a mean of that much or more is a breakdown.
     """
     means = {(s, v): added["official", s, v].mean().item() for s in sources for v in ("middle 1", "first 1")}
-    said = [
-        f"{x:.1f} cm on {source} clips where the {SAID[variant]} is missing" for (source, variant), x in means.items()
-    ]
+    said = [f"- {source} clips without the {SAID[v]}: {_more(x, 'cm')}" for (source, v), x in means.items()]
     broken = sum(x >= bound for x in means.values())
     verdict = {0: "Not as the thesis says", len(means): "As the thesis says"}.get(
         broken, "Only partly as the thesis says"
     )
     return (
-        f"**Reading.** {verdict}. The official way adds {', '.join(said)}. A breakdown would be {bound:g} cm or more."
+        f"**Reading.** {verdict}. A breakdown would be {bound:g} cm farther from the truth, or more. "
+        "Beside the same fit with all frames, later frames of the official fit end:\n\n" + "\n".join(said)
     )
 
 
@@ -223,21 +226,21 @@ def why(fits: Mapping[tuple[str, str, str], CaseFit], added: Mapping[tuple[str, 
     ends = "So the error goes with the jump, not with the number of missing frames." if expected else ""
     return (
         f"**Reading.** {'As' if expected else 'Not as'} expected. Where nothing is smooth and the first frame is "
-        f"missing, stage 2 begins with a step of {speed['first 1']:.0f} m/s. Stage 3 starts with it, and adds "
-        f"{metres['first 1']:.1f} m. With ten frames missing the first step is {speed['first 10']:.1f} m/s, and "
-        f"{metres['first 10']:.1f} m are added. {ends}"
+        f"missing, stage 2 begins with a step of {speed['first 1']:.0f} m/s. Stage 3 starts with it, and ends "
+        f"{_more(metres['first 1'], 'm')} than with all frames. With ten frames missing the first step is "
+        f"{speed['first 10']:.1f} m/s, and stage 3 ends {_more(metres['first 10'], 'm')}. {ends}"
     )
 
 
 def lost(rows: Sequence[Mapping[str, object]], bound: float) -> str:
     """Says what a missing file costs, by source, and whether it is a breakdown: ``bound`` cm or more."""
     more, other = "more than with all files, cm", "error beside the next frame, cm"
-    said = " and ".join(f"{row[more]:.1f} cm on {row['source']} clips" for row in rows)
+    said = " and ".join(f"{_more(row[more], 'cm')} on {row['source']} clips" for row in rows)
     shifted = " and ".join(f"{row[other]:.1f}" for row in rows)
     breaks = "a breakdown" if max(row[more] for row in rows) >= bound else "no breakdown"
     return (
-        f"**Reading.** A missing file adds {said}: {breaks}. Beside the truth of one frame later, which the keypoints "
-        f"show, the fits are off by {shifted} cm."
+        f"**Reading.** With a missing file the fits end {said}: {breaks}. Beside the truth of one frame later, which "
+        f"the keypoints show, the fits are off by {shifted} cm."
     )
 
 

@@ -83,31 +83,21 @@ def rows(found: Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]]) ->
     ]
 
 
-def reading(
+def chosen_rows(
     found: Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]], chosen: Mapping[tuple[str, str], tuning.Choice]
-) -> str:
-    """Says what the two tests showed, and what stage 2 was tuned to."""
-    lines = []
+) -> list[dict[str, object]]:
+    """Returns a row per source and test: what stage 2 was tuned to, and the error by which the test is judged."""
+    made = []
     for (source, test), by in found.items():
-        measure = "all cm" if test == "noise" else "hidden cm"
-        two, three = (by[name][measure].nanmean() for name in ("tuned stage 2", "stage 3"))
-        which = "joints" if test == "noise" else "hidden joints"
-        lines.append(f"*{source}, {test}* ({tuning.said(chosen[source, test])}): the tuned stage 2 leaves the {which} "
-                     f"{two:.2f} cm off, stage 3 {three:.2f} cm.")  # fmt: skip
-        if test == "noise":
-            off = _listed(by, "acceleration error m/s^2", ("stage 2", "tuned stage 2", "stage 3"), 1)
-            right = _listed(by, "contact F1", ("tuned stage 2", "stage 3", "the truth itself"), 2)
-            lines.append(
-                f"Accelerations are off by {off} m/s². Contacts of all methods, found by one rule: F1 {right}."
-            )
-        else:
-            seen = _listed(by, "visible cm", ("tuned stage 2", "stage 3"), 1)
-            lines.append(f"The price: joints that were seen exactly are off by {seen} cm.")
-    return "\n\n".join(lines)
-
-
-def _listed(by: Mapping[str, Mapping[str, Tensor]], measure: str, names: tuple[str, ...], digits: int) -> str:
-    return ", ".join(f"{by[name][measure].nanmean():.{digits}f} ({name})" for name in names)
+        off = {n: by[n][JUDGED[test]].nanmean() for n in SHOWN}
+        seen = {n: by[n]["visible cm"].nanmean() for n in SHOWN}
+        exact = "" if test == "noise" else " and ".join(f"{x:.1f}" for x in seen.values())
+        made.append(
+            {"people, test": f"{source}, {test}", "stage 2 is tuned to": tuning.said(chosen[source, test])}
+            | {f"{n}, cm": f"{x:.2f}" for n, x in off.items()}
+            | {"joints that were seen exactly, cm": exact}
+        )
+    return made
 
 
 def rows_of_figure(
@@ -132,6 +122,7 @@ def rows_of_figure(
 
 #: What a test is judged by, and the names of its duels in ``claims.toml``.
 JUDGED = {"noise": "all cm", "low joints hidden": "hidden cm"}
+SHOWN = ("tuned stage 2", "stage 3")
 
 
 def duels(sources: Mapping[str, object]) -> list[tuple[str, str, str, str]]:

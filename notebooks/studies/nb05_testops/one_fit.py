@@ -20,14 +20,16 @@ from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule
 from motionlab.metrics import gait
 from motionlab.motion import Motion
-from motionlab.viz.movie import stage
-from motionlab.viz.palette import INK
+from motionlab.viz.movie import Mesh, stage
+from motionlab.viz.palette import ROLE
 from studies.shared.plots import canvas
 
-#: Terms of the energy that measure squared distances, and those that are minus logarithms of a density.
-SQUARES = ("joints2d", "joints3d_smooth", "pose_prior", "shape_prior", "joint_consistency", "bone_length",
-           "contact_vel", "contact_height")  # fmt: skip
-LOGARITHMS = ("motion_prior", "init_motion_prior")
+#: The terms that a figure follows: label and role.
+TERMS = {
+    "joints2d": ("keypoints", "observation"),
+    "joints3d_smooth": ("smoothness", "stage2"),
+    "motion_prior": ("motion prior", "stage3"),
+}
 Watched = list[tuple[int, dict[str, float]]]
 
 
@@ -58,11 +60,16 @@ def filmed(motion: Motion, generator: torch.Generator) -> Scene:
                  wrong, ((),))  # fmt: skip
 
 
-def fitted(scene: Scene, priors: Priors, schedule: Schedule, weights: Weights) -> tuple[Fitted, Watched]:
-    """Fits a scene of one clip and returns the fit with (stage, terms) of every evaluation of the energy."""
+def fitted(
+    scene: Scene, priors: Priors, schedule: Schedule | None, weights: Weights, solver: str = "rollout"
+) -> tuple[Fitted, Watched]:
+    """Fits a scene of one clip and returns the fit with (stage, terms) of every evaluation of the energy.
+
+    solver: of stage 3; "shooting" is faster, and its evaluations are not watched.
+    """
     watched: Watched = []
     keep = lambda number, terms: watched.append((number, {n: float(x) for n, x in terms.items()}))  # noqa: E731
-    how = {"cameras": scene.cameras, "floor": "camera", "schedule": schedule, "weights": weights}
+    how = {"cameras": scene.cameras, "floor": "camera", "schedule": schedule, "weights": weights, "solver": solver}
     return testops.fit(scene.observation, priors, watch=keep, **how), watched
 
 
@@ -81,23 +88,29 @@ def errors(motion: Motion, scene: Scene) -> dict[str, float]:
     }
 
 
-def terms_over_fit(watched: Watched) -> Figure:
-    """Draws every term over the evaluations of a fit, squares above and logarithms below; dotted: a stage begins."""
-    fig, axes = canvas(2, 1, size=(8.4, 5.2), sharex=True)
-    starts = [k for k in range(len(watched)) if k == 0 or watched[k][0] != watched[k - 1][0]]
-    for ax, names in zip(axes, (SQUARES, LOGARITHMS), strict=True):
-        for k, name in enumerate(names):
-            curve = np.array([terms.get(name, np.nan) for _, terms in watched])
-            if np.isfinite(curve).any():
-                ax.plot(curve, lw=1.6, label=name, color=f"C{k}")
-        for k in starts:
-            ax.axvline(k, color=INK, lw=0.8, ls=":")
-        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    for k in starts:
-        axes[0].annotate(f"stage {watched[k][0]}", (k, 1.02), xycoords=("data", "axes fraction"), fontsize=9)
-    axes[0].set(yscale="log", ylabel="weighted term")
-    axes[0].set_ylim(bottom=0.01)
-    axes[1].set(ylabel="weighted term (nats)", xlabel="evaluation of the energy")
+def ends(shown: Mapping[str, Motion], look: Mapping[str, object]) -> dict[str, np.ndarray]:
+    """Draws the body late in the clip by stage, as ``look`` (keywords of ``movie.stage``) says."""
+    fits = {name: motion for name, motion in shown.items() if name in ROLES}
+    built, seconds = stage(fits, size=(330 * len(fits), 360), follow=True, **look)
+    with built:
+        return dict(zip(fits, np.split(built.image(0.85 * seconds), len(fits), axis=1), strict=True))
+
+
+def terms_over_fit(watched: Watched, bodies: Mapping[str, np.ndarray]) -> Figure:
+    """Draws ``TERMS`` over the evaluations of a fit, a column a stage, below the body that the stage ends with."""
+    fig, axes = canvas(2, len(bodies), size=(9.0, 5.4), sharey="row")
+    above, below = axes[: len(bodies)], axes[len(bodies) :]
+    for k, (name, body) in enumerate(bodies.items()):
+        above[k].imshow(body)
+        above[k].set_axis_off()
+        terms = [found for number, found in watched if name == f"stage {number}"]
+        for term, (label, role) in TERMS.items():
+            curve = np.array([found.get(term, np.nan) for found in terms])
+            below[k].plot(curve, lw=2, color=ROLE[role], label=label)
+        below[k].set(xlabel=f"evaluation in {name}")
+    below[0].set(ylabel="weighted term of the energy")
+    below[0].set_yscale("symlog", linthresh=10.0)
+    below[0].legend(loc="lower left")
     return fig
 
 
@@ -118,13 +131,18 @@ def panels(fit: Fitted, scene: Scene, stages: Sequence[int] = (1, 2, 3)) -> dict
 ROLES = {"stage 1": "observation", "stage 2": "stage2", "stage 3": "stage3"}
 
 
-def picture(fit: Fitted, scene: Scene, body: BodyModel, seconds: float) -> np.ndarray:
-    """Draws truth, stage 2 and stage 3 at one time, each titled with the error of the hidden joints."""
-    shown = panels(fit, scene, (2, 3))
-    off = {f"stage {k}": errors(fit.stages[k], scene)["hidden joints, cm"] for k in (2, 3)}
-    titled = {f"{name}, {off[name]:.0f} cm" if name in off else name: m for name, m in shown.items()}
-    roles = {title: ROLES.get(title.split(",")[0], "truth") for title in titled}
-    built, _ = stage(titled, roles, body, size=(1080, 400))
+def picture(fit: Fitted, scene: Scene, body: BodyModel, seconds: float, *, things: Sequence[Mesh] = ()) -> np.ndarray:
+    """Draws truth, stage 2 and stage 3 at one time, the fits over the truth. Titles: errors of the hidden joints in the
+    room and, "pose", with the pelvis put on the true one."""
+    shown, roles = panels(fit, scene, (2, 3)), {}
+    titled = {"truth": shown["truth"]}
+    for k in (2, 3):
+        motion = fit.stages[k]
+        moved = replace(motion, root=scene.truth.root)
+        room, pose = (errors(m, scene)["hidden joints, cm"] for m in (motion, moved))
+        title = f"stage {k}: {room:.0f} cm, pose {pose:.0f}"
+        titled[title], roles[title] = shown[f"stage {k}"], ROLES[f"stage {k}"]
+    built, _ = stage(titled, roles, body, size=(1080, 400), things=things, ghost=shown["truth"])
     with built:
         return built.image(seconds)
 

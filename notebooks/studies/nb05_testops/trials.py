@@ -155,14 +155,22 @@ class Rival:
         return with_smoothness(self.smoothness, self.pose)
 
 
+#: What stage 2 is tuned over: its smoothness, the weight of its pose prior, and frames of the filter after it.
+GRID = {
+    "smoothness": (400.0, 100.0, 25.0, 6.0, 1.5, 0.4),
+    "pose": (0.0, 0.01, 0.04, 0.2, 1.0, 5.0),
+    "windows": (0, 5, 9, 15, 21, 31),
+}
+
+
 def tried(
     practice: Mapping[str, Seen],
     priors: Priors,
     schedule: Schedule,
     *,
-    smoothness: Sequence[float],
-    pose: Sequence[float],
-    windows: Sequence[int],
+    smoothness: Sequence[float] = GRID["smoothness"],
+    pose: Sequence[float] = GRID["pose"],
+    windows: Sequence[int] = GRID["windows"],
     **how,
 ) -> dict[Rival, dict[str, dict[str, Tensor]]]:
     """Scores stage 2 on practice scenes (with ``truth`` and ``seen``), by rival and scene: every smoothness, weight of

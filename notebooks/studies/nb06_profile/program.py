@@ -176,6 +176,16 @@ def alone_table(found: Mapping[str, Tensor], official: Official) -> list[dict[st
     ]
 
 
+def claimed(official: Official, ours: Mapping[str, Tensor]) -> list[dict[str, object]]:
+    """Lists three shares: the thesis's, the official code's and the median of ours."""
+    theirs = official.shares()
+    mine = {name: ours[name].median().item() for name in CLAIMED}
+    return [
+        {"share": name, "thesis, %": x, "official code, %": theirs[name], "our imitation, %": mine[name]}
+        for name, x in CLAIMED.items()
+    ]
+
+
 def drawn(
     official: Official, found: Mapping[str, tuple[float, float, float]], lean: Mapping[str, Tensor]
 ) -> dict[str, dict[str, tuple[float, float, float]]]:

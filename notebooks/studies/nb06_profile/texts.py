@@ -8,7 +8,6 @@ from torch import Tensor
 
 from motionlab.humor.testops import Schedule
 from studies.nb06_profile.official_profile import Official
-from studies.nb06_profile.program import CLAIMED
 
 Parts = Mapping[str, Mapping[str, float]]
 
@@ -49,8 +48,8 @@ def growth(rounds: int, wide: int, frames: int) -> str:
 def memory(frames: int) -> str:
     """Returns the caption of the memory."""
     return (
-        f"Memory of closures of stage 3 against the batch ({frames} frames; every dot is n = 1 process or count), "
-        "carried on straight to 11 GiB. In the legend: the clips that would fit there."
+        f"Memory of closures of stage 3 against the batch ({frames} frames), carried on straight to 11 GiB. Every dot "
+        "is n = 1 process or count. In the legend: the clips that would fit there."
     )
 
 
@@ -98,20 +97,16 @@ def cause(official: Official, ours: float, gap: float) -> str:
     inside = "lies inside, so that one profile cannot decide" if low < 50 < high else "lies outside"
     stand = "it is no stand-in" if abs(gap) > 10 else "it may stand in for it"
     return (
-        f"**Reading.** In the official code the roll-out takes **{share:.0f} %** of the closure, {low:.0f} % to "
-        f"{high:.0f} % with the drift of {100 * official.drift:.0f} % between its runs. The bound of 50 % {inside}. "
-        f"Our imitation says {ours:.0f} %, {gap:+.0f} points away: {stand}."
+        f"**Reading.** In the official code the roll-out takes **{share:.0f} %** of the closure. With the drift of "
+        f"{100 * official.drift:.0f} % between its runs it may be {low:.0f} % to {high:.0f} %. The bound of 50 % "
+        f"{inside}. Our imitation says {ours:.0f} %, {gap:+.0f} points away: {stand}."
     )
 
 
-def claimed(official: Mapping[str, float], ours: Mapping[str, Tensor]) -> str:
-    """Says how far three shares are from the thesis's, the official code's and ours."""
-    parts = [
-        f"{name}: thesis {x:.0f} %, official code {official[name]:.0f} %, imitation {ours[name].median():.0f} %"
-        for name, x in CLAIMED.items()
-    ]
-    off = ", ".join(name for name, x in CLAIMED.items() if abs(official[name] - x) > 10)
-    return f"**Reading.** {'; '.join(parts)}. More than 10 points off in the official code: {off or 'none'}."
+def claimed(rows: Sequence[Mapping[str, object]]) -> str:
+    """Says which shares of the official code are far from the thesis's: rows of ``program.claimed``."""
+    off = ", ".join(str(row["share"]) for row in rows if abs(row["official code, %"] - row["thesis, %"]) > 10)
+    return f"**Reading.** More than 10 points off in the official code: {off or 'none'}."
 
 
 def clocks(rows: Sequence[Mapping[str, str]]) -> str:
