@@ -1,8 +1,8 @@
 """Several people of one footage, seen by one camera: fits in a batch, long footage in windows that are kept on disk.
 
 Where the camera's place is not known, a fit of the seconds that show most finds one for all: the mean of what each of
-them says. Then they are fitted together under it. Footage of more than ``WHOLE`` frames is fitted in windows of ``STRETCH``; one
-that is done is kept, so that a rerun goes on where the last one stopped. What they share is blended.
+them says. Then they are fitted together under it. Footage of more than ``WHOLE`` frames is fitted in windows of
+``STRETCH``; one that is done is kept, so that a rerun goes on where the last one stopped. What they share is blended.
 """
 
 from __future__ import annotations

@@ -215,7 +215,7 @@ def _person(row: Record, mark: str) -> str:
         "detected": f"{100 * row['detected']:.0f} % of the keypoints",
         "reprojection": f"{row['pixels']['mean']:.1f} px mean, {row['pixels']['median']:.1f} px median",
         "acceleration": f"{_acceleration(row)}, mean over joints and frames",
-        "feet": f"the lower one {round(row['feet_above_floor_cm'], 1) + 0.0:+.1f} cm from the floor, in the median frame",
+        "feet": f"the lower one {round(row['feet_above_floor_cm'], 1) + 0.0:+.1f} cm from the floor (median)",
         "bones": ", ".join(f"{name} {beta:+.1f}" for name, beta in row["bones"].items()) + " (standard deviations)",
         "files": ", ".join(row["files"].values()),
         "AMASS": f"{row['amass']['says']}. betas: {row['amass']['betas']}",

@@ -206,7 +206,7 @@ def _viterbi(cost: Tensor, change: Tensor, weight: float = 0.3) -> Tensor:
 
 # ------------------------------------------------------------------------------------------------------- of stage 3
 def above_floor(joints: Tensor) -> Tensor:
-    """Computes how high the lower foot of joints (..., T, 22, 3) is in the median frame, metres above the floor (...)."""
+    """Computes how high the lower foot of joints (..., T, 22, 3) is above the floor, median over frames: (...)."""
     return joints[..., STANDARD.indices(BALLS), 2].amin(-1).median(-1).values - STANDARD.sole
 
 
