@@ -284,7 +284,7 @@ class Lab:
             return []
         if not record.fingerprint:
             return ["the record has no fingerprint: python -m suite regenerate --fingerprints " + self.number]
-        return record.moved(self._measured(0.0))
+        return record.moved(self._measured(0.0, 0.0))
 
     def findings(self, *, fold: bool = False) -> None:
         """Shows every number measured in this run; fold: behind a click."""
