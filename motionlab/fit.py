@@ -32,6 +32,7 @@ from motionlab.io.layouts import to_body_25
 from motionlab.io.video import Video
 from motionlab.motion import Motion, resample
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate, project
+from motionlab.optimise import begins
 from motionlab.retarget import retarget
 from motionlab.scene_fit import SceneFit, Task, fit_people
 from motionlab.skeleton import STANDARD
@@ -98,7 +99,7 @@ def run_clip(
     pelvis: Sequence[float] | None = None,
     solver: str = "shooting",
     quick: bool = False,
-    progress: bool = False,
+    progress: bool | str = False,
 ) -> dict[str, object]:
     """Fits the people of one clip and writes a folder: motions and report together, then the film. Returns what
     ``fit.json`` says.
@@ -116,6 +117,7 @@ def run_clip(
         fps, size, layout: of the keypoints; where neither they nor the video say it.
         camera, camera_name: see ``io.cameras.load_camera``; without one a level camera is assumed.
         prior, pose_prior, initial, pelvis: see ``humor.pretrained.load_priors``.
+        progress: show bars, or "lines": a line where a stage begins, on stderr.
         solver: "shooting", or "rollout" for the original's schedule, which takes a clip of any length as one piece.
 
     Raises:
@@ -135,6 +137,7 @@ def run_clip(
         motion=prior, pose=pose_prior, initial=initial, pelvis=None if pelvis is None else tuple(pelvis)
     )
     windows = out / "windows"
+    begins("is the camera still?", progress)
     drift = None if clip.video is None else _drift(clip)  # before the fit, which it must not lose
     fitted = fit_people(seen, Task(priors, given, placed, clip.size, solver, quick, windows, progress))
     record = _record(clip, ids, fitted, drift, given is not None, placed)
@@ -148,7 +151,7 @@ def run_clip(
         _clear(out)
         _move(part, out, [*record["files"], RESULT])
         try:
-            poster, drawn = _film(part / "overlay.mp4", clip, fitted, body, quick).poster, True
+            poster, drawn = _film(part / "overlay.mp4", clip, fitted, body, quick, progress).poster, True
             record["files"].insert(-1, "overlay.mp4")
         except KeyboardInterrupt:
             record["notes"].append("stopped while the film was drawn: there is none")
@@ -195,7 +198,7 @@ def open_clip(
     fps: float | None = None,
     size: tuple[int, int] | None = None,
     layout: str | None = None,
-    progress: bool = False,
+    progress: bool | str = False,
 ) -> Clip:
     """Reads keypoints and opens their video, which says rate and size where the keypoints do not.
 
@@ -214,7 +217,7 @@ def open_clip(
         if keypoints_path.exists() and detect.found_in(keypoints_path) in (None, shown.path.name):
             earlier = [f"keypoints of an earlier run: {keypoints_path}; delete it to find them again"]
         else:
-            detect.find(shown, keypoints_path, fps=fps, progress=progress)
+            detect.find(shown, keypoints_path, fps=fps, progress=bool(begins("keypoints", progress)))
     how = {"fps": fps, "size": size, "layout": layout}
     for _ in how:
         try:
@@ -349,7 +352,7 @@ def _report(folder: Path, record: dict[str, object], began: float, poster: bytes
     (folder / RESULT).write_text(json.dumps(record, indent=1, allow_nan=False), encoding="utf-8")
 
 
-def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool) -> film.Film:
+def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool, progress: bool | str) -> film.Film:
     count, rate, fps = clip.count, clip.rate, fitted.seen.fps
     at = (torch.arange(count) / rate * fps).round().long().clamp(max=fitted.seen.frames - 1)
     motions = []
@@ -363,7 +366,8 @@ def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool
     ]
     pictures = None if clip.video is None else clip.video.pictures(range(clip.first, clip.first + count))
     roles = [scene_report.PEOPLE[k % len(scene_report.PEOPLE)] for k in range(len(motions))]
-    how = {"roles": roles, "shown": fitted.shown[:, at].tolist(), "seen": seen} | ({"area": _SMALL} if quick else {})
+    how = {"roles": roles, "shown": fitted.shown[:, at].tolist(), "seen": seen, "progress": begins("film", progress)}
+    how |= {"area": _SMALL} if quick else {}
     return film.over_footage(motions, fitted.camera, pictures, path, body, **how)
 
 

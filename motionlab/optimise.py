@@ -14,6 +14,7 @@ unit, and so crawls where energies are small.
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
@@ -198,6 +199,13 @@ class BatchFit:
         return torch.tensor([reason in ("gradient", "no decrease") for reason in self.reasons])
 
 
+def begins(what: str, progress: bool | str) -> str | bool:
+    """Says what begins, in a line on stderr where ``progress`` is "lines"; returns the name of its bars, or False."""
+    if progress == "lines":
+        print(f"{what} ...", file=sys.stderr, flush=True)
+    return what if progress is True else False
+
+
 def minimise_batch(
     energy: Callable[..., Tensor],
     variables: dict[str, Tensor],
@@ -211,7 +219,7 @@ def minimise_batch(
     rows: bool = False,
     unit: bool = False,
     watch: Callable[[int, dict[str, Tensor]], object] | None = None,
-    progress: bool = False,
+    progress: bool | str = False,
 ) -> BatchFit:
     """Lowers B energies by moving the variables (B, ...) that require gradients; the others are constants.
 
@@ -232,7 +240,7 @@ def minimise_batch(
         unit: the variables are such that a step along minus the gradient is Newton's, or nearly: a first search begins
             with it, instead of a step that moves nothing by more than 1.
         watch: called after every evaluation with their number so far and, by name, every clip's best point so far.
-        progress: show a bar with the mean energy and the number of clips that still run.
+        progress: show a bar with the mean energy and the number of clips that still run; or its name.
 
     Raises:
         NotConverged: no clip has a finite energy and gradient at the start.
@@ -244,7 +252,7 @@ def minimise_batch(
     machine.tolerance_change = _per_clip(tolerance_change, len(machine.clips))
     budget = steps * inner * 5 // 4 if max_closures is None else max_closures
     began, rest = time.perf_counter(), "closures"
-    bar = tqdm(total=budget, disable=not progress, leave=False)
+    bar = tqdm(total=budget, desc=progress if isinstance(progress, str) else None, disable=not progress, leave=False)
     try:
         while machine.running() and len(machine.history) < budget:
             machine.advance()

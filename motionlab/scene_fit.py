@@ -1,8 +1,8 @@
 """Several people of one footage, seen by one camera: fits in a batch, long footage in windows that are kept on disk.
 
-Where the camera's place is not known, a coarse fit of everybody finds one for all: the mean of what each of them says.
-Then they are fitted together under it. Footage of more than ``WHOLE`` frames is fitted in windows of ``STRETCH``; one
-that is done is kept, so that a rerun goes on where the last one stopped. What they share is blended.
+Where the camera's place is not known, a fit of the seconds that show most finds one for all: the mean of what each of
+them says. Then they are fitted together under it. Footage of more than ``WHOLE`` frames is fitted in windows of
+``STRETCH``; one that is done is kept, so that a rerun goes on where the last one stopped. What they share is blended.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from motionlab.humor.unknowns import window_starts
 from motionlab.io.reading import read_npz, reading
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D
+from motionlab.optimise import begins
 from motionlab.skeleton import BALLS, STANDARD
 
 #: Frames (at 30 fps) that are fitted at once, and the windows of more: their length and what neighbours share.
@@ -80,7 +81,7 @@ class Task:
     solver: str = "shooting"
     quick: bool = False
     keep: Path | None = None
-    progress: bool = False
+    progress: bool | str = False
 
     @property
     def schedule(self) -> testops.Schedule | None:
@@ -101,10 +102,14 @@ class Task:
 FULL_WORK = replace(
     testops.Schedule.lean(),
     tolerance=3e-4,
+    guesses=True,
     shooting=Plan(8, 20, 1e-2, least=0.033, stride=4, race=5, second=False, damped=(0.1, 0.01)),
 )
 QUICK_WORK = replace(
-    testops.Schedule.quick(), steps=(2, 4, 3), shooting=Plan(2, 12, trial=0, leaps=0, stride=8, damped=(0.1, 0.01))
+    testops.Schedule.quick(),
+    steps=(2, 4, 3),
+    guesses=True,
+    shooting=Plan(2, 12, trial=0, leaps=0, stride=8, damped=(0.1, 0.01)),
 )
 
 
@@ -132,21 +137,21 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
         camera, notes = _common_camera(seen, enough, task)
         floor = "camera"
     pieces: list[list[dict[str, Tensor]]] = [[] for _ in range(people)]
-    reasons, energy, stopped, bar = [], {}, False, None
-    if len(starts) > 1:
-        bar = tqdm(starts, unit="window", desc="windows", disable=not task.progress)
-    for start in bar if bar is not None else starts:
+    reasons, energy, stopped, many = [], {}, False, len(starts) > 1
+    for k, start in enumerate(tqdm(starts, "windows", unit="window", disable=not many or task.progress is not True)):
+        if many:
+            begins(f"window {k + 1} of {len(starts)}", task.progress)
         span = slice(start, start + length)
         who = enough[:, span].any(-1).nonzero()[:, 0].tolist()
         for some in (who[k : k + TOGETHER] for k in range(0, len(who), TOGETHER)):
             part = _cut(seen, some, span)
-            file = None if len(starts) == 1 or task.keep is None else task.keep / f"{_key(part, camera, task)}.npz"
+            file = None if not many or task.keep is None else task.keep / f"{_key(part, camera, task)}.npz"
             found = None if file is None else _kept(file, len(some), length)
             if found is None:
-                inner = task if len(starts) == 1 else replace(task, progress=False)
+                inner = task if not many else replace(task, progress=False)
                 fitted = inner.fit(part, camera, floor)
                 stopped |= fitted.stopped
-                if fitted.stopped and len(starts) > 1:
+                if fitted.stopped and many:
                     raise KeyboardInterrupt
                 found = _arrays(fitted)
                 if floor in (None, "guess"):  # one person, one window
@@ -178,15 +183,17 @@ def _cut(seen: Observation2D, people: Sequence[int], span: slice) -> Observation
 
 
 def _common_camera(seen: Observation2D, enough: Tensor, task: Task) -> tuple[Camera, list[str]]:
-    """One camera for all: a coarse fit of at most 4 s of everybody, where most is seen; the mean of their cameras,
-    weighted by what was seen of each and by how well the fit met it."""
+    """One camera for all, from at most 4 s where most is seen: that of one person, or of a coarse fit of everybody the
+    mean of their cameras, weighted by what was seen of each and by how well the fit met it."""
     length = min(seen.frames, STRETCH)
     most = seen.confidence[..., _USED].sum((0, 2)).unfold(0, length, 1).sum(-1).argmax()
     span = slice(int(most), int(most) + length)
     who = enough[:, span].any(-1).nonzero()[:, 0].tolist()[:TOGETHER]
     part = _cut(seen, who, span)
+    begins("the camera, from the seconds that show most", task.progress)
     floor = None if task.camera is None else "guess"
-    fitted = task.fit(part, task.camera, floor, schedule=QUICK_WORK, solver="shooting")
+    work = QUICK_WORK if len(part.keypoints) > 1 else task.schedule
+    fitted = task.fit(part, task.camera, floor, schedule=work, solver="shooting")
     if fitted.stopped:
         raise KeyboardInterrupt
     weight = part.confidence[..., _USED].sum((1, 2)) / (1 + fitted.doubts.misfit.nan_to_num(1e6))
@@ -282,12 +289,16 @@ def _shown(enough: Tensor) -> Tensor:
 
 
 def _on_the_floor(motions: Sequence[Motion], shown: Tensor, camera: Camera) -> tuple[list[Motion], Camera, float]:
-    """Raises the whole scene, its camera too, so that the lowest ball of the foot is at sole height.
+    """Raises the whole scene, its camera too, so that the balls of the feet are at sole height.
 
-    Of each person the height that 2 % of the frames are below; of several people the median of them.
+    Of each person those that the prior says are in contact, in the median; without any, the height that the lower one
+    is below in 2 % of the frames. Of several people the median.
     """
-    feet = STANDARD.indices(BALLS)
-    low = [m.positions[on][:, feet, 2].amin(-1).quantile(0.02) for m, on in zip(motions, shown, strict=True)]
+    feet, low = STANDARD.indices(BALLS), []
+    for motion, on in zip(motions, shown, strict=True):
+        height = motion.positions[on][:, feet, 2]
+        rests = motion.contacts[on][:, [motion.skeleton.contact_names.index(name) for name in BALLS]] > 0
+        low.append(height[rests].median() if rests.any() else height.amin(-1).quantile(0.02))
     lift = float(STANDARD.sole - torch.stack(low).median())
     up = torch.tensor([0.0, 0.0, lift])
     moved = [replace(motion, root=motion.root + up) for motion in motions]

@@ -6,6 +6,7 @@ import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import groupby
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -13,22 +14,27 @@ from torch import Tensor
 
 from motionlab.humor import body_shape
 from motionlab.humor.energies import UNUSED_BODY_25
+from motionlab.humor.evidence import FEET_SEEN, feet_seen
+from motionlab.humor.start import above_floor
 from motionlab.humor.testops import MISFIT_WIDTH, SURPRISED
 from motionlab.metrics import pose
 from motionlab.observation import BODY_25
 from motionlab.scene_fit import SceneFit
-from motionlab.skeleton import BALLS, FEET, STANDARD
+from motionlab.skeleton import FEET
 from motionlab.viz.palette import ROLE
 
 #: The colours of the people, in the film and here, one after the other.
 PEOPLE = ("ours", "baseline", "6d", "axis-angle", "quaternion", "synthetic", "stage2", "stage3")
 _LISTED = 40  # people in the table of who was seen
 _STYLE = """
-body { font: 15px/1.5 sans-serif; color: #30343b; background: #f6f7f9; max-width: 62rem; margin: 2rem auto; }
-table { border-collapse: collapse; margin: .6rem 0 }
-td, th { padding: .15rem .7rem; border-bottom: 1px solid #c3c9d3; text-align: left }
+body { font: 15px/1.5 sans-serif; color: #30343b; background: #f6f7f9; max-width: 62rem; margin: 2rem auto;
+  padding: 0 1rem; overflow-wrap: anywhere }
+h1 { font-size: 1.6rem }
+table { border-collapse: collapse; margin: .6rem 0; display: block; overflow-x: auto }
+td, th { padding: .15rem .7rem; border-bottom: 1px solid #c3c9d3; text-align: left; overflow-wrap: normal }
+td:last-child { overflow-wrap: anywhere }
 td.n { text-align: right; font-variant-numeric: tabular-nums }
-video, svg { max-width: 100%; background: #fff }
+video, svg { max-width: 100%; height: auto; background: #fff }
 .doubt { color: #d55e00; font-weight: bold }
 """
 _WIDE, _HIGH = 860, 190
@@ -46,7 +52,6 @@ def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor
     contacts = motion.contacts[shown].mean(0).tolist()
     used = [n for n in range(len(BODY_25)) if n not in UNUSED_BODY_25]
     by_time = [float(a[s].median()) if s.any() else None for a, s in zip(away, seen, strict=True)]
-    low = motion.positions[shown][:, STANDARD.indices(BALLS), 2].amin(-1)
     return {
         "id": each,
         "share": float(shown.float().mean()),
@@ -67,7 +72,8 @@ def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor
             name: _spans(motion.contacts[:, n] > 0.5, motion.fps)
             for n, name in enumerate(motion.skeleton.contact_names) if name in FEET
         },
-        "feet_above_floor_cm": 100 * float(low.quantile(0.02) - STANDARD.sole),
+        "feet_above_floor_cm": 100 * float(above_floor(motion.positions[shown])),
+        "feet_seen": float(feet_seen(fitted.seen.confidence[k])),
         "bones": dict(zip(body_shape.BONE_GROUPS, body_shape.from_skeleton(motion.skeleton).tolist(), strict=True)),
     }  # fmt: skip
 
@@ -99,6 +105,7 @@ def lines(record: Record) -> list[str]:
             f"keypoints detected; reprojection {row['pixels']['mean']:.1f} px mean, {row['pixels']['median']:.1f} px "
             f"median; acceleration {_acceleration(row)}",
             f"  {_doubt(row)}",
+            *(f"  {text}" for text in not_known(row)),
             "  contacts: " + ", ".join(f"{n.replace('_', ' ')} {100 * c:.0f} %" for n, c in row["contacts"].items()),
             f"  AMASS: {row['amass']['says']}",
         ]
@@ -111,6 +118,16 @@ def _doubt(row: Record) -> str:
     prior = "no motion prior was used" if surprise is None else f"surprise of the prior {surprise:.2f}"
     text = f"{prior} (up to {bounds['surprise']:g} is usual), missed by {rms:.0f} px rms (up to {bounds['rms']:.0f})"
     return f"doubtful: {text}" if row["doubtful"] else f"no doubts: {text}"
+
+
+def not_known(row: Record) -> list[str]:
+    """Returns what cannot be known of a person: whether somebody sits or stands whose feet were not seen."""
+    if row["feet_seen"] >= FEET_SEEN:
+        return []
+    return [
+        f"not known whether this person sits or stands: the feet were seen in {100 * row['feet_seen']:.0f} % of the "
+        "frames. The legs are a guess, and the height of the floor depends on it"
+    ]
 
 
 def _acceleration(row: Record) -> str:
@@ -137,7 +154,7 @@ def _runs(words: Sequence[str]) -> str:
 def page(record: Record, poster: bytes = b"") -> str:
     """Returns the report of a record as one page, which plays ``overlay.mp4`` beside it."""
     keypoints, footage, people = record["keypoints"], record["footage"], record["people"]
-    name = footage["path"] if footage else keypoints["path"]
+    name = Path(footage["path"] if footage else keypoints["path"]).name
     still = f"data:image/jpeg;base64,{base64.b64encode(poster).decode()}"
     film = "over the footage, and from the camera's right" if footage else "through its camera, and from its right"
     stopped = "<p class=doubt>Stopped before it was done: the best so far.</p>" if record["stopped"] else ""
@@ -163,8 +180,9 @@ def page(record: Record, poster: bytes = b"") -> str:
     ]  # fmt: skip
     return "\n".join([
         "<!DOCTYPE html><html lang=en><head><meta charset=utf-8>",
-        f"<title>{escape(str(name))}</title><style>{_STYLE}</style></head><body>",
-        f"<h1>A scene from {escape(str(name))}</h1>{stopped}",
+        "<meta name=viewport content='width=device-width, initial-scale=1'>",
+        f"<title>{escape(name)}</title><style>{_STYLE}</style></head><body>",
+        f"<h1>A scene from {escape(name)}</h1>{stopped}",
         f'<video controls loop muted playsinline src="overlay.mp4" poster="{still}"></video>'
         if drawn
         else "",
@@ -197,12 +215,13 @@ def _person(row: Record, mark: str) -> str:
         "detected": f"{100 * row['detected']:.0f} % of the keypoints",
         "reprojection": f"{row['pixels']['mean']:.1f} px mean, {row['pixels']['median']:.1f} px median",
         "acceleration": f"{_acceleration(row)}, mean over joints and frames",
-        "feet": f"lowest {row['feet_above_floor_cm']:+.1f} cm from the floor (2 % of the frames are lower)",
+        "feet": f"the lower one {round(row['feet_above_floor_cm'], 1) + 0.0:+.1f} cm from the floor (median)",
         "bones": ", ".join(f"{name} {beta:+.1f}" for name, beta in row["bones"].items()) + " (standard deviations)",
         "files": ", ".join(row["files"].values()),
         "AMASS": f"{row['amass']['says']}. betas: {row['amass']['betas']}",
     }
     head = f"<h3>{mark} Person {row['id']}</h3><p{doubted}>{escape(_doubt(row))}</p>"
+    head += "".join(f'<p class="doubt">{escape(text)}</p>' for text in not_known(row))
     return head + _table([{"": key, " ": text} for key, text in facts.items()])
 
 

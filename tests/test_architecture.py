@@ -182,11 +182,12 @@ def test_the_library_is_thin():
     # 95 files and 20,000 lines until issue 26, which asks for tools: keypoints of every detector took 1,000 lines, the
     # way from a video to a scene 1,200, an animator's tools 1,500 and their widget 200, many clips 200, searches that
     # race and feet that fly 100. Issue 40: views that a hand turns together, ghosts and flyers 250, a body tailored to
-    # a person's bones 130, and 200 of what reads options (counted apart) for `show` and `--film`
+    # a person's bones 130, floor and legs that a fit guesses 120, and 200 of what reads options (counted apart) for
+    # `show` and `--film`
     commands = [path for path in files if path.parent.name == "commands" or path.name == "__main__.py"]
     rest = [path for path in files if path not in commands]
     lines = lambda some: sum(len(path.read_text(encoding="utf-8").splitlines()) for path in some)  # noqa: E731
-    assert len(rest) <= 113 and lines(rest) <= 24_100 and lines(commands) <= 900
+    assert len(rest) <= 113 and lines(rest) <= 24_250 and lines(commands) <= 900
     for package, most in {"humor": 24, "diffusion": 20, "viz": 10}.items():
         assert sum(p.is_relative_to(ROOT / LIBRARY / package) for p in files) <= most, package
 

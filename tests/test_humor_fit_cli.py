@@ -28,6 +28,7 @@ from motionlab.skeleton import BALLS, STANDARD
 
 CAMERA = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=900.0, width=1280, height=720)
 FRAMES = 8
+FOOT = ("ankle", "heel", "big_toe", "small_toe")
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +93,10 @@ def test_everything_is_written_and_said(tmp_path, keypoints, capsys):
     balls = motions[0].positions[:, STANDARD.indices(BALLS), 2].amin(-1)
     assert balls.quantile(0.02) == pytest.approx(STANDARD.sole, abs=1e-3)  # on the standard body, on the floor
     said, bars = capsys.readouterr()
-    assert "it/s" not in bars  # nobody watches
+    assert "it/s" not in bars  # nobody watches: a line for each stage instead
+    begun = [line.split(":")[0] for line in bars.splitlines() if line.endswith(" ...")]
+    assert begun == ["is the camera still? ...", "stage 1 of 3", "stage 2 of 3", "stage 3 of 3", "film ..."]
+    assert "not known whether" not in said  # the feet were seen
     for word in ("reprojection", "acceleration", "contacts", "energy", "joints2d", "camera given, and its place"):
         assert word in said
     found = record(out)
@@ -275,6 +279,23 @@ def test_a_long_clip_stopped_in_the_middle_goes_on(tmp_path, short_windows, few,
     assert rows[0] == rows[1] and len(rows[0]["ended"]) > 3 and rows[0]["energy"]  # of all windows, whoever fitted them
 
 
+def test_the_floor_is_where_feet_rest_that_are_in_contact(walk):
+    """One frame with the feet far below the others decides nothing; without contacts the lowest feet do."""
+    up = torch.full((FRAMES,), 0.2)
+    up[3] = 0.0
+    own = replace(walk, root=walk.root + torch.stack((0 * up, 0 * up, up), -1), contacts=torch.zeros(FRAMES, 9))
+    resting = own.contacts.clone()
+    resting[:, [own.skeleton.contact_names.index(name) for name in BALLS]] = 1
+    there = torch.ones(1, FRAMES, dtype=torch.bool)
+    lifts = []
+    for contacts in (resting, own.contacts):
+        (moved,), camera, lift = scene_fit._on_the_floor([replace(own, contacts=contacts)], there, CAMERA)
+        pixels = [project(c, fit.landmarks_of(m))[0] for c, m in ((CAMERA, own), (camera, moved))]
+        assert (pixels[0] - pixels[1]).abs().max() < 0.1  # the camera moves with the scene
+        lifts.append(lift)
+    assert lifts[0] < -0.17 and lifts[1] - lifts[0] > 0.1
+
+
 def test_somebody_who_leaves_and_returns(tmp_path, short_windows, few):
     motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion.cut(20, 46)
     observation = seen(motion)
@@ -418,4 +439,9 @@ def test_the_record_counts_only_what_was_seen(walk):
     row = scene_report.person_row(0, 7, found, away[0], weight[0])
     assert row["pixels"]["mean"] == pytest.approx(5 / 21, abs=1e-3)
     assert row["pixels"]["median"] < 0.01 and row["pixels"]["by_joint"]["right_knee"] == pytest.approx(5, abs=1e-2)
+    assert scene_report.not_known(row) == []
+    hidden[:, [BODY_25.index(f"{side}_{part}") for side in ("left", "right") for part in FOOT]] = 0
+    unseen = replace(found, seen=replace(given, confidence=hidden[None]))
+    said = scene_report.not_known(scene_report.person_row(0, 7, unseen, away[0], weight[0]))
+    assert len(said) == 1 and "0 % of the frames" in said[0]
     assert row["detected"] == pytest.approx(21 / 22) and row["missing_by_joint"]["left_wrist"] == 1

@@ -317,6 +317,17 @@ def test_of_two_starts_the_lower_goes_on(cases):
     assert all(x.shape == (CLIPS,) for x in report.history) and len(report.history) == len(report.seconds)
 
 
+def test_a_second_start_that_is_the_first_costs_nothing(cases):
+    """Of two clips only the second has another start: three searches, and each ends as it would have."""
+    problem, unknown = cases["joints"]
+    far = replace(unknown, z=noisy(unknown.z, 2.0, 9))
+    there, sizes = of_both(unknown.rows(slice(0, 1)), far.rows(slice(1, 2))), []
+    plan = replace(STEADY, leaps=0, trial=1)
+    _, fits = solve(problem, unknown, plan, rival=there, linearise=rows_of(linearised, sizes))
+    assert sizes == [CLIPS + 1, CLIPS]
+    torch.testing.assert_close(fits[-1].energy, solve(problem, unknown, plan)[1][-1].energy, atol=0, rtol=1e-4)
+
+
 @pytest.mark.parametrize("bad", [0, 1])
 def test_a_start_that_is_not_finite_leaves_the_other(cases, bad):
     problem, unknown = cases["joints"]

@@ -54,6 +54,21 @@ def test_a_film_has_a_frame_for_each_of_the_footage(tmp_path, body):
     assert np.abs(np.array(corners) - [0, 60, 120, 180]).max() < 12
 
 
+def test_the_side_view_crops_no_head_and_who_was_hardly_seen_makes_nobody_small(tmp_path, body):
+    near, far = standing(0.0), standing(9.0)
+    whole = Observation2D(torch.full((2, 25, 2), 20.0), torch.ones(2, 25), BODY_25, 25.0)
+    part = Observation2D(whole.keypoints, (torch.arange(25) < 5).float().repeat(2, 1), BODY_25, 25.0)
+    heights = []
+    for people, seen in (([near], [whole]), ([near, far], [whole, part]), ([near, far], [whole, whole])):
+        roles = [RED, GREEN][: len(people)]
+        over_footage(people, CAMERA, None, tmp_path / "f.mp4", body, roles=roles, seen=seen, area=320 * 240)
+        side = next(video.open_video(tmp_path / "f.mp4").pictures([0]))[:, -320:].astype(int)
+        rows = (side[..., 0] > side[..., 1] + 50).any(1).nonzero()[0]
+        assert rows.min() > 12 and rows.max() < len(side) - 3  # head and feet are in it
+        heights.append(np.ptp(rows))
+    assert abs(heights[1] - heights[0]) <= 2 and heights[2] < 0.8 * heights[0]
+
+
 def test_a_picture_becomes_the_camera_s(body):
     picture = np.zeros((60, 80, 3), np.uint8)
     assert as_camera(picture, CAMERA, (160, 120)).shape == (120, 160, 3)  # half the resolution

@@ -88,7 +88,7 @@ def _list_people(options: argparse.Namespace) -> int:
     from motionlab import fit
 
     how = {name: getattr(options, name) for name in ("out", "fps", "size", "layout")}
-    clip = fit.open_clip(options.keypoints, options.video, progress=is_watched(), **how)
+    clip = fit.open_clip(options.keypoints, options.video, progress=is_watched() or "lines", **how)
     print(text_table(clip.footage.table()))
     for note in clip.notes:
         print(f"note: {note}")
@@ -98,9 +98,9 @@ def _list_people(options: argparse.Namespace) -> int:
 def _fit_one(options: argparse.Namespace) -> int:
     from motionlab import fit, scene_report
 
-    how = {name: getattr(options, name) for name in _PASSED_ON}
+    how = {name: getattr(options, name) for name in _PASSED_ON} | {"progress": is_watched() or "lines"}
     try:
-        record = fit.run_clip(options.keypoints, options.out, video=options.video, progress=is_watched(), **how)
+        record = fit.run_clip(options.keypoints, options.out, video=options.video, **how)
     except KeyboardInterrupt:
         kept = len(list((options.out / "windows").glob("*.npz")))
         print(f"\n{kept} windows are kept in {options.out}; the same command goes on from there" if kept else "")
@@ -129,12 +129,13 @@ def _fit_each(options: argparse.Namespace) -> int:
 
 def _fit_clip(clip: Job, how: dict[str, object]) -> list[str]:
     """Fits one of many; says who is to be doubted."""
-    from motionlab import fit
+    from motionlab import fit, scene_report
 
     _, keypoints, video, out = clip
     record = fit.run_clip(keypoints, out, video=video, **how)
     doubted = [f"person {row['id']} is doubtful, see report.html" for row in record["people"] if row["doubtful"]]
-    return [*record["notes"], *doubted]
+    guessed = [f"person {row['id']}: {text}" for row in record["people"] for text in scene_report.not_known(row)]
+    return [*record["notes"], *doubted, *guessed]
 
 
 def _is_fitted(clip: Job, how: dict[str, object]) -> bool:

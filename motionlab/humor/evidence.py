@@ -23,6 +23,8 @@ _SIZES = ((640, 480), (1280, 720), (1920, 1080), (3840, 2160))
 LEVEL = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 ASSUMED_HEIGHT = 1.2  # metres above the floor, of a camera of which nothing is known
 
+FEET_SEEN = 0.2  # share of the frames below which a clip does not show the feet
+_FEET = [k for k, name in enumerate(BODY_25) if name.endswith(("ankle", "toe", "heel"))]
 UNSEEN = 0.03  # what stage 2 makes of a hidden joint counts so much, beside a seen one, in the start of stage 3
 
 
@@ -39,6 +41,13 @@ def _shown() -> list[list[int]]:
 
 
 _SHOWN = torch.tensor(_shown())
+
+
+def feet_seen(confidence: Tensor) -> Tensor:
+    """Computes in which share of the frames, of those that show anything, a foot was seen: (...), from confidences
+    (..., T, 25) of BODY_25 as numbers from 0 to 1."""
+    there = (confidence > 0).any(-1).sum(-1)
+    return confidence[..., _FEET].amax(-1).sum(-1) / there.clamp(min=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +157,13 @@ class Evidence:
         """Computes how far each joint (B, T, 22) was observed: 1 seen, ``UNSEEN`` hidden, 0 in empty frames."""
         seen = self.weight > 0 if self.view is None else (self.weight > 0)[..., _SHOWN].any(-1)
         return torch.where(seen, 1.0, UNSEEN) * self.seen[..., None]
+
+    @property
+    def hides_feet(self) -> Tensor:
+        """Computes whether a clip (B,) does not show its feet: keypoints alone, and of feet next to none."""
+        if self.view is None:
+            return torch.zeros(len(self.weight), dtype=torch.bool, device=self.weight.device)
+        return feet_seen(self.weight) < FEET_SEEN
 
     def short(self, frames: int) -> Evidence:
         """Returns the first frames."""

@@ -191,7 +191,7 @@ def _search(
     steps: int,
     inner: int,
     tolerance: float = 0.0,
-    progress: bool = False,
+    progress: bool | str = False,
     watch: Callable[[Terms], None] | None = None,
 ) -> tuple[Unknowns, BatchFit]:
     """Lowers the sum of some terms by moving some of the numbers of ``start``, each recording for itself.

@@ -21,6 +21,7 @@ counted as zero where they were not detected). Unseen frames stay there; here th
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -35,7 +36,7 @@ from motionlab.humor.rollout import infer
 from motionlab.humor.unknowns import Unknowns, from_matrix
 from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25
-from motionlab.skeleton import STANDARD, UPRIGHT
+from motionlab.skeleton import BALLS, STANDARD, UPRIGHT
 
 #: The 24 bones of BODY_25.
 _SIDED = (
@@ -63,6 +64,9 @@ _ITERATIONS, _STEP = 2, 1e-2
 #: was not seen moves more as the prior would. Fits by ``shooting`` begin with both.
 EAGER, CALM = 0.02, 0.3
 _LASTING = 1.0  # p
+_LEG = ("hip", "knee", "ankle", "foot")
+SITTING_LEGS = STANDARD.indices([f"{side}_{part}" for side in ("left", "right") for part in _LEG])
+_SITTING = (math.radians(85), math.radians(25))  # of who sits: how far the legs bend, and each thigh points outwards
 _LEVER = 0.3**2  # square metres per squared radian
 #: The joint that tells most of a joint's rotation: its first child, or itself at the end of a limb.
 _CHILD = [next((c for c, p in enumerate(STANDARD.parents) if p == j), j) for j in range(len(STANDARD))]
@@ -201,6 +205,24 @@ def _viterbi(cost: Tensor, change: Tensor, weight: float = 0.3) -> Tensor:
 
 
 # ------------------------------------------------------------------------------------------------------- of stage 3
+def above_floor(joints: Tensor) -> Tensor:
+    """Computes how high the lower foot of joints (..., T, 22, 3) is above the floor, median over frames: (...)."""
+    return joints[..., STANDARD.indices(BALLS), 2].amin(-1).median(-1).values - STANDARD.sole
+
+
+def seated(motion: Motion) -> Motion:
+    """Returns motions (G, T) with the legs of somebody who sits: thighs level and apart, shins upright."""
+    rot = motion.rot.clone()
+    yaw = rotation.yaw(rot[:, :, 0])
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        hip, *below = STANDARD.indices([f"{side}_{part}" for part in _LEG])
+        bend = rotation.rotation_about("x", torch.tensor(_SITTING[0]).to(rot))
+        thigh = rotation.rotation_about("z", yaw + sign * _SITTING[1]) @ UPRIGHT.to(rot) @ bend.mT
+        rot[:, :, hip] = rot[:, :, 0].mT @ thigh
+        rot[:, :, below] = torch.stack((bend, *2 * [torch.eye(3).to(rot)]))
+    return replace(motion, rot=rot)
+
+
 def start_stage_3(
     motion: Motion,
     latent: Tensor,

@@ -33,11 +33,14 @@ from motionlab.humor.stages import Problem
 from motionlab.humor.unknowns import Form, Rolled, Unknowns, stitch_windows, window_starts
 from motionlab.motion import FPS, Motion
 from motionlab.observation import Camera, Observation2D
+from motionlab.optimise import begins
 from motionlab.parallel import threads_for
 from motionlab.skeleton import STANDARD, fk
 
 MODES = ("lean", "official")
 SOLVERS = ("rollout", "shooting")
+_WEIGHED = 4  # rounds after which a start that sits is judged: after 2, some that stood up sat to the end
+_NAMES = ("stage 1 of 3: where they are", "stage 2 of 3: pose and size", "stage 3 of 3: motion")
 _WHOLE = 600  # frames that shooting takes at once: it keeps 3 MB of each
 #: From here on a fit is doubtful. On practice clips, of moves that the prior has seen, surprise was 0.05 to
 #: 0.47 and misfit 6 to 13 pixels of 1280, or 7 cm where every joint had N(0, 4 cm) of noise.
@@ -53,7 +56,8 @@ class Schedule:
     moves. window, overlap: frames of stage 3's windows, and the least that neighbours share. tolerance: a recording is
     done with a stage when an iteration gains less than this share of its own energy at the stage's start. shooting: the
     work of that solver in stage 3, instead of short, refine, window and the third number of steps (which, at 0, still
-    leaves stage 3 out).
+    leaves stage 3 out). guesses: begin stage 3 with the floor below stage 2's feet, where its height is not known; and
+    where no foot was seen let shooting try a second start, which sits.
 
     Source: the official configurations.
     """
@@ -66,6 +70,7 @@ class Schedule:
     overlap: int = 10
     tolerance: float = 1e-5
     shooting: Plan = field(default_factory=Plan)
+    guesses: bool = False
 
     @classmethod
     def lean(cls) -> Schedule:
@@ -167,7 +172,7 @@ def fit(
     cameras: Sequence[Camera] | None = None,
     floor: str | None = None,
     size: tuple[int, int] | None = None,
-    progress: bool = False,
+    progress: bool | str = False,
     watch: Callable[[int, dict[str, Tensor]], None] | None = None,
 ) -> Fitted:
     """Fits every recording of a batch. Ctrl-C keeps the best so far. On the observation's device, where the priors and
@@ -190,8 +195,9 @@ def fit(
         cameras: one per recording, instead of the observation's.
         floor: for keypoints, "camera" (the camera's pose is known, and so the floor), "refine" or "guess".
         size: of the image in pixels, where no camera says.
-        progress: show bars with the energy. watch: called with the stage and its weighted terms (G',) of the recordings
-            that still move, at every evaluation; not by solver "shooting".
+        progress: show bars with the energy; or "lines": say which stage begins, on stderr.
+        watch: called with the stage and its weighted terms (G',) of the recordings that still move, at every
+            evaluation; not by solver "shooting".
 
     Raises:
         DataError: nothing to fit, or a frame rate other than the prior's.
@@ -249,9 +255,8 @@ def start_stage_1(problem: Problem) -> Unknowns:
 class _Track:
     """The way of one fit: runs its stages and keeps what they found."""
 
-    def __init__(self, schedule: Schedule, progress: bool, watch: Callable | None) -> None:
-        self.schedule, self.watch = schedule, watch
-        self.budget = {"inner": schedule.inner, "tolerance": schedule.tolerance, "progress": progress}
+    def __init__(self, schedule: Schedule, progress: bool | str, watch: Callable | None) -> None:
+        self.schedule, self.progress, self.watch = schedule, progress, watch
         self.stages: dict[int, Motion] = {}
         self.energies: dict[int, dict[str, Tensor]] = {}
         self.results: dict[int, list[object]] = {}
@@ -261,7 +266,9 @@ class _Track:
         return _stopped(self.results)
 
     def _budget(self, stage: int) -> dict[str, object]:
-        return self.budget | {"watch": self.watch and partial(self.watch, stage)}
+        name = begins(_NAMES[stage - 1], self.progress)
+        how = {"inner": self.schedule.inner, "tolerance": self.schedule.tolerance, "progress": name}
+        return how | {"watch": self.watch and partial(self.watch, stage)}
 
     def pose_stage(self, problem: Problem, unknown: Unknowns, stage: int) -> Unknowns:
         steps = self.schedule.steps[stage - 1]
@@ -279,19 +286,26 @@ class _Track:
         whole = solver == "shooting" and frames <= _WHOLE
         length = frames if whole else min(s.window, frames)
         cuts = (0,) if whole else window_starts(frames, s.window, s.overlap)
-        shared = unknown.shared()
-        latent = unknown.latent[:, 0]
-        begun = (self.stages[2], latent, shared, seen.trust, problem.priors, cuts, length, problem.mode)
         cut = replace(problem, evidence=seen.pieces(torch.tensor(cuts), length), starts=cuts)
-        pull = problem.weights.pull
+        pull, plan, budget = problem.weights.pull, s.shooting, self._budget(3)
+        begun = self._begun(problem, unknown, self.stages[2], unknown.latent, seen.trust)
+        rest = (problem.priors, cuts, length, problem.mode, pull)
         if whole:
-            calm, _ = starts.start_stage_3(*begun, pull, starts.CALM)
-            rival = starts.start_stage_3(*begun, pull)[0] if s.shooting.second and s.shooting.trial else None
-            rolled, self.results[3] = solve(cut, calm, s.shooting, rival=rival, progress=self.budget["progress"])
+            calm, rival = starts.start_stage_3(*begun, *rest, starts.CALM)[0], None
+            if plan.second and plan.trial:
+                rival = starts.start_stage_3(*begun, *rest)[0]
+            elif s.guesses and seen.hides_feet.any():
+                plan = replace(plan, second=True, trial=max(plan.trial, _WEIGHED))
+                rival = self._seated(problem, unknown, rest)
+                rival = Unknowns(**{
+                    name: torch.where(seen.hides_feet.reshape(-1, *(1,) * (x.ndim - 1)), x, getattr(calm, name))
+                    for name, x in rival.named().items()
+                })  # fmt: skip
+            rolled, self.results[3] = solve(cut, calm, plan, rival=rival, progress=budget["progress"])
         else:
-            rolled, factors = starts.start_stage_3(*begun, pull)
+            rolled, factors = starts.start_stage_3(*begun, *rest)
             rolled, self.results[3] = stages.stage_3(
-                cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **self._budget(3)
+                cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **budget
             )
         with torch.no_grad():
             self.energies[3] = stages.motion_terms(cut, rolled)
@@ -311,6 +325,21 @@ class _Track:
         long = (f"more than {_WHOLE} frames: stage 3 by rollout, in windows",) * (solver == "shooting" and not whole)
         fitted = self._fitted(problem, rolled, contacts, rolled.z, first, cuts, *long, *says.sentences())
         return replace(fitted, doubts=says)
+
+    def _begun(self, problem: Problem, unknown: Unknowns, motion: Motion, latent: Tensor, trust: Tensor) -> tuple:
+        """What stage 3 begins with; the floor is guessed below the feet of ``motion`` where its height is not known."""
+        shared, view = unknown.shared(), problem.evidence.view
+        if self.schedule.guesses and view is not None and view.free:
+            up = torch.nn.functional.pad(-starts.above_floor(motion.positions)[:, None], (2, 0))
+            motion, shared["camera"] = replace(motion, root=motion.root + up[:, None]), shared["camera"] + up
+        return motion, latent[:, 0], shared, trust
+
+    def _seated(self, problem: Problem, unknown: Unknowns, rest: tuple) -> Unknowns:
+        """The start of stage 3 of somebody who sits where stage 2 is."""
+        sits, trust = starts.seated(self.stages[2]), problem.evidence.trust.clone()
+        trust[..., starts.SITTING_LEGS] = 1.0
+        latent = problem.priors.pose.encode(sits.rot[:, None, :, 1:]).mean
+        return starts.start_stage_3(*self._begun(problem, unknown, sits, latent, trust), *rest, starts.CALM)[0]
 
     def without_stage_3(self, problem: Problem, unknown: Unknowns, why: str) -> Fitted:
         why = "interrupted" if self.stopped else why

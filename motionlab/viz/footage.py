@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
+from tqdm import tqdm
 
 from motionlab import viz
 from motionlab.body import BodyModel
@@ -91,7 +92,7 @@ def _edges(scene: Scene, fine: bool) -> None:
 def labelled(picture: np.ndarray, text: str) -> np.ndarray:
     """Draws a label into the upper left corner of a picture."""
     image = Image.fromarray(picture)
-    pen, font = ImageDraw.Draw(image), ImageFont.load_default(15)
+    pen, font = ImageDraw.Draw(image), ImageFont.load_default(max(12, round(image.height / 28)))
     pen.rectangle(pen.textbbox((8, 6), text, font=font), fill=PAPER)
     pen.text((8, 6), text, fill=INK, font=font)
     return np.asarray(image)
@@ -108,15 +109,19 @@ def over_footage(
     shown: Sequence[Sequence[bool]] | None = None,
     seen: Sequence[Observation2D] = (),
     area: int = _AREA,
+    progress: bool | str = False,
 ) -> Film:
     """Writes an MP4 of people over what their camera filmed, beside the scene from the camera's right.
+
+    The eye on the right stands for those of whom at least half as much was seen as of the one seen best: who is mostly
+    outside the image, and may be anywhere, does not make them small.
 
     Args:
         motions: one clip per person, all of one rate, which is the film's, and one length.
         pictures: one (H, W, 3) uint8 for each frame; None is paper.
         shown: (P, T) in which frames there is somebody.
         seen: detections of each person, a frame for each of the film, drawn as dots.
-        area: of the picture over the footage, pixels.
+        area: of the picture over the footage, pixels. progress: show a bar; or its name.
     """
     count, fps = motions[0].frames, motions[0].fps
     size, frames = _film_size(camera, area), range(count)
@@ -125,19 +130,23 @@ def over_footage(
     how = {"roles": roles, "shown": shown, "fine": False}
     right = camera.rotation[0]
     wide = max(320, 2 * round(0.4 * size[1]))
-    with Scene((wide, size[1]), azimuth=_degrees(right)) as side:
+    much = [int((each.confidence > 0).sum()) for each in seen] or [1] * len(motions)
+    with Scene((wide, size[1]), azimuth=_degrees(right), panels=("from the camera's right",)) as side:
         _edges(side, fine=False)
         side.floor()
         for k, (motion, role) in enumerate(zip(motions, roles, strict=True)):
-            side.body(body, motion, role, shown=None if shown is None else shown[k])
+            there = None if shown is None else shown[k]
+            side.body(body, motion, role, shown=there, framed=2 * much[k] >= max(much))
         poster = None
         with imageio.get_writer(path, fps=fps, macro_block_size=2, quality=6) as film:
-            for frame, front in enumerate(bodies_over(motions, camera, below, frames, size, body, **how)):
+            drawn = bodies_over(motions, camera, below, frames, size, body, **how)
+            name = progress if isinstance(progress, str) else None
+            bar = tqdm(drawn, name, count, leave=False, disable=not progress)
+            for frame, front in enumerate(bar):
                 for person, role in zip(seen, roles, strict=False):
                     front = _dotted(front, person, frame, size[0] / camera.width, role)
                 text = "over the footage" if pictures is not None else "through the camera"
-                beside = labelled(side.image(frame / fps), "from the camera's right")
-                picture = np.concatenate((labelled(front, text), beside), 1)
+                picture = np.concatenate((labelled(front, text), side.image(frame / fps)), 1)
                 film.append_data(picture)
                 poster = picture if poster is None or frame == count // 2 else poster
     return Film(Path(path), count, fps, count / fps, 1.0, Path(path).stat().st_size, jpeg(poster))
