@@ -7,7 +7,6 @@ import shutil
 import tomllib
 from pathlib import Path
 
-import imageio.v2 as imageio
 import numpy as np
 import pytest
 from PIL import Image
@@ -15,7 +14,7 @@ from PIL import Image
 from motionlab import io, viz
 from motionlab.__main__ import _parser, main
 from motionlab.examples import WALK
-from motionlab.io import bvh
+from motionlab.io import bvh, video
 from motionlab.skeleton import STANDARD
 from motionlab.viz import movie
 from tests.test_animate import mixamo, walk
@@ -95,7 +94,7 @@ def test_files_of_other_skeletons_stand_side_by_side_under_their_names(desk, fil
     assert all(motion.skeleton.names == STANDARD.names for motion in motions.values())
     said = capsys.readouterr().out
     assert "other.bvh: joints recognised by their names: Mixamo" in said and "walk.bvh: unit cm detected" in said
-    pictures = imageio.mimread("film.mp4")
+    pictures = list(video.open_video("film.mp4").pictures([0, 59]))
     assert pictures[0].shape == (420, 960, 3) and not np.array_equal(pictures[0], pictures[-1])
 
 
@@ -155,7 +154,7 @@ def test_a_film_shows_what_was_given_beside_what_was_made(desk, filmed, capsys):
         own = io.load(name)
         own = own.positions[:, own.skeleton.indices(STANDARD.names)]
         assert (motions[label].positions - motions[label].root[:, None] - own + own[:, :1]).abs().max() < 1e-3
-    assert imageio.get_reader("both.mp4").get_meta_data()["size"] == (960, 420)
+    assert video.open_video("both.mp4").size == (960, 420)
 
 
 def test_a_film_of_what_cannot_be_filmed_is_refused_before_anything_is_made(desk, capsys):

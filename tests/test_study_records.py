@@ -94,6 +94,7 @@ def test_a_record_of_walks_that_is_none_is_refused(tmp_path, what):
 # ---------------------------------------------------------------------------------------- the official schedule, in 08
 def test_the_record_is_of_the_recipe_that_the_code_has_and_the_notebook_says_what_is_in_it():
     assert json.loads(OFFICIAL.read_text(encoding="utf-8"))["recipe"] == official_command.RECIPE
+    assert not official_command.FULL.guesses
     rows = load(OFFICIAL)
     plan = json.loads(json.dumps(asdict(Plan())))
     assert (plan["least"], plan["race"], plan["damped"], plan["second"]) == (0, 0, [], True)  # later, and off
