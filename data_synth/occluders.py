@@ -106,24 +106,6 @@ def desk_before(motion: Motion, camera: Camera, *, share: float = 0.7, hidden: f
     return desk(x, y, yaw, length=length, height=height)
 
 
-def wall_before(motion: Motion, camera: Camera, *, share: float = 0.6, middle_part: float = 0.4) -> Occluder:
-    """A wall ``share`` of the way from the camera to the person that hides the middle part of their way.
-
-    Somebody who walks past is seen, vanishes, and comes out again on the other side.
-
-    Args:
-        middle_part: the share of the sideways extent of the motion that lies behind the wall.
-
-    Raises:
-        ShapeError: the camera stands right above the person.
-    """
-    middle, across, _, _ = _stage(motion, camera)
-    eye = camera.centre.double()[:2]
-    half = max(middle_part * _half_width(motion, camera, middle, across), 0.3) * share
-    centre = eye + share * (middle - eye)
-    return wall(tuple((centre - half * across).tolist()), tuple((centre + half * across).tolist()))
-
-
 _CORNERS = [(sx, sy) for sx in (-1, 1) for sy in (-1, 1)]
 
 

@@ -10,7 +10,7 @@ from motionlab import rotation
 from motionlab.errors import ShapeError
 from motionlab.heading import world_to_local_orientations, world_to_local_positions
 from motionlab.humor import energies
-from motionlab.observation import Camera, look_at, project
+from motionlab.observation import Camera, project
 from studies.nb04_prior import floor
 
 GOLDEN = np.load(Path(__file__).parent / "golden" / "humor_energies.npz")
@@ -124,15 +124,6 @@ def test_golden_world_from_floor():
     assert rotation.yaw(world_to_local_orientations(frame, root)).abs().max() < 1e-7
     wrong = floor.world_frame(golden("floor3").flip(0), trans, root)
     assert (wrong.turn - golden("cam2prior_R")).abs().max() > 0.01
-
-
-def test_floor_seen_from_a_camera():
-    camera = look_at(torch.tensor([1.0, -4, 1.6]), torch.tensor([0.0, 0, 0.9]), focal=1000, width=1920, height=1080)
-    plane = floor.seen_from(camera.rotation, camera.translation)
-    on_floor = torch.tensor([[0.0, 0, 0], [2, 1, 0], [-1, 3, 0]]) @ camera.rotation.mT + camera.translation
-    assert floor.height(plane, on_floor).abs().max() < 1e-6
-    assert floor.height(plane, torch.zeros(3)) == pytest.approx(1.6, abs=1e-6)
-    assert floor.height(plane, on_floor + 0.3 * camera.rotation[:, 2]).allclose(torch.tensor(0.3))
 
 
 def test_golden_projection():

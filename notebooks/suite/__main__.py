@@ -10,7 +10,7 @@ from pathlib import Path
 
 from motionlab.doctor import ROOT
 from motionlab.errors import DataError, MissingData
-from suite import execute, pages, report, shape
+from suite import execute, pages, report
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -54,9 +54,6 @@ def _parser() -> argparse.ArgumentParser:
     command.set_defaults(run=lambda options: print(execute.changed_behind()) or 0)
     command = commands.add_parser("pages", help="docs/scoreboard.md and README's findings, from the records")
     command.set_defaults(run=lambda options: pages.update(ROOT) or 0)
-    command = commands.add_parser("shape", help="how long the notebooks' cells and sentences are")
-    command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
-    command.set_defaults(run=_shape)
     return parser
 
 
@@ -64,12 +61,6 @@ def _report(options: argparse.Namespace) -> int:
     runs = report.write_report(options.out, options.profile, options.notebooks, run=not options.no_run)
     print(f"{'not run' if options.no_run else execute.run_summary(runs)}; report: {options.out / 'index.html'}")
     return 0 if all(run.ok for run in runs) else 1
-
-
-def _shape(options: argparse.Namespace) -> int:
-    rows = [shape.measure(path) for path in execute.find_notebooks(options.notebooks)]
-    print("\n".join(" | ".join(map(str, each)) for each in (rows[0], *(row.values() for row in rows))))
-    return 0
 
 
 def _regenerate(options: argparse.Namespace) -> int:

@@ -23,7 +23,6 @@ from data_synth import scenes
 from motionlab import scene_fit
 from motionlab.errors import DataError
 from motionlab.humor import pretrained, testops
-from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.testops import Schedule
 from motionlab.io import keypoints
 from motionlab.io.keypoints import Footage
@@ -40,20 +39,6 @@ PLANS = {
     "default": scene_fit.FULL_WORK,
     "no guesses": replace(scene_fit.FULL_WORK, guesses=False),
     "lean": Schedule.lean(),
-    "8 rounds": replace(Schedule.lean(), shooting=Plan(rounds=8, closures=20)),
-    "5 rounds": replace(Schedule.lean(), shooting=Plan(rounds=5, closures=20, leaps=0)),
-    "1 % gain": replace(Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=1e-2)),
-    "1 %, stride 4": replace(Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=1e-2, stride=4)),
-    "1 %, stride 2": replace(Schedule.lean(), shooting=Plan(rounds=8, closures=20, tolerance=1e-2, stride=2)),
-    "stride 2": replace(Schedule.lean(), shooting=Plan(rounds=6, closures=20, leaps=1, trial=1, stride=2)),
-    "stride 4": replace(Schedule.lean(), shooting=Plan(rounds=5, closures=15, leaps=1, trial=1, stride=4)),
-    "4 rounds": replace(Schedule.lean(), shooting=Plan(rounds=4, closures=15, leaps=0, trial=1, stride=4)),
-    "3 rounds": replace(Schedule.lean(), shooting=Plan(rounds=3, closures=15, leaps=0, trial=1, stride=4)),
-    "2 coarse": replace(scene_fit.QUICK_WORK, shooting=Plan(rounds=2, closures=15, trial=0, leaps=0, stride=4)),
-    "1 long round": replace(
-        scene_fit.QUICK_WORK, shooting=replace(scene_fit.QUICK_WORK.shooting, rounds=1, closures=20)
-    ),
-    "3 fine": replace(scene_fit.QUICK_WORK, shooting=Plan(rounds=3, closures=12, trial=0, leaps=0)),
     "quick": Schedule.quick(),
     "first look": scene_fit.QUICK_WORK,
     "first look, no guesses": replace(scene_fit.QUICK_WORK, guesses=False),

@@ -48,10 +48,3 @@ def world_frame(floor: Tensor, trans: Tensor, orientation: Tensor) -> Frame:
     right = right / torch.linalg.vector_norm(right, dim=-1, keepdim=True).clamp(min=1e-9)
     turn = torch.stack((right, torch.linalg.cross(normal, right, dim=-1), normal), dim=-2)
     return Frame(turn, height(floor, trans)[..., None] * normal - trans)
-
-
-def seen_from(rotation: Tensor, translation: Tensor) -> Tensor:
-    """The world's floor z = 0 as a plane (..., 3) in the coordinates of cameras x_cam = rotation x + translation."""
-    check_shape(rotation, "... 3 3", "rotation")
-    normal = rotation[..., 2]
-    return normal * (normal * translation).sum(-1, keepdim=True)

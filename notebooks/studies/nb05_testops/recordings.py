@@ -281,15 +281,6 @@ def rows(score: Mapping[str, Mapping[str, Mapping[str, Tensor]]]) -> list[dict[s
     ]
 
 
-def view_rows(found: Mapping[str, Mapping[str, Tensor]], views: Views) -> list[dict[str, object]]:
-    """Returns a row per view and method."""
-    return [
-        {"view": view, "method": method} | {head: _said(numbers[name][k].item()) for name, head in _HEADS.items()}
-        for k, view in enumerate(views.names)
-        for method, numbers in found.items()
-    ]
-
-
 def _said(value: float) -> object:
     return value if math.isfinite(value) else "-"
 
