@@ -1,6 +1,5 @@
 """What nbval cannot see: a check that is never made is a check that always passes."""
 
-import ast
 import json
 import re
 from pathlib import Path
@@ -10,7 +9,6 @@ import pytest
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("[0-9]*.ipynb"))
 MARKERS = ("NBVAL_CHECK_OUTPUT", "NBVAL_IGNORE_OUTPUT", "NBVAL_SKIP", "NBVAL_RAISES_EXCEPTION")
 ENVIRONMENT = ("%pip", "!pip", "!apt", "%cd", "%load_ext", "%conda")
-GENERATORS = ("default_rng", "Generator", "manual_seed", "RandomState", "generator")
 
 
 def code_cells(path):
@@ -41,7 +39,6 @@ def problems(path):
         yield f"shows a path of one machine: {elsewhere[0]}"
     for number, (source, cell) in enumerate(cells, 1):
         yield from (f"cell {number}: {problem}" for problem in cell_problems(source, cell))
-    yield from leaked_loop_variables([source for source, _ in cells])
 
 
 def texts(cell):
@@ -65,71 +62,16 @@ def cell_problems(source, cell):
         yield "stores an error"
     if any(output.get("name") == "stderr" for output in cell["outputs"]):
         yield "stores a warning (stderr)"
-    if len(lines) > 30:
-        yield f"{len(lines)} lines; move code to its study"
     if any(line.strip().startswith(ENVIRONMENT) for line in lines):
         yield "changes the environment"
     if "NBVAL_SKIP" in source:
         yield "a skipped cell is not evidence"
-    for node in ast.walk(tree_of(source)):
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call) and called(node.value) in GENERATORS:
-            yield f"line {node.lineno}: makes a generator and drops it (a ghost seed)"
-        if isinstance(node, ast.Attribute) and node.attr == "seed" and ast.unparse(node).startswith(("np.", "numpy.")):
-            yield f"line {node.lineno}: seeds the global state"
-
-
-def tree_of(source):
-    """The cell's syntax tree, without its magics."""
-    plain = [re.sub(r"^(\s*)[%!?].*", r"\1pass", line) for line in source.splitlines()]
-    return ast.parse("\n".join(plain))
-
-
-def called(call):
-    """Name of the function at the end of a chain: torch.Generator().manual_seed(0) is a manual_seed on a fresh one."""
-    if isinstance(call.func, ast.Attribute):
-        fresh = isinstance(call.func.value, ast.Call) or call.func.attr != "manual_seed"
-        return call.func.attr if fresh or ast.unparse(call.func.value) == "torch" else ""
-    return getattr(call.func, "id", "")
-
-
-def leaked_loop_variables(sources):
-    """A for-loop's variable read in a later cell that did not set it: it holds whatever came last."""
-    leaked: dict[str, int] = {}
-    for number, source in enumerate(sources, 1):
-        tree = tree_of(source)
-        used = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
-        local = bound_inside(tree)
-        stored = {node.id for node in used if isinstance(node.ctx, ast.Store)} | local
-        for node in used:
-            if isinstance(node.ctx, ast.Load) and node.id in leaked and node.id not in stored:
-                yield f"cell {number}: reads {node.id}, the loop variable of cell {leaked[node.id]}"
-        loops = [node for node in tree.body if isinstance(node, ast.For)]
-        targets = {name.id for loop in loops for name in ast.walk(loop.target) if isinstance(name, ast.Name)}
-        for name in stored:
-            leaked.pop(name, None)
-        leaked |= dict.fromkeys(targets, number)
-
-
-def bound_inside(tree):
-    """Names bound as arguments, imports, functions."""
-    names = {node.arg for node in ast.walk(tree) if isinstance(node, ast.arg)}
-    names |= {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
-    return names | {
-        alias.asname or alias.name
-        for node in ast.walk(tree)
-        for alias in getattr(node, "names", [])
-        if isinstance(alias, ast.alias)
-    }
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_is_honest(path):
     found = list(problems(path))
     assert not found, "\n".join(found)
-
-
-def test_there_are_notebooks():
-    assert NOTEBOOKS
 
 
 def cell(source, count, output="all holds", tags=(), **more):
@@ -148,7 +90,7 @@ def good_cells():
     return [
         cell("PROFILE = None", 1, output="", tags=["parameters"]),
         cell("lab = setup(PROFILE)", 2, output="profile *full*, seed 0"),
-        cell("for clip in clips:\n    rng = np.random.default_rng(0)\n    show(clip, rng)", 3),
+        cell("show(clips)", 3),
         cell("# NBVAL_CHECK_OUTPUT\nlab.verdicts()\nlab.close()", 4),
     ]
 
@@ -183,14 +125,8 @@ IMAGE = [{"output_type": "display_data", "data": {"image/png": "iVBOR"}, "metada
         (3, cell("# NBVAL_CHECK_OUTPUT\nlab.show()", 4, outputs=IMAGE), "no text to compare"),
         (2, cell("x", 3, outputs=STDERR), "stderr"),
         (2, cell("x", 3, outputs=ERROR), "stores an error"),
-        (2, cell("x = 1\n" * 31, 3), "31 lines"),
         (2, cell("%pip install x", 3), "changes the environment"),
         (2, cell("# NBVAL_SKIP\nx", 3), "skipped cell"),
-        (2, cell("np.random.default_rng(seed=0)", 3), "ghost seed"),
-        (2, cell("torch.Generator().manual_seed(0)", 3), "ghost seed"),
-        (2, cell("lab.generator('walk')", 3), "ghost seed"),
-        (2, cell("np.random.seed(0)", 3), "global state"),
-        (3, cell("# NBVAL_CHECK_OUTPUT\nlab.show(clip)", 4), "loop variable of cell 3"),
         (2, cell("x", 3, output="x" * 4_100_000), "4.1 MB"),
     ],
 )
@@ -198,11 +134,3 @@ def test_control_bad_notebook_is_found(tmp_path, index, bad, complaint):
     cells = good_cells()
     cells[index] = bad
     assert any(complaint in problem for problem in problems(written(tmp_path, cells)))
-
-
-def test_control_loop_variable_set_again_is_fine(tmp_path):
-    cells = good_cells()
-    cells.insert(3, cell("clip = clips[0]\nshow(clip)", 4))
-    cells.insert(4, cell("show(clip)\n[clip for clip in clips]", 5))
-    cells[5]["execution_count"] = 6
-    assert list(problems(written(tmp_path, cells))) == []
