@@ -245,20 +245,6 @@ def test_beyond_keys_that_move_the_default_goes_on_and_beyond_a_lone_one_it_wait
     assert (held.root[45:].diff(dim=0).abs() < 1e-4).all()
 
 
-def test_reasons_are_given_only_where_they_are_one():
-    motion = walk(120, 30.0)
-    every, lone, far, gap = (
-        animate.inbetween(motion, animate.kept(motion, frames)) for frames in (range(120), {44}, range(30), {0, 30, 60})
-    )
-    assert every.notes == ("every frame is kept: nothing is made",) and every.motion is motion
-    assert lone.notes[0] == "method: curves"
-    assert far.notes[0] == "method: curves, because more than 2.5 s beyond the keys was not measured"
-    assert gap.notes[0].startswith("method: network, because its feet slide less than those of curves")
-    short = motion.cut(0, 30)
-    arm, legs = (animate.completed(short, [part], method="nearest").notes[0] for part in ("left_arm", "legs"))
-    assert "was not measured" in arm and "hidden legs came out 15 cm off" in legs
-
-
 # ------------------------------------------------------------------------------------------------------ errors
 @pytest.mark.parametrize(
     ("words", "said"),

@@ -186,13 +186,6 @@ def test_the_suites_command_writes_the_report(suite, tmp_path, capsys):
     assert suite_main.main(["report", "00", "--out", str(tmp_path / "report")]) == 1
 
 
-def test_the_scoreboard_page_holds_what_was_measured(suite):
-    claims, found = findings.load_claims(suite / "claims.toml"), findings.load_results(suite / "results")
-    page = pages.scoreboard(claims, found)
-    assert "| X01 | Size <matters> | **confirmed** |  | [01](../notebooks/01_runs.ipynb) |" in page
-    assert "X02" not in page
-
-
 def test_readme_takes_its_findings_between_its_marks(suite, tmp_path, monkeypatch):
     monkeypatch.setattr(pages, "FINDINGS", ((("X01",), "It is {size.value:.1f} cm."),))
     start, end = pages.MARKS

@@ -76,8 +76,3 @@ def test_every_command_of_the_page_runs(desk, monkeypatch, capsys):
     named = set(re.findall(r"^\| `([\w.]+)` \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
     assert named == {path.name for path in (desk / "scene").iterdir()} - {"walk.glb"}  # the table lists what is there
     assert gltf.load(desk / "scene" / "walk.glb").frames == gltf.load(desk / "scene" / "scene.glb").frames
-
-
-def test_pictures_of_the_page_are_there_and_small():
-    pictures = [PAGE.parent / name for name in re.findall(r"!\[[^]]*\]\((.*?)\)", PAGE.read_text(encoding="utf-8"))]
-    assert len(pictures) == 3 and sum(path.stat().st_size for path in pictures) < 300_000

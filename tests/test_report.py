@@ -11,8 +11,6 @@ from PIL import Image
 
 from suite import page, report
 
-LIMIT = 40_000_000  # bytes
-
 
 class Seen(HTMLParser):
     """What a page refers to, the places in it that others may refer to, and what it shows without a description."""
@@ -62,9 +60,6 @@ def problems(folder):
         yield from (f"{name}: TeX in a formula: {each}" for each in mine.formulas if "\\" in each)
     for path in folder.rglob("*.css"):
         yield from (f"{path.name} loads {each}" for each in re.findall(r"@import.*|url\(.*?\)", path.read_text()))
-    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    if size > LIMIT:
-        yield f"{size / 1e6:.0f} MB"
 
 
 @pytest.fixture(scope="module")
@@ -108,12 +103,6 @@ def test_control_a_page_that_lacks_something_is_found(tmp_path, text, complaint)
     (tmp_path / "there.png").touch()
     found = list(problems(tmp_path))
     assert complaint in found[0] if complaint else not found
-
-
-def test_control_a_report_that_is_too_large_is_found(tmp_path):
-    with (tmp_path / "big").open("wb") as file:
-        file.truncate(LIMIT + 1)
-    assert list(problems(tmp_path)) == ["40 MB"]
 
 
 def test_formulas_are_mathml_and_dollars_in_code_stay():

@@ -1,10 +1,8 @@
 """``motionlab``, what every command says of itself, ``show`` and ``--film``, and wishes that cannot be met."""
 
 import argparse
-import importlib
 import shlex
 import shutil
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +16,6 @@ from motionlab.io import bvh, video
 from motionlab.skeleton import STANDARD
 from motionlab.viz import movie
 from tests.test_animate import mixamo, walk
-from tests.test_architecture import ROOT
-
-HEAVY = ("doctor", "data", "prepare", "models", "train", "fit")  # want data, minutes, or write into the library
 
 
 @pytest.fixture
@@ -53,13 +48,6 @@ def example(parser: argparse.ArgumentParser) -> list[str]:
     return shlex.split(line)[1:]
 
 
-def test_the_script_is_what_the_module_runs():
-    script = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]["motionlab"]
-    module, _, name = script.partition(":")
-    assert getattr(importlib.import_module(module), name) is main
-    assert _parser([]).prog == "motionlab"
-
-
 @pytest.mark.parametrize("name", subcommands())
 def test_every_command_says_what_it_does_and_its_example_is_one(name):
     command = subcommands()[name]
@@ -68,21 +56,6 @@ def test_every_command_says_what_it_does_and_its_example_is_one(name):
     assert command.description.endswith(".") and "\n" not in command.description
     with pytest.raises(SystemExit):  # control
         _parser(words).parse_args([*words, "--no-such-option"])
-
-
-@pytest.mark.parametrize("name", [name for name in subcommands() if name not in HEAVY])
-def test_examples_run(name, desk):
-    words = example(subcommands()[name])
-    before = set(desk.rglob("*"))
-    assert main(words) == 0
-    assert {word.rstrip("/") for word in words if "/" in word or word.endswith((".mp4", ".glb"))} <= {
-        path.name for path in set(desk.rglob("*")) - before
-    }
-
-
-def test_the_example_of_the_program_is_one(desk):
-    words = example(_parser([]))
-    assert words[0] in subcommands() and main(words) == 0
 
 
 # ------------------------------------------------------------------------------------------------------- show
