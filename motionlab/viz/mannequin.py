@@ -297,22 +297,9 @@ def add_lights(plotter: pv.Plotter) -> None:
         plotter.add_light(lamp, only_active=True)
 
 
-def add_title(plotter: pv.Plotter, text: str, height: int) -> None:
-    """Adds a label above the panel."""
-    plotter.add_text(text, position="upper_edge", font_size=max(round(height / 42), 7), color=INK, font="arial")
-
-
-def add_caption(plotter: pv.Plotter, height: int):
-    """Adds a line of text in the lower left corner; set it with ``.set_text("lower_left", ...)``."""
-    return plotter.add_text(" ", position="lower_left", font_size=max(round(height / 60), 6), color=INK, font="arial")
-
-
-def add_note(plotter: pv.Plotter, text: str, height: int):
-    """Adds a line of text in the lower right corner; returns its actor, hidden."""
-    size = max(round(height / 60), 6)
-    actor = plotter.add_text(text, position="lower_right", font_size=size, color=INK, font="arial")
-    actor.SetVisibility(False)
-    return actor
+def add_words(plotter: pv.Plotter, text: str, place: str, size: float):
+    """Adds text at a place of the panel, such as "lower_left", so many points high; returns its actor."""
+    return plotter.add_text(text, position=place, font_size=round(size), color=INK, font="arial")
 
 
 def add_label(plotter: pv.Plotter, point: np.ndarray, text: str, height: int) -> None:

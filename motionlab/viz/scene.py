@@ -115,9 +115,10 @@ class Scene:
             if not viz.draft:
                 plotter.enable_anti_aliasing("ssaa", all_renderers=False)
             mannequin.add_lights(plotter)
-            self._gone.append(mannequin.add_note(plotter, "left the picture", size[1]))
+            self._gone.append(mannequin.add_words(plotter, "left the picture", "lower_right", max(size[1] / 60, 6)))
+            self._gone[-1].SetVisibility(False)
             if label:
-                mannequin.add_title(plotter, label, size[1])
+                mannequin.add_words(plotter, label, "upper_edge", max(size[1] / 42, 7))
         self._smoothing = [renderer.GetPass() for renderer in self.plotter.renderers]
 
     def _panel(self, panel: int) -> pv.Plotter:
@@ -246,37 +247,13 @@ class Scene:
         return self._watch(panel, positions if frame is None else positions[[shown]], motion.fps) if framed else self
 
     def mesh(
-        self,
-        vertices,
-        faces,
-        paint: str | tuple = LINE,
-        *,
-        fps: float = 30.0,
-        opacity: float = 1.0,
-        shadow: float = 0.0,
-        framed: bool = True,
-        panel: int = 0,
+        self, vertices, faces, paint: str | tuple = LINE, *, opacity: float = 1.0, framed: bool = True, panel: int = 0
     ) -> Scene:
-        """Adds a mesh of faces (F, 3) that stands still, (V, 3) metres, or moves, (T, V, 3) at ``fps``: a table."""
-        path, faces, plotter = np.asarray(vertices, float), np.asarray(faces), self._panel(panel)
-        path = path[None] if path.ndim == 2 else path
-        shade = None
-        if shadow:
-            from trimesh import remesh  # half a second, and a film of people has no mesh
-
-            fine, finer = (path[0], faces) if len(path) > 1 else remesh.subdivide_to_size(path[0], faces, max_edge=0.08)
-            shade = Shadow(plotter, fine, finer, shadow)
-        mesh = pv.PolyData.from_regular_faces(path[0].copy(), faces)
-        plotter.add_mesh(mesh, color=paint, opacity=opacity, reset_camera=False, **mannequin.SKIN)
-
-        def update(seconds: float) -> None:
-            mesh.points = path[int(np.clip(round(seconds * fps), 0, len(path) - 1))]
-            if shade:
-                shade.move(mesh.points)
-
-        if len(path) > 1:
-            self._updates.append(update)
-        return self._watch(panel, path, fps) if framed else self
+        """Adds a mesh of vertices (V, 3), metres, and faces (F, 3) that stands still: a table."""
+        points = np.array(vertices, float)
+        mesh = pv.PolyData.from_regular_faces(points, np.asarray(faces))
+        self._panel(panel).add_mesh(mesh, color=paint, opacity=opacity, reset_camera=False, **mannequin.SKIN)
+        return self._watch(panel, points[None]) if framed else self
 
     def points(self, points, role: str | tuple = "observation", *, radius: float = 0.02, panel: int = 0) -> Scene:
         """Adds still markers at (N, 3) metres."""
@@ -303,7 +280,7 @@ class Scene:
 
     def caption(self) -> Callable[[str], None]:
         """Adds a line of text in the lower left corner; returns the function that sets it."""
-        text = mannequin.add_caption(self._panel(0), self.size[1])
+        text = mannequin.add_words(self._panel(0), " ", "lower_left", max(self.size[1] / 60, 6))
         return lambda words: text.set_text("lower_left", words)
 
     def label(self, point, text: str, *, panel: int = 0) -> Scene:
