@@ -8,7 +8,6 @@ import itertools
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 from latex2mathml.converter import convert
@@ -21,6 +20,7 @@ from suite.staleness import number_of
 _EMBEDDED = re.compile(r'data:(?:image|video)/([\w+]+);base64,([^"]+)')
 _PICTURE = re.compile(r"<(?:video|img)\b[^<]*(?:</video>)?\s*")
 _SENTENCE = re.compile(r"(?<=[.!?])\s+(?=[A-Z*$])")
+_HIGHLIGHT = Highlight2HTML(pygments_lexer="ipython3")
 _SHORT = 60  # characters: a first sentence such as "No." needs the next one
 
 
@@ -93,7 +93,7 @@ def read(notebook: Path, out: Path) -> Page:
     code = ""  # that showed nothing yet: folded together with what follows
     for cell in (*book.cells, nbformat.v4.new_markdown_cell("")):
         if cell.cell_type == "code":
-            code += _highlight()(cell.source)
+            code += _HIGHLIGHT(cell.source)
             if not cell.outputs:
                 continue
         if code:
@@ -167,11 +167,6 @@ def _begin(text: str) -> str:
             break
         said = f"{said} {sentence}".strip()
     return said
-
-
-@cache
-def _highlight() -> Callable[[str], str]:
-    return Highlight2HTML(pygments_lexer="ipython3")
 
 
 # ------------------------------------------------------------------------------------------------------------- outputs

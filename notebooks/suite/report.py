@@ -118,7 +118,8 @@ def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[En
     from suite import page  # takes seconds to load
 
     today = {run.notebook: run for run in runs}
-    claims, found = _load_ledger()
+    claims = findings.load_claims(execute.NOTEBOOKS / "claims.toml")
+    found = findings.load_results(execute.NOTEBOOKS / "results")
     shown = []
     for path in execute.find_notebooks():
         run, mine = today.get(path.stem), f"{staleness.number_of(path.stem)}.json"
@@ -219,10 +220,3 @@ def _answer(claim: Claim, found: Sequence[Finding]) -> str:
         return ledger.answer(claim, found) if any(f.claim == claim.id for f in found) else ""
     except DataError:
         return "This run did not measure all that the answer names."
-
-
-def _load_ledger() -> tuple[dict[str, Claim], list[Finding]]:
-    """The claims of this checkout and the findings committed with it."""
-    ledger = execute.NOTEBOOKS / "claims.toml"
-    claims = findings.load_claims(ledger) if ledger.exists() else {}
-    return claims, findings.load_results(execute.NOTEBOOKS / "results")
