@@ -58,12 +58,13 @@ def tailored(body: BodyModel, skeleton: Skeleton) -> BodyModel:
     )
 
 
-def _both(skeleton: Skeleton, part: str) -> list[int]:
-    return skeleton.indices([f"{side}_{part}" for side in _SIDES])
+def _pair(part: str) -> list[int]:
+    """The left and the right joint."""
+    return STANDARD.indices([f"{side}_{part}" for side in _SIDES])
 
 
 def _hips(skeleton: Skeleton) -> Tensor:
-    return skeleton.offsets[_both(skeleton, "hip")].mean(0)
+    return skeleton.offsets[_pair("hip")].mean(0)
 
 
 def _bound(skeleton: Skeleton, bind: Tensor) -> Tensor:
@@ -78,37 +79,33 @@ def _stretches(own: Skeleton, theirs: Skeleton) -> tuple[Tensor, Skeleton, Tenso
     """How the flesh around each joint is stretched (J, 3, 3) in the T-pose, the skeleton inside it, and by how much it
     is lifted (J, 3)."""
     before, after = own.rest_positions(), theirs.rest_positions()
-
-    def trunk(rest: Tensor) -> Tensor:  # from between the hips to between the shoulders
-        return rest[_both(own, "shoulder")].mean(0) - rest[_both(own, "hip")].mean(0)
-
-    def reach(skeleton: Skeleton, rest: Tensor) -> Tensor:
-        limbs = [j for part in ("knee", "ankle", "elbow", "wrist") for j in _both(own, part)]
-        return skeleton.offsets[limbs].norm(dim=-1).sum() + 4 * trunk(rest)[1]
-
-    size = reach(theirs, after) / reach(own, before)
-    high = trunk(after)[1] / trunk(before)[1]
-    lean = (trunk(after)[2] - size * trunk(before)[2]) / trunk(before)[1]
+    limbs = [joint for part in ("knee", "ankle", "elbow", "wrist") for joint in _pair(part)]
+    # from between the hips to between the shoulders
+    trunk, theirs_trunk = (rest[_pair("shoulder")].mean(0) - rest[_pair("hip")].mean(0) for rest in (before, after))
+    reach, theirs_reach = (
+        each.offsets[limbs].norm(dim=-1).sum() + 4 * high for each, high in ((own, trunk[1]), (theirs, theirs_trunk[1]))
+    )
+    size, high = theirs_reach / reach, theirs_trunk[1] / trunk[1]
+    lean = (theirs_trunk[2] - size * trunk[2]) / trunk[1]
 
     def bounded(ratio: Tensor) -> Tensor:
-        return torch.minimum(torch.maximum(ratio, (1 - _BOUND) * size), (1 + _BOUND) * size)
+        return ratio.clamp((1 - _BOUND) * size, (1 + _BOUND) * size)
 
-    def width(part: str) -> Tensor:
-        (left, right), x = _both(own, part), 0
-        return bounded((after[left, x] - after[right, x]) / (before[left, x] - before[right, x]))
-
+    hips, shoulders = (
+        bounded(after[_pair(part), 0].diff()[0] / before[_pair(part), 0].diff()[0]) for part in ("hip", "shoulder")
+    )
     stretch = size * torch.eye(3).to(after).repeat(len(own), 1, 1)
     for share, name in zip(torch.linspace(0, 1, len(_TRUNK)), _TRUNK, strict=True):
-        wide = torch.lerp(width("hip"), width("shoulder"), share.to(size))
+        wide = torch.lerp(hips, shoulders, share.to(size))
         stretch[own.index(name)] = torch.diag(torch.stack((wide, high, size)))
         stretch[own.index(name), 2, 1] = lean
     offsets = theirs.offsets.clone()
-    inner = [*own.indices(["spine1", "spine2", "spine3", "neck", "head"]), *_both(own, "collar")]
+    inner = [*own.indices(["spine1", "spine2", "spine3", "neck", "head"]), *_pair("collar")]
     offsets[inner] = (stretch[[own.parents[j] for j in inner]] @ own.offsets[inner][..., None])[..., 0]
     shift = stretch[0] @ _hips(own) - _hips(theirs)
-    offsets[_both(own, "hip")] += shift
-    collars = replace(theirs, offsets=offsets).rest_positions()[_both(own, "collar")]
-    offsets[_both(own, "shoulder")] = after[_both(own, "shoulder")] + shift - collars
+    offsets[_pair("hip")] += shift
+    collars = replace(theirs, offsets=offsets).rest_positions()[_pair("collar")]
+    offsets[_pair("shoulder")] = after[_pair("shoulder")] + shift - collars
     flesh = replace(theirs, offsets=offsets)
     lift = torch.zeros_like(after)
     for side in _SIDES:
