@@ -14,11 +14,8 @@ from motionlab.observation import Camera
 from motionlab.viz.mannequin import array
 from motionlab.viz.palette import side_of
 
-_UP, _BESIDE, _AROUND = (
-    0.7,
-    1.2,
-    2.5,
-)  # metres that somebody may be off: in height, an eye that follows, one that stands
+# metres that somebody may be off: in height, of an eye that follows, of one that stands
+_UP, _BESIDE, _AROUND = 0.7, 1.2, 2.5
 _CLOSEST, _FARTHEST, _ASIDE = 0.3, 2.5, 0.25  # of the distance that was chosen: what a hand may make of it
 _NEAR, _FAR = 0.1, 100.0  # metres; 24 bits of depth still tell 1 mm apart at 20 m
 _HIGH, _WIDE = np.tan(np.radians((14.0, 17.0)))  # half the view at most: a long lens bends a body little
