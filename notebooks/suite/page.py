@@ -155,7 +155,9 @@ def _inline(text: str) -> str:
 
 def _said(text: str, *heads: str) -> str:
     """The paragraph, and a list right below it, that begins with one of these words in bold."""
-    found = re.search(rf"^\*\*(?:{'|'.join(heads)})\.?\*\*(?: \([^)]*\)\.)?\s*(.+?)(?=\n\n(?!- )|\Z)", text, re.M | re.S)
+    found = re.search(
+        rf"^\*\*(?:{'|'.join(heads)})\.?\*\*(?: \([^)]*\)\.)?\s*(.+?)(?=\n\n(?!- )|\Z)", text, re.M | re.S
+    )
     return found[1] if found else ""
 
 
