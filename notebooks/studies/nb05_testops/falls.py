@@ -11,11 +11,16 @@ import torch
 from torch import Tensor
 
 from motionlab.body import BodyModel
+from motionlab.humor.energies import KEYPOINTS
+from motionlab.humor.evidence import Observation3D
+from motionlab.humor.priors import Priors
+from motionlab.humor.testops import Schedule, fit
 from motionlab.io import points
 from motionlab.io.cameras import load_captury
 from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
-from studies.nb05_testops import over_video
+from motionlab.skeleton import STANDARD
+from motionlab.viz.movie import strip
 from studies.nb05_testops.recordings import COMPARED, compared
 
 #: What is shown, from which second on of which take.
@@ -116,29 +121,21 @@ def panels(curves: Mapping[str, Tensor], names: tuple[str, ...]) -> dict[str, di
     return {moment: {n: x[some] for n, x in curves.items() if n in SHOWN} for moment, some in mine.items()}
 
 
-def pictured(motions: Mapping[str, Motion], taken: Moments, view: int, body: BodyModel) -> np.ndarray:
-    """Draws joints and bodies of one view over paper at a third, two thirds and the end of the clip, cut to them."""
-    camera, seen = taken.cameras[view], taken.observation
-    pictures, frames = over_video.blank(camera, camera.width), seen.frames
-    at = [frames // 3, 2 * frames // 3, frames - 1]
-    here = replace(seen, keypoints=seen.keypoints[view], confidence=seen.confidence[view])
-    drawn = {"the person's joints": over_video.Detected(here, camera, pictures)} | {
-        name: over_video.Bodies(motions[name].clip(view), camera, pictures, role, body)
-        for name, role in (("tuned stage 2", "stage2"), ("stage 3", "stage3"))
-    }
-    box = _box(here.keypoints[at], camera)
-    return over_video.stacked({n: [(f"{n}, {f / FPS:.1f} s", p[box]) for p, f in zip(d(at), at, strict=True)]
-                               for n, d in drawn.items()}, (400, 300))  # fmt: skip
+def person(taken: Moments, view: int, priors: Priors, schedule: Schedule) -> Motion:
+    """Computes a body (T) on the true joints of a view's moment, by a stage 2 that sees these in three dimensions."""
+    rows = STANDARD.indices(list(COMPARED))
+    points = torch.zeros(*taken.reference.shape[1:2], len(STANDARD), 3)
+    points[:, rows], seen = taken.reference[view], torch.zeros(points.shape[:2], dtype=torch.bool)
+    seen[:, rows] = True
+    shown = Observation3D(points[None], seen[None], FPS)
+    return fit(shown, priors, weights=KEYPOINTS, schedule=schedule.without_stage_3()).stages[2].clip(0)
 
 
-def _box(pixels: Tensor, camera: Camera) -> tuple[slice, slice]:
-    """Rows and columns of a picture, four to three, that hold all pixels with room around them."""
-    low, high = pixels.flatten(0, -2).amin(0), pixels.flatten(0, -2).amax(0)
-    middle, tall = (low + high) / 2, 1.5 * torch.maximum((high - low)[1], 0.75 * (high - low)[0]).item()
-    tall = min(tall, camera.height, 0.75 * camera.width)
-    top = min(max(middle[1].item() - tall / 2, 0), camera.height - tall)
-    left = min(max(middle[0].item() - tall / 1.5, 0), camera.width - tall / 0.75)
-    return slice(int(top), int(top + tall)), slice(int(left), int(left + tall / 0.75))
+def pictured(ways: Mapping[str, Motion], true: Motion, view: int, body: BodyModel) -> np.ndarray:
+    """Draws the person and both fits of one view on the floor, four poses through time, the person as a ghost."""
+    fits = {name: ways[name].clip(view) for name in SHOWN}
+    roles = {"the person": "truth", "tuned stage 2": "stage2", "stage 3": "stage3"}
+    return strip({"the person": true} | fits, 4, roles=roles, body=body, ghost=true)
 
 
 def ends(curves: Mapping[str, Tensor], names: tuple[str, ...]) -> list[dict[str, object]]:

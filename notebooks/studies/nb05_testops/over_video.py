@@ -83,15 +83,6 @@ def side_by_side(panels: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.concatenate([labelled(picture, label) for label, picture in panels.items()], 1)
 
 
-def stacked(rows: Mapping[str, Sequence[tuple[str, np.ndarray]]], size: tuple[int, int]) -> np.ndarray:
-    """Returns rows of labelled pictures, each at a size, as one picture."""
-    made = [
-        np.concatenate([labelled(np.asarray(Image.fromarray(p).resize(size)), text) for text, p in row], 1)
-        for row in rows.values()
-    ]
-    return np.concatenate(made)
-
-
 @dataclass(frozen=True, eq=False)
 class Photo:
     """A picture (H, W, 3) uint8 that a page shows as a JPEG, as photographs want it."""

@@ -182,9 +182,9 @@ def _scaled(camera: Camera, focal: float) -> Tensor:
 
 
 class Refits:
-    """Fits of the first frames of one view, made when they are first asked for."""
+    """Fits of the first frames of one view by shooting, made when they are first asked for."""
 
-    def __init__(self, views: Views, priors: Priors, schedule: Schedule, frames: int = 30) -> None:
+    def __init__(self, views: Views, priors: Priors, schedule: Schedule | None = None, frames: int = 30) -> None:
         self.views, self.priors, self.schedule, self.frames = views, priors, schedule, frames
         self.found: dict[tuple[int, str, float], Fitted] = {}
 
@@ -194,7 +194,7 @@ class Refits:
         if key not in self.found:
             seen = self.views.clip(index, self.frames)
             known = given(self.views, how, focal, index)
-            self.found[key] = testops.fit(seen, self.priors, schedule=self.schedule, **known)
+            self.found[key] = testops.fit(seen, self.priors, schedule=self.schedule, solver="shooting", **known)
         return self.found[key]
 
     def cameras(self, stage: int, index: int, how: str, focal: float = 1.0) -> list[Camera]:
