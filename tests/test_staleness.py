@@ -191,14 +191,6 @@ def test_runs_under_other_arithmetic_say_how_far_rounding_moves_a_number():
     assert staleness.merged([first, {"steady": first["steady"]}])[1] == ["rough", "chaotic"]
 
 
-def test_a_recorded_run_that_was_widened_is_no_larger_for_it():
-    """How large a number is says the narrowest run: 1 % beside the record's own number, which stands, and not 10 %,
-    which one who goes by the record's width would let pass."""
-    wide = {"near": Mark(1.0, 0.2), "far": Mark(1.0, 0.2)}
-    found, unsteady = staleness.merged([wide, {"near": staleness.mark(1.01), "far": staleness.mark(1.1)}])
-    assert unsteady == ["far"] and found == {"near": Mark(1.0, 0.2)}
-
-
 def test_recordings_decide_what_must_be_measured_again():
     marks = {"walks": staleness.mark(1.0), "mixed": staleness.mark(2.0)}
     on_cmu = {"mixed": staleness.mark(3.0), "cmu": staleness.mark(4.0)}

@@ -70,7 +70,13 @@ def units(layout: Layout) -> Tensor:
 def draw(
     layout: Layout, frames: int, count: int, generator: torch.Generator, kinds: Mapping[str, float] = _ALL
 ) -> Tensor:
-    """Draws masks (count, frames, D), bool, True where known; each window's kind is drawn by its odds.
+    """Draws masks (count, frames, D), bool, True where known: those of :func:`draw_units`, by the numbers of a layout."""
+    return draw_units(frames, count, generator, kinds)[..., units(layout)]
+
+
+def draw_units(frames: int, count: int, generator: torch.Generator, kinds: Mapping[str, float] = _ALL) -> Tensor:
+    """Draws masks (count, frames, U) over the units of a frame, bool, True where known; each window's kind is drawn by
+    its odds.
 
     nothing: all is unknown. frames: whole frames, each by the window's own chance. gap: all but a run of frames, which
     may reach either end. joints: some joints, in all frames. entries: other joints in every frame. legs: all but both
@@ -82,46 +88,46 @@ def draw(
     if not kinds or set(kinds) - set(_MAKE) or not all(odds > 0 for odds in kinds.values()):
         raise ValueError(f"kinds: expected odds above 0 for some of {', '.join(_MAKE)}, got {dict(kinds)}")
     chosen = torch.multinomial(torch.tensor(list(kinds.values())), count, replacement=True, generator=generator)
-    size, names = len(layout.skeleton) + 2, list(kinds)
-    found = [_MAKE[names[kind]](layout, frames, size, generator) for kind in chosen.tolist()]
-    return torch.stack([mask.expand(frames, size).bool() for mask in found])[..., units(layout)]
+    size, names = len(STANDARD) + 2, list(kinds)
+    found = [_MAKE[names[kind]](frames, size, generator) for kind in chosen.tolist()]
+    return torch.stack([mask.expand(frames, size).bool() for mask in found])
 
 
-def _nothing(layout: Layout, frames: int, size: int, generator: torch.Generator) -> Tensor:
+def _nothing(frames: int, size: int, generator: torch.Generator) -> Tensor:
     return torch.zeros(1, 1)
 
 
-def _frames(layout: Layout, frames: int, size: int, generator: torch.Generator) -> Tensor:
+def _frames(frames: int, size: int, generator: torch.Generator) -> Tensor:
     return torch.rand(frames, 1, generator=generator) < torch.rand(1, generator=generator)
 
 
-def _gap(layout: Layout, frames: int, size: int, generator: torch.Generator) -> Tensor:
+def _gap(frames: int, size: int, generator: torch.Generator) -> Tensor:
     length = int(torch.randint(1, max(frames, 2), (), generator=generator))  # at least a frame stays known
     start = int(torch.randint(frames - min(length, frames) + 1, (), generator=generator))
     time = torch.arange(frames)[:, None]
     return (time < start) | (time >= start + length)
 
 
-def _joints(layout: Layout, frames: int, size: int, generator: torch.Generator) -> Tensor:
+def _joints(frames: int, size: int, generator: torch.Generator) -> Tensor:
     known = torch.rand(1, size, generator=generator) < torch.rand(1, generator=generator)
     known[:, -1] = False
     return known
 
 
-def _entries(layout: Layout, frames: int, size: int, generator: torch.Generator) -> Tensor:
+def _entries(frames: int, size: int, generator: torch.Generator) -> Tensor:
     known = torch.rand(frames, size, generator=generator) < torch.rand(1, generator=generator)
     known[:, -1] = False
     return known
 
 
-def _legs(layout: Layout, frames: int, size: int, generator: torch.Generator) -> Tensor:
+def _legs(frames: int, size: int, generator: torch.Generator) -> Tensor:
     known = torch.ones(1, size, dtype=torch.bool)
-    known[:, [j for j, name in enumerate(layout.skeleton.names) if name.endswith(LEGS)]] = False
+    known[:, [j for j, name in enumerate(STANDARD.names) if name.endswith(LEGS)]] = False
     known[:, -2] = torch.rand((), generator=generator) < 0.5
     known[:, -1] = False
     return known
 
 
-_MAKE: dict[str, Callable[[Layout, int, int, torch.Generator], Tensor]] = {
+_MAKE: dict[str, Callable[[int, int, torch.Generator], Tensor]] = {
     "nothing": _nothing, "frames": _frames, "gap": _gap, "joints": _joints, "entries": _entries, "legs": _legs,
 }  # fmt: skip

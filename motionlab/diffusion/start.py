@@ -152,11 +152,14 @@ def _matern(frames: int) -> Tensor:
 def smooth_curves(x: Tensor, known: Tensor) -> Tensor:
     """Computes x (B, T, D) with smooth curves through what is known (bool, B T D), 0 in a column that knows nothing.
     What x holds elsewhere is never read."""
-    frames = x.shape[-2]
-    patterns, which = torch.unique(known.mT.reshape(-1, frames), dim=0, return_inverse=True)
-    seen, cov = patterns.double(), _matern(frames).to(x.device)
-    square = seen[:, :, None] * cov * seen[:, None] + torch.diag_embed(1 - seen + _NOISE)
-    weights = (cov @ (seen[:, :, None] * torch.linalg.inv(square) * seen[:, None])).to(x)
+    patterns, which = torch.unique(known.mT.reshape(-1, x.shape[-2]), dim=0, return_inverse=True)
     told = torch.where(known, x, 0.0)
-    drawn = torch.einsum("cij,cj->ci", weights[which], told.mT.reshape(-1, frames))
+    drawn = torch.einsum("cij,cj->ci", curve_weights(patterns).to(x)[which], told.mT.reshape(len(which), -1))
     return torch.where(known, x, drawn.unflatten(0, (len(x), -1)).mT)
+
+
+def curve_weights(patterns: Tensor) -> Tensor:
+    """Computes what a smooth curve is of what it knows: (P, T, T), float64, for patterns of known frames (P, T)."""
+    seen, cov = patterns.double(), _matern(patterns.shape[-1]).to(patterns.device)
+    square = seen[:, :, None] * cov * seen[:, None] + torch.diag_embed(1 - seen + _NOISE)
+    return cov @ (seen[:, :, None] * torch.linalg.inv(square) * seen[:, None])

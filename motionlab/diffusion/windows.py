@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -22,7 +23,8 @@ class Windows:
     root (N, 3) metres, rot (N, 22, 3, 3), contacts (N, 9) or None; offsets (C, 22, 3) metres, one body per motion;
     clip (N,): the motion of each frame. begins (M,): the frames from which ``length`` frames lie inside one motion.
     mirrored: every second window drawn, by chance, is seen in the mirror. seen (C, 22): False where a motion lacks a
-    joint (or its mirror image), so that its rotation is made up and teaches nothing; None: all were recorded.
+    joint (or its mirror image), so that its rotation is made up and teaches nothing; None: all were recorded. people
+    (C,): whose each motion is: windows are drawn evenly by person, then by begin; None: by begin.
     """
 
     root: Tensor
@@ -35,6 +37,7 @@ class Windows:
     fps: float
     mirrored: bool = True
     seen: Tensor | None = None
+    people: Tensor | None = None
 
     def draw(self, count: int, generator: torch.Generator) -> Motion:
         """Draws windows (count, length) evenly over all begins, each with its own body, mirrored at random."""
@@ -42,7 +45,7 @@ class Windows:
 
     def drawn(self, count: int, generator: torch.Generator) -> tuple[Motion, Tensor]:
         """Draws windows as :meth:`draw`, and returns the motions (count,) that they are of, too."""
-        begin = self.begins[torch.randint(len(self.begins), (count,), generator=generator)]
+        begin = self._begins(count, generator)
         motion = self._cut(begin)
         if not self.mirrored:
             return motion, self.clip[begin]
@@ -59,6 +62,21 @@ class Windows:
             contacts=None if motion.contacts is None else either(other.contacts, motion.contacts),
         )
         return motion, self.clip[begin]
+
+    def _begins(self, count: int, generator: torch.Generator) -> Tensor:
+        if self.people is None:
+            return self.begins[torch.randint(len(self.begins), (count,), generator=generator)]
+        order, first, each = self._by_person
+        person = torch.randint(len(each), (count,), generator=generator)
+        nth = (torch.rand(count, generator=generator, dtype=torch.float64) * each[person]).long()
+        return self.begins[order[first[person] + nth]]
+
+    @cached_property
+    def _by_person(self) -> tuple[Tensor, Tensor, Tensor]:
+        """The begins in the order of people, where each person's start there, and how many they are."""
+        whose = torch.unique(self.people[self.clip[self.begins]], return_inverse=True)[1]
+        each = whose.bincount()
+        return whose.argsort(stable=True), each.cumsum(0) - each, each
 
     def evenly(self, count: int) -> Motion:
         """Returns at most ``count`` windows, evenly over all begins, none mirrored: the same at every call."""
@@ -80,7 +98,7 @@ class Windows:
     def digest(self) -> str:
         """A hash of all numbers, for the recipe."""
         whole = hashlib.sha256(repr((self.length, self.fps, self.mirrored, self.contacts is None)).encode())
-        for x in (self.root, self.rot, self.contacts, self.offsets, self.clip, self.seen):
+        for x in (self.root, self.rot, self.contacts, self.offsets, self.clip, self.seen, self.people):
             whole.update(b"" if x is None else x.numpy().tobytes())
         return whole.hexdigest()[:16]
 
@@ -91,10 +109,12 @@ def gather(
     *,
     mirrored: bool = True,
     missing: Sequence[Sequence[str]] | None = None,
+    people: Sequence[str] | None = None,
 ) -> Windows:
     """Cuts windows of ``length`` frames from motions at one frame rate, all with contacts or none; drops shorter ones.
 
-    missing: for every motion the joints whose rotations were not recorded; None: none is missing.
+    missing: for every motion the joints whose rotations were not recorded; None: none is missing. people: for every
+    motion whose it is; windows are then drawn evenly by person.
 
     Raises:
         DataError: no motion is that long; frame rates differ; some have contacts and some not; numbers are not finite.
@@ -119,6 +139,8 @@ def gather(
     lacks = () if missing is None else [n for m, n in zip(motions, missing, strict=True) if m.frames >= length]
     seen = torch.tensor([[name not in names for name in STANDARD.names] for names in lacks]) if any(lacks) else None
     seen = None if seen is None else seen & seen[:, STANDARD.mirror_indices]
+    names = None if people is None else [who for m, who in zip(motions, people, strict=True) if m.frames >= length]
+    numbers = {name: k for k, name in enumerate(dict.fromkeys(names or ()))}
     counts = torch.tensor([m.frames for m in used])
     starts = counts.cumsum(0) - counts
     return Windows(
@@ -132,6 +154,7 @@ def gather(
         fps=used[0].fps,
         mirrored=mirrored,
         seen=seen,
+        people=None if names is None else torch.tensor([numbers[name] for name in names]),
     )
 
 

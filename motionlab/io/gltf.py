@@ -42,7 +42,6 @@ def save(
     *,
     names: Sequence[str] | None = None,
     betas: Tensor | Sequence[Tensor] | None = None,
-    influences: int = 4,
     colour: tuple[float, float, float] = (0.62, 0.66, 0.72),
 ) -> None:
     """Writes one person or several as an animated GLB: each an armature of joints, one key per frame, and the body as
@@ -56,19 +55,14 @@ def save(
         names: of the people; by default those of the motions, numbered where they are not different.
         betas: (B,) shape of the body, or one for each person; else the body is tailored to the motion's bones, whose
             lengths are the motion's either way.
-        influences: joints per vertex, 4 or 8; the largest ones are kept and scaled to sum to 1. Every
-            viewer reads 4; Blender reads 8, three.js only the first 4 of them. A vertex of anny hangs on up
-            to 6 joints: 8 are exact, 4 leave out up to 3 % of a vertex's weight (millimetres at a few).
         colour: linear red, green, blue of the matt material.
 
     Raises:
-        ShapeError: nobody, a motion has batch axes, frame rates differ, names or betas are not one per person, the
-            body has other joints, or influences is not 4 or 8.
+        ShapeError: nobody, a motion has batch axes, frame rates differ, names or betas are not one per person, or
+            the body has other joints.
         DataError: a motion holds NaN or infinity (names the frame), or the file cannot be written.
     """
     people = [motions] if isinstance(motions, Motion) else list(motions)
-    if influences not in (4, 8):
-        raise ShapeError(f"influences: expected 4 or 8, got {influences}")
     for motion in people:
         check_writable(path, motion)
         if body is not None and body.skeleton.names != motion.skeleton.names:
@@ -92,7 +86,7 @@ def save(
                 template = template + body.shape_directions @ shape.to(template)
                 joints = joints + body.joint_directions @ shape.to(joints)
             _bind(file, first, name, skeleton, joints, body.bind_rot)
-            _mesh(file, name, body, template, influences, colour)
+            _mesh(file, name, body, template, colour)
     animation = {"name": people[0].name or "motion", "samplers": file.samplers, "channels": file.channels}
     file.content["animations"] = [animation | {"extras": {"fps": people[0].fps}}]
     write_whole(path, file.glb())
@@ -203,22 +197,25 @@ def _bind(file: _Buffer, first: int, name: str, skeleton: Skeleton, joints: Tens
     )
 
 
-def _mesh(file: _Buffer, name: str, body: BodyModel, template: Tensor, influences: int, colour: tuple) -> None:
-    """Add the mesh of the last skin, in its bind pose, beside the joints."""
+def _mesh(file: _Buffer, name: str, body: BodyModel, template: Tensor, colour: tuple) -> None:
+    """Add the mesh of the last skin, in its bind pose, beside the joints.
+
+    A vertex keeps its four largest weights, scaled to sum to 1: every viewer reads so many. anny's hang on up to six
+    joints, whose weakest two have up to 3 % (millimetres at a few vertices).
+    """
     template, faces, nodes = template.detach().cpu().double(), body.faces.cpu(), file.content["nodes"]
     attributes = {
         "POSITION": file.add(template, "f4", _VERTICES, bounds=True),
         "NORMAL": file.add(_normals(template, faces), "f4", _VERTICES),
     }
     joints = body.weights.shape[1]
-    share, which = body.weights.detach().cpu().double().topk(min(influences, joints), dim=1)
-    pad = (0, influences - share.shape[1])
+    share, which = body.weights.detach().cpu().double().topk(min(4, joints), dim=1)
+    pad = (0, 4 - share.shape[1])
     share, which = (torch.nn.functional.pad(x, pad) for x in (share, which))
     which = torch.where(share > 0, which, 0)
     share = (share / share.sum(1, keepdim=True)).numpy()
-    for k in range(0, influences, 4):
-        attributes[f"JOINTS_{k // 4}"] = file.add(which[:, k : k + 4], "u1" if joints <= 256 else "u2", _VERTICES)
-        attributes[f"WEIGHTS_{k // 4}"] = file.add(share[:, k : k + 4], "f4", _VERTICES)
+    attributes["JOINTS_0"] = file.add(which, "u1" if joints <= 256 else "u2", _VERTICES)
+    attributes["WEIGHTS_0"] = file.add(share, "f4", _VERTICES)
     indices = file.add(faces.reshape(-1), "u2" if len(template) < 65535 else "u4", _INDICES)
     matt = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.7}
     file.content["materials"] = [{"name": "body", "pbrMetallicRoughness": matt}]

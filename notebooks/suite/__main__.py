@@ -45,9 +45,6 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument(
         "--again", action="store_true", help="with --fingerprints: also where the recorded one differs"
     )
-    command.add_argument(
-        "--widen", action="store_true", help="with --fingerprints: allow also for what the same code gives here"
-    )
     command.set_defaults(run=_regenerate)
 
     command = commands.add_parser("records", help="what changed in the code behind the records")
@@ -65,7 +62,7 @@ def _report(options: argparse.Namespace) -> int:
 
 def _regenerate(options: argparse.Namespace) -> int:
     if options.fingerprints:
-        runs = execute.take_fingerprints(options.notebooks, again=options.again, widen=options.widen)
+        runs = execute.take_fingerprints(options.notebooks, again=options.again)
     else:
         runs = execute.regenerate(options.notebooks)
     print(execute.run_summary(runs))  # first: the pages cannot be written where an answer lacks its finding

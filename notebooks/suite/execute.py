@@ -189,17 +189,15 @@ def regenerate(names: Sequence[str] = ()) -> list[Run]:
 
 
 # -------------------------------------------------------------------------------------------------------- fingerprints
-def take_fingerprints(names: Sequence[str] = (), *, again: bool = False, widen: bool = False) -> list[Run]:
+def take_fingerprints(names: Sequence[str] = (), *, again: bool = False) -> list[Run]:
     """Runs notebooks in the smoke profile and writes what they measure, and a hash of their cells, into their records.
 
     For a record without a fingerprint, or whose cells were reworded: the full findings stay as they are.
 
-    Args:
-        again: take it also where it differs from the recorded one, as where a budget of the smoke profile was changed.
-        widen: keep the recorded one, and allow for what the same code gives on this machine.
+    again: take it also where it differs from the recorded one, as where a budget of the smoke profile was changed.
     """
     apart = {"fingerprint": f"taken again on {date.today()}, apart from the full run"} if again else {}
-    how = {"again": again, "apart": apart, "widen": widen}
+    how = {"again": again, "apart": apart}
     return [_with_fingerprint(path, Run(path.stem, 0.0), **how) for path in find_notebooks(names)]
 
 
@@ -213,16 +211,13 @@ def _with_fingerprint(path: Path, run: Run, **how) -> Run:
     return replace(run, seconds=run.seconds + time.perf_counter() - began)
 
 
-def _write_fingerprint(
-    path: Path, *, again: bool = False, apart: Mapping[str, str] | None = None, widen: bool = False
-) -> None:
+def _write_fingerprint(path: Path, *, again: bool = False, apart: Mapping[str, str] | None = None) -> None:
     """Take the fingerprint of a notebook and put it into its record.
 
     A record that has one is only confirmed: a smoke run on synthetic motion and, where $MOTIONLAB_DATA names some, one
     on recordings must agree with it. A new one is what the smoke profile measures in six runs on synthetic motion and
     three on recordings, as it is and with other rounding, so that the numbers say how far rounding moves them. apart:
-    what the record's provenance says of one that was not taken together with the full run. widen: the recorded one
-    counts as one more run; what all runs here measure alike, and otherwise than it, says that the code has changed.
+    what the record's provenance says of one that was not taken together with the full run.
 
     Raises:
         StaleRecord: the record has another fingerprint, and ``again`` is not given.
@@ -230,8 +225,7 @@ def _write_fingerprint(
     """
     place = _record_path(path)
     record = findings.load_record(place)
-    widen = widen and bool(record.fingerprint)
-    confirm = bool(record.fingerprint) and not again and not widen
+    confirm = bool(record.fingerprint) and not again
     plain, nothing, data = {"OMP_NUM_THREADS": "1"}, {"MOTIONLAB_DATA": ""}, data_variable()
     runs = _measured(path, [nothing | each for each in (plain, *(() if confirm else OTHER_ROUNDINGS))])
     with_data = (
@@ -246,11 +240,6 @@ def _write_fingerprint(
     else:
         made = [run.fingerprint for run in runs]
         there = [run.fingerprint for run in with_data]
-        if widen:
-            if moved := staleness.moved_alike(record.fingerprint, made):
-                raise staleness.StaleRecord(path.stem, moved, record.seconds)
-            made = [record.fingerprint, *made]
-            there = [record.expected(last.recordings), *there] if there else []
         found, unsteady = staleness.merged(made)
         real, more = staleness.merged(there) if there else ({}, [])
         for name in dict.fromkeys((*unsteady, *more)):

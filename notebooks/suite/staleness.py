@@ -78,9 +78,6 @@ def mark(value: float | None, scale: float = 0.0, tolerance: float = TOLERANCE) 
 def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
     """Computes one fingerprint from runs under different arithmetic: the first one's numbers, wide enough for all.
 
-    The first may be a recorded one, made of several runs on another machine: the least distance that any run allows
-    says how large a number is.
-
     Returns:
         the fingerprint, and what differs too much, or is not in all of them, to be part of it.
     """
@@ -98,19 +95,6 @@ def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
         else:
             found[name] = Mark(value, max(within, SLACK * spread))
     return found, unsteady
-
-
-def moved_alike(recorded: Fingerprint, runs: Sequence[Fingerprint]) -> list[str]:
-    """Returns what all runs under different arithmetic measure alike but otherwise than the record says, a phrase each.
-
-    A changed code does that, rounding does not."""
-    found = []
-    for name, was in recorded.items():
-        now = [run.get(name, Mark(None, 0.0)) for run in runs]
-        alike = all(each.agrees(now[0]) for each in now)
-        if alike and not any(was.agrees(each) for each in now):
-            found += differences({name: was}, {name: now[0]})
-    return found
 
 
 def differences(recorded: Fingerprint, now: Fingerprint) -> list[str]:

@@ -1,0 +1,185 @@
+"""A plain network that completes motions: told any part of a window, it says what to add to smooth curves through it.
+
+    model = load("completer")
+    made = model.complete(motion, units)        # units (B, T, 24): True where known
+
+Source: thesis 4.2.1 and 4.4.1 (known parts as input); Oreshkin et al. 2023, delta-interpolator (what to add to an
+interpolation). A pre-norm transformer encoder (Vaswani et al. 2017; Xiong et al. 2020). Differs from a diffusion model:
+one answer, without noise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from motionlab import checkpoint
+from motionlab.baselines import nearest_known
+from motionlab.diffusion import state
+from motionlab.diffusion.start import curve_weights
+from motionlab.errors import DataError, ShapeError
+from motionlab.heading import local_to_world, stuck_root
+from motionlab.motion import Motion
+
+_TIMES = 2  # numbers that say how far the frames around that are known whole are
+_FAR = 2.0  # seconds that count as no such frame
+
+
+@dataclass(frozen=True)
+class CompleterRecipe:
+    """What a training run depends on, with its windows.
+
+    frames: of a window. size, layers, patch: width and depth of the encoder, frames in a token. kinds: odds of each kind
+    of mask (``masks.draw_units``). The learning rate rises over ``warm_up`` steps to ``lr`` and falls by a cosine to a
+    fiftieth. average: of the weights, per step.
+    """
+
+    frames: int = 60
+    size: int = 256
+    layers: int = 4
+    patch: int = 2
+    dropout: float = 0.0
+    kinds: tuple[tuple[str, float], ...] = (
+        ("gap", 0.4),
+        ("legs", 0.25),
+        ("joints", 0.2),
+        ("entries", 0.05),
+        ("frames", 0.1),
+    )
+    steps: int = 20_000
+    batch: int = 64
+    lr: float = 1e-3
+    warm_up: int = 200
+    decay: float = 0.01
+    average: float = 0.999
+    seed: int = 0
+
+    @classmethod
+    def read(cls, content: dict) -> CompleterRecipe:
+        """Reads a recipe from ``asdict``, as JSON gives it back."""
+        return cls(**content | {"kinds": tuple((name, odds) for name, odds in content["kinds"])})
+
+    def rate(self, step: int) -> float:
+        """Computes the learning rate at a step."""
+        warm = min(1.0, (step + 1) / max(self.warm_up, 1))
+        return self.lr * warm * (0.51 + 0.49 * math.cos(math.pi * min(step / self.steps, 1.0)))
+
+
+class Completer(nn.Module):
+    """Guessed states (B, T, ``SIZE``), units known (B, T, ``UNITS``) -> what to add (B, T, ``MADE``), in unit sizes."""
+
+    def __init__(self, recipe: CompleterRecipe) -> None:
+        super().__init__()
+        if recipe.frames % recipe.patch:
+            raise ValueError(f"{recipe.frames} frames do not divide into tokens of {recipe.patch}")
+        self.recipe, size = recipe, recipe.size
+        self.taken = nn.Linear((state.SIZE + state.UNITS + _TIMES) * recipe.patch, size)
+        self.place = nn.Parameter(torch.randn(recipe.frames // recipe.patch, size) * 0.02)
+        how = {"dropout": recipe.dropout, "activation": "gelu", "norm_first": True, "batch_first": True}
+        layer = nn.TransformerEncoderLayer(size, max(4, size // 64), 2 * size, **how)
+        self.encoder = nn.TransformerEncoder(layer, recipe.layers, nn.LayerNorm(size), enable_nested_tensor=False)
+        self.said = nn.Linear(size, state.MADE * recipe.patch)
+        nn.init.zeros_(self.said.weight), nn.init.zeros_(self.said.bias)
+        self.register_buffer("mean", torch.zeros(state.SIZE))
+        self.register_buffer("scale", torch.ones(state.SIZE))
+
+    @property
+    def units(self) -> state.Units:
+        """The sizes of the state's numbers."""
+        return state.Units(self.mean, self.scale)
+
+    def forward(self, states: Tensor, known: Tensor, fps: float) -> Tensor:
+        """Computes what to add to a guess."""
+        x = torch.cat(((states - self.mean) / self.scale, known.to(states), _until_known(known, fps)), -1)
+        tokens = self.taken(x.unflatten(1, (-1, self.recipe.patch)).flatten(2)) + self.place
+        return self.said(self.encoder(tokens)).unflatten(2, (self.recipe.patch, -1)).flatten(1, 2)
+
+    def filled(self, motion: Motion, known: Tensor) -> Motion:
+        """Computes windows (B, T) that are told ``known`` (B, T, ``UNITS``) of windows in their stuck frame; contacts
+        between 0 and 1. Elsewhere the motion is never read."""
+        if motion.frames != self.recipe.frames or known.shape != (*motion.root.shape[:2], state.UNITS):
+            want = f"windows of {self.recipe.frames} frames, and {state.UNITS} units of each"
+            raise ShapeError(f"expected {want}, got {tuple(motion.root.shape)} and {tuple(known.shape)}")
+        mean, scale = self.units.made
+        open_ = ~known[..., state.owners().to(known.device)]
+        begun = guess(motion, known, mean, scale)
+        with torch.autocast(motion.root.device.type, torch.bfloat16, enabled=fast_halves(motion.root.device)):
+            added = self(state.rows(state.motion_of(begun, motion)), known, motion.fps)
+        return state.motion_of(begun + added.float() * scale * open_, motion)
+
+    @torch.no_grad()
+    def complete(self, motion: Motion, known: Tensor, *, batch: int = 64) -> Motion:
+        """Computes motions (B, T) in the world from what is known of them; known rotations and places stay to the bit.
+
+        The place and heading of the first frame are taken as given, known or not.
+        """
+        local, frame = stuck_root(motion)
+        parts = []
+        for at in torch.arange(len(motion.root)).split(batch):
+            parts.append(self.filled(local.clip(at), known[at]))
+        root, rot, contacts = (torch.cat([getattr(p, name) for p in parts]) for name in ("root", "rot", "contacts"))
+        world = local_to_world(frame, replace(local, root=root, rot=rot, contacts=(contacts > 0.5).to(root)))
+        return replace(
+            world,
+            root=torch.where(known[..., -2:-1], motion.root, world.root),
+            rot=torch.where(known[..., :-2, None, None], motion.rot, world.rot),
+            contacts=torch.where(known[..., -1:], motion.contacts, world.contacts),
+        )
+
+
+def guess(motion: Motion, known: Tensor, mean: Tensor, scale: Tensor) -> Tensor:
+    """Computes the numbers (B, T, ``MADE``) of smooth curves through what is known, the mean where nothing is."""
+    columns = known[..., state.owners().to(known.device)]
+    numbers = torch.where(columns, (state.made(motion) - mean) / scale, 0.0)
+    patterns, which = torch.unique(known.mT.flatten(0, 1), dim=0, return_inverse=True)
+    which = which.unflatten(0, (len(known), -1))[:, state.owners().to(known.device)].flatten()
+    told = numbers.mT.flatten(0, 1)
+    drawn = torch.zeros_like(told)
+    for k, weights in enumerate(curve_weights(patterns).to(told)):
+        mine = (which == k).nonzero()[:, 0]
+        drawn[mine] = told[mine] @ weights.mT
+    return torch.where(columns, numbers, drawn.unflatten(0, (len(known), -1)).mT) * scale + mean
+
+
+def _until_known(known: Tensor, fps: float) -> Tensor:
+    """Seconds (B, T, 2) since and until a frame that is known whole, contacts apart."""
+    whole = known[..., :-1].all(-1)
+    time = torch.arange(whole.shape[1], device=whole.device)
+    before, after = nearest_known(whole)
+    there = whole.any(-1, keepdim=True)
+    since = torch.where(there & (before <= time), (time - before) / fps, _FAR)
+    until = torch.where(there & (after >= time), (after - time) / fps, _FAR)
+    return torch.stack((since, until), -1)
+
+
+def fast_halves(device: torch.device) -> bool:
+    """Whether bfloat16 is faster there: on a GPU, or a processor with AVX512-BF16; on others it is slower."""
+    return device.type != "cpu" or torch.cpu._is_avx512_bf16_supported()
+
+
+def save(path: Path | str, model: Completer, about: dict) -> None:
+    """Writes ``path`` (.safetensors, weights as float16) and its recipe (.json), with ``about`` beside it."""
+    tensors = {n: x if n in ("mean", "scale") else x.half() for n, x in model.state_dict().items()}
+    checkpoint.save(path, tensors, about | {"recipe": asdict(model.recipe)})
+
+
+def load(path: Path | str) -> Completer:
+    """Reads a model that ships, as "completer", or the one at a path, frozen.
+
+    Raises:
+        DataError: a file is missing, damaged, or of another model.
+    """
+    path = checkpoint.SHIPPED / path if Path(path).name == str(path) else Path(path)
+    tensors, about = checkpoint.load(path.with_suffix(".safetensors"))
+    try:
+        with torch.random.fork_rng(devices=[]):
+            model = Completer(CompleterRecipe.read(about["recipe"]))
+        model.load_state_dict({name: x.float() for name, x in tensors.items()})
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        message = f"completes no motions ({type(error).__name__}: {error})"[:300]
+        raise DataError(message, path=path, remedy=checkpoint.REMEDY) from error
+    return model.eval().requires_grad_(False)

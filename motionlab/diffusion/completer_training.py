@@ -1,0 +1,107 @@
+"""Trains a completer: windows by person, every kind of mask, and the distance of joints as its loss.
+
+Losses: distance of every joint whose place is open (metres, x 5) and of its velocity (metres a frame, x 10), squared
+error of open 6-D numbers, contacts. Source: thesis 4.1.2, whose denoiser has the same parts.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from motionlab.diffusion import masks, state
+from motionlab.diffusion.completer import Completer, CompleterRecipe
+from motionlab.diffusion.windows import Windows
+from motionlab.heading import stuck_root
+from motionlab.motion import Motion
+from motionlab.training_loop import TrainingRun
+
+_MEASURED = 4000  # windows that the sizes of numbers are measured on
+_WEIGHTS = {"places": 5.0, "moves": 10.0, "rotations": 1.0, "contacts": 0.1}
+_EVERY = torch.ones(state.UNITS, dtype=torch.bool)
+
+
+class CompleterTraining(TrainingRun):
+    """A training run of a completer. start: the model to begin from, with its sizes of numbers; None: new weights."""
+
+    data_name = "windows"
+    give_up = 20
+
+    def __init__(self, recipe: CompleterRecipe, windows: Windows, start: Completer | None = None) -> None:
+        self.windows = windows
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(recipe.seed)
+            model = Completer(recipe)
+        if start is not None:
+            model.load_state_dict(start.state_dict())
+        else:
+            some = stuck_root(windows.draw(_MEASURED, torch.Generator().manual_seed(0)))[0]
+            units = state.Units.measure(state.rows(some))
+            model.mean.copy_(units.mean), model.scale.copy_(units.scale)
+        super().__init__(recipe, windows.digest, torch.Generator().manual_seed(recipe.seed), model)
+
+    @classmethod
+    def _recipe(cls, content: dict) -> CompleterRecipe:
+        return CompleterRecipe.read(content)
+
+    def _optimiser(self) -> torch.optim.Optimizer:
+        how = {"lr": self.recipe.lr, "weight_decay": self.recipe.decay, "betas": (0.9, 0.98)}
+        return torch.optim.AdamW(self.model.parameters(), **how)
+
+    def _rate(self) -> float:
+        return self.recipe.rate(self.step)
+
+    def _made(self, weights: dict[str, Tensor]) -> Completer:
+        model = deepcopy(self.model).eval().requires_grad_(False)
+        model.load_state_dict(weights)
+        return model
+
+    def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
+        recipe = self.recipe
+        motion, clips = self.windows.drawn(recipe.batch, self.generator)
+        motion = stuck_root(motion)[0]
+        known = masks.draw_units(recipe.frames, recipe.batch, self.generator, dict(recipe.kinds))
+        seen = self.windows.seen
+        seen = (
+            _EVERY.expand(len(clips), -1)
+            if seen is None
+            else torch.cat((seen[clips], _EVERY[:2].expand(len(clips), 2)), 1)
+        )
+        known = known & seen[:, None]
+        with torch.random.fork_rng(devices=[]):  # what dropout draws from
+            torch.manual_seed(int(torch.randint(2**31, (), generator=self.generator)))
+            made = self.model.filled(motion, known)
+        parts = losses(made, motion, known, seen, self.model.units.made[1])
+        return sum(_WEIGHTS[name] * part for name, part in parts.items()), parts
+
+
+def losses(made: Motion, truth: Motion, known: Tensor, seen: Tensor, scale: Tensor) -> dict[str, Tensor]:
+    """Computes the parts of the loss of windows (B, T), each window's mean over what was open in it.
+
+    known (B, T, ``UNITS``), seen (B, ``UNITS``): units that were told, and that were recorded at all.
+    """
+    open_ = (state.open_places(known) & ~state.open_places(seen)[:, None]).float()
+    off = made.positions - truth.positions
+    places, moves = (x.square().sum(-1).add(1e-6).sqrt() for x in (off, off.diff(dim=1)))
+    both = torch.maximum(open_[:, 1:], open_[:, :-1])
+    asked = (~known & seen[:, None]).float()
+    columns = asked[..., state.owners()]
+    squares = ((state.made(made) - state.made(truth)) / scale).square()
+    rotations = squares[..., 3 : -len(truth.skeleton.contact_names)]
+    told = functional.binary_cross_entropy(made.contacts.clamp(1e-4, 1 - 1e-4), truth.contacts, reduction="none")
+    return {
+        "places": _mean(places, open_),
+        "moves": _mean(moves, both),
+        "rotations": _mean(rotations, columns[..., 3 : 3 + rotations.shape[-1]]),
+        "contacts": _mean(told, asked[..., -1:].expand_as(told)),
+    }
+
+
+def _mean(values: Tensor, weight: Tensor) -> Tensor:
+    """The mean over windows that have any weight of each window's weighted mean."""
+    total = weight.flatten(1).sum(1)
+    mine = (values * weight).flatten(1).sum(1) / total.clamp(min=1.0)
+    return mine.sum() / (total > 0).sum().clamp(min=1)
