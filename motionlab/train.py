@@ -9,9 +9,10 @@ from pathlib import Path
 
 import torch
 
-from motionlab import checkpoint, shipped, splits
+from motionlab import checkpoint, more, shipped, splits
 from motionlab.diffusion import model
 from motionlab.diffusion import training as diffusion_training
+from motionlab.diffusion.completer import CompleterRecipe
 from motionlab.diffusion.denoiser import SIZES
 from motionlab.errors import DataError
 from motionlab.humor import chain_training, examples, pretrained, training
@@ -22,8 +23,9 @@ from motionlab.motion import Motion
 def add_options(command: argparse.ArgumentParser) -> None:
     """Adds what ``train humor``, ``train small``, ``train diffusion`` and ``train features`` take."""
     command.add_argument(
-        "model", choices=("humor", "small", "diffusion", "features"),
-        help="transition prior; pose and first states; denoiser; what generated motion is judged in",
+        "model", choices=("humor", "small", "diffusion", "features", more.NAME),
+        help="transition prior; pose and first states; denoiser; what generated motion is judged in; what completes "
+        "motions, trained until Ctrl-C",
     )  # fmt: skip
     command.add_argument(
         "--preset", choices=[name for presets in _presets().values() for name in presets],
@@ -38,6 +40,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, help="default: the checkpoint that ships")
     command.add_argument("--start", type=Path, help="a checkpoint to begin from (default: the preset's, if any)")
     command.add_argument("--resume", action="store_true", help="go on with a run that was stopped, as it was begun")
+    command.add_argument("--more", action="store_true", help="completer: go on from the kept run or what ships")
     command.set_defaults(run=_train)
 
 
@@ -109,6 +112,8 @@ def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | m
 
 
 def _train(options: argparse.Namespace) -> int:
+    if options.model == more.NAME:
+        return _train_on(options)
     if options.model == "small":
         out, how = options.out or checkpoint.SHIPPED, {"seed": options.seed or 0, "name": options.preset or "compact"}
         real = how["name"] == "real"
@@ -169,6 +174,18 @@ def _train(options: argparse.Namespace) -> int:
     checkpoint.save(out, official_weights(run.averaged), about)
     kept.unlink()
     print(f"{out.with_suffix('.safetensors')}: {run.step} steps")
+    return 0
+
+
+def _train_on(options: argparse.Namespace) -> int:
+    """Trains the completer until Ctrl-C."""
+    recipe = CompleterRecipe(steps=options.steps or CompleterRecipe.steps, seed=options.seed or 0)
+    out = options.out or checkpoint.SHIPPED / more.NAME
+    made = f"python -m motionlab train {more.NAME} --more --steps {recipe.steps} --data FOLDER"
+    try:
+        more.go_on(recipe, options.data, out, command=made, more=options.more)
+    except KeyboardInterrupt:
+        print("stopped; the same command with --more goes on")
     return 0
 
 

@@ -15,16 +15,18 @@ FLOORS = """
     batch files optimise posterior rotation skeleton training_loop diffusion.sampling
     body checkpoint motion
     heading
-    baselines contact skinning tailoring humor.state diffusion.features
+    baselines contact skinning tailoring humor.state diffusion.features diffusion.state
     observation retarget humor.cvae diffusion.footsteps diffusion.start diffusion.losses diffusion.masks
     io viz data_synth humor.body_shape humor.energies humor.priors humor.transition
-        diffusion.denoiser diffusion.gaussian_guess diffusion.planting diffusion.windows
+        diffusion.completer diffusion.denoiser diffusion.gaussian_guess diffusion.planting diffusion.windows
     cleaning detect people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
         diffusion.model
-    humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
+    humor.rollout diffusion.completer_training diffusion.denoising diffusion.embedding diffusion.inpainting
+        diffusion.training
     corpus splits humor.training humor.unknowns diffusion.pose_completion corrections
-    shipped doctor humor.chain_training humor.stages humor.start animate
-    train models humor.shooting renew
+    bench shipped doctor humor.chain_training humor.stages humor.start animate
+    more models humor.shooting renew
+    train
     humor.testops
     scene_fit
     scene_report
@@ -37,7 +39,7 @@ LIBRARY, SYNTHETIC, STUDIES = "motionlab", "data_synth", "studies"
 DATA_MODEL = "suite.findings"
 SUITE, BENCH = "suite", ("suite.notebook", "suite.ledger", DATA_MODEL)
 #: Where commands bring synthetic motion and models together; the rest of the library does not know it.
-COMPOSERS = ("splits", "shipped", "train")
+COMPOSERS = ("splits", "shipped", "more", "train")
 #: Studies may not import each other, but for these, which are there for several.
 SHARED = ("studies.shared", "studies.official")
 

@@ -7,11 +7,11 @@ import torch
 
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
+from motionlab.bench import cases
+from motionlab.bench.rivals import Rivals
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import ShapeError
 from motionlab.skeleton import STANDARD
-from studies.shared import cases
-from studies.shared.rivals import Rivals
 
 FRAMES = 16
 

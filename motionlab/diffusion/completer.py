@@ -27,15 +27,17 @@ from motionlab.motion import Motion
 
 _TIMES = 2  # numbers that say how far the frames around that are known whole are
 _FAR = 2.0  # seconds that count as no such frame
+#: Odds of each kind of mask in training.
+KINDS = (("gap", 0.4), ("legs", 0.25), ("joints", 0.2), ("entries", 0.05), ("frames", 0.1))
 
 
 @dataclass(frozen=True)
 class CompleterRecipe:
     """What a training run depends on, with its windows.
 
-    frames: of a window. size, layers, patch: width and depth of the encoder, frames in a token. kinds: odds of each kind
-    of mask (``masks.draw_units``). The learning rate rises over ``warm_up`` steps to ``lr`` and falls by a cosine to a
-    fiftieth. average: of the weights, per step.
+    frames: of a window. size, layers, patch: width and depth of the encoder, frames in a token. kinds: odds of each
+    kind of mask (``masks.draw_units``). The learning rate rises over ``warm_up`` steps to ``lr`` and falls by a cosine
+    to a fiftieth. decay: of the weights. average: of them, per step.
     """
 
     frames: int = 60
@@ -43,13 +45,7 @@ class CompleterRecipe:
     layers: int = 4
     patch: int = 2
     dropout: float = 0.0
-    kinds: tuple[tuple[str, float], ...] = (
-        ("gap", 0.4),
-        ("legs", 0.25),
-        ("joints", 0.2),
-        ("entries", 0.05),
-        ("frames", 0.1),
-    )
+    kinds: tuple[tuple[str, float], ...] = KINDS
     steps: int = 20_000
     batch: int = 64
     lr: float = 1e-3

@@ -19,7 +19,7 @@ from motionlab.heading import stuck_root
 from motionlab.motion import Motion
 from motionlab.training_loop import TrainingRun
 
-_MEASURED = 4000  # windows that the sizes of numbers are measured on
+_MEASURED = 2000  # windows that the sizes of numbers are measured on
 _WEIGHTS = {"places": 5.0, "moves": 10.0, "rotations": 1.0, "contacts": 0.1}
 _EVERY = torch.ones(state.UNITS, dtype=torch.bool)
 

@@ -70,7 +70,7 @@ def units(layout: Layout) -> Tensor:
 def draw(
     layout: Layout, frames: int, count: int, generator: torch.Generator, kinds: Mapping[str, float] = _ALL
 ) -> Tensor:
-    """Draws masks (count, frames, D), bool, True where known: those of :func:`draw_units`, by the numbers of a layout."""
+    """Draws masks (count, frames, D), bool, True where known: :func:`draw_units`, by the numbers of a layout."""
     return draw_units(frames, count, generator, kinds)[..., units(layout)]
 
 

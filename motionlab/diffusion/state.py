@@ -79,7 +79,7 @@ def open_places(units: Tensor) -> Tensor:
     """Computes which joints' places (..., J) are open where these units (..., U) are known: an unknown root or an
     unknown rotation above them moves them, their own does not."""
     open_ = [~units[..., _J]]
-    for j, parent in enumerate(STANDARD.parents[1:], 1):
+    for parent in STANDARD.parents[1:]:
         open_.append(open_[parent] | ~units[..., parent])
     return torch.stack(open_, -1)
 

@@ -22,6 +22,8 @@ import torch
 from tqdm import tqdm
 
 from motionlab import corpus, splits
+from motionlab.bench import cases, rivals
+from motionlab.bench.person_windows import PersonWindows, by_person, person_windows
 from motionlab.corpus import Take
 from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.model import Trained
@@ -36,9 +38,6 @@ from motionlab.motion import Motion
 from motionlab.shipped import DENOISER_PRESETS
 from motionlab.skeleton import STANDARD
 from motionlab.training_loop import TrainingRun
-from studies.shared import cases, rivals
-from studies.shared.bench import pasted
-from studies.shared.person_windows import PersonWindows, by_person, person_windows
 
 SHARES, SEEDS = (1 / 32, 1 / 8, 1 / 2, 1.0), (0, 1, 2)
 EACH, PRACTICE = 24, 8  # windows of a person: of the report, and to choose on
@@ -106,7 +105,7 @@ def legs_errors(fill: Callable[[Motion, torch.Tensor], Motion], windows: PersonW
     """Error of hidden legs of each person. What a figure lacks stays as it came; a told model is not told of it."""
     motion, whose, lacks = windows
     known = cases.legs(len(motion.root), motion.frames)
-    made = pasted(fill(motion, known & ~lacks if told else known), motion, known | lacks)
+    made = cases.pasted(fill(motion, known & ~lacks if told else known), motion, known | lacks)
     return {"legs hidden": by_person(cases.error_cm(made, motion, known, cases.LOWER), whose).tolist()}
 
 

@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 
 from motionlab import splits
+from motionlab.bench.person_windows import by_person
 from motionlab.corpus import Corpus, Take
 from motionlab.metrics.distribution import DESCRIPTION_UNITS, describe
 from motionlab.motion import Motion, windows
 from studies.nb01_data.real_motion import kind_of
-from studies.shared.person_windows import by_person
 
 #: What a synthetic performer does -> the kind of recordings that it is compared with.
 KIND_OF_ACTION = {

@@ -17,11 +17,11 @@ from torch import Tensor
 
 from data_synth import clips, corpus
 from motionlab import rotation
+from motionlab.bench.person_windows import by_person
 from motionlab.motion import FPS, Motion, resample
 from motionlab.skeleton import UPRIGHT
 from studies.nb02_rotations import representations as rep
 from studies.nb02_rotations.representations import AXIS_ANGLE, SIXD, UNROLLED, Representation
-from studies.shared.person_windows import by_person
 
 People = Mapping[str, Sequence[Tensor]]
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from motionlab.bench.person_windows import by_person
 from motionlab.humor import evidence, state, testops, training
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.energies import JOINTS, KEYPOINTS
@@ -23,7 +24,6 @@ from motionlab.humor.rollout import decode_ahead, infer, rollout, sample_rollout
 from motionlab.metrics.gait import tilt_and_bend
 from motionlab.motion import Motion
 from studies.nb04_prior.people import Clips
-from studies.shared.person_windows import by_person
 from suite.findings import Finding
 
 HIDDEN_BELOW = 0.9  # metres: the height of the table behind which legs are hidden

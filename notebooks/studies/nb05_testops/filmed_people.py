@@ -10,9 +10,9 @@ from torch import Tensor
 
 from data_synth import scenes
 from data_synth.scenes import Scene
+from motionlab.bench.person_windows import by_person
 from motionlab.motion import Motion
 from studies.nb05_testops.cast import FRAMES, everyday, takes
-from studies.shared.person_windows import by_person
 
 
 class People(NamedTuple):

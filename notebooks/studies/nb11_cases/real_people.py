@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import torch
@@ -23,6 +23,9 @@ from torch import Tensor
 from tqdm import tqdm
 
 from motionlab import checkpoint, corpus, shipped, splits
+from motionlab.bench import cases, rivals
+from motionlab.bench.judge import CASES, FRAMES, judged
+from motionlab.bench.person_windows import person_windows
 from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.model import Trained, motion_model, silenced
 from motionlab.diffusion.start import InitialGuess
@@ -32,38 +35,13 @@ from motionlab.metrics import intervals
 from motionlab.models import REPORT
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
-from studies.shared import cases, rivals
-from studies.shared.bench import pasted
-from studies.shared.person_windows import PersonWindows, by_person, person_windows
 
-FRAMES, EACH, PRACTICE = 60, 24, 8  # of a window; windows of each person, for the report and to choose on
+EACH, PRACTICE = 24, 8  # windows of each person, for the report and to choose on
 LEARNT, RECALLED = 30_000, 12_000  # training windows that the rivals learn from, and that the start recalls
 FADES = (0, 5, 10)  # frames over which the jump at the edge of what is known may fade
 STEPS = (1, 2, 5, 25)  # of the sampler
 TOLD = ("told", "own start alone")
 Fill = Callable[..., Motion]
-
-
-@dataclass(frozen=True)
-class Case:
-    """A mask for so many windows, the joints whose error counts (None: all), and whether it has edges in time."""
-
-    mask: Callable[[int], Tensor]
-    joints: tuple[str, ...] | None = None
-    edges: bool = False
-
-
-def _joints(count: int, share: float) -> Tensor:
-    return cases.whole_window(count, FRAMES, share, torch.Generator().manual_seed(7))
-
-
-CASES: Mapping[str, Case] = {
-    "legs hidden": Case(lambda n: cases.legs(n, FRAMES), cases.LOWER),
-    "gap of 30 frames": Case(lambda n: cases.gap(n, FRAMES, 30), edges=True),
-    "gap of 45 frames": Case(lambda n: cases.gap(n, FRAMES, 45), edges=True),
-    "half of the joints": Case(partial(_joints, share=0.5)),
-    "a quarter of the joints": Case(partial(_joints, share=0.25)),
-}
 
 
 def contenders(model: Trained, learnt: Motion, clips: Tensor, generator: torch.Generator) -> dict[str, tuple]:
@@ -108,19 +86,6 @@ class _Silent(torch.nn.Module):
         return self.start.eval()(known, mask.expand_as(x) > 0)
 
 
-def judged(who: str, fill: Fill, setting, case: Case, windows: PersonWindows) -> dict[str, Tensor]:
-    """What becomes of the windows, by person: error in cm, sliding in mm per frame, acceleration over the truth's."""
-    motion, whose, lacks = windows
-    known = case.mask(len(motion.root))
-    made = fill(motion, known & ~lacks if who in TOLD else known, setting)
-    made = pasted(made, motion, known | lacks)
-    found = {
-        "cm": cases.error_cm(made, motion, known, case.joints), "slide": cases.slide_mm(made, motion),
-        "acceleration": cases.acceleration_ratio(made, motion),
-    }  # fmt: skip
-    return {name: by_person(x, whose) for name, x in found.items()}
-
-
 def measure(name: str, folder: str) -> tuple[dict[str, dict[str, float]], dict[str, object]]:
     """Everybody on every case: means and intervals over people of what they leave and of how much more each rival
     leaves than the model that is told, by measure; and the settings that were chosen."""
@@ -136,9 +101,10 @@ def measure(name: str, folder: str) -> tuple[dict[str, dict[str, float]], dict[s
         for who, (fill, settings) in everybody.items():
             if not (options := list(settings(case.edges))):
                 continue
-            left = [float(judged(who, fill, o, case, practice)["cm"].mean()) for o in options]
+            judge = lambda how, some: judged(lambda m, k: fill(m, k, how), case, some, lacking=who not in TOLD)  # noqa: B023, E731
+            left = [float(judge(o, practice)["cm"].mean()) for o in options]
             best = chosen[f"{title}: {who}"] = options[left.index(min(left))]
-            some[who] = judged(who, fill, best, case, report)
+            some[who] = judge(best, report)
             print(f"{title}: {who} {best}: {float(some[who]['cm'].mean()):.1f} cm", flush=True)
         for who, each in some.items():
             rows[f"{title}, {who}, cm"] = _over_people(each["cm"], generator)

@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from motionlab.bench import cases, rivals
+from motionlab.bench.cases import JOINTS
+from motionlab.bench.rivals import RIDGES
 from motionlab.diffusion.denoising import Noise, ReverseProcess, denoise
 from motionlab.diffusion.embedding import Scaled
 from motionlab.diffusion.inpainting import Way, repair
@@ -16,10 +19,7 @@ from motionlab.errors import ShapeError
 from motionlab.metrics.generation import kid
 from motionlab.metrics.pose import acceleration_error, power_spectrum_ratio
 from motionlab.motion import Motion
-from studies.shared import cases, rivals
 from studies.shared.bench import Bench
-from studies.shared.cases import JOINTS
-from studies.shared.rivals import RIDGES
 
 #: How denoising may begin; which is best is found on other windows.
 STARTS = (

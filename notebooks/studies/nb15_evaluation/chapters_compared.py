@@ -17,6 +17,8 @@ import torch
 from torch import Tensor
 
 from motionlab.baselines import smoothed
+from motionlab.bench import cases
+from motionlab.bench.rivals import Rivals
 from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.model import Trained
 from motionlab.errors import DataError
@@ -26,8 +28,6 @@ from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule, fit
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
-from studies.shared import cases
-from studies.shared.rivals import Rivals
 
 Method = Callable[[Motion], Motion]
 

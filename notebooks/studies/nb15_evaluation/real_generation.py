@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from motionlab import checkpoint, corpus, splits
+from motionlab.bench.person_windows import person_windows
 from motionlab.diffusion.embedding import motion_features
 from motionlab.diffusion.model import motion_model, silenced
 from motionlab.files import write_whole
@@ -28,7 +29,6 @@ from motionlab.metrics.pose import masked_mean
 from motionlab.models import REPORT
 from motionlab.motion import Motion
 from motionlab.skeleton import BALLS, STANDARD
-from studies.shared.person_windows import person_windows
 
 FRAMES, EACH, DRAWS, STEPS = 60, 24, 40, 50  # of a window; windows of a person; halves; of the sampler
 DOWN = 0.03  # metres above where a ball rests

@@ -17,12 +17,12 @@ from dataclasses import replace
 import torch
 
 from motionlab import checkpoint, corpus, rotation, splits
+from motionlab.bench.person_windows import person_windows
 from motionlab.diffusion.embedding import motion_features
 from motionlab.files import write_whole
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from studies.nb15_evaluation.measures import MEASURES, judged, score, spoilt
-from studies.shared.person_windows import person_windows
 
 FRAMES, EACH, DRAWS, ENOUGH = 60, 48, 40, 0.95  # of a window; windows of a person; partings; share of them
 RULER = "ruler"  # in the recipe

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from motionlab.bench import cases, rivals
+from motionlab.bench.rivals import Rivals
 from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.model import Trained, silenced
 from motionlab.motion import Motion
-from studies.shared import cases, rivals
-from studies.shared.cases import JOINTS
-from studies.shared.rivals import Rivals
 
 #: Each way's model and how it is used; steps are set by the trial unless they are the point.
 WAYS: Mapping[str, tuple[str, Way]] = {
@@ -51,7 +50,7 @@ class Bench:
         model = self.free if which == "free" else self.told
         guess = self.start(motion, known, generator) if way.begin < 1 else None
         made = repair(model, motion, cases.columns(model.layout, known), generator, way, guess=guess)
-        return made if way.put == "overwrite" and not way.last and not way.finish else pasted(made, motion, known)
+        return made if way.put == "overwrite" and not way.last and not way.finish else cases.pasted(made, motion, known)
 
     def best(
         self,
@@ -110,10 +109,4 @@ class Bench:
     @staticmethod
     def _silent(model: Trained, motion: Motion, known: Tensor, generator: torch.Generator) -> Motion:
         way = WAYS["told, one look"][1]
-        return pasted(repair(model, motion, cases.columns(model.layout, known), generator, way), motion, known)
-
-
-def pasted(made: Motion, given: Motion, known: Tensor) -> Motion:
-    """A motion with its known rotations and places as they were given: without the rounding of a way there and back."""
-    rot = torch.where(known[..., :JOINTS, None, None], given.rot, made.rot)
-    return replace(made, rot=rot, root=torch.where(known[..., JOINTS, None], given.root, made.root))
+        return cases.pasted(repair(model, motion, cases.columns(model.layout, known), generator, way), motion, known)

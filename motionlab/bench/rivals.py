@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from motionlab import baselines
+from motionlab.bench.cases import JOINTS, chosen, columns
 from motionlab.diffusion.denoising import noise_size
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.inpainting import offset_decay
@@ -26,7 +27,6 @@ from motionlab.errors import ShapeError
 from motionlab.heading import Frame, local_to_world, stuck_root, world_to_local
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
-from studies.shared.cases import JOINTS, chosen, columns
 
 RIDGES = (0.01, 0.1, 1.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # variances; the known numbers say much alike
 FILTERS: Mapping[str, tuple[Callable, Mapping[str, Sequence]]] = {

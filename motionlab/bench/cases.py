@@ -9,6 +9,7 @@ Source: thesis 4.2.1. Differs: numbers instead of looking.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import torch
@@ -149,3 +150,10 @@ def scores(
         }
         for name, motion in made.items()
     }
+
+
+def pasted(made: Motion, given: Motion, known: Tensor) -> Motion:
+    """Returns a motion with its known rotations and places as they were given: without the rounding of a way there and
+    back."""
+    rot = torch.where(known[..., :JOINTS, None, None], given.rot, made.rot)
+    return replace(made, rot=rot, root=torch.where(known[..., JOINTS, None], given.root, made.root))

@@ -1,0 +1,83 @@
+"""Judges whoever completes motions, on windows of people: cases, errors by person, the energy score of draws.
+
+    windows = people("recordings", "choose")
+    judged(lambda motion, known: mine(motion, known), CASES["legs hidden"], windows)["cm"].mean()
+
+Source: thesis 4.2.1 (cases). Gneiting and Raftery 2007, Eq. 22: the energy score, which rewards calibrated draws, as
+the error of a single answer cannot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from motionlab import corpus, splits
+from motionlab.bench import cases
+from motionlab.bench.person_windows import PersonWindows, by_person, person_windows
+from motionlab.motion import Motion
+
+FRAMES = 60  # of a window
+#: Windows (B, T) and what is known of them (B, T, U) -> windows; only what is known may be read.
+Fill = Callable[[Motion, Tensor], Motion]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A mask for so many windows, the joints whose error counts (None: all), and whether it has edges in time."""
+
+    mask: Callable[[int], Tensor]
+    joints: tuple[str, ...] | None = None
+    edges: bool = False
+
+
+def _joints(count: int, share: float) -> Tensor:
+    return cases.whole_window(count, FRAMES, share, torch.Generator().manual_seed(7))
+
+
+CASES: Mapping[str, Case] = {
+    "legs hidden": Case(lambda n: cases.legs(n, FRAMES), cases.LOWER),
+    "gap of 30 frames": Case(lambda n: cases.gap(n, FRAMES, 30), edges=True),
+    "gap of 45 frames": Case(lambda n: cases.gap(n, FRAMES, 45), edges=True),
+    "half of the joints": Case(partial(_joints, share=0.5)),
+    "a quarter of the joints": Case(partial(_joints, share=0.25)),
+}
+
+
+def people(folder: Path | str, part: str, each: int = 24) -> PersonWindows:
+    """Reads windows of the people of a part ("train", "choose", "report"), at most so many of each."""
+    return person_windows(corpus.assemble(folder, splits.real_sources(folder)).part(part), FRAMES, each)
+
+
+def judged(fill: Fill, case: Case, windows: PersonWindows, *, lacking: bool = False) -> dict[str, Tensor]:
+    """Computes by person (P,) what becomes of the windows: error in cm, sliding in mm a frame, acceleration over the
+    truth's.
+
+    Nobody is asked for a joint that a figure lacks: it stays as it came. lacking: who fills in is told of it, though.
+    """
+    motion, whose, lacks = windows
+    known = case.mask(len(motion.root))
+    made = cases.pasted(fill(motion, known if lacking else known & ~lacks), motion, known | lacks)
+    found = {
+        "cm": cases.error_cm(made, motion, known, case.joints), "slide": cases.slide_mm(made, motion),
+        "acceleration": cases.acceleration_ratio(made, motion),
+    }  # fmt: skip
+    return {name: by_person(x, whose) for name, x in found.items()}
+
+
+def energy_score(
+    draws: Sequence[Motion], truth: Motion, known: Tensor, joints: tuple[str, ...] | None = None
+) -> Tensor:
+    """Computes the energy score (B,) in cm of several draws of windows: their mean error less half of their mean
+    distance from each other. Of a single answer it is the error; less is better."""
+    errors = torch.stack([cases.error_cm(made, truth, known, joints) for made in draws]).mean(0)
+    if len(draws) == 1:
+        return errors
+    pairs = [(a, b) for k, a in enumerate(draws) for b in draws[:k]]
+    apart = torch.stack([cases.error_cm(a, b, known, joints) for a, b in pairs]).mean(0)
+    return errors - apart / 2

@@ -1,0 +1,245 @@
+"""The completer: its state against naive loops, what it may not read, what stays, that it learns, and its bench."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from motionlab import more, rotation
+from motionlab.bench import cases, judge
+from motionlab.bench.person_windows import PersonWindows
+from motionlab.diffusion import completer, masks, state
+from motionlab.diffusion.completer import Completer, CompleterRecipe
+from motionlab.diffusion.completer_training import CompleterTraining, losses
+from motionlab.diffusion.features import Layout
+from motionlab.diffusion.start import smooth_curves
+from motionlab.diffusion.windows import gather, on_standard
+from motionlab.errors import DataError, ShapeError
+from motionlab.heading import stuck_root
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD
+
+FRAMES = 12
+TINY = CompleterRecipe(frames=FRAMES, size=64, layers=1, batch=8, steps=60, warm_up=5, lr=3e-3)
+
+
+@pytest.fixture(scope="module")
+def data(motions):
+    return gather([on_standard(m) for m in motions], FRAMES, people=[str(k % 2) for k in range(len(motions))])
+
+
+@pytest.fixture(scope="module")
+def windows(data):
+    return replace(data.draw(6, torch.Generator().manual_seed(0)), skeleton=STANDARD)
+
+
+@pytest.fixture(scope="module")
+def known():
+    kinds = {"gap": 1.0, "legs": 1.0, "joints": 1.0, "entries": 1.0}
+    return masks.draw_units(FRAMES, 6, torch.Generator().manual_seed(3), kinds)
+
+
+@pytest.fixture(scope="module")
+def model(data):
+    run = CompleterTraining(TINY, data)
+    for _ in range(5):
+        run.advance()
+    return run.averaged
+
+
+def hidden_changed(motion: Motion, known: torch.Tensor) -> Motion:
+    """Other numbers wherever nothing is known; the first frame's root gives the frame of reference and stays."""
+    free = ~known
+    free[:, 0, [0, -2]] = False
+    return replace(
+        motion,
+        root=torch.where(free[..., -2:-1], motion.root + 5.0, motion.root),
+        rot=torch.where(free[..., :-2, None, None], torch.eye(3), motion.rot),
+        contacts=torch.where(free[..., -1:], 1 - motion.contacts, motion.contacts),
+    )
+
+
+# ------------------------------------------------------------------------------------------------------ state
+def test_the_state_is_what_a_loop_over_frames_gives(windows):
+    motion = windows.clip(0)
+    found, p = state.rows(motion).numpy(), motion.positions.numpy()
+    parts = np.split(found, np.cumsum(list(state._SIZES.values()))[:-1], axis=-1)
+    before = None
+    for t in range(FRAMES):
+        right = -motion.rot[t, 0, :2, 0].numpy()
+        c, s = right / np.linalg.norm(right)
+        turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        at = p[t] - [p[t, 0, 0], p[t, 0, 1], 0]
+        np.testing.assert_allclose(parts[2][t].reshape(-1, 3), at @ turn.T, atol=1e-5)
+        if t:
+            moved = (p[t] - p[t - 1]) * motion.fps
+            np.testing.assert_allclose(parts[3][t].reshape(-1, 3), moved @ turn.T, atol=1e-3)
+            np.testing.assert_allclose(parts[4][t], moved[0] @ turn.T, atol=1e-3)
+            off = before @ turn.T
+            np.testing.assert_allclose(parts[5][t], np.arctan2(off[1, 0], off[0, 0]) * motion.fps, atol=1e-3)
+        before = turn
+
+
+def test_a_turn_and_a_shift_of_the_room_leave_places_and_velocities(windows):
+    turn = rotation.rotation_about("z", torch.tensor(2.0))
+    rot = torch.cat((turn @ windows.rot[..., :1, :, :], windows.rot[..., 1:, :, :]), -3)
+    other = replace(windows, root=windows.root @ turn.mT + torch.tensor([3.0, -1.0, 0.0]), rot=rot)
+    a, b = state.rows(windows), state.rows(other)
+    assert (a[..., 135:] - b[..., 135:]).abs().max() < 1e-3
+    assert (a[..., :9] - b[..., :9]).abs().max() > 0.1
+
+
+def test_numbers_go_there_and_back_and_belong_to_the_units_of_the_masks(windows):
+    back = state.motion_of(state.made(windows), windows)
+    assert (back.positions - windows.positions).abs().max() < 1e-5
+    assert torch.equal(back.contacts, windows.contacts)
+    assert torch.equal(state.owners(), masks.units(Layout()))
+    with pytest.raises(DataError, match="contacts"):
+        state.rows(replace(windows, contacts=None))
+
+
+def test_open_places_are_those_that_an_unknown_part_moves(windows):
+    motion = windows.clip(slice(0, 1))
+    for unit in range(state.UNITS - 1):
+        known = torch.ones(1, FRAMES, state.UNITS, dtype=torch.bool)
+        known[..., unit] = False
+        rot, root = motion.rot.clone(), motion.root.clone()
+        if unit < len(STANDARD):
+            rot[:, :, unit] = rot[:, :, unit] @ rotation.exp(torch.tensor([0.3, 0.2, 0.4]))
+        else:
+            root = root + 0.1
+        moved = (replace(motion, rot=rot, root=root).positions - motion.positions).norm(dim=-1) > 1e-5
+        assert torch.equal(moved, state.open_places(known)), unit
+
+
+# --------------------------------------------------------------------------------------------------- completer
+def test_curves_are_those_of_the_start(windows, known):
+    mean, scale = torch.randn(2, state.MADE, generator=torch.Generator().manual_seed(1)).abs() + 0.5
+    columns, numbers = known[..., state.owners()], (state.made(windows) - mean) / scale
+    plain = torch.where(columns, numbers, smooth_curves(numbers, columns)) * scale + mean
+    assert (completer.guess(windows, known, mean, scale) - plain).abs().max() < 1e-4
+
+
+def test_what_is_hidden_is_never_read(model, windows, known):
+    """And what is known is: a planted change of it comes through."""
+    made = model.complete(windows, known)
+    other = model.complete(hidden_changed(windows, known), known)
+    assert torch.equal(made.rot, other.rot) and torch.equal(made.root, other.root)
+    leak = replace(windows, root=windows.root + torch.tensor([0.0, 0.0, 0.05]) * known[..., -2:-1])
+    assert (model.complete(leak, known).root - made.root).abs().max() > 1e-3
+
+
+def test_what_is_known_stays_to_the_bit_and_the_room_does_not_matter(model, windows, known):
+    made = model.complete(windows, known)
+    assert torch.equal(made.rot[known[..., :-2]], windows.rot[known[..., :-2]])
+    assert torch.equal(made.root[known[..., -2]], windows.root[known[..., -2]])
+    turn, shift = rotation.rotation_about("z", torch.tensor(1.0)), torch.tensor([2.0, 1.0, 0.0])
+    rot = torch.cat((turn @ windows.rot[..., :1, :, :], windows.rot[..., 1:, :, :]), -3)
+    other = model.complete(replace(windows, root=windows.root @ turn.mT + shift, rot=rot), known)
+    assert (other.positions - (made.positions @ turn.mT + shift)).abs().max() < 1e-3
+
+
+def test_wrong_windows_are_refused(model, windows, known):
+    with pytest.raises(ShapeError, match="12 frames"):
+        model.complete(windows.cut(0, 8), known[:, :8])
+    with pytest.raises(ValueError, match="tokens of 5"):
+        Completer(replace(TINY, patch=5))
+
+
+def test_it_learns_what_curves_do_not_know(data):
+    """Two clips by heart: hidden legs come nearer than half of the mean pose, from which it begins."""
+    mine = replace(data, begins=data.begins[[80, 250]], mirrored=False, people=None)
+    run = CompleterTraining(replace(TINY, steps=150, kinds=(("legs", 1.0),), average=0.9), mine)
+    some = replace(mine.evenly(2), skeleton=STANDARD)
+    known = cases.legs(2, FRAMES)
+    error = lambda: cases.error_cm(run.averaged.complete(some, known), some, known).mean()  # noqa: E731
+    first = error()
+    assert first > 2.0
+    run.run()
+    assert error() < 0.5 * first
+
+
+def test_nothing_is_learnt_of_joints_that_were_not_recorded(windows):
+    """Their rotations are made up: the loss does not see them, nor the places below them."""
+    known = torch.zeros(6, FRAMES, state.UNITS, dtype=torch.bool)
+    seen = torch.ones(6, state.UNITS, dtype=torch.bool)
+    wrist = STANDARD.index("left_wrist")
+    seen[:, [STANDARD.index("left_elbow"), wrist]] = False
+    rot = windows.rot.clone()
+    rot[:, :, [STANDARD.index("left_elbow"), wrist]] = torch.eye(3)
+    other, scale = replace(windows, rot=rot), torch.ones(state.MADE)
+    parts = losses(other, windows, known, seen, scale)
+    assert max(float(parts[name]) for name in ("places", "moves", "rotations")) < 2e-3
+    parts = losses(other, windows, known, torch.ones_like(seen), scale)
+    assert parts["places"] > 5e-3 and parts["rotations"] > 5e-3
+
+
+def test_a_file_gives_the_model_back(model, windows, known, tmp_path):
+    completer.save(tmp_path / "mine", model, {})
+    again = completer.load(tmp_path / "mine")
+    assert (again.complete(windows, known).positions - model.complete(windows, known).positions).abs().max() < 2e-3
+    about = (tmp_path / "mine.json").read_text()
+    (tmp_path / "mine.json").write_text(about.replace('"size": 64', '"size": 128'))
+    with pytest.raises(DataError, match="completes no motions"):
+        completer.load(tmp_path / "mine")
+
+
+# ------------------------------------------------------------------------------------------------------- bench
+def test_windows_are_drawn_evenly_by_person(motions):
+    long, short = motions[0], motions[1].cut(0, 16)
+    data = gather([long, short], 12, people=["a", "b"])
+    _, clips = data.drawn(2000, torch.Generator().manual_seed(0))
+    assert abs(float((clips == 1).float().mean()) - 0.5) < 0.05
+    _, clips = gather([long, short], 12).drawn(2000, torch.Generator().manual_seed(0))
+    assert float((clips == 1).float().mean()) < 0.1
+
+
+@pytest.fixture
+def people(motions):
+    whole = gather([on_standard(m) for m in motions], judge.FRAMES).evenly(4)
+    motion = replace(whole, skeleton=STANDARD)
+    return PersonWindows(motion, torch.tensor([0, 0, 1, 1]), torch.zeros(4, 1, state.UNITS, dtype=torch.bool))
+
+
+def test_the_truth_is_judged_as_the_truth_and_nobody_else(people):
+    case = judge.CASES["gap of 30 frames"]
+    truth = judge.judged(lambda motion, known: people.motion, case, people)
+    assert float(truth["cm"].max()) < 1e-4 and torch.allclose(truth["acceleration"], torch.ones(2).double())
+    lifted = replace(people.motion, root=people.motion.root + torch.tensor([0.0, 0.0, 0.1]))
+    off = judge.judged(lambda motion, known: lifted, case, people)
+    assert torch.allclose(off["cm"], torch.full((2,), 10.0).double(), atol=1e-3)
+
+
+def test_the_energy_score_rewards_draws_about_the_truth(people):
+    truth, known = people.motion, cases.gap(4, judge.FRAMES, 30)
+    up, down = (replace(truth, root=truth.root + torch.tensor([0.0, 0.0, x])) for x in (0.1, -0.1))
+    one = judge.energy_score([up], truth, known)
+    assert torch.allclose(one, torch.full((4,), 10.0), atol=1e-3)
+    assert judge.energy_score([up, down], truth, known).abs().max() < 1e-3  # mean error 10, mean distance 20
+    assert torch.allclose(judge.energy_score([up, up], truth, known), one, atol=1e-3)
+
+
+# ---------------------------------------------------------------------------------------------------- training
+def test_training_writes_what_is_better_only_and_goes_on_where_it_was_killed(motions, people, tmp_path, monkeypatch):
+    monkeypatch.setenv("MOTIONLAB_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(more, "_give_way", lambda: None)
+    data = gather([on_standard(m) for m in motions], judge.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
+    recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1)
+    how = {"command": "x", "data": (data, people), "judge_every": 2}
+    more.go_on(recipe, None, tmp_path / "mine", schedules=1, **how)
+    made = completer.load(tmp_path / "mine")
+    first = more.on_people(made, people)[more.CHOSEN]
+    content = (tmp_path / "mine.safetensors").read_bytes()
+    wild = replace(recipe, lr=1e3)  # goes on from what is there, and spoils it: the file stays
+    (tmp_path / "cache" / "training" / "mine.partial.pt").unlink()
+    more.go_on(wild, None, tmp_path / "mine", schedules=1, **how)
+    assert (tmp_path / "mine.safetensors").read_bytes() == content
+    kept = CompleterTraining.resume(tmp_path / "cache" / "training" / "mine.partial.pt", data)
+    assert kept.step == 4 and kept.recipe.lr == 500.0
+    monkeypatch.setattr(CompleterTraining, "advance", lambda run: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        more.go_on(recipe, None, tmp_path / "mine", **how)
+    assert more.on_people(completer.load(tmp_path / "mine"), people)[more.CHOSEN] == pytest.approx(first, abs=0.05)
+    with pytest.raises(DataError, match="--data"):
+        more.learnt_from(None)
