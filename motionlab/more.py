@@ -26,7 +26,8 @@ from motionlab.diffusion.completer_training import CompleterTraining
 from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.errors import DataError
 
-NAME = "completer"
+#: By name of what ships: one answer, and draws.
+RECIPES = {"completer": CompleterRecipe(), "completer_draws": CompleterRecipe(noised=True)}
 CHOSEN = "legs and gaps, cm"  # the mean error of the first three cases, which chooses
 _CHOOSING = ("legs hidden", "gap of 30 frames", "gap of 45 frames")
 _EACH = 12  # windows of each person who chooses

@@ -12,7 +12,6 @@ import torch
 from motionlab import checkpoint, more, shipped, splits
 from motionlab.diffusion import model
 from motionlab.diffusion import training as diffusion_training
-from motionlab.diffusion.completer import CompleterRecipe
 from motionlab.diffusion.denoiser import SIZES
 from motionlab.errors import DataError
 from motionlab.humor import chain_training, examples, pretrained, training
@@ -23,7 +22,7 @@ from motionlab.motion import Motion
 def add_options(command: argparse.ArgumentParser) -> None:
     """Adds what ``train humor``, ``train small``, ``train diffusion`` and ``train features`` take."""
     command.add_argument(
-        "model", choices=("humor", "small", "diffusion", "features", more.NAME),
+        "model", choices=("humor", "small", "diffusion", "features", *more.RECIPES),
         help="transition prior; pose and first states; denoiser; what generated motion is judged in; what completes "
         "motions, trained until Ctrl-C",
     )  # fmt: skip
@@ -112,7 +111,7 @@ def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | m
 
 
 def _train(options: argparse.Namespace) -> int:
-    if options.model == more.NAME:
+    if options.model in more.RECIPES:
         return _train_on(options)
     if options.model == "small":
         out, how = options.out or checkpoint.SHIPPED, {"seed": options.seed or 0, "name": options.preset or "compact"}
@@ -178,10 +177,11 @@ def _train(options: argparse.Namespace) -> int:
 
 
 def _train_on(options: argparse.Namespace) -> int:
-    """Trains the completer until Ctrl-C."""
-    recipe = CompleterRecipe(steps=options.steps or CompleterRecipe.steps, seed=options.seed or 0)
-    out = options.out or checkpoint.SHIPPED / more.NAME
-    made = f"python -m motionlab train {more.NAME} --more --steps {recipe.steps} --data FOLDER"
+    """Trains a completer until Ctrl-C."""
+    recipe = more.RECIPES[options.model]
+    recipe = replace(recipe, steps=options.steps or recipe.steps, seed=options.seed or 0)
+    out = options.out or checkpoint.SHIPPED / options.model
+    made = f"python -m motionlab train {options.model} --more --steps {recipe.steps} --data FOLDER"
     try:
         more.go_on(recipe, options.data, out, command=made, more=options.more)
     except KeyboardInterrupt:

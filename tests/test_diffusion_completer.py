@@ -185,6 +185,47 @@ def test_a_file_gives_the_model_back(model, windows, known, tmp_path):
         completer.load(tmp_path / "mine")
 
 
+# ---------------------------------------------------------------------------------------------------- diffusion
+def test_noise_is_a_turn_from_the_truth(data, windows, known):
+    """At pi / 2 nothing of the hidden truth is seen; at smaller angles it is, which training needs."""
+    run = CompleterTraining(replace(TINY, noised=True), data)
+    for _ in range(5):
+        run.advance()
+    model, (local, _) = run.averaged, stuck_root(windows)
+    other = hidden_changed(local, known)
+    noise = torch.randn(6, FRAMES, state.MADE, generator=torch.Generator().manual_seed(0))
+    for angle, same in ((torch.pi / 2, True), (1.0, False)):
+        at = torch.full((6,), angle)
+        a, b = (model.filled(m, known, at, noise).rot for m in (local, other))
+        assert torch.allclose(a, b, atol=1e-4) == same
+    a, b = (model.complete(m, known, torch.Generator().manual_seed(1), steps=4) for m in (windows, other))
+    assert torch.equal(a.rot[known[..., :-2]], windows.rot[known[..., :-2]])
+    assert not torch.allclose(a.rot, model.complete(windows, known, torch.Generator().manual_seed(2), steps=4).rot)
+    with pytest.raises(ValueError, match="draws none"):
+        CompleterTraining(TINY, data).averaged.complete(windows, known, torch.Generator())
+
+
+def test_draws_of_an_exact_model_are_draws_of_the_gaussian(data, windows, monkeypatch):
+    """With r ~ N(m, s^2) in every number the best estimate from x at angle a is known; DDIM then gives back mean and
+    deviation. One that ignores x does not."""
+    model, m, s = Completer(replace(TINY, noised=True)).eval(), 0.3, 0.7
+    known = torch.zeros(6, FRAMES, state.UNITS, dtype=torch.bool)
+
+    def exact(motion, begun, known, x, angle):
+        a = angle[:, None, None]
+        share = a.cos() * s**2 / (a.cos().square() * s**2 + a.sin().square())
+        return m + share * (x - a.cos() * m)
+
+    found = []
+    for estimate in (exact, lambda motion, begun, known, x, angle: torch.full_like(x, m)):
+        monkeypatch.setattr(model, "_added", estimate)
+        monkeypatch.setattr(state, "motion_of", lambda numbers, like: numbers)
+        made = model._drawn(stuck_root(windows)[0], known, torch.Generator().manual_seed(0), 64)
+        found.append(made - model._begun(stuck_root(windows)[0], known)[0])
+    assert abs(float(found[0].mean()) - m) < 0.03 and abs(float(found[0].std()) - s) < 0.03
+    assert float(found[1].std()) < 0.05
+
+
 # ------------------------------------------------------------------------------------------------------- bench
 def test_windows_are_drawn_evenly_by_person(motions):
     long, short = motions[0], motions[1].cut(0, 16)

@@ -1,11 +1,15 @@
 """A plain network that completes motions: told any part of a window, it says what to add to smooth curves through it.
 
     model = load("completer")
-    made = model.complete(motion, units)        # units (B, T, 24): True where known
+    made = model.complete(motion, known)        # known (B, T, 24): True where a unit of a frame is known
 
-Source: thesis 4.2.1 and 4.4.1 (known parts as input); Oreshkin et al. 2023, delta-interpolator (what to add to an
-interpolation). A pre-norm transformer encoder (Vaswani et al. 2017; Xiong et al. 2020). Differs from a diffusion model:
-one answer, without noise.
+With ``noised`` it is a diffusion model of what is to be added: r, of about unit size, is shown as cos(a) r + sin(a) e
+with noise e, from the angle a = pi / 2, where it says nothing, down to 0. Steps of equal angle are the even steps of
+the cosine schedule. Without, it is the same network at pi / 2 alone: one answer.
+
+Source: thesis 4.2.1 and 4.4.1 (known parts as input), Eq. 4.3; Oreshkin et al. 2023, delta-interpolator (what to add to
+an interpolation); Salimans and Ho 2022 (angles); Song et al. 2021 (DDIM). A pre-norm transformer encoder (Vaswani et
+al. 2017; Xiong et al. 2020).
 """
 
 from __future__ import annotations
@@ -27,6 +31,7 @@ from motionlab.motion import Motion
 
 _TIMES = 2  # numbers that say how far the frames around that are known whole are
 _FAR = 2.0  # seconds that count as no such frame
+_WAVES = 8  # frequencies that an angle is told in
 #: Odds of each kind of mask in training.
 KINDS = (("gap", 0.4), ("legs", 0.25), ("joints", 0.2), ("entries", 0.05), ("frames", 0.1))
 
@@ -36,8 +41,9 @@ class CompleterRecipe:
     """What a training run depends on, with its windows.
 
     frames: of a window. size, layers, patch: width and depth of the encoder, frames in a token. kinds: odds of each
-    kind of mask (``masks.draw_units``). The learning rate rises over ``warm_up`` steps to ``lr`` and falls by a cosine
-    to a fiftieth. decay: of the weights. average: of them, per step.
+    kind of mask (``masks.draw_units``). noised: a diffusion model. blind: of its windows so many at pure noise. The
+    learning rate rises over ``warm_up`` steps to ``lr`` and falls by a cosine to a fiftieth. decay: of the weights.
+    average: of them, per step.
     """
 
     frames: int = 60
@@ -46,6 +52,8 @@ class CompleterRecipe:
     patch: int = 2
     dropout: float = 0.0
     kinds: tuple[tuple[str, float], ...] = KINDS
+    noised: bool = False
+    blind: float = 0.2
     steps: int = 20_000
     batch: int = 64
     lr: float = 1e-3
@@ -66,7 +74,10 @@ class CompleterRecipe:
 
 
 class Completer(nn.Module):
-    """Guessed states (B, T, ``SIZE``), units known (B, T, ``UNITS``) -> what to add (B, T, ``MADE``), in unit sizes."""
+    """Guessed states (B, T, ``SIZE``), units known (B, T, ``UNITS``) -> what to add (B, T, ``MADE``), in unit sizes.
+
+    ``noised``: also what to add with noise (B, T, ``MADE``), and the angles (B,) of that.
+    """
 
     def __init__(self, recipe: CompleterRecipe) -> None:
         super().__init__()
@@ -74,6 +85,8 @@ class Completer(nn.Module):
             raise ValueError(f"{recipe.frames} frames do not divide into tokens of {recipe.patch}")
         self.recipe, size = recipe, recipe.size
         self.taken = nn.Linear((state.SIZE + state.UNITS + _TIMES) * recipe.patch, size)
+        if recipe.noised:
+            self.noisy, self.angle = nn.Linear(state.MADE * recipe.patch, size), nn.Linear(2 * _WAVES, size)
         self.place = nn.Parameter(torch.randn(recipe.frames // recipe.patch, size) * 0.02)
         how = {"dropout": recipe.dropout, "activation": "gelu", "norm_first": True, "batch_first": True}
         layer = nn.TransformerEncoderLayer(size, max(4, size // 64), 2 * size, **how)
@@ -88,35 +101,81 @@ class Completer(nn.Module):
         """The sizes of the state's numbers."""
         return state.Units(self.mean, self.scale)
 
-    def forward(self, states: Tensor, known: Tensor, fps: float) -> Tensor:
+    def forward(
+        self, states: Tensor, known: Tensor, fps: float, noisy: Tensor | None = None, angle: Tensor | None = None
+    ) -> Tensor:
         """Computes what to add to a guess."""
         x = torch.cat(((states - self.mean) / self.scale, known.to(states), _until_known(known, fps)), -1)
         tokens = self.taken(x.unflatten(1, (-1, self.recipe.patch)).flatten(2)) + self.place
+        if noisy is not None:
+            waves = angle[:, None] * 2.0 ** torch.arange(_WAVES).to(angle)
+            tokens = tokens + self.noisy(noisy.unflatten(1, (-1, self.recipe.patch)).flatten(2))
+            tokens = tokens + self.angle(torch.cat((waves.sin(), waves.cos()), -1))[:, None]
         return self.said(self.encoder(tokens)).unflatten(2, (self.recipe.patch, -1)).flatten(1, 2)
 
-    def filled(self, motion: Motion, known: Tensor) -> Motion:
+    def filled(self, motion: Motion, known: Tensor, angle: Tensor | None = None, noise: Tensor | None = None) -> Motion:
         """Computes windows (B, T) that are told ``known`` (B, T, ``UNITS``) of windows in their stuck frame; contacts
-        between 0 and 1. Elsewhere the motion is never read."""
+        between 0 and 1. Elsewhere the motion is never read, but by a ``noised`` model, as much as the angle (B,) leaves
+        of it under noise (B, T, ``MADE``); None: nothing."""
+        begun, open_ = self._begun(motion, known)
+        scale, shown = self.units.made[1], None
+        if self.recipe.noised:
+            if angle is None:
+                angle = torch.full((len(begun),), math.pi / 2).to(begun)
+                noise = torch.zeros_like(begun) if noise is None else noise
+            turned = angle[:, None, None]
+            shown = (turned.cos() * (state.made(motion) - begun) / scale + turned.sin() * noise) * open_
+        return state.motion_of(begun + self._added(motion, begun, known, shown, angle) * scale * open_, motion)
+
+    def _begun(self, motion: Motion, known: Tensor) -> tuple[Tensor, Tensor]:
+        """The guess (B, T, ``MADE``), and which of its numbers are open."""
         if motion.frames != self.recipe.frames or known.shape != (*motion.root.shape[:2], state.UNITS):
             want = f"windows of {self.recipe.frames} frames, and {state.UNITS} units of each"
             raise ShapeError(f"expected {want}, got {tuple(motion.root.shape)} and {tuple(known.shape)}")
-        mean, scale = self.units.made
-        open_ = ~known[..., state.owners().to(known.device)]
-        begun = guess(motion, known, mean, scale)
-        with torch.autocast(motion.root.device.type, torch.bfloat16, enabled=fast_halves(motion.root.device)):
-            added = self(state.rows(state.motion_of(begun, motion)), known, motion.fps)
-        return state.motion_of(begun + added.float() * scale * open_, motion)
+        return guess(motion, known, *self.units.made), ~known[..., state.owners().to(known.device)]
+
+    def _added(
+        self, motion: Motion, begun: Tensor, known: Tensor, shown: Tensor | None, angle: Tensor | None
+    ) -> Tensor:
+        with torch.autocast(begun.device.type, torch.bfloat16, enabled=fast_halves(begun.device)):
+            return self(state.rows(state.motion_of(begun, motion)), known, motion.fps, shown, angle).float()
+
+    def _drawn(self, motion: Motion, known: Tensor, generator: torch.Generator, steps: int) -> Motion:
+        """One draw for each window: DDIM in steps of equal angle."""
+        begun, open_ = self._begun(motion, known)
+        x = torch.randn(begun.shape, generator=generator).to(begun) * open_
+        angles = torch.linspace(math.pi / 2, 0.0, steps + 1)
+        for a, after in zip(angles[:-1].tolist(), angles[1:].tolist(), strict=True):
+            added = self._added(motion, begun, known, x, torch.full((len(x),), a).to(x)) * open_
+            noise = (x - math.cos(a) * added) / math.sin(a)
+            x = math.cos(after) * added + math.sin(after) * noise
+        return state.motion_of(begun + x * self.units.made[1], motion)
 
     @torch.no_grad()
-    def complete(self, motion: Motion, known: Tensor, *, batch: int = 64) -> Motion:
+    def complete(
+        self,
+        motion: Motion,
+        known: Tensor,
+        generator: torch.Generator | None = None,
+        *,
+        steps: int = 10,
+        batch: int = 64,
+    ) -> Motion:
         """Computes motions (B, T) in the world from what is known of them; known rotations and places stay to the bit.
 
-        The place and heading of the first frame are taken as given, known or not.
+        The place and heading of the first frame are taken as given, known or not. generator: a ``noised`` model draws,
+        in so many steps; None: one answer, the mean as the network sees it.
+
+        Raises:
+            ShapeError: windows of another length. ValueError: draws from a model without noise.
         """
+        if generator is not None and not self.recipe.noised:
+            raise ValueError("this model has one answer and draws none")
         local, frame = stuck_root(motion)
         parts = []
         for at in torch.arange(len(motion.root)).split(batch):
-            parts.append(self.filled(local.clip(at), known[at]))
+            some = local.clip(at), known[at]
+            parts.append(self.filled(*some) if generator is None else self._drawn(*some, generator, steps))
         root, rot, contacts = (torch.cat([getattr(p, name) for p in parts]) for name in ("root", "rot", "contacts"))
         world = local_to_world(frame, replace(local, root=root, rot=rot, contacts=(contacts > 0.5).to(root)))
         return replace(

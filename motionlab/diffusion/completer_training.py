@@ -6,6 +6,7 @@ error of open 6-D numbers, contacts. Source: thesis 4.1.2, whose denoiser has th
 
 from __future__ import annotations
 
+import math
 from copy import deepcopy
 
 import torch
@@ -36,7 +37,7 @@ class CompleterTraining(TrainingRun):
             torch.manual_seed(recipe.seed)
             model = Completer(recipe)
         if start is not None:
-            model.load_state_dict(start.state_dict())
+            model.load_state_dict(model.state_dict() | start.state_dict())  # what noise enters by may be new
         else:
             some = stuck_root(windows.draw(_MEASURED, torch.Generator().manual_seed(0)))[0]
             units = state.Units.measure(state.rows(some))
@@ -73,9 +74,18 @@ class CompleterTraining(TrainingRun):
         known = known & seen[:, None]
         with torch.random.fork_rng(devices=[]):  # what dropout draws from
             torch.manual_seed(int(torch.randint(2**31, (), generator=self.generator)))
-            made = self.model.filled(motion, known)
+            made = self.model.filled(motion, known, *self._noise(len(clips)))
         parts = losses(made, motion, known, seen, self.model.units.made[1])
         return sum(_WEIGHTS[name] * part for name, part in parts.items()), parts
+
+    def _noise(self, count: int) -> tuple[Tensor, Tensor] | tuple[()]:
+        """Angles (B,), evenly but for those at pure noise, and noise (B, T, ``MADE``); nothing without noise."""
+        if not self.recipe.noised:
+            return ()
+        angle = torch.rand(count, generator=self.generator) * math.pi / 2
+        blind = torch.rand(count, generator=self.generator) < self.recipe.blind
+        noise = torch.randn(count, self.recipe.frames, state.MADE, generator=self.generator)
+        return torch.where(blind, math.pi / 2, angle), noise
 
 
 def losses(made: Motion, truth: Motion, known: Tensor, seen: Tensor, scale: Tensor) -> dict[str, Tensor]:
