@@ -22,6 +22,7 @@ from motionlab.training_loop import TrainingRun
 
 _MEASURED = 2000  # windows that the sizes of numbers are measured on
 _WEIGHTS = {"places": 5.0, "moves": 10.0, "rotations": 1.0, "contacts": 0.1}
+_SILENT = 0.3  # of windows: contacts are told nowhere, as of motion that nobody labelled
 _EVERY = torch.ones(state.UNITS, dtype=torch.bool)
 
 
@@ -72,6 +73,8 @@ class CompleterTraining(TrainingRun):
             else torch.cat((seen[clips], _EVERY[:2].expand(len(clips), 2)), 1)
         )
         known = known & seen[:, None]
+        silent = torch.rand(recipe.batch, 1, generator=self.generator) < _SILENT
+        known[..., -1] &= ~silent
         with torch.random.fork_rng(devices=[]):  # what dropout draws from
             torch.manual_seed(int(torch.randint(2**31, (), generator=self.generator)))
             made = self.model.filled(motion, known, *self._noise(len(clips)))
