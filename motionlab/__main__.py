@@ -77,6 +77,12 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command = add_command(commands, "models", text, "models", _models)
     command.add_argument("--data", help="recordings: measure the transition priors on people nobody trained on, first")
 
+    text = "write the completer as an ONNX file that fills gaps, for editors without Python"
+    command = add_command(commands, "onnx", text, "onnx --out inbetween.onnx")
+    command.add_argument("--model", default="completer", help="a completer that ships, or a path (default: completer)")
+    command.add_argument("--out", type=Path, default=Path("inbetween.onnx"), help="default: inbetween.onnx")
+    command.set_defaults(run=_onnx)
+
     command = add_command(commands, "train", "train a model, and keep its recipe with it", "train humor --out prior")
     if "train" in arguments[:1]:  # its presets come with torch
         from motionlab import train
@@ -92,6 +98,15 @@ def _prepare(options: argparse.Namespace) -> int:
     found = corpus.assemble(options.folder, options.sources, **how)
     print(found.report())
     print(f"kept in {options.out or corpus.cache_folder()}")
+    return 0
+
+
+def _onnx(options: argparse.Namespace) -> int:
+    from motionlab import onnx_export
+    from motionlab.diffusion import completer
+
+    onnx_export.export(completer.load(options.model), options.out)
+    print(f"{options.out}: {options.out.stat().st_size / 1e6:.1f} MB; takes {', '.join(onnx_export.INPUTS)}")
     return 0
 
 

@@ -22,7 +22,6 @@ import torch
 from torch import Tensor, nn
 
 from motionlab import checkpoint
-from motionlab.baselines import nearest_known
 from motionlab.diffusion import state
 from motionlab.diffusion.start import curve_weights
 from motionlab.errors import DataError, ShapeError
@@ -105,7 +104,7 @@ class Completer(nn.Module):
         self, states: Tensor, known: Tensor, fps: float, noisy: Tensor | None = None, angle: Tensor | None = None
     ) -> Tensor:
         """Computes what to add to a guess."""
-        x = torch.cat(((states - self.mean) / self.scale, known.to(states), _until_known(known, fps)), -1)
+        x = torch.cat(((states - self.mean) / self.scale, known.to(states), until_known(known, fps)), -1)
         tokens = self.taken(x.unflatten(1, (-1, self.recipe.patch)).flatten(2)) + self.place
         if noisy is not None:
             waves = angle[:, None] * 2.0 ** torch.arange(_WAVES).to(angle)
@@ -200,15 +199,13 @@ def guess(motion: Motion, known: Tensor, mean: Tensor, scale: Tensor) -> Tensor:
     return torch.where(columns, numbers, drawn.unflatten(0, (len(known), -1)).mT) * scale + mean
 
 
-def _until_known(known: Tensor, fps: float) -> Tensor:
-    """Seconds (B, T, 2) since and until a frame that is known whole, contacts apart."""
-    whole = known[..., :-1].all(-1)
-    time = torch.arange(whole.shape[1], device=whole.device)
-    before, after = nearest_known(whole)
-    there = whole.any(-1, keepdim=True)
-    since = torch.where(there & (before <= time), (time - before) / fps, _FAR)
-    until = torch.where(there & (after >= time), (after - time) / fps, _FAR)
-    return torch.stack((since, until), -1)
+def until_known(known: Tensor, fps: float) -> Tensor:
+    """Computes the seconds (B, T, 2) since and until a frame that is known whole, contacts apart; at most ``_FAR``."""
+    whole = known[..., :-1].all(-1)[:, None]
+    time = torch.arange(whole.shape[-1], device=whole.device)
+    away = (time[:, None] - time).to(torch.float32) / fps
+    sides = (torch.where(whole & (x >= 0), x, _FAR).amin(-1) for x in (away, -away))
+    return torch.stack(tuple(sides), -1).clamp(max=_FAR)
 
 
 def fast_halves(device: torch.device) -> bool:

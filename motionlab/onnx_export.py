@@ -1,0 +1,86 @@
+"""Writes the completer as an ONNX file that fills gaps between known frames, for editors without Python or torch.
+
+The file takes a window of the standard skeleton at 30 frames a second: ``root`` (1, 60, 3) metres, z up; ``rotations``
+(1, 60, 22, 3, 3), each relative to its parent; ``known`` (1, 60), 1 where a frame is known; ``curves`` (1, 60, 60),
+what a smooth curve through those frames is of them, as :func:`curves_of` computes it with numpy alone. It gives back
+root and rotations, known frames to the bit. Contacts are told nowhere.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from motionlab.diffusion import state
+from motionlab.diffusion.completer import Completer
+from motionlab.errors import DataError, MissingData
+from motionlab.heading import local_to_world, stuck_root
+from motionlab.motion import FPS, Motion
+from motionlab.skeleton import STANDARD
+
+INPUTS, OUTPUTS = ("root", "rotations", "known", "curves"), ("root_filled", "rotations_filled")
+
+
+def curves_of(known: np.ndarray, reach: float = 30.0, noise: float = 1e-5) -> np.ndarray:
+    """Computes from known frames (B, T), bool, the share (B, T, T) of each known one in a smooth curve at each frame.
+
+    Source: Rasmussen and Williams 2006, Eqs. 2.25 and 4.17 (Matern 3/2), as ``diffusion.start.curve_weights``.
+    """
+    time, k = np.arange(known.shape[1]), known.astype(float)
+    far = 3**0.5 * abs(time[:, None] - time) / reach
+    cov = (1 + far) * np.exp(-far)
+    square = k[:, :, None] * cov * k[:, None] + (1 - k + noise)[:, :, None] * np.eye(len(time))
+    return (cov @ (k[:, :, None] * np.linalg.inv(square) * k[:, None])).astype(np.float32)
+
+
+class _Gaps(nn.Module):
+    """A completer of whole frames, its curves given."""
+
+    def __init__(self, model: Completer) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, root: Tensor, rotations: Tensor, known: Tensor, curves: Tensor) -> tuple[Tensor, Tensor]:
+        model, whole = self.model, known[..., None] > 0.5
+        none = torch.zeros_like(root[..., :1]).expand(-1, -1, len(STANDARD.contact_names))
+        local, frame = stuck_root(Motion(STANDARD, root, rotations, FPS, none))
+        mean, scale = model.units.made
+        units = whole & (torch.arange(state.UNITS) < state.UNITS - 1)
+        numbers = (state.made(local) - mean) / scale * units[..., state.owners()]
+        begun = (curves @ numbers) * scale + mean
+        begun = torch.where(units[..., state.owners()], state.made(local), begun)
+        states = state.rows(state.motion_of(begun, local))
+        made = local_to_world(frame, state.motion_of(begun + model(states, units, FPS) * scale, local))
+        return torch.where(whole, root, made.root), torch.where(whole[..., None, None], rotations, made.rot)
+
+
+def export(model: Completer, path: Path | str) -> None:
+    """Writes ``path`` (.onnx).
+
+    Raises:
+        MissingData: the packages that write such files are not installed.
+        DataError: the model draws, or was not trained on windows of 60 frames.
+    """
+    if model.recipe.noised:
+        raise DataError("this model draws; an ONNX file is of one answer", remedy="export the completer")
+    try:
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        raise MissingData("the package onnxscript", "pip install 'motionlab[onnx]'") from error
+    frames = model.recipe.frames
+    root, known = torch.zeros(1, frames, 3), torch.ones(1, frames)
+    rotations = torch.eye(3).expand(1, frames, len(STANDARD), 3, 3).contiguous()
+    known[:, 5:-5] = 0.0
+    sample = (root, rotations, known, torch.from_numpy(curves_of(known.numpy() > 0.5)))
+    gaps = _Gaps(model).eval()
+    gaps(*sample)  # what the skeleton keeps is computed now, not while it is traced
+    with warnings.catch_warnings():  # torch warns of its own calls
+        warnings.simplefilter("ignore", FutureWarning)
+        torch.onnx.export(
+            gaps, sample, str(path), input_names=list(INPUTS), output_names=list(OUTPUTS),
+            dynamo=True, external_data=False, optimize=True, verbose=False,
+        )  # fmt: skip
