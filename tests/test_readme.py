@@ -10,8 +10,13 @@ import torch
 
 from motionlab import examples, io, retarget
 from motionlab.__main__ import _parser
+from motionlab.bench import judge
+from motionlab.bench.person_windows import PersonWindows
+from motionlab.contact import with_contacts
+from motionlab.diffusion.windows import on_standard
 from motionlab.fit import landmarks_of
 from motionlab.io import gltf
+from motionlab.motion import resample, windows
 from motionlab.observation import look_at, project
 from motionlab.skeleton import STANDARD
 from suite import execute, findings, pages
@@ -50,6 +55,17 @@ def is_a_film_of_the_walk(names: dict) -> None:
     assert first.std() > 5 and abs(first - middle).max() > 50  # somebody is there, and moves
 
 
+def is_an_error_of_each_person(names: dict) -> None:
+    assert names["error"].shape == (1,) and names["error"].abs().max() < 1e-4  # who gives back the truth has none
+
+
+def walk_as_a_person(folder: str, part: str) -> PersonWindows:
+    """Stands in for recordings, which the project must not contain."""
+    cut = windows(with_contacts(on_standard(resample(WALK, 30))), 60, 30)
+    whose = torch.zeros(len(cut.root), dtype=torch.long)
+    return PersonWindows(cut, whose, torch.zeros(len(whose), 1, len(STANDARD) + 2, dtype=torch.bool))
+
+
 def is_twice_as_fine(names: dict) -> None:
     assert names["positions"].shape == (2 * WALK.frames - 1, 22, 3)
     assert torch.allclose(names["positions"][::2], WALK.positions, atol=1e-5)
@@ -77,6 +93,7 @@ def is_a_file_for_viewers(names: dict) -> None:
 
 PROMISES = (
     is_a_film_of_the_walk,
+    is_an_error_of_each_person,
     is_twice_as_fine,
     is_a_fit_without_doubts,
     is_a_repair_of_the_gap_alone,
@@ -90,6 +107,7 @@ PROMISES = (
 def test_example_runs_as_printed_and_keeps_its_promise(number, promise, desk, monkeypatch):
     """Each stands alone: nothing of one is needed by another."""
     monkeypatch.chdir(desk)
+    monkeypatch.setattr(judge, "people", walk_as_a_person)
     names: dict[str, object] = {}
     exec(compile(EXAMPLES[number], f"example {number + 1}", "exec"), names)
     promise(names)
