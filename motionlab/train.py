@@ -213,7 +213,7 @@ def _train_chains(recipe: chain_training.ChainRecipe, options: argparse.Namespac
         "quality, people who choose": training.quality_row(run.averaged, *held), "curve": run.curve,
         **({"began from": checkpoint.read_recipe(start)} if start else {}),
     }  # fmt: skip
-    halves = {n: x if n.startswith("skip") else x.half() for n, x in official_weights(run.averaged).items()}
+    halves = {n: x if n.startswith(("skip", "direct")) else x.half() for n, x in official_weights(run.averaged).items()}
     checkpoint.save(out, halves, about)
     kept.unlink()
     print(f"{out.with_suffix('.safetensors')}: {run.step} steps")

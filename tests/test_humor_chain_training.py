@@ -183,7 +183,7 @@ def test_presets_are_recipes_that_a_model_can_have():
 # --------------------------------------------------------------------------------------- the layer past the decoder
 def model_with_skip(seed=1):
     torch.manual_seed(seed)
-    return Cvae(64, skip=True)
+    return Cvae(64, skip=True, direct=True)
 
 
 def onward(past):
@@ -215,13 +215,27 @@ def test_scales_fold_into_the_weights_exactly(transitions):
         assert left[:, SLICES[name]].std() < 0.3 * (now - past)[:, SLICES[name]].std()
 
 
-def test_training_goes_on_from_a_models_weights(data):
-    first = ChainTraining(SMALL, data)
+def test_z_begins_as_the_change(data, transitions):
+    """Shown the answer, a model that has learnt nothing yet makes it to a fifth of what going on at the velocity
+    leaves; one with random layers to and from z does not."""
+    past, now = (x.float() for x in transitions)
+    left = {}
+    for direct in (True, False):
+        model = ChainTraining(replace(SMALL, direct=direct), data).averaged
+        after, _ = apply(past, model.decode(past, model.posterior(past, now).mean))
+        left[direct] = (unpack(after)["joints"] - unpack(now)["joints"]).norm(dim=-1).mean()
+    plain = (unpack(onward(transitions[0]))["joints"] - unpack(transitions[1])["joints"]).norm(dim=-1).mean()
+    assert left[True] < 0.2 * plain and left[False] > 0.8 * plain
+
+
+@pytest.mark.parametrize("direct", [False, True])
+def test_training_goes_on_from_a_models_weights(data, direct):
+    first = ChainTraining(replace(SMALL, direct=direct), data)
     for _ in range(3):
         first.advance()
     run = ChainTraining(SMALL, data, first._made(first.model.state_dict()))
     for name, value in first.model.state_dict().items():
-        assert torch.allclose(run.model.state_dict()[name], value, atol=1e-4), name
+        assert torch.allclose(run.model.state_dict()[name], value, atol=1e-3), name
     assert math.isfinite(run.advance()["loss"]) and not torch.equal(run.model.skip.weight, first.model.skip.weight)
 
 

@@ -24,10 +24,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from motionlab import rotation
 from motionlab.errors import DataError
 from motionlab.humor.cvae import Cvae, Gaussian, kl
 from motionlab.humor.examples import LiveExamples
-from motionlab.humor.state import SHAPES, apply, globalise, heading, localise, unpack
+from motionlab.humor.state import DELTA, DELTA_SLICES, ONWARD, SHAPES, apply, globalise, heading, localise, unpack
 from motionlab.humor.training import ERROR_UNITS, Scales, _huber, _transition_pairs
 from motionlab.skeleton import STANDARD, fk
 from motionlab.training_loop import TrainingRun
@@ -41,7 +42,7 @@ class ChainRecipe:
     them of these kinds. chain: transitions that gradients flow through. supervised, sampled: shares of the steps that
     see the truth, and by which it has faded out. kl: weight per nat; annealed: share of the steps over which it grows
     to that. kinematics, contact, slide: weights of those losses. average: of the weights, per step. half: networks in
-    bfloat16.
+    bfloat16. direct: z begins as the principal components of the change (:func:`begun_linear`).
     """
 
     width: int = 512
@@ -61,10 +62,14 @@ class ChainRecipe:
     slide: float = 0.1
     average: float = 0.999
     half: bool = True
+    direct: bool = False
     seed: int = 0
 
 
-CHAIN_PRESETS = {"real": ChainRecipe(), "real_wide": ChainRecipe(width=1024, lr=1.5e-3)}
+CHAIN_PRESETS = {"real": ChainRecipe(direct=True), "real_wide": ChainRecipe(width=1024, lr=1.5e-3, direct=True)}
+
+
+_SURE = -3.0  # log variance of z at first, from the posterior
 
 
 class _Walked(NamedTuple):
@@ -72,6 +77,33 @@ class _Walked(NamedTuple):
 
     after: Tensor
     logits: Tensor
+
+
+@torch.no_grad()
+def begun_linear(model: Cvae, scales: Scales, past: Tensor, now: Tensor) -> None:
+    """Sets the linear layers to and from z to the principal components of what differs from going on at the velocity,
+    of transitions (N, 339), counted in ``ERROR_UNITS``: z begins as what the change is, and not as noise.
+
+    By random weights z reaches the decoder in a few directions only, and training opens no more.
+    """
+    before, after, onward = unpack(past), unpack(now), past @ ONWARD.mT
+    change, unit = torch.zeros(len(past), DELTA), torch.ones(DELTA)
+    for name in SHAPES:
+        turned = name in ("root_orient", "pose_body")
+        moved = rotation.log(after[name] @ before[name].mT) if turned else after[name] - before[name]
+        change[:, DELTA_SLICES[name]] = moved.flatten(1) - onward[:, DELTA_SLICES[name]]
+        unit[DELTA_SLICES[name]] = ERROR_UNITS[name]
+    _, size, axes = torch.linalg.svd(change / unit, full_matrices=False)
+    axes, size = axes[: model.latent], size[: model.latent] / len(past) ** 0.5
+    z = change / unit @ axes.mT / size
+    model.decoder.net[-1].weight[:, -model.latent :] = (axes * size[:, None]).mT * (unit / scales.change)[:, None]
+    rows = torch.cat((scales.rows(past, now), torch.ones(len(past), 1)), -1)
+    square = rows.mT @ rows + 1e-3 * len(rows) * torch.eye(rows.shape[1])
+    found = torch.linalg.solve(square, rows.mT @ z)
+    model.direct.weight.copy_(found[:-1].mT), model.direct.bias.copy_(found[-1])
+    for net in (model.encoder.net, model.prior_net.net):
+        net[-1].weight *= 0.1
+    model.encoder.net[-1].bias[model.latent :] = _SURE
 
 
 class ChainTraining(TrainingRun):
@@ -84,13 +116,18 @@ class ChainTraining(TrainingRun):
             raise DataError(f"windows of {examples.length} states for {recipe.length} transitions")
         self.examples = examples
         some, _, _ = examples.draw(2000, torch.Generator().manual_seed(recipe.seed))
-        self.scales = replace(Scales.measure(*_transition_pairs(some), skip=True), half=recipe.half)
+        pairs = _transition_pairs(some)
+        self.scales = replace(Scales.measure(*pairs, skip=True), half=recipe.half)
+        if start is not None:
+            recipe = replace(recipe, direct=start.direct is not None)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
-            model = Cvae(recipe.width, skip=True)
+            model = Cvae(recipe.width, skip=True, direct=recipe.direct)
         torch.nn.init.zeros_(model.skip.weight)
         with torch.no_grad():
             model.decoder.net[-1].weight *= 0.1
+        if recipe.direct:
+            begun_linear(model, self.scales, *pairs)
         if start is not None:
             model = self.scales.unfolded(start).requires_grad_(requires_grad=True).train()
         super().__init__(recipe, examples.digest, torch.Generator().manual_seed(recipe.seed), model)
@@ -103,7 +140,7 @@ class ChainTraining(TrainingRun):
         return torch.optim.Adamax(self.model.parameters(), lr=self.recipe.lr)
 
     def _made(self, weights: dict[str, Tensor]) -> Cvae:
-        model = Cvae(self.recipe.width, skip=True)
+        model = Cvae(self.recipe.width, skip=True, direct=self.recipe.direct)
         model.load_state_dict(weights)
         return self.scales.folded(model).frozen()
 

@@ -3,7 +3,7 @@
 Source: HuMoR (Rempe et al. 2021), section 3 and its official code; thesis 3.1.1.
 Differs: a model may have a linear layer past the decoder, ``skip``. It begins as "everything goes on at its velocity",
 so that the networks only say what differs from that. Such a model knows velocities of the past, not central ones
-(``Cvae.causal``).
+(``Cvae.causal``). And it may have a linear layer past the encoder, ``direct``, from both states to the mean of z.
 """
 
 from __future__ import annotations
@@ -85,13 +85,14 @@ class Cvae(nn.Module):
     last norm is half as wide and has 16 groups. At 32 each of these is a single number, which norms to nought, and what
     is decoded depends on z alone: 64 is the least that can learn.
     There is no normalisation of inputs or outputs: what training uses is folded into the weights.
-    skip: with a linear layer from the past state to the raw changes, beside the decoder; not in the official model.
+    skip: with a linear layer from the past state to the raw changes, beside the decoder. direct: with one from both
+    states to the mean of z, beside the encoder. Neither is in the official model.
 
     Raises:
         ShapeError: the width is no multiple of 32.
     """
 
-    def __init__(self, width: int = 1024, latent: int = LATENT, *, skip: bool = False) -> None:
+    def __init__(self, width: int = 1024, latent: int = LATENT, *, skip: bool = False, direct: bool = False) -> None:
         super().__init__()
         if width < 32 or width % 32:
             raise ShapeError(f"width: expected a multiple of 32, got {width}")
@@ -100,6 +101,7 @@ class Cvae(nn.Module):
         self.prior_net = Mlp(STATE, (width,) * 4, 2 * latent)
         self.decoder = Mlp(STATE + latent, (width, width, width // 2), DELTA, again=latent)
         self.skip = nn.Linear(STATE, DELTA, bias=False) if skip else None
+        self.direct = nn.Linear(2 * STATE, latent) if direct else None
 
     @property
     def causal(self) -> bool:
@@ -109,7 +111,9 @@ class Cvae(nn.Module):
 
     def posterior(self, past: Tensor, now: Tensor) -> Gaussian:
         """Computes q(z | past, now) from states (..., 339), both in the frame of the past one."""
-        return Gaussian(*_rows(self.encoder, torch.cat((past, now), dim=-1)).chunk(2, dim=-1))
+        both = torch.cat((past, now), dim=-1)
+        mean, log_var = _rows(self.encoder, both).chunk(2, dim=-1)
+        return Gaussian(mean if self.direct is None else mean + self.direct(both), log_var)
 
     def prior(self, past: Tensor) -> Gaussian:
         """Computes p(z | past) from states (..., 339) in their own heading frame."""
@@ -133,8 +137,10 @@ def _rows(net: nn.Module, x: Tensor) -> Tensor:
 def reorder(model: Cvae, *, back: bool = False) -> Cvae:
     """Changes in place a model with official weights into one that takes and gives our order of numbers, or back."""
     order, delta = (each.argsort() if back else each for each in (OFFICIAL_ORDER, OFFICIAL_DELTA_ORDER))
-    for net, states in ((model.encoder, 2), (model.prior_net, 1), (model.decoder, 1)):
-        weight, size = net.net[0].weight, states * STATE
+    direct = () if model.direct is None else ((model.direct, 2),)
+    first = ((model.encoder.net[0], 2), (model.prior_net.net[0], 1), (model.decoder.net[0], 1), *direct)
+    for layer, states in first:
+        weight, size = layer.weight, states * STATE
         weight[:, :size] = weight[:, :size].unflatten(1, (states, STATE))[..., order.to(weight.device)].flatten(1)
     last = model.decoder.net[-1]
     last.weight.copy_(last.weight[delta]), last.bias.copy_(last.bias[delta])
@@ -159,7 +165,7 @@ def from_weights(weights: dict[str, Tensor], path: Path, remedy: str) -> Cvae:
         raise DataError("no prior_net.net.0.weight of shape (width, 339)", path=path, remedy=remedy)
     last = weights.get("prior_net.net.12.bias")
     latent = LATENT if last is None else len(last) // 2
-    model = Cvae(len(first), latent, skip="skip.weight" in weights)
+    model = Cvae(len(first), latent, skip="skip.weight" in weights, direct="direct.weight" in weights)
     try:
         model.load_state_dict({name: value.float() for name, value in weights.items()})
     except RuntimeError as error:

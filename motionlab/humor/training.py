@@ -97,12 +97,16 @@ class Scales:
         change[DELTA_SLICES["contacts"]] = 3.0
         return cls(past.mean(0), past.std(0).clamp(min=1e-3), change)
 
+    def rows(self, past: Tensor, now: Tensor) -> Tensor:
+        """What the encoder takes (N, 678): the second state enters as its change, in units of 16 errors."""
+        return torch.cat(((past - self.mean) / self.std, (now - past) / (16 * _unit(SLICES))), -1)
+
     def posterior(self, model: Cvae, past: Tensor, now: Tensor) -> Gaussian:
-        """q(z | past, now); the second state enters as its change, in units of 16 errors."""
-        units = 16 * _unit(SLICES)
-        rows = torch.cat(((past - self.mean) / self.std, (now - past) / units), -1)
+        """q(z | past, now)."""
+        rows = self.rows(past, now)
         with self._precision():
-            return Gaussian(*model.encoder(rows).to(past).chunk(2, -1))
+            mean, log_var = model.encoder(rows).to(past).chunk(2, -1)
+        return Gaussian(mean if model.direct is None else mean + model.direct(rows), log_var)
 
     def prior(self, model: Cvae, past: Tensor) -> Gaussian:
         """p(z | past)."""
@@ -124,13 +128,13 @@ class Scales:
         """The model that computes the same from plain numbers, by its weights alone: the official architecture."""
         model = deepcopy(model)
         with torch.no_grad():
-            for net in (model.encoder.net, model.prior_net.net, model.decoder.net):
-                weight = net[0].weight
-                net[0].bias -= weight[:, :STATE] @ (self.mean / self.std)
-                weight[:, :STATE] /= self.std
-            weight = model.encoder.net[0].weight
-            weight[:, STATE:] /= 16 * _unit(SLICES)
-            weight[:, :STATE] -= weight[:, STATE:]
+            encoding = _encoding(model)
+            for first in (*encoding, model.prior_net.net[0], model.decoder.net[0]):
+                first.bias -= first.weight[:, :STATE] @ (self.mean / self.std)
+                first.weight[:, :STATE] /= self.std
+            for first in encoding:
+                first.weight[:, STATE:] /= 16 * _unit(SLICES)
+                first.weight[:, :STATE] -= first.weight[:, STATE:]
             model.decoder.net[-1].weight *= self.change[:, None]
             model.decoder.net[-1].bias *= self.change
             if model.skip is not None:
@@ -143,12 +147,13 @@ class Scales:
         """The weights that ``folded`` makes this model of: what training goes on from."""
         model = deepcopy(model)
         with torch.no_grad():
-            weight = model.encoder.net[0].weight
-            weight[:, :STATE] += weight[:, STATE:]
-            weight[:, STATE:] *= 16 * _unit(SLICES)
-            for net in (model.encoder.net, model.prior_net.net, model.decoder.net):
-                net[0].weight[:, :STATE] *= self.std
-                net[0].bias += net[0].weight[:, :STATE] @ (self.mean / self.std)
+            encoding = _encoding(model)
+            for first in encoding:
+                first.weight[:, :STATE] += first.weight[:, STATE:]
+                first.weight[:, STATE:] *= 16 * _unit(SLICES)
+            for first in (*encoding, model.prior_net.net[0], model.decoder.net[0]):
+                first.weight[:, :STATE] *= self.std
+                first.bias += first.weight[:, :STATE] @ (self.mean / self.std)
             if model.skip is not None:
                 weight = model.skip.weight - ONWARD
                 model.decoder.net[-1].bias += weight @ self.mean
@@ -156,6 +161,11 @@ class Scales:
             model.decoder.net[-1].weight /= self.change[:, None]
             model.decoder.net[-1].bias /= self.change
         return model
+
+
+def _encoding(model: Cvae) -> tuple[torch.nn.Linear, ...]:
+    """The layers that take both states."""
+    return (model.encoder.net[0], *(() if model.direct is None else (model.direct,)))
 
 
 def _unit(slices: dict[str, slice]) -> Tensor:
