@@ -28,7 +28,7 @@ from motionlab.errors import DataError, ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 
-_TIMES = 2  # numbers that say how far the frames around that are known whole are
+_TIMES = 2  # numbers that say how far the known frames around are
 _FAR = 2.0  # seconds that count as no such frame
 _WAVES = 8  # frequencies that an angle is told in
 #: Odds of each kind of mask in training.
@@ -200,11 +200,12 @@ def guess(motion: Motion, known: Tensor, mean: Tensor, scale: Tensor) -> Tensor:
 
 
 def until_known(known: Tensor, fps: float) -> Tensor:
-    """Computes the seconds (B, T, 2) since and until a frame that is known whole, contacts apart; at most ``_FAR``."""
-    whole = known[..., :-1].all(-1)[:, None]
-    time = torch.arange(whole.shape[-1], device=whole.device)
+    """Computes the seconds (B, T, 2) since and until a frame of which a rotation is known; at most ``_FAR``. Not of all
+    rotations: most figures lack some."""
+    some = known[..., :-2].any(-1)[:, None]
+    time = torch.arange(some.shape[-1], device=some.device)
     away = (time[:, None] - time).to(torch.float32) / fps
-    sides = (torch.where(whole & (x >= 0), x, _FAR).amin(-1) for x in (away, -away))
+    sides = (torch.where(some & (x >= 0), x, _FAR).amin(-1) for x in (away, -away))
     return torch.stack(tuple(sides), -1).clamp(max=_FAR)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from copy import deepcopy
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -94,10 +95,13 @@ class CompleterTraining(TrainingRun):
 def losses(made: Motion, truth: Motion, known: Tensor, seen: Tensor, scale: Tensor) -> dict[str, Tensor]:
     """Computes the parts of the loss of windows (B, T), each window's mean over what was open in it.
 
-    known (B, T, ``UNITS``), seen (B, ``UNITS``): units that were told, and that were recorded at all.
+    known (B, T, ``UNITS``), seen (B, ``UNITS``): units that were told, and that were recorded at all. What was not
+    recorded counts as right: its rotation is made up, but the places of the joints above it are not.
     """
-    open_ = (state.open_places(known) & ~state.open_places(seen)[:, None]).float()
-    off = made.positions - truth.positions
+    told = known | ~seen[:, None]
+    open_ = state.open_places(told).float()
+    whole = replace(made, rot=torch.where(told[..., :-2, None, None], truth.rot, made.rot))
+    off = whole.positions - truth.positions
     places, moves = (x.square().sum(-1).add(1e-6).sqrt() for x in (off, off.diff(dim=1)))
     both = torch.maximum(open_[:, 1:], open_[:, :-1])
     asked = (~known & seen[:, None]).float()
