@@ -123,7 +123,8 @@ def _run(recipe: CompleterRecipe, windows: Windows, kept: Path | None, first: Co
             print(f"begins anew: {error}", flush=True)
     if first is None:
         return CompleterTraining(recipe, windows)
-    return CompleterTraining(replace(first.recipe, steps=recipe.steps, lr=recipe.lr / 2), windows, first)
+    built = {name: getattr(first.recipe, name) for name in ("frames", "size", "layers", "patch", "noised")}
+    return CompleterTraining(replace(recipe, lr=recipe.lr / 2, **built), windows, first)
 
 
 def _in_half_an_hour(run: CompleterTraining) -> int:

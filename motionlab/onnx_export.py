@@ -53,6 +53,7 @@ class _Gaps(nn.Module):
         numbers = (state.made(local) - mean) / scale * units[..., state.owners()]
         begun = (curves @ numbers) * scale + mean
         begun = torch.where(units[..., state.owners()], state.made(local), begun)
+        begun = state.made(state.motion_of(begun, local))
         states = state.rows(state.motion_of(begun, local))
         made = local_to_world(frame, state.motion_of(begun + model(states, units, FPS) * scale, local))
         return torch.where(whole, root, made.root), torch.where(whole[..., None, None], rotations, made.rot)

@@ -154,3 +154,11 @@ def test_legs_are_asked_with_and_without_the_roots_place(generator):
 def test_unknown_kinds_are_refused(generator, kinds):
     with pytest.raises(ValueError, match="expected odds above 0"):
         masks.draw(LAYOUT, 20, 3, generator, kinds)
+
+
+def test_what_lies_between_has_known_frames_on_either_side(generator):
+    known = masks.draw_units(20, 200, generator, {"between": 1.0})
+    assert known[:, :5].all() and known[:, -5:].all()
+    hidden = 20 - known[..., 0].sum(1)
+    assert hidden.min() >= 1 and hidden.max() <= 9 and len(hidden.unique()) > 5
+    assert (known[..., 0].float().diff(dim=1) < 0).sum(1).eq(1).all()  # one run

@@ -32,7 +32,7 @@ _TIMES = 2  # numbers that say how far the known frames around are
 _FAR = 2.0  # seconds that count as no such frame
 _WAVES = 8  # frequencies that an angle is told in
 #: Odds of each kind of mask in training.
-KINDS = (("gap", 0.4), ("legs", 0.25), ("joints", 0.2), ("entries", 0.05), ("frames", 0.1))
+KINDS = (("between", 0.4), ("gap", 0.1), ("legs", 0.25), ("joints", 0.15), ("entries", 0.05), ("frames", 0.05))
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,8 @@ def guess(motion: Motion, known: Tensor, mean: Tensor, scale: Tensor) -> Tensor:
     for k, weights in enumerate(curve_weights(patterns).to(told)):
         mine = (which == k).nonzero()[:, 0]
         drawn[mine] = told[mine] @ weights.mT
-    return torch.where(columns, numbers, drawn.unflatten(0, (len(known), -1)).mT) * scale + mean
+    drawn = torch.where(columns, numbers, drawn.unflatten(0, (len(known), -1)).mT) * scale + mean
+    return state.made(state.motion_of(drawn, motion))  # 6-D numbers of rotations, not short ones
 
 
 def until_known(known: Tensor, fps: float) -> Tensor:

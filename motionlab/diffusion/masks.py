@@ -23,6 +23,7 @@ from motionlab.heading import stuck_root
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
+_EDGE = 5  # known frames on either side of what lies between
 _MOST = 8  # handles of a pose in training, at most
 _NONE, _USUAL = 0.1, 0.45  # how often training draws no handle, and some of ``_EFFECTORS``; else of all joints
 #: What people hold a figure by.
@@ -79,8 +80,9 @@ def draw_units(frames: int, count: int, generator: torch.Generator, kinds: Mappi
     its odds.
 
     nothing: all is unknown. frames: whole frames, each by the window's own chance. gap: all but a run of frames, which
-    may reach either end. joints: some joints, in all frames. entries: other joints in every frame. legs: all but both
-    legs, with or without the root's place. Contacts are known with whole frames only.
+    may reach either end; between: which has ``_EDGE`` known frames or more on either side. joints: some joints, in all
+    frames. entries: other joints in every frame. legs: all but both legs, with or without the root's place. Contacts
+    are known with whole frames only.
 
     Raises:
         ValueError: an unknown kind, or odds that are not positive.
@@ -108,6 +110,12 @@ def _gap(frames: int, size: int, generator: torch.Generator) -> Tensor:
     return (time < start) | (time >= start + length)
 
 
+def _between(frames: int, size: int, generator: torch.Generator) -> Tensor:
+    inside = _gap(max(frames - 2 * _EDGE, 1), size, generator)
+    edge = torch.ones((frames - len(inside)) // 2, 1, dtype=torch.bool)
+    return torch.cat((edge, inside, torch.ones(frames - len(edge) - len(inside), 1, dtype=torch.bool)))
+
+
 def _joints(frames: int, size: int, generator: torch.Generator) -> Tensor:
     known = torch.rand(1, size, generator=generator) < torch.rand(1, generator=generator)
     known[:, -1] = False
@@ -129,5 +137,6 @@ def _legs(frames: int, size: int, generator: torch.Generator) -> Tensor:
 
 
 _MAKE: dict[str, Callable[[int, int, torch.Generator], Tensor]] = {
-    "nothing": _nothing, "frames": _frames, "gap": _gap, "joints": _joints, "entries": _entries, "legs": _legs,
+    "nothing": _nothing, "frames": _frames, "gap": _gap, "between": _between, "joints": _joints, "entries": _entries,
+    "legs": _legs,
 }  # fmt: skip
