@@ -117,7 +117,7 @@ def _models_table() -> str:
                 "real, h": f"{minutes.get('recordings', 0) / 60:.1f}",
                 "synthetic, h": f"{minutes.get('synthetic', 0) / 60:.1f}",
                 "people": str(recipe.get("people", "")),
-                "steps": str(recipe.get("recipe", {}).get("steps", recipe.get("steps", ""))),
+                "steps": str(recipe.get("step", recipe.get("recipe", {}).get("steps", recipe.get("steps", "")))),
                 "made by": f"`{recipe.get('made by') or recipe.get('command', '')}`",
             }
         )

@@ -3,7 +3,7 @@
 The file takes a window of the standard skeleton at 30 frames a second: ``root`` (1, 60, 3) metres, z up; ``rotations``
 (1, 60, 22, 3, 3), each relative to its parent; ``known`` (1, 60), 1 where a frame is known; ``curves`` (1, 60, 60),
 what a smooth curve through those frames is of them, as :func:`curves_of` computes it with numpy alone. It gives back
-root and rotations, known frames to the bit. Contacts are told nowhere.
+root and rotations, known frames to the bit. Contacts are told nowhere. The first frame has to be known.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import FPS, Motion
 from motionlab.skeleton import STANDARD
 
+_FRAMES = 60
 INPUTS, OUTPUTS = ("root", "rotations", "known", "curves"), ("root_filled", "rotations_filled")
 
 
@@ -50,7 +51,7 @@ class _Gaps(nn.Module):
         local, frame = stuck_root(Motion(STANDARD, root, rotations, FPS, none))
         mean, scale = model.units.made
         units = whole & (torch.arange(state.UNITS) < state.UNITS - 1)
-        numbers = (state.made(local) - mean) / scale * units[..., state.owners()]
+        numbers = torch.where(units[..., state.owners()], (state.made(local) - mean) / scale, 0.0)
         begun = (curves @ numbers) * scale + mean
         begun = torch.where(units[..., state.owners()], state.made(local), begun)
         begun = state.made(state.motion_of(begun, local))
@@ -64,17 +65,19 @@ def export(model: Completer, path: Path | str) -> None:
 
     Raises:
         MissingData: the packages that write such files are not installed.
-        DataError: the model draws, or was not trained on windows of 60 frames.
+        DataError: the model draws, or was not trained on windows of 60 frames; or there is no such folder.
     """
-    if model.recipe.noised:
-        raise DataError("this model draws; an ONNX file is of one answer", remedy="export the completer")
+    if model.recipe.noised or model.recipe.frames != _FRAMES:
+        what = "draws" if model.recipe.noised else f"takes windows of {model.recipe.frames} frames"
+        raise DataError(f"this model {what}", remedy=f"export one of one answer and {_FRAMES} frames")
+    if not Path(path).resolve().parent.is_dir():
+        raise DataError("no such folder", path=path, remedy="make it first")
     try:
         import onnxscript  # noqa: F401
     except ImportError as error:
-        raise MissingData("the package onnxscript", "pip install 'motionlab[onnx]'") from error
-    frames = model.recipe.frames
-    root, known = torch.zeros(1, frames, 3), torch.ones(1, frames)
-    rotations = torch.eye(3).expand(1, frames, len(STANDARD), 3, 3).contiguous()
+        raise MissingData("the package onnxscript", "pip install -e '.[onnx]'") from error
+    root, known = torch.zeros(1, _FRAMES, 3), torch.ones(1, _FRAMES)
+    rotations = torch.eye(3).expand(1, _FRAMES, len(STANDARD), 3, 3).contiguous()
     known[:, 5:-5] = 0.0
     sample = (root, rotations, known, torch.from_numpy(curves_of(known.numpy() > 0.5)))
     gaps = _Gaps(model).eval()

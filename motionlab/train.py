@@ -20,7 +20,7 @@ from motionlab.motion import Motion
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
-    """Adds what ``train humor``, ``train small``, ``train diffusion`` and ``train features`` take."""
+    """Adds what ``train humor``, ``train small``, ``train diffusion``, ``train features``, ``train completer`` take."""
     command.add_argument(
         "model", choices=("humor", "small", "diffusion", "features", *more.RECIPES),
         help="transition prior; pose and first states; denoiser; what generated motion is judged in; what completes "
@@ -96,10 +96,10 @@ def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | m
     recipe, before = presets[options.preset], kind.kept_recipe(kept) if options.resume else None
     if options.size and not isinstance(getattr(recipe, "size", None), str):
         raise DataError(f"{options.model} has no sizes", remedy="leave --size out")
-    for name in ("steps", "seed", "size"):
+    for name in ("steps", "seed", "size", "direct"):  # the last is that of the model it began from
         if not hasattr(recipe, name):
             continue
-        value = getattr(options, name)
+        value = getattr(options, name, None)
         value = getattr(before or recipe, name) if value is None else value
         recipe = replace(recipe, **{name: value})
     if before and recipe != before:
@@ -178,12 +178,14 @@ def _train(options: argparse.Namespace) -> int:
 
 def _train_on(options: argparse.Namespace) -> int:
     """Trains a completer until Ctrl-C."""
+    asked = [name for name in ("preset", "size", "start", "resume") if getattr(options, name)]
+    if asked:
+        raise DataError(f"{options.model} takes no --{asked[0]}", remedy="--more goes on from --out")
     recipe = more.RECIPES[options.model]
     recipe = replace(recipe, steps=options.steps or recipe.steps, seed=options.seed or 0)
     out = options.out or checkpoint.SHIPPED / options.model
-    made = f"python -m motionlab train {options.model} --more --steps {recipe.steps} --data FOLDER"
     try:
-        more.go_on(recipe, options.data, out, command=made, more=options.more)
+        more.go_on(options.model, recipe, options.data, out, more=options.more)
     except KeyboardInterrupt:
         print("stopped; the same command with --more goes on")
     return 0

@@ -1,6 +1,7 @@
 """The completer: its state against naive loops, what it may not read, what stays, that it learns, and its bench."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -129,6 +130,12 @@ def test_what_is_hidden_is_never_read(model, windows, known):
     assert torch.equal(made.rot, other.rot) and torch.equal(made.root, other.root)
     leak = replace(windows, root=windows.root + torch.tensor([0.0, 0.0, 0.05]) * known[..., -2:-1])
     assert (model.complete(leak, known).root - made.root).abs().max() > 1e-3
+
+
+def test_a_motion_without_contacts_is_completed_too(model, windows, known):
+    silent = torch.cat((known[..., :-1], torch.zeros_like(known[..., -1:])), -1)
+    bare = model.complete(replace(windows, contacts=None), known)
+    assert torch.equal(bare.rot, model.complete(windows, silent).rot)
 
 
 def test_what_is_known_stays_to_the_bit_and_the_room_does_not_matter(model, windows, known):
@@ -267,25 +274,56 @@ def test_the_energy_score_rewards_draws_about_the_truth(people):
 
 
 # ---------------------------------------------------------------------------------------------------- training
-def test_training_writes_what_is_better_only_and_goes_on_where_it_was_killed(motions, people, tmp_path, monkeypatch):
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder to train in, with a cache of its own."""
     monkeypatch.setenv("MOTIONLAB_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(more, "_give_way", lambda: None)
+    monkeypatch.chdir(tmp_path)
+    return Path("mine")
+
+
+def kept_in(here: Path) -> Path:
+    return more._kept("completer", here)
+
+
+def test_training_writes_what_is_better_only(motions, people, here):
     data = gather([on_standard(m) for m in motions], judge.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
     recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1)
-    how = {"command": "x", "data": (data, people), "judge_every": 2}
-    more.go_on(recipe, None, tmp_path / "mine", schedules=1, **how)
-    made = completer.load(tmp_path / "mine")
-    first = more.on_people(made, people)[more.CHOSEN]
-    content = (tmp_path / "mine.safetensors").read_bytes()
-    wild = replace(recipe, lr=1e3)  # goes on from what is there, and spoils it: the file stays
-    (tmp_path / "cache" / "training" / "mine.partial.pt").unlink()
-    more.go_on(wild, None, tmp_path / "mine", schedules=1, **how)
-    assert (tmp_path / "mine.safetensors").read_bytes() == content
-    kept = CompleterTraining.resume(tmp_path / "cache" / "training" / "mine.partial.pt", data)
-    assert kept.step == 4 and kept.recipe.lr == 500.0
-    monkeypatch.setattr(CompleterTraining, "advance", lambda run: (_ for _ in ()).throw(KeyboardInterrupt))
-    with pytest.raises(KeyboardInterrupt):
-        more.go_on(recipe, None, tmp_path / "mine", **how)
-    assert more.on_people(completer.load(tmp_path / "mine"), people)[more.CHOSEN] == pytest.approx(first, abs=0.05)
+    how = {"data": (data, people), "every": 2, "schedules": 1}
+    more.go_on("completer", recipe, None, here, **how)
+    content = here.with_suffix(".safetensors").read_bytes()
+    for again in (True, False):  # goes on from what is there, or begins anew, and spoils it: the file stays
+        kept_in(here).unlink()
+        more.go_on("completer", replace(recipe, lr=1e3), None, here, more=again, **how)
+        assert here.with_suffix(".safetensors").read_bytes() == content
+    assert CompleterTraining.resume(kept_in(here), data).recipe.lr == 1e3
+    with pytest.raises(DataError, match="not a completer_draws"):
+        more.go_on("completer_draws", replace(recipe, noised=True), None, here, **how)
     with pytest.raises(DataError, match="--data"):
         more.learnt_from(None)
+
+
+def test_training_that_was_killed_goes_on_as_if_it_had_not_been(motions, people, here, monkeypatch):
+    """At step 3 of 4: the resumed run ends with the weights of one that nobody stopped."""
+    data = gather([on_standard(m) for m in motions], judge.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
+    recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1)
+    how = {"data": (data, people), "every": 2, "schedules": 1}
+    whole = CompleterTraining(recipe, data)
+    for _ in range(4):
+        whole.advance()
+    advance = CompleterTraining.advance
+
+    def killed(run):
+        if run.step == 3:
+            raise KeyboardInterrupt
+        return advance(run)
+
+    monkeypatch.setattr(CompleterTraining, "advance", killed)
+    with pytest.raises(KeyboardInterrupt):
+        more.go_on("completer", recipe, None, here, **how)
+    monkeypatch.setattr(CompleterTraining, "advance", advance)
+    more.go_on("completer", recipe, None, here, **how)
+    made = CompleterTraining.resume(kept_in(here), data)
+    assert made.step == 4
+    assert all(torch.equal(x, made.model.state_dict()[name]) for name, x in whole.model.state_dict().items())

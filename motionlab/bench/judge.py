@@ -23,7 +23,8 @@ from motionlab.bench.person_windows import PersonWindows, by_person, person_wind
 from motionlab.motion import Motion
 
 FRAMES = 60  # of a window
-#: Windows (B, T) and what is known of them (B, T, U) -> windows; only what is known may be read.
+#: Windows (B, T) and what is known of them (B, T, U) -> windows; only what is known may be read, and where a window
+#: begins and faces.
 Fill = Callable[[Motion, Tensor], Motion]
 
 

@@ -11,6 +11,7 @@ from torch.nn.functional import one_hot
 
 from motionlab.corpus import Take
 from motionlab.diffusion.windows import gather, on_standard
+from motionlab.errors import DataError
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
@@ -37,6 +38,8 @@ def person_windows(takes: Sequence[Take], frames: int, each: int) -> PersonWindo
         whose.append(torch.full((len(at),), person))
         units = [[name in take.missing for name in STANDARD.names] + [False, False] for take in some]
         lacks.append(torch.tensor(units)[data.clip[data.begins[at]]])
+    if not rows:
+        raise DataError(f"nobody has {frames} frames of motion", remedy="name a folder with more recordings")
     parts = [torch.cat([getattr(m, name) for m in rows]) for name in ("root", "rot", "contacts")]
     return PersonWindows(
         Motion(STANDARD, *parts[:2], rows[0].fps, parts[2]), torch.cat(whose), torch.cat(lacks)[:, None]

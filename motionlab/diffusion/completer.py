@@ -27,9 +27,11 @@ from motionlab.diffusion.start import curve_weights
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD
 
 _TIMES = 2  # numbers that say how far the known frames around are
 _FAR = 2.0  # seconds that count as no such frame
+FLOOR = STANDARD.contact_names
 _WAVES = 8  # frequencies that an angle is told in
 #: Odds of each kind of mask in training.
 KINDS = (("between", 0.4), ("gap", 0.1), ("legs", 0.25), ("joints", 0.15), ("entries", 0.05), ("frames", 0.05))
@@ -114,16 +116,16 @@ class Completer(nn.Module):
 
     def filled(self, motion: Motion, known: Tensor, angle: Tensor | None = None, noise: Tensor | None = None) -> Motion:
         """Computes windows (B, T) that are told ``known`` (B, T, ``UNITS``) of windows in their stuck frame; contacts
-        between 0 and 1. Elsewhere the motion is never read, but by a ``noised`` model, as much as the angle (B,) leaves
+        are near 0 or 1. Elsewhere the motion is never read, but by a ``noised`` model, as much as the angle (B,) leaves
         of it under noise (B, T, ``MADE``); None: nothing."""
         begun, open_ = self._begun(motion, known)
         scale, shown = self.units.made[1], None
         if self.recipe.noised:
             if angle is None:
-                angle = torch.full((len(begun),), math.pi / 2).to(begun)
-                noise = torch.zeros_like(begun) if noise is None else noise
-            turned = angle[:, None, None]
-            shown = (turned.cos() * (state.made(motion) - begun) / scale + turned.sin() * noise) * open_
+                angle, shown = torch.full((len(begun),), math.pi / 2).to(begun), torch.zeros_like(begun)
+            else:
+                turned = angle[:, None, None]
+                shown = (turned.cos() * (state.made(motion) - begun) / scale + turned.sin() * noise) * open_
         return state.motion_of(begun + self._added(motion, begun, known, shown, angle) * scale * open_, motion)
 
     def _begun(self, motion: Motion, known: Tensor) -> tuple[Tensor, Tensor]:
@@ -136,8 +138,9 @@ class Completer(nn.Module):
     def _added(
         self, motion: Motion, begun: Tensor, known: Tensor, shown: Tensor | None, angle: Tensor | None
     ) -> Tensor:
+        states = state.rows(state.motion_of(begun, motion))
         with torch.autocast(begun.device.type, torch.bfloat16, enabled=fast_halves(begun.device)):
-            return self(state.rows(state.motion_of(begun, motion)), known, motion.fps, shown, angle).float()
+            return self(states, known, motion.fps, shown, angle).float()
 
     def _drawn(self, motion: Motion, known: Tensor, generator: torch.Generator, steps: int) -> Motion:
         """One draw for each window: DDIM in steps of equal angle."""
@@ -162,7 +165,8 @@ class Completer(nn.Module):
     ) -> Motion:
         """Computes motions (B, T) in the world from what is known of them; known rotations and places stay to the bit.
 
-        The place and heading of the first frame are taken as given, known or not. generator: a ``noised`` model draws,
+        The place and heading of the first frame are taken as given, known or not; contacts that a motion lacks are
+        unknown. generator: a ``noised`` model draws,
         in so many steps; None: one answer, the mean as the network sees it.
 
         Raises:
@@ -170,6 +174,9 @@ class Completer(nn.Module):
         """
         if generator is not None and not self.recipe.noised:
             raise ValueError("this model has one answer and draws none")
+        if motion.contacts is None:
+            motion = replace(motion, contacts=motion.root.new_zeros(*motion.root.shape[:-1], len(FLOOR)))
+            known = torch.cat((known[..., :-1], torch.zeros_like(known[..., -1:])), -1)
         local, frame = stuck_root(motion)
         parts = []
         for at in torch.arange(len(motion.root)).split(batch):
@@ -222,12 +229,14 @@ def save(path: Path | str, model: Completer, about: dict) -> None:
 
 
 def load(path: Path | str) -> Completer:
-    """Reads a model that ships, as "completer", or the one at a path, frozen.
+    """Reads a model that ships, as "completer", or the one at a path, frozen. A bare name is a file here, if there is
+    one, and else what ships.
 
     Raises:
         DataError: a file is missing, damaged, or of another model.
     """
-    path = checkpoint.SHIPPED / path if Path(path).name == str(path) else Path(path)
+    ships = isinstance(path, str) and Path(path).name == path and not Path(path).with_suffix(".safetensors").exists()
+    path = checkpoint.SHIPPED / path if ships else Path(path)
     tensors, about = checkpoint.load(path.with_suffix(".safetensors"))
     try:
         with torch.random.fork_rng(devices=[]):

@@ -1,7 +1,7 @@
 """Trains a completer: windows by person, every kind of mask, and the distance of joints as its loss.
 
 Losses: distance of every joint whose place is open (metres, x 5) and of its velocity (metres a frame, x 10), squared
-error of open 6-D numbers, contacts. Source: thesis 4.1.2, whose denoiser has the same parts.
+errors of open 6-D numbers and contacts. Source: thesis 4.1.2, whose denoiser has the same parts.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from motionlab.diffusion import masks, state
 from motionlab.diffusion.completer import Completer, CompleterRecipe
@@ -22,19 +21,20 @@ from motionlab.motion import Motion
 from motionlab.training_loop import TrainingRun
 
 _MEASURED = 2000  # windows that the sizes of numbers are measured on
-_WEIGHTS = {"places": 5.0, "moves": 10.0, "rotations": 1.0, "contacts": 0.1}
+_WEIGHTS = {"places": 5.0, "moves": 10.0, "rotations": 1.0, "contacts": 0.3}
 _SILENT = 0.3  # of windows: contacts are told nowhere, as of motion that nobody labelled
 _EVERY = torch.ones(state.UNITS, dtype=torch.bool)
 
 
 class CompleterTraining(TrainingRun):
-    """A training run of a completer. start: the model to begin from, with its sizes of numbers; None: new weights."""
+    """A training run of a completer. start: the model to begin from, with its sizes of numbers; None: new weights.
+    earlier: steps that its weights have behind them."""
 
     data_name = "windows"
     give_up = 20
 
     def __init__(self, recipe: CompleterRecipe, windows: Windows, start: Completer | None = None) -> None:
-        self.windows = windows
+        self.windows, self.earlier = windows, 0
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
             model = Completer(recipe)
@@ -49,6 +49,12 @@ class CompleterTraining(TrainingRun):
     @classmethod
     def _recipe(cls, content: dict) -> CompleterRecipe:
         return CompleterRecipe.read(content)
+
+    def _extra(self) -> dict:
+        return {"earlier": self.earlier}
+
+    def _restore(self, found: dict) -> None:
+        self.earlier = found.get("earlier", 0)
 
     def _optimiser(self) -> torch.optim.Optimizer:
         how = {"lr": self.recipe.lr, "weight_decay": self.recipe.decay, "betas": (0.9, 0.98)}
@@ -108,12 +114,12 @@ def losses(made: Motion, truth: Motion, known: Tensor, seen: Tensor, scale: Tens
     columns = asked[..., state.owners()]
     squares = ((state.made(made) - state.made(truth)) / scale).square()
     rotations = squares[..., 3 : -len(truth.skeleton.contact_names)]
-    told = functional.binary_cross_entropy(made.contacts.clamp(1e-4, 1 - 1e-4), truth.contacts, reduction="none")
+    steps = (made.contacts - truth.contacts).square()
     return {
         "places": _mean(places, open_),
         "moves": _mean(moves, both),
         "rotations": _mean(rotations, columns[..., 3 : 3 + rotations.shape[-1]]),
-        "contacts": _mean(told, asked[..., -1:].expand_as(told)),
+        "contacts": _mean(steps, asked[..., -1:].expand_as(steps)),
     }
 
 

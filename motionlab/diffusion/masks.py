@@ -80,9 +80,9 @@ def draw_units(frames: int, count: int, generator: torch.Generator, kinds: Mappi
     its odds.
 
     nothing: all is unknown. frames: whole frames, each by the window's own chance. gap: all but a run of frames, which
-    may reach either end; between: which has ``_EDGE`` known frames or more on either side. joints: some joints, in all
-    frames. entries: other joints in every frame. legs: all but both legs, with or without the root's place. Contacts
-    are known with whole frames only.
+    may reach either end; between: which has ``_EDGE`` known frames or more on either side, in windows that are longer.
+    joints: some joints, in all frames. entries: other joints in every frame. legs: all but both legs, with or without
+    the root's place. Contacts are known with whole frames only.
 
     Raises:
         ValueError: an unknown kind, or odds that are not positive.

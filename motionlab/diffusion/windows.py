@@ -40,7 +40,7 @@ class Windows:
     people: Tensor | None = None
 
     def draw(self, count: int, generator: torch.Generator) -> Motion:
-        """Draws windows (count, length) evenly over all begins, each with its own body, mirrored at random."""
+        """Draws windows (count, length) evenly over begins, or people, each with its own body, mirrored at random."""
         return self.drawn(count, generator)[0]
 
     def drawn(self, count: int, generator: torch.Generator) -> tuple[Motion, Tensor]:

@@ -126,7 +126,7 @@ class ChainTraining(TrainingRun):
         torch.nn.init.zeros_(model.skip.weight)
         with torch.no_grad():
             model.decoder.net[-1].weight *= 0.1
-        if recipe.direct:
+        if recipe.direct and start is None:
             begun_linear(model, self.scales, *pairs)
         if start is not None:
             model = self.scales.unfolded(start).requires_grad_(requires_grad=True).train()

@@ -125,7 +125,8 @@ class Scales:
         return torch.autocast("cpu", torch.bfloat16, enabled=self.half)
 
     def folded(self, model: Cvae) -> Cvae:
-        """The model that computes the same from plain numbers, by its weights alone: the official architecture."""
+        """The model that computes the same from plain numbers, by its weights alone: the official architecture, but for
+        ``skip`` and ``direct``."""
         model = deepcopy(model)
         with torch.no_grad():
             encoding = _encoding(model)
