@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from motionlab import checkpoint, more, shipped, splits
+from motionlab import checkpoint, shipped, splits, train_completer
 from motionlab.diffusion import model
 from motionlab.diffusion import training as diffusion_training
 from motionlab.diffusion.denoiser import SIZES
@@ -22,7 +22,7 @@ from motionlab.motion import Motion
 def add_options(command: argparse.ArgumentParser) -> None:
     """Adds what ``train humor``, ``train small``, ``train diffusion``, ``train features``, ``train completer`` take."""
     command.add_argument(
-        "model", choices=("humor", "small", "diffusion", "features", *more.RECIPES),
+        "model", choices=("humor", "small", "diffusion", "features", *train_completer.RECIPES),
         help="transition prior; pose and first states; denoiser; what generated motion is judged in; what completes "
         "motions, trained until Ctrl-C",
     )  # fmt: skip
@@ -111,7 +111,7 @@ def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | m
 
 
 def _train(options: argparse.Namespace) -> int:
-    if options.model in more.RECIPES:
+    if options.model in train_completer.RECIPES:
         return _train_on(options)
     if options.model == "small":
         out, how = options.out or checkpoint.SHIPPED, {"seed": options.seed or 0, "name": options.preset or "compact"}
@@ -181,11 +181,11 @@ def _train_on(options: argparse.Namespace) -> int:
     asked = [name for name in ("preset", "size", "start", "resume") if getattr(options, name)]
     if asked:
         raise DataError(f"{options.model} takes no --{asked[0]}", remedy="--more goes on from --out")
-    recipe = more.RECIPES[options.model]
+    recipe = train_completer.RECIPES[options.model]
     recipe = replace(recipe, steps=options.steps or recipe.steps, seed=options.seed or 0)
     out = options.out or checkpoint.SHIPPED / options.model
     try:
-        more.go_on(options.model, recipe, options.data, out, more=options.more)
+        train_completer.go_on(options.model, recipe, options.data, out, more=options.more)
     except KeyboardInterrupt:
         print("stopped; the same command with --more goes on")
     return 0

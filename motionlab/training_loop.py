@@ -27,6 +27,12 @@ AFRESH = "start afresh, without --resume"
 Measure = Callable[[Any], dict[str, float]]
 
 
+def warmed_cosine(rate: float, step: int, steps: int, warm_up: int) -> float:
+    """Computes the learning rate at a step: it rises over ``warm_up`` steps and falls by a cosine to a fiftieth."""
+    warm = min(1.0, (step + 1) / max(warm_up, 1))
+    return rate * warm * (0.51 + 0.49 * math.cos(math.pi * step / steps))
+
+
 class TrainingRun(ABC):
     """A training run: everything that decides how it goes on.
 

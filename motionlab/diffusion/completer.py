@@ -28,10 +28,10 @@ from motionlab.errors import DataError, ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
+from motionlab.training_loop import warmed_cosine
 
 _TIMES = 2  # numbers that say how far the known frames around are
 _FAR = 2.0  # seconds that count as no such frame
-FLOOR = STANDARD.contact_names
 _WAVES = 8  # frequencies that an angle is told in
 #: Odds of each kind of mask in training.
 KINDS = (("between", 0.4), ("gap", 0.1), ("legs", 0.25), ("joints", 0.15), ("entries", 0.05), ("frames", 0.05))
@@ -70,8 +70,7 @@ class CompleterRecipe:
 
     def rate(self, step: int) -> float:
         """Computes the learning rate at a step."""
-        warm = min(1.0, (step + 1) / max(self.warm_up, 1))
-        return self.lr * warm * (0.51 + 0.49 * math.cos(math.pi * min(step / self.steps, 1.0)))
+        return warmed_cosine(self.lr, step, self.steps, self.warm_up)
 
 
 class Completer(nn.Module):
@@ -166,8 +165,7 @@ class Completer(nn.Module):
         """Computes motions (B, T) in the world from what is known of them; known rotations and places stay to the bit.
 
         The place and heading of the first frame are taken as given, known or not; contacts that a motion lacks are
-        unknown. generator: a ``noised`` model draws,
-        in so many steps; None: one answer, the mean as the network sees it.
+        unknown. generator: a ``noised`` model draws, in so many steps; None: one answer.
 
         Raises:
             ShapeError: windows of another length. ValueError: draws from a model without noise.
@@ -175,7 +173,9 @@ class Completer(nn.Module):
         if generator is not None and not self.recipe.noised:
             raise ValueError("this model has one answer and draws none")
         if motion.contacts is None:
-            motion = replace(motion, contacts=motion.root.new_zeros(*motion.root.shape[:-1], len(FLOOR)))
+            motion = replace(
+                motion, contacts=motion.root.new_zeros(*motion.root.shape[:-1], len(STANDARD.contact_names))
+            )
             known = torch.cat((known[..., :-1], torch.zeros_like(known[..., -1:])), -1)
         local, frame = stuck_root(motion)
         parts = []

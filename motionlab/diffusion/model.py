@@ -6,7 +6,6 @@ them. Nothing in them is executed.
 
 from __future__ import annotations
 
-import math
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
@@ -25,6 +24,7 @@ from motionlab.diffusion.sampling import NoiseSchedule, ddpm, noise_like
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.motion import FPS, Motion
 from motionlab.skeleton import Skeleton
+from motionlab.training_loop import warmed_cosine
 
 #: Fields that came after models had been made: recipes without them had none.
 _LATER = {"before", "blind", "guessed", "handles", "linear", "masks", "recalls", "root_unit"}
@@ -109,8 +109,7 @@ class DenoiserRecipe:
 
     def rate(self, step: int) -> float:
         """Computes the learning rate at a step."""
-        warm = min(1.0, (step + 1) / max(self.warm_up, 1))
-        return self.lr * warm * (0.51 + 0.49 * math.cos(math.pi * step / self.steps))
+        return warmed_cosine(self.lr, step, self.steps, self.warm_up)
 
     def denoiser(self) -> Denoiser | Spectral | Linear:
         """Builds a new network; its weights come from torch's global generator.
