@@ -3,10 +3,9 @@
     keep = kept(motion, frames={0, 45, 90})
     made = inbetween(motion, keep)            # made.motion, made.notes
 
-What is kept stays bit for bit. The rest is first drawn by curves on the motion's own joints; a network, or the nearest
-motion that it recalls, then corrects them on the 22 standard joints, at its own rate and in its own windows, and feet
-that stand are planted. Only the turn by which a standard joint is corrected goes back to the joint that it stands for:
-no pose is retargeted there and back.
+What is kept stays bit for bit. The rest is first drawn by curves on the motion's own joints; a network then corrects
+them on the 22 standard joints, at its own rate and in its own windows, and feet that stand are planted. Only the turn
+by which a standard joint is corrected goes back to the joint that it stands for: no pose is retargeted there and back.
 
 Source: thesis 4.2.1 (in-betweening, occluded legs), 4.4.1 (seams); inertialisation (Bollo 2018) for the curves.
 """
@@ -24,17 +23,14 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.body import BodyModel
 from motionlab.corrections import Fill, Keep, Standard, by_windows, pasted, runs
-from motionlab.diffusion.inpainting import Way, offset_decay, repair
-from motionlab.diffusion.masks import units
-from motionlab.diffusion.model import Trained, motion_model
+from motionlab.diffusion import completer
 from motionlab.errors import DataError
-from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import FPS, Motion
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD
 
-METHODS = ("network", "curves", "nearest")
-TOLD, RECALLS = "diffusion_real_told", "diffusion_told"  # the network, and whose training windows are recalled
+METHODS = ("network", "curves")
+NETWORK, DRAWS = "completer", "completer_draws"  # of one answer, and of draws
 GROUPS = {"legs": ("left_hip", "right_hip"), "arms": ("left_shoulder", "right_shoulder")} | {
     f"{side}_{limb}": (f"{side}_{top}",)
     for side in ("left", "right") for limb, top in (("leg", "hip"), ("arm", "shoulder"))
@@ -134,7 +130,7 @@ def inbetween(
     keep: Keep,
     *,
     method: str | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     plant: bool = True,
     progress: bool = False,
 ) -> Animated:
@@ -143,7 +139,8 @@ def inbetween(
     Before the first kept frame and behind the last one curves hold the pose; the network goes on from motion that is
     kept there.
 
-    method: one of ``METHODS``; None: the one that is measured best for the longest gap (``_usual_method``).
+    method: one of ``METHODS``; None: the one that is measured best for the longest gap (``_usual_method``). seed: the
+    network draws one of the motions that are possible; None: it gives the one answer that is closest on average.
 
     Raises:
         DataError: no frame is kept; a skeleton whose joints are not known (with ``curves`` that is a note); or no such
@@ -162,12 +159,12 @@ def inbetween(
     try:
         body = Standard.of(motion, drawn, keep)
     except DataError as error:
-        if method in ("network", "nearest"):
+        if method == "network":
             raise
         return Animated(drawn, ("method: curves, without planted feet, as its joints are not known", str(error)))
     made = body.joints
     if chosen != "curves":
-        fill = by_windows(_filler(chosen, seed), body.lacking, progress)
+        fill = by_windows(_network(seed), body.lacking, progress)
         rate = min(FPS, _MOST / gap) if gap else FPS
         keys, time = keep.frames.nonzero()[:, 0], torch.arange(motion.frames)
         between = (time > keys[0]) & (time < keys[-1])
@@ -179,21 +176,17 @@ def completed(
     motion: Motion,
     hidden: Sequence[str],
     *,
-    method: str | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     plant: bool = True,
     progress: bool = False,
 ) -> Animated:
     """Computes the joints that ``hidden`` names (see :func:`found_joints`), in all frames; what they hold is not read.
 
-    The floor is taken to be at z = 0, and the root as known. method: "network" (default) or "nearest".
+    The floor is taken to be at z = 0, and the root as known. seed: as of :func:`inbetween`.
 
     Raises:
-        DataError: an unknown joint, the root, a skeleton whose joints are not known; or a method that cannot do it.
+        DataError: an unknown joint, the root, or a skeleton whose joints are not known.
     """
-    chosen = _checked(method or "network")
-    if chosen == "curves":
-        raise DataError("curves know nothing of a joint that is never seen", place="--method", remedy="use network")
     hide = found_joints(motion, hidden)
     if not hide or 0 in hide:
         remedy = f"name some below the root, such as {', '.join(GROUPS)}"
@@ -204,11 +197,17 @@ def completed(
     why = "how close these joints come to the true ones was not measured"
     if hide >= {own for j, own in body.mapped.items() if STANDARD.names[j] in _LEGS}:
         why = "hidden legs came out 15 cm off on 15 people whom it had never seen"
-        why += " (legs of the most similar recording: 27 cm off)"
-    made = body.corrected(by_windows(_filler(chosen, seed, steps=2), body.lacking, progress))
-    asked = "" if chosen == "network" else ", as asked; the default is network"
-    note = f"method: {chosen}{asked}; {why}"
+    made = body.corrected(by_windows(_network(seed), body.lacking, progress))
+    note = f"method: network; {why}"
     return Animated(body.back(made, plant=plant), (note, "the floor is taken to be at height 0", *body.notes(plant)))
+
+
+def _network(seed: int | None) -> Fill:
+    """Fills windows (B, 60) by one answer, or by a draw."""
+    if seed is None:
+        return completer.load(NETWORK).complete
+    generator, model = torch.Generator().manual_seed(seed), completer.load(DRAWS)
+    return lambda motion, known: model.complete(motion, known, generator)
 
 
 def _usual_method(gap: float, beyond: float) -> tuple[str, str]:
@@ -297,34 +296,6 @@ def _fading(since: Tensor, width: Tensor, fade: float) -> Tensor:
     n = width.clamp(max=max(fade, 1.0))
     u = (since / n).clamp(0, 1)
     return n * (u**3 - 2 * u**2 + u)
-
-
-# ----------------------------------------------------------------------------------------------------- methods
-def _filler(method: str, seed: int, steps: int = 1) -> Fill:
-    """Fills windows (B, 60) by a method; see :func:`_by_windows`."""
-    generator = torch.Generator().manual_seed(seed)
-    if method == "network":
-        model = motion_model(TOLD)
-        return lambda motion, known: repair(
-            model, motion, known[..., units(model.layout)], generator, Way(put="nothing", steps=steps)
-        )
-    model = motion_model(RECALLS)
-    return lambda motion, known: _nearest(model, motion, known[..., units(model.layout)])
-
-
-def _nearest(model: Trained, motion: Motion, known: Tensor) -> Motion:
-    """The training window that a model recalls whose known numbers are nearest, its offset faded over ten frames."""
-    start = model.denoiser.start
-    x, (_, frame) = model.encode(motion), stuck_root(motion)
-    made = []
-    for row, mask in zip(x, known, strict=True):
-        f = start.factor[mask.flatten()]
-        off = (row.flatten() - start.mean)[mask.flatten()]
-        far = ((start.codes @ (f.mT @ f)) * start.codes).sum(-1) - 2 * start.codes @ (f.mT @ off)
-        whole = start.mean + start.factor @ start.codes[far.argmin()]
-        made.append(whole.unflatten(0, row.shape))
-    rows = offset_decay(torch.stack(made), torch.where(known, x, 0.0), known.to(x), 10)
-    return local_to_world(frame, model.decode(rows, STANDARD))
 
 
 # ------------------------------------------------------------------------------------------------------ widget

@@ -100,7 +100,7 @@ def repaired(
         spans = ", ".join(f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in runs(jumps))
         notes.append(f"frames that jump: {spans}; they are made anew from those around")
         keep = Keep(~jumps, torch.zeros(len(motion.skeleton), dtype=torch.bool))
-        found = inbetween(motion, keep, method=method, seed=seed, plant=plant and not noisy, progress=progress)
+        found = inbetween(motion, keep, method=method, plant=plant and not noisy, progress=progress)
         motion = found.motion
         if not noisy:
             return Animated(motion, (*notes, *found.notes))
@@ -153,18 +153,14 @@ def _denoised(given: Motion, rough: Motion, noise: Noise, seed: int, progress: b
 
 
 # -------------------------------------------------------------------------------------------- from a few joints
-def posed(
-    motion: Motion, known: Sequence[str], *, method: str = "network", seed: int = 0, plant: bool = True
-) -> Animated:
+def posed(motion: Motion, known: Sequence[str], *, seed: int = 0, plant: bool = True) -> Animated:
     """Computes a motion (T) of which only the places of some joints are known, and where it stands and faces.
 
     Every pose is completed by itself, calmed over time, and brought to the places by inverse kinematics.
 
     Raises:
-        DataError: an unknown joint or one that no standard joint stands for; or another method than network.
+        DataError: an unknown joint or one that no standard joint stands for.
     """
-    if method != "network":
-        raise DataError(f"{method} completes no poses", place="--method", remedy="use network")
     names = retarget(motion.cut(0, 1), floor=False).names
     owners = {motion.skeleton.index(own): standard for standard, own in names.items()}
     joints = sorted(found_joints(motion, known))

@@ -9,22 +9,24 @@ from pathlib import Path
 
 import torch
 
-from motionlab import checkpoint, shipped, splits, train_completer
+from motionlab import checkpoint, shipped, splits, train_completer, train_more, train_prior
 from motionlab.diffusion import model
 from motionlab.diffusion import training as diffusion_training
 from motionlab.diffusion.denoiser import SIZES
 from motionlab.errors import DataError
-from motionlab.humor import chain_training, examples, pretrained, training
+from motionlab.humor import examples, training
 from motionlab.humor.cvae import Cvae, official_weights
 from motionlab.motion import Motion
 
+_COURSES = dict.fromkeys(train_completer.RECIPES, train_completer) | dict.fromkeys(train_prior.RECIPES, train_prior)
+
 
 def add_options(command: argparse.ArgumentParser) -> None:
-    """Adds what ``train humor``, ``train small``, ``train diffusion``, ``train features``, ``train completer`` take."""
+    """Adds what ``train NAME`` takes."""
     command.add_argument(
-        "model", choices=("humor", "small", "diffusion", "features", *train_completer.RECIPES),
+        "model", choices=("humor", "small", "diffusion", "features", *_COURSES),
         help="transition prior; pose and first states; denoiser; what generated motion is judged in; what completes "
-        "motions, trained until Ctrl-C",
+        "motions, and the transition prior of hours of recordings, trained until Ctrl-C",
     )  # fmt: skip
     command.add_argument(
         "--preset", choices=[name for presets in _presets().values() for name in presets],
@@ -39,13 +41,18 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, help="default: the checkpoint that ships")
     command.add_argument("--start", type=Path, help="a checkpoint to begin from (default: the preset's, if any)")
     command.add_argument("--resume", action="store_true", help="go on with a run that was stopped, as it was begun")
-    command.add_argument("--more", action="store_true", help="completer: go on from the kept run or what ships")
+    command.add_argument(
+        "--more", action="store_true", help=f"{', '.join(_COURSES)}: go on from the kept run, or what ships"
+    )
     command.set_defaults(run=_train)
 
 
 def _presets() -> dict[str, dict]:
-    humor = training.PRIOR_PRESETS | chain_training.CHAIN_PRESETS
-    found = {"humor": humor, "diffusion": shipped.DENOISER_PRESETS, "features": shipped.FEATURE_PRESETS}
+    found = {
+        "humor": training.PRIOR_PRESETS,
+        "diffusion": shipped.DENOISER_PRESETS,
+        "features": shipped.FEATURE_PRESETS,
+    }
     return found | {"small": dict.fromkeys(("compact", "real"))}
 
 
@@ -92,11 +99,10 @@ def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | m
     if options.preset not in presets:
         raise DataError(f"{options.model} has no preset {options.preset!r}", remedy=f"choose {', '.join(presets)}")
     kind = training.PriorTraining if options.model == "humor" else diffusion_training.DenoiserTraining
-    kind = chain_training.ChainTraining if options.preset in chain_training.CHAIN_PRESETS else kind
     recipe, before = presets[options.preset], kind.kept_recipe(kept) if options.resume else None
     if options.size and not isinstance(getattr(recipe, "size", None), str):
         raise DataError(f"{options.model} has no sizes", remedy="leave --size out")
-    for name in ("steps", "seed", "size", "direct"):  # the last is that of the model it began from
+    for name in ("steps", "seed", "size"):
         if not hasattr(recipe, name):
             continue
         value = getattr(options, name, None)
@@ -111,7 +117,7 @@ def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | m
 
 
 def _train(options: argparse.Namespace) -> int:
-    if options.model in train_completer.RECIPES:
+    if options.model in _COURSES:
         return _train_on(options)
     if options.model == "small":
         out, how = options.out or checkpoint.SHIPPED, {"seed": options.seed or 0, "name": options.preset or "compact"}
@@ -141,8 +147,6 @@ def _train(options: argparse.Namespace) -> int:
         how = {"resume": options.resume, "command": made, "recordings": found, "start": start}
         shipped.make(recipe, options.data, out, kept, **how)
         return 0
-    if options.preset in chain_training.CHAIN_PRESETS:
-        return _train_chains(recipe, options, out, kept)
     train, held = _training_sources(options.data)
     data = examples.examples(_together(train, recipe), recipe.length + 1)
     run = training.PriorTraining.resume(kept, data) if options.resume else training.PriorTraining(recipe, data)
@@ -177,48 +181,18 @@ def _train(options: argparse.Namespace) -> int:
 
 
 def _train_on(options: argparse.Namespace) -> int:
-    """Trains a completer until Ctrl-C."""
+    """Trains until Ctrl-C."""
     asked = [name for name in ("preset", "size", "start", "resume") if getattr(options, name)]
     if asked:
         raise DataError(f"{options.model} takes no --{asked[0]}", remedy="--more goes on from --out")
-    recipe = train_completer.RECIPES[options.model]
+    home = _COURSES[options.model]
+    recipe = home.RECIPES[options.model]
     recipe = replace(recipe, steps=options.steps or recipe.steps, seed=options.seed or 0)
     out = options.out or checkpoint.SHIPPED / options.model
     try:
-        train_completer.go_on(options.model, recipe, options.data, out, more=options.more)
+        train_more.go_on(home.Course(options.model, recipe, options.data), out, more=options.more)
     except KeyboardInterrupt:
         print("stopped; the same command with --more goes on")
-    return 0
-
-
-def _train_chains(recipe: chain_training.ChainRecipe, options: argparse.Namespace, out: Path, kept: Path) -> int:
-    """Trains a transition prior on a corpus of recordings and on synthetic motion; its curve is of the people that
-    choose."""
-    found = shipped.real_motions(options.data)
-    motions, lacking = ([x for some in each.values() for x in some] for each in (found.train, found.missing))
-    data = examples.live_examples(motions, recipe.length + 1, lacking)
-    kind, start = chain_training.ChainTraining, options.start
-    first = pretrained.load_motion_prior(str(start)) if start and not options.resume else None
-    run = kind.resume(kept, data) if options.resume else kind(recipe, data, first)
-    held = splits.state_windows(found.held["people who choose"], most=96, causal=True)
-
-    def validate(model: Cvae) -> dict[str, float]:
-        return training.quality_row(model, *held)
-
-    run.run(keep=kept, every=500, validate=validate, progress=True)
-    minutes = {name: sum(m.seconds for m in some) / 60 for name, some in found.train.items()}
-    about = {
-        "made by": f"python -m motionlab train humor --preset {options.preset} --steps {recipe.steps} "
-        f"--seed {recipe.seed} --data FOLDER" + (" --start CHECKPOINT" if options.start else ""),
-        "recipe": asdict(run.recipe), "minutes of motion, before mirroring": minutes, "examples": data.digest,
-        "people": found.people, "torch": torch.__version__,
-        "quality, people who choose": training.quality_row(run.averaged, *held), "curve": run.curve,
-        **({"began from": checkpoint.read_recipe(start)} if start else {}),
-    }  # fmt: skip
-    halves = {n: x if n.startswith(("skip", "direct")) else x.half() for n, x in official_weights(run.averaged).items()}
-    checkpoint.save(out, halves, about)
-    kept.unlink()
-    print(f"{out.with_suffix('.safetensors')}: {run.step} steps")
     return 0
 
 

@@ -33,6 +33,11 @@ def warmed_cosine(rate: float, step: int, steps: int, warm_up: int) -> float:
     return rate * warm * (0.51 + 0.49 * math.cos(math.pi * step / steps))
 
 
+def fast_halves(device: torch.device) -> bool:
+    """Whether bfloat16 is faster there: on a GPU, or a processor with AVX512-BF16; on others it is slower."""
+    return device.type != "cpu" or torch.cpu._is_avx512_bf16_supported()
+
+
 class TrainingRun(ABC):
     """A training run: everything that decides how it goes on.
 
@@ -40,8 +45,8 @@ class TrainingRun(ABC):
     that stays at each step. model, average: its weights, and their moving average. generator: everything random is
     drawn from it. curve: rows of step, loss, its parts and measures. best: step, measure and averaged weights that
     the judge liked best, if there was one. skipped, in_a_row: batches without a finite gradient, all and since a good
-    one; the run ends at ``give_up`` in a row. clip: largest norm of the gradient; None: as it is. rank: of this
-    process among several; the first one measures and writes.
+    one; the run ends at ``give_up`` in a row. earlier: steps that its first weights had behind them. clip: largest norm
+    of the gradient; None: as it is. rank: of this process among several; the first one measures and writes.
     """
 
     #: What the run is trained on, as errors and saved runs call it.
@@ -56,7 +61,7 @@ class TrainingRun(ABC):
         self.optimiser = self._optimiser()
         self.curve: list[dict] = []
         self.best: dict | None = None
-        self.step = self.skipped = self.in_a_row = 0
+        self.step = self.skipped = self.in_a_row = self.earlier = 0
         self._whole()
 
     @abstractmethod
@@ -214,7 +219,7 @@ class TrainingRun(ABC):
             "recipe": asdict(self.recipe), self.data_name: self.digest, "step": self.step, "curve": self.curve,
             "model": self.model.state_dict(), "average": self.average, "best": self.best,
             "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
-            "skipped": (self.skipped, self.in_a_row),
+            "skipped": (self.skipped, self.in_a_row), "earlier": self.earlier,
         }  # fmt: skip
         torch.save(content | self._extra(), part)
         part.replace(path)
@@ -249,6 +254,7 @@ class TrainingRun(ABC):
             run.generator.set_state(found["generator"])
             run.step, run.curve, run.best = found["step"], found["curve"], found["best"]
             run.skipped, run.in_a_row = found["skipped"]
+            run.earlier = found.get("earlier", 0)
             run._restore(found)
             run._whole()
         return run

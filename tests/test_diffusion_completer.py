@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import rotation, train_completer
+from motionlab import rotation, train_completer, train_more
 from motionlab.bench import cases, judge
 from motionlab.bench.person_windows import PersonWindows
 from motionlab.diffusion import completer, masks, state
@@ -278,37 +278,41 @@ def test_the_energy_score_rewards_draws_about_the_truth(people):
 def here(tmp_path, monkeypatch):
     """A folder to train in, with a cache of its own."""
     monkeypatch.setenv("MOTIONLAB_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(train_completer, "_give_way", lambda: None)
+    monkeypatch.setattr(train_more, "_give_way", lambda: None)
     monkeypatch.chdir(tmp_path)
     return Path("mine")
 
 
 def kept_in(here: Path) -> Path:
-    return train_completer._kept("completer", here)
+    return train_more._kept("completer", here)
 
 
 def test_training_writes_what_is_better_only(motions, people, here):
     data = gather([on_standard(m) for m in motions], judge.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
     recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1)
-    how = {"data": (data, people), "every": 2, "schedules": 1}
-    train_completer.go_on("completer", recipe, None, here, **how)
+    how = {"every": 2, "schedules": 1}
+    train_more.go_on(train_completer.Course("completer", recipe, None, (data, people)), here, **how)
     content = here.with_suffix(".safetensors").read_bytes()
     for again in (True, False):  # goes on from what is there, or begins anew, and spoils it: the file stays
         kept_in(here).unlink()
-        train_completer.go_on("completer", replace(recipe, lr=1e3), None, here, more=again, **how)
+        train_more.go_on(
+            train_completer.Course("completer", replace(recipe, lr=1e3), None, (data, people)), here, more=again, **how
+        )
         assert here.with_suffix(".safetensors").read_bytes() == content
     assert CompleterTraining.resume(kept_in(here), data).recipe.lr == 1e3
     with pytest.raises(DataError, match="not a completer_draws"):
-        train_completer.go_on("completer_draws", replace(recipe, noised=True), None, here, **how)
+        train_more.go_on(
+            train_completer.Course("completer_draws", replace(recipe, noised=True), None, (data, people)), here, **how
+        )
     with pytest.raises(DataError, match="--data"):
-        train_completer.learnt_from(None)
+        train_more.learnt_from(None, judge.FRAMES)
 
 
 def test_training_that_was_killed_goes_on_as_if_it_had_not_been(motions, people, here, monkeypatch):
     """At step 3 of 4: the resumed run ends with the weights of one that nobody stopped."""
     data = gather([on_standard(m) for m in motions], judge.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
     recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1)
-    how = {"data": (data, people), "every": 2, "schedules": 1}
+    how = {"every": 2, "schedules": 1}
     whole = CompleterTraining(recipe, data)
     for _ in range(4):
         whole.advance()
@@ -321,9 +325,9 @@ def test_training_that_was_killed_goes_on_as_if_it_had_not_been(motions, people,
 
     monkeypatch.setattr(CompleterTraining, "advance", killed)
     with pytest.raises(KeyboardInterrupt):
-        train_completer.go_on("completer", recipe, None, here, **how)
+        train_more.go_on(train_completer.Course("completer", recipe, None, (data, people)), here, **how)
     monkeypatch.setattr(CompleterTraining, "advance", advance)
-    train_completer.go_on("completer", recipe, None, here, **how)
+    train_more.go_on(train_completer.Course("completer", recipe, None, (data, people)), here, **how)
     made = CompleterTraining.resume(kept_in(here), data)
     assert made.step == 4
     assert all(torch.equal(x, made.model.state_dict()[name]) for name, x in whole.model.state_dict().items())

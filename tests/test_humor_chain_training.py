@@ -9,8 +9,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from motionlab.errors import DataError
-from motionlab.humor import training
-from motionlab.humor.chain_training import CHAIN_PRESETS, ChainRecipe, ChainTraining
+from motionlab.humor import chain_training, training
+from motionlab.humor.chain_training import ChainRecipe, ChainTraining
 from motionlab.humor.cvae import Cvae, from_weights, official_weights
 from motionlab.humor.examples import live_examples
 from motionlab.humor.state import (
@@ -29,7 +29,7 @@ from motionlab.motion import mirror
 from motionlab.skeleton import STANDARD
 from tests.draws import seeded
 
-SMALL = ChainRecipe(width=64, steps=8, batch=10, length=3, chain=2, half=False, seed=5)
+SMALL = ChainRecipe(width=64, steps=8, batch=10, length=3, chain=2, seed=5)
 FEET = [STANDARD.index(f"{side}_foot") for side in ("left", "right")]
 
 
@@ -149,7 +149,7 @@ def test_the_loss_falls(data):
     run = ChainTraining(replace(SMALL, steps=40, batch=20, lr=1e-2, supervised=1.0, sampled=2.0), data)
     rows = [run.advance() for _ in range(40)]
     first, last = ({name: np.mean([row[name] for row in some]) for name in rows[0]} for some in (rows[:5], rows[-5:]))
-    assert last["loss"] < 0.6 * first["loss"] and last["reconstruction"] < 0.9 * first["reconstruction"]
+    assert last["loss"] < 0.8 * first["loss"] and last["reconstruction"] < 0.9 * first["reconstruction"]
 
 
 def test_a_stopped_run_goes_on_to_the_bit(motions, data, tmp_path):
@@ -169,15 +169,10 @@ def test_a_stopped_run_goes_on_to_the_bit(motions, data, tmp_path):
 
 @pytest.mark.parametrize(("opened", "free"), [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5)])
 def test_chains_of_every_mix_of_kinds_learn(data, opened, free):
-    run = ChainTraining(replace(SMALL, opened=opened, free=free, steps=3, half=True), data)
+    run = ChainTraining(replace(SMALL, opened=opened, free=free, steps=3), data)
     rows = [run.advance() for _ in range(3)]
     assert all(np.isfinite(value) for row in rows for value in row.values()) and rows[0]["kl"] > 0
     assert {value.dtype for value in run.averaged.state_dict().values()} == {torch.float32}
-
-
-def test_presets_are_recipes_that_a_model_can_have():
-    assert {name: recipe.width for name, recipe in CHAIN_PRESETS.items()} == {"real": 512, "real_wide": 1024}
-    assert all(recipe.opened + recipe.free < 1 and recipe.length >= recipe.chain for recipe in CHAIN_PRESETS.values())
 
 
 # --------------------------------------------------------------------------------------- the layer past the decoder
@@ -215,22 +210,23 @@ def test_scales_fold_into_the_weights_exactly(transitions):
         assert left[:, SLICES[name]].std() < 0.3 * (now - past)[:, SLICES[name]].std()
 
 
-def test_z_begins_as_the_change(data, transitions):
+def test_z_begins_as_the_change(data, transitions, monkeypatch):
     """Shown the answer, a model that has learnt nothing yet makes it to a fifth of what going on at the velocity
     leaves; one with random layers to and from z does not."""
     past, now = (x.float() for x in transitions)
     left = {}
-    for direct in (True, False):
-        model = ChainTraining(replace(SMALL, direct=direct), data).averaged
+    for begun in (True, False):
+        if not begun:
+            monkeypatch.setattr(chain_training, "begun_linear", lambda *_: None)
+        model = ChainTraining(SMALL, data).averaged
         after, _ = apply(past, model.decode(past, model.posterior(past, now).mean))
-        left[direct] = (unpack(after)["joints"] - unpack(now)["joints"]).norm(dim=-1).mean()
+        left[begun] = (unpack(after)["joints"] - unpack(now)["joints"]).norm(dim=-1).mean()
     plain = (unpack(onward(transitions[0]))["joints"] - unpack(transitions[1])["joints"]).norm(dim=-1).mean()
     assert left[True] < 0.2 * plain and left[False] > 0.8 * plain
 
 
-@pytest.mark.parametrize("direct", [False, True])
-def test_training_goes_on_from_a_models_weights(data, direct):
-    first = ChainTraining(replace(SMALL, direct=direct), data)
+def test_training_goes_on_from_a_models_weights(data):
+    first = ChainTraining(SMALL, data)
     for _ in range(3):
         first.advance()
     run = ChainTraining(SMALL, data, first._made(first.model.state_dict()))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from motionlab.animate import Animated
     from motionlab.motion import Motion
 
-_METHODS = ("network", "curves", "nearest")
+_METHODS = ("network", "curves")
 _IN = f"a motion ({READ}), or a folder: of it all {' '.join(WRITTEN)}"
 _OUT = f"a file ({' '.join(WRITTEN)}; the format of IN keeps the file's own numbers), or for a folder another folder"
 
@@ -38,14 +38,13 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     command.add_argument(
         "--noise", type=_noise, metavar="auto|DEGREES[,MM]", help="of joints and root (default: auto, as measured)"
     )
-    command.add_argument("--method", choices=_METHODS[:2], help="default: network; for jumps as of inbetween")
+    command.add_argument("--method", choices=_METHODS, help="default: network; for jumps as of inbetween")
 
     example = "walk.bvh --hidden legs --out completed.bvh"
     command = _command(commands, "complete", "make joints that are missing or wrong", example, _complete)
     which = command.add_mutually_exclusive_group(required=True)
     which.add_argument("--hidden", type=_words, help="joints to make: legs, left_arm, right_knee, ...; others stay")
     which.add_argument("--known", type=_words, help="joints whose places alone are known: left_wrist,head, ...")
-    command.add_argument("--method", choices=("network", "nearest"), default="network", help="default: network")
 
     text, example = "make new motions, or what may follow on one", "generate --seconds 4 --count 2 --out made/"
     command = add_command(commands, "generate", text, example, _generate)
@@ -72,7 +71,7 @@ def _command(
 
 
 def _usual(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--seed", type=_seed, default=0, help="of what is drawn at random (default 0)")
+    command.add_argument("--seed", type=_seed, help="another possible motion for every number; none: the likeliest")
     command.add_argument("--no-planting", dest="plant", action="store_false", help="leave sliding feet alone")
     add_axes(command)
 
@@ -169,17 +168,16 @@ def _repair(options: argparse.Namespace, motion: Motion, progress: bool) -> Anim
     from motionlab.diffusion.denoising import Noise
 
     noise = None if options.noise is None else Noise.of(options.noise[0], options.noise[1] / 10)
-    how = {"method": options.method, "seed": options.seed, "plant": options.plant}
+    how = {"method": options.method, "seed": options.seed or 0, "plant": options.plant}
     return renew.repaired(motion, noise, progress=progress, **how)
 
 
 def _complete(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
     from motionlab import animate, renew
 
-    how = {"method": options.method, "seed": options.seed, "plant": options.plant}
     if options.known:
-        return renew.posed(motion, options.known, **how)
-    return animate.completed(motion, options.hidden or [], progress=progress, **how)
+        return renew.posed(motion, options.known, seed=options.seed or 0, plant=options.plant)
+    return animate.completed(motion, options.hidden or [], seed=options.seed, plant=options.plant, progress=progress)
 
 
 def _generate(options: argparse.Namespace) -> int:
@@ -196,9 +194,9 @@ def _generate(options: argparse.Namespace) -> int:
     suffix = suffix if suffix in WRITTEN else ".bvh"
     how = {"start": start, "plant": options.plant, "progress": is_watched()}
     made, said = {}, []
-    for k in range(options.count):  # each is on disk before the next is begun
-        found = renew.generated(options.seconds, seed=options.seed + k, **how)
-        target = options.out / f"generated_{options.seed + k}{suffix}"
+    for k in range(options.seed or 0, (options.seed or 0) + options.count):  # each is on disk before the next is begun
+        found = renew.generated(options.seconds, seed=k, **how)
+        target = options.out / f"generated_{k}{suffix}"
         made[target.name] = found.motion
         for note in (*found.notes, write_back(options.start, target, start, found.motion)):
             if note not in said:  # once, though it is true of all

@@ -1,7 +1,8 @@
 """Trains a completer: windows by person, every kind of mask, and the distance of joints as its loss.
 
 Losses: distance of every joint whose place is open (metres, x 5) and of its velocity (metres a frame, x 10), squared
-errors of open 6-D numbers and contacts. Source: thesis 4.1.2, whose denoiser has the same parts.
+errors of open 6-D numbers and contacts. A diffusion model has to say means, so that its distances are squared, too
+(over 0.2 m, and over 3 cm a frame). Source: thesis 4.1.2, whose denoiser has the same parts.
 """
 
 from __future__ import annotations
@@ -18,23 +19,23 @@ from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.windows import Windows
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion
-from motionlab.training_loop import TrainingRun
+from motionlab.training_loop import TrainingRun, fast_halves
 
 _MEASURED = 2000  # windows that the sizes of numbers are measured on
 _WEIGHTS = {"places": 5.0, "moves": 10.0, "rotations": 1.0, "contacts": 0.3}
+_SQUARED = {"places": 1 / 0.2, "moves": 1 / 0.03}  # per metre
 _SILENT = 0.3  # of windows: contacts are told nowhere, as of motion that nobody labelled
 _EVERY = torch.ones(state.UNITS, dtype=torch.bool)
 
 
 class CompleterTraining(TrainingRun):
-    """A training run of a completer. start: the model to begin from, with its sizes of numbers; None: new weights.
-    earlier: steps that its weights have behind them."""
+    """A training run of a completer. start: the model to begin from, with its sizes of numbers; None: new weights."""
 
     data_name = "windows"
     give_up = 20
 
     def __init__(self, recipe: CompleterRecipe, windows: Windows, start: Completer | None = None) -> None:
-        self.windows, self.earlier = windows, 0
+        self.windows = windows
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
             model = Completer(recipe)
@@ -44,17 +45,12 @@ class CompleterTraining(TrainingRun):
             some = stuck_root(windows.draw(_MEASURED, torch.Generator().manual_seed(0)))[0]
             units = state.Units.measure(state.rows(some))
             model.mean.copy_(units.mean), model.scale.copy_(units.scale)
+        model.halves = fast_halves(model.mean.device)
         super().__init__(recipe, windows.digest, torch.Generator().manual_seed(recipe.seed), model)
 
     @classmethod
     def _recipe(cls, content: dict) -> CompleterRecipe:
         return CompleterRecipe.read(content)
-
-    def _extra(self) -> dict:
-        return {"earlier": self.earlier}
-
-    def _restore(self, found: dict) -> None:
-        self.earlier = found.get("earlier", 0)
 
     def _optimiser(self) -> torch.optim.Optimizer:
         how = {"lr": self.recipe.lr, "weight_decay": self.recipe.decay, "betas": (0.9, 0.98)}
@@ -66,6 +62,7 @@ class CompleterTraining(TrainingRun):
     def _made(self, weights: dict[str, Tensor]) -> Completer:
         model = deepcopy(self.model).eval().requires_grad_(False)
         model.load_state_dict(weights)
+        model.halves = False
         return model
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
@@ -85,7 +82,7 @@ class CompleterTraining(TrainingRun):
         with torch.random.fork_rng(devices=[]):  # what dropout draws from
             torch.manual_seed(int(torch.randint(2**31, (), generator=self.generator)))
             made = self.model.filled(motion, known, *self._noise(len(clips)))
-        parts = losses(made, motion, known, seen, self.model.units.made[1])
+        parts = losses(made, motion, known, seen, self.model.units.made[1], squared=recipe.noised)
         return sum(_WEIGHTS[name] * part for name, part in parts.items()), parts
 
     def _noise(self, count: int) -> tuple[Tensor, Tensor] | tuple[()]:
@@ -98,17 +95,24 @@ class CompleterTraining(TrainingRun):
         return torch.where(blind, math.pi / 2, angle), noise
 
 
-def losses(made: Motion, truth: Motion, known: Tensor, seen: Tensor, scale: Tensor) -> dict[str, Tensor]:
+def losses(
+    made: Motion, truth: Motion, known: Tensor, seen: Tensor, scale: Tensor, *, squared: bool = False
+) -> dict[str, Tensor]:
     """Computes the parts of the loss of windows (B, T), each window's mean over what was open in it.
 
     known (B, T, ``UNITS``), seen (B, ``UNITS``): units that were told, and that were recorded at all. What was not
-    recorded counts as right: its rotation is made up, but the places of the joints above it are not.
+    recorded counts as right: its rotation is made up, but the places of the joints above it are not. squared: distances
+    of joints are.
     """
     told = known | ~seen[:, None]
     open_ = state.open_places(told).float()
     whole = replace(made, rot=torch.where(told[..., :-2, None, None], truth.rot, made.rot))
     off = whole.positions - truth.positions
-    places, moves = (x.square().sum(-1).add(1e-6).sqrt() for x in (off, off.diff(dim=1)))
+    places, moves = (x.square().sum(-1) for x in (off, off.diff(dim=1)))
+    if squared:
+        places, moves = places * _SQUARED["places"], moves * _SQUARED["moves"]
+    else:
+        places, moves = (x.add(1e-6).sqrt() for x in (places, moves))
     both = torch.maximum(open_[:, 1:], open_[:, :-1])
     asked = (~known & seen[:, None]).float()
     columns = asked[..., state.owners()]

@@ -31,7 +31,7 @@ from motionlab.humor.examples import LiveExamples
 from motionlab.humor.state import DELTA, DELTA_SLICES, ONWARD, SHAPES, apply, globalise, heading, localise, unpack
 from motionlab.humor.training import ERROR_UNITS, Scales, _huber, _transition_pairs
 from motionlab.skeleton import STANDARD, fk
-from motionlab.training_loop import TrainingRun
+from motionlab.training_loop import TrainingRun, fast_halves
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,7 @@ class ChainRecipe:
     width: of the networks. steps: of the optimiser. batch: chains of ``length`` transitions; opened, free: shares of
     them of these kinds. chain: transitions that gradients flow through. supervised, sampled: shares of the steps that
     see the truth, and by which it has faded out. kl: weight per nat; annealed: share of the steps over which it grows
-    to that. kinematics, contact, slide: weights of those losses. average: of the weights, per step. half: networks in
-    bfloat16. direct: z begins as the principal components of the change (:func:`begun_linear`).
+    to that. kinematics, contact, slide: weights of those losses. average: of the weights, per step.
     """
 
     width: int = 512
@@ -61,12 +60,7 @@ class ChainRecipe:
     contact: float = 0.7
     slide: float = 0.1
     average: float = 0.999
-    half: bool = True
-    direct: bool = False
     seed: int = 0
-
-
-CHAIN_PRESETS = {"real": ChainRecipe(direct=True), "real_wide": ChainRecipe(width=1024, lr=1.5e-3, direct=True)}
 
 
 _SURE = -3.0  # log variance of z at first, from the posterior
@@ -107,7 +101,8 @@ def begun_linear(model: Cvae, scales: Scales, past: Tensor, now: Tensor) -> None
 
 
 class ChainTraining(TrainingRun):
-    """A training run of the transition prior by chains; ``averaged`` is the model as it is shipped, frozen."""
+    """A training run of the transition prior by chains; ``averaged`` is the model as it is shipped, frozen. start: the
+    model to begin from; else z begins as the principal components of the change (:func:`begun_linear`)."""
 
     data_name = "examples"
 
@@ -117,18 +112,16 @@ class ChainTraining(TrainingRun):
         self.examples = examples
         some, _, _ = examples.draw(2000, torch.Generator().manual_seed(recipe.seed))
         pairs = _transition_pairs(some)
-        self.scales = replace(Scales.measure(*pairs, skip=True), half=recipe.half)
-        if start is not None:
-            recipe = replace(recipe, direct=start.direct is not None)
+        self.scales = replace(Scales.measure(*pairs, skip=True), half=fast_halves(torch.device("cpu")))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
-            model = Cvae(recipe.width, skip=True, direct=recipe.direct)
+            model = Cvae(recipe.width, skip=True, direct=True)
         torch.nn.init.zeros_(model.skip.weight)
         with torch.no_grad():
             model.decoder.net[-1].weight *= 0.1
-        if recipe.direct and start is None:
+        if start is None:
             begun_linear(model, self.scales, *pairs)
-        if start is not None:
+        else:
             model = self.scales.unfolded(start).requires_grad_(requires_grad=True).train()
         super().__init__(recipe, examples.digest, torch.Generator().manual_seed(recipe.seed), model)
 
@@ -140,7 +133,7 @@ class ChainTraining(TrainingRun):
         return torch.optim.Adamax(self.model.parameters(), lr=self.recipe.lr)
 
     def _made(self, weights: dict[str, Tensor]) -> Cvae:
-        model = Cvae(self.recipe.width, skip=True, direct=self.recipe.direct)
+        model = Cvae(self.recipe.width, skip=True, direct=True)
         model.load_state_dict(weights)
         return self.scales.folded(model).frozen()
 

@@ -1,4 +1,4 @@
-"""In-betweening of real BVH files of people nobody trained on: network, curves, nearest and slerp.
+"""In-betweening of real BVH files of people nobody trained on: network, curves and slerp.
 
 Clips of the CMU library's ``report`` people, at 30 frames per second, on the files' own skeletons. Kinds: a ``gap``
 with known motion around it; lone ``keys`` so many frames apart; ``one`` key alone with so many frames on either side;
@@ -163,19 +163,23 @@ def report(found: dict) -> None:
 
 
 def hidden_legs(rows: list[tuple[str, Motion]]) -> None:
-    """Prints how far legs that are never seen come from where they were, by the methods of ``completed``."""
-    generator, found = torch.Generator().manual_seed(0), {"network": defaultdict(list), "nearest": defaultdict(list)}
+    """Prints how far legs that are never seen come from where they were, and straight ones, as of a doll."""
+    generator = torch.Generator().manual_seed(0)
+    found = {name: defaultdict(list) for name in ("network", "straight")}
     for person, motion in rows:
         legs = sorted(animate.found_joints(motion, ["legs"]))
-        for method, far in found.items():
-            made = animate.completed(motion, ["legs"], method=method).motion
-            below = [j for j in legs if motion.skeleton.parents[j] in legs]  # hips stay where they are
-            far[person].append(100 * float((made.positions - motion.positions)[:, below].norm(dim=-1).mean()))
-    means = {who: torch.tensor([sum(x) / len(x) for x in far.values()]) for who, far in found.items()}
-    for method, mine in means.items():
-        mean, low, high = intervals.interval(mine, "mean", generator)
-        print(f"hidden legs, {method}: {mean:.1f} cm [{low:.1f}, {high:.1f}]")
-    print(f"network less nearest: {intervals.paired(means['network'], means['nearest'], generator)}")
+        below = [j for j in legs if motion.skeleton.parents[j] in legs]  # hips stay where they are
+        keep = animate.kept(motion, joints=[n for j, n in enumerate(motion.skeleton.names) if j not in legs])
+        for name, made in (
+            ("network", animate.completed(motion, ["legs"]).motion),
+            ("straight", animate.curves(motion, keep)),
+        ):
+            far = (made.positions - motion.positions)[:, below].norm(dim=-1)
+            found[name][person].append(100 * float(far.mean()))
+    for name, each in found.items():
+        far = torch.tensor([sum(x) / len(x) for x in each.values()])
+        mean, low, high = intervals.interval(far, "mean", generator)
+        print(f"hidden legs, {name}: {mean:.1f} cm [{low:.1f}, {high:.1f}]")
 
 
 def main() -> None:

@@ -31,7 +31,7 @@ from motionlab.diffusion.training import DenoiserTraining
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.files import write_whole
 from motionlab.humor import training
-from motionlab.humor.chain_training import CHAIN_PRESETS, ChainTraining
+from motionlab.humor.chain_training import ChainRecipe, ChainTraining
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.examples import live_examples
 from motionlab.motion import Motion
@@ -42,7 +42,7 @@ from motionlab.training_loop import TrainingRun
 SHARES, SEEDS = (1 / 32, 1 / 8, 1 / 2, 1.0), (0, 1, 2)
 EACH, PRACTICE = 24, 8  # windows of a person: of the report, and to choose on
 #: Far fewer steps than of what ships.
-PRIOR = replace(CHAIN_PRESETS["real"], steps=400, batch=32, half=False)
+PRIOR = ChainRecipe(steps=400, batch=32)
 TOLD = replace(DENOISER_PRESETS["real_legs"], steps=800, batch=16)
 RIDGE_ROWS = 12_000  # training windows that the ridge learns from
 Errors = dict[str, list[float]]  # by measure, a number for each person

@@ -1,0 +1,171 @@
+"""``python -m motionlab train NAME --more``: trains for days, at the lowest priority, until somebody stops it.
+
+It goes on from the state that is kept in the cache, or else from the weights that ship. Now and then the averaged
+weights are judged on the people who choose; only better ones are written. After a whole schedule the next one begins
+from the best weights, at half the rate. When it is killed, nothing but the last minutes is lost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import math
+import os
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from data_synth import corpus as synthetic
+from motionlab import checkpoint, corpus, splits
+from motionlab.corpus import Take
+from motionlab.diffusion.windows import Windows, gather, on_standard
+from motionlab.errors import DataError
+from motionlab.training_loop import TrainingRun
+
+
+def learnt_from(folder: Path | str | None, frames: int, *, own: bool = False) -> tuple[Windows, list[Take]]:
+    """Returns windows of the people who train, and of synthetic ones, drawn by person; and takes of people who choose.
+
+    own: every motion also on its own bones; else on the standard body alone.
+
+    Raises:
+        DataError: no folder, or nothing usable in it.
+    """
+    if not folder:
+        raise DataError("this model learns from recordings", remedy="name a folder of them with --data")
+    found = corpus.assemble(folder, splits.real_sources(folder))
+    takes = [t for t in found.part("train") if t.motion.frames >= frames]
+    made = [s.motion for s in synthetic.build(version="B").train]
+    motions, times = [t.motion for t in takes] + made, 1 + own
+    windows = gather(
+        [*(motions if own else ()), *map(on_standard, motions)], frames,
+        missing=([t.missing for t in takes] + [()] * len(made)) * times,
+        people=([t.person for t in takes] + [splits.SYNTHETIC] * len(made)) * times,
+    )  # fmt: skip
+    return windows, found.part("choose")
+
+
+class Course(ABC):
+    """What is trained without end, and what a model of it is worth.
+
+    name: of what ships. recipe: of new weights. windows: that it learns from; bodies: on so many each motion is there.
+    """
+
+    name: str
+    recipe: Any
+    windows: Windows
+    bodies = 1
+
+    @abstractmethod
+    def load(self, path: Path) -> Any:
+        """Reads a model of this course.
+
+        Raises:
+            DataError: it is of another.
+        """
+
+    @abstractmethod
+    def begun(self, recipe: Any, first: Any) -> TrainingRun:
+        """A new run of a recipe, from the weights of a model or None; its ``earlier`` counts the steps behind them."""
+
+    @abstractmethod
+    def resumed(self, kept: Path) -> TrainingRun:
+        """The run that was kept.
+
+        Raises:
+            DataError: it is damaged, or was trained on other data.
+        """
+
+    @abstractmethod
+    def measured(self, model: Any) -> dict[str, float]:
+        """What a model is worth on the people who choose: first what chooses, less is better."""
+
+    @abstractmethod
+    def save(self, out: Path, model: Any, about: dict) -> None:
+        """Writes a checkpoint."""
+
+    def first(self) -> Any:
+        """The model whose weights new ones begin with; None: none."""
+        return None
+
+
+def go_on(course: Course, out: Path, *, more: bool = True, every: int = 2500, schedules: int | None = None) -> None:
+    """Trains, and writes to ``out`` what is better than what stands there, until Ctrl-C.
+
+    more: go on from the kept state, or from ``out``; False: new weights. every: steps between two judgements; the state
+    is kept ten times as often. schedules: how many; None: no end.
+
+    Raises:
+        DataError: ``out`` is of another kind of model.
+    """
+    _give_way()
+    best, there, kept = math.inf, None, _kept(course.name, out)
+    if out.with_suffix(".safetensors").exists():
+        there = course.load(Path(out))
+        best = next(iter(course.measured(there).values()))
+        print(f"{out.with_suffix('.safetensors')}: {best:.3f}", flush=True)
+    run = _run(course, kept, there if more else None, more)
+    if more and there and not run.step:
+        run.earlier = checkpoint.read_recipe(out).get("step", 0)
+
+    def judge(model: Any) -> dict[str, float]:
+        nonlocal best, there
+        row = course.measured(model)
+        if next(iter(row.values())) < best:
+            best, there = next(iter(row.values())), model
+            course.save(out, model, _about(course, run, row))
+            print(f"{out.with_suffix('.safetensors')}: {best:.3f}", flush=True)
+        return row
+
+    while schedules is None or schedules > 0:
+        run.run(keep=kept, every=max(every // 10, 1), judge=judge, judge_every=every, progress=True)
+        schedules = None if schedules is None else schedules - 1
+        again = replace(run.recipe, lr=run.recipe.lr / 2, seed=run.recipe.seed + 1)
+        before, run = run, course.begun(again, there or run.averaged)
+        run.curve, run.earlier = before.curve, before.earlier + before.step
+
+
+def _kept(name: str, out: Path) -> Path:
+    """Where the state of a run is kept that writes to ``out``."""
+    where = hashlib.sha256(str(Path(out).resolve()).encode()).hexdigest()[:8]
+    folder = corpus.cache_folder().with_name("training")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / f"{name}-{where}.partial.pt"
+
+
+def _give_way() -> None:
+    """The lowest priority, among the programs of this session and against other sessions."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.nice(19)
+        Path("/proc/self/autogroup").write_text("19", encoding="ascii")  # of Linux, whose nice ends at a session
+
+
+def _run(course: Course, kept: Path, there: Any, more: bool) -> TrainingRun:
+    """The kept run where there is one on these windows; else a new one. A kept run that is not gone on with is put
+    aside."""
+    if more and kept.exists():
+        try:
+            run = course.resumed(kept)
+            print(f"goes on at step {run.step} of {run.recipe.steps}, as it was begun: {kept}", flush=True)
+            return run
+        except DataError as error:
+            print(f"begins anew: {error}", flush=True)
+    if kept.exists():
+        kept.replace(kept.with_suffix(".old"))
+    first = there or course.first()
+    return course.begun(replace(course.recipe, lr=course.recipe.lr / 2) if first else course.recipe, first)
+
+
+def _about(course: Course, run: TrainingRun, row: dict[str, float]) -> dict:
+    windows, recipe = course.windows, run.recipe
+    frames = windows.people[windows.clip].bincount()  # synthetic people come last
+    *real, made = (frames / windows.fps / 60 / course.bodies).tolist()
+    return {
+        "made by": f"python -m motionlab train {course.name} --more --steps {recipe.steps} --data FOLDER",
+        "step": run.earlier + run.step, "windows": run.digest, "torch": torch.__version__,
+        "minutes of motion, before mirroring": {splits.RECORDED: sum(real), splits.SYNTHETIC: made},
+        "people": len(real), "quality, people who choose": row, "curve": [*run.curve, {"step": run.step, **row}],
+    }  # fmt: skip
