@@ -7,7 +7,7 @@ from data_synth.corpus import Recipe, perform_sequence
 from motionlab.humor import pretrained, state, training
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import infer, rollout
-from motionlab.humor.state import DELTA_SLICES, SLICES
+from motionlab.humor.state import DELTA_SLICES, SLICES, heading, localise
 from motionlab.skeleton import STANDARD
 
 UNSEEN = Recipe(seconds=22.0, seed=77)  # another seed than the corpus
@@ -112,10 +112,40 @@ def test_contact_f1_of_constant_answers(still, take):
     states, contacts = take
     truth = contacts[:, 1:]
     right = STANDARD.contact_indices.index(STANDARD.index("left_ankle"))
-    assert training._contact_f1(touching(still, []), states, contacts) in (0.0, pytest.approx(0.0, nan_ok=True))
+
+    def f1(model):
+        return training._contact_f1(model, states, contacts)[0]
+
+    assert f1(touching(still, [])) in (0.0, pytest.approx(0.0, nan_ok=True))
     share = float(truth.mean())
-    assert training._contact_f1(touching(still), states, contacts) == pytest.approx(2 * share / (1 + share), abs=1e-4)
-    assert 0 < training._contact_f1(touching(still, [right]), states, contacts) < 1
+    assert f1(touching(still)) == pytest.approx(2 * share / (1 + share), abs=1e-4)
+    assert 0 < f1(touching(still, [right])) < 1
+    both = 2 * float((truth * contacts[:, :-1]).sum() / (truth.sum() + contacts[:, :-1].sum()))  # F1 by its definition
+    assert training._contact_f1(still, states, contacts)[1] == pytest.approx(both, abs=1e-4)
+
+
+def test_effective_rank_counts_the_directions_that_z_has(still, take):
+    """Three directions of one size are three; a fourth that is tiny is hardly one; more of the same are none."""
+    past = localise(take[0][:2, 0], heading(take[0][:2, 0]))
+    weight = still.decoder.net[-1].weight.data
+    weight.zero_()
+    joints, z = DELTA_SLICES["joints"].start, weight.shape[1] - 48
+    for k in range(3):
+        weight[joints + k, z + k] = 1.0
+    assert training.effective_rank(still, past) == pytest.approx(3.0, abs=1e-2)
+    weight[joints + 3, z + 3] = 1e-3
+    assert training.effective_rank(still, past) == pytest.approx(3.0, abs=0.05)
+    weight[joints + 3, z + 3], weight[joints, z + 4] = 0.0, 1.0
+    assert training.effective_rank(still, past) < 3.0
+
+
+def test_more_samples_come_closer_and_a_still_body_has_one(still, take):
+    states, _ = take
+    held = training.rollout_errors(still, states)["hold"][:, -1]
+    assert torch.allclose(training.best_of(still, states, 3, torch.Generator().manual_seed(0)), held, atol=1e-2)
+    model = pretrained.load_motion_prior("humor_compact")
+    few, many = (training.best_of(model, states, n, torch.Generator().manual_seed(0)).mean() for n in (1, 16))
+    assert many < few
 
 
 # ---------------------------------------------------------------------------------------------- what ships

@@ -59,6 +59,7 @@ ERROR_UNITS = {
 }  # fmt: skip
 #: A dimension of the latent is active where it costs more than this on average, nats.
 ACTIVE_NATS = 0.05
+_SAMPLES = 8
 #: A foot is down where its ball is less than this above its resting height, metres.
 _DOWN = 0.03
 
@@ -436,16 +437,48 @@ def plausibility(
 
 
 @torch.no_grad()
-def _contact_f1(model: Cvae, states: Tensor, contacts: Tensor) -> float:
-    """F1 of the decoded contact labels against the true ones (W, T, 9), one step from the truth, with the latent of a
-    posterior that saw the answer."""
+def _contact_f1(model: Cvae, states: Tensor, contacts: Tensor) -> tuple[float, float]:
+    """F1 of contact labels against the true ones (W, T, 9): of those decoded one step from the truth, with the latent
+    of a posterior that saw the answer; and of those one frame before."""
     past, now = _transition_pairs(states)
     _, logits = apply(past, model.decode(past, model.posterior(past, now).mean))
-    return float(contact_scores((logits > 0).float(), contacts[:, 1:].flatten(0, 1)).f1)
+    truth = contacts[:, 1:].flatten(0, 1)
+    guesses = (logits > 0).float(), contacts[:, :-1].flatten(0, 1)
+    return tuple(float(contact_scores(guess, truth).f1) for guess in guesses)
+
+
+@torch.no_grad()
+def best_of(model: Cvae, states: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """Errors (W,) in cm at the end of world states (W, T, 339) of the closest of ``count`` samples from the first."""
+    first = states[:, 0].repeat(count, 1)
+    made = sample_rollout(model, first, states.shape[1] - 1, generator=generator).states[:, -1]
+    return _error(made.unflatten(0, (count, -1)), states[:, -1]).amin(0)
+
+
+@torch.no_grad()
+def effective_rank(model: Cvae, past: Tensor) -> float:
+    """Computes in how many directions z moves the next joints: the exponential of the entropy of the singular values of
+    d joints / d z, z in deviations of the prior about its mean; mean over past states (N, 339).
+
+    Source: Roy and Vetterli 2007, "The effective rank".
+    """
+    prior, step = model.prior(past), 0.1
+    off = step * torch.diag_embed((0.5 * prior.log_var).exp())  # (N, 48, 48): a deviation along each axis
+
+    def joints(z: Tensor) -> Tensor:
+        x = past[:, None].expand(-1, z.shape[1], -1)
+        return unpack(apply(x, model.decode(x, z))[0])["joints"].flatten(2)
+
+    slope = joints(prior.mean[:, None] + off) - joints(prior.mean[:, None] - off)
+    shares = torch.linalg.svdvals(slope / (2 * step))
+    shares = shares / shares.sum(-1, keepdim=True)
+    return float(torch.special.entr(shares).sum(-1).exp().mean())
 
 
 def quality_row(model: Cvae, states: Tensor, contacts: Tensor | None = None, seed: int = 0) -> dict[str, float]:
     """Computes one row of the quality table from world states (W, 61, 339): means over windows.
+
+    The best of 8 samples is of 48 windows at most, the effective rank of as many states.
 
     Rows that start with "samples' " are :func:`_looks` of samples, those with "data's " of the windows themselves.
     """
@@ -453,8 +486,12 @@ def quality_row(model: Cvae, states: Tensor, contacts: Tensor | None = None, see
     made = plausibility(model, states[:, 0], states.shape[1] - 1, torch.Generator().manual_seed(seed))
     row = {f"one step, {name}, cm": float(step[name].mean()) for name in step if name != "kl"}
     if contacts is not None:
-        row["one step, posterior, contact F1"] = _contact_f1(model, states, contacts)
+        f1 = _contact_f1(model, states, contacts)
+        row |= dict(zip(("one step, posterior, contact F1", "contact F1, as one frame before"), f1, strict=True))
     row |= {f"2 s, {name}, cm": float(way[name][:, -1].mean()) for name in way}
+    best = best_of(model, states[:48], _SAMPLES, torch.Generator().manual_seed(seed))
+    row[f"2 s, best of {_SAMPLES} samples, cm"] = float(best.mean())
+    row["effective rank"] = effective_rank(model, localise(states[:48, 0], heading(states[:48, 0])))
     row |= {"kl, nats": float(step["kl"].sum(-1).mean()), "active": int((step["kl"].mean(0) > ACTIVE_NATS).sum())}
     for whose, found in (("samples'", made), ("data's", _looks(states[:, 0], states[:, 1:]))):
         row |= {f"{whose} {name}": float(value.nanmean()) for name, value in found.items()}
