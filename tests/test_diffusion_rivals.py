@@ -48,6 +48,25 @@ def test_regression_is_the_conditional_mean_of_the_gaussian(fitted, ridge):
     assert torch.allclose((z @ fitted.factor.mT)[:, ~mask], expected.float(), atol=2e-4)
 
 
+def test_draws_spread_as_the_gaussian_does_that_is_left(fitted):
+    """The covariance of many draws of what is hidden, against the conditional one in closed form."""
+    mask = torch.rand(fitted.factor.shape[0], generator=torch.Generator().manual_seed(1)) < 0.4
+    row = fitted.mean_row.expand(20_000, -1)
+    z = fitted._explained(row - fitted.mean_row, mask / 1.0, torch.Generator().manual_seed(2)).double()
+    factor = fitted.factor.double()
+    cut = factor[mask]
+    inside = cut @ cut.mT + torch.eye(len(cut), dtype=torch.float64)
+    expected = torch.eye(z.shape[1], dtype=torch.float64) - cut.mT @ torch.linalg.solve(inside, cut)
+    assert torch.allclose(torch.cov(z.mT), expected, atol=0.05) and z.mean(0).abs().max() < 0.05
+
+
+def test_the_second_nearest_is_another_and_farther(takes, fitted):
+    truth = takes[0].clip(torch.arange(4))
+    first, second = (fitted.nearest(truth, cases.legs(4, FRAMES), rank=k) for k in (0, 1))
+    off = [(m.positions - truth.positions).norm(dim=-1).mean((1, 2)) for m in (first, second)]
+    assert (off[0] < 1e-3).all() and (off[1] > off[0]).all()  # itself, and somebody else
+
+
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("case", ["legs", "every_frame", "whole_window", "gap"])
 def test_what_is_known_stays_and_what_is_hidden_is_never_read(takes, fitted, way, case, generator):

@@ -75,25 +75,28 @@ class Rivals:
         """The mean training window."""
         return self._filled(motion, known, lambda x, mask: self.mean_row.expand_as(x), finish)
 
-    def nearest(self, motion: Motion, known: Tensor, finish: int = 0) -> Motion:
-        """The training window whose numbers are nearest where they are known."""
+    def nearest(self, motion: Motion, known: Tensor, finish: int = 0, *, rank: int = 0) -> Motion:
+        """The training window whose numbers are nearest where they are known, or has ``rank`` nearer ones before it."""
 
         def find(x: Tensor, mask: Tensor) -> Tensor:
             weight = mask.to(x)
             apart = weight @ self.rows.square().mT - 2 * (weight * x) @ self.rows.mT
-            return self.rows[apart.argmin(-1)]
+            return self.rows[apart.topk(rank + 1, largest=False).indices[:, -1]]
 
         return self._filled(motion, known, find, finish)
 
-    def regression(self, motion: Motion, known: Tensor, finish: int = 0) -> Motion:
-        """Ridge regression of the hidden numbers on the known ones: one regression for each mask."""
+    def regression(
+        self, motion: Motion, known: Tensor, finish: int = 0, generator: torch.Generator | None = None
+    ) -> Motion:
+        """Ridge regression of the hidden numbers on the known ones: one regression for each mask. generator: a draw of
+        the Gaussian whose mean that is."""
 
         def find(x: Tensor, mask: Tensor) -> Tensor:
             found = torch.empty_like(x)
             which, place = torch.unique(mask, dim=0, return_inverse=True)
             for row, seen in enumerate(which):
                 mine = place == row
-                z = self._explained(x[mine] - self.mean_row, seen.to(x) / self.ridge)
+                z = self._explained(x[mine] - self.mean_row, seen.to(x) / self.ridge, generator)
                 found[mine] = self.mean_row + z @ self.factor.mT
             return found
 
@@ -122,11 +125,15 @@ class Rivals:
         plain = replace(self.layout, frame="world")
         return self.normaliser.apply(plain.encode(world_to_local(frame, motion))).flatten(1)
 
-    def _explained(self, gap: Tensor, weight: Tensor) -> Tensor:
-        """z (B, K) of what lies off the mean (B, T D), by the weight (T D,) of each number."""
+    def _explained(self, gap: Tensor, weight: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """z (B, K) of what lies off the mean (B, T D), by the weight (T D,) of each number: its mean, or a draw."""
         seen = self.factor * weight[:, None]
-        square = self.factor.mT @ seen + torch.eye(self.factor.shape[1])
-        return torch.linalg.solve(square, (gap @ seen).mT).mT
+        half = torch.linalg.cholesky(self.factor.mT @ seen + torch.eye(self.factor.shape[1]))
+        z = torch.cholesky_solve((gap @ seen).mT, half)
+        if generator is not None:
+            noise = torch.randn(z.shape, generator=generator).to(z)
+            z = z + torch.linalg.solve_triangular(half.mT, noise, upper=True)
+        return z.mT
 
     def _filled(
         self, motion: Motion, known: Tensor, find: Callable[[Tensor, Tensor], Tensor], finish: int = 0
