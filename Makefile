@@ -63,7 +63,7 @@ train: setup
 
 train-real: setup
 	@test -n "$$MOTIONLAB_DATA" || { echo "name a folder of recordings: make train-real MOTIONLAB_DATA=FOLDER"; exit 2; }
-	@for model in humor small features; do $(PY) -m motionlab train $$model --preset real --data "$$MOTIONLAB_DATA" || exit 1; done
+	@for model in small features; do $(PY) -m motionlab train $$model --preset real --data "$$MOTIONLAB_DATA" || exit 1; done
 	@for preset in $$($(PY) -c "from motionlab.shipped import DENOISER_PRESETS; print(*(n for n in DENOISER_PRESETS if n.startswith('real_')))"); do \
 		$(PY) -m motionlab train diffusion --preset $$preset --data "$$MOTIONLAB_DATA" || exit 1; done
 

@@ -42,6 +42,7 @@ _FADE = (2.0, 0.8)  # seconds over which the velocity at a key carries on, of th
 #: network alone); a gap should take no more frames of a window than this, so that a longer one is shown to the network
 #: faster than it is.
 _TRUST, _MOST = 0.5, 40
+_STEPS = 25  # of the sampler
 _SHORT = 0.75  # seconds, between gaps that were measured
 _MEASURED = 2.5  # seconds of the longest gaps that were measured, and a little
 
@@ -150,7 +151,7 @@ def inbetween(
         raise DataError("no frame is kept", path=motion.name, place="keys", remedy="keep one frame at least")
     gap = _longest_gap(keep.frames) / motion.fps  # seconds
     usual, why = _usual_method(gap, _beyond(keep.frames) / motion.fps)
-    chosen = _checked(method or usual)
+    chosen = _checked(method or (usual if seed is None else "network"))
     if keep.frames.all():
         return Animated(motion, ("every frame is kept: nothing is made",))
     asked = "" if chosen == usual else f", as asked; the default here is {usual}"
@@ -164,11 +165,12 @@ def inbetween(
         return Animated(drawn, ("method: curves, without planted feet, as its joints are not known", str(error)))
     made = body.joints
     if chosen != "curves":
-        fill = by_windows(_network(seed), body.lacking, progress)
+        fill = _network(seed, body.lacking, progress)
         rate = min(FPS, _MOST / gap) if gap else FPS
         keys, time = keep.frames.nonzero()[:, 0], torch.arange(motion.frames)
         between = (time > keys[0]) & (time < keys[-1])
-        made = body.corrected(fill, rate=rate, share=torch.where(between & (chosen == "network"), _TRUST, 1.0))
+        share = torch.where(between, _TRUST, 1.0) if seed is None else 1.0
+        made = body.corrected(fill, rate=rate, share=share)
     return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
 
 
@@ -197,17 +199,26 @@ def completed(
     why = "how close these joints come to the true ones was not measured"
     if hide >= {own for j, own in body.mapped.items() if STANDARD.names[j] in _LEGS}:
         why = "hidden legs came out 15 cm off on 15 people whom it had never seen"
-    made = body.corrected(by_windows(_network(seed), body.lacking, progress))
+    made = body.corrected(_network(seed, body.lacking, progress))
     note = f"method: network; {why}"
     return Animated(body.back(made, plant=plant), (note, "the floor is taken to be at height 0", *body.notes(plant)))
 
 
-def _network(seed: int | None) -> Fill:
-    """Fills windows (B, 60) by one answer, or by a draw."""
+def _network(seed: int | None, lacking: Tensor, progress: bool) -> Fill:
+    """Fills a motion (T) by one answer, or by a draw."""
     if seed is None:
-        return completer.load(NETWORK).complete
-    generator, model = torch.Generator().manual_seed(seed), completer.load(DRAWS)
-    return lambda motion, known: model.complete(motion, known, generator)
+        return by_windows(completer.load(NETWORK).complete, lacking, progress)
+    return drawn(torch.Generator().manual_seed(seed), lacking, progress)
+
+
+def drawn(generator: torch.Generator, lacking: Tensor, progress: bool) -> Fill:
+    """Returns what fills a motion (T) on the models' body by a draw, window by window; see ``by_windows``."""
+    model = completer.load(DRAWS)
+
+    def fill(motion: Motion, known: Tensor) -> Motion:
+        return model.complete(motion, known, generator, steps=_STEPS)
+
+    return by_windows(fill, lacking, progress, onward=True)
 
 
 def _usual_method(gap: float, beyond: float) -> tuple[str, str]:

@@ -26,6 +26,7 @@ WINDOW = 60  # frames that models see
 _STRIDE = 20  # frames between windows where a joint is never known
 _EASE = 0.2  # seconds beside what is known over which planting sets in
 _EDGE = 2  # frames of a window that stay beside a gap
+_PAST = 20  # frames that a window of a draw goes on from
 
 Fill = Callable[[Motion, Tensor], Motion]  #: (motions, known (..., U)) -> motions, on the body that models know
 
@@ -203,30 +204,43 @@ def _on_body(joints: Motion) -> tuple[Motion, float]:
     return replace(made, notes=()), scale
 
 
-def by_windows(fill: Fill, lacking: Tensor, progress: bool = False) -> Fill:
-    """Returns what fills a whole motion (T) by a fill of windows (B, 60); see :func:`_by_windows`."""
-    return lambda motion, known: _by_windows(motion, known, fill, lacking, progress)
-
-
-def _by_windows(motion: Motion, known: Tensor, fill: Fill, lacking: Tensor, progress: bool) -> Motion:
-    """A motion (T) on the models' body, what is not known (T, U) filled in window by window.
+def by_windows(fill: Fill, lacking: Tensor, progress: bool = False, *, onward: bool = False) -> Fill:
+    """Returns what fills a whole motion (T) by a fill of windows (B, 60), in what is not known.
 
     A gap that fits into a window with a known frame on either side is filled in one, in its middle; what was filled in
     is known to the next. Longer ones, and joints that are never known, by windows that overlap and fade into each
-    other. lacking (22,): joints that the figure does not have; nothing is ever told of them.
+    other; onward: one after the other, each going on from what was filled in before, as draws have to: their mean is
+    none. lacking (22,): joints that the figure does not have; nothing is ever told of them.
     """
-    frames, has = motion.frames, torch.cat((~lacking, torch.ones(2, dtype=torch.bool)))
-    motion, known = padded(motion, known)
-    done = known.clone()
-    gaps = runs(~(known | ~has)[:, :-1].all(-1))
-    for first, last in tqdm(gaps, desc="filling in gaps", disable=not progress, leave=False):
-        if last - first <= WINDOW - 2 * _EDGE:
-            starts = [min(max(first - (WINDOW - (last - first)) // 2, 0), motion.frames - WINDOW)]
-        else:
-            starts = overlapping(max(first - _STRIDE, 0), min(last + _STRIDE, motion.frames), motion.frames)
-        motion = filled_in(motion, done, fill, starts, (first, last))
-        done[first:last] = has
-    return motion.cut(0, frames)
+
+    def filled(motion: Motion, known: Tensor) -> Motion:
+        frames, has = motion.frames, torch.cat((~lacking, torch.ones(2, dtype=torch.bool)))
+        motion, known = padded(motion, known)
+        done = known.clone()
+        gaps = runs(~(known | ~has)[:, :-1].all(-1))
+        total = sum(last - first for first, last in gaps)
+        with tqdm(total=total, desc="filling in", unit="frame", disable=not progress, leave=False) as bar:
+            for first, last in gaps:
+                while first < last:
+                    starts, stop = _next(first, last, motion.frames, onward)
+                    motion = filled_in(motion, done, fill, starts, (first, stop))
+                    done[first:stop] = has
+                    bar.update(stop - first)
+                    first = stop
+        return motion.cut(0, frames)
+
+    return filled
+
+
+def _next(first: int, last: int, frames: int, onward: bool) -> tuple[list[int], int]:
+    """Where windows begin that fill a gap from ``first`` on, and up to where they do."""
+    if last - first <= WINDOW - 2 * _EDGE:
+        return [min(max(first - (WINDOW - (last - first)) // 2, 0), frames - WINDOW)], last
+    if not onward:
+        return overlapping(max(first - _STRIDE, 0), min(last + _STRIDE, frames), frames), last
+    most = WINDOW - min(first, _PAST)
+    far = min(last - first, most) if last == frames or last - first > 2 * most else (last - first) // 2
+    return [min(max(first - _PAST, 0), frames - WINDOW)], first + far
 
 
 def padded(motion: Motion, known: Tensor) -> tuple[Motion, Tensor]:

@@ -60,12 +60,14 @@ def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[
     return found
 
 
-def person_states(takes: Sequence[corpus.Take], *, causal: bool) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
-    """Returns what a prior is judged on: states (W, 61, 339) and contacts (W, 61, 9) of each person, 24 at most."""
+def person_states(
+    takes: Sequence[corpus.Take], *, causal: bool, most: int = _MOST
+) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+    """Returns what a prior is judged on: states (W, 61, 339) and contacts (W, 61, 9) of each person."""
     people: dict[str, list[Motion]] = {}
     for take in takes:
         people.setdefault(take.person, []).append(take.motion)
-    found = {who: splits.state_windows(motions, most=_MOST, causal=causal) for who, motions in people.items()}
+    found = {who: splits.state_windows(motions, most=most, causal=causal) for who, motions in people.items()}
     return {who: windows for who, windows in found.items() if len(windows[0])}
 
 

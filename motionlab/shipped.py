@@ -64,7 +64,7 @@ DENOISER_PRESETS = {
     "told": _TOLD,
 }
 #: The same, learnt from hours of real motion; those of single poses from whole bodies, as they recall what they saw.
-_STEPS = {"free": 15_000, "fixed": 24_000, "stuck": 24_000, "pose": 3000, "handles": 4000}
+_STEPS = {"free": 15_000, "handles": 4000}
 _REAL = {name: replace(DENOISER_PRESETS[name], source=splits.REAL_MOTION, steps=n) for name, n in _STEPS.items()}
 #: Legs first: of all masks at once a model learns little in the same time (docs/experiments.md).
 _REAL["legs"] = replace(

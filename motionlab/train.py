@@ -119,6 +119,8 @@ def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | m
 def _train(options: argparse.Namespace) -> int:
     if options.model in _COURSES:
         return _train_on(options)
+    if options.more:
+        raise DataError(f"{options.model} takes no --more", remedy=f"it is for {', '.join(_COURSES)}; use --resume")
     if options.model == "small":
         out, how = options.out or checkpoint.SHIPPED, {"seed": options.seed or 0, "name": options.preset or "compact"}
         real = how["name"] == "real"

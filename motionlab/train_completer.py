@@ -74,8 +74,8 @@ class Course(train_more.Course):
         completer.save(out, model, about)
 
     def measured(self, model: Completer) -> dict[str, float]:
-        """By person, on every case: errors (of draws energy scores, and how far apart these are over their error) and
-        accelerations over the truth's."""
+        """By person, errors on every case; of draws, on those that choose, energy scores and how far apart they are
+        over their error. And accelerations over the truth's."""
         row = {}
         for name, case in CASES.items():
             if not model.recipe.noised:

@@ -12,7 +12,7 @@ import hashlib
 import math
 import os
 from abc import ABC, abstractmethod
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -102,30 +102,33 @@ def go_on(course: Course, out: Path, *, more: bool = True, every: int = 2500, sc
         DataError: ``out`` is of another kind of model.
     """
     _give_way()
-    best, there, kept = math.inf, None, _kept(course.name, out)
+    best, there, behind, kept = math.inf, None, 0, _kept(course.name, out)
     if out.with_suffix(".safetensors").exists():
-        there = course.load(Path(out))
+        there, behind = course.load(Path(out)), checkpoint.read_recipe(out).get("step", 0)
         best = next(iter(course.measured(there).values()))
         print(f"{out.with_suffix('.safetensors')}: {best:.3f}", flush=True)
     run = _run(course, kept, there if more else None, more)
     if more and there and not run.step:
-        run.earlier = checkpoint.read_recipe(out).get("step", 0)
+        run.earlier, run.curve = behind, checkpoint.read_recipe(out).get("curve", [])
 
     def judge(model: Any) -> dict[str, float]:
-        nonlocal best, there
+        nonlocal best, there, behind
         row = course.measured(model)
         if next(iter(row.values())) < best:
-            best, there = next(iter(row.values())), model
+            best, there, behind = next(iter(row.values())), model, run.earlier + run.step
             course.save(out, model, _about(course, run, row))
             print(f"{out.with_suffix('.safetensors')}: {best:.3f}", flush=True)
         return row
 
-    while schedules is None or schedules > 0:
+    while True:
         run.run(keep=kept, every=max(every // 10, 1), judge=judge, judge_every=every, progress=True)
         schedules = None if schedules is None else schedules - 1
-        again = replace(run.recipe, lr=run.recipe.lr / 2, seed=run.recipe.seed + 1)
-        before, run = run, course.begun(again, there or run.averaged)
-        run.curve, run.earlier = before.curve, before.earlier + before.step
+        if schedules == 0:
+            return
+        first, steps = (there, behind) if more else (run.shipped, run.earlier + run.best["step"])
+        before, again = run, replace(run.recipe, lr=run.recipe.lr / 2, seed=run.recipe.seed + 1)
+        run = course.begun(again, first)
+        run.curve, run.earlier = before.curve, steps
 
 
 def _kept(name: str, out: Path) -> Path:
@@ -160,12 +163,14 @@ def _run(course: Course, kept: Path, there: Any, more: bool) -> TrainingRun:
 
 
 def _about(course: Course, run: TrainingRun, row: dict[str, float]) -> dict:
-    windows, recipe = course.windows, run.recipe
-    frames = windows.people[windows.clip].bincount()  # synthetic people come last
-    *real, made = (frames / windows.fps / 60 / course.bodies).tolist()
+    frames = course.windows.people[course.windows.clip].bincount()  # synthetic people come last
+    *real, made = (frames / course.windows.fps / 60 / course.bodies).tolist()
+    chosen, recipe = next(iter(row)), run.recipe
+    curve = [{name: at[name] for name in ("step", "loss", chosen)} for at in run.curve if at.keys() >= {"loss", chosen}]
     return {
         "made by": f"python -m motionlab train {course.name} --more --steps {recipe.steps} --data FOLDER",
-        "step": run.earlier + run.step, "windows": run.digest, "torch": torch.__version__,
+        "step": run.earlier + run.step, "recipe": asdict(recipe), "windows": run.digest, "torch": torch.__version__,
         "minutes of motion, before mirroring": {splits.RECORDED: sum(real), splits.SYNTHETIC: made},
-        "people": len(real), "quality, people who choose": row, "curve": [*run.curve, {"step": run.step, **row}],
+        "people": len(real), "quality, people who choose": row,
+        "curve": [*curve, {"step": run.earlier + run.step, chosen: row[chosen]}],
     }  # fmt: skip

@@ -142,7 +142,7 @@ class TrainingRun(ABC):
                     continue
                 due = (self.step % judge_every == 0 and self.step >= judge_from * steps) or self.step == last
                 row |= self._measured(validate, judge if due else None)
-                self.curve.append({"step": self.step, **row})
+                self.curve.append({"step": self.earlier + self.step, **row})
                 if not bar.disable:
                     tqdm.write(f"{self.step}: " + ", ".join(f"{name} {value:.3g}" for name, value in row.items()))
                 if keep:

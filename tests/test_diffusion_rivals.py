@@ -7,6 +7,7 @@ import torch
 
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
+from motionlab import rotation
 from motionlab.bench import cases
 from motionlab.bench.rivals import Rivals
 from motionlab.diffusion.windows import gather, on_standard
@@ -60,11 +61,20 @@ def test_draws_spread_as_the_gaussian_does_that_is_left(fitted):
     assert torch.allclose(torch.cov(z.mT), expected, atol=0.05) and z.mean(0).abs().max() < 0.05
 
 
-def test_the_second_nearest_is_another_and_farther(takes, fitted):
-    truth = takes[0].clip(torch.arange(4))
-    first, second = (fitted.nearest(truth, cases.legs(4, FRAMES), rank=k) for k in (0, 1))
-    off = [(m.positions - truth.positions).norm(dim=-1).mean((1, 2)) for m in (first, second)]
-    assert (off[0] < 1e-3).all() and (off[1] > off[0]).all()  # itself, and somebody else
+def test_the_second_nearest_is_of_another_clip(takes, fitted):
+    """Itself, and then the nearest of those that are not of its clip: by a loop over all of them."""
+    truth, clips = takes[0].clip(torch.arange(4)), torch.arange(80) // 20
+    nothing = torch.zeros(4, FRAMES, 24, dtype=torch.bool)
+    nothing[..., 5] = True  # a knee alone: what is made of the rest is the window's that was found
+    found = [fitted.nearest(truth, nothing, rank=k, clips=clips) for k in (0, 1)]
+    assert (found[0].rot - truth.rot).abs().max() < 1e-3
+    knee = takes[0].rot[:, :, 5]
+    for w in range(4):
+        others = range(20, 80)
+        far = [
+            float((rotation.matrix_to_sixd(knee[k]) - rotation.matrix_to_sixd(knee[w])).square().sum()) for k in others
+        ]
+        assert (found[1].rot[w, :, 6:] - takes[0].rot[others[far.index(min(far))], :, 6:]).abs().max() < 1e-3
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -1,5 +1,7 @@
 """Quality of a prior: models whose errors are known beforehand, and what the shipped one must reach."""
 
+import math
+
 import pytest
 import torch
 
@@ -133,7 +135,10 @@ def test_effective_rank_counts_the_directions_that_z_has(still, take):
     for k in range(3):
         weight[joints + k, z + k] = 1.0
     assert training.effective_rank(still, past) == pytest.approx(3.0, abs=1e-2)
-    weight[joints + 3, z + 3] = 1e-3
+    weight[joints + 2, z + 2] = 0.5  # shares .4, .4, .2: by hand
+    by_hand = math.exp(-(2 * 0.4 * math.log(0.4) + 0.2 * math.log(0.2)))
+    assert training.effective_rank(still, past) == pytest.approx(by_hand, abs=1e-2)
+    weight[joints + 2, z + 2], weight[joints + 3, z + 3] = 1.0, 1e-3
     assert training.effective_rank(still, past) == pytest.approx(3.0, abs=0.05)
     weight[joints + 3, z + 3], weight[joints, z + 4] = 0.0, 1.0
     assert training.effective_rank(still, past) < 3.0

@@ -8,11 +8,12 @@ import imageio.v2 as imageio
 import pytest
 import torch
 
-from motionlab import examples, io, retarget
+from motionlab import examples, io, onnx_export, retarget
 from motionlab.__main__ import _parser
 from motionlab.bench import judge
 from motionlab.bench.person_windows import PersonWindows
 from motionlab.contact import with_contacts
+from motionlab.diffusion import completer
 from motionlab.diffusion.windows import on_standard
 from motionlab.fit import landmarks_of
 from motionlab.io import gltf
@@ -91,12 +92,20 @@ def is_a_file_for_viewers(names: dict) -> None:
     assert torch.allclose(back.positions, WALK.positions, atol=1e-5)
 
 
+def is_what_the_export_computes(names: dict) -> None:
+    expected = onnx_export.curves_of(names["known"] > 0.5)
+    assert abs(names["curves"] - expected).max() < 1e-6 and names["rotations"].shape == (1, 60, 22, 3, 3)
+    still = abs(names["root"] - [0, 0, 0.95]).max((0, 2))
+    assert still[:15].max() < 1e-6 > still[45:].max() and 1e-4 < still[15:45].max() < 1.0
+
+
 PROMISES = (
     is_a_film_of_the_walk,
     is_an_error_of_each_person,
     is_twice_as_fine,
     is_a_fit_without_doubts,
     is_a_repair_of_the_gap_alone,
+    is_what_the_export_computes,
     is_a_file_for_viewers,
 )
 
@@ -108,6 +117,8 @@ def test_example_runs_as_printed_and_keeps_its_promise(number, promise, desk, mo
     """Each stands alone: nothing of one is needed by another."""
     monkeypatch.chdir(desk)
     monkeypatch.setattr(judge, "people", walk_as_a_person)
+    if promise is is_what_the_export_computes:
+        onnx_export.export(completer.load("completer"), "inbetween.onnx")
     names: dict[str, object] = {}
     exec(compile(EXAMPLES[number], f"example {number + 1}", "exec"), names)
     promise(names)

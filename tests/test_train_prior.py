@@ -1,12 +1,14 @@
 """What the transition prior is trained on without end: both bodies, what was asked, and a file that gives it back."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
-from motionlab import splits, train_more, train_prior
+from motionlab import checkpoint, splits, train_more, train_prior
 from motionlab.diffusion.windows import gather, on_standard
+from motionlab.errors import DataError
 from motionlab.humor.chain_training import ChainRecipe
 from motionlab.skeleton import STANDARD
 from tests.draws import seeded
@@ -20,42 +22,53 @@ def course(motions):
     bodies = {"own bones": own, "standard body": [*map(on_standard, own)]}
     people = ["a", *["b"] * (len(own) - 1)] * 2
     windows = gather([m for some in bodies.values() for m in some], SMALL.length + 2, people=people)
-    held = {body: splits.state_windows(some, causal=True) for body, some in bodies.items()}
+    held = {
+        body: {"c": splits.state_windows(some[:1], causal=True), "d": splits.state_windows(some[1:], causal=True)}
+        for body, some in bodies.items()
+    }
     return train_prior.Course("transition", SMALL, None, (windows, held))
 
 
-def test_half_of_the_windows_are_on_the_standard_body(course):
+def test_half_of_the_windows_are_of_the_standard_body(course):
     windows = replace(course.windows, mirrored=False)
     bodies = windows.draw(400, seeded()).skeleton.offsets[:, 0]
     share = (bodies == STANDARD.offsets).all((1, 2)).float().mean()
     assert 0.35 < share < 0.65
 
 
-def test_what_was_asked_chooses(course, motions):
-    model = course.begun(SMALL, None).averaged
-    row = course.measured(model)
-    assert next(iter(row)) == train_prior.CHOSEN
-    shares = []
-    for body in course.held:
-        cv = row[f"{body}: one step, constant velocity, cm"]
-        shares += [
-            row[f"{body}: one step, prior mean, cm"] / cv / 0.75,
-            row[f"{body}: one step, posterior, cm"] / cv / 0.25,
-        ]
-        shares += [row[f"{body}: 2 s, posterior z, cm"] / 5, row[f"{body}: 2 s, closed loop, cm"] / 2]
-    assert row[train_prior.CHOSEN] == pytest.approx(sum(shares) / len(shares))
+def test_who_does_what_was_asked_has_one(course, monkeypatch):
+    """By a row that lies at the bounds exactly; twice as bad has two, whatever else is in the row."""
+    for much in (1.0, 2.0):
+        row = {"one step, constant velocity, cm": 0.4, "one step, prior mean, cm": 0.75 * 0.4 * much}
+        row |= {"one step, posterior, cm": 0.25 * 0.4 * much, "2 s, posterior z, cm": 5.0 * much}
+        row |= {"2 s, closed loop, cm": 2.0 * much, "2 s, hold, cm": 99.0}
+        monkeypatch.setattr(train_prior, "quality_row", lambda *_, row=row: row)
+        found = course.measured(None)
+        assert next(iter(found.items())) == (train_prior.CHOSEN, pytest.approx(much))
+        assert found["own bones: 2 s, hold, cm"] == found["standard body: 2 s, hold, cm"] == 99.0
 
 
 def test_it_goes_on_from_what_it_wrote(course, tmp_path, monkeypatch):
+    """By a bare name in the folder at hand; the kept state is gone, so that the file is all there is."""
     monkeypatch.setenv("MOTIONLAB_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(train_more, "_give_way", lambda: None)
-    out = tmp_path / "mine"
+    monkeypatch.chdir(tmp_path)
+    out = Path("transition")
     train_more.go_on(course, out, every=2, schedules=1)
-    first = course.load(out)
-    about = train_more.checkpoint.read_recipe(out)
-    assert about["step"] in (2, 4) and about["people"] == 1
-    run = course.begun(SMALL, first)
-    assert run.recipe.supervised == 0 and run.recipe.width == 64
+    before = checkpoint.read_recipe(out)
+    assert before["step"] in (2, 4) and before["people"] == 1 and before["recipe"]["width"] == 64
+    train_more._kept("transition", out).unlink()
+    monkeypatch.setattr(course, "recipe", replace(SMALL, lr=1e-6))
+    train_more.go_on(course, out, every=2, schedules=1)
+    run = course.resumed(train_more._kept("transition", out))
+    assert run.earlier == before["step"] and run.step == 4 and run.recipe.sampled == 0
+    first, again = course.load(out), run.averaged
     past = torch.randn(5, 339, generator=seeded())
-    again = run.averaged
-    assert torch.allclose(again.prior(past).mean, first.prior(past).mean, atol=1e-3)
+    assert torch.allclose(again.prior(past).mean, first.prior(past).mean, atol=0.02)
+    new = course.begun(replace(SMALL, seed=9), None).averaged
+    assert not torch.allclose(new.prior(past).mean, first.prior(past).mean, atol=0.02)
+
+
+def test_a_prior_of_another_kind_is_refused(course):
+    with pytest.raises(DataError, match="not a transition"):
+        course.load(checkpoint.SHIPPED / "humor_compact")

@@ -75,13 +75,20 @@ class Rivals:
         """The mean training window."""
         return self._filled(motion, known, lambda x, mask: self.mean_row.expand_as(x), finish)
 
-    def nearest(self, motion: Motion, known: Tensor, finish: int = 0, *, rank: int = 0) -> Motion:
-        """The training window whose numbers are nearest where they are known, or has ``rank`` nearer ones before it."""
+    def nearest(
+        self, motion: Motion, known: Tensor, finish: int = 0, *, rank: int = 0, clips: Tensor | None = None
+    ) -> Motion:
+        """The training window whose numbers are nearest where they are known; or, of the nearest of each of ``clips``
+        (N,), the one behind ``rank`` nearer ones."""
 
         def find(x: Tensor, mask: Tensor) -> Tensor:
             weight = mask.to(x)
             apart = weight @ self.rows.square().mT - 2 * (weight * x) @ self.rows.mT
-            return self.rows[apart.topk(rank + 1, largest=False).indices[:, -1]]
+            for _ in range(rank):
+                best = apart.argmin(-1)
+                mine = clips == clips[best][:, None]
+                apart = apart.masked_fill(mine, torch.inf)
+            return self.rows[apart.argmin(-1)]
 
         return self._filled(motion, known, find, finish)
 
@@ -89,7 +96,7 @@ class Rivals:
         self, motion: Motion, known: Tensor, finish: int = 0, generator: torch.Generator | None = None
     ) -> Motion:
         """Ridge regression of the hidden numbers on the known ones: one regression for each mask. generator: a draw of
-        the Gaussian whose mean that is."""
+        the Gaussian whose mean that is, without the noise about its principal parts."""
 
         def find(x: Tensor, mask: Tensor) -> Tensor:
             found = torch.empty_like(x)

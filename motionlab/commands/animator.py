@@ -28,7 +28,9 @@ _OUT = f"a file ({' '.join(WRITTEN)}; the format of IN keeps the file's own numb
 def add_commands(commands: argparse._SubParsersAction) -> None:
     """Adds the four commands; nothing heavy is imported before one runs."""
     example = "walk.bvh --keys 0,30,60,90,120-last --out between.bvh --film between.mp4"
-    command = _command(commands, "inbetween", "keep the frames you name, make those between them", example, _inbetween)
+    command = _command(
+        commands, "inbetween", "keep the frames you name, make those between them", example, _inbetween, _DRAW
+    )
     command.add_argument("--keys", required=True, help="frames that stay, from 0: 0,45,90 or 0-20,60-last")
     command.add_argument("--joints", type=_words, default=[], help="joints that stay in all frames, as left_wrist,arms")
     command.add_argument("--method", choices=_METHODS, help="default: what is measured best for the longest gap")
@@ -41,7 +43,7 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     command.add_argument("--method", choices=_METHODS, help="default: network; for jumps as of inbetween")
 
     example = "walk.bvh --hidden legs --out completed.bvh"
-    command = _command(commands, "complete", "make joints that are missing or wrong", example, _complete)
+    command = _command(commands, "complete", "make joints that are missing or wrong", example, _complete, _DRAW)
     which = command.add_mutually_exclusive_group(required=True)
     which.add_argument("--hidden", type=_words, help="joints to make: legs, left_arm, right_knee, ...; others stay")
     which.add_argument("--known", type=_words, help="joints whose places alone are known: left_wrist,head, ...")
@@ -54,11 +56,14 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     command.add_argument("--format", choices=[s[1:] for s in WRITTEN], help="default: that of --start, or bvh")
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER")
     add_film(command, "what was made, side by side")
-    _usual(command)
+    _usual(command, "of the first (default 0)")
+
+
+_DRAW = "draw one of the motions that are possible, by the network; none: its one answer, closest on average"
 
 
 def _command(
-    commands: argparse._SubParsersAction, name: str, text: str, example: str, make: Callable
+    commands: argparse._SubParsersAction, name: str, text: str, example: str, make: Callable, *seed: str
 ) -> argparse.ArgumentParser:
     command = add_command(commands, name, text, f"{name} {example}", _on_motions)
     command.add_argument("source", metavar="IN", type=Path, help=_IN)
@@ -66,12 +71,12 @@ def _command(
     add_film(command, "what was given beside what was made of it; not of a folder")
     many.add_sharing(command, "of a folder")
     command.set_defaults(make=make)
-    _usual(command)
+    _usual(command, *seed)
     return command
 
 
-def _usual(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--seed", type=_seed, help="another possible motion for every number; none: the likeliest")
+def _usual(command: argparse.ArgumentParser, seed: str = "of what is drawn at random (default 0)") -> None:
+    command.add_argument("--seed", type=_seed, help=seed)
     command.add_argument("--no-planting", dest="plant", action="store_false", help="leave sliding feet alone")
     add_axes(command)
 

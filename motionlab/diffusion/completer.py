@@ -108,7 +108,7 @@ class Completer(nn.Module):
         self, states: Tensor, known: Tensor, fps: float, noisy: Tensor | None = None, angle: Tensor | None = None
     ) -> Tensor:
         """Computes what to add to a guess; nothing where a number is known. A mean over three frames, the middle one
-        weighted twice, takes away what alternates from frame to frame: that is never motion."""
+        weighted twice, takes away what alternates from frame to frame."""
         x = torch.cat(((states - self.mean) / self.scale, known.to(states), until_known(known, fps)), -1)
         tokens = self.taken(x.unflatten(1, (-1, self.recipe.patch)).flatten(2)) + self.place
         if noisy is not None:

@@ -49,12 +49,12 @@ class ChainRecipe:
     batch: int = 128
     length: int = 16
     chain: int = 8
-    opened: float = 0.3
+    opened: float = 0.4
     free: float = 0.2
     lr: float = 3e-3
     supervised: float = 0.05
     sampled: float = 0.2
-    kl: float = 0.002
+    kl: float = 0.02
     annealed: float = 0.1
     kinematics: float = 0.5
     contact: float = 0.7

@@ -4,7 +4,7 @@
 
 Rivals learn from windows of the people who train, settings of everybody are chosen on the people who choose, and the
 people of the report are used once. Every person counts alike; intervals are by bootstrap over people. What is measured
-on the report goes into the recipes of the completers, where ``python -m motionlab models`` reads it.
+on the report goes into the recipe of ``completer``, where ``python -m motionlab models`` reads it.
 
 Most recordings are of a figure without toes and with a stiff back. Nobody is asked for a joint that a figure does not
 have: it stays as it came, whoever fills in the rest. Networks, which learnt never to be told of it, are not.
@@ -51,17 +51,17 @@ DRAWN = ("legs hidden", "gap of 30 frames", "gap of 45 frames")
 
 @dataclass(frozen=True, eq=False)
 class Contender:
-    """fill: (motion, known, setting, generator) -> motion; it draws if ``draws``. settings: to choose from, by whether
-    a case has edges in time. told: of joints that a figure lacks."""
+    """fill: (motion, known, setting, seed) -> motion; it draws if ``draws``. settings: to choose from, by whether a
+    case has edges in time. told: of joints that a figure lacks."""
 
-    fill: Callable[[Motion, Tensor, object, torch.Generator], Motion]
+    fill: Callable[[Motion, Tensor, object, int], Motion]
     settings: Callable[[bool], Sequence] = lambda edges: (None,)
     draws: bool = False
     told: bool = True
 
 
-def contenders(learnt: Motion, generator: torch.Generator) -> dict[str, Contender]:
-    """Everybody by name."""
+def contenders(learnt: Motion, clips: Tensor, generator: torch.Generator) -> dict[str, Contender]:
+    """Everybody by name. learnt: windows (N, T) of the clips (N,)."""
     fitted, one, many = rivals.Rivals.fit(learnt, generator), completer.load(R), completer.load(T)
     old = motion_model("diffusion_real_told")
     fades = lambda edges: FADES if edges else (0,)  # noqa: E731
@@ -69,12 +69,16 @@ def contenders(learnt: Motion, generator: torch.Generator) -> dict[str, Contende
     def ridges(edges: bool) -> list[tuple[float, int]]:
         return [(w, fade) for w in rivals.RIDGES for fade in fades(edges)]
 
-    def ridge(motion: Motion, known: Tensor, how: tuple[float, int], draw: torch.Generator | None) -> Motion:
+    def ridge(motion: Motion, known: Tensor, how: tuple[float, int], seed: int | None) -> Motion:
+        draw = None if seed is None else torch.Generator().manual_seed(seed)
         return replace(fitted, ridge=how[0]).regression(motion, known, how[1], draw)
 
-    def told(motion: Motion, known: Tensor, how: tuple[int, int], draw: torch.Generator) -> Motion:
+    def told(motion: Motion, known: Tensor, how: tuple[int, int], seed: int) -> Motion:
         way = Way(put="nothing", steps=how[0], finish=how[1])
-        return repair(old, motion, cases.columns(old.layout, known), draw, way)
+        return repair(old, motion, cases.columns(old.layout, known), torch.Generator().manual_seed(seed), way)
+
+    def drawn(motion: Motion, known: Tensor, steps: int, seed: int) -> Motion:
+        return many.complete(motion, known, torch.Generator().manual_seed(seed), steps=steps)
 
     return {
         "mean pose": Contender(lambda m, k, how, _: fitted.mean(m, k, how), fades),
@@ -85,21 +89,14 @@ def contenders(learnt: Motion, generator: torch.Generator) -> dict[str, Contende
         "told": Contender(told, lambda edges: [(1, fade) for fade in fades(edges)], told=False),
         R: Contender(lambda m, k, *_: one.complete(m, k), told=False),
         "nearest six": Contender(
-            lambda m, k, how, draw: fitted.nearest(m, k, how, rank=_nth(draw)), fades, draws=True
+            lambda m, k, how, n: fitted.nearest(m, k, how, rank=n, clips=clips), fades, draws=True
         ),
         "Gaussian": Contender(ridge, ridges, draws=True),
         "told, draws": Contender(
             told, lambda edges: [(steps, fade) for steps in STEPS for fade in fades(edges)], draws=True, told=False
         ),
-        T: Contender(
-            lambda m, k, how, draw: many.complete(m, k, draw, steps=how), lambda edges: STEPS, draws=True, told=False
-        ),
-    }  # fmt: skip
-
-
-def _nth(generator: torch.Generator) -> int:
-    """How many generators like this one were seeded before: 0 for seed 0."""
-    return generator.initial_seed()
+        T: Contender(drawn, lambda edges: STEPS, draws=True, told=False),
+    }
 
 
 def curves(model: Completer, motion: Motion, known: Tensor) -> Motion:
@@ -114,8 +111,7 @@ def left(who: Contender, how: object, case: Case, windows: PersonWindows, standi
     known = case.mask(len(motion.root))
     given = known if who.told else known & ~lacks
     made = [
-        cases.pasted(who.fill(motion, given, how, torch.Generator().manual_seed(k)), motion, known | lacks)
-        for k in range(DRAWS if who.draws else 1)
+        cases.pasted(who.fill(motion, given, how, k), motion, known | lacks) for k in range(DRAWS if who.draws else 1)
     ]
     found = {
         "energy score, cm": energy_score(made, motion, known, case.joints),
@@ -135,10 +131,11 @@ def left(who: Contender, how: object, case: Case, windows: PersonWindows, standi
 
 
 def _lafan(made: Motion, truth: Motion, hidden: Tensor, standing: dict) -> dict:
-    """L2P and L2Q (B,) of hidden frames (T,), and NPSS of windows (B,) together. Quaternions have the signs nearer to the
-    truth's, unlike the benchmark's: so these are for comparisons here alone."""
+    """L2P and L2Q (B,) of hidden frames (T,), and NPSS of windows (B,) together. Quaternions have the signs nearer to
+    the truth's, unlike the benchmark's: so these are for comparisons here alone."""
     places, turns = zip(
-        *((m.world[0][:, hidden], rotation.matrix_to_quaternion(m.world[1][:, hidden])) for m in (made, truth)), strict=True
+        *((m.world[0][:, hidden], rotation.matrix_to_quaternion(m.world[1][:, hidden])) for m in (made, truth)),
+        strict=True,
     )
     near = turns[0] * (turns[0] * turns[1]).sum(-1, keepdim=True).sign()
     return {
@@ -151,14 +148,16 @@ def measure(folder: str, part: str) -> tuple[dict[str, dict[str, dict[str, float
     """Everybody on every case: by measure means and intervals over people, and paired against the completers; and the
     settings that were chosen."""
     generator = torch.Generator().manual_seed(0)
-    learnt = replace(learnt_from(folder, FRAMES)[0].draw(LEARNT, generator), skeleton=STANDARD)
+    learnt, clips = learnt_from(folder, FRAMES)[0].drawn(LEARNT, generator)
+    learnt = replace(learnt, skeleton=STANDARD)
+    everybody = contenders(learnt, clips, generator)
     spread = learnt.clip(torch.arange(2000)).positions.flatten(0, 1)
     standing = {"mean": spread.mean(0), "std": spread.std(0)}
     practice, report = people(folder, "choose", PRACTICE), people(folder, part, EACH)
     rows, chosen = {}, {}
     for title, case in CASES.items():
         some = {}
-        for name, who in contenders(learnt, torch.Generator().manual_seed(0)).items():
+        for name, who in everybody.items():
             options = list(who.settings(case.edges)) if not who.draws or title in DRAWN else []
             if not options:
                 continue
@@ -172,11 +171,11 @@ def measure(folder: str, part: str) -> tuple[dict[str, dict[str, dict[str, float
             )
         for name, each in some.items():
             rows |= {f"{title}, {name}, {what}": _over_people(x, generator) for what, x in each.items()}
-            mine = T if name != T and T in some else R
-            less = each["energy score, cm"] - some[mine]["energy score, cm"]
-            rows[f"{title}, {name} less {mine}, energy score, cm"] = _over_people(less, generator)
-            less = each["cm"] - some[R]["cm"]
-            rows[f"{title}, {name} less {R}, cm"] = _over_people(less, generator)
+            if name != R:
+                rows[f"{title}, {name} less {R}, cm"] = _over_people(each["cm"] - some[R]["cm"], generator)
+            if T in some and name != T:
+                less = each["energy score, cm"] - some[T]["energy score, cm"]
+                rows[f"{title}, {name} less {T}, energy score, cm"] = _over_people(less, generator)
         for what in ("L2P", "L2Q", "NPSS"):
             if "slerp" in some:
                 rows[f"{title}, {R} over slerp, {what}"] = _over_people(some[R][what] / some["slerp"][what], generator)
