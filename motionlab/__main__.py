@@ -113,7 +113,7 @@ def _onnx(options: argparse.Namespace) -> int:
 def _models(options: argparse.Namespace) -> int:
     from motionlab import checkpoint, models
 
-    for path in sorted(checkpoint.SHIPPED.glob("humor_*.json")) if options.data else []:
+    for path in [p for kind in models.PRIORS for p in sorted(checkpoint.SHIPPED.glob(f"{kind}.json")) if options.data]:
         models.judge_prior(path.stem, options.data)
     print(models.write_readme())
     return 0

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from motionlab import checkpoint, corpus, splits
+from motionlab.diffusion.windows import on_standard
 from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.humor import pretrained, training
@@ -22,8 +24,18 @@ from motionlab.humor.state import unpack
 from motionlab.metrics.intervals import interval
 from motionlab.motion import Motion
 
+PRIORS = "humor_*", "transition"  # patterns of their names
 #: Where the measurements stand in a recipe.
 REPORT = "people nobody trained on"
+BODIES = "", "standard body: "  # before a measure: people's own bones, and what fits use
+#: What the table shows of a prior.
+_SHOWN = (
+    "one step, prior mean, cm", "one step, posterior, cm", "one step, constant velocity, cm",
+    "one step, posterior, contact F1", "contact F1, as one frame before", "2 s, posterior z, cm",
+    "2 s, closed loop, cm", "2 s, best of 8 samples, cm", "2 s, prior mean, cm", "2 s, hold, cm", "kl, nats",
+    "effective rank", "samples' bones", "samples' acceleration", "data's acceleration", "samples' slide",
+    "data's slide", "walkers who go on", "data's walkers who go on",
+)  # fmt: skip
 _MOST = 24  # windows of two seconds per person
 _WALKING = 0.5  # m/s: who is faster over a whole window walks
 _CREDIT = (
@@ -39,22 +51,24 @@ def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[
 
     Returns:
         by measure (``training.quality_row``, the share of walkers who still walk after two seconds, and what samples
-        look like whose bones are held): the mean over people, the ends of its 95 % interval by bootstrap over people,
-        and how many there are.
+        look like whose bones are held), on people's own bones and on the standard body: the mean over people, the ends
+        of its 95 % interval by bootstrap over people, and how many there are.
     Raises:
         DataError: nobody of ``report`` is in the folder.
     """
     model = pretrained.load_motion_prior(name)
     takes = corpus.assemble(folder, splits.real_sources(folder)).part("report")
-    rows = list(person_rows(model, person_states(takes, causal=model.causal), seed).values())
-    if not rows:
-        raise DataError("nobody of ``report`` is there", path=folder, remedy="unpack cmu_library into it")
     found = {}
-    for measure in rows[0]:
-        values = torch.tensor([row[measure] for row in rows])
-        values = values[values.isfinite()]
-        mean, low, high = interval(values, "mean", torch.Generator().manual_seed(seed))
-        found[measure] = {"mean": mean, "low": low, "high": high, "people": len(values)}
+    for body in BODIES:
+        some = [replace(t, motion=on_standard(t.motion)) for t in takes] if body else takes
+        rows = list(person_rows(model, person_states(some, causal=model.causal), seed).values())
+        if not rows:
+            raise DataError("nobody of ``report`` is there", path=folder, remedy="unpack cmu_library into it")
+        for measure in rows[0]:
+            values = torch.tensor([row[measure] for row in rows])
+            values = values[values.isfinite()]
+            mean, low, high = interval(values, "mean", torch.Generator().manual_seed(seed))
+            found[body + measure] = {"mean": mean, "low": low, "high": high, "people": len(values)}
     path = checkpoint.SHIPPED / f"{name}.json"
     write_whole(path, json.dumps(checkpoint.read_recipe(path) | {REPORT: found}, indent=1) + "\n")
     return found
@@ -126,17 +140,30 @@ def _models_table() -> str:
     return _markdown(rows)
 
 
-def _quality_table(kind: str) -> str:
-    """Returns what models of a kind do on people nobody trained on, side by side: Markdown."""
+def _quality_table(kinds: Sequence[str], shown: Sequence[str] | None = None) -> str:
+    """Returns what models do on people nobody trained on, side by side: Markdown. kinds: patterns of their names.
+    shown: these measures alone, on either body."""
     found = {
         path.stem: recipe[REPORT]
-        for path in sorted(checkpoint.SHIPPED.glob(f"{kind}_*.json"))
+        for kind in kinds for path in sorted(checkpoint.SHIPPED.glob(f"{kind}.json"))
         if REPORT in (recipe := checkpoint.read_recipe(path))
-    }
+    }  # fmt: skip
     measures = dict.fromkeys(name for each in found.values() for name in each)
+    if shown:
+        measures = [body + name for body in BODIES for name in shown if body + name in measures]
     return _markdown(
         [{"": measure} | {name: _cell(each.get(measure)) for name, each in found.items()} for measure in measures]
     )
+
+
+def _contest(found: Mapping[str, Mapping[str, float]]) -> str:
+    """Returns what ``studies.nb11_cases.real_people`` found, measures of "case; who; what": a table for each what."""
+    text, keys = "", [name.split("; ") for name in found]
+    for what in dict.fromkeys(what for _, _, what in keys):
+        cases, people = (dict.fromkeys(key[k] for key in keys if key[2] == what) for k in (0, 1))
+        rows = [{"": who} | {case: _cell(found.get(f"{case}; {who}; {what}")) for case in cases} for who in people]
+        text += f"**{what[0].upper()}{what[1:]}**\n\n{_markdown(rows)}\n\n"
+    return text and f"## Completers and their rivals (`studies.nb11_cases.real_people`)\n\n{text}"
 
 
 def _cell(found: Mapping[str, float] | None) -> str:
@@ -156,9 +183,10 @@ def write_readme() -> Path:
     text = "# Models\n\nMade by `python -m motionlab models` from the recipes beside the weights. Small models that "
     text += f"differ in one thing (`arm_*`) are left out.\n\n{_models_table()}\n\n"
     text += "## Transition priors on people nobody trained on\n\nMean over people and its 95 % interval, by bootstrap "
-    text += f"over people.\n\n{_quality_table('humor')}\n\n"
-    if told := _quality_table("diffusion"):
-        text += "## Diffusion models (`studies.nb11_cases.real_people`, `studies.nb15_evaluation.real_generation`)\n\n"
-        text += f"{told}\n\n"
+    text += f"over people.\n\n{_quality_table(PRIORS, _SHOWN)}\n\n"
+    if (completer := checkpoint.SHIPPED / "completer.json").exists():
+        text += _contest(checkpoint.read_recipe(completer).get(REPORT, {}))
+    if table := _quality_table(["diffusion_*"]):
+        text += f"## Generation (`studies.nb15_evaluation.real_generation`)\n\n{table}\n\n"
     write_whole(path, f"{text}Licence: MIT, as the project's. {_CREDIT}\n")
     return path

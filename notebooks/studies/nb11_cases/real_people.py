@@ -170,15 +170,21 @@ def measure(folder: str, part: str) -> tuple[dict[str, dict[str, dict[str, float
                 flush=True,
             )
         for name, each in some.items():
-            rows |= {f"{title}, {name}, {what}": _over_people(x, generator) for what, x in each.items()}
-            if name != R:
-                rows[f"{title}, {name} less {R}, cm"] = _over_people(each["cm"] - some[R]["cm"], generator)
+            kind = "draws, energy score, cm" if everybody[name].draws else "one answer, cm"
+            rows[f"{title}; {name}; {kind}"] = _over_people(each["energy score, cm"], generator)
+            if name != R and not everybody[name].draws:
+                rows[f"{title}; {name}; less {R}, cm"] = _over_people(each["cm"] - some[R]["cm"], generator)
             if T in some and name != T:
                 less = each["energy score, cm"] - some[T]["energy score, cm"]
-                rows[f"{title}, {name} less {T}, energy score, cm"] = _over_people(less, generator)
+                rows[f"{title}; {name}; less {T}, energy score, cm"] = _over_people(less, generator)
+        for name in (R, T):
+            for what in ("acceleration over the truth's", "slide, mm a frame", "spread over error"):
+                if name in some and what in some[name]:
+                    rows[f"{title}; {name}; {what}"] = _over_people(some[name][what], generator)
         for what in ("L2P", "L2Q", "NPSS"):
             if "slerp" in some:
-                rows[f"{title}, {R} over slerp, {what}"] = _over_people(some[R][what] / some["slerp"][what], generator)
+                ratio = some[R][what] / some["slerp"][what]
+                rows[f"{title}; {R}, {what}; over slerp's"] = _over_people(ratio, generator)
     return rows, chosen
 
 
