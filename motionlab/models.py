@@ -186,7 +186,7 @@ def write_readme() -> Path:
     text += f"over people.\n\n{_quality_table(PRIORS, _SHOWN)}\n\n"
     if (completer := checkpoint.SHIPPED / "completer.json").exists():
         text += _contest(checkpoint.read_recipe(completer).get(REPORT, {}))
-    if table := _quality_table(["diffusion_*"]):
+    if table := _quality_table(["completer_draws", "diffusion_*"]):
         text += f"## Generation (`studies.nb15_evaluation.real_generation`)\n\n{table}\n\n"
     write_whole(path, f"{text}Licence: MIT, as the project's. {_CREDIT}\n")
     return path

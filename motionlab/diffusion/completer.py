@@ -51,7 +51,6 @@ class CompleterRecipe:
     size: int = 256
     layers: int = 4
     patch: int = 2
-    dropout: float = 0.0
     kinds: tuple[tuple[str, float], ...] = KINDS
     noised: bool = False
     blind: float = 0.2
@@ -91,7 +90,7 @@ class Completer(nn.Module):
         if recipe.noised:
             self.noisy, self.angle = nn.Linear(state.MADE * recipe.patch, size), nn.Linear(2 * _WAVES, size)
         self.place = nn.Parameter(torch.randn(recipe.frames // recipe.patch, size) * 0.02)
-        how = {"dropout": recipe.dropout, "activation": "gelu", "norm_first": True, "batch_first": True}
+        how = {"dropout": 0.0, "activation": "gelu", "norm_first": True, "batch_first": True}
         layer = nn.TransformerEncoderLayer(size, max(4, size // 64), 2 * size, **how)
         self.encoder = nn.TransformerEncoder(layer, recipe.layers, nn.LayerNorm(size), enable_nested_tensor=False)
         self.said = nn.Linear(size, state.MADE * recipe.patch)

@@ -79,9 +79,7 @@ class CompleterTraining(TrainingRun):
         known = known & seen[:, None]
         silent = torch.rand(recipe.batch, 1, generator=self.generator) < _SILENT
         known[..., -1] &= ~silent
-        with torch.random.fork_rng(devices=[]):  # what dropout draws from
-            torch.manual_seed(int(torch.randint(2**31, (), generator=self.generator)))
-            made = self.model.filled(motion, known, *self._noise(len(clips)))
+        made = self.model.filled(motion, known, *self._noise(len(clips)))
         parts = losses(made, motion, known, seen, self.model.units.made[1], squared=recipe.noised)
         return sum(_WEIGHTS[name] * part for name, part in parts.items()), parts
 

@@ -1,9 +1,9 @@
 """What a diffusion model of real motion generates, beside people nobody trained on.
 
-    PYTHONPATH=notebooks python -m studies.nb15_evaluation.real_generation FOLDER [--models diffusion_real_free ...]
+    PYTHONPATH=notebooks python -m studies.nb15_evaluation.real_generation FOLDER [--models ...] [--part choose]
 
-Beside each model stand its analytic filter alone, and "people who train": as many windows of those whom it learnt from,
-which is as near as a generator of what it saw can come. All sets have one size, as coverage depends on it. Intervals
+Beside each model that corrects a filter stands that filter alone, and beside all "people who train": as many windows of
+those whom it learnt from, which is as near as a generator of what it saw can come. All sets have one size, as coverage depends on it. Intervals
 are 1.96 deviations between random halves of the people of the report, which is about what so many people leave open
 (Shao and Wu 1989); a bootstrap would draw people twice, which coverage takes for a lack of variety. Coverage and
 Frechet distance are the measures that the ruler (``real_ruler``) nearly passed; recall is printed because it was asked
@@ -21,6 +21,7 @@ from torch import Tensor
 
 from motionlab import checkpoint, corpus, splits
 from motionlab.bench.person_windows import person_windows
+from motionlab.diffusion import completer
 from motionlab.diffusion.embedding import motion_features
 from motionlab.diffusion.model import motion_model, silenced
 from motionlab.files import write_whole
@@ -30,7 +31,8 @@ from motionlab.models import REPORT
 from motionlab.motion import Motion
 from motionlab.skeleton import BALLS, STANDARD
 
-FRAMES, EACH, DRAWS, STEPS = 60, 24, 40, 50  # of a window; windows of a person; halves; of the sampler
+FRAMES, EACH, DRAWS = 60, 24, 40  # of a window; windows of a person; halves
+STEPS, DRAWN = 50, 25  # of the samplers
 DOWN = 0.03  # metres above where a ball rests
 
 
@@ -59,18 +61,29 @@ def scored(made: Motion, real: Motion, rows: Tensor, features, latent: Tensor) -
     }
 
 
-def measure(names: list[str], folder: str) -> dict[str, dict[str, dict[str, float]]]:
+def sampled(name: str, count: int) -> dict[str, Motion]:
+    """Windows (count, T) from nothing known, by model and its filter."""
+    generator = torch.Generator().manual_seed(0)
+    if name.startswith("completer"):
+        still = torch.eye(3).expand(count, FRAMES, len(STANDARD), 3, 3)
+        motion = Motion(STANDARD, torch.zeros(count, FRAMES, 3), still, 30.0)
+        known = torch.zeros(count, FRAMES, len(STANDARD) + 2, dtype=torch.bool)
+        return {name: completer.load(name).complete(motion, known, generator, steps=DRAWN)}
+    model = motion_model(name)
+    both = {name: model, f"{name}, filter alone": silenced(model)}
+    return {title: each.sample(count, generator, steps=STEPS) for title, each in both.items()}
+
+
+def measure(names: list[str], folder: str, part: str) -> dict[str, dict[str, dict[str, float]]]:
     """By model and by what stands beside it: value, and the ends of its interval over people."""
     features, generator = motion_features("features_real"), torch.Generator().manual_seed(0)
     takes = corpus.assemble(folder, splits.real_sources(folder))
-    real, whose, _ = person_windows(takes.part("report"), FRAMES, EACH)
+    real, whose, _ = person_windows(takes.part(part), FRAMES, EACH)
     learnt = person_windows(takes.part("train"), FRAMES, EACH).motion
     some = torch.randperm(len(learnt.root), generator=generator)[: len(real.root)]
     sets = {"people who train": replace(learnt, root=learnt.root[some], rot=learnt.rot[some], contacts=None)}
     for name in names:
-        model = motion_model(name)
-        for title, each in ((name, model), (f"{name}, filter alone", silenced(model))):
-            sets[title] = each.sample(len(real.root), torch.Generator().manual_seed(0), steps=STEPS)
+        sets |= sampled(name, len(real.root))
     latent, people, found = features(real), int(whose.max()) + 1, {}
     for title, made in sets.items():
         value = scored(made, real, torch.arange(len(whose)), features, latent)
@@ -88,12 +101,13 @@ def main() -> None:
     """Measures, prints and keeps in each model's recipe."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder")
-    parser.add_argument("--models", nargs="+", default=["diffusion_real_free"])
+    parser.add_argument("--models", nargs="+", default=["completer_draws", "diffusion_real_free"])
+    parser.add_argument("--part", choices=("choose", "report"), default="report")
     options = parser.parse_args()
-    found = measure(options.models, options.folder)
-    for name in options.models:
+    found = measure(options.models, options.folder, options.part)
+    for name in options.models if options.part == "report" else ():
         path, rows = checkpoint.SHIPPED / f"{name}.json", {}
-        for title in (name, f"{name}, filter alone", "people who train"):
+        for title in [t for t in (name, f"{name}, filter alone", "people who train") if t in found]:
             who = "" if title == name else ", " + title.removeprefix(f"{name}, ")
             rows |= {f"generated, {what}{who}": value for what, value in found[title].items()}
         about = checkpoint.read_recipe(path)
