@@ -3,11 +3,11 @@
     PYTHONPATH=notebooks python -m studies.nb15_evaluation.real_generation FOLDER [--models ...] [--part choose]
 
 Beside each model that corrects a filter stands that filter alone, and beside all "people who train": as many windows of
-those whom it learnt from, which is as near as a generator of what it saw can come. All sets have one size, as coverage depends on it. Intervals
-are 1.96 deviations between random halves of the people of the report, which is about what so many people leave open
-(Shao and Wu 1989); a bootstrap would draw people twice, which coverage takes for a lack of variety. Coverage and
-Frechet distance are the measures that the ruler (``real_ruler``) nearly passed; recall is printed because it was asked
-for, and is no ruler. The result goes into the model's recipe.
+those whom it learnt from, which is as near as a generator of what it saw can come. All sets have one size, as coverage
+depends on it. Intervals are 1.96 deviations between random halves of the people of the report, which is about what so
+many people leave open (Shao and Wu 1989); a bootstrap would draw people twice, which coverage takes for a lack of
+variety. Coverage and Frechet distance are the measures that the ruler (``real_ruler``) nearly passed; recall is printed
+because it was asked for, and is no ruler. The result goes into the model's recipe.
 """
 
 from __future__ import annotations
