@@ -230,12 +230,30 @@ def test_draws_of_an_exact_model_are_draws_of_the_gaussian(data, windows, monkey
     size = (6, FRAMES, state.MADE)
     monkeypatch.setattr(model, "_begun", lambda *_: (torch.zeros(size), torch.ones(size, dtype=torch.bool)))
     monkeypatch.setattr(state, "motion_of", lambda numbers, like: numbers)
+    monkeypatch.setattr(state, "made", lambda numbers: numbers)
     found = []
     for estimate in (exact, lambda motion, begun, known, x, angle: torch.full_like(x, m)):
         monkeypatch.setattr(model, "_added", estimate)
-        found.append(model._drawn(windows, known, torch.Generator().manual_seed(0), 64))
+        found.append(model._drawn(windows, known, torch.Generator().manual_seed(0), 400))
     assert abs(float(found[0].mean()) - m) < 0.03 and abs(float(found[0].std()) - s) < 0.03
     assert float(found[1].std()) < 0.05
+
+
+def test_how_long_a_models_six_numbers_are_does_not_matter(data, windows, known, monkeypatch):
+    """Only their directions were ever asked of it: twice as long on the way, they draw the same."""
+    model, (local, _) = CompleterTraining(replace(TINY, noised=True), data).averaged, stuck_root(windows)
+    truth, scale = state.made(local), model.units.made[1]
+    drawn = []
+    for long, seed in ((1.0, 0), (2.0, 0), (1.0, 1)):
+        six = torch.ones(state.MADE)
+        six[3 : 3 + 6 * 22] = long
+
+        def half_way(motion, begun, told, x, angle, six=six):
+            return ((0.5 * truth + 0.5 * (begun + x * scale)) * six - begun) / scale
+
+        monkeypatch.setattr(model, "_added", half_way)
+        drawn.append(model._drawn(local, known, torch.Generator().manual_seed(seed), 8).positions)
+    assert (drawn[0] - drawn[1]).abs().max() < 1e-3 < 1e-2 < (drawn[0] - drawn[2]).abs().max()
 
 
 # ------------------------------------------------------------------------------------------------------- bench
