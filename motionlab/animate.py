@@ -42,7 +42,7 @@ _FADE = (2.0, 0.8)  # seconds over which the velocity at a key carries on, of th
 #: network alone in motion; a gap should take no more frames of a window than this, so that a longer one is shown to the
 #: network faster than it is.
 _TRUST, _MOST = 0.5, 40
-_STEPS = 25  # of the sampler
+_STEPS = 10  # of the sampler
 _MEASURED = 2.5  # seconds of the longest gaps that were measured, and a little
 
 

@@ -42,7 +42,7 @@ from studies.shared.inbetween_measures import l2p, l2q, npss
 EACH, PRACTICE = 24, 8  # windows of each person, for the report and to choose on
 LEARNT = 30_000  # training windows that the rivals learn from
 FADES = (0, 5, 10)  # frames over which the jump at the edge of what is known may fade
-STEPS = (5, 10, 25)  # of samplers
+STEPS = (5, 10)  # of the sampler
 DRAWS = 6
 R, T = "completer", "completer_draws"
 #: What is asked of whom, and of which draws.
@@ -73,8 +73,8 @@ def contenders(learnt: Motion, clips: Tensor, generator: torch.Generator) -> dic
         draw = None if seed is None else torch.Generator().manual_seed(seed)
         return replace(fitted, ridge=how[0]).regression(motion, known, how[1], draw)
 
-    def told(motion: Motion, known: Tensor, how: tuple[int, int], seed: int) -> Motion:
-        way = Way(put="nothing", steps=how[0], finish=how[1])
+    def told(motion: Motion, known: Tensor, fade: int, seed: int) -> Motion:
+        way = Way(put="nothing", steps=1, finish=fade)
         return repair(old, motion, cases.columns(old.layout, known), torch.Generator().manual_seed(seed), way)
 
     def drawn(motion: Motion, known: Tensor, steps: int, seed: int) -> Motion:
@@ -86,15 +86,12 @@ def contenders(learnt: Motion, clips: Tensor, generator: torch.Generator) -> dic
         "slerp": Contender(lambda m, k, *_: rivals.interpolated(m, k), lambda edges: (None,) if edges else ()),
         "curves": Contender(lambda m, k, *_: curves(one, m, k), lambda edges: (None,) if edges else ()),
         "ridge": Contender(lambda m, k, how, _: ridge(m, k, how, None), ridges),
-        "told": Contender(told, lambda edges: [(1, fade) for fade in fades(edges)], told=False),
+        "told": Contender(told, fades, told=False),
         R: Contender(lambda m, k, *_: one.complete(m, k), told=False),
         "nearest six": Contender(
             lambda m, k, how, n: fitted.nearest(m, k, how, rank=n, clips=clips), fades, draws=True
         ),
         "Gaussian": Contender(ridge, ridges, draws=True),
-        "told, draws": Contender(
-            told, lambda edges: [(steps, fade) for steps in STEPS for fade in fades(edges)], draws=True, told=False
-        ),
         T: Contender(drawn, lambda edges: STEPS, draws=True, told=False),
     }
 

@@ -32,7 +32,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import BALLS, STANDARD
 
 FRAMES, EACH, DRAWS = 60, 24, 40  # of a window; windows of a person; halves
-STEPS, DRAWN = 50, 25  # of the samplers
+STEPS, DRAWN = 50, 10  # of the samplers
 DOWN = 0.03  # metres above where a ball rests
 
 
