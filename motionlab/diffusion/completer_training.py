@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from motionlab.diffusion import masks, state
-from motionlab.diffusion.completer import Completer, CompleterRecipe, late
+from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.windows import Windows
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion
@@ -84,10 +84,10 @@ class CompleterTraining(TrainingRun):
         return sum(_WEIGHTS[name] * part for name, part in parts.items()), parts
 
     def _noise(self, count: int) -> tuple[Tensor, Tensor] | tuple[()]:
-        """Angles (B,), evenly (``late``) but for those at pure noise, and noise (B, T, ``MADE``); nothing without noise."""
+        """Angles (B,), evenly but for those at pure noise, and noise (B, T, ``MADE``); nothing without noise."""
         if not self.recipe.noised:
             return ()
-        angle = late(torch.rand(count, generator=self.generator) * math.pi / 2)
+        angle = torch.rand(count, generator=self.generator) * math.pi / 2
         blind = torch.rand(count, generator=self.generator) < self.recipe.blind
         noise = torch.randn(count, self.recipe.frames, state.MADE, generator=self.generator)
         return torch.where(blind, math.pi / 2, angle), noise
