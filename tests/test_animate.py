@@ -10,7 +10,8 @@ import torch
 
 from motionlab import __main__, animate, baselines, io, renew, rotation
 from motionlab.body import BodyModel
-from motionlab.corrections import WINDOW, Keep, Standard, overlapping
+from motionlab.contact import with_contacts
+from motionlab.corrections import WINDOW, Keep, Standard, by_windows, overlapping
 from motionlab.diffusion.denoising import Noise
 from motionlab.errors import DataError
 from motionlab.io import amass, bvh, gltf
@@ -83,15 +84,15 @@ def test_known_frames_stay_in_the_file_to_the_bit_and_the_rest_is_what_was_made(
     assert not same(before, smoothed, keep)
 
 
-@pytest.mark.parametrize("method", animate.METHODS)
-def test_kept_joints_stay_and_what_is_not_kept_is_never_read(method):
+@pytest.mark.parametrize(("method", "seed"), [("network", None), ("network", 0), ("curves", None)])
+def test_kept_joints_stay_and_what_is_not_kept_is_never_read(method, seed):
     motion = mixamo(walk())
     keep = animate.kept(motion, {0, 40, 129}, ["arms", "Head"])
     generator = torch.Generator().manual_seed(0)
     other = rotation.random(motion.rot.shape[:2], generator)
     scrambled = replace(motion, rot=torch.where(keep.rot[..., None, None], motion.rot, other))
     scrambled = replace(scrambled, root=torch.where(keep.rot[:, :1], motion.root, motion.root + 3.0))
-    made, again = (animate.inbetween(m, keep, method=method).motion for m in (motion, scrambled))
+    made, again = (animate.inbetween(m, keep, method=method, seed=seed).motion for m in (motion, scrambled))
     assert same(motion, made, keep) and torch.equal(made.rot, again.rot) and torch.equal(made.root, again.root)
     assert keep.joints.sum() == 7 and not torch.equal(made.rot, motion.rot)
 
@@ -109,6 +110,43 @@ def test_hidden_legs_are_made_from_the_rest_alone_in_windows_that_overlap():
     assert starts[0] == 0 and starts[-1] == 188 - WINDOW and max(np.diff(starts)) <= 20
     size = acceleration(made.positions, made.fps)[:, legs].mean(-1)
     assert size.max() < 6 * size.median()  # no frame at which windows meet stands out
+
+
+def test_a_seed_draws_one_motion_and_another_seed_another():
+    motion = mixamo(walk(60))
+    keep = animate.kept(motion, {0, 1, 58, 59})
+    drawn = [animate.inbetween(motion, keep, seed=seed).motion.rot for seed in (0, 0, 1, None)]
+    assert torch.equal(drawn[0], drawn[1])
+    assert all((drawn[0] - other).abs().max() > 0.02 for other in drawn[2:])
+    legs = [animate.completed(motion, ["legs"], seed=seed).motion.rot for seed in (0, 0, 1)]
+    assert torch.equal(legs[0], legs[1]) and not torch.equal(legs[0], legs[2])
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 200), (30, 200), (30, 150), (30, 99)])
+def test_draws_go_on_from_each_other_and_are_never_averaged(first, last):
+    """Every window filled in is numbered; each frame has the number of one of them, and knows the frames before it."""
+    motion = with_contacts(walk(200, 30.0))
+    known = torch.ones(200, 24, dtype=torch.bool)
+    known[first:last] = False
+
+    def filled(onward: bool) -> tuple[torch.Tensor, list[torch.Tensor]]:
+        told = []
+
+        def fill(windows: Motion, k: torch.Tensor) -> Motion:
+            told.extend(k)
+            number = torch.arange(len(told) - len(k), len(told))[:, None, None]
+            return replace(windows, root=number.expand_as(windows.root).float())
+
+        made = by_windows(fill, torch.zeros(22, dtype=torch.bool), onward=onward)(motion, known)
+        return made.root[first:last, 0], told
+
+    numbers, told = filled(onward=True)
+    assert torch.equal(numbers, numbers.round()) and (numbers.diff() >= 0).all() and numbers.max() == len(told) - 1
+    assert all(k[:10, 0].all() for k in told[1:])
+    if last < 200:
+        assert told[-1][-2:, 0].all()  # the last one sees where it has to arrive
+    mixed, _ = filled(onward=False)
+    assert not torch.equal(mixed, mixed.round())
 
 
 # ---------------------------------------------------------------------------------------------- seams and feet
