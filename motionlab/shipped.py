@@ -66,16 +66,10 @@ DENOISER_PRESETS = {
 #: The same, learnt from hours of real motion; those of single poses from whole bodies, as they recall what they saw.
 _STEPS = {"free": 15_000, "handles": 4000}
 _REAL = {name: replace(DENOISER_PRESETS[name], source=splits.REAL_MOTION, steps=n) for name, n in _STEPS.items()}
-#: Legs first: of all masks at once a model learns little in the same time (docs/experiments.md).
-_REAL["legs"] = replace(
-    _TOLD, source=splits.REAL_MOTION, guessed=False, recalls=0, patch=4, masks="legs", blind=0.9, steps=3000, batch=32,
-    lr=6e-4, weights=LossWeights(fk=2.0, velocity=1.0, contact=100.0, late=0.0, even=True, relative=True),
-)  # fmt: skip
-_REAL["told"] = replace(_REAL["legs"], masks="all", blind=0.6, steps=3000, lr=4e-4)
 DENOISER_PRESETS |= {f"real_{name}": recipe for name, recipe in _REAL.items()}
 FEATURE_PRESETS = {"usual": embedding.FeatureRecipe(), "real": embedding.FeatureRecipe(steps=4000, real=True)}
 #: Models that go on from the weights of another one that ships, told of nothing.
-FROM = {"told": "diffusion_stuck", "real_told": "diffusion_real_legs"}
+FROM = {"told": "diffusion_stuck"}
 _HELD = 256  # held-out windows that the checkpoint is chosen by
 #: Of all steps: no earlier average is chosen. The error of x_0 falls to the end, and KID is too uncertain to tell a
 #: lucky early average from a better late one (docs/experiments.md).

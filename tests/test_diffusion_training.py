@@ -320,17 +320,17 @@ def test_presets_of_real_motion_train_on_the_people_who_train(few, motions, tmp_
         people=3,
     )
     monkeypatch.setattr(shipped, "real_motions", lambda folder, whole: found)
-    recipe = shipped.DENOISER_PRESETS["real_told"]
+    recipe = shipped.DENOISER_PRESETS["real_free"]
     learnt = shipped._learnt_from(replace(recipe, share=0.5), None)
     assert learnt.missing == {"recordings": [("left_foot",), ("spine2",)], "synthetic": [()]}
-    legs, out = tmp_path / "legs", tmp_path / "mine"
-    for preset, where in (("real_legs", [str(legs)]), ("real_told", [str(out), "--start", str(legs)])):
-        assert main(["train", "diffusion", "--preset", preset, "--steps", "3", "--out", *where]) == 0
+    first, out = tmp_path / "first", tmp_path / "mine"
+    for where in ([str(first)], [str(out), "--start", str(first)]):
+        assert main(["train", "diffusion", "--preset", "real_free", "--steps", "3", "--out", *where]) == 0
     about = checkpoint.read_recipe(out)
     assert about["people"] == 3 and "--data FOLDER" in about["made by"]
-    assert about["began from"]["recipe"]["masks"] == "legs" and about["recipe"]["masks"] == "all"
+    assert about["began from"]["recipe"]["source"] == splits.REAL_MOTION
     assert list(about["minutes that chose the checkpoint"]) == ["people who choose"]
-    assert "filling error" in about["curve"][-1] and load_denoiser(out).denoiser.start is None
+    assert "gain over the filter" in about["curve"][-1] and load_denoiser(out).denoiser.start is None
 
 
 @pytest.mark.parametrize("preset", ["free", "fixed", "pose", "told"])
@@ -396,7 +396,7 @@ def test_the_command_goes_on_where_it_was_stopped(few, motions, tmp_path):
         (["humor", "--preset", "free"], "no preset 'free'"),
         (["humor", "--size", "thesis"], "no sizes"),
         (["diffusion", "--resume"], "without --resume"),
-        (["diffusion", "--preset", "real_told"], "with --data"),
+        (["diffusion", "--preset", "real_free"], "with --data"),
     ],
 )
 def test_the_command_says_what_is_wrong(few, tmp_path, capsys, arguments, complaint):

@@ -26,6 +26,7 @@ from motionlab.bench import cases, rivals
 from motionlab.bench.person_windows import PersonWindows, by_person, person_windows
 from motionlab.corpus import Take
 from motionlab.diffusion.inpainting import Way, repair
+from motionlab.diffusion.losses import LossWeights
 from motionlab.diffusion.model import Trained
 from motionlab.diffusion.training import DenoiserTraining
 from motionlab.diffusion.windows import gather, on_standard
@@ -43,7 +44,11 @@ SHARES, SEEDS = (1 / 32, 1 / 8, 1 / 2, 1.0), (0, 1, 2)
 EACH, PRACTICE = 24, 8  # windows of a person: of the report, and to choose on
 #: Far fewer steps than of what ships.
 PRIOR = ChainRecipe(steps=400, batch=32, opened=0.3, kl=0.002)
-TOLD = replace(DENOISER_PRESETS["real_legs"], steps=800, batch=16)
+TOLD = replace(
+    DENOISER_PRESETS["told"], source=splits.REAL_MOTION, guessed=False, recalls=0, patch=4, masks="legs", blind=0.9,
+    steps=800, batch=16, lr=6e-4, root_unit=0.0,
+    weights=LossWeights(fk=2.0, velocity=1.0, contact=100.0, late=0.0, even=True, relative=True),
+)  # fmt: skip
 RIDGE_ROWS = 12_000  # training windows that the ridge learns from
 Errors = dict[str, list[float]]  # by measure, a number for each person
 

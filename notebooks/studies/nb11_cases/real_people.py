@@ -28,8 +28,6 @@ from motionlab.bench.judge import CASES, FRAMES, Case, energy_score, people
 from motionlab.bench.person_windows import PersonWindows, by_person
 from motionlab.diffusion import completer, state
 from motionlab.diffusion.completer import Completer, guess
-from motionlab.diffusion.inpainting import Way, repair
-from motionlab.diffusion.model import motion_model
 from motionlab.files import write_whole
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.metrics import intervals
@@ -63,7 +61,6 @@ class Contender:
 def contenders(learnt: Motion, clips: Tensor, generator: torch.Generator) -> dict[str, Contender]:
     """Everybody by name. learnt: windows (N, T) of the clips (N,)."""
     fitted, one, many = rivals.Rivals.fit(learnt, generator), completer.load(R), completer.load(T)
-    old = motion_model("diffusion_real_told")
     fades = lambda edges: FADES if edges else (0,)  # noqa: E731
 
     def ridges(edges: bool) -> list[tuple[float, int]]:
@@ -72,10 +69,6 @@ def contenders(learnt: Motion, clips: Tensor, generator: torch.Generator) -> dic
     def ridge(motion: Motion, known: Tensor, how: tuple[float, int], seed: int | None) -> Motion:
         draw = None if seed is None else torch.Generator().manual_seed(seed)
         return replace(fitted, ridge=how[0]).regression(motion, known, how[1], draw)
-
-    def told(motion: Motion, known: Tensor, fade: int, seed: int) -> Motion:
-        way = Way(put="nothing", steps=1, finish=fade)
-        return repair(old, motion, cases.columns(old.layout, known), torch.Generator().manual_seed(seed), way)
 
     def drawn(motion: Motion, known: Tensor, steps: int, seed: int) -> Motion:
         return many.complete(motion, known, torch.Generator().manual_seed(seed), steps=steps)
@@ -86,7 +79,6 @@ def contenders(learnt: Motion, clips: Tensor, generator: torch.Generator) -> dic
         "slerp": Contender(lambda m, k, *_: rivals.interpolated(m, k), lambda edges: (None,) if edges else ()),
         "curves": Contender(lambda m, k, *_: curves(one, m, k), lambda edges: (None,) if edges else ()),
         "ridge": Contender(lambda m, k, how, _: ridge(m, k, how, None), ridges),
-        "told": Contender(told, fades, told=False),
         R: Contender(lambda m, k, *_: one.complete(m, k), told=False),
         "nearest six": Contender(
             lambda m, k, how, n: fitted.nearest(m, k, how, rank=n, clips=clips), fades, draws=True
