@@ -154,7 +154,7 @@ def inbetween(
     if keep.frames.all():
         return Animated(motion, ("every frame is kept: nothing is made",))
     asked = "" if chosen == usual else f", as asked; the default here is {usual}"
-    notes = [f"method: {chosen}{asked}{why and f', because {why}'}"]
+    notes = [f"method: {chosen}{asked}{why and f', because {why}'}", *_of_draw(seed if chosen == "network" else None)]
     drawn = curves(motion, keep)
     try:
         body = Standard.of(motion, drawn, keep)
@@ -200,7 +200,12 @@ def completed(
         why = "hidden legs came out 13 cm off on 15 people whom it had never seen"
     made = body.corrected(_network(seed, body.lacking, progress))
     note = f"method: network; {why}"
-    return Animated(body.back(made, plant=plant), (note, "the floor is taken to be at height 0", *body.notes(plant)))
+    floor = "the floor is taken to be at height 0"
+    return Animated(body.back(made, plant=plant), (note, *_of_draw(seed), floor, *body.notes(plant)))
+
+
+def _of_draw(seed: int | None) -> tuple[str, ...]:
+    return () if seed is None else (f"drawn with seed {seed}: not the closest, and livelier than people are",)
 
 
 def _network(seed: int | None, lacking: Tensor, progress: bool) -> Fill:

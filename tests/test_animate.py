@@ -115,7 +115,9 @@ def test_hidden_legs_are_made_from_the_rest_alone_in_windows_that_overlap():
 def test_a_seed_draws_one_motion_and_another_seed_another():
     motion = mixamo(walk(60))
     keep = animate.kept(motion, {0, 1, 58, 59})
-    drawn = [animate.inbetween(motion, keep, seed=seed).motion.rot for seed in (0, 0, 1, None)]
+    found = [animate.inbetween(motion, keep, seed=seed) for seed in (0, 0, 1, None)]
+    assert ["drawn" in " ".join(made.notes) for made in found] == [True, True, True, False]
+    drawn = [made.motion.rot for made in found]
     assert torch.equal(drawn[0], drawn[1])
     assert all((drawn[0] - other).abs().max() > 0.02 for other in drawn[2:])
     legs = [animate.completed(motion, ["legs"], seed=seed).motion.rot for seed in (0, 0, 1)]
