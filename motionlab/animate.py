@@ -42,7 +42,6 @@ _FADE = (2.0, 0.8)  # seconds over which the velocity at a key carries on, of th
 #: network alone in motion; a gap should take no more frames of a window than this, so that a longer one is shown to the
 #: network faster than it is.
 _TRUST, _MOST = 0.5, 40
-_STEPS = 10  # of the sampler
 _MEASURED = 2.5  # seconds of the longest gaps that were measured, and a little
 
 
@@ -209,20 +208,15 @@ def _of_draw(seed: int | None) -> tuple[str, ...]:
 
 
 def _network(seed: int | None, lacking: Tensor, progress: bool) -> Fill:
-    """Fills a motion (T) by one answer, or by a draw."""
+    """Fills a motion (T) on the models' body by one answer, or by a draw."""
     if seed is None:
         return by_windows(completer.load(NETWORK).complete, lacking, progress)
-    return drawn(torch.Generator().manual_seed(seed), lacking, progress)
+    model, generator = completer.load(DRAWS), torch.Generator().manual_seed(seed)
 
+    def draw(motion: Motion, known: Tensor) -> Motion:
+        return model.complete(motion, known, generator)
 
-def drawn(generator: torch.Generator, lacking: Tensor, progress: bool) -> Fill:
-    """Returns what fills a motion (T) on the models' body by a draw, window by window; see ``by_windows``."""
-    model = completer.load(DRAWS)
-
-    def fill(motion: Motion, known: Tensor) -> Motion:
-        return model.complete(motion, known, generator, steps=_STEPS)
-
-    return by_windows(fill, lacking, progress, onward=True)
+    return by_windows(draw, lacking, progress, onward=True)
 
 
 def _usual_method(gap: float, beyond: float) -> tuple[str, str]:

@@ -20,7 +20,7 @@ from tqdm.auto import tqdm
 from motionlab import baselines, cleaning, rotation
 from motionlab.animate import Animated, curves, found_joints, inbetween
 from motionlab.contact import with_contacts
-from motionlab.corrections import WINDOW, Keep, Standard, filled_in, merged, overlapping, padded, runs
+from motionlab.corrections import WINDOW, Fill, Keep, Standard, by_windows, merged, overlapping, padded, runs
 from motionlab.diffusion.denoising import Noise, ReverseProcess, denoise
 from motionlab.diffusion.inpainting import Way, repair
 from motionlab.diffusion.masks import units
@@ -37,7 +37,7 @@ FREE, HANDLES = "diffusion_real_free", "diffusion_real_handles"
 CLEAN = Noise(0.35 * math.pi / 180, 0.0015)  # as much is measured on clean recordings
 _PROCESS = ReverseProcess(level=0.35, topped=False, filtered=True)
 _LIVELY, _QUICK = 12.0, 6.0  # strength of acceleration that is motion: rad/s^(3/2) of joints, m/s^(3/2) of the root
-_PAST, _STEPS = 20, 50  # frames that a new window goes on from; of the sampler
+_STEPS = 50  # of the sampler
 _GUIDED = Way(put="imputed", weight=5.0, steps=_STEPS, finish=8)
 _SECONDS = (0.5, 600.0)  # of new motion: half a window's worth is hardly one, and ten minutes take as long to make
 _JUMPS = 0.2  # share of frames; with more it is noise that jumps
@@ -204,7 +204,7 @@ def generated(
 ) -> Animated:
     """Draws a new motion of so many seconds on the standard body, or what may follow on ``start``, which stays.
 
-    Two seconds at a time, each going on from the last ``_PAST`` frames.
+    Two seconds at a time, each going on from what is there.
 
     Raises:
         DataError: fewer or more seconds than ``_SECONDS``, or a start whose joints are not known.
@@ -220,7 +220,7 @@ def generated(
     longer = replace(start, root=start.root[index], rot=start.rot[index], contacts=None)
     keep = Keep(torch.arange(len(index)) < start.frames, torch.zeros(len(start.skeleton), dtype=torch.bool))
     body = Standard.of(longer, curves(longer, keep), keep)
-    motion = body.back(body.corrected(lambda m, known: _going_on(m, known, generator, progress)), plant=plant)
+    motion = body.back(body.corrected(_going_on(generator, body.lacking, progress)), plant=plant)
     return Animated(motion, (f"made by the model {FREE}, which goes on from the end", *body.notes(plant)))
 
 
@@ -230,30 +230,18 @@ def _new(frames: int, generator: torch.Generator, plant: bool, progress: bool) -
     index = torch.arange(max(frames, WINDOW)).clamp(max=WINDOW - 1)
     motion = replace(first, root=first.root[index], rot=first.rot[index], contacts=first.contacts[index])
     known = (torch.arange(len(index)) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
-    motion = _going_on(motion, known, generator, progress).cut(0, frames)
+    lacking = torch.zeros(len(STANDARD), dtype=torch.bool)
+    motion = _going_on(generator, lacking, progress)(motion, known).cut(0, frames)
     if plant:
         some = replace(motion, root=motion.root[None], rot=motion.rot[None], contacts=motion.contacts[None])
         motion = planted(some, slow=False).clip(0)
     return Animated(replace(motion, name="generated", notes=()), (f"made by the model {FREE}",))
 
 
-def _going_on(motion: Motion, known: Tensor, generator: torch.Generator, progress: bool) -> Motion:
-    """A motion (T) on the models' body whose last frames are not known, window by window."""
-    frames, model = motion.frames, motion_model(FREE)
+def _going_on(generator: torch.Generator, lacking: Tensor, progress: bool) -> Fill:
+    """Fills what is not known of a motion (T) on the models' body, window by window."""
+    model = motion_model(FREE)
     columns = units(model.layout)
-    last = int(known[:, -1].sum())
-    end = max(math.ceil((frames - last) / (WINDOW - _PAST)), 0) * (WINDOW - _PAST) + last
-    index = torch.arange(max(end, WINDOW)).clamp(max=frames - 1)
-    motion = replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=motion.contacts[index])
-    has = known[0] if last else torch.ones_like(known[0])  # never told of a joint that the figure does not have
-    done = (torch.arange(len(index)) < last)[:, None] & has
-    with tqdm(total=end, initial=last, desc="making motion", unit="frame", disable=not progress, leave=False) as bar:
-        while last < frames:
-            begin = max(min(last - _PAST, len(index) - WINDOW), 0)
-            stop = begin + WINDOW
-            motion = filled_in(
-                motion, done, lambda m, k: repair(model, m, k[..., columns], generator, _GUIDED), [begin], (last, stop)
-            )
-            bar.update(stop - last)
-            done[last:stop], last = has, stop
-    return motion.cut(0, frames)
+    return by_windows(
+        lambda m, known: repair(model, m, known[..., columns], generator, _GUIDED), lacking, progress, onward=True
+    )
