@@ -17,7 +17,7 @@ from motionlab import checkpoint, corpus, splits
 from motionlab.diffusion.windows import on_standard
 from motionlab.errors import DataError
 from motionlab.files import write_whole
-from motionlab.humor import pretrained, training
+from motionlab.humor import pretrained, quality
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import sample_rollout
 from motionlab.humor.state import unpack
@@ -50,7 +50,7 @@ def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[
     Every person counts alike, with at most 24 windows of two seconds. The result also goes into the prior's recipe.
 
     Returns:
-        by measure (``training.quality_row``, the share of walkers who still walk after two seconds, and what samples
+        by measure (``quality.quality_row``, the share of walkers who still walk after two seconds, and what samples
         look like whose bones are held), on people's own bones and on the standard body: the mean over people, the ends
         of its 95 % interval by bootstrap over people, and how many there are.
     Raises:
@@ -92,9 +92,9 @@ def person_rows(
     rows = {}
     for who, (states, contacts) in people.items():
         draws, steps = torch.Generator().manual_seed(seed), states.shape[1] - 1
-        made = training.plausibility(model, states[:, 0], steps, draws, rigid=True)
+        made = quality.plausibility(model, states[:, 0], steps, draws, rigid=True)
         rigid = {f"rigid samples' {name}": float(value.nanmean()) for name, value in made.items()}
-        rows[who] = training.quality_row(model, states, contacts, seed) | _walkers(model, states, seed) | rigid
+        rows[who] = quality.quality_row(model, states, contacts, seed) | _walkers(model, states, seed) | rigid
     return rows
 
 

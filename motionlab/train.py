@@ -14,7 +14,7 @@ from motionlab.diffusion import model
 from motionlab.diffusion import training as diffusion_training
 from motionlab.diffusion.denoiser import SIZES
 from motionlab.errors import DataError
-from motionlab.humor import examples, training
+from motionlab.humor import examples, quality, training
 from motionlab.humor.cvae import Cvae, official_weights
 from motionlab.motion import Motion
 
@@ -157,7 +157,7 @@ def _train(options: argparse.Namespace) -> int:
     def validate(model: Cvae) -> dict[str, float]:
         row = {}
         for name, (x, _) in judged.items():
-            step, way = training.one_step_errors(model, x), training.rollout_errors(model, x)
+            step, way = quality.one_step_errors(model, x), quality.rollout_errors(model, x)
             row |= {
                 f"{name}: one step": float(step["posterior"].mean()),
                 f"{name}: kl": float(step["kl"].sum(-1).mean()),
@@ -173,7 +173,7 @@ def _train(options: argparse.Namespace) -> int:
         "recipe": asdict(run.recipe), "minutes of motion, before mirroring": minutes,
         "minutes of motion, with copies and mirror images": len(data.states) / 30 / 60, "examples": data.digest,
         "recordings": _found_in(options.data) if "recordings" in train else [], "torch": torch.__version__,
-        "quality, held out": {name: training.quality_row(run.averaged, *found) for name, found in judged.items()},
+        "quality, held out": {name: quality.quality_row(run.averaged, *found) for name, found in judged.items()},
         "curve": run.curve,
     }  # fmt: skip
     checkpoint.save(out, official_weights(run.averaged), about)

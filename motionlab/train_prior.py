@@ -14,7 +14,7 @@ from motionlab.errors import DataError
 from motionlab.humor.chain_training import ChainRecipe, ChainTraining
 from motionlab.humor.cvae import Cvae, from_weights, official_weights
 from motionlab.humor.examples import LiveExamples
-from motionlab.humor.training import quality_row
+from motionlab.humor.quality import quality_row
 from motionlab.models import person_states
 from motionlab.train_more import learnt_from
 

@@ -24,7 +24,7 @@ FLOORS = """
     humor.rollout diffusion.completer_training diffusion.denoising diffusion.embedding diffusion.inpainting
         diffusion.training
     corpus splits humor.training humor.unknowns diffusion.pose_completion corrections
-    bench shipped doctor onnx_export humor.chain_training humor.stages humor.start animate
+    bench shipped doctor onnx_export humor.chain_training humor.quality humor.stages humor.start animate
     train_more models humor.shooting renew
     train_completer train_prior
     train

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from data_synth.corpus import Recipe, perform_sequence
-from motionlab.humor import pretrained, state, training
+from motionlab.humor import pretrained, quality, state
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import infer, rollout
 from motionlab.humor.state import DELTA_SLICES, SLICES, heading, localise
@@ -43,7 +43,7 @@ def touching(model, joints=None):
 
 def test_a_model_that_does_nothing_is_the_held_pose(still, take):
     states, _ = take
-    step, way = training.one_step_errors(still, states), training.rollout_errors(still, states)
+    step, way = quality.one_step_errors(still, states), quality.rollout_errors(still, states)
     assert torch.allclose(step["posterior"], step["hold"]) and torch.allclose(step["prior mean"], step["hold"])
     for name in ("posterior z", "closed loop", "prior mean"):
         assert torch.allclose(way[name], way["hold"], atol=1e-2), name
@@ -54,7 +54,7 @@ def test_errors_are_centimetres_and_baselines_are_what_they_say(still, take):
     states, _ = take
     joints = states[..., SLICES["joints"]].unflatten(-1, (22, 3))
     moved = 100 * (joints[:, 1:] - joints[:, :-1]).norm(dim=-1).mean(-1)
-    assert torch.allclose(training.one_step_errors(still, states)["hold"], moved.flatten(), atol=1e-3)
+    assert torch.allclose(quality.one_step_errors(still, states)["hold"], moved.flatten(), atol=1e-3)
     steady = states[:, :1].repeat(1, 61, 1)
     speed = torch.tensor([0.3, -0.2, 0.1])
     for name in ("joints_vel", "trans_vel"):
@@ -63,18 +63,18 @@ def test_errors_are_centimetres_and_baselines_are_what_they_say(still, take):
     for name in ("joints", "trans"):
         part = SLICES[name]
         steady[..., part] += way.repeat(1, (part.stop - part.start) // 3)
-    assert training.one_step_errors(still, steady)["constant velocity"].max() < 1e-3
-    assert training.rollout_errors(still, steady)["constant velocity"].max() < 1e-2
-    hold = training.rollout_errors(still, steady)["hold"][:, -1]
+    assert quality.one_step_errors(still, steady)["constant velocity"].max() < 1e-3
+    assert quality.rollout_errors(still, steady)["constant velocity"].max() < 1e-2
+    hold = quality.rollout_errors(still, steady)["hold"][:, -1]
     assert torch.allclose(hold, torch.tensor(100 * 2 * float(speed.norm())).expand(len(hold)), rtol=1e-3)
 
 
 def test_a_shift_of_the_prior_costs_what_it_must(still, take):
     states, _ = take
     still.encoder.net[-1].bias[:5] = 1.0  # five means one standard deviation off
-    cost = training.one_step_errors(still, states)["kl"]
+    cost = quality.one_step_errors(still, states)["kl"]
     assert torch.allclose(cost[:, :5], torch.tensor(0.5)) and (cost[:, 5:] == 0).all()
-    row = training.quality_row(still, states)
+    row = quality.quality_row(still, states)
     assert row["active"] == 5 and row["kl, nats"] == pytest.approx(2.5)
 
 
@@ -82,12 +82,12 @@ def test_a_still_body_is_plausible_and_a_sunk_one_is_not(still, take):
     first = take[0][:2, 0]
     draw = torch.Generator().manual_seed(0)
     first = on_its_feet(first)
-    calm = training.plausibility(touching(still), first, 12, draw)
+    calm = quality.plausibility(touching(still), first, 12, draw)
     assert calm["slide"].max() < 1e-2 and calm["bones"].max() < 1e-2 and calm["acceleration"].max() < 0.05
     assert (calm["penetration"] == 0).all() and (calm["sunk"] == 0).all()
     for part in ("joints", "trans"):
         first[:, SLICES[part].start + 2 : SLICES[part].stop : 3] -= 1.5
-    sunk = training.plausibility(still, first, 12, draw)
+    sunk = quality.plausibility(still, first, 12, draw)
     assert (sunk["penetration"] == 1).all() and (sunk["sunk"] == 1).all()
 
 
@@ -103,10 +103,10 @@ def test_a_gliding_body_slides_whatever_it_says_of_its_contacts(still, take):
     first, shift = on_its_feet(take[0][:2, 0]), DELTA_SLICES["joints"]
     still.decoder.net[-1].bias[shift.start + 1 : shift.stop : 3] = 0.004  # all joints 4 mm a frame ahead
     for said in (None, []):
-        gliding = training.plausibility(touching(still, said), first, 12, torch.Generator().manual_seed(0))
+        gliding = quality.plausibility(touching(still, said), first, 12, torch.Generator().manual_seed(0))
         assert torch.allclose(gliding["slide"], torch.tensor(4.0), atol=1e-2) and (gliding["feet up"] == 0).all()
     first[:, SLICES["joints"].start + 2 : SLICES["joints"].stop : 3] += 0.5
-    floating = training.plausibility(still, first, 12, torch.Generator().manual_seed(0))
+    floating = quality.plausibility(still, first, 12, torch.Generator().manual_seed(0))
     assert floating["slide"].isnan().all() and (floating["feet up"] == 1).all()
 
 
@@ -116,14 +116,14 @@ def test_contact_f1_of_constant_answers(still, take):
     right = STANDARD.contact_indices.index(STANDARD.index("left_ankle"))
 
     def f1(model):
-        return training._contact_f1(model, states, contacts)[0]
+        return quality._contact_f1(model, states, contacts)[0]
 
     assert f1(touching(still, [])) in (0.0, pytest.approx(0.0, nan_ok=True))
     share = float(truth.mean())
     assert f1(touching(still)) == pytest.approx(2 * share / (1 + share), abs=1e-4)
     assert 0 < f1(touching(still, [right])) < 1
     both = 2 * float((truth * contacts[:, :-1]).sum() / (truth.sum() + contacts[:, :-1].sum()))  # F1 by its definition
-    assert training._contact_f1(still, states, contacts)[1] == pytest.approx(both, abs=1e-4)
+    assert quality._contact_f1(still, states, contacts)[1] == pytest.approx(both, abs=1e-4)
 
 
 def test_effective_rank_counts_the_directions_that_z_has(still, take):
@@ -134,29 +134,29 @@ def test_effective_rank_counts_the_directions_that_z_has(still, take):
     joints, z = DELTA_SLICES["joints"].start, weight.shape[1] - 48
     for k in range(3):
         weight[joints + k, z + k] = 1.0
-    assert training.effective_rank(still, past) == pytest.approx(3.0, abs=1e-2)
+    assert quality.effective_rank(still, past) == pytest.approx(3.0, abs=1e-2)
     weight[joints + 2, z + 2] = 0.5  # shares .4, .4, .2: by hand
     by_hand = math.exp(-(2 * 0.4 * math.log(0.4) + 0.2 * math.log(0.2)))
-    assert training.effective_rank(still, past) == pytest.approx(by_hand, abs=1e-2)
+    assert quality.effective_rank(still, past) == pytest.approx(by_hand, abs=1e-2)
     weight[joints + 2, z + 2], weight[joints + 3, z + 3] = 1.0, 1e-3
-    assert training.effective_rank(still, past) == pytest.approx(3.0, abs=0.05)
+    assert quality.effective_rank(still, past) == pytest.approx(3.0, abs=0.05)
     weight[joints + 3, z + 3], weight[joints, z + 4] = 0.0, 1.0
-    assert training.effective_rank(still, past) < 3.0
+    assert quality.effective_rank(still, past) < 3.0
 
 
 def test_more_samples_come_closer_and_a_still_body_has_one(still, take):
     states, _ = take
-    held = training.rollout_errors(still, states)["hold"][:, -1]
-    assert torch.allclose(training.best_of(still, states, 3, torch.Generator().manual_seed(0)), held, atol=1e-2)
+    held = quality.rollout_errors(still, states)["hold"][:, -1]
+    assert torch.allclose(quality.best_of(still, states, 3, torch.Generator().manual_seed(0)), held, atol=1e-2)
     model = pretrained.load_motion_prior("humor_compact")
-    few, many = (training.best_of(model, states, n, torch.Generator().manual_seed(0)).mean() for n in (1, 16))
+    few, many = (quality.best_of(model, states, n, torch.Generator().manual_seed(0)).mean() for n in (1, 16))
     assert many < few
 
 
 # ---------------------------------------------------------------------------------------------- what ships
 def test_the_shipped_prior_knows_more_than_its_baselines(take):
     states, contacts = take
-    row = training.quality_row(pretrained.load_motion_prior("humor_compact"), states, contacts)
+    row = quality.quality_row(pretrained.load_motion_prior("humor_compact"), states, contacts)
     assert row["one step, posterior, cm"] < 0.5 < row["one step, hold, cm"]
     for name in ("hold", "constant velocity", "prior mean"):
         assert row["2 s, posterior z, cm"] < 0.6 * row[f"2 s, {name}, cm"], name
@@ -169,7 +169,7 @@ def test_control_z_of_another_motion_leads_astray(take):
     """z carries information: that of other clips does not lead back to this one."""
     states, _ = take
     model = pretrained.load_motion_prior("humor_compact")
-    row = training.quality_row(model, states)
+    row = quality.quality_row(model, states)
     assert row["active"] >= 16 and 4 < row["kl, nats"] < 60
     z = infer(model, states)[0].mean
     ends = rollout(model, states[:, 0], z.roll(1, 0), with_prior=False).states[:, -1]

@@ -30,7 +30,7 @@ def data(motions):
 @pytest.fixture
 def transitions(motions):
     """Past and now (N, 339) in the frame of the past, contacts of now (N, 9)."""
-    return *training._transition_pairs(state.from_motion(motions[0]).float()), motions[0].contacts[1:].float()
+    return *training.transition_pairs(state.from_motion(motions[0]).float()), motions[0].contacts[1:].float()
 
 
 # ------------------------------------------------------------------------------------------------- examples

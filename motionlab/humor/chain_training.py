@@ -29,7 +29,7 @@ from motionlab.errors import DataError
 from motionlab.humor.cvae import Cvae, Gaussian, kl
 from motionlab.humor.examples import LiveExamples
 from motionlab.humor.state import DELTA, DELTA_SLICES, ONWARD, SHAPES, apply, globalise, heading, localise, unpack
-from motionlab.humor.training import ERROR_UNITS, Scales, _huber, _transition_pairs
+from motionlab.humor.training import ERROR_UNITS, Scales, _huber, transition_pairs
 from motionlab.skeleton import STANDARD, fk
 from motionlab.training_loop import TrainingRun, fast_halves
 
@@ -111,7 +111,7 @@ class ChainTraining(TrainingRun):
             raise DataError(f"windows of {examples.length} states for {recipe.length} transitions")
         self.examples = examples
         some, _, _ = examples.draw(2000, torch.Generator().manual_seed(recipe.seed))
-        pairs = _transition_pairs(some)
+        pairs = transition_pairs(some)
         self.scales = replace(Scales.measure(*pairs, skip=True), half=fast_halves(torch.device("cpu")))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
@@ -178,7 +178,7 @@ class ChainTraining(TrainingRun):
         count, length = len(states), states.shape[1] - 1
         if not count:
             return [states.new_zeros(0, self.model.latent)] * length
-        past, now = _transition_pairs(states)
+        past, now = transition_pairs(states)
         q, p = self.scales.posterior(self.model, past, now), self.scales.prior(self.model, past)
         self._along_kl = kl(q, p).sum(-1).mean()
         return list(q.sample(self.generator).unflatten(0, (count, length)).unbind(1))

@@ -1,7 +1,5 @@
 """Training of the transition prior: from single steps to roll-outs on its own predictions; resumable to the bit.
 
-And how good it is (``quality_row``): one step, two seconds, and what it makes up by itself.
-
 First every step sees the truth, then the truth with falling probability (scheduled sampling), then only the model's own
 states. The KL weight grows.
 
@@ -31,7 +29,6 @@ from motionlab import rotation
 from motionlab.errors import DataError
 from motionlab.humor.cvae import Cvae, Gaussian, kl
 from motionlab.humor.examples import Examples
-from motionlab.humor.rollout import infer, rollout, sample_rollout
 from motionlab.humor.state import (
     DELTA,
     DELTA_SLICES,
@@ -40,15 +37,11 @@ from motionlab.humor.state import (
     SLICES,
     STATE,
     apply,
-    bone_lengths,
     globalise,
     heading,
     localise,
     unpack,
 )
-from motionlab.metrics.gait import contact_scores
-from motionlab.metrics.pose import masked_mean, mean_acceleration
-from motionlab.motion import FPS
 from motionlab.skeleton import STANDARD, fk
 from motionlab.training_loop import TrainingRun
 
@@ -57,11 +50,6 @@ ERROR_UNITS = {
     "trans": 0.003, "trans_vel": 0.04, "root_orient": 0.008, "root_orient_vel": 0.1,
     "pose_body": 0.012, "joints": 0.003, "joints_vel": 0.05,
 }  # fmt: skip
-#: A dimension of the latent is active where it costs more than this on average, nats.
-ACTIVE_NATS = 0.05
-_SAMPLES = 8
-#: A foot is down where its ball is less than this above its resting height, metres.
-_DOWN = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +208,7 @@ def _huber(error: Tensor) -> Tensor:
     return F.smooth_l1_loss(error, torch.zeros_like(error), beta=3.0)
 
 
-def _transition_pairs(states: Tensor) -> tuple[Tensor, Tensor]:
+def transition_pairs(states: Tensor) -> tuple[Tensor, Tensor]:
     """All transitions of world states (..., T, 339), flat: past and now (N, 339) in the frame of the past."""
     frame = heading(states[..., :-1, :])
     past, now = localise(states[..., :-1, :], frame), localise(states[..., 1:, :], frame)
@@ -288,7 +276,7 @@ class PriorTraining(TrainingRun):
             self.give_up, self.clip = 100, None
         else:
             some, _, _ = examples.draw(2000, torch.Generator().manual_seed(recipe.seed))
-            self.scales = Scales.measure(*_transition_pairs(some))
+            self.scales = Scales.measure(*transition_pairs(some))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
             model = Cvae(recipe.width)
@@ -346,154 +334,3 @@ class PriorTraining(TrainingRun):
             "slide": recipe.slide,
         }  # fmt: skip
         return sum(w * parts[name] for name, w in weights.items()), parts
-
-
-# ---------------------------------------------------------------------------------------------- how good it is
-# Centimetres are mean distances over the 22 predicted joints; beside them stands what knows nothing.
-
-
-def _error(a: Tensor, b: Tensor) -> Tensor:
-    return 100 * (unpack(a)["joints"] - unpack(b)["joints"]).norm(dim=-1).mean(-1)
-
-
-@torch.no_grad()
-def one_step_errors(model: Cvae, states: Tensor) -> dict[str, Tensor]:
-    """Errors (N,) in cm of all transitions of world states (W, T, 339): z from the posterior's and the prior's mean,
-    the pose held, and every joint going on at its velocity; "kl": nats (N, 48)."""
-    past, now = _transition_pairs(states)
-    q, p = model.posterior(past, now), model.prior(past)
-    ahead = unpack(past)["joints"] + unpack(past)["joints_vel"] / FPS
-    return {
-        "posterior": _error(apply(past, model.decode(past, q.mean))[0], now),
-        "prior mean": _error(apply(past, model.decode(past, p.mean))[0], now),
-        "hold": _error(past, now),
-        "constant velocity": 100 * (ahead - unpack(now)["joints"]).norm(dim=-1).mean(-1),
-        "kl": kl(q, p),
-    }
-
-
-@torch.no_grad()
-def rollout_errors(model: Cvae, states: Tensor) -> dict[str, Tensor]:
-    """Errors (W, T - 1) in cm over time of roll-outs from the first of world states (W, T, 339).
-
-    "posterior z": inferred once from the truth, then rolled out. "closed loop": z inferred at every step from the
-    state that the roll-out has reached and the next true one. "prior mean": no look at the truth at all.
-    """
-    first, truth = states[:, 0], states[:, 1:]
-    q, _ = infer(model, states)
-    x, closed = first, []
-    for t in range(truth.shape[1]):
-        frame = heading(x)
-        past = localise(x, frame)
-        z = model.posterior(past, localise(truth[:, t], frame)).mean
-        x = globalise(apply(past, model.decode(past, z))[0], frame)
-        closed.append(x)
-    velocity = unpack(first)["joints_vel"]
-    time = torch.arange(1, truth.shape[1] + 1).to(first)[:, None, None] / FPS
-    ahead = unpack(first)["joints"][:, None] + time * velocity[:, None]
-    return {
-        "posterior z": _error(rollout(model, first, q.mean, with_prior=False).states, truth),
-        "closed loop": _error(torch.stack(closed, 1), truth),
-        "prior mean": _error(sample_rollout(model, first, truth.shape[1]).states, truth),
-        "hold": _error(first[:, None], truth),
-        "constant velocity": 100 * (ahead - unpack(truth)["joints"]).norm(dim=-1).mean(-1),
-    }
-
-
-def _looks(first: Tensor, states: Tensor) -> dict[str, Tensor]:
-    """What motions look like that go on from first states (W, 339) with world states (W, T, 339), one number each (W,).
-
-    All of it is measured from the joints, none from what a model says of its contacts; a foot is down where its ball is
-    lower than 3 cm above where it rests. slide: mm per frame over the floor of balls that are down in both frames, NaN
-    where none is; a foot that swings close to the floor counts as well, so compare with data. feet up: share of frames
-    with no foot down. penetration: share of frames with a ball more than 2 cm below where it rests. sunk: 1 where the
-    head ends below 30 cm or any joint 30 cm below the floor. acceleration: m/s^2. bones: mean change of the bone
-    lengths, per cent of their mean.
-    """
-    joints = unpack(states)["joints"]
-    balls = joints[:, :, STANDARD.indices(["left_foot", "right_foot"])]
-    above = balls[..., 2] - STANDARD.sole
-    down = above < _DOWN
-    speed = 1000 * balls[..., :2].diff(dim=1).norm(dim=-1)
-    length, before = bone_lengths(states), bone_lengths(first)[:, None]
-    end = joints[:, -1, :, 2]
-    return {
-        "slide": masked_mean(speed, down[:, 1:] & down[:, :-1], 2),
-        "feet up": (~down.any(-1)).float().mean(1),
-        "penetration": (above.amin(-1) < -0.02).float().mean(1),
-        "sunk": ((end[:, STANDARD.index("head")] < 0.3) | (end.amin(-1) < -0.3)).float(),
-        "acceleration": mean_acceleration(joints, FPS),
-        "bones": 100 * (length - before).abs().mean((1, 2)) / before.mean((1, 2)),
-    }
-
-
-@torch.no_grad()
-def plausibility(
-    model: Cvae, first: Tensor, steps: int, generator: torch.Generator, *, rigid: bool = False
-) -> dict[str, Tensor]:
-    """Computes what samples of ``steps`` frames from first states (W, 339) look like, one number each (W,), z drawn
-    from the prior: slide, feet up, penetration, sunk, acceleration and bones, as ``_looks`` defines them."""
-    return _looks(first, sample_rollout(model, first, steps, generator=generator, rigid=rigid).states)
-
-
-@torch.no_grad()
-def _contact_f1(model: Cvae, states: Tensor, contacts: Tensor) -> tuple[float, float]:
-    """F1 of contact labels against the true ones (W, T, 9): of those decoded one step from the truth, with the latent
-    of a posterior that saw the answer; and of those one frame before."""
-    past, now = _transition_pairs(states)
-    _, logits = apply(past, model.decode(past, model.posterior(past, now).mean))
-    truth = contacts[:, 1:].flatten(0, 1)
-    guesses = (logits > 0).float(), contacts[:, :-1].flatten(0, 1)
-    return tuple(float(contact_scores(guess, truth).f1) for guess in guesses)
-
-
-@torch.no_grad()
-def best_of(model: Cvae, states: Tensor, count: int, generator: torch.Generator) -> Tensor:
-    """Errors (W,) in cm at the end of world states (W, T, 339) of the closest of ``count`` samples from the first."""
-    first = states[:, 0].repeat(count, 1)
-    made = sample_rollout(model, first, states.shape[1] - 1, generator=generator).states[:, -1]
-    return _error(made.unflatten(0, (count, -1)), states[:, -1]).amin(0)
-
-
-@torch.no_grad()
-def effective_rank(model: Cvae, past: Tensor) -> float:
-    """Computes in how many directions z moves the next joints: the exponential of the entropy of the singular values of
-    d joints / d z, z in deviations of the prior about its mean; mean over past states (N, 339).
-
-    Source: Roy and Vetterli 2007, "The effective rank".
-    """
-    prior, step = model.prior(past), 0.1
-    off = step * torch.diag_embed((0.5 * prior.log_var).exp())  # (N, 48, 48): a deviation along each axis
-
-    def joints(z: Tensor) -> Tensor:
-        x = past[:, None].expand(-1, z.shape[1], -1)
-        return unpack(apply(x, model.decode(x, z))[0])["joints"].flatten(2)
-
-    slope = joints(prior.mean[:, None] + off) - joints(prior.mean[:, None] - off)
-    shares = torch.linalg.svdvals(slope)
-    shares = shares / shares.sum(-1, keepdim=True)
-    return float(torch.special.entr(shares).sum(-1).exp().mean())
-
-
-def quality_row(model: Cvae, states: Tensor, contacts: Tensor | None = None, seed: int = 0) -> dict[str, float]:
-    """Computes one row of the quality table from world states (W, 61, 339): means over windows.
-
-    The best of 8 samples is of 48 windows at most, the effective rank of as many states.
-
-    Rows that start with "samples' " are :func:`_looks` of samples, those with "data's " of the windows themselves.
-    """
-    step, way = one_step_errors(model, states), rollout_errors(model, states)
-    made = plausibility(model, states[:, 0], states.shape[1] - 1, torch.Generator().manual_seed(seed))
-    row = {f"one step, {name}, cm": float(step[name].mean()) for name in step if name != "kl"}
-    if contacts is not None:
-        f1 = _contact_f1(model, states, contacts)
-        row |= dict(zip(("one step, posterior, contact F1", "contact F1, as one frame before"), f1, strict=True))
-    row |= {f"2 s, {name}, cm": float(way[name][:, -1].mean()) for name in way}
-    some = states[:: math.ceil(len(states) / 48)]
-    best = best_of(model, some, _SAMPLES, torch.Generator().manual_seed(seed))
-    row[f"2 s, best of {_SAMPLES} samples, cm"] = float(best.mean())
-    row["effective rank"] = effective_rank(model, localise(some[:, 0], heading(some[:, 0])))
-    row |= {"kl, nats": float(step["kl"].sum(-1).mean()), "active": int((step["kl"].mean(0) > ACTIVE_NATS).sum())}
-    for whose, found in (("samples'", made), ("data's", _looks(states[:, 0], states[:, 1:]))):
-        row |= {f"{whose} {name}": float(value.nanmean()) for name, value in found.items()}
-    return row

@@ -31,7 +31,7 @@ from motionlab.diffusion.model import Trained
 from motionlab.diffusion.training import DenoiserTraining
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.files import write_whole
-from motionlab.humor import training
+from motionlab.humor import quality
 from motionlab.humor.chain_training import ChainRecipe, ChainTraining
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.examples import live_examples
@@ -86,7 +86,7 @@ def prior_errors(model: Cvae, takes: Sequence[Take], each: int) -> Errors:
     found = [x for some in people.values() if len(x := splits.state_windows(some, most=each, causal=True)[0])]
     whose = torch.cat([torch.full((len(x),), person) for person, x in enumerate(found)])
     states = torch.cat(found)
-    step, way = training.one_step_errors(model, states), training.rollout_errors(model, states)
+    step, way = quality.one_step_errors(model, states), quality.rollout_errors(model, states)
     rows = {
         f"one step, {name}": step[name].unflatten(0, (len(states), -1)).mean(1) for name in ("posterior", "prior mean")
     }

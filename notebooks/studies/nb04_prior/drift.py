@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from motionlab.bench.person_windows import by_person
-from motionlab.humor import evidence, state, testops, training
+from motionlab.humor import evidence, quality, state, testops
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.energies import JOINTS, KEYPOINTS
 from motionlab.humor.priors import Priors
@@ -63,14 +63,14 @@ class Errors:
 def errors(model: Cvae, motion: Motion) -> Errors:
     """Computes the errors of clips (N, T + 2), the first frame of which is their lead."""
     states = state.from_motion(motion, causal=model.causal)[:, 1:]
-    step = training.one_step_errors(model, states)
+    step = quality.one_step_errors(model, states)
     step = {name: each.unflatten(0, (len(states), -1)) for name, each in step.items()}
     with torch.no_grad():
         q, _ = infer(model, states)
         made = decode_ahead(model, states[:, :-1], q.mean)[:, :, 0]
     left = state.unpack(made)["joints"] - state.unpack(states[:, 1:])["joints"]
     added = 100 * left.cumsum(1).norm(dim=-1).mean(-1)
-    return Errors(step, training.rollout_errors(model, states), added)
+    return Errors(step, quality.rollout_errors(model, states), added)
 
 
 def measures(found: Errors, whose: Tensor) -> dict[str, tuple[Tensor, str, Tensor | float]]:
@@ -89,7 +89,7 @@ def measures(found: Errors, whose: Tensor) -> dict[str, tuple[Tensor, str, Tenso
 def nats(model: Cvae, motion: Motion) -> Tensor:
     """Computes what every dimension of z (48,) says beyond the prior's guess, mean over the transitions of clips."""
     states = state.from_motion(motion, causal=model.causal)[:, 1:]
-    return training.one_step_errors(model, states)["kl"].mean(0)
+    return quality.one_step_errors(model, states)["kl"].mean(0)
 
 
 @dataclass(frozen=True, eq=False)

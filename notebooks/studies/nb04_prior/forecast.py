@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from motionlab import corpus, models, splits
-from motionlab.humor import pretrained, training
+from motionlab.humor import pretrained, quality
 from motionlab.humor.examples import live_examples
 from motionlab.humor.state import heading, localise, unpack
 from motionlab.metrics.intervals import interval, paired
@@ -71,7 +71,7 @@ def main() -> None:
         for x, _ in people.values():
             rows["hold"].append(left(task(x)[1], x))
             rows["ridge"].append(left(fitted[width](x), x))
-            rows["prior's mean"].append(float(training.rollout_errors(model, x)["prior mean"][:, AHEAD - 1].mean()))
+            rows["prior's mean"].append(float(quality.rollout_errors(model, x)["prior mean"][:, AHEAD - 1].mean()))
         errors = {name: torch.tensor(each) for name, each in rows.items()}
         for name, each in errors.items():
             mean, low, high = interval(each, "mean", generator)
