@@ -204,7 +204,7 @@ def completed(
 
 
 def _of_draw(seed: int | None) -> tuple[str, ...]:
-    return () if seed is None else (f"drawn with seed {seed}: not the closest, and livelier than people are",)
+    return () if seed is None else (f"drawn with seed {seed}: livelier than people are; another draw looks much alike",)
 
 
 def _network(seed: int | None, lacking: Tensor, progress: bool) -> Fill:
