@@ -163,7 +163,7 @@ def inbetween(
         return Animated(drawn, ("method: curves, without planted feet, as its joints are not known", str(error)))
     made = body.joints
     if chosen != "curves":
-        fill = _network(seed, body.lacking, progress)
+        fill = network(seed, body.lacking, progress)
         rate = min(FPS, _MOST / gap) if gap else FPS
         keys, time = keep.frames.nonzero()[:, 0], torch.arange(motion.frames)
         between = (time > keys[0]) & (time < keys[-1])
@@ -197,7 +197,7 @@ def completed(
     why = "how close these joints come to the true ones was not measured"
     if hide >= {own for j, own in body.mapped.items() if STANDARD.names[j] in _LEGS}:
         why = "hidden legs came out 13 cm off on 15 people whom it had never seen"
-    made = body.corrected(_network(seed, body.lacking, progress))
+    made = body.corrected(network(seed, body.lacking, progress))
     note = f"method: network; {why}"
     floor = "the floor is taken to be at height 0"
     return Animated(body.back(made, plant=plant), (note, *_of_draw(seed), floor, *body.notes(plant)))
@@ -207,14 +207,17 @@ def _of_draw(seed: int | None) -> tuple[str, ...]:
     return () if seed is None else (f"drawn with seed {seed}: livelier than people are; another draw looks much alike",)
 
 
-def _network(seed: int | None, lacking: Tensor, progress: bool) -> Fill:
-    """Fills a motion (T) on the models' body by one answer, or by a draw."""
+def network(seed: int | None, lacking: Tensor, progress: bool, *, steps: int = 10) -> Fill:
+    """Returns what fills a motion (T) on the models' body by one answer (seed None), or by a draw in so many steps.
+
+    lacking (22,): joints that the figure does not have.
+    """
     if seed is None:
         return by_windows(completer.load(NETWORK).complete, lacking, progress)
     model, generator = completer.load(DRAWS), torch.Generator().manual_seed(seed)
 
     def draw(motion: Motion, known: Tensor) -> Motion:
-        return model.complete(motion, known, generator)
+        return model.complete(motion, known, generator, steps=steps)
 
     return by_windows(draw, lacking, progress, onward=True)
 

@@ -18,12 +18,10 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from motionlab import baselines, cleaning, rotation
-from motionlab.animate import Animated, curves, found_joints, inbetween
+from motionlab.animate import DRAWS, Animated, curves, found_joints, inbetween, network
 from motionlab.contact import with_contacts
-from motionlab.corrections import WINDOW, Fill, Keep, Standard, by_windows, merged, overlapping, padded, runs
+from motionlab.corrections import WINDOW, Keep, Standard, merged, overlapping, padded, runs
 from motionlab.diffusion.denoising import Noise, ReverseProcess, denoise
-from motionlab.diffusion.inpainting import Way, repair
-from motionlab.diffusion.masks import units
 from motionlab.diffusion.model import motion_model
 from motionlab.diffusion.planting import planted, reach_targets
 from motionlab.diffusion.pose_completion import complete
@@ -37,8 +35,7 @@ FREE, HANDLES = "diffusion_real_free", "diffusion_real_handles"
 CLEAN = Noise(0.35 * math.pi / 180, 0.0015)  # as much is measured on clean recordings
 _PROCESS = ReverseProcess(level=0.35, topped=False, filtered=True)
 _LIVELY, _QUICK = 12.0, 6.0  # strength of acceleration that is motion: rad/s^(3/2) of joints, m/s^(3/2) of the root
-_STEPS = 50  # of the sampler
-_GUIDED = Way(put="imputed", weight=5.0, steps=_STEPS, finish=8)
+_STEPS = 25  # of the sampler of new motion
 _SECONDS = (0.5, 600.0)  # of new motion: half a window's worth is hardly one, and ten minutes take as long to make
 _JUMPS = 0.2  # share of frames; with more it is noise that jumps
 _LEAST = 12  # frames in which noise can be measured
@@ -212,36 +209,25 @@ def generated(
     if not _SECONDS[0] <= seconds <= _SECONDS[1]:  # not a number is neither
         remedy = f"ask for {_SECONDS[0]:g} to {_SECONDS[1]:g} s"
         raise DataError(f"cannot make {seconds:g} s of motion", place="--seconds", remedy=remedy)
-    generator = torch.Generator().manual_seed(seed)
     if start is None:
-        return _new(round(seconds * FPS), generator, plant, progress)
+        return _new(round(seconds * FPS), seed, plant, progress)
     more = max(round(seconds * start.fps), 1)
     index = torch.arange(start.frames + more).clamp(max=start.frames - 1)
     longer = replace(start, root=start.root[index], rot=start.rot[index], contacts=None)
     keep = Keep(torch.arange(len(index)) < start.frames, torch.zeros(len(start.skeleton), dtype=torch.bool))
     body = Standard.of(longer, curves(longer, keep), keep)
-    motion = body.back(body.corrected(_going_on(generator, body.lacking, progress)), plant=plant)
-    return Animated(motion, (f"made by the model {FREE}, which goes on from the end", *body.notes(plant)))
+    motion = body.back(body.corrected(network(seed, body.lacking, progress, steps=_STEPS)), plant=plant)
+    return Animated(motion, (f"made by the model {DRAWS}, which goes on from the end", *body.notes(plant)))
 
 
-def _new(frames: int, generator: torch.Generator, plant: bool, progress: bool) -> Animated:
-    model = motion_model(FREE)
-    first = model.sample(1, generator, steps=_STEPS, rest=0.05).clip(0)
-    index = torch.arange(max(frames, WINDOW)).clamp(max=WINDOW - 1)
-    motion = replace(first, root=first.root[index], rot=first.rot[index], contacts=first.contacts[index])
-    known = (torch.arange(len(index)) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
+def _new(frames: int, seed: int, plant: bool, progress: bool) -> Animated:
+    count = max(frames, WINDOW)
+    nothing = torch.zeros(count, len(STANDARD) + 2, dtype=torch.bool)
+    root, rot = torch.zeros(count, 3), torch.eye(3).expand(count, len(STANDARD), 3, 3)
+    empty = Motion(STANDARD, root, rot, FPS, torch.zeros(count, len(STANDARD.contact_names)), "generated")
     lacking = torch.zeros(len(STANDARD), dtype=torch.bool)
-    motion = _going_on(generator, lacking, progress)(motion, known).cut(0, frames)
+    motion = network(seed, lacking, progress, steps=_STEPS)(empty, nothing).cut(0, frames)
     if plant:
         some = replace(motion, root=motion.root[None], rot=motion.rot[None], contacts=motion.contacts[None])
-        motion = planted(some, slow=False).clip(0)
-    return Animated(replace(motion, name="generated", notes=()), (f"made by the model {FREE}",))
-
-
-def _going_on(generator: torch.Generator, lacking: Tensor, progress: bool) -> Fill:
-    """Fills what is not known of a motion (T) on the models' body, window by window."""
-    model = motion_model(FREE)
-    columns = units(model.layout)
-    return by_windows(
-        lambda m, known: repair(model, m, known[..., columns], generator, _GUIDED), lacking, progress, onward=True
-    )
+        motion = replace(planted(some, slow=False).clip(0), name="generated")
+    return Animated(motion, (f"made by the model {DRAWS}",))

@@ -78,7 +78,7 @@ def test_the_second_nearest_is_of_another_clip(takes, fitted):
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("case", ["legs", "every_frame", "whole_window", "gap"])
+@pytest.mark.parametrize("case", ["legs", "every_frame", "whole_window", "gap", "keys"])
 def test_what_is_known_stays_and_what_is_hidden_is_never_read(takes, fitted, way, case, generator):
     truth, count = takes[1], len(takes[1].root)
     known = {
@@ -86,6 +86,7 @@ def test_what_is_known_stays_and_what_is_hidden_is_never_read(takes, fitted, way
         "every_frame": lambda: cases.every_frame(count, FRAMES, 0.5, generator),
         "whole_window": lambda: cases.whole_window(count, FRAMES, 0.5, generator),
         "gap": lambda: cases.gap(count, FRAMES, 6),
+        "keys": lambda: cases.keys(count, FRAMES, 7),
     }[case]()
     made = getattr(fitted, way)(truth, known)
     joints, place = known[..., : cases.JOINTS], known[..., cases.JOINTS]

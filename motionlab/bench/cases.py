@@ -66,6 +66,12 @@ def gap(count: int, frames: int, length: int) -> Tensor:
     return known[None, :, None].repeat(count, 1, JOINTS + 2)
 
 
+def keys(count: int, frames: int, apart: int) -> Tensor:
+    """Whole frames, contacts too, so many apart; as many frames before the first as behind the last, or one fewer."""
+    first = (frames - 1) % apart // 2
+    return ((torch.arange(frames) - first) % apart == 0)[None, :, None].repeat(count, 1, JOINTS + 2)
+
+
 def _with_root(joints: Tensor) -> Tensor:
     return torch.cat((joints, joints[..., :1], torch.zeros_like(joints[..., :1])), -1)
 

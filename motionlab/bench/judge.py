@@ -45,6 +45,7 @@ CASES: Mapping[str, Case] = {
     "legs hidden": Case(lambda n: cases.legs(n, FRAMES), cases.LOWER),
     "gap of 30 frames": Case(lambda n: cases.gap(n, FRAMES, 30), edges=True),
     "gap of 45 frames": Case(lambda n: cases.gap(n, FRAMES, 45), edges=True),
+    "every 15th frame": Case(lambda n: cases.keys(n, FRAMES, 15), edges=True),
     "half of the joints": Case(partial(_joints, share=0.5)),
     "a quarter of the joints": Case(partial(_joints, share=0.25)),
 }

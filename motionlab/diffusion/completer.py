@@ -35,7 +35,10 @@ _FAR = 2.0  # seconds that count as no such frame
 _SHIFT = 5.0  # of the schedule: half of the steps are where the signal is below a fifth of the noise
 _WAVES = 8  # frequencies that an angle is told in
 #: Odds of each kind of mask in training.
-KINDS = (("between", 0.4), ("gap", 0.1), ("legs", 0.25), ("joints", 0.15), ("entries", 0.05), ("frames", 0.05))
+KINDS = (
+    ("between", 0.3), ("keys", 0.15), ("gap", 0.1), ("legs", 0.25), ("joints", 0.12), ("entries", 0.03),
+    ("frames", 0.05),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

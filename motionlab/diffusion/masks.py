@@ -24,6 +24,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
 _EDGE = 5  # known frames on either side of what lies between
+_APART = (4, 45)  # frames from one lone key to the next
 _MOST = 8  # handles of a pose in training, at most
 _NONE, _USUAL = 0.1, 0.45  # how often training draws no handle, and some of ``_EFFECTORS``; else of all joints
 #: What people hold a figure by.
@@ -81,8 +82,8 @@ def draw_units(frames: int, count: int, generator: torch.Generator, kinds: Mappi
 
     nothing: all is unknown. frames: whole frames, each by the window's own chance. gap: all but a run of frames, which
     may reach either end; between: which has ``_EDGE`` known frames or more on either side, in windows that are longer.
-    joints: some joints, in all frames. entries: other joints in every frame. legs: all but both legs, with or without
-    the root's place. Contacts are known with whole frames only.
+    keys: lone frames, as far apart as animators' keys. joints: some joints, in all frames. entries: other joints in
+    every frame. legs: all but both legs, with or without the root's place. Contacts are known with whole frames only.
 
     Raises:
         ValueError: an unknown kind, or odds that are not positive.
@@ -116,6 +117,12 @@ def _between(frames: int, size: int, generator: torch.Generator) -> Tensor:
     return torch.cat((edge, inside, torch.ones(frames - len(edge) - len(inside), 1, dtype=torch.bool)))
 
 
+def _keys(frames: int, size: int, generator: torch.Generator) -> Tensor:
+    apart = int(torch.randint(_APART[0], _APART[1] + 1, (), generator=generator))
+    first = int(torch.randint(min(apart, frames), (), generator=generator))
+    return (torch.arange(frames)[:, None] - first) % apart == 0
+
+
 def _joints(frames: int, size: int, generator: torch.Generator) -> Tensor:
     known = torch.rand(1, size, generator=generator) < torch.rand(1, generator=generator)
     known[:, -1] = False
@@ -137,6 +144,6 @@ def _legs(frames: int, size: int, generator: torch.Generator) -> Tensor:
 
 
 _MAKE: dict[str, Callable[[int, int, torch.Generator], Tensor]] = {
-    "nothing": _nothing, "frames": _frames, "gap": _gap, "between": _between, "joints": _joints, "entries": _entries,
-    "legs": _legs,
+    "nothing": _nothing, "frames": _frames, "gap": _gap, "between": _between, "keys": _keys, "joints": _joints,
+    "entries": _entries, "legs": _legs,
 }  # fmt: skip

@@ -1,0 +1,149 @@
+"""The steps of tests/bench/gpu: their losses beside the library's, and that none of them waits for the host."""
+
+import copy
+import math
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from motionlab.diffusion import masks, state
+from motionlab.diffusion.completer import Completer, CompleterRecipe
+from motionlab.diffusion.completer_training import _WEIGHTS, losses
+from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.losses import LossWeights, denoising_losses
+from motionlab.diffusion.windows import gather, on_standard
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD
+
+sys.path.insert(0, str(Path(__file__).parent / "bench" / "gpu"))
+import steps
+import train
+
+ODDS = torch.tensor([0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.85])
+COUNT = 24
+
+
+@pytest.fixture(scope="module")
+def k():
+    return steps.Constants(torch.device("cpu"))
+
+
+@pytest.fixture(scope="module")
+def windows(motions):
+    lacks = [("spine2",) if n % 3 == 0 else () for n in range(len(motions))]
+    people = [str(n % 2) for n in range(len(motions))]
+    return gather([on_standard(m) for m in motions], steps.T, missing=lacks, people=people)
+
+
+@pytest.fixture(scope="module")
+def data(windows):
+    w = windows
+    return steps.Data(w.root, w.rot, w.contacts, w.clip, w.seen, w.people)
+
+
+@pytest.fixture(scope="module")
+def table(k):
+    return steps.Masks(k, pool=20)
+
+
+@pytest.fixture(scope="module")
+def batch(data, table, k):
+    return steps.drawn(COUNT, data, table, ODDS, None, k, torch.Generator().manual_seed(0))
+
+
+def motion(batch) -> Motion:
+    return Motion(STANDARD, batch[0], batch[1], 30.0, batch[2])
+
+
+def model(noised: bool, of: Motion) -> Completer:
+    torch.manual_seed(0)
+    made = Completer(CompleterRecipe(size=64, layers=1, noised=noised))
+    torch.nn.init.normal_(made.said.weight, std=0.02)
+    units = state.Units.measure(state.rows(of))
+    made.mean.copy_(units.mean), made.scale.copy_(units.scale)
+    return made
+
+
+@pytest.mark.parametrize("noised", [False, True])
+def test_the_completers_loss_is_the_librarys(noised, batch, k):
+    some, known, weights, _ = batch
+    truth, draws = motion(some), torch.Generator().manual_seed(1)
+    net = model(noised, truth)
+    angle, noise = (
+        torch.rand(COUNT, generator=draws) * math.pi / 2,
+        torch.randn(COUNT, steps.T, state.MADE, generator=draws),
+    )
+    told = (angle, noise) if noised else ()
+    made = net.filled(truth, known, *told)
+    parts = losses(made, truth, known, some[3], net.units.made[1], squared=noised)
+    expected = sum(_WEIGHTS[name] * part for name, part in parts.items())
+    units = net.units.made
+    assert torch.allclose(steps.completer_loss(net, some, known, weights, units, told or None, k), expected, rtol=1e-5)
+    other = steps.completer_loss(net, some, known.roll(1, 0), weights, units, told or None, k)
+    assert not torch.allclose(other, expected, rtol=1e-2)  # control
+
+
+def test_the_plain_loss_is_the_librarys(batch, k):
+    some, layout, counts = batch[0], Layout(), LossWeights()
+    rows = layout.encode(motion(some))
+    normaliser = Normaliser.measure(rows, layout)
+    truth, seen = normaliser.apply(rows), some[3][:, masks.units(layout)]
+    said = truth + 0.1 * torch.randn(truth.shape, generator=torch.Generator().manual_seed(2))
+    names = ("simple", "velocity", "fk", "contact")
+    parts = denoising_losses(said, truth, layout, normaliser, STANDARD.offsets[None], parts=names, seen=seen)
+    expected = sum(getattr(counts, name) * part for name, part in parts.items())
+    each = {name: getattr(counts, name) for name in names}
+    made = steps.plain_loss(said, truth, normaliser.mean, normaliser.scale, each, seen, k)
+    assert torch.allclose(made, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", steps.ORDER)
+def test_masks_are_as_the_library_draws_them(kind, table, k):
+    """As much is known on average, of joints and of contacts. Entries differ and say so."""
+    at = steps.ORDER.index(kind)
+    odds, draws = torch.tensor([0.0] * at + [1.0] * (7 - at)), torch.Generator().manual_seed(4)
+    mine = table.draw(3000, k, draws, odds)[0].float()
+    theirs = masks.draw_units(steps.T, 1500, draws, {kind: 1.0}).float()
+    more = 0.25 if kind == "entries" else 0.0  # all but those that are missing in the same frames
+    assert abs(mine[..., :-1].mean() - theirs[..., :-1].mean() - more) < 0.03
+    assert abs(mine[..., -1].mean() - theirs[..., -1].mean()) < 0.03
+
+
+def test_what_is_packed_is_what_was_there(windows, data, k, tmp_path):
+    train.pack(windows, str(tmp_path / "w.npz"))
+    found = train.unpacked(str(tmp_path / "w.npz"), torch.device("cpu"))
+    assert (found.root - data.root).abs().max() < 4e-4 and (found.rot - data.rot).abs().max() < 1e-3
+    assert torch.equal(found.contacts, data.contacts) and torch.equal(found.begins, data.begins)
+
+
+def _away(thing):
+    """On the meta device, where a constant of the host and a value that is read are errors."""
+    found = copy.copy(thing)
+    for name, value in vars(thing).items():
+        if isinstance(value, torch.Tensor):
+            setattr(found, name, value.to("meta"))
+        elif isinstance(value, list):
+            setattr(found, name, [x.to("meta") if isinstance(x, torch.Tensor) else x for x in value])
+    return found
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"recipe": {"kinds": [["legs", 0.5], ["keys", 0.5]], "size": 64, "layers": 1, "batch": 4}},
+        {"recipe": {"kinds": [["nothing", 1.0]], "size": 64, "layers": 1, "batch": 4, "noised": True}},
+        {"plain": {"size": "small", "batch": 4}},
+    ],
+)
+def test_no_step_waits_for_the_host(how, k, data, table):
+    far = _away(k)
+    far.device = torch.device("meta")
+    one = train.Run("one", how, far, _away(data), _away(table))
+    one.advance()
+    with pytest.raises((RuntimeError, NotImplementedError)):  # control
+        one.loss.item()
+    near = train.Run("one", how, k, data, table)
+    near.advance()
+    assert near.loss > 0 and all(x.grad.isfinite().all() for x in near.weights)
