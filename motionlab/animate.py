@@ -38,10 +38,7 @@ GROUPS = {"legs": ("left_hip", "right_hip"), "arms": ("left_shoulder", "right_sh
 _LEGS = {f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle", "foot")}
 _FADE = (2.0, 0.8)  # seconds over which the velocity at a key carries on, of the root and of joints
 
-#: By the people who choose: the mean of curves and network leaves least between lone keys, and hardly more than the
-#: network alone in motion; a gap should take no more frames of a window than this, so that a longer one is shown to the
-#: network faster than it is.
-_TRUST, _MOST = 0.5, 40
+_MOST = 40  # frames of a window that a gap should take: a longer one is shown to the network faster than it is
 _MEASURED = 2.5  # seconds of the longest gaps that were measured, and a little
 
 
@@ -165,10 +162,7 @@ def inbetween(
     if chosen != "curves":
         fill = network(seed, body.lacking, progress)
         rate = min(FPS, _MOST / gap) if gap else FPS
-        keys, time = keep.frames.nonzero()[:, 0], torch.arange(motion.frames)
-        between = (time > keys[0]) & (time < keys[-1])
-        share = torch.where(between, _TRUST, 1.0) if seed is None else 1.0
-        made = body.corrected(fill, rate=rate, share=share)
+        made = body.corrected(fill, rate=rate)
     return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
 
 
@@ -204,7 +198,9 @@ def completed(
 
 
 def _of_draw(seed: int | None) -> tuple[str, ...]:
-    return () if seed is None else (f"drawn with seed {seed}: livelier than people are; another draw looks much alike",)
+    return (
+        () if seed is None else (f"drawn with seed {seed}: a little livelier than people are; other seeds draw others",)
+    )
 
 
 def network(seed: int | None, lacking: Tensor, progress: bool, *, steps: int = 10) -> Fill:
@@ -230,8 +226,8 @@ def _usual_method(gap: float, beyond: float) -> tuple[str, str]:
     if max(gap, beyond) > _MEASURED:
         return "curves", f"more than {_MEASURED:g} s in one gap or beyond the keys was not measured"
     if beyond > gap:
-        return "network", "it moves on beyond the keys: half a second later it is 15 cm off, standing still 18 cm"
-    why = "its joints come closer than those of curves: in gaps of 0.5, 1 and 2 s they are 3.5, 8.6 and 20 cm off, not"
+        return "network", "it moves on beyond the keys: half a second later it is 14 cm off, standing still 18 cm"
+    why = "its joints come closer than those of curves: in gaps of 0.5, 1 and 2 s they are 3.6, 7.9 and 20 cm off, not"
     return "network", f"{why} 3.6, 9.9 and 21 (straight from key to key: 6.6, 15 and 27)"
 
 

@@ -97,11 +97,10 @@ class Standard:
         return (f"joints recognised by their names: {self.found.rig}{missing}", feet)
 
     # -------------------------------------------------------------------------------------------------- a model
-    def corrected(self, fill: Fill, *, rate: float = FPS, share: float | Tensor = 1.0) -> Motion:
+    def corrected(self, fill: Fill, *, rate: float = FPS) -> Motion:
         """Computes the 22 joints with what is not kept filled in by ``fill``, at their own rate again.
 
-        rate: frames per second that ``fill`` is shown as its own; less: more seconds in a window. share: of the way
-        from what the curves have drawn to what ``fill`` says; one number, or (T,) one for each frame.
+        rate: frames per second that ``fill`` is shown as its own; less: more seconds in a window.
         """
         slow, known = self.at_model_rate(rate)
         body, scale = _on_body(slow)
@@ -110,11 +109,8 @@ class Standard:
         rot = torch.where(known[:, :22, None, None] | self.lacking[:, None, None], slow.rot, made.rot)
         root = hips - _hips(replace(slow, rot=rot, root=torch.zeros_like(slow.root)), 1.0)
         root = torch.where(known[:, -2:-1], slow.root, root)
-        at = (torch.arange(slow.frames) * (self.motion.fps / rate)).round().long().clamp(max=self.motion.frames - 1)
-        share = torch.as_tensor(share).expand(self.motion.frames)[at, None]
         # smooth: this, not poses, goes to the other rate
-        turn = rotation.exp(share[..., None] * rotation.log(slow.rot.mT @ rot))
-        change = replace(slow, root=share * (root - slow.root), rot=turn, contacts=made.contacts)
+        change = replace(slow, root=root - slow.root, rot=slow.rot.mT @ rot, contacts=made.contacts)
         change = resample(change, self.motion.fps, "spline").cut(0, self.motion.frames)
         own = self.joints
         return replace(own, root=own.root + change.root, rot=own.rot @ change.rot, contacts=change.contacts)

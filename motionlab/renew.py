@@ -31,11 +31,11 @@ from motionlab.motion import FPS, Motion
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD
 
-FREE, HANDLES = "diffusion_real_free", "diffusion_real_handles"
+FREE, PLAIN, HANDLES = "diffusion_real_free", "diffusion_plain", "diffusion_real_handles"
 CLEAN = Noise(0.35 * math.pi / 180, 0.0015)  # as much is measured on clean recordings
 _PROCESS = ReverseProcess(level=0.35, topped=False, filtered=True)
 _LIVELY, _QUICK = 12.0, 6.0  # strength of acceleration that is motion: rad/s^(3/2) of joints, m/s^(3/2) of the root
-_STEPS = 25  # of the sampler of new motion
+_MANY, _STEPS = 250, 25  # of the samplers that begin and go on
 _SECONDS = (0.5, 600.0)  # of new motion: half a window's worth is hardly one, and ten minutes take as long to make
 _JUMPS = 0.2  # share of frames; with more it is noise that jumps
 _LEAST = 12  # frames in which noise can be measured
@@ -221,13 +221,14 @@ def generated(
 
 
 def _new(frames: int, seed: int, plant: bool, progress: bool) -> Animated:
-    count = max(frames, WINDOW)
-    nothing = torch.zeros(count, len(STANDARD) + 2, dtype=torch.bool)
-    root, rot = torch.zeros(count, 3), torch.eye(3).expand(count, len(STANDARD), 3, 3)
-    empty = Motion(STANDARD, root, rot, FPS, torch.zeros(count, len(STANDARD.contact_names)), "generated")
+    first = motion_model(PLAIN).sample(1, torch.Generator().manual_seed(seed), steps=_MANY).clip(0)
+    index = torch.arange(max(frames, WINDOW)).clamp(max=WINDOW - 1)
+    motion = replace(first, root=first.root[index], rot=first.rot[index], contacts=first.contacts[index])
+    known = (torch.arange(len(index)) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
     lacking = torch.zeros(len(STANDARD), dtype=torch.bool)
-    motion = network(seed, lacking, progress, steps=_STEPS)(empty, nothing).cut(0, frames)
+    motion = network(seed, lacking, progress, steps=_STEPS)(motion, known).cut(0, frames)
     if plant:
         some = replace(motion, root=motion.root[None], rot=motion.rot[None], contacts=motion.contacts[None])
-        motion = replace(planted(some, slow=False).clip(0), name="generated")
-    return Animated(motion, (f"made by the model {DRAWS}",))
+        motion = planted(some, slow=False).clip(0)
+    notes = f"two seconds are made by the model {PLAIN}", *((f"{DRAWS} goes on from there",) * (frames > WINDOW))
+    return Animated(replace(motion, name="generated", notes=()), notes)

@@ -162,3 +162,15 @@ def test_what_lies_between_has_known_frames_on_either_side(generator):
     hidden = 20 - known[..., 0].sum(1)
     assert hidden.min() >= 1 and hidden.max() <= 9 and len(hidden.unique()) > 5
     assert (known[..., 0].float().diff(dim=1) < 0).sum(1).eq(1).all()  # one run
+
+
+def test_lone_keys_are_evenly_apart_and_begin_anywhere(generator):
+    known = masks.draw_units(60, 400, generator, {"keys": 1.0})
+    apart, first = set(), set()
+    for each in known[..., 0]:
+        keys = each.nonzero()[:, 0]
+        first.add(int(keys[0]))
+        apart |= set(keys.diff().tolist()) if keys.diff().unique().numel() < 2 else {0}
+    assert torch.equal(known, known[..., :1].expand_as(known)) and min(apart) == 4 and 40 < max(apart) <= 45
+    assert min(first) == 0 and max(first) > 30
+    assert not masks.draw_units(3, 50, generator, {"keys": 1.0}).any(1).logical_not().any()  # at least one

@@ -28,6 +28,9 @@ from motionlab.bench.judge import CASES, FRAMES, Case, energy_score, people
 from motionlab.bench.person_windows import PersonWindows, by_person
 from motionlab.diffusion import completer, state
 from motionlab.diffusion.completer import Completer, guess
+from motionlab.diffusion.inpainting import Way, repair
+from motionlab.diffusion.masks import units
+from motionlab.diffusion.model import motion_model
 from motionlab.files import write_whole
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.metrics import intervals
@@ -43,24 +46,26 @@ FADES = (0, 5, 10)  # frames over which the jump at the edge of what is known ma
 STEPS = (5, 10)  # of the sampler
 DRAWS = 6
 R, T = "completer", "completer_draws"
+P, PLAIN = "diffusion_plain", 50  # the thesis's model, by Eq. 4.10; its steps, as 250 left no less on those who choose
 #: What is asked of whom, and of which draws.
 DRAWN = ("legs hidden", "gap of 30 frames", "gap of 45 frames")
 
 
 @dataclass(frozen=True, eq=False)
 class Contender:
-    """fill: (motion, known, setting, seed) -> motion; it draws if ``draws``. settings: to choose from, by whether a
-    case has edges in time. told: of joints that a figure lacks."""
+    """fill: (motion, known, setting, seed) -> motion. settings: to choose from, by whether a case has edges in time.
+    draws: how many; 0: one answer. told: of joints that a figure lacks."""
 
     fill: Callable[[Motion, Tensor, object, int], Motion]
     settings: Callable[[bool], Sequence] = lambda edges: (None,)
-    draws: bool = False
+    draws: int = 0
     told: bool = True
 
 
 def contenders(learnt: Motion, clips: Tensor, generator: torch.Generator) -> dict[str, Contender]:
     """Everybody by name. learnt: windows (N, T) of the clips (N,)."""
     fitted, one, many = rivals.Rivals.fit(learnt, generator), completer.load(R), completer.load(T)
+    plain = motion_model(P)
     fades = lambda edges: FADES if edges else (0,)  # noqa: E731
 
     def ridges(edges: bool) -> list[tuple[float, int]]:
@@ -73,6 +78,10 @@ def contenders(learnt: Motion, clips: Tensor, generator: torch.Generator) -> dic
     def drawn(motion: Motion, known: Tensor, steps: int, seed: int) -> Motion:
         return many.complete(motion, known, torch.Generator().manual_seed(seed), steps=steps)
 
+    def overwritten(motion: Motion, known: Tensor, how: None, seed: int) -> Motion:
+        draw = torch.Generator().manual_seed(seed)
+        return repair(plain, motion, known[..., units(plain.layout)], draw, Way(steps=PLAIN))
+
     return {
         "mean pose": Contender(lambda m, k, how, _: fitted.mean(m, k, how), fades),
         "nearest": Contender(lambda m, k, how, _: fitted.nearest(m, k, how), fades),
@@ -81,10 +90,11 @@ def contenders(learnt: Motion, clips: Tensor, generator: torch.Generator) -> dic
         "ridge": Contender(lambda m, k, how, _: ridge(m, k, how, None), ridges),
         R: Contender(lambda m, k, *_: one.complete(m, k), told=False),
         "nearest six": Contender(
-            lambda m, k, how, n: fitted.nearest(m, k, how, rank=n, clips=clips), fades, draws=True
+            lambda m, k, how, n: fitted.nearest(m, k, how, rank=n, clips=clips), fades, draws=DRAWS
         ),
-        "Gaussian": Contender(ridge, ridges, draws=True),
-        T: Contender(drawn, lambda edges: STEPS, draws=True, told=False),
+        "Gaussian": Contender(ridge, ridges, draws=DRAWS),
+        T: Contender(drawn, lambda edges: STEPS, draws=DRAWS, told=False),
+        P: Contender(overwritten, draws=2, told=False),
     }
 
 
@@ -99,9 +109,7 @@ def left(who: Contender, how: object, case: Case, windows: PersonWindows, standi
     motion, whose, lacks = windows
     known = case.mask(len(motion.root))
     given = known if who.told else known & ~lacks
-    made = [
-        cases.pasted(who.fill(motion, given, how, k), motion, known | lacks) for k in range(DRAWS if who.draws else 1)
-    ]
+    made = [cases.pasted(who.fill(motion, given, how, k), motion, known | lacks) for k in range(who.draws or 1)]
     found = {
         "energy score, cm": energy_score(made, motion, known, case.joints),
         "cm": torch.stack([cases.error_cm(m, motion, known, case.joints) for m in made]).mean(0),
@@ -110,8 +118,7 @@ def left(who: Contender, how: object, case: Case, windows: PersonWindows, standi
     }
     if who.draws:
         found["spread over error"] = 2 * (found["cm"] - found["energy score, cm"]) / found["cm"]
-    elif case.edges:
-        hidden = cases.hidden_frames(known)[0]
+    elif (hidden := cases.hidden_frames(known)[0]).int().diff().abs().sum() == 2:  # one gap
         found |= _lafan(made[0], motion, hidden, standing)
     each = {name: by_person(x, whose) for name, x in found.items() if name != "NPSS"}
     if "NPSS" in found:  # over all windows of a person together
@@ -166,12 +173,12 @@ def measure(folder: str, part: str) -> tuple[dict[str, dict[str, dict[str, float
             if T in some and name != T:
                 less = each["energy score, cm"] - some[T]["energy score, cm"]
                 rows[f"{title}; {name}; less {T}, energy score, cm"] = _over_people(less, generator)
-        for name in (R, T):
+        for name in (R, T, P):
             for what in ("acceleration over the truth's", "slide, mm a frame", "spread over error"):
                 if name in some and what in some[name]:
                     rows[f"{title}; {name}; {what}"] = _over_people(some[name][what], generator)
         for what in ("L2P", "L2Q", "NPSS"):
-            if "slerp" in some:
+            if "slerp" in some and what in some[R]:
                 ratio = some[R][what] / some["slerp"][what]
                 rows[f"{title}; {R}, {what}; over slerp's"] = _over_people(ratio, generator)
     return rows, chosen

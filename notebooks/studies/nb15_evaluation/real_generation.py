@@ -32,7 +32,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import BALLS, STANDARD
 
 FRAMES, EACH, DRAWS = 60, 24, 40  # of a window; windows of a person; halves
-STEPS, DRAWN = 50, 10  # of the samplers
+STEPS, MANY, DRAWN = 50, 250, 25  # of the samplers: of models of filters, the plain one, completers
 DOWN = 0.03  # metres above where a ball rests
 
 
@@ -70,8 +70,9 @@ def sampled(name: str, count: int) -> dict[str, Motion]:
         known = torch.zeros(count, FRAMES, len(STANDARD) + 2, dtype=torch.bool)
         return {name: completer.load(name).complete(motion, known, generator, steps=DRAWN)}
     model = motion_model(name)
-    both = {name: model, f"{name}, filter alone": silenced(model)}
-    return {title: each.sample(count, generator, steps=STEPS) for title, each in both.items()}
+    both = {name: model} | ({f"{name}, filter alone": silenced(model)} if model.recipe.spectral else {})
+    steps = STEPS if model.recipe.spectral else MANY
+    return {title: each.sample(count, generator, steps=steps) for title, each in both.items()}
 
 
 def measure(names: list[str], folder: str, part: str) -> dict[str, dict[str, dict[str, float]]]:
@@ -101,7 +102,7 @@ def main() -> None:
     """Measures, prints and keeps in each model's recipe."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder")
-    parser.add_argument("--models", nargs="+", default=["completer_draws", "diffusion_real_free"])
+    parser.add_argument("--models", nargs="+", default=["completer_draws", "diffusion_real_free", "diffusion_plain"])
     parser.add_argument("--part", choices=("choose", "report"), default="report")
     options = parser.parse_args()
     found = measure(options.models, options.folder, options.part)
