@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from motionlab import checkpoint, shipped, splits, train_completer, train_more, train_prior
+from motionlab import checkpoint, shipped, splits, train_completer, train_more, train_plain, train_prior
 from motionlab.diffusion import model
 from motionlab.diffusion import training as diffusion_training
 from motionlab.diffusion.denoiser import SIZES
@@ -18,7 +18,7 @@ from motionlab.humor import examples, quality, training
 from motionlab.humor.cvae import Cvae, official_weights
 from motionlab.motion import Motion
 
-_COURSES = dict.fromkeys(train_completer.RECIPES, train_completer) | dict.fromkeys(train_prior.RECIPES, train_prior)
+_COURSES = {name: home for home in (train_completer, train_plain, train_prior) for name in home.RECIPES}
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -26,7 +26,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "model", choices=("humor", "small", "diffusion", "features", *_COURSES),
         help="transition prior; pose and first states; denoiser; what generated motion is judged in; what completes "
-        "motions, and the transition prior of hours of recordings, trained until Ctrl-C",
+        "motions, a denoiser and a transition prior of hours of recordings, trained until Ctrl-C",
     )  # fmt: skip
     command.add_argument(
         "--preset", choices=[name for presets in _presets().values() for name in presets],

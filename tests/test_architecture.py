@@ -26,7 +26,7 @@ FLOORS = """
     corpus splits humor.training humor.unknowns diffusion.pose_completion corrections
     bench shipped doctor onnx_export humor.chain_training humor.quality humor.stages humor.start animate
     train_more models humor.shooting renew
-    train_completer train_prior
+    train_completer train_plain train_prior
     train
     humor.testops
     scene_fit
@@ -40,7 +40,7 @@ LIBRARY, SYNTHETIC, STUDIES = "motionlab", "data_synth", "studies"
 DATA_MODEL = "suite.findings"
 SUITE, BENCH = "suite", ("suite.notebook", "suite.ledger", DATA_MODEL)
 #: Where commands bring synthetic motion and models together; the rest of the library does not know it.
-COMPOSERS = ("splits", "shipped", "train_more", "train_completer", "train_prior", "train")
+COMPOSERS = ("splits", "shipped", "train_more", "train_completer", "train_plain", "train_prior", "train")
 #: Studies may not import each other, but for these, which are there for several.
 SHARED = ("studies.shared", "studies.official")
 
