@@ -160,7 +160,7 @@ def inbetween(
         return Animated(drawn, ("method: curves, without planted feet, as its joints are not known", str(error)))
     made = body.joints
     if chosen != "curves":
-        fill = network(seed, body.lacking, progress)
+        fill = network(_drawn_from(seed), body.lacking, progress)
         rate = min(FPS, _MOST / gap) if gap else FPS
         made = body.corrected(fill, rate=rate)
     return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
@@ -191,7 +191,7 @@ def completed(
     why = "how close these joints come to the true ones was not measured"
     if hide >= {own for j, own in body.mapped.items() if STANDARD.names[j] in _LEGS}:
         why = "hidden legs came out 13 cm off on 15 people whom it had never seen"
-    made = body.corrected(network(seed, body.lacking, progress))
+    made = body.corrected(network(_drawn_from(seed), body.lacking, progress))
     note = f"method: network; {why}"
     floor = "the floor is taken to be at height 0"
     return Animated(body.back(made, plant=plant), (note, *_of_draw(seed), floor, *body.notes(plant)))
@@ -199,21 +199,25 @@ def completed(
 
 def _of_draw(seed: int | None) -> tuple[str, ...]:
     return (
-        () if seed is None else (f"drawn with seed {seed}: a little livelier than people are; other seeds draw others",)
+        () if seed is None else (f"drawn with seed {seed}: livelier than people are, the more so the longer the gap",)
     )
 
 
-def network(seed: int | None, lacking: Tensor, progress: bool, *, steps: int = 10) -> Fill:
-    """Returns what fills a motion (T) on the models' body by one answer (seed None), or by a draw in so many steps.
+def _drawn_from(seed: int | None) -> torch.Generator | None:
+    return None if seed is None else torch.Generator().manual_seed(seed)
+
+
+def network(draws: torch.Generator | None, lacking: Tensor, progress: bool, *, steps: int = 10) -> Fill:
+    """Returns what fills a motion (T) on the models' body by one answer (draws None), or by a draw in so many steps.
 
     lacking (22,): joints that the figure does not have.
     """
-    if seed is None:
+    if draws is None:
         return by_windows(completer.load(NETWORK).complete, lacking, progress)
-    model, generator = completer.load(DRAWS), torch.Generator().manual_seed(seed)
+    model = completer.load(DRAWS)
 
     def draw(motion: Motion, known: Tensor) -> Motion:
-        return model.complete(motion, known, generator, steps=steps)
+        return model.complete(motion, known, draws, steps=steps)
 
     return by_windows(draw, lacking, progress, onward=True)
 
@@ -227,8 +231,8 @@ def _usual_method(gap: float, beyond: float) -> tuple[str, str]:
         return "curves", f"more than {_MEASURED:g} s in one gap or beyond the keys was not measured"
     if beyond > gap:
         return "network", "it moves on beyond the keys: half a second later it is 14 cm off, standing still 18 cm"
-    why = "its joints come closer than those of curves: in gaps of 0.5, 1 and 2 s they are 3.6, 7.9 and 20 cm off, not"
-    return "network", f"{why} 3.6, 9.9 and 21 (straight from key to key: 6.6, 15 and 27)"
+    why = "in gaps of 0.5 s its joints are as close as those of curves, in gaps of 1 and 2 s closer: 7.9 and 20 cm off"
+    return "network", f"{why}, not 9.9 and 21 (straight from key to key: 15 and 27)"
 
 
 def _checked(method: str) -> str:

@@ -36,7 +36,7 @@ CLEAN = Noise(0.35 * math.pi / 180, 0.0015)  # as much is measured on clean reco
 _PROCESS = ReverseProcess(level=0.35, topped=False, filtered=True)
 _LIVELY, _QUICK = 12.0, 6.0  # strength of acceleration that is motion: rad/s^(3/2) of joints, m/s^(3/2) of the root
 _MANY, _STEPS = 250, 25  # of the samplers that begin and go on
-_SECONDS = (0.5, 600.0)  # of new motion: half a window's worth is hardly one, and ten minutes take as long to make
+_SECONDS = (0.5, 600.0)  # of new motion: half a window's worth is hardly one, and ten minutes take two to make
 _JUMPS = 0.2  # share of frames; with more it is noise that jumps
 _LEAST = 12  # frames in which noise can be measured
 _CALM = 9  # frames over which poses from handles are smoothed, at the models' rate
@@ -201,7 +201,7 @@ def generated(
 ) -> Animated:
     """Draws a new motion of so many seconds on the standard body, or what may follow on ``start``, which stays.
 
-    Two seconds at a time, each going on from what is there.
+    New motion begins with two seconds at once; the rest goes on from what is there, piece by piece.
 
     Raises:
         DataError: fewer or more seconds than ``_SECONDS``, or a start whose joints are not known.
@@ -209,26 +209,29 @@ def generated(
     if not _SECONDS[0] <= seconds <= _SECONDS[1]:  # not a number is neither
         remedy = f"ask for {_SECONDS[0]:g} to {_SECONDS[1]:g} s"
         raise DataError(f"cannot make {seconds:g} s of motion", place="--seconds", remedy=remedy)
+    draws = torch.Generator().manual_seed(seed)
     if start is None:
-        return _new(round(seconds * FPS), seed, plant, progress)
+        return _new(round(seconds * FPS), draws, plant, progress)
     more = max(round(seconds * start.fps), 1)
     index = torch.arange(start.frames + more).clamp(max=start.frames - 1)
     longer = replace(start, root=start.root[index], rot=start.rot[index], contacts=None)
     keep = Keep(torch.arange(len(index)) < start.frames, torch.zeros(len(start.skeleton), dtype=torch.bool))
     body = Standard.of(longer, curves(longer, keep), keep)
-    motion = body.back(body.corrected(network(seed, body.lacking, progress, steps=_STEPS)), plant=plant)
+    motion = body.back(body.corrected(network(draws, body.lacking, progress, steps=_STEPS)), plant=plant)
     return Animated(motion, (f"made by the model {DRAWS}, which goes on from the end", *body.notes(plant)))
 
 
-def _new(frames: int, seed: int, plant: bool, progress: bool) -> Animated:
-    first = motion_model(PLAIN).sample(1, torch.Generator().manual_seed(seed), steps=_MANY).clip(0)
-    index = torch.arange(max(frames, WINDOW)).clamp(max=WINDOW - 1)
-    motion = replace(first, root=first.root[index], rot=first.rot[index], contacts=first.contacts[index])
-    known = (torch.arange(len(index)) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
-    lacking = torch.zeros(len(STANDARD), dtype=torch.bool)
-    motion = network(seed, lacking, progress, steps=_STEPS)(motion, known).cut(0, frames)
+def _new(frames: int, draws: torch.Generator, plant: bool, progress: bool) -> Animated:
+    motion = motion_model(PLAIN).sample(1, draws, steps=_MANY).clip(0)
+    if frames > WINDOW:
+        index = torch.arange(frames).clamp(max=WINDOW - 1)
+        motion = replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=motion.contacts[index])
+        known = (torch.arange(frames) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
+        lacking = torch.zeros(len(STANDARD), dtype=torch.bool)
+        motion = network(draws, lacking, progress, steps=_STEPS)(motion, known)
+    motion = motion.cut(0, frames)
     if plant:
         some = replace(motion, root=motion.root[None], rot=motion.rot[None], contacts=motion.contacts[None])
         motion = planted(some, slow=False).clip(0)
-    notes = f"two seconds are made by the model {PLAIN}", *((f"{DRAWS} goes on from there",) * (frames > WINDOW))
-    return Animated(replace(motion, name="generated", notes=()), notes)
+    who = f"{PLAIN}, and after two seconds by {DRAWS}" if frames > WINDOW else PLAIN
+    return Animated(replace(motion, name="generated", notes=()), (f"made by the model {who}",))

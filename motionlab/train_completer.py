@@ -31,7 +31,8 @@ _DRAWS = 3
 
 
 class Course(train_more.Course):
-    """A completer, judged on windows of the people who choose; the one that draws begins as the other that ships."""
+    """A completer, judged on windows of the people who choose. Draws begin with new weights: those of one answer are
+    never left behind (docs/experiments.md)."""
 
     def __init__(
         self,
@@ -53,10 +54,6 @@ class Course(train_more.Course):
         if found.recipe.noised != self.recipe.noised:
             raise DataError(f"not a {self.name}", path=path, remedy="name another --out, or train its kind")
         return found
-
-    def first(self) -> Completer | None:
-        """What draws begins as what ships and does not."""
-        return completer.load("completer") if self.recipe.noised else None
 
     def begun(self, recipe: CompleterRecipe, first: Completer | None) -> CompleterTraining:
         """Of the size of the first."""

@@ -87,10 +87,6 @@ class Course(ABC):
     def save(self, out: Path, model: Any, about: dict) -> None:
         """Writes a checkpoint."""
 
-    def first(self) -> Any:
-        """The model whose weights new ones begin with; None: none."""
-        return None
-
 
 def go_on(course: Course, out: Path, *, more: bool = True, every: int = 2500, schedules: int | None = None) -> None:
     """Trains, and writes to ``out`` what is better than what stands there, until Ctrl-C.
@@ -158,8 +154,7 @@ def _run(course: Course, kept: Path, there: Any, more: bool) -> TrainingRun:
             print(f"begins anew: {error}", flush=True)
     if kept.exists():
         kept.replace(kept.with_suffix(".old"))
-    first = there or course.first()
-    return course.begun(replace(course.recipe, lr=course.recipe.lr / 2) if first else course.recipe, first)
+    return course.begun(replace(course.recipe, lr=course.recipe.lr / 2) if there else course.recipe, there)
 
 
 def _about(course: Course, run: TrainingRun, row: dict[str, float]) -> dict:

@@ -3,6 +3,7 @@
 import copy
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,8 @@ from motionlab.diffusion.completer_training import _WEIGHTS, losses
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.losses import LossWeights, denoising_losses
 from motionlab.diffusion.windows import gather, on_standard
-from motionlab.motion import Motion
+from motionlab.heading import stuck_root
+from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
 
 sys.path.insert(0, str(Path(__file__).parent / "bench" / "gpu"))
@@ -97,6 +99,25 @@ def test_the_plain_loss_is_the_librarys(batch, k):
     each = {name: getattr(counts, name) for name in names}
     made = steps.plain_loss(said, truth, normaliser.mean, normaliser.scale, each, seen, k)
     assert torch.allclose(made, expected, rtol=1e-5)
+    other = steps.plain_loss(said, truth, normaliser.mean, normaliser.scale, each, torch.zeros_like(seen), k)
+    assert not torch.allclose(other, expected, rtol=1e-1)  # control: nothing was recorded
+
+
+def test_windows_are_the_librarys_or_their_mirror_image(windows, data, k):
+    """Contacts tell which: a window's own, or of the other side's joints."""
+    every = replace(windows, mirrored=False)
+    own, whose = stuck_root(every._cut(every.begins))[0], every.clip[every.begins]
+    other = stuck_root(mirror(every._cut(every.begins)))[0]
+    root, rot, contacts, seen = data.draw(40, k, torch.Generator().manual_seed(5))
+    sides = set()
+    for n in range(40):
+        far = [(m.rot - rot[n]).abs().amax((1, 2, 3, 4)) for m in (own, other)]
+        side = int(far[1].min() < far[0].min())
+        found, at = ((own, other)[side], int(far[side].argmin()))
+        sides.add(side)
+        assert far[side][at] < 1e-5 and (found.root[at] - root[n]).abs().max() < 1e-5
+        assert torch.equal(found.contacts[at], contacts[n]) and torch.equal(windows.seen[whose[at]], seen[n, :22])
+    assert sides == {0, 1}
 
 
 @pytest.mark.parametrize("kind", steps.ORDER)

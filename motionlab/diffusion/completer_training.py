@@ -40,7 +40,7 @@ class CompleterTraining(TrainingRun):
             torch.manual_seed(recipe.seed)
             model = Completer(recipe)
         if start is not None:
-            model.load_state_dict(model.state_dict() | start.state_dict())  # what noise enters by may be new
+            model.load_state_dict(start.state_dict())
         else:
             some = stuck_root(windows.draw(_MEASURED, torch.Generator().manual_seed(0)))[0]
             units = state.Units.measure(state.rows(some))

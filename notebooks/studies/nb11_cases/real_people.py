@@ -9,7 +9,8 @@ on the report goes into the recipe of ``completer``, where ``python -m motionlab
 Most recordings are of a figure without toes and with a stiff back. Nobody is asked for a joint that a figure does not
 have: it stays as it came, whoever fills in the rest. Networks, which learnt never to be told of it, are not.
 
-One answer is judged by its error; draws by their energy score, six of each, in which one answer may stand, too.
+One answer is judged by its error; draws by their energy score, in which one answer may stand, too: six of each, and two
+of the thesis's model (``diffusion_plain``, by Eq. 4.10), which takes minutes a case; the score does not depend on it.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ FADES = (0, 5, 10)  # frames over which the jump at the edge of what is known ma
 STEPS = (5, 10)  # of the sampler
 DRAWS = 6
 R, T = "completer", "completer_draws"
-P, PLAIN = "diffusion_plain", 50  # the thesis's model, by Eq. 4.10; its steps, as 250 left no less on those who choose
+P, MANY = "diffusion_plain", 50  # the thesis's model; its steps: 250 left no less on those who choose
 #: What is asked of whom, and of which draws.
 DRAWN = ("legs hidden", "gap of 30 frames", "gap of 45 frames")
 
@@ -80,7 +81,7 @@ def contenders(learnt: Motion, clips: Tensor, generator: torch.Generator) -> dic
 
     def overwritten(motion: Motion, known: Tensor, how: None, seed: int) -> Motion:
         draw = torch.Generator().manual_seed(seed)
-        return repair(plain, motion, known[..., units(plain.layout)], draw, Way(steps=PLAIN))
+        return repair(plain, motion, known[..., units(plain.layout)], draw, Way(steps=MANY))
 
     return {
         "mean pose": Contender(lambda m, k, how, _: fitted.mean(m, k, how), fades),

@@ -3,9 +3,12 @@
     python tests/bench/gpu/train.py pack FOLDER windows.npz      # here: 28 MB
     python tests/bench/gpu/train.py run windows.npz plan.json OUT    # there
 
-plan.json: {"seconds": 430, "runs": {"T": {"recipe": {...}, "share": 1.0}, "P": {"plain": {...}}}}, with recipes
-of ``CompleterRecipe`` or ``DenoiserRecipe``; each run ends after its share of the seconds, its rate falls by that time
-(the steps that come out are written beside the weights). OUT/NAME.pt holds float16 averages.
+plan.json: {"seconds": 430, "runs": {"T": {"recipe": {...}, "share": 1.0}, "P": {"plain": {...}, "start": "P.pt"}}},
+recipes of ``CompleterRecipe`` or ``DenoiserRecipe``. Each run ends after its share of the seconds, its rate falls by
+that time, and how many steps come out is written beside the weights. OUT/NAME.pt holds float16 averages.
+
+Differs from the library: no dropout in attention; Adam's second beta is 0.98 for denoisers, too; of a denoiser's losses
+all four count from the first step, by their weights alone; its batches are told nothing.
 
 Learnt on 2026-11-27 with 15 minutes of an H100 (docs/experiments.md): a start takes 60 s; what launches kernels is the
 bottleneck, so that 12 networks with batch 64 took 24 ms a round, 7 with batch 256 34 ms; what comes back is 64 MiB.
@@ -14,6 +17,7 @@ The machine gets the branch that is checked out: an orphan one with this folder,
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import lzma
 import math
@@ -26,8 +30,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-for _name in ("kornia", "kornia.geometry"):  # not on that machine, and not asked for
-    if _name not in sys.modules and not (Path(torch.__file__).parents[1] / "kornia").exists():
+if importlib.util.find_spec("kornia") is None:  # not on that machine, and not asked for
+    for _name in ("kornia", "kornia.geometry"):
         sys.modules[_name] = types.ModuleType(_name)
         sys.modules[_name].conversions = sys.modules[_name].geometry = None
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[3])]
@@ -45,7 +49,7 @@ _STEP = 6e-4  # radians and metres: what windows are rounded to, half of it off 
 
 
 def pack(windows: Windows, path: str) -> None:
-    """Writes windows on the standard body, as differences in time."""
+    """Writes windows by person on the standard body, some of joints that were not recorded, as differences in time."""
     turns, counts = torch.cat([rotation.log(x) for x in windows.rot.split(20_000)]), windows.clip.bincount()
     turns = torch.cat([rotation.unroll_axis_angle(x, dim=0) for x in turns.split(counts.tolist())])
     whole = (torch.cat((turns.flatten(1), windows.root), 1) / _STEP).round().int()
@@ -103,6 +107,9 @@ class Run:
             self.odds = (odds / odds.sum()).cumsum(0)[:-1].to(k.device)
         for layer in layers:
             layer.self_attn.dropout = 0.0  # its mask is drawn twice, and graphs side by side would draw two
+        if "start" in how:
+            kept = torch.load(how["start"], map_location="cpu")["weights"]
+            net.load_state_dict(net.state_dict() | {name: x.float() for name, x in kept.items()})
         self.net = net.to(k.device).train()
         self.weights = list(self.net.parameters())
         self.average = [x.detach().clone() for x in self.weights]
@@ -136,7 +143,7 @@ class Run:
         return steps.plain_loss(said.float(), truth, *self.units, self.counts, seen[:, k.owners], k)
 
     def advance(self) -> None:
-        """One step, all of it on the device; a gradient that is not finite moves nothing."""
+        """One step, all of it on the device; a gradient that is not finite counts as none."""
         with torch.no_grad():
             warm = ((self.step + 1) / self.recipe.warm_up).clamp(max=1.0)
             past = math.pi * (self.step / self.total).clamp(max=1.0)
@@ -181,6 +188,11 @@ class Run:
             self.stream.synchronize()
 
     @property
+    def left(self) -> float:
+        """The loss, a mean over some 500 steps."""
+        return float(self.loss) / max(1 - 0.998**self.done, 1e-9)
+
+    @property
     def state(self) -> dict:
         """Averaged weights as float16, measured sizes, and how many steps they took."""
         names = [name for name, _ in self.net.named_parameters()]
@@ -188,7 +200,7 @@ class Run:
         found = {name: x.cpu() for name, x in kept.items() if name not in names}
         found |= {name: x.half().cpu() for name, x in zip(names, self.average, strict=True)}
         units = [x.cpu() for x in self.units]
-        return {"weights": found, "units": units, "how": self.how, "steps": self.done, "loss": float(self.loss)}
+        return {"weights": found, "units": units, "how": self.how, "steps": self.done, "loss": self.left}
 
 
 def run(path: str, plan: str, out: str) -> None:
@@ -215,9 +227,7 @@ def run(path: str, plan: str, out: str) -> None:
             each.total.fill_(max(1.0, each.done * (ends[each.name] - at) / (now - at)))
         if now - said > 30:
             said = now
-            print(
-                f"{now - begin:.0f}", {each.name: (each.done, round(float(each.loss), 3)) for each in runs}, flush=True
-            )
+            print(f"{now - begin:.0f}", {each.name: (each.done, round(each.left, 3)) for each in runs}, flush=True)
     for each in runs:
         torch.save(each.state, Path(out) / f"{each.name}.pt")
 
