@@ -2,9 +2,7 @@
 
 import copy
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -18,10 +16,7 @@ from motionlab.diffusion.windows import gather, on_standard
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
-
-sys.path.insert(0, str(Path(__file__).parent / "bench" / "gpu"))
-import steps
-import train
+from tests.bench.gpu import steps, train
 
 ODDS = torch.tensor([0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.85])
 COUNT = 24

@@ -34,16 +34,15 @@ if importlib.util.find_spec("kornia") is None:  # not on that machine, and not a
     for _name in ("kornia", "kornia.geometry"):
         sys.modules[_name] = types.ModuleType(_name)
         sys.modules[_name].conversions = sys.modules[_name].geometry = None
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[3])]
+sys.path.insert(0, str(Path(__file__).parents[3]))
 
-import steps  # noqa: E402
-
-from motionlab import rotation  # noqa: E402
-from motionlab.diffusion.completer import Completer, CompleterRecipe  # noqa: E402
-from motionlab.diffusion.features import Normaliser  # noqa: E402
-from motionlab.diffusion.model import DenoiserRecipe  # noqa: E402
-from motionlab.diffusion.state import Units  # noqa: E402
-from motionlab.diffusion.windows import Windows  # noqa: E402
+from motionlab import rotation
+from motionlab.diffusion.completer import Completer, CompleterRecipe
+from motionlab.diffusion.features import Normaliser
+from motionlab.diffusion.model import DenoiserRecipe
+from motionlab.diffusion.state import Units
+from motionlab.diffusion.windows import Windows
+from tests.bench.gpu import steps
 
 _STEP = 6e-4  # radians and metres: what windows are rounded to, half of it off at most
 
