@@ -282,6 +282,12 @@ def test_the_truth_is_judged_as_the_truth_and_nobody_else(people):
     assert torch.allclose(off["cm"], torch.full((2,), 10.0).double(), atol=1e-3)
 
 
+def test_lone_keys_are_so_many_frames_apart_and_as_far_from_either_end():
+    assert cases.keys(1, 60, 15)[0, :, 0].nonzero()[:, 0].tolist() == [7, 22, 37, 52]
+    assert cases.keys(1, 31, 15)[0, :, 0].nonzero()[:, 0].tolist() == [0, 15, 30]
+    assert cases.keys(2, 9, 4).all(-1).sum() == 2 * 3  # contacts, too
+
+
 def test_the_energy_score_rewards_draws_about_the_truth(people):
     truth, known = people.motion, cases.gap(4, judge.FRAMES, 30)
     up, down = (replace(truth, root=truth.root + torch.tensor([0.0, 0.0, x])) for x in (0.1, -0.1))

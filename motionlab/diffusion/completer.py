@@ -152,7 +152,7 @@ class Completer(nn.Module):
             return self(states, known, motion.fps, shown, angle).float()
 
     def _drawn(self, motion: Motion, known: Tensor, generator: torch.Generator, steps: int) -> Motion:
-        """One draw for each window: DDIM in steps of equal angle."""
+        """One draw for each window: DDIM, most steps near pure noise (``late``)."""
         begun, open_ = self._begun(motion, known)
         x = torch.randn(begun.shape, generator=generator).to(begun) * open_
         angles = late(torch.linspace(math.pi / 2, 0.0, steps + 1))
