@@ -163,3 +163,8 @@ def test_no_step_waits_for_the_host(how, k, data, table):
     near = train.Run("one", how, k, data, table)
     near.advance()
     assert near.loss > 0 and all(x.grad.isfinite().all() for x in near.weights)
+
+
+def test_what_a_plan_asks_for_and_does_not_get_is_refused(k, data, table):
+    with pytest.raises(ValueError, match="one: told: of a denoiser it hears size"):
+        train.Run("one", {"plain": {"size": "small", "told": True}}, k, data, table)

@@ -39,11 +39,13 @@ sys.path.insert(0, str(Path(__file__).parents[3]))
 from motionlab import rotation
 from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.features import Normaliser
+from motionlab.diffusion.losses import LossWeights
 from motionlab.diffusion.model import DenoiserRecipe
 from motionlab.diffusion.state import Units
 from motionlab.diffusion.windows import Windows
 from tests.bench.gpu import steps
 
+_HEARD = ("size", "dropout", "source", "noising", "steps", "batch", "lr", "warm_up", "average", "bf16", "seed")
 _STEP = 6e-4  # radians and metres: what windows are rounded to, half of it off at most
 
 
@@ -89,7 +91,9 @@ class Run:
         drawn = torch.Generator(k.device).manual_seed(0) if k.device.type != "meta" else None
         root, rot, contacts, _ = data.draw(2000, k, drawn)
         if "plain" in how:
-            self.recipe = DenoiserRecipe(**how["plain"])
+            if strange := set(how["plain"]) - set(_HEARD):
+                raise ValueError(f"{name}: {', '.join(sorted(strange))}: of a denoiser it hears {', '.join(_HEARD)}")
+            self.recipe = DenoiserRecipe(**how["plain"], weights=LossWeights(late=0.0))
             torch.manual_seed(self.recipe.seed)
             net, numbers = self.recipe.denoiser(), steps.numbers_of(root, rot, contacts)
             layers = net.seqTransEncoder.layers
