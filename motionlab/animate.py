@@ -198,9 +198,7 @@ def completed(
 
 
 def _of_draw(seed: int | None) -> tuple[str, ...]:
-    return (
-        () if seed is None else (f"drawn with seed {seed}: livelier than people are, the more so the longer the gap",)
-    )
+    return () if seed is None else (f"drawn with seed {seed}: livelier than people are, most so in long gaps",)
 
 
 def _drawn_from(seed: int | None) -> torch.Generator | None:
@@ -231,8 +229,8 @@ def _usual_method(gap: float, beyond: float) -> tuple[str, str]:
         return "curves", f"more than {_MEASURED:g} s in one gap or beyond the keys was not measured"
     if beyond > gap:
         return "network", "it moves on beyond the keys: half a second later it is 14 cm off, standing still 18 cm"
-    why = "in gaps of 0.5 s its joints are as close as those of curves, in gaps of 1 and 2 s closer: 7.9 and 20 cm off"
-    return "network", f"{why}, not 9.9 and 21 (straight from key to key: 15 and 27)"
+    why = "in gaps of 0.5 s its joints are as close as those of curves, in gaps of 1 and 2 s closer on average: 7.9 and"
+    return "network", f"{why} 20 cm off, not 9.9 and 21 (straight from key to key: 15 and 27)"
 
 
 def _checked(method: str) -> str:

@@ -12,7 +12,8 @@ all four count from the first step, by their weights alone; its batches are told
 
 Learnt on 2026-11-27 with 15 minutes of an H100 (docs/experiments.md): a start takes 60 s; what launches kernels is the
 bottleneck, so that 12 networks with batch 64 took 24 ms a round, 7 with batch 256 34 ms; what comes back is 64 MiB.
-The machine gets the branch that is checked out: an orphan one with this folder, ``motionlab`` and the windows.
+The machine gets the branch that is checked out: an orphan one with this folder, ``motionlab`` and the windows. What ran
+there was a draft of these files, with the same losses; as they are here they have run on a CPU alone.
 """
 
 from __future__ import annotations
@@ -97,9 +98,10 @@ class Run:
             torch.manual_seed(self.recipe.seed)
             net, numbers = self.recipe.denoiser(), steps.numbers_of(root, rot, contacts)
             layers = net.seqTransEncoder.layers
-            self.units = Normaliser.measure(numbers, self.recipe.layout) if drawn else None
-            self.units = (self.units.mean, self.units.scale) if drawn else (numbers[0, 0], numbers[0, 0])
-            self.signal, self.noise = (x.float().sqrt().to(k.device) for x in self._schedule())
+            sizes = Normaliser.measure(numbers, self.recipe.layout) if drawn else None  # which reads values
+            self.units = (sizes.mean, sizes.scale) if drawn else (numbers[0, 0], numbers[0, 0])
+            left = self.recipe.schedule.alpha_bar
+            self.signal, self.noise = (x.float().sqrt().to(k.device) for x in (left, 1 - left))
             self.counts = {n: getattr(self.recipe.weights, n) for n in ("simple", "velocity", "fk", "contact")}
         else:
             self.recipe = CompleterRecipe.read(how["recipe"])
@@ -122,9 +124,6 @@ class Run:
         decay = 0.0 if "plain" in how else self.recipe.decay
         opt = {"lr": self.rate, "weight_decay": decay, "betas": (0.9, 0.98), "capturable": True, "fused": True}
         self.optimiser = torch.optim.AdamW(self.weights, **opt) if k.device.type == "cuda" else None
-
-    def _schedule(self) -> tuple[torch.Tensor, torch.Tensor]:
-        return self.recipe.schedule.alpha_bar, 1 - self.recipe.schedule.alpha_bar
 
     def _loss(self) -> torch.Tensor:
         k, draws, size = self.k, self.generator, self.recipe.batch
