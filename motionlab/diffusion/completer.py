@@ -4,11 +4,12 @@
     made = model.complete(motion, known)        # known (B, T, 24): True where a unit of a frame is known
 
 With ``noised`` it is a diffusion model of what is to be added: r, of about unit size, is shown as cos(a) r + sin(a) e
-with noise e, from the angle a = pi / 2, where it says nothing, down to 0. Steps of equal angle are the even steps of
-the cosine schedule. Without, it is the same network at pi / 2 alone: one answer.
+with noise e, from the angle a = pi / 2, where it says nothing, down to 0; the network says sin(a) r - cos(a) e, so that
+it need not copy what it sees. The noise moves as what is to be added does (``moving_noise``): with other noise in every
+frame, draws tremble and are too sure. Without, it is the same network at pi / 2 alone: one answer.
 
 Source: thesis 4.2.1 and 4.4.1 (known parts as input), Eq. 4.3; Oreshkin et al. 2023, delta-interpolator (what to add to
-an interpolation); Salimans and Ho 2022 (angles); Song et al. 2021 (DDIM). A pre-norm transformer encoder (Vaswani et
+an interpolation); Salimans and Ho 2022 (angles, v); Song et al. 2021 (DDIM). A pre-norm transformer encoder (Vaswani et
 al. 2017; Xiong et al. 2020).
 """
 
@@ -34,6 +35,9 @@ _TIMES = 2  # numbers that say how far the known frames around are
 _FAR = 2.0  # seconds that count as no such frame
 _SHIFT = 5.0  # of the schedule: half of the steps are where the signal is below a fifth of the noise
 _WAVES = 8  # frequencies that an angle is told in
+_BEND = 1.0  # Hz: from here on less and less of a motion moves
+_LOUD = 0.6  # units of noise: about as large as what is to be added; with more of it draws shake
+_ROOT = 0.1  # of the root's place
 #: Odds of each kind of mask in training.
 KINDS = (
     ("between", 0.3), ("keys", 0.15), ("gap", 0.1), ("legs", 0.25), ("joints", 0.12), ("entries", 0.03),
@@ -110,8 +114,7 @@ class Completer(nn.Module):
     def forward(
         self, states: Tensor, known: Tensor, fps: float, noisy: Tensor | None = None, angle: Tensor | None = None
     ) -> Tensor:
-        """Computes what to add to a guess; nothing where a number is known. A mean over three frames, the middle one
-        weighted twice, takes away what alternates from frame to frame."""
+        """Computes what to add to a guess; nothing where a number is known."""
         x = torch.cat(((states - self.mean) / self.scale, known.to(states), until_known(known, fps)), -1)
         tokens = self.taken(x.unflatten(1, (-1, self.recipe.patch)).flatten(2)) + self.place
         if noisy is not None:
@@ -119,14 +122,12 @@ class Completer(nn.Module):
             tokens = tokens + self.noisy(noisy.unflatten(1, (-1, self.recipe.patch)).flatten(2))
             tokens = tokens + self.angle(torch.cat((waves.sin(), waves.cos()), -1))[:, None]
         said = self.said(self.encoder(tokens)).unflatten(2, (self.recipe.patch, -1)).flatten(1, 2)
-        said = said * ~known[..., state.owners().to(known.device)]
-        wide = torch.cat((said[:, :1], said, said[:, -1:]), 1)
-        return (wide[:, :-2] + 2 * said + wide[:, 2:]) / 4
+        return calmer(said * ~known[..., state.owners().to(known.device)])
 
     def filled(self, motion: Motion, known: Tensor, angle: Tensor | None = None, noise: Tensor | None = None) -> Motion:
         """Computes windows (B, T) that are told ``known`` (B, T, ``UNITS``) of windows in their stuck frame; contacts
         are near 0 or 1. Elsewhere the motion is never read, but by a ``noised`` model, as much as the angle (B,) leaves
-        of it under noise (B, T, ``MADE``); None: nothing."""
+        of it under noise (B, T, ``MADE``; ``moving_noise``); None: nothing."""
         begun, open_ = self._begun(motion, known)
         scale, shown = self.units.made[1], None
         if self.recipe.noised:
@@ -149,12 +150,13 @@ class Completer(nn.Module):
     ) -> Tensor:
         states = state.rows(state.motion_of(begun, motion))
         with torch.autocast(begun.device.type, torch.bfloat16, enabled=self.halves):
-            return self(states, known, motion.fps, shown, angle).float()
+            said = self(states, known, motion.fps, shown, angle).float()
+        return said if angle is None else angle.cos()[:, None, None] * shown + angle.sin()[:, None, None] * said
 
     def _drawn(self, motion: Motion, known: Tensor, generator: torch.Generator, steps: int) -> Motion:
         """One draw for each window: DDIM, most steps near pure noise (``late``)."""
         begun, open_ = self._begun(motion, known)
-        x = torch.randn(begun.shape, generator=generator).to(begun) * open_
+        x = moving_noise(known, motion.fps, generator).to(begun)
         angles = late(torch.linspace(math.pi / 2, 0.0, steps + 1))
         for a, after in zip(angles[:-1].tolist(), angles[1:].tolist(), strict=True):
             added = self._added(motion, begun, known, x, torch.full((len(x),), a).to(x)) * open_
@@ -162,7 +164,7 @@ class Completer(nn.Module):
             added = (state.made(whole) - begun) / self.units.made[1] * open_  # as in training, of 6-D numbers in order
             noise = (x - math.cos(a) * added) / math.sin(a)
             x = math.cos(after) * added + math.sin(after) * noise
-        return state.motion_of(begun + x * self.units.made[1], motion)
+        return state.motion_of(begun + calmer(calmer(x)) * open_ * self.units.made[1], motion)  # of a little noise left
 
     @torch.no_grad()
     def complete(
@@ -204,6 +206,13 @@ class Completer(nn.Module):
         )
 
 
+def calmer(x: Tensor) -> Tensor:
+    """Computes means (B, T, D) over three frames, the middle one weighted twice: what alternates from frame to frame is
+    taken away."""
+    wide = torch.cat((x[:, :1], x, x[:, -1:]), 1)
+    return (wide[:, :-2] + 2 * x + wide[:, 2:]) / 4
+
+
 def late(angle: Tensor) -> Tensor:
     """Moves even angles to where a motion is decided: near pure noise, as sixty frames say together what each alone
     says far too faintly.
@@ -213,19 +222,46 @@ def late(angle: Tensor) -> Tensor:
     return torch.atan2(_SHIFT * angle.sin(), angle.cos())
 
 
+def moving_noise(known: Tensor, fps: float, generator: torch.Generator) -> Tensor:
+    """Draws noise (B, T, ``MADE``) that is nothing where a unit is known (B, T, ``UNITS``), and elsewhere about as
+    large as what is to be added (``_LOUD``, ``_ROOT``).
+
+    In time it is as smooth as motion (``waves_of_motion``); what curves through the known frames would make of it is
+    taken away, as it is of the motion.
+    """
+    count, frames = known.shape[:2]
+    noise = waves_of_motion(frames, fps) @ torch.randn(count, frames, state.MADE, generator=generator)
+    noise *= noise.new_tensor([_ROOT] * 3 + [_LOUD] * (state.MADE - 3))
+    return noise - through(noise, known.cpu())
+
+
+def waves_of_motion(frames: int, fps: float) -> Tensor:
+    """Computes cosine waves (T, K) whose amplitudes fall as motion's do: with the square of the frequency, from
+    ``_BEND`` on. With a standard normal weight each they add up to a deviation of 1, in the mean over time."""
+    wave = torch.arange(frames, dtype=torch.float32)
+    size = 1 / (1 + (fps * wave / (2 * frames) / _BEND).square())
+    size[0] /= 2**0.5  # as in the orthonormal transform: the mean of cos^2 is a half
+    waves = torch.cos(math.pi / frames * (wave[:, None] + 0.5) * wave) * size
+    return waves / waves.square().mean(0).sum().sqrt()
+
+
 def guess(motion: Motion, known: Tensor, mean: Tensor, scale: Tensor) -> Tensor:
     """Computes the numbers (B, T, ``MADE``) of smooth curves through what is known, the mean where nothing is."""
-    columns = known[..., state.owners().to(known.device)]
-    numbers = torch.where(columns, (state.made(motion) - mean) / scale, 0.0)
+    drawn = through((state.made(motion) - mean) / scale, known) * scale + mean
+    return state.made(state.motion_of(drawn, motion))  # 6-D numbers of rotations, not short ones
+
+
+def through(numbers: Tensor, known: Tensor) -> Tensor:
+    """Computes smooth curves (B, T, ``MADE``) through those of the numbers that are known, 0 where nothing is."""
+    owners = state.owners().to(known.device)
     patterns, which = torch.unique(known.mT.flatten(0, 1), dim=0, return_inverse=True)
-    which = which.unflatten(0, (len(known), -1))[:, state.owners().to(known.device)].flatten()
-    told = numbers.mT.flatten(0, 1)
+    which = which.unflatten(0, (len(known), -1))[:, owners].flatten()
+    told = torch.where(known[..., owners], numbers, 0.0).mT.flatten(0, 1)
     drawn = torch.zeros_like(told)
     for k, weights in enumerate(curve_weights(patterns).to(told)):
         mine = (which == k).nonzero()[:, 0]
         drawn[mine] = told[mine] @ weights.mT
-    drawn = torch.where(columns, numbers, drawn.unflatten(0, (len(known), -1)).mT) * scale + mean
-    return state.made(state.motion_of(drawn, motion))  # 6-D numbers of rotations, not short ones
+    return torch.where(known[..., owners], numbers, drawn.unflatten(0, (len(known), -1)).mT)
 
 
 def until_known(known: Tensor, fps: float) -> Tensor:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from motionlab.diffusion import masks, state
-from motionlab.diffusion.completer import Completer, CompleterRecipe
+from motionlab.diffusion.completer import Completer, CompleterRecipe, moving_noise
 from motionlab.diffusion.windows import Windows
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion
@@ -79,18 +79,17 @@ class CompleterTraining(TrainingRun):
         known = known & seen[:, None]
         silent = torch.rand(recipe.batch, 1, generator=self.generator) < _SILENT
         known[..., -1] &= ~silent
-        made = self.model.filled(motion, known, *self._noise(len(clips)))
+        made = self.model.filled(motion, known, *self._noise(known))
         parts = losses(made, motion, known, seen, self.model.units.made[1], squared=recipe.noised)
         return sum(_WEIGHTS[name] * part for name, part in parts.items()), parts
 
-    def _noise(self, count: int) -> tuple[Tensor, Tensor] | tuple[()]:
+    def _noise(self, known: Tensor) -> tuple[Tensor, Tensor] | tuple[()]:
         """Angles (B,), evenly but for those at pure noise, and noise (B, T, ``MADE``); nothing without noise."""
         if not self.recipe.noised:
             return ()
-        angle = torch.rand(count, generator=self.generator) * math.pi / 2
-        blind = torch.rand(count, generator=self.generator) < self.recipe.blind
-        noise = torch.randn(count, self.recipe.frames, state.MADE, generator=self.generator)
-        return torch.where(blind, math.pi / 2, angle), noise
+        angle = torch.rand(len(known), generator=self.generator) * math.pi / 2
+        blind = torch.rand(len(known), generator=self.generator) < self.recipe.blind
+        return torch.where(blind, math.pi / 2, angle), moving_noise(known, self.windows.fps, self.generator)
 
 
 def losses(

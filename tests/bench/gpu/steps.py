@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from motionlab.diffusion import masks
-from motionlab.diffusion.completer import Completer
+from motionlab.diffusion.completer import _LOUD, _ROOT, Completer, waves_of_motion
 from motionlab.diffusion.completer_training import _SILENT, _SQUARED, _WEIGHTS
 from motionlab.diffusion.start import curve_weights
 from motionlab.diffusion.state import MADE, UNITS, owners
@@ -48,6 +48,7 @@ class Constants:
         self.time = torch.arange(T, device=device)
         self.away = (self.time[:, None] - self.time).float() / FPS
         self.waves = 2.0 ** torch.arange(8, device=device).float()
+        self.motion, self.loud = there(waves_of_motion(T, FPS)), there([_ROOT] * 3 + [_LOUD] * (MADE - 3))
 
 
 def fk(root: Tensor, rot: Tensor, k: Constants) -> Tensor:
@@ -227,6 +228,13 @@ def _said(model: Completer, states: Tensor, known: Tensor, shown: Tensor | None,
     return (wide[:, :-2] + 2 * said + wide[:, 2:]) / 4
 
 
+def curves(numbers: Tensor, known: Tensor, weights: Tensor, k: Constants) -> Tensor:
+    """``completer.through``, by the weights of the masks."""
+    columns = known[..., k.owners]
+    told = torch.where(columns, numbers, 0.0)
+    return torch.where(columns, told, weights @ told)
+
+
 def completer_loss(
     model: Completer, batch: Batch, known: Tensor, weights: Tensor, units: tuple, noise: tuple | None, k: Constants
 ) -> Tensor:
@@ -235,15 +243,16 @@ def completer_loss(
     mean, scale = units
     with torch.no_grad():
         numbers, columns = numbers_of(*truth), known[..., k.owners]
-        told = torch.where(columns, (numbers - mean) / scale, 0.0)
-        guessed = motion_of(torch.where(columns, told, weights @ told) * scale + mean)
+        guessed = motion_of(curves((numbers - mean) / scale, known, weights, k) * scale + mean)
         begun, states, open_, shown, angle = numbers_of(*guessed), rows(*guessed, k), (~columns).float(), None, None
         if noise is not None:
             angle, turned = noise[0], noise[0][:, None, None]
             shown = (turned.cos() * (numbers - begun) / scale + turned.sin() * noise[1]) * open_
     with torch.autocast("cuda", torch.bfloat16, enabled=k.device.type == "cuda", cache_enabled=False):
-        said = _said(model, states, known, shown, angle, k)
-    made = motion_of(begun + said.float() * scale * open_)
+        said = _said(model, states, known, shown, angle, k).float()
+    if noise is not None:
+        said = turned.cos() * shown + turned.sin() * said
+    made = motion_of(begun + said * scale * open_)
     return _losses(made, tuple(truth), known, seen, scale, noise is not None, k)
 
 
@@ -256,7 +265,8 @@ def drawn(count: int, data: Data, table: Masks, odds: Tensor, blind: float | Non
     if blind is None:
         return batch, known, weights, None
     angle = torch.where(uniform(count) < blind, math.pi / 2, uniform(count) * math.pi / 2)
-    return batch, known, weights, (angle, torch.randn(count, T, MADE, device=k.device, generator=generator))
+    noise = k.motion @ torch.randn(count, T, MADE, device=k.device, generator=generator) * k.loud
+    return batch, known, weights, (angle, noise - curves(noise, known, weights, k))
 
 
 def plain_loss(
