@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from motionlab.diffusion import masks
-from motionlab.diffusion.completer import _LOUD, _ROOT, Completer, waves_of_motion
+from motionlab.diffusion.completer import _LOUD, _ROOT, Completer, calmer, waves_of_motion
 from motionlab.diffusion.completer_training import _SILENT, _SQUARED, _WEIGHTS
 from motionlab.diffusion.start import curve_weights
 from motionlab.diffusion.state import MADE, UNITS, owners
@@ -223,9 +223,7 @@ def _said(model: Completer, states: Tensor, known: Tensor, shown: Tensor | None,
         waves = angle[:, None] * k.waves
         tokens = tokens + model.noisy(shown.unflatten(1, (-1, patch)).flatten(2))
         tokens = tokens + model.angle(torch.cat((waves.sin(), waves.cos()), -1))[:, None]
-    said = model.said(model.encoder(tokens)).unflatten(2, (patch, -1)).flatten(1, 2) * ~known[..., k.owners]
-    wide = torch.cat((said[:, :1], said, said[:, -1:]), 1)
-    return (wide[:, :-2] + 2 * said + wide[:, 2:]) / 4
+    return calmer(model.said(model.encoder(tokens)).unflatten(2, (patch, -1)).flatten(1, 2) * ~known[..., k.owners])
 
 
 def curves(numbers: Tensor, known: Tensor, weights: Tensor, k: Constants) -> Tensor:
