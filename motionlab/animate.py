@@ -205,19 +205,15 @@ def _drawn_from(seed: int | None) -> torch.Generator | None:
     return None if seed is None else torch.Generator().manual_seed(seed)
 
 
-def network(draws: torch.Generator | None, lacking: Tensor, progress: bool, *, steps: int = 10) -> Fill:
-    """Returns what fills a motion (T) on the models' body by one answer (draws None), or by a draw in so many steps.
+def network(draws: torch.Generator | None, lacking: Tensor, progress: bool) -> Fill:
+    """Returns what fills a motion (T) on the models' body by one answer (draws None), or by a draw.
 
     lacking (22,): joints that the figure does not have.
     """
     if draws is None:
         return by_windows(completer.load(NETWORK).complete, lacking, progress)
     model = completer.load(DRAWS)
-
-    def draw(motion: Motion, known: Tensor) -> Motion:
-        return model.complete(motion, known, draws, steps=steps)
-
-    return by_windows(draw, lacking, progress, onward=True)
+    return by_windows(lambda motion, known: model.complete(motion, known, draws), lacking, progress, onward=True)
 
 
 def _usual_method(gap: float, beyond: float) -> tuple[str, str]:

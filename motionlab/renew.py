@@ -35,7 +35,7 @@ FREE, PLAIN, HANDLES = "diffusion_real_free", "diffusion_plain", "diffusion_real
 CLEAN = Noise(0.35 * math.pi / 180, 0.0015)  # as much is measured on clean recordings
 _PROCESS = ReverseProcess(level=0.35, topped=False, filtered=True)
 _LIVELY, _QUICK = 12.0, 6.0  # strength of acceleration that is motion: rad/s^(3/2) of joints, m/s^(3/2) of the root
-_MANY, _STEPS = 250, 25  # of the samplers that begin and go on
+_MANY = 250  # steps of the sampler that begins
 _SECONDS = (0.5, 600.0)  # of new motion: half a window's worth is hardly one, and ten minutes take two to make
 _JUMPS = 0.2  # share of frames; with more it is noise that jumps
 _LEAST = 12  # frames in which noise can be measured
@@ -217,7 +217,7 @@ def generated(
     longer = replace(start, root=start.root[index], rot=start.rot[index], contacts=None)
     keep = Keep(torch.arange(len(index)) < start.frames, torch.zeros(len(start.skeleton), dtype=torch.bool))
     body = Standard.of(longer, curves(longer, keep), keep)
-    motion = body.back(body.corrected(network(draws, body.lacking, progress, steps=_STEPS)), plant=plant)
+    motion = body.back(body.corrected(network(draws, body.lacking, progress)), plant=plant)
     return Animated(motion, (f"made by the model {DRAWS}, which goes on from the end", *body.notes(plant)))
 
 
@@ -228,7 +228,7 @@ def _new(frames: int, draws: torch.Generator, plant: bool, progress: bool) -> An
         motion = replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=motion.contacts[index])
         known = (torch.arange(frames) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
         lacking = torch.zeros(len(STANDARD), dtype=torch.bool)
-        motion = network(draws, lacking, progress, steps=_STEPS)(motion, known)
+        motion = network(draws, lacking, progress)(motion, known)
     motion = motion.cut(0, frames)
     if plant:
         some = replace(motion, root=motion.root[None], rot=motion.rot[None], contacts=motion.contacts[None])

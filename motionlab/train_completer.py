@@ -22,7 +22,7 @@ from motionlab.train_more import learnt_from
 #: By name of what ships: one answer, and draws, which may also be of nothing known.
 RECIPES = {
     "completer": CompleterRecipe(),
-    "completer_draws": CompleterRecipe(noised=True, kinds=(*KINDS, ("nothing", 0.1))),
+    "completer_draws": CompleterRecipe(noised=True, kinds=(*KINDS, ("nothing", 0.1), ("onward", 0.2))),
 }
 CHOSEN = "legs and gaps, cm"  # the mean of the first three cases, which chooses: error, or energy score of draws
 _CHOOSING = ("legs hidden", "gap of 30 frames", "gap of 45 frames")

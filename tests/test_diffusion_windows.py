@@ -118,6 +118,11 @@ def test_units_say_what_a_number_belongs_to():
         assert torch.equal(owner == joint, mine)
 
 
+def test_onward_is_all_behind_a_beginning(generator):
+    m = drawn("onward", generator)[..., 0]
+    assert m[:, 0].all() and not m[:, -1].any() and (m.int().diff(dim=1) <= 0).all() and len(m.sum(1).unique()) > 3
+
+
 def test_gaps_are_one_run_of_frames_with_something_known(generator):
     m = drawn("gap", generator)
     rows = m.all(-1)

@@ -164,7 +164,9 @@ class Completer(nn.Module):
             added = (state.made(whole) - begun) / self.units.made[1] * open_  # as in training, of 6-D numbers in order
             noise = (x - math.cos(a) * added) / math.sin(a)
             x = math.cos(after) * added + math.sin(after) * noise
-        return state.motion_of(begun + calmer(calmer(x)) * open_ * self.units.made[1], motion)  # of a little noise left
+        for _ in range(2):  # a little noise is left
+            x = calmer(x) * open_
+        return state.motion_of(begun + x * self.units.made[1], motion)
 
     @torch.no_grad()
     def complete(

@@ -82,8 +82,9 @@ def draw_units(frames: int, count: int, generator: torch.Generator, kinds: Mappi
 
     nothing: all is unknown. frames: whole frames, each by the window's own chance. gap: all but a run of frames, which
     may reach either end; between: which has ``_EDGE`` known frames or more on either side, in windows that are longer.
-    keys: lone frames, as far apart as animators' keys. joints: some joints, in all frames. entries: other joints in
-    every frame. legs: all but both legs, with or without the root's place. Contacts are known with whole frames only.
+    onward: all behind some first frames. keys: lone frames, as far apart as animators' keys. joints: some joints, in
+    all frames. entries: other joints in every frame. legs: all but both legs, with or without the root's place.
+    Contacts are known with whole frames only.
 
     Raises:
         ValueError: an unknown kind, or odds that are not positive.
@@ -117,6 +118,10 @@ def _between(frames: int, size: int, generator: torch.Generator) -> Tensor:
     return torch.cat((edge, inside, torch.ones(frames - len(edge) - len(inside), 1, dtype=torch.bool)))
 
 
+def _onward(frames: int, size: int, generator: torch.Generator) -> Tensor:
+    return torch.arange(frames)[:, None] < int(torch.randint(1, max(frames, 2), (), generator=generator))
+
+
 def _keys(frames: int, size: int, generator: torch.Generator) -> Tensor:
     apart = int(torch.randint(_APART[0], _APART[1] + 1, (), generator=generator))
     first = int(torch.randint(min(apart, frames), (), generator=generator))
@@ -144,6 +149,6 @@ def _legs(frames: int, size: int, generator: torch.Generator) -> Tensor:
 
 
 _MAKE: dict[str, Callable[[int, int, torch.Generator], Tensor]] = {
-    "nothing": _nothing, "frames": _frames, "gap": _gap, "between": _between, "keys": _keys, "joints": _joints,
-    "entries": _entries, "legs": _legs,
+    "nothing": _nothing, "frames": _frames, "gap": _gap, "between": _between, "onward": _onward, "keys": _keys,
+    "joints": _joints, "entries": _entries, "legs": _legs,
 }  # fmt: skip
