@@ -12,7 +12,7 @@ THREE := three@0.180.0
 WHOLE_NAMES := {"@jupyterlab/filebrowser-extension:browser": {"showLastModifiedColumn": false, "showFileSizeColumn": false}}
 PIP := $(PY) -m pip --disable-pip-version-check install -c constraints.txt
 
-.PHONY: notebooks test interop lab full records train train-real bench doctor setup pins clean
+.PHONY: notebooks test interop lab full records small train train-real bench doctor setup pins clean
 .DEFAULT_GOAL := help
 
 help:
@@ -21,9 +21,10 @@ help:
 	@echo "make interop     set up, open our files in Blender, three.js, aitviewer and ffprobe, find keypoints by rtmlib (3.5 GB more)"
 	@echo "make lab         set up, open copies of the notebooks (lab/) in JupyterLab with interactive 3-D, short runs"
 	@echo "make full        regenerate the committed notebooks and results"
-	@echo "make records     what notebooks 07 and 08 read and takes hours: what is on record of this recipe is kept"
-	@echo "make train       the shipped weights, trained again (about five hours)"
-	@echo "make train-real  those that learn from hours of recordings, in MOTIONLAB_DATA (hours)"
+	@echo "make records     what notebooks 07, 08 and 14 read and takes hours: what is on record of this recipe is kept"
+	@echo "make small       the small models that notebooks 10, 13 and 15 compare, from MOTIONLAB_DATA (hours): rows are kept"
+	@echo "make train       the shipped priors of synthetic motion, trained again (hours)"
+	@echo "make train-real  pose prior, first states and features of recordings, in MOTIONLAB_DATA (hours)"
 	@echo "make bench       speed, as ratios measured in one run"
 	@echo "make doctor      what is installed, what is missing, and the remedy"
 
@@ -53,19 +54,21 @@ full: setup
 records: setup
 	@PYTHONPATH=notebooks OMP_NUM_THREADS=1 $(PY) -m studies.nb07_decoupled.make_record notebooks/results/long/tuning.json
 	@PYTHONPATH=notebooks OMP_NUM_THREADS=1 $(PY) -m studies.nb08_fast.make_record notebooks/results/long/faithful.json
+	@test -z "$$MOTIONLAB_DATA" || PYTHONPATH=notebooks OMP_NUM_THREADS=1 nice -n 19 $(PY) -m studies.nb14_handles.make_record notebooks/results/long/handles.json
+
+small: setup
+	@test -n "$$MOTIONLAB_DATA" || { echo "name a folder of recordings: make small MOTIONLAB_DATA=FOLDER"; exit 2; }
+	@PYTHONPATH=notebooks OMP_NUM_THREADS=1 $(PY) -m studies.shared.small_models $${SETS:-frames losses people stop noising longer}
+	@PYTHONPATH=notebooks OMP_NUM_THREADS=1 $(PY) -m studies.nb13_worlds.films
 
 train: setup
 	@$(PY) -m motionlab train humor
-	@$(PY) -m motionlab train features
-	@for preset in $$($(PY) -c "from motionlab.shipped import DENOISER_PRESETS; print(*(n for n in DENOISER_PRESETS if not n.startswith('real_')))"); do \
-		$(PY) -m motionlab train diffusion --preset $$preset || exit 1; done
-	@PYTHONPATH=notebooks $(PY) -m studies.nb10_diffusion.arms
+	@$(PY) -m motionlab train small
 
 train-real: setup
 	@test -n "$$MOTIONLAB_DATA" || { echo "name a folder of recordings: make train-real MOTIONLAB_DATA=FOLDER"; exit 2; }
-	@for model in small features; do $(PY) -m motionlab train $$model --preset real --data "$$MOTIONLAB_DATA" || exit 1; done
-	@for preset in $$($(PY) -c "from motionlab.shipped import DENOISER_PRESETS; print(*(n for n in DENOISER_PRESETS if n.startswith('real_')))"); do \
-		$(PY) -m motionlab train diffusion --preset $$preset --data "$$MOTIONLAB_DATA" || exit 1; done
+	@$(PY) -m motionlab train small --preset real --data "$$MOTIONLAB_DATA"
+	@$(PY) -m motionlab train features --data "$$MOTIONLAB_DATA"
 
 bench: setup
 	@$(PY) tests/bench/run.py

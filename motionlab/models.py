@@ -123,8 +123,6 @@ def _models_table() -> str:
     rows = []
     for path in sorted(checkpoint.SHIPPED.glob("*.json")):
         recipe = checkpoint.read_recipe(path)
-        if path.stem.startswith("arm_"):
-            continue
         minutes = recipe.get("minutes of motion, before mirroring", {})
         rows.append(
             {
@@ -157,13 +155,13 @@ def _quality_table(kinds: Sequence[str], shown: Sequence[str] | None = None) -> 
 
 
 def _contest(found: Mapping[str, Mapping[str, float]]) -> str:
-    """Returns what ``studies.nb11_cases.real_people`` found, measures of "case; who; what": a table for each what."""
+    """Returns what was found on people of the report, "case; who; what": a table for each what."""
     text, keys = "", [name.split("; ") for name in found]
     for what in dict.fromkeys(what for _, _, what in keys):
         cases, people = (dict.fromkeys(key[k] for key in keys if key[2] == what) for k in (0, 1))
         rows = [{"": who} | {case: _cell(found.get(f"{case}; {who}; {what}")) for case in cases} for who in people]
         text += f"**{what[0].upper()}{what[1:]}**\n\n{_markdown(rows)}\n\n"
-    return text and f"## Completers and their rivals (`studies.nb11_cases.real_people`)\n\n{text}"
+    return text and f"## Completers and their rivals (notebook 12 measures them anew)\n\n{text}"
 
 
 def _cell(found: Mapping[str, float] | None) -> str:
@@ -180,13 +178,13 @@ def _markdown(rows: list[dict[str, str]]) -> str:
 def write_readme() -> Path:
     """Writes ``checkpoints/README.md``: the models, and how they do; returns its path."""
     path = checkpoint.SHIPPED / "README.md"
-    text = "# Models\n\nMade by `python -m motionlab models` from the recipes beside the weights. Small models that "
-    text += f"differ in one thing (`arm_*`) are left out.\n\n{_models_table()}\n\n"
+    text = "# Models\n\nMade by `python -m motionlab models` from the recipes beside the weights.\n\n"
+    text += f"{_models_table()}\n\n"
     text += "## Transition priors on people nobody trained on\n\nMean over people and its 95 % interval, by bootstrap "
     text += f"over people.\n\n{_quality_table(PRIORS, _SHOWN)}\n\n"
     if (completer := checkpoint.SHIPPED / "completer.json").exists():
         text += _contest(checkpoint.read_recipe(completer).get(REPORT, {}))
     if table := _quality_table(["completer_draws", "diffusion_*"]):
-        text += f"## Generation (`studies.nb15_evaluation.real_generation`)\n\n{table}\n\n"
+        text += f"## Generation (notebook 11 measures it anew)\n\n{table}\n\n"
     write_whole(path, f"{text}Licence: MIT, as the project's. {_CREDIT}\n")
     return path

@@ -12,29 +12,29 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import torch
 from torch import Tensor
-from tqdm.auto import tqdm
 
 from motionlab import baselines, cleaning, rotation
 from motionlab.animate import DRAWS, Animated, curves, found_joints, inbetween, network
 from motionlab.contact import with_contacts
-from motionlab.corrections import WINDOW, Keep, Standard, merged, overlapping, padded, runs
-from motionlab.diffusion.denoising import Noise, ReverseProcess, denoise
+from motionlab.corrections import WINDOW, Keep, Standard, by_windows, runs
+from motionlab.diffusion import completer
+from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.model import motion_model
 from motionlab.diffusion.planting import planted, reach_targets
-from motionlab.diffusion.pose_completion import complete
+from motionlab.diffusion.poses import finished, load
 from motionlab.errors import DataError
 from motionlab.heading import heading_frame, local_to_world, world_to_local_positions
 from motionlab.motion import FPS, Motion
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD
 
-FREE, PLAIN, HANDLES = "diffusion_real_free", "diffusion_plain", "diffusion_real_handles"
+ROUGH, PLAIN = "completer_rough", "diffusion_plain"  # corrects what was smoothed; makes new motion
 CLEAN = Noise(0.35 * math.pi / 180, 0.0015)  # as much is measured on clean recordings
-_PROCESS = ReverseProcess(level=0.35, topped=False, filtered=True)
-_LIVELY, _QUICK = 12.0, 6.0  # strength of acceleration that is motion: rad/s^(3/2) of joints, m/s^(3/2) of the root
+_WORTH = math.radians(1.0)  # with less noise of joints a smoother alone is closer
 _MANY = 250  # steps of the sampler that begins
 _SECONDS = (0.5, 600.0)  # of new motion: half a window's worth is hardly one, and ten minutes take two to make
 _JUMPS = 0.2  # share of frames; with more it is noise that jumps
@@ -68,17 +68,17 @@ def repaired(
     noise: Noise | None = None,
     *,
     method: str | None = None,
-    seed: int = 0,
     plant: bool = True,
     progress: bool = False,
 ) -> Animated:
     """Computes a motion (T) without glitches and noise, and says what was found.
 
     Frames that no body reaches (``cleaning``) are filled in from those around (``animate.inbetween``). Noise is then
-    smoothed away by a Kalman smoother of its size; with ``network`` a denoiser goes back from there. Noise that is
+    smoothed away by a Kalman smoother of its size; ``network`` says what to add to what that leaves. Noise that is
     given is believed; None: measured, and left where there is no more of it than clean recordings have.
 
-    method: "network" or "curves", of both; None: network for noise, for jumps what ``inbetween`` chooses.
+    method: "network" or "curves", of both; None: for noise the network from ``_WORTH`` on, for jumps what ``inbetween``
+    chooses.
 
     Raises:
         DataError: no such method, or a skeleton whose joints are not known.
@@ -104,16 +104,16 @@ def repaired(
         notes.append(found.notes[0])
     if not noisy:
         return Animated(motion, (*notes, "no frame jumps: the motion stays as it is"))
-    method = method or "network"
-    smooth = _smoothed(motion, noise)
+    method = method or ("network" if noise.turn >= _WORTH else "curves")
+    smooth = smoothed(motion, noise)
     nothing = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.zeros(len(motion.skeleton), dtype=torch.bool))
-    lift = retarget(smooth).floor
-    body = Standard.of(motion, smooth, nothing, lift=lift)
+    body = Standard.of(motion, smooth, nothing, lift=retarget(smooth).floor)
     made = body.joints
     if method == "network":
-        rough, _ = Standard.of(motion, motion, nothing, lift=lift).on_model_body()
-        made = body.corrected(lambda calm, known: _denoised(rough, calm, noise, seed, progress))
-    notes.append("noise is smoothed away" + ", and the network corrects what that blurs" * (method == "network"))
+        fill = partial(completer.load(ROUGH).complete, tremble=noise.turn)
+        made = body.corrected(by_windows(fill, body.lacking, progress))
+    how = ", and the network corrects what that blurs" if method == "network" else " by a smoother alone"
+    notes.append("noise is smoothed away" + how)
     return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
 
 
@@ -125,32 +125,8 @@ def _jumps(motion: Motion) -> Tensor:
     return found if 0 < found.float().mean() < _JUMPS else torch.zeros_like(found)
 
 
-def _smoothed(motion: Motion, noise: Noise) -> Motion:
-    """A Kalman smoother over joints and root, each with its own noise."""
-
-    def by(size: float, lively: float):
-        return lambda x: baselines.kalman(x, motion.fps, max(size, 1e-6), lively)
-
-    turned = baselines.smooth(motion, by(noise.turn, _LIVELY))
-    return replace(turned, root=by(noise.shift, _QUICK)(motion.root))
-
-
-def _denoised(given: Motion, rough: Motion, noise: Noise, seed: int, progress: bool) -> Motion:
-    """A rough motion (T) on the models' body, denoised in windows that overlap."""
-    generator, model, frames = torch.Generator().manual_seed(seed), motion_model(FREE), rough.frames
-    open_ = torch.zeros(frames, len(STANDARD) + 2, dtype=torch.bool)
-    (rough, _), (given, _) = padded(rough, open_), padded(given, open_)
-    at = torch.tensor(overlapping(0, rough.frames, rough.frames))[:, None] + torch.arange(WINDOW)
-    parts = []
-    for some in tqdm(at.split(16), desc="taking noise away", disable=not progress, leave=False):
-        cuts = [replace(m, root=m.root[some], rot=m.rot[some], contacts=m.contacts[some]) for m in (given, rough)]
-        parts.append(denoise(model, *cuts, noise, generator, _PROCESS))
-    root, rot, contacts = (torch.cat([getattr(p, name) for p in parts]) for name in ("root", "rot", "contacts"))
-    return merged(replace(parts[0], root=root, rot=rot, contacts=contacts), at, rough.frames).cut(0, frames)
-
-
 # -------------------------------------------------------------------------------------------- from a few joints
-def posed(motion: Motion, known: Sequence[str], *, seed: int = 0, plant: bool = True) -> Animated:
+def posed(motion: Motion, known: Sequence[str], *, plant: bool = True) -> Animated:
     """Computes a motion (T) of which only the places of some joints are known, and where it stands and faces.
 
     Every pose is completed by itself, calmed over time, and brought to the places by inverse kinematics.
@@ -170,7 +146,7 @@ def posed(motion: Motion, known: Sequence[str], *, seed: int = 0, plant: bool = 
     body, (given, _) = Standard.of(motion, rest, nothing), Standard.of(motion, motion, nothing).on_model_body()
     which = torch.zeros(len(STANDARD), dtype=torch.bool)
     which[STANDARD.indices([owners[j] for j in joints])] = True
-    made = body.corrected(lambda *_: _from_handles(given, which, seed))
+    made = body.corrected(lambda *_: _from_handles(given, which))
     made = body.back(made, plant=plant)
     targets = motion.positions[:, joints]
     reached = reach_targets(made, [motion.skeleton.names[j] for j in joints], targets, steps=40)
@@ -182,14 +158,11 @@ def posed(motion: Motion, known: Sequence[str], *, seed: int = 0, plant: bool = 
     return Animated(reached, (f"method: network, because {why}", note, read, *body.notes(plant)))
 
 
-def _from_handles(given: Motion, which: Tensor, seed: int) -> Motion:
+def _from_handles(given: Motion, which: Tensor) -> Motion:
     """Poses (T) on the models' body, handles where ``given`` has them; else only place and heading are read."""
-    every = given.positions
     frame = heading_frame(given.root[:, None], given.rot[:, None, 0])
-    local = world_to_local_positions(frame, every[:, None])[:, 0]
-    generator = torch.Generator().manual_seed(seed)
-    poses = complete(motion_model(HANDLES), local, which.expand(len(local), -1), generator, steps=1)
-    world = local_to_world(frame, poses)
+    local, which = world_to_local_positions(frame, given.positions[:, None])[:, 0], which.expand(given.frames, -1)
+    world = local_to_world(frame, finished(load().complete(local, which), local, which))
     made = replace(given, root=world.root[:, 0], rot=world.rot[:, 0], contacts=None)
     window = min(_CALM, made.frames - 1 + made.frames % 2)
     return with_contacts(baselines.smoothed(made, window) if window > 2 else made)

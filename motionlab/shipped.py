@@ -1,14 +1,11 @@
-"""The checkpoints that ship with the project, each made from its data: denoisers, small priors, and features.
-
-:func:`make` trains a denoiser by a preset and chooses its weights. ``make_pose_prior`` and ``make_init_gmm`` make the
-priors over poses and first states, ``make_features`` the features that generated motion is judged in.
+"""Small checkpoints that ship with the project, each made from its data: ``make_pose_prior`` and ``make_init_gmm`` make
+the priors over poses and first states, ``make_features`` the features that generated motion is judged in.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,11 +15,8 @@ from torch import Tensor
 from data_synth import anatomy, corpus
 from motionlab import checkpoint, splits
 from motionlab import corpus as real_corpus
-from motionlab.diffusion import embedding, model, training
-from motionlab.diffusion.embedding import filling_judge, kid_judge
-from motionlab.diffusion.losses import LossWeights
-from motionlab.diffusion.model import DenoiserRecipe
-from motionlab.diffusion.windows import gather
+from motionlab.diffusion import embedding
+from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.humor import prior_training, priors, state
 from motionlab.humor.examples import other_body
@@ -30,68 +24,20 @@ from motionlab.humor.priors import InitGmm
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
 
-_WEIGHTS = LossWeights(velocity=20.0, contact=100.0, late=0.1, by_signal=True, even=True, snr=10.0)
-_BASE = DenoiserRecipe(
-    patch=2, spectral=True, before=True, root_unit=0.08, dropout=0.0, steps=36_000, batch=16, lr=4e-4, warm_up=300,
-    weights=_WEIGHTS,
-)  # fmt: skip
-#: free: free root, contacts, stuck root frame. fixed: the root over one spot, no contacts. world: in world space;
-#: stuck: its twin in the stuck frame, all else equal. pose: single poses. handles: single poses, told where some joints
-#: should be. told: told what is known, from the weights of stuck, whose units it shares.
-#: root_unit: so that a unit of noise moves the root about as far as it moves a hand (docs/experiments.md); not where
-#: the frame is the question, or where the root is mostly known.
-#: In world space the root lies metres off, not decimetres, at first: with the weights of the others fk and contact
-#: would have a hundred times the gradient of all else.
-_FAR = replace(_WEIGHTS, fk=0.002, contact=20.0)
-_POSE = replace(
-    _BASE, frames=1, patch=1, root_unit=0.0, contacts=False, spectral=False, linear=True, batch=128, steps=3000,
-    weights=replace(_WEIGHTS, fk=0.5, velocity=0.0, contact=0.0, by_signal=False, snr=0.0),
-)  # fmt: skip
-_HANDLES = replace(_POSE, handles=64, recalls=12_000, steps=4000, weights=replace(_POSE.weights, fk=5.0, handles=20.0))
-#: What is asked of it from pure noise is what it is used for: such windows are many, and count a third of the clearest.
-_TOLD = replace(
-    _BASE, told=True, blind=0.3, recalls=12_000, root_unit=0.0, steps=10_000,
-    weights=replace(_WEIGHTS, fk=0.5, contact=20.0, snr=2.0),
-)  # fmt: skip
-_PLACE = replace(_BASE, root_unit=0.0, steps=10_000, weights=_FAR)
-DENOISER_PRESETS = {
-    "free": _BASE,
-    "fixed": replace(_BASE, version="A", contacts=False, travels=False, steps=6000),
-    "world": replace(_PLACE, frame="world"),
-    "stuck": _PLACE,
-    "pose": _POSE,
-    "handles": _HANDLES,
-    "told": _TOLD,
-}
-#: The same, learnt from hours of real motion; those of single poses from whole bodies, as they recall what they saw.
-_STEPS = {"free": 15_000, "handles": 4000}
-_REAL = {name: replace(DENOISER_PRESETS[name], source=splits.REAL_MOTION, steps=n) for name, n in _STEPS.items()}
-DENOISER_PRESETS |= {f"real_{name}": recipe for name, recipe in _REAL.items()}
-FEATURE_PRESETS = {"usual": embedding.FeatureRecipe(), "real": embedding.FeatureRecipe(steps=4000, real=True)}
-#: Models that go on from the weights of another one that ships, told of nothing.
-FROM = {"told": "diffusion_stuck"}
-_HELD = 256  # held-out windows that the checkpoint is chosen by
-#: Of all steps: no earlier average is chosen. The error of x_0 falls to the end, and KID is too uncertain to tell a
-#: lucky early average from a better late one (docs/experiments.md).
-_JUDGE_FROM = 0.6
-_SILENT = 0.01  # gain over the filter; less says that the network has collapsed
-_SHORT, _LONG = 5000, 10_000  # steps; fewer are not judged, more are measured more rarely
 _Motions = Mapping[str, Sequence[Motion]]  # by source
 STEPS = 4000  # of the pose prior
 
 
 class RealMotions(NamedTuple):
-    """Motions for training, by source; those of the people that choose; which joints each of the first lacks; and how
-    many people were recorded."""
+    """Motions for training, by source; those of the people that choose; which joints each of the first lacks."""
 
     train: dict[str, list[Motion]]
     held: dict[str, list[Motion]]
     missing: dict[str, list[tuple[str, ...]]]
-    people: int
 
 
-def real_motions(folder: Path | str | None, *, whole: bool = False) -> RealMotions:
-    """Returns what recordings (``corpus.assemble``; whole: those that lack no joint) and synthetic motion teach.
+def real_motions(folder: Path | str | None) -> RealMotions:
+    """Returns what recordings (``corpus.assemble``) and synthetic motion teach.
 
     Raises:
         DataError: no folder, or nothing usable in it.
@@ -99,124 +45,11 @@ def real_motions(folder: Path | str | None, *, whole: bool = False) -> RealMotio
     if not folder:
         raise DataError("this preset learns from recordings", remedy="name a folder of them with --data")
     found, made = real_corpus.assemble(folder, splits.real_sources(folder)), corpus.build(version="B")
-    takes = [t for t in found.part("train") if not (whole and t.missing)]
+    takes = found.part("train")
     train = {splits.RECORDED: [t.motion for t in takes], splits.SYNTHETIC: [s.motion for s in made.train]}
     missing = {splits.RECORDED: [t.missing for t in takes], splits.SYNTHETIC: [()] * len(made.train)}
     held = {"people who choose": [t.motion for t in found.part("choose")]}
-    return RealMotions(train, held, missing, len({t.person for t in takes}))
-
-
-def training_motions(found: dict[str, list[Motion]], recipe: DenoiserRecipe) -> dict[str, list[Motion]]:
-    """Returns the motions, by source, that the recipe trains on: those of its source, and every n-th of them.
-
-    Raises:
-        DataError: the recipe's source is not there.
-    """
-    if recipe.source not in ("all", splits.REAL_MOTION, *found):
-        message = f"no motions from {recipe.source!r}, only from {', '.join(found)}"
-        raise DataError(message, remedy="give --data with recordings, or another preset")
-    used = {name: some for name, some in found.items() if recipe.source in ("all", splits.REAL_MOTION, name)}
-    return {name: splits.evenly(some, max(1, round(len(some) * recipe.share))) for name, some in used.items()}
-
-
-def _learnt_from(recipe: DenoiserRecipe, folder: Path | str | None) -> RealMotions:
-    """What the recipe trains on and is chosen by; no missing joints where all count as recorded."""
-    if recipe.source == splits.REAL_MOTION:
-        found = real_motions(folder, whole=recipe.linear)
-        train, missing = (training_motions(each, recipe) for each in (found.train, found.missing))
-        return found._replace(train=train, missing=missing)
-    train = training_motions(splits.motions_by_part(folder, "train"), recipe)
-    return RealMotions(train, splits.motions_by_part(folder, "choose"), {}, 0)
-
-
-def begins(preset: str, recipe: DenoiserRecipe) -> Path | None:
-    """Returns the checkpoint whose weights a preset starts from, or None: new weights, or not the preset's size."""
-    as_usual = recipe.size == DENOISER_PRESETS[preset].size
-    return checkpoint.SHIPPED / FROM[preset] if preset in FROM and as_usual else None
-
-
-def make(
-    recipe: DenoiserRecipe,
-    folder: Path | str | None,
-    out: Path,
-    kept: Path,
-    *,
-    resume: bool,
-    command: str,
-    recordings: Sequence[str] = (),
-    start: Path | None = None,
-) -> None:
-    """Trains (or goes on with ``kept``) and writes the checkpoint of the least KID (of handles: the last) to ``out``,
-    with its recipe.
-
-    Under ``accelerate launch`` every process calls this, and the first one writes.
-
-    Args:
-        folder: of recordings, or None. resume: go on with ``kept``. command, recordings: for the recipe: what was
-            typed, and which sources were found. start: the checkpoint to begin from; None: new weights.
-
-    Raises:
-        DataError: nothing to learn from, or ``kept`` is not a run on these windows.
-    """
-    train, choose, lacking, people = _learnt_from(recipe, folder)
-    missing = [names for some in lacking.values() for names in some for _ in range(1 + recipe.copies)] or None
-    motions = _together(train, recipe, recipe.copies)
-    data = gather(motions, recipe.frames, mirrored=recipe.mirrored, missing=missing)
-    held = gather(_together(choose, recipe), recipe.frames).evenly(_HELD)
-    where = {"device": "cuda" if torch.cuda.is_available() else "cpu", "accelerator": _accelerator()}
-    first = model.load_denoiser(start) if start and not resume else None
-    run = (
-        training.DenoiserTraining.resume(kept, data, **where)
-        if resume
-        else training.DenoiserTraining(recipe, data, **where, start=first)
-    )
-    measures = [training.held_errors(held), *([filling_judge(held)] if recipe.told else [])]
-    validate = lambda made: {k: v for measure in measures for k, v in measure(made).items()}  # noqa: E731
-    every = 1250 if recipe.steps > _LONG else 500
-    how = {"every": every, "validate": validate, "judge": _judge(recipe, held), "judge_from": _JUDGE_FROM}
-    run.run(keep=kept, **how, progress=True)
-    if run.rank:
-        return
-    about = {
-        "made by": command + (" --data FOLDER" if people or splits.RECORDED in choose else ""),
-        "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in train.items()},
-        **({"people": people} if people else {}),
-        "minutes that chose the checkpoint": {k: sum(m.seconds for m in v) / 60 for k, v in choose.items()},
-        "recordings": list(recordings),
-        "corpus": asdict(corpus.Recipe()) | {"version": recipe.version},
-        "windows": data.digest,
-        "torch": torch.__version__,
-        "chosen": {k: v for k, v in run.best.items() if k != "weights"} if run.best else {"step": run.step},
-        "curve": run.curve,
-        **({"began from": checkpoint.read_recipe(start)} if start else {}),
-    }
-    made = run.shipped
-    model.save_denoiser(out, replace(made, denoiser=made.denoiser.cpu()), about, half=True)
-    kept.unlink()
-    if (gain := run.curve[-1].get(model.GAIN, 1.0)) <= _SILENT:
-        print(f"the network adds nothing to its filter (gain {gain:.3f}): try a lower rate or a longer warm-up")
-    print(f"{out.with_suffix('.safetensors')}: {run.step} steps, weights of step {about['chosen']['step']}")
-
-
-def _judge(recipe: DenoiserRecipe, held: Motion) -> training.Judge | None:
-    """Of what the model is for. None, and the last weights ship, where there is one candidate only, and for a model of
-    handles, of which what is made without says little."""
-    if recipe.handles or recipe.weights.handles or recipe.steps < _SHORT:
-        return None
-    return filling_judge(held) if recipe.told else kid_judge(held)
-
-
-def _together(motions: dict[str, list[Motion]], recipe: DenoiserRecipe, copies: int = 0) -> list[Motion]:
-    return splits.prepared([m for each in motions.values() for m in each], recipe, copies=copies)
-
-
-def _accelerator():
-    """Of ``accelerate``, where several processes were launched; None for one."""
-    if int(os.environ.get("WORLD_SIZE", "1")) < 2:
-        return None
-    from accelerate import Accelerator
-
-    return Accelerator(cpu=not torch.cuda.is_available())
+    return RealMotions(train, held, missing)
 
 
 def _poses(motions: Sequence[Motion], every: int = 1) -> Tensor:
@@ -328,24 +161,20 @@ def make_init_gmm(
     return recipe
 
 
-def make_features(
-    folder: Path | str | None, out: Path, recipe: embedding.FeatureRecipe, *, recordings: Sequence[str] = ()
-) -> dict:
+def make_features(folder: Path | str | None, out: Path, recipe: embedding.FeatureRecipe) -> dict:
     """Trains and writes the features that generated motion is judged in (``diffusion.embedding``); returns the recipe.
 
-    folder: of recordings, or None. Trained on the training part of ``splits``, or on the people who train, watched on
-    the choosing part.
+    folder: of recordings. Trained on the people who train, watched on those who choose.
     """
-    usual = (splits.motions_by_part(folder, part) for part in ("train", "choose"))
-    train, choose = real_motions(folder)[:2] if recipe.real else usual
-    windows, held = (gather(_together(some, DenoiserRecipe()), recipe.frames) for some in (train, choose))
+    train, choose = real_motions(folder)[:2]
+    windows, held = (
+        gather([on_standard(m) for each in some.values() for m in each], recipe.frames) for some in (train, choose)
+    )
     features, curve = embedding.train_features(windows, recipe, held.evenly(256), progress=True)
-    preset, with_data = "--preset real " * recipe.real, " --data FOLDER" * (splits.RECORDED in train)
     about = {
         "what": "autoencoder over windows of 60 frames: the features that generated motion is judged in",
-        "command": f"python -m motionlab train features {preset}--steps {recipe.steps} --seed {recipe.seed}{with_data}",
+        "command": f"python -m motionlab train features --steps {recipe.steps} --seed {recipe.seed} --data FOLDER",
         "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in train.items()},
-        "recordings": list(recordings),
         "corpus": asdict(corpus.Recipe()),
         "windows": windows.digest,
         "torch": torch.__version__,

@@ -7,7 +7,6 @@ one frame rate. Source: thesis 4.1.2, "Data": "several motion sequences are held
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -15,22 +14,18 @@ import torch
 
 from data_synth import corpus
 from motionlab.contact import with_contacts
-from motionlab.diffusion.model import DenoiserRecipe
-from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
-from motionlab.humor import examples, state
+from motionlab.humor import state
 from motionlab.io.recordings import recordings
-from motionlab.motion import Motion, fix_root_horizontally, resample
+from motionlab.motion import Motion, resample
 from motionlab.people import PARTS
 from motionlab.retarget import retarget
-from motionlab.skeleton import STANDARD
 
 #: Sources on which weights that ship with the project may be trained, by their licences.
 SHIPPABLE = ("cmu_amc", "deepmimic", "reactidle", "animated_drawings", "isaacgym_amp_cmu")
 #: Those that a corpus of real motion is made of (``corpus.assemble``); people, not clips, are kept apart there.
 REAL = ("cmu_library", "cmu_native", *SHIPPABLE)
 SYNTHETIC, RECORDED = "synthetic", "recordings"
-REAL_MOTION = "real"  # a corpus of real motion, and synthetic motion besides
 
 
 def real_sources(folder: Path | str) -> list[str]:
@@ -94,29 +89,6 @@ def motions_by_part(folder: Path | str | None, part: str, *, most: int | None = 
     if used:
         recorded = {"train": used, "choose": left[::2], "report": left[1::2]}[part]
         found[RECORDED] = evenly(recorded, most)
-    return found
-
-
-def prepared(motions: Sequence[Motion], recipe: DenoiserRecipe, *, copies: int = 0) -> list[Motion]:
-    """Computes training motions on the standard body in the recipe's version, with ``copies`` posed otherwise."""
-    generator, found = torch.Generator().manual_seed(recipe.seed), []
-    for motion in map(on_standard, motions):
-        for each in (motion, *(examples.held_otherwise(motion, generator) for _ in range(copies))):
-            found.append(fix_root_horizontally(each) if recipe.version == "A" else each)
-    return found
-
-
-def tested(
-    recipe: DenoiserRecipe, folder: Path | str | None, part: str, count: int, *, most: int | None = None
-) -> dict[str, Motion]:
-    """Computes windows (at most ``count``, T) by source, evenly over a part: the same at every call.
-
-    In the form of the recipe's data; all have one body, so their skeleton has no window axis.
-    """
-    found = {}
-    for source, motions in motions_by_part(folder, part, most=most).items():
-        cut = gather(prepared(motions, recipe), recipe.frames).evenly(count)
-        found[source] = replace(cut, skeleton=STANDARD)
     return found
 
 

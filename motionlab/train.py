@@ -10,9 +10,7 @@ from pathlib import Path
 import torch
 
 from motionlab import checkpoint, shipped, splits, train_completer, train_more, train_plain, train_prior
-from motionlab.diffusion import model
-from motionlab.diffusion import training as diffusion_training
-from motionlab.diffusion.denoiser import SIZES
+from motionlab.diffusion.embedding import FeatureRecipe
 from motionlab.errors import DataError
 from motionlab.humor import examples, quality, training
 from motionlab.humor.cvae import Cvae, official_weights
@@ -24,22 +22,20 @@ _COURSES = {name: home for home in (train_completer, train_plain, train_prior) f
 def add_options(command: argparse.ArgumentParser) -> None:
     """Adds what ``train NAME`` takes."""
     command.add_argument(
-        "model", choices=("humor", "small", "diffusion", "features", *_COURSES),
-        help="transition prior; pose and first states; denoiser; what generated motion is judged in; what completes "
-        "motions, a denoiser and a transition prior of hours of recordings, trained until Ctrl-C",
+        "model", choices=("humor", "small", "features", *_COURSES),
+        help="transition prior; pose and first states; what generated motion is judged in; what completes motions, a "
+        "denoiser and a transition prior of hours of recordings, trained until Ctrl-C",
     )  # fmt: skip
     command.add_argument(
         "--preset", choices=[name for presets in _presets().values() for name in presets],
         help="default: the first of " + "; ".join(f"{model}: {', '.join(each)}" for model, each in _presets().items()),
     )  # fmt: skip
-    command.add_argument("--size", choices=sorted(SIZES), help="of the denoiser (default: the preset's)")
     command.add_argument("--steps", type=_count, help="optimiser steps, the whole schedule (default: the preset's)")
     command.add_argument("--seed", type=int, help="default: 0")
     command.add_argument(
         "--data", default=os.environ.get("MOTIONLAB_DATA"), help="recordings, besides synthetic motion"
     )
     command.add_argument("--out", type=Path, help="default: the checkpoint that ships")
-    command.add_argument("--start", type=Path, help="a checkpoint to begin from (default: the preset's, if any)")
     command.add_argument("--resume", action="store_true", help="go on with a run that was stopped, as it was begun")
     command.add_argument(
         "--more", action="store_true", help=f"{', '.join(_COURSES)}: go on from the kept run, or what ships"
@@ -48,12 +44,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 
 def _presets() -> dict[str, dict]:
-    found = {
-        "humor": training.PRIOR_PRESETS,
-        "diffusion": shipped.DENOISER_PRESETS,
-        "features": shipped.FEATURE_PRESETS,
-    }
-    return found | {"small": dict.fromkeys(("compact", "real"))}
+    return {"humor": training.PRIOR_PRESETS, "small": dict.fromkeys(("compact", "real"))}
 
 
 def _count(text: str) -> int:
@@ -88,26 +79,21 @@ def _together(train: dict[str, list[Motion]], recipe: training.PriorRecipe) -> l
     ]  # fmt: skip
 
 
-def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe | model.DenoiserRecipe:
+def _wanted(options: argparse.Namespace, kept: Path) -> training.PriorRecipe:
     """The recipe asked for; with --resume that of the kept run, whose steps and seed need not be given again.
 
     Raises:
-        DataError: no such preset or size of this model; or the kept run is missing, damaged or of another recipe.
+        DataError: no such preset; or the kept run is missing, damaged or of another recipe.
     """
     presets = _presets()[options.model]
     options.preset = options.preset or next(iter(presets))
     if options.preset not in presets:
         raise DataError(f"{options.model} has no preset {options.preset!r}", remedy=f"choose {', '.join(presets)}")
-    kind = training.PriorTraining if options.model == "humor" else diffusion_training.DenoiserTraining
-    recipe, before = presets[options.preset], kind.kept_recipe(kept) if options.resume else None
-    if options.size and not isinstance(getattr(recipe, "size", None), str):
-        raise DataError(f"{options.model} has no sizes", remedy="leave --size out")
-    for name in ("steps", "seed", "size"):
-        if not hasattr(recipe, name):
-            continue
-        value = getattr(options, name, None)
-        value = getattr(before or recipe, name) if value is None else value
-        recipe = replace(recipe, **{name: value})
+    before = training.PriorTraining.kept_recipe(kept) if options.resume else None
+    recipe = presets[options.preset]
+    asked = {name: value for name in ("steps", "seed") if (value := getattr(options, name)) is not None}
+    kept_ones = {name: getattr(before, name) for name in ("steps", "seed")} if before else {}
+    recipe = replace(recipe, **kept_ones | asked)
     if before and recipe != before:
         was, now = asdict(before), asdict(recipe)
         others = ", ".join(f"{name} {was[name]}, not {now[name]}" for name in was if was[name] != now[name])
@@ -131,24 +117,16 @@ def _train(options: argparse.Namespace) -> int:
         shipped.make_init_gmm(train, held, out, **how, causal=real)
         return 0
     if options.model == "features":
-        recipe = _wanted(options, checkpoint.SHIPPED)
-        out = options.out or checkpoint.SHIPPED / ("features_real" if recipe.real else "diffusion_features")
-        found = (splits.real_sources if recipe.real else _found_in)(options.data) if options.data else ()
-        shipped.make_features(options.data, out, recipe, recordings=found)
+        if options.preset:
+            raise DataError("features have no presets", remedy="leave --preset out")
+        recipe = replace(FeatureRecipe(), seed=options.seed or 0)
+        recipe = replace(recipe, steps=options.steps or recipe.steps)
+        shipped.make_features(options.data, options.out or checkpoint.SHIPPED / "features_real", recipe)
         return 0
     preset = options.preset or next(iter(_presets()[options.model]))
     out = options.out or checkpoint.SHIPPED / f"{options.model}_{preset}"
     kept = out.with_suffix(".partial.pt")
     recipe = _wanted(options, kept)
-    if options.model == "diffusion":
-        made = f"python -m motionlab train diffusion --preset {options.preset} --size {recipe.size}"
-        made += f" --steps {recipe.steps} --seed {recipe.seed}" + (" --start CHECKPOINT" if options.start else "")
-        real = recipe.source == splits.REAL_MOTION
-        found = (splits.real_sources if real else _found_in)(options.data) if options.data else []
-        start = options.start or shipped.begins(options.preset, recipe)
-        how = {"resume": options.resume, "command": made, "recordings": found, "start": start}
-        shipped.make(recipe, options.data, out, kept, **how)
-        return 0
     train, held = _training_sources(options.data)
     data = examples.examples(_together(train, recipe), recipe.length + 1)
     run = training.PriorTraining.resume(kept, data) if options.resume else training.PriorTraining(recipe, data)
@@ -184,7 +162,7 @@ def _train(options: argparse.Namespace) -> int:
 
 def _train_on(options: argparse.Namespace) -> int:
     """Trains until Ctrl-C."""
-    asked = [name for name in ("preset", "size", "start", "resume") if getattr(options, name)]
+    asked = [name for name in ("preset", "resume") if getattr(options, name)]
     if asked:
         raise DataError(f"{options.model} takes no --{asked[0]}", remedy="--more goes on from --out")
     home = _COURSES[options.model]

@@ -12,9 +12,11 @@ from motionlab import train_more
 from motionlab.bench import cases
 from motionlab.bench.judge import CASES, FRAMES, Case, energy_score, judged
 from motionlab.bench.person_windows import PersonWindows, by_person, person_windows
-from motionlab.diffusion import completer
+from motionlab.contact import with_contacts
+from motionlab.diffusion import completer, state
 from motionlab.diffusion.completer import KINDS, Completer, CompleterRecipe
 from motionlab.diffusion.completer_training import CompleterTraining
+from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.train_more import learnt_from
@@ -22,12 +24,14 @@ from motionlab.train_more import learnt_from
 #: By name of what ships: one answer, and draws, which may also be of nothing known.
 RECIPES = {
     "completer": CompleterRecipe(),
+    "completer_rough": CompleterRecipe(rough=True, steps=8000),
     "completer_draws": CompleterRecipe(noised=True, kinds=(*KINDS, ("nothing", 0.1), ("onward", 0.2))),
 }
 CHOSEN = "legs and gaps, cm"  # the mean of the first three cases, which chooses: error, or energy score of draws
 _CHOOSING = ("legs hidden", "gap of 30 frames", "gap of 45 frames")
 _EACH = 12  # windows of each person who chooses
 _DRAWS = 3
+_NOISES = ((1.0, 0.5), (2.0, 1.0), (5.0, 2.0))  # degrees of joints, centimetres of the root
 
 
 class Course(train_more.Course):
@@ -51,7 +55,7 @@ class Course(train_more.Course):
     def load(self, path: Path) -> Completer:
         """Reads one that draws, or not, as the recipe says."""
         found = completer.load(path)
-        if found.recipe.noised != self.recipe.noised:
+        if (found.recipe.noised, found.recipe.rough) != (self.recipe.noised, self.recipe.rough):
             raise DataError(f"not a {self.name}", path=path, remedy="name another --out, or train its kind")
         return found
 
@@ -73,6 +77,8 @@ class Course(train_more.Course):
     def measured(self, model: Completer) -> dict[str, float]:
         """By person, errors on every case; of draws, on those that choose, energy scores and how far apart they are
         over their error. And accelerations over the truth's."""
+        if model.recipe.rough:
+            return _of_noise(model, self.choose)
         row = {}
         for name, case in CASES.items():
             if not model.recipe.noised:
@@ -87,6 +93,21 @@ class Course(train_more.Course):
             row[f"{name}, acceleration over the truth's"] = float(each["acceleration"].mean())
         choose = [x for name, x in row.items() if name.startswith(_CHOOSING) and name.endswith(", cm")]
         return {CHOSEN: sum(choose) / len(choose)} | row
+
+
+def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:
+    """What is left of noise that is new in every frame, and what the smoother alone leaves; first the mean."""
+    motion, whose, _ = windows
+    nothing = torch.zeros(*motion.root.shape[:2], state.UNITS, dtype=torch.bool)
+    row = {}
+    for degrees, cm in _NOISES:
+        noise = Noise.of(degrees, cm)
+        rough = with_contacts(smoothed(noise.on(motion, torch.Generator().manual_seed(0)), noise))
+        for name, made in (("cm", model.complete(rough, nothing, tremble=noise.turn)), ("smoother alone, cm", rough)):
+            error = by_person(cases.error_cm(made, motion, nothing), whose)
+            row[f"noise of {degrees:g} degrees, {cm:g} cm, {name}"] = float(error.mean())
+    left = [x for name, x in row.items() if "smoother" not in name]
+    return {"noise, cm": sum(left) / len(left)} | row
 
 
 def _of_draws(model: Completer, case: Case, windows: PersonWindows) -> dict[str, Tensor]:

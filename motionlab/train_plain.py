@@ -13,18 +13,17 @@ from motionlab.bench.person_windows import person_windows
 from motionlab.diffusion.model import DenoiserRecipe, Trained, load_denoiser, save_denoiser
 from motionlab.diffusion.training import DenoiserTraining
 from motionlab.diffusion.windows import Windows
-from motionlab.errors import DataError
 from motionlab.motion import Motion
 from motionlab.train_more import learnt_from
 from motionlab.training_loop import fast_halves
 
-RECIPES = {"diffusion_plain": DenoiserRecipe(source="real", batch=64)}  # by name of what ships
+RECIPES = {"diffusion_plain": DenoiserRecipe()}  # by name of what ships
 CHOSEN = "x0 error, mean over steps"
 _EACH = 12  # windows of each person who chooses
 
 
 class Course(train_more.Course):
-    """A denoiser that is told nothing and corrects no filter."""
+    """A denoiser that is told nothing."""
 
     def __init__(
         self, name: str, recipe: DenoiserRecipe, folder: Path | str | None, data: tuple[Windows, Motion] | None = None
@@ -37,17 +36,14 @@ class Course(train_more.Course):
         self.windows, self.choose = data
 
     def load(self, path: Path) -> Trained:
-        """Reads one of this kind."""
-        found = load_denoiser(path)
-        if found.recipe.told or found.recipe.spectral or found.recipe.linear:
-            raise DataError(f"not a {self.name}", path=path, remedy="name another --out")
-        return found
+        """Reads one."""
+        return load_denoiser(path)
 
     def begun(self, recipe: DenoiserRecipe, first: Trained | None) -> DenoiserTraining:
-        """Of the size of the first; all losses count at once where weights go on."""
-        if first is not None:
-            recipe = replace(recipe, size=first.recipe.size, weights=replace(recipe.weights, late=0.0))
-        return DenoiserTraining(replace(recipe, bf16=fast_halves(torch.device("cpu"))), self.windows, start=first)
+        """Of the kind of the first."""
+        built = {n: getattr(first.recipe, n) for n in ("size", "patch", "frame", "noising")} if first else {}
+        recipe = replace(recipe, **built, bf16=fast_halves(torch.device("cpu")))
+        return DenoiserTraining(recipe, self.windows, first)
 
     def resumed(self, kept: Path) -> DenoiserTraining:
         """On the same windows."""

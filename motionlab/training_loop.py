@@ -46,14 +46,13 @@ class TrainingRun(ABC):
     drawn from it. curve: rows of step, loss, its parts and measures. best: step, measure and averaged weights that
     the judge liked best, if there was one. skipped, in_a_row: batches without a finite gradient, all and since a good
     one; the run ends at ``give_up`` in a row. earlier: steps that its first weights had behind them. clip: largest norm
-    of the gradient; None: as it is. rank: of this process among several; the first one measures and writes.
+    of the gradient; None: as it is.
     """
 
     #: What the run is trained on, as errors and saved runs call it.
     data_name: ClassVar[str]
     give_up = 1
     clip: float | None = 1.0
-    rank = 0
 
     def __init__(self, recipe: Any, digest: str, generator: torch.Generator, model: nn.Module) -> None:
         self.recipe, self.digest, self.generator, self.model = recipe, digest, generator, model
@@ -84,9 +83,6 @@ class TrainingRun(ABC):
     @abstractmethod
     def _recipe(cls, content: dict) -> Any:
         """The recipe of ``asdict``'s content."""
-
-    def _backward(self, loss: Tensor) -> None:
-        loss.backward()
 
     def _extra(self) -> dict:
         """What else is saved."""
@@ -132,8 +128,7 @@ class TrainingRun(ABC):
         """
         steps = self.recipe.steps
         last = min(steps, until or steps)
-        keep = keep if self.rank == 0 else None
-        bar = tqdm(total=steps, initial=self.step, disable=not progress or self.rank > 0, unit="step")
+        bar = tqdm(total=steps, initial=self.step, disable=not progress, unit="step")
         try:
             while self.step < last:
                 row = self.advance()
@@ -176,14 +171,14 @@ class TrainingRun(ABC):
     def _descend(self, loss: Tensor) -> bool:
         """One step of the optimiser; False, and nothing changed, where the gradient is not finite."""
         self.optimiser.zero_grad()
-        self._backward(loss)
+        loss.backward()
         norm = (
             torch.nn.utils.get_total_norm([p.grad for p in self.model.parameters() if p.grad is not None])
             if self.clip is None
             else torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.clip)
         )
         self._torn = True
-        if norm.isfinite():  # of averaged gradients where there are several processes: all of them agree
+        if norm.isfinite():
             self.optimiser.step()
             self.in_a_row = 0
             return True
@@ -199,7 +194,7 @@ class TrainingRun(ABC):
         self._drawn_from, self._torn = self.generator.get_state(), False
 
     def _measured(self, validate: Measure | None, judge: Measure | None) -> dict[str, float]:
-        if self.rank or (validate is None and judge is None):
+        if validate is None and judge is None:
             return {}
         model = self.averaged
         row = dict(validate(model)) if validate else {}

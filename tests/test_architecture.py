@@ -16,14 +16,13 @@ FLOORS = """
     body checkpoint motion
     heading
     baselines contact skinning tailoring humor.state diffusion.features diffusion.state
-    observation retarget humor.cvae diffusion.footsteps diffusion.start diffusion.losses diffusion.masks
+    observation retarget humor.cvae diffusion.curves diffusion.footsteps diffusion.losses diffusion.masks
     io viz data_synth humor.body_shape humor.energies humor.priors humor.transition
-        diffusion.completer diffusion.denoiser diffusion.gaussian_guess diffusion.planting diffusion.windows
+        diffusion.completer diffusion.denoiser diffusion.planting diffusion.windows
     cleaning detect people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
-        diffusion.model
-    humor.rollout diffusion.completer_training diffusion.denoising diffusion.embedding diffusion.inpainting
-        diffusion.training
-    corpus splits humor.training humor.unknowns diffusion.pose_completion corrections
+        diffusion.model diffusion.poses
+    humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
+    corpus splits humor.training humor.unknowns corrections diffusion.completer_training
     bench shipped doctor onnx_export humor.chain_training humor.quality humor.stages humor.start animate
     train_more models humor.shooting renew
     train_completer train_plain train_prior

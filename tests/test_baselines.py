@@ -138,6 +138,22 @@ def test_kalman_smoother_agrees_with_dense_least_squares(generator):
     torch.testing.assert_close(by_frame[:, 0], found[:, 0])
 
 
+def test_kalman_of_many_columns_is_one_matrix_and_with_gaps_it_is_not(generator, monkeypatch):
+    """What it makes of unit pulses, put together, is what it makes of the columns frame by frame."""
+    x, asked, kalman = 5 * torch.randn(2, 25, 30, generator=generator, dtype=F64).cumsum(-2), [], baselines.kalman
+    monkeypatch.setattr(baselines, "kalman", lambda *given: asked.append(given[0]) or kalman(*given))
+    found = kalman(x, 30.0, 0.5, 20.0)
+    assert len(asked) == 1 and torch.equal(asked.pop(), torch.eye(25, dtype=F64))
+    assert (found - kalman(x, 30.0, 0.5, 20.0, torch.ones(2, 25))).abs().max() < 1e-6
+    assert (found[0, :, :25] - kalman(x[0, :, :25], 30.0, 0.5, 20.0)).abs().max() < 1e-6  # no more columns than frames
+    gaps = torch.rand(2, 25, generator=generator) < 0.7
+    assert (kalman(x, 30.0, 0.5, 20.0, gaps) - found).abs().max() > 0.1
+    x[1, 3, 7] = torch.nan
+    with pytest.raises(DataError, match="NaN"):
+        kalman(x, 30.0, 0.5, 20.0)
+    assert len(asked) == 0
+
+
 @pytest.mark.parametrize("name", ["fps", "noise", "acceleration"])
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
 def test_kalman_refuses_what_leaves_nothing_to_weigh(name, value):

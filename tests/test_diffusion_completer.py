@@ -7,17 +7,19 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import rotation, train_completer, train_more
+from motionlab import checkpoint, rotation, train_completer, train_more
 from motionlab.bench import cases, judge
 from motionlab.bench.person_windows import PersonWindows
-from motionlab.diffusion import completer, masks, state
+from motionlab.contact import with_contacts
+from motionlab.diffusion import completer, completer_training, masks, state
 from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.completer_training import CompleterTraining, losses
+from motionlab.diffusion.curves import smooth_curves
+from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.features import Layout
-from motionlab.diffusion.start import smooth_curves
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError, ShapeError
-from motionlab.heading import stuck_root
+from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
@@ -115,7 +117,7 @@ def test_open_places_are_those_that_an_unknown_part_moves(windows):
 
 
 # --------------------------------------------------------------------------------------------------- completer
-def test_curves_are_those_of_the_start(windows, known):
+def test_curves_are_smooth_curves_through_what_is_known(windows, known):
     mean, scale = torch.randn(2, state.MADE, generator=torch.Generator().manual_seed(1)).abs() + 0.5
     columns, numbers = known[..., state.owners()], (state.made(windows) - mean) / scale
     plain = torch.where(columns, numbers, smooth_curves(numbers, columns)) * scale + mean
@@ -270,6 +272,34 @@ def test_how_long_a_models_six_numbers_are_does_not_matter(data, windows, known,
     assert (drawn[0] - drawn[1]).abs().max() < 1e-3 < 1e-2 < (drawn[0] - drawn[2]).abs().max()
 
 
+# -------------------------------------------------------------------------------------- of motion that was smoothed
+def test_smoothed_windows_and_the_truth_are_shown_in_one_frame_of_reference(data, monkeypatch):
+    """That of the smoothed first frame: the truth's own would tell how it differs."""
+    run, seen = CompleterTraining(replace(TINY, rough=True), data), []
+    draws = torch.Generator().set_state(run.generator.get_state())
+    monkeypatch.setattr(run.model, "filled", lambda *given: seen.append(given) or given[0])
+    monkeypatch.setattr(completer_training, "losses", lambda made, truth, *_, **__: seen.append(truth) or {"places": 0})
+    run._loss()
+    (shown, known, trembled), truth = seen
+    motion, (turn, shift) = data.drawn(TINY.batch, draws)[0], torch.rand(2, generator=draws).tolist()
+    noise = Noise.of(8 * turn, 4 * shift)
+    local, frame = stuck_root(smoothed(noise.on(motion, draws), noise))
+    assert trembled.tolist() == pytest.approx([noise.turn] * TINY.batch)
+    assert not known.any() and torch.equal(shown.root, local.root) and torch.equal(shown.rot, local.rot)
+    assert torch.equal(shown.contacts, with_contacts(shown).contacts)
+    off = [(m.positions - motion.positions).abs().max() for m in (local_to_world(frame, m) for m in (truth, shown))]
+    assert off[0] < 1e-5 < 1e-2 < off[1]
+    assert (stuck_root(motion)[0].positions - truth.positions).abs().max() > 1e-3
+
+
+def test_what_was_smoothed_stays_where_nothing_is_added(windows):
+    """Where a completer that is not for that forgets it, as nothing of it is known."""
+    nothing = torch.zeros(*windows.root.shape[:2], state.UNITS, dtype=torch.bool)
+    for rough, least, most in ((True, 0.0, 1e-5), (False, 0.1, 10.0)):
+        made = Completer(replace(TINY, rough=rough)).complete(windows, nothing)
+        assert least <= (made.positions - windows.positions).abs().max() < most, rough
+
+
 # ------------------------------------------------------------------------------------------------------- bench
 def test_windows_are_drawn_evenly_by_person(motions):
     long, short = motions[0], motions[1].cut(0, 16)
@@ -311,6 +341,23 @@ def test_the_energy_score_rewards_draws_about_the_truth(people):
     assert torch.allclose(judge.energy_score([up, up], truth, known), one, atol=1e-3)
 
 
+def test_who_corrects_what_was_smoothed_is_judged_beside_the_smoother(people, monkeypatch):
+    """One that adds nothing leaves what the smoother leaves; the truth leaves nothing."""
+    recipe = CompleterRecipe(size=64, layers=1, rough=True)
+    course, model = train_completer.Course("completer_rough", recipe, None, (None, people)), Completer(recipe)
+    silent = course.measured(model)
+    monkeypatch.setattr(model, "complete", lambda motion, known, tremble: people.motion)
+    exact, (first, *rest) = course.measured(model), list(silent)
+    mine, alone = rest[::2], rest[1::2]
+    assert first == "noise, cm" and all("smoother alone" in name for name in alone) and len(mine) == len(alone) == 3
+    assert silent[first] == pytest.approx(sum(silent[name] for name in mine) / 3)
+    for own, smoother in zip(mine, alone, strict=True):
+        assert silent[own] == pytest.approx(silent[smoother], abs=1e-3) and silent[smoother] == exact[smoother] > 0.3
+    assert silent[alone[0]] < silent[alone[1]] < silent[alone[2]] and max(exact[name] for name in (first, *mine)) < 1e-3
+    with pytest.raises(DataError, match="not a completer_rough"):
+        course.load(checkpoint.SHIPPED / "completer")
+
+
 # ---------------------------------------------------------------------------------------------------- training
 @pytest.fixture
 def here(tmp_path, monkeypatch):
@@ -346,10 +393,11 @@ def test_training_writes_what_is_better_only(motions, people, here):
         train_more.learnt_from(None, judge.FRAMES)
 
 
-def test_training_that_was_killed_goes_on_as_if_it_had_not_been(motions, people, here, monkeypatch):
+@pytest.mark.parametrize("rough", [False, True])
+def test_training_that_was_killed_goes_on_as_if_it_had_not_been(motions, people, here, monkeypatch, rough):
     """At step 3 of 4: the resumed run ends with the weights of one that nobody stopped."""
     data = gather([on_standard(m) for m in motions], judge.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
-    recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1)
+    recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1, rough=rough)
     how = {"every": 2, "schedules": 1}
     whole = CompleterTraining(recipe, data)
     for _ in range(4):

@@ -5,7 +5,7 @@ import torch
 
 from motionlab.diffusion.denoiser import SIZES, Denoiser
 from motionlab.errors import ShapeError
-from studies.nb10_diffusion.network_checks import twin
+from tests.mdm_twin import twin
 
 OFFICIAL = {  # names and shapes of the official unconstrained model (its tables of sines are not loaded)
     "input_process.poseEmbedding.weight": (512, 150), "output_process.poseFinal.weight": (150, 512),
@@ -39,38 +39,17 @@ def test_names_shapes_and_size_are_mdm_s():
     assert not any(name.endswith("sequence_pos_encoder.pe") for name in tensors)
 
 
-def test_a_model_that_is_told_reads_what_is_known(generator):
-    torch.manual_seed(1)
-    model = Denoiser(6, size=16, layers=1, heads=2, hidden=16, told=True).eval()
-    x, t = torch.randn(2, 4, 6, generator=generator), torch.tensor([1, 1])
-    mask = torch.zeros(4, 6)
-    mask[0] = 1
-    known = torch.randn(2, 4, 6, generator=generator)
-    nothing, something = model(x, t), model(x, t, known, mask)
-    assert (nothing - something).abs().max() > 1e-3
-    guess = torch.randn(2, 4, 6, generator=generator)
-    assert not torch.allclose(model(x, t, known, mask, guess=guess), something, atol=1e-3)
-    assert torch.equal(model(x, t, known + 5, mask, guess=guess), model(x, t, known, mask, guess=guess))
-    other = torch.where(mask.bool(), known, known + 5)  # what the mask hides is not read
-    assert torch.equal(model(x, t, other, mask), something)
-    with pytest.raises(ShapeError):
-        model(x, t, known)
-    with pytest.raises(ShapeError):
-        Denoiser(6, size=16, layers=1, heads=2, hidden=16)(x, t, known, mask)
-
-
-def test_normalised_before_attention_tokens_pass_unchanged_where_nothing_is_added(generator):
-    """The residual way is free: with silent attention and feed-forward only the last norm stands before the output."""
-    model = Denoiser(4, size=16, layers=2, heads=2, hidden=16, dropout=0.0, before=True).eval()
+def test_tokens_of_several_frames_halve_the_sequence_and_keep_the_order(generator):
+    model = Denoiser(4, size=16, layers=1, heads=2, hidden=16, dropout=0.0, patch=3).eval()
+    lengths = []
+    model.seqTransEncoder.register_forward_hook(lambda module, tokens, _: lengths.append(len(tokens[0])))
+    x = torch.randn(2, 12, 4, generator=generator)
     with torch.no_grad():
-        for layer in model.seqTransEncoder.layers:
-            for part in (layer.self_attn.out_proj, layer.linear2):
-                part.weight.zero_(), part.bias.zero_()
-        x, stamps = torch.randn(2, 5, 4, generator=generator), torch.tensor([3, 9])
-        tokens = model.input_process.poseEmbedding(x) + model.sequence_pos_encoder.pe[1:6, 0]
-        expected = model.output_process.poseFinal(torch.nn.functional.layer_norm(tokens, (16,)))
-        assert torch.allclose(model(x, stamps), expected, atol=1e-5)
-    behind = Denoiser(4, size=16, layers=2, heads=2, hidden=16)
-    assert set(model.state_dict()) - set(behind.state_dict()) == {
-        f"seqTransEncoder.norm.{k}" for k in ("weight", "bias")
-    }
+        out = model(x, torch.tensor([3, 7]))
+        model.output_process.poseFinal.weight.zero_()
+        model.output_process.poseFinal.bias.copy_(torch.arange(12.0))
+        order = model(x, torch.tensor([3, 7]))
+    assert out.shape == x.shape and lengths[0] == 12 // 3 + 1
+    assert torch.equal(order[0, :3], torch.arange(12.0).reshape(3, 4)) and torch.equal(order[0, 3:6], order[0, :3])
+    with pytest.raises(ShapeError, match="tokens of 3"):
+        model(x[:, :10], torch.tensor([3, 7]))

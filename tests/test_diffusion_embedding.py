@@ -8,7 +8,7 @@ import torch
 
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
-from motionlab import shipped, splits
+from motionlab import shipped, splits, train
 from motionlab.__main__ import main
 from motionlab.diffusion import embedding
 from motionlab.diffusion.windows import gather, on_standard
@@ -123,32 +123,29 @@ def test_files_of_something_else_are_refused(trained, tmp_path):
         embedding._load(tmp_path / "f")
 
 
-@pytest.mark.parametrize("preset", ["usual", "real"])
-def test_the_command_trains_on_the_training_part_only(motions, tmp_path, monkeypatch, preset):
-    asked = []
+def test_the_command_trains_on_the_people_who_train(motions, tmp_path, monkeypatch):
+    """And watches what is missed of those who choose."""
+    asked, train_features = [], embedding.train_features
 
-    def sources(folder, part):
-        asked.append(part)
-        return {"synthetic": motions if part == "train" else motions[:1]}
+    def trained(windows, recipe, held, **how):
+        asked.append((windows.digest, held))
+        return train_features(windows, recipe, held, **how)
 
-    monkeypatch.setattr(splits, "motions_by_part", sources)
-    recorded = shipped.RealMotions({splits.RECORDED: motions}, {"people who choose": motions[:1]}, {}, 2)
-    monkeypatch.setattr(shipped, "real_motions", lambda folder: asked.append("people") or recorded)
-    small = {name: replace(TINY, frames=60, real=name == "real") for name in shipped.FEATURE_PRESETS}
-    monkeypatch.setattr(shipped, "FEATURE_PRESETS", small)
-    monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
+    found = shipped.RealMotions({splits.RECORDED: motions[:1]}, {"people who choose": motions[1:]}, {})
+    monkeypatch.setattr(shipped, "real_motions", lambda folder: found)
+    monkeypatch.setattr(embedding, "train_features", trained)
+    monkeypatch.setattr(train, "FeatureRecipe", lambda: replace(TINY, frames=60))
     how = "--steps 3 --seed 2"
-    assert main(["train", "features", "--preset", preset, *how.split(), "--out", str(tmp_path / "f")]) == 0
+    assert main(["train", "features", *how.split(), "--data", "x", "--out", str(tmp_path / "f")]) == 0
     about = json.loads((tmp_path / "f.json").read_text())
-    assert asked == (["people"] if preset == "real" else ["train", "choose"])
-    how = f"--preset real {how} --data FOLDER" if preset == "real" else how
-    assert about["command"] == f"python -m motionlab train features {how}"
+    (digest, held), (mine, other) = asked[0], (gather([on_standard(m)], 60) for m in motions)
+    assert digest == mine.digest and torch.equal(held.root, other.evenly(256).root)
+    assert about["command"] == f"python -m motionlab train features {how} --data FOLDER"
     assert about["curve"][-1]["step"] == 3 and about["recipe"]["seed"] == 2
 
 
-@pytest.mark.parametrize("name", ["diffusion_features", "features_real"])
-def test_features_that_ship(name):
-    about = json.loads((embedding.checkpoint.SHIPPED / f"{name}.json").read_text())
-    assert about["recipe"]["frames"] == 60 and 64 <= embedding.motion_features(name).recipe.size <= 128
+def test_features_that_ship():
+    about = json.loads((embedding.checkpoint.SHIPPED / "features_real.json").read_text())
+    assert about["recipe"]["frames"] == 60 and 64 <= embedding.motion_features().recipe.size <= 128
     assert "report" not in json.dumps(about["command"])
     assert max(about["share of variance missed, held out"].values()) < 0.35

@@ -1,4 +1,4 @@
-"""Rows of numbers and back, and masks that mean what they say."""
+"""Rows of numbers and back, and which joint they belong to."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import torch
 
 from data_synth import scenes
 from motionlab import rotation
+from motionlab.diffusion import masks
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import local_to_world, stuck_root
@@ -42,11 +43,6 @@ def test_stuck_rows_do_not_know_where_one_stands(motion):
     assert (Layout(frame="world").encode(moved) - Layout(frame="world").encode(motion)).abs().max() > 1
 
 
-def test_a_root_that_does_not_travel(motion):
-    rows = Layout(travels=False, contacts=False).encode(motion)
-    assert rows[..., :2].abs().max() == 0 and torch.equal(rows[..., 2], motion.root[..., 2])
-
-
 def test_velocities_are_differences(motion):
     layout = Layout(velocities=True)
     rows = layout.encode(motion)
@@ -54,28 +50,16 @@ def test_velocities_are_differences(motion):
     torch.testing.assert_close(root[:, 1:] - root[:, :-1], change[:, :-1] / 30, atol=1e-6, rtol=0)
 
 
-def test_masks_mean_frames_groups_and_joints():
-    layout = Layout()
-    ends = layout.mask(60, only=[0, 59])
-    assert ends[0].all() and ends[59].all() and not ends[1:59].any()
-    root = layout.mask(4, groups=["root", "orient"])
-    assert root[:, :9].all() and not root[:, 9:].any()
-    knee = layout.mask(1, joints=["left_knee"])[0].nonzero().flatten()
-    assert knee.tolist() == list(range(9 + 6 * 3, 9 + 6 * 4))  # joint 4, the fourth of the pose
-    assert torch.equal(layout.mask(1, joints=["pelvis"]), layout.mask(1, groups=["orient"]))
-    assert layout.mask(2).all()
-
-
-def test_a_joint_s_mask_covers_what_it_turns(motion):
-    """Changing the masked numbers moves the joint's children and nothing else; its velocity belongs to it."""
+def test_a_joint_s_numbers_are_those_that_it_turns(motion):
+    """Changing its numbers moves the joint's children and nothing else; its velocity belongs to it."""
     layout = Layout(frame="world", velocities=True)
     rows = layout.encode(motion)
-    mask = layout.mask(60, joints=["left_elbow"])
+    mask = masks.units(layout) == motion.skeleton.index("left_elbow")
     found = layout.decode(torch.where(mask, rows + 0.3, rows), 30.0, motion.skeleton)
     moved = (found.positions - motion.positions).norm(dim=-1).amax((0, 1))
     names = motion.skeleton.names
     assert {names[j] for j in (moved > 1e-3).nonzero().flatten().tolist()} == {"left_wrist"}
-    assert int(mask[0].sum()) == 12
+    assert int(mask.sum()) == 12
 
 
 def test_the_normaliser_undoes_itself(motion):
@@ -98,8 +82,6 @@ def test_what_does_not_fit(motion):
         Layout().decode(torch.zeros(2, 3), 30.0)
     with pytest.raises(ValueError, match="frame"):
         Layout(frame="moon")
-    with pytest.raises(KeyError):
-        Layout().mask(3, groups=["tail"])
 
 
 def test_a_unit_of_the_root_can_be_given_in_metres(generator):

@@ -5,7 +5,7 @@ import torch
 
 from motionlab.diffusion import inpainting, sampling
 from motionlab.diffusion.sampling import cosine
-from studies.nb10_diffusion.gaussian import GaussianData
+from studies.nb10_how_it_works.gaussian import GaussianData
 
 T = 24
 
@@ -33,9 +33,9 @@ def curves(data, count, generator):
     return (torch.randn(count, T, generator=generator, dtype=torch.float64) @ factor.T)[..., None]
 
 
-def made(denoise, after, count, generator, **how):
+def made(denoise, after, count, generator):
     x = torch.randn(count, T, 1, generator=generator, dtype=torch.float64)
-    return sampling.ddpm(denoise, SCHEDULE, x, generator, after=after, **how)
+    return sampling.ddpm(denoise, SCHEDULE, x, generator, after=after)
 
 
 def test_the_known_part_is_noised_to_the_step_before(generator):
@@ -65,7 +65,7 @@ def conditional(data, known):
     return known[:, sure, 0] @ gain.T, (data.covariance[~sure][:, ~sure] - gain @ a.T).diagonal().clamp(min=0).sqrt()
 
 
-def test_better_ways_come_nearer_to_the_exact_conditional(data, denoise, generator):
+def test_guidance_comes_nearer_to_the_exact_conditional(data, denoise, generator):
     """Distance of the samples' mean from the true conditional mean, over many samples of each of a few curves."""
     known = curves(data, 6, generator).repeat_interleave(150, 0)
     truth, _ = conditional(data, known)
@@ -76,11 +76,9 @@ def test_better_ways_come_nearer_to_the_exact_conditional(data, denoise, generat
 
     over = inpainting._overwrite(SCHEDULE, known, M, generator)
     plain = made(denoise, over, 900, generator)
-    start = torch.randn(900, T, 1, generator=generator, dtype=torch.float64)
-    again = sampling.resampled(denoise, SCHEDULE, start, generator, after=over, times=8, jump=6)
     guided = made(inpainting._guided(denoise, SCHEDULE, known, M, 2.0), None, 900, generator)
     ignorant = made(denoise, None, 900, generator)
-    assert max(miss(again), miss(guided)) < 0.85 * miss(plain) < 0.7 * miss(ignorant)
+    assert miss(guided) < 0.85 * miss(plain) < 0.7 * miss(ignorant)
 
 
 def test_soft_masks_fall_beside_what_is_known():

@@ -1,11 +1,11 @@
-"""Samplers on data whose denoiser is exact. Beside diffusers, step by step: ``test_diffusion_checks``."""
+"""Samplers on data whose denoiser is exact. Beside diffusers, step by step: ``studies.nb10_how_it_works.checks``."""
 
 import pytest
 import torch
 
 from motionlab.diffusion import sampling
 from motionlab.diffusion.sampling import cosine
-from studies.nb10_diffusion.gaussian import GaussianData
+from studies.nb10_how_it_works.gaussian import GaussianData
 
 F64 = torch.float64
 
@@ -66,32 +66,12 @@ def test_the_generator_decides(data):
     assert torch.equal(a, b) and not torch.equal(a, c)
 
 
-def test_steps_that_are_not_walked_leave_the_mean_of_what_they_would_make(data, generator):
-    """Against many walks of the same last steps: the exact denoiser's estimate is their mean, and varies less."""
-    schedule, denoise = cosine(20), data.denoiser(cosine(20))
-    x = noise(8, generator)
-    early = sampling.ddpm(denoise, schedule, x, torch.Generator().manual_seed(0), rest=6)
-    middle = sampling.ddpm(denoise, schedule, x, torch.Generator().manual_seed(0), rest=7)
-    assert not torch.allclose(early, middle)
-    same = torch.Generator().manual_seed(0)
-    at = x
-    for t in range(19, 6, -1):  # by hand, down to step 6
-        mean, variance = schedule.posterior(denoise(at, torch.full((8,), t)), at, t)
-        at = mean + variance.sqrt() * sampling.noise_like(at, same)
-    walks = sampling.ddpm(denoise, schedule, at.repeat(1000, 1), generator, start=6).unflatten(0, (1000, 8))
-    assert ((walks.mean(0) - early) / (walks.std(0) / 1000**0.5)).abs().max() < 5
-    everything = sampling.ddpm(denoise, schedule, noise(4000, generator), generator)
-    rested = sampling.ddpm(denoise, schedule, noise(4000, generator), generator, rest=6)
-    assert torch.cov(rested.T).trace() < 0.99 * torch.cov(everything.T).trace()
-
-
-def test_known_parts_come_back_where_the_last_steps_are_not_walked(data, generator):
-    put = lambda x, x0, t: torch.where(torch.arange(5) < 2, 7.0, x)  # noqa: E731
-    made = sampling.ddpm(data.denoiser(cosine(20)), cosine(20), noise(3, generator), generator, after=put, rest=4)
-    assert (made[:, :2] == 7).all() and (made[:, 2:] != 7).all()
-
-
-def test_what_rests_must_lie_before_the_first_step(data, generator):
-    for rest, start in ((-1, None), (20, None), (6, 5)):
-        with pytest.raises(ValueError, match="rest: expected"):
-            sampling.ddpm(data.denoiser(cosine(20)), cosine(20), noise(2, generator), generator, rest=rest, start=start)
+def test_ddim_draws_nothing_and_ends_with_the_covariance_of_the_data(data):
+    """An exact denoiser of Gaussian data makes it an affine map of the noise, of which the covariance is known."""
+    schedule = cosine(1000)
+    x = torch.cat((torch.zeros(1, 5, dtype=F64), torch.eye(5, dtype=F64)))
+    many, few = (
+        sampling.ddim(data.denoiser(schedule), steps, x) for steps in (schedule.respaced(500), schedule.respaced(4))
+    )
+    off = [((x[1:] - x[0]).mT @ (x[1:] - x[0]) - data.covariance).abs().max() for x in (many, few)]
+    assert off[0] < 0.02 and (many[0] - data.mean).abs().max() < 0.01 and off[1] > 0.1

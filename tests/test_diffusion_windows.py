@@ -7,12 +7,13 @@ import torch
 
 from motionlab.diffusion import masks, windows
 from motionlab.diffusion.features import Layout
+from motionlab.diffusion.state import UNITS
 from motionlab.errors import DataError, ShapeError
 from motionlab.metrics.gait import slide_in_contact_mm
 from motionlab.motion import fix_root_horizontally, mirror
 from motionlab.skeleton import STANDARD
 
-LAYOUT = Layout()
+PLACE, CONTACTS = UNITS - 2, UNITS - 1
 
 
 # ------------------------------------------------------------------------------------------------- windows
@@ -103,8 +104,8 @@ def test_on_the_standard_body_feet_stand_where_they_stood(motions):
 
 
 # --------------------------------------------------------------------------------------------------- masks
-def drawn(kind, generator, layout=LAYOUT, count=60, frames=20):
-    return masks.draw(layout, frames, count, generator, {kind: 1.0})
+def drawn(kind, generator, count=60, frames=20):
+    return masks.draw_units(frames, count, generator, {kind: 1.0})
 
 
 def test_units_say_what_a_number_belongs_to():
@@ -113,9 +114,9 @@ def test_units_say_what_a_number_belongs_to():
     assert owner.shape == (layout.size,)
     assert (owner[layout.slices["root"]] == 22).all() and (owner[layout.slices["root_vel"]] == 22).all()
     assert (owner[layout.slices["contacts"]] == 23).all()
-    for joint in (0, 5, 21):
-        mine = layout.mask(1, joints=[STANDARD.names[joint]])[0]
-        assert torch.equal(owner == joint, mine)
+    for joint in (0, 5, 21):  # its rotation, and how it changes
+        begins = layout.slices["orient"].start + 6 * joint, layout.slices["rot_vel"].start + 6 * joint
+        assert (owner == joint).nonzero().flatten().tolist() == [at + k for at in begins for k in range(6)]
 
 
 def test_onward_is_all_behind_a_beginning(generator):
@@ -139,8 +140,7 @@ def test_frames_and_entries_change_from_frame_to_frame_and_joints_do_not(generat
     assert torch.equal(frames.all(-1), frames.any(-1))
     assert torch.equal(joints, joints[:, :1].expand_as(joints))
     assert (entries != entries[:, :1]).any(-1).any(-1).float().mean() > 0.8
-    contacts = LAYOUT.slices["contacts"]
-    assert not entries[..., contacts].any() and not joints[..., contacts].any() and frames[..., contacts].any()
+    assert not entries[..., CONTACTS].any() and not joints[..., CONTACTS].any() and frames[..., CONTACTS].any()
     for m in (frames, entries, joints):
         share = m.float().mean((1, 2))
         assert share.min() < 0.25 and share.max() > 0.7
@@ -148,17 +148,16 @@ def test_frames_and_entries_change_from_frame_to_frame_and_joints_do_not(generat
 
 def test_legs_are_asked_with_and_without_the_roots_place(generator):
     m = drawn("legs", generator)
-    legs = LAYOUT.mask(20, joints=[n for n in STANDARD.names if n.endswith(("hip", "knee", "ankle", "foot"))])
-    others = LAYOUT.mask(20, groups=["orient", "pose"]) & ~legs
-    assert legs.sum() == 20 * 8 * 6 and not (m & legs).any() and (m | ~others).all()
-    root = m[..., LAYOUT.slices["root"]].all(-1).all(-1)
-    assert 10 < root.sum() < 50
+    legs = [j for j, name in enumerate(STANDARD.names) if name.endswith(("hip", "knee", "ankle", "foot"))]
+    others = [j for j in range(len(STANDARD)) if j not in legs]
+    assert len(legs) == 8 and not m[..., legs].any() and m[..., others].all() and not m[..., CONTACTS].any()
+    assert 10 < m[..., PLACE].all(-1).sum() < 50
 
 
 @pytest.mark.parametrize("kinds", [{}, {"arms": 1.0}, {"gap": 0.0}])
 def test_unknown_kinds_are_refused(generator, kinds):
     with pytest.raises(ValueError, match="expected odds above 0"):
-        masks.draw(LAYOUT, 20, 3, generator, kinds)
+        masks.draw_units(20, 3, generator, kinds)
 
 
 def test_what_lies_between_has_known_frames_on_either_side(generator):

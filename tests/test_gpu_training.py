@@ -165,6 +165,14 @@ def test_no_step_waits_for_the_host(how, k, data, table):
     assert near.loss > 0 and all(x.grad.isfinite().all() for x in near.weights)
 
 
-def test_what_a_plan_asks_for_and_does_not_get_is_refused(k, data, table):
-    with pytest.raises(ValueError, match="one: told: of a denoiser it hears size"):
-        train.Run("one", {"plain": {"size": "small", "told": True}}, k, data, table)
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"plain": {"size": "small", "patch": 2}}, "patch: of a denoiser it hears size"),
+        ({"recipe": {"kinds": [["legs", 0.5], ["onward", 0.5]]}}, "onward: of masks it draws nothing"),
+        ({"recipe": {"kinds": [["legs", 1.0]], "rough": True}}, "rough"),
+    ],
+)
+def test_what_a_plan_asks_for_and_does_not_get_is_refused(how, said, k, data, table):
+    with pytest.raises(ValueError, match=f"one: {said}"):
+        train.Run("one", how, k, data, table)

@@ -48,7 +48,8 @@ def test_only_claim_tests_decide():
 def test_a_bound_that_its_baseline_passes_says_nothing():
     passes = rows(HOLDS, baseline_value=2.1)
     assert ledger.weigh(claim(), passes)[0].says == SILENT and ledger.verdict(claim(), passes) == UNDECIDED
-    assert ledger.verdict(claim(), rows(HOLDS, baseline_value=2.0)) == CONFIRMED  # at the bound
+    at = rows(HOLDS, baseline_value=2.0)  # the bound: a paired difference, whose rival is named or decides nothing
+    assert [ledger.verdict(claim(replace(TEST, rival=r)), at) for r in ("", "ridge")] == [UNDECIDED, CONFIRMED]
     assert ledger.verdict(claim(replace(TEST, reference=True)), passes) == CONFIRMED
     band = claim(replace(TEST, other=6.0))  # a baseline beyond the other end does not pass
     assert [ledger.verdict(band, rows(HOLDS, baseline_value=b)) for b in (5.0, 7.0)] == [UNDECIDED, CONFIRMED]

@@ -1,20 +1,14 @@
-"""Distances, manifolds and memorisation: against loops, scipy, closed forms, and sets that are wrong on purpose."""
+"""Distances and manifolds: against loops, scipy, closed forms, and sets that are wrong on purpose."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import scipy.linalg
-import scipy.stats
 import torch
 
-from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
 from motionlab.metrics import generation as g
-from motionlab.motion import Motion, mirror, windows
-from motionlab.skeleton import STANDARD, UPRIGHT
-from studies.nb15_evaluation import copies, measures
 from tests.draws import seeded
 
 
@@ -165,31 +159,6 @@ def test_diversity_is_the_mean_distance_of_pairs():
         g.diversity(x, pairs=3)
 
 
-# ----------------------------------------------------------------------------------------------------- floor
-def test_floor_is_what_halves_of_the_data_give_and_keeps_groups_whole():
-    centres = normal(12, 4, 1, scale=2).repeat_interleave(25, 0)  # twelve recordings that differ
-    x, groups = centres + 0.2 * normal(300, 4, 2), torch.arange(12).repeat_interleave(25)
-    seen = []
-
-    def measure(a, b):
-        seen.append((a, b))
-        return g.frechet(a, b).value
-
-    by_group = measures.score_floor(x, groups, measure, seeded(3), draws=8)
-    by_window = measures.score_floor(x, torch.arange(300), lambda a, b: g.frechet(a, b).value, seeded(3), draws=8)
-    assert by_group.values.mean() > 5 * by_window.values.mean()
-    assert set(by_group.n.tolist()) == {150} and torch.equal(by_group.n + by_group.m, torch.full((8,), 300))
-    owner = {tuple(row): group for row, group in zip(x.tolist(), groups.tolist(), strict=True)}
-    for halves in seen:
-        mine, other = ({owner[tuple(row)] for row in half.tolist()} for half in halves)
-        assert not mine & other and mine | other == set(range(12))
-    assert len({tuple(a[0].tolist()) for a, _ in seen}) > 1  # halves differ from draw to draw
-    again = measures.score_floor(x, groups, measure, seeded(3), draws=8)
-    assert torch.equal(again.values, by_group.values)
-    with pytest.raises(ShapeError, match="two groups"):
-        measures.score_floor(x, torch.zeros(300), measure, seeded(0))
-
-
 @pytest.mark.parametrize(
     "measure", [g.frechet, g.precision_recall, g.density_coverage, lambda x, y: g.kid(x, y, seeded(0))]
 )
@@ -206,35 +175,6 @@ def test_bad_sets_are_refused(measure):
         measure(good, spoilt)
 
 
-# ---------------------------------------------------------------------------------------------- memorisation
-def test_memorisation_agrees_with_scipy_and_loops():
-    x, y = normal(40, 1, 1)[:, 0].abs(), normal(60, 1, 2)[:, 0].abs() + 0.3
-    found = copies.memorisation(x, y)
-    wins = np.mean([(a < b) + 0.5 * (a == b) for a in x.tolist() for b in y.tolist()])
-    assert found.auc == pytest.approx(wins) and (found.n, found.m) == (40, 60)
-    assert found.ks == pytest.approx(scipy.stats.ks_2samp(x, y).statistic)
-    assert found.ratio == pytest.approx(np.median(x) / np.median(y))
-    assert found.copies == pytest.approx(np.mean(x.numpy() < np.quantile(y, 0.05)))
-    with pytest.raises(DataError, match="generated"):
-        copies.memorisation(torch.tensor([math.nan]), y)
-    with pytest.raises(ShapeError):
-        copies.memorisation(x[:0], y)
-    ties = copies.memorisation(torch.tensor([1.0, 1.0]), torch.tensor([1.0, 2.0]))
-    assert ties.auc == pytest.approx(0.75)
-
-
-def test_control_copies_are_flagged_and_new_samples_are_not():
-    train, held_out, new = normal(400, 5, 1), normal(200, 5, 2), normal(200, 5, 3)
-    usual, _ = g.nearest_rows(held_out, train, batch=64)
-    fine = copies.memorisation(g.nearest_rows(new, train)[0], usual)
-    assert 0.9 < fine.ratio < 1.1 and 0.42 < fine.auc < 0.58 and fine.copies < 0.12
-    copied = copies.memorisation(g.nearest_rows(train[:200] + 0.01 * normal(200, 5, 4), train)[0], usual)
-    assert copied.ratio < 0.1 and copied.auc > 0.99 and copied.ks > 0.95 and copied.copies == 1
-    few = torch.cat((new[:180], train[:20]))  # one in ten: the bulk hides it, the share does not
-    some = copies.memorisation(g.nearest_rows(few, train)[0], usual)
-    assert some.auc < 0.62 and some.copies > fine.copies + 0.07
-
-
 def test_nearest_rows_agree_with_loops_at_any_batch():
     queries, library = normal(7, 4, 1), normal(50, 4, 2)
     library[33] = queries[2]
@@ -245,63 +185,3 @@ def test_nearest_rows_agree_with_loops_at_any_batch():
         assert distance.tolist() == pytest.approx([d for d, _ in expected]) and distance[2] == 0
     with pytest.raises(ShapeError):
         g.nearest_rows(queries, library[:, :2])
-
-
-def recording(frames, seed):
-    """A body that wanders, turns and bends smoothly; every recording another one."""
-    t, source = torch.arange(frames, dtype=torch.float64) / 30, seeded(seed)
-    phase, rate = (torch.rand(22, 3, generator=source, dtype=torch.float64) for _ in range(2))
-    rot = rotation.exp(0.5 * (2 * math.pi * (phase + (0.3 + rate) * t[:, None, None])).sin())
-    rot[:, 0] = rotation.rotation_about("z", t * (1 + rate[0, 0])) @ UPRIGHT.double() @ rotation.exp(0.1 * phase[0])
-    root = torch.stack((t * rate[0, 1], (2 * t).sin() * rate[0, 2], 0.95 + 0.05 * (5 * t).sin()), -1)
-    return Motion(STANDARD.to(torch.float64), root, rot, 30.0, name=f"r{seed}")
-
-
-def placed_elsewhere(motion, angle=2.0):
-    turn = rotation.rotation_about("z", torch.tensor(angle, dtype=torch.float64))
-    rot = motion.rot.clone()
-    rot[..., 0, :, :] = turn @ rot[..., 0, :, :]
-    return replace(motion, root=motion.root @ turn.mT + torch.tensor([3.0, -4.0, 0.0]), rot=rot)
-
-
-def test_a_copied_window_is_found_at_its_shift_turned_moved_and_mirrored():
-    library = [recording(100, 1), recording(15, 2), recording(80, 3)]  # the second is shorter than a window
-    cuts = windows(library[2], 20, 1)
-    queries = replace(cuts, root=cuts.root[[7, 31]], rot=cuts.rot[[7, 31]])
-    for query, other in ((placed_elsewhere(queries), False), (placed_elsewhere(mirror(queries)), True)):
-        found = copies.nearest_windows(query, library, batch=13)
-        assert found.recording.tolist() == [2, 2] and found.start.tolist() == [7, 31]
-        assert found.mirrored.tolist() == [other, other] and found.distance.max() < 1e-9
-    blind = copies.nearest_windows(placed_elsewhere(mirror(queries)), library, mirrored=False)
-    coarse = copies.nearest_windows(queries, library, stride=10)
-    assert blind.distance.min() > 0.02 and coarse.distance.min() > 0.005 and coarse.start.remainder(10).max() == 0
-
-
-def test_nearest_windows_agree_with_loops():
-    library = [recording(40, 1), recording(33, 2)]
-    query = windows(recording(24, 5), 24, 1)
-
-    def local(motion):
-        heading = rotation.rotation_about("z", -rotation.yaw(motion.rot[0, 0]))
-        return (motion.positions - motion.root[0] * torch.tensor([1.0, 1.0, 0.0])) @ heading.mT
-
-    best = (math.inf, None, None, None)
-    for k, motion in enumerate(library):
-        for start in range(motion.frames - 23):
-            for flip in (False, True):
-                other = local(mirror(query.clip(0)) if flip else query.clip(0))
-                gap = (local(motion.cut(start, start + 24)) - other).square().sum(-1).mean().sqrt().item()
-                best = min(best, (gap, k, start, flip))
-    found = copies.nearest_windows(query, library, batch=5)
-    assert found.distance.item() == pytest.approx(best[0])
-    assert (found.recording.item(), found.start.item(), found.mirrored.item()) == best[1:]
-
-
-def test_nearest_windows_refuses_what_cannot_be_compared():
-    query, library = windows(recording(24, 5), 24, 1), [recording(40, 1)]
-    with pytest.raises(ShapeError, match="queries"):
-        copies.nearest_windows(recording(24, 5), library)
-    with pytest.raises(ShapeError, match="rate"):
-        copies.nearest_windows(query, [replace(library[0], fps=60.0)])
-    with pytest.raises(ShapeError, match="24 frames"):
-        copies.nearest_windows(query, [recording(10, 1)])

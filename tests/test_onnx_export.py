@@ -8,7 +8,7 @@ import torch
 
 from motionlab import onnx_export
 from motionlab.diffusion.completer import Completer, CompleterRecipe
-from motionlab.diffusion.start import curve_weights
+from motionlab.diffusion.curves import curve_weights
 from motionlab.errors import DataError
 from motionlab.motion import FPS, Motion
 from motionlab.skeleton import STANDARD

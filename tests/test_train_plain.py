@@ -1,7 +1,5 @@
 """The thesis's denoiser trained without end: it goes on from what it wrote, and refuses others."""
 
-from pathlib import Path
-
 import pytest
 
 from motionlab import checkpoint, train_more, train_plain
@@ -10,7 +8,7 @@ from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from tests.draws import seeded
 
-SMALL = DenoiserRecipe(source="real", size="small", steps=4, batch=4)
+SMALL = DenoiserRecipe(size="small", steps=4, batch=4)
 
 
 @pytest.fixture
@@ -30,15 +28,14 @@ def test_it_goes_on_from_what_it_wrote(course, tmp_path, monkeypatch):
     levels = [value for name, value in row.items() if name != train_plain.CHOSEN]
     assert row[train_plain.CHOSEN] == pytest.approx(sum(levels) / len(levels)) and before["recipe"]["size"] == "small"
     train_more._kept("diffusion_plain", out).unlink()
-    begun = course.begun(DenoiserRecipe(source="real", steps=4, batch=4), first)
-    assert begun.recipe.size == "small" and begun.recipe.weights.late == 0
+    begun = course.begun(DenoiserRecipe(steps=4, batch=4), first)
+    assert begun.recipe.size == "small"
     weight = lambda model: next(iter(model.denoiser.state_dict().values()))  # noqa: E731
     assert (weight(begun.averaged) - weight(first)).abs().max() == 0
     train_more.go_on(course, out, every=2, schedules=1)
     assert checkpoint.read_recipe(out)["step"] >= before["step"]
 
 
-@pytest.mark.parametrize("name", ["diffusion_real_free", "completer"])
-def test_another_model_is_refused(name, course):
+def test_another_model_is_refused(course):
     with pytest.raises(DataError, match="not a"):
-        course.load(Path(checkpoint.SHIPPED / name))
+        course.load(checkpoint.SHIPPED / "completer")

@@ -124,7 +124,7 @@ def test_a_killed_process_leaves_a_run_that_can_go_on(tmp_path):
     assert same(whole.run(until=reached + 2), again.run(until=reached + 2))
 
 
-@pytest.mark.parametrize("where", ["_draw", "_backward", "validate", "judge"])
+@pytest.mark.parametrize("where", ["_draw", "_loss", "validate", "judge"])
 def test_ctrl_c_keeps_what_was_reached(whole, tmp_path, where):
     run = Fit(Recipe(), Data()).run(until=3)
 
@@ -255,10 +255,3 @@ def test_without_a_judge_the_last_average_ships_and_early_ones_are_not_judged(wh
     assert alike(dict(whole.shipped.state_dict()), whole.average)
     run = Fit(Recipe(), Data()).run(every=1, judge_every=2, judge_from=0.6, judge=lambda model: {"kid": 1.0})
     assert [row["step"] for row in run.curve if "kid" in row] == [6, 8] and run.best["step"] == 6
-
-
-def test_of_several_processes_the_first_one_writes_and_measures(tmp_path):
-    run = Fit(Recipe(), Data())
-    run.rank = 1
-    run.run(keep=tmp_path / "run.pt", validate=total, judge=total)
-    assert run.step == 8 and not run.best and not list(tmp_path.iterdir()) and "kid" not in run.curve[-1]

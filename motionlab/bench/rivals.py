@@ -22,7 +22,6 @@ from motionlab.bench.cases import JOINTS, chosen, columns
 from motionlab.diffusion.denoising import noise_size
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.inpainting import offset_decay
-from motionlab.diffusion.start import principal
 from motionlab.errors import ShapeError
 from motionlab.heading import Frame, local_to_world, stuck_root, world_to_local
 from motionlab.motion import Motion
@@ -60,14 +59,14 @@ class Rivals:
     ridge: float = 10.0
 
     @classmethod
-    def fit(cls, windows: Motion, generator: torch.Generator, *, parts: int = 384, travels: bool = True) -> Rivals:
-        """Of windows (N, T) on the standard body. parts: K, at most. travels: as the layout's that it competes with."""
-        layout = Layout("stuck", contacts=False, travels=travels)
+    def fit(cls, windows: Motion, generator: torch.Generator, *, parts: int = 384) -> Rivals:
+        """Of windows (N, T) on the standard body. parts: K, at most."""
+        layout = Layout("stuck", contacts=False)
         numbers = layout.encode(windows)
         normaliser = Normaliser.measure(numbers, layout)
         rows = normaliser.apply(numbers).flatten(1)
         mean = rows.mean(0)
-        return cls(layout, normaliser, rows, mean, principal(rows - mean, parts, generator))
+        return cls(layout, normaliser, rows, mean, _principal(rows - mean, parts, generator))
 
     # ----------------------------------------------------------------------------------------- fill what is hidden
     # finish: frames beside what is known over which the offset from it fades (``inpainting.offset_decay``); 0: it jumps
@@ -162,6 +161,20 @@ class Rivals:
     def _decoded(self, x: Tensor, motion: Motion, frame: Frame) -> Motion:
         numbers = self.normaliser.undo(x.unflatten(1, (motion.frames, -1)))
         return local_to_world(frame, self.layout.decode(numbers, motion.fps, STANDARD))
+
+
+def _principal(rows: Tensor, parts: int, generator: torch.Generator) -> Tensor:
+    """Computes a factor F (D, K), F F^T about the covariance of centred rows (N, D): K largest axes, times deviation.
+
+    Source: Halko et al. 2011, randomised range finder with two power iterations.
+    """
+    parts = min(parts, len(rows) - 1, rows.shape[1])
+    basis = rows.mT @ torch.randn(len(rows), min(parts + 16, *rows.shape), generator=generator)
+    for _ in range(2):
+        basis = rows.mT @ (rows @ torch.linalg.qr(basis).Q)
+    basis = torch.linalg.qr(basis).Q
+    values, axes = torch.linalg.eigh((rows @ basis).mT.cov(correction=0))
+    return basis @ axes[:, -parts:] * values[-parts:].clamp(min=0).sqrt()
 
 
 # ------------------------------------------------------------------------------------------------------- filters

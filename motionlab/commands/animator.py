@@ -172,8 +172,10 @@ def _repair(options: argparse.Namespace, motion: Motion, progress: bool) -> Anim
     from motionlab import renew
     from motionlab.diffusion.denoising import Noise
 
+    if options.seed is not None:
+        raise DataError("a repaired motion is one answer", place="--seed", remedy="leave it out")
     noise = None if options.noise is None else Noise.of(options.noise[0], options.noise[1] / 10)
-    how = {"method": options.method, "seed": options.seed or 0, "plant": options.plant}
+    how = {"method": options.method, "plant": options.plant}
     return renew.repaired(motion, noise, progress=progress, **how)
 
 
@@ -181,7 +183,9 @@ def _complete(options: argparse.Namespace, motion: Motion, progress: bool) -> An
     from motionlab import animate, renew
 
     if options.known:
-        return renew.posed(motion, options.known, seed=options.seed or 0, plant=options.plant)
+        if options.seed is not None:
+            raise DataError("poses from places have one answer", place="--seed", remedy="leave it out")
+        return renew.posed(motion, options.known, plant=options.plant)
     return animate.completed(motion, options.hidden or [], seed=options.seed, plant=options.plant, progress=progress)
 
 

@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 from motionlab import checkpoint
 from motionlab.diffusion import state
-from motionlab.diffusion.start import curve_weights
+from motionlab.diffusion.curves import curve_weights
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
@@ -32,6 +32,7 @@ from motionlab.skeleton import STANDARD
 from motionlab.training_loop import warmed_cosine
 
 _TIMES = 2  # numbers that say how far the known frames around are
+_TREMBLE = 10.0  # per radian: what a rough model is told instead
 _FAR = 2.0  # seconds that count as no such frame
 _SHIFT = 5.0  # of the schedule: half of the steps are where the signal is below a fifth of the noise
 _WAVES = 8  # frequencies that an angle is told in
@@ -50,9 +51,10 @@ class CompleterRecipe:
     """What a training run depends on, with its windows.
 
     frames: of a window. size, layers, patch: width and depth of the encoder, frames in a token. kinds: odds of each
-    kind of mask (``masks.draw_units``). noised: a diffusion model. blind: of its windows so many at pure noise. The
-    learning rate rises over ``warm_up`` steps to ``lr`` and falls by a cosine to a fiftieth. decay: of the weights.
-    average: of them, per step.
+    kind of mask (``masks.draw_units``). rough: it corrects a motion that trembled and was smoothed, of which nothing is
+    known for certain. noised: a diffusion model; blind: of its windows so many at pure noise. The learning rate rises
+    over ``warm_up`` steps to ``lr`` and falls by a cosine to a fiftieth. decay: of the weights. average: of them, per
+    step.
     """
 
     frames: int = 60
@@ -61,6 +63,7 @@ class CompleterRecipe:
     patch: int = 2
     kinds: tuple[tuple[str, float], ...] = KINDS
     noised: bool = False
+    rough: bool = False
     blind: float = 0.2
     steps: int = 20_000
     batch: int = 64
@@ -115,7 +118,9 @@ class Completer(nn.Module):
         self, states: Tensor, known: Tensor, fps: float, noisy: Tensor | None = None, angle: Tensor | None = None
     ) -> Tensor:
         """Computes what to add to a guess; nothing where a number is known."""
-        x = torch.cat(((states - self.mean) / self.scale, known.to(states), until_known(known, fps)), -1)
+        told = _TREMBLE * angle[:, None, None] if self.recipe.rough else until_known(known, fps)
+        told = told.expand(*known.shape[:2], _TIMES)
+        x = torch.cat(((states - self.mean) / self.scale, known.to(states), told), -1)
         tokens = self.taken(x.unflatten(1, (-1, self.recipe.patch)).flatten(2)) + self.place
         if noisy is not None:
             waves = angle[:, None] * 2.0 ** torch.arange(_WAVES).to(angle)
@@ -127,7 +132,8 @@ class Completer(nn.Module):
     def filled(self, motion: Motion, known: Tensor, angle: Tensor | None = None, noise: Tensor | None = None) -> Motion:
         """Computes windows (B, T) that are told ``known`` (B, T, ``UNITS``) of windows in their stuck frame; contacts
         are near 0 or 1. Elsewhere the motion is never read, but by a ``noised`` model, as much as the angle (B,) leaves
-        of it under noise (B, T, ``MADE``; ``moving_noise``); None: nothing."""
+        of it under noise (B, T, ``MADE``; ``moving_noise``); None: nothing. A ``rough`` model reads all of it; the
+        angle is by how much joints trembled, radians."""
         begun, open_ = self._begun(motion, known)
         scale, shown = self.units.made[1], None
         if self.recipe.noised:
@@ -143,7 +149,8 @@ class Completer(nn.Module):
         if motion.frames != self.recipe.frames or known.shape != (*motion.root.shape[:2], state.UNITS):
             want = f"windows of {self.recipe.frames} frames, and {state.UNITS} units of each"
             raise ShapeError(f"expected {want}, got {tuple(motion.root.shape)} and {tuple(known.shape)}")
-        return guess(motion, known, *self.units.made), ~known[..., state.owners().to(known.device)]
+        begun = state.made(motion) if self.recipe.rough else guess(motion, known, *self.units.made)
+        return begun, ~known[..., state.owners().to(known.device)]
 
     def _added(
         self, motion: Motion, begun: Tensor, known: Tensor, shown: Tensor | None, angle: Tensor | None
@@ -151,7 +158,7 @@ class Completer(nn.Module):
         states = state.rows(state.motion_of(begun, motion))
         with torch.autocast(begun.device.type, torch.bfloat16, enabled=self.halves):
             said = self(states, known, motion.fps, shown, angle).float()
-        return said if angle is None else angle.cos()[:, None, None] * shown + angle.sin()[:, None, None] * said
+        return said if shown is None else angle.cos()[:, None, None] * shown + angle.sin()[:, None, None] * said
 
     def _drawn(self, motion: Motion, known: Tensor, generator: torch.Generator, steps: int) -> Motion:
         """One draw for each window: DDIM, most steps near pure noise (``late``)."""
@@ -176,12 +183,14 @@ class Completer(nn.Module):
         generator: torch.Generator | None = None,
         *,
         steps: int = 10,
+        tremble: float = 0.0,
         batch: int = 64,
     ) -> Motion:
         """Computes motions (B, T) in the world from what is known of them; known rotations and places stay to the bit.
 
         The place and heading of the first frame are taken as given, known or not; contacts that a motion lacks are
-        unknown. generator: a ``noised`` model draws, in so many steps; None: one answer.
+        unknown. generator: a ``noised`` model draws, in so many steps; None: one answer. tremble: of a ``rough`` model,
+        by how much joints trembled before the motion was smoothed, radians.
 
         Raises:
             ShapeError: windows of another length. ValueError: draws from a model without noise.
@@ -197,7 +206,8 @@ class Completer(nn.Module):
         parts = []
         for at in torch.arange(len(motion.root)).split(batch):
             some = local.clip(at), known[at]
-            parts.append(self.filled(*some) if generator is None else self._drawn(*some, generator, steps))
+            size = torch.full((len(at),), tremble).to(local.root) if self.recipe.rough else None
+            parts.append(self.filled(*some, size) if generator is None else self._drawn(*some, generator, steps))
         root, rot, contacts = (torch.cat([getattr(p, name) for p in parts]) for name in ("root", "rot", "contacts"))
         world = local_to_world(frame, replace(local, root=root, rot=rot, contacts=(contacts > 0.5).to(root)))
         return replace(

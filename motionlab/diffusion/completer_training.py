@@ -14,10 +14,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from motionlab.contact import with_contacts
 from motionlab.diffusion import masks, state
 from motionlab.diffusion.completer import Completer, CompleterRecipe, moving_noise
+from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.windows import Windows
-from motionlab.heading import stuck_root
+from motionlab.heading import stuck_root, world_to_local
 from motionlab.motion import Motion
 from motionlab.training_loop import TrainingRun, fast_halves
 
@@ -25,6 +27,7 @@ _MEASURED = 2000  # windows that the sizes of numbers are measured on
 _WEIGHTS = {"places": 5.0, "moves": 10.0, "rotations": 1.0, "contacts": 0.3}
 _SQUARED = {"places": 1 / 0.2, "moves": 1 / 0.03}  # per metre
 _SILENT = 0.3  # of windows: contacts are told nowhere, as of motion that nobody labelled
+_ROUGH = (8.0, 4.0)  # degrees, centimetres of noise, at most
 _EVERY = torch.ones(state.UNITS, dtype=torch.bool)
 
 
@@ -68,20 +71,33 @@ class CompleterTraining(TrainingRun):
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         recipe = self.recipe
         motion, clips = self.windows.drawn(recipe.batch, self.generator)
-        motion = stuck_root(motion)[0]
-        known = masks.draw_units(recipe.frames, recipe.batch, self.generator, dict(recipe.kinds))
         seen = self.windows.seen
         seen = (
             _EVERY.expand(len(clips), -1)
             if seen is None
             else torch.cat((seen[clips], _EVERY[:2].expand(len(clips), 2)), 1)
         )
-        known = known & seen[:, None]
-        silent = torch.rand(recipe.batch, 1, generator=self.generator) < _SILENT
-        known[..., -1] &= ~silent
-        made = self.model.filled(motion, known, *self._noise(known))
+        if recipe.rough:
+            shown, *noise = self._smoothed(motion)
+            shown, frame = stuck_root(shown)
+            motion = world_to_local(frame, motion)
+            known = torch.zeros(*shown.root.shape[:2], state.UNITS, dtype=torch.bool)
+        else:
+            shown = motion = stuck_root(motion)[0]
+            known = masks.draw_units(recipe.frames, recipe.batch, self.generator, dict(recipe.kinds)) & seen[:, None]
+            silent = torch.rand(recipe.batch, 1, generator=self.generator) < _SILENT
+            known[..., -1] &= ~silent
+            noise = self._noise(known)
+        made = self.model.filled(shown, known, *noise)
         parts = losses(made, motion, known, seen, self.model.units.made[1], squared=recipe.noised)
         return sum(_WEIGHTS[name] * part for name, part in parts.items()), parts
+
+    def _smoothed(self, motion: Motion) -> tuple[Motion, Tensor]:
+        """Windows that tremble, by as much as is drawn, and are smoothed; and by how much joints did (B,)."""
+        turn, shift = torch.rand(2, generator=self.generator).tolist()
+        noise = Noise.of(_ROUGH[0] * turn, _ROUGH[1] * shift)
+        shown = with_contacts(smoothed(noise.on(motion, self.generator), noise))
+        return shown, torch.full((len(motion.root),), noise.turn)
 
     def _noise(self, known: Tensor) -> tuple[Tensor, Tensor] | tuple[()]:
         """Angles (B,), evenly but for those at pure noise, and noise (B, T, ``MADE``); nothing without noise."""

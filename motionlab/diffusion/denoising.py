@@ -1,10 +1,10 @@
 """Denoises motions with a diffusion model: the reverse process, begun at the step with the same noise.
 
 A motion y = x_0 + noise of known size is, but for a factor, what the noising process makes of x_0 at the step t* with
-sqrt((1 - alpha_bar) / alpha_bar) = size. From there on the model goes back, in one look or in several steps.
+sqrt((1 - alpha_bar) / alpha_bar) = size. From there the model goes back in one step.
 
 Source: thesis 4.2.1, "Denoising: come up with a better test"; SDEdit (Meng et al. 2022), which adds all of the noise
-itself; the pull to the measurement: DiffPIR (Zhu et al. 2023).
+itself.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from motionlab import rotation
+from motionlab import baselines, rotation
 from motionlab.contact import with_contacts
 from motionlab.diffusion import sampling
 from motionlab.diffusion.features import Layout, Normaliser
@@ -24,6 +24,8 @@ from motionlab.diffusion.sampling import NoiseSchedule
 from motionlab.errors import DataError
 from motionlab.heading import local_to_world, stuck_root, world_to_local
 from motionlab.motion import Motion
+
+_LIVELY, _QUICK = 2.5, 1.0  # strength of acceleration that is motion: rad/s^(3/2) of joints, m/s^(3/2) of the root
 
 
 @dataclass(frozen=True)
@@ -49,21 +51,27 @@ class Noise:
         return replace(motion, root=motion.root + shift, rot=motion.rot @ turn, contacts=None)
 
 
+def smoothed(motion: Motion, noise: Noise) -> Motion:
+    """Computes a motion without most of its noise: a Kalman smoother over joints and root, each with its own."""
+
+    def by(size: float, lively: float):
+        return lambda x: baselines.kalman(x, motion.fps, max(size, 1e-6), lively)
+
+    turned = baselines.smooth(motion, by(noise.turn, _LIVELY))
+    return replace(turned, root=by(noise.shift, _QUICK)(motion.root))
+
+
 @dataclass(frozen=True)
 class ReverseProcess:
     """How the reverse process begins and goes on.
 
-    level: noise at its first step, over that of the motion. topped: numbers less noisy than that get more. steps: DDIM
-    steps down from there; 1: one look, the network's mean of all that may be. looks: with other noise, averaged.
-    pull: of the measurement on every estimate of x_0, by r^2 / (r^2 + noise^2), r^2 = pull (1 - alpha_bar); 0: none.
-    filtered: the rough motion is what begins, not the noisy one.
+    level: noise at its first step, over that of the motion. topped: numbers less noisy than that get more. looks: with
+    other noise, averaged. filtered: the rough motion is what begins, not the noisy one.
     """
 
     level: float = 1.0
     topped: bool = True
-    steps: int = 1
     looks: int = 1
-    pull: float = 0.0
     filtered: bool = False
 
 
@@ -104,30 +112,13 @@ def denoise(
         local = replace(local, contacts=with_contacts(rough).contacts)
     y = model.encode_local(local)
     t = _begin(model.schedule, whole)
-    schedule = NoiseSchedule(model.schedule.alpha_bar[: t + 1], model.schedule.stamps[: t + 1])
-    schedule = schedule.respaced(min(start.steps, t + 1))
-    told = model.denoiser if not start.pull else _pulled(model.denoiser, schedule, y, size, start.pull)
+    signal, stamps = model.schedule.alpha_bar[t].sqrt().to(y), model.schedule.stamps[t].expand(len(y))
     more = (whole**2 - size**2).clamp(min=0).sqrt() if start.topped else torch.zeros_like(size)
     total = torch.zeros_like(y)
     for _ in range(start.looks):
-        x = schedule.alpha_bar[-1].sqrt().to(y) * (y + more * sampling.noise_like(y, generator))
-        total = total + sampling.ddim(told, schedule, x)
+        total = total + model.denoiser(signal * (y + more * sampling.noise_like(y, generator)), stamps)
     made = model.decode(total / start.looks, noisy.skeleton)
     return replace(local_to_world(frame, made) if frame else made, name=noisy.name)
-
-
-def _pulled(denoiser: sampling.DenoiseFunction, schedule: NoiseSchedule, y: Tensor, size: Tensor, pull: float):
-    """A denoiser whose estimate of x_0 moves to the measurement y as far as it is the less sure of the two."""
-    level = dict(zip(schedule.stamps.tolist(), schedule.alpha_bar.tolist(), strict=True))
-    measured = size > 0
-
-    def better(x: Tensor, stamps: Tensor) -> Tensor:
-        x0 = denoiser(x, stamps)
-        unsure = pull * (1 - level[int(stamps[0])])
-        share = torch.where(measured, unsure / (unsure + size.square()), 0.0)
-        return x0 + share * (y - x0)
-
-    return better
 
 
 def noise_size(layout: Layout, normaliser: Normaliser, turn: float, shift: float) -> Tensor:

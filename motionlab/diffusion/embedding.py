@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -26,14 +25,9 @@ from torch import Tensor, nn
 
 from motionlab import checkpoint
 from motionlab.contact import resting_heights
-from motionlab.diffusion import masks
-from motionlab.diffusion.model import Trained
-from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import stuck_root
-from motionlab.metrics.distribution import describe
-from motionlab.metrics.generation import kid
 from motionlab.motion import Motion, velocity
 from motionlab.skeleton import FEET, STANDARD
 from motionlab.training_loop import TrainingRun
@@ -44,7 +38,6 @@ _MOVING = ("pelvis", "head", "left_wrist", "right_wrist", *FEET)
 FEATURE_GROUPS = {"place": 3, "joints": 3 * (len(STANDARD) - 1), "moving": 3 * len(_MOVING), "sliding": len(FEET)}
 _LOW, _EDGE = 0.03, 0.01  # metres above its resting height: a foot joint is low there, and how soft the edge is
 _SLOW = 0.05  # m/s: of a sliding foot's speed the logarithm counts, from about here on, or a swinging one hides it
-_FARTHEST = 4.0  # deviations; the judge counts what lies further as that, or a few odd windows decide a cubic kernel
 
 
 def _signals(motion: Motion) -> Tensor:
@@ -74,16 +67,15 @@ def _signals(motion: Motion) -> Tensor:
 @dataclass(frozen=True)
 class FeatureRecipe:
     """frames: of a window, a multiple of 4. size: latent numbers. width: of convolutions. steps, batch, lr: of Adam,
-    whose rate falls by a cosine. seed: of weights and windows. real: learnt from hours of real motion."""
+    whose rate falls by a cosine. seed: of weights and windows."""
 
     frames: int = 60
     size: int = 64
     width: int = 96
-    steps: int = 1600
+    steps: int = 4000
     batch: int = 64
     lr: float = 2e-3
     seed: int = 0
-    real: bool = False
     average: ClassVar[float] = 0.0  # its weights are the last ones
 
 
@@ -240,75 +232,10 @@ def _load(path: Path | str) -> Features:
 
 
 @cache
-def motion_features(name: str = "diffusion_features") -> Features:
+def motion_features(name: str = "features_real") -> Features:
     """Loads features that ship with the project, by name, or those at a path; once.
 
     Raises:
         DataError: no such checkpoint, or damaged.
     """
     return _load(checkpoint.SHIPPED / name if Path(name).name == name else Path(name))
-
-
-def _descriptions(motion: Motion) -> list[Tensor]:
-    """Blocks (N, D_i) of windows (N, T): mean and deviation over time of the joints in the first frame's heading frame,
-    metres; and, of more than two frames, ``metrics.distribution.describe``."""
-    joints = stuck_root(motion)[0].positions.flatten(-2)
-    blocks = [joints.mean(-2)]
-    if motion.frames > 2:
-        blocks += [joints.std(-2), torch.stack(list(describe(motion).values()), -1)]
-    return blocks
-
-
-class Scaled:
-    """Features of real windows (N, T) and of others on their scale: unit deviation, blocks of one weight."""
-
-    def __init__(self, real: Motion) -> None:
-        blocks = _descriptions(real)
-        self.mean = [x.mean(0) for x in blocks]
-        self.scale = [x.std(0).clamp(min=1e-3) for x in blocks]
-        self.real = self(real)
-
-    def __call__(self, motion: Motion) -> Tensor:
-        """(N, D): the kernel's x . y / D is then the mean over blocks of the mean product of standardised numbers."""
-        rows = zip(_descriptions(motion), self.mean, self.scale, strict=True)
-        blocks = [((x - mean) / scale).clamp(-_FARTHEST, _FARTHEST) for x, mean, scale in rows]
-        joined = torch.cat([x / (len(blocks) * x.shape[1]) ** 0.5 for x in blocks], -1)
-        return joined * joined.shape[1] ** 0.5
-
-
-def filling_judge(real: Motion, *, seed: int = 0) -> Callable[[Trained], dict[str, float]]:
-    """Builds a judge that scores a model by its mean square error on unknown numbers: {"filling error": ...}.
-
-    x_0 is guessed in one step from pure noise, the same noise and the same masks (``masks.draw``) for every model, on
-    real windows (N, T); normalised numbers. A model may fill in well and generate badly, or the other way round.
-    """
-
-    @torch.no_grad()
-    def measure(model: Trained) -> dict[str, float]:
-        generator = torch.Generator().manual_seed(seed)
-        x0, where = model.encode(real), next(model.denoiser.parameters()).device
-        known = masks.draw(model.layout, real.frames, len(x0), generator)
-        stamps = model.schedule.stamps[-1].expand(len(x0))
-        given = (noise_like(x0, generator), stamps, torch.where(known, x0, 0.0), known)
-        error = (model.denoiser(*(x.to(where) for x in given)).cpu() - x0).square()
-        return {"filling error": float(error[~known].mean())}
-
-    return measure
-
-
-def kid_judge(
-    real: Motion, *, count: int = 512, steps: int = 50, seed: int = 0
-) -> Callable[[Trained], dict[str, float]]:
-    """Builds a judge that scores a model by the kernel distance of its samples from real windows: {"kid": ...}.
-
-    ``count`` samples in ``steps`` DDPM steps, the same noise for every model. real: (N, T), held out, from neither
-    training nor reported motion.
-    """
-    scaled = Scaled(real)
-
-    def measure(model: Trained) -> dict[str, float]:
-        generator = torch.Generator().manual_seed(seed)
-        made = scaled(model.sample(count, generator, steps=steps))
-        return {"kid": kid(made, scaled.real, generator).value}
-
-    return measure

@@ -8,7 +8,6 @@ not per number (half the held-out error after the same training).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -29,13 +28,11 @@ class Layout:
     """Which numbers a frame has.
 
     frame: "stuck" (relative to the first frame's place and heading) or "world". velocities, contacts: with these.
-    travels: False: the root stays above the origin (thesis: one data set has its root fixed horizontally).
     """
 
     frame: str = "stuck"
     velocities: bool = False
     contacts: bool = True
-    travels: bool = True
     skeleton: Skeleton = STANDARD
 
     def __post_init__(self) -> None:
@@ -70,17 +67,16 @@ class Layout:
             raise ShapeError("motion: expected the layout's joints; retarget first")
         if self.frame == "stuck":
             motion, _ = stuck_root(motion)
-        root = motion.root if self.travels else motion.root * motion.root.new_tensor([0.0, 0.0, 1.0])
         sixd = rotation.matrix_to_sixd(motion.rot)
-        parts = {"root": root, "orient": sixd[..., 0, :], "pose": sixd[..., 1:, :].flatten(-2)}
+        parts = {"root": motion.root, "orient": sixd[..., 0, :], "pose": sixd[..., 1:, :].flatten(-2)}
         if self.velocities:
-            parts |= {"root_vel": _change(root, motion.fps), "rot_vel": _change(sixd.flatten(-2), motion.fps)}
+            parts |= {"root_vel": _change(motion.root, motion.fps), "rot_vel": _change(sixd.flatten(-2), motion.fps)}
         if self.contacts:
             if motion.contacts is None:
                 raise DataError(
                     "a motion without contacts", place=motion.name, remedy="contact.with_contacts labels it"
                 )
-            parts["contacts"] = motion.contacts.to(root)
+            parts["contacts"] = motion.contacts.to(motion.root)
         return torch.cat([parts[name] for name in self.slices], -1)
 
     def decode(self, rows: Tensor, fps: float, skeleton: Skeleton | None = None) -> Motion:
@@ -90,42 +86,6 @@ class Layout:
         contacts = (rows[..., self.slices["contacts"]] > 0.5).to(rows) if self.contacts else None
         rot = rotation.sixd_to_matrix(sixd)
         return Motion(skeleton or self.skeleton, rows[..., self.slices["root"]], rot, fps, contacts)
-
-    # ------------------------------------------------------------------------------------------------- masks
-    def mask(
-        self,
-        frames: int,
-        *,
-        only: Iterable[int] | None = None,
-        groups: Sequence[str] | None = None,
-        joints: Sequence[str] | None = None,
-    ) -> Tensor:
-        """Computes a mask, bool (T, size), True in some frames for some groups and some joints' rotations.
-
-        Without ``groups`` and ``joints`` all of a frame; with both, their union. ``only``: frames; None: all.
-
-        Raises:
-            KeyError: no such group or joint.
-        """
-        columns = torch.zeros(self.size, dtype=torch.bool)
-        if groups is None and joints is None:
-            columns[:] = True
-        for name in groups or ():
-            columns[self.slices[name]] = True
-        for j in self.skeleton.indices(list(joints or ())):
-            columns[self._rotation(j, "orient", "pose")] = True
-            if self.velocities:
-                columns[self.slices["rot_vel"].start + 6 * j :][:6] = True
-        rows = torch.full((frames,), only is None)
-        if only is not None:
-            rows[list(only)] = True
-        return rows[:, None] & columns
-
-    def _rotation(self, joint: int, first: str, others: str) -> slice:
-        if joint == 0:
-            return self.slices[first]
-        start = self.slices[others].start + 6 * (joint - 1)
-        return slice(start, start + 6)
 
 
 def _change(x: Tensor, fps: float) -> Tensor:

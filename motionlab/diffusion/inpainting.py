@@ -3,9 +3,8 @@
 x (B, T, D) in normalised numbers; known (B, T, D); m (B, T, D) or (T, D): 1 where known (the thesis's 1 - m).
 :func:`repair` takes motions, :func:`fill` numbers.
 
-Source: thesis 4.1.2, Eq. 4.10 (RePaint, EDGE: the known part noised to x_{t-1}), 4.2, 4.4.1; MDM (x_0 imputed); RePaint
-(Lugmayr et al. 2022), resampling; Ho et al. 2022, reconstruction guidance, with CondMDI's weight; SDEdit (Meng et al.
-2022), to begin from a guess.
+Source: thesis 4.1.2, Eq. 4.10 (RePaint, EDGE: the known part noised to x_{t-1}), 4.2, 4.4.1; MDM (x_0 imputed); Ho et
+al. 2022, reconstruction guidance, with CondMDI's weight.
 """
 
 from __future__ import annotations
@@ -22,11 +21,10 @@ from motionlab.diffusion import sampling
 from motionlab.diffusion.model import Trained
 from motionlab.diffusion.sampling import DenoiseFunction, NoiseSchedule, noise_like
 from motionlab.errors import ShapeError
-from motionlab.heading import local_to_world, stuck_root, world_to_local
+from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 
 _PUTS = ("overwrite", "imputed", "nothing")
-_SAMPLERS = ("ddpm", "ddim")
 
 _Step = Callable[[Tensor, Tensor, int], Tensor]
 
@@ -35,44 +33,29 @@ _Step = Callable[[Tensor, Tensor, int], Tensor]
 class Way:
     """How the known part enters.
 
-    put: "overwrite" (Eq. 4.10), "imputed" (MDM), or "nothing": it enters as a model's input or by guidance alone.
-    steps, sampler: of the respaced process. last: overwrite (or impute) also in the last step, as the thesis does.
-    weight: of reconstruction guidance; 0: none. begin: at which share of the steps to begin from a guess; 1 without
-    one: from noise. times, jump: of RePaint's resampling; times 1: none. soft: frames over which the mask's edges rise.
-    finish: frames over which ``offset_decay`` fades; 0: no finish, known parts stay as the sampler left them.
+    put: "overwrite" (Eq. 4.10), "imputed" (MDM), or "nothing": it enters by guidance alone. steps: of the respaced
+    process. last: overwrite (or impute) also in the last step, as the thesis does. weight: of reconstruction guidance;
+    0: none. soft: frames over which the mask's edges rise. finish: frames over which ``offset_decay`` fades; 0: no
+    finish, known parts stay as the sampler left them.
     """
 
     put: str = "overwrite"
     steps: int = 50
-    sampler: str = "ddpm"
     last: bool = True
     weight: float = 0.0
-    begin: float = 1.0
-    times: int = 1
-    jump: int = 10
     soft: int = 0
     finish: int = 0
 
     def __post_init__(self) -> None:
-        for name, allowed in (("put", _PUTS), ("sampler", _SAMPLERS)):
-            if getattr(self, name) not in allowed:
-                raise ValueError(f"{name}: expected one of {', '.join(allowed)}, got {getattr(self, name)!r}")
-        if self.times > 1 and self.put != "overwrite":
-            raise ValueError("resampling goes with put = 'overwrite'")
-        if not 0 < self.begin <= 1 or (self.begin < 1 and (self.times > 1 or self.sampler != "ddpm")):
-            raise ValueError(f"begin: expected a share of the steps of plain DDPM, above 0, got {self.begin}")
+        if self.put not in _PUTS:
+            raise ValueError(f"put: expected one of {', '.join(_PUTS)}, got {self.put!r}")
 
 
-def fill(
-    model: Trained, x0: Tensor, known: Tensor, generator: torch.Generator, way: Way, guess: Tensor | None = None
-) -> Tensor:
+def fill(model: Trained, x0: Tensor, known: Tensor, generator: torch.Generator, way: Way) -> Tensor:
     """Computes normalised windows (B, T, D) that keep x0 where ``known`` holds and are sampled elsewhere.
 
-    known: bool (B, T, D) or (T, D). How exactly x0 is kept is up to ``way``; elsewhere it is never read. A model that
-    takes known values gets these, too. guess (B, T, D): sampling begins with it, noised to ``way.begin`` (SDEdit).
+    known: bool (B, T, D) or (T, D). How exactly x0 is kept is up to ``way``; elsewhere it is never read.
     """
-    if (guess is None) != (way.begin == 1):
-        raise ValueError("begin: below 1 with a guess, 1 without")
     if known.shape[-2:] != x0.shape[-2:] or known.ndim > x0.ndim:
         raise ShapeError(f"known: expected {tuple(x0.shape[-2:])} or {tuple(x0.shape)}, got {tuple(known.shape)}")
     seen = torch.where(known, x0, 0.0)
@@ -81,25 +64,14 @@ def fill(
     if way.soft:  # where the mask is soft the nearest known value stands in
         seen = _held(seen, known)
     denoise: DenoiseFunction = model.denoiser
-    if model.recipe.told:
-        denoise = lambda x, stamps: model.denoiser(x, stamps, seen, known.expand_as(x))  # noqa: E731
-    alone = denoise
     if way.weight:
         denoise = _guided(denoise, schedule, seen, m, way.weight)
     elif way.put == "imputed":
         denoise = _imputed(denoise, seen, m)
-    if denoise is not alone and not way.last:
-        denoise = _until_last(denoise, alone, int(schedule.stamps[0]))
+    if denoise is not model.denoiser and not way.last:
+        denoise = _until_last(denoise, model.denoiser, int(schedule.stamps[0]))
     after = _overwrite(schedule, seen, m, generator, last=way.last) if way.put == "overwrite" else None
-    x, begin = sampling.noise_like(x0, generator), round(way.begin * (len(schedule) - 1))
-    if guess is not None:
-        x = schedule.noised(torch.where(known, x0, guess), begin, x)
-    if way.times > 1:
-        x = sampling.resampled(denoise, schedule, x, generator, after=after, times=way.times, jump=way.jump)
-    elif way.sampler == "ddpm":
-        x = sampling.ddpm(denoise, schedule, x, generator, after=after, start=begin)
-    else:
-        x = sampling.ddim(denoise, schedule, x, after=after)
+    x = sampling.ddpm(denoise, schedule, sampling.noise_like(x0, generator), generator, after=after)
     return offset_decay(x, seen, known, way.finish) if way.finish else x
 
 
@@ -110,14 +82,12 @@ def repair(
     generator: torch.Generator,
     way: Way | None = None,
     *,
-    guess: Motion | None = None,
     batch: int = 64,
 ) -> Motion:
     """Computes motions (B, T) from motions with gaps; unknown numbers are sampled, the place in the world stays.
 
-    guess: of the whole motions, for ways that begin with one, in the world. known: bool (B, T, D) or (T, D), True where
-    known, as ``model.layout.mask`` makes it. A stuck layout takes the place and heading of the first frame as given,
-    known or not. Contacts that a motion lacks are labelled.
+    known: bool (B, T, D) or (T, D), True where known. A stuck layout takes the place and heading of the first frame as
+    given, known or not. Contacts that a motion lacks are labelled.
     """
     if model.layout.contacts and motion.contacts is None:
         motion = with_contacts(motion)
@@ -125,13 +95,8 @@ def repair(
     local, frame = stuck_root(motion) if stuck else (motion, None)
     x0 = model.encode(motion)
     whole, way = known.expand(len(x0), *known.shape[-2:]), way or Way()
-    if guess is not None:  # in the frame of the motion's first frame, not of its own
-        inside = replace(world_to_local(frame, guess), contacts=guess.contacts) if stuck else guess
-        guessed = model.encode_local(inside)
-    parts = [
-        fill(model, x0[at], whole[at], generator, way, None if guess is None else guessed[at])
-        for at in (slice(i, i + batch) for i in range(0, len(x0), batch))
-    ]
+    at = [slice(i, i + batch) for i in range(0, len(x0), batch)]
+    parts = [fill(model, x0[some], whole[some], generator, way) for some in at]
     made = model.decode(torch.cat(parts), local.skeleton)
     made = replace(made, contacts=made.contacts, name=motion.name)
     return local_to_world(frame, made) if stuck else made

@@ -27,7 +27,7 @@ from motionlab import rotation
 from motionlab.baselines import nearest_known
 from motionlab.contact import contacts_from_positions, resting_heights
 from motionlab.diffusion import footsteps
-from motionlab.diffusion.start import lines_between
+from motionlab.diffusion.curves import lines_between
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
 from motionlab.retarget import two_bone_ik

@@ -1,4 +1,4 @@
-"""The noising process and its reversal: DDPM steps, DDIM steps, RePaint.
+"""The noising process and its reversal: DDPM steps, DDIM steps.
 
 Noising steps are counted from 0: step t has been noised t + 1 times, the thesis's t + 1. All tables are float64.
 
@@ -134,26 +134,10 @@ def ddpm(
     generator: torch.Generator,
     *,
     after: After | None = None,
-    start: int | None = None,
-    rest: int = 0,
 ) -> Tensor:
-    """Draws samples (B, ...) of p(x_0) by x_{t-1} ~ q(x_{t-1} | x_t, x_0 estimate), Eq. 4.6; no noise in the last step.
-
-    Args:
-        x: x_T (B, ...), or x_start where the signal is already partly there. start: its step; default the last.
-        rest: of the last steps so many are not walked: the estimate of x_0 before them is the result; with an exact
-            denoiser the mean of all that those steps might still make of it.
-
-    Raises:
-        ValueError: rest is no step before the first one.
-    """
-    first = len(schedule) - 1 if start is None else start
-    if not 0 <= rest <= max(first, 0):
-        raise ValueError(f"rest: expected 0 to {first}, got {rest}")
-    for t in range(first, -1, -1):
+    """Draws samples (B, ...) of p(x_0) by x_{t-1} ~ q(x_{t-1} | x_t, x_0 estimate), Eq. 4.6; none in the last step."""
+    for t in range(len(schedule) - 1, -1, -1):
         x0 = denoise(x, _stamps(schedule, t, x))
-        if t and t == rest:
-            return after(x0, x0, 0) if after else x0
         mean, variance = schedule.posterior(x0, x, t)
         x = mean + variance.sqrt() * noise_like(x, generator) if t else mean
         x = after(x, x0, t) if after else x
@@ -173,35 +157,4 @@ def ddim(
         x0, before = denoise(x, _stamps(schedule, t, x)), schedule.before[t]
         x = before.sqrt().to(x) * x0 + (1 - before).clamp(min=0).sqrt().to(x) * schedule.noise_of(x0, x, t)
         x = after(x, x0, t) if after else x
-    return x
-
-
-@torch.no_grad()
-def resampled(
-    denoise: DenoiseFunction,
-    schedule: NoiseSchedule,
-    x: Tensor,
-    generator: torch.Generator,
-    *,
-    after: After,
-    times: int = 10,
-    jump: int = 10,
-) -> Tensor:
-    """Draws samples by RePaint: every ``jump`` steps are noised again and repeated, ``times`` times in all, so that
-    sampled and known parts come to agree.
-
-    Source: RePaint (Lugmayr et al. 2022), algorithm 1, jump length and resampling count.
-    """
-    t, last, left = len(schedule) - 1, len(schedule) - 1, {}
-    while t >= 0:
-        x0 = denoise(x, _stamps(schedule, t, x))
-        mean, variance = schedule.posterior(x0, x, t)
-        x = after(mean + variance.sqrt() * noise_like(x, generator) if t else mean, x0, t)
-        t -= 1
-        if t >= 0 and (last - t) % jump == 0 and left.setdefault(t, times - 1) > 0:
-            left[t] -= 1
-            back = min(t + jump, last)
-            keep = schedule.alpha_bar[back] / schedule.alpha_bar[t]
-            x = keep.sqrt().to(x) * x + (1 - keep).sqrt().to(x) * noise_like(x, generator)
-            t = back
     return x

@@ -300,23 +300,24 @@ def _row(label, motion, role, ghost, n, body, size, azimuth) -> np.ndarray:
 
 
 def pose_row(
-    poses: Mapping[str, Motion | Sequence[Motion]],
+    poses: Mapping[str, Motion | None],
     targets: Tensor,
     which: Tensor,
     roles: Mapping[str, str],
     *,
+    body: BodyModel | None = None,
+    ghost: Motion | None = None,
     width: int = 190,
     height: int = 300,
-    labels: bool = True,
     azimuth: float = 35.0,
 ) -> np.ndarray:
-    """Draws a panel per label: a pose (1,), or several on one spot; handles (22,) at targets (22, 3): (H, W, 3)."""
-    names = tuple(poses) if labels else tuple("" for _ in poses)
-    with Scene((width * len(poses), height), panels=names, azimuth=azimuth, elevation=8.0) as scene:
+    """Draws a panel per label: a pose (1,) or nothing, a ghost in every other panel than its own, and handles (22,) as
+    balls at targets (22, 3): (H, W, 3)."""
+    with Scene((width * len(poses), height), panels=tuple(poses), azimuth=azimuth, elevation=8.0) as scene:
         scene.floor()
-        for panel, (label, some) in enumerate(poses.items()):
-            for pose in [some] if isinstance(some, Motion) else some:
-                scene.skeleton(pose, roles.get(label, "ours"), shadow=0.3, panel=panel)
+        for panel, (label, pose) in enumerate(poses.items()):
+            if pose is not None:
+                _add(scene, pose, roles.get(label, "ours"), body, None if pose is ghost else ghost, panel=panel)
             if which.any():
                 scene.points(targets[which].numpy(), _HANDLE, radius=0.055, panel=panel)
         return scene.image()

@@ -17,7 +17,7 @@ from torch import Tensor
 from motionlab.diffusion import masks
 from motionlab.diffusion.completer import _LOUD, _ROOT, Completer, calmer, waves_of_motion
 from motionlab.diffusion.completer_training import _SILENT, _SQUARED, _WEIGHTS
-from motionlab.diffusion.start import curve_weights
+from motionlab.diffusion.curves import curve_weights
 from motionlab.diffusion.state import MADE, UNITS, owners
 from motionlab.motion import FPS
 from motionlab.skeleton import STANDARD
@@ -270,7 +270,7 @@ def drawn(count: int, data: Data, table: Masks, odds: Tensor, blind: float | Non
 def plain_loss(
     x: Tensor, truth: Tensor, mean: Tensor, scale: Tensor, counts: dict, seen: Tensor, k: Constants
 ) -> Tensor:
-    """``denoising_losses`` of a denoiser that is told nothing; counts: of its parts."""
+    """``denoising_losses``; counts: of its parts."""
     x = torch.where(seen[:, None], x, truth)
     simple, velocity = (x - truth).square().mean(), (x - truth)[..., :-C].diff(dim=1).square().mean()
     made, true = motion_of(x * scale + mean), motion_of(truth * scale + mean)
@@ -278,4 +278,4 @@ def plain_loss(
     far = (places - fk(true[0], true[1], k)).square().sum((-1, -2)).mean()
     way = places.index_select(2, k.contact).diff(dim=1) * made[2][:, :-1, :, None].clamp(0, 1)
     parts = {"simple": simple, "velocity": velocity, "fk": far, "contact": way.square().sum((-1, -2)).mean()}
-    return sum(counts[name] * part for name, part in parts.items())
+    return sum(counts.get(name, 0.0) * part for name, part in parts.items())

@@ -7,8 +7,8 @@ plan.json: {"seconds": 430, "runs": {"T": {"recipe": {...}, "share": 1.0}, "P": 
 recipes of ``CompleterRecipe`` or ``DenoiserRecipe``. Each run ends after its share of the seconds, its rate falls by
 that time, and how many steps come out is written beside the weights. OUT/NAME.pt holds float16 averages.
 
-Differs from the library: no dropout in attention; Adam's second beta is 0.98 for denoisers, too; of a denoiser's losses
-all four count from the first step, by their weights alone; its batches are told nothing.
+Differs from the library: no dropout in attention; Adam's second beta is 0.98 for denoisers, too; no masks of what goes
+on; no completer of what was smoothed.
 
 Learnt on 2026-11-27 with 15 minutes of an H100 (docs/experiments.md): a start takes 60 s; what launches kernels is the
 bottleneck, so that 12 networks with batch 64 took 24 ms a round, 7 with batch 256 34 ms; what comes back is 64 MiB.
@@ -40,13 +40,12 @@ sys.path.insert(0, str(Path(__file__).parents[3]))
 from motionlab import rotation
 from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.features import Normaliser
-from motionlab.diffusion.losses import LossWeights
 from motionlab.diffusion.model import DenoiserRecipe
 from motionlab.diffusion.state import Units
 from motionlab.diffusion.windows import Windows
 from tests.bench.gpu import steps
 
-_HEARD = ("size", "dropout", "source", "noising", "steps", "batch", "lr", "warm_up", "average", "bf16", "seed")
+_HEARD = ("size", "dropout", "noising", "steps", "batch", "lr", "warm_up", "average", "bf16", "seed")
 _STEP = 6e-4  # radians and metres: what windows are rounded to, half of it off at most
 
 
@@ -94,7 +93,7 @@ class Run:
         if "plain" in how:
             if strange := set(how["plain"]) - set(_HEARD):
                 raise ValueError(f"{name}: {', '.join(sorted(strange))}: of a denoiser it hears {', '.join(_HEARD)}")
-            self.recipe = DenoiserRecipe(**how["plain"], weights=LossWeights(late=0.0))
+            self.recipe = DenoiserRecipe(**how["plain"])
             torch.manual_seed(self.recipe.seed)
             net, numbers = self.recipe.denoiser(), steps.numbers_of(root, rot, contacts)
             layers = net.seqTransEncoder.layers
@@ -102,9 +101,13 @@ class Run:
             self.units = (sizes.mean, sizes.scale) if drawn else (numbers[0, 0], numbers[0, 0])
             left = self.recipe.schedule.alpha_bar
             self.signal, self.noise = (x.float().sqrt().to(k.device) for x in (left, 1 - left))
-            self.counts = {n: getattr(self.recipe.weights, n) for n in ("simple", "velocity", "fk", "contact")}
+            self.counts = self.recipe.weights.parts()
         else:
             self.recipe = CompleterRecipe.read(how["recipe"])
+            if strange := {name for name, _ in self.recipe.kinds} - set(steps.ORDER):
+                raise ValueError(f"{name}: {', '.join(sorted(strange))}: of masks it draws {', '.join(steps.ORDER)}")
+            if self.recipe.rough:
+                raise ValueError(f"{name}: rough: it shows nobody what was smoothed")
             torch.manual_seed(self.recipe.seed)
             net, units = Completer(self.recipe), Units.measure(steps.rows(root, rot, contacts, k))
             net.mean, net.scale, self.units, layers = units.mean, units.scale, units.made, net.encoder.layers

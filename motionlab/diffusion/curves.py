@@ -1,0 +1,56 @@
+"""Draws curves through known numbers of a window: straight lines, and smooth ones.
+
+The smooth ones are, number by number, the conditional mean of a Gaussian process in time of Matern covariance 3/2. Like
+cubic splines these have a velocity that does not jump, but far from known entries they come back to zero.
+
+Source: Rasmussen and Williams 2006, Eqs. 2.25 and 4.17.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from motionlab.baselines import nearest_known
+
+_FRAMES = 30.0  # length of the curves' Gaussian process: its covariance falls to a half in so many frames
+_NOISE = 1e-5  # of its variance: of what is known, so that every pattern can be solved for
+
+
+def lines_between(x: Tensor, known: Tensor) -> Tensor:
+    """Computes x (B, T, D) with unknown entries (not ``known``, bool B T D) interpolated linearly in time, held at the
+    ends; 0 in a column without known ones. What x holds at unknown entries is never read."""
+    before, after, any_known = _around(known)
+    time = torch.arange(x.shape[-2], device=x.device)[:, None]
+    share = (time - before) / (after - before).clamp(min=1)
+    left, right = (torch.where(known, x, 0.0).gather(-2, at) for at in (before, after))
+    return torch.where(any_known, left + share.to(x) * (right - left), 0.0)
+
+
+def _around(known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The known frames next before and after (B, T, D), both the nearest one at the ends; which columns know any."""
+    before, after = (at.mT for at in nearest_known(known.mT))
+    return before, after, known.any(-2, keepdim=True)
+
+
+def _matern(frames: int) -> Tensor:
+    """Covariance (T, T) of the curves' process, float64, variance 1."""
+    time = torch.arange(frames, dtype=torch.float64)
+    far = 3**0.5 * (time[:, None] - time).abs() / _FRAMES
+    return (1 + far) * torch.exp(-far)
+
+
+def smooth_curves(x: Tensor, known: Tensor) -> Tensor:
+    """Computes x (B, T, D) with smooth curves through what is known (bool, B T D), 0 in a column that knows nothing.
+    What x holds elsewhere is never read."""
+    patterns, which = torch.unique(known.mT.reshape(-1, x.shape[-2]), dim=0, return_inverse=True)
+    told = torch.where(known, x, 0.0)
+    drawn = torch.einsum("cij,cj->ci", curve_weights(patterns).to(x)[which], told.mT.reshape(len(which), -1))
+    return torch.where(known, x, drawn.unflatten(0, (len(x), -1)).mT)
+
+
+def curve_weights(patterns: Tensor) -> Tensor:
+    """Computes what a smooth curve is of what it knows: (P, T, T), float64, for patterns of known frames (P, T)."""
+    seen, cov = patterns.double(), _matern(patterns.shape[-1]).to(patterns.device)
+    square = seen[:, :, None] * cov * seen[:, None] + torch.diag_embed(1 - seen + _NOISE)
+    return cov @ (seen[:, :, None] * torch.linalg.inv(square) * seen[:, None])

@@ -1,0 +1,136 @@
+"""Poses from handles: what is read, kept and reached; rivals by hand; what training may not learn from."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from data_synth import scenes
+from motionlab.diffusion import poses
+from motionlab.diffusion.windows import gather, on_standard
+from motionlab.errors import DataError, ShapeError
+from motionlab.skeleton import STANDARD
+from studies.nb14_handles import people, training, trials
+from studies.nb14_handles.rivals import Known
+from tests.draws import seeded
+
+SMALL = poses.PoseRecipe(size=32, layers=1, steps=60, batch=32, lr=5e-3)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return poses.load()
+
+
+@pytest.fixture(scope="module")
+def windows():
+    clips = scenes.held_out(8)
+    return gather([on_standard(replace(clips.clip(i), contacts=None)) for i in range(8)], 1)
+
+
+@pytest.fixture(scope="module")
+def truth(windows):
+    return training.stuck(windows.evenly(24))
+
+
+def off(made, truth):
+    return (made.positions - truth.positions)[:, 0].norm(dim=-1)
+
+
+@pytest.mark.parametrize("name", people.SETS)
+def test_handles_are_met_to_the_millimetre_and_nothing_else_is_read(model, truth, name):
+    which = people.handles(people.SETS[name], 24, seeded())
+    hidden = torch.where(which[..., None], truth.positions[:, 0], torch.nan)
+    made = model.complete(hidden, which)
+    assert off(poses.finished(made, hidden, which), truth)[which].max() < 1e-3
+    assert off(made, truth)[which].mean() > 2e-3  # it is kinematics that does it
+    assert torch.equal(made.rot, model.complete(truth.positions[:, 0], which).rot)
+
+
+def test_the_network_hears_of_handles_if_it_is_told(model, truth):
+    places, which = truth.positions[:, 0], people.handles(("left_wrist", "head"), 24, seeded())
+    assert (model.complete(places, which).rot - model.complete(places, which & False).rot).abs().max() > 0.1
+    deaf = poses.Poser(replace(SMALL, told=False)).eval()
+    assert torch.equal(deaf.complete(places, which).rot, deaf.complete(places, which & False).rot)
+
+
+def test_numbers_are_the_pose(model, truth):
+    assert off(model.decode(model.encode(truth)), truth).max() < 1e-5
+
+
+def test_what_cannot_be(model, truth):
+    places, which = truth.positions[:, 0], people.handles(3, 24, seeded())
+    with pytest.raises(ShapeError, match="targets"):
+        model.complete(places[:, :5], which)
+    with pytest.raises(ShapeError, match="bool"):
+        model.complete(places, which.float())
+    with pytest.raises(DataError, match="not finite"):
+        model.complete(torch.full_like(places, torch.inf), which)
+
+
+def test_kept_chains_keep_the_handles_but_for_the_height(model, truth):
+    """Eq. 4.10, and the mean pose that it must beat."""
+    which = people.handles(("left_wrist", "head"), 24, seeded())
+    which[:12, 0] = True  # the pelvis of half of them
+    some = people.Poses(truth, truth, torch.arange(24), which & False)
+    for way in (trials.inpainted(model, False), trials.inpainted(model, True), trials.mean_kept(model)):
+        made = way(some, which, seeded())
+        assert off(made, truth)[:12][which[:12]].max() < 1e-4 and off(made, truth)[~which].max() > 0.02
+        shift = (made.positions - truth.positions)[:, 0]
+        assert (shift - shift[:, :1])[which].abs().max() < 1e-4 and shift[12:, 0, 2].abs().max() > 1e-3
+    free = trials.draw(model)(some, which, seeded())  # control
+    assert off(free, truth)[:12][which[:12]].max() > 1e-2
+
+
+def test_the_gaussian_against_normal_equations_and_its_draws(model, windows, truth):
+    known = Known(training.stuck(windows.evenly(150)), model)
+    which, places = people.handles(("head", "left_foot"), 24, seeded()), truth.positions[:, 0]
+    seen, made = known._rows[0].unflatten(1, (-1, 3))[:, which[0]].flatten(1).double(), known._rows[1].double()
+    x, y = seen - seen.mean(0), made - made.mean(0)
+    weights = torch.linalg.solve(x.mT @ x + (len(x) - 1) * 1e-3 * torch.eye(6), x.mT @ y)
+    said = made.mean(0) + (places[:, which[0]].flatten(1).double() - seen.mean(0)) @ weights
+    assert off(known.gaussian(places, which, 1e-3), model.decode(said.float())).max() < 1e-4
+    few, all_ = (
+        torch.stack([known.gaussian(places, w, generator=seeded(k)).positions for k in range(4)]).std(0).mean()
+        for w in (which, which | True)
+    )
+    assert few > 0.03 and all_ < 0.5 * few
+
+
+def test_poses_that_are_alike_are_not_told_apart():
+    one, other = (torch.randn(400, 3, generator=seeded(k)) for k in range(2))
+    assert trials.told_apart(one, other).mean() == pytest.approx(0.5, abs=0.06)
+    assert trials.told_apart(one.mean(0).expand(400, -1), other).mean() > 0.9
+    assert trials.told_apart(other + 0.01, other).mean() == pytest.approx(0.5, abs=0.06)  # a pair is not compared
+
+
+def test_lots_of_poses_are_as_hard_to_be_alike_with_as_one(monkeypatch):
+    made, true = torch.randn(800, 3, generator=seeded()), 1.3 * torch.randn(800, 3, generator=seeded(1))
+    lots = trials.told_apart(made, true)
+    assert torch.equal(lots[::3], trials.told_apart(made[::3], true[::3]))
+    monkeypatch.setattr(trials, "_LOT", 800)
+    assert not torch.equal(lots, trials.told_apart(made, true))
+
+
+def test_a_rotation_that_a_figure_lacks_teaches_nothing(windows):
+    model, generator = training._begun(SMALL, windows), seeded()
+    batch = list(training._batch(windows, model, 16, generator))
+    batch[1][:, STANDARD.index("left_knee")] = False
+    losses = []
+    for turn in (0.0, 1.0):
+        weights = model.said[1].bias.data
+        weights[1 + 6 * STANDARD.index("left_knee")] += turn
+        losses.append(training._loss([model], batch, False).item())
+    assert losses[0] == pytest.approx(losses[1], rel=1e-6)
+    weights[1 + 6 * STANDARD.index("right_knee")] += 1.0  # control
+    assert abs(training._loss([model], batch, False).item() - losses[0]) > 1e-3
+
+
+def test_training_side_by_side_is_training_alone_and_learns(windows, truth):
+    told, deaf = SMALL, replace(SMALL, told=False)
+    (alone,), both = training.train([told], windows), training.train([told, deaf], windows)
+    which = people.handles(5, 24, seeded())
+    places = truth.positions[:, 0]
+    assert off(alone.complete(places, which), both[0].complete(places, which)).max() < 1e-3
+    begun = training._begun(told, windows).complete(places, which)
+    assert off(both[0].complete(places, which), truth).mean() < 0.8 * off(begun, truth).mean()
