@@ -35,8 +35,9 @@ class Criterion:
     measure that can also be too good (half the true acceleration is no success). needs: "full" where the smoke profile
     is too small to judge, "real" where recordings are needed. least: fewest samples that may judge. clock: what it
     measures depends on how fast the machine is, so that no fingerprint holds it. role: one of ROLES, of which "claim"
-    alone decides (``suite.ledger``). reference: the baseline is no trivial method, so that it may pass. revised: what
-    was changed in the definition after its first measurement, when and why.
+    alone decides (``suite.ledger``). reference: the baseline is no trivial method, so that it may pass. rival: the best
+    tuned rival, where a paired difference or ratio is taken from it, so that its baseline is none. revised: what was
+    changed in the definition after its first measurement, when and why.
     """
 
     id: str
@@ -50,6 +51,7 @@ class Criterion:
     clock: bool = False
     role: str = "claim"
     reference: bool = False
+    rival: str = ""
     revised: str = ""
     other: float | None = None
 

@@ -6,11 +6,11 @@
     apparatus        is our instrument right?                 no
     beyond           what do we add to the thesis?            no
 
-A claim test decides only where its trivial baseline, run through the same measure, does not pass the bound: a baseline
-that lies at the bound, as the zero of a paired difference does, has not passed. A baseline that is no trivial method (a
-reference, another form of the same method) is marked ``reference`` in ``claims.toml``. Two to seven clips, people
-or seeds decide nothing, nor do fewer than five rounds of a stopwatch: five that agree are rarer than one in twenty by
-chance (sign test). A single number is a count.
+A claim test decides only where its baseline, the best tuned rival run through the same measure, does not pass the
+bound. A paired difference has that rival in itself and names it (``rival``); one that names none has a baseline of zero
+that passes, and decides nothing. A baseline that is no trivial method (a reference, another form of the same method) is
+marked ``reference`` in ``claims.toml``. Two to seven clips, people or seeds decide nothing, nor do fewer than five
+rounds of a stopwatch: five that agree are rarer than one in twenty by chance (sign test). A single number is a count.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ def _says(test: Criterion, finding: Finding, void: set[str]) -> str:
     if finding.source in void:
         return VOID
     base = finding.baseline_value
-    at_the_end = base in (test.bound, test.other)
-    if not test.reference and base is not None and math.isfinite(base) and test.meets(base) and not at_the_end:
+    within = bool(test.rival) and base in (test.bound, test.other)
+    if not test.reference and base is not None and math.isfinite(base) and test.meets(base) and not within:
         return SILENT
     return UNJUDGED if 1 < finding.n < (ROUNDS if test.clock else LEAST) else finding.verdict
 

@@ -1,12 +1,11 @@
-"""How much do models gain from more hours of real motion? Both kinds, trained on parts of the people who train.
+"""How much does the transition prior gain from more hours of real motion? Trained on parts of the people who train.
 
-    PYTHONPATH=notebooks python -m studies.nb01_data.hours FOLDER OUT.json {prior,told}
+    PYTHONPATH=notebooks python -m studies.nb01_data.hours FOLDER OUT.json
 
 A part is so many minutes of people in an order drawn by the seed, which the first weights are drawn by as well; the
 smaller parts are within the larger ones. Every run takes the same number of steps, and keeps the weights that are best
-on the people who choose, so that a small part is not judged by what it forgot at the end. Beside the told model stands
-ridge regression of the same windows. Errors are of the people of the report, each counting alike. A run that is in OUT
-already is not made again.
+on the people who choose, so that a small part is not judged by what it forgot at the end. Errors are of the people of
+the report, each counting alike. A run that is in OUT already is not made again.
 """
 
 from __future__ import annotations
@@ -15,41 +14,26 @@ import argparse
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import torch
 from tqdm import tqdm
 
 from motionlab import corpus, splits
-from motionlab.bench import cases, rivals
-from motionlab.bench.person_windows import PersonWindows, by_person, person_windows
+from motionlab.bench.person_windows import by_person
 from motionlab.corpus import Take
-from motionlab.diffusion.inpainting import Way, repair
-from motionlab.diffusion.losses import LossWeights
-from motionlab.diffusion.model import Trained
-from motionlab.diffusion.training import DenoiserTraining
-from motionlab.diffusion.windows import gather, on_standard
 from motionlab.files import write_whole
 from motionlab.humor import quality
 from motionlab.humor.chain_training import ChainRecipe, ChainTraining
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.examples import live_examples
 from motionlab.motion import Motion
-from motionlab.shipped import DENOISER_PRESETS
-from motionlab.skeleton import STANDARD
 from motionlab.training_loop import TrainingRun
 
 SHARES, SEEDS = (1 / 32, 1 / 8, 1 / 2, 1.0), (0, 1, 2)
 EACH, PRACTICE = 24, 8  # windows of a person: of the report, and to choose on
 #: Far fewer steps than of what ships.
 PRIOR = ChainRecipe(steps=400, batch=32, opened=0.3, kl=0.002)
-TOLD = replace(
-    DENOISER_PRESETS["told"], source=splits.REAL_MOTION, guessed=False, recalls=0, patch=4, masks="legs", blind=0.9,
-    steps=800, batch=16, lr=6e-4, root_unit=0.0,
-    weights=LossWeights(fk=2.0, velocity=1.0, contact=100.0, late=0.0, even=True, relative=True),
-)  # fmt: skip
-RIDGE_ROWS = 12_000  # training windows that the ridge learns from
 Errors = dict[str, list[float]]  # by measure, a number for each person
 
 
@@ -77,7 +61,6 @@ def best_of(run: TrainingRun, error: Callable[[object], float]):
     return which, at
 
 
-# ------------------------------------------------------------------------------------------------- transition prior
 def prior_errors(model: Cvae, takes: Sequence[Take], each: int) -> Errors:
     """What the prior leaves of each person."""
     people: dict[str, list[Motion]] = {}
@@ -105,68 +88,22 @@ def prior_run(takes: Sequence[Take], seed: int, choose: Sequence[Take], report: 
     return {"step": step, "choose": prior_errors(model, choose, PRACTICE), "report": prior_errors(model, report, EACH)}
 
 
-# ------------------------------------------------------------------------------------------------- the told model
-def legs_errors(fill: Callable[[Motion, torch.Tensor], Motion], windows: PersonWindows, told: bool = True) -> Errors:
-    """Error of hidden legs of each person. What a figure lacks stays as it came; a told model is not told of it."""
-    motion, whose, lacks = windows
-    known = cases.legs(len(motion.root), motion.frames)
-    made = cases.pasted(fill(motion, known & ~lacks if told else known), motion, known | lacks)
-    return {"legs hidden": by_person(cases.error_cm(made, motion, known, cases.LOWER), whose).tolist()}
-
-
-def filled(model: Trained, motion: Motion, known: torch.Tensor) -> Motion:
-    """From pure noise in one step."""
-    way = Way(put="nothing", steps=1)
-    return repair(model, motion, cases.columns(model.layout, known), torch.Generator().manual_seed(0), way)
-
-
-def told_run(takes: Sequence[Take], seed: int, choose: PersonWindows, report: PersonWindows) -> dict:
-    """Trains the told model and fits ridge regression, its width chosen by the same people."""
-    data = gather([t.motion for t in takes], TOLD.frames, missing=[t.missing for t in takes])
-
-    def left(model: Trained) -> float:
-        return sum(found := legs_errors(partial(filled, model), choose)["legs hidden"]) / len(found)
-
-    model, step = best_of(DenoiserTraining(replace(TOLD, seed=seed), data), left)
-    generator = torch.Generator().manual_seed(seed)
-    fitted = rivals.Rivals.fit(replace(data.draw(RIDGE_ROWS, generator), skeleton=STANDARD), generator)
-
-    def ridge(width: float) -> Callable[[Motion, torch.Tensor], Motion]:
-        return replace(fitted, ridge=width).regression
-
-    def leaves(width: float) -> float:
-        return sum(legs_errors(ridge(width), choose, told=False)["legs hidden"])
-
-    width = min(rivals.RIDGES, key=leaves)
-    found = {"step": step, "ridge's width": width}
-    for part, windows in (("choose", choose), ("report", report)):
-        found[part] = legs_errors(partial(filled, model), windows)
-        found[part]["legs hidden, ridge"] = legs_errors(ridge(width), windows, told=False)["legs hidden"]
-    return found
-
-
 def main() -> None:
     """Trains what is not there yet and keeps each run as it ends."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder")
     parser.add_argument("out", type=Path)
-    parser.add_argument("what", choices=("prior", "told"))
     options = parser.parse_args()
     found = corpus.assemble(options.folder, splits.real_sources(options.folder))
     train, choose, report = (found.part(part) for part in ("train", "choose", "report"))
-    run = prior_run
-    if options.what == "told":
-        train = [replace(t, motion=on_standard(t.motion)) for t in tqdm(train, desc="standard body")]
-        choose, report = person_windows(choose, 60, PRACTICE), person_windows(report, 60, EACH)
-        run = told_run
     every = json.loads(options.out.read_text()) if options.out.exists() else {}
-    rows = every.setdefault(options.what, [])
+    rows = every.setdefault("prior", [])
     done = {(row["share"], row["seed"]) for row in rows}
     for seed, share in tqdm([(seed, share) for seed in SEEDS for share in SHARES if (share, seed) not in done]):
         some = part_of_people(train, share, seed)
         about = {"share": share, "seed": seed, "people": len({t.person for t in some})}
         about["hours"] = sum(t.motion.seconds for t in some) / 3600
-        rows.append(about | run(some, seed, choose, report))
+        rows.append(about | prior_run(some, seed, choose, report))
         write_whole(options.out, json.dumps(every, indent=1) + "\n")
 
 

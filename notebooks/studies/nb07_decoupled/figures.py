@@ -154,7 +154,7 @@ def last_poses(motions: Mapping[str, Motion], roles: Mapping[str, str], *, colum
     for at in range(0, len(labels), columns):
         part = {label: shown[label] for label in labels[at : at + columns]}
         for k in range(columns - len(part)):  # an empty place keeps the size of a row
-            part[" " * (k + 1)] = []
+            part[" " * (k + 1)] = None
         rows.append(movie.pose_row(part, nothing, nowhere, roles, width=230, height=290))
     return movie.stack_pictures(rows)
 

@@ -1,1 +1,0 @@
-"""Notebook 11: the test cases."""

@@ -1,0 +1,56 @@
+"""The motion that generated motion is held against: people nobody trained on, people who train, people who choose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from motionlab import corpus, splits
+from motionlab.bench.person_windows import person_windows
+from motionlab.corpus import Take
+from motionlab.diffusion.windows import Windows, gather, on_standard
+from motionlab.motion import Motion
+
+FRAMES = 60  # of a window, two seconds
+RECORDED, SYNTHETIC = "recordings", "synthetic"
+
+
+class Cast(NamedTuple):
+    """source: RECORDED or SYNTHETIC. people (N, T): as many windows of each person of the report, whose (N,). choose
+    (M, T): of those that settings are chosen on. library: all training motion on the standard body. learnt: its
+    windows, drawn evenly by person."""
+
+    source: str
+    people: Motion
+    whose: Tensor
+    choose: Motion
+    library: list[Motion]
+    learnt: Windows
+
+    def training(self, count: int, generator: torch.Generator) -> Motion:
+        """Draws training windows (count, T), evenly by person, on the standard body."""
+        motion = self.learnt.draw(count, generator)
+        return Motion(self.people.skeleton, motion.root, motion.rot, motion.fps)
+
+
+def assemble(folder: Path | None, each: int, most: int | None) -> Cast:
+    """Reads the parts; without a folder synthetic motion, whose clips stand for people.
+
+    each: windows of a person. most: recordings of a part, evenly over it; None: all.
+    """
+    found = corpus.assemble(folder, splits.real_sources(folder), progress=False) if folder else None
+    parts = {part: found.part(part) if found else _made(part) for part in ("train", "choose", "report")}
+    takes = {part: splits.evenly(some, most) for part, some in parts.items()}
+    people, whose, _ = person_windows(takes["report"], FRAMES, each)
+    library = [on_standard(take.motion) for take in takes["train"]]
+    learnt = gather(library, FRAMES, mirrored=False, people=[take.person for take in takes["train"]])
+    choose = person_windows(takes["choose"], FRAMES, each).motion
+    return Cast(RECORDED if folder else SYNTHETIC, people, whose, choose, library, learnt)
+
+
+def _made(part: str) -> list[Take]:
+    motions = splits.motions_by_part(None, part)[SYNTHETIC]
+    return [Take(m, m.name, SYNTHETIC, m.name, "", m.fps, ()) for m in motions]

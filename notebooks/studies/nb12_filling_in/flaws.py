@@ -1,0 +1,78 @@
+"""Two flaws of P that the thesis names: a jump where what was given meets what was made, and legs that walk the other
+way.
+
+The jump is what Eq. 4.10 leaves, beside what cures it (thesis 4.2.2, 4.4.1) and blended edges (4.2.5). For the walks
+the thesis blames its root, which is held over one spot, so that nothing says where a walk goes. No plain model of such
+a root is trained. What such a root takes away is the path: so it is hidden.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from torch import Tensor
+
+from motionlab import baselines
+from motionlab.bench import cases
+from motionlab.bench.person_windows import PersonWindows
+from motionlab.metrics.pose import joint_errors, masked_mean
+from motionlab.motion import Motion
+from studies.shared.fill_contenders import BLENDED, LEFT, MIXED, PLAIN, Models, P, R, T
+from studies.shared.fill_people import FRAMES, only, some
+from studies.shared.inbetween_measures import keyframe_error, natural_changes, step_changes
+
+OPEN, FADED, SOFT = "P, not written back", "P, mixed afterwards", "P, blended (4.2.5)"
+JUMP, LARGE, OFF, LEAVES = "jump, m/s", "over a large natural one", "known off, cm", "error in the gap, cm"
+_PACE = 0.3  # m/s: slower than that nobody walks
+
+
+def cures(m: Models, windows: PersonWindows, known: Tensor, seed: int = 0) -> dict[str, Motion]:
+    """Windows (B, T) with a gap, ``known`` (B, T, U): what P makes of it, ended in four ways, beside smooth fills."""
+    truth, _, lacks = windows
+    given = known & ~lacks
+    left, mixed, blended = (m.plain(truth, given, way, seed) for way in (LEFT, MIXED, BLENDED))
+    made = {P: left, FADED: mixed, SOFT: blended, "curves": m.curves(truth, known)}
+    made |= {R: m.r.complete(truth, given), T: m.drawn(truth, given, seed)}
+    exact = {name: cases.pasted(motion, truth, known | lacks) for name, motion in made.items()}
+    return {"truth": truth, OPEN: cases.pasted(left, truth, lacks.expand_as(known))} | exact
+
+
+def seams(made: Mapping[str, Motion], known: Tensor) -> dict[str, dict[str, Tensor]]:
+    """By name, of each window (B,): the change of velocity at the seams in m/s, and over the 95th percentile of all
+    such changes in the truth; how far known joints are off, at most, in cm; the error in the gap in cm."""
+    truth, frames = made["truth"], known[..., 0]
+    level = natural_changes(truth.positions, truth.fps).quantile(0.95)
+    found = {}
+    for name, motion in made.items():
+        change = step_changes(motion.positions, truth.fps)
+        jump = masked_mean(change, frames[:, 1:] != frames[:, :-1], 1)
+        off = 100 * keyframe_error(motion.positions, truth.positions, frames).worst_m
+        found[name] = {JUMP: jump, LARGE: jump / level, OFF: off, LEAVES: cases.error_cm(motion, truth, known)}
+    return found
+
+
+def off_the_line(made: Motion, truth: Motion, known: Tensor) -> Tensor:
+    """Metres (B,) of the gap's joints from straight lines and slerp between its edges."""
+    line = baselines.interpolate(truth, known[..., : cases.JOINTS]).positions
+    inside = (~known[..., :1]).expand(line.shape[:-1])
+    return masked_mean(joint_errors(made.positions, line, align="none"), inside, 2)
+
+
+def walkers(windows: PersonWindows, each: int) -> PersonWindows:
+    """At most ``each`` windows of every person in which somebody walks."""
+    walks = only(windows, (cases.stance_speed(windows.motion).abs() >= _PACE).nonzero()[:, 0])
+    few = only(walks, some(walks, each))
+    return few._replace(whose=few.whose.unique(return_inverse=True)[1])
+
+
+def reversals(m: Models, walks: PersonWindows) -> dict[tuple[str, bool], Tensor]:
+    """By model and whether the path is given: 1 (B,) where the legs go the other way than the true ones."""
+    motion, _, lacks = walks
+    given = cases.legs(len(motion.root), FRAMES)
+    hidden = given.clone()
+    hidden[..., cases.JOINTS] = False
+    found = {}
+    for path, known in ((True, given & ~lacks), (False, hidden & ~lacks)):
+        made = {P: m.plain(motion, known, PLAIN, 0), R: m.r.complete(motion, known), T: m.drawn(motion, known, 0)}
+        found |= {(name, path): cases.reversed_walk(x, motion, _PACE) for name, x in made.items()}
+    return found

@@ -1,1 +1,0 @@
-"""Notebook 12: world or stuck root."""

@@ -1,1 +1,0 @@
-"""Notebook 13: steps and seams."""

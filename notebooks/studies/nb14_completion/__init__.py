@@ -1,1 +1,0 @@
-"""Notebook 14: autocompletion."""

@@ -1,1 +1,0 @@
-"""Notebook 15: evaluation."""

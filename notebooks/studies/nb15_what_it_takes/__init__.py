@@ -1,0 +1,1 @@
+"""Notebook 15: what more data, steps, stopping, noise and a latent space do."""

@@ -1,0 +1,255 @@
+"""Small denoisers that differ in one thing ("arms"), each trained from several seeds: what it measures is kept.
+
+    PYTHONPATH=notebooks python -m studies.shared.small_models frames [losses ...] [--data FOLDER] [--seeds 4]
+
+Each is the thesis's own denoiser (``train_plain``), but small. Rows go into ``results/long/small_SET.json`` as each arm
+ends; an arm that stands there is not trained again. Weights stay in the cache, by what they were made with, so that
+sets share arms, and measuring anew (``--again``) trains nothing. A run that is killed goes on where its last state was
+kept. It works at the lowest priority, on one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import json
+import os
+import time
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import torch
+
+from motionlab import corpus, splits
+from motionlab.bench.judge import FRAMES
+from motionlab.bench.person_windows import PersonWindows, person_windows
+from motionlab.diffusion.losses import LossWeights
+from motionlab.diffusion.model import DenoiserRecipe, Trained, load_denoiser, save_denoiser
+from motionlab.diffusion.training import DenoiserTraining, held_errors
+from motionlab.diffusion.windows import Windows
+from motionlab.errors import DataError
+from motionlab.files import write_whole
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD
+from motionlab.train_more import learnt_from
+from studies.shared import small_measures
+
+#: Where rows are kept, from ``notebooks/``.
+RECORDS = Path(__file__).parents[2] / "results" / "long"
+STEPS, LONGER = 1000, 10  # of the optimiser; times that where somebody stops training
+ALL = LossWeights()
+BASE = DenoiserRecipe(
+    size="small", patch=4, steps=STEPS, batch=16, lr=2e-3, warm_up=100, dropout=0.0,
+    weights=ALL,
+)  # fmt: skip
+_EACH, _PRACTICE = 12, 6  # windows of a person: of the report, and of those who choose
+_KEEP, _JUDGEMENTS = 250, 20  # steps between two states kept; judgements of a run that is stopped
+
+
+@dataclass(frozen=True)
+class Arm:
+    """name, recipe: of what is trained, seed and all. people: of the people who train so many, drawn by the seed, and
+    no synthetic ones; 0: all of both. stops: judged on its way by the people who choose; best and last are kept."""
+
+    name: str
+    recipe: DenoiserRecipe
+    people: int = 0
+    stops: bool = False
+
+    @property
+    def digest(self) -> str:
+        """Of all that decides the weights, but for the name."""
+        return hashlib.sha256(json.dumps(asdict(replace(self, name=""))).encode()).hexdigest()[:12]
+
+    @property
+    def kept(self) -> list[str]:
+        """The names of what is kept of it."""
+        return [f"{self.name}, best", f"{self.name}, last"] if self.stops else [self.name]
+
+
+def _seeded(seeds: int, *arms: Arm) -> list[Arm]:
+    """All arms of the first seed, then of the next: a set that was not run to its end is still paired."""
+    return [replace(arm, recipe=replace(arm.recipe, seed=seed)) for seed in range(seeds) for arm in arms]
+
+
+def _losses(**weights: float) -> DenoiserRecipe:
+    return replace(BASE, weights=replace(ALL, **weights))
+
+
+_WORLD = replace(BASE, frame="world")
+_FRAMES = (Arm("stuck", BASE), Arm("world", _WORLD), Arm("world, 8 cm", replace(_WORLD, root_unit=0.08)))
+SETS: dict[str, list[Arm]] = {
+    "frames": _seeded(8, *_FRAMES),
+    "longer": _seeded(8, *(replace(arm, recipe=replace(arm.recipe, steps=LONGER * STEPS)) for arm in _FRAMES[:2])),
+    "losses": _seeded(
+        8, Arm("all", BASE), Arm("no FK", _losses(fk=0.0)), Arm("no velocity", _losses(velocity=0.0)),
+        Arm("no contact", _losses(contact=0.0)), Arm("simple", _losses(fk=0.0, velocity=0.0, contact=0.0)),
+    ),
+    "people": _seeded(4, *(Arm(f"{n} people", BASE, n) for n in (8, 15, 30, 60))),
+    "stop": _seeded(8, Arm("8 people, long", replace(BASE, steps=LONGER * STEPS), 8, stops=True)),
+    "noising": _seeded(4, *(Arm(f"{n} steps", replace(BASE, noising=n)) for n in (10, 50, 200, 1000))),
+}  # fmt: skip
+
+
+def record(name: str) -> dict:
+    """Reads what is kept of a set: "rows", each with "arm", "seed" and what ``small_measures.measured`` found, and
+    "beside", of recorded motion.
+
+    Raises:
+        DataError: nothing is kept of it.
+    """
+    path = RECORDS / f"small_{name}.json"
+    if not path.exists():
+        remedy = f"python -m studies.shared.small_models {name}, or make small"
+        raise DataError("nothing is kept of this set", path=path, remedy=remedy)
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def paired(name: str, arms: Collection[str]) -> list[dict]:
+    """The rows of some arms of a set, of the seeds that all of them have; none where nothing is kept of it."""
+    rows = record(name)["rows"] if (RECORDS / f"small_{name}.json").exists() else []
+    seeds = set.intersection(*({row["seed"] for row in rows if row["arm"] == arm} for arm in arms))
+    return [row for row in rows if row["arm"] in arms and row["seed"] in seeds]
+
+
+def by_seed(rows: Sequence[dict], arm: str, measure: str) -> torch.Tensor:
+    """What the samples of an arm measured, a number for each seed (S,), in the order of seeds."""
+    mine = sorted((row for row in rows if row["arm"] == arm), key=lambda row: row["seed"])
+    return torch.tensor([row["samples"][measure] for row in mine], dtype=torch.float64)
+
+
+def estimates_by_seed(rows: Sequence[dict], arm: str, measure: str) -> torch.Tensor:
+    """What the estimates of x_0 of an arm left, by seed, level of noise and person (S, 5, P)."""
+    mine = sorted((row for row in rows if row["arm"] == arm), key=lambda row: row["seed"])
+    return torch.tensor([list(row["estimates"][measure].values()) for row in mine], dtype=torch.float64)
+
+
+# ------------------------------------------------------------------------------------------------------------ training
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """windows: to learn from. choose: windows (N, T) that stop a run. report: that everything is measured on."""
+
+    windows: Windows
+    choose: Motion
+    report: PersonWindows
+
+
+def folder() -> Path:
+    """Where weights and windows are kept, beside the corpus."""
+    found = corpus.cache_folder().with_name("training") / "small"
+    found.mkdir(parents=True, exist_ok=True)
+    return found
+
+
+def _data(recordings: Path) -> _Data:
+    """Windows of a folder of recordings; kept, as it takes minutes to retarget all of them."""
+    found = corpus.assemble(recordings, splits.real_sources(recordings))
+    path = folder() / f"windows-{found.digest}.pt"
+    if not path.exists():
+        windows, takes = learnt_from(recordings, FRAMES)
+        sets = [person_windows(t, FRAMES, n) for t, n in ((takes, _PRACTICE), (found.part("report"), _EACH))]
+        part = path.with_suffix(f".{os.getpid()}.part")
+        fields = {name: getattr(windows, name) for name in Windows.__dataclass_fields__}
+        rows = [(w.motion.root, w.motion.rot, w.motion.contacts, w.whose, w.lacks) for w in sets]
+        torch.save((fields, rows), part)
+        part.replace(path)
+    fields, rows = torch.load(path, weights_only=True)
+    choose, report = (
+        PersonWindows(Motion(STANDARD, root, rot, fields["fps"], contacts), whose, lacks)
+        for root, rot, contacts, whose, lacks in rows
+    )
+    return _Data(Windows(**fields), choose.motion, report)
+
+
+def _of_people(windows: Windows, count: int, seed: int) -> Windows:
+    """Windows of so many recorded people, in an order drawn by the seed: fewer are always among more."""
+    recorded = int(windows.people.max())  # synthetic people, who are one, come last
+    some = torch.randperm(recorded, generator=torch.Generator().manual_seed(seed))[:count]
+    mine = torch.isin(windows.people[windows.clip[windows.begins]], some)
+    return replace(windows, begins=windows.begins[mine])
+
+
+def trained(arm: Arm, data: _Data) -> dict[str, Trained]:
+    """What is kept of an arm, by name; trained where it is not in the cache, or gone on with."""
+    paths = {name: folder() / f"{arm.digest}{'-last' * (k > 0)}.safetensors" for k, name in enumerate(arm.kept)}
+    if all(path.exists() for path in paths.values()):
+        return {name: load_denoiser(path) for name, path in paths.items()}
+    windows = _of_people(data.windows, arm.people, arm.recipe.seed) if arm.people else data.windows
+    partial = folder() / f"{arm.digest}.partial.pt"
+    run = DenoiserTraining.resume(partial, windows) if partial.exists() else DenoiserTraining(arm.recipe, windows)
+    ways = {"judge": _judge(data.choose), "judge_every": arm.recipe.steps // _JUDGEMENTS} if arm.stops else {}
+    run.run(keep=partial, every=_KEEP, **ways)
+    models = [run.shipped, run.averaged] if arm.stops else [run.averaged]
+    for (name, path), model in zip(paths.items(), models, strict=True):
+        stopped = {"best": run.best["step"]} if arm.stops else {}
+        save_denoiser(path, model, {"arm": name, "curve": run.curve} | stopped, half=True)
+    partial.unlink(missing_ok=True)
+    return {name: load_denoiser(path) for name, path in paths.items()}
+
+
+def _judge(choose: Motion):
+    """The mean error of x_0 over levels of noise, on windows (N, T)."""
+    errors = held_errors(choose)
+
+    def measure(model: Trained) -> dict[str, float]:
+        found = errors(model)
+        return {"x0 error": sum(found.values()) / len(found)}
+
+    return measure
+
+
+def run(name: str, recordings: Path, *, seeds: int | None = None, again: bool = False) -> None:
+    """Trains and measures what is not on record of a set, for the first ``seeds`` seeds. again: measures all anew."""
+    path, data = RECORDS / f"small_{name}.json", _data(recordings)
+    found = record(name) if path.exists() and not again else {"beside": {}, "rows": []}
+    found["beside"] = small_measures.beside(data.report) | found["beside"]
+    for arm in SETS[name]:
+        if seeds is not None and arm.recipe.seed >= seeds:
+            continue
+        at = {(row["arm"], row["seed"]): row for row in found["rows"]}
+        if all(at.get((kept, arm.recipe.seed), {}).get("recipe") == arm.digest for kept in arm.kept):
+            continue
+        before = time.process_time()
+        for kept, model in trained(arm, data).items():
+            row = {"arm": kept, "seed": arm.recipe.seed, "recipe": arm.digest, "steps": arm.recipe.steps}
+            row |= small_measures.measured(model, data.report)
+            at[kept, arm.recipe.seed] = row
+            said = ", ".join(f"{what} {x:.3g}" for what, x in row["samples"].items())
+            error = sum(map(sum, row["estimates"]["x0 error"].values())) / sum(
+                map(len, row["estimates"]["x0 error"].values())
+            )
+            seconds = time.process_time() - before
+            print(f"{name}: {kept}, seed {arm.recipe.seed}, {seconds:.0f} s: x0 {error:.3f}, {said}", flush=True)
+        found["rows"] = sorted(at.values(), key=lambda row: (row["seed"], row["arm"]))
+        _write(path, found)
+    if small_measures.PLAIN not in found["beside"]:
+        _write(path, found | {"beside": found["beside"] | small_measures.plateau(data.report)})
+
+
+def _write(path: Path, found: dict) -> None:
+    """A row a line, so that a change of one shows as one."""
+    lines = ",\n  ".join(json.dumps(row) for row in found["rows"])
+    write_whole(path, f'{{\n "beside": {json.dumps(found["beside"])},\n "rows": [\n  {lines}\n ]\n}}\n')
+
+
+def command(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="python -m studies.shared.small_models", description=__doc__.splitlines()[0])
+    parser.add_argument("sets", nargs="+", choices=SETS, metavar="SET", help=f"of {', '.join(SETS)}")
+    parser.add_argument("--data", default=os.environ.get("MOTIONLAB_DATA"), help="recordings ($MOTIONLAB_DATA)")
+    parser.add_argument("--seeds", type=int, help="only the first so many")
+    parser.add_argument("--again", action="store_true", help="measure anew what is on record; nothing is trained again")
+    options = parser.parse_args(arguments)
+    if not options.data:
+        parser.error("these models learn from recordings: name a folder of them with --data")
+    torch.set_num_threads(1)
+    with contextlib.suppress(OSError, AttributeError):
+        os.nice(19)
+    for name in options.sets:
+        run(name, Path(options.data), seeds=options.seeds, again=options.again)
+
+
+if __name__ == "__main__":
+    command()
