@@ -38,10 +38,10 @@ FINDINGS = (
     ),
     (
         ("D08",),
-        "**To fill in, tell a network what is known while it learns.** It puts hidden legs {one[recordings].size:.1f} cm "
-        "nearer to the truth than the best simple rival ({one[recordings].n} recorded people). Diffusion is not what "
-        "does it: noise adds several answers where several are right. The thesis's diffusion model, told nothing, "
-        "leaves {plain[recordings].size:.1f} cm more than that rival.",
+        "**To fill in, tell a network what is known while it learns.** It puts hidden legs "
+        "{one[recordings].size:.1f} cm nearer to the truth than the best simple rival ({one[recordings].n} recorded "
+        "people). Diffusion is not what does it: noise adds several answers where several are right. The thesis's "
+        "diffusion model, told nothing, leaves {plain[recordings].size:.1f} cm more than that rival.",
     ),
 )
 #: Verdicts as README.md counts them.
