@@ -19,7 +19,7 @@ from torch import Tensor
 
 from motionlab import baselines, cleaning, rotation
 from motionlab.animate import DRAWS, Animated, curves, found_joints, inbetween, network
-from motionlab.contact import with_contacts
+from motionlab.contact import resting_heights, with_contacts
 from motionlab.corrections import WINDOW, Keep, Standard, by_windows, runs
 from motionlab.diffusion import completer
 from motionlab.diffusion.denoising import Noise, smoothed
@@ -195,7 +195,7 @@ def generated(
 
 
 def _new(frames: int, draws: torch.Generator, plant: bool, progress: bool) -> Animated:
-    motion = motion_model(PLAIN).sample(1, draws, steps=_MANY).clip(0)
+    motion = _on_floor(motion_model(PLAIN).sample(1, draws, steps=_MANY).clip(0))
     if frames > WINDOW:
         index = torch.arange(frames).clamp(max=WINDOW - 1)
         motion = replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=motion.contacts[index])
@@ -208,3 +208,10 @@ def _new(frames: int, draws: torch.Generator, plant: bool, progress: bool) -> An
         motion = planted(some, slow=False).clip(0)
     who = f"{PLAIN}, and after two seconds by {DRAWS}" if frames > WINDOW else PLAIN
     return Animated(replace(motion, name="generated", notes=()), (f"made by the model {who}",))
+
+
+def _on_floor(motion: Motion) -> Motion:
+    """A motion (T) that floats, let down until a foot, hand or knee touches the floor in a tenth of the frames."""
+    heights = motion.positions[:, STANDARD.contact_indices, 2] - resting_heights(STANDARD)
+    up = heights.amin(-1).quantile(0.1).clamp(min=0.0)
+    return replace(motion, root=motion.root - torch.stack((torch.zeros(()), torch.zeros(()), up)))

@@ -13,6 +13,7 @@ from motionlab.body import BodyModel
 from motionlab.contact import with_contacts
 from motionlab.corrections import WINDOW, Keep, Standard, by_windows, overlapping
 from motionlab.diffusion.denoising import Noise
+from motionlab.diffusion.windows import on_standard
 from motionlab.errors import DataError
 from motionlab.io import amass, bvh, gltf
 from motionlab.metrics.pose import acceleration
@@ -248,6 +249,15 @@ def test_poses_from_handles_have_them_where_they_were():
     hands = motion.skeleton.indices(["LeftHand", "Head"])
     assert (made.positions - motion.positions)[:, hands].norm(dim=-1).max() < 1e-4
     assert (made.positions - motion.positions).norm(dim=-1).mean() > 0.005  # the others were not read
+
+
+def test_new_motion_that_floats_is_let_down_to_the_floor(motions):
+    """By the fifth of a metre that it was lifted; what stands or leaps stays."""
+    walk = on_standard(motions[0])
+    lifted = replace(walk, root=walk.root + torch.tensor([0.0, 0.0, 0.2]))
+    standing = renew._on_floor(walk)
+    torch.testing.assert_close(renew._on_floor(lifted).root, standing.root)
+    assert (standing.root - walk.root).abs().max() < 0.03 and renew._on_floor(standing).root.equal(standing.root)
 
 
 def test_what_is_drawn_is_the_same_for_one_seed_and_another_for_another():
