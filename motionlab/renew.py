@@ -214,4 +214,4 @@ def _on_floor(motion: Motion) -> Motion:
     """A motion (T) that floats, let down until a foot, hand or knee touches the floor in a tenth of the frames."""
     heights = motion.positions[:, STANDARD.contact_indices, 2] - resting_heights(STANDARD)
     up = heights.amin(-1).quantile(0.1).clamp(min=0.0)
-    return replace(motion, root=motion.root - torch.stack((torch.zeros(()), torch.zeros(()), up)))
+    return replace(motion, root=motion.root - up * torch.tensor([0.0, 0.0, 1.0]))

@@ -24,7 +24,7 @@ from motionlab.train_more import learnt_from
 #: By name of what ships: one answer, and draws, which may also be of nothing known.
 RECIPES = {
     "completer": CompleterRecipe(),
-    "completer_rough": CompleterRecipe(rough=True, steps=8000),
+    "completer_rough": CompleterRecipe(rough=True, steps=2500),
     "completer_draws": CompleterRecipe(noised=True, kinds=(*KINDS, ("nothing", 0.1), ("onward", 0.2))),
 }
 CHOSEN = "legs and gaps, cm"  # the mean of the first three cases, which chooses: error, or energy score of draws
@@ -99,14 +99,15 @@ def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:
     """What is left of noise that is new in every frame, and what the smoother alone leaves; first the mean."""
     motion, whose, _ = windows
     nothing = torch.zeros(*motion.root.shape[:2], state.UNITS, dtype=torch.bool)
-    row = {}
+    row, left = {}, []
     for degrees, cm in _NOISES:
         noise = Noise.of(degrees, cm)
         rough = with_contacts(smoothed(noise.on(motion, torch.Generator().manual_seed(0)), noise))
-        for name, made in (("cm", model.complete(rough, nothing, tremble=noise.turn)), ("smoother alone, cm", rough)):
-            error = by_person(cases.error_cm(made, motion, nothing), whose)
-            row[f"noise of {degrees:g} degrees, {cm:g} cm, {name}"] = float(error.mean())
-    left = [x for name, x in row.items() if "smoother" not in name]
+        made = model.complete(rough, nothing, tremble=noise.turn)
+        mine, alone = (float(by_person(cases.error_cm(m, motion, nothing), whose).mean()) for m in (made, rough))
+        title = f"noise of {degrees:g} degrees, {cm:g} cm"
+        row |= {f"{title}, cm": mine, f"{title}, smoother alone, cm": alone}
+        left.append(mine)
     return {"noise, cm": sum(left) / len(left)} | row
 
 

@@ -277,7 +277,9 @@ def test_smoothed_windows_and_the_truth_are_shown_in_one_frame_of_reference(data
     """That of the smoothed first frame: the truth's own would tell how it differs."""
     run, seen = CompleterTraining(replace(TINY, rough=True), data), []
     draws = torch.Generator().set_state(run.generator.get_state())
-    monkeypatch.setattr(run.model, "filled", lambda *given: seen.append(given) or given[0])
+    monkeypatch.setattr(
+        run.model, "filled", lambda shown, known, tremble: seen.append((shown, known, tremble)) or shown
+    )
     monkeypatch.setattr(completer_training, "losses", lambda made, truth, *_, **__: seen.append(truth) or {"places": 0})
     run._loss()
     (shown, known, trembled), truth = seen
@@ -296,8 +298,11 @@ def test_what_was_smoothed_stays_where_nothing_is_added(windows):
     """Where a completer that is not for that forgets it, as nothing of it is known."""
     nothing = torch.zeros(*windows.root.shape[:2], state.UNITS, dtype=torch.bool)
     for rough, least, most in ((True, 0.0, 1e-5), (False, 0.1, 10.0)):
-        made = Completer(replace(TINY, rough=rough)).complete(windows, nothing)
+        model, told = Completer(replace(TINY, rough=rough)), {"tremble": 0.02} if rough else {}
+        made = model.complete(windows, nothing, **told)
         assert least <= (made.positions - windows.positions).abs().max() < most, rough
+        with pytest.raises(ValueError, match="tremble"):
+            model.complete(windows, nothing, **({} if rough else {"tremble": 0.02}))
 
 
 # ------------------------------------------------------------------------------------------------------- bench

@@ -115,11 +115,18 @@ class Completer(nn.Module):
         return state.Units(self.mean, self.scale)
 
     def forward(
-        self, states: Tensor, known: Tensor, fps: float, noisy: Tensor | None = None, angle: Tensor | None = None
+        self,
+        states: Tensor,
+        known: Tensor,
+        fps: float,
+        noisy: Tensor | None = None,
+        angle: Tensor | None = None,
+        tremble: Tensor | None = None,
     ) -> Tensor:
         """Computes what to add to a guess; nothing where a number is known."""
-        told = _TREMBLE * angle[:, None, None] if self.recipe.rough else until_known(known, fps)
-        told = told.expand(*known.shape[:2], _TIMES)
+        told = until_known(known, fps)
+        if tremble is not None:
+            told = (_TREMBLE * tremble[:, None, None]).expand_as(told)
         x = torch.cat(((states - self.mean) / self.scale, known.to(states), told), -1)
         tokens = self.taken(x.unflatten(1, (-1, self.recipe.patch)).flatten(2)) + self.place
         if noisy is not None:
@@ -129,11 +136,18 @@ class Completer(nn.Module):
         said = self.said(self.encoder(tokens)).unflatten(2, (self.recipe.patch, -1)).flatten(1, 2)
         return calmer(said * ~known[..., state.owners().to(known.device)])
 
-    def filled(self, motion: Motion, known: Tensor, angle: Tensor | None = None, noise: Tensor | None = None) -> Motion:
+    def filled(
+        self,
+        motion: Motion,
+        known: Tensor,
+        angle: Tensor | None = None,
+        noise: Tensor | None = None,
+        tremble: Tensor | None = None,
+    ) -> Motion:
         """Computes windows (B, T) that are told ``known`` (B, T, ``UNITS``) of windows in their stuck frame; contacts
         are near 0 or 1. Elsewhere the motion is never read, but by a ``noised`` model, as much as the angle (B,) leaves
-        of it under noise (B, T, ``MADE``; ``moving_noise``); None: nothing. A ``rough`` model reads all of it; the
-        angle is by how much joints trembled, radians."""
+        of it under noise (B, T, ``MADE``; ``moving_noise``); None: nothing. A ``rough`` model reads all of it, and by
+        how much joints trembled (B,), radians."""
         begun, open_ = self._begun(motion, known)
         scale, shown = self.units.made[1], None
         if self.recipe.noised:
@@ -142,7 +156,7 @@ class Completer(nn.Module):
             else:
                 turned = angle[:, None, None]
                 shown = (turned.cos() * (state.made(motion) - begun) / scale + turned.sin() * noise) * open_
-        return state.motion_of(begun + self._added(motion, begun, known, shown, angle) * scale * open_, motion)
+        return state.motion_of(begun + self._added(motion, begun, known, shown, angle, tremble) * scale * open_, motion)
 
     def _begun(self, motion: Motion, known: Tensor) -> tuple[Tensor, Tensor]:
         """The guess (B, T, ``MADE``), and which of its numbers are open."""
@@ -153,12 +167,18 @@ class Completer(nn.Module):
         return begun, ~known[..., state.owners().to(known.device)]
 
     def _added(
-        self, motion: Motion, begun: Tensor, known: Tensor, shown: Tensor | None, angle: Tensor | None
+        self,
+        motion: Motion,
+        begun: Tensor,
+        known: Tensor,
+        shown: Tensor | None,
+        angle: Tensor | None,
+        tremble: Tensor | None = None,
     ) -> Tensor:
         states = state.rows(state.motion_of(begun, motion))
         with torch.autocast(begun.device.type, torch.bfloat16, enabled=self.halves):
-            said = self(states, known, motion.fps, shown, angle).float()
-        return said if shown is None else angle.cos()[:, None, None] * shown + angle.sin()[:, None, None] * said
+            said = self(states, known, motion.fps, shown, angle, tremble).float()
+        return said if angle is None else angle.cos()[:, None, None] * shown + angle.sin()[:, None, None] * said
 
     def _drawn(self, motion: Motion, known: Tensor, generator: torch.Generator, steps: int) -> Motion:
         """One draw for each window: DDIM, most steps near pure noise (``late``)."""
@@ -183,7 +203,7 @@ class Completer(nn.Module):
         generator: torch.Generator | None = None,
         *,
         steps: int = 10,
-        tremble: float = 0.0,
+        tremble: float | None = None,
         batch: int = 64,
     ) -> Motion:
         """Computes motions (B, T) in the world from what is known of them; known rotations and places stay to the bit.
@@ -193,10 +213,15 @@ class Completer(nn.Module):
         by how much joints trembled before the motion was smoothed, radians.
 
         Raises:
-            ShapeError: windows of another length. ValueError: draws from a model without noise.
+            ShapeError: windows of another length. ValueError: draws from a model without noise; a ``rough`` model that
+                is not told how much joints trembled, or another one that is.
         """
         if generator is not None and not self.recipe.noised:
             raise ValueError("this model has one answer and draws none")
+        if self.recipe.rough != (tremble is not None):
+            raise ValueError(
+                f"tremble: {'expected a size' if self.recipe.rough else 'only a rough model is told of it'}"
+            )
         if motion.contacts is None:
             motion = replace(
                 motion, contacts=motion.root.new_zeros(*motion.root.shape[:-1], len(STANDARD.contact_names))
@@ -206,8 +231,10 @@ class Completer(nn.Module):
         parts = []
         for at in torch.arange(len(motion.root)).split(batch):
             some = local.clip(at), known[at]
-            size = torch.full((len(at),), tremble).to(local.root) if self.recipe.rough else None
-            parts.append(self.filled(*some, size) if generator is None else self._drawn(*some, generator, steps))
+            size = None if tremble is None else torch.full((len(at),), tremble).to(local.root)
+            parts.append(
+                self.filled(*some, tremble=size) if generator is None else self._drawn(*some, generator, steps)
+            )
         root, rot, contacts = (torch.cat([getattr(p, name) for p in parts]) for name in ("root", "rot", "contacts"))
         world = local_to_world(frame, replace(local, root=root, rot=rot, contacts=(contacts > 0.5).to(root)))
         return replace(

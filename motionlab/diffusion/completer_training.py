@@ -78,17 +78,17 @@ class CompleterTraining(TrainingRun):
             else torch.cat((seen[clips], _EVERY[:2].expand(len(clips), 2)), 1)
         )
         if recipe.rough:
-            shown, *noise = self._smoothed(motion)
+            shown, tremble = self._smoothed(motion)
             shown, frame = stuck_root(shown)
             motion = world_to_local(frame, motion)
             known = torch.zeros(*shown.root.shape[:2], state.UNITS, dtype=torch.bool)
+            made = self.model.filled(shown, known, tremble=tremble)
         else:
-            shown = motion = stuck_root(motion)[0]
+            motion = stuck_root(motion)[0]
             known = masks.draw_units(recipe.frames, recipe.batch, self.generator, dict(recipe.kinds)) & seen[:, None]
             silent = torch.rand(recipe.batch, 1, generator=self.generator) < _SILENT
             known[..., -1] &= ~silent
-            noise = self._noise(known)
-        made = self.model.filled(shown, known, *noise)
+            made = self.model.filled(motion, known, *self._noise(known))
         parts = losses(made, motion, known, seen, self.model.units.made[1], squared=recipe.noised)
         return sum(_WEIGHTS[name] * part for name, part in parts.items()), parts
 
