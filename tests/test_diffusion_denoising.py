@@ -9,13 +9,13 @@ from torch import nn
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
 from motionlab import rotation
-from motionlab.diffusion import denoising
-from motionlab.diffusion.denoising import Noise, ReverseProcess
+from motionlab.diffusion.denoising import Noise
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.model import DenoiserRecipe, Trained
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.skeleton import STANDARD
+from studies.nb12_filling_in.going_back import ReverseProcess, _begin, denoise
 
 FRAMES = 20
 
@@ -62,20 +62,18 @@ def test_noise_has_the_size_it_says_and_lasts_as_long(motion, generator):
 @pytest.mark.parametrize("size", [0.05, 0.3, 2.0])
 def test_the_reverse_process_begins_where_it_is_as_noisy(size):
     schedule = DenoiserRecipe().schedule
-    a = schedule.alpha_bar[denoising._begin(schedule, size)]
+    a = schedule.alpha_bar[_begin(schedule, size)]
     assert ((1 - a) / a).sqrt() == pytest.approx(size, rel=0.05)
 
 
 def test_denoising_comes_back_to_the_world_and_reads_the_noisy_motion(motion, generator):
     noise = Noise.of(5, 2)
     noisy = noise.on(motion, generator)
-    same = denoising.denoise(model_of(motion), noisy, motion, noise, generator, ReverseProcess(topped=False))
+    same = denoise(model_of(motion), noisy, motion, noise, generator, ReverseProcess(topped=False))
     assert (same.positions - noisy.positions).abs().max() < 1e-4  # taken as it is, it stays as it was
-    rough = denoising.denoise(
-        model_of(motion), noisy, motion, noise, generator, ReverseProcess(topped=False, filtered=True)
-    )
+    rough = denoise(model_of(motion), noisy, motion, noise, generator, ReverseProcess(topped=False, filtered=True))
     assert (rough.positions - motion.positions).abs().max() < 1e-4
-    topped = denoising.denoise(model_of(motion), noisy, motion, noise, generator, ReverseProcess())
+    topped = denoise(model_of(motion), noisy, motion, noise, generator, ReverseProcess())
     assert (topped.positions - noisy.positions).norm(dim=-1).mean() > 0.005
 
 
@@ -83,7 +81,7 @@ def test_denoising_comes_back_to_the_world_and_reads_the_noisy_motion(motion, ge
 def test_a_perfect_denoiser_gives_the_truth_from_the_step_it_should_start_at(motion, generator, start):
     noise, plain = Noise.of(5, 2), model_of(motion)
     model = model_of(motion, plain.encode(motion))
-    made = denoising.denoise(model, noise.on(motion, generator), motion, noise, generator, start)
+    made = denoise(model, noise.on(motion, generator), motion, noise, generator, start)
     assert (made.positions - motion.positions).abs().max() < 1e-4
     seen = model.denoiser.seen
     layout = Layout("world")
@@ -91,12 +89,12 @@ def test_a_perfect_denoiser_gives_the_truth_from_the_step_it_should_start_at(mot
     off = ((noisy - layout.encode(motion)) / model.normaliser.scale)[..., : layout.slices["contacts"].start]
     size = off.square().mean().sqrt().item()
     assert len(seen) == start.looks
-    assert max(seen) == pytest.approx(denoising._begin(model.schedule, start.level * size), abs=40)
+    assert max(seen) == pytest.approx(_begin(model.schedule, start.level * size), abs=40)
 
 
 def test_denoising_says_what_it_cannot_do(motion, generator):
     with pytest.raises(DataError, match="no noise"):
-        denoising.denoise(model_of(motion), motion, motion, Noise(0.0, 0.0), generator)
+        denoise(model_of(motion), motion, motion, Noise(0.0, 0.0), generator)
     moving = replace(model_of(motion), layout=Layout(velocities=True))
     with pytest.raises(DataError, match="velocities"):
-        denoising.denoise(moving, motion, motion, Noise.of(5, 2), generator)
+        denoise(moving, motion, motion, Noise.of(5, 2), generator)

@@ -15,8 +15,9 @@ from motionlab.bench import cases, rivals
 from motionlab.bench.cases import JOINTS
 from motionlab.bench.person_windows import by_person
 from motionlab.bench.rivals import RIDGES
-from motionlab.diffusion.denoising import Noise, ReverseProcess, denoise
+from motionlab.diffusion.denoising import Noise
 from motionlab.motion import Motion
+from studies.nb12_filling_in.going_back import ReverseProcess, denoise
 from studies.shared.fill_bench import ERROR, SCORE, Result
 from studies.shared.fill_contenders import Models, P, R
 from studies.shared.fill_people import FRAMES, Cast
