@@ -12,7 +12,7 @@ THREE := three@0.180.0
 WHOLE_NAMES := {"@jupyterlab/filebrowser-extension:browser": {"showLastModifiedColumn": false, "showFileSizeColumn": false}}
 PIP := $(PY) -m pip --disable-pip-version-check install -c constraints.txt
 
-.PHONY: notebooks test interop lab full records small train train-real bench doctor setup pins clean
+.PHONY: notebooks test interop lab full records small train bench doctor setup pins clean
 .DEFAULT_GOAL := help
 
 help:
@@ -23,8 +23,7 @@ help:
 	@echo "make full        regenerate the committed notebooks and results"
 	@echo "make records     what notebooks 07, 08 and 14 read and takes hours: what is on record of this recipe is kept"
 	@echo "make small       the small models that notebooks 10, 13 and 15 compare, from MOTIONLAB_DATA (hours): rows are kept"
-	@echo "make train       the shipped priors of synthetic motion, trained again (hours)"
-	@echo "make train-real  pose prior, first states and features of recordings, in MOTIONLAB_DATA (hours)"
+	@echo "make train       pose prior, first states and features of recordings, in MOTIONLAB_DATA (hours)"
 	@echo "make bench       speed, as ratios measured in one run"
 	@echo "make doctor      what is installed, what is missing, and the remedy"
 
@@ -62,12 +61,8 @@ small: setup
 	@PYTHONPATH=notebooks OMP_NUM_THREADS=1 $(PY) -m studies.nb13_worlds.films
 
 train: setup
-	@$(PY) -m motionlab train humor
-	@$(PY) -m motionlab train small
-
-train-real: setup
-	@test -n "$$MOTIONLAB_DATA" || { echo "name a folder of recordings: make train-real MOTIONLAB_DATA=FOLDER"; exit 2; }
-	@$(PY) -m motionlab train small --preset real --data "$$MOTIONLAB_DATA"
+	@test -n "$$MOTIONLAB_DATA" || { echo "name a folder of recordings: make train MOTIONLAB_DATA=FOLDER"; exit 2; }
+	@$(PY) -m motionlab train small --data "$$MOTIONLAB_DATA"
 	@$(PY) -m motionlab train features --data "$$MOTIONLAB_DATA"
 
 bench: setup

@@ -83,8 +83,10 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("--out", type=Path, default=Path("inbetween.onnx"), help="default: inbetween.onnx")
     command.set_defaults(run=_onnx)
 
-    command = add_command(commands, "train", "train a model, and keep its recipe with it", "train humor --out prior")
-    if "train" in arguments[:1]:  # its presets come with torch
+    command = add_command(
+        commands, "train", "train a model, and keep its recipe with it", "train transition --out prior"
+    )
+    if "train" in arguments[:1]:  # its recipes come with torch
         from motionlab import train
 
         train.add_options(command)

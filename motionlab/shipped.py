@@ -4,7 +4,7 @@ the priors over poses and first states, ``make_features`` the features that gene
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
@@ -24,8 +24,8 @@ from motionlab.humor.priors import InitGmm
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
 
-_Motions = Mapping[str, Sequence[Motion]]  # by source
 STEPS = 4000  # of the pose prior
+_COMMAND = "python -m motionlab train small --data FOLDER"
 
 
 class RealMotions(NamedTuple):
@@ -43,7 +43,7 @@ def real_motions(folder: Path | str | None) -> RealMotions:
         DataError: no folder, or nothing usable in it.
     """
     if not folder:
-        raise DataError("this preset learns from recordings", remedy="name a folder of them with --data")
+        raise DataError("these models learn from recordings", remedy="name a folder of them with --data")
     found, made = real_corpus.assemble(folder, splits.real_sources(folder)), corpus.build(version="B")
     takes = found.part("train")
     train = {splits.RECORDED: [t.motion for t in takes], splits.SYNTHETIC: [s.motion for s in made.train]}
@@ -57,61 +57,41 @@ def _poses(motions: Sequence[Motion], every: int = 1) -> Tensor:
     return torch.cat([m.rot[::every, 1:] for m in motions]).float()
 
 
-def _first_states(
-    motions: Sequence[Motion], every: int, generator: torch.Generator | None = None, *, causal: bool = False
-) -> Tensor:
-    """Features (N, 138) of every so many frames; with a generator, also of mirrored motions and of other bodies."""
+def _first_states(motions: Sequence[Motion], every: int, generator: torch.Generator | None = None) -> Tensor:
+    """Features (N, 138) of every so many frames, velocities as backward differences; with a generator, also of mirrored
+    motions and of other bodies."""
     found = []
     for motion in motions:
         some = [motion]
         if generator is not None:
             some = [motion, mirror(motion), other_body(motion, generator), other_body(mirror(motion), generator)]
         for each in some:
-            world = state.from_motion(each, causal=causal)[::every]
+            world = state.from_motion(each, causal=True)[::every]
             found.append(priors.first_state_features(state.localise(world, state.heading(world))).float())
     return torch.cat(found)
 
 
-def _command(name: str) -> str:
-    return "python -m motionlab train small" + (f" --preset {name} --data FOLDER" if name != "compact" else "")
-
-
-def make_pose_prior(
-    train: _Motions,
-    held: _Motions,
-    out: Path,
-    *,
-    seed: int = 0,
-    steps: int = STEPS,
-    name: str = "compact",
-    missing: Mapping[str, Sequence[Sequence[str]]] | None = None,
-) -> dict:
-    """Trains and writes the pose prior; returns its recipe.
-
-    train, held: motions at 30 fps on the 22 joints, as ``train`` splits them. name: of the checkpoint, after
-    ``pose_prior_``. missing: by source the joints that each motion lacks; None: none lacks any.
-    """
+def make_pose_prior(data: RealMotions, out: Path, *, seed: int = 0, steps: int = STEPS) -> dict:
+    """Trains and writes the pose prior into a folder; returns its recipe."""
     generator = torch.Generator().manual_seed(seed)
-    found = {source: _poses(motions) for source, motions in train.items()}
+    found = {source: _poses(motions) for source, motions in data.train.items()}
     odds = [torch.full((len(x),), 1 / len(x)) for x in found.values()]  # each source as often as the other
-    every, seen = torch.cat(list(found.values())), None
-    if missing:
-        lacks = [names for source in train for names in missing[source]]
-        counts = torch.tensor([m.frames for some in train.values() for m in some])
-        rows = torch.tensor([[joint not in names for joint in STANDARD.names[1:]] for names in lacks])
-        seen = rows.repeat_interleave(counts, 0)
-    how = {"steps": steps, "weight": torch.cat(odds), "seen": seen}
+    every = torch.cat(list(found.values()))
+    lacks = [names for source in data.train for names in data.missing[source]]
+    counts = torch.tensor([m.frames for some in data.train.values() for m in some])
+    rows = torch.tensor([[joint not in names for joint in STANDARD.names[1:]] for names in lacks])
+    how = {"steps": steps, "weight": torch.cat(odds), "seen": rows.repeat_interleave(counts, 0)}
     model, history = prior_training.train_pose_prior(every, generator, **how)
     drawn = prior_training.samples(model, 2000, torch.Generator().manual_seed(seed))
     recipe = {
         "what": "pose prior: variational autoencoder, 21 rotations to 32 latents",
-        "command": f"{_command(name)} --steps {steps} --seed {seed}",
+        "command": f"{_COMMAND} --steps {steps} --seed {seed}",
         "data": {source: len(x) for source, x in found.items()},
         "corpus": asdict(corpus.Recipe()),
         "seed": seed,
         "steps": steps,
         "deviation": {"radians": prior_training.POSE_TURN, "metres": prior_training.POSE_PLACE},
-        "held out": {name: prior_training.reconstruction(model, _poses(some, 3)) for name, some in held.items()},
+        "held out": {name: prior_training.reconstruction(model, _poses(some, 3)) for name, some in data.held.items()},
         "beyond anatomical limits, degrees": {
             "samples": _beyond_limits(drawn),
             "training poses": _beyond_limits(every[::50]),
@@ -119,28 +99,22 @@ def make_pose_prior(
         "history": [[step, round(miss, 3), round(nats, 3)] for step, miss, nats in history],
     }
     tensors = {n: x for n, x in model.state_dict().items() if not n.endswith("num_batches_tracked")}
-    checkpoint.save(out / f"pose_prior_{name}", tensors, recipe)
+    checkpoint.save(out / "pose_prior_real", tensors, recipe)
     return recipe
 
 
-def make_init_gmm(
-    train: _Motions, held: _Motions, out: Path, *, seed: int = 0, name: str = "compact", causal: bool = False
-) -> dict:
-    """Fits and writes the mixture; returns its recipe. Arguments as of :func:`make_pose_prior`.
-
-    causal: of states whose velocities are backward differences.
-    """
+def make_init_gmm(data: RealMotions, out: Path, *, seed: int = 0) -> dict:
+    """Fits and writes the mixture into a folder; returns its recipe."""
     generator = torch.Generator().manual_seed(seed)
-    every = 30 if causal else 15  # there are hours of it
-    samples = _first_states([m for some in train.values() for m in some], every, generator, causal=causal)
+    samples = _first_states([m for some in data.train.values() for m in some], 30, generator)
     gmm, history = prior_training.fit_mixture(samples, generator)
     gmm = InitGmm(*(x.float() for x in gmm.tensors().values()))
     single, _ = prior_training.fit_mixture(samples, generator, components=1)
-    tests = {source: _first_states(some, 3, causal=causal) for source, some in held.items()}
+    tests = {source: _first_states(some, 3) for source, some in data.held.items()}
     recipe = {
         "what": "mixture of Gaussians over joints and velocities of a single frame",
-        "command": f"{_command(name)} --seed {seed}",
-        "data": {source: sum(m.frames for m in some) for source, some in train.items()},
+        "command": f"{_COMMAND} --seed {seed}",
+        "data": {source: sum(m.frames for m in some) for source, some in data.train.items()},
         "samples": len(samples),
         "corpus": asdict(corpus.Recipe()),
         "seed": seed,
@@ -157,7 +131,7 @@ def make_init_gmm(
         },
         "history": [round(x, 3) for x in history],
     }
-    checkpoint.save(out / f"init_gmm_{name}", gmm.tensors(), recipe)
+    checkpoint.save(out / "init_gmm_real", gmm.tensors(), recipe)
     return recipe
 
 

@@ -12,13 +12,10 @@ from pathlib import Path
 
 import torch
 
-from data_synth import corpus
-from motionlab.contact import with_contacts
 from motionlab.errors import DataError
 from motionlab.humor import state
 from motionlab.io.recordings import recordings
 from motionlab.motion import Motion, resample
-from motionlab.people import PARTS
 from motionlab.retarget import retarget
 
 #: Sources on which weights that ship with the project may be trained, by their licences.
@@ -65,44 +62,6 @@ def standard(folder: Path | str | None, source: str, *, each: int | None = None,
 @lru_cache(maxsize=512)
 def _standard(path: Path, load: Callable, fps: float) -> Motion:
     return resample(retarget(load(path)).motion, fps)
-
-
-def motions_by_part(folder: Path | str | None, part: str, *, most: int | None = None) -> dict[str, list[Motion]]:
-    """Loads motions (T,) by source, as they were made or recorded.
-
-    train: all but the held-out sequences, and four of five recordings of each source. choose: other sequences of the
-    same subjects, and every second held-out recording; what chooses a checkpoint. report: a subject, and recordings,
-    that nothing was trained on or chosen by.
-
-    Args:
-        folder: of recordings (``MOTIONLAB_DATA``), or None. most: so many motions of a source, evenly over it.
-
-    Raises:
-        ValueError: no such part.
-    """
-    if part not in PARTS:
-        raise ValueError(f"part: expected one of {', '.join(PARTS)}, got {part!r}")
-    made = corpus.build(version="B")
-    sequences = {"train": made.train, "choose": made.heldout_sequences, "report": made.heldout_subject}[part]
-    found = {SYNTHETIC: evenly([s.motion for s in sequences], most)}
-    used, left = trainable(folder)
-    if used:
-        recorded = {"train": used, "choose": left[::2], "report": left[1::2]}[part]
-        found[RECORDED] = evenly(recorded, most)
-    return found
-
-
-def trainable(folder: Path | str | None, sources: Sequence[str] = SHIPPABLE) -> tuple[list[Motion], list[Motion]]:
-    """Loads motions with contacts on a flat floor, for training and held out (every fifth clip of a source).
-
-    Left out: clips in which no joint is below 30 cm for more than a tenth of the time (climbing, a wrong floor).
-    """
-    split: tuple[list[Motion], list[Motion]] = [], []
-    for source in sources:
-        flat = [m for m in standard(folder, source) if m.positions[..., 2].amin(-1).quantile(0.9) < 0.3]
-        for i, motion in enumerate(flat):
-            split[i % 5 == 2].append(with_contacts(motion))
-    return split
 
 
 def state_windows(

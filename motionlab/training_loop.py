@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from motionlab.errors import DataError
 
-AFRESH = "start afresh, without --resume"
+AFRESH = "start afresh, without --more"
 #: Measures of a model, by name.
 Measure = Callable[[Any], dict[str, float]]
 
@@ -218,15 +218,6 @@ class TrainingRun(ABC):
         }  # fmt: skip
         torch.save(content | self._extra(), part)
         part.replace(path)
-
-    @classmethod
-    def kept_recipe(cls, path: Path | str) -> Any:
-        """Reads the recipe of a saved run.
-
-        Raises:
-            DataError: the file is missing, damaged, or a run of another model.
-        """
-        return cls._read(path)[0]
 
     @classmethod
     def resume(cls, path: Path | str, data: Any, *where: Any, **more: Any) -> Self:

@@ -14,7 +14,7 @@ CORES = str(max(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinit
 #: A file's tests on one worker, as what they share is made once; files in the order they are given in.
 BY_FILE = ["-n", CORES, "--dist", "loadfile", "--no-loadscope-reorder"]
 #: What takes longest begins first, so that no core waits for it at the end.
-LONGEST = [f"tests/test_{n}.py" for n in ("humor_testops", "humor_training", "diffusion_training", "humor_fit_cli")]
+LONGEST = [f"tests/test_{n}.py" for n in ("humor_testops", "diffusion_training", "humor_fit_cli")]
 ONE_THREAD = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "LP_NUM_THREADS")  # of each worker
 
 

@@ -22,7 +22,7 @@ FLOORS = """
     cleaning detect people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
         diffusion.model diffusion.poses
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
-    corpus splits humor.training humor.unknowns corrections diffusion.completer_training
+    corpus splits humor.scales humor.unknowns corrections diffusion.completer_training
     bench shipped doctor onnx_export humor.chain_training humor.quality humor.stages humor.start animate
     train_more models humor.shooting renew
     train_completer train_plain train_prior

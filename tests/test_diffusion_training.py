@@ -167,10 +167,7 @@ def test_the_prior_of_humor_is_no_denoiser():
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["humor", "--preset", "real"], "no preset 'real'"),
-        (["humor", "--resume"], "without --resume"),
-        (["humor", "--more"], "use --resume"),
-        (["diffusion_plain", "--resume"], "--more goes on"),
+        (["small", "--more"], "takes no --more"),
         (["diffusion_plain"], "with --data"),
         (["features"], "with --data"),
     ],

@@ -9,10 +9,11 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from motionlab.errors import DataError
-from motionlab.humor import chain_training, training
+from motionlab.humor import chain_training, scales
 from motionlab.humor.chain_training import ChainRecipe, ChainTraining
 from motionlab.humor.cvae import Cvae, from_weights, official_weights
 from motionlab.humor.examples import live_examples
+from motionlab.humor.scales import Scales
 from motionlab.humor.state import (
     OFFICIAL_DELTA_ORDER,
     SLICES,
@@ -24,7 +25,6 @@ from motionlab.humor.state import (
     to_official,
     unpack,
 )
-from motionlab.humor.training import Scales
 from motionlab.motion import mirror
 from motionlab.skeleton import STANDARD
 from tests.draws import seeded
@@ -41,7 +41,7 @@ def data(motions):
 @pytest.fixture
 def transitions(motions):
     """Past and now (N, 339) in the frame of the past, doubles."""
-    return training.transition_pairs(from_motion(motions[0].to(torch.float64), causal=True))
+    return scales.transition_pairs(from_motion(motions[0].to(torch.float64), causal=True))
 
 
 def drawn(data, count=60, **change):

@@ -75,8 +75,9 @@ def _command(
     return command
 
 
-def _usual(command: argparse.ArgumentParser, seed: str = "of what is drawn at random (default 0)") -> None:
-    command.add_argument("--seed", type=_seed, help=seed)
+def _usual(command: argparse.ArgumentParser, seed: str = "") -> None:
+    if seed:  # of what draws
+        command.add_argument("--seed", type=_seed, help=seed)
     command.add_argument("--no-planting", dest="plant", action="store_false", help="leave sliding feet alone")
     add_axes(command)
 
@@ -172,8 +173,6 @@ def _repair(options: argparse.Namespace, motion: Motion, progress: bool) -> Anim
     from motionlab import renew
     from motionlab.diffusion.denoising import Noise
 
-    if options.seed is not None:
-        raise DataError("a repaired motion is one answer", place="--seed", remedy="leave it out")
     noise = None if options.noise is None else Noise.of(options.noise[0], options.noise[1] / 10)
     how = {"method": options.method, "plant": options.plant}
     return renew.repaired(motion, noise, progress=progress, **how)

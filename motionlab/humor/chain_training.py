@@ -9,9 +9,11 @@ Every chain begins at the truth. In closed ones the truth takes the place of wha
 falls to zero (scheduled sampling).
 
 Source: HuMoR (Rempe et al. 2021), section 3.3 (closed chains); the others are ours.
-Differs: errors, scales and average as in the compact recipe of ``training``; a linear layer past the decoder begins at
-"goes on at its velocity"; velocities are backward differences; a joint that a recording lacks teaches nothing of its
-rotation.
+Differs: errors are counted in units that matter per part (``scales``) with a Huber loss; gradients flow through some
+steps before the state is cut off (the official code cuts off every one) and are clipped; cosine decay; what ships is a
+moving average; joints of the pose come from forward kinematics, without vertices; a linear layer past the decoder
+begins at "goes on at its velocity"; velocities are backward differences; a joint that a recording lacks teaches nothing
+of its rotation.
 """
 
 from __future__ import annotations
@@ -28,8 +30,8 @@ from motionlab import rotation
 from motionlab.errors import DataError
 from motionlab.humor.cvae import Cvae, Gaussian, kl
 from motionlab.humor.examples import LiveExamples
+from motionlab.humor.scales import ERROR_UNITS, Scales, huber, transition_pairs
 from motionlab.humor.state import DELTA, DELTA_SLICES, ONWARD, SHAPES, apply, globalise, heading, localise, unpack
-from motionlab.humor.training import ERROR_UNITS, Scales, _huber, transition_pairs
 from motionlab.skeleton import STANDARD, fk
 from motionlab.training_loop import TrainingRun, fast_halves
 
@@ -195,8 +197,8 @@ class ChainTraining(TrainingRun):
         speed = parts["joints_vel"][..., STANDARD.contact_indices, :].square().sum(-1)
         inside = (posed - parts["joints"]) / ERROR_UNITS["joints"]
         return {
-            "reconstruction": sum(_huber(error / ERROR_UNITS[name]) for name, error in whole.items()),
-            "kinematics": _huber((posed[:judged] - truth["joints"]) / ERROR_UNITS["joints"]) + 2 * _huber(inside),
+            "reconstruction": sum(huber(error / ERROR_UNITS[name]) for name, error in whole.items()),
+            "kinematics": huber((posed[:judged] - truth["joints"]) / ERROR_UNITS["joints"]) + 2 * huber(inside),
             "contact": F.binary_cross_entropy_with_logits(logits[:judged], contacts[:judged]),
             "slide": (logits.sigmoid() * speed).mean(),
         }

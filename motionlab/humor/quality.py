@@ -12,8 +12,8 @@ from torch import Tensor
 
 from motionlab.humor.cvae import Cvae, kl
 from motionlab.humor.rollout import infer, rollout, sample_rollout
+from motionlab.humor.scales import transition_pairs
 from motionlab.humor.state import apply, bone_lengths, globalise, heading, localise, unpack
-from motionlab.humor.training import transition_pairs
 from motionlab.metrics.gait import contact_scores
 from motionlab.metrics.pose import masked_mean, mean_acceleration
 from motionlab.motion import FPS

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from data_synth import corpus as synthetic
 from motionlab import corpus, splits
 from motionlab.bench.person_windows import person_windows
 from motionlab.corpus import Take
@@ -52,5 +53,6 @@ def assemble(folder: Path | None, each: int, most: int | None) -> Cast:
 
 
 def _made(part: str) -> list[Take]:
-    motions = splits.motions_by_part(None, part)[SYNTHETIC]
-    return [Take(m, m.name, SYNTHETIC, m.name, "", m.fps, ()) for m in motions]
+    made = synthetic.build(version="B")
+    sequences = {"train": made.train, "choose": made.heldout_sequences, "report": made.heldout_subject}[part]
+    return [Take(s.motion, s.motion.name, SYNTHETIC, s.motion.name, "", s.motion.fps, ()) for s in sequences]

@@ -1,0 +1,152 @@
+"""The units in which training counts errors of transitions, and the scales that a model's numbers are learnt in.
+
+Inputs are standardised and outputs scaled; at the end both are folded into the weights, so that what ships has the
+official architecture. Source: HuMoR (Rempe et al. 2021), section 3.3, whose training code takes numbers as they are.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from motionlab import rotation
+from motionlab.humor.cvae import Cvae, Gaussian
+from motionlab.humor.state import (
+    DELTA,
+    DELTA_SLICES,
+    ONWARD,
+    SHAPES,
+    SLICES,
+    STATE,
+    heading,
+    localise,
+    unpack,
+)
+
+#: An error of one: metres, m/s, matrix entries, rad/s.
+ERROR_UNITS = {
+    "trans": 0.003, "trans_vel": 0.04, "root_orient": 0.008, "root_orient_vel": 0.1,
+    "pose_body": 0.012, "joints": 0.003, "joints_vel": 0.05,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Standardisation of states (339,) in their canonical frame, and the size of the raw output (216,).
+
+    half: networks compute in bfloat16, which some processors do several times faster; weights stay in single precision.
+    """
+
+    mean: Tensor
+    std: Tensor
+    change: Tensor
+    half: bool = False
+
+    @classmethod
+    def measure(cls, past: Tensor, now: Tensor, *, skip: bool = False) -> Scales:
+        """From transitions (N, 339), both in the frame of the past state. skip: of what differs from going on at the
+        velocity."""
+        change = torch.ones(DELTA)
+        onward = past @ ONWARD.mT if skip else torch.zeros(len(past), DELTA)
+        before, after = unpack(past), unpack(now)
+        for name in SHAPES:
+            if name in ("root_orient", "pose_body"):
+                moved = rotation.log(after[name] @ before[name].mT)
+            else:
+                moved = after[name] - before[name]
+            moved = moved.flatten(1) - onward[:, DELTA_SLICES[name]]
+            change[DELTA_SLICES[name]] = moved.std(0).clamp(min=1e-4)
+        change[DELTA_SLICES["contacts"]] = 3.0
+        return cls(past.mean(0), past.std(0).clamp(min=1e-3), change)
+
+    def rows(self, past: Tensor, now: Tensor) -> Tensor:
+        """What the encoder takes (N, 678): the second state enters as its change, in units of 16 errors."""
+        return torch.cat(((past - self.mean) / self.std, (now - past) / (16 * _unit(SLICES))), -1)
+
+    def posterior(self, model: Cvae, past: Tensor, now: Tensor) -> Gaussian:
+        """q(z | past, now)."""
+        rows = self.rows(past, now)
+        with self._precision():
+            mean, log_var = model.encoder(rows).to(past).chunk(2, -1)
+        return Gaussian(mean if model.direct is None else mean + model.direct(rows), log_var)
+
+    def prior(self, model: Cvae, past: Tensor) -> Gaussian:
+        """p(z | past)."""
+        with self._precision():
+            return Gaussian(*model.prior_net((past - self.mean) / self.std).to(past).chunk(2, -1))
+
+    def decode(self, model: Cvae, past: Tensor, z: Tensor) -> Tensor:
+        """Raw changes and contact logits (N, 216)."""
+        rows = (past - self.mean) / self.std
+        with self._precision():
+            raw = model.decoder(torch.cat((rows, z), -1)).to(past)
+            raw = raw if model.skip is None else raw + model.skip(rows).to(past)
+        return raw * self.change + (0.0 if model.skip is None else past @ ONWARD.mT.to(past))
+
+    def _precision(self) -> torch.autocast:
+        return torch.autocast("cpu", torch.bfloat16, enabled=self.half)
+
+    def folded(self, model: Cvae) -> Cvae:
+        """The model that computes the same from plain numbers, by its weights alone: the official architecture, but for
+        ``skip`` and ``direct``."""
+        model = deepcopy(model)
+        with torch.no_grad():
+            encoding = _encoding(model)
+            for first in (*encoding, model.prior_net.net[0], model.decoder.net[0]):
+                first.bias -= first.weight[:, :STATE] @ (self.mean / self.std)
+                first.weight[:, :STATE] /= self.std
+            for first in encoding:
+                first.weight[:, STATE:] /= 16 * _unit(SLICES)
+                first.weight[:, :STATE] -= first.weight[:, STATE:]
+            model.decoder.net[-1].weight *= self.change[:, None]
+            model.decoder.net[-1].bias *= self.change
+            if model.skip is not None:
+                weight = self.change[:, None] * model.skip.weight / self.std
+                model.decoder.net[-1].bias -= weight @ self.mean
+                model.skip.weight.copy_(weight + ONWARD)
+        return model
+
+    def unfolded(self, model: Cvae) -> Cvae:
+        """The weights that ``folded`` makes this model of: what training goes on from."""
+        model = deepcopy(model)
+        with torch.no_grad():
+            encoding = _encoding(model)
+            for first in encoding:
+                first.weight[:, :STATE] += first.weight[:, STATE:]
+                first.weight[:, STATE:] *= 16 * _unit(SLICES)
+            for first in (*encoding, model.prior_net.net[0], model.decoder.net[0]):
+                first.weight[:, :STATE] *= self.std
+                first.bias += first.weight[:, :STATE] @ (self.mean / self.std)
+            if model.skip is not None:
+                weight = model.skip.weight - ONWARD
+                model.decoder.net[-1].bias += weight @ self.mean
+                model.skip.weight.copy_(weight * self.std / self.change[:, None])
+            model.decoder.net[-1].weight /= self.change[:, None]
+            model.decoder.net[-1].bias /= self.change
+        return model
+
+
+def _encoding(model: Cvae) -> tuple[torch.nn.Linear, ...]:
+    """The layers that take both states."""
+    return (model.encoder.net[0], *(() if model.direct is None else (model.direct,)))
+
+
+def _unit(slices: dict[str, slice]) -> Tensor:
+    """``ERROR_UNITS``, one per number of a state (339,)."""
+    return torch.cat([torch.full((part.stop - part.start,), ERROR_UNITS[name]) for name, part in slices.items()])
+
+
+def huber(error: Tensor) -> Tensor:
+    """Computes the mean Huber loss of errors in their units, linear from 3 on."""
+    return F.smooth_l1_loss(error, torch.zeros_like(error), beta=3.0)
+
+
+def transition_pairs(states: Tensor) -> tuple[Tensor, Tensor]:
+    """Computes all transitions of world states (..., T, 339), flat: past and now (N, 339) in the frame of the past."""
+    frame = heading(states[..., :-1, :])
+    past, now = localise(states[..., :-1, :], frame), localise(states[..., 1:, :], frame)
+    return past.flatten(0, -2), now.flatten(0, -2)

@@ -1,0 +1,69 @@
+"""What the transition prior is trained in: units and scales; and the command that trains what is small."""
+
+import pytest
+import torch
+
+from data_synth.corpus import Recipe as Corpus
+from data_synth.corpus import perform_sequence
+from motionlab import checkpoint, shipped, splits
+from motionlab.__main__ import main
+from motionlab.errors import ShapeError
+from motionlab.humor import pretrained, state
+from motionlab.humor.cvae import Cvae
+from motionlab.humor.scales import Scales, transition_pairs
+
+
+def test_scales_fold_into_the_weights_exactly(motions):
+    past, now = (x.double() for x in transition_pairs(state.from_motion(motions[0])))
+    torch.manual_seed(1)
+    model = Cvae(64).double()
+    found = Scales.measure(past, now)
+    scales = Scales(found.mean.double(), found.std.double(), found.change.double())
+    plain = scales.folded(model)
+    z = torch.randn(len(past), 48, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    for a, b in (
+        (scales.posterior(model, past, now).mean, plain.posterior(past, now).mean),
+        (scales.posterior(model, past, now).log_var, plain.posterior(past, now).log_var),
+        (scales.prior(model, past).mean, plain.prior(past).mean),
+        (scales.decode(model, past, z), plain.decode(past, z)),
+    ):
+        assert (a - b).abs().max() < 1e-10
+    assert not torch.allclose(model.prior(past).mean, plain.prior(past).mean, atol=1e-3)  # the scales do matter
+
+
+@pytest.mark.parametrize("width", [0, 16, 48, 100])
+def test_widths_that_the_norms_cannot_have(width):
+    with pytest.raises(ShapeError, match="multiple of 32"):
+        Cvae(width)
+
+
+# -------------------------------------------------------------------------------------------------- command
+@pytest.mark.parametrize("steps", ["0", "-3", "many"])
+def test_the_command_wants_steps_that_can_be_counted(steps, capsys):
+    with pytest.raises(SystemExit):
+        main(["train", "small", f"--steps={steps}"])
+    assert "above 0" in capsys.readouterr().err
+
+
+def test_the_command_trains_the_small_priors(motions, tmp_path, monkeypatch):
+    """End to end with little data: both checkpoints load, and their recipes say what they are."""
+    some = [m for seed in (1, 2) for m in (perform_sequence(Corpus(seconds=6.0, seed=seed), 0).motion, *motions)]
+    data = shipped.RealMotions(
+        {splits.RECORDED: some}, {"unseen": motions[:1]}, {splits.RECORDED: [("left_foot",)] * len(some)}
+    )
+    monkeypatch.setattr(shipped, "real_motions", lambda folder: data)
+    assert main(["train", "small", "--steps", "3", "--seed", "2", "--out", str(tmp_path)]) == 0
+    pose, initial = (
+        pretrained.load_pose_prior(str(tmp_path / "pose_prior_real")),
+        pretrained.load_initial(str(tmp_path / "init_gmm_real")),
+    )
+    turns = pose.decode(torch.zeros(2, 32))
+    assert torch.allclose(turns @ turns.mT, torch.eye(3).expand_as(turns), atol=1e-5)
+    features = shipped._first_states(motions[:1], 20)
+    assert initial.log_prob(features).isfinite().all() and initial.means.shape == (12, 138)
+    recipes = [checkpoint.read_recipe(tmp_path / f"{name}_real") for name in ("pose_prior", "init_gmm")]
+    command = "python -m motionlab train small --data FOLDER"
+    assert [recipe["command"] for recipe in recipes] == [f"{command} --steps 3 --seed 2", f"{command} --seed 2"]
+    assert recipes[0]["data"] == recipes[1]["data"] == {splits.RECORDED: sum(m.frames for m in some)}
+    assert recipes[0]["steps"] == 3 and recipes[0]["held out"]["unseen"]["degrees"] > 0
+    assert recipes[1]["held-out log-likelihood, nats per frame"]["unseen"]["frames"] == -(-motions[0].frames // 3)
