@@ -205,7 +205,7 @@ class Weights:
         listed: also terms whose weight is listed, though the official code leaves them out in this stage: it lists
         smoothness and priors for stage 1, and has only the data there.
         """
-        found = {name: triple[stage - 1] for name, triple in asdict(self).items()}
+        found = {name: triple[stage - 1] for name, triple in vars(self).items()}
         if frames is not None:
             found["init_motion_prior"] *= frames / _SHORT
         return {name: weight for name, weight in found.items() if weight and (listed or name in _ACTIVE[stage])}
