@@ -21,7 +21,7 @@ help:
 	@echo "make interop     set up, open our files in Blender, three.js, aitviewer and ffprobe, find keypoints by rtmlib (3.5 GB more)"
 	@echo "make lab         set up, open copies of the notebooks (lab/) in JupyterLab with interactive 3-D, short runs"
 	@echo "make full        regenerate the committed notebooks and results"
-	@echo "make records     what notebooks 07, 08 and 14 read and takes hours: what is on record of this recipe is kept"
+	@echo "make records     what notebooks 08 and 14 read and takes hours: what is on record of this recipe is kept"
 	@echo "make small       the small models that notebooks 10, 13 and 15 compare, from MOTIONLAB_DATA (hours): rows are kept"
 	@echo "make train       pose prior, first states and features of recordings, in MOTIONLAB_DATA (hours)"
 	@echo "make bench       speed, as ratios measured in one run"
@@ -51,7 +51,6 @@ full: setup
 	@PYTHONPATH=notebooks $(PY) -m suite regenerate $(NOTEBOOKS)
 
 records: setup
-	@PYTHONPATH=notebooks OMP_NUM_THREADS=1 $(PY) -m studies.nb07_decoupled.make_record notebooks/results/long/tuning.json
 	@PYTHONPATH=notebooks OMP_NUM_THREADS=1 $(PY) -m studies.nb08_fast.make_record notebooks/results/long/faithful.json
 	@test -z "$$MOTIONLAB_DATA" || PYTHONPATH=notebooks OMP_NUM_THREADS=1 nice -n 19 $(PY) -m studies.nb14_handles.make_record notebooks/results/long/handles.json
 

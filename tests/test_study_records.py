@@ -1,4 +1,4 @@
-"""Records of hours of search that notebooks 07 and 08 read: of the recipe that the code has, and refused if not."""
+"""The record of hours of search that notebook 08 reads: of the recipe that the code has, and refused if not."""
 
 import json
 from dataclasses import asdict, replace
@@ -11,8 +11,6 @@ from motionlab.errors import DataError
 from motionlab.humor import stages
 from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.testops import Schedule
-from studies.nb07_decoupled import make_record as tuning_command
-from studies.nb07_decoupled import tuning, tuning_record
 from studies.nb08_fast import make_record as official_command
 from studies.nb08_fast.official_schedule import in_full, load, table
 from studies.official import unknowns as official_unknowns
@@ -20,75 +18,7 @@ from studies.official.rollout import rollout
 from studies.shared.savings import exact_alignment
 
 NOTEBOOKS = ROOT / "notebooks"
-TUNING, OFFICIAL = (NOTEBOOKS / "results" / "long" / f"{name}.json" for name in ("tuning", "faithful"))
-
-
-# --------------------------------------------------------------------------------------------- how 07's searches walked
-def test_budgets_of_the_notebook_are_those_of_the_record_and_every_walk_ended():
-    cells = {c["id"]: "".join(c["source"]) for c in json.loads((NOTEBOOKS / "07_decoupled.ipynb").read_text())["cells"]}
-    said = {}
-    exec(cells["c01"], said)
-    b, recipe = said["BUDGETS"]["full"], tuning_command.RECIPE
-    assert recipe.seed == said["SEED"] + 1 and recipe.clips == b["practice"] and f'"{recipe.scene}"' in cells["c02"]
-    same = ("frames", "short", "long", "schedule", "search", "fixed", "rounds", "steps")
-    assert all(getattr(recipe, n) == b[n] for n in same)
-    assert set(tuning_record.load(TUNING, recipe)) == set(tuning_record.searches(recipe))
-
-
-def test_every_chosen_setting_is_the_best_of_its_neighbours():
-    found = tuning_record.load(TUNING, tuning_command.RECIPE)
-    for key, search in tuning_record.searches(tuning_command.RECIPE).items():
-        choice = found[key]
-        tried = {tuple(row[n] for n in search.begin): row[search.measure] for row in choice.rows}
-        around = [tuple(s[n] for n in search.begin) for s in search.neighbours(choice.setting)]
-        assert choice.ended and len(around) == 2 * len(search.begin), key
-        chosen = tried[tuple(choice.setting[n] for n in search.begin)]
-        assert chosen == tuning.least(choice, search.measure) and all(tried[s] >= chosen for s in around), key
-        assert all(tuple(s[n] for n in search.begin) in tried for s in (search.begin, *search.also)), key
-
-
-def test_a_record_of_another_recipe_is_not_used(tmp_path):
-    for other in ({"seed": 2}, {"search": 3}, {"steps": (1, 2, 3)}, {"scene": "sitting"}, {"prior": "another"}):
-        assert tuning_record.load(TUNING, replace(tuning_command.RECIPE, **other)) == {}
-    assert tuning_record.load(tmp_path / "none.json", tuning_command.RECIPE) == {}
-
-
-def better(walk):
-    """Something else that was tried is made the best."""
-    other = next(row for row in walk["tried"] if any(row[n] != x for n, x in walk["chosen"].items()))
-    other.update({m: -1e9 for m in ("energy", "kept legs")})
-
-
-CHANGES = {
-    "no recipe": lambda r: r.pop("recipe"),
-    "a recipe with less": lambda r: r["recipe"].pop("seed"),
-    "steps of another kind": lambda r: r["recipe"].update(steps=1),
-    "walks of another kind": lambda r: r.update(walks=[1]),
-    "chosen, never tried": lambda r: r["walks"][0]["chosen"].update(weight=77.0),
-    "chosen nothing": lambda r: r["walks"][0].update(chosen={}),
-    "chosen, but not the best": lambda r: better(r["walks"][0]),
-    "without the measure": lambda r: [r["walks"][0]["tried"][0].pop(m) for m in ("energy", "kept legs")],
-    "ended, in words": lambda r: r["walks"][0].update(ended="yes"),
-    "no seconds": lambda r: r["walks"][0].pop("seconds"),
-    "tried nothing": lambda r: r["walks"][0].update(tried=[]),
-    "words for numbers": lambda r: r["walks"][0]["tried"][0].update(energy="low"),
-}
-
-
-@pytest.mark.parametrize("what", [*CHANGES, "half", "empty", "a list"])
-def test_a_record_of_walks_that_is_none_is_refused(tmp_path, what):
-    text = TUNING.read_text()
-    record = json.loads(text)
-    plain = {"half": text[: len(text) // 2], "empty": "", "a list": "[]"}
-    if what in CHANGES:
-        CHANGES[what](record)
-    path = tmp_path / "tuning.json"
-    path.write_text(plain.get(what, json.dumps(record)))
-    place = "recipe" if "recipe" in what or "steps" in what or what in plain else "walk 0"
-    with pytest.raises(DataError, match=rf"tuning\.json, {place}.*remedy.*delete it and run.*make_record"):
-        tuning_record.load(path, tuning_command.RECIPE)
-    path.unlink()
-    assert tuning_record.load(path, tuning_command.RECIPE) == {}  # the remedy is one
+OFFICIAL = NOTEBOOKS / "results" / "long" / "faithful.json"
 
 
 # ---------------------------------------------------------------------------------------- the official schedule, in 08

@@ -16,10 +16,10 @@ from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import infer, rollout
 from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
-from motionlab.skeleton import FEET
+from studies.shared.sitting import SEAT as SEAT
+from studies.shared.sitting import seated as seated
+from studies.shared.sitting import unsupported as unsupported
 
-_TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head")
-SEAT = 0.12  # metres: a trunk so far behind the feet falls, unless something carries it
 BAND = (2.0, 5.0)  # Hz: where the accents of a dance are
 
 
@@ -40,25 +40,12 @@ def accumulation(model: Cvae, truth: Motion) -> Tensor:
 
 
 # ---------------------------------------------------------------------------------------- poses and steps
-def unsupported(motion: Motion) -> Tensor:
-    """Computes how far the trunk is behind the feet, metres (B, T), along the pelvis's heading: above 0 behind them."""
-    heading = torch.nn.functional.normalize(motion.rot[..., 0, :2, 2], dim=-1)
-    feet, trunk = (motion.positions[..., motion.skeleton.indices(names), :2].mean(-2) for names in (FEET, _TRUNK))
-    return ((feet - trunk) * heading).sum(-1)
-
-
 def moment(truth: Motion, frames: int = 10) -> Tensor:
     """Finds the first or the last ``frames`` (B, T) of each clip, whichever have the pelvis lower."""
     height, when = truth.root[..., 2], torch.zeros(truth.root.shape[:-1], dtype=torch.bool)
     early = height[..., :frames].mean(-1) < height[..., -frames:].mean(-1)
     when[..., :frames], when[..., -frames:] = early[..., None], ~early[..., None]
     return when
-
-
-def seated(motion: Motion, when: Tensor) -> Tensor:
-    """Computes who sits, 1 or 0 (B,), in frames (B, T): thighs and knees bent by ``gait.SEATED`` and the trunk ``SEAT``
-    behind the feet, means over the frames. Who crouches bends the legs as much, over the feet."""
-    return gait.sits(motion, when=when) * (pose.masked_mean(unsupported(motion), when, 1) >= SEAT)
 
 
 def flexion_error(fit: Motion, truth: Motion) -> Tensor:

@@ -20,8 +20,7 @@ from studies.nb07_decoupled.trials import Case
 from studies.shared import profiling, savings
 from studies.shared.profiling import Name
 
-OFFICIAL, LEAN = savings.Savings(frozen=True), savings.LEAN
-FORMS = {"official": OFFICIAL, "lean": LEAN}
+FORMS = {"official": savings.Savings(frozen=True), "lean": savings.LEAN}
 
 
 def decodes(model: Cvae, states: Tensor, z: Tensor, steps: int | None, on: savings.Savings) -> Callable[[], Tensor]:
@@ -76,8 +75,7 @@ def costs(model: Cvae, states: Tensor, batches: Sequence[int], steps: Sequence[i
 
 
 def closures(known: Case, plans: Mapping[Name, Plan], rounds: int) -> dict[Name, Tensor]:
-    """Processor time in seconds (rounds,) of the whole decoupled energy with the gradients of what moves, plans in
-    turns."""
+    """Processor time in seconds (rounds,) of the energy with the gradients of what moves, plans in turns."""
 
     def closure(plan: Plan) -> Callable[[], object]:
         point = {n: x.clone().requires_grad_(n in plan.moving) for n, x in known.start.items()}

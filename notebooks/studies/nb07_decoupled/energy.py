@@ -5,18 +5,16 @@ decoded sequence is what min(k, t) steps make of the state so many frames before
 
     x^k_t = f(... f(x_{t-k}, z_{t-k+1}) ..., z_t),      x^0 = x,      E = 1/(K+1) sum_k E_3(x^k) + w C(x, x^1..x^K)
 
-with E_3 the energy of stage 3 and C the consistency. At an exact roll-out all sequences are the same, so that C = 0 and
-E = E_3; with K = T the last sequence always is the exact roll-out.
+with E_3 the energy of stage 3 and C the consistency. At an exact roll-out C = 0 and E = E_3.
 
 Source: thesis 3.3.1, Figs. 3.8 and 3.9; 3.3.2 for the representation.
-Differs: x is kept in the world as 273 numbers, rotations as 6 of them; what is compared are the 339 numbers of a state,
-rotation matrices among them, so that no rotation vector can flip (notebook 02). The first k frames of the k-th
-sequence, which the thesis leaves out, are the roll-out from x_0.
+Differs: x is 273 numbers in the world, rotations 6 of them; what is compared are the 339 numbers of a state, rotation
+matrices among them. The first k frames of the k-th sequence, which the thesis leaves out, are the roll-out from x_0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -34,7 +32,6 @@ from motionlab.humor.stages import Problem, Terms
 from motionlab.humor.state import SHAPES, STATE
 from motionlab.humor.unknowns import Posed, Rolled, Unknowns, skeleton_of
 from motionlab.skeleton import fk
-from studies.shared.workload import Workload
 
 TURNS = {"root_orient": 1, "pose_body": 21}
 #: Numbers of a persistent state: as ``state``, but six for each rotation.
@@ -84,10 +81,10 @@ def sequences(model: Cvae, states: Tensor, z: Tensor, steps: int = 1) -> Sequenc
 
 @dataclass(frozen=True)
 class Form:
-    """Which decoupled energy. steps: K. detached: the consistency does not move z. weight: w, one number or one per
-    clip (B,)."""
+    """Which energy. steps: K, or None for that of whole roll-outs, in which only the first state of x counts.
+    detached: the consistency does not move z. weight: w, one number or one per clip (B,)."""
 
-    steps: int = 1
+    steps: int | None = 1
     weight: float | Tensor = 1.0
     detached: bool = False
 
@@ -100,11 +97,14 @@ def terms(problem: Problem, unknown: Unknown, form: Form) -> tuple[Terms, Sequen
 
     unknown: "x" (B, T, 273), "z" (B, T - 1, 48), "betas" (B, 8). Each row is a recording of one window.
     """
+    if form.steps is None:
+        found, rolled = whole(problem, unknown)
+        return found, Sequences(rolled.states[:, None], rolled.rollout.contact_logits[:, None])
     states, z = to_states(unknown["x"]), unknown["z"]
     decoded = sequences(problem.priors.motion, states, z, form.steps)
-    whole = torch.cat((states[:, None], decoded.states), 1)
+    every = torch.cat((states[:, None], decoded.states), 1)
     logits = torch.cat((decoded.contact_logits[:, :1], decoded.contact_logits), 1)
-    found = _objective(problem, whole, logits, z, unknown["betas"])
+    found = _objective(problem, every, logits, z, unknown["betas"])
     compared = decoded
     if form.detached and z.requires_grad:
         compared = sequences(problem.priors.motion, states, z.detach(), form.steps)
@@ -120,14 +120,14 @@ def consistency(states: Tensor, decoded: Tensor) -> Tensor:
     return (states[:, None] - decoded).abs().sum((-1, -2)).mean(1)
 
 
-def _objective(problem: Problem, whole: Tensor, logits: Tensor, z: Tensor, betas: Tensor) -> Terms:
+def _objective(problem: Problem, every: Tensor, logits: Tensor, z: Tensor, betas: Tensor) -> Terms:
     """The terms of stage 3, means over sequences (B, N, T, 339); the prior of z is that of the persistent states."""
-    batch, count = whole.shape[:2]
-    prior = prior_of(problem.priors.motion, whole[:, 0])
+    batch, count = every.shape[:2]
+    prior = prior_of(problem.priors.motion, every[:, 0])
     many = replace(problem, evidence=problem.evidence.rows(torch.arange(batch).repeat_interleave(count)))
     spread = [x[:, None].expand(-1, count, -1, -1).flatten(0, 1) for x in (z, *prior)]
-    rolled = Rollout(whole[:, :, 1:].flatten(0, 1), logits.flatten(0, 1), spread[0], Gaussian(*spread[1:]))
-    found = stage_3_terms(many, whole.flatten(0, 1), rolled, betas.repeat_interleave(count, 0))
+    rolled = Rollout(every[:, :, 1:].flatten(0, 1), logits.flatten(0, 1), spread[0], Gaussian(*spread[1:]))
+    found = stage_3_terms(many, every.flatten(0, 1), rolled, betas.repeat_interleave(count, 0))
     return {name: x.unflatten(0, (batch, count)).mean(1) for name, x in found.items()}
 
 
@@ -157,20 +157,16 @@ def posed(states: Tensor, betas: Tensor, evidence: Evidence) -> Posed:
     )
 
 
+def whole(problem: Problem, unknown: Unknown) -> tuple[Terms, Rolled]:
+    """The weighted terms (B,) of stage 3 of the exact roll-out of x_0 and z, and that roll-out."""
+    first = to_states(unknown["x"][:, 0])
+    rolled = rollout(problem.priors.motion, first, unknown["z"])
+    states = torch.cat((first[:, None], rolled.states), 1)
+    found = stage_3_terms(problem, states, rolled, unknown["betas"])
+    return found, Rolled(states, rolled, posed(states, unknown["betas"], problem.evidence))
+
+
 def rolled_out(problem: Problem, unknown: Unknown) -> tuple[Terms, Rolled]:
-    """What every variant is judged by: the exact roll-out of x_0 and z, and its weighted terms (B,) of stage 3."""
+    """What every variant is judged by: ``whole``, without gradients."""
     with torch.no_grad():
-        first, z = to_states(unknown["x"][:, 0]), unknown["z"]
-        rolled = rollout(problem.priors.motion, first, z)
-        states = torch.cat((first[:, None], rolled.states), 1)
-        body = posed(states, unknown["betas"], problem.evidence)
-        return stage_3_terms(problem, states, rolled, unknown["betas"]), Rolled(states, rolled, body)
-
-
-def marks(case: Workload, states: Tensor, steps: Sequence[int]) -> dict[str, Tensor]:
-    """The decoupled energy's terms at unknowns that nothing was searched for: true states (B, T, 339) and the latents
-    that the posterior finds in them, for every K of ``steps``."""
-    unknown = {"x": to_persistent(states), "z": case.moving.z[:, 0], "betas": case.moving.betas}
-    with torch.no_grad():
-        found = {k: terms(case.problem, unknown, Form(k))[0] for k in steps}
-    return {f"{name} at K = {k}": x.mean() for k, each in found.items() for name, x in each.items()}
+        return whole(problem, unknown)

@@ -1,40 +1,34 @@
-"""What the decoupled stage 3 is tried on, and how it is judged.
+"""What the decoupled stage 3 is tried on, how its settings are chosen, and how it is judged.
 
-Source: thesis 3.3.3. The judge is the same for all variants: the exact roll-out of the x_0 and z that were found.
+The judge is the same for all variants: the exact roll-out of the x_0 and z that were found.
+Source: thesis 3.3.3.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 
 import torch
 from torch import Tensor
 
+from data_synth.scenes import Scene
 from motionlab.humor import state, testops
-from motionlab.humor.cvae import Cvae
-from motionlab.humor.energies import RGB_LIGHT
-from motionlab.humor.evidence import evidence
+from motionlab.humor.energies import JOINTS, RGB_LIGHT
+from motionlab.humor.evidence import Observation2D, Observation3D, evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import decode_ahead, infer, rollout
 from motionlab.humor.stages import Problem
-from motionlab.humor.testops import Fitted, Schedule
+from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import motion_of
-from motionlab.metrics import gait, intervals, pose
+from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
-from studies.nb07_decoupled.energy import Unknown, posed, rolled_out, to_persistent, to_states
-from studies.nb07_decoupled.search import Found, Plan, adam, lbfgs
-from studies.shared.contenders import CM, Seen
-
-Method = Callable[[Problem, Unknown, Plan, int], Found]
-
-
-class Filmed(Seen):
-    """A scene with its truth (B, T) of the 22 joints."""
-
-    truth: Motion
+from studies.nb07_decoupled.energy import Unknown, posed, prior_of, rolled_out, to_persistent, to_states
+from studies.nb07_decoupled.search import Found, Plan, search
+from studies.shared.joints import noisy
+from studies.shared.sitting import seated
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,203 +36,196 @@ class Case:
     """B clips at the end of stage 2.
 
     problem: the energy of stage 3. start: the persistent states of stage 2, the posterior's mean for each of its
-    transitions, its shape. truth, stage_2: motions (B, T). fitted: what a whole fit made of the clips, and in how many
-    seconds of processor time, where one was asked for.
+    transitions, its shape. truth, stage_2: motions (B, T).
     """
 
     problem: Problem
     start: dict[str, Tensor]
     truth: Motion
     stage_2: Motion
-    fitted: Fitted | None = None
-    seconds: float = 0.0
-
-    def __len__(self) -> int:
-        return len(self.start["x"])
 
     def rows(self, index: Tensor) -> Case:
-        """Some of the clips, or some several times, in the order of ``index``; without the whole fit."""
-        return Case(
-            self.problem.rows(index), {n: x[index] for n, x in self.start.items()}, self.truth.clip(index),
-            self.stage_2.clip(index),
-        )  # fmt: skip
-
-    @property
-    def model(self) -> Cvae:
-        """The motion prior."""
-        return self.problem.priors.motion
+        """Some of the clips, or some several times, in the order of ``index``."""
+        start = {n: x[index] for n, x in self.start.items()}
+        return Case(self.problem.rows(index), start, self.truth.clip(index), self.stage_2.clip(index))
 
 
-def case(scene: Filmed, priors: Priors, schedule: Schedule, *, frames: int, solver: str | None = None) -> Case:
-    """The first ``frames`` of a scene with its camera known, after stages 1 and 2; with a ``solver`` fitted whole, too:
-    by "rollout", which is single shooting, or by "shooting", which is faster.
+def case(scene: Scene, priors: Priors, schedule: Schedule, frames: int) -> Case:
+    """The first ``frames`` of a filmed scene, after stages 1 and 2."""
+    return _begun(_first(scene, frames), scene.truth.cut(0, frames), priors, schedule, cameras=scene.cameras)
 
-    Raises:
-        KeyboardInterrupt: somebody stopped a fit; half of one is none to compare with.
-    """
-    seen = replace(
-        scene.observation,
-        keypoints=scene.observation.keypoints[:, :frames],
-        confidence=scene.observation.confidence[:, :frames],
-    )
-    schedule, how = replace(schedule, window=frames), {"cameras": scene.cameras}
-    begun = _to_the_end(testops.fit(seen, priors, schedule=schedule.without_stage_3(), **how))
+
+def tracked(
+    truth: Motion, hidden: Sequence[int], priors: Priors, schedule: Schedule, generator: torch.Generator
+) -> Case:
+    """Clips (B, T) whose joints are measured in 3-D, 4 cm of noise on each, but for the hidden frames."""
+    seen = noisy(truth, generator)
+    visible = seen.visible.clone()
+    visible[:, list(hidden)] = False
+    return _begun(replace(seen, visible=visible), truth, priors, schedule)
+
+
+def _begun(seen: Observation2D | Observation3D, truth: Motion, priors: Priors, schedule: Schedule, **how) -> Case:
+    begun = testops.fit(seen, priors, schedule=schedule.without_stage_3(), **how)
     states = state.from_motion(begun.stages[2])
     with torch.no_grad():
         z = infer(priors.motion, states)[0].mean
-    start = {"x": to_persistent(states), "z": z, "betas": begun.betas}
-    problem, truth = Problem(evidence(seen, **how), priors, RGB_LIGHT), scene.truth.cut(0, frames)
-    if solver is None:
-        return Case(problem, start, truth, begun.stages[2])
-    began = time.process_time()
-    fitted = _to_the_end(testops.fit(seen, priors, schedule=schedule, solver=solver, **how))
-    return Case(problem, start, truth, begun.stages[2], fitted, time.process_time() - began)
+    problem = Problem(evidence(seen, **how), priors, RGB_LIGHT if how else JOINTS)
+    return Case(problem, {"x": to_persistent(states), "z": z, "betas": begun.betas}, truth, begun.stages[2])
 
 
-def _to_the_end(fitted: Fitted) -> Fitted:
-    if fitted.stopped:
-        raise KeyboardInterrupt
-    return fitted
+def _first(scene: Scene, frames: int):
+    seen = scene.observation
+    return replace(seen, keypoints=seen.keypoints[:, :frames], confidence=seen.confidence[:, :frames])
 
 
-def reference(known: Case) -> dict[str, Tensor]:
-    """What the whole fit found, as decoupled unknowns: the states of its roll-out, its z, its shape."""
+def solved(scene: Scene, priors: Priors, schedule: Schedule, frames: int) -> dict[str, Tensor]:
+    """What a whole fit by shooting finds, as decoupled unknowns: the states of its roll-out, its z, its shape."""
+    how = {"schedule": schedule, "solver": "shooting", "cameras": scene.cameras}
+    fitted = testops.fit(_first(scene, frames), priors, **how)
+    first, z = fitted.first[:, 0], fitted.z[:, 0]
     with torch.no_grad():
-        first, z = known.fitted.first[:, 0], known.fitted.z[:, 0]
-        states = torch.cat((first[:, None], rollout(known.model, first, z, with_prior=False).states), 1)
-    return {"x": to_persistent(states), "z": z, "betas": known.fitted.betas}
+        states = torch.cat((first[:, None], rollout(priors.motion, first, z, with_prior=False).states), 1)
+    return {"x": to_persistent(states), "z": z, "betas": fitted.betas}
 
 
 # ------------------------------------------------------------------------------------------------------- the judge
 def motions(known: Case, unknown: Unknown) -> dict[str, Motion]:
-    """ "kept": the persistent states as they are. "rolled": the exact roll-out of x_0 and z."""
-    fps = known.truth.fps
+    """ "x": the persistent states as they are. "roll-out": the exact roll-out of x_0 and z."""
     with torch.no_grad():
         kept = posed(to_states(unknown["x"]), unknown["betas"], known.problem.evidence)
         _, rolled = rolled_out(known.problem, unknown)
-    return {"kept": motion_of(kept, fps), "rolled": motion_of(rolled.body, fps)}
+    return {name: motion_of(body, known.truth.fps) for name, body in (("x", kept), ("roll-out", rolled.body))}
 
 
-def judged(known: Case, unknown: Unknown) -> dict[str, Tensor]:
-    """Measures (B,) of what was found.
+def energy(known: Case, unknown: Unknown) -> dict[str, Tensor]:
+    """The energy (B,) of stage 3, of the exact roll-out, nats."""
+    return {"energy": sum(rolled_out(known.problem, unknown)[0].values()) / known.problem.weights.motion_prior[2]}
 
-    "energy": of stage 3, of the exact roll-out. "legs", "kept legs": error in cm of knees, ankles and feet, pelvis on
-    the true one, of the exact roll-out and of the persistent states. "sits", "kept sits": 1 where somebody sits in the
-    last ten frames. "gap": mean distance in cm of the joints of the two, in the world.
+
+def judged(known: Case, unknown: Unknown, frames: int | None = None) -> dict[str, Tensor]:
+    """Measures (B,) of what was found, of the exact roll-out and, "x ...", of the persistent states.
+
+    "energy": of stage 3, nats. "error": of the joints in the world, cm. "legs": of knees, ankles and feet, pelvis on
+    the true one, cm. "sits": 1 where somebody sits in the last ten frames. "gap": between the two, joints, cm.
+    "first legs": as "x legs", of the first ``frames``, which clips of two lengths share.
     """
-    energies, _ = rolled_out(known.problem, unknown)
-    found = motions(known, unknown)
-    return {
-        "energy": sum(energies.values()),
-        "legs": legs(known, found["rolled"]),
-        "sits": gait.sits(found["rolled"]),
-        "kept legs": legs(known, found["kept"]),
-        "kept sits": gait.sits(found["kept"]),
-        "gap": CM * pose.mpjpe(found["kept"].positions, found["rolled"].positions, align="none"),
-    }
+    x, rolled = motions(known, unknown).values()
+    end = torch.zeros(rolled.root.shape[:-1], dtype=torch.bool)
+    end[:, -10:] = True
+    found = energy(known, unknown) | {"gap": 100 * pose.mpjpe(x.positions, rolled.positions, align="none")}
+    for name, motion in (("", rolled), ("x ", x)):
+        found[f"{name}error"] = 100 * pose.mpjpe(motion.positions, known.truth.positions, align="none")
+        found[f"{name}legs"] = legs(known, motion)
+        found[f"{name}sits"] = seated(motion, end).double()
+    return found | {"first legs": legs(known, x, frames)}
 
 
 def legs(known: Case, motion: Motion, frames: int | None = None) -> Tensor:
     """Error (B,) in cm of knees, ankles and feet, pelvis on the true one, over the first ``frames`` or all."""
     error = pose.joint_errors(motion.positions, known.truth.positions, align="root")
-    return CM * error[:, :frames, gait.legs(known.truth)].mean((-1, -2))
+    return 100 * error[:, :frames, gait.legs(known.truth)].mean((-1, -2))
 
 
-#: The thesis's premise (3.3.3): z "encode a sitting motion". Half of the flexion from which on somebody sits, degrees.
-ENCODES = 30.0
+def found_again(
+    known: Case, solution: Unknown, plan: Plan, evaluations: int
+) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """x and shape fixed at a solution, z searched from stage 2's and from the next clip's: mean absolute difference of
+    every clip's z from every clip's solution (looks, B, B); and the same (B, B) of what needs no search.
 
-
-def bending(known: Case, z: Tensor, states: Tensor | None = None) -> Tensor:
-    """Knee flexion (B,) that z says: summed over one-step decodes from states (B, T, 339), degrees, mean of legs.
-
-    states: unless given those of stage 2.
+    Source: thesis Fig. 3.13, "latent_motion error".
     """
-    skeleton, fps = known.stage_2.skeleton, known.truth.fps
-    states = to_states(known.start["x"]) if states is None else states
+    wanted, x = solution["z"], to_states(solution["x"])
+
+    def apart(z: Tensor) -> Tensor:
+        return (z[:, None] - wanted).abs().mean((-1, -2))
+
+    model = known.problem.priors.motion
     with torch.no_grad():
-        after = decode_ahead(known.model, states[:, :-1], z)[:, :, 0]
+        free = {"prior's mean": prior_of(model, x), "encoder's mean": infer(model, x)[0]}
+    found = {}
+    for name, z in {"from stage 2's z": known.start["z"], "from the next person's z": wanted.roll(-1, 0)}.items():
+        how = {"watch": lambda unknown: {"z": apart(unknown["z"])}, "at": looks(evaluations)}
+        run = search(known.problem, {**solution, "z": z}, plan, evaluations, **how)
+        found[name] = torch.stack([seen["z"] for seen in run.watched.values()])
+    return found, {name: apart(says.mean) for name, says in free.items()}
+
+
+def nearest(apart: Tensor) -> Tensor:
+    """1 where a clip's z is nearer to its own solution than to any other, of differences (B, B): (B,)."""
+    return (apart.argmin(1) == torch.arange(len(apart))).double()
+
+
+def flexion(known: Case, z: Tensor) -> Tensor:
+    """Knee flexion (B,) that z says: summed over one-step decodes from the states of stage 2, degrees, mean of legs."""
+    skeleton, fps, states = known.stage_2.skeleton, known.truth.fps, to_states(known.start["x"])
+    with torch.no_grad():
+        after = decode_ahead(known.problem.priors.motion, states[:, :-1], z)[:, :, 0]
     before, after = (gait.tilt_and_bend(state.to_motion(x, skeleton, fps))[1] for x in (states[:, :-1], after))
     return (after - before).mean(-1).sum(-1)
 
 
-def searched(
-    known: Case, start: Unknown, plan: Plan, evaluations: int, *, method: Method = adam, at: Sequence[int] = ()
-) -> Found:
-    """A search, watched by :func:`judged`: Adam and L-BFGS after ``at`` evaluations, turns after every block."""
-    look = {"watch": partial(judged, known)} | ({"at": at} if method in (adam, lbfgs) else {})
-    return method(known.problem, start, plan, evaluations, **look)
+def searched(known: Case, plan: Plan, evaluations: int, at: Sequence[int] = ()) -> Found:
+    """A search from the start; watched after ``at`` evaluations: the energy of the exact roll-out."""
+    return search(known.problem, known.start, plan, evaluations, watch=partial(energy, known), at=at)
 
 
-def gone(watched: Mapping[int, Mapping[str, Tensor]], goal: Tensor, share: float) -> Tensor:
-    """Evaluations (B,) until the roll-out's energy was seen to have made ``share`` of the way from where it was first
-    to a goal (B,); inf where it never was. As coarse as what was watched."""
-    energy = torch.stack([seen["energy"] for seen in watched.values()])
-    at = torch.tensor([float(n) for n in watched], device=energy.device)
-    there = energy <= energy[0] + share * (goal - energy[0])
-    return torch.where(there, at[:, None], torch.inf).amin(0)
+def chosen(
+    practice: Case, plan: Plan, evaluations: int, grid: Mapping[str, Sequence[float]], measure: str = "energy"
+) -> Plan:
+    """A plan with the settings of a grid ("rate", "weight", "share") that serve practice clips best: one batch, a row
+    for every setting and clip. Whole roll-outs have no springs, and so no weight."""
+    grid = {name: x for name, x in grid.items() if plan.form.steps or name != "weight"}
+    settings, clips = list(product(*grid.values())), len(practice.start["x"])
+    column = dict(zip(grid, torch.tensor(settings).repeat_interleave(clips, 0).T, strict=True))
+    many = practice.rows(torch.arange(clips).repeat(len(settings)))
+    found = search(many.problem, many.start, _set(plan, column), evaluations)
+    values = judged(many, found.unknown)[measure].nan_to_num(torch.inf).view(len(settings), clips).mean(1)
+    return _set(plan, dict(zip(grid, settings[int(values.argmin())], strict=True)))
 
 
-def whole_energies(known: Case) -> dict[int, dict[str, Tensor]]:
-    """Energies of the whole fit's stage 3, as a search's ``watched``: of its start, and of its last sub-stage alone, as
-    those before see fewer frames or terms; their evaluations count."""
-    *early, last = known.fitted.results[3]
-    before = sum(result.closures for result in early)
-    lowest = last.history.cummin(0).values
-    return {0: judged(known, known.start)} | {before + k + 1: {"energy": row} for k, row in enumerate(lowest)}
+def _set(plan: Plan, values: Mapping[str, object]) -> Plan:
+    rest = {n: x for n, x in values.items() if n != "weight"}
+    form = replace(plan.form, weight=values["weight"]) if "weight" in values else plan.form
+    return replace(plan, form=form, **rest)
 
 
-def to_tolerance(history: Tensor, share: float = 0.99) -> Tensor:
-    """Evaluations (B,) after which a clip's lowest energy so far has made ``share`` of its whole fall."""
-    lowest = history.cummin(0).values
-    reached = lowest[0] - lowest >= share * (lowest[0] - lowest[-1])
-    return 1.0 + reached.double().argmax(0)
+def settings(plans: Mapping[str, Plan]) -> list[dict[str, object]]:
+    """Rows of a table: what was chosen for every search."""
+    return [
+        {"search": name, "step": plan.rate, "w": plan.form.weight if plan.form.steps else "-", "share": plan.share}
+        for name, plan in plans.items()
+    ]
 
 
-def text(values: Tensor, generator: torch.Generator, statistic: str = "median", digits: int = 1) -> str:
-    """A statistic of clips with its 95 % bootstrap interval, as a person reads it."""
-    middle, low, high = intervals.interval(values, statistic, generator)
-    return f"{middle:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+def looks(evaluations: int) -> list[int]:
+    """When a search is watched: often at its beginning, then after every twelfth part of what went before."""
+    at = [0]
+    while at[-1] < evaluations:
+        at.append(min(evaluations, at[-1] + max(1, at[-1] // 12)))
+    return at
 
 
-def row(found: Mapping[str, Tensor], generator: torch.Generator) -> dict[str, str]:
-    """The measures of :func:`judged` as cells of a table: medians over clips with intervals, and counts."""
+def arrived(runs: Mapping[str, Found], share: float) -> dict[str, Tensor]:
+    """By method: evaluations (B,) until the roll-out's energy has made ``share`` of the way from where it was first to
+    the lowest that any method saw; inf where it never has."""
+    energies = {name: torch.stack([seen["energy"] for seen in run.watched.values()]) for name, run in runs.items()}
+    goal = torch.cat(list(energies.values())).nan_to_num(torch.inf).amin(0)
+    found = {}
+    for name, x in energies.items():
+        at = torch.tensor([float(n) for n in runs[name].watched])
+        found[name] = torch.where(x <= x[0] + share * (goal - x[0]), at[:, None], torch.inf).amin(0)
+    return found
+
+
+def row(found: Mapping[str, Tensor]) -> dict[str, object]:
+    """The measures of :func:`judged` as cells of a table: medians over clips, and counts."""
+    middle, count = {n: x.median().item() for n, x in found.items()}, len(found["sits"])
     return {
-        "energy of the roll-out": text(found["energy"], generator, digits=0),
-        "its legs, cm": text(found["legs"], generator),
-        "it sits": f"{found['sits'].sum():.0f} of {len(found['sits'])}",
-        "legs of x, cm": text(found["kept legs"], generator),
-        "x sits": f"{found['kept sits'].sum():.0f} of {len(found['sits'])}",
-        "from x to roll-out, cm": text(found["gap"], generator),
+        "energy, nats": f"{middle['energy']:,.0f}",
+        "legs of roll-out, cm": f"{middle['legs']:.1f}",
+        "it sits": f"{found['sits'].sum():.0f} of {count}",
+        "legs of x, cm": f"{middle['x legs']:.1f}",
+        "x sits": f"{found['x sits'].sum():.0f} of {count}",
+        "x to roll-out, cm": f"{middle['gap']:.1f}",
     }
-
-
-# ------------------------------------------------------------------------------------------------ one of the two fixed
-def with_z_fixed(known: Case, z: Tensor, plan: Plan, evaluations: int, at: Sequence[int], frames: int) -> Found:
-    """x from that of stage 2 on, z fixed; watched: :func:`judged`, and "first legs", the same as "kept legs" but of the
-    first ``frames`` alone, so that a long clip can be compared with a short one where both have frames."""
-
-    def look(unknown: Unknown) -> dict[str, Tensor]:
-        return judged(known, unknown) | {"first legs": legs(known, motions(known, unknown)["kept"], frames)}
-
-    return adam(known.problem, {**known.start, "z": z}, plan, evaluations, watch=look, at=at)
-
-
-def latent_error(z: Tensor, wanted: Tensor) -> Tensor:
-    """Mean absolute difference (..., B) of latents (..., B, T, 48): "latent_motion error". Source: thesis Fig. 3.13."""
-    return (z - wanted).abs().mean((-1, -2))
-
-
-def towards(known: Case, plan: Plan, iterations: int, at: Sequence[int]) -> tuple[Found, Tensor]:
-    """x and shape fixed at the solution of single shooting, z from the posterior's mean of stage 2 on.
-
-    Also, as a control beside them, the latent errors (2, len(at), B) over the search: from the z of the clip's own
-    solution, and from that of the next clip's, with which this x has nothing to do.
-    """
-    solution = reference(known)
-    wanted = torch.stack((solution["z"], solution["z"].roll(-1, 0)))
-    start = {**solution, "z": known.start["z"]}
-    found = adam(
-        known.problem, start, plan, iterations,
-        watch=lambda u: {"error": latent_error(u["z"], wanted)}, at=at,
-    )  # fmt: skip
-    return found, torch.stack([found.watched[i]["error"] for i in at], 1)
