@@ -41,6 +41,15 @@ def heat(errors: Mapping, scores: Mapping, spread: Mapping) -> Figure:
     return fig
 
 
+def spoken(errors: Mapping, scores: Mapping) -> str:
+    """What hidden legs cost, in words; of one case."""
+    one, drawn = (
+        ", ".join(f"{n} {some[n][0]:.1f}" for n in names)
+        for some, names in ((errors, (R, "Gaussian")), (scores, (T, R, GAUSSIAN, P, GUIDED)))
+    )
+    return f"Hidden legs, cm. Error of one answer: {one}. Energy score: {drawn}."
+
+
 def _cells(ax, table: Mapping, cases: Sequence[str], names: Sequence[str], spread: Mapping) -> None:
     ratio = np.array([[np.log2(table[c][n][1]) if n in table[c] else np.nan for n in names] for c in cases])
     ax.imshow(ratio, cmap="RdBu_r", norm=TwoSlopeNorm(0.0, -1.2, 1.6), aspect="auto")

@@ -1,6 +1,5 @@
-"""Noise on every joint: filters, a Gaussian, and the thesis's model gone back from the step that is as noisy.
-
-R takes no noisy motion. It gets lone frames of the filtered one, and fills in between.
+"""Noise on every joint: filters, a Gaussian, the thesis's model gone back from the step that is as noisy, and R, here
+the network that learnt what to add behind a smoother; it is told how large the noise is, which the others are tuned to.
 """
 
 from __future__ import annotations
@@ -12,15 +11,17 @@ import torch
 from torch import Tensor
 
 from motionlab.bench import cases, rivals
-from motionlab.bench.cases import JOINTS
 from motionlab.bench.person_windows import by_person
 from motionlab.bench.rivals import RIDGES
-from motionlab.diffusion.denoising import Noise
+from motionlab.contact import with_contacts
+from motionlab.diffusion import completer
+from motionlab.diffusion.denoising import Noise, smoothed
+from motionlab.diffusion.state import UNITS
 from motionlab.motion import Motion
 from studies.nb12_filling_in.going_back import ReverseProcess, denoise
 from studies.shared.fill_bench import ERROR, SCORE, Result
 from studies.shared.fill_contenders import Models, P, R
-from studies.shared.fill_people import FRAMES, Cast
+from studies.shared.fill_people import Cast
 
 FILTER, GAUSSIAN = "filter", "Gaussian"
 #: Degrees about each axis of every joint, centimetres of the root, correlation of one frame with the next: 0.935 is
@@ -34,7 +35,6 @@ STARTS = (
     *(ReverseProcess(level=level, topped=False) for level in (0.7, 1.0, 1.4)),
     *(ReverseProcess(level=level, looks=4, filtered=True) for level in (0.2, 0.5)),
 )
-BETWEEN = (3, 5, 8, 12)  # frames from one that R gets to the next
 
 
 def contest(title: str, m: Models, cast: Cast, starts: Sequence[ReverseProcess]) -> dict[str, Result]:
@@ -48,7 +48,7 @@ def contest(title: str, m: Models, cast: Cast, starts: Sequence[ReverseProcess])
     ways: dict[str, tuple[Callable[[int, object], Motion], Sequence]] = {
         FILTER: (lambda k, _: rough[k], (f"{best} {tuned[best]}",)),
         GAUSSIAN: (lambda k, w: replace(m.rivals, ridge=w).wiener(noisy[k], rough[k], noise.turn, noise.shift), RIDGES),
-        R: (lambda k, apart: m.r.complete(rough[k], cases.keys(len(rough[k].root), FRAMES, apart)), BETWEEN),
+        R: (lambda k, _: _corrected(noisy[k], noise), ("completer_rough",)),
         P: (lambda k, s: denoise(m.p, noisy[k], rough[k], noise, torch.Generator().manual_seed(k), s), starts),
     }
     found = {}
@@ -60,6 +60,12 @@ def contest(title: str, m: Models, cast: Cast, starts: Sequence[ReverseProcess])
     return found
 
 
+def _corrected(noisy: Motion, noise: Noise) -> Motion:
+    smooth = with_contacts(smoothed(noisy, noise))
+    nothing = torch.zeros(*smooth.root.shape[:2], UNITS, dtype=torch.bool)
+    return completer.load("completer_rough").complete(smooth, nothing, tremble=noise.turn)
+
+
 def _off(made: Motion, truth: Motion) -> Tensor:
-    nothing = torch.zeros(*truth.root.shape[:2], JOINTS + 2, dtype=torch.bool)
+    nothing = torch.zeros(*truth.root.shape[:2], UNITS, dtype=torch.bool)
     return cases.error_cm(made, truth, nothing)

@@ -19,8 +19,9 @@ from studies.shared.fill_bench import SCORE, SHAKE, WAY, Bench
 from studies.shared.fill_contenders import GAUSSIAN, GUIDED, NEAREST, P, R, T
 
 Ruling = tuple[str, Tensor, Tensor, str]  # test, values (P,), the baseline's, note
-_OVER = {f"D07.{test}": (case, P) for test, case in zip(("middle", "large", "lasting"), noise.NOISES, strict=True)}
-_OVER |= {"D07.keys": (next(iter(noise.NOISES)), R)}
+_OVER: dict[str, tuple[str, str]] = {}
+for _test, _case in zip(("middle", "large", "lasting"), noise.NOISES, strict=True):
+    _OVER |= {f"D07.{_test}": (_case, P), f"D07.ours_{_test}": (_case, R)}
 for _test, _case in {"half": bench.EACH_HALF, "quarter": bench.EACH_QUARTER, "lost": bench.LOST}.items():
     _OVER |= {f"D09.{_test}": (_case, GUIDED), f"D09.told_{_test}": (_case, R)}
 _LESS = {

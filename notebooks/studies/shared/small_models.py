@@ -87,9 +87,9 @@ SETS: dict[str, list[Arm]] = {
         8, Arm("all", BASE), Arm("no FK", _losses(fk=0.0)), Arm("no velocity", _losses(velocity=0.0)),
         Arm("no contact", _losses(contact=0.0)), Arm("simple", _losses(fk=0.0, velocity=0.0, contact=0.0)),
     ),
-    "people": _seeded(4, *(Arm(f"{n} people", BASE, n) for n in (8, 15, 30, 60))),
+    "people": _seeded(8, *(Arm(f"{n} people", BASE, n) for n in (8, 15, 30, 60))),
     "stop": _seeded(8, Arm("8 people, long", replace(BASE, steps=LONGER * STEPS), 8, stops=True)),
-    "noising": _seeded(4, *(Arm(f"{n} steps", replace(BASE, noising=n)) for n in (10, 50, 200, 1000))),
+    "noising": _seeded(8, *(Arm(f"{n} steps", replace(BASE, noising=n)) for n in (10, 50, 200, 1000))),
 }  # fmt: skip
 
 
