@@ -1,44 +1,162 @@
-"""Draws from a posterior over a few numbers by emcee's walkers; refuses to report chains that are too short.
+"""What a fit leaves open: other motions that explain what was seen as well, and regions of hidden joints.
 
-All walkers of a move are evaluated in one batch. A chain counts by its length in autocorrelation times, and one that
-never saw a second mode underestimates them: compare ensembles that began apart (notebook 09, ``agreement``). With the
-stretch and differential-evolution moves walkers are not independent, so that R-hat across walkers says nothing; with
-Metropolis-Hastings moves alone (``mixed``) they are chains of their own in one batch.
+    fitted = testops.fit(observation, priors, solver="shooting")
+    draws = posterior.sample(fitted, 32, generator=generator)
+    draws.summary()  # "left ankle, 0.8 to 2.0 s: 17 cm at 90 %"
 
-Source: Foreman-Mackey et al. 2013 (emcee); Goodman & Weare 2010; the 50 autocorrelation times are emcee's own rule.
+Around the end of a fit ``shooting`` knows coordinates nu in which stage 3's energy E is close to 1/2 |nu|^2. With w the
+motion prior's weight, so that E / w is in nats, and p ~ exp(-E / (T w)),
+
+    nu ~ N(0, T w),      every draw rolled out exactly.
+
+An energy is too sure: it knows what noise and prior may have wrong, not what the model itself has. So ``places`` widens
+regions until they held what they promise on recorded people who were kept apart for that (split-conformal, by person).
+
+Few numbers whose posterior is bent, as those of an assumed camera, are drawn by emcee's ``walkers``.
+
+Source: Foreman-Mackey et al. 2013 (emcee; 50 autocorrelation times are its own rule); Lee, Barber and Willett 2023
+(conformal prediction where people bring many numbers each). Calibration: ``notebooks/studies/nb09_posterior``.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import emcee
 import numpy as np
 import torch
-from emcee import moves
 from torch import Tensor
-from tqdm.auto import tqdm
 
 from motionlab.errors import DataError, NotConverged, ShapeError, check_shape
+from motionlab.humor.shooting.coordinates import linearised, opened
+from motionlab.humor.testops import Fitted
+from motionlab.humor.unknowns import motion_of
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD
 
-LEAST = 50  # autocorrelation times that a chain must be long
+LEAST = 50  # autocorrelation times that a chain of walkers must be long
 LOOKS = 2  # looks in a row at which it must be: of many looks at a noisy estimate one is low by chance
 BURN = 5  # autocorrelation times that are thrown away at its beginning
-_FEW = 0.35  # of independent proposals: below, the Gaussian behind them is a bad one
-_BULK, _TAIL = 1.15, 8.0  # of the independent proposal: wider than the Gaussian, degrees of freedom of its tails
-
-LogProb = Callable[[Tensor], Tensor]
+#: Nats that count as one, and a floor of model error in metres: chosen on 12 recorded people ("choose") behind walls
+#: and desks, by the likelihood of their hidden limbs (notebook 09, ``calibration.chosen``).
+TEMPERATURE, FLOOR = 30.0, 0.08
+#: Level -> how many deviations wide a region is that held so much of the hidden limbs of those people.
+RADII = {0.5: 1.49, 0.8: 2.47, 0.9: 3.65}
+#: Joints whose places are calibrated: where they are hidden.
+LIMBS = ("knee", "ankle", "foot", "elbow", "wrist")
+_LIMBS = torch.tensor([any(part in name for part in LIMBS) for name in STANDARD.names])
+_TOGETHER = 32  # draws rolled out at once: 4 MB of gains each
+_SHORTEST = 5  # frames: what is hidden for less is not spoken of
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
+class Draws:
+    """Motions that one clip could have been.
+
+    fit: the motion (T,) that the fit found. motions: K others (K, T). hidden (T, J): limbs' joints that nothing showed.
+    doubts: what the fit says against itself.
+    """
+
+    fit: Motion
+    motions: Motion
+    hidden: Tensor
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def limbs(self) -> Tensor:
+        """Which joints (J,) are of limbs, whose places are calibrated."""
+        return _LIMBS
+
+    def places(self, level: float = 0.9) -> tuple[Tensor, Tensor]:
+        """Computes regions that hold a level of hidden joints: centres c (T, J, 3) and S (T, J, 3, 3), metres.
+
+        A region is (x - c)^T S^-1 (x - c) <= 1. It is about the pelvis, drawn where the fit has it: how far away the
+        whole person stands is another question. Of joints that were seen it promises nothing.
+
+        Raises:
+            ValueError: a level without a radius.
+        """
+        if level not in RADII:
+            raise ValueError(f"level: expected one of {', '.join(map(str, RADII))}, got {level}")
+        mean, spread = places_of(self.motions)
+        floor = FLOOR**2 * torch.eye(3).to(spread)
+        return self.fit.root[:, None] + mean, RADII[level] ** 2 * (spread + floor)
+
+    def summary(self, level: float = 0.9) -> list[str]:
+        """Returns a sentence for every limb's joint while it is hidden, its region's mean half-width in cm; and doubts.
+
+        Raises:
+            ValueError: a level without a radius.
+        """
+        width = 100 * self.places(level)[1].diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
+        said = []
+        for joint, name in enumerate(self.fit.skeleton.names):
+            for start, end in _spans(self.hidden[:, joint]):
+                size, span = width[start:end, joint].mean().item(), (start / self.fit.fps, (end - 1) / self.fit.fps)
+                said.append(f"{name.replace('_', ' ')}, {span[0]:.1f} to {span[1]:.1f} s: {size:.0f} cm at {level:.0%}")
+        return [*(line.replace("%", " %") for line in said), *self.doubts]
+
+
+def sample(
+    fitted: Fitted, count: int, *, generator: torch.Generator, clip: int = 0, temperature: float | Tensor = TEMPERATURE
+) -> Draws:
+    """Draws ``count`` motions of a clip of a fit by shooting: about 0.7 s for 32 motions of two seconds.
+
+    temperature: how many nats of the energy count as one, for all draws or for each (K,); at 1 the energy is believed.
+
+    Raises:
+        DataError: a fit by another solver, which keeps no coordinates. ValueError: no draws, or a temperature below 0.
+    """
+    motions = rolled(fitted, count, generator, clip, temperature)
+    doubts = () if fitted.doubts is None else tuple(s for s in fitted.doubts.sentences() if f"clip {clip}:" in s)
+    return Draws(fitted.motion.clip(clip), motions, (fitted.problem.evidence.trust[clip] < 1) & _LIMBS, doubts)
+
+
+def rolled(fitted: Fitted, count: int, generator: torch.Generator, clip: int, temperature: float | Tensor) -> Motion:
+    """Draws the motions (K, T) of :func:`sample` alone."""
+    if fitted.problem is None or fitted.unknown is None:
+        remedy = 'fit with solver="shooting", at most 600 frames, and let stage 3 run'
+        raise DataError("a fit that keeps no problem and unknowns: nothing to draw around", remedy=remedy)
+    heat = torch.as_tensor(temperature, dtype=torch.float32).expand(max(count, 0))
+    if count < 1 or not bool((heat > 0).all()):
+        raise ValueError(f"expected at least one draw and temperatures above 0, got {count} and {temperature}")
+    row = torch.tensor([clip])
+    problem, unknown = fitted.problem.rows(row), fitted.unknown.rows(row)
+    loop = linearised(problem, unknown)
+    shapes, parts = {"nu": loop.base.shape[1:], "first": loop.first.shape[1:2]}, []
+    for size in (heat * problem.weights.motion_prior[2]).sqrt().split(_TOGETHER):
+        rows = torch.zeros(len(size), dtype=torch.long)
+        noise = {name: torch.randn(len(size), *shape, generator=generator) for name, shape in shapes.items()}
+        new = {name: size.reshape(-1, *(1,) * (x.ndim - 1)) * x for name, x in noise.items()}
+        with torch.no_grad():
+            parts.append(opened(problem.rows(rows), unknown.rows(rows), loop.rows(rows), new)[1].body)
+    whole = {name: torch.cat([getattr(part, name) for part in parts]) for name in ("root", "rot", "betas")}
+    return motion_of(parts[0]._replace(**whole), problem.evidence.fps)
+
+
+def places_of(motions: Motion) -> tuple[Tensor, Tensor]:
+    """Computes where joints of K motions are about the pelvis: means (T, J, 3) and covariances (T, J, 3, 3), metres."""
+    places = motions.positions - motions.root[..., None, :]
+    off = places - places.mean(0)
+    return places.mean(0), torch.einsum("ktja,ktjb->tjab", off, off) / max(len(off) - 1, 1)
+
+
+def _spans(hidden: Tensor) -> list[tuple[int, int]]:
+    """Runs (start, end) of at least ``_SHORTEST`` true frames of (T,)."""
+    edges = torch.diff(hidden.int(), prepend=torch.zeros(1).int(), append=torch.zeros(1).int()).nonzero()[:, 0]
+    return [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= _SHORTEST]
+
+
+# ------------------------------------------------------------------------------------------------ few numbers, by emcee
+@dataclass(frozen=True, eq=False)
+class Chain:
     """A chain of W walkers in n numbers, its beginning cut off.
 
     chain (S, W, n), log_prob (S, W): float64. times (n,): autocorrelation times, in steps. acceptance: mean share of
-    accepted proposals. names, units: of the numbers. burned: steps cut off. stopped: a person stopped it. looks: in a
-    row and up to the last one, at which the chain was long enough. least: autocorrelation times that it must be long.
+    accepted proposals. looks: in a row and up to the last one, at which the chain was long enough. least: times that it
+    must be long. stopped: a person stopped it.
     """
 
     chain: Tensor
@@ -46,21 +164,14 @@ class Posterior:
     times: Tensor
     acceptance: float
     names: tuple[str, ...]
-    units: tuple[str, ...]
-    burned: int
-    stopped: bool = False
-    looks: int = LOOKS
-    least: float = LEAST
-
-    @property
-    def lengths(self) -> Tensor:
-        """Length of the chain in autocorrelation times (n,)."""
-        return len(self.chain) / self.times
+    looks: int
+    least: float
+    stopped: bool
 
     @property
     def long_enough(self) -> bool:
-        """Whether the chain is ``least`` autocorrelation times long in every number, and was at the look before."""
-        return self.looks >= LOOKS and _long(self.lengths, self.least)
+        """Whether the chain is long enough in every number, and was at the look before."""
+        return self.looks >= LOOKS
 
     def draws(self, count: int | None = None) -> Tensor:
         """Returns draws (N, n), all or ``count`` of them evenly along the chain.
@@ -69,238 +180,83 @@ class Posterior:
             NotConverged: the chain is too short to report.
         """
         if not self.long_enough:
-            short = ", ".join(
-                f"{name} {length:.0f}" for name, length in zip(self.names, self.lengths.tolist(), strict=True)
-            )
+            lengths = (len(self.chain) / self.times).tolist()
+            short = ", ".join(f"{name} {length:.0f}" for name, length in zip(self.names, lengths, strict=True))
             raise NotConverged(
                 f"the chain is {len(self.chain)} steps long, in autocorrelation times: {short}; a report needs "
-                f"{self.least:g} at {LOOKS} looks in a row, it had them at {self.looks} (remedy: more steps, walkers "
-                "nearer the posterior, or other moves)",
+                f"{self.least:g} at {LOOKS} looks in a row, had it at {self.looks} (remedy: more steps or walkers)",
                 self.times.tolist(),
             )
         flat = self.chain.flatten(0, 1)
-        if count is None or count >= len(flat):
-            return flat
-        return flat[torch.linspace(0, len(flat) - 1, count).round().long()]
-
-    def summary(self, level: float = 0.9) -> dict[str, tuple[float, float, float]]:
-        """Computes the median and the ends of the central ``level`` of every number, by name.
-
-        Raises:
-            NotConverged: the chain is too short to report.
-        """
-        half = (1 - level) / 2
-        at = self.draws().quantile(torch.tensor([0.5, half, 1 - half], dtype=torch.float64), 0)
-        return {name: tuple(each) for name, each in zip(self.names, at.mT.tolist(), strict=True)}
-
-    def report(self, level: float = 0.9) -> list[dict[str, object]]:
-        """Returns a table's rows: every number with its interval, its autocorrelation time and the length of its chain.
-
-        Raises:
-            NotConverged: the chain is too short to report.
-        """
-        return [
-            {
-                "number": name,
-                "unit": unit,
-                "median": median,
-                f"{100 * level:g} % interval": f"{low:.3g} to {high:.3g}",
-                "autocorrelation time, steps": time,
-                "length, such times": f"{length:.0f}",
-            }
-            for (name, (median, low, high)), unit, time, length in zip(
-                self.summary(level).items(), self.units, self.times.tolist(), self.lengths.tolist(), strict=True
-            )
-        ]
+        many = len(flat) if count is None else min(count, len(flat))
+        return flat[torch.linspace(0, len(flat) - 1, many).round().long()]
 
 
-def sample(
-    log_prob: LogProb,
+def walkers(
+    log_prob: Callable[[Tensor], Tensor],
     start: Tensor,
     *,
     names: Sequence[str],
     generator: torch.Generator,
-    units: Sequence[str] | None = None,
     steps: int = 2000,
     block: int = 100,
-    moves: Sequence[tuple[moves.Move, float]] | None = None,
     least: float = LEAST,
-    progress: bool = False,
-) -> Posterior:
-    """Draws from a posterior by walkers until the chain is long enough to report at ``LOOKS`` looks in a row.
+) -> Chain:
+    """Draws from a posterior over few numbers until the chain is long enough to report at ``LOOKS`` looks in a row.
 
-    At most ``steps``; Ctrl-C keeps what there is.
+    At most ``steps``; Ctrl-C keeps what there is. Walkers follow differential evolution: the ensemble itself says how
+    the numbers go together, as along a bent ridge.
 
     Args:
         log_prob: of points (k, n), float64, in nats up to a constant, (k,); what is not finite counts as impossible.
         start: (W, n), at least 2 n walkers, all of them possible.
-        names, units: of the n numbers. generator: the chain depends on nothing else that is random.
-        block: steps between two looks at the length. moves: emcee's, with their shares; its stretch move by default.
-        least: autocorrelation times that the chain must be long to report.
-        progress: show a bar of the length in autocorrelation times.
+        names: of the n numbers. generator: the chain depends on nothing else that is random.
+        block: steps between two looks at the length. least: autocorrelation times that the chain must be long.
 
     Raises:
         ShapeError: names do not fit, or too few walkers. DataError: a walker starts at an impossible point.
     """
-    walkers, count = check_shape(start, "W n", "start").values()
-    units = tuple(units or ("",) * count)
-    if len(names) != count or len(units) != count:
-        raise ShapeError(f"start: {count} numbers, but {len(names)} names and {len(units)} units")
-    if walkers < 2 * count:
-        raise ShapeError(f"start: {count} numbers need at least {2 * count} walkers, got {walkers}")
+    many, count = check_shape(start, "W n", "start").values()
+    if len(names) != count or many < 2 * count:
+        raise ShapeError(f"start: {many} walkers of {count} numbers, at least {2 * count} needed; {len(names)} names")
 
-    def many(points: np.ndarray) -> np.ndarray:
+    def of(points: np.ndarray) -> np.ndarray:
         with torch.no_grad():
             found = log_prob(torch.from_numpy(points)).double().numpy(force=True)
         return np.where(np.isfinite(found), found, -np.inf)
 
     where = start.double().numpy(force=True).copy()
-    first = many(where)
+    first = of(where)
     if not np.isfinite(first).all():
         bad = int((~np.isfinite(first)).sum())
-        raise DataError(f"{bad} of {walkers} walkers start at impossible points", remedy="start nearer the posterior")
-    seed = int(torch.randint(2**31 - 1, (), generator=generator))
-    random = np.random.RandomState(seed)  # what emcee takes; nothing global is touched
-    sampler = emcee.EnsembleSampler(walkers, count, many, vectorize=True, moves=list(moves) if moves else None)
-    state = emcee.State(where, log_prob=first, random_state=random.get_state())
-    return _until_long(sampler, state, tuple(names), units, steps, block, least, progress)
-
-
-def _until_long(sampler, state, names, units, steps: int, block: int, least: float, progress: bool) -> Posterior:
-    stopped, found, looks = False, None, 0
-    with tqdm(total=least, desc="autocorrelation times", disable=not progress, bar_format="{l_bar}{bar}") as bar:
-        while sampler.iteration < steps and not stopped:
-            try:
-                state = sampler.run_mcmc(state, min(block, steps - sampler.iteration))
-            except KeyboardInterrupt:
-                stopped = True
+        raise DataError(f"{bad} of {many} walkers start at impossible points", remedy="start nearer the posterior")
+    random = np.random.RandomState(int(torch.randint(2**31 - 1, (), generator=generator)))  # what emcee takes
+    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
+    sampler = emcee.EnsembleSampler(many, count, of, vectorize=True, moves=moves)
+    state, looks, stopped = emcee.State(where, log_prob=first, random_state=random.get_state()), 0, False
+    while sampler.iteration < steps and looks < LOOKS and not stopped:
+        try:
+            state = sampler.run_mcmc(state, min(block, steps - sampler.iteration))
+        except KeyboardInterrupt:
             if not sampler.iteration:
-                raise KeyboardInterrupt
-            found = _posterior(sampler, names, units, stopped)
-            looks = looks + 1 if _long(found.lengths, least) else 0
-            found = replace(found, looks=looks, least=least)
-            bar.n = min(least, round(found.lengths.nan_to_num(0.0).amin().item(), 1))
-            bar.refresh()
-            if found.long_enough:
-                break
-    if found is None:
-        raise ShapeError(f"steps: expected at least 1, got {steps}")
-    return found
+                raise
+            stopped = True
+        kept, times = _kept(sampler)
+        looks = looks + 1 if bool((len(kept) >= least * times).all()) else 0  # not so where a time is not finite
+    log_probs = torch.from_numpy(sampler.get_log_prob()[-len(kept) :].copy())
+    return Chain(kept, log_probs, times, float(sampler.acceptance_fraction.mean()), tuple(names), looks, least, stopped)
 
 
-def _posterior(sampler, names, units, stopped: bool) -> Posterior:
-    """The chain so far, less ``BURN`` of its longest autocorrelation time, at most half."""
-    chain, log_prob = sampler.get_chain(), sampler.get_log_prob()
-    longest = _times(torch.from_numpy(chain)).amax().item()
-    burned = min(math.ceil(BURN * longest), len(chain) // 2) if math.isfinite(longest) else len(chain) // 2
-    kept = torch.from_numpy(chain[burned:].copy())
-    return Posterior(
-        kept, torch.from_numpy(log_prob[burned:].copy()), _times(kept), float(sampler.acceptance_fraction.mean()),
-        names, units, burned, stopped,
-    )  # fmt: skip
+def _kept(sampler: emcee.EnsembleSampler) -> tuple[Tensor, Tensor]:
+    """The chain so far, less ``BURN`` of its longest autocorrelation time, at most half; and its times (n,)."""
+    chain = torch.from_numpy(sampler.get_chain().copy())
+    longest = autocorrelation_times(chain).amax().item()
+    cut = min(math.ceil(BURN * longest), len(chain) // 2) if math.isfinite(longest) else len(chain) // 2
+    return chain[cut:], autocorrelation_times(chain[cut:])
 
 
-def _long(lengths: Tensor, least: float) -> bool:
-    return bool((lengths >= least).all())  # not so where a time is not finite
-
-
-def _times(chain: Tensor) -> Tensor:
-    """Integrated autocorrelation times (n,), in steps, of a chain (S, W, n); NaN where a number never moved."""
+def autocorrelation_times(chain: Tensor) -> Tensor:
+    """Computes integrated autocorrelation times (n,), in steps, of (S, W, n); NaN where a number never moved."""
     with np.errstate(invalid="ignore", divide="ignore"):
         found = emcee.autocorr.integrated_time(chain.numpy(force=True), tol=0)
     return torch.from_numpy(np.maximum(found, 1.0))  # an estimate below one step is noise; NaN stays
-
-
-def _independent(mean: Tensor, factor: Tensor) -> moves.Move:
-    """Proposals that do not look where the walker is: a Student t around a Gaussian's mean (n,), factor (n, n).
-
-    The covariance is factor factor^T. Where the posterior is nearly this Gaussian, a chain forgets in a few steps; the
-    heavy tails keep it right where it is not, and another move beside it keeps it moving.
-    """
-    centre, scale = mean.double().numpy(force=True), _BULK * factor.double().numpy(force=True)
-    inverse, size = np.linalg.inv(scale), len(centre)
-
-    def log_density(points: np.ndarray) -> np.ndarray:
-        squared = (((points - centre) @ inverse.T) ** 2).sum(-1)
-        return -0.5 * (_TAIL + size) * np.log1p(squared / _TAIL)
-
-    def propose(points: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
-        wide = np.sqrt(_TAIL / random.chisquare(_TAIL, size=(len(points), 1)))
-        new = centre + wide * random.normal(size=points.shape) @ scale.T
-        return new, log_density(points) - log_density(new)
-
-    return moves.MHMove(propose)
-
-
-def _near(factor: Tensor) -> moves.Move:
-    """Small steps by a Gaussian of this factor (n, n); by the factor and not, as emcee has it, by a singular value
-    decomposition, whose signs depend on rounding."""
-    scale = 2.4 / len(factor) ** 0.5 * factor.double().numpy(force=True)  # Roberts, Gelman & Gilks 1997
-
-    def propose(points: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
-        return points + random.normal(size=points.shape) @ scale.T, np.zeros(len(points))
-
-    return moves.MHMove(propose)
-
-
-def mixed(mean: Tensor, factor: Tensor) -> list[tuple[moves.Move, float]]:
-    """Makes moves from a Gaussian guess of the posterior: independent proposals, and small steps where it is wrong."""
-    return [(_independent(mean, factor), 0.75), (_near(factor), 0.25)]
-
-
-def _guess(
-    log_prob: LogProb, mean: Tensor, factor: Tensor, generator: torch.Generator, *, rounds: int = 2, draws: int = 64
-) -> tuple[Tensor, Tensor]:
-    """A better Gaussian guess, mean (n,) and factor (n, n), by least squares: a parabola through the better half of
-    ``draws`` of the last.
-
-    Curvatures are kept between a fourth and nine times the last ones', and the mean within two of its deviations.
-    """
-    count = len(mean)
-    upper = torch.triu_indices(count, count)
-    for _ in range(rounds):
-        x = torch.randn(draws, count, generator=generator, dtype=torch.float64)  # in the last guess's own axes
-        value = log_prob(mean + x @ factor.mT).double()
-        value = torch.where(value.isfinite(), value, -torch.inf)
-        best = value.topk(max(2 * len(upper[0]) + 2 * count, draws // 2)).indices  # far off no parabola holds
-        best = best[value[best].isfinite()]
-        terms = torch.cat((torch.ones(draws, 1).double(), x, x[:, upper[0]] * x[:, upper[1]]), 1)[best]
-        weight = (0.25 * (value[best] - value.max())).clamp(min=-3.0).exp()[:, None]
-        found = torch.linalg.lstsq(weight * terms, weight * value[best, None]).solution[:, 0]
-        bent = torch.zeros(count, count, dtype=torch.float64)
-        bent[upper[0], upper[1]] = -found[1 + count :]
-        size, axes = torch.linalg.eigh(bent + bent.mT)
-        size = size.clamp(1 / 4, 9.0)
-        step = axes @ ((axes.mT @ found[1 : 1 + count]) / size)
-        step = step / max(1.0, float(step.norm()) / 2)
-        mean = mean + factor @ step
-        factor = torch.linalg.cholesky(factor @ (axes / size) @ axes.mT @ factor.mT)
-    return mean, factor
-
-
-def walk(
-    log_prob: LogProb, mean: Tensor, factor: Tensor, *, walkers: int, generator: torch.Generator, warm: int = 40, **how
-) -> Posterior:
-    """Draws by :func:`sample` from a Gaussian guess, mean (n,) and factor (n, n), that need only be near.
-
-    The guess is improved first, and again by ``warm`` steps, up to six times while few proposals are accepted; all this
-    is thrown away.
-
-    how: goes to ``sample``.
-    """
-
-    def plain(points: Tensor) -> Tensor:
-        with torch.no_grad():
-            return log_prob(points)
-
-    mean, factor = _guess(plain, mean.double(), factor.double(), generator)
-    at = mean + 0.7 * torch.randn(walkers, len(mean), generator=generator, dtype=torch.float64) @ factor.mT
-    first = how | {"steps": warm, "block": warm, "progress": False}
-    for _ in range(6):
-        found = sample(log_prob, at, generator=generator, moves=mixed(mean, factor), **first)
-        flat, at = found.chain.flatten(0, 1), found.chain[-1]
-        mean = flat.mean(0)
-        factor = torch.linalg.cholesky(torch.atleast_2d(flat.mT.cov()) + 1e-3 * factor @ factor.mT)
-        if found.acceptance > _FEW or found.stopped:
-            break
-    return sample(log_prob, at, generator=generator, moves=mixed(mean, factor), **how)

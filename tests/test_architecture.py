@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: module, or a package that is named here as a whole.
 FLOORS = """
     errors examples parallel
-    batch files optimise posterior rotation skeleton training_loop diffusion.sampling
+    batch files optimise rotation skeleton training_loop diffusion.sampling
     body checkpoint motion
     heading
     baselines contact skinning tailoring humor.state diffusion.features diffusion.state
@@ -28,7 +28,7 @@ FLOORS = """
     train_completer train_plain train_prior
     train
     humor.testops
-    scene_fit
+    posterior scene_fit
     scene_report
     fit
     commands

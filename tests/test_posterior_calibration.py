@@ -1,55 +1,78 @@
+"""Regions by person, energy scores and rank correlations of notebook 09, on people whose law is known."""
+
 import pytest
 import torch
-from scipy.stats import chi2
+from scipy.stats import chi2, spearmanr
 
-from studies.nb09_posterior import calibration
+from studies.nb09_posterior import calibration as cal
+from studies.nb09_posterior.hidden_people import Clip
+from tests.draws import seeded
 
-
-def clips(generator, count=400, size=4, spread=1.0):
-    """Truths and, for each, draws from a posterior that is right up to a factor on its spread."""
-    factor = torch.randn(size, size, generator=generator, dtype=torch.float64)
-    middle = torch.randn(count, size, generator=generator, dtype=torch.float64)
-    truth = middle + torch.randn(count, size, generator=generator, dtype=torch.float64) @ factor.mT
-    noise = torch.randn(count, 300, size, generator=generator, dtype=torch.float64)
-    return middle[:, None] + spread * noise @ factor.mT, truth
+RIGHT = chi2.ppf([0.5, 0.8, 0.9], 3) ** 0.5
 
 
-def levels(draws, truth, factor=1.0):
-    return torch.tensor([calibration.level_of(d, t, factor) for d, t in zip(draws, truth, strict=True)])
+def people(count, places=60, wrong=1.0, generator=None):
+    """Clips whose draws are right up to a factor on the error: each place with a spread of its own, 2 to 20 cm."""
+    generator, found = generator or seeded(), []
+    for k in range(count):
+        size = 0.02 + 0.18 * torch.rand(places, 1, generator=generator)
+        noise = [torch.randn(n, places, 3, generator=generator) for n in (1, 64)]
+        truth = wrong * size * noise[0][0]
+        clip = {"fit": torch.zeros(places, 3), "drawn": {1.0: size * noise[1], 10.0: 3 * size * noise[1]}}
+        found.append(Clip(f"person {k // 2}", truth, **clip))
+    return found
 
 
-def test_right_posterior_holds_the_truth_as_often_as_it_says(generator):
-    for row in calibration.coverage(levels(*clips(generator)), generator):
-        assert row["low"] - 0.02 < row["level"] < row["high"] + 0.02
-        assert row["n"] == 400
+def test_right_regions_hold_what_they_say_and_too_sure_ones_do_not():
+    for level, wide in zip(cal.LEVELS, RIGHT, strict=True):
+        assert cal.held(people(20), 1.0, 1e-4, wide).mean() == pytest.approx(level, abs=0.04)
+        assert cal.held(people(20, wrong=3.0), 1.0, 1e-4, wide).mean() < level - 0.25  # control
 
 
-@pytest.mark.parametrize("spread", [0.5, 0.2])
-def test_control_too_narrow_posterior_is_caught_by_as_much_as_chi_squared_says(generator, spread):
-    row = next(
-        r for r in calibration.coverage(levels(*clips(generator, spread=spread)), generator) if r["level"] == 0.9
-    )
-    expected = chi2.cdf(spread**2 * chi2.ppf(0.9, 4), 4)
-    assert row["low"] - 0.02 < expected < row["high"] + 0.02
-    assert row["high"] < 0.5
+def test_widened_regions_hold_on_people_who_had_no_say():
+    """Errors three times as large as the draws say: the radius grows threefold, and new people are held."""
+    for level, wide in zip(cal.LEVELS, RIGHT, strict=True):
+        found = cal.radius(people(60, wrong=3.0, generator=seeded(1)), 1.0, 1e-4, level)
+        assert found == pytest.approx(3 * wide, rel=0.12)
+        assert cal.held(people(20, wrong=3.0, generator=seeded(2)), 1.0, 1e-4, found).mean() == pytest.approx(
+            level, abs=0.06
+        )
 
 
-def test_ranks_are_uniform_where_the_posterior_is_right_and_lean_where_it_is_shifted(generator):
-    draws, truth = clips(generator)
-    found = torch.stack([calibration.ranks(d, t) for d, t in zip(draws, truth, strict=True)])
-    assert (found.mean(0) - 0.5).abs().max() < 4 * 0.289 / 20
-    assert (found.std(0) - 0.289).abs().max() < 0.03
-    shifted = torch.stack([calibration.ranks(d, t + 5.0) for d, t in zip(draws, truth, strict=True)])
-    assert shifted.mean() > 0.8
+def test_few_people_get_the_widest_radius_that_was_asked_for():
+    some = people(4)
+    assert cal.radius(some, 1.0, 1e-4, 0.9) == max(cal.deviations(c, 1.0, 1e-4)[0].max().item() for c in some)
 
 
-def test_factor_of_other_clips_restores_coverage_and_never_looks_at_its_own(generator):
-    draws, truth = clips(generator, spread=0.25)
-    stretches = torch.tensor([calibration.stretch(d, t) for d, t in zip(draws, truth, strict=True)])
-    factors = calibration.fold_factors(stretches)
-    inside = (stretches <= factors).double().mean()
-    assert 0.85 < inside < 0.95
-    own = stretches.clone()
-    own[7] = 1e9
-    assert calibration.fold_factors(own)[7] == factors[7]
-    assert (calibration.fold_factors(own)[8] >= factors[8]) and calibration.fold_factors(own)[8] < 1e6
+def test_a_person_counts_once_however_many_places_are_hidden():
+    few, many = people(2, places=10), people(2, places=1000, generator=seeded(3))
+    many = [Clip("another", c.truth + 1.0, c.fit, c.drawn) for c in many]
+    assert cal.by_person(few + many, lambda c: c.error).shape == (2,)
+    both = cal.held(few + many, 1.0, 1e-4, 3.0)
+    assert both[0] > 0.8 and both[1] < 0.2
+
+
+def test_likelihood_chooses_the_temperature_that_is_true():
+    assert cal.chosen(people(20)) == (1.0, min(cal.FLOORS))
+    assert cal.chosen(people(20, wrong=3.0))[0] == 10.0
+
+
+def test_energy_score_is_least_for_the_right_spread_and_the_error_of_one_answer():
+    truth = torch.randn(4000, 3, generator=seeded(5))
+    noise = torch.randn(32, 4000, 3, generator=seeded(6))
+    right, narrow, wide = (cal.energy_score(s * noise, truth).mean() for s in (1.0, 0.3, 3.0))
+    assert right < narrow and right < wide
+    assert torch.allclose(cal.energy_score(noise[:1], truth), 100 * (noise[0] - truth).norm(dim=-1))
+
+
+def test_rank_correlation_is_scipys():
+    x = torch.randint(0, 8, (50,), generator=seeded(7)).float()
+    y = x + 4 * torch.randn(50, generator=seeded(8))
+    assert cal.ranked(x, y).item() == pytest.approx(spearmanr(x.numpy(), y.numpy()).statistic, abs=1e-5)
+
+
+def test_spread_follows_error_where_it_should_and_not_where_it_cannot():
+    found = cal.follows(people(24), 1.0, seeded(9))
+    assert found["within a clip"][1] > 0.2
+    shuffled = [Clip(c.person, c.truth, c.fit, {1.0: c.drawn[1.0].flip(1)}) for c in people(24)]
+    assert abs(cal.follows(shuffled, 1.0, seeded(9))["within a clip"][0]) < 0.15

@@ -134,7 +134,8 @@ class Fitted:
     window where T is no more than ``Schedule.window``). betas (G, 8): shape in standard deviations.
     cameras: one per recording, as found; None for 3-D observations. energies: per stage, each term weighted, (G,).
     results: the optimiser's report of each stage; of stage 3 one per sub-stage or round. notes: what was assumed, left
-    out or is doubtful. doubts: what stage 3 says of its windows (G W,); None where none ran.
+    out or is doubtful. doubts: what stage 3 says of its windows (G W,); None where none ran. problem, unknown: what
+    shooting minimised, and where it ended (``posterior``); None after the other solver.
     """
 
     motion: Motion
@@ -149,6 +150,8 @@ class Fitted:
     starts: tuple[int, ...] = (0,)
     notes: tuple[str, ...] = ()
     doubts: Doubts | None = None
+    problem: Problem | None = None
+    unknown: Unknowns | None = None
 
     @property
     def stopped(self) -> bool:
@@ -324,7 +327,8 @@ class _Track:
         says = _doubts_of_rollout(found, cut.evidence)
         long = (f"more than {_WHOLE} frames: stage 3 by rollout, in windows",) * (solver == "shooting" and not whole)
         fitted = self._fitted(problem, rolled, contacts, rolled.z, first, cuts, *long, *says.sentences())
-        return replace(fitted, doubts=says)
+        kept = {"problem": cut, "unknown": rolled.detached()} if whole else {}
+        return replace(fitted, doubts=says, **kept)
 
     def _begun(self, problem: Problem, unknown: Unknowns, motion: Motion, latent: Tensor, trust: Tensor) -> tuple:
         """What stage 3 begins with; the floor is guessed below the feet of ``motion`` where its height is not known."""

@@ -263,6 +263,39 @@ class Scene:
         self._panel(panel).add_mesh(balls, color=colour(role), reset_camera=False, **mannequin.SKIN)
         return self._watch(panel, at[None])
 
+    def ellipsoid(
+        self,
+        centres,
+        shapes,
+        fps: float,
+        role: str | tuple = "ours",
+        *,
+        opacity: float = 0.4,
+        shown: Sequence[bool] | None = None,
+        panel: int = 0,
+    ) -> Scene:
+        """Adds the region (x - c)^T S^-1 (x - c) <= 1 of centres c (T, 3) and shapes S (T, 3, 3), metres, as it moves.
+
+        ``shown`` says in which frames it is there; by default in all.
+        """
+        size, axes = np.linalg.eigh(np.asarray(shapes, float))
+        roots = axes * np.sqrt(np.maximum(size, 0.0))[:, None]
+        if shown is not None:
+            roots = roots * np.asarray(shown, float)[:, None, None]
+        at, ball = np.asarray(centres, float), pv.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)
+        unit, mesh = np.array(ball.points), ball.copy()
+        self._panel(panel).add_mesh(
+            mesh, color=colour(role), opacity=opacity, lighting=False, reset_camera=False, render=False
+        )
+
+        def update(seconds: float) -> None:
+            now = int(np.clip(round(seconds * fps), 0, len(at) - 1))
+            mesh.points = unit @ roots[now].T + at[now]
+
+        self._updates.append(update)
+        update(self.seconds)
+        return self
+
     def trail(self, motion: Motion, joint: str, role: str | tuple = "ours", *, panel: int = 0) -> Scene:
         """Adds the path of a joint: pale as a whole, strong up to now."""
         path = mannequin.array(mannequin.single(motion).positions[:, motion.skeleton.index(joint)])

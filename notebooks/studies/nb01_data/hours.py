@@ -1,11 +1,12 @@
-"""How much does the transition prior gain from more hours of real motion? Trained on parts of the people who train.
+"""How much do models gain from more hours of real motion? Each is trained on parts of the people who train.
 
-    PYTHONPATH=notebooks python -m studies.nb01_data.hours FOLDER OUT.json
+    PYTHONPATH=notebooks python -m studies.nb01_data.hours FOLDER OUT.json {prior,completer}
 
 A part is so many minutes of people in an order drawn by the seed, which the first weights are drawn by as well; the
 smaller parts are within the larger ones. Every run takes the same number of steps, and keeps the weights that are best
 on the people who choose, so that a small part is not judged by what it forgot at the end. Errors are of the people of
-the report, each counting alike. A run that is in OUT already is not made again.
+the report, each counting alike. Beside the completer stands ridge regression of the same motion. A run that is in OUT
+already is not made again.
 """
 
 from __future__ import annotations
@@ -14,26 +15,36 @@ import argparse
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import torch
 from tqdm import tqdm
 
 from motionlab import corpus, splits
-from motionlab.bench.person_windows import by_person
+from motionlab.bench import judge, rivals
+from motionlab.bench.judge import CASES, FRAMES, Fill
+from motionlab.bench.person_windows import PersonWindows, by_person, person_windows
 from motionlab.corpus import Take
+from motionlab.diffusion.completer import CompleterRecipe
+from motionlab.diffusion.completer_training import CompleterTraining
+from motionlab.diffusion.windows import gather, on_standard
 from motionlab.files import write_whole
 from motionlab.humor import quality
 from motionlab.humor.chain_training import ChainRecipe, ChainTraining
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.examples import live_examples
 from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD
 from motionlab.training_loop import TrainingRun
 
 SHARES, SEEDS = (1 / 32, 1 / 8, 1 / 2, 1.0), (0, 1, 2)
 EACH, PRACTICE = 24, 8  # windows of a person: of the report, and to choose on
+LEGS = "legs hidden"
 #: Far fewer steps than of what ships.
 PRIOR = ChainRecipe(steps=400, batch=32, opened=0.3, kl=0.002)
+COMPLETER = CompleterRecipe(kinds=(("legs", 1.0),), steps=800, batch=32)
+RIDGE_ROWS = 12_000  # training windows that the ridge learns from
 Errors = dict[str, list[float]]  # by measure, a number for each person
 
 
@@ -88,22 +99,46 @@ def prior_run(takes: Sequence[Take], seed: int, choose: Sequence[Take], report: 
     return {"step": step, "choose": prior_errors(model, choose, PRACTICE), "report": prior_errors(model, report, EACH)}
 
 
+def completer_run(takes: Sequence[Take], seed: int, choose: PersonWindows, report: PersonWindows) -> dict:
+    """Trains the completer and fits ridge regression, its width chosen by the same people."""
+    motions, people = [on_standard(t.motion) for t in takes], [t.person for t in takes]
+    data = gather(motions, FRAMES, missing=[t.missing for t in takes], people=people)
+
+    def legs(fill: Fill, windows: PersonWindows, lacking: bool = False) -> list[float]:
+        return judge.judged(fill, CASES[LEGS], windows, lacking=lacking)["cm"].tolist()
+
+    run = CompleterTraining(replace(COMPLETER, seed=seed), data)
+    model, step = best_of(run, lambda model: sum(legs(model.complete, choose)))
+    generator = torch.Generator().manual_seed(seed)
+    fitted = rivals.Rivals.fit(replace(data.draw(RIDGE_ROWS, generator), skeleton=STANDARD), generator)
+    ridges = {width: replace(fitted, ridge=width).regression for width in rivals.RIDGES}
+    width = min(ridges, key=lambda width: sum(legs(ridges[width], choose, True)))
+    found = {"step": step, "ridge's width": width}
+    for part, windows in (("choose", choose), ("report", report)):
+        found[part] = {LEGS: legs(model.complete, windows), f"{LEGS}, ridge": legs(ridges[width], windows, True)}
+    return found
+
+
 def main() -> None:
     """Trains what is not there yet and keeps each run as it ends."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder")
     parser.add_argument("out", type=Path)
+    parser.add_argument("what", choices=("prior", "completer"))
     options = parser.parse_args()
     found = corpus.assemble(options.folder, splits.real_sources(options.folder))
     train, choose, report = (found.part(part) for part in ("train", "choose", "report"))
     every = json.loads(options.out.read_text()) if options.out.exists() else {}
-    rows = every.setdefault("prior", [])
+    rows, run = every.setdefault(options.what, []), partial(prior_run, choose=choose, report=report)
+    if options.what == "completer":
+        windows = {"choose": person_windows(choose, FRAMES, PRACTICE), "report": person_windows(report, FRAMES, EACH)}
+        run = partial(completer_run, **windows)
     done = {(row["share"], row["seed"]) for row in rows}
     for seed, share in tqdm([(seed, share) for seed in SEEDS for share in SHARES if (share, seed) not in done]):
         some = part_of_people(train, share, seed)
         about = {"share": share, "seed": seed, "people": len({t.person for t in some})}
         about["hours"] = sum(t.motion.seconds for t in some) / 3600
-        rows.append(about | prior_run(some, seed, choose, report))
+        rows.append(about | run(some, seed))
         write_whole(options.out, json.dumps(every, indent=1) + "\n")
 
 

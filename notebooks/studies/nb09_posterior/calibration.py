@@ -1,105 +1,230 @@
-"""Does a region of 90 % hold the truth in 90 % of the clips? How sure one may be of that, and how wide the region is.
+"""Does a region of 90 % hold 90 %? How far regions must be widened, and what draws are worth beside a ball of one size.
 
-A region grows with its level, so that one number per clip says all: the level u at which it first holds the truth. Is
-the posterior right, u is uniform on 0..1. One truth per clip is one sample, however many frames and joints it has.
+Every person counts the same, however many joints and frames were hidden: means are over a person's places, then over
+people. Regions are widened by split-conformal prediction for numbers that come by person: were a new person like those
+asked before, a place of theirs would be held with at least the probability of the level.
+
+Source: Lee, Barber and Willett 2023 (distribution-free inference with hierarchical data); Gneiting and Raftery 2007
+(energy score, logarithmic score).
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import product
 
 import torch
 from torch import Tensor
 
-from motionlab.errors import check_shape
-from motionlab.metrics import intervals
+from motionlab.metrics.intervals import interval
+from studies.nb09_posterior.hidden_people import Clip
 
-LEVELS = (0.5, 0.8, 0.9, 0.95)
-
-
-def distances(draws: Tensor, points: Tensor) -> Tensor:
-    """Mahalanobis distances (P,) of points (P, n) from draws (N, n), by the draws' own mean and covariance."""
-    check_shape(draws, "N n", "draws")
-    centre = draws.mean(0)
-    factor = torch.linalg.cholesky(torch.atleast_2d((draws - centre).mT.cov()))
-    return torch.linalg.solve_triangular(factor, (points - centre).mT, upper=False).norm(dim=0)
-
-
-def stretch(draws: Tensor, truth: Tensor, level: float = 0.9) -> float:
-    """How many times as wide the region of a level would have to be to hold the truth (n,), draws (N, n)."""
-    radius = distances(draws, draws).quantile(level)
-    return float(distances(draws, truth[None])[0] / radius)
+LEVELS = (0.5, 0.8, 0.9)
+FLOORS = (0.02, 0.05, 0.08, 0.12, 0.16)
+NORMAL = dict(zip(LEVELS, (1.538, 2.154, 2.500), strict=True))  # deviations of a Gaussian in three dimensions
+CM = 100.0
+Asked = Mapping[str, Sequence[Clip]]  # clips of people, by who they are
+Draw = Callable[[Clip], Tensor]  # from a clip to draws (K, M, 3)
+Score = Callable[[Tensor, Clip], Tensor]  # from those and the clip to a number for each place, or one
+Kind = tuple[float, float, Mapping[float, float]]  # of region: temperature, floor, and by level how many deviations
+Seeds = Callable[[str], torch.Generator]
 
 
-def level_of(draws: Tensor, truth: Tensor, factor: float = 1.0) -> float:
-    """The smallest level whose region holds the truth (n,): the share of draws (N, n) nearer to their middle than it.
-
-    factor: how many times as wide the regions are made.
-    """
-    return float((distances(draws, draws) * factor < distances(draws, truth[None])).double().mean())
-
-
-def ranks(draws: Tensor, truth: Tensor) -> Tensor:
-    """Share of draws (N, n) below the truth (n,), one for each number: uniform on 0..1 where the posterior is right."""
-    return (draws < truth).double().mean(0)
+def gaussian(clip: Clip, heat: float, floor: float) -> tuple[Tensor, Tensor]:
+    """Means (M, 3) of a clip's draws, and factors (M, 3, 3) of their covariance with a floor, metres."""
+    draws = clip.drawn[heat]
+    off = draws - draws.mean(0)
+    cov = torch.einsum("kma,kmb->mab", off, off) / (len(off) - 1) + floor**2 * torch.eye(3)
+    return draws.mean(0), torch.linalg.cholesky(cov)
 
 
-def radii(draws: Tensor, level: float = 0.9) -> tuple[Tensor, Tensor]:
-    """Balls that hold a level of draws (N, M, 3) of M places: their middles (M, 3) and radii (M,)."""
-    middle = draws.mean(0)
-    return middle, (draws - middle).norm(dim=-1).quantile(level, 0)
+def deviations(clip: Clip, heat: float, floor: float) -> tuple[Tensor, Tensor]:
+    """How many deviations (M,) the truth is off, and -log of the density there (M,), nats but for a constant."""
+    mean, factor = gaussian(clip, heat, floor)
+    white = torch.linalg.solve_triangular(factor, (clip.truth - mean)[..., None], upper=False)[..., 0]
+    return white.norm(dim=-1), 0.5 * white.square().sum(-1) + factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
 
-def held(draws: Tensor, truth: Tensor, levels: Sequence[float] = LEVELS, factor: float = 1.0) -> Tensor:
-    """Share (levels,) of M places (M, 3) that lie in the ball of that level of their draws (N, M, 3)."""
-    found = []
-    for level in levels:
-        middle, radius = radii(draws, level)
-        found.append(((truth - middle).norm(dim=-1) <= factor * radius).double().mean())
-    return torch.stack(found)
+def by_person(clips: Sequence[Clip], of: Callable[[Clip], Tensor]) -> Tensor:
+    """The mean (P,) over each person's places of some number of them."""
+    names = list(dict.fromkeys(c.person for c in clips))
+    return torch.stack([torch.cat([of(c).flatten() for c in clips if c.person == n]).double().mean() for n in names])
 
 
-def needed(level: float, others: int) -> int:
-    """How many of so many other clips a region must hold for one more clip like them to be held with probability
-    ``level``: its rank among them is as likely to be any; all of them where they are too few to promise that much."""
-    return min(others, math.ceil(level * (others + 1) - 1e-9))
+def chosen(clips: Sequence[Clip]) -> tuple[float, float]:
+    """The temperature and the floor under which the truth of these people is likeliest."""
+    pairs = list(product(clips[0].drawn, FLOORS))
+    scores = [by_person(clips, lambda c, p=pair: deviations(c, *p)[1]).mean().item() for pair in pairs]
+    return pairs[scores.index(min(scores))]
 
 
-def others_of(count: int, folds: int | None = None) -> Tensor:
-    """(C, C) bool: [i, j] where clip j is another clip than i (``folds`` None: leave one out), or of another fold; clip
-    i is in fold i modulo ``folds``."""
-    fold = torch.arange(count) % (folds or count)
-    return fold[:, None] != fold
+def radius(clips: Sequence[Clip], heat: float, floor: float, level: float) -> float:
+    """How many deviations wide a region of a level must be, from these people; the widest asked for where they are too
+    few to promise it."""
+    names = list(dict.fromkeys(c.person for c in clips))
+    off, weight = [], []
+    for name in names:
+        mine = torch.cat([deviations(c, heat, floor)[0] for c in clips if c.person == name])
+        off.append(mine), weight.append(torch.full_like(mine, 1 / (len(mine) * (len(names) + 1))))
+    off, order = torch.cat(off).sort()
+    reached = torch.cat(weight)[order].cumsum(0) >= level - 1e-6
+    return off[reached.int().argmax()].item() if reached.any() else off[-1].item()
 
 
-def fold_factors(stretches: Tensor, level: float = 0.9, folds: int | None = None) -> Tensor:
-    """For each clip (C,) the factor on the spread that holds ``needed`` of the *other* clips. NaN among the stretches
-    (C,) is a clip that does not count; where no other counts, NaN is the answer."""
-    found = []
-    for mask in others_of(len(stretches), folds):
-        others = stretches[mask & stretches.isfinite()].sort().values
-        found.append(others[needed(level, len(others)) - 1] if len(others) else stretches.new_tensor(torch.nan))
-    return torch.stack(found)
+def held(clips: Sequence[Clip], heat: float, floor: float, wide: float) -> Tensor:
+    """Share (P,) of each person's hidden places inside regions so many deviations wide."""
+    return by_person(clips, lambda c: (deviations(c, heat, floor)[0] <= wide).double())
 
 
-def coverage(levels_of: Tensor, generator: torch.Generator, levels: Sequence[float] = LEVELS) -> list[dict]:
-    """A row per level: share of clips whose region holds the truth, from u (C,), and Wilson's 95 % interval."""
-    rows = []
-    for level in levels:
-        value, low, high = intervals.interval((levels_of <= level).double(), "share", generator)
-        rows.append({"level": level, "share": value, "low": low, "high": high, "n": len(levels_of)})
-    return rows
+def half_width(clips: Sequence[Clip], heat: float, floor: float, wide: float) -> Tensor:
+    """Mean half-width (P,) of these regions, cm: the root mean square of their semi-axes."""
+    return CM * wide * by_person(clips, lambda c: gaussian(c, heat, floor)[1].square().sum((-1, -2)).div(3).sqrt())
 
 
-def table(found: Mapping[str, Tensor], widths: Mapping[str, float], generator: torch.Generator) -> list[dict[str, str]]:
-    """Rows for a report: who says how much and how often it is so, beside how wide the region of 90 % is (cm)."""
+def energy_score(draws: Tensor, truth: Tensor) -> Tensor:
+    """Energy score (M,) of draws (K, M, 3), cm: their mean error less half of their mean distance from each other."""
+    error, places = (draws - truth).norm(dim=-1).mean(0), draws.transpose(0, 1)
+    apart = torch.cdist(places, places).sum((1, 2)) / max(len(draws) * (len(draws) - 1), 1)
+    return CM * (error - apart / 2)
+
+
+def ball(clip: Clip, size: float, count: int = 32, seed: int = 0) -> Tensor:
+    """Draws (K, M, 3) from a ball around the fit that knows nothing of the clip: N(0, size^2) along each axis."""
+    noise = torch.randn(count, *clip.fit.shape, generator=torch.Generator().manual_seed(seed))
+    return clip.fit + size * noise
+
+
+def ball_size(clips: Sequence[Clip]) -> float:
+    """The ball whose energy score is best on these people, metres."""
+    sizes = torch.arange(0.01, 0.3, 0.01).tolist()
+    scores = [by_person(clips, lambda c, s=s: energy_score(ball(c, s), c.truth)).mean().item() for s in sizes]
+    return sizes[scores.index(min(scores))]
+
+
+def ellipsoid_draws(clip: Clip, heat: float, floor: float, count: int = 32, seed: int = 0) -> Tensor:
+    """Draws (K, M, 3) from the Gaussian of a clip's draws with a floor."""
+    mean, factor = gaussian(clip, heat, floor)
+    noise = torch.randn(count, *mean.shape, 1, generator=torch.Generator().manual_seed(seed))
+    return mean + (factor @ noise)[..., 0]
+
+
+def follows(clips: Sequence[Clip], heat: float, generator: torch.Generator) -> dict[str, tuple[float, float, float]]:
+    """Rank correlation of spread with error, 95 % interval over people: of clips, and of a clip's joints and frames."""
+
+    def spread(c: Clip) -> Tensor:
+        return c.drawn[heat].var(0).sum(-1).sqrt()
+
+    pairs = torch.tensor([[spread(c).mean(), c.error.mean()] for c in clips])
+    names = list(dict.fromkeys(c.person for c in clips))
+    rows = [torch.tensor([k for k, c in enumerate(clips) if c.person == name]) for name in names]
+    picks = torch.randint(len(names), (1000, len(names)), generator=generator).tolist()
+    again = torch.stack([ranked(*pairs[torch.cat([rows[p] for p in pick])].mT) for pick in picks])
+    low, high = again.nanquantile(torch.tensor([0.025, 0.975])).tolist()
+    within = by_person(clips, lambda c: ranked(spread(c), c.error))
+    return {
+        "between clips": (ranked(*pairs.mT).item(), low, high),
+        "within a clip": interval(within, "mean", generator),
+    }
+
+
+def ranked(x: Tensor, y: Tensor) -> Tensor:
+    """Rank correlation of x and y (N,); equal numbers share their rank."""
+    ranks = [(a[:, None] > a).float().sum(1) + 0.5 * (a[:, None] == a).float().sum(1) for a in (x, y)]
+    return torch.stack(ranks).corrcoef()[0, 1]
+
+
+def ways(size: float, heat: float, floor: float) -> dict[str, Draw]:
+    """Returns who draws places (K, M, 3) of a clip, by name."""
+    return {
+        "the fit alone": lambda c: c.fit[None],
+        "a ball of one size": lambda c: ball(c, size),
+        "draws at T = 1": lambda c: c.drawn[1.0],
+        f"draws at T = {heat:g}": lambda c: c.drawn[heat],
+        "regions of the tool": lambda c: ellipsoid_draws(c, heat, floor),
+        "chapter 4's draws": lambda c: c.rival,
+    }
+
+
+def best_of(draws: Tensor, clip: Clip) -> Tensor:
+    """The error of the nearest of 16 draws of a whole clip over that of the fit, a share (1,)."""
+    return ((draws[:16] - clip.truth).norm(dim=-1).mean(-1).min() / clip.error.mean())[None]
+
+
+def rows(asked, held_, kinds, generator: Seeds) -> list[dict]:
+    """Makes a row per source and kind of region: what was held at each level, and how wide the regions are."""
+    table = []
+    for people, clips in asked.items():
+        for kind, (heat, floor, radii) in kinds.items():
+            row = {"regions": kind, "people": f"{people}, n = {len(held_[people][kind][0.5])}"}
+            for level, shares in held_[people][kind].items():
+                found = interval(100 * shares, "mean", generator(f"{people} {kind} {level}"))
+                row[f"of {100 * level:.0f} % hold, %"] = "{:.0f} [{:.0f}, {:.0f}]".format(*found)
+            row["half-width at 90 %, cm"] = f"{half_width(clips, heat, floor, radii[0.9]).mean():.1f}"
+            table.append(row)
+    return table
+
+
+def score_rows(scores, nearest, generator: Seeds) -> list[dict]:
+    """Makes a row per source and way of drawing: energy score, that less the ball's, the nearest of 16 draws."""
+    table = []
+    for people, by in scores.items():
+        for way, x in by.items():
+            less = interval(x - by["a ball of one size"], "mean", generator(f"{people} {way} less"))
+            best = interval(100 * nearest[people][way], "mean", generator(f"{people} {way} best"))
+            table.append({
+                "people": f"{people}, n = {len(x)}", "draws": way, "energy score, cm": f"{x.mean():.2f}",
+                "less the ball's, cm": "{:+.2f} [{:+.2f}, {:+.2f}]".format(*less),
+                "nearest of 16, % of the fit's error": "{:.0f} [{:.0f}, {:.0f}]".format(*best) * ("draws" in way),
+            })  # fmt: skip
+    return table
+
+
+def compared(asked: Asked, ways_: Mapping[str, Draw], of: Score) -> dict[str, dict[str, Tensor]]:
+    """Computes by source and way of drawing a number of the draws, by person (P,)."""
+    return {
+        people: {way: by_person(clips, lambda c, draw=draw: of(draw(c), c)) for way, draw in ways_.items()}
+        for people, clips in asked.items()
+    }
+
+
+def promised(asked: Asked, kinds: Mapping[str, Kind]) -> dict[str, dict[str, dict[float, Tensor]]]:
+    """Computes by source, kind of region and level the share (P,) of each person's places that were held."""
+    return {
+        people: {name: {x: held(clips, t, f, wide[x]) for x in LEVELS} for name, (t, f, wide) in kinds.items()}
+        for people, clips in asked.items()
+    }
+
+
+def spoken(found: Mapping[str, Tensor], generator: Seeds, unit: str) -> str:
+    """Returns means with their 95 % intervals, by name, as one line."""
+    return "; ".join(
+        "{}: {:.0f} [{:.0f}, {:.0f}]".format(name, *interval(x, "mean", generator(name))) + unit
+        for name, x in found.items()
+    )
+
+
+def who_rows(asked: Asked) -> list[dict]:
+    """Makes a row per source: who was asked, and how far off the fits are."""
     return [
-        {"region": name}
-        | {
-            f"{100 * row['level']:g} %": f"{100 * row['share']:.0f} [{100 * row['low']:.0f}, {100 * row['high']:.0f}]"
-            for row in coverage(levels_of, generator)
+        {
+            "people": f"{people}, n = {len({c.person for c in clips})}", "clips": len(clips),
+            "of these doubted by the fit itself": sum(c.doubtful for c in clips),
+            "error of hidden limbs, cm": CM * by_person(clips, lambda c: c.error).mean().item(),
+            "of limbs that were seen": CM * torch.tensor([c.seen for c in clips]).nanmean().item(),
         }
-        | {"radius of 90 %, cm": f"{widths[name]:.1f}", "n": str(len(levels_of))}
-        for name, levels_of in found.items()
+        for people, clips in asked.items()
+    ]  # fmt: skip
+
+
+def follow_rows(asked: Asked, heat: float, generator: Seeds) -> list[dict]:
+    """Makes a row per source: how well the spread of the draws follows the error."""
+    return [
+        {"people": people}
+        | {what: "{:.2f} [{:.2f}, {:.2f}]".format(*x) for what, x in follows(clips, heat, generator(people)).items()}
+        for people, clips in asked.items()
     ]
+
+
+def listed(radii: Mapping[float, float]) -> str:
+    """Returns radii by level as one line."""
+    return ", ".join(f"{wide:.2f} at {100 * level:.0f} %" for level, wide in radii.items())

@@ -92,7 +92,7 @@ def tuned(learn, model: Trained, people: int, seed: int, choose: Rows):
 
 def hours() -> dict[str, dict[float, Tensor]]:
     """Error of hidden legs of each person (P,), cm, by model and hours; mean of seeds (``docs/experiments.md``)."""
-    found = json.loads((small_models.RECORDS / "hours.json").read_text(encoding="utf-8"))["told"]
+    found = json.loads((small_models.RECORDS / "hours.json").read_text(encoding="utf-8"))["completer"]
     by: dict[str, dict[float, list]] = {NETWORK: {}, RIDGE: {}}
     for row in found:
         for name, key in ((NETWORK, "legs hidden"), (RIDGE, "legs hidden, ridge")):
