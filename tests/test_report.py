@@ -2,6 +2,7 @@
 
 import base64
 import io
+import math
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from suite import page, report
+from suite import findings, page, report
 
 
 class Seen(HTMLParser):
@@ -81,7 +82,10 @@ def test_every_notebook_has_a_card_and_no_row_is_not_a_number(built):
     assert index.count('<article class="card">') == len(entries) and "<video autoplay" in index
     assert all(entry.page.question and entry.page.answer and entry.page.picture for entry in entries)
     tests = (out / "tests.html").read_text(encoding="utf-8")
-    assert not re.search(r"\b(nan|None)\b", tests) and "not run: nothing to measure" in tests
+    assert not re.search(r"\b(nan|None)\b", tests)
+    nothing = math.nan, math.nan, math.nan, 0
+    row = findings.Finding("H18.a", "synthetic", *nothing, "cm", "mean", ">= 2 cm", "", "07", "full")
+    assert report._measured(row) == "not run: nothing to measure"
 
 
 @pytest.mark.parametrize(
