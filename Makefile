@@ -51,7 +51,7 @@ full: setup
 	@PYTHONPATH=notebooks $(PY) -m suite regenerate $(NOTEBOOKS)
 
 records: setup
-	@PYTHONPATH=notebooks OMP_NUM_THREADS=1 $(PY) -m studies.nb08_fast.make_record notebooks/results/long/faithful.json
+	@PYTHONPATH=notebooks OMP_NUM_THREADS=1 $(PY) -m studies.nb08_fast.official_schedule notebooks/results/long/faithful.json
 	@test -z "$$MOTIONLAB_DATA" || PYTHONPATH=notebooks OMP_NUM_THREADS=1 nice -n 19 $(PY) -m studies.nb14_handles.make_record notebooks/results/long/handles.json
 
 small: setup

@@ -1,121 +1,123 @@
-"""Solvers against each other: energy over time, time to a tolerance clip by clip, and what a step costs."""
+"""Pictures of notebook 08: the toy, the nudge, one clip over time, and the race."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-import torch
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 from torch import Tensor
 
-from motionlab.viz.palette import INK, LINE, colour
+from motionlab.body import BodyModel
+from motionlab.motion import Motion
+from motionlab.viz.movie import Mesh, stage
+from motionlab.viz.palette import LINE, colour
+from studies.nb08_fast import race
+from studies.nb08_fast.nudge import Nudged
+from studies.nb08_fast.trials import Run, Task
 from studies.shared.plots import canvas, paints
 
-#: Colours of the contenders.
 ROLES = {
-    "single shooting": "baseline", "shooting": "ours", "multiple shooting": "quaternion", "windows": "6d",
-    "shooting, no leaps": "stage3",
-    "linearisation": "stage3", "closed-loop closure": "ours", "single-shooting closure": "baseline",
+    race.SINGLE: "baseline", race.DEFAULT: "ours", race.QUICK: "6d",
+    "open loop": "baseline", "closed loop": "ours",
 }  # fmt: skip
-_FLOOR = 1e-4
+_FLOOR = 0.01
 
 
-def energy_over_time(
-    panels: Mapping[str, Mapping[str, tuple[Tensor, Tensor]]], *, size: tuple[float, float] = (11.0, 3.6)
-) -> Figure:
-    """How far above the best energy each contender is after so many seconds: median over clips, quartiles as a band.
+def toy(spectra: Mapping[str, np.ndarray], paths: Mapping[str, np.ndarray], seen: np.ndarray) -> Figure:
+    """Draws the eigenvalues of the toy's Hessian in two sets of unknowns, and what one push does to the walk.
 
-    panels: task -> contender -> (seconds (N,), gaps (N, B): (energy - best) / |best|, infinite before the first
-    energy); one point: a dot.
+    spectra: label -> eigenvalues (T,). paths: label -> places (T,) less those without the push. seen (T,): bool.
     """
-    fig, axes = canvas(1, len(panels), size=size, sharey=True)
-    for ax, (task, contenders) in zip(axes, panels.items(), strict=True):
-        paint = paints(list(contenders), ROLES)
-        for name, (seconds, gaps) in contenders.items():
-            low, middle, high = np.nanpercentile(np.clip(gaps.numpy(), _FLOOR, 1e3), (25, 50, 75), axis=1)
-            if len(seconds) == 1:
-                where = (seconds.numpy(), middle, [middle - low, high - middle])
-                ax.errorbar(*where, fmt="o", color=paint[name], label=name, capsize=3)
-                continue
-            ax.fill_between(seconds, low, high, color=paint[name], alpha=0.18, lw=0, step="post")
-            ax.step(seconds, middle, where="post", color=paint[name], lw=1.8, label=name)
-        for share in (0.05, 0.01):
-            ax.axhline(share, color=INK, lw=0.8, ls=(0, (4, 3)))
-            ax.annotate(f"{100 * share:g} %", (1.0, share), xycoords=("axes fraction", "data"), ha="right", va="bottom")
-        ax.set(title=task, xlabel="processor time (s)", xscale="log", yscale="log", ylim=(_FLOOR, 30))
-        ax.xaxis.set_minor_formatter(NullFormatter())  # their labels overlap where there is less than a decade
-    axes[0].set_ylabel("energy above the best, of |best|")
-    axes[-1].legend(loc="lower left")
+    fig, (left, right) = canvas(1, 2, size=(10.0, 3.2))
+    for (label, values), (way, path) in zip(spectra.items(), paths.items(), strict=True):
+        left.plot(
+            range(1, len(values) + 1),
+            np.sort(values)[::-1],
+            "o",
+            ms=5.5 if way == "open loop" else 3.5,
+            color=colour(ROLES[way]),
+            label=label,
+        )
+        right.plot(range(1, len(path) + 1), path, lw=2, color=colour(ROLES[way]), label=way)
+    right.fill_between(
+        range(1, len(seen) + 1), 0, 1, where=~seen, color=LINE, alpha=0.35, lw=0, transform=right.get_xaxis_transform()
+    )
+    left.set(yscale="log", xlabel="number of the eigenvalue", ylabel="eigenvalue of the Hessian", title="stiffness")
+    right.set(xlabel="step", ylabel="off the walk before (m)", title="one push; shaded: not seen")
+    left.legend(loc="upper right")
+    right.legend(loc="upper left")
     return fig
 
 
-def promises(tasks: Mapping[str, tuple[Tensor, Tensor]], *, size: tuple[float, float] = (8.0, 3.6)) -> Figure:
-    """A panel per task, a dot per valley: by how much it was said to be lower, and by how much it is; only those of
-    which both are numbers."""
-    fig, axes = canvas(1, len(tasks), size=size)
-    for ax, (name, pair) in zip(axes, tasks.items(), strict=True):
-        whole = torch.stack([x.flatten() for x in pair])
-        promised, found = whole[:, whole.isfinite().all(0)]
-        if not len(found):
-            continue
-        low = min(0.0, promised.min().item(), found.min().item())
-        high = max(promised.max().item(), found.max().item(), 1e-3)
-        room = 0.08 * (high - low)
-        ax.plot((low, high), (low, high), color=LINE, lw=1.2, zorder=0)
-        ax.scatter(promised, found, s=26, color=colour("ours"), alpha=0.7, lw=0)
-        ax.set(xlim=(low - room, high + room), ylim=(low - room, high + room), title=name)
-        ax.set(xlabel="energy lower by, promised", ylabel="found" if ax is axes[0] else "")
+def nudge(found: Nudged, frame: int, body: BodyModel) -> Figure:
+    """Draws both bodies at one frame over the grey one that was not nudged, and how far they are from it over time."""
+    built, _ = stage(found.after, ROLES, body, size=(820, 460), ghost=found.before, follow=True)
+    with built:
+        picture = built.image(frame / found.before.fps)
+    fig, (left, right) = canvas(1, 2, size=(11.0, 3.2))
+    left.imshow(picture)
+    left.set_axis_off()
+    left.set_title(f"{frame / found.before.fps:.1f} s; grey: not nudged")
+    for way, off in found.apart.items():
+        right.plot(np.arange(len(off)) / found.before.fps, off, lw=2, color=colour(ROLES[way]), label=way)
+    right.set(xlabel="time (s)", ylabel="off the roll-out before (cm)", ylim=(0, None))
+    right.legend(loc="upper left")
     return fig
 
 
-def shares(parts: Mapping[str, Mapping[str, float]], *, size: tuple[float, float] = (8.0, 2.4)) -> Figure:
-    """Shares of the parts of whole fits, side by side in one bar each: fit -> part -> seconds."""
-    fig, (ax,) = canvas(size=size)
-    names = list(dict.fromkeys(part for fit in parts.values() for part in fit))
-    paint = paints(names)
-    left = np.zeros(len(parts))
-    for name in names:
-        width = np.array([100 * fit.get(name, 0.0) / sum(fit.values()) for fit in parts.values()])
-        ax.barh(range(len(parts)), width, 0.65, left, color=paint[name], label=name)
-        left += width
-    ax.set_yticks(range(len(parts)), [f"{name} ({sum(fit.values()):.1f} s)" for name, fit in parts.items()])
-    ax.set(xlabel="share of a whole stage 3 (%)", xlim=(0, 100))
-    ax.invert_yaxis()
-    ax.grid(visible=False, axis="y")
-    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return fig
-
-
-def scaling(
-    panels: Mapping[str, Mapping[str, Mapping[int, Tensor]]], *, size: tuple[float, float] = (9.5, 3.4)
-) -> Figure:
-    """Milliseconds of each step against its size, logarithmic: x label -> step -> size -> measurements (n,) in s."""
-    fig, axes = canvas(1, len(panels), size=size, sharey=True)
-    for ax, (xlabel, steps) in zip(axes, panels.items(), strict=True):
-        paint = paints(list(steps), ROLES)
-        for name, found in steps.items():
-            sizes = sorted(found)
-            ax.plot(sizes, [1e3 * found[k].quantile(0.5).item() for k in sizes], color=paint[name], lw=1.6, label=name)
-            for k in sizes:
-                ax.plot([k] * len(found[k]), 1e3 * found[k], "o", color=paint[name], ms=4, mec="white", mew=0.5)
-        ax.set(xscale="log", yscale="log", xlabel=xlabel)
-        ax.set_xticks(sizes, [str(k) for k in sizes])
+def one_clip(task: Task, runs: Mapping[str, Run]) -> Figure:
+    """Draws a clip's energy above the best that anybody found, and its error, over processor seconds."""
+    fig, (left, right) = canvas(1, 2, size=(10.0, 3.2))
+    low, paint = race.best(runs), paints(list(runs), ROLES)
+    for name, run in runs.items():
+        gap = ((run.energies - low) / task.nat).clamp(min=_FLOOR)
+        left.step(run.seconds, gap, where="post", lw=1.8, color=paint[name], label=name)
+        some = sorted({round(x) for x in np.linspace(0, len(run.kept) - 1, min(60, len(run.kept)))})  # enough to draw
+        off = [race.errors(task, task.motion(run.kept[k][1]))["all"] for k in some]
+        right.step([run.kept[k][0] for k in some], off, where="post", lw=1.8, color=paint[name], label=name)
+        right.plot(run.kept[-1][0], off[-1], "o", ms=5, color=paint[name])
+    for ax in (left, right):
+        ax.set(xscale="log", yscale="log", xlabel="processor time of stage 3 (s)")
+        ax.set_xticks([0.5, 1, 2, 5, 10, 20], ["0.5", "1", "2", "5", "10", "20"])
         ax.minorticks_off()
-    axes[0].set_ylabel("processor time (ms)")
-    axes[0].legend(loc="upper left")
+    left.set_ylabel("energy above the best (nats a frame)")
+    right.set_ylabel("error of all joints (cm)")
+    right.set_yticks([5, 10, 20, 50, 100], ["5", "10", "20", "50", "100"])
+    left.legend(loc="lower left")
     return fig
 
 
-def newton(found: Mapping[str, Tensor], limit: float, *, size: tuple[float, float] = (6.0, 3.0)) -> Figure:
-    """Distance to the exact roll-out in metres after each iteration, one line per clip: label -> (B, n)."""
-    fig, (ax,) = canvas(size=size)
-    paint = paints(list(found))
-    for name, errors in found.items():
-        for k, row in enumerate(errors):
-            ax.plot(range(len(row)), row.clamp(min=1e-7), color=paint[name], lw=1.4, label=None if k else name)
-    ax.axhline(limit, color=colour("truth"), lw=0.8, ls=(0, (4, 3)))
-    ax.set(yscale="log", xlabel="Newton iterations", ylabel="largest joint error (m)")
-    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+def profiles(
+    found: Mapping[str, Mapping[str, Tensor]], times: Sequence[float], sources: Mapping[str, Sequence[int]]
+) -> Figure:
+    """Draws by source (rows) and measure (columns) the median over clips at so many seconds, and the middle half.
+
+    found: measure -> contender -> (B, N). sources: source -> its clips.
+    """
+    labels = {"energy": "above the best (nats a frame)", "seen": "joints in view (cm)", "hidden": "hidden joints (cm)"}
+    fig, axes = canvas(len(sources), len(found), size=(11.0, 2.8 * len(sources)), sharex=True, sharey="col")
+    for ax, (source, measure) in zip(axes, ((s, m) for s in sources for m in found), strict=True):
+        paint = paints(list(found[measure]), ROLES)
+        for name, rows in found[measure].items():
+            values = np.clip(rows[list(sources[source])].numpy(), _FLOOR, None)
+            low, middle, high = np.nanpercentile(values, (25, 50, 75), axis=0)
+            ax.fill_between(times, low, high, color=paint[name], alpha=0.12, lw=0)
+            ax.plot(times, middle, "o-", ms=4, lw=1.8, color=paint[name], label=name)
+        ax.set(xscale="log", yscale="log", ylabel=labels[measure], title=f"{source}, n = {len(sources[source])}")
+        ax.set_xticks(times, [f"{t:g}" for t in times])
+        ax.minorticks_off()
+        if measure != "energy":
+            ticks = [k for k in (2, 3, 5, 10, 20, 50, 100)]
+            ax.set_yticks(ticks, [str(k) for k in ticks])
+    for ax in axes[-len(found) :]:
+        ax.set_xlabel("processor time of stage 3 (s)")
+    axes[0].legend(loc="upper right")
     return fig
+
+
+def picture(shown: Mapping[str, Motion], body: BodyModel, seconds: float, things: Sequence[Mesh]) -> np.ndarray:
+    """Draws bodies side by side at one time, the truth in grey behind all others."""
+    built, _ = stage(shown, ROLES, body, size=(1080, 400), things=things, ghost=next(iter(shown.values())))
+    with built:
+        return built.image(seconds)

@@ -1,20 +1,17 @@
-"""Stage 3 by several solvers from the same stages 1 and 2: what energy each has reached after how much processor time.
+"""Stage 3 by several solvers from the same stage 2: what each has found after how much processor time.
 
-All of them lower the same energy, that of an exact roll-out (``stages.motion_terms``), in the same unknowns, from a
-start of ``start.start_stage_3`` or, by ``shooting``, from two. Nothing that is measured here depends on wall time: the
-processor's time of this process counts, with one thread.
+All lower the same energy, that of an exact roll-out (``stages.motion_terms``), in the same unknowns.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
-from motionlab.errors import DataError
 from motionlab.humor import stages, testops, unknowns
 from motionlab.humor import start as starts
 from motionlab.humor.energies import Weights
@@ -27,6 +24,7 @@ from motionlab.humor.unknowns import FIRST, Unknowns
 from motionlab.motion import Motion
 from motionlab.observation import Camera
 from motionlab.optimise import minimise_batch
+from motionlab.scene_fit import FULL_WORK
 
 CM = 100.0
 clock = time.process_time
@@ -37,7 +35,8 @@ class Task:
     """B clips of T frames at the end of stage 2.
 
     unknown, factors: of ``start.start_stage_3``. latent (B, T, 32): pose latents of stage 2. truth, rough: motions
-    (B, T), the true one and stage 2's. seconds: processor time of stages 1 and 2 and the start.
+    (B, T), the true one and stage 2's. seen (B, T, 22): the judge's mask of joints in view. seconds: processor time of
+    stages 1 and 2.
     """
 
     name: str
@@ -47,6 +46,7 @@ class Task:
     latent: Tensor
     truth: Motion
     rough: Motion
+    seen: Tensor
     seconds: float = 0.0
 
     def __len__(self) -> int:
@@ -57,7 +57,7 @@ class Task:
         at = torch.as_tensor(index)
         return replace(
             self, problem=self.problem.rows(at), unknown=self.unknown.rows(at), factors=self.factors[at],
-            latent=self.latent[at], truth=self.truth.clip(at), rough=self.rough.clip(at),
+            latent=self.latent[at], truth=self.truth.clip(at), rough=self.rough.clip(at), seen=self.seen[at],
         )  # fmt: skip
 
     def begun(self, eager: float, trust: Tensor | None = None) -> Task:
@@ -66,6 +66,12 @@ class Task:
         how = (trust, self.problem.priors, (0,), self.truth.frames, "lean", self.problem.weights.pull, eager)
         start, factors = starts.start_stage_3(self.rough, self.latent, self.unknown.shared(), *how)
         return replace(self, unknown=start.detached(), factors=factors)
+
+    def posed_as(self, motion: Motion, trust: Tensor) -> Task:
+        """The same at the calm start that follows another motion (B, T) than stage 2's."""
+        with torch.no_grad():
+            latent = self.problem.priors.pose.encode(motion.rot[:, :, 1:]).mean
+        return replace(self, rough=motion, latent=latent).begun(starts.CALM, trust)
 
     def energy(self, unknown: Unknowns) -> Tensor:
         """Stage 3's energy (B,) of unknowns, by a roll-out of their z."""
@@ -79,8 +85,13 @@ class Task:
         return unknowns.motion_of(body, self.problem.evidence.fps)
 
     def error(self, motion: Motion) -> Tensor:
-        """Distance of all joints from the true ones in the world, mean over joints and frames (B,), cm."""
+        """Mean distance of all joints from the true ones in the world (B,), cm."""
         return CM * (motion.positions - self.truth.positions).norm(dim=-1).mean((-1, -2))
+
+    @property
+    def nat(self) -> float:
+        """Energy of one nat a frame: the prior's weight times the frames."""
+        return self.problem.weights.of(3, frames=self.truth.frames)["motion_prior"] * self.truth.frames
 
 
 def prepare(
@@ -92,150 +103,119 @@ def prepare(
     *,
     cameras: Sequence[Camera] | None = None,
     schedule: Schedule | None = None,
+    seen: Tensor | None = None,
 ) -> Task:
-    """Stages 1 and 2 and the start of stage 3, in lean mode and calm, for clips with their truth."""
+    """Stages 1 and 2 and the calm start of stage 3, in lean mode, for clips with their truth."""
     began, schedule = clock(), schedule or Schedule.lean()
-    seen = evidence(observation, cameras=cameras)
-    problem = Problem(seen, priors, weights)
+    views = evidence(observation, cameras=cameras)
+    problem = Problem(views, priors, weights)
     unknown = testops.start_stage_1(problem)
     for stage in (1, 2):
         unknown, _ = stages.stage_1_and_2(
             problem, unknown, stage, steps=schedule.steps[stage - 1], inner=schedule.inner, tolerance=schedule.tolerance
         )
     with torch.no_grad():
-        rough = unknowns.motion_of(unknowns.pose(unknown, priors, seen), seen.fps)
+        rough = unknowns.motion_of(unknowns.pose(unknown, priors, views), views.fps)
     unknown = unknown.detached()
-    task = Task(name, problem, unknown, None, unknown.latent[:, 0], truth, rough)
-    return replace(task.begun(starts.CALM), seconds=clock() - began)
+    seen = torch.ones(truth.positions.shape[:-1], dtype=torch.bool) if seen is None else seen
+    spent = clock() - began
+    return Task(name, problem, unknown, None, unknown.latent[:, 0], truth, rough, seen, spent).begun(starts.CALM)
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a solver did: the lowest energies (N, B) so far, and the processor time at which each was known: seconds
-    (N,) of the whole batch, or (N, B) where clips were run one at a time.
+    """What a solver did to one clip: lowest energies (N,) so far, and the processor seconds (N,) when each was known.
 
-    unknown: what it ended with, and its energy ``end`` (B,) by a roll-out of its own. spent: seconds of the whole run,
-    or (B,) of each clip's; linearised: of them in linearisations.
+    kept: what it had by so many seconds, the last at the end. spent: in all; parts: of ours, by what they went to.
     """
 
     energies: Tensor
     seconds: Tensor
-    unknown: Unknowns
-    end: Tensor
-    spent: float | Tensor
-    linearised: float | Tensor = 0.0
+    kept: list[tuple[float, Unknowns]]
+    spent: float
+    parts: dict[str, float] = field(default_factory=dict)
 
     @property
-    def each(self) -> Tensor:
-        """The seconds of every clip (N, B)."""
-        return self.seconds if self.seconds.ndim == 2 else self.seconds[:, None].expand_as(self.energies)
+    def end(self) -> float:
+        """The lowest energy."""
+        return self.energies[-1].item()
 
-    def within(self, best: Tensor, share: float, size: Tensor | None = None) -> Tensor:
-        """Seconds (B,) until the energy is within ``share`` of a size (B,), else of |best|, of the best (B,); inf where
-        it never is."""
-        good = self.energies <= best + share * (best.abs() if size is None else size)
-        seconds = self.each.gather(0, good.double().argmax(0)[None])[0]
-        return torch.where(good.any(0), seconds, torch.inf)
+    def until(self, energy: float) -> float:
+        """Seconds until the energy was as low; infinite where it never was."""
+        low = self.energies <= energy
+        return self.seconds[low.double().argmax()].item() if low.any() else float("inf")
 
-    def at(self, seconds: Tensor | float) -> Tensor:
-        """The lowest energy (B,) that was known after so many seconds; inf before the first."""
-        count = (self.each <= seconds).sum(0)
-        known = self.energies.gather(0, (count - 1).clamp(min=0)[None])[0]
-        return torch.where(count > 0, known, torch.inf)
+    def energy_at(self, seconds: float) -> float:
+        """The lowest energy that was known after so many seconds; infinite before the first."""
+        count = int((self.seconds <= seconds).sum())
+        return self.energies[count - 1].item() if count else float("inf")
 
-
-def so_far(energies: Tensor) -> Tensor:
-    """The lowest of energies (N, B) up to each; what is not a number is infinite."""
-    return energies.detach().nan_to_num(torch.inf, torch.inf, torch.inf).cummin(0).values
+    def at(self, seconds: float) -> Unknowns:
+        """What it had after so many seconds; its start, before."""
+        return [u for k, (now, u) in enumerate(self.kept) if now <= seconds or k == 0][-1]
 
 
 @dataclass
 class Log:
-    """Notes lowest energies and the time; what it does itself costs the contender microseconds."""
+    """Keeps the lowest energy and its unknowns; what it does itself costs the contender microseconds."""
 
-    clips: int
-    limit: float = torch.inf
     began: float = field(default_factory=clock)
-    energies: list[Tensor] = field(default_factory=list)
+    energies: list[float] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
+    kept: list[tuple[float, Unknowns]] = field(default_factory=list)
 
-    def note(self, found: Tensor, rows: Tensor) -> None:
-        """Energies (n,) of some clips."""
-        before = self.energies[-1] if self.energies else torch.full((self.clips,), torch.inf)
-        found = found.detach().to(before).nan_to_num(torch.inf, torch.inf, torch.inf)
+    def note(self, found: Tensor, unknown: Unknowns) -> None:
+        """An energy (1,) of the clip."""
+        low = found.detach().nan_to_num(torch.inf, torch.inf, torch.inf).item()
+        best = self.energies[-1] if self.energies else torch.inf
+        self.energies.append(min(best, low))
         self.seconds.append(clock() - self.began)
-        self.energies.append(before.index_copy(0, rows, torch.minimum(before[rows], found)))
+        if low < best:
+            self.kept.append((self.seconds[-1], unknown.detached()))
 
-    @property
-    def late(self) -> bool:
-        """Whether the time is up."""
-        return clock() - self.began > self.limit
-
-    def run(self, task: Task, unknown: Unknowns, spent: float) -> Run:
+    def run(self) -> Run:
         """The whole run."""
-        found = unknown.detached()
-        energies = torch.stack(self.energies)
-        return Run(energies, torch.tensor(self.seconds).double(), found, task.energy(found), spent)
+        return Run(torch.tensor(self.energies), torch.tensor(self.seconds), self.kept, clock() - self.began)
 
 
-# --------------------------------------------------------------------------------------------------- the contenders
 @dataclass(frozen=True)
 class Single:
     """How single shooting searches: iterations of its three parts (the first 15 frames; all, the first state frozen,
-    without contacts; everything), pairs that L-BFGS remembers, and the share of its own first energy that an iteration
-    must gain. The default is that of ``testops.fit`` in lean mode."""
+    without contacts; everything), pairs that L-BFGS remembers, the share of its own first energy that an iteration must
+    gain, and what share of the prior its start has. The default is that of ``testops.fit`` in lean mode."""
 
     iterations: tuple[int, int, int] = (20, 40, 660)
     memory: int = 100
     tolerance: float = 1e-5
-
-    @classmethod
-    def budget(cls, iterations: int) -> Single:
-        """So many iterations in all, in the default's parts where there are enough of them."""
-        first, second = min(20, iterations // 4), min(40, iterations // 4)
-        return cls((first, second, iterations - first - second))
-
-    @property
-    def patient(self) -> Single:
-        """The same with neither an end to its iterations nor a tolerance: only time stops it, or the lack of gain."""
-        return replace(self, iterations=(*self.iterations[:2], 10**6), tolerance=0.0)
+    eager: float = starts.EAGER
 
 
-def single_shooting(task: Task, how: Single | None = None, *, seconds: float = torch.inf) -> Run:
-    """Lean single shooting: L-BFGS on first state and z in the rounder coordinates of ``start.start_stage_3``.
-
-    seconds: after which it stops. The first part sees 15 frames only and has no energy to note.
-    """
-    how, log = how or Single(), Log(len(task), seconds)
-    camera = ("camera",) if task.unknown.camera is not None and task.problem.evidence.view.free else ()
-    every = (*FIRST, "z", "betas", *camera)
-    frames = task.unknown.z.shape[2] + 1
-    short = min(15, frames)
-    head = replace(task.unknown, z=task.unknown.z[:, :, : short - 1])
-    parts = [(every, {"grown": False}), (tuple(n for n in every if n not in FIRST), {"contacts": False}), (every, {})]
+def single_shooting(task: Task, how: Single | None = None) -> Run:
+    """Lean single shooting of one clip: L-BFGS on first state and z in the rounder coordinates of ``start_stage_3``."""
+    how, log = how or Single(), Log()
+    task = task.begun(how.eager)
+    every = (*FIRST, "z", "betas")
+    short = min(15, task.unknown.z.shape[2] + 1)
     unknown = task.unknown
+    head = replace(unknown, z=unknown.z[:, :, : short - 1])
+    parts = [(every, {"grown": False}), (tuple(n for n in every if n not in FIRST), {"contacts": False}), (every, {})]
     for (moving, what), inner in zip(parts, how.iterations, strict=True):
-        if inner <= 0:
-            continue
-        first = "grown" in what
-        found = _descended(task, head if first else unknown, moving, inner, how, log, what)
-        unknown = replace(found, z=torch.cat((found.z, unknown.z[:, :, short - 1 :]), 2)) if first else found
-    return log.run(task, unknown, clock() - log.began)
+        if inner > 0:
+            found = _descended(task, head if what == {"grown": False} else unknown, moving, inner, how, log, what)
+            unknown = replace(found, z=torch.cat((found.z, unknown.z[:, :, found.z.shape[2] :]), 2))
+    return log.run()
 
 
 def _descended(task: Task, unknown: Unknowns, moving, inner, how: Single, log: Log, what: dict) -> Unknowns:
     """One part of single shooting; notes the whole energy wherever the part sees all frames."""
     new, old = stages.rounded_motion(unknown, moving, task.factors)
-
-    short, calls = {"grown": False} if "grown" in what else {}, []
+    short = {"grown": False} if "grown" in what else {}
 
     def energy(at: dict[str, Tensor], rows: Tensor) -> Tensor:
-        calls.append(1)
-        if len(calls) > 1 and log.late:
-            raise KeyboardInterrupt  # what stops a search at its best point
-        terms = stages.motion_terms(task.problem.rows(rows), old(at, rows), **short)
+        here = old(at, rows)
+        terms = stages.motion_terms(task.problem.rows(rows), here, **short)
         if not short:
-            log.note(sum(terms.values()), rows)
+            log.note(sum(terms.values()), here)
         return sum(
             x for n, x in terms.items() if n not in ("contact_vel", "contact_height") or what.get("contacts", True)
         )
@@ -243,54 +223,43 @@ def _descended(task: Task, unknown: Unknowns, moving, inner, how: Single, log: L
     point = {n: x.clone().requires_grad_() for n, x in new.items()}
     with torch.no_grad():
         begun = sum(stages.motion_terms(task.problem, old(point, slice(None)), **what).values())
-    fit = minimise_batch(
-        energy, point, steps=1, inner=inner, memory=how.memory, rows=True,
-        tolerance_change=how.tolerance * begun.abs().nan_to_num(0.0, 0.0, 0.0),
-    )  # fmt: skip
+    enough = how.tolerance * begun.abs().nan_to_num(0.0, 0.0, 0.0)
+    fit = minimise_batch(energy, point, steps=1, inner=inner, memory=how.memory, rows=True, tolerance_change=enough)
     return old(fit.variables, slice(None)).detached()
 
 
-def shot(
-    task: Task,
-    plan: feedback_solver.Plan | None = None,
-    start: Unknowns | None = None,
-    *,
-    change: Callable[[coordinates.Loop, Unknowns], coordinates.Loop] | None = None,
-) -> Run:
-    """Closed-loop Gauss-Newton (``shooting``) from the task's start and the eager one, or from another alone.
-
-    change: what becomes of the coordinates of every linearisation, for ablations.
-    """
+def shooting(task: Task, work: Schedule = FULL_WORK, start: Unknowns | None = None) -> Run:
+    """Stage 3 of one clip as the product does it (``testops.fit``, solver "shooting"), or from another start."""
+    began, plan, rival = clock(), work.shooting, None
+    start = start or task.begun(starts.CALM).unknown
+    if work.guesses and task.problem.evidence.hides_feet.any():
+        plan = replace(plan, second=True, trial=max(plan.trial, testops._WEIGHED))
+        rival = _seated(task)
+    report, kept = feedback_solver.ShootingReport(clock=clock), []
 
     def linearise(problem: Problem, unknown: Unknowns, **how) -> coordinates.Loop:
-        loop = coordinates.linearised(problem, unknown, **how)
-        return change(loop, unknown) if change else loop
+        kept.append((clock() - began, unknown.map(lambda x: x.detach().clone())))
+        return coordinates.linearised(problem, unknown, **how)
 
-    began, report = clock(), feedback_solver.ShootingReport(clock=clock)
-    both = start is None and (plan or feedback_solver.Plan()).trial
-    rival = task.begun(starts.EAGER).unknown if both else None
     ready = clock() - began
-    unknown, _ = feedback_solver.solve(
-        task.problem, start or task.unknown, plan, report, rival=rival, linearise=linearise
-    )
+    found, _ = feedback_solver.solve(task.problem, start, plan, report, rival=rival, linearise=linearise)
+    kept.append((clock() - began, found.detached()))
     spent = clock() - began
-    energies = torch.stack(report.history)
-    seconds = ready + torch.tensor(report.seconds).double()
-    if len(energies) != len(seconds):
-        raise DataError(f"{len(seconds)} times for {len(energies)} closures", remedy="note every closure once")
-    unknown = unknown.detached()
-    end, derived = task.energy(unknown), sum(report.linearised)
-    return Run(so_far(energies), seconds, unknown, end, spent, derived)
+    energies = torch.stack(report.history).nan_to_num(torch.inf).amin(1).cummin(0).values
+    kept = [(now, _lower(task, unknown)) for now, unknown in kept]
+    parts = {"start": ready, "linearisations": sum(report.linearised)}
+    parts["closures"] = spent - sum(parts.values())
+    return Run(energies, ready + torch.tensor(report.seconds), kept, spent, parts)
 
 
-def without_feedback(loop: coordinates.Loop, unknown: Unknowns) -> coordinates.Loop:
-    """The same shapers, but z = z^ + L^-T nu: later latents do not answer to what earlier ones changed."""
-    z = unknown.z[:, 0]
-    return loop._replace(base=z, gains=torch.zeros_like(loop.gains), shared=torch.zeros_like(loop.shared))
+def _seated(task: Task) -> Unknowns:
+    """The product's second start, where no foot is seen: somebody who sits where stage 2 is."""
+    trust = task.problem.evidence.trust.clone()
+    trust[..., starts.SITTING_LEGS] = 1.0
+    return task.posed_as(starts.seated(task.rough), trust).unknown
 
 
-def without_shape(loop: coordinates.Loop, unknown: Unknowns) -> coordinates.Loop:
-    """The same feedback, but nu moves z in the prior's own units: every shaper is one number times 1."""
-    size = loop.shapers.diagonal(dim1=-2, dim2=-1).mean(-1)[..., None, None]
-    eye = torch.eye(loop.shapers.shape[-1], dtype=size.dtype, device=size.device)
-    return loop._replace(shapers=(size * eye).expand_as(loop.shapers).contiguous())
+def _lower(task: Task, unknown: Unknowns) -> Unknowns:
+    """Of the rows of one clip's unknowns that of lowest energy."""
+    some = task.rows([0] * len(unknown.z))
+    return unknown.rows(some.energy(unknown).argmin()[None])
