@@ -33,15 +33,15 @@ FINDINGS = (
         ("H22",),
         "**A fit need not take twenty minutes**, as the thesis reports for two seconds of motion on its graphics card. "
         "On one processor core, the stage that asks the prior takes our solver {real_time[CMU].value:.1f} s for a "
-        "recorded person. It is where the usual search ends {sooner[CMU].value:.0f} times sooner than that search "
-        "({sooner[CMU].n} people).",
+        "recorded person. It gets to where the usual search ends {sooner[CMU].value:.0f} times sooner "
+        "({sooner[CMU].n} people); whether its errors are as small is not certain.",
     ),
     (
         ("D08",),
         "**To fill in, tell a network what is known while it learns.** It puts hidden legs "
         "{one[recordings].size:.1f} cm nearer to the truth than the best simple rival ({one[recordings].n} recorded "
-        "people). Diffusion is not what does it: noise adds several answers where several are right. The thesis's "
-        "diffusion model, told nothing, leaves {plain[recordings].size:.1f} cm more than that rival.",
+        "people). Diffusion is not what does it: noise adds several answers where several are right. Draws of the "
+        "thesis's diffusion model, told nothing, score {plain[recordings].size:.1f} cm worse than a Gaussian's.",
     ),
 )
 #: Verdicts as README.md counts them.
