@@ -57,7 +57,7 @@ def kit():
     """The priors that ship."""
     from motionlab.humor import pretrained
 
-    return pretrained.load_priors("compact")
+    return pretrained.load_priors()
 
 
 @pytest.fixture(scope="session")

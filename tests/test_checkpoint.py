@@ -128,8 +128,8 @@ def test_other_models_are_refused(kept, change, complaint):
 
 
 def test_the_shipped_prior_is_whole_and_small():
-    model = pretrained.load_motion_prior("humor_compact")
-    assert len(official_weights(model)) == 50 and model.latent == 48
-    assert (checkpoint.SHIPPED / "humor_compact.safetensors").stat().st_size < 15e6
+    model = pretrained.load_motion_prior("humor_real")
+    assert set(official_weights(model)) == {*Cvae(64).state_dict(), "skip.weight"} and model.latent == 48
+    assert (checkpoint.SHIPPED / "humor_real.safetensors").stat().st_size < 15e6
     assert not any(p.requires_grad for p in model.parameters()) and not model.training
-    assert pretrained.load_motion_prior("humor_compact") is model
+    assert pretrained.load_motion_prior("humor_real") is model

@@ -159,8 +159,8 @@ def test_foreign_files_are_refused(model, tmp_path, how, complaint):
 
 
 def test_the_prior_of_humor_is_no_denoiser():
-    with pytest.raises(DataError, match=r"humor_compact.*not a motion diffusion model"):
-        motion_model("humor_compact")
+    with pytest.raises(DataError, match=r"humor_real.*not a motion diffusion model"):
+        motion_model("humor_real")
 
 
 # -------------------------------------------------------------------------------------------------- command

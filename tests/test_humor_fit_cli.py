@@ -193,7 +193,7 @@ def test_priors_from_files(tmp_path, keypoints, capsys, monkeypatch, few):
     """What the options say is what is loaded; an official prior without its pelvis is refused before the fit."""
     asked, real = [], pretrained.load_priors
     monkeypatch.setattr(pretrained, "load_priors", lambda **given: asked.append(given) or real(**given))
-    shipped = {n: SHIPPED / f"{n}.safetensors" for n in ("humor_compact", "pose_prior_compact", "init_gmm_compact")}
+    shipped = {n: SHIPPED / f"{n}.safetensors" for n in ("humor_real", "pose_prior_real", "init_gmm_real")}
     options = ("--prior", "--pose-prior", "--initial")
     words = [word for pair in zip(options, shipped.values(), strict=True) for word in pair]
     common = ("--keypoints", keypoints, "--fps", 30, "--quick")

@@ -11,7 +11,7 @@ from data_synth.subjects import SUBJECTS
 from motionlab import checkpoint
 from motionlab.errors import DataError
 from motionlab.humor import pretrained, priors, rollout, state, testops
-from motionlab.humor.cvae import Cvae
+from motionlab.humor.cvae import Cvae, official_weights
 from motionlab.humor.evidence import Observation3D
 from motionlab.humor.pretrained import _NAMES_1
 from motionlab.humor.priors import PosePrior
@@ -53,17 +53,29 @@ def test_a_fit_runs_with_official_files(files):
 
 
 def test_official_files_alone_leave_the_rest_as_shipped(files):
-    ours = pretrained.load_priors("compact")
-    mixed = pretrained.load_priors("compact", pose=files["pose"])
+    ours = pretrained.load_priors()
+    mixed = pretrained.load_priors(pose=files["pose"])
     assert mixed.motion is ours.motion and mixed.initial is ours.initial and mixed.pose.numbers == 3
-    mixed = pretrained.load_priors("compact", initial=files["initial"], pelvis=PELVIS)
+    mixed = pretrained.load_priors(initial=files["initial"], pelvis=PELVIS)
     assert mixed.motion is ours.motion and mixed.pose is ours.pose and len(mixed.initial.weights) == 3
-    again = pretrained.load_priors("compact", motion=checkpoint.SHIPPED / "humor_compact.safetensors")
+    again = pretrained.load_priors(motion=checkpoint.SHIPPED / "humor_real.safetensors")
     assert torch.equal(again.motion.state_dict()["decoder.net.0.weight"], ours.motion.decoder.net[0].weight)
-    default = pretrained.load_priors()
-    mixed = pretrained.load_priors(motion=files["motion"], pelvis=PELVIS)
-    assert default.motion.causal and not mixed.motion.causal and mixed.pose is default.pose
-    assert torch.equal(mixed.initial.means, ours.initial.means)  # its states know the next frame, as the old ones
+    mixed = pretrained.load_priors(motion=files["motion"], initial=files["initial"], pelvis=PELVIS)
+    assert ours.motion.causal and not mixed.motion.causal and mixed.pose is ours.pose
+
+
+def test_first_states_that_ship_are_not_those_of_an_official_motion_prior(files, tmp_path):
+    """Its states know the next frame, also where a file of ours has its form; the control, of ours, needs no others."""
+    own = tmp_path / "own"
+    checkpoint.save(own, official_weights(Cvae(64)), {"made by": "hand"})
+    for given in ({"motion": files["motion"], "pelvis": PELVIS}, {"motion": own}):
+        with pytest.raises(DataError, match=f"{given['motion'].name}.*know the next frame") as caught:
+            pretrained.load_priors(**given)
+        assert "--initial" in caught.value.remedy
+    known = pretrained.load_priors(motion=own, initial=files["initial"], pelvis=PELVIS)
+    assert known.motion.width == 64 and len(known.initial.weights) == 3
+    checkpoint.save(tmp_path / "causal", official_weights(Cvae(64, skip=True)), {"made by": "hand"})
+    assert pretrained.load_priors(motion=tmp_path / "causal").initial is pretrained.load_priors().initial
 
 
 @pytest.mark.parametrize("given", [PELVIS, (0.0, 0.0, 0.0)], ids=["right", "none"])

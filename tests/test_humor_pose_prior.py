@@ -187,7 +187,7 @@ def test_files_that_are_not_vposers(tmp_path):
 
 
 def test_shipped_prior_knows_poses():
-    model, rot = pretrained.load_pose_prior("pose_prior_compact"), unseen()
+    model, rot = pretrained.load_pose_prior("pose_prior_real"), unseen()
     found = prior_training.reconstruction(model, rot)
     naive = prior_training._joints_of(rot)[:, 1:]
     still = 100 * float((naive - naive.mean(0)).norm(dim=-1).mean())  # the mean pose instead of a prior
@@ -198,7 +198,7 @@ def test_shipped_prior_knows_poses():
 
 
 def test_shipped_prior_refuses_what_is_no_pose(generator):
-    model, rot = pretrained.load_pose_prior("pose_prior_compact"), unseen()
+    model, rot = pretrained.load_pose_prior("pose_prior_real"), unseen()
     nonsense = rotation.random((len(rot), 21), generator)
     away = [prior_training.reconstruction(model, x)["degrees"] for x in (rot, nonsense)]
     assert away[1] > 5 * away[0]
@@ -206,10 +206,10 @@ def test_shipped_prior_refuses_what_is_no_pose(generator):
 
 def test_samples_are_more_human_than_chance(generator):
     drawn = shipped._beyond_limits(
-        prior_training.samples(pretrained.load_pose_prior("pose_prior_compact"), 500, generator)
+        prior_training.samples(pretrained.load_pose_prior("pose_prior_real"), 500, generator)
     )
     model = PosePrior().frozen()
-    spread = pretrained.load_pose_prior("pose_prior_compact").encode(unseen()).mean.std(0).mean()
+    spread = pretrained.load_pose_prior("pose_prior_real").encode(unseen()).mean.std(0).mean()
     assert 0.3 < spread < 1.5  # latents of people fill the unit normal that samples are drawn from
     anyhow = shipped._beyond_limits(rotation.exp(0.35 * torch.randn(500, 21, 3, generator=generator)))
     assert drawn["mean"] < 0.5 * anyhow["mean"]
@@ -218,7 +218,7 @@ def test_samples_are_more_human_than_chance(generator):
 
 
 def test_shipped_files_are_small_and_tell_where_they_come_from():
-    for name in ("pose_prior_compact", "init_gmm_compact"):
+    for name in ("pose_prior_real", "init_gmm_real"):
         recipe = checkpoint.read_recipe(checkpoint.SHIPPED / name)
         assert {"what", "data", "corpus", "seed", "sha256"} <= set(recipe)
         assert (checkpoint.SHIPPED / f"{name}.safetensors").stat().st_size < 5e6

@@ -19,8 +19,8 @@ def first_states(seed: int = 5) -> torch.Tensor:
 
 
 def test_loaded_once_and_frozen():
-    found = pretrained.load_priors("compact")
-    assert pretrained.load_priors("compact") is found
+    found = pretrained.load_priors()
+    assert pretrained.load_priors() is found
     assert found.motion.latent == 48
     assert not any(p.requires_grad for model in (found.motion, found.pose) for p in model.parameters())
     assert found.initial.means.shape == (12, 138)
@@ -32,7 +32,7 @@ def test_unknown_name():
 
 
 def test_mixture_tells_people_from_nonsense(generator):
-    gmm, real = pretrained.load_initial("init_gmm_compact"), first_states()
+    gmm, real = pretrained.load_initial("init_gmm_real"), first_states()
     likely = gmm.log_prob(real)
     shuffled = real[:, torch.randperm(138, generator=generator)]
     assert likely.isfinite().all()
@@ -42,8 +42,8 @@ def test_mixture_tells_people_from_nonsense(generator):
 
 
 def test_mixture_beats_a_single_gaussian_on_what_was_held_out():
-    recipe = checkpoint.read_recipe(checkpoint.SHIPPED / "init_gmm_compact")
-    gmm, real = pretrained.load_initial("init_gmm_compact"), first_states()
+    recipe = checkpoint.read_recipe(checkpoint.SHIPPED / "init_gmm_real")
+    gmm, real = pretrained.load_initial("init_gmm_real"), first_states()
     away = gmm.means - (gmm.weights @ gmm.means)
     covariance = torch.einsum("k,kij->ij", gmm.weights, gmm.covariances + away[:, :, None] * away[:, None])
     single = priors.InitGmm(torch.ones(1), (gmm.weights @ gmm.means)[None], covariance[None])  # the same two moments
@@ -53,7 +53,7 @@ def test_mixture_beats_a_single_gaussian_on_what_was_held_out():
 
 
 def test_components_stay_positive_definite_as_stored():
-    tensors, _ = checkpoint.load(checkpoint.SHIPPED / "init_gmm_compact")
+    tensors, _ = checkpoint.load(checkpoint.SHIPPED / "init_gmm_real")
     smallest = torch.linalg.eigvalsh(tensors["covariances"].double()).amin()
     assert smallest > 0.5 * prior_training.MIXTURE_RIDGE
 
@@ -64,16 +64,16 @@ def copy(name: str, folder) -> None:
 
 
 def test_foreign_checkpoints(tmp_path):
-    copy("pose_prior_compact", tmp_path)
-    copy("init_gmm_compact", tmp_path)
+    copy("pose_prior_real", tmp_path)
+    copy("init_gmm_real", tmp_path)
     with pytest.raises(DataError, match="pose prior"):
-        pretrained.load_pose_prior(str(tmp_path / "init_gmm_compact"))
+        pretrained.load_pose_prior(str(tmp_path / "init_gmm_real"))
     with pytest.raises(DataError, match="weights"):
-        pretrained.load_initial(str(tmp_path / "pose_prior_compact"))
+        pretrained.load_initial(str(tmp_path / "pose_prior_real"))
 
 
 def test_numbers_that_are_not_finite(tmp_path):
-    tensors, recipe = checkpoint.load(checkpoint.SHIPPED / "pose_prior_compact")
+    tensors, recipe = checkpoint.load(checkpoint.SHIPPED / "pose_prior_real")
     checkpoint.save(tmp_path / "spoilt", tensors | {"mean.bias": torch.full((32,), torch.inf)}, recipe)
     with pytest.raises(DataError, match="finite"):
         pretrained.load_pose_prior(str(tmp_path / "spoilt"))

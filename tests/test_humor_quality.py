@@ -19,7 +19,7 @@ PERFORMANCES = (1, UNSEEN.sequences - 1)  # the last by the person kept from tra
 @pytest.fixture(scope="module")
 def take():
     motions = [perform_sequence(UNSEEN, index).motion for index in PERFORMANCES]
-    x = torch.cat([state.from_motion(m).float().unfold(0, 61, 61).mT for m in motions])
+    x = torch.cat([state.from_motion(m, causal=True).float().unfold(0, 61, 61).mT for m in motions])
     return x, torch.cat([m.contacts.unfold(0, 61, 61).mT for m in motions])
 
 
@@ -148,7 +148,7 @@ def test_more_samples_come_closer_and_a_still_body_has_one(still, take):
     states, _ = take
     held = quality.rollout_errors(still, states)["hold"][:, -1]
     assert torch.allclose(quality.best_of(still, states, 3, torch.Generator().manual_seed(0)), held, atol=1e-2)
-    model = pretrained.load_motion_prior("humor_compact")
+    model = pretrained.load_motion_prior("humor_real")
     few, many = (quality.best_of(model, states, n, torch.Generator().manual_seed(0)).mean() for n in (1, 16))
     assert many < few
 
@@ -156,7 +156,7 @@ def test_more_samples_come_closer_and_a_still_body_has_one(still, take):
 # ---------------------------------------------------------------------------------------------- what ships
 def test_the_shipped_prior_knows_more_than_its_baselines(take):
     states, contacts = take
-    row = quality.quality_row(pretrained.load_motion_prior("humor_compact"), states, contacts)
+    row = quality.quality_row(pretrained.load_motion_prior("humor_real"), states, contacts)
     assert row["one step, posterior, cm"] < 0.5 < row["one step, hold, cm"]
     for name in ("hold", "constant velocity", "prior mean"):
         assert row["2 s, posterior z, cm"] < 0.6 * row[f"2 s, {name}, cm"], name
@@ -168,7 +168,7 @@ def test_the_shipped_prior_knows_more_than_its_baselines(take):
 def test_control_z_of_another_motion_leads_astray(take):
     """z carries information: that of other clips does not lead back to this one."""
     states, _ = take
-    model = pretrained.load_motion_prior("humor_compact")
+    model = pretrained.load_motion_prior("humor_real")
     row = quality.quality_row(model, states)
     assert row["active"] >= 16 and 4 < row["kl, nats"] < 60
     z = infer(model, states)[0].mean

@@ -1,5 +1,4 @@
 from dataclasses import fields, replace
-from itertools import pairwise
 
 import pytest
 import torch
@@ -7,7 +6,7 @@ import torch
 from data_synth import clips
 from motionlab.humor import compiled, stages, unknowns
 from motionlab.humor.pretrained import load_priors
-from studies.nb06_profile.program import Closure
+from studies.nb06_profile.program import Closure, changes, trained_terms
 from studies.official import unknowns as official_unknowns
 from studies.shared import profiling, savings
 from studies.shared.savings import FAITHFUL, LEAN, Savings
@@ -51,16 +50,9 @@ def test_every_rung_and_every_saving_alone_has_the_same_terms(work, part):
 def test_a_trained_prior_sees_the_official_heading_and_nothing_else():
     """People turn little between frames, where the acos of a guarded cosine is wrong by a milliradian."""
     walk = clips.draw(1, seeded(), actions=("walk",))[0].motion.cut(0, 12)
-    trained = workload(walk, load_priors("compact"), seeded(), inferred=True).double()
-    found = {name: sum(terms(trained, on, Part(3, 12)).values()).item() for name, on in savings.rungs()}
-    change = {}
-    for (_, before), (name, now) in pairwise(found.items()):
-        change[name] = abs(now / before - 1)
-    heading = change.pop(savings.NAMES["exact_heading"])
-    assert max(change.values()) < 1e-6 and 1e-4 < heading < 0.05
-    assert not any(
-        weight.requires_grad for weight in load_priors("compact").motion.parameters()
-    )  # the shared priors stay frozen
+    heading, rest = changes(trained_terms(walk, seeded()))
+    assert rest < 1e-6 and 1e-4 < heading < 0.05
+    assert not any(weight.requires_grad for weight in load_priors().motion.parameters())  # shared, they stay frozen
 
 
 def test_steps_written_out_are_the_closure(work):

@@ -27,7 +27,7 @@ def seen(truth):
 
 @pytest.fixture(scope="module")
 def task(truth, seen):
-    return trials.prepare("noisy", seen, pretrained.load_priors("compact"), JOINTS, truth)
+    return trials.prepare("noisy", seen, pretrained.load_priors(), JOINTS, truth)
 
 
 def test_single_shooting_is_stage_3_of_the_library(task):
@@ -41,7 +41,7 @@ def test_single_shooting_is_stage_3_of_the_library(task):
 
 def test_our_search_is_that_of_the_product(truth, seen):
     work = replace(FULL_WORK, steps=(1, 1, 3), inner=3, shooting=replace(FULL_WORK.shooting, rounds=2, closures=8))
-    begun = trials.prepare("noisy", seen, pretrained.load_priors("compact"), JOINTS, truth, schedule=work)
+    begun = trials.prepare("noisy", seen, pretrained.load_priors(), JOINTS, truth, schedule=work)
     fitted = testops.fit(seen, begun.problem.priors, schedule=work, solver="shooting")
     run = trials.shooting(begun, work)
     assert run.end == pytest.approx(sum(fitted.energies[3].values()).item(), rel=1e-4, abs=1e-4)

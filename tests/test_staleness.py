@@ -259,9 +259,9 @@ def test_a_fingerprint_survives_its_file(tmp_path):
 def test_weights_are_part_of_it(suite, tmp_path, monkeypatch):
     path = stamped(suite, tmp_path, monkeypatch)
     record = findings.load_record(path)
-    findings.save_record(path, replace(record, weights={"humor_compact": "0" * 12}))
-    monkeypatch.setattr(checkpoint, "_LOADED", {"humor_compact": "1" * 12})
-    with pytest.raises(staleness.StaleRecord, match="humor_compact are other weights"):
+    findings.save_record(path, replace(record, weights={"humor_real": "0" * 12}))
+    monkeypatch.setattr(checkpoint, "_LOADED", {"humor_real": "1" * 12})
+    with pytest.raises(staleness.StaleRecord, match="humor_real are other weights"):
         suite()
 
 

@@ -71,4 +71,4 @@ def test_it_goes_on_from_what_it_wrote(course, tmp_path, monkeypatch):
 
 def test_a_prior_of_another_kind_is_refused(course):
     with pytest.raises(DataError, match="not a transition"):
-        course.load(checkpoint.SHIPPED / "humor_compact")
+        course.load(checkpoint.SHIPPED / "humor_real")

@@ -35,8 +35,7 @@ from motionlab.humor.priors import (
 )
 from motionlab.io.reading import numbers, read_npz, reading
 
-#: The priors that an ordinary user gets: ``humor_real``, ``pose_prior_real``, ``init_gmm_real``, learnt from hours of
-#: real motion. "compact" knows 42 minutes; a notebook that was measured with it names it.
+#: The priors that ship: ``humor_real``, ``pose_prior_real``, ``init_gmm_real``, learnt from hours of real motion.
 DEFAULT = "real"
 #: Suffixes of files that torch wrote: the official code's checkpoints, VPoser's snapshots.
 _TORCH = (".pth", ".pt", ".ckpt", ".tar")
@@ -81,7 +80,7 @@ def load_priors(
 
     Raises:
         DataError: a file is missing, damaged or of something else; an official one without ``pelvis``, or ``pelvis``
-            without one or not in metres.
+            without one or not in metres; a motion prior whose velocities are central ones, without ``initial``.
     """
     moved = {"motion": _suffix(motion) in _TORCH, "initial": _suffix(initial) == ".npz"}
     official = next((path for path, yes in ((motion, moved["motion"]), (initial, moved["initial"])) if yes), None)
@@ -97,12 +96,16 @@ def load_priors(
     if pelvis is not None and not all(abs(x) < 2 for x in pelvis):
         raise DataError(f"pelvis: expected metres, got {pelvis}", remedy="give its x, y and z")
     model = _official_motion(motion) if moved["motion"] else load_motion_prior(str(motion or f"humor_{name}"))
-    # first states have the velocities of the motion prior: a file's may be central where ours are of the past
-    first = f"init_gmm_{'compact' if motion and not model.causal else name}"
+    if initial is None and not model.causal:
+        raise DataError(
+            "its velocities are central ones, which know the next frame; the first states that ship know the past only",
+            path=motion,
+            remedy="give the first states it was trained with, too (initial, --initial): prior_gmm.npz of its release",
+        )
     found = Priors(
         model,
         _vposer(pose) if _suffix(pose) in _TORCH else load_pose_prior(str(pose or f"pose_prior_{name}")),
-        _official_mixture(initial) if moved["initial"] else load_initial(str(initial or first)),
+        _official_mixture(initial) if moved["initial"] else load_initial(str(initial or f"init_gmm_{name}")),
     )
     if pelvis is None:
         return found

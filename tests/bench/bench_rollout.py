@@ -80,7 +80,7 @@ def fits(width: int, batch: int, generator: torch.Generator) -> None:
 
 
 def main(quick: bool = False) -> None:
-    """The compact networks; ``quick``: tiny ones, to see that it runs."""
+    """Networks of the size that ships; ``quick``: tiny ones, to see that it runs."""
     torch.set_num_threads(1)
     fits(64 if quick else 512, 3 if quick else 8, torch.Generator().manual_seed(0))
 

@@ -37,8 +37,8 @@ def said(what: str, slow: torch.Tensor, fast: torch.Tensor) -> None:
 
 def by_hand(motion) -> None:
     """The network's part of a transition's slopes."""
-    model = load_priors("compact").motion
-    states = state.from_motion(motion)[None]
+    model = load_priors().motion
+    states = state.from_motion(motion, causal=model.causal)[None]
     z, decoder = infer(model, states)[0].mean[0], DecoderLayers.of(model)
     x = state.localise(states, state.heading(states))[0, :-1]
 
@@ -61,7 +61,7 @@ def by_hand(motion) -> None:
 
 def loops(motion) -> None:
     """A closure in the loop of one clip; what it costs beside a plain one, notebook 08 measures."""
-    work = workload(motion, load_priors("compact"), torch.Generator().manual_seed(0), 1, inferred=True)
+    work = workload(motion, load_priors(), torch.Generator().manual_seed(0), 1, inferred=True)
     unknown = work.moving.detached()
     around = coordinates.linearised(work.problem, unknown)
     zero = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": torch.zeros_like(around.first[:, 0])}

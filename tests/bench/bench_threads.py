@@ -58,7 +58,7 @@ def beside_others(kit, seen, solver: str) -> float:
 
 def main() -> int:
     """Print the ratios; 1 where a fit is too dear beside others."""
-    kit = pretrained.load_priors("compact")
+    kit = pretrained.load_priors()
     for batch in BATCHES:
         calls = {n: rolled(kit, batch, n) for n in (1, 2)}
         with mock.patch.object(parallel, "WIDE", 0):  # as many threads as are asked for

@@ -1,6 +1,6 @@
 """TestOps on real mocap, filmed by ``data_synth.scenes``: stage 3 against a stage 2 that is tuned on other people.
 
-    PYTHONPATH=notebooks python -m studies.nb05_testops.real_mocap FOLDER OUT.json --priors compact real
+    PYTHONPATH=notebooks python -m studies.nb05_testops.real_mocap FOLDER OUT.json
 
 Tuned are stage 2's smoothness and a filter after it. Clips are of the people of one part (``people.toml``), at most so
 many each, evenly through what they did.
@@ -74,19 +74,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--priors", nargs="+", default=["compact", "real"])
     parser.add_argument("--part", default="report", choices=("choose", "report"))
     parser.add_argument("--clips", type=int, default=24)
     options = parser.parse_args()
     one_thread()
     cast, others = clips(options.folder, options.part, options.clips), clips(options.folder, "choose", 8)
     tested, practice = filmed(cast.motions, seed=1), filmed(others.motions, seed=2)
-    found = {name: compare(practice, tested, cast.people, pretrained.load_priors(name)) for name in options.priors}
-    told = {"part": options.part, "people": sorted(set(cast.people))} | found
+    found = compare(practice, tested, cast.people, pretrained.load_priors())
+    told = {"part": options.part, "people": sorted(set(cast.people)), pretrained.DEFAULT: found}
     options.out.write_text(json.dumps(told, indent=1) + "\n")
-    for name, views in found.items():
-        for view, row in views.items():
-            print(name, view, {m: row[m] for m in ("all", "legs", "acceleration")})
+    for view, row in found.items():
+        print(view, {m: row[m] for m in ("all", "legs", "acceleration")})
 
 
 if __name__ == "__main__":

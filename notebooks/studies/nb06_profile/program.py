@@ -254,20 +254,21 @@ def rung_terms(one: Workload) -> dict[str, dict[str, Tensor]]:
         return {name: savings.terms(one.problem, one.unknowns(part, on), on) for name, on in savings.rungs()}
 
 
-def trained_energies(clip: Motion, noise: torch.Generator) -> dict[str, float]:
-    """Computes the energy of one clip on every rung, in double precision, with trained priors and latents that their
-    encoders find."""
-    trained = workload(clip, load_priors("compact"), noise, inferred=True).double()
-    part = Part(3, clip.frames)
-    with torch.no_grad():
-        return {
-            name: sum(savings.terms(trained.problem, trained.unknowns(part, on), on).values()).item()
-            for name, on in savings.rungs()
-        }
+def trained_terms(clip: Motion, noise: torch.Generator) -> dict[str, dict[str, Tensor]]:
+    """Computes ``rung_terms`` of one clip in double precision, with trained priors and latents that their encoders
+    find."""
+    return rung_terms(workload(clip, load_priors(), noise, inferred=True).double())
 
 
-def changes(energy: Mapping[str, float]) -> tuple[float, float]:
-    """Computes by what share the energy changes on the rung of the exact heading, and on any other at most."""
-    change = {b: abs(energy[b] / energy[a] - 1) for a, b in pairwise(energy)}
+def size(terms: Mapping[str, Tensor]) -> float:
+    """Computes the sum of the sizes of terms, which have either sign: their own sum may be next to nothing."""
+    return sum(x.abs().sum().item() for x in terms.values())
+
+
+def changes(terms: Mapping[str, Mapping[str, Tensor]]) -> tuple[float, float]:
+    """Computes by how much of its terms' ``size`` the energy changes on the rung of the exact heading, and on any other
+    at most."""
+    energy = {name: sum(each.values()).item() for name, each in terms.items()}
+    change = {b: abs(energy[b] - energy[a]) / size(terms[a]) for a, b in pairwise(energy)}
     heading = change.pop(savings.NAMES["exact_heading"])
     return heading, max(change.values())

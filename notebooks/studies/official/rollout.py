@@ -6,6 +6,8 @@ first state; rotations by Rodrigues' formula with the angle |v + 1e-8|; the head
 prior evaluated inside the loop, also when z is given. Whether the networks' weights get gradients, as they do in the
 official fits, is the caller's choice: ``model.frozen()`` or not.
 
+Differs: a model's ``skip``, where it has one, is added to what the decoder says.
+
 Source: behaviour of the official HuMoR code (Rempe et al. 2021) at its last public version, written anew from golden
 arrays; float64 values and gradients agree to rounding (``tests/test_official_rollout.py``).
 """
@@ -155,7 +157,8 @@ def rollout(
             prior = Gaussian(*_run(model.prior_net, past).chunk(2, dim=-1))
             means.append(prior.mean), log_vars.append(prior.log_var)
         now = prior.mean if z is None else z[:, t]
-        after, contacts = _apply(parts, _run(model.decoder, torch.cat((past, now), dim=-1)))
+        raw = _run(model.decoder, torch.cat((past, now), dim=-1))
+        after, contacts = _apply(parts, raw if model.skip is None else raw + model.skip(past))
         # the new state in the frame of the first one, and in its own for the next step
         states.append(_join(_move_back(after, turn, shift, offset)))
         logits.append(contacts), latents.append(now)

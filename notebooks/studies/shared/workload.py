@@ -147,7 +147,8 @@ def workload(
         return scale * torch.randn(*shape, generator=generator)
 
     betas = from_skeleton(motion.skeleton).expand(batch, -1)
-    first = state.unpack(state.from_motion(motion)[:, None, 0])
+    states = state.from_motion(motion, causal=priors.motion.causal)
+    first = state.unpack(states[:, None, 0])
     shared = {"betas": betas + noise(*betas.shape, scale=0.1), "camera": noise(batch, 3, scale=0.02)}
     still = {
         "trans": motion.root[:, None],
@@ -167,7 +168,7 @@ def workload(
         with torch.no_grad():
             still["latent"] = priors.pose.encode(motion.rot[..., 1:, :, :]).mean[:, None]
             moving["latent"] = still["latent"][:, :, 0]
-            moving["z"] = infer(priors.motion, state.from_motion(motion))[0].mean[:, None]
+            moving["z"] = infer(priors.motion, states)[0].mean[:, None]
     problem = stages.Problem(_evidence(motion, betas, noise, generator), priors, RGB)
     return Workload(problem, Unknowns(**still, **shared), Unknowns(**moving, **shared))
 
