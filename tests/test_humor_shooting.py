@@ -264,7 +264,7 @@ def test_what_comes_back_has_the_reported_energy_and_it_is_lower(cases, kind):
     problem, unknown = cases[kind]
     kept = unknown.map(torch.clone).named()
     began = total(problem, unknown)
-    found, fits = solve(problem, unknown, STEADY)
+    found, fits = solve(problem, unknown, replace(STEADY, leaps=0))  # a leap may begin lower
     assert {n: x.shape for n, x in found.named().items()} == {n: x.shape for n, x in kept.items()}
     torch.testing.assert_close(fits[0].history[0], began, atol=0, rtol=1e-9)
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)

@@ -93,7 +93,7 @@ def test_missing_frames_continue_what_is_around_them(kit, walk, whole, frames, b
     lost = torch.stack([errors(fitted.stages[stage], walk)[:, frames].mean(1) for stage in (2, 3)])
     assert finite(fitted)
     if broken:
-        assert (moved > 0.3).any() and (lost > 0.4).any()
+        assert (moved > 0.3).any() and (lost > 0.3).any()
         return
     assert (moved[:2] < 0.04).all() and (moved[2] < 0.08).all()
     assert fitted.motion.positions.diff(dim=1).norm(dim=-1).max() < 0.16  # of a joint; 0.095 in the walk
@@ -105,17 +105,18 @@ def test_missing_frames_continue_what_is_around_them(kit, walk, whole, frames, b
 
 @pytest.mark.parametrize("control", [False, True])
 def test_legs_never_seen_stand_on_the_floor(kit, walk, control):
-    """Which the priors know; without them (the control) feet are drawn up."""
+    """Which the priors know, given time; without them (the control) feet are drawn up."""
     hidden = walk.positions[..., 2] < 0.9
     weights = replace(JOINTS, **dict.fromkeys(("pose_prior", "motion_prior", "init_motion_prior"), (0.0, 0.0, 0.0)))
-    fitted = testops.fit(joints(walk, hidden), kit, schedule=QUICK, weights=weights if control else None)
+    time = Schedule(steps=(2, 4, 5), inner=20, refine=(2, 3))
+    fitted = testops.fit(joints(walk, hidden), kit, schedule=time, weights=weights if control else None)
     lower = fitted.motion.positions[..., FEET, 2].amin(-1)  # of the lower foot, in every frame
     wrong = (fitted.motion.positions - walk.positions).norm(dim=-1)
     assert wrong[~hidden].mean() < 0.05
     if control:
-        assert lower.max() > 0.23 and wrong[hidden].mean() > 0.22
+        assert lower.max() > 0.1 and wrong[hidden].mean() > 0.13
     else:
-        assert -0.08 < lower.min() and lower.max() < 0.22 and wrong[hidden].mean() < 0.21
+        assert -0.04 < lower.min() and lower.max() < 0.08 and wrong[hidden].mean() < 0.12
 
 
 def test_a_single_joint_is_followed_by_an_upright_body(kit, walk):
