@@ -205,6 +205,22 @@ def test_rounded_coordinates_need_fewer_steps(kit, walk):
     assert (quick.energy < plain.energy).all()
 
 
+@pytest.mark.parametrize("control", [False, True])
+def test_a_turn_written_by_parallel_vectors_stops_no_search(kit, walk, control, monkeypatch):
+    """The same rotations with the second vector of one frame laid on the first: stage 2 ends where it would."""
+    if control:
+        monkeypatch.setattr(unknowns, "renewed", lambda turn: turn)
+    p = problem(kit, joints(walk))
+    plain = testops.start_stage_1(p)
+    orient = plain.orient.clone()
+    orient[:, :, 5, 3:] = orient[:, :, 5, :3] + 1e-3 * orient[:, :, 5, 3:]
+    torch.testing.assert_close(unknowns.to_matrix(orient), unknowns.to_matrix(plain.orient), atol=1e-3, rtol=0)
+    flat, aim = (
+        stages.stage_1_and_2(p, u, 2, steps=2, inner=10)[1].energy for u in (replace(plain, orient=orient), plain)
+    )
+    assert ((flat < 1.05 * aim).all() and not control) or ((flat > 1.5 * aim).all() and control), (flat, aim)
+
+
 def test_the_start_of_stage_three_follows_stage_two(kit, walk):
     """Noise of 3 cm in stage 2; the control, the official start from pairs of stage 2, drifts further."""
     gen = torch.Generator().manual_seed(0)

@@ -198,6 +198,6 @@ def test_somebody_who_walks_out_of_the_image(kit, walk, filmed):
     start = testops.start_stage_1(Problem(evidence(seen), kit, RGB_LIGHT)).trans[0, 0]
     assert start.diff(dim=0).norm(dim=-1).max() > 1
     fitted = testops.fit(seen, kit, schedule=Schedule(steps=(5, 10, 0)))
-    assert (speed(fitted.stages[1]) < 0.05).all() and (speed(fitted.stages[2]) < 0.04).all()
+    assert (speed(fitted.stages[1]) < 0.1).all() and (speed(fitted.stages[2]) < 0.04).all()
     wrong = errors(fitted.motion, clip)[0]
     assert wrong[:12].mean() < 0.35 and wrong[19:].max() < 0.45

@@ -137,6 +137,7 @@ def stage_1_and_2(problem: Problem, unknown: Unknowns, stage: int, **budget) -> 
     if problem.mode != "lean":
         return _search(terms, problem, unknown.named(), moving, **budget)
     weights = problem.weights.of(stage, listed=True)
+    unknown = replace(unknown, orient=unknowns.renewed(unknown.orient))
     new, back = _rounded(unknown, moving, problem.priors, problem.evidence, weights)
     return _search(terms, problem, new, tuple(new), back, **budget)
 

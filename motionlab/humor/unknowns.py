@@ -30,6 +30,8 @@ from motionlab.skeleton import STANDARD, Skeleton, fk
 
 #: What belongs to a recording rather than to one of its windows.
 _SHARED = ("betas", "camera")
+#: The sine of the angle between the two vectors of a rotation, below which they are nearly parallel.
+_FLAT = 0.1
 #: The unknowns of the first state, x0.
 FIRST = ("trans", "orient", "latent", "trans_vel", "root_orient_vel", "joints_vel")
 
@@ -123,6 +125,14 @@ def to_matrix(turn: Tensor) -> Tensor:
 def from_matrix(turn: Tensor, mode: str) -> Tensor:
     """Computes the unknowns of a rotation (..., 3, 3): "lean" 6 numbers, "official" a rotation vector (..., 3)."""
     return rotation.matrix_to_sixd(turn) if mode == "lean" else rotation.log(turn)
+
+
+def renewed(turn: Tensor) -> Tensor:
+    """Writes rotations (..., 6) anew where their two vectors are nearly parallel: there next to nothing turns a body
+    round, and a search stands still. The rotations stay what they are."""
+    first, second = turn[..., :3], turn[..., 3:]
+    area, sides = torch.linalg.cross(first, second).norm(dim=-1), first.norm(dim=-1) * second.norm(dim=-1)
+    return torch.where((area < _FLAT * sides)[..., None], from_matrix(to_matrix(turn), "lean"), turn)
 
 
 def skeleton_of(betas: Tensor) -> Skeleton:
