@@ -61,7 +61,7 @@ def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[
     found = {}
     for body in BODIES:
         some = [replace(t, motion=on_standard(t.motion)) for t in takes] if body else takes
-        rows = list(person_rows(model, person_states(some, causal=model.causal), seed).values())
+        rows = list(person_rows(model, person_states(some), seed).values())
         if not rows:
             raise DataError("nobody of ``report`` is there", path=folder, remedy="unpack cmu_library into it")
         for measure in rows[0]:
@@ -74,14 +74,13 @@ def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[
     return found
 
 
-def person_states(
-    takes: Sequence[corpus.Take], *, causal: bool, most: int = _MOST
-) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
-    """Returns what a prior is judged on: states (W, 61, 339) and contacts (W, 61, 9) of each person."""
+def person_states(takes: Sequence[corpus.Take], most: int = _MOST) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+    """Returns what a prior is judged on: states (W, 61, 339), their velocities of the past, and contacts (W, 61, 9) of
+    each person."""
     people: dict[str, list[Motion]] = {}
     for take in takes:
         people.setdefault(take.person, []).append(take.motion)
-    found = {who: splits.state_windows(motions, most=most, causal=causal) for who, motions in people.items()}
+    found = {who: splits.state_windows(motions, most=most) for who, motions in people.items()}
     return {who: windows for who, windows in found.items() if len(windows[0])}
 
 

@@ -64,15 +64,11 @@ def _standard(path: Path, load: Callable, fps: float) -> Motion:
     return resample(retarget(load(path)).motion, fps)
 
 
-def state_windows(
-    motions: Sequence[Motion], frames: int = 61, most: int = 48, *, causal: bool = False
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Computes states (W, frames, 339) and contacts (W, frames, 9), evenly over motions; none where all are shorter.
-
-    causal: velocities are backward differences.
-    """
+def state_windows(motions: Sequence[Motion], frames: int = 61, most: int = 48) -> tuple[torch.Tensor, torch.Tensor]:
+    """Computes states (W, frames, 339) with velocities of the past, and contacts (W, frames, 9), evenly over motions;
+    none where all are shorter."""
     cuts = [
-        (state.from_motion(m, causal=causal)[i : i + frames].float(), m.contacts[i : i + frames].float())
+        (state.from_motion(m, causal=True)[i : i + frames].float(), m.contacts[i : i + frames].float())
         for m in motions for i in range(0, m.frames - frames + 1, frames)
     ]  # fmt: skip
     if not cuts:

@@ -46,9 +46,7 @@ class Course(train_more.Course):
         if data is None:
             windows, takes = learnt_from(folder, recipe.length + 2, own=True)
             bodies = takes, [replace(t, motion=on_standard(t.motion)) for t in takes]
-            held = {
-                body: person_states(some, most=_MOST, causal=True) for body, some in zip(_BODIES, bodies, strict=True)
-            }
+            held = {body: person_states(some, most=_MOST) for body, some in zip(_BODIES, bodies, strict=True)}
             if not held[_BODIES[0]]:
                 raise DataError("nobody who chooses is there", path=folder, remedy="unpack cmu_library into it")
             data = windows, held

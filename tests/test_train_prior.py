@@ -23,7 +23,7 @@ def course(motions):
     people = ["a", *["b"] * (len(own) - 1)] * 2
     windows = gather([m for some in bodies.values() for m in some], SMALL.length + 2, people=people)
     held = {
-        body: {"c": splits.state_windows(some[:1], causal=True), "d": splits.state_windows(some[1:], causal=True)}
+        body: {"c": splits.state_windows(some[:1]), "d": splits.state_windows(some[1:])}
         for body, some in bodies.items()
     }
     return train_prior.Course("transition", SMALL, None, (windows, held))

@@ -114,7 +114,7 @@ class ChainTraining(TrainingRun):
         self.examples = examples
         some, _, _ = examples.draw(2000, torch.Generator().manual_seed(recipe.seed))
         pairs = transition_pairs(some)
-        self.scales = replace(Scales.measure(*pairs, skip=True), half=fast_halves(torch.device("cpu")))
+        self.scales = replace(Scales.measure(*pairs), half=fast_halves(torch.device("cpu")))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
             model = Cvae(recipe.width, skip=True, direct=True)

@@ -1,7 +1,8 @@
 """The units in which training counts errors of transitions, and the scales that a model's numbers are learnt in.
 
 Inputs are standardised and outputs scaled; at the end both are folded into the weights, so that what ships has the
-official architecture. Source: HuMoR (Rempe et al. 2021), section 3.3, whose training code takes numbers as they are.
+official architecture, and ``skip`` and ``direct``, which every model that is trained here has. Source: HuMoR (Rempe et
+al. 2021), section 3.3, whose training code takes numbers as they are.
 """
 
 from __future__ import annotations
@@ -47,11 +48,10 @@ class Scales:
     half: bool = False
 
     @classmethod
-    def measure(cls, past: Tensor, now: Tensor, *, skip: bool = False) -> Scales:
-        """From transitions (N, 339), both in the frame of the past state. skip: of what differs from going on at the
-        velocity."""
-        change = torch.ones(DELTA)
-        onward = past @ ONWARD.mT if skip else torch.zeros(len(past), DELTA)
+    def measure(cls, past: Tensor, now: Tensor) -> Scales:
+        """From transitions (N, 339), both in the frame of the past state; the change is what differs from going on at
+        the velocity."""
+        change, onward = torch.ones(DELTA), past @ ONWARD.mT
         before, after = unpack(past), unpack(now)
         for name in SHAPES:
             if name in ("root_orient", "pose_body"):
@@ -72,7 +72,7 @@ class Scales:
         rows = self.rows(past, now)
         with self._precision():
             mean, log_var = model.encoder(rows).to(past).chunk(2, -1)
-        return Gaussian(mean if model.direct is None else mean + model.direct(rows), log_var)
+        return Gaussian(mean + model.direct(rows), log_var)
 
     def prior(self, model: Cvae, past: Tensor) -> Gaussian:
         """p(z | past)."""
@@ -83,19 +83,17 @@ class Scales:
         """Raw changes and contact logits (N, 216)."""
         rows = (past - self.mean) / self.std
         with self._precision():
-            raw = model.decoder(torch.cat((rows, z), -1)).to(past)
-            raw = raw if model.skip is None else raw + model.skip(rows).to(past)
-        return raw * self.change + (0.0 if model.skip is None else past @ ONWARD.mT.to(past))
+            raw = model.decoder(torch.cat((rows, z), -1)).to(past) + model.skip(rows).to(past)
+        return raw * self.change + past @ ONWARD.mT.to(past)
 
     def _precision(self) -> torch.autocast:
         return torch.autocast("cpu", torch.bfloat16, enabled=self.half)
 
     def folded(self, model: Cvae) -> Cvae:
-        """The model that computes the same from plain numbers, by its weights alone: the official architecture, but for
-        ``skip`` and ``direct``."""
+        """The model that computes the same from plain numbers, by its weights alone."""
         model = deepcopy(model)
         with torch.no_grad():
-            encoding = _encoding(model)
+            encoding = model.encoder.net[0], model.direct
             for first in (*encoding, model.prior_net.net[0], model.decoder.net[0]):
                 first.bias -= first.weight[:, :STATE] @ (self.mean / self.std)
                 first.weight[:, :STATE] /= self.std
@@ -104,35 +102,28 @@ class Scales:
                 first.weight[:, :STATE] -= first.weight[:, STATE:]
             model.decoder.net[-1].weight *= self.change[:, None]
             model.decoder.net[-1].bias *= self.change
-            if model.skip is not None:
-                weight = self.change[:, None] * model.skip.weight / self.std
-                model.decoder.net[-1].bias -= weight @ self.mean
-                model.skip.weight.copy_(weight + ONWARD)
+            weight = self.change[:, None] * model.skip.weight / self.std
+            model.decoder.net[-1].bias -= weight @ self.mean
+            model.skip.weight.copy_(weight + ONWARD)
         return model
 
     def unfolded(self, model: Cvae) -> Cvae:
         """The weights that ``folded`` makes this model of: what training goes on from."""
         model = deepcopy(model)
         with torch.no_grad():
-            encoding = _encoding(model)
+            encoding = model.encoder.net[0], model.direct
             for first in encoding:
                 first.weight[:, :STATE] += first.weight[:, STATE:]
                 first.weight[:, STATE:] *= 16 * _unit(SLICES)
             for first in (*encoding, model.prior_net.net[0], model.decoder.net[0]):
                 first.weight[:, :STATE] *= self.std
                 first.bias += first.weight[:, :STATE] @ (self.mean / self.std)
-            if model.skip is not None:
-                weight = model.skip.weight - ONWARD
-                model.decoder.net[-1].bias += weight @ self.mean
-                model.skip.weight.copy_(weight * self.std / self.change[:, None])
+            weight = model.skip.weight - ONWARD
+            model.decoder.net[-1].bias += weight @ self.mean
+            model.skip.weight.copy_(weight * self.std / self.change[:, None])
             model.decoder.net[-1].weight /= self.change[:, None]
             model.decoder.net[-1].bias /= self.change
         return model
-
-
-def _encoding(model: Cvae) -> tuple[torch.nn.Linear, ...]:
-    """The layers that take both states."""
-    return (model.encoder.net[0], *(() if model.direct is None else (model.direct,)))
 
 
 def _unit(slices: dict[str, slice]) -> Tensor:

@@ -77,7 +77,7 @@ def prior_errors(model: Cvae, takes: Sequence[Take], each: int) -> Errors:
     people: dict[str, list[Motion]] = {}
     for take in takes:
         people.setdefault(take.person, []).append(take.motion)
-    found = [x for some in people.values() if len(x := splits.state_windows(some, most=each, causal=True)[0])]
+    found = [x for some in people.values() if len(x := splits.state_windows(some, most=each)[0])]
     whose = torch.cat([torch.full((len(x),), person) for person, x in enumerate(found)])
     states = torch.cat(found)
     step, way = quality.one_step_errors(model, states), quality.rollout_errors(model, states)

@@ -23,7 +23,6 @@ from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import decode_ahead, infer, rollout, sample_rollout
 from motionlab.metrics.gait import tilt_and_bend
 from motionlab.motion import Motion
-from studies.nb04_prior.people import Clips
 from suite.findings import Finding
 
 HIDDEN_BELOW = 0.9  # metres: the height of the table behind which legs are hidden
@@ -204,9 +203,3 @@ def knee_rows(shares: Mapping[str, Mapping[str, Tensor]]) -> list[dict[str, obje
         {"group": name} | {way: f"{100 * float(share.mean()):.0f} %" for way, share in ways.items()}
         for name, ways in shares.items()
     ]
-
-
-def older_knees(priors: Priors, groups: Mapping[str, Clips], steps: tuple[int, int]) -> list[dict[str, object]]:
-    """Computes ``knee_rows`` with other priors, in stage 2 too."""
-    made = {name: decode(priors.motion, rough(priors, clips.motion, steps)) for name, clips in groups.items()}
-    return knee_rows({name: knees_bent(made[name], clips.motion, clips.whose) for name, clips in groups.items()})

@@ -218,7 +218,7 @@ def _gate(ax: Axes, name: str, test: Criterion, reached: Mapping[str, tuple[floa
     ends = sorted((test.bound, {None: 0.0 if test.relation == "<=" else most}.get(test.other, test.other)))
     ax.axvspan(*ends, color=ROLE["6d"], alpha=0.15, lw=0)
     for line, (who, each) in enumerate(reached.items()):
-        tone = ROLE["observation" if who.startswith("compact,") else "ours"]
+        tone = ROLE["observation" if who.startswith("transition,") else "ours"]
         look = {"ms": 6, "color": tone, "mfc": "white" if "synthetic" in who else tone, "label": who}
         value, low, high = each or (np.nan,) * 3
         ax.plot((low, high), (line, line), color=tone, lw=1.6)

@@ -63,7 +63,7 @@ def main() -> None:
     takes, generator = corpus.assemble(options.folder, splits.real_sources(options.folder)), torch.Generator()
     fitted = ridges(takes.part("train"), generator.manual_seed(0))
     model = pretrained.load_motion_prior(f"humor_{options.prior}")
-    choose, report = (models.person_states(takes.part(part), causal=True) for part in ("choose", "report"))
+    choose, report = (models.person_states(takes.part(part)) for part in ("choose", "report"))
     width = min(WIDTHS, key=lambda w: sum(left(fitted[w](x), x) for x, _ in choose.values()))
     print(f"width {width:g}")
     for part, people in (("choose", choose), ("report", report)):

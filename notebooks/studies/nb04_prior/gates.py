@@ -16,11 +16,13 @@ Row = Mapping[str, float]
 
 class Gate(NamedTuple):
     """label: for a figure. of: one person's row of the model table to the number that is asked for. over: a measure
-    whose mean over people that number is divided by (of one person it may be nought)."""
+    whose mean over people that number is divided by (of one person it may be nought). rival: the same number of what
+    needs no prior, where the row has one."""
 
     label: str
     of: Callable[[Row], float]
     over: str = ""
+    rival: Callable[[Row], float] | None = None
 
 
 def _measure(name: str) -> Callable[[Row], float]:
@@ -36,6 +38,7 @@ GATES = {
     "one_step": Gate(
         "one step, prior's mean",
         _over("one step, prior mean, cm", "one step, constant velocity, cm"),
+        rival=lambda _: 1.0,
     ),
     "one_step_shown": Gate(
         "one step, shown the answer",
@@ -43,13 +46,17 @@ GATES = {
     ),
     "open_loop": Gate("2 s, z known, open loop", _measure("2 s, posterior z, cm")),
     "closed_loop": Gate("2 s, z known, closed loop", _measure("2 s, closed loop, cm")),
-    "foresight": Gate("2 s, prior's mean alone", _measure("2 s, prior mean, cm")),
+    "foresight": Gate("2 s, prior's mean alone", _measure("2 s, prior mean, cm"), rival=_measure("2 s, hold, cm")),
     "bones": Gate("samples: bones change", _measure("samples' bones")),
     "floor": Gate("samples: foot in the floor", _measure("samples' penetration")),
     "slide": Gate("samples: feet slide", _measure("samples' slide"), "data's slide"),
     "walkers": Gate("samples: walkers who walk on", _measure("walkers who go on")),
     "active": Gate("active latents", _measure("active")),
-    "contacts": Gate("contacts, F1", _measure("one step, posterior, contact F1")),
+    "contacts": Gate(
+        "contacts, F1",
+        _measure("one step, posterior, contact F1"),
+        rival=_measure("contact F1, as one frame before"),
+    ),
 }  # fmt: skip
 
 
@@ -58,6 +65,11 @@ def by_person(gate: Gate, rows: Mapping[str, Row]) -> Tensor:
     values = torch.tensor([gate.of(row) for row in rows.values()], dtype=torch.float64)
     values = values[values.isfinite()]
     return values / mean_of(rows, gate.over) if gate.over else values
+
+
+def baseline(gate: Gate, rows: Mapping[str, Row], others: Mapping[str, Row]) -> Tensor:
+    """Computes what a gate's number is compared with, of every person (P,): its rival's, else the other prior's."""
+    return by_person(gate, others) if gate.rival is None else by_person(gate._replace(of=gate.rival), rows)
 
 
 _WAYS = {

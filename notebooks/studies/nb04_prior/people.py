@@ -57,12 +57,12 @@ def report_part(takes: Sequence[Take]) -> list[Take]:
     return [take for take in takes if take.part == "report"]
 
 
-def judged(takes: Sequence[Take], strangers: Clips, model: Cvae) -> dict[str, dict[str, tuple[Tensor, Tensor]]]:
+def judged(takes: Sequence[Take], strangers: Clips) -> dict[str, dict[str, tuple[Tensor, Tensor]]]:
     """Returns what a prior is judged on, by source and person: states (W, 61, 339) and contacts (W, 61, 9)."""
-    drawn = state.from_motion(strangers.motion, causal=model.causal)[:, 1:]
+    drawn = state.from_motion(strangers.motion, causal=True)[:, 1:]
     each = zip(drawn[:, None], strangers.motion.contacts[:, None, 1:], strict=True)
     found = {"synthetic": dict(zip(strangers.names, each, strict=True))}
-    real = models.person_states(report_part(takes), causal=model.causal)
+    real = models.person_states(report_part(takes))
     return found | ({"cmu": real} if real else {})
 
 
@@ -148,8 +148,9 @@ def judged_rows(
     models_by_name: Mapping[str, Cvae], takes: Sequence[Take], strangers: Clips, seed: int
 ) -> dict[tuple[str, str], dict[str, dict[str, float]]]:
     """Computes the model table's measures of every person, by prior and source."""
+    sources = judged(takes, strangers)
     return {
         (name, source): models.person_rows(model, persons, seed)
         for name, model in models_by_name.items()
-        for source, persons in judged(takes, strangers, model).items()
+        for source, persons in sources.items()
     }

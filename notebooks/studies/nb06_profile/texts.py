@@ -143,6 +143,6 @@ def saved(ratio: Tensor, batch: int, more: float, heading: float, rest: float) -
     return (
         f"**Reading.** The last rung is **{ratio.median():.1f} times** faster than the first (rounds from "
         f"{ratio.min():.1f} to {ratio.max():.1f}). A batch of {batch} makes it {more:.1f} times faster still for each "
-        f"clip. With trained priors the exact heading changes the energy by {heading:.0e} of the size of its terms, all "
-        f"other rungs by {rest:.0e} at most."
+        f"clip. With trained priors the exact heading changes the energy by {heading:.0e} of the size of its terms, "
+        f"all other rungs by {rest:.0e} at most."
     )

@@ -37,7 +37,8 @@ SEED, FRAMES, CLIPS = 216, 60, 3  # clips that nothing else has used
 FULL = Schedule(tolerance=0.0)
 _OURS = ("shooting", "guesses")  # the work of another solver; and an addition, off
 OFFICIAL = {n: list(x) if isinstance(x, tuple) else x for n, x in asdict(FULL).items() if n not in _OURS}
-RECIPE = {"prior": pretrained.DEFAULT, "seed": SEED, "frames": FRAMES, "clips": CLIPS, "threads": 1, "official": OFFICIAL}
+RECIPE = {"prior": pretrained.DEFAULT, "seed": SEED, "frames": FRAMES, "clips": CLIPS, "threads": 1}
+RECIPE["official"] = OFFICIAL
 
 
 def tasks(count: int = CLIPS, *, seed: int = SEED, frames: int = FRAMES) -> Iterator[Task]:
