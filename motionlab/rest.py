@@ -1,0 +1,221 @@
+"""How the joints of a figure are turned when it stands in a T, seen in body axes: x to its left, y up, z forward.
+
+Many files hold such a pose: where nothing is turned, in a skin, or in the first frame. Others turn the axes of each
+joint as they like. Then the pose is worked out from the movement: a bone lies where its child is, a knee or an elbow
+bends about one axis, and what has neither is turned, on the whole, as what it hangs on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import permutations, product
+
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from motionlab import rotation
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, Skeleton
+
+ZERO, SKIN, FIRST = "zero pose", "rest pose in the file", "first frame, a T-pose"
+SQUARE, MOVED = "movement, by right angles", "movement"
+
+_BODY = torch.eye(3, dtype=torch.float64)  # left, up, front
+_SKY = _BODY[2]  # the world is z up
+_RIGHT_ANGLES = [
+    turn
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+    if torch.linalg.det(turn := _BODY[list(order)] * torch.tensor(signs, dtype=torch.float64)[:, None]) > 0
+]
+_SQUARE = 0.15  # radians: bones and hinges as near to an axis of their joint, on the whole, are meant to lie on it
+_LIKE = 1.3  # radians: joints of such a rig whose means differ by less are turned alike; hands and heads hang
+_STRAIGHT = 0.02  # a limb that bends less on the whole says little of its hinge
+_LOW = 0.04  # metres: an ankle so near to its lowest may stand
+_FRAMES = 2000  # are enough
+
+#: A figure stands if these bones point so, within 60 degrees.
+_STANDING = (
+    *((-_BODY[1], f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"))),
+    (_BODY[0], "right_hip", "left_hip"),
+    (_BODY[1], "pelvis", "neck"),
+    (_BODY[0], "right_shoulder", "left_shoulder"),
+)
+#: And so in a T, within 20.
+_IN_A_T = tuple(
+    (sign * _BODY[0], f"{s}_{a}", f"{s}_{b}")
+    for s, sign in (("left", 1), ("right", -1))
+    for a, b in (("shoulder", "elbow"), ("elbow", "wrist"))
+)
+
+
+def rest_poses(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, Tensor, Tensor]]:
+    """Yields where a rest pose is taken from, how the joints are turned in it (J, 3, 3), and where they are (J, 3),
+    metres, for every one in which the figure stands; the surest first.
+
+    Args:
+        motion: one clip (T frames), float64, z up.
+        joints: standard name -> joint.
+    """
+    skeleton = motion.skeleton
+    still = _BODY.expand(len(skeleton), 3, 3)
+    kept = {ZERO: still, SKIN: skeleton.standing, FIRST: motion.world[1][0]}
+    for source in (ZERO, SKIN, SQUARE, FIRST, MOVED):
+        if source in kept:
+            near = 2.0 if source == FIRST else 0.9  # people face anywhere
+            pose = None if kept[source] is None else _to_body(skeleton, kept[source].double(), joints, near)
+        elif source == SQUARE:
+            means = _means(motion, joints)
+            pose = _squared(skeleton, means, joints) if _is_square(means, joints) else None
+        else:
+            pose = means
+        if pose is not None:
+            rest = _places(skeleton, pose)
+            if _stands(rest, joints) and (source != FIRST or _points(rest, joints, _IN_A_T, 0.94, needed=True)):
+                yield source, pose, rest
+
+
+def _places(skeleton: Skeleton, rest_rot: Tensor) -> Tensor:
+    rest = torch.zeros(len(skeleton), 3, dtype=torch.float64)
+    for j, parent in enumerate(skeleton.parents[1:], start=1):
+        rest[j] = rest[parent] + rest_rot[parent] @ skeleton.offsets[j].double()
+    return rest
+
+
+def _to_body(skeleton: Skeleton, pose: Tensor, joints: dict[str, int], near: float) -> Tensor | None:
+    """A pose (J, 3, 3) in any axes, seen in the body's own, which are read off it: up and left are axes of the file
+    where they nearly are, left by a cosine of ``near``."""
+    rest = _places(skeleton, pose)
+    hips = rest[joints["left_hip"]], rest[joints["right_hip"]]
+    left = hips[0] - hips[1]
+    ankles = rest[joints["left_ankle"]] + rest[joints["right_ankle"]]
+    up = sum(hips) / 2 - ankles / 2
+    if torch.linalg.cross(left, up).norm() < 1e-3 * left.norm() * up.norm() or not left.norm() > 0:
+        return None
+    axes = []
+    for vector, enough in ((up, 0.9), (left, near)):
+        unit = vector / vector.norm()
+        axis = torch.zeros(3, dtype=torch.float64)
+        axis[unit.abs().argmax()] = unit[unit.abs().argmax()].sign()
+        axes.append(axis if unit @ axis > enough else unit)
+    up = axes[0]
+    left = normalize(axes[1] - (axes[1] @ up) * up, dim=0)
+    return torch.stack((left, up, torch.linalg.cross(left, up))) @ pose
+
+
+def _stands(rest: Tensor, joints: dict[str, int]) -> bool:
+    """Legs down, trunk up, left on the left, toes in front."""
+    feet = [rest[joints[f"{s}_foot"]] - rest[joints[f"{s}_ankle"]] for s in ("left", "right") if f"{s}_foot" in joints]
+    return _points(rest, joints, _STANDING, 0.5) and all(foot[2] >= 0 for foot in feet)
+
+
+def _points(rest: Tensor, joints: dict[str, int], bones: tuple, cosine: float, needed: bool = False) -> bool:
+    for direction, a, b in bones:
+        if a in joints and b in joints:
+            bone = rest[joints[b]] - rest[joints[a]]
+            if bone @ direction < cosine * bone.norm():
+                return False
+        elif needed:
+            return False
+    return True
+
+
+# --------------------------------------------------------------------------------------------------- from movement
+def _means(motion: Motion, joints: dict[str, int]) -> Tensor:
+    """How the joints are turned in a T (J, 3, 3), by what their bones and hinges do on the whole.
+
+    A bone lies as in the standard's T-pose; about it a leg is turned so that the knee bends about the body's left, and
+    an arm so that the elbow bends about the vertical. A limb that hardly bends is turned as the trunk.
+    """
+    motion = motion.cut(None, None, -(-motion.frames // _FRAMES))
+    where, world = motion.world
+    at = {name: where[:, j] for name, j in joints.items()}
+    left, up, front = _BODY
+    found: dict[int, Tensor] = {}
+
+    def unit(a: str, b: str) -> Tensor:
+        return normalize(at[b] - at[a], dim=-1)
+
+    def put(name: str, first: Tensor, to_first: Tensor, second: Tensor, to_second: Tensor) -> None:
+        if name in joints:
+            own = [(world[:, joints[name]].mT @ x[..., None])[..., 0].mean(0) for x in (first, second)]
+            found[joints[name]] = _axes(to_first, to_second) @ _axes(*own).T
+
+    across = unit("right_hip", "left_hip")
+    arms = "left_shoulder" in at and "right_shoulder" in at
+    chest = unit("right_shoulder", "left_shoulder") if arms else across
+    middle = {p: (at[f"left_{p}"] + at[f"right_{p}"]) / 2 for p in ("hip", "knee", "shoulder") if f"left_{p}" in at}
+    top = middle["shoulder"] if arms else at.get("neck", at.get("head"))
+    trunk = (
+        normalize(top - middle["hip"], dim=-1) if top is not None else normalize(middle["hip"] - middle["knee"], dim=-1)
+    )
+    whole = normalize(top - middle["knee"], dim=-1) if top is not None else trunk
+    put("pelvis", across, left, whole, up)
+    for name, side in (("spine1", across), ("spine2", across + chest), ("spine3", chest)):
+        put(name, trunk, up, side, left)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        hip, knee, ankle, ball = (f"{side}_{part}" for part in ("hip", "knee", "ankle", "foot"))
+        hinge = torch.linalg.cross(unit(hip, knee), unit(knee, ankle)) + _STRAIGHT * across
+        for joint, child in ((hip, knee), (knee, ankle), (ankle, ball)):
+            if child in at:
+                put(joint, unit(joint, child), front if child == ball else _bone(child), hinge, left)
+        if ball not in at:  # its sole is flat where it stands
+            low = at[ankle][:, 2] < at[ankle][:, 2].quantile(0.02) + _LOW
+            stands = (low & (unit(ankle, knee)[:, 2] > 0.7))[:, None]
+            put(ankle, torch.where(stands, _SKY, _STRAIGHT * unit(ankle, knee)), up, hinge, left)
+        collar, shoulder, elbow, wrist = (f"{side}_{part}" for part in ("collar", "shoulder", "elbow", "wrist"))
+        if collar in at and shoulder in at:
+            put(collar, unit(collar, shoulder), _bone(shoulder), trunk, up)
+        if shoulder in at and elbow in at and wrist in at:
+            upper = unit(shoulder, elbow)
+            body = torch.stack((chest, trunk, torch.linalg.cross(chest, trunk)), dim=-1)
+            raised = rotation.rotation_between(_bone(elbow).expand_as(upper), (body.mT @ upper[..., None])[..., 0])
+            hinge = torch.linalg.cross(upper, unit(elbow, wrist)) - _STRAIGHT * (body @ raised @ (sign * up))
+            for joint, child in ((shoulder, elbow), (elbow, wrist)):
+                put(joint, unit(joint, child), _bone(child), hinge, -sign * up)
+    pose: list[Tensor] = []
+    for j, parent in enumerate(motion.skeleton.parents):
+        own = rotation.mean(motion.rot[:, j]) if parent >= 0 else _BODY
+        pose.append(found[j] if j in found else (pose[parent] if parent >= 0 else _BODY) @ own)
+    return torch.stack(pose)
+
+
+def _bone(child: str) -> Tensor:
+    """The direction of a bone in the standard's T-pose."""
+    return normalize(STANDARD.offsets[STANDARD.index(child)].double(), dim=0)
+
+
+def _axes(first: Tensor, second: Tensor) -> Tensor:
+    """A right-handed frame: the first axis along ``first``, the second as near to ``second`` as can be."""
+    a = normalize(first, dim=0)
+    b = normalize(second - (second @ a) * a, dim=0)
+    return torch.stack((a, b, torch.linalg.cross(a, b)), dim=1)
+
+
+def _square(turn: Tensor) -> Tensor:
+    """The nearest turn by right angles."""
+    return max(_RIGHT_ANGLES, key=lambda right: float((right * turn).sum()))
+
+
+def _is_square(means: Tensor, joints: dict[str, int]) -> bool:
+    """Whether thighs, shins and upper arms lie along an axis of their joint, and bend about one, on the whole."""
+    limbs = [joints.get(f"{side}_{part}") for side in ("left", "right") for part in ("hip", "knee", "shoulder")]
+    off = torch.stack([rotation.geodesic(_square(means[j]), means[j]) for j in limbs if j is not None])
+    return bool(off.mean() < _SQUARE and off.max() < 3 * _SQUARE)
+
+
+def _squared(skeleton: Skeleton, means: Tensor, joints: dict[str, int]) -> Tensor:
+    """The means by right angles: a joint is turned as its parent, or else by the nearest.
+
+    A forearm or hand whose bone lies as its parent's is turned alike: how it twists on the whole says nothing.
+    """
+    along = torch.zeros_like(skeleton.offsets)
+    along.index_add_(0, torch.tensor(skeleton.parents[1:]), skeleton.offsets[1:])
+    twists = {joints.get(f"{side}_{part}") for side in ("left", "right") for part in ("elbow", "wrist")}
+    pose: list[Tensor] = []
+    for j, parent in enumerate(skeleton.parents):
+        alike = parent >= 0 and rotation.geodesic(pose[parent], means[j]) < _LIKE
+        alike |= j in twists and bool(along[j].abs().argmax() == along[parent].abs().argmax())
+        pose.append(pose[parent] if alike else _square(means[j]))
+    return torch.stack(pose)

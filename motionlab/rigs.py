@@ -1,0 +1,228 @@
+"""Which joint of a skeleton is which of the standard 22: by what its name says, and by where it hangs.
+
+Names differ in spelling (``mixamorig:LeftUpLeg``, ``thigh_l``, ``Bip01 L Thigh``, ``lThigh``) and in what they mean: a
+``LeftLeg`` is a shin below a ``LeftUpLeg`` and a thigh above a ``LeftShin``. So every word may stand for several joints
+of a limb, and of all ways to read a limb from the trunk outwards that which explains most of it is taken.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import pairwise, product
+
+from motionlab.errors import DataError
+from motionlab.skeleton import STANDARD, Skeleton
+
+#: What the joints of each limb are called, from the trunk outwards; behind a bar, what is also said of a neighbour.
+#: Lower case, without side, number, prefix, suffix and separators.
+WORDS: dict[str, dict[str, str]] = {
+    "leg": {
+        "hip": "thigh upleg upperleg femur upperthigh thighbend | hip leg",
+        "knee": "knee shin calf lowleg lowerleg tibia shank | leg",
+        "ankle": "ankle foot talus",
+        "foot": "ball toebase toe toes forefoot foot",
+    },
+    "arm": {
+        "collar": "clavicle collar scapula | shoulder",
+        "shoulder": "upperarm uparm uarm humerus arm shldr shldrbend | shoulder",
+        "elbow": "elbow forearm lowerarm lowarm farm radius forearmbend",
+        "wrist": "wrist | hand",
+    },
+    "head": {"neck": "neck lowerneck necklower necktwist", "head": "head skull | face"},
+}
+#: What a skeleton has to have, or nobody can say how it stands.
+NEEDED = ("pelvis", *(f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")))
+_BOTH = ("left", "right")
+_ORDER = (
+    "pelvis", *WORDS["head"], *(f"{side}_{part}" for limb in ("leg", "arm") for part in WORDS[limb] for side in _BOTH),
+    "spine1", "spine2", "spine3",
+)  # fmt: skip
+_SIDES = {"l": "left", "left": "left", "r": "right", "right": "right", "c": "", "x": "", "center": "", "centre": ""}
+_RANKS = {
+    part: {word: rank for rank, group in enumerate(words.split("|")) for word in group.split()}
+    for limb in WORDS.values() for part, words in limb.items()
+}  # fmt: skip
+_PARTS = {word: part for part, ranks in _RANKS.items() for word in ranks}
+_COUNTS = {"collar": 0.9, "foot": 0.9}  # a lone shoulder is a shoulder, a lone foot an ankle
+_SHARED = 6  # names that a prefix is common to
+
+
+def find_joints(skeleton: Skeleton, path: object = None) -> dict[str, int]:
+    """Finds which joint of a skeleton is which standard joint: standard name -> index.
+
+    What ``skeleton.roles`` says holds; the rest is found.
+
+    Args:
+        path: the file, for what is said of it.
+
+    Raises:
+        DataError: no pelvis, hips, knees and ankles, or the roles name what is not there; says what was found, what
+            is missing, and gives a map to fill in.
+    """
+    given = skeleton.roles
+    strange = [n for n in given if n not in STANDARD.names] + [n for n in given.values() if n not in skeleton.names]
+    if strange:
+        remedy = f"map names out of {', '.join(STANDARD.names)} to joints of the file: {', '.join(skeleton.names)}"
+        raise DataError(f"no joint {', '.join(map(repr, strange))}", path=path, place="names", remedy=remedy)
+    fixed = {standard: skeleton.index(own) for standard, own in given.items()}
+    found = dict(_found(skeleton.names, skeleton.parents, tuple(fixed.items())))
+    if "neck" not in found and "head" not in fixed and _turns_at_the_neck(skeleton, found):
+        found = {"neck" if name == "head" else name: j for name, j in found.items()}
+    missing = [name for name in NEEDED if name not in found]
+    if missing:
+        told = ", ".join(f"{name} = {skeleton.names[j]}" for name, j in found.items()) or "nothing"
+        blank = json.dumps({name: skeleton.names[found[name]] if name in found else "" for name in STANDARD.names})
+        raise DataError(
+            f"its joints are called {_listed(skeleton.names)}: found {told}; missing {', '.join(missing)}",
+            path=path,
+            place="joint names",
+            remedy="say what is what by names=, on the command line --names FILE.json, and leave out what the file "
+            f"lacks: {blank}",
+        )
+    return found
+
+
+def _turns_at_the_neck(skeleton: Skeleton, found: dict[str, int]) -> bool:
+    """Whether a head without a neck hangs where the arms do, at their height: its joint is the neck's."""
+    joints = [found[name] for name in ("head", "left_shoulder", "right_shoulder") if name in found]
+    if len(joints) < 3 or len({skeleton.parents[j] for j in joints}) > 1:
+        return False
+    head, left, right = skeleton.offsets[joints].double()
+    return bool((head - (left + right) / 2).norm() < 0.3 * (left - right).norm())
+
+
+def _listed(names: Sequence[str], most: int = 40) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+@lru_cache(maxsize=64)
+def _found(names: tuple[str, ...], parents: tuple[int, ...], fixed: tuple[tuple[str, int], ...]) -> dict[str, int]:
+    above = _ancestors(parents)
+    said = _read(names)
+    found = dict(fixed)
+    for side in ("left_", "right_", ""):
+        words = [word if own == side.strip("_") else "" for own, word in said]
+        for limb in ("leg", "arm") if side else ("head",):
+            found |= _limb(limb, side, words, above, found)
+    found = _trunk(above, found) | found
+    top = found.get("spine3", found.get("pelvis"))
+    if "neck" not in found and top is not None:  # a spine that goes on above the arms
+        column = [j for j, (_, word) in enumerate(said) if word == said[top][1] and top in above[j]]
+        found |= dict(zip(("neck", "head"), column[:1] + column[1:][-1:], strict=False))
+    for side in ("left", "right"):
+        found |= _between([f"{side}_{part}" for part in WORDS["leg"]], None, parents, above, found)
+        found |= _between([f"{side}_{part}" for part in WORDS["arm"]], top, parents, above, found)
+    found |= _between(["neck", "head"], top, parents, above, found)
+    return {name: found[name] for name in _ORDER if name in found}
+
+
+def _read(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Side and word of every name, less the prefix and suffix with which most names make sense."""
+    tokens, sides = [], []
+    for name in names:
+        parts = re.findall(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+", re.split(r"[:|/]", name)[-1])
+        words = [part.lower() for part in parts]
+        sides.append(next((_SIDES[word] for word in words if word in _SIDES), None))
+        tokens.append(tuple(word for word in words if word not in _SIDES))
+
+    def words_with(prefix: tuple[str, ...], suffix: tuple[str, ...]) -> list[tuple[str, str]]:
+        found = []
+        for side, own in zip(sides, tokens, strict=True):
+            own = own[len(prefix) :] if prefix and own[: len(prefix)] == prefix else own
+            own = own[: -len(suffix)] if suffix and own[-len(suffix) :] == suffix else own
+            found.append(_sided(side, "".join(own)))
+        return found
+
+    prefixes = Counter(own[:k] for own in tokens for k in range(1, len(own)))
+    suffixes = Counter(own[-k:] for own in tokens for k in range(1, len(own)))
+    ways = [
+        [(), *sorted((w for w, n in c.items() if n >= _SHARED), key=lambda w: (len(w), w))]
+        for c in (prefixes, suffixes)
+    ]
+    return max(
+        (words_with(*way) for way in product(*ways)),
+        key=lambda said: len({(side, _PARTS[word]) for side, word in said if word in _PARTS}),
+    )
+
+
+def _sided(side: str | None, word: str) -> tuple[str, str]:
+    """Splits a side off a word that is written in one, as lfemur, leftupleg, UPPERARML."""
+    if side is not None or word in _PARTS:
+        return side or "", word
+    for mark in ("left", "right", "l", "r"):
+        for rest in (word.removeprefix(mark), word.removesuffix(mark)):
+            if rest != word and rest in _PARTS:
+                return _SIDES[mark], rest
+    return "", word
+
+
+def _ancestors(parents: Sequence[int]) -> list[tuple[int, ...]]:
+    """For every joint those above it, the root first."""
+    above: list[tuple[int, ...]] = []
+    for parent in parents:
+        above.append((*above[parent], parent) if parent >= 0 else ())
+    return above
+
+
+def _limb(limb: str, side: str, said: list[str], above: list[tuple[int, ...]], fixed: dict[str, int]) -> dict[str, int]:
+    """The reading of a limb that names most of its joints, each below the one before it."""
+    choices = []
+    for part in WORDS[limb]:
+        ranks = _RANKS[part]
+        own = [(ranks[word], len(above[j]), j) for j, word in enumerate(said) if word in ranks]
+        told = f"{side}{part}"
+        # of joints with one name below each other (upperarm01, upperarm02) the upper is the joint
+        own = [c for c in own if not any(said[c[2]] == said[j] and j in above[c[2]] for *_, j in own)]
+        choices.append([(0, 0, fixed[told])] if told in fixed else [None, *own])
+    best: tuple = ((0.0, 0, 0, 0), {})
+    for way in product(*choices):
+        taken = [(part, choice) for part, choice in zip(WORDS[limb], way, strict=True) if choice]
+        joints = [choice[2] for _, choice in taken]
+        if all(a in above[b] for a, b in pairwise(joints)):
+            count = sum(_COUNTS.get(part, 1.0) for part, _ in taken)
+            score = (count, *(-sum(choice[i] for _, choice in taken) for i in range(3)))
+            best = max(best, (score, {f"{side}{part}": choice[2] for part, choice in taken}), key=lambda x: x[0])
+    return best[1]
+
+
+def _trunk(above: list[tuple[int, ...]], found: dict[str, int]) -> dict[str, int]:
+    """The pelvis, where legs and trunk meet, and the spine from there to what carries neck and shoulders."""
+    tips = ("neck", "head", *(f"{side}_{part}" for side in ("left", "right") for part in ("collar", "shoulder")))
+    paths = [above[found[tip]] for tip in tips if tip in found]
+    legs = [above[found[name]] for name in ("left_hip", "right_hip") if name in found]
+    meeting = [j for j in legs[0] if all(j in path for path in legs)] if len(legs) == 2 else []
+    meeting = [j for j in meeting if all(j in path for path in paths)] or meeting
+    pelvis = found.get("pelvis", meeting[-1] if meeting else None)
+    if pelvis is None:
+        return {}
+    shared = [j for j in min(paths, key=len, default=()) if pelvis in above[j] and all(j in path for path in paths)]
+    middle = {"spine2": shared[len(shared) // 2]} if len(shared) > 2 else {}
+    ends = {"spine1": shared[0]} if len(shared) > 1 else {}
+    return {"pelvis": pelvis} | ({**ends, **middle, "spine3": shared[-1]} if shared else {})
+
+
+def _between(
+    chain: list[str], start: int | None, parents: Sequence[int], above: list[tuple[int, ...]], found: dict[str, int]
+) -> dict[str, int]:
+    """What no name says but the place does: as many joints as are missing between two that are known, or, at the
+    end of a limb, an only child below an only child."""
+    more: dict[str, int] = {}
+    last, missing = start, []
+    for name in chain:
+        if name not in found:
+            missing += [name] if last is not None else []
+            continue
+        if last is not None and last in above[found[name]]:
+            way = above[found[name]][above[found[name]].index(last) + 1 :]
+            more |= dict(zip(missing, way, strict=True)) if len(way) == len(missing) else {}
+        last, missing = found[name], []
+    for name in missing if last != start else []:
+        children = [j for j, parent in enumerate(parents) if parent == last]
+        if len(children) != 1:
+            break
+        more[name] = last = children[0]
+    return more
