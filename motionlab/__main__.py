@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from motionlab import doctor
@@ -65,6 +65,10 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command = add_command(commands, "data", text, "data recordings/", _data)
     command.add_argument("folder", nargs="?", help="default: $MOTIONLAB_DATA")
     command.add_argument("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
+
+    command.add_argument(
+        "--certify", action="store_true", help="say what the 22 standard joints lose of each rig in it"
+    )
 
     text = "make training motion of recordings; say what is cut out and why"
     command = add_command(commands, "prepare", text, "prepare recordings/ --out prepared/", _prepare)
@@ -135,6 +139,8 @@ def _data(options: argparse.Namespace) -> int:
     folder = options.folder or os.environ.get("MOTIONLAB_DATA")
     if not folder:
         raise MissingData("the folder of recordings", "Name it, or set MOTIONLAB_DATA to it.")
+    if options.certify:
+        return _certify(Path(folder))
     from motionlab.io import recordings
 
     rows = recordings.inventory(Path(folder), video_fps=options.fps)
@@ -160,6 +166,42 @@ def _data(options: argparse.Namespace) -> int:
     for error in unread:
         print(f"cannot be read: {error}", file=sys.stderr)
     return 1 if unread else 0
+
+
+def _certify(place: Path) -> int:
+    """Sends every motion of a folder, or one file, to the 22 standard joints and back; says what that costs."""
+    from motionlab import certificate, io
+
+    failed: list[DataError] = []
+
+    def certified() -> Iterator[certificate.Certificate]:
+        for path in (
+            sorted(p for p in place.rglob("*") if p.suffix.lower() in io.LOADERS) if place.is_dir() else [place]
+        ):
+            try:
+                yield certificate.certify(io.load(path))
+            except DataError as error:
+                failed.append(error)
+
+    rows = certificate.by_rig(certified())
+    print(
+        text_table(
+            [
+                {
+                    "first": row.file, "files": row.files, "joints": f"{row.joints} of 22", "rest pose": row.source,
+                    "cm": 100 * row.place, "degrees": row.angle, "lost": ", ".join(row.lost) or "-",
+                    "holds": "yes" if row.holds else "NO",
+                }
+                for row in rows
+            ]
+        )
+    )  # fmt: skip
+    print(
+        f"there and back, at the 95th percentile: at most {100 * certificate.PLACE:g} cm, {certificate.ANGLE:g} degrees"
+    )
+    for error in failed:
+        print(f"not certified: {error}", file=sys.stderr)
+    return 1 if failed or not all(row.holds for row in rows) else 0
 
 
 def _span(ends: tuple[float, float]) -> str:

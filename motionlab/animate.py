@@ -27,6 +27,7 @@ from motionlab.diffusion import completer
 from motionlab.errors import DataError
 from motionlab.motion import FPS, Motion
 from motionlab.retarget import retarget
+from motionlab.rigs import find_joints
 from motionlab.skeleton import STANDARD
 
 METHODS = ("network", "curves")
@@ -102,7 +103,7 @@ def found_joints(motion: Motion, words: Sequence[str]) -> set[int]:
         if key in own:
             found.add(own[key])
             continue
-        standard = _standard_joints(motion) if key in GROUPS or key in STANDARD.names else {}
+        standard = find_joints(motion.skeleton, motion.name) if key in GROUPS or key in STANDARD.names else {}
         tops = {standard.get(name) for name in GROUPS.get(key, (key,))}
         if None in tops:
             remedy = f"use {', '.join(GROUPS)}, a standard joint, or one of {', '.join(motion.skeleton.names)}"
@@ -112,12 +113,6 @@ def found_joints(motion: Motion, words: Sequence[str]) -> set[int]:
                 tops.add(j)
         found |= tops
     return found
-
-
-def _standard_joints(motion: Motion) -> dict[str, int]:
-    """Standard name -> own joint."""
-    names = retarget(motion.cut(0, 1), floor=False).names
-    return {standard: motion.skeleton.index(own) for standard, own in names.items()}
 
 
 # ------------------------------------------------------------------------------------------------ what is asked

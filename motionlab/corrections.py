@@ -19,7 +19,7 @@ from motionlab import rotation
 from motionlab.contact import with_contacts
 from motionlab.diffusion.planting import planted
 from motionlab.motion import FPS, Motion, resample
-from motionlab.retarget import Retargeted, retarget
+from motionlab.retarget import Retargeted, match_joints, retarget
 from motionlab.skeleton import STANDARD, fk
 
 WINDOW = 60  # frames that models see
@@ -77,13 +77,15 @@ class Standard:
         Raises:
             DataError: a skeleton whose joints are not known.
         """
+        body = match_joints(motion)
         if keep.frames.any():
             index = keep.frames.nonzero()[:, 0]
-            lift = retarget(replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=None)).floor
-        found = retarget(drawn, floor=False)
+            kept = replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=None)
+            lift = retarget(kept, body=body).floor
+        found = retarget(drawn, floor=False, body=body)
         up = torch.tensor([0.0, 0.0, lift])
         joints = replace(found.motion, root=found.motion.root + up, contacts=None, notes=())
-        mapped = {STANDARD.index(n): motion.skeleton.index(own) for n, own in found.names.items()}
+        mapped = {STANDARD.index(name): own for name, own in body.joints.items()}
         known = torch.zeros(motion.frames, len(STANDARD) + 2, dtype=torch.bool)
         for j, own in mapped.items():
             known[:, j] = keep.rot[:, own]
@@ -94,7 +96,7 @@ class Standard:
         """Returns what was decided on the way."""
         missing = f"; the file has no {', '.join(self.found.unmapped)}, so none is made" if self.found.unmapped else ""
         feet = "feet that stand are held in place" if plant else "feet that stand may slide: they are not planted"
-        return (f"joints recognised by their names: {self.found.rig}{missing}", feet)
+        return (f"joints recognised: {len(self.mapped)} of {len(STANDARD)}{missing}", feet)
 
     # -------------------------------------------------------------------------------------------------- a model
     def corrected(self, fill: Fill, *, rate: float = FPS) -> Motion:

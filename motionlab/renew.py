@@ -30,6 +30,7 @@ from motionlab.errors import DataError
 from motionlab.heading import heading_frame, local_to_world, world_to_local_positions
 from motionlab.motion import FPS, Motion
 from motionlab.retarget import retarget
+from motionlab.rigs import find_joints
 from motionlab.skeleton import STANDARD
 
 ROUGH, PLAIN = "completer_rough", "diffusion_plain"  # corrects what was smoothed; makes new motion
@@ -134,8 +135,8 @@ def posed(motion: Motion, known: Sequence[str], *, plant: bool = True) -> Animat
     Raises:
         DataError: an unknown joint or one that no standard joint stands for.
     """
-    names = retarget(motion.cut(0, 1), floor=False).names
-    owners = {motion.skeleton.index(own): standard for standard, own in names.items()}
+    names = find_joints(motion.skeleton, motion.name)
+    owners = {own: standard for standard, own in names.items()}
     joints = sorted(found_joints(motion, known))
     lost = [motion.skeleton.names[j] for j in joints if j not in owners]
     if lost or not joints:

@@ -58,22 +58,23 @@ def rest_poses(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, Te
         motion: one clip (T frames), float64, z up.
         joints: standard name -> joint.
     """
-    skeleton = motion.skeleton
-    still = _BODY.expand(len(skeleton), 3, 3)
-    kept = {ZERO: still, SKIN: skeleton.standing, FIRST: motion.world[1][0]}
-    for source in (ZERO, SKIN, SQUARE, FIRST, MOVED):
-        if source in kept:
-            near = 2.0 if source == FIRST else 0.9  # people face anywhere
-            pose = None if kept[source] is None else _to_body(skeleton, kept[source].double(), joints, near)
-        elif source == SQUARE:
-            means = _means(motion, joints)
-            pose = _squared(skeleton, means, joints) if _is_square(means, joints) else None
-        else:
-            pose = means
+    for source, pose in _candidates(motion, joints):
         if pose is not None:
-            rest = _places(skeleton, pose)
+            rest = _places(motion.skeleton, pose)
             if _stands(rest, joints) and (source != FIRST or _points(rest, joints, _IN_A_T, 0.94, needed=True)):
                 yield source, pose, rest
+
+
+def _candidates(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, Tensor | None]]:
+    skeleton = motion.skeleton
+    yield ZERO, _to_body(skeleton, _BODY.expand(len(skeleton), 3, 3), joints)
+    if skeleton.standing is not None:
+        yield SKIN, _to_body(skeleton, skeleton.standing, joints)
+    means = _means(motion, joints)
+    if _is_square(means, joints):
+        yield SQUARE, _squared(skeleton, means, joints)
+    yield FIRST, _to_body(skeleton, motion.cut(0, 1).world[1][0], joints, 2.0)  # people face anywhere
+    yield MOVED, means
 
 
 def _places(skeleton: Skeleton, rest_rot: Tensor) -> Tensor:
@@ -83,7 +84,7 @@ def _places(skeleton: Skeleton, rest_rot: Tensor) -> Tensor:
     return rest
 
 
-def _to_body(skeleton: Skeleton, pose: Tensor, joints: dict[str, int], near: float) -> Tensor | None:
+def _to_body(skeleton: Skeleton, pose: Tensor, joints: dict[str, int], near: float = 0.9) -> Tensor | None:
     """A pose (J, 3, 3) in any axes, seen in the body's own, which are read off it: up and left are axes of the file
     where they nearly are, left by a cosine of ``near``."""
     rest = _places(skeleton, pose)

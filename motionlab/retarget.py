@@ -16,8 +16,8 @@ from motionlab.contact import contacts_from_positions
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.motion import Motion
 from motionlab.rest import MOVED, SQUARE, ZERO, rest_poses
-from motionlab.rigs import find_joints
-from motionlab.skeleton import FEET, STANDARD, Skeleton, fk
+from motionlab.rigs import dropped_joints, find_joints, guessed_joints
+from motionlab.skeleton import BALLS, FEET, STANDARD, Skeleton, fk
 
 _LEG = ("hip", "knee", "ankle")
 _LIMBS = ("hip", "knee", "shoulder", "elbow")  # a bone of these names points along the standard's own
@@ -51,8 +51,9 @@ def match_joints(motion: Motion) -> Match:
     """
     motion = motion.to(torch.float64)
     joints = find_joints(motion.skeleton, motion.name)
-    for found in rest_poses(motion, joints):
-        return Match(joints, *found)
+    for source, rest_rot, rest in rest_poses(motion, joints):
+        behind = [n for n in guessed_joints(motion.skeleton, joints) if n in BALLS and not _ahead(rest, joints, n)]
+        return Match({n: j for n, j in joints.items() if n not in behind}, source, rest_rot, rest)
     told = ", ".join(f"{name} = {motion.skeleton.names[j]}" for name, j in joints.items())
     raise DataError(
         f"no pose is found in which the figure stands, its left on the left and its toes in front, if {told}",
@@ -63,6 +64,12 @@ def match_joints(motion: Motion) -> Match:
     )
 
 
+def _ahead(rest: Tensor, joints: dict[str, int], ball: str) -> bool:
+    """Whether a ball of the foot lies ahead of its ankle, not below: what no name says may be the heel."""
+    bone = rest[joints[ball]] - rest[joints[ball.replace("foot", "ankle")]]
+    return bool(bone[2] > 0.5 * bone.norm())
+
+
 # ---------------------------------------------------------------------------------------------------- transfer
 @dataclass(frozen=True, eq=False)
 class Retargeted:
@@ -70,10 +77,11 @@ class Retargeted:
 
     motion: on 22 joints named and turned as the standard's. residual: mean distance in metres between a
     target joint and the source joint it stands for, over frames and mapped joints, after scaling and the
-    floor shift. per_joint: the same for each mapped joint. names: standard name -> source name. unmapped:
-    standard joints that the source lacks; they keep their parent's orientation. scale: size of the target
-    over the size of the file's figure. floor: metres by which the motion was raised. skate: slide of resting
-    feet in mm per frame, source and target; NaN where no foot rests. notes: what had to be decided.
+    floor shift; what hangs on a joint that is lost counts as well. per_joint: the same for each of them.
+    names: standard name -> source name. unmapped: standard joints that the source lacks; they keep their
+    parent's orientation. scale: size of the target over the size of the file's figure. floor: metres by which
+    the motion was raised. skate: slide of resting feet in mm per frame, source and target; NaN where no foot
+    rests. notes: what had to be decided.
     """
 
     motion: Motion
@@ -156,23 +164,73 @@ def retarget(
     up = torch.tensor([0.0, 0.0, lift], dtype=torch.float64)
     target, where = replace(target, root=target.root + up), {name: place + up for name, place in where.items()}
     error = {n: float((target.positions[:, STANDARD.index(n)] - p).norm(dim=-1).mean()) for n, p in where.items()}
+    own = source.skeleton.names
+    lost = _lost(body, source.skeleton, positions, world)
+    error |= {own[j]: scale * off for j, off in lost.items()}
     unmapped = tuple(name for name in STANDARD.names if name not in where)
-    notes = [f"joints recognised by their names: {len(where)} of {len(STANDARD)}"]
+    notes = [f"joints recognised: {len(where)} of {len(STANDARD)}"]
     notes += [] if body.source == ZERO else [f"how the joints are turned is taken from the {body.source}"]
     way = "raised" if lift > 0 else "lowered"
     notes += [f"{way} by {abs(lift):.3f} m, so that the feet stand on the floor"] if abs(lift) > 0.0005 else []
+    guesses = [f"{name} = {own[j]}" for name, j in guessed_joints(source.skeleton, body.joints).items()]
+    notes += [f"said by no name, taken by their place: {', '.join(guesses)}"] if guesses else []
     notes += [f"the file has no {', '.join(unmapped)}: made up from the joints around"] if unmapped else []
+    notes += [
+        f"LOST: what {own[j]} does, as it is none of the joints found; what hangs on it is {off:.2f} m off "
+        "(say what it is: names=, on the command line --names)"
+        for j, off in lost.items()
+    ]
     return Retargeted(
         motion=replace(target, notes=(*motion.notes, *notes)).to(motion.root.dtype),
         residual=sum(error.values()) / len(error),
         per_joint=error,
-        names={name: motion.skeleton.names[j] for name, j in body.joints.items()},
+        names={name: own[j] for name, j in body.joints.items()},
         unmapped=unmapped,
         scale=scale,
         floor=lift,
         skate=_skates(target, where),
         notes=tuple(notes),
     )
+
+
+def put_on(motion: Motion, skeleton: Skeleton, body: Match) -> Motion:
+    """Puts a motion of the 22 joints on a skeleton that :func:`match_joints` has read: the way back of retargeting.
+
+    R_source = R_target S^T G. A joint that stands for none of the 22 is turned against its parent as at rest; the
+    middle between the hips is where the motion's is. Bones are the skeleton's.
+
+    Args:
+        motion: (T) on the joints of ``STANDARD``.
+    """
+    world, places = motion.to(torch.float64).world[1], motion.to(torch.float64).positions
+    correction, standard = _corrections(body), {j: STANDARD.index(name) for name, j in body.joints.items()}
+    turned: list[Tensor] = []
+    for j, parent in enumerate(skeleton.parents):
+        if j in standard:
+            turned.append(world[:, standard[j]] @ correction[standard[j]].T @ body.rest_rot[j])
+        elif parent >= 0:
+            turned.append(turned[parent] @ body.rest_rot[parent].T @ body.rest_rot[j])
+        else:  # above the pelvis
+            turned.append(world[:, 0] @ body.rest_rot[j])
+    parents = torch.stack([turned[p] for p in skeleton.parents[1:]], dim=1)
+    rot = torch.cat((turned[0][:, None], parents.mT @ torch.stack(turned[1:], dim=1)), dim=1)
+    skeleton = skeleton.to(torch.float64)
+    own = fk(skeleton, torch.zeros_like(motion.root, dtype=torch.float64), rot)[0]
+    hips = places[:, STANDARD.indices(["left_hip", "right_hip"])].mean(1)
+    root = hips - own[:, [body.joints["left_hip"], body.joints["right_hip"]]].mean(1)
+    return Motion(skeleton, root, rot, motion.fps, name=motion.name)
+
+
+def _lost(body: Match, skeleton: Skeleton, positions: Tensor, world: Tensor) -> dict[int, float]:
+    """Joints of the file that no target joint follows: metres by which what hangs on them is off, were they rigid."""
+    off = {}
+    for j in dropped_joints(skeleton, body.joints):
+        child, above = skeleton.parents.index(j), skeleton.parents[j]
+        while above not in body.joints.values():
+            above = skeleton.parents[above]
+        rigid = world[:, above] @ (body.rest_rot[above].T @ (body.rest[child] - body.rest[above]))
+        off[j] = float((positions[:, child] - positions[:, above] - rigid).norm(dim=-1).mean())
+    return off
 
 
 def _skates(target: Motion, where: dict[str, Tensor]) -> tuple[float, float]:

@@ -86,6 +86,30 @@ def find_joints(skeleton: Skeleton, path: object = None) -> dict[str, int]:
     return found
 
 
+def dropped_joints(skeleton: Skeleton, joints: dict[str, int]) -> list[int]:
+    """Finds joints with others below them that stand where a standard joint is missing: what they do is lost."""
+    above = _ancestors(skeleton.parents)
+    lost: set[int] = set()
+    top = next(joints[name] for name in ("spine3", "pelvis") if name in joints)
+    arms = [[f"{side}_{part}" for part in WORDS["arm"]] for side in _BOTH]
+    legs = [[f"{side}_{part}" for part in WORDS["leg"]] for side in _BOTH]
+    for chain in (*arms, ["neck", "head"], *legs):
+        known = [(place, joints[name]) for place, name in enumerate(chain) if name in joints]
+        known = [(-1, joints["pelvis"] if chain in legs else top), *known]
+        for (i, a), (k, b) in pairwise(known):
+            lost |= {j for j in above[b] if a in above[j] and k > i + 1}
+        end, last = known[-1]
+        lost |= {j for j, path in enumerate(above) if -1 < end < len(chain) - 1 and last in path}
+    return sorted(lost & set(skeleton.parents) - set(joints.values()))
+
+
+def guessed_joints(skeleton: Skeleton, joints: dict[str, int]) -> dict[str, int]:
+    """Returns those of the joints found that no name and no user calls so: their place says it."""
+    words = [word for _, word in _read(skeleton.names)]
+    parts = {name: _RANKS.get(name.rpartition("_")[2], dict.fromkeys(words)) for name in joints}
+    return {n: j for n, j in joints.items() if n not in skeleton.roles and words[j] not in parts[n]}
+
+
 def _turns_at_the_neck(skeleton: Skeleton, found: dict[str, int]) -> bool:
     """Whether a head without a neck hangs where the arms do, at their height: its joint is the neck's."""
     joints = [found[name] for name in ("head", "left_shoulder", "right_shoulder") if name in found]

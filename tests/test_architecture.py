@@ -15,11 +15,11 @@ FLOORS = """
     batch files optimise rotation skeleton training_loop diffusion.sampling
     body checkpoint motion
     heading
-    baselines contact skinning tailoring humor.state diffusion.features diffusion.state
+    baselines contact rest rigs skinning tailoring humor.state diffusion.features diffusion.state
     observation retarget humor.cvae diffusion.curves diffusion.footsteps diffusion.losses diffusion.masks
     io viz data_synth humor.body_shape humor.energies humor.priors humor.transition
         diffusion.completer diffusion.denoiser diffusion.planting diffusion.windows
-    cleaning detect people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
+    certificate cleaning detect people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
         diffusion.model diffusion.poses
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
     corpus splits humor.scales humor.unknowns corrections diffusion.completer_training

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,9 @@ READ = f"{' '.join(WRITTEN)} .amc, or DeepMimic's .txt"
 def add_axes(command: argparse.ArgumentParser) -> None:
     """Adds what a BVH does not say of itself."""
     command.add_argument("--unit", type=_metres, help="of a .bvh: m, cm, mm, inch or metres (default: detected)")
+    command.add_argument(
+        "--names", type=Path, metavar="FILE.json", help="what its joints are: standard name -> its own"
+    )
     command.add_argument("--up", choices=("y", "z"), help="of a .bvh: the axis that points up (default: detected)")
 
 
@@ -35,7 +39,19 @@ def read_motion(path: Path, options: argparse.Namespace) -> Motion:
     guided = {key: value for key in ("unit", "up") if (value := getattr(options, key)) is not None}
     if guided and path.suffix.lower() != ".bvh":
         raise DataError("its unit and axes are known", path=path, remedy="--unit and --up are for .bvh only")
-    return io.load(path, **guided)
+    motion = io.load(path, **guided)
+    return replace(motion, skeleton=replace(motion.skeleton, roles=_roles(options.names))) if options.names else motion
+
+
+def _roles(path: Path) -> dict[str, str]:
+    """Reads which joint is which, as the refusal of an unknown skeleton prints it: blanks are left out."""
+    from motionlab.io.reading import read_json, reading
+
+    with reading(path, 'write {"pelvis": "its name", ...}') as at:
+        found = read_json(at)
+        if not isinstance(found, dict) or not all(isinstance(name, str) for name in found.values()):
+            raise at.error("expected one object of names")
+    return {name: own for name, own in found.items() if own}
 
 
 def make_folder(path: Path) -> None:

@@ -347,10 +347,29 @@ def _motion(at: Spot, content: dict, blob: bytes, person: int) -> Motion:
         * torch.tensor([0.0] + [1.0] * (len(joints) - 1))[:, None],
         contact_names=tuple(extras.get("contact_names", ())),
         sole=float(extras.get("sole", 0.0)),
+        standing=_standing(at, content, blob, skin, joints, chains),
     )
     name = str((skin if len(skins) > 1 else animation).get("name", ""))
     notes = (f"person {person} of {len(skins)} in the file",) if len(skins) > 1 else ()
     return Motion(skeleton, (root @ _Y_UP.double()).float(), rot.float(), fps, name=name, notes=notes)
+
+
+def _standing(
+    at: Spot, content: dict, blob: bytes, skin: dict, joints: list[int], chains: dict[int, list[int]]
+) -> Tensor:
+    """How the joints are turned (J, 3, 3) where the skin is bound, or else where the nodes rest."""
+    if "inverseBindMatrices" in skin:
+        columns = _array(at, content, blob, skin["inverseBindMatrices"], 16, "inverse bind matrices")
+        bound = torch.as_tensor(columns).reshape(-1, 4, 4)[:, :3, :3]  # columns first: transposed, which turns back
+        return rotation.nearest(bound[[skin["joints"].index(joint) for joint in joints]])
+    pose = []
+    for joint in joints:
+        turn = torch.eye(3, dtype=torch.float64)
+        for node in chains[joint]:
+            still = numbers(at, content["nodes"][node].get("rotation", (0, 0, 0, 1)), "4", f"node {node} rotation")
+            turn = rotation.quaternion_to_matrix(torch.as_tensor(still)[[3, 0, 1, 2]]) @ turn
+        pose.append(turn)
+    return torch.stack(pose)
 
 
 def _chain(at: Spot, parent: dict[int, int], node: int, count: int) -> list[int]:
