@@ -24,9 +24,9 @@ _CLOSE = 0.95
 class Certificate:
     """What the way of recordings of one rig to the standard 22 joints and back costs.
 
-    rig: names and parents. file: the first recording. files: how many. joints: of the 22 that the rig has. source: where its rest pose is taken
-    from. place, angle: metres and degrees by which the body's joints are off, at the 95th percentile, in the worst
-    recording. lost: joints that stand where one of the 22 is missing.
+    rig: names and parents. file: the first recording. files: how many. joints: of the 22 that the rig has. source:
+    where its rest pose is taken from. place, angle: metres and degrees by which the body's joints are off, at the
+    95th percentile, in the worst recording. lost: joints that stand where one of the 22 is missing.
     """
 
     rig: tuple

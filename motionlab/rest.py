@@ -60,7 +60,7 @@ def rest_poses(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, Te
     """
     for source, pose in _candidates(motion, joints):
         if pose is not None:
-            rest = _places(motion.skeleton, pose)
+            rest = places_of(motion.skeleton, pose)
             if _stands(rest, joints) and (source != FIRST or _points(rest, joints, _IN_A_T, 0.94, needed=True)):
                 yield source, pose, rest
 
@@ -69,25 +69,29 @@ def _candidates(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, T
     skeleton = motion.skeleton
     yield ZERO, _to_body(skeleton, _BODY.expand(len(skeleton), 3, 3), joints)
     if skeleton.standing is not None:
-        yield SKIN, _to_body(skeleton, skeleton.standing, joints)
-    means = _means(motion, joints)
+        yield SKIN, _to_body(skeleton, skeleton.standing.double(), joints)
+    hips = motion.positions[:, [joints["left_hip"], joints["right_hip"]]]
+    if not (hips[:, 0] - hips[:, 1]).norm(dim=-1).min() > 0:
+        return
+    means = _means(motion, joints, _BODY[2])
     if _is_square(means, joints):
         yield SQUARE, _squared(skeleton, means, joints)
     yield FIRST, _to_body(skeleton, motion.cut(0, 1).world[1][0], joints, 2.0)  # people face anywhere
-    yield MOVED, means
+    yield MOVED, _means(motion, joints, None)
 
 
-def _places(skeleton: Skeleton, rest_rot: Tensor) -> Tensor:
+def places_of(skeleton: Skeleton, pose: Tensor) -> Tensor:
+    """Computes where the joints are (J, 3), metres from the root, if they are turned so (J, 3, 3)."""
     rest = torch.zeros(len(skeleton), 3, dtype=torch.float64)
     for j, parent in enumerate(skeleton.parents[1:], start=1):
-        rest[j] = rest[parent] + rest_rot[parent] @ skeleton.offsets[j].double()
+        rest[j] = rest[parent] + pose[parent].double() @ skeleton.offsets[j].double()
     return rest
 
 
 def _to_body(skeleton: Skeleton, pose: Tensor, joints: dict[str, int], near: float = 0.9) -> Tensor | None:
     """A pose (J, 3, 3) in any axes, seen in the body's own, which are read off it: up and left are axes of the file
     where they nearly are, left by a cosine of ``near``."""
-    rest = _places(skeleton, pose)
+    rest = places_of(skeleton, pose)
     hips = rest[joints["left_hip"]], rest[joints["right_hip"]]
     left = hips[0] - hips[1]
     ankles = rest[joints["left_ankle"]] + rest[joints["right_ankle"]]
@@ -123,16 +127,17 @@ def _points(rest: Tensor, joints: dict[str, int], bones: tuple, cosine: float, n
 
 
 # --------------------------------------------------------------------------------------------------- from movement
-def _means(motion: Motion, joints: dict[str, int]) -> Tensor:
+def _means(motion: Motion, joints: dict[str, int], foot: Tensor | None) -> Tensor:
     """How the joints are turned in a T (J, 3, 3), by what their bones and hinges do on the whole.
 
     A bone lies as in the standard's T-pose; about it a leg is turned so that the knee bends about the body's left, and
-    an arm so that the elbow bends about the vertical. A limb that hardly bends is turned as the trunk.
+    an arm so that the elbow bends about the vertical. A limb that hardly bends is turned as the trunk. foot: where the
+    ball of the foot lies from the ankle instead; axes that are drawn with a ruler are level there.
     """
     motion = motion.cut(None, None, -(-motion.frames // _FRAMES))
     where, world = motion.world
     at = {name: where[:, j] for name, j in joints.items()}
-    left, up, front = _BODY
+    left, up, _ = _BODY
     found: dict[int, Tensor] = {}
 
     def unit(a: str, b: str) -> Tensor:
@@ -160,7 +165,7 @@ def _means(motion: Motion, joints: dict[str, int]) -> Tensor:
         hinge = torch.linalg.cross(unit(hip, knee), unit(knee, ankle)) + _STRAIGHT * across
         for joint, child in ((hip, knee), (knee, ankle), (ankle, ball)):
             if child in at:
-                put(joint, unit(joint, child), front if child == ball else _bone(child), hinge, left)
+                put(joint, unit(joint, child), _bone(child) if foot is None or child != ball else foot, hinge, left)
         if ball not in at:  # its sole is flat where it stands
             low = at[ankle][:, 2] < at[ankle][:, 2].quantile(0.02) + _LOW
             stands = (low & (unit(ankle, knee)[:, 2] > 0.7))[:, None]

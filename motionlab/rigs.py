@@ -148,7 +148,7 @@ def _read(names: Sequence[str]) -> list[tuple[str, str]]:
     """Side and word of every name, less the prefix and suffix with which most names make sense."""
     tokens, sides = [], []
     for name in names:
-        parts = re.findall(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+", re.split(r"[:|/]", name)[-1])
+        parts = re.findall(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+", re.split(r"[:|/](?=.*[A-Za-z])", name)[-1])
         words = [part.lower() for part in parts]
         sides.append(next((_SIDES[word] for word in words if word in _SIDES), None))
         tokens.append(tuple(word for word in words if word not in _SIDES))

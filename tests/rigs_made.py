@@ -1,10 +1,11 @@
 """Made rigs: how common programs and devices name and nest their joints. Names are facts; the bodies are ours."""
 
+import torch
+
 from motionlab.skeleton import STANDARD, Skeleton
 
-#: Per family: the spine, neck and head; legs; arms (``{S}`` Left, ``{s}`` left, ``{L}`` L, ``{l}`` l of the side; ``-``:
-#: the rig has no such joint); then ``child<parent`` of joints that are none of the 22 (parents first; a name that is
-#: there already is hung below the new one: ``a<b>c``).
+#: Per family: trunk, neck and head; legs; arms (``{S}`` Left, ``{s}`` left, ``{L}`` L, ``{l}`` l of the side; ``-``:
+#: the rig lacks it); then more joints: ``a<b`` hangs on b, ``a>b`` stands between b and what b hung on.
 FAMILIES: dict[str, tuple[str, str, str, str]] = {
     "SMPL": (
         "Pelvis Spine1 Spine2 Spine3 Neck Head",
@@ -162,7 +163,8 @@ FAMILIES: dict[str, tuple[str, str, str, str]] = {
         "DEF-spine DEF-spine.001 DEF-spine.002 DEF-spine.003 DEF-spine.004 DEF-spine.006",
         "DEF-thigh.{L} DEF-shin.{L} DEF-foot.{L} DEF-toe.{L}",
         "DEF-shoulder.{L} DEF-upper_arm.{L} DEF-forearm.{L} DEF-hand.{L}",
-        "root>DEF-spine DEF-spine.005>DEF-spine.006 DEF-pelvis.{L}<DEF-spine DEF-thigh.{L}.001>DEF-shin.{L} DEF-upper_arm.{L}.001>DEF-forearm.{L} "
+        "root>DEF-spine DEF-spine.005>DEF-spine.006 DEF-pelvis.{L}<DEF-spine DEF-thigh.{L}.001>DEF-shin.{L} "
+        "DEF-upper_arm.{L}.001>DEF-forearm.{L} "
         "DEF-forearm.{L}.001>DEF-hand.{L} DEF-shin.{L}.001>DEF-foot.{L} DEF-breast.{L}<DEF-spine.003 "
         "ORG-spine<root ORG-thigh.{L}<ORG-spine ORG-shin.{L}<ORG-thigh.{L} ORG-foot.{L}<ORG-shin.{L} "
         "MCH-thigh_ik.{L}<root thigh_ik.{L}<root foot_ik.{L}<root hand_ik.{L}<root",
@@ -288,8 +290,6 @@ def made(family: str) -> tuple[Skeleton, dict[str, str]]:
     while left:
         names += [n for n in left if above[n] in names or not above[n]]
         left = [n for n in left if n not in names]
-    import torch
-
     parents = tuple(names.index(above[n]) if above[n] else -1 for n in names)
     offsets = torch.stack([place[n] - (place[above[n]] if above[n] else place[n]) for n in names])
     return Skeleton(tuple(names), parents, offsets), truth

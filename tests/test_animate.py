@@ -322,7 +322,7 @@ def test_a_skeleton_of_unknown_joints_gets_curves_and_is_told_so():
     keep = animate.kept(beast, {0, 29})
     found = animate.inbetween(beast, keep)
     assert same(beast, found.motion, keep) and "curves" in found.notes[0]
-    with pytest.raises(DataError, match="rename its joints"):
+    with pytest.raises(DataError, match="--names"):
         animate.inbetween(beast, keep, method="network")
 
 

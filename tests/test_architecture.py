@@ -19,8 +19,8 @@ FLOORS = """
     observation retarget humor.cvae diffusion.curves diffusion.footsteps diffusion.losses diffusion.masks
     io viz data_synth humor.body_shape humor.energies humor.priors humor.transition
         diffusion.completer diffusion.denoiser diffusion.planting diffusion.windows
-    certificate cleaning detect people metrics humor.compiled humor.evidence humor.examples humor.pretrained humor.prior_training
-        diffusion.model diffusion.poses
+    certificate cleaning detect people metrics humor.compiled humor.evidence humor.examples humor.pretrained
+        humor.prior_training diffusion.model diffusion.poses
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
     corpus splits humor.scales humor.unknowns corrections diffusion.completer_training
     bench shipped doctor onnx_export humor.chain_training humor.quality humor.stages humor.start animate

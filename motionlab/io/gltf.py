@@ -24,6 +24,7 @@ from motionlab.errors import ShapeError
 from motionlab.files import write_whole
 from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_bytes, reading
 from motionlab.motion import Motion
+from motionlab.rest import places_of
 from motionlab.skeleton import Skeleton
 from motionlab.tailoring import tailored
 
@@ -78,7 +79,8 @@ def save(
     for motion, name, shape in zip(people, names, shapes, strict=True):
         skeleton, first = motion.skeleton, _animate(file, motion, name)
         if body is None:
-            _bind(file, first, name, skeleton, skeleton.rest_positions(), torch.eye(3).expand(len(skeleton), 3, 3))
+            pose = torch.eye(3).expand(len(skeleton), 3, 3) if skeleton.standing is None else skeleton.standing
+            _bind(file, first, name, skeleton, places_of(skeleton, pose), pose)
         else:
             worn = body if shape is not None else tailored(body, skeleton)
             template, joints = worn.template, worn.joints
