@@ -70,14 +70,24 @@ def _candidates(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, T
     yield ZERO, _to_body(skeleton, _BODY.expand(len(skeleton), 3, 3), joints)
     if skeleton.standing is not None:
         yield SKIN, _to_body(skeleton, skeleton.standing.double(), joints)
-    hips = motion.positions[:, [joints["left_hip"], joints["right_hip"]]]
-    if not (hips[:, 0] - hips[:, 1]).norm(dim=-1).min() > 0:
+    if not _looks_ahead(motion, joints):
         return
     means = _means(motion, joints, _BODY[2])
     if _is_square(means, joints):
         yield SQUARE, _squared(skeleton, means, joints)
     yield FIRST, _to_body(skeleton, motion.cut(0, 1).world[1][0], joints, 2.0)  # people face anywhere
     yield MOVED, _means(motion, joints, None)
+
+
+def _looks_ahead(motion: Motion, joints: dict[str, int]) -> bool:
+    """Whether toes, or else knees, are on the whole where the front is if left is left: sides may be swapped."""
+    hip, knee, ankle, ball = (
+        motion.positions[:, [joints.get(f"{side}_{part}", 0) for side in ("left", "right")]]
+        for part in ("hip", "knee", "ankle", "foot")
+    )
+    front = torch.linalg.cross(hip[:, 0] - hip[:, 1], (hip - ankle).mean(1), dim=-1)
+    ahead = ball - ankle if "left_foot" in joints and "right_foot" in joints else knee - (hip + ankle) / 2
+    return bool((ahead.mean(1) * front).sum(-1).mean() > 0)
 
 
 def places_of(skeleton: Skeleton, pose: Tensor) -> Tensor:
