@@ -155,18 +155,18 @@ def _means(motion: Motion, joints: dict[str, int], foot: Tensor | None) -> Tenso
 
     def put(name: str, first: Tensor, to_first: Tensor, second: Tensor, to_second: Tensor) -> None:
         if name in joints:
-            own = [(world[:, joints[name]].mT @ x[..., None])[..., 0].mean(0) for x in (first, second)]
-            found[joints[name]] = _axes(to_first, to_second) @ _axes(*own).T
+            own = _axes(*((world[:, joints[name]].mT @ x[..., None])[..., 0].mean(0) for x in (first, second)))
+            if torch.linalg.det(own) > 0.5:  # else there is no bone, or nothing bends
+                found[joints[name]] = _axes(to_first, to_second) @ own.T
 
     across = unit("right_hip", "left_hip")
     arms = "left_shoulder" in at and "right_shoulder" in at
     chest = unit("right_shoulder", "left_shoulder") if arms else across
-    middle = {p: (at[f"left_{p}"] + at[f"right_{p}"]) / 2 for p in ("hip", "knee", "shoulder") if f"left_{p}" in at}
+    middle = {p: (at[f"left_{p}"] + at[f"right_{p}"]) / 2 for p in ("hip", "knee", "shoulder")[: 2 + arms]}
     top = middle["shoulder"] if arms else at.get("neck", at.get("head"))
-    trunk = (
-        normalize(top - middle["hip"], dim=-1) if top is not None else normalize(middle["hip"] - middle["knee"], dim=-1)
-    )
-    whole = normalize(top - middle["knee"], dim=-1) if top is not None else trunk
+    top = middle["hip"] if top is None else top
+    whole = normalize(top - middle["knee"], dim=-1)
+    trunk = normalize(top - middle["hip"], dim=-1) if top is not middle["hip"] else whole
     put("pelvis", across, left, whole, up)
     for name, side in (("spine1", across), ("spine2", across + chest), ("spine3", chest)):
         put(name, trunk, up, side, left)

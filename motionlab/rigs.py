@@ -21,16 +21,16 @@ from motionlab.skeleton import STANDARD, Skeleton
 #: Lower case, without side, number, prefix, suffix and separators.
 WORDS: dict[str, dict[str, str]] = {
     "leg": {
-        "hip": "thigh upleg upperleg femur upperthigh thighbend | hip leg",
-        "knee": "knee shin calf lowleg lowerleg tibia shank | leg",
-        "ankle": "ankle foot talus",
-        "foot": "ball toebase toe toes forefoot foot",
+        "hip": "thigh upleg upperleg legupper femur upperthigh thighbend | hip leg",
+        "knee": "knee shin calf lowleg lowerleg leglower tibia shank | leg",
+        "ankle": "ankle footankle foot talus",
+        "foot": "ball football toebase toe toes forefoot foot",
     },
     "arm": {
         "collar": "clavicle collar scapula | shoulder",
-        "shoulder": "upperarm uparm uarm humerus arm shldr shldrbend | shoulder",
-        "elbow": "elbow forearm lowerarm lowarm farm radius forearmbend",
-        "wrist": "wrist | hand",
+        "shoulder": "upperarm armupper uparm uarm humerus arm shldr shldrbend | shoulder",
+        "elbow": "elbow forearm lowerarm armlower lowarm farm radius forearmbend",
+        "wrist": "wrist handwrist | hand",
     },
     "head": {"neck": "neck lowerneck necklower necktwist", "head": "head skull | face"},
 }
@@ -41,7 +41,17 @@ _ORDER = (
     "pelvis", *WORDS["head"], *(f"{side}_{part}" for limb in ("leg", "arm") for part in WORDS[limb] for side in _BOTH),
     "spine1", "spine2", "spine3",
 )  # fmt: skip
-_SIDES = {"l": "left", "left": "left", "r": "right", "right": "right", "c": "", "x": "", "center": "", "centre": ""}
+_SIDES = {
+    "l": "left",
+    "left": "left",
+    "r": "right",
+    "right": "right",
+    "c": "",
+    "m": "",
+    "x": "",
+    "center": "",
+    "centre": "",
+}
 _RANKS = {
     part: {word: rank for rank, group in enumerate(words.split("|")) for word in group.split()}
     for limb in WORDS.values() for part, words in limb.items()
@@ -49,6 +59,7 @@ _RANKS = {
 _PARTS = {word: part for part, ranks in _RANKS.items() for word in ranks}
 _COUNTS = {"collar": 0.9, "foot": 0.9}  # a lone shoulder is a shoulder, a lone foot an ankle
 _SHARED = 6  # names that a prefix is common to
+_MOST = 8  # joints of one part to choose among, and words of a name to read: more are a jest
 
 
 def find_joints(skeleton: Skeleton, path: object = None) -> dict[str, int]:
@@ -148,9 +159,11 @@ def _read(names: Sequence[str]) -> list[tuple[str, str]]:
     """Side and word of every name, less the prefix and suffix with which most names make sense."""
     tokens, sides = [], []
     for name in names:
-        parts = re.findall(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+", re.split(r"[:|/](?=.*[A-Za-z])", name)[-1])
+        parts = re.findall(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+", re.split(r"[:|/](?=.*[A-Za-z])", name)[-1])[
+            -2 * _MOST :
+        ]
         words = [part.lower() for part in parts]
-        sides.append(next((_SIDES[word] for word in words if word in _SIDES), None))
+        sides.append(max((_SIDES[word] for word in words if word in _SIDES), key=len, default=None))
         tokens.append(tuple(word for word in words if word not in _SIDES))
 
     def words_with(prefix: tuple[str, ...], suffix: tuple[str, ...]) -> list[tuple[str, str]]:
@@ -175,7 +188,7 @@ def _read(names: Sequence[str]) -> list[tuple[str, str]]:
 
 def _sided(side: str | None, word: str) -> tuple[str, str]:
     """Splits a side off a word that is written in one, as lfemur, leftupleg, UPPERARML."""
-    if side is not None or word in _PARTS:
+    if side or word in _PARTS:
         return side or "", word
     for mark in ("left", "right", "l", "r"):
         for rest in (word.removeprefix(mark), word.removesuffix(mark)):
@@ -201,6 +214,7 @@ def _limb(limb: str, side: str, said: list[str], above: list[tuple[int, ...]], f
         told = f"{side}{part}"
         # of joints with one name below each other (upperarm01, upperarm02) the upper is the joint
         own = [c for c in own if not any(said[c[2]] == said[j] and j in above[c[2]] for *_, j in own)]
+        own = sorted(own)[:_MOST]
         choices.append([(0, 0, fixed[told])] if told in fixed else [None, *own])
     best: tuple = ((0.0, 0, 0, 0), {})
     for way in product(*choices):

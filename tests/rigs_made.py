@@ -248,6 +248,37 @@ FAMILIES: dict[str, tuple[str, str, str, str]] = {
         "- Shoulder{S} Elbow{S} Wrist{S}",
         "Hand{S}<Wrist{S} HandTip{S}<Hand{S} Thumb{S}<Hand{S}",
     ),
+    "Meta": (
+        "Hips SpineLower SpineUpper Chest Neck Head",
+        "{S}LegUpper {S}LegLower {S}FootAnkle {S}FootBall",
+        "{S}Scapula {S}ArmUpper {S}ArmLower {S}HandWrist",
+        "Root>Hips SpineMiddle>SpineUpper {S}Shoulder>{S}Scapula {S}HandPalm<{S}HandWrist",
+    ),
+    "ARKit": (
+        "hips_joint spine_1_joint spine_3_joint spine_5_joint neck_1_joint head_joint",
+        "{s}_upLeg_joint {s}_leg_joint {s}_foot_joint {s}_toes_joint",
+        "{s}_shoulder_1_joint {s}_arm_joint {s}_forearm_joint {s}_hand_joint",
+        "root>hips_joint spine_2_joint>spine_3_joint spine_4_joint>spine_5_joint neck_2_joint>head_joint "
+        "{s}_toesEnd_joint<{s}_toes_joint jaw_joint<head_joint",
+    ),
+    "AdvancedSkeleton": (
+        "Root_M Spine1_M Spine2_M Chest_M Neck_M Head_M",
+        "Hip_{L} Knee_{L} Ankle_{L} Toes_{L}",
+        "Scapula_{L} Shoulder_{L} Elbow_{L} Wrist_{L}",
+        "HipPart1_{L}<Hip_{L} Jaw_M<Head_M",
+    ),
+    "MMD, Cats": (
+        "Hips Spine - Chest Neck Head",
+        "{S}_leg {S}_knee {S}_ankle {S}_toe",
+        "{S}_shoulder {S}_arm {S}_elbow {S}_wrist",
+        "",
+    ),
+    "Roblox": (
+        "LowerTorso - - UpperTorso - Head",
+        "{S}UpperLeg {S}LowerLeg {S}Foot -",
+        "- {S}UpperArm {S}LowerArm {S}Hand",
+        "HumanoidRootPart>LowerTorso",
+    ),
     "Mova": (
         "Root LowerBack Thorax Thorax2 Neck head",
         "{L}_Femur {L}_Tibia {L}_Foot {L}_Toe",
