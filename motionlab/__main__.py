@@ -49,6 +49,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("target", metavar="OUT", type=Path, help=" ".join(WRITTEN))
     command.add_argument("--fps", type=float, help="frames per second of the output (default: those of the input)")
     add_axes(command)
+    command.add_argument("--rest", choices=("t", "a"), help="of a .bvh or bones: a T or an A as the rest pose")
     command.add_argument("--standard", action="store_true", help="put it on the 22 standard joints (always for .npz)")
     flesh = command.add_mutually_exclusive_group()
     flesh.add_argument("--body", action="store_true", help="the default body on the 22 joints (of a .glb the default)")
@@ -213,6 +214,7 @@ def _convert(options: argparse.Namespace) -> int:
     from motionlab.body import BodyModel
     from motionlab.io.rewriting import WRITERS, check_target, for_amass
     from motionlab.motion import resample
+    from motionlab.retarget import with_rest
 
     suffix = options.target.suffix.lower()
     check_target(options.source, options.target)
@@ -226,6 +228,10 @@ def _convert(options: argparse.Namespace) -> int:
             print(f"note: {note}")
     elif options.standard or body:
         motion = with_standard_joints(motion)
+    if options.rest:
+        if suffix == ".npz" or body:
+            raise DataError("its rest pose is given", path=options.target, remedy="--rest is for a .bvh or for --bones")
+        motion = with_rest(motion, options.rest)
     if options.fps is not None:
         if not 1 <= options.fps <= 1000:  # not a number is neither
             raise DataError(f"{options.fps:g} frames per second", place="--fps", remedy="give 1 to 1000")

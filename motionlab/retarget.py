@@ -19,6 +19,7 @@ from motionlab.rest import MOVED, SQUARE, ZERO, rest_poses
 from motionlab.rigs import dropped_joints, find_joints, guessed_joints
 from motionlab.skeleton import BALLS, FEET, STANDARD, Skeleton, fk
 
+_EYE = torch.eye(3, dtype=torch.float64)
 _LEG = ("hip", "knee", "ankle")
 _LIMBS = ("hip", "knee", "shoulder", "elbow")  # a bone of these names points along the standard's own
 
@@ -219,6 +220,38 @@ def put_on(motion: Motion, skeleton: Skeleton, body: Match) -> Motion:
     hips = places[:, STANDARD.indices(["left_hip", "right_hip"])].mean(1)
     root = hips - own[:, [body.joints["left_hip"], body.joints["right_hip"]]].mean(1)
     return Motion(skeleton, root, rot, motion.fps, name=motion.name)
+
+
+def with_rest(motion: Motion, pose: str) -> Motion:
+    """Computes the same movement on a skeleton of which nothing is turned where it stands in a T, or with its arms half
+    down in an A: what Blender, Unity and Unreal take for its rest pose.
+
+    R' = R G^T S A^T: as :func:`retarget` to the T-pose, then A to the other; bones and places of joints stay.
+
+    Args:
+        motion: (T) on any joints that are found.
+        pose: "t" or "a".
+
+    Raises:
+        DataError: as :func:`match_joints`.
+    """
+    body, skeleton = match_joints(motion), motion.skeleton
+    arms = {body.joints[name]: name for name in body.joints if name.endswith("_shoulder")}
+    correction = {j: _corrections(body)[STANDARD.index(name)] for name, j in body.joints.items()}
+    frames, down = [], []
+    for j, parent in enumerate(skeleton.parents):
+        frames.append(correction[j] if j in correction else frames[parent] if parent >= 0 else _EYE)
+        quarter = torch.tensor(-0.25 if j in arms and arms[j].startswith("left") else 0.25, dtype=torch.float64)
+        turned = rotation.rotation_about("z", torch.pi * quarter) if j in arms and pose == "a" else _EYE
+        down.append(turned @ down[parent] if parent >= 0 else turned)
+    new = body.rest_rot.mT @ torch.stack(frames) @ torch.stack(down).mT
+    world = motion.to(torch.float64).world[1] @ new
+    above = list(skeleton.parents[1:])
+    offsets = skeleton.offsets.double().clone()
+    offsets[1:] = (new[above].mT @ offsets[1:, :, None])[..., 0]
+    rot = torch.cat((world[:, :1], world[:, above].mT @ world[:, 1:]), dim=1)
+    skeleton = replace(skeleton, offsets=offsets.to(skeleton.offsets), standing=None)
+    return replace(motion, skeleton=skeleton, rot=rot.to(motion.rot))
 
 
 def _lost(body: Match, skeleton: Skeleton, positions: Tensor, world: Tensor) -> dict[int, float]:

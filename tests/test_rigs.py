@@ -1,6 +1,7 @@
 """Rigs of others: which joint is which, how it is turned, what is lost, and that all of it is said."""
 
 import json
+import math
 from dataclasses import replace
 
 import pytest
@@ -14,7 +15,7 @@ from motionlab.errors import DataError
 from motionlab.io import bvh, gltf
 from motionlab.motion import Motion
 from motionlab.rest import FIRST, MOVED, SKIN, SQUARE, ZERO
-from motionlab.retarget import match_joints, put_on, retarget
+from motionlab.retarget import match_joints, put_on, retarget, with_rest
 from motionlab.rigs import find_joints
 from motionlab.skeleton import STANDARD, UPRIGHT
 
@@ -224,3 +225,31 @@ def test_a_t_pose_in_the_first_frame_is_used(generator):
     assert match_joints(turned).source == FIRST
     assert_same(retarget(turned), motion)
     assert match_joints(turned.cut(1)).source == MOVED  # negative control
+
+
+@pytest.mark.parametrize("family", ["Mixamo", "Unreal", "DeepMimic", "MakeHuman"])
+@pytest.mark.parametrize(("pose", "fall"), [("t", 0.0), ("a", math.pi / 4)])
+def test_a_rest_pose_on_the_way_out(generator, family, pose, fall):
+    rig, truth = worn(person(generator), family)
+    rig = reframed(rig, rotation.random((len(rig.skeleton),), generator, dtype=torch.float64))
+    made_so = with_rest(rig, pose)
+    torch.testing.assert_close(made_so.positions, rig.positions, atol=1e-6, rtol=0)
+    place = dict(zip(rig.skeleton.names, made_so.skeleton.rest_positions(), strict=True))
+    for side, sign in (("left", 1), ("right", -1)):
+        arm = torch.nn.functional.normalize(place[truth[f"{side}_elbow"]] - place[truth[f"{side}_shoulder"]], dim=0)
+        flat = STANDARD.offsets[STANDARD.index(f"{side}_elbow")].double()
+        flat = rotation.rotation_about("z", torch.tensor(-sign * fall).double()) @ flat
+        torch.testing.assert_close(arm, torch.nn.functional.normalize(flat, dim=0), atol=1e-3, rtol=0)
+    assert match_joints(made_so).source == ZERO
+
+
+def test_convert_takes_a_rest_pose(generator, tmp_path, capsys):
+    bvh.save(tmp_path / "in.bvh", worn(person(generator), "Unreal")[0])
+    for name in ("out.bvh", "out.glb"):
+        words = ["convert", str(tmp_path / "in.bvh"), str(tmp_path / name), "--rest", "a"]
+        assert main([*words, *["--bones"] * name.endswith("glb")]) == 0
+    assert main([*words[:2], str(tmp_path / "out.npz"), "--rest", "a"]) == 2
+    assert "--rest is for" in capsys.readouterr().err
+    one, other = (io.load(tmp_path / f"out.{kind}") for kind in ("bvh", "glb"))
+    heights = one.positions[..., one.skeleton.indices(other.skeleton.names), 2]
+    torch.testing.assert_close(heights, other.positions[..., 2], atol=1e-4, rtol=0)
