@@ -1,6 +1,6 @@
 """Retargets a motion of any known skeleton to the standard 22 joints, with its error; feet that stand stay in place.
 
-First how known skeletons name their joints and how these are turned in a T-pose, then the transfer, then the legs.
+First how a skeleton is read, then the transfer there and back, then the legs.
 """
 
 from __future__ import annotations

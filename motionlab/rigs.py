@@ -145,9 +145,10 @@ def _found(names: tuple[str, ...], parents: tuple[int, ...], fixed: tuple[tuple[
             found |= _limb(limb, side, words, above, found)
     found = _trunk(above, found) | found
     top = found.get("spine3", found.get("pelvis"))
-    if "neck" not in found and top is not None:  # a spine that goes on above the arms
+    if "neck" not in found and "spine3" in found:  # a spine that goes on above the arms
         column = [j for j, (_, word) in enumerate(said) if word == said[top][1] and top in above[j]]
-        found |= dict(zip(("neck", "head"), column[:1] + column[1:][-1:], strict=False))
+        if all(a in above[b] for a, b in pairwise(column)):
+            found |= dict(zip(("neck", "head"), column[:1] + column[1:][-1:], strict=False))
     for side in ("left", "right"):
         found |= _between([f"{side}_{part}" for part in WORDS["leg"]], None, parents, above, found)
         found |= _between([f"{side}_{part}" for part in WORDS["arm"]], top, parents, above, found)
