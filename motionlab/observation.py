@@ -48,12 +48,13 @@ BODY_25 = (
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A static pinhole camera without distortion.
+    """A static pinhole camera.
 
     x_cam = rotation x_world + translation; pixel = K x_cam / z_cam. Camera axes: x right, y down, z forward.
 
     intrinsics (3, 3): pixels. rotation (3, 3): camera from world. translation (3,): metres.
-    width, height: image size in pixels.
+    width, height: image size in pixels. distortion: of the lens that took the images, none or OpenCV's coefficients;
+    a pinhole knows nothing of it: ``lens`` takes it out of keypoints and pictures.
     """
 
     intrinsics: Tensor
@@ -61,6 +62,7 @@ class Camera:
     translation: Tensor
     width: int
     height: int
+    distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         check_shape(self.intrinsics, "3 3", "intrinsics")

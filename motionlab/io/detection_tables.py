@@ -1,7 +1,8 @@
-"""What 2-D pose detectors write as tables: the lines of YOLO-pose, CSV of several kinds, and a plain npz of our own."""
+"""What 2-D pose detectors write as tables: YOLO-pose's lines, CSV of several kinds, TRC in pixels, npz of our own."""
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
@@ -18,6 +19,7 @@ _AXES = {"x": 0, "y": 1, **dict.fromkeys(detections.SCORES, 2), "z": 3, "presenc
 _AXIS = "|".join(_AXES)
 #: Points and numbers a point that the lines of YOLO-pose may hold: COCO, Halpe, whole body.
 _YOLO = ((17, 3), (26, 3), (133, 3), (17, 2), (26, 2), (133, 2))
+_METRES = 10.0  # half of the coordinates of people in an image are larger
 _MOST_WORDS = 5 + 133 * 3 + 2  # beside the points class, box, confidence, id
 
 
@@ -150,6 +152,43 @@ def _clock(
         rising = at_frame[-1] < detections.MOST_FRAMES and (np.diff(at_frame) > 0).all()
         order = (at_frame if rising else np.arange(len(moments))).astype(int)[where].tolist()
     return order, frame_rate(at, (1000 if step >= 1 else 1) / step)  # nobody films at a frame per second
+
+
+def from_trc(at: Spot, text: str) -> Detections:
+    """Reads one person's points in pixels from a TRC, as Sports2D writes it: x, y and a z of 0; blank is not seen.
+
+    Raises:
+        DataError: in metres or in 3-D, or damaged; names the line.
+    """
+    lines = text.splitlines()
+    if len(lines) < 6:
+        raise at.error(f"{len(lines)} lines are too few", place="")
+    at.place = "line 3"
+    about = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    fps = frame_rate(at, _cell(at, about.get("DataRate", "")))
+    names = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
+    seen = []
+    for n, line in enumerate(lines[4:], start=5):
+        at.place, row = f"line {n}", [cell.strip() for cell in line.split("\t")]
+        number = whole_number(row[0])
+        if number is None:
+            if n > 6 and any(row):
+                raise at.error(f"{row[0][:40]!r} is no frame number")
+            continue  # the line of X1 Y1 Z1, and a blank one
+        cells = [_cell(at, cell) if cell else math.nan for cell in row[2 : 2 + 3 * len(names)]]
+        cells += [math.nan] * (3 * len(names) - len(cells))
+        seen.append((number, [(numbers(at, cells, "N", largest=FARTHEST, nan=True).reshape(-1, 3), None)]))
+    at.place = "coordinates"
+    if not seen:
+        raise at.error("no line with a frame number", place="line 7")
+    points = np.concatenate([people[0][0] for _, people in seen])
+    known = np.abs(points[np.isfinite(points).all(-1) & (points[:, :2] != 0).any(-1)])
+    if (known[:, 2] > 0).any() or (len(known) and np.median(known[:, :2]) < _METRES):
+        remedy = "give the file in pixels (Sports2D: ..._px_person00.trc)"
+        raise at.error("3-D points, or metres, where a fit needs pixels", remedy=remedy)
+    for _, people in seen:
+        people[0][0][:, 2] = math.nan  # no confidences
+    return detections.collect(at, "Sports2D", seen, names=detections.point_names(at, names), fps=fps)
 
 
 def from_npz(at: Spot) -> Detections:

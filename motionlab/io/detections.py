@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from motionlab.errors import DataError
+from motionlab.io import numbering
 from motionlab.io.layouts import COCO_17, MEDIAPIPE_33, standard_name
 from motionlab.io.reading import Spot, frame_rate, image_size, numbers, reading
 
@@ -30,9 +31,7 @@ _WORLD = ("pose_world_landmarks", "poseWorldLandmarks", "world_landmarks", "worl
 #: Frame numbers that span more than this are taken for a mistake; so are more points of a person than this.
 MOST_FRAMES = 200_000
 _MOST_POINTS = 200
-#: Where fewer of the numbers between the first and the last image are there than this share, they are no film's.
-_SPARSE = 0.1
-_FORMATS = "OpenPose, MMPose, AlphaPose, COCO results, Ultralytics, MediaPipe, MoveNet, ViTPose, and CSV tables"
+_FORMATS = "OpenPose, MMPose, AlphaPose, COCO results, Ultralytics, MediaPipe, MoveNet, ViTPose, Sports2D and CSV"
 #: Detectors that leave no point out draw those from this score on; AlphaPose from here or from 0.4 on, by the model.
 _MMPOSE, _VITPOSE, _MEDIAPIPE, _ALPHAPOSE = 0.3, 0.5, 0.5, 0.05
 _NOBODY = np.zeros((0, 0, 3))
@@ -47,6 +46,7 @@ class Detections:
     detector: who wrote it. frames: frame number -> people (P, K, 3): x, y, confidence. ids: frame number -> their P
     ids, None for who has none. names: of the K points, None where the file has none. lowest: the confidence below
     which this detector itself takes a point for not seen. fps, size (width, height): None where it does not say.
+    loose: the numbers are those of pictures, which need not be a film's.
     """
 
     detector: str
@@ -57,15 +57,29 @@ class Detections:
     fps: float | None = None
     size: tuple[float, float] | None = None
     notes: list[str] = field(default_factory=list)
+    loose: bool = False
 
-    def in_order(self, at: Spot) -> tuple[list[np.ndarray], int]:
-        """Puts people in a list from the first frame number to the last; a number without a frame shows nobody.
+    def renumbered(self, at: Spot, fps: float | None = None, film: int | None = None) -> Detections:
+        """Returns the same by frame: numbers that are times or those of any pictures become frames, and a note says so.
+
+        fps: frames per second that somebody said. film: frames of the film, where it is known.
 
         Raises:
-            DataError: no frame, numbers that lie too far apart, people with different numbers of keypoints.
+            DataError: no frame.
         """
         if not self.frames:
             raise at.error("holds no frames", place="")
+        numbers = sorted(self.frames)
+        order, rate, notes = numbering.frames_of(numbers, fps=fps or self.fps, film=film, loose=self.loose)
+        frames, ids = ({n: of[k] for n, k in zip(order, numbers, strict=True)} for of in (self.frames, self.ids))
+        return replace(self, frames=frames, ids=ids, fps=self.fps or rate, notes=[*self.notes, *notes])
+
+    def in_order(self, at: Spot) -> tuple[list[np.ndarray], int]:
+        """Puts people in a list from the first frame to the last; a number without a frame shows nobody.
+
+        Raises:
+            DataError: numbers that lie too far apart, people with different numbers of keypoints.
+        """
         first, last = min(self.frames), max(self.frames)
         if last - first >= MOST_FRAMES:
             raise at.error(f"frame numbers run from {first} to {last}", place="", remedy="remove the stray file")
@@ -75,6 +89,10 @@ class Detections:
             message = f"expected {count} keypoints as in the frames before, got {counts[other]}"
             raise at.error(message, place=f"frame {other}")
         return [self.frames.get(n, _NOBODY) for n in range(first, last + 1)], first
+
+
+#: One frame in which nobody was seen.
+NOBODY = Detections("nobody", {0: _NOBODY}, {0: []})
 
 
 # ------------------------------------------------------------------------------------------------------------- folders
@@ -97,14 +115,19 @@ def from_folder(at: Spot, read: Callable[[Spot], Detections], *suffixes: str) ->
     frames, ids, whole = {}, {}, None
     for number in sorted(files):
         with reading(files[number], "run the detector again for this frame") as one:
-            found = read(one)
+            found = NOBODY if _is_blank(files[number]) else read(one)
             if len(found.frames) != 1:
                 raise one.error(f"holds {len(found.frames)} frames", place="", remedy="name this file, not its folder")
-            frames[number], ids[number] = found.frames.popitem()[1], found.ids.popitem()[1]
+            (frames[number],), (ids[number],) = found.frames.values(), found.ids.values()
             whole = whole or (found if len(frames[number]) else None)
             if len(frames[number]) and found.names != whole.names:
                 raise one.error("names other points than the frames before", place="names")
     return replace(whole or found, frames=frames, ids=ids)
+
+
+def _is_blank(file: Path) -> bool:
+    """Whether a file of labels holds none: YOLO writes such a one for an image without people."""
+    return file.suffix == ".txt" and file.stat().st_size < 64 and not file.read_bytes().strip()
 
 
 def _series(at: Spot, suffix: str) -> dict[int, Path] | None:
@@ -112,7 +135,7 @@ def _series(at: Spot, suffix: str) -> dict[int, Path] | None:
     series: dict[str, dict[int, Path]] = {}
     for file in sorted(at.path.glob(f"*{suffix}")):
         stem = re.sub(r"_(jpe?g|png)\.rf\.[0-9a-f]+$", "", file.stem)  # Roboflow's
-        found = re.search(r"(\d{1,15})(?:_keypoints)?$", stem)
+        found = re.search(r"(\d{1,19})(?:_keypoints)?$", stem)
         if found is not None:
             files = series.setdefault(stem[: found.start()], {})
             if files.setdefault(int(found.group(1)), file) is not file:
@@ -239,7 +262,7 @@ def from_json(at: Spot, document: object) -> Detections:
         DataError: no detector's, 3-D poses, or damaged; names the place.
     """
     if document == []:
-        return Detections("nobody", {0: _NOBODY}, {0: []})
+        return NOBODY
     item = document
     while isinstance(item, list):
         item = next((value for value in item if value), None)
@@ -329,39 +352,35 @@ def _results(at: Spot, document: list) -> Detections:
         at.place = f"entry {k}"
         name = whole_number(first_of(entry, ("idx", "track_id")))
         images.setdefault(entry["image_id"], []).append((_flat(at, entry.get("keypoints")), name))
-    order, notes = _image_numbers(at, images)
+    order, loose = _image_numbers(at, images)
     alphapose = any(isinstance(image, str) for image in images)
     detector, lowest = ("AlphaPose", _ALPHAPOSE) if alphapose else ("COCO results", 0.0)
     seen = [(order[image], people) for image, people in images.items()]
-    return collect(at, detector, seen, notes=notes, lowest=lowest)
+    return collect(at, detector, seen, lowest=lowest, **loose)
 
 
 def _alphapose_images(at: Spot, document: dict) -> Detections:
     """AlphaPose's formats cmu and open: people by image."""
-    order, notes = _image_numbers(at, document)
+    order, loose = _image_numbers(at, document)
     seen = []
     for image, frame in document.items():
         key = "joints" if "bodies" in frame else "pose_keypoints_2d"
         seen.append((order[image], _people(at, first_of(frame, ("bodies", "people")), f"{image}, ", key)))
-    return collect(at, "AlphaPose", seen, notes=notes, lowest=_ALPHAPOSE)
+    return collect(at, "AlphaPose", seen, lowest=_ALPHAPOSE, **loose)
 
 
-def _image_numbers(at: Spot, images: Iterable) -> tuple[dict, list[str]]:
-    """Frame number of every image, by the number at the end of its name, else by its place in the file; and notes."""
+def _image_numbers(at: Spot, images: Iterable) -> tuple[dict, dict[str, object]]:
+    """Number of every image, by the number at the end of its name, else by its place in the file; and what they are."""
     found = {}
     for image in images:
-        tail = re.search(r"(\d{1,15})(?:_keypoints)?(?:\.\w{1,5})?$", image) if isinstance(image, str) else None
-        found[image] = whole_number(tail[1] if tail else image)
+        tail = re.search(r"(\d{1,19})(?:_keypoints)?(?:\.\w{1,5})?$", image) if isinstance(image, str) else None
+        found[image] = int(tail[1]) if tail else whole_number(image)
     if None in found.values():
-        return {image: n for n, image in enumerate(found)}, ["images have no numbers: taken in the file's order"]
-    values = sorted(found.values())
-    if len(set(values)) < len(values):
+        note = "images have no numbers: taken in the file's order"
+        return {image: n for n, image in enumerate(found)}, {"notes": [note]}
+    if len({*found.values()}) < len(found):
         raise at.error("two images have the same number", place="image_id", remedy="one file per camera")
-    if len(values) >= _SPARSE * (values[-1] - values[0] + 1):
-        return found, []
-    ranks = {value: n for n, value in enumerate(values)}
-    note = f"{len(values)} images numbered from {values[0]} to {values[-1]}: taken as pictures in a row, not as a film"
-    return {image: ranks[value] for image, value in found.items()}, [note]
+    return found, {"loose": True}
 
 
 def _vitpose(at: Spot, document: dict) -> Detections:

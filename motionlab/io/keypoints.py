@@ -1,8 +1,8 @@
 """Keypoints of any 2-D pose detector, told by their content: people in pixels, joined through time.
 
 Read are OpenPose (BODY_25, BODY_25B, BODY_135, COCO-18; also Pose2Sim's and Sports2D's Halpe-26), MMPose, AlphaPose,
-COCO results, Ultralytics (tojson, labels, predictions), MediaPipe Pose, MoveNet and ViTPose; a file, or a folder with
-a file per frame. Whatever else you have, save it in one of our own plain layouts:
+COCO results, Ultralytics (tojson, labels, predictions), MediaPipe Pose, MoveNet, ViTPose and Sports2D's TRC in pixels;
+a file, or a folder with a file per frame. Whatever else you have, save it in one of our own plain layouts:
 
 - npz: ``keypoints`` (frames, joints, 2 or 3) or (frames, people, joints, 2 or 3): x, y and confidence; and what you
   know of ``names`` (joints), ``fps``, ``size`` (width, height), ``ids`` (people), ``confidence``.
@@ -24,7 +24,7 @@ import torch
 
 from motionlab.errors import DataError
 from motionlab.io import tracking
-from motionlab.io.detection_tables import from_lines, from_npz
+from motionlab.io.detection_tables import from_lines, from_npz, from_trc
 from motionlab.io.detections import PLAIN, Detections, from_folder, from_json
 from motionlab.io.layouts import names_of
 from motionlab.io.reading import LARGEST, Spot, frame_rate, image_size, read_json, read_text, reading
@@ -32,7 +32,7 @@ from motionlab.observation import Observation2D
 
 #: Scores to this are ones that ran over; beyond they are of another scale.
 _OVER = 1.2
-#: Coordinates of which half stay below this are shares of the image; of which so many are negative, neither.
+#: Coordinates of which half stay below this are shares of the image; of which so many are negative, no place in it.
 _SHARE, _NEGATIVE = 2.0, 0.25
 
 
@@ -139,11 +139,13 @@ def load(
     layout: str | None = None,
     lowest: float | None = None,
     gap: float = 0.5,
+    film: int | None = None,
 ) -> Footage:
     """Reads what a 2-D pose detector wrote, whichever it was, and joins its people through time, in pixels.
 
-    Frames are ordered by their number; one that is missing is a frame in which nobody was seen. Who is who is told
-    by the file's ids, if each frame's people have different ones; else by place, see ``tracking.join``.
+    Frames are ordered by their number, or by the time that it is; one that is missing is a frame in which nobody was
+    seen. Who is who is told by the file's ids, if each frame's people have different ones, and where one id ends and
+    another begins by place; else by place alone, see ``tracking.join``. Who is there twice is taken once.
     Confidences are brought to 0..1; what had to be assumed is in ``notes``.
 
     Args:
@@ -152,12 +154,14 @@ def load(
         layout: one of ``layouts.LAYOUTS``; None takes the file's names, or decides by the number of keypoints.
         lowest: confidence below which a point was not seen; None is what the detector itself draws by.
         gap: seconds for which a person may vanish and still be the same one.
+        film: number of frames of the film, where it is known: numbers up to there are its frames.
 
     Raises:
         DataError: nothing that is known, 3-D poses, damaged, nobody at all; or fps or size is needed.
     """
     with reading(path, "give what a 2-D pose detector wrote: a file, or a folder with one file per frame") as at:
         found = from_folder(at, _read_file, ".json", ".txt") if at.path.is_dir() else _read_file(at)
+        found = found.renumbered(at, fps, film)
         frames, first = found.in_order(at)
         fps = fps if fps is not None else found.fps
         if fps is None:
@@ -176,7 +180,8 @@ def load(
             raise at.error(f"{len(names)} names for {everybody.shape[1]} keypoints", place="names")
         frames = np.split(everybody, stop)
         ids = [found.ids.get(first + n, []) for n in range(len(frames))]
-        tracks, more = _told_apart(frames, ids, gap=max(1, round(min(gap * rate, len(frames)))))
+        stride = np.median(np.diff(sorted(found.frames))) if len(found.frames) > 1 else 1
+        tracks, more = _told_apart(frames, ids, gap=max(1, round(min(max(gap * rate, stride), len(frames)))))
         order = sorted(tracks, key=lambda track: (-len(track.frames), -track.height))
         notes = (*notes, *more)
         return Footage(at.path, found.detector, names, rate, size, first, len(frames), notes, tuple(order))
@@ -192,7 +197,8 @@ def _read_file(at: Spot) -> Detections:
         raise at.error("a pickle, which is never opened, or an array without names", remedy=PLAIN)
     if head[:1] in (b"{", b"["):
         return from_json(at, read_json(at, nan=True))
-    return from_lines(at, read_text(at))
+    text = read_text(at)
+    return from_trc(at, text) if text.startswith("PathFileType") else from_lines(at, text)
 
 
 def _calibrate(at: Spot, people: np.ndarray, size: tuple[float, float] | None, lowest: float) -> list[str]:
@@ -228,17 +234,17 @@ def _calibrate(at: Spot, people: np.ndarray, size: tuple[float, float] | None, l
         notes.append(f"{unsure.sum() / seen.sum():.1%} of the points have a confidence below {lowest:g}: left out")
         people[unsure] = 0
     seen = score > 0
+    if seen.any() and (xy[seen] < 0).mean() > _NEGATIVE:
+        message = "coordinates around zero are no place in an image, but 3-D (world landmarks in metres) or centred"
+        raise at.error(message, place="coordinates", remedy="save the image's landmarks, in pixels or from 0 to 1")
     if seen.any() and np.median(np.abs(xy[seen])) < _SHARE:
-        _to_pixels(at, xy, seen, size)
+        _to_pixels(at, xy, size)
         notes.append(f"coordinates are shares of the image: multiplied by its size, {size[0]:g} x {size[1]:g}")
     return notes
 
 
-def _to_pixels(at: Spot, xy: np.ndarray, seen: np.ndarray, size: tuple[float, float] | None) -> None:
+def _to_pixels(at: Spot, xy: np.ndarray, size: tuple[float, float] | None) -> None:
     """Multiplies shares of the image by its size, in place; an image that was stretched for the detector is undone."""
-    if (xy[seen] < 0).mean() > _NEGATIVE:
-        message = "coordinates around zero are no place in an image, but 3-D (world landmarks in metres) or centred"
-        raise at.error(message, place="coordinates", remedy="save the image's landmarks, in pixels or from 0 to 1")
     if size is None:
         message = "coordinates are shares of an image whose size the file does not hold"
         raise at.error(message, place="size", remedy="pass size=(width, height), or --size")
@@ -256,6 +262,16 @@ def _told_apart(frames: list[np.ndarray], ids: list[list], *, gap: int) -> tuple
         named = {0: [(n, int(keys[0])) for n, keys in enumerate(shown) if len(keys)]}
     if named is None:
         named = {k: track.people for k, track in enumerate(tracking.join(frames, gap=gap))}
+    elif len(named) > 1:
+        for name, same in tracking.continued(named, frames, gap=gap).items():
+            if len(same) > 1:
+                some = ", ".join(map(str, same[:9])) + (" and more" if len(same) > 9 else "")
+                notes.append(f"ids {some} are taken for one person, {name}: each begins where another ends")
+                named[name] = [pair for one in same for pair in named.pop(one)]
+    for name, others in tracking.twins(named, frames).items():
+        notes.append(f"people {', '.join(map(str, [name, *others]))} lie on each other: taken for one, {name}")
+        for other in others:
+            named[name] = sorted({**dict(named.pop(other)), **dict(named[name])}.items())
     tracks = []
     for name, people in named.items():
         points = np.stack([frames[n][k] for n, k in people])

@@ -42,7 +42,7 @@ def load(
                 "expected frames per second: OpenPose stores none", place="fps", remedy="pass fps=, or --fps"
             )
         rate = frame_rate(at, fps, "fps")
-        frames, first = found.in_order(at)
+        frames, first = found.renumbered(at, rate).in_order(at)
         frames = [np.nan_to_num(people).astype(np.float32) for people in frames]
         for people in frames:
             people[..., 2] = people[..., 2].clip(0, 1)

@@ -12,6 +12,8 @@ _REACH = 0.3
 _SHARED = 3
 #: Boxes that share this part of their union may be one person's.
 _OVERLAP = 0.4
+#: Two sightings in one frame that are no farther apart than this share of their size show one person.
+_TWIN = 0.08
 #: Points that are compared: the body's; those of face and hands come after them in every layout, and follow it.
 _BODY = 33
 #: People who are looked at in one frame, the largest first; twice as many may be missed at a time.
@@ -36,7 +38,7 @@ class Track:
     def add(self, frame: int, index: int, person: np.ndarray) -> None:
         """Adds a sighting (K, 3) of a later frame."""
         both = (self.latest[:, 2] > 0) & (person[:, 2] > 0)
-        if both.any():
+        if both.any() and self.people:
             moved = np.median(person[both, :2] - self.latest[both, :2], axis=0) / (frame - self.people[-1][0])
             self.step = moved if len(self.people) == 1 else (self.step + moved) / 2
         self.people.append((frame, index))
@@ -96,30 +98,84 @@ def by_id(frames: list[list[tuple[int, int | None]]]) -> dict[int, list[tuple[in
     return tracks
 
 
+def continued(tracks: dict[int, list[tuple[int, int]]], frames: list[np.ndarray], *, gap: int) -> dict[int, list[int]]:
+    """Finds which tracks, (frame, index) pairs by id, are one person: the first id of each person -> all of their ids.
+
+    One that begins within ``gap`` frames of another's end goes on with it, if it begins where that ended: within
+    ``_REACH``, as ``join`` asks it of two sightings, the best over all pairs.
+    """
+    ends: dict[int, Track] = {}
+    whose: dict[int, list[int]] = {}
+    starts: dict[int, dict[int, np.ndarray]] = {}
+    for name, people in tracks.items():
+        frame, index = people[0]
+        starts.setdefault(frame, {})[name] = frames[frame][index][:_BODY]
+    for frame in sorted(starts):
+        waiting = {name: track for name, track in ends.items() if frame - gap <= track.people[-1][0] < frame}
+        joined = _assigned([*waiting.values()], starts[frame], frame, _distances, _REACH)
+        first = {new: next(name for name in waiting if waiting[name] is track) for track, new in joined}
+        for name, person in starts[frame].items():
+            if name not in first:
+                ends[name] = Track([], person, person)
+            whose.setdefault(first.get(name, name), []).append(name)
+            for at, index in tracks[name]:
+                ends[first.get(name, name)].add(at, index, frames[at][index][:_BODY])
+    return whose
+
+
+def twins(tracks: dict[int, list[tuple[int, int]]], frames: list[np.ndarray]) -> dict[int, list[int]]:
+    """Finds which tracks, (frame, index) pairs by id, show one person twice: the id of the longest -> the others'.
+
+    Where both are seen they lie on each other, within ``_TWIN`` of their size in four of five frames. The ``_MOST``
+    longest are compared.
+    """
+    longest = sorted(tracks, key=lambda name: -len(tracks[name]))[:_MOST]
+    places = {name: dict(tracks[name]) for name in longest}
+    found: dict[int, list[int]] = {}
+    for name in longest:
+        for other in found:
+            both = sorted(places[name].keys() & places[other].keys())
+            if both:
+                a, b = (np.stack([frames[n][places[one][n]][:_BODY] for n in both]) for one in (name, other))
+                if (_between(a, b) <= _TWIN).mean() >= 0.8:
+                    found[other].append(name)
+                    break
+        else:
+            found[name] = []
+    return {name: others for name, others in found.items() if others}
+
+
 def _assigned(tracks: list[Track], people: dict[int, np.ndarray], frame: int, costs, most: float) -> list:
-    """Pairs (track, key of the person) with the lowest sum of costs, none of them above ``most``."""
+    """Pairs (track, key of the person) with the lowest sum of costs, none of them above ``most``.
+
+    A pair that is not made costs ``most``: one good pair is better than two of which each is nearly too far.
+    """
     from scipy.optimize import linear_sum_assignment  # half a second, and only videos of several people need it
 
     if not tracks or not people:
         return []
     keys, cost = list(people), costs(tracks, np.stack(list(people.values())), frame)
     blocked = cost > most
-    pairs = zip(*linear_sum_assignment(np.where(blocked, 1e3, cost)), strict=True)
+    pairs = zip(*linear_sum_assignment(np.where(blocked, most, cost)), strict=True)
     return [(tracks[row], keys[column]) for row, column in pairs if not blocked[row, column]]
 
 
 def _distances(tracks: list[Track], b: np.ndarray, frame: int) -> np.ndarray:
-    """Distance (A, B) of tracks to people (B, K, 3): median over the keypoints that both have.
+    """Distance (A, B) of tracks to people (B, K, 3), see ``_between``."""
+    return _between(np.stack([track.last for track in tracks])[:, None], b[None])
+
+
+def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distance (...) of sightings (..., K, 3): median over the keypoints that both have.
 
     A share of the larger extent of the two; infinite where they share fewer than ``_SHARED`` keypoints.
     """
-    a = np.stack([track.last for track in tracks])
-    both = (a[:, None, :, 2] > 0) & (b[None, :, :, 2] > 0)
-    apart = np.linalg.norm(a[:, None, :, :2] - b[None, :, :, :2], axis=-1)
+    both = (a[..., 2] > 0) & (b[..., 2] > 0)
+    apart = np.linalg.norm(a[..., :2] - b[..., :2], axis=-1)
     shared = both.sum(-1)
     ordered = np.sort(np.where(both, apart, np.inf), axis=-1)
     median = np.take_along_axis(ordered, np.maximum(shared - 1, 0)[..., None] // 2, -1)[..., 0]
-    size = np.maximum(_extent(a)[:, None], _extent(b)[None])
+    size = np.maximum(_extent(a), _extent(b))
     return np.where((shared >= _SHARED) & (size > 0), median / np.maximum(size, 1e-9), np.inf)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,18 +21,25 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
 _SMALL = 160  # pixels across a picture in which the background is compared
 #: Share of the width by which the background may be off before a camera has moved: two pixels of ``_SMALL``.
 MOVED = 0.0125
+#: Frames that lie this many frames off even times do not come at even times.
+_UNEVEN = 0.75
 _SURE = 0.04  # height of a correlation's peak below which two backgrounds cannot be compared
 
 
 @dataclass(frozen=True, eq=False)
 class Video:
-    """A video, or images in the order of their numbers. fps: None of images. size: width, height in pixels."""
+    """A video, or images in the order of their numbers. fps: None of images. size: width, height in pixels.
+
+    times (frames,): seconds since the first frame, where they do not come at even times; None where they do.
+    """
 
     path: Path
     fps: float | None
     size: tuple[int, int]
     frames: int
     images: tuple[Path, ...] = ()
+    times: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
 
     def pictures(self, wanted: Sequence[int]) -> Iterator[np.ndarray]:
         """Returns pictures (H, W, 3) uint8 of frames in rising order, one after the other; past the end the last one.
@@ -75,33 +83,53 @@ def open_video(path: str | Path) -> Video:
             return Video(at.path, None, first.shape[1::-1], len(images), images)
         if not at.path.stat().st_size:
             raise at.error("the file is empty")
-        try:
-            frames = int(imageio_ffmpeg.count_frames_and_secs(str(at.path))[0])
-        except RuntimeError as error:
-            raise at.error("no video that FFmpeg can read") from error
-        stream = imageio_ffmpeg.read_frames(str(at.path))
+        times, notes = _times(at)
+        stream = imageio_ffmpeg.read_frames(os.path.abspath(at.path))
         found = next(stream)
         stream.close()
-        fps = float(found["fps"])
+        fps, lasts, count = float(found["fps"]), float(found.get("duration") or 0), len(times)
         if not 0 < fps < 1e4:
             raise at.error(f"{fps:g} frames per second")
-        return Video(at.path, fps, tuple(found["size"]), max(frames, 1))
+        if notes and count / fps < 0.97 * lasts - 0.1 and times[-1] < 0.97 * lasts - 0.1:
+            message = f"{times[-1]:.1f} s of a film of {lasts:.1f} s can be read: is it there to the end? ({notes[0]})"
+            raise at.error(message, remedy="get the whole file; or keep what can be read: ffmpeg -i FILE new.mp4")
+        if count > 2:
+            rate = (count - 1) / times[-1] if times[-1] > 0 else fps
+            steps = np.diff(times)
+            if np.abs(times * rate - np.arange(count)).max() > _UNEVEN:
+                usual = [1 / max(x, 1e-3) for x in np.percentile(steps, (95, 5))]
+                notes.append(f"the footage's rate varies, from {usual[0]:.3g} to {usual[1]:.3g} frames per second")
+                return Video(at.path, rate, tuple(found["size"]), count, times=times, notes=tuple(notes))
+            if abs(rate / fps - 1) > 0.01:
+                notes.append(f"the footage says {fps:g} frames per second, its time stamps {rate:.4g}: taken at these")
+                fps = rate
+        return Video(at.path, fps, tuple(found["size"]), max(count, 1), notes=tuple(notes))
+
+
+def _ffmpeg(at: Spot, *words: str) -> list[str]:
+    """A command that reads every frame of a video once, each as it comes; the path is whole, or FFmpeg might take
+    what is before a colon for a protocol."""
+    path = os.path.abspath(at.path)
+    return [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", path, "-map", "0:v:0", "-fps_mode", "passthrough",
+            *words, "-"]  # fmt: skip
+
+
+def _times(at: Spot) -> tuple[np.ndarray, list[str]]:
+    """Seconds (N,) of all frames since the first, none before another; and what FFmpeg complained of."""
+    words = _ffmpeg(at, "-enc_time_base", "demux", "-f", "framecrc")
+    done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    text, said = (stream.decode(errors="replace").splitlines() for stream in (done.stdout, done.stderr))
+    base = next((line.split(":")[1].split("/") for line in text if line.startswith("#tb 0:")), None)
+    stamps = [int(line.split(",")[2]) for line in text if line[:1].isdecimal()]
+    if base is None or not stamps:
+        raise at.error("no video that FFmpeg can read" + (f": {said[0][:200]}" if said else ""))
+    times = np.maximum.accumulate(np.array(stamps, float) - stamps[0]) * int(base[0]) / int(base[1])
+    return times, [f"FFmpeg says: {re.sub(' @ 0x[0-9a-f]+', '', said[0])[:200]}"] if said else []
 
 
 def _decoded(at: Spot, size: tuple[int, int]) -> Iterator[np.ndarray]:
     """All pictures of a video; FFmpeg ends with the generator."""
-    words = [
-        imageio_ffmpeg.get_ffmpeg_exe(),
-        "-v",
-        "error",
-        "-i",
-        str(at.path),
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "rgb24",
-        "-",
-    ]
+    words = _ffmpeg(at, "-f", "rawvideo", "-pix_fmt", "rgb24")
     shape = (size[1], size[0], 3)
     quiet = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with subprocess.Popen(words, stdout=subprocess.PIPE, **quiet) as process:

@@ -1,0 +1,170 @@
+"""Calibrations that are tables: JSON, Pose2Sim's TOML, OpenCV's FileStorage, EasyMocap's two files, COLMAP's text.
+
+Each becomes a table of ``WORDS`` per camera, numbers as the file has them; ``cameras`` judges what they say.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+
+from motionlab.io.reading import Spot, read_bytes, read_json, read_text, reading
+
+#: What is known of a camera, and the words that files have for it.
+WORDS = {
+    "intrinsics": ("intrinsics", "camera_matrix", "cameramatrix", "intrinsic_matrix", "intrinsic", "matrix", "mtx",
+                   "k"),
+    "distortion": ("distortion", "distortions", "distortion_coefficients", "distortion_coeffs", "dist_coeffs",
+                   "distcoeffs", "dist_coefs", "distcoef", "dist", "d"),
+    "rotation": ("rotation", "rotation_matrix", "rot", "r", "rvec"),
+    "translation": ("translation", "translation_vector", "t", "tvec"),
+    "size": ("size", "image_size", "imgsize", "img_size", "resolution"),
+    "width": ("width", "image_width", "w"),
+    "height": ("height", "image_height", "h"),
+    "model": ("model", "distortion_model", "camera_model", "fisheye"),
+}  # fmt: skip
+#: Parameters of COLMAP's models: f or fx fy, cx, cy, then the lens in OpenCV's order.
+_COLMAP = {
+    "SIMPLE_PINHOLE": (1, ()), "PINHOLE": (2, ()), "SIMPLE_RADIAL": (1, (0,)), "RADIAL": (1, (0, 1)),
+    "OPENCV": (2, (0, 1, 2, 3)), "FULL_OPENCV": (2, (0, 1, 2, 3, 4, 5, 6, 7)),
+}  # fmt: skip
+Table = dict[str, object]
+
+
+def read_tables(at: Spot) -> dict[str, Table] | None:
+    """Reads the cameras of a file by name; None where it is none of these formats.
+
+    Raises:
+        DataError: damaged, or no camera in it.
+    """
+    head = read_bytes(at)[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if re.match(rb"\{|\[\s*[\[{]", head):
+        return _of_json(read_json(at))
+    if b"<opencv_storage" in head:
+        return _named(_xml(at))
+    if head.startswith(b"%YAML") or at.path.suffix.lower() in (".yml", ".yaml"):
+        return _easymocap(at) if "tri" in at.path.stem.lower() else _named(_yaml(read_text(at)))
+    if re.search(rb"^\d+\s+[A-Z_]+\s+\d+\s+\d+\s+[-\d.]", head, re.MULTILINE):
+        return _colmap(at)
+    if at.path.suffix.lower() == ".toml" or re.match(rb"(#.*\n|\s)*\[[\w\"'.-]+\]\s", head):
+        tables = tomllib.loads(read_text(at))
+        return {str(table.get("name") or key): known for key, table in tables.items() if (known := _known(table))}
+    return None
+
+
+def _known(table: object) -> Table:
+    """What a table says, by our words; nothing where it has no intrinsics."""
+    if not isinstance(table, dict):
+        return {}
+    lower = {str(key).lower(): _matrix(value) for key, value in table.items()}
+    found = {word: next((lower[name] for name in names if name in lower), None) for word, names in WORDS.items()}
+    found = {word: value for word, value in found.items() if value is not None}
+    if isinstance(pair := found.pop("size", None), list) and len(pair) == 2:
+        found = {"width": pair[0], "height": pair[1]} | found
+    return found if "intrinsics" in found else {}
+
+
+def _matrix(value: object) -> object:
+    """Rows of what FileStorage writes as rows, cols and data."""
+    if isinstance(value, dict) and {"rows", "cols", "data"} <= value.keys():
+        return np.asarray(value["data"], float).reshape(int(value["rows"]), int(value["cols"])).tolist()
+    return value
+
+
+def _named(table: dict) -> dict[str, Table]:
+    """One camera; or several whose keys end in their names, as EasyMocap's do: K_01, dist_01, R_01."""
+    if known := _known(table):
+        return {"camera": known}
+    several: dict[str, Table] = {}
+    for key, value in table.items():
+        word, _, name = key.partition("_")
+        if name and word in ("K", "dist", "R", "Rot", "T", "H", "W"):
+            several.setdefault(name, {})[word] = value
+    return {name: known for name, part in several.items() if (known := _known(part))}
+
+
+def _of_json(document: object) -> dict[str, Table]:
+    """One camera, a list of some, or some by name; as they stand where nothing in them is known."""
+    inner = document.get("cameras", document) if isinstance(document, dict) else document
+    if isinstance(inner, list):
+        inner = {str(one.get("name", n)) if isinstance(one, dict) else str(n): one for n, one in enumerate(inner)}
+    if found := _named(inner):
+        return found
+    found = {str(name): known for name, one in inner.items() if (known := _known(one))}
+    return found or {"camera": {word: inner[word] for word in WORDS if word in inner}}
+
+
+def _xml(at: Spot) -> dict[str, object]:
+    text = read_text(at).strip()
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise at.error("document type declarations are refused", remedy="delete the declaration")
+    found = {}
+    for node in ElementTree.fromstring(text.encode()):
+        parts = {part.tag: (part.text or "").split() for part in node}
+        if {"rows", "cols", "data"} <= parts.keys():
+            at.place = node.tag
+            found[node.tag] = {"rows": parts["rows"][0], "cols": parts["cols"][0], "data": parts["data"]}
+        elif not parts:
+            found[node.tag] = _value((node.text or "").strip())
+    return {key: _matrix(value) for key, value in found.items()}
+
+
+def _yaml(text: str) -> dict[str, object]:
+    """What FileStorage and ROS write: keys at the left edge, with a number, a word, a list or a matrix each."""
+    found: dict[str, object] = {}
+    for part in re.split(r"^(?=\w)", text, flags=re.MULTILINE):
+        key, _, body = part.partition(":")
+        sides = [re.search(rf"\b{side}:\s*(\d+)", body) for side in ("rows", "cols")]
+        row = re.search(r"\[([^\[\]]*)\]", body)
+        if row and all(sides):
+            data = [float(cell) for cell in row[1].replace(",", " ").split()]
+            found[key] = _matrix({"rows": sides[0][1], "cols": sides[1][1], "data": data})
+        elif row:
+            found[key] = [_value(cell.strip()) for cell in row[1].split(",")]
+        elif "\n" not in body.strip():
+            found[key] = _value(body.strip().strip('"'))
+    return found
+
+
+def _value(text: str) -> object:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _easymocap(at: Spot) -> dict[str, Table]:
+    """intri.yml and extri.yml, which lie side by side; the second may be missing."""
+    found, stem = {}, at.path.name
+    for wrong, right in (("extri", "intri"), ("intri", "extri")):
+        path: Path = at.path.with_name(stem.replace(wrong, right))
+        if path == at.path or path.exists():
+            with reading(path, at.remedy) as one:
+                found |= _yaml(read_text(one))
+    return _named(found)
+
+
+def _colmap(at: Spot) -> dict[str, Table]:
+    """Lines of CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS. COLMAP's world has neither metres nor a floor: it stays out."""
+    found: dict[str, Table] = {}
+    for n, line in enumerate(read_text(at).splitlines(), start=1):
+        at.place, words = f"line {n}", line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        model, (width, height, *values) = words[1], (float(word) for word in words[2:])
+        if model not in _COLMAP:
+            raise at.error(
+                f"a lens by COLMAP's {model}", remedy=f"undistort the images; known are {', '.join(_COLMAP)}"
+            )
+        focal, places = _COLMAP[model]
+        if len(values) != focal + 2 + len(places):
+            raise at.error(f"{len(values)} parameters of {model}, expected {focal + 2 + len(places)}")
+        fx, fy, (cx, cy, *lens) = values[0], values[focal - 1], values[focal:]
+        intrinsics = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
+        found[words[0]] = {"intrinsics": intrinsics, "width": width, "height": height, "distortion": lens}
+    at.place = ""
+    return found
