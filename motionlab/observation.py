@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from kornia.geometry.camera import project_points
 from torch import Tensor
@@ -13,13 +14,18 @@ from motionlab.errors import ShapeError, check_shape
 from motionlab.motion import FPS
 
 
-def at_rate(observation: Observation2D, fps: float = FPS) -> Observation2D:
+def at_rate(observation: Observation2D, fps: float = FPS, *, times: np.ndarray | None = None) -> Observation2D:
     """Computes keypoints at another frame rate: linear where both frames saw the point, else the nearer frame's.
 
     The first frame stays; the last sample is the last that lies inside the recording.
+
+    times (T,): seconds of the frames since the first, where they do not come at even times.
     """
-    count = int((observation.frames - 1) / observation.fps * fps + 1e-6) + 1
+    last = (observation.frames - 1) / observation.fps if times is None else float(times[-1])
+    count = int(last * fps + 1e-6) + 1
     at = torch.arange(count, dtype=torch.float64) * (observation.fps / fps)
+    if times is not None:
+        at = torch.from_numpy(np.interp(np.arange(count) / fps, times, np.arange(len(times), dtype=float)))
     low = (at + 1e-6).floor().long().clamp(max=observation.frames - 1)
     high = (low + 1).clamp(max=observation.frames - 1)
     share = (at - low).clamp(min=0).to(observation.keypoints)[:, None]  # (T, 1) before keypoints

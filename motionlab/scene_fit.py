@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from motionlab import rotation
+from motionlab import rotation, stature
 from motionlab.baselines import interpolate
 from motionlab.errors import DataError
 from motionlab.files import write_whole
@@ -71,7 +71,7 @@ class SceneFit:
 class Task:
     """How a scene is fitted. camera: None for an assumed one. placed: whether its place is known. size: of the image.
 
-    keep: folder for the windows that are done; None keeps none.
+    keep: folder for the windows that are done; None keeps none. height: of everybody, metres; None is about an adult's.
     """
 
     priors: Priors
@@ -82,6 +82,7 @@ class Task:
     quick: bool = False
     keep: Path | None = None
     progress: bool | str = False
+    height: float | None = None
 
     @property
     def schedule(self) -> testops.Schedule | None:
@@ -116,11 +117,14 @@ QUICK_WORK = replace(
 def fit_people(seen: Observation2D, task: Task) -> SceneFit:
     """Fits people (P, T, 25, 2), keypoints of BODY_25 at 30 fps, who share one static camera.
 
+    Of another ``height`` than an adult's they are fitted as adults in a scene that is as much larger, see ``stature``.
     Ctrl-C keeps the best so far of footage in one window; of longer footage it keeps the windows that are done.
 
     Raises:
         DataError: nothing that a fit uses was seen of somebody. KeyboardInterrupt: stopped between windows.
     """
+    if task.height is not None:
+        return _of_height(seen, task, task.height)
     enough = (seen.confidence[..., _USED] > 0).sum(-1) >= _ENOUGH
     if not enough.any(-1).all():
         nobody = (~enough.any(-1)).nonzero()[:, 0].tolist()
@@ -176,6 +180,18 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
         tuple(motions), shown, seen, camera, surprise, energy, len(starts), tuple(reasons),
         tuple(dict.fromkeys(notes)), stopped,
     )  # fmt: skip
+
+
+def _of_height(seen: Observation2D, task: Task, height: float) -> SceneFit:
+    factor = height / stature.STATURE
+    camera = stature.moved(task.camera, 1 / factor) if task.placed else task.camera
+    found = fit_people(seen, replace(task, camera=camera, height=None))
+    if not task.placed:  # nothing but the bones says how large the scene is
+        factor = height / float(np.mean([stature.of(motion) for motion in found.motions]))
+    motions = tuple(stature.resized(motion, factor) for motion in found.motions)
+    camera = task.camera if task.placed else stature.moved(found.camera, factor)
+    note = f"{height:g} m tall: fitted as an adult, {1 / factor:.3g} times as large, and made smaller again"
+    return replace(found, motions=motions, camera=camera, notes=(*found.notes, note))
 
 
 def _cut(seen: Observation2D, people: Sequence[int], span: slice) -> Observation2D:

@@ -117,16 +117,25 @@ def _doubt(row: Record) -> str:
     surprise, rms, bounds = row["surprise"], row["pixels"]["rms"], row["bounds"]
     prior = "no motion prior was used" if surprise is None else f"surprise of the prior {surprise:.2f}"
     text = f"{prior} (up to {bounds['surprise']:g} is usual), missed by {rms:.0f} px rms (up to {bounds['rms']:.0f})"
+    text += f", seems {row['seems_m']:.2f} m tall" if "seems_m" in row else ""
     return f"doubtful: {text}" if row["doubtful"] else f"no doubts: {text}"
 
 
 def not_known(row: Record) -> list[str]:
-    """Returns what cannot be known of a person: whether somebody sits or stands whose feet were not seen."""
+    """Returns what cannot be known of a person: whether somebody sits or stands whose feet were not seen; who seems
+    to be no adult."""
+    small = []
+    if "seems_m" in row:
+        small = [
+            f"seems to be about {row['seems_m']:.2f} m tall, by where the feet stand, and is fitted as an adult: give "
+            "the height (--height METRES)"
+        ]
     if row["feet_seen"] >= FEET_SEEN:
-        return []
+        return small
     return [
+        *small,
         f"not known whether this person sits or stands: the feet were seen in {100 * row['feet_seen']:.0f} % of the "
-        "frames. The legs are a guess, and the height of the floor depends on it"
+        "frames. The legs are a guess, and the height of the floor depends on it",
     ]
 
 
@@ -137,6 +146,9 @@ def _acceleration(row: Record) -> str:
 def _moving(record: Record) -> str:
     """Says whether the camera, which is assumed not to move, moved."""
     found = record["moving_camera"]
+    if found.get("cuts_s"):
+        when = ", ".join(f"{at:.1f} s" for at in found["cuts_s"][:9])
+        return f"it is assumed not to move, BUT THE FILM IS CUT before {when}: fit each part by itself"
     if found["moved"] is None:
         return "it is assumed not to move, which nothing could check: no footage, or no texture behind the people"
     off = f"the background is off by up to {100 * found['background_drift']:.1f} % of the width"

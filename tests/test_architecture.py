@@ -19,7 +19,7 @@ FLOORS = """
     observation retarget humor.cvae diffusion.curves diffusion.footsteps diffusion.losses diffusion.masks
     io viz data_synth humor.body_shape humor.energies humor.priors humor.transition
         diffusion.completer diffusion.denoiser diffusion.planting diffusion.windows
-    certificate cleaning detect people metrics humor.compiled humor.evidence humor.examples humor.pretrained
+    certificate cleaning detect people metrics stature humor.compiled humor.evidence humor.examples humor.pretrained
         humor.prior_training diffusion.model diffusion.poses
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
     corpus splits humor.scales humor.unknowns corrections diffusion.completer_training
@@ -29,7 +29,7 @@ FLOORS = """
     train
     humor.testops
     posterior scene_fit
-    scene_report
+    clip scene_report
     fit
     commands
     __main__

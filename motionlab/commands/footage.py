@@ -20,7 +20,7 @@ _VIDEOS, _PICTURES = (
     (".png", ".jpg", ".jpeg", ".bmp", ".webp"),
 )
 _PASSED_ON = ("person", "fps", "size", "layout", "camera", "camera_name", "prior", "pose_prior", "initial", "pelvis",
-              "solver", "quick")  # fmt: skip
+              "height", "solver", "quick")  # fmt: skip
 
 
 def add_fit(commands: argparse._SubParsersAction) -> None:
@@ -42,8 +42,9 @@ def add_fit(commands: argparse._SubParsersAction) -> None:
     command.add_argument("--fps", type=float, help="of the keypoints, where neither they nor the video say it")
     command.add_argument("--layout", help="of the keypoints, where it is not told: BODY_25, COCO_17, HALPE_26, ...")
     command.add_argument(
-        "--camera", type=Path, metavar="FILE", help='Qualisys XML, Captury .calib, or JSON: "intrinsics" (3x3, px), '
-        '"width", "height"; if known "rotation" (3x3) and "translation" from the world, z up, floor z = 0'
+        "--camera", type=Path, metavar="FILE", help="Qualisys XML, Captury .calib, Pose2Sim's TOML, OpenCV's YAML or "
+        'XML, EasyMocap, COLMAP, or JSON: "intrinsics" (3x3, px), "width", "height"; if known "distortion" (k1, k2, '
+        'p1, p2, k3), "rotation" (3x3) and "translation" from the world, z up, floor z = 0'
     )  # fmt: skip
     command.add_argument("--camera-name", help="which of the file's cameras (default: by the number in PATH's name)")
     command.add_argument("--prior", type=Path, metavar="FILE", help="of motion: an official HuMoR .pth, or your own")
@@ -53,6 +54,9 @@ def add_fit(commands: argparse._SubParsersAction) -> None:
         "--pelvis", type=float, nargs=3, metavar=("X", "Y", "Z"),
         help="needed with official files: the pelvis from SMPL's translation, J_0 of the mean body in metres",
     )  # fmt: skip
+    command.add_argument(
+        "--height", type=_height, metavar="METRES", help="of the person who is fitted, where that is no adult's"
+    )
     command.add_argument(
         "--solver", choices=("shooting", "rollout"), default="shooting",
         help="of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more",
@@ -71,6 +75,17 @@ def _size(text: str) -> tuple[int, int]:
     if len(sides) != 2 or not all(side.isdecimal() and 0 < int(side) < 100_000 for side in sides):
         raise argparse.ArgumentTypeError(f"expected width x height in pixels, such as 1280x720, got {text!r}")
     return int(sides[0]), int(sides[1])
+
+
+def _height(text: str) -> float:
+    """A person's height in metres."""
+    try:
+        height = float(text)
+    except ValueError:
+        height = 0.0
+    if not 0.3 <= height <= 2.5:
+        raise argparse.ArgumentTypeError(f"expected metres, such as 1.10, got {text!r}")
+    return height
 
 
 def _fit(options: argparse.Namespace) -> int:

@@ -8,7 +8,11 @@ Source: numba compiles the loops where they first run and keeps them in ``__pyca
 
 from __future__ import annotations
 
+import contextlib
 import math
+import signal
+import threading
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -33,6 +37,22 @@ def fits(first: Tensor, z: Tensor) -> bool:
     return first.device.type == "cpu" and len(first) <= FEW and first.dtype == z.dtype and first.dtype in _KINDS
 
 
+@contextlib.contextmanager
+def unbroken() -> Iterator[None]:
+    """Hears Ctrl-C at the end of the block: within a compiled loop its KeyboardInterrupt would become a SystemError."""
+    before, heard = signal.getsignal(signal.SIGINT), []
+    if not callable(before) or threading.current_thread() is not threading.main_thread():
+        yield  # no Python code hears it here
+        return
+    signal.signal(signal.SIGINT, lambda *said: heard.append(said))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if heard:
+        before(*heard[-1])
+
+
 class LoopedChain(torch.autograd.Function):
     """As ``rollout.Chain``: X_0 (B, 345), u (T, B, 48) and gains (T, B, 48, 345) -> X (T, B, 345), states in the
     frame before (T, B, 339), contact logits (T, B, 9) and z (T, B, 48). All float32 or all float64."""
@@ -45,7 +65,8 @@ class LoopedChain(torch.autograd.Function):
         ctx.skip = _array(decoder.skip)
         across = tuple(_array(w.mT) for w in decoder.weights), _array(joint.mT), _joined(decoder.biases)
         norms = ctx.fixed[-1], _joined(decoder.shifts), decoder.groups, decoder.eps
-        ctx.kept = _onward(_array(first), _array(u), ctx.fixed[0], *across, *norms, _array(decoder.skip.mT))
+        with unbroken():
+            ctx.kept = _onward(_array(first), _array(u), ctx.fixed[0], *across, *norms, _array(decoder.skip.mT))
         past, after, raw, z = (torch.from_numpy(x) for x in ctx.kept[:4])
         return past.clone(), after.clone(), raw[..., _CHANGES:].clone(), z.clone()
 
@@ -56,7 +77,8 @@ class LoopedChain(torch.autograd.Function):
         past, after, raw, _, *kept = ctx.kept
         bend = rotation.left_jacobian(torch.from_numpy(raw[..., _ADDED:_CHANGES]).unflatten(-1, (22, 3)))
         given = tuple(_array(d) for d in (d_past, d_after, d_logits, d_z))
-        d_x, d_u = _back(*given, past, after, *kept, _array(bend), *ctx.fixed, ctx.groups, ctx.skip)
+        with unbroken():
+            d_x, d_u = _back(*given, past, after, *kept, _array(bend), *ctx.fixed, ctx.groups, ctx.skip)
         return None, torch.from_numpy(d_x), torch.from_numpy(d_u), None
 
 

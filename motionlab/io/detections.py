@@ -7,7 +7,7 @@ are. What these mean is for ``keypoints`` to say.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -59,10 +59,10 @@ class Detections:
     notes: list[str] = field(default_factory=list)
     loose: bool = False
 
-    def renumbered(self, at: Spot, fps: float | None = None, film: int | None = None) -> Detections:
+    def renumbered(self, at: Spot, fps: float | None = None, film: int | Sequence[int] | None = None) -> Detections:
         """Returns the same by frame: numbers that are times or those of any pictures become frames, and a note says so.
 
-        fps: frames per second that somebody said. film: frames of the film, where it is known.
+        fps: frames per second that somebody said. film: frames of the film, or the numbers of its images.
 
         Raises:
             DataError: no frame.

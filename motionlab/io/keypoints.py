@@ -16,7 +16,7 @@ A point that is NaN, at (0, 0), of confidence 0 or not there was not seen.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,16 +36,22 @@ _OVER = 1.2
 _SHARE, _NEGATIVE = 2.0, 0.25
 
 
+#: Points that lie on the border of the image, within so many pixels, if there are so many of them on the same side.
+_ON, _REPEATED = 1e-3, 4
+
+
 @dataclass(frozen=True, eq=False)
 class Person:
     """One person of a film: the file's id or a number of ours, the frames (N,) in which they were seen, their points.
 
-    frames count from the first frame of the film; points (N, K, 3): x, y in pixels, confidence, 0 where not seen.
+    frames count from the first frame of the film; points (N, K, 3): x, y in pixels, confidence, 0 where not seen. also:
+    other ids of the file that are this person's.
     """
 
     id: int
     frames: np.ndarray
     points: np.ndarray
+    also: tuple[int, ...] = ()
 
     @property
     def height(self) -> float:
@@ -108,11 +114,47 @@ class Footage:
             raise self._error(f"nobody was seen in {which:.0%} of the frames", f"ask for {most:.3f} or less")
         return self._observation(tracks)
 
+    def of(self, tracks: Sequence[Person]) -> Footage:
+        """Returns the footage with other tracks, but for frames and people of whom nothing was seen.
+
+        Raises:
+            DataError: nothing was seen of anybody.
+        """
+        there = [(track, (track.points[..., 2] > 0).any(-1)) for track in tracks]
+        kept = [replace(track, frames=track.frames[on], points=track.points[on]) for track, on in there if on.any()]
+        if not kept:
+            raise self._error("nothing is left of anybody", "give the footage that the keypoints are of")
+        return replace(self, tracks=tuple(sorted(kept, key=_longest)))
+
+    def within(self, size: tuple[float, float]) -> tuple[Footage, list[str]]:
+        """Returns the footage without points that were put onto the border of its image, and what is to be said of it.
+
+        Those of which ``_REPEATED`` or more lie on the same border to the digit: there some detectors put what they
+        take to be outside.
+        """
+        points = np.concatenate([track.points.reshape(-1, 3) for track in self.tracks])
+        points, lines = points[points[:, 2] > 0], []
+        for axis in (0, 1):
+            for place in (0.0, size[axis] - 1.0, float(size[axis])):
+                if (np.abs(points[:, axis] - place) < _ON).sum() >= _REPEATED:
+                    lines.append((axis, place))
+        if not lines:
+            return self, []
+        tracks, count = [], 0
+        for track in self.tracks:
+            on = np.any([np.abs(track.points[..., axis] - place) < _ON for axis, place in lines], 0)
+            count += int((on & (track.points[..., 2] > 0)).sum())
+            tracks.append(replace(track, points=np.where(on[..., None], np.float32(0), track.points)))
+        note = (
+            f"{count / len(points):.1%} of the points lie on the very border of the image: they were outside, left out"
+        )
+        return self.of(tracks), [note]
+
     def _error(self, message: str, remedy: str) -> DataError:
         return DataError(message, path=self.path, place="people", remedy=remedy)
 
     def _of_ids(self, ids: Sequence[object]) -> list[Person]:
-        known = {track.id: track for track in self.tracks}
+        known = {each: track for track in self.tracks for each in (*track.also, track.id)}
         if not ids or not set(ids) <= known.keys():
             some = ", ".join(str(name) for name in [*known][:20])
             wrong = [each for each in ids if each not in known]
@@ -131,6 +173,10 @@ class Footage:
         return Observation2D(table[..., :2], table[..., 2], self.names, self.fps, name=name)
 
 
+def _longest(track: Person) -> tuple[float, float]:
+    return -len(track.frames), -track.height
+
+
 def load(
     path: str | Path,
     *,
@@ -139,7 +185,7 @@ def load(
     layout: str | None = None,
     lowest: float | None = None,
     gap: float = 0.5,
-    film: int | None = None,
+    film: int | Sequence[int] | None = None,
 ) -> Footage:
     """Reads what a 2-D pose detector wrote, whichever it was, and joins its people through time, in pixels.
 
@@ -154,7 +200,8 @@ def load(
         layout: one of ``layouts.LAYOUTS``; None takes the file's names, or decides by the number of keypoints.
         lowest: confidence below which a point was not seen; None is what the detector itself draws by.
         gap: seconds for which a person may vanish and still be the same one.
-        film: number of frames of the film, where it is known: numbers up to there are its frames.
+        film: number of frames of the film, where it is known: numbers up to there are its frames; or the numbers of
+            its images.
 
     Raises:
         DataError: nothing that is known, 3-D poses, damaged, nobody at all; or fps or size is needed.
@@ -182,7 +229,7 @@ def load(
         ids = [found.ids.get(first + n, []) for n in range(len(frames))]
         stride = np.median(np.diff(sorted(found.frames))) if len(found.frames) > 1 else 1
         tracks, more = _told_apart(frames, ids, gap=max(1, round(min(max(gap * rate, stride), len(frames)))))
-        order = sorted(tracks, key=lambda track: (-len(track.frames), -track.height))
+        order = sorted(tracks, key=_longest)
         notes = (*notes, *more)
         return Footage(at.path, found.detector, names, rate, size, first, len(frames), notes, tuple(order))
 
@@ -254,7 +301,8 @@ def _to_pixels(at: Spot, xy: np.ndarray, size: tuple[float, float] | None) -> No
 def _told_apart(frames: list[np.ndarray], ids: list[list], *, gap: int) -> tuple[list[Person], list[str]]:
     """Tracks of frames of people (P, K, 3), and what is to be said of the file's ids (P)."""
     shown = [np.flatnonzero((people[..., 2] > 0).any(-1)) if len(people) else () for people in frames]
-    notes = []
+    notes: list[str] = []
+    also: dict[int, list[int]] = {}
     named = tracking.by_id([[(int(k), here[k]) for k in keys] for here, keys in zip(ids, shown, strict=True)])
     if named is None and any(name is not None for here in ids for name in here):
         notes = ["the file's ids do not tell people apart: people are followed by where they are"]
@@ -265,15 +313,20 @@ def _told_apart(frames: list[np.ndarray], ids: list[list], *, gap: int) -> tuple
     elif len(named) > 1:
         for name, same in tracking.continued(named, frames, gap=gap).items():
             if len(same) > 1:
-                some = ", ".join(map(str, same[:9])) + (" and more" if len(same) > 9 else "")
-                notes.append(f"ids {some} are taken for one person, {name}: each begins where another ends")
+                notes.append(f"ids {_some(same)} are taken for one person, {name}: each begins where another ends")
                 named[name] = [pair for one in same for pair in named.pop(one)]
+                also[name] = same[1:]
     for name, others in tracking.twins(named, frames).items():
-        notes.append(f"people {', '.join(map(str, [name, *others]))} lie on each other: taken for one, {name}")
+        notes.append(f"people {_some([name, *others])} lie on each other: taken for one, {name}")
         for other in others:
             named[name] = sorted({**dict(named.pop(other)), **dict(named[name])}.items())
+            also.setdefault(name, []).extend((other, *also.pop(other, ())))
     tracks = []
     for name, people in named.items():
         points = np.stack([frames[n][k] for n, k in people])
-        tracks.append(Person(name, np.array([n for n, _ in people]), points))
+        tracks.append(Person(name, np.array([n for n, _ in people]), points, tuple(also.get(name, ()))))
     return tracks, notes
+
+
+def _some(ids: Sequence[int]) -> str:
+    return ", ".join(map(str, ids[:9])) + (" and more" if len(ids) > 9 else "")

@@ -19,7 +19,11 @@ _NEAR = 0.03  # share by which a rate may be off and still be the same
 
 
 def frames_of(
-    numbers: Sequence[int], *, fps: float | None = None, film: int | None = None, loose: bool = False
+    numbers: Sequence[int],
+    *,
+    fps: float | None = None,
+    film: int | Sequence[int] | None = None,
+    loose: bool = False,
 ) -> tuple[list[int], float | None, list[str]]:
     """Returns the frame of every number (distinct, rising), frames per second where the numbers are times, and notes.
 
@@ -27,10 +31,15 @@ def frames_of(
 
     Args:
         fps: frames per second that somebody said.
-        film: frames of the film, where it is known.
+        film: frames of the film, where it is known, or the numbers of its images.
         loose: they may be those of any pictures.
     """
     first, last, steps = numbers[0], numbers[-1], np.diff(np.array(numbers, np.int64))
+    if not isinstance(film, int | None):
+        places = {number: n for n, number in enumerate(film)}
+        if places.keys() >= {*numbers}:
+            return [places[number] for number in numbers], None, []
+        film = len(places)
     if len(steps) == 0 or (film is not None and last <= film):
         return [*numbers], None, []
     step = float(np.median(steps))

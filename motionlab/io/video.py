@@ -21,6 +21,7 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
 _SMALL = 160  # pixels across a picture in which the background is compared
 #: Share of the width by which the background may be off before a camera has moved: two pixels of ``_SMALL``.
 MOVED = 0.0125
+_CLEAR = 0.25  # share of a picture that must show background for a cut to be told
 #: Frames that lie this many frames off even times do not come at even times.
 _UNEVEN = 0.75
 _SURE = 0.04  # height of a correlation's peak below which two backgrounds cannot be compared
@@ -40,6 +41,14 @@ class Video:
     images: tuple[Path, ...] = ()
     times: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """What the images are numbered by, where that does not begin at 0 or 1 and leave none out; else nothing."""
+        found = tuple(_numbered(path)[0][-1:] for path in self.images)
+        flat = tuple(number for one in found for number in one)
+        plain = not flat or (flat[0] <= 1 and flat[-1] - flat[0] == len(flat) - 1)
+        return () if plain or len(flat) < len(found) or [*flat] != sorted({*flat}) else flat
 
     def pictures(self, wanted: Sequence[int]) -> Iterator[np.ndarray]:
         """Returns pictures (H, W, 3) uint8 of frames in rising order, one after the other; past the end the last one.
@@ -153,7 +162,8 @@ def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Se
     """Computes how far the background moved since the first picture (N,), shares of the width; NaN where untold.
 
     By phase correlation of neighbouring pictures, people left out. A camera that turns or travels shows; one that
-    only zooms does not.
+    only zooms does not. Infinite where the film is cut: there the background is another, though it can be told before
+    and after.
 
     Args:
         pictures: N of (H, W, 3) uint8, a fraction of a second apart.
@@ -161,7 +171,7 @@ def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Se
 
     Source: Kuglin and Hines 1975.
     """
-    small, away, found = [], np.zeros(2), [0.0]
+    small, away, found, clear = [], np.zeros(2), [0.0], [True]
     for picture in pictures:
         small.append(_small(picture))
         shape = picture.shape
@@ -173,6 +183,11 @@ def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Se
         told = np.isfinite(step).all()
         away = away + step if told else away
         found.append(float(np.linalg.norm(away)) / _SMALL if told else np.nan)
+        clear.append(mask.mean() > _CLEAR)
+    untold = np.isnan(found)
+    for k in np.flatnonzero(untold & clear):
+        beside = [untold[n] for n in (k - 1, k + 1) if 0 < n < len(found)]
+        found[k] = np.inf if beside and not any(beside) else np.nan
     return np.array(found)
 
 

@@ -1,0 +1,310 @@
+"""What a fit is given: keypoints, the footage that they are of, and the camera that took it, put together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from motionlab import detect
+from motionlab.errors import DataError, MissingData
+from motionlab.files import output_folder
+from motionlab.humor.energies import UNUSED_BODY_25
+from motionlab.io import keypoints, lens, video
+from motionlab.io.cameras import for_images, load_camera
+from motionlab.io.keypoints import Footage
+from motionlab.io.layouts import to_body_25
+from motionlab.io.video import Video
+from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
+from motionlab.optimise import begins
+
+_OUTSIDE = 0.2  # share of detections outside the image from which they are not of this image
+_SAMPLES = 60  # pictures in which the background is compared, half a second or more apart
+_SLACK = 2  # frames that detectors and players count more or less
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """Keypoints with their footage. video: None where there is none. first: the video's frame of the first keypoints.
+    size: of the image, None where nobody says. notes: what was assumed. times: seconds of the keypoints' frames, where
+    they do not come at even times. camera: None for an assumed one. placed: whether its place is known."""
+
+    footage: Footage
+    video: Video | None
+    first: int
+    size: tuple[int, int] | None
+    notes: tuple[str, ...]
+    times: np.ndarray | None = None
+    camera: Camera | None = None
+    placed: bool = False
+
+    @property
+    def rate(self) -> float:
+        """Frames per second of the film."""
+        return self.footage.fps if self.video is None or self.video.fps is None else self.video.fps
+
+    @property
+    def count(self) -> int:
+        """Frames of the film."""
+        seconds = self.footage.frames / self.footage.fps if self.times is None else self.times[-1] + 1 / self.rate
+        there = math.inf if self.video is None or self.video.times is not None else self.video.frames - self.first
+        return max(1, min(round(seconds * self.rate), there))
+
+    @cached_property
+    def _rows(self) -> np.ndarray:
+        """The keypoints' frame of every frame of the film."""
+        seconds = np.arange(self.count) / self.rate
+        if self.times is None:
+            return np.array([round(each) for each in seconds * self.footage.fps])
+        return np.searchsorted(self.times, seconds + 1e-6, "right") - 1
+
+    def pictures(self, frames: Sequence[int]) -> Iterator[np.ndarray]:
+        """Returns the pictures of frames of the film, as a camera without distortion would have taken them."""
+        if self.video.times is None:
+            wanted = [self.first + frame for frame in frames]
+        else:
+            begin = self.video.times[self.first]
+            wanted = [int(np.searchsorted(self.video.times, begin + f / self.rate + 1e-6, "right")) - 1 for f in frames]
+        found = self.video.pictures(wanted)
+        return lens.straight(found, self.camera) if self.camera is not None and self.camera.distortion else found
+
+    @property
+    def samples(self) -> range:
+        """Frames of the film in which the background is compared."""
+        return range(0, self.count, max(1, round(self.rate / 2), self.count // _SAMPLES))
+
+    def drift(self) -> np.ndarray:
+        """Computes how far the background moved (N,) in ``samples``, shares of the image's width; see
+        ``video.background_drift``."""
+        frames = self.samples
+        boxes: list[list[tuple[float, ...]]] = []
+        scale = self.video.size[0] / self.size[0] if self.size else 1.0
+        for frame in frames:
+            at, here = self._rows[frame], []
+            for track in self.footage.tracks:
+                near = np.abs(track.frames - at)
+                points = track.points[near.argmin()]
+                points = points[points[:, 2] > 0, :2] * scale
+                if near.min() <= self.footage.fps / 2 and len(points):
+                    here.append((*points.min(0), *points.max(0)))
+            boxes.append(here)
+        return video.background_drift(self.pictures(frames), boxes)
+
+
+def open_clip(
+    keypoints_path: str | Path | None,
+    video_path: str | Path | None = None,
+    *,
+    out: str | Path | None = None,
+    fps: float | None = None,
+    size: tuple[int, int] | None = None,
+    layout: str | None = None,
+    progress: bool | str = False,
+) -> Clip:
+    """Reads keypoints and opens their video, which says rate and size where the keypoints do not.
+
+    out: folder for the keypoints, where they have to be found (``keypoints.npz``).
+
+    Raises:
+        DataError: either cannot be read, or the video is shorter than the keypoints. MissingData: see ``detect.find``.
+    """
+    shown, notes = None if video_path is None else video.open_video(video_path), []
+    if keypoints_path is None:
+        if shown is None:
+            raise MissingData("the keypoints", "Give a video, or --keypoints FILE_OR_FOLDER.")
+        if out is None:
+            raise DataError("nowhere to keep the keypoints that are found", remedy="name a folder: --out OUT/")
+        keypoints_path = output_folder(out) / "keypoints.npz"
+        if keypoints_path.exists() and detect.found_in(keypoints_path) in (None, shown.path.name):
+            notes = [f"keypoints of an earlier run: {keypoints_path}; delete it to find them again"]
+        else:
+            detect.find(shown, keypoints_path, fps=fps, progress=bool(begins("keypoints", progress)))
+    how = {"fps": fps, "size": size, "layout": layout, "film": None if shown is None else shown.numbers or shown.frames}
+    read, told = _read(keypoints_path, how, shown)
+    first = None if shown is None else _first(read, shown)
+    if shown is not None and first is None and read.first + read.frames <= shown.frames + _SLACK and shown.fps:
+        counted, _ = _read(keypoints_path, how | {"fps": shown.fps}, shown)
+        notes.append(
+            f"keypoints numbered as the footage's frames: taken at its {shown.fps:g} a second, not {read.fps:g}"
+        )
+        read, first = counted, _first(counted, shown)
+    notes += read.notes
+    size = read.size or (shown and shown.size)
+    size = size and (round(size[0]), round(size[1]))
+    if size is not None:
+        read, more = read.within(size)
+        notes += more
+    if shown is None:
+        return Clip(read, None, 0, size, tuple(notes))
+    if first is None:
+        message = f"{shown.frames} frames, but the keypoints reach frame {read.first + read.frames - 1}"
+        raise DataError(message, path=shown.path, remedy="give the footage that the keypoints are of, and its --fps")
+    times = _times(read, shown, first)
+    notes += [*shown.notes, *_said(read, shown, first, times, told)]
+    return Clip(read, shown, first, size, tuple(notes), times)
+
+
+def _read(path: str | Path, how: dict[str, object], shown: Video | None) -> tuple[Footage, set[str]]:
+    """Keypoints; and what of fps and size the video had to say, as they do not."""
+    how, told = dict(how), set()
+    while True:
+        try:
+            return keypoints.load(path, **how), told
+        except DataError as error:
+            known = None if shown is None or error.place not in ("fps", "size") else getattr(shown, error.place)
+            if known is None or how[error.place] is not None:
+                raise
+            how[error.place] = known
+            told.add(error.place)
+
+
+def _pace(read: Footage, shown: Video) -> float:
+    """Frames of the video for one of the keypoints."""
+    if shown.fps is None:
+        return 1.0
+    by_time = abs(read.frames / read.fps * shown.fps - shown.frames) <= _SLACK < abs(read.frames - shown.frames)
+    if shown.times is not None and not by_time:
+        return 1.0  # a frame each, whenever it comes
+    return shown.fps / read.fps
+
+
+def _first(read: Footage, shown: Video) -> int | None:
+    """The video's frame of the first keypoints; None where they are not of it."""
+    pace = _pace(read, shown)
+    need, slack = round(read.frames * pace), max(_SLACK, math.ceil(pace))
+    if shown.frames in (need, need + 1):
+        return 0
+    starts = (round(read.first * pace), round((read.first - 1) * pace))
+    fits = ((at, more) for more, some in ((0, starts), (slack, starts[:1]), (0, (0,)), (slack, (0,))) for at in some)
+    return next((at for at, more in fits if 0 <= at < shown.frames and at + need <= shown.frames + more), None)
+
+
+def _times(read: Footage, shown: Video, first: int) -> np.ndarray | None:
+    """Seconds of the keypoints' frames, where the video's do not come at even times and they are one for one."""
+    if shown.times is None or _pace(read, shown) != 1.0:
+        return None
+    times = shown.times[first:][: read.frames] - shown.times[first]
+    return np.append(times, times[-1] + np.arange(1, read.frames - len(times) + 1) / shown.fps)
+
+
+def _said(read: Footage, shown: Video, first: int, times: np.ndarray | None, told: set[str]) -> list[str]:
+    """What was assumed of keypoints and footage."""
+    rate, notes = shown.fps or read.fps, []
+    last = 1 + round((read.frames - 1) * _pace(read, shown))
+    if times is not None:
+        notes.append("keypoints put at the footage's time stamps")
+    elif abs(rate / read.fps - 1) > 0.02:
+        notes.append(f"keypoints at {read.fps:g} frames per second, footage at {rate:g}: put together by time")
+    if (short := first + last - shown.frames) > 0:
+        notes.append(f"the footage ends {short} frames before the keypoints")
+    if first:
+        notes.append(f"the keypoints begin at frame {first} of the footage")
+    every = round(shown.frames / max(read.frames, 1))
+    if "fps" in told and first == 0 and every > 1 and 0 <= shown.frames - (read.frames - 1) * every <= every:
+        notes.append(
+            f"the keypoints are taken for the first {read.frames} of {shown.frames} frames: if they are of every "
+            f"{every}th, say --fps {rate / every:g}"
+        )
+    return notes
+
+
+def with_camera(clip: Clip, path: str | Path, name: str | None = None) -> Clip:
+    """Returns the clip with the camera of a file: for images of this size, and its lens still in the keypoints.
+
+    Raises:
+        DataError: no such camera, or one for images of another shape.
+    """
+    camera, placed = load_camera(path, name, clip.footage.path, clip.size)
+    footage, notes = clip.footage, []
+    if clip.size is not None:
+        camera, notes = for_images(camera, clip.size, Path(path))
+    else:
+        footage, notes = footage.within((camera.width, camera.height))
+    return replace(clip, footage=footage, notes=(*clip.notes, *notes), camera=camera, placed=placed)
+
+
+def straightened(clip: Clip) -> Clip:
+    """Returns the clip with keypoints as the camera would see them without its lens."""
+    if clip.camera is None or not clip.camera.distortion:
+        return clip
+    found, lost, count = [], 0, 0
+    for track in clip.footage.tracks:
+        points, seen = track.points.copy(), track.points[..., 2] > 0
+        points[..., :2] = lens.undistorted(points[..., :2], clip.camera)
+        gone = ~np.isfinite(points[..., :2]).all(-1)
+        points[gone | ~seen] = 0
+        lost, count = lost + int((gone & seen).sum()), count + int(seen.sum())
+        found.append(replace(track, points=points))
+    notes = [f"the lens is taken out of keypoints and pictures: {', '.join(f'{x:g}' for x in clip.camera.distortion)}"]
+    if lost > _OUTSIDE * count:
+        message = f"no point of the image is where {lost / count:.0%} of the keypoints are"
+        raise DataError(message, place="distortion", remedy="give k1, k2, p1, p2, k3 in OpenCV's order")
+    if lost:
+        notes.append(f"{lost / count:.1%} of the keypoints are where this lens puts nothing: left out")
+    return replace(clip, footage=clip.footage.of(found), notes=(*clip.notes, *notes))
+
+
+def ids_of(read: Footage, person: str | int | Sequence[str | int]) -> list[int]:
+    """Finds the ids of the people who are meant.
+
+    Raises:
+        DataError: nobody has one of the ids.
+    """
+    words = [person] if isinstance(person, str | int) else list(person)
+    if words == ["all"]:
+        least = min(read.fps, read.frames / 2)  # a second, or half of a shorter clip
+        return [track.id for track in read.tracks if len(track.frames) >= least] or [read.tracks[0].id]
+    if words == ["longest"]:
+        return [read.tracks[0].id]
+    if words == ["largest"]:
+        return [max(read.tracks, key=lambda track: track.height).id]
+    known = {str(each): track.id for track in read.tracks for each in (*track.also, track.id)}
+    wrong = [str(word) for word in words if str(word) not in known]
+    if wrong:
+        some = ", ".join([*known][:20])
+        message = f"nobody has the id {', '.join(wrong)}"
+        raise DataError(message, path=read.path, place="people", remedy=f"use longest, largest, all or some of {some}")
+    return list(dict.fromkeys(known[str(word)] for word in words))
+
+
+def observation(clip: Clip, ids: Sequence[int]) -> Observation2D:
+    """Computes keypoints (P, T, 25, 2) at 30 fps, in the layout that a fit uses.
+
+    Raises:
+        DataError: one frame, or of somebody too few keypoints.
+    """
+    read = clip.footage
+    seen = at_rate(to_body_25(read.people(ids), midpoints=True), times=clip.times)
+    used = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]
+    if seen.frames < 2:
+        raise DataError("one frame is no motion", path=read.path, remedy="give two frames or more")
+    for each, confidence in zip(ids, seen.confidence, strict=True):
+        if (confidence[:, used] > 0).sum(-1).max() < 4:
+            message = "no frame shows 4 keypoints that a fit uses (it leaves out neck and hips)"
+            remedy = "use another recording, or another --person"
+            raise DataError(message, path=read.path, place=f"person {each}", remedy=remedy)
+    return seen
+
+
+def check_image(clip: Clip, seen: Observation2D, camera: str | Path | None = None) -> None:
+    """Checks that people lie in the image, as its camera or its footage says it is.
+
+    Raises:
+        DataError: too many of the detections do not.
+    """
+    size = clip.size if clip.camera is None else (clip.camera.width, clip.camera.height)
+    if size is None:
+        return
+    outside = ((seen.keypoints < 0) | (seen.keypoints > torch.tensor(size))).any(-1) & (seen.confidence > 0)
+    share = float(outside.sum() / (seen.confidence > 0).sum())
+    if share > _OUTSIDE:
+        remedy = "they may be of images of another size, or of ones not turned upright: give that size (--size WxH)"
+        if clip.camera is not None:
+            remedy = "give the camera that took these images, at the same resolution (see --camera-name)"
+        message = f"{share:.0%} of the detections lie outside its image of {size[0]} x {size[1]}"
+        raise DataError(message, path=camera or (clip.video and clip.video.path) or clip.footage.path, remedy=remedy)
