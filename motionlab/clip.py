@@ -201,14 +201,14 @@ def _said(read: Footage, shown: Video, first: int, times: np.ndarray | None, tol
     elif abs(rate / read.fps - 1) > 0.02:
         notes.append(f"keypoints at {read.fps:g} frames per second, footage at {rate:g}: put together by time")
     if (short := first + last - shown.frames) > 0:
-        notes.append(f"the footage ends {short} frames before the keypoints")
+        notes.append(f"the footage ends before the keypoints, whose frames are {short} more")
     if first:
         notes.append(f"the keypoints begin at frame {first} of the footage")
     every = round(shown.frames / max(read.frames, 1))
     if "fps" in told and first == 0 and every > 1 and 0 <= shown.frames - (read.frames - 1) * every <= every:
         notes.append(
-            f"the keypoints are taken for the first {read.frames} of {shown.frames} frames: if they are of every "
-            f"{every}th, say --fps {rate / every:g}"
+            f"the keypoints are taken for the first {read.frames} of {shown.frames} frames: if they are of one in "
+            f"{every}, say --fps {rate / every:g}"
         )
     return notes
 

@@ -115,6 +115,18 @@ def long_csv() -> str:
     return "\n".join(["frame,person,keypoint,x,y", *rows])
 
 
+def trc(table: np.ndarray, names: list[str], unit: float = 1.0) -> str:
+    """As Sports2D writes it, in pixels though it says m: blank where a point (T, K, 2) was not seen."""
+    head = ["PathFileType\t4\t(X/Y/Z)\ta.trc", "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits"]
+    head += [f"25\t25\t{len(table)}\t{len(names)}\tm", "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t"]
+    head.append("\t\t" + "\t".join(f"{axis}{k + 1}" for k in range(len(names)) for axis in "XYZ"))
+    rows = [
+        f"{n}\t{n / 25:.3f}\t" + "\t".join("\t\t" if x == 0 else f"{x * unit:.4f}\t{y * unit:.4f}\t0.0" for x, y in row)
+        for n, row in enumerate(table)
+    ]
+    return "\n".join([*head, "", *rows]) + "\n"
+
+
 def plain_arrays() -> dict:
     more = {"names": COCO, "fps": 24.0, "size": SIZE, "ids": [4, 9]}
     return {"keypoints": points(17), **{key: np.array(value) for key, value in more.items()}}
@@ -144,9 +156,10 @@ FORMATS: dict[str, tuple[object, int, int, int]] = {
     "movenet.json": (movenet(), 17, 1, 0),
     "vitpose.json": (vitpose(), 25, 2, 0),
     "points.csv": (long_csv(), 17, 2, 0),
+    "sports2d.trc": (trc(points(17)[:, 0, :, :2], COCO), 17, 1, 0),
     "plain.npz": (npz(**plain_arrays()), 17, 2, 0),
 }
 #: Formats without confidences.
-UNSCORED = ("movenet.json", "points.csv")
+UNSCORED = ("movenet.json", "points.csv", "sports2d.trc")
 _TEXTS = {name: what[0] if isinstance(what[0], str | bytes) else json.dumps(what[0]) for name, what in FORMATS.items()}
 SEEDS = {name: text.encode() if isinstance(text, str) else text for name, text in _TEXTS.items()}

@@ -3,6 +3,7 @@
 from functools import partial
 from pathlib import Path
 
+import calibrated
 import detected
 import seeds
 import torch
@@ -58,6 +59,7 @@ LOADERS = {
     "biomech.csv": lambda path: points.load_biomech(path, fps=50),
     "projected.csv": lambda path: points.load_projected(path, camera=seeds.camera(), fps=50),
     ".glb": gltf.load,
+    **dict.fromkeys(calibrated.SEEDS, lambda path: cameras.load_camera(path)[0]),
     **dict.fromkeys(detected.SEEDS, partial(keypoints.load, fps=30, size=detected.SIZE)),
 }
 

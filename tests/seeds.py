@@ -7,6 +7,7 @@ import struct
 import tempfile
 from pathlib import Path
 
+import calibrated
 import detected
 import numpy as np
 import torch
@@ -227,5 +228,6 @@ SEEDS: dict[str, bytes] = {
     "biomech.csv": biomech_text().encode(),
     "projected.csv": projected_text().encode(),
     ".glb": saved(gltf.save, ".glb"),
+    **calibrated.SEEDS,
     **detected.SEEDS,
 }

@@ -112,7 +112,7 @@ def test_the_background_is_compared_before_the_fit(tmp_path, monkeypatch):
     def stopped(clip):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fit, "_drift", stopped)
+    monkeypatch.setattr(fit.Clip, "drift", stopped)
     monkeypatch.setattr(fit, "fit_people", no_fit)
     with pytest.raises(KeyboardInterrupt):
         fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", video=tmp_path / "clip.mp4", quick=True)

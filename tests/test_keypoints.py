@@ -20,8 +20,8 @@ _DATA = Path(os.environ.get("MOTIONLAB_DATA") or "no recordings")
 FORMATS = next((f for folder in (_DATA, _DATA.parent) if (f := folder / "keypoint_formats").is_dir()), None)
 needs_data = pytest.mark.skipif(FORMATS is None, reason="unpack keypoint_formats into MOTIONLAB_DATA or beside it")
 #: What some files say of themselves, and what the others must be told.
-SAID = {"mediapipe.json": {}, "mediapipe.csv": {"size": detected.SIZE}, "plain.npz": {}}
-FPS = {"mediapipe.json": 25, "mediapipe.csv": 25, "plain.npz": 24}
+SAID = {"mediapipe.json": {}, "mediapipe.csv": {"size": detected.SIZE}, "plain.npz": {}, "sports2d.trc": {}}
+FPS = {"mediapipe.json": 25, "mediapipe.csv": 25, "plain.npz": 24, "sports2d.trc": 25}
 IDS = {"alphapose_tracked.json": {7, 8}, "ultralytics.json": {5, 6}, "yolo.txt": {1, 2}, "vitpose.json": {3, 4}}
 IDS["plain.npz"] = {4, 9}
 
@@ -265,3 +265,83 @@ def test_real_files_hold_what_their_source_says(name):
 @pytest.mark.parametrize("name", ["mmpose/h36m17_3d_with_meta_info_demo.json", "mediapipe/pose_squats_3d.full.json"])
 def test_real_three_dimensional_files_are_refused(name):
     refused(FORMATS / name, "3-D")
+
+
+# ------------------------------------------------------------------------------------------ what people bring
+def test_ids_that_change_and_people_who_are_there_twice_are_one_person(tmp_path):
+    table, frames = detected.points(17, people=2, frames=12), []
+    for n, both in enumerate(table):
+        people = [{"keypoints": p[:, :2].tolist(), "keypoint_scores": p[:, 2].tolist()} for p in both]
+        people.append({**people[1], "keypoints": (both[1, :, :2] + 1).tolist()})
+        ids = (0 if n < 5 else 7, 3, 4)
+        here = [one | {"track_id": k} for one, k in zip(people, ids, strict=True)]
+        frames.append({"frame_id": n, "instances": here})
+    found = keypoints.load(written(tmp_path / "a.json", frames), fps=30)
+    assert sorted((track.id, len(track.frames)) for track in found.tracks) == [(0, 12), (3, 12)]
+    assert np.allclose(found.person(7).keypoints, table[:, 0, :, :2]) and found.person(4).keypoints.shape[0] == 12
+    assert any("0, 7 are taken for one person" in note for note in found.notes)
+    assert any("3, 4 lie on each other" in note for note in found.notes)
+
+
+def test_a_label_file_that_is_empty_shows_nobody(tmp_path):
+    for n in range(6):
+        text = "" if n == 2 else "\n" if n == 4 else detected.yolo(n % 4)
+        written(tmp_path / f"labels/clip_{n}.txt", text)
+    found = keypoints.load(tmp_path / "labels", fps=30, size=detected.SIZE)
+    assert found.frames == 6 and found.people(0.5).visible.any(-1)[0].tolist() == [n not in (2, 4) for n in range(6)]
+    refused(written(tmp_path / "alone.txt", ""), "empty")
+    (tmp_path / "labels/clip_3.txt").write_text("0 0.5")  # control: what is damaged is refused
+    refused(tmp_path / "labels", "clip_3.txt", size=detected.SIZE)
+
+
+def test_a_table_of_sports2d_is_read_in_pixels_and_refused_in_metres(tmp_path):
+    names = "Hip RHip RKnee RAnkle RBigToe RSmallToe RHeel LHip LKnee LAnkle LBigToe Neck Head Nose".split()
+    table = detected.points(len(names), people=1)[:, 0, :, :2]
+    table[1, 2] = 0
+    found = keypoints.load(written(tmp_path / "px.trc", detected.trc(table, names)))
+    assert (found.detector, found.fps, found.frames) == ("Sports2D", 25, len(table))
+    assert found.names[:3] == ("mid_hip", "right_hip", "right_knee") and found.names[-3:] == (
+        "neck",
+        "head_top",
+        "nose",
+    )
+    assert np.allclose(found.person().keypoints, table, atol=1e-3) and not found.person().visible[1, 2]
+    assert found.person().visible.sum() == table[..., 0].size - 1
+    refused(written(tmp_path / "m.trc", detected.trc(table, names, 0.003)), "metres", "pixels")
+    refused(written(tmp_path / "z.trc", detected.trc(table, names).replace("\t0.0", "\t900.0")), "3-D")
+    refused(written(tmp_path / "short.trc", "PathFileType\t4"), "too few")
+    refused(
+        written(tmp_path / "bad.trc", detected.trc(table, names).replace("2\t0.080", "two\t0.080")), "no frame number"
+    )
+
+
+@pytest.mark.parametrize("unit", [0.002, 1.0, 900.0])
+def test_coordinates_about_the_hip_are_refused_in_any_unit(tmp_path, unit):
+    table = detected.points(17, people=1)
+    table[..., :2] -= table[:, :, 11:12, :2] + 0.5
+    table[..., :2] *= unit
+    np.savez(tmp_path / "a.npz", keypoints=table, names=detected.COCO, fps=30)
+    refused(tmp_path / "a.npz", "around zero", "pixels")
+    table[..., :2] += 700 * unit  # control: the same, inside an image
+    np.savez(tmp_path / "a.npz", keypoints=table, names=detected.COCO, fps=30)
+    assert keypoints.load(tmp_path / "a.npz", size=(1280, 720)).frames == 4
+
+
+def test_points_that_were_put_onto_the_border_are_not_seen(tmp_path):
+    table = detected.points(17, people=1, frames=20)
+    inside = table.copy()
+    table[5:, 0, 13:, 1], table[5:, 0, 12, 0] = 719.0, 0.0
+    np.savez(tmp_path / "a.npz", keypoints=table, names=detected.COCO, fps=30)
+    found, notes = keypoints.load(tmp_path / "a.npz").within((1280, 720))
+    assert "border" in notes[0] and found.person().visible.sum() == 20 * 17 - 15 * 5
+    assert not found.person().visible[5:, 12:].any() and found.person().visible[:5].all()
+    np.savez(tmp_path / "a.npz", keypoints=inside, names=detected.COCO, fps=30)
+    whole = keypoints.load(tmp_path / "a.npz")
+    assert whole.within((1280, 720)) == (whole, [])  # control: nothing is there
+    inside[3, 0, 4, 1] = 719.0  # control: one may be
+    np.savez(tmp_path / "a.npz", keypoints=inside, names=detected.COCO, fps=30)
+    assert keypoints.load(tmp_path / "a.npz").within((1280, 720))[1] == []
+    inside[..., 1] = 719.0
+    np.savez(tmp_path / "a.npz", keypoints=inside, names=detected.COCO, fps=30)
+    with pytest.raises(DataError, match="nothing is left"):
+        keypoints.load(tmp_path / "a.npz").within((1280, 720))

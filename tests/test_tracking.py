@@ -80,3 +80,41 @@ def test_of_a_crowd_a_bounded_number_is_compared(monkeypatch):
     points = draw.uniform(0, 100_000, (6, 300, 1, 2)) + draw.uniform(0, 20, (6, 300, 17, 2))
     assert len(tracking.join([*np.concatenate([points, np.ones((6, 300, 17, 1))], -1)], gap=100)) == 600
     assert max(sizes) == (200, 100)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_false_detections_do_not_take_the_place_of_a_person(seed, monkeypatch):
+    """In every frame one, somewhere: a good pair is better than two bad ones."""
+    draw = np.random.default_rng(seed)
+    ghosts = [person(*draw.uniform(100, 500, 2)) + np.float32([*draw.normal(0, 20, 2), 0]) for _ in range(61)]
+    frames, truth = listed([person(300 + n) for n in range(61)], ghosts)
+    longest = max(tracking.join(frames, gap=15), key=lambda track: len(track.people))
+    assert [truth[frame][index] for frame, index in longest.people] == [0] * 61
+
+
+def tracks_of(frames: list[list[tuple[int, np.ndarray]]]) -> tuple[dict, list[np.ndarray]]:
+    """Tracks by id, and the people, of frames of (id, person)."""
+    named: dict[int, list[tuple[int, int]]] = {}
+    for n, here in enumerate(frames):
+        for k, (name, _) in enumerate(here):
+            named.setdefault(name, []).append((n, k))
+    return named, [np.stack([one for _, one in here]) if here else np.zeros((0, 17, 3)) for here in frames]
+
+
+def test_an_id_that_begins_where_another_ends_goes_on_with_it():
+    walks = [[(0 if n < 20 else 7 if n < 30 else 12, person(200 + 3 * n)), (3, person(700))] for n in range(40)]
+    assert tracking.continued(*tracks_of(walks), gap=15) == {0: [0, 7, 12], 3: [3]}
+    away = [row if not 20 <= n < 26 else row[1:] for n, row in enumerate(walks)]
+    assert tracking.continued(*tracks_of(away), gap=15)[0] == [0, 7, 12]
+    assert tracking.continued(*tracks_of(away), gap=4) == {0: [0], 3: [3], 7: [7, 12]}  # control: too long ago
+    fresh = [[(n, person(200 + 3 * n))] for n in range(9)]  # a new id in every frame
+    assert tracking.continued(*tracks_of(fresh), gap=15) == {0: [*range(9)]}
+    other = [[(0 if n < 20 else 7, person(200 if n < 20 else 600))] for n in range(40)]
+    assert tracking.continued(*tracks_of(other), gap=15) == {0: [0], 7: [7]}  # control: elsewhere
+
+
+def test_who_is_there_twice_is_found_and_who_is_near_is_not():
+    pairs = [[(0, person(200 + n)), (1, person(201 + n, 301)), (2, person(240 + n))] for n in range(20)]
+    assert tracking.twins(*tracks_of(pairs)) == {0: [1]}
+    met = [[(0, person(200)), (1, person(200 + 20 * abs(n - 10)))] for n in range(20)]
+    assert tracking.twins(*tracks_of(met)) == {}  # control: they only meet

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 import tomllib
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import numpy as np
 
@@ -47,7 +46,7 @@ def read_tables(at: Spot) -> dict[str, Table] | None:
     if b"<opencv_storage" in head:
         return _named(_xml(at))
     if head.startswith(b"%YAML") or at.path.suffix.lower() in (".yml", ".yaml"):
-        return _easymocap(at) if "tri" in at.path.stem.lower() else _named(_yaml(read_text(at)))
+        return _easymocap(at) if re.search("intri|extri", at.path.name) else _named(_yaml(read_text(at)))
     if re.search(rb"^\d+\s+[A-Z_]+\s+\d+\s+\d+\s+[-\d.]", head, re.MULTILINE):
         return _colmap(at)
     if at.path.suffix.lower() == ".toml" or re.match(rb"(#.*\n|\s)*\[[\w\"'.-]+\]\s", head):
@@ -139,11 +138,11 @@ def _value(text: str) -> object:
 
 def _easymocap(at: Spot) -> dict[str, Table]:
     """intri.yml and extri.yml, which lie side by side; the second may be missing."""
-    found, stem = {}, at.path.name
-    for wrong, right in (("extri", "intri"), ("intri", "extri")):
-        path: Path = at.path.with_name(stem.replace(wrong, right))
-        if path == at.path or path.exists():
-            with reading(path, at.remedy) as one:
+    found = {}
+    for word in ("intri", "extri"):
+        path = at.path.with_name(re.sub("intri|extri", word, at.path.name))
+        if word == "intri" or path.exists():
+            with reading(path, "put intri.yml and extri.yml side by side") as one:
                 found |= _yaml(read_text(one))
     return _named(found)
 

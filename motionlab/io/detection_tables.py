@@ -179,8 +179,8 @@ def from_trc(at: Spot, text: str) -> Detections:
         cells += [math.nan] * (3 * len(names) - len(cells))
         seen.append((number, [(numbers(at, cells, "N", largest=FARTHEST, nan=True).reshape(-1, 3), None)]))
     at.place = "coordinates"
-    if not seen:
-        raise at.error("no line with a frame number", place="line 7")
+    if not len(seen) >= _cell(at, about.get("NumFrames", "1")) >= 1:
+        raise at.error(f"{len(seen)} frames of {about.get('NumFrames', 1)}", place="whole file")
     points = np.concatenate([people[0][0] for _, people in seen])
     known = np.abs(points[np.isfinite(points).all(-1) & (points[:, :2] != 0).any(-1)])
     if (known[:, 2] > 0).any() or (len(known) and np.median(known[:, :2]) < _METRES):

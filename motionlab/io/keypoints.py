@@ -36,8 +36,9 @@ _OVER = 1.2
 _SHARE, _NEGATIVE = 2.0, 0.25
 
 
-#: Points that lie on the border of the image, within so many pixels, if there are so many of them on the same side.
-_ON, _REPEATED = 1e-3, 4
+#: Points lie on the border of the image within so many pixels; and were put there where that many, and this share of
+#: all points, lie on the same side.
+_ON, _REPEATED, _PUT = 1e-3, 4, 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,14 +130,13 @@ class Footage:
     def within(self, size: tuple[float, float]) -> tuple[Footage, list[str]]:
         """Returns the footage without points that were put onto the border of its image, and what is to be said of it.
 
-        Those of which ``_REPEATED`` or more lie on the same border to the digit: there some detectors put what they
-        take to be outside.
+        Some detectors put there what they take to be outside: then many lie on the same border to the digit.
         """
         points = np.concatenate([track.points.reshape(-1, 3) for track in self.tracks])
         points, lines = points[points[:, 2] > 0], []
         for axis in (0, 1):
             for place in (0.0, size[axis] - 1.0, float(size[axis])):
-                if (np.abs(points[:, axis] - place) < _ON).sum() >= _REPEATED:
+                if (np.abs(points[:, axis] - place) < _ON).sum() >= max(_REPEATED, _PUT * len(points)):
                     lines.append((axis, place))
         if not lines:
             return self, []

@@ -58,7 +58,7 @@ def frames_of(
         note = f"{len(numbers)} images numbered from {first} to {last}: taken as pictures in a row, not as a film"
         return [*range(len(numbers))], None, [note]
     n = math.gcd(*steps.tolist())
-    note = f"every {n}th frame from {first} to {last} was looked at: those between them show nobody"
+    note = f"one frame in {n} from {first} to {last} is there: those between them show nobody"
     return [*numbers], None, [note] if n > 1 and len(steps) > 1 else []
 
 
