@@ -1,17 +1,20 @@
 """What ``fit`` keeps when it is stopped or the film cannot be drawn, and which folders count as finished."""
 
+import errno
 import json
 import re
 from dataclasses import replace
 from pathlib import Path
 
+import imageio.v2 as imageio
 import numpy as np
 import pytest
 import torch
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import fit, scene_fit, scene_report
+from motionlab import files, fit, scene_fit, scene_report
+from motionlab.errors import DataError
 from motionlab.humor import testops
 from motionlab.humor.priors import InitGmm
 from motionlab.humor.shooting.feedback_solver import Plan
@@ -105,8 +108,6 @@ def test_what_is_written_first_is_no_finished_folder(tmp_path, monkeypatch):
 
 def test_the_background_is_compared_before_the_fit(tmp_path, monkeypatch):
     """Ctrl-C in it costs no fit."""
-    import imageio.v2 as imageio
-
     imageio.mimwrite(tmp_path / "clip.mp4", [np.zeros((72, 128, 3), np.uint8)] * SHORT, fps=30)
 
     def stopped(clip):
@@ -183,3 +184,53 @@ def test_the_report_says_who_has_which_colour_and_how_many_are_not_listed(tmp_pa
     assert [int(k) for _, k in marks] == [*range(9)] and marks[0][0] == marks[8][0]
     assert len({ink for ink, _ in marks}) == 8 and marks[0][0] == ROLE[drawn["roles"][0]]  # as in the film
     assert page.count(f'fill="{marks[1][0]}">person 1<') == 1  # and in the chart
+
+
+# ------------------------------------------------------------------------------------------------- where it is written
+@pytest.mark.parametrize("name", ["report.html", "scene.glb", "motion.bvh", "fit.json", "overlay.mp4"])
+def test_files_that_no_fit_wrote_are_not_overwritten(tmp_path, monkeypatch, name):
+    file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
+    out.mkdir()
+    (out / name).write_text('{"mine": 1}')
+    with monkeypatch.context() as patch:
+        patch.setattr(fit, "fit_people", no_fit)
+        with pytest.raises(DataError, match=f"{name} would be overwritten") as caught:
+            fit.run_clip(file, out, quick=True)
+    assert "--out" in caught.value.remedy and (out / name).read_text() == '{"mine": 1}'
+    (out / name).rename(out / "mine.html")
+    spoil(monkeypatch, RuntimeError("no film"))
+    for _ in range(2):  # control: those of an earlier fit are
+        fit.run_clip(file, out, quick=True)
+    assert (out / "mine.html").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_fit(tmp_path, monkeypatch):
+    def refuse(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(fit, "fit_people", no_fit)
+    monkeypatch.setattr(files.tempfile, "TemporaryFile", refuse)
+    with pytest.raises(DataError, match="cannot be written: Read-only file system") as caught:
+        fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", quick=True)
+    assert "--out" in caught.value.remedy
+
+
+def test_a_disk_that_is_full_is_said_in_a_sentence(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(fit.gltf, "save", full)
+    with pytest.raises(DataError, match="cannot be written: No space left on device"):
+        fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", quick=True)
+    assert not list((tmp_path / "out").glob("*.*"))
+
+
+def test_a_cut_is_said(tmp_path, monkeypatch):
+    draw = np.random.default_rng(0)
+    walls = [draw.integers(0, 255, (45, 80, 3), np.uint8).repeat(4, 0).repeat(4, 1) for _ in range(2)]
+    imageio.mimwrite(tmp_path / "clip.mp4", [walls[n >= 24] for n in range(48)], fps=12, quality=9)
+    spoil(monkeypatch, RuntimeError("no film"))
+    file = keypoints(tmp_path, 48)
+    found = fit.run_clip(file, tmp_path / "out", video=tmp_path / "clip.mp4", fps=12, quick=True)
+    assert found["moving_camera"]["moved"] and found["moving_camera"]["cuts_s"] == [2.0]
+    assert any("THE FILM IS CUT before 2.0 s" in line for line in scene_report.lines(found))

@@ -1,11 +1,14 @@
 """The lean roll-out against a plain loop, finite differences and the official arrays; no clip sees another."""
 
+import signal
+import threading
+
 import pytest
 import torch
 
 from motionlab import heading, rotation
 from motionlab.errors import ShapeError
-from motionlab.humor import state, transition
+from motionlab.humor import compiled, state, transition
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import decode_ahead, infer, rollout, sample_rollout
 from motionlab.humor.transition import DecoderLayers, Stepper
@@ -227,3 +230,31 @@ def test_decode_ahead_starts_everywhere(model, generator):
 def test_shapes_that_do_not_fit(model, first, z):
     with pytest.raises(ShapeError):
         rollout(model, torch.zeros(first, dtype=F64), torch.zeros(z, dtype=F64))
+
+
+def test_ctrl_c_within_compiled_loops_is_heard_when_they_end(model, generator):
+    """A signal from another thread, wherever it falls: never the SystemError that numba makes of it."""
+    first, z = first_states(generator, 1), latents(generator, 1, 200)
+    rollout(model, first, z, loops=True)
+    for k in range(12):
+        alarm = threading.Timer(0.01 + 0.002 * k, signal.raise_signal, [signal.SIGINT])
+        alarm.start()
+        with pytest.raises(KeyboardInterrupt):
+            for _ in range(1000):
+                rollout(model, first, z, loops=True, with_prior=False)
+        alarm.join()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_ctrl_c_is_heard_once_and_by_whoever_listened():
+    heard, before = [], signal.signal(signal.SIGINT, lambda *said: heard.append(said[0]))
+    try:
+        with compiled.unbroken():
+            signal.raise_signal(signal.SIGINT)
+            assert not heard
+        assert heard == [signal.SIGINT]
+        with pytest.raises(ZeroDivisionError), compiled.unbroken():
+            signal.raise_signal(signal.SIGINT)
+            raise ZeroDivisionError
+    finally:
+        signal.signal(signal.SIGINT, before)

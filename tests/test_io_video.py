@@ -74,3 +74,36 @@ def test_what_is_no_footage(tmp_path):
     Image.new("RGB", (8, 9)).save(tmp_path / "images" / "1.png")
     with pytest.raises(DataError, match="a picture of"):
         list(video.open_video(tmp_path / "images").pictures([0, 1]))
+
+
+def test_a_cut_between_two_cameras_is_told_from_what_cannot_be_told(wall):
+    other = wall[::-1, ::-1]
+    pictures = [*filmed(wall, 0)[:6], *filmed(other, 0)[6:]]
+    found = video.background_drift(pictures, BOXES)
+    assert np.flatnonzero(np.isinf(found)).tolist() == [6] and np.nanmax(np.delete(found, 6)) < video.MOVED / 2
+    first = video.background_drift([filmed(other, 0)[0], *filmed(wall, 0)[1:]], BOXES)
+    assert np.flatnonzero(np.isinf(first)).tolist() == [1]
+    hidden = [*BOXES[:6], [(0, 0, WIDE, HIGH)], *BOXES[7:]]
+    found = video.background_drift(filmed(wall, 0), hidden)
+    assert np.isnan(found[6:8]).all() and not np.isinf(found).any()  # control: for a moment nothing could be seen
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_a_film_that_was_not_downloaded_to_its_end_is_refused(tmp_path, wall, suffix):
+    how = {"fps": 25, "quality": 9, "output_params": ["-movflags", "faststart", "-g", "5"]}
+    imageio.mimwrite(tmp_path / f"whole{suffix}", filmed(wall, 6) * 5, **how)
+    data = (tmp_path / f"whole{suffix}").read_bytes()
+    assert video.open_video(tmp_path / f"whole{suffix}").notes == ()
+    (tmp_path / f"half{suffix}").write_bytes(data[: len(data) * 6 // 10])
+    with pytest.raises(DataError, match=r"of a film of 2\.4 s can be read") as caught:
+        video.open_video(tmp_path / f"half{suffix}")
+    assert "get the whole file" in caught.value.remedy
+
+
+def test_paths_that_ffmpeg_would_take_for_something_else(tmp_path, wall, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    imageio.mimwrite(tmp_path / "a.mp4", filmed(wall, 6), fps=25)
+    for name in ("clip-12:30:05.mp4", "-i.mp4", "http:a.mp4", "clip 100%d.mp4"):
+        (tmp_path / name).write_bytes((tmp_path / "a.mp4").read_bytes())
+        found = video.open_video(name)
+        assert found.frames == FRAMES and len(list(found.pictures(range(FRAMES)))) == FRAMES

@@ -25,6 +25,7 @@ _CLEAR = 0.25  # share of a picture that must show background for a cut to be to
 #: Frames that lie this many frames off even times do not come at even times.
 _UNEVEN = 0.75
 _SURE = 0.04  # height of a correlation's peak below which two backgrounds cannot be compared
+_WEAK = 0.15  # and from which on they are surely one: two backgrounds have a peak, too, which is lower
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +172,7 @@ def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Se
 
     Source: Kuglin and Hines 1975.
     """
-    small, away, found, clear = [], np.zeros(2), [0.0], [True]
+    small, steps, peaks, clear = [], [np.zeros(2)], [1.0], [False]
     for picture in pictures:
         small.append(_small(picture))
         shape = picture.shape
@@ -179,15 +180,15 @@ def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Se
         mask = np.ones(small[0].shape)
         for n in (k - 1, k):
             _leave_out(mask, boxes[n], shape)
-        step = _shift(small[k - 1], small[k], gaussian_filter(mask, 2.0) * mask)
-        told = np.isfinite(step).all()
+        step, peak = _shift(small[k - 1], small[k], gaussian_filter(mask, 2.0) * mask)
+        steps.append(step), peaks.append(peak), clear.append(mask.mean() > _CLEAR)
+    away, found = np.zeros(2), []
+    for k, (step, peak) in enumerate(zip(steps, peaks, strict=True)):
+        beside = [peaks[n] for n in (k - 1, k + 1) if 0 < n < len(peaks)]
+        cut = clear[k] and peak < _WEAK and bool(beside) and min(beside) > max(_WEAK, 3 * peak)
+        told = peak >= _SURE and not cut
         away = away + step if told else away
-        found.append(float(np.linalg.norm(away)) / _SMALL if told else np.nan)
-        clear.append(mask.mean() > _CLEAR)
-    untold = np.isnan(found)
-    for k in np.flatnonzero(untold & clear):
-        beside = [untold[n] for n in (k - 1, k + 1) if 0 < n < len(found)]
-        found[k] = np.inf if beside and not any(beside) else np.nan
+        found.append(np.inf if cut else float(np.linalg.norm(away)) / _SMALL if told else np.nan)
     return np.array(found)
 
 
@@ -208,13 +209,11 @@ def _leave_out(mask: np.ndarray, boxes: Sequence[Sequence[float]], shape: tuple[
         mask[rows, slice(*(int(max(v, 0)) for v in ((left - wide) * x, (right + wide) * x + 1)))] = 0
 
 
-def _shift(before: np.ndarray, after: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Pixels (2,) by which the pattern moved; NaN where no peak says so."""
+def _shift(before: np.ndarray, after: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, float]:
+    """Pixels (2,) by which the pattern moved, and the height of the peak that says so."""
     window = mask * np.outer(*(np.hanning(n) for n in mask.shape))
     one, other = (np.fft.rfft2(each * window) for each in (before, after))
     cross = other * one.conj()
     found = np.fft.irfft2(cross / (np.abs(cross) + 1e-6 * np.abs(cross).max() + 1e-12), mask.shape)
     peak = np.array(np.unravel_index(found.argmax(), found.shape))
-    if found.max() < _SURE:
-        return np.full(2, np.nan)
-    return np.where(peak > np.array(found.shape) / 2, peak - found.shape, peak).astype(float)
+    return np.where(peak > np.array(found.shape) / 2, peak - found.shape, peak).astype(float), float(found.max())
