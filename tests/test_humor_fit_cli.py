@@ -354,7 +354,7 @@ def test_keypoints_that_cannot_be_used(tmp_path, walk, capsys, name):
 
 
 def test_options_that_cannot_be_used(tmp_path, keypoints, capsys):
-    small = replace(CAMERA, width=200, height=200)
+    small = replace(CAMERA, width=640, height=360)
     pictures = tmp_path / "images"
     pictures.mkdir()
     (tmp_path / "empty.json").write_text('{"intrinsics": [[900, 0, 640], [0, 900, 360], [0, 0, 1]]}')

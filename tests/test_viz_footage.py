@@ -1,5 +1,7 @@
 """People over footage: whoever is nearer hides the other, nobody is drawn who is not there, a film keeps its frames."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -67,6 +69,24 @@ def test_the_side_view_crops_no_head_and_who_was_hardly_seen_makes_nobody_small(
         assert rows.min() > 12 and rows.max() < len(side) - 3  # head and feet are in it
         heights.append(np.ptp(rows))
     assert abs(heights[1] - heights[0]) <= 2 and heights[2] < 0.8 * heights[0]
+
+
+def test_who_leaves_is_in_the_side_view_until_then(tmp_path, body):
+    """The second is seen whole in one of four frames, 3 m away; afterwards the fit has him anywhere."""
+    near, away = standing(0.0, frames=4), standing(3.0, frames=4)
+    gone = replace(away, root=away.root + torch.tensor([0.0, 9.0, 0.0]) * torch.tensor([0.0, 1, 1, 1])[:, None])
+    whole = Observation2D(torch.full((4, 25, 2), 20.0), torch.ones(4, 25), BODY_25, 25.0)
+    once = Observation2D(whole.keypoints, torch.tensor([1.0, 0, 0, 0])[:, None].repeat(1, 25), BODY_25, 25.0)
+    shown = [[True] * 4, [True, False, False, False]]
+    pictures = []
+    for other in (gone, away):
+        how = {"roles": [RED, GREEN], "seen": [whole, once], "shown": shown, "area": 320 * 240}
+        over_footage([near, other], CAMERA, None, tmp_path / "f.mp4", body, **how)
+        side = next(video.open_video(tmp_path / "f.mp4").pictures([0]))[:, -320:].astype(int)
+        rows, columns = (side[..., 1] > side[..., 0] + 50).nonzero()
+        assert rows.min() > 12 and rows.max() < len(side) - 3 and columns.min() > 2 and columns.max() < 317
+        pictures.append(side)
+    assert np.abs(pictures[0] - pictures[1]).mean() < 2  # where he was not shown made nobody small
 
 
 def test_a_picture_becomes_the_camera_s(body):

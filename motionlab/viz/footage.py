@@ -113,8 +113,8 @@ def over_footage(
 ) -> Film:
     """Writes an MP4 of people over what their camera filmed, beside the scene from the camera's right.
 
-    The eye on the right stands for those of whom at least half as much was seen as of the one seen best: who is mostly
-    outside the image, and may be anywhere, does not make them small.
+    The eye on the right stands for those of whom, while they are there, at least half as much was seen as of the one
+    seen best: who is mostly outside the image, and may be anywhere, does not make them small.
 
     Args:
         motions: one clip per person, all of one rate, which is the film's, and one length.
@@ -130,7 +130,7 @@ def over_footage(
     how = {"roles": roles, "shown": shown, "fine": False}
     right = camera.rotation[0]
     wide = max(320, 2 * round(0.4 * size[1]))
-    much = [int((each.confidence > 0).sum()) for each in seen] or [1] * len(motions)
+    much = [_usual((each.confidence > 0).sum(-1)) for each in seen] or [1.0] * len(motions)
     with Scene((wide, size[1]), azimuth=_degrees(right), panels=("from the camera's right",)) as side:
         _edges(side, fine=False)
         side.floor()
@@ -150,6 +150,11 @@ def over_footage(
                 film.append_data(picture)
                 poster = picture if poster is None or frame == count // 2 else poster
     return Film(Path(path), count, fps, count / fps, 1.0, Path(path).stat().st_size, jpeg(poster))
+
+
+def _usual(points: Tensor) -> float:
+    """Points (T) of which as many are seen in a frame that shows any."""
+    return float(points[points > 0].float().median()) if (points > 0).any() else 0.0
 
 
 def _degrees(direction: Tensor) -> float:

@@ -239,6 +239,9 @@ class Scene:
                     shade.move(points)
 
         positions = mannequin.array(motion.positions)
+        if there is not None and np.any(there):  # where nobody is shown does not decide where the eye stands
+            on = np.flatnonzero(there)
+            positions = positions[on[(np.searchsorted(on, np.arange(len(positions)), "right") - 1).clip(0)]]
         if frame is None:
             self._updates.append(update)
             update(self.seconds)
