@@ -174,13 +174,13 @@ def _pace(read: Footage, shown: Video) -> float:
 
 
 def _first(read: Footage, shown: Video) -> int | None:
-    """The video's frame of the first keypoints; None where they are not of it."""
+    """The video's frame of the first keypoints, whose numbers count from 0 or 1; None where they are not of it."""
     pace = _pace(read, shown)
     need, slack = round(read.frames * pace), max(_SLACK, math.ceil(pace))
     if shown.frames in (need, need + 1):
         return 0
     starts = (round(read.first * pace), round((read.first - 1) * pace))
-    fits = ((at, more) for more, some in ((0, starts), (slack, starts[:1]), (0, (0,)), (slack, (0,))) for at in some)
+    fits = ((at, more) for more, some in ((0, starts), (slack, starts[::-1]), (0, (0,)), (slack, (0,))) for at in some)
     return next((at for at, more in fits if 0 <= at < shown.frames and at + need <= shown.frames + more), None)
 
 

@@ -21,7 +21,7 @@ from tqdm import tqdm
 from motionlab import rotation, stature
 from motionlab.baselines import interpolate
 from motionlab.errors import DataError
-from motionlab.files import write_whole
+from motionlab.files import write_whole, writing
 from motionlab.humor import body_shape, testops
 from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.humor.priors import Priors
@@ -251,7 +251,8 @@ def _key(part: Observation2D, camera: Camera, task: Task) -> str:
 
 
 def _keep(file: Path, found: dict[str, Tensor | np.ndarray]) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
+    with writing(file.parent):
+        file.parent.mkdir(parents=True, exist_ok=True)
     archive = io.BytesIO()
     np.savez(archive, **{key: np.asarray(value) for key, value in found.items()})
     write_whole(file, archive.getvalue())

@@ -87,12 +87,18 @@ def test_a_folder_of_images_numbered_far_apart(tmp_path):
     assert [round(float(p.mean()) / 20) for p in found.pictures(range(6))] == [2, 3, 4, 5, 6, 7]
 
 
-@pytest.mark.parametrize("more", [-2, -1, 0, 1, 2])
-def test_a_film_of_a_frame_more_or_less(tmp_path, more):
-    found = clip.open_clip(keypoints(tmp_path / "k", range(20)), film(tmp_path / "a.mp4", 20 + more))
+@pytest.mark.parametrize("begin", [0, 1])
+@pytest.mark.parametrize("more", [-2, -1, 0, 1])
+def test_a_film_of_a_frame_more_or_less(tmp_path, more, begin):
+    found = clip.open_clip(keypoints(tmp_path / "k", range(begin, begin + 20)), film(tmp_path / "a.mp4", 20 + more))
     assert found.first == 0 and found.count == min(20, 20 + more) and len(x_of(found)) == 20
     assert any("ends" in note for note in found.notes) == (more < 0)
     assert bright(found).tolist() == [*range(found.count)]
+
+
+def test_keypoints_of_the_end_of_a_film_stay_there(tmp_path):
+    found = clip.open_clip(keypoints(tmp_path / "k", range(30, 62)), film(tmp_path / "a.mp4", 60))
+    assert found.first == 29 and any("begin at frame 29" in note for note in found.notes)
 
 
 def test_a_film_that_is_too_short_is_refused(tmp_path):
