@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from motionlab.errors import DataError
+from motionlab.errors import DataError, MissingData
 
 
 def write_whole(path: str | Path, content: str | bytes) -> None:
@@ -60,6 +60,8 @@ def writing(out: Path) -> Iterator[None]:
     """
     try:
         yield
+    except MissingData:
+        raise
     except OSError as error:
         remedy = "make room there, or name another folder: --out OUT/"
         raise DataError(f"cannot be written: {error.strerror or error}", path=out, remedy=remedy) from error
