@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,18 +18,12 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.files import write_whole
+from motionlab.io import judging
+from motionlab.io.judging import AXES, UNITS
 from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_text, reading
 from motionlab.motion import Motion
-from motionlab.skeleton import UPRIGHT, Skeleton
+from motionlab.skeleton import Skeleton
 
-#: Metres per unit of length.
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
-#: World with z up from a file's world. A figure at rest in a y-up file faces +z there and +y here.
-WORLD = {"y": UPRIGHT, "z": torch.eye(3)}
-#: A figure's height in metres is plausible between these; one that fits no unit is scaled to ``ASSUMED``.
-PLAUSIBLE, ASSUMED = (0.5, 2.5), 1.70
-#: A person's longest chain of bones, foot to hand, over the height: the size of a figure in any pose.
-CHAIN = 1.4
 #: Shares of the longest chain: below SAME a joint sits at its OFFSET, above RIGID its bone changes length.
 SAME, RIGID = 0.002, 0.02
 #: The End Site of a joint that has no child: so much of its bone's length, along the bone's longest axis. BVH has no
@@ -37,38 +31,48 @@ SAME, RIGID = 0.002, 0.02
 #: six digits of it: no measured or designed End Site is just that, so that ours are known again.
 TIP = 0.618034
 _REMEDY = "export the BVH again, or repair the line"
+#: Frames per second that somebody may have written as the frame time; other large numbers are milliseconds.
+_RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 144, 240)
 
 
 def load(
-    path: str | Path, *, unit: str | float | None = None, up: str | None = None, translations: str = "strict"
+    path: str | Path,
+    *,
+    unit: str | float | None = None,
+    up: str | None = None,
+    axes: str | None = None,
+    fps: float | None = None,
+    translations: str = "strict",
 ) -> Motion:
     """Reads a BVH file: metres, z up, the file's own skeleton and rest pose.
 
-    Position channels replace a joint's OFFSET. A Motion translates at one joint, so the root is the
+    Position channels replace a joint's OFFSET; where they are about zero in the joints below the root, they are
+    relative to it, and noted. A Motion translates at one joint, so the root is the
     deepest joint of the unbranched chain at the top whose position channels move (Bandai-Namco: Hips
     under a resting joint_Root); the joints above it are composed into it and noted. End Sites with a
     length become leaf joints named ``<parent>_end``; those of length zero, and those that :func:`save` made
     up (see ``TIP``), say nothing and are dropped.
 
     Args:
-        unit: metres per unit, or "m", "cm", "mm", "inch"; None: the one of m, cm, mm that makes the
-            figure 0.5 to 2.5 m tall, else the figure is scaled to 1.70 m. Noted.
-        up: "y" or "z"; None: the axis along which the figure is taller, on average over the frames. Noted.
+        unit: metres per unit, or "m", "cm", "mm", "inch"; None: the one that makes a person of 1.2 to 2.2 m, else
+            the one of m, cm, mm that makes a figure of 0.5 to 2.5 m, else it is scaled to 1.70 m. Noted.
+        up: "y", "z", "-y", ...; None: where the legs of the zero pose point from, and the head is above the feet.
+            Noted. axes: instead of it, the file's axes that become the world's x, y and z, such as "x-zy".
+        fps: frames per second; None: by the frame time. More than 2 s a frame is taken as milliseconds, and noted.
         translations: a joint below the root that moves against its parent is kept at its mean position
             and noted; "strict" refuses if it moves more than 2 % of the longest chain, "mean" never.
 
     Raises:
         DataError: the file is not a readable BVH; names the file, the line and the remedy.
-        ValueError: unit, up or translations is none of the above.
+        ValueError: unit, up, axes or translations is none of the above.
     """
-    if unit is not None:
-        _check_unit(unit)
-    if up not in (None, *WORLD) or translations not in ("strict", "mean"):
-        raise ValueError(f"expected up 'y' or 'z' and translations 'strict' or 'mean', got {up!r}, {translations!r}")
+    judging.check_given(unit, up, axes)
+    if translations not in ("strict", "mean"):
+        raise ValueError(f"expected translations 'strict' or 'mean', got {translations!r}")
     with reading(path, _REMEDY) as at:
-        joints, values, fps = _parse(at, read_text(at))
-        motion = _assemble(at, joints, values, fps, translations)
-        return _to_world(at, motion, unit, up)
+        joints, values, found = _parse(at, read_text(at), fps)
+        motion = _assemble(at, joints, values, found, translations)
+        return judging.to_world(at, motion, unit=unit, up=up, axes=axes)
 
 
 def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | float = "cm", up: str = "y") -> None:
@@ -89,12 +93,12 @@ def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | fl
         ValueError: order, unit or up is none of the known ones.
     """
     check_writable(path, motion)
-    _check_unit(unit)
-    if sorted(order) != ["X", "Y", "Z"] or up not in WORLD:
-        raise ValueError(f"expected an order of X, Y, Z and up 'y' or 'z', got {order!r} and {up!r}")
+    judging.check_given(unit, up, None)
+    if sorted(order) != ["X", "Y", "Z"]:
+        raise ValueError(f"expected an order of X, Y, Z, got {order!r}")
     scale = 1 / (UNITS[unit] if isinstance(unit, str) else float(unit))
     motion = motion.to(torch.float64)
-    skeleton, names, world = motion.skeleton, motion.skeleton.names, WORLD[up].double()
+    skeleton, names, world = motion.skeleton, motion.skeleton.names, judging.axes_to_matrix(AXES[up])
     rest = (motion.rot - torch.eye(3).double()).abs().amax((0, 2, 3)) < 1e-6
     ends = {
         j
@@ -111,11 +115,6 @@ def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | fl
     write_whole(path, "\n".join([*head, *(row % tuple(values) for values in table.tolist()), ""]))
 
 
-def _check_unit(unit: object) -> None:
-    if not (unit in UNITS or (isinstance(unit, int | float) and 0 < unit < np.inf)):
-        raise ValueError(f"unit: expected metres per unit or one of {', '.join(UNITS)}, got {unit!r}")
-
-
 @dataclass
 class _Joint:
     """One joint as the file gives it: file units and axes, channels in the file's order."""
@@ -130,14 +129,14 @@ class _Joint:
 
 def _assemble(at: Spot, joints: list[_Joint], values: np.ndarray, fps: float, translations: str) -> Motion:
     """The recording in the file's own units and axes."""
-    place, rot = _local(joints, values)
+    place, rot, relative = _local(joints, values)
+    if relative:
+        at.notes.append("position channels below the root count from the OFFSETs, which are kept")
     kept = [i for i, joint in enumerate(joints) if not joint.is_end or not _says_nothing(joint, joints[joint.parent])]
     row = {i: k for k, i in enumerate(kept)} | {-1: -1}
     parents = [row[joints[i].parent] for i in kept]
-    skeleton, root, rot, notes = _reroot(
-        at, [joints[i] for i in kept], parents, place[:, kept], rot[:, kept], translations
-    )
-    return Motion(skeleton, root, rot, fps, name=at.path.stem, notes=tuple(notes))
+    skeleton, root, rot = _reroot(at, [joints[i] for i in kept], parents, place[:, kept], rot[:, kept], translations)
+    return Motion(skeleton, root, rot, fps, name=at.path.stem, notes=tuple(at.notes))
 
 
 def _tip(offset: Sequence[float]) -> list[float]:
@@ -152,8 +151,8 @@ def _says_nothing(end: _Joint, joint: _Joint) -> bool:
     return made_up or not any(end.offset)
 
 
-def _local(joints: list[_Joint], values: np.ndarray) -> tuple[np.ndarray, Tensor]:
-    """Where each joint stands (T, J, 3) and how it is turned (T, J, 3, 3) against its parent."""
+def _local(joints: list[_Joint], values: np.ndarray) -> tuple[np.ndarray, Tensor, list[int]]:
+    """Where each joint stands (T, J, 3) and how it is turned (T, J, 3, 3) against its parent; see ``_relative``."""
     offset = np.array([joint.offset for joint in joints])
     place = np.broadcast_to(offset, (len(values), *offset.shape)).copy()
     rot = torch.eye(3, dtype=torch.float64).expand(len(values), len(joints), 3, 3).clone()
@@ -174,14 +173,27 @@ def _local(joints: list[_Joint], values: np.ndarray) -> tuple[np.ndarray, Tensor
         if order:
             angles = torch.from_numpy(np.deg2rad(values[:, np.array(columns)]))
             rot[:, list(which)] = rotation.euler_to_matrix(angles, order)
-    return place, rot
+    relative = _relative(joints, place.mean(0))
+    place[:, relative] += offset[relative]
+    return place, rot, relative
+
+
+def _relative(joints: list[_Joint], place: np.ndarray) -> list[int]:
+    """The joints whose position channels, at their mean places (J, 3), count from the OFFSET and not instead of it.
+
+    Either all below the root that have any, or none: those of bones that stand at zero, when the OFFSETs do not.
+    """
+    moving = [i for i, joint in enumerate(joints) if i and any(name.endswith("position") for name in joint.channels)]
+    length = {i: float(np.linalg.norm(joints[i].offset)) for i in moving}
+    bones = [i for i in moving if length[i] > 1e-3 * max(length.values())]
+    near = sum(np.linalg.norm(place[i]) < 0.2 * length[i] for i in bones)
+    return moving if len(bones) > 1 and near > 0.8 * len(bones) else []
 
 
 def _reroot(at: Spot, joints: list[_Joint], parents: list[int], place: np.ndarray, rot: Tensor, translations: str):
-    """Skeleton, root positions, rotations and notes, with the root at the joint that moves."""
-    notes = []
+    """Skeleton, root positions and rotations, with the root at the joint that moves."""
     offset = torch.tensor([joint.offset for joint in joints], dtype=torch.float64)
-    reach = _longest_chain(Skeleton(tuple(joint.name for joint in joints), tuple(parents), offset)) or 1e-12
+    reach = judging.longest_chain(Skeleton(tuple(joint.name for joint in joints), tuple(parents), offset)) or 1e-12
     offset = offset.numpy()
     strays = np.abs(place - offset).max((0, 2)) > SAME * reach
     top, chain, children = 0, [0], Counter(parents)
@@ -195,7 +207,7 @@ def _reroot(at: Spot, joints: list[_Joint], parents: list[int], place: np.ndarra
         first = rot[:, joint] @ first
     if above:
         names = ", ".join(joints[j].name for j in above)
-        notes.append(f"root is {joints[top].name}, whose position changes; it takes on the motion of {names} above")
+        at.notes.append(f"root is {joints[top].name}, whose position changes; it takes on the motion of {names} above")
     kept = [j for j in range(len(joints)) if j not in set(above)]
     mean = place.mean(0)
     for j in kept[1:]:
@@ -204,66 +216,30 @@ def _reroot(at: Spot, joints: list[_Joint], parents: list[int], place: np.ndarra
             what = f"{joints[j].name} moves {moves / reach:.1%} of the figure against its parent"
             if translations == "strict" and moves > RIGID * reach:
                 line = f"line {joints[j].line}"
-                raise at.error(f"{what}: bones of changing length", place=line, remedy='translations="mean"')
-            notes.append(f"{what}: its mean place is kept")
+                remedy = 'translations="mean", or --translations mean, keeps its mean place'
+                raise at.error(f"{what}: bones of changing length", place=line, remedy=remedy)
+            at.notes.append(f"{what}: its mean place is kept")
         elif strays[j]:
             off = np.abs(mean[j] - offset[j]).max() / reach
-            notes.append(f"{joints[j].name} is always {off:.1%} of the figure off its OFFSET: believed as it moves")
+            at.notes.append(f"{joints[j].name} is always {off:.1%} of the figure off its OFFSET: believed as it moves")
     rot = rot[:, kept].clone()
     rot[:, 0] = first
     offsets = torch.from_numpy(np.where(strays[:, None], mean, offset)[kept])
     offsets[0] = 0
     order = {j: i for i, j in enumerate(kept)}
     tree = tuple(order.get(parents[j], -1) for j in kept)
-    return Skeleton(tuple(joints[j].name for j in kept), tree, offsets), root, rot, notes
+    return Skeleton(tuple(joints[j].name for j in kept), tree, offsets), root, rot
 
 
-def _to_world(at: Spot, motion: Motion, unit: str | float | None, up: str | None) -> Motion:
-    """Metres and z up; says in the notes what was guessed, and on what grounds."""
-    notes = list(motion.notes)
-    size = _longest_chain(motion.skeleton) / CHAIN
-    if not size > 0:
-        raise at.error("every joint is at one point: there is no figure")
-    if up is None:
-        points = motion.cut(step=max(motion.frames // 20, 1)).positions
-        _, y, z = (points.amax(1) - points.amin(1)).mean(0).tolist()
-        up = "z" if z > 1.2 * y else "y"
-        sure = "" if max(y, z) > 1.2 * min(y, z) else ", too close to be sure: say it with up=, or --up"
-        notes.append(f"up axis {up} detected: the figure extends {y:.3g} units along y, {z:.3g} along z{sure}")
-    if unit is None:
-        fits = [name for name in ("m", "cm", "mm") if PLAUSIBLE[0] <= size * UNITS[name] <= PLAUSIBLE[1]]
-        unit = UNITS[fits[0]] if fits else ASSUMED / size
-        found = f"unit {fits[0]} detected" if fits else f"no unit fits, so it is made {ASSUMED:.2f} m tall"
-        more = "" if fits else "; give it with unit=, or --unit"
-        notes.append(f"{found}: the figure is about {size:.3g} units tall{more}")
-    scale = UNITS[unit] if isinstance(unit, str) else float(unit)
-    world = WORLD[up].to(motion.root)
-    rot = motion.rot.clone()
-    rot[:, 0] = world @ rot[:, 0]
-    skeleton = replace(motion.skeleton, offsets=motion.skeleton.offsets * scale)
-    moved = replace(motion, skeleton=skeleton, root=scale * motion.root @ world.T, rot=rot, notes=tuple(notes))
-    return moved.to(torch.float32)
-
-
-def _longest_chain(skeleton: Skeleton) -> float:
-    """Length of the longest chain of bones between any two joints."""
-    down, longest = [0.0] * len(skeleton), 0.0
-    for j in range(len(skeleton) - 1, 0, -1):
-        parent, reach = skeleton.parents[j], down[j] + float(skeleton.offsets[j].norm())
-        longest = max(longest, down[parent] + reach)
-        down[parent] = max(down[parent], reach)
-    return longest
-
-
-def _parse(at: Spot, text: str) -> tuple[list[_Joint], np.ndarray, float]:
-    """The joints in file order, one row of channel values a frame, and frames per second.
+def _parse(at: Spot, text: str, fps: float | None = None) -> tuple[list[_Joint], np.ndarray, float]:
+    """The joints in file order, one row of channel values a frame, and frames per second (or those given).
 
     Raises:
         DataError: naming the line.
     """
     lines = text.splitlines()
     joints, motion_line = _hierarchy(at, lines)
-    values, fps = _motion(at, lines, motion_line, sum(len(joint.channels) for joint in joints))
+    values, fps = _motion(at, lines, motion_line, sum(len(joint.channels) for joint in joints), fps)
     at.place = ""
     return joints, values, fps
 
@@ -338,7 +314,9 @@ def _channels(at: Spot, words: list[str], joint: _Joint) -> list[str]:
     return channels
 
 
-def _motion(at: Spot, lines: list[str], motion_line: int, width: int) -> tuple[np.ndarray, float]:
+def _motion(
+    at: Spot, lines: list[str], motion_line: int, width: int, fps: float | None
+) -> tuple[np.ndarray, float]:
     rows = [(n, line) for n, line in enumerate(lines[motion_line:], start=motion_line + 1) if line.strip()]
     header = []
     for (number, line), key in zip(rows[:2], ("frames", "frame time"), strict=False):
@@ -352,12 +330,14 @@ def _motion(at: Spot, lines: list[str], motion_line: int, width: int) -> tuple[n
     frames, frame_time = header
     if not 0 < frame_time < np.inf:
         raise at.error(f"the frame time must be above zero, got {frame_time}", remedy="write seconds per frame")
-    fps = frame_rate(at, _rate(frame_time, rows[1][1]))
+    fps = frame_rate(at, _rate(at, frame_time, rows[1][1]) if fps is None else fps)
     at.place = f"line {rows[0][0]}"
     if frames < 1 or not width:
         raise at.error("no frames" if width else "no channels", remedy="export at least one frame")
     rows = rows[2:]
-    if frames != len(rows):
+    if rows and abs(frames - len(rows)) == 1:  # some count from 0, and some the rest pose
+        at.notes.append(f"the file promises {frames:g} frames and has {len(rows)}: those that are there are read")
+    elif frames != len(rows):
         raise at.error(
             f"promises {frames:g} frames, the file has {len(rows)}",
             remedy="copy the file again if it is truncated, or correct the number",
@@ -372,8 +352,16 @@ def _motion(at: Spot, lines: list[str], motion_line: int, width: int) -> tuple[n
     return numbers(at, values.reshape(len(rows), width), "T C", place="motion block"), fps
 
 
-def _rate(frame_time: float, line: str) -> float:
+def _rate(at: Spot, frame_time: float, line: str) -> float:
     """Frames per second: the whole number that the printed digits can mean (0.033333 is 30), else 1 / time."""
+    if frame_time > 2:
+        fps, what = (frame_time, "a rate") if frame_time in _RATES else (1000 / frame_time, "milliseconds")
+        fps = round(fps) if abs(fps - round(fps)) < 0.01 else fps
+        at.notes.append(
+            f"a frame time of {frame_time:g} s is taken as {what}, {fps:g} frames per second: "
+            "give the right one with fps=, or --fps-in"
+        )
+        return fps
     digits = len(line.strip().partition(".")[2])
     whole = max(round(1 / frame_time), 1)
     return float(whole) if digits >= 4 and abs(frame_time - 1 / whole) <= 10.0**-digits else 1 / frame_time

@@ -19,7 +19,6 @@ Captury: joint positions in space (biomech.csv) and projected into each camera (
 from __future__ import annotations
 
 import math
-import re
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +28,8 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import ShapeError, check_shape
+from motionlab.io import judging
+from motionlab.io.judging import axes_to_matrix, unit_named
 from motionlab.io.reading import Spot, frame_rate, numbers, read_bytes, read_npz, read_text, reading
 from motionlab.observation import Camera, Observation2D
 
@@ -46,10 +47,11 @@ BONES = (
 )  # fmt: skip
 #: Columns that a group takes, by the end of its name.
 _WIDTHS = {"Position": 3, "Positions": 3, "CenterOfGravity": 3, "Angles": 4}
-_METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001}
-_C3D_BLOCK, _C3D_INTEL = 512, 84
-_C3D_UP = {"+Z": "xyz", "+Y": "x-zy"}
-_C3D_TYPES = {-1: np.dtype("S1"), 1: np.dtype("u1"), 2: np.dtype("<i2"), 4: np.dtype("<f4")}
+#: OpenSim's way up: x forward, y up, z right, stood up to face world +y; a C3D's: x stays.
+_TRC_AXES, _C3D_AXES = judging.AXES | {"y": "zxy"}, judging.AXES | {"y": "x-zy"}
+#: Processors: Intel and DEC write the low byte first, MIPS the high one; DEC's floats are VAX's.
+_C3D_BLOCK, _C3D_DEC, _C3D_ORDERS = 512, 85, {84: "<", 85: "<", 86: ">"}
+_C3D_TYPES = {-1: "S1", 1: "u1", 2: "i2", 4: "f4"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +60,8 @@ class Positions:
 
     names: the K points, as the file calls them. positions (T, K, 3): metres, world, z up. valid (T, K):
     False where the point was not measured; its position is then 0, never NaN. fps: frames per second.
-    name: where it came from. bones: pairs of point indices that keep their distance, for drawing.
+    name: where it came from. bones: pairs of point indices that keep their distance, for drawing. notes: what a
+    loader had to decide.
 
     Raises:
         ShapeError: the arrays do not fit the names or each other, or fps is not positive.
@@ -70,6 +73,7 @@ class Positions:
     fps: float
     name: str = ""
     bones: tuple[tuple[int, int], ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_shape(self.positions, f"T {len(self.names)} 3", "positions")
@@ -99,24 +103,6 @@ class Positions:
         return replace(
             self, names=tuple(names), positions=self.positions[:, pick], valid=self.valid[:, pick], bones=bones
         )
-
-
-def axes_to_matrix(axes: str) -> Tensor:
-    """Computes the rotation (3, 3) float64, world from file, from the file axes that become world x, y, z.
-
-    >>> axes_to_matrix("x-zy") @ torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)  # y up becomes z up
-    tensor([0., 0., 1.], dtype=torch.float64)
-
-    Raises:
-        ShapeError: not three different axes, or a left-handed choice, which would mirror the body.
-    """
-    words = re.fullmatch(r"([+-]?[xyz])([+-]?[xyz])([+-]?[xyz])", axes)
-    matrix = torch.zeros(3, 3, dtype=torch.float64)
-    for row, word in enumerate(words.groups() if words else ()):
-        matrix[row, "xyz".index(word[-1])] = -1.0 if word[0] == "-" else 1.0
-    if not torch.linalg.det(matrix) > 0:
-        raise ShapeError(f'axes: expected a right-handed choice such as "xyz" or "x-zy", got {axes!r}')
-    return matrix
 
 
 def load_anidance(path: str | Path) -> Positions:
@@ -219,111 +205,143 @@ def _cells(at: Spot, row: list[str], start: int, stop: int, line: int) -> list[f
     return [float(cell) for cell in row[start:stop]]
 
 
-def load_trc(path: str | Path, *, axes: str = "zxy") -> Positions:
+def load_trc(
+    path: str | Path,
+    *,
+    unit: str | float | None = None,
+    up: str | None = None,
+    axes: str | None = None,
+    fps: float | None = None,
+) -> Positions:
     """Reads the markers of a TRC file in metres, z up.
 
-    Units and rate come from the file. An empty cell or ``nan`` is a marker that was not measured.
+    An empty cell, ``nan``, a marker at exactly (0, 0, 0), and what a row that ends early lacks was not measured.
 
     Args:
-        axes: which file axis becomes world x, y and z. The default is OpenSim's convention (x forward, y up,
-            z right) stood up to face world +y, as every body here does; it is also what puts Pose2Sim's results
-            into the world of its calibration.
+        unit, fps: instead of what the file says.
+        up, axes: which file axis points up, or which become world x, y and z. The default is OpenSim's convention
+            (x forward, y up, z right: "zxy"), unless the heads of the markers are above their feet along another.
 
     Raises:
         DataError: header and table do not fit each other, a cell is not a number, the unit is not known.
     """
+    judging.check_given(unit, up, axes)
     with reading(path, "export the table again as a TRC file") as at:
         lines = read_text(at).splitlines()
         if len(lines) < 6 or not lines[0].startswith("PathFileType"):
             raise at.error("expected PathFileType, five header lines and at least one frame", place="line 1")
-        head = _trc_header(at, lines)
+        head = _trc_header(at, lines, unit, fps)
         at.place = "line 4"
         names = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
         if len(names) != head["NumMarkers"]:
             raise at.error(f"NumMarkers promises {head['NumMarkers']} markers, got {len(names)} names")
         if len(set(names)) < len(names):
             raise at.error("two markers have the same name", remedy="rename one of them")
-        rows = [
-            _trc_row(at, number, line, len(names))
-            for number, line in enumerate(lines[5:], start=6)
-            if line.strip()
-        ]  # fmt: skip
+        rows = [_trc_row(at, number, line, len(names)) for number, line in enumerate(lines[5:], 6) if line.strip()]
+        if not rows:
+            raise at.error("no frames", place="line 6")
         if len(rows) != head["NumFrames"]:
-            raise at.error(f"NumFrames promises {head['NumFrames']} frames, got {len(rows)}", place="line 3")
-        points = torch.tensor(rows, dtype=torch.float64).reshape(len(rows), len(names), 3)
-        valid = points.isfinite().all(-1)
-        metres = torch.where(valid[..., None], points, 0.0) * _METRES[head["Units"]]
-        world = (metres @ axes_to_matrix(axes).T).float()
-        return Positions(names, world, valid, head["DataRate"], at.path.stem)
+            at.notes.append(f"NumFrames promises {head['NumFrames']} frames: the {len(rows)} that are there are read")
+        points = np.array(rows).reshape(len(rows), len(names), 3)
+        figure = _measured(at, names, points, np.isfinite(points).all(-1), head["DataRate"])
+        how = {"says_unit": head["Units"], "says_up": "y", "trust": 0.5, "table": _TRC_AXES}
+        return judging.to_world(at, figure, unit=unit, up=up, axes=axes, **how)
 
 
-def _trc_header(at: Spot, lines: list[str]) -> dict:
+def _measured(at: Spot, names: tuple[str, ...], points: np.ndarray, valid: np.ndarray, fps: float) -> Positions:
+    """Points (T, K, 3) of a file's own unit and axes; those at exactly zero are not measured either, and noted."""
+    zero = valid & (points == 0).all(-1)
+    if zero.any():
+        share = f"{zero.sum()} of {zero.size}"
+        at.notes.append(f"{share} points are at exactly (0, 0, 0): taken as not measured")
+    valid = torch.from_numpy(valid & ~zero)
+    points = torch.where(valid[..., None], torch.from_numpy(points), 0.0)
+    return Positions(names, points, valid, fps, at.path.stem, notes=tuple(at.notes))
+
+
+def _trc_header(at: Spot, lines: list[str], unit: object, fps: float | None) -> dict:
     at.place = "line 3"
-    head = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     for key in ("DataRate", "NumFrames", "NumMarkers", "Units"):
-        if key not in head:
+        if key not in head and (unit is None or key != "Units"):
             raise at.error(f"{key} is missing", place="line 2")
-    unit = head["Units"].strip().lower()
-    if unit not in _METRES:
-        raise at.error(f"unit {unit!r} is not known", remedy=f"use one of {', '.join(_METRES)}")
-    counts = {key: int(head[key]) for key in ("NumFrames", "NumMarkers")}
+    metres = unit_named(head.get("Units", ""))
+    if metres is None and unit is None:
+        remedy = f"use one of {', '.join(judging.UNITS)}, or say it with unit=, or --unit"
+        raise at.error(f"unit {head['Units']!r} is not known", remedy=remedy)
+    counts = {key: int(float(head[key])) for key in ("NumFrames", "NumMarkers")}
     if min(counts.values()) < 1:
         raise at.error(f"expected at least one frame and one marker, got {counts}")
-    return {**counts, "DataRate": frame_rate(at, float(head["DataRate"]), "line 3, DataRate"), "Units": unit}
+    rate = float(head["DataRate"]) if fps is None else fps
+    return {**counts, "DataRate": frame_rate(at, rate, "line 3, DataRate"), "Units": metres}
 
 
 def _trc_row(at: Spot, number: int, line: str, markers: int) -> list[float]:
     at.place = f"line {number}"
     cells = line.rstrip("\r\n").split("\t")[2:]
-    surplus = cells[3 * markers :]
-    if any(cell.strip() for cell in surplus) or len(cells) < 3 * markers - 1:
+    if any(cell.strip() for cell in cells[3 * markers :]):
         raise at.error(f"expected {3 * markers} coordinates of {markers} markers, got {len(cells)}")
     values = [float(cell) if cell.strip() else math.nan for cell in cells[: 3 * markers]]
     if any(abs(value) > 1e9 for value in values):
         raise at.error("a coordinate is not a usable number")
-    return values + [math.nan] * (3 * markers - len(values))
+    missing = 3 * markers - len(values)
+    if missing > 1:  # one empty cell at the end often lacks its tab
+        at.notes.append(f"line {number} ends {missing} cells early: not measured")
+    return values + [math.nan] * missing
 
 
-def load_c3d(path: str | Path, *, axes: str | None = None, unit: str | None = None) -> Positions:
+def load_c3d(
+    path: str | Path,
+    *,
+    unit: str | float | None = None,
+    up: str | None = None,
+    axes: str | None = None,
+    fps: float | None = None,
+) -> Positions:
     """Reads labelled points of a C3D file in metres, z up; analogue channels are skipped.
 
     Read with NumPy alone: the C++ readers crash or hang on damaged files, and no exception can stop that.
 
-    A point with a negative residual, or whose coordinates are not finite, was not measured.
+    A point with a negative residual, at exactly (0, 0, 0) or whose coordinates are not finite was not measured.
 
     Args:
-        axes: which file axis becomes world x, y and z, such as ``"xyz"`` or ``"x-zy"``; None reads it from the
-            file's ``POINT:Y_SCREEN`` (the axis that points up on a screen).
-        unit: ``"m"``, ``"cm"`` or ``"mm"``; None reads ``POINT:UNITS``.
+        unit, up, axes, fps: what the file's ``POINT:UNITS``, ``Y_SCREEN`` (the axis that points up on a screen) and
+            ``RATE`` say, else what heads above feet, and their distance, tell. ``axes`` names the file's axes that
+            become world x, y and z, such as ``"xyz"`` or ``"x-zy"``.
 
     Raises:
-        DataError: not a C3D file, damaged, a processor type other than Intel, or a unit or an up axis that
-            neither the file nor the caller states.
+        DataError: not a C3D file, damaged, an unknown processor, or a unit or an up axis that neither file nor caller
+            states, and the points do not tell.
 
     Source: The C3D file format user guide (C3D.org), sections on header, parameters and 3-D data.
     """
+    judging.check_given(unit, up, axes)
     with reading(path, "export the C3D file again") as at:
         data = read_bytes(at)
         if len(data) < 2 * _C3D_BLOCK or data[1] != 0x50:
             raise at.error("not a C3D file: no key 0x50 in a header of 512 bytes", place="byte 1")
-        header = np.frombuffer(data, "<u2", _C3D_BLOCK // 2)
-        parameters = _c3d_parameters(at, data, _C3D_BLOCK * (data[0] - 1))
+        start = _C3D_BLOCK * (data[0] - 1)
+        at.place = "parameter section"
+        if not _C3D_BLOCK <= start <= len(data) - 4:
+            raise at.error(f"lies at byte {start} of {len(data)}")
+        if (kind := data[start + 3]) not in _C3D_ORDERS:
+            raise at.error(f"processor type {kind} is not read", remedy="convert the file to Intel (84)")
+        header = np.frombuffer(data, f"{_C3D_ORDERS[kind]}u2", _C3D_BLOCK // 2)
+        parameters = _c3d_parameters(at, data, start, kind)
         at.place = "POINT"
-        points = {k.removeprefix("POINT:"): v for k, v in parameters.items() if k.startswith("POINT:")}
+        points = {k.removeprefix("POINT:"): v for k, v in parameters.items() if k.startswith("POINT:") and v.size}
         count, names = int(header[1]), _c3d_names(points)
         if not count or len(names) < count or len(set(names[:count])) < count:
             raise at.error(f"expected {count} different labels, got {len(names)}", place="POINT:LABELS")
-        unit = unit or str(points.get("UNITS", [""])[0]).strip().lower()
-        if unit not in _METRES:
-            raise at.error(f"unit {unit!r} is not known", place="POINT:UNITS", remedy='pass unit="mm" or another')
-        axes = axes or _C3D_UP.get(str(points.get("Y_SCREEN", [""])[0]).strip().upper())
-        if axes is None:
-            raise at.error("the file does not say what is up", place="POINT:Y_SCREEN", remedy='pass axes="xyz"')
-        rate = points.get("RATE", [np.frombuffer(data, "<f4", 1, 20)[0]])[0]
-        fps = frame_rate(at, rate, "POINT:RATE")
-        xyz, measured = _c3d_table(at, data, header, parameters, count)
-        world = (torch.from_numpy(xyz) * _METRES[unit] @ axes_to_matrix(axes).T).float()
-        return Positions(names[:count], world, torch.from_numpy(measured), fps, at.path.stem)
+        rate = fps if fps is not None else points.get("RATE", _c3d_numbers(data, 4, 1, 20, kind))[0]
+        rate = frame_rate(at, rate, "POINT:RATE")
+        xyz, measured = _c3d_table(at, data, header, parameters, count, kind)
+        figure = _measured(at, names[:count], xyz, measured, rate)
+        screen = str(points.get("Y_SCREEN", [""])[0]).strip().lower().removeprefix("+")
+        at.place = "POINT:UNITS"
+        how = {"says_unit": unit_named(points.get("UNITS", [""])[0]), "table": _C3D_AXES}
+        how |= {"says_up": screen, "trust": 9.0} if screen in judging.AXES else {}
+        return judging.to_world(at, figure, unit=unit, up=up, axes=axes, **how)
 
 
 def _c3d_names(points: dict) -> tuple[str, ...]:
@@ -331,12 +349,15 @@ def _c3d_names(points: dict) -> tuple[str, ...]:
     return tuple(str(name) for key in keys for name in points.get(key, []))
 
 
-def _c3d_parameters(at: Spot, data: bytes, start: int) -> dict[str, np.ndarray]:
-    at.place = "parameter section"
-    if not _C3D_BLOCK <= start <= len(data) - 4:
-        raise at.error(f"lies at byte {start} of {len(data)}")
-    if data[start + 3] != _C3D_INTEL:
-        raise at.error(f"processor type {data[start + 3]} is not read", remedy="convert the file to Intel (84)")
+def _c3d_numbers(data: bytes, kind: int, count: int, start: int, processor: int) -> np.ndarray:
+    """Numbers of a type of ``_C3D_TYPES``, as a processor writes them."""
+    if kind == 4 and processor == _C3D_DEC:  # words swapped, the exponent one bias of 2 higher
+        words = np.frombuffer(data, "<u2", 2 * count, start).reshape(-1, 2)[:, ::-1]
+        return np.ascontiguousarray(words).view("<f4")[:, 0] / 4
+    return np.frombuffer(data, np.dtype(_C3D_TYPES[kind]).newbyteorder(_C3D_ORDERS[processor]), count, start)
+
+
+def _c3d_parameters(at: Spot, data: bytes, start: int, processor: int) -> dict[str, np.ndarray]:
     groups, found = {}, {}
     cursor, end = start + 4, min(start + _C3D_BLOCK * data[start + 2], len(data))
     while cursor + 4 <= end:
@@ -345,23 +366,23 @@ def _c3d_parameters(at: Spot, data: bytes, start: int) -> dict[str, np.ndarray]:
             break
         name = data[cursor + 2 : cursor + 2 + abs(length)].decode("latin-1").upper()
         body = cursor + 2 + abs(length)
-        (step,) = struct.unpack_from("<h", data, body)
+        (step,) = struct.unpack_from(f"{_C3D_ORDERS[processor]}h", data, body)
         if number < 0:
             groups[-number] = name
         else:
-            found[number, name] = _c3d_value(at, data, body + 2, f"parameter {name}")
+            found[number, name] = _c3d_value(at, data, body + 2, f"parameter {name}", processor)
         if step <= 0:
             break
         cursor = body + step
     return {f"{groups.get(number, number)}:{name}": value for (number, name), value in found.items()}
 
 
-def _c3d_value(at: Spot, data: bytes, start: int, place: str) -> np.ndarray:
+def _c3d_value(at: Spot, data: bytes, start: int, place: str, processor: int) -> np.ndarray:
     kind, axes = struct.unpack_from("<bB", data, start)
     if kind not in _C3D_TYPES or axes > 7:
         raise at.error(f"type {kind} with {axes} axes is not known", place=place)
     shape = tuple(data[start + 2 : start + 2 + axes])
-    values = np.frombuffer(data, _C3D_TYPES[kind], math.prod(shape), start + 2 + axes)
+    values = _c3d_numbers(data, kind, math.prod(shape), start + 2 + axes, processor)
     if kind != -1:
         return values
     letters, *rows = shape or (1,)  # the first axis runs along the word
@@ -371,31 +392,38 @@ def _c3d_value(at: Spot, data: bytes, start: int, place: str) -> np.ndarray:
 
 
 def _c3d_table(
-    at: Spot, data: bytes, header: np.ndarray, parameters: dict, count: int
+    at: Spot, data: bytes, header: np.ndarray, parameters: dict, count: int, processor: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (T, K, 3) in the file's unit, 0 where not measured, and the mask (T, K)."""
     at.place = "3-D data"
-    (scale,) = struct.unpack_from("<f", data, 12)
-    kind = np.dtype("<f4") if scale < 0 else np.dtype("<i2")
+    scale = float(_c3d_numbers(data, 4, 1, 12, processor)[0])
+    kind, size = (4, 4) if scale < 0 else (2, 2)
     if not math.isfinite(scale) or scale == 0:
         raise at.error(f"scale {scale} is not usable")
-    frames = _c3d_frame_count(header, parameters)
     width, start = 4 * count + int(header[2]), _C3D_BLOCK * (int(header[8]) - 1)
-    held = max(len(data) - start, 0) // (width * kind.itemsize)
+    held = max(len(data) - start, 0) // (width * size)
+    frames = _c3d_frame_count(at, header, parameters, held, processor)
     if start < _C3D_BLOCK or not 0 < frames <= held:
         raise at.error(f"expected {frames} frames of {width} numbers from byte {start}, the file holds {held}")
-    table = np.frombuffer(data, kind, frames * width, start).reshape(frames, width)[:, : 4 * count]
+    table = _c3d_numbers(data, kind, frames * width, start, processor).reshape(frames, width)[:, : 4 * count]
     table = table.reshape(frames, count, 4).astype(np.float64)
     measured = (table[..., 3] >= 0) & np.isfinite(table[..., :3]).all(-1)
     xyz = np.where(measured[..., None], table[..., :3], 0.0) * (1.0 if scale < 0 else scale)
     return numbers(at, xyz, f"T {count} 3"), measured
 
 
-def _c3d_frame_count(header: np.ndarray, parameters: dict) -> int:
-    """From the header's 16-bit frame numbers, or the 32-bit ones of long recordings."""
+def _c3d_frame_count(at: Spot, header: np.ndarray, parameters: dict, held: int, processor: int) -> int:
+    """From the 32-bit frame numbers of long recordings, else the header's 16 bits, which end at 65535 or start again;
+    then as many as the file has room for."""
     ends = [parameters.get(f"TRIAL:ACTUAL_{end}_FIELD") for end in ("START", "END")]
     if all(end is not None and end.size == 2 for end in ends):
-        first, last = (int(end.astype("<i2").view("<u2").astype(np.int64) @ [1, 65536]) for end in ends)
-    else:
-        first, last = int(header[3]), int(header[4])
-    return last - first + 1
+        first, last = (int(end.astype(np.int64) % 65536 @ [1, 65536]) for end in ends)
+        return last - first + 1
+    long = parameters.get("POINT:LONG_FRAMES")
+    if long is not None and long.size and long[0] >= 1:
+        return int(long[0])
+    count = int(header[4]) - int(header[3]) + 1
+    more = held if int(header[4]) == 65535 else count + max(held - count, 0) // 65536 * 65536
+    if more > count:
+        at.notes.append(f"the header counts no further than 65535 frames: {more} are in the file")
+    return max(more, count)

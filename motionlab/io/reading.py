@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,17 +20,22 @@ import numpy as np
 from motionlab.errors import DataError, MissingData, ShapeError
 from motionlab.motion import Motion
 
+#: Kana, or two signs of Chinese in a row; an accent of Latin-1 before a letter looks like one.
+_JAPANESE = re.compile("[\u3041-\u30fe]|[\u4e00-\u9fff]{2}")
 #: Files, archive members and promised arrays beyond this many bytes are refused before memory is asked for.
 LARGEST = 2**31
 
 
 @dataclass
 class Spot:
-    """Where a loader is: the file, the place in it (a line, a key, a frame), and the usual remedy."""
+    """Where a loader is: the file, the place in it (a line, a key, a frame), and the usual remedy; what it had to decide
+    so far; and how the text of the file is written."""
 
     path: Path
     place: str = ""
     remedy: str = ""
+    notes: list[str] = field(default_factory=list)
+    encoding: str = "utf-8"
 
     def error(self, message: str, *, place: str | None = None, remedy: str | None = None) -> DataError:
         """Returns the error to raise here."""
@@ -78,13 +84,20 @@ def read_bytes(at: Spot) -> bytes:
 
 
 def read_text(at: Spot) -> str:
-    """Reads the whole file as UTF-8 text (a byte-order mark is dropped).
+    """Reads the whole file as text: UTF-8 (a byte-order mark is dropped), else Shift-JIS if that makes words of
+    Japanese, else Latin-1; noted.
 
     Raises:
         DataError: see ``read_bytes``; or it holds zero bytes.
-        UnicodeDecodeError: it is not UTF-8; inside ``reading`` that becomes a DataError.
     """
-    text = read_bytes(at).decode("utf-8-sig")
+    data = read_bytes(at)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("cp932", errors="ignore")
+        at.encoding = "cp932" if data == text.encode("cp932", "ignore") and _JAPANESE.search(text) else "latin-1"
+        text = data.decode(at.encoding)
+        at.notes.append(f"the text is no UTF-8: read as {'Shift-JIS' if at.encoding == 'cp932' else 'Latin-1'}")
     if "\0" in text:
         raise at.error("holds zero bytes: this is not a text file")
     return text

@@ -71,10 +71,10 @@ def _base(loaded: Motion, made: Motion, turn: Tensor, place: Tensor, scale: floa
 
 
 # -------------------------------------------------------------------------------------------------------- BVH
-def _bvh(at: Spot, loaded: Motion, made: Motion) -> str:
+def _bvh(at: Spot, loaded: Motion, made: Motion) -> bytes:
     text = read_text(at)
-    joints, values, _ = bvh._parse(at, text)
-    place, turns = bvh._local(joints, values)
+    joints, values, _ = bvh._parse(at, text)  # what it notes was said when the file was loaded
+    place, turns, relative = bvh._local(joints, values)
     names = [joint.name for joint in joints]
     index = [names.index(name) for name in loaded.skeleton.names]
     lengths = loaded.skeleton.offsets[1:].norm(dim=-1).double().sum()
@@ -105,6 +105,8 @@ def _bvh(at: Spot, loaded: Motion, made: Motion) -> str:
     moving = {name[0]: c for c, name in enumerate(joints[top].channels) if name.endswith("position")}
     if new_root[: loaded.frames].any() and len(moving) < 3:
         raise at.error(f"{names[top]} has no position channels", place=names[top])
+    if top in relative:
+        root = root - torch.tensor(joints[top].offset).double()
     for axis, c in moving.items():
         table[new_root.numpy(), starts[top] + c] = root[new_root, "xyz".index(axis)].numpy()
         mine[new_root.numpy(), starts[top] + c] = True
@@ -112,7 +114,7 @@ def _bvh(at: Spot, loaded: Motion, made: Motion) -> str:
         where = np.array(list(turned))
         proper = np.array([order[0] == order[2] for order in turned.values()])
         table[:, where] = _carried_on(table[:, where], mine[:, where[:, 0]], proper, values[0, where])
-    return _bvh_text(text, table, mine, loaded.frames)
+    return _bvh_text(text, table, mine, loaded.frames).encode(at.encoding)
 
 
 def _carried_on(angles: np.ndarray, mine: np.ndarray, proper: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -143,7 +145,7 @@ def _carried_on(angles: np.ndarray, mine: np.ndarray, proper: np.ndarray, first:
 def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, frames: int) -> str:
     """The file's text with new numbers where ``mine``, and its own line ends; lines without one as they are."""
     lines = text.splitlines(keepends=True)
-    start = next(n for n, line in enumerate(lines) if line.split()[:1] == ["MOTION"])
+    start = next(n for n, line in enumerate(lines) if line.split()[:1] and line.split()[0].upper() == "MOTION")
     rows = [n for n in range(start + 1, len(lines)) if lines[n].strip()]
     heading, rows = rows[:2], rows[2:]
     end = _line_end(lines[start])
@@ -155,8 +157,9 @@ def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, frames: int) -> st
     ]
     for n, line, its in zip(rows, found, mine, strict=False):
         lines[n] = line + _line_end(lines[n]) if its.any() else lines[n]
-    if len(table) > frames:
+    if float(lines[heading[0]].partition(":")[2]) != len(table):
         lines[heading[0]] = f"Frames: {len(table)}{end}"
+    if len(table) > frames:
         lines[rows[-1]] = lines[rows[-1]].removesuffix(_line_end(lines[rows[-1]])) + end
         lines[rows[-1] + 1 : rows[-1] + 1] = [line + end for line in found[frames:]]
     return "".join(lines)
@@ -239,7 +242,7 @@ def _put(data: bytearray, start: int, content: dict, output: int, rows: np.ndarr
 
 
 WRITERS: dict[str, Callable[[Path, Motion], None]] = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save}
-REWRITERS: dict[str, Callable[[Spot, Motion, Motion], str | bytes]] = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
+REWRITERS: dict[str, Callable[[Spot, Motion, Motion], bytes]] = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
 
 
 def _rewritable(source: str | Path) -> bool:

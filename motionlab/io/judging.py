@@ -1,0 +1,259 @@
+"""One judge of size and axes for every format: what is given is taken, what a file says is believed unless its figure
+speaks against it, what it does not say is worked out from the figure; what was not given is said in notes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+
+from motionlab.errors import ShapeError
+from motionlab.io.reading import Spot
+from motionlab.motion import Motion
+from motionlab.skeleton import Skeleton
+
+#: Metres per unit of length.
+UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+_WORDS = {"meter": "m", "metre": "m", "decimeter": "dm", "decimetre": "dm", "centimeter": "cm", "centimetre": "cm",
+          "millimeter": "mm", "millimetre": "mm", "in": "inch", "inche": "inch"}  # fmt: skip
+#: Units that are tried for a figure, and its height in metres: a person's, else any figure's, else it is made so tall.
+_TRIED, _PERSON, _FIGURE, ASSUMED = ("m", "cm", "mm", "inch"), (1.2, 2.2), (0.5, 2.5), 1.70
+#: A person's longest chain of bones, foot to hand, over the height: the size of a figure in any pose; and thigh and
+#: shin over the height. Where the two sizes differ by more than ``_PROP``, the chain holds more than a body.
+CHAIN, _LEG, _PROP = 1.4, 0.47, 0.35
+#: The file's axes that become the world's x, y, z, by the one that points up. Who faces +z in a y-up file faces +y.
+AXES = {"y": "-xzy", "z": "xyz", "x": "yzx", "-y": "xz-y", "-z": "x-y-z", "-x": "zy-x"}
+#: How the letters of an up axis weigh: head above the feet (the share of frames), the lowest point near zero, what the
+#: format or the zero pose says, and that hardly any file is upside down; below a lead of ``_SURE`` it is doubted.
+_FLOOR, _RARE, _SURE = 0.5, 0.3, 0.3
+_HEAD, _NECK = re.compile(r"head|[lr][fb]hd|頭|^face$"), re.compile(r"neck|nose|c7|clavicle|首")
+_FEET = re.compile(r"foot|feet|ankle|toe|heel|足首|[lr](ank|hee)|malleol|calc(?!.*tub)")
+
+Figure = TypeVar("Figure")  # a Motion, or points.Positions
+
+
+def axes_to_matrix(axes: str) -> Tensor:
+    """Computes the rotation (3, 3) float64, world from file, from the file axes that become world x, y, z.
+
+    >>> axes_to_matrix("x-zy") @ torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)  # y up becomes z up
+    tensor([0., 0., 1.], dtype=torch.float64)
+
+    Raises:
+        ShapeError: not three different axes, or a left-handed choice, which would mirror the body.
+    """
+    words = re.fullmatch(r"([+-]?[xyz])([+-]?[xyz])([+-]?[xyz])", axes)
+    matrix = torch.zeros(3, 3, dtype=torch.float64)
+    for row, word in enumerate(words.groups() if words else ()):
+        matrix[row, "xyz".index(word[-1])] = -1.0 if word[0] == "-" else 1.0
+    if not torch.linalg.det(matrix) > 0:
+        raise ShapeError(f'axes: expected a right-handed choice such as "xyz" or "x-zy", got {axes!r}')
+    return matrix
+
+
+def unit_named(word: object) -> float | None:
+    """Returns the metres of a unit as files and people write it ("mm", "Meters", "in"); None for another word."""
+    word = str(word).strip().strip(".").lower()
+    return UNITS.get(_WORDS.get(word.removesuffix("s"), word))
+
+
+def check_given(unit: str | float | None, up: str | None, axes: str | None) -> None:
+    """Checks what a caller says of a file.
+
+    Raises:
+        ValueError: not a unit, or not an axis, or both ``up`` and ``axes``. ShapeError: not axes.
+    """
+    if not (unit is None or unit in UNITS or (isinstance(unit, int | float) and 0 < unit < float("inf"))):
+        raise ValueError(f"unit: expected metres per unit or one of {', '.join(UNITS)}, got {unit!r}")
+    if up not in (None, *AXES) or None not in (up, axes):
+        raise ValueError(f"expected up of {', '.join(AXES)} or axes, not both; got up {up!r} and axes {axes!r}")
+    if axes is not None:
+        axes_to_matrix(axes)
+
+
+def to_world(
+    at: Spot,
+    figure: Figure,
+    *,
+    unit: str | float | None = None,
+    up: str | None = None,
+    axes: str | None = None,
+    says_unit: float | None = None,
+    says_up: str | None = None,
+    trust: float = 1.0,
+    table: dict[str, str] = AXES,
+) -> Figure:
+    """Turns a motion or positions of a file's own unit and axes into metres, z up, float32; notes what was guessed.
+
+    Args:
+        unit, up, axes: what the caller gives, which is taken as it is; checked before, by :func:`check_given`.
+        says_unit, says_up: what the file or its format says: metres, and a letter of ``AXES``. Of a motion without,
+            the zero pose is asked. trust: how much the letter weighs against a head above the feet in all frames (1).
+        table: the axes by the one that points up, as ``AXES``.
+
+    Raises:
+        DataError: neither the file nor its figure tells the unit, or what is up.
+    """
+    names, skeleton = _names(figure), getattr(figure, "skeleton", None)
+    head, feet = _found(_HEAD, names) or _found(_NECK, names), _feet(names, skeleton)
+    points = _sampled(figure)
+    notes = [*figure.notes]
+    if axes is None and up is None:
+        zero = None if says_up else _rest_up(skeleton, head, feet)
+        up, said, sure = _up(points, head, feet, says_up or zero, trust)
+        if up is None or (skeleton is None and says_up is None and not sure):
+            remedy = f"say it with up=, or --up: one of {', '.join(AXES)}"
+            raise at.error("neither the file nor its points say what is up", place="axes", remedy=remedy)
+        said = f"the zero pose stands along it, {said}" if zero and up == zero else said
+        said += "" if sure else ", too close to be sure: say it with up=, or --up"
+        notes += [f"up axis {up} detected: {said}"] if up != says_up or not sure else []
+    if unit is None:
+        size = _size(points, head, feet, skeleton)
+        if skeleton is not None and not size > 0:
+            raise at.error("every joint is at one point: there is no figure")
+        unit, said = _unit(size, says_unit, skeleton is not None)
+        if unit is None:
+            remedy = f"say it with unit=, or --unit: one of {', '.join(UNITS)}"
+            raise at.error("neither the file nor its points say the unit", place="unit", remedy=remedy)
+        notes += [said] if said else []
+    scale = UNITS[unit] if isinstance(unit, str) else float(unit)
+    return _turned(replace(figure, notes=tuple(notes)), scale, axes or table[up])
+
+
+def _turned(figure: Figure, scale: float, axes: str) -> Figure:
+    world = axes_to_matrix(axes)
+    if not isinstance(figure, Motion):
+        return replace(figure, positions=(scale * figure.positions @ world.T).float())
+    if axes == "xyz" and scale == 1:
+        return figure.to(torch.float32)
+    rot = figure.rot.clone()
+    rot[:, 0] = world.to(rot) @ rot[:, 0]
+    skeleton = replace(figure.skeleton, offsets=figure.skeleton.offsets * scale)
+    root = scale * figure.root @ world.to(figure.root).T
+    return replace(figure, skeleton=skeleton, root=root, rot=rot).to(torch.float32)
+
+
+def _names(figure: Figure) -> list[str]:
+    names = figure.skeleton.names if isinstance(figure, Motion) else figure.names
+    return [name.lower().rpartition(":")[2] for name in names]
+
+
+def _sampled(figure: Figure) -> Tensor:
+    """Some 20 frames of points (S, J, 3), float64; NaN where not measured."""
+    step = max(figure.frames // 20, 1)
+    if isinstance(figure, Motion):
+        return figure.cut(step=step).to(torch.float64).positions
+    return torch.where(figure.valid[::step, :, None], figure.positions[::step].double(), torch.nan)
+
+
+def _found(words: re.Pattern, names: list[str]) -> list[int]:
+    return [i for i, name in enumerate(names) if words.search(name)]
+
+
+def _feet(names: list[str], skeleton: Skeleton | None) -> list[int]:
+    """The points of the feet; of a skeleton the ankles alone: who has no foot above."""
+    feet = _found(_FEET, names)
+    return feet if skeleton is None else [j for j in feet if skeleton.parents[j] not in feet]
+
+
+def _legs(skeleton: Skeleton, feet: list[int]) -> list[list[int]]:
+    """From each ankle up to the hip, where a leg of its own ends: thigh, shin and what lies between."""
+    ways = []
+    for joint in feet:
+        way = [joint]
+        while skeleton.parents[way[-1]] >= 0:
+            way.append(skeleton.parents[way[-1]])
+        ways.append(way)
+    shared = set(ways[0]).intersection(*ways[1:]) if len(ways) > 1 else set()
+    return [[joint for joint in way if joint not in shared] for way in ways] if shared else []
+
+
+def _rest_up(skeleton: Skeleton | None, head: list[int], feet: list[int]) -> str | None:
+    """What is up in the zero pose, if that is a standing figure: its legs down and its head above them."""
+    if skeleton is None or not head or not feet:
+        return None
+    rest = skeleton.rest_positions().double()
+    ways = [rest[head].mean(0) - rest[feet].mean(0)]
+    ways += [rest[leg[-1]] - rest[leg[0]] for leg in _legs(skeleton, feet) if len(leg) > 1]
+    return next((axis for axis in AXES if all(_along(axis, way) > 0.8 * way.norm() for way in ways)), None)
+
+
+def _along(axis: str, way: Tensor) -> Tensor:
+    part = way[..., "xyz".index(axis[-1])]
+    return -part if axis[0] == "-" else part
+
+
+def _up(
+    points: Tensor, head: list[int], feet: list[int], says: str | None, trust: float
+) -> tuple[str | None, str, bool]:
+    """The up axis of points (S, J, 3), on what grounds, and whether that is sure; None where they do not tell."""
+    low, high = points.nan_to_num(nan=torch.inf).amin(1), points.nan_to_num(nan=-torch.inf).amax(1)
+    seen = (low <= high).all(-1)
+    ways = points[:, head].nanmean(1) - points[:, feet].nanmean(1)
+    ways = ways[ways.isfinite().all(-1)]
+    if not len(ways) or not ways.norm(dim=-1).max() > 0:
+        if not seen.any() or says:
+            return says, "", True
+        x, y, z = (high - low)[seen].mean(0).tolist()
+        far = f"the figure extends {y:.3g} units along y, {z:.3g} along z"
+        return ("z" if z > 1.2 * y else "y"), far, max(y, z) > 1.2 * min(y, z)
+    length = ways.norm(dim=-1).quantile(0.9)
+    shares = {axis: float((_along(axis, ways) > 0.6 * length).double().mean()) for axis in AXES}
+    score = {}
+    for axis, share in shares.items():
+        floor = torch.minimum(_along(axis, low[seen]), _along(axis, high[seen])).quantile(0.1)
+        score[axis] = share + _FLOOR * bool(abs(floor) < 0.08 * length) - _RARE * (axis not in ("y", "z"))
+        score[axis] += trust * (axis == says)
+    first, second = sorted(score, key=lambda axis: (-score[axis], axis != says))[:2]
+    sure = score[first] - score[second] > _SURE and shares[first] > 0
+    return first, f"the head is above the feet along it in {shares[first]:.0%} of the frames", sure
+
+
+def _size(points: Tensor, head: list[int], feet: list[int], skeleton: Skeleton | None) -> float:
+    """About how tall a figure is, in its unit: by its bones, which no pose changes, or from markers of feet to head."""
+    if skeleton is None:
+        ways = (points[:, head].nanmean(1) - points[:, feet].nanmean(1)).norm(dim=-1)
+        ways = ways[ways.isfinite()]
+        return 1.1 * float(ways.quantile(0.9)) if len(ways) else 0.0
+    size = longest_chain(skeleton) / CHAIN
+    bones = [skeleton.offsets[leg[:-1]].norm(dim=-1) for leg in _legs(skeleton, feet) if len(leg) > 1]
+    legs = [float(bone[bone > 0.35 * bone.max()].sum()) / _LEG for bone in bones]
+    by_legs = sum(legs) / len(legs) if legs else 0.0
+    return by_legs if by_legs > 0 and not 1 - _PROP < size / by_legs < 1 + _PROP else size
+
+
+def _unit(size: float, says: float | None, is_figure: bool) -> tuple[str | float | None, str]:
+    """The unit of a figure so tall, and what is to be said of it; None where it is not known."""
+
+    def fits(tried: tuple[str, ...], heights: tuple[float, float]) -> list[str]:
+        return [name for name in tried if heights[0] <= size * UNITS[name] <= heights[1]]
+
+    found = fits(_TRIED, _PERSON) or fits(_TRIED[:3], _FIGURE)
+    if says is not None and (not found or _FIGURE[0] / 2 < size * says < 2 * _FIGURE[1]):
+        return says, ""
+    tall = f"the figure is about {size:.3g} units tall"
+    if found:
+        wrong = "" if says is None else f", not {says:g} m as the file says; say it with unit=, or --unit"
+        return found[0], f"unit {found[0]} detected{wrong}: {tall}"
+    if not is_figure:
+        return None, ""
+    return ASSUMED / size, f"no unit fits, so it is made {ASSUMED:.2f} m tall: {tall}; give it with unit=, or --unit"
+
+
+def longest_chain(skeleton: Skeleton) -> float:
+    """Computes the length of the longest chain of bones between any two joints."""
+    down, longest = [0.0] * len(skeleton), 0.0
+    for j in range(len(skeleton) - 1, 0, -1):
+        parent, reach = skeleton.parents[j], down[j] + float(skeleton.offsets[j].norm())
+        longest = max(longest, down[parent] + reach)
+        down[parent] = max(down[parent], reach)
+    return longest
+
+
+def rate_noted(fps: float) -> tuple[str, ...]:
+    """Says so where a frame rate is not one that motion is recorded at."""
+    if 5 <= fps <= 1000:
+        return ()
+    return (f"{fps:.4g} frames per second is no usual rate: give the right one with fps=, or --fps-in",)
