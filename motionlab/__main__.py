@@ -10,7 +10,7 @@ from pathlib import Path
 
 from motionlab import doctor
 from motionlab.commands import animator, footage
-from motionlab.commands.motions import READ, WRITTEN, add_axes, read_motion, with_standard_joints
+from motionlab.commands.motions import READ, WRITTEN, add_reading, read_motion, reading, say_note, with_standard_joints
 from motionlab.commands.printing import add_command, text_table
 from motionlab.commands.showing import add_show
 from motionlab.errors import DataError, MissingData, ShapeError
@@ -48,7 +48,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("source", metavar="IN", type=Path, help=READ)
     command.add_argument("target", metavar="OUT", type=Path, help=" ".join(WRITTEN))
     command.add_argument("--fps", type=float, help="frames per second of the output (default: those of the input)")
-    add_axes(command)
+    add_reading(command, rate=("--fps-in",))
     command.add_argument("--rest", choices=("t", "a"), help="of a .bvh or bones: a T or an A as the rest pose")
     command.add_argument("--standard", action="store_true", help="put it on the 22 standard joints (always for .npz)")
     flesh = command.add_mutually_exclusive_group()
@@ -66,6 +66,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command = add_command(commands, "data", text, "data recordings/", _data)
     command.add_argument("folder", nargs="?", help="default: $MOTIONLAB_DATA")
     command.add_argument("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
+    add_reading(command, rate=("--fps-in",))
 
     command.add_argument(
         "--certify", action="store_true", help="say what the 22 standard joints lose of each rig in it"
@@ -77,6 +78,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("--sources", nargs="+", metavar="NAME", help="only these sub-folders")
     command.add_argument("--strict", action="store_true", help="stop at a recording that cannot be used")
     command.add_argument("--out", type=Path, help="where it is kept (default: the user's cache)")
+    add_reading(command)
 
     text = "write the table of the models that ship"
     command = add_command(commands, "models", text, "models", _models)
@@ -101,7 +103,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 def _prepare(options: argparse.Namespace) -> int:
     from motionlab import corpus, parallel
 
-    how = {"kept": options.out, "strict": options.strict, "workers": parallel.cores()}
+    how = {"kept": options.out, "strict": options.strict, "workers": parallel.cores(), "reading": reading(options)}
     found = corpus.assemble(options.folder, options.sources, **how)
     print(found.report())
     print(f"kept in {options.out or corpus.cache_folder()}")
@@ -144,7 +146,7 @@ def _data(options: argparse.Namespace) -> int:
         return _certify(Path(folder))
     from motionlab.io import recordings
 
-    rows = recordings.inventory(Path(folder), video_fps=options.fps)
+    rows = recordings.inventory(Path(folder), video_fps=options.fps, reading=reading(options))
     print(
         text_table(
             [
@@ -163,6 +165,8 @@ def _data(options: argparse.Namespace) -> int:
         )
     )
     print(f"{sum(row.clips for row in rows)} clips, {sum(row.minutes for row in rows):.1f} minutes")
+    for line in recordings.passed_over(folder):
+        print(f"passed over: {line}")
     unread = [error for row in rows for error in row.unread]
     for error in unread:
         print(f"cannot be read: {error}", file=sys.stderr)
@@ -222,10 +226,11 @@ def _convert(options: argparse.Namespace) -> int:
         raise DataError("only a GLB holds a body", path=options.target, remedy="leave out --body and --bones")
     body = suffix == ".glb" and not options.bones
     motion = read_motion(options.source, options)
+    told = motion.notes
     if suffix == ".npz":
         motion, note = for_amass(motion)
         if note:
-            print(f"note: {note}")
+            say_note(note)
     elif options.standard or body:
         motion = with_standard_joints(motion)
     if options.rest:
@@ -238,8 +243,8 @@ def _convert(options: argparse.Namespace) -> int:
         motion = resample(motion, options.fps)
     more = {"body": BodyModel.from_anny()} if body else {}
     WRITERS[suffix](options.target, motion, **more)
-    for note in motion.notes:
-        print(f"note: {note}")
+    for note in motion.notes[len(told) :]:
+        say_note(note)
     print(f"{options.target}: {motion.frames} frames at {motion.fps:g} fps, {len(motion.skeleton)} joints")
     return 0
 

@@ -45,7 +45,7 @@ _WITHOUT = "leave it out of the folder, or assemble it without strict"
 #: Modules whose text decides what is kept.
 _READERS = (
     "cleaning", "contact", "corpus", "motion", "rest", "retarget", "rigs", "rotation", "skeleton",
-    "io/asf", "io/amass", "io/bvh", "io/clips", "io/reading", "io/recordings",
+    "io/asf", "io/amass", "io/bvh", "io/clips", "io/judging", "io/reading", "io/recordings",
 )  # fmt: skip
 
 
@@ -135,6 +135,7 @@ def assemble(
     strict: bool = False,
     workers: int = 1,
     every: int = 1,
+    reading: Mapping[str, object] | None = None,
     progress: bool = True,
 ) -> Corpus:
     """Makes a corpus of the recordings in a folder, one sub-folder per source; what is kept from before is read.
@@ -144,7 +145,7 @@ def assemble(
         fps: frames per second of the corpus. kept: folder of what is kept; None: :func:`cache_folder`.
         strict: a recording that cannot be used ends the run; otherwise it is counted in the report.
         workers: processes (a script that asks for several needs ``if __name__ == "__main__"``). every: only each n-th
-            recording of a source.
+            recording of a source. reading: options for those loaders that take them (``unit``, ``up``, ...).
 
     Raises:
         DataError: ``strict``, and a recording cannot be used.
@@ -154,8 +155,8 @@ def assemble(
     kept.mkdir(parents=True, exist_ok=True)
     found, rows, digests = [], [], []
     for name in sources or sorted({each.source for each in recordings(folder)}):
-        files = [(path, load) for _, path, load in recordings(folder, name)][::every]
-        key = _key(folder, [path for path, _ in files], fps)
+        files = [(path, load) for _, path, load in recordings(folder, name, reading=reading)][::every]
+        key = _key(folder, [path for path, _ in files], (fps, repr(reading)) if reading else fps)
         path = kept / f"{name}-{key}.safetensors"
         stored = _read(path)
         if stored is None:
@@ -200,7 +201,7 @@ def _counted(row: SourceRow, again: Sequence[Take]) -> SourceRow:
     return replace(row, kept=row.kept - lost, cut={**row.cut, "repeated": lost}) if lost else row
 
 
-def _key(folder: Path, files: Sequence[Path], fps: float) -> str:
+def _key(folder: Path, files: Sequence[Path], fps: object) -> str:
     """What a kept source depends on: its files as they are, the rate, and the code that reads them."""
     whole = hashlib.sha256(repr((_FORMAT, fps)).encode())
     places = {folder / path.relative_to(folder).parts[0] for path in files}

@@ -171,7 +171,7 @@ def test_the_skeleton_is_found_beside_the_take(tmp_path):
     _, amc = write(tmp_path)
     torch.testing.assert_close(io.load(amc).positions, asf.load(tmp_path / "07.asf", amc).positions)
     (tmp_path / "07.asf").unlink()
-    with pytest.raises(DataError, match=r"07\.asf.*no such file"):
+    with pytest.raises(DataError, match=r"07\.asf.*no skeleton file.*--asf"):
         io.load(amc)
 
 

@@ -295,8 +295,8 @@ def test_convert_takes_the_unit_and_the_axis_of_a_bvh(tmp_path, capsys):
     with pytest.raises(SystemExit):
         __main__.main(["convert", str(source), str(target), "--unit", "parsec"])
     assert "parsec" in capsys.readouterr().err
-    assert __main__.main(["convert", str(target), str(source), "--up", "y"]) == 2
-    assert "for .bvh only" in capsys.readouterr().err
+    assert __main__.main(["convert", str(source), str(target), "--asf", "a.asf"]) == 2
+    assert "leave out --asf" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

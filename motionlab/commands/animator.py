@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from motionlab.commands import many
 from motionlab.commands.many import Job
-from motionlab.commands.motions import READ, WRITTEN, add_axes, make_folder, read_motion
+from motionlab.commands.motions import READ, WRITTEN, add_reading, make_folder, read_motion, say_note
 from motionlab.commands.printing import add_command, is_watched
 from motionlab.commands.showing import add_film, check_film, draw_film
 from motionlab.errors import DataError
@@ -79,7 +79,7 @@ def _usual(command: argparse.ArgumentParser, seed: str = "") -> None:
     if seed:  # of what draws
         command.add_argument("--seed", type=_seed, help=seed)
     command.add_argument("--no-planting", dest="plant", action="store_false", help="leave sliding feet alone")
-    add_axes(command)
+    add_reading(command)
 
 
 def _words(text: str) -> list[str]:
@@ -114,9 +114,7 @@ def _on_motions(options: argparse.Namespace) -> int:
             raise DataError("one motion is not shared out", place="--jobs, --cluster", remedy=remedy)
         if options.film:
             check_film(options.film)
-        given, made, notes = _made(options.source, options.out, options, progress=is_watched())
-        for note in notes:
-            print(f"note: {note}")
+        given, made = _made(options.source, options.out, options, say_note, progress=is_watched())
         print(f"{options.out}: written")
         if options.film:
             print(draw_film({"given": given, "made": made}, options.film))
@@ -146,19 +144,23 @@ def _is_made(clip: Job) -> bool:
 def _make(clip: Job, options: argparse.Namespace) -> list[str]:
     """Does it with one of many; says how."""
     _, source, _, target = clip
-    return _made(source, target, options)[-1]
+    notes: list[str] = []
+    _made(source, target, options, notes.append)
+    return notes
 
 
 def _made(
-    source: Path, target: Path, options: argparse.Namespace, progress: bool = False
-) -> tuple[Motion, Motion, list[str]]:
-    """Reads a motion, makes another of it, and writes that; returns both, and how it was made."""
+    source: Path, target: Path, options: argparse.Namespace, say: Callable[[str], None], progress: bool = False
+) -> tuple[Motion, Motion]:
+    """Reads a motion, makes another of it, and writes that; returns both. Says what was guessed, and how it was made."""
     from motionlab.io.rewriting import check_target, write_back
 
     check_target(source, target)
-    motion = read_motion(source, options)
+    motion = read_motion(source, options, say)
     found = options.make(options, motion, progress)
-    return motion, found.motion, [*found.notes, write_back(source, target, motion, found.motion)]
+    for note in (*found.notes, write_back(source, target, motion, found.motion)):
+        say(note)
+    return motion, found.motion
 
 
 def _inbetween(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:

@@ -1,9 +1,10 @@
-"""What the commands on motion files share: formats, ``--unit`` and ``--up`` of a BVH, and the 22 standard joints."""
+"""What the commands on motion files share: formats, what a file does not say of itself, and the 22 standard joints."""
 
 from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,17 +18,37 @@ WRITTEN = (".bvh", ".npz", ".glb")
 READ = f"{' '.join(WRITTEN)} .amc, or DeepMimic's .txt"
 
 
-def add_axes(command: argparse.ArgumentParser) -> None:
-    """Adds what a BVH does not say of itself."""
-    command.add_argument("--unit", type=_metres, help="of a .bvh: m, cm, mm, inch or metres (default: detected)")
-    command.add_argument(
-        "--names", type=Path, metavar="FILE.json", help="what its joints are: standard name -> its own"
+#: Options of ``add_reading`` -> of the loaders.
+_READING = {"unit": "unit", "up": "up", "axes": "axes", "fps_in": "fps", "translations": "translations", "asf": "asf",
+            "animation": "animation"}  # fmt: skip
+
+
+def add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fps-in", "--fps")) -> None:
+    """Adds what a motion file does not say of itself, or says wrongly. rate: names of the frame rate's option."""
+    more = command.add_argument_group("what a file does not say, or says wrongly (default: worked out, and noted)")
+    more.add_argument("--unit", type=_metres, help="of lengths: m, cm, mm, inch, or metres")
+    more.add_argument("--up", type=_up, metavar="AXIS", help="the file's axis that points up: y, z, ... (--up=-y)")
+    more.add_argument(
+        "--axes", type=_axes, metavar="XYZ", help="instead: the file's axes that become x, y and z, up; as --axes=x-zy"
     )
-    command.add_argument("--up", choices=("y", "z"), help="of a .bvh: the axis that points up (default: detected)")
+    more.add_argument(*rate, dest="fps_in", type=float, metavar="FPS", help="frames per second of the file")
+    more.add_argument(
+        "--translations", choices=("strict", "mean"), help="of bones that change their length: refuse, or keep the mean"
+    )
+    more.add_argument("--asf", type=Path, metavar="FILE", help="the skeleton of an .amc (default: beside it)")
+    more.add_argument("--names", type=Path, metavar="FILE.json", help="what its joints are: standard name -> its own")
+    more.add_argument("--animation", metavar="NAME", help="of a .glb: which, by name or number (default: the first)")
 
 
-def read_motion(path: Path, options: argparse.Namespace) -> Motion:
-    """Reads the motion that a command works on.
+def reading(options: argparse.Namespace) -> dict[str, object]:
+    """Returns what was given of ``add_reading``, as options of the loaders."""
+    return {key: value for name, key in _READING.items() if (value := getattr(options, name)) is not None}
+
+
+def read_motion(path: Path, options: argparse.Namespace, say: Callable[[str], None] | None = None) -> Motion:
+    """Reads the motion that a command works on, and says what was guessed.
+
+    say: what to do with each note; None prints it.
 
     Raises:
         DataError: not a readable motion, or an option that is for another format.
@@ -36,10 +57,9 @@ def read_motion(path: Path, options: argparse.Namespace) -> Motion:
 
     if path.is_dir():
         raise DataError("this is a folder", path=path, remedy="name the files in it that you mean")
-    guided = {key: value for key in ("unit", "up") if (value := getattr(options, key)) is not None}
-    if guided and path.suffix.lower() != ".bvh":
-        raise DataError("its unit and axes are known", path=path, remedy="--unit and --up are for .bvh only")
-    motion = io.load(path, **guided)
+    motion = io.load(path, **reading(options))
+    for note in motion.notes:
+        (say or say_note)(note)
     return replace(motion, skeleton=replace(motion.skeleton, roles=_roles(options.names))) if options.names else motion
 
 
@@ -52,6 +72,12 @@ def _roles(path: Path) -> dict[str, str]:
         if not isinstance(found, dict) or not all(isinstance(name, str) for name in found.values()):
             raise at.error("expected one object of names")
     return {name: own for name, own in found.items() if own}
+
+
+
+def say_note(note: str) -> None:
+    """Prints a note."""
+    print(f"note: {note}", flush=True)
 
 
 def make_folder(path: Path) -> None:
@@ -81,12 +107,33 @@ def with_standard_joints(motion: Motion) -> Motion:
 
 def _metres(text: str) -> float:
     """A unit of length by its name, or as metres per unit."""
-    from motionlab.io.bvh import UNITS
+    from motionlab.io.judging import UNITS, unit_named
 
     try:
-        metres = UNITS.get(text) or float(text)
+        metres = unit_named(text) or float(text)
     except ValueError:
         metres = math.nan
     if not 0 < metres < math.inf:
         raise argparse.ArgumentTypeError(f"expected metres above zero or one of {', '.join(UNITS)}, got {text!r}")
     return metres
+
+
+def _up(text: str) -> str:
+    """An axis, with or without its sign."""
+    from motionlab.io.judging import AXES
+
+    axis = text.lower().removeprefix("+")
+    if axis not in AXES:
+        raise argparse.ArgumentTypeError(f"expected one of {', '.join(AXES)}, got {text!r}")
+    return axis
+
+
+def _axes(text: str) -> str:
+    """Three axes of a right-handed world."""
+    from motionlab.io.judging import axes_to_matrix
+
+    try:
+        axes_to_matrix(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return text

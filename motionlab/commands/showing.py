@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionlab.commands.motions import READ, add_axes, read_motion, with_standard_joints
+from motionlab.commands.motions import READ, add_reading, read_motion, with_standard_joints
 from motionlab.commands.printing import add_command
 from motionlab.errors import DataError
 
@@ -31,7 +32,7 @@ def add_show(commands: argparse._SubParsersAction) -> None:
     command.add_argument("--bones", action="store_true", help="a figure of the file's own joints, not a body")
     command.add_argument("--follow", action="store_true", help="the view moves along with who walks")
     command.add_argument("--cut", type=float, nargs=2, metavar=("FROM", "TO"), help="only these seconds of every file")
-    add_axes(command)
+    add_reading(command)
 
 
 def add_film(command: argparse.ArgumentParser, what: str) -> None:
@@ -70,16 +71,21 @@ def _show(options: argparse.Namespace) -> int:
     check_film(options.out, len(options.files), picture=True)
     motions = {}
     for label, path in zip(_labels(options.files), options.files, strict=True):
-        motion = read_motion(path, options)
-        motion = motion if options.bones else with_standard_joints(motion)
-        for note in motion.notes:
-            print(f"{label}: {note}")
+        told = partial(_tell, label)
+        motion = read_motion(path, options, told)
+        given, motion = motion.notes, motion if options.bones else with_standard_joints(motion)
+        for note in motion.notes[len(given) :]:
+            told(note)
         motions[label] = _cut(motion, path, options.cut)
     if options.out.suffix == _PICTURE:
         print(_draw_poses(motions, options.out, options.bones))
     else:
         print(draw_film(motions, options.out, bones=options.bones, follow=options.follow))
     return 0
+
+
+def _tell(label: str, note: str) -> None:
+    print(f"{label}: {note}", flush=True)
 
 
 def _cut(motion: Motion, path: Path, seconds: list[float] | None) -> Motion:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -60,22 +61,45 @@ _POSITIONS = {
     ".npz": "motionlab.io.points.load_anidance",
 }
 _NOT_ONE_FILE = {
+    ".fbx": "in Blender: import FBX, export BVH",
+    ".blend": "in Blender: export BVH",
+    ".gltf": "export it as one binary file, .glb",
     ".asf": "name the .amc: the .asf is found beside it",
     "": "a folder of OpenPose frames is read with motionlab.io.openpose.load",
 }
+
+
+def why_not(suffix: str) -> str:
+    """Says what to do about a file that no loader reads, by its suffix."""
+    return _NOT_ONE_FILE.get(suffix, f"one of {', '.join(sorted(LOADERS))}")
+
+
+def guided(loader: Callable, path: str | Path, options: dict[str, object], *, strict: bool = False) -> object:
+    """Reads a recording with a loader and those of the options (``unit``, ``up``, ...) that it takes.
+
+    Raises:
+        DataError: the file is at fault, or (strict) an option is not for its format.
+    """
+    loader = _npz_loader(path) if loader is load_npz else loader
+    known = inspect.signature(loader).parameters
+    surplus = [name for name in options if name not in known]
+    if surplus and strict:
+        words = ", ".join(f"--{name.replace('fps', 'fps-in')}" for name in surplus)
+        raise DataError("the file says this of itself", path=path, place=words, remedy=f"leave out {words}")
+    return loader(path, **{name: value for name, value in options.items() if name in known})
 
 
 def load(path: str | Path, **options) -> Motion:
     """Reads one recording with the loader that its suffix names; options go to that loader.
 
     Raises:
-        DataError: no loader for this suffix, the file is at fault, or it holds positions and no rotations.
+        DataError: no loader for this suffix, the file is at fault, it holds positions and no rotations, or its loader
+            has no such option.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in LOADERS:
-        remedy = _NOT_ONE_FILE.get(suffix, f"one of {', '.join(sorted(LOADERS))}")
-        raise DataError(f"no loader for {suffix or 'a name without suffix'!r}", path=path, remedy=remedy)
-    motion = LOADERS[suffix](path, **options)
+        raise DataError(f"no loader for {suffix or 'a name without suffix'!r}", path=path, remedy=why_not(suffix))
+    motion = guided(LOADERS[suffix], path, options, strict=True)
     if not isinstance(motion, Motion):
         remedy = f"for its positions use {_POSITIONS[suffix]}"
         raise DataError("holds positions without rotations", path=path, remedy=remedy)

@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
+from motionlab.errors import DataError
+from motionlab.io.judging import UNITS
 from motionlab.io.reading import Spot, frame_rate, numbers, read_text, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
@@ -57,7 +59,7 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
     Raises:
         DataError: either file is at fault; names the file, the line and the remedy.
     """
-    notes = []
+    notes: list[str] = []
     with reading(asf, "take the .asf of the subject again") as at:
         figure = _parse_asf(at, read_text(at))
         if unit is None:
@@ -88,10 +90,25 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
         return Motion(skeleton, root.float(), rot.float(), fps, name=at.path.stem, notes=tuple(notes))
 
 
-def load_beside(amc: str | Path, *, asf: str | Path | None = None, **options) -> Motion:
-    """Reads an .amc with the .asf beside it, as CMU names them: 02.asf for 02_01.amc."""
+def load_beside(
+    amc: str | Path, *, asf: str | Path | None = None, fps: float | None = None, unit: str | float | None = None
+) -> Motion:
+    """Reads an .amc with the .asf beside it whose name its own begins with, the longest: 02.asf for 02_01.amc, and
+    HDM_bd.asf for HDM_bd_walk.amc.
+
+    Raises:
+        DataError: see ``load``; or there is no such .asf.
+    """
     amc = Path(amc)
-    return load(asf or amc.with_name(f"{amc.stem.split('_')[0]}.asf"), amc, **options)
+    if asf is None and amc.is_file():
+        names = [path for path in amc.parent.iterdir() if path.suffix.lower() == ".asf"]
+        fits = [path for path in names if amc.stem.lower().startswith(path.stem.lower())]
+        asf = max(fits, key=lambda path: len(path.stem), default=None)
+    if asf is None and amc.is_file():
+        remedy = "put the subject's .asf beside it, or name it with asf=, or --asf"
+        missing = amc.with_name(f"{amc.stem.split('_')[0]}.asf")
+        raise DataError("no skeleton file that is called as the .amc begins", path=missing, remedy=remedy, place=amc.name)
+    return load(asf or amc.with_suffix(".asf"), amc, fps=fps, unit=UNITS[unit] if unit in UNITS else unit)
 
 
 def _turn(figure: _Asf, name: str, angles: Tensor, dof: list[str]) -> Tensor:

@@ -99,7 +99,7 @@ def to_world(
     names, skeleton = _names(figure), getattr(figure, "skeleton", None)
     head, feet = _found(_HEAD, names) or _found(_NECK, names), _feet(names, skeleton)
     points = _sampled(figure)
-    notes = [*figure.notes]
+    notes = [*figure.notes, *_rate_noted(figure.fps)]
     if axes is None and up is None:
         zero = None if says_up else _rest_up(skeleton, head, feet)
         up, said, sure = _up(points, head, feet, says_up or zero, trust)
@@ -116,7 +116,7 @@ def to_world(
         unit, said = _unit(size, says_unit, skeleton is not None)
         if unit is None:
             remedy = f"say it with unit=, or --unit: one of {', '.join(UNITS)}"
-            raise at.error("neither the file nor its points say the unit", place="unit", remedy=remedy)
+            raise at.error("neither the file nor its points say the unit", remedy=remedy)
         notes += [said] if said else []
     scale = UNITS[unit] if isinstance(unit, str) else float(unit)
     return _turned(replace(figure, notes=tuple(notes)), scale, axes or table[up])
@@ -252,7 +252,7 @@ def longest_chain(skeleton: Skeleton) -> float:
     return longest
 
 
-def rate_noted(fps: float) -> tuple[str, ...]:
+def _rate_noted(fps: float) -> tuple[str, ...]:
     """Says so where a frame rate is not one that motion is recorded at."""
     if 5 <= fps <= 1000:
         return ()

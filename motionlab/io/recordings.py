@@ -6,7 +6,7 @@ folder is searched for files that a loader knows, so that a folder of one's own 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,10 +20,9 @@ from motionlab.io.reading import reading
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 
+_TEXTS = (".json", ".txt")  # told by their beginnings
 #: Loader of a single file by suffix, for folders that are not known by name.
-SUFFIXES: dict[str, Callable] = {
-    ".bvh": bvh.load, ".amc": asf.load_beside, ".npz": io.load_npz, ".trc": points.load_trc, ".c3d": points.load_c3d,
-}  # fmt: skip
+SUFFIXES: dict[str, Callable] = {suffix: loader for suffix, loader in io.LOADERS.items() if suffix not in _TEXTS}
 
 
 class Recording(NamedTuple):
@@ -110,7 +109,13 @@ class Row:
     unread: tuple[DataError | MissingData, ...] = ()
 
 
-def recordings(folder: str | Path, source: str | None = None, *, video_fps: float | None = None) -> Iterator[Recording]:
+def recordings(
+    folder: str | Path,
+    source: str | None = None,
+    *,
+    video_fps: float | None = None,
+    reading: Mapping[str, object] | None = None,
+) -> Iterator[Recording]:
     """Finds every recording of the folder, or of one source, sorted by source and path.
 
     >>> for source, path, loader in recordings(folder): motion = loader(path)  # doctest: +SKIP
@@ -118,15 +123,42 @@ def recordings(folder: str | Path, source: str | None = None, *, video_fps: floa
     Args:
         video_fps: frames per second of OpenPose folders of one's own, which do not store it; without it their
             loader raises a DataError that asks for it.
+        reading: options for those loaders that take them (``unit``, ``up``, ...).
 
     Raises:
         MissingData: the folder, or the source in it, is not there or holds nothing that a loader knows.
     """
     for name, _, path, loader in _found(Path(folder), source, video_fps):
-        yield Recording(name, path, loader)
+        yield Recording(name, path, partial(io.guided, loader, options=reading) if reading else loader)
 
 
-def inventory(folder: str | Path, source: str | None = None, *, video_fps: float | None = None) -> list[Row]:
+def passed_over(folder: str | Path) -> list[str]:
+    """Finds the files of a folder that are no recordings: for each source and kind how many, one of them, and why.
+
+    Raises:
+        MissingData: see ``recordings``.
+    """
+    folder, found = Path(folder), []
+    for name, place in _places(folder).items():
+        flat = place == folder
+        used = {path for _, path, _ in _files(name, place, flat, None)}
+        kinds: dict[str, list[Path]] = {}
+        for path in sorted(place.glob("*") if flat else place.rglob("*")):
+            if path.is_file() and not {path, path.parent} & used:
+                kinds.setdefault(path.suffix.lower(), []).append(path)
+        for suffix, paths in kinds.items():
+            why = "no recording of this source" if name in SOURCES else io.why_not(suffix)
+            found.append(f"{name}: {len(paths)} {suffix or 'files without ending'}, such as {paths[0].name}: {why}")
+    return found
+
+
+def inventory(
+    folder: str | Path,
+    source: str | None = None,
+    *,
+    video_fps: float | None = None,
+    reading: Mapping[str, object] | None = None,
+) -> list[Row]:
     """Loads every recording and counts: one row per source and kind of file. Arguments as of ``recordings``.
 
     A recording that cannot be read stops nothing: it stands in ``unread`` of its row.
@@ -136,7 +168,7 @@ def inventory(folder: str | Path, source: str | None = None, *, video_fps: float
     """
     groups: dict[tuple[str, str], list] = {}
     for name, kind, path, loader in _found(Path(folder), source, video_fps):
-        groups.setdefault((name, kind), []).append((_tried(loader, path), loader))
+        groups.setdefault((name, kind), []).append((_tried(loader, path, reading or {}), loader))
     rows = []
     for (name, kind), items in groups.items():
         sizes = [size for size, _ in items if isinstance(size, tuple)]
@@ -161,10 +193,10 @@ def inventory(folder: str | Path, source: str | None = None, *, video_fps: float
     return rows
 
 
-def _tried(loader: Callable, path: Path) -> tuple[int, float, int, float] | DataError | MissingData:
+def _tried(loader: Callable, path: Path, reading: dict) -> tuple[int, float, int, float] | DataError | MissingData:
     """The size of a recording, or why it cannot be read."""
     try:
-        return _size(loader(path))
+        return _size(io.guided(loader, path, reading))
     except (DataError, MissingData) as error:
         return error
 
@@ -177,12 +209,19 @@ def _size(value: Motion | Positions | Observation2D) -> tuple[int, float, int, f
     return value.frames, value.fps, len(value.names), float(mask.float().mean())
 
 
-def _found(folder: Path, source: str | None, video_fps: float | None) -> Iterator[tuple[str, str, Path, Callable]]:
-    remedy = "Set MOTIONLAB_DATA to a folder with one sub-folder of recordings per source."
+_SET = "Set MOTIONLAB_DATA to a folder with one sub-folder of recordings per source."
+
+
+def _places(folder: Path) -> dict[str, Path]:
+    """The sources by name: the sub-folders, and the folder itself where files lie in it."""
     if not folder.is_dir():
-        raise MissingData(f"the data folder {folder}", remedy)
+        raise MissingData(f"the data folder {folder}", _SET)
     places = {path.name: path for path in folder.iterdir() if path.is_dir()}
-    places |= {folder.resolve().name: folder} if any(path.is_file() for path in folder.iterdir()) else {}
+    return places | ({folder.resolve().name: folder} if any(path.is_file() for path in folder.iterdir()) else {})
+
+
+def _found(folder: Path, source: str | None, video_fps: float | None) -> Iterator[tuple[str, str, Path, Callable]]:
+    places = _places(folder)
     if source is not None and source not in places:
         raise MissingData(f"source {source!r} in {folder}", f"There are: {', '.join(sorted(places))}.")
     empty = True
@@ -191,7 +230,8 @@ def _found(folder: Path, source: str | None, video_fps: float | None) -> Iterato
             empty = False
             yield name, kind, path, loader
     if empty:
-        raise MissingData(f"any recording in {folder}", remedy)
+        passed = passed_over(folder)
+        raise MissingData(f"any recording in {folder}", "; ".join([*passed, _SET]))
 
 
 def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Iterator[tuple[str, Path, Callable]]:
@@ -205,13 +245,13 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
         suffix = path.suffix.lower()
         if suffix in SUFFIXES:
             yield suffix[1:], path, SUFFIXES[suffix]
-        elif suffix == ".json":
+        elif suffix in _TEXTS:
             head = _head(path)
             if b'"people"' in head and path.parent not in views:
                 views.add(path.parent)
                 yield "openpose", path.parent, partial(openpose.load, fps=video_fps)
             elif b'"Frames"' in head:
-                yield "json", path, clips.load_deepmimic
+                yield suffix[1:], path, clips.load_deepmimic
 
 
 def _head(path: Path) -> bytes:
