@@ -294,8 +294,8 @@ DAMAGE = {
     "negative fps": lambda c: c["animations"][0]["extras"].update(fps=-30),
     "other fps": lambda c: c["animations"][0]["extras"].update(fps=47),
     "unknown contact": lambda c: c["animations"][0]["extras"].update(contact_names=["tail"]),
-    "scaled": lambda c: c["nodes"][3].update(scale=[2, 2, 2]),
-    "matrix": lambda c: c["nodes"][3].update(matrix=np.eye(4).ravel().tolist()),
+    "mirrored": lambda c: c["nodes"][3].update(scale=[-2, 2, 2]),
+    "flat": lambda c: c["nodes"][3].update(matrix=np.diag([1.0, 0, 1, 1]).ravel().tolist()),
     "list for nodes": lambda c: c.update(nodes=[[]]),
 }
 

@@ -152,7 +152,7 @@ def _make(clip: Job, options: argparse.Namespace) -> list[str]:
 def _made(
     source: Path, target: Path, options: argparse.Namespace, say: Callable[[str], None], progress: bool = False
 ) -> tuple[Motion, Motion]:
-    """Reads a motion, makes another of it, and writes that; returns both. Says what was guessed, and how it was made."""
+    """Reads a motion, makes another of it and writes that; returns both, and says what was guessed, and how."""
     from motionlab.io.rewriting import check_target, write_back
 
     check_target(source, target)

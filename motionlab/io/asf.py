@@ -107,7 +107,9 @@ def load_beside(
     if asf is None and amc.is_file():
         remedy = "put the subject's .asf beside it, or name it with asf=, or --asf"
         missing = amc.with_name(f"{amc.stem.split('_')[0]}.asf")
-        raise DataError("no skeleton file that is called as the .amc begins", path=missing, remedy=remedy, place=amc.name)
+        raise DataError(
+            "no skeleton file that is called as the .amc begins", path=missing, remedy=remedy, place=amc.name
+        )
     return load(asf or amc.with_suffix(".asf"), amc, fps=fps, unit=UNITS[unit] if unit in UNITS else unit)
 
 

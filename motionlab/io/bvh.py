@@ -7,7 +7,6 @@ recording and written into ``Motion.notes``, together with everything else that 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,11 +20,10 @@ from motionlab.files import write_whole
 from motionlab.io import judging
 from motionlab.io.judging import AXES, UNITS
 from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_text, reading
+from motionlab.io.rooting import rerooted
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
 
-#: Shares of the longest chain: below SAME a joint sits at its OFFSET, above RIGID its bone changes length.
-SAME, RIGID = 0.002, 0.02
 #: The End Site of a joint that has no child: so much of its bone's length, along the bone's longest axis. BVH has no
 #: other way to say how long a hand is, and Blender makes bones of no length as long as it likes. The golden section,
 #: six digits of it: no measured or designed End Site is just that, so that ours are known again.
@@ -135,7 +133,10 @@ def _assemble(at: Spot, joints: list[_Joint], values: np.ndarray, fps: float, tr
     kept = [i for i, joint in enumerate(joints) if not joint.is_end or not _says_nothing(joint, joints[joint.parent])]
     row = {i: k for k, i in enumerate(kept)} | {-1: -1}
     parents = [row[joints[i].parent] for i in kept]
-    skeleton, root, rot = _reroot(at, [joints[i] for i in kept], parents, place[:, kept], rot[:, kept], translations)
+    offsets = torch.tensor([joints[i].offset for i in kept], dtype=torch.float64)
+    skeleton = Skeleton(tuple(joints[i].name for i in kept), tuple(parents), offsets)
+    lines = [f"line {joints[i].line}" for i in kept]
+    _, skeleton, root, rot = rerooted(at, skeleton, place[:, kept], rot[:, kept], translations, lines)
     return Motion(skeleton, root, rot, fps, name=at.path.stem, notes=tuple(at.notes))
 
 
@@ -188,47 +189,6 @@ def _relative(joints: list[_Joint], place: np.ndarray) -> list[int]:
     bones = [i for i in moving if length[i] > 1e-3 * max(length.values())]
     near = sum(np.linalg.norm(place[i]) < 0.2 * length[i] for i in bones)
     return moving if len(bones) > 1 and near > 0.8 * len(bones) else []
-
-
-def _reroot(at: Spot, joints: list[_Joint], parents: list[int], place: np.ndarray, rot: Tensor, translations: str):
-    """Skeleton, root positions and rotations, with the root at the joint that moves."""
-    offset = torch.tensor([joint.offset for joint in joints], dtype=torch.float64)
-    reach = judging.longest_chain(Skeleton(tuple(joint.name for joint in joints), tuple(parents), offset)) or 1e-12
-    offset = offset.numpy()
-    strays = np.abs(place - offset).max((0, 2)) > SAME * reach
-    top, chain, children = 0, [0], Counter(parents)
-    while children[chain[-1]] == 1:
-        chain.append(parents.index(chain[-1]))
-        top = chain[-1] if strays[chain[-1]] else top
-    above = chain[: chain.index(top)]
-    root, first = torch.from_numpy(place[:, top]), rot[:, top]
-    for joint in reversed(above):
-        root = torch.from_numpy(place[:, joint]) + (rot[:, joint] @ root[..., None])[..., 0]
-        first = rot[:, joint] @ first
-    if above:
-        names = ", ".join(joints[j].name for j in above)
-        at.notes.append(f"root is {joints[top].name}, whose position changes; it takes on the motion of {names} above")
-    kept = [j for j in range(len(joints)) if j not in set(above)]
-    mean = place.mean(0)
-    for j in kept[1:]:
-        moves = np.abs(place[:, j] - mean[j]).max()
-        if moves > SAME * reach:
-            what = f"{joints[j].name} moves {moves / reach:.1%} of the figure against its parent"
-            if translations == "strict" and moves > RIGID * reach:
-                line = f"line {joints[j].line}"
-                remedy = 'translations="mean", or --translations mean, keeps its mean place'
-                raise at.error(f"{what}: bones of changing length", place=line, remedy=remedy)
-            at.notes.append(f"{what}: its mean place is kept")
-        elif strays[j]:
-            off = np.abs(mean[j] - offset[j]).max() / reach
-            at.notes.append(f"{joints[j].name} is always {off:.1%} of the figure off its OFFSET: believed as it moves")
-    rot = rot[:, kept].clone()
-    rot[:, 0] = first
-    offsets = torch.from_numpy(np.where(strays[:, None], mean, offset)[kept])
-    offsets[0] = 0
-    order = {j: i for i, j in enumerate(kept)}
-    tree = tuple(order.get(parents[j], -1) for j in kept)
-    return Skeleton(tuple(joints[j].name for j in kept), tree, offsets), root, rot
 
 
 def _parse(at: Spot, text: str, fps: float | None = None) -> tuple[list[_Joint], np.ndarray, float]:
@@ -314,9 +274,7 @@ def _channels(at: Spot, words: list[str], joint: _Joint) -> list[str]:
     return channels
 
 
-def _motion(
-    at: Spot, lines: list[str], motion_line: int, width: int, fps: float | None
-) -> tuple[np.ndarray, float]:
+def _motion(at: Spot, lines: list[str], motion_line: int, width: int, fps: float | None) -> tuple[np.ndarray, float]:
     rows = [(n, line) for n, line in enumerate(lines[motion_line:], start=motion_line + 1) if line.strip()]
     header = []
     for (number, line), key in zip(rows[:2], ("frames", "frame time"), strict=False):

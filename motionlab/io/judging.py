@@ -196,7 +196,7 @@ def _up(
     if not len(ways) or not ways.norm(dim=-1).max() > 0:
         if not seen.any() or says:
             return says, "", True
-        x, y, z = (high - low)[seen].mean(0).tolist()
+        _, y, z = (high - low)[seen].mean(0).tolist()
         far = f"the figure extends {y:.3g} units along y, {z:.3g} along z"
         return ("z" if z > 1.2 * y else "y"), far, max(y, z) > 1.2 * min(y, z)
     length = ways.norm(dim=-1).quantile(0.9)

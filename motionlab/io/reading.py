@@ -28,8 +28,8 @@ LARGEST = 2**31
 
 @dataclass
 class Spot:
-    """Where a loader is: the file, the place in it (a line, a key, a frame), and the usual remedy; what it had to decide
-    so far; and how the text of the file is written."""
+    """Where a loader is: the file, the place in it (a line, a key, a frame), the usual remedy; what it had to decide so
+    far, and how the text is written."""
 
     path: Path
     place: str = ""

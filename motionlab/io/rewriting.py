@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -200,31 +201,47 @@ def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
     if made.frames != loaded.frames:
         raise at.error("frames cannot be added to a GLB")
     content, blob = gltf._chunks(at)
-    data, animation = bytearray(read_bytes(at)), content["animations"][0]
+    names = [animation.get("name") for animation in content["animations"]]
+    data, number = bytearray(read_bytes(at)), names.index(loaded.name) if loaded.name in names else 0
     start = data.rindex(blob, 0) if blob else len(data)
-    nodes = [node.get("name") for node in content["nodes"]]
-    index = [nodes.index(name) for name in loaded.skeleton.names]
-    outputs = {
-        (c["target"].get("node"), c["target"]["path"]): animation["samplers"][c["sampler"]]["output"]
-        for c in animation["channels"]
-    }
-    read = {key: gltf._array(at, content, blob, o, 4 if key[1] == "rotation" else 3, f"node {key[0]} {key[1]}")
-            for key, o in outputs.items() if key[1] in ("rotation", "translation")}  # fmt: skip
+    found = gltf._figure(at, content, blob, 0, number, None)
+    index = found.skeleton.indices(loaded.skeleton.names)
+    if len(found.times) != loaded.frames:
+        raise at.error("read at other times than those of its keys", place="times")
+    # what turns in the pose in which the mesh is bound, back to what the file's nodes turn by
+    frames, nodes = found.frames[index], [found.joints[k] for k in index]
+    before, after = (
+        replace(m, rot=gltf._framed(m.skeleton.to(torch.float64), m.rot.double(), frames.mT)[1]) for m in (loaded, made)
+    )
+    lengths = [
+        float(x.double().norm(dim=-1).sum()) for x in (loaded.skeleton.offsets[1:], found.skeleton.offsets[index[1:]])
+    ]
+    scale = lengths[0] / lengths[1] if lengths[1] else 1.0
+    scale = float(found.sizes[index[0]]) * (1.0 if abs(scale - 1) < 1e-4 else scale)
     new_rot, new_root = _changed(loaded, made)
-    top = index[0]
-    still = content["nodes"][top]
-    turn = read.get((top, "rotation"), np.tile(still.get("rotation", (0.0, 0, 0, 1)), (loaded.frames, 1)))
-    place = read.get((top, "translation"), np.tile(still.get("translation", (0.0, 0, 0)), (loaded.frames, 1)))
-    turn = rotation.quaternion_to_matrix(torch.from_numpy(turn[:, [3, 0, 1, 2]]).double())
-    rot, root = _base(loaded, made, turn, torch.from_numpy(place).double(), 1.0)
-    new = {(i, "rotation"): (new_rot[:, k], rotation.matrix_to_quaternion(rot[:, k])[:, [1, 2, 3, 0]])
-           for k, i in enumerate(index)} | {(top, "translation"): (new_root, root)}  # fmt: skip
-    for key, (rows, numbers) in new.items():
+    new = {}
+    for k, node in enumerate(nodes):
+        place, turn, _, _ = gltf._local(at, content["nodes"][node], node, found.tracks, found.times)
+        if k == 0:
+            rot, root = _base(before, after, turn, place, scale)
+            new[node, "translation"] = new_root, root
+        turned = rot[:, 0] if k == 0 else turn @ before.rot[:, k].mT @ after.rot[:, k]
+        new[node, "rotation"] = new_rot[:, k], rotation.matrix_to_quaternion(turned)[:, [1, 2, 3, 0]]
+    outputs = [sampler["output"] for sampler, _, _ in found.tracks.values()]
+    for (node, what), (rows, numbers) in new.items():
         if not rows.any():
             continue
-        if key not in outputs or list(outputs.values()).count(outputs[key]) > 1:
-            raise at.error(f"{nodes[key[0]]} has no {key[1]} of its own", place=f"node {key[0]}")
-        _put(data, start, content, outputs[key], rows.numpy(), read[key], numbers.numpy())
+        sampler, _, values = found.tracks.get((node, what), ({}, None, np.zeros(0)))
+        output = sampler.get("output", -1)
+        accessor = content["accessors"][output]
+        if outputs.count(output) != 1 or values.shape[:1] + values.shape[2:] != (loaded.frames,):
+            raise at.error(
+                f"{found.skeleton.names[index[nodes.index(node)]]} has no {what} of its own in every frame",
+                place=f"node {node}",
+            )
+        if accessor["componentType"] != 5126:
+            raise at.error(f"its {what} are no floats", place=f"node {node}")
+        _put(data, start, content, output, rows.numpy(), values, numbers.numpy())
     return bytes(data)
 
 
