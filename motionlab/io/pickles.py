@@ -1,0 +1,226 @@
+"""Pickles, read as data and never run.
+
+A pickle is a program. Here every class that it names becomes a passive record of the arguments and the state given to
+it, arrays are then rebuilt from those records by this module, and a name outside a short list (numpy's arrays, torch's
+tensors, plain containers, what a body of SMPL holds) is refused before anything is built.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import pickle
+import re
+
+import numpy as np
+import scipy.sparse
+import torch
+
+from motionlab.io.reading import LARGEST, Spot
+
+
+def read_pickle(at: Spot, data: bytes) -> object:
+    """Reads a pickle, or what joblib or torch wrote, as containers of what :func:`array_of` makes arrays of.
+
+    Raises:
+        DataError: it asks for anything else. Others, of damaged files: inside ``reading`` a DataError.
+    """
+    at.place = "pickle"
+    if data[:2] == b"PK" or data[: len(_LEGACY)] == _LEGACY:
+        return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    return _Reader(at, data).load()
+
+
+#: How files of torch before its version 1.6 begin.
+_LEGACY = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
+
+
+class _Record:
+    """What a pickle said about one object: the name of its class, the arguments, the state. It does nothing."""
+
+    name = ""
+
+    def __new__(cls, *args, **_):
+        record = object.__new__(cls)
+        record.args, record.state = args, None
+        return record
+
+    def __init__(self, *args, **_):
+        pass
+
+    def __setstate__(self, state):
+        self.state = state
+
+
+#: What is built of a name, as a record: numpy's arrays, torch's tensors, and joblib's arrays, which lie in the file
+#: behind their records.
+_NUMPY = {
+    **{
+        f"{core}.multiarray.{name}": name
+        for core in ("numpy.core", "numpy._core")
+        for name in ("_reconstruct", "scalar")
+    },
+    **{f"{core}.numeric._frombuffer": "_frombuffer" for core in ("numpy.core", "numpy._core")},
+    "numpy.ndarray": "ndarray",
+    "numpy.dtype": "dtype",
+    "torch._utils._rebuild_tensor_v2": "tensor",
+    "torch.storage._load_from_bytes": "storage",
+    "joblib.numpy_pickle.NumpyArrayWrapper": "joblib",
+}
+_SPARSE = re.compile(r"scipy\.sparse\.(?:_?(?:csc|csr|coo)\.)?(csc|csr|coo)_(?:matrix|array)")
+_CHUMPY = re.compile(r"chumpy(?:\.\w+)*")
+
+
+class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memory than there is file
+    def __init__(self, at: Spot, data: bytes) -> None:
+        self.stream = io.BytesIO(data)
+        super().__init__(self.stream, encoding="latin1")
+        self.at, self.dispatch = at, pickle._Unpickler.dispatch | {pickle.BUILD[0]: _Reader.load_build}
+
+    def find_class(self, module: str, name: str):
+        full = f"{module}.{name}"
+        if full in ("copy_reg._reconstructor", "copyreg._reconstructor"):
+            return _reconstructor
+        if full in ("__builtin__.object", "builtins.object", "__builtin__.set", "builtins.set"):
+            return _record(name)
+        if full in ("collections.OrderedDict", "collections.defaultdict", "builtins.dict", "__builtin__.dict"):
+            return _dict
+        if full == "_codecs.encode":
+            return _latin1
+        if full in ("__builtin__.bytes", "builtins.bytes"):
+            return _no_bytes
+        if full in _NUMPY:
+            return _record(_NUMPY[full])
+        if sparse := _SPARSE.fullmatch(full):
+            return _record(sparse[1])
+        if _CHUMPY.fullmatch(module):
+            return _record("chumpy")
+        raise self.at.error(
+            f"asks for {full}, which is no array, tensor or container: refused, nothing was executed",
+            place="pickle",
+            remedy="do not trust this file; save plain arrays with numpy.savez",
+        )
+
+    def persistent_load(self, pid):
+        raise self.at.error("refers to objects outside the file", place="pickle")
+
+    def load_build(self) -> None:
+        if not isinstance(self.stack[-2], _Record):  # a function of this module would take what it is told
+            raise self.at.error("sets the state of what is no array", place="pickle")
+        super().load_build()
+        record = self.stack[-1]
+        if getattr(record, "name", "") == "joblib":
+            if record.state.get("numpy_array_alignment_bytes"):
+                self.stream.read(self.stream.read(1)[0])
+            shape, kind = _shape(self.at, record.state["shape"]), _kind(self.at, record.state["dtype"])
+            raw = self.stream.read(kind.itemsize * math.prod(shape))
+            self.stack[-1] = _from_bytes(self.at, raw, record.state["dtype"], shape, record.state["order"])
+
+
+def _record(name: str) -> type[_Record]:
+    return type("Record", (_Record,), {"name": name})
+
+
+def _reconstructor(cls, base, state):
+    """Protocol 0 and 1's way to make an empty object; only of records."""
+    if not (isinstance(cls, type) and issubclass(cls, _Record)):
+        raise TypeError("not a class")
+    return cls()
+
+
+def _dict(*_):
+    """A dictionary, to be filled; what a defaultdict makes of what it lacks is left out."""
+    return {}
+
+
+def _no_bytes():
+    """How Python 3 writes empty bytes in protocol 2."""
+    return b""
+
+
+def _latin1(text, encoding="latin1"):
+    """How Python 3 writes bytes in protocol 2."""
+    if encoding not in ("latin1", "latin-1"):
+        raise ValueError("not latin1")
+    return str(text).encode("latin1")
+
+
+def array_of(at: Spot, value: object) -> np.ndarray:
+    """Makes an array of what a pickle said: of numpy, torch, scipy (sparse), chumpy around one of these, or numbers.
+
+    Raises:
+        DataError: it is something else.
+    """
+    if not isinstance(value, _Record):
+        if isinstance(value, int | float | list | tuple | np.ndarray):
+            return np.asarray(value)
+        if isinstance(value, torch.Tensor):
+            return value.detach().cpu().numpy()
+        raise at.error(f"holds a {type(value).__name__}, expected an array")
+    state = value.state
+    if value.name in ("_reconstruct", "ndarray"):
+        shape, dtype, fortran, raw = state[-4:]
+        return _from_bytes(at, raw, dtype, shape, "F" if fortran else "C")
+    if value.name == "_frombuffer":
+        raw, dtype, shape, order = value.args
+        return _from_bytes(at, raw, dtype, shape, order)
+    if value.name == "scalar":
+        return _from_bytes(at, value.args[1], value.args[0], (), "C")
+    if value.name in ("csc", "csr", "coo"):
+        return _dense(at, value.name, state)
+    if value.name == "chumpy" and isinstance(state, dict):
+        if "x" in state:
+            return array_of(at, state["x"])
+        if "a" in state and "idxs" in state:  # reordering.Select: entries of another array
+            picked = array_of(at, state["a"]).ravel()[array_of(at, state["idxs"]).ravel()]
+            shape = state.get("preferred_shape")
+            return picked if shape is None else picked.reshape(_shape(at, shape))
+    if value.name == "tensor" and getattr(value.args[0], "name", "") == "storage":
+        storage = torch.load(io.BytesIO(value.args[0].args[0]), map_location="cpu", weights_only=True)
+        whole = torch.empty(0, dtype=storage.dtype)
+        return whole.set_(storage._untyped_storage, *value.args[1:4]).numpy().copy()
+    raise at.error(f"holds a {value.name} object without an array in it")
+
+
+def _shape(at: Spot, shape: object) -> tuple[int, ...]:
+    sizes = np.asarray(array_of(at, shape) if isinstance(shape, _Record) else shape)
+    if sizes.ndim > 1 or (sizes.size and (sizes.dtype.kind not in "iu" or sizes.min() < 0)):
+        raise at.error(f"{shape!r} is not a shape")
+    return tuple(int(n) for n in np.atleast_1d(sizes))
+
+
+def _kind(at: Spot, dtype: object) -> np.dtype:
+    code = dtype.args[0] if isinstance(dtype, _Record) and dtype.name == "dtype" and dtype.args else None
+    if not isinstance(code, str) or not re.fullmatch(r"[biuf][1248]", code):
+        raise at.error(f"an array of {code!r}, expected plain numbers")
+    endian = dtype.state[1] if isinstance(dtype.state, tuple) and len(dtype.state) > 1 else "="
+    return np.dtype(({"<": "<", ">": ">"}.get(endian, "=")) + code)
+
+
+def _from_bytes(at: Spot, raw: object, dtype: object, shape: object, order: str) -> np.ndarray:
+    kind = _kind(at, dtype)
+    raw = raw.encode("latin1") if isinstance(raw, str) else raw
+    shape = _shape(at, shape)
+    if not isinstance(raw, bytes | bytearray) or len(raw) != kind.itemsize * int(np.prod(shape, dtype=object)):
+        raise at.error(f"shape {shape} of {kind} does not fit its bytes")
+    return np.frombuffer(raw, kind).reshape(shape, order="F" if order == "F" else "C")
+
+
+def _dense(at: Spot, form: str, state: object) -> np.ndarray:
+    if not isinstance(state, dict):
+        raise at.error("a sparse matrix without contents")
+    shape = _shape(at, state.get("_shape", state.get("shape")))
+    if len(shape) != 2 or 8 * shape[0] * shape[1] > LARGEST:
+        raise at.error(f"a sparse matrix of shape {shape}")
+    values = array_of(at, state["data"])
+    if form == "coo":
+        where = [array_of(at, state[k]) for k in ("row", "col")] if "row" in state else _coords(at, state)
+        return scipy.sparse.coo_array((values, where), shape=shape).toarray()
+    make = {"csc": scipy.sparse.csc_array, "csr": scipy.sparse.csr_array}[form]
+    matrix = make((values, array_of(at, state["indices"]), array_of(at, state["indptr"])), shape=shape)
+    matrix.check_format(full_check=True)
+    return matrix.toarray()
+
+
+def _coords(at: Spot, state: dict) -> list[np.ndarray]:
+    return [array_of(at, axis) for axis in state["coords"]]
