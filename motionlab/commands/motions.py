@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from motionlab.motion import Motion
 
 WRITTEN = (".bvh", ".npz", ".glb")
-READ = f"{' '.join(WRITTEN)} .amc, or DeepMimic's .txt"
+READ = f"{' '.join(WRITTEN)} .amc, DeepMimic's .txt, or .pt .pkl .npy of GVHMR, WHAM, TRAM"
 
 
 #: Options of ``add_reading`` -> of the loaders.
 _READING = {"unit": "unit", "up": "up", "axes": "axes", "fps_in": "fps", "translations": "translations", "asf": "asf",
-            "animation": "animation"}  # fmt: skip
+            "animation": "animation", "person": "person"}  # fmt: skip
 
 
 def add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fps-in", "--fps")) -> None:
@@ -37,6 +37,7 @@ def add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fp
     )
     more.add_argument("--asf", type=Path, metavar="FILE", help="the skeleton of an .amc (default: beside it)")
     more.add_argument("--names", type=Path, metavar="FILE.json", help="what its joints are: standard name -> its own")
+    more.add_argument("--person", type=int, metavar="N", help="whom, of a file of several, from 0 (default: 0)")
     more.add_argument("--animation", metavar="NAME", help="of a .glb: which, by name or number (default: the first)")
 
 

@@ -15,8 +15,7 @@ from motionlab.motion import Motion
 
 #: A key that only this layout has -> its loader.
 NPZ_LAYOUTS: dict[str, Callable] = {
-    "poses": amass.load,
-    "pose_body": amass.load,
+    **dict.fromkeys((*amass.POSES, *amass.PARTS), amass.load),
     "local_or_global_rotation_xyzw": clips.load_amp,
     "positions_cm": points.load_anidance,
 }
@@ -51,6 +50,9 @@ LOADERS = {
     ".txt": clips.load_deepmimic,
     ".json": clips.load_deepmimic,
     ".npz": load_npz,
+    ".pt": amass.load,
+    ".pkl": amass.load,
+    ".npy": amass.load,
     ".glb": gltf.load,
     ".trc": points.load_trc,
     ".c3d": points.load_c3d,

@@ -1,4 +1,5 @@
-"""AMASS npz: sequences of SMPL, SMPL+H or SMPL-X body parameters."""
+"""Sequences of SMPL, SMPL+H or SMPL-X body parameters: AMASS and its kin as npz, and what GVHMR, WHAM, TRAM and AIST++
+give as .pt, .pkl or .npy."""
 
 from __future__ import annotations
 
@@ -13,83 +14,156 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
 from motionlab.files import write_whole
-from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_npz, reading
+from motionlab.io import judging
+from motionlab.io.pickles import array_of, read_array, read_pickle
+from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_bytes, read_npz, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
 
-#: Columns of ``poses`` -> model. All three begin with the same 22 joints: root and 21 body joints.
-MODELS = {72: "smpl", 156: "smplh", 165: "smplx"}
+#: Joints of a model -> its name. All begin with the same 22: root and 21 body joints.
+MODELS = {24: "smpl", 52: "smplh", 55: "smplx"}
 #: Columns after the 22 body joints: SMPL's two hands as one joint each; fingers; jaw, eyes and fingers.
 EXTRA = {"smpl": 6, "smplh": 90, "smplx": 99}
-#: The split keys of SMPL-X files, in the order of ``poses``, and their columns.
-POSE_PARTS = {"root_orient": 3, "pose_body": 63, "pose_jaw": 3, "pose_eye": 6, "pose_hand": 90}
-RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
-BODY = 66
+#: Keys of poses, whole or split, of translations and of frame rates; what is in the world before what is in a camera.
+POSES = ("pose_world", "poses", "smpl_poses", "pose", "fullpose", "pred_rotmat")
+ROOT, PARTS = ("root_orient", "global_orient"), ("pose_body", "body_pose")
+TRANS = ("trans_world", "trans", "transl", "smpl_trans", "translation", "pred_trans")
+RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate")
+_KEYS = (*POSES, *ROOT, *PARTS, *TRANS, *RATES, "contacts", "smpl_scaling", "frame_ids")
+BODY = len(STANDARD)
 #: Radians; a larger angle is a damaged number, and float64 has no digits left for its rotation.
 LARGEST_ANGLE = 1e4
+#: Keys that tell a system: its name, what is up in its world, and its usual frame rate.
+_SYSTEMS = {
+    "smpl_params_global": ("GVHMR", "y", 30.0), "pose_world": ("WHAM", "y", 30.0), "pred_rotmat": ("TRAM", "-y", 30.0),
+    "smpl_poses": ("AIST++", "y", 60.0),
+}  # fmt: skip
+_REMEDY = 'save "poses" (T, 66 or more), "trans" (T, 3) and "mocap_framerate"'
 
 
 @dataclass(frozen=True, eq=False)
 class Amass:
-    """What an AMASS file holds. Axis-angle in radians, metres, z up.
+    """What a file holds of the body. Metres, in the file's own axes.
 
-    poses (T, D): root orientation and 21 body joints (66 columns), then what the model adds. trans (T, 3):
-    SMPL's translation. betas (B,): body shape. gender: as the file says. fps: frames per second. model: one of
-    ``EXTRA``. contacts (T, 9) or None: of ``STANDARD.contact_names``; not AMASS's own, HuMoR and we add it.
+    turns (T, 22, 3): axis-angle in radians of root orientation and body joints. trans (T, 3): SMPL's translation.
+    fps: frames per second. joints: of the file's model. up: what its format says. contacts (T, 9) or None: of
+    ``STANDARD.contact_names``; not AMASS's own, HuMoR and we add it.
     """
 
-    poses: Tensor
+    turns: Tensor
     trans: Tensor
-    betas: Tensor
-    gender: str
     fps: float
-    model: str
+    joints: int
+    up: str
     contacts: Tensor | None = None
 
 
-def _read(path: str | Path) -> Amass:
-    """Reads everything in an AMASS file, float64, as it is.
+def _read(at: Spot, person: int = 0, fps: float | None = None) -> Amass:
+    """Reads the body of a file, float64, as it is.
 
-    Both spellings of the frame rate (``mocap_framerate``, ``mocap_frame_rate``) and ``fps`` are known; ``poses``
-    or the split keys ``root_orient``, ``pose_body``, ... (those after the body may be absent).
+    ``POSES`` or the split ``ROOT`` and ``PARTS`` may be axis-angle, (T, 3J) or (T, J, 3), or matrices (T, J, 3, 3).
+    Shapes and hands are not read.
 
     Raises:
         DataError: a key is missing, its numbers have another shape or are not finite, or two frame rates differ.
     """
-    with reading(path, 'save "poses" (T, 72, 156 or 165), "trans" (T, 3) and "mocap_framerate"') as at:
-        arrays = read_npz(at, ("poses", "trans", "betas", "gender", "contacts", *RATES, *POSE_PARTS))
-        poses = _poses(at, arrays)
-        if "trans" not in arrays:
-            raise at.error("this key is missing", place="trans")
-        trans = numbers(at, arrays["trans"], f"{len(poses)} 3", "trans")
-        rates = {key: frame_rate(at, arrays[key], key) for key in RATES if key in arrays}
-        if not rates:
-            raise at.error("the frame rate is missing", place=" / ".join(RATES))
-        if len(set(rates.values())) > 1:
-            raise at.error(
-                f"the frame rates disagree: {', '.join(f'{rate:g}' for rate in rates.values())}",
-                place=", ".join(rates),
-                remedy="keep the key that is right",
-            )
-        betas = numbers(at, arrays["betas"], "B", "betas") if arrays.get("betas", np.empty(0)).size else np.zeros(0)
-        contacts = arrays.get("contacts")
-        if contacts is not None:
-            contacts = torch.from_numpy(
-                numbers(at, contacts, f"{len(poses)} {len(STANDARD.contact_names)}", "contacts")
-            )
-        return Amass(
-            torch.from_numpy(poses),
-            torch.from_numpy(trans),
-            torch.from_numpy(betas),
-            _text(arrays.get("gender", np.array("neutral"))),
-            next(iter(rates.values())),
-            MODELS[poses.shape[1]],
-            contacts,
-        )
+    arrays, (system, up, usual) = _arrays(at, person)
+    split = [next((key for key in keys if key in arrays), None) for keys in (ROOT, PARTS)]
+    whole = next((key for key in POSES if key in arrays), None)
+    if not whole and None in split:
+        raise at.error(f'neither "poses" nor "{(ROOT, PARTS)[split.index(None)][0]}" is there', place="keys")
+    turns = [_turns(at, arrays[key], key) for key in ([whole] if whole else split)]
+    if len({len(part) for part in turns}) > 1:
+        raise at.error(f"expected equally many frames, got {[len(part) for part in turns]}", place=", ".join(split))
+    turns = np.concatenate(turns, axis=1)
+    if turns.shape[1] < BODY:
+        raise at.error(f"expected {3 * BODY} columns or more, got {3 * turns.shape[1]}", place=whole or split[1])
+    key = next((key for key in TRANS if key in arrays), None)
+    if key is None:
+        raise at.error("this key is missing", place="trans")
+    trans = arrays[key].reshape(len(arrays[key]), -1) if arrays[key].ndim == 3 else arrays[key]
+    trans = numbers(at, trans, f"{len(turns)} 3", key)
+    if "smpl_scaling" in arrays:
+        trans = trans / numbers(at, arrays["smpl_scaling"].reshape(-1), "1", "smpl_scaling")
+    ids = arrays.get("frame_ids", np.zeros(0))
+    if ids.size == len(turns) > 1 and (np.diff(ids.ravel().astype(float)) != 1).any():
+        at.notes.append("frames are missing in between, which the file joins: see its frame_ids")
+    contacts = arrays.get("contacts")
+    if contacts is not None:
+        contacts = torch.from_numpy(numbers(at, contacts, f"{len(turns)} {len(STANDARD.contact_names)}", "contacts"))
+    fps = _rate(at, arrays, system, usual) if fps is None else frame_rate(at, fps, "fps")
+    body = torch.from_numpy(turns[:, :BODY])
+    return Amass(body, torch.from_numpy(trans), fps, turns.shape[1], up, contacts)
 
 
-def load(path: str | Path, *, skeleton: Skeleton = STANDARD, pelvis_offset: Tensor | None = None) -> Motion:
-    """Reads the body of an AMASS file as a Motion on 22 joints; hands, jaw and eyes are left out.
+def _arrays(at: Spot, person: int) -> tuple[dict[str, np.ndarray], tuple[str, str, float | None]]:
+    """The arrays of one body that are known, and of which system: its name, up axis and usual rate."""
+    data = read_bytes(at)
+    if data[:2] == b"PK" and b"data.pkl" not in data[:200]:  # torch's archives begin with it
+        return read_npz(at, _KEYS), ("AMASS", "z", None)
+    tree = read_array(at, data) if data[:6] == b"\x93NUMPY" else read_pickle(at, data)
+    system = ("SMPL", "z", None)
+    if isinstance(tree, dict):
+        people = [each for each in tree.values() if isinstance(each, dict) and {*POSES, *PARTS} & each.keys()]
+        keys = {*tree, *(key for each in people for key in each)}
+        system = next((found for key, found in _SYSTEMS.items() if key in keys), system)
+        people = [tree["smpl_params_global"]] if "smpl_params_global" in tree else people
+        people.sort(key=lambda each: -max(len(each[key]) for key in (*POSES, *PARTS) if key in each))
+        if len(people) > 1:
+            at.notes.append(f"person {person} of {len(people)}, the longest first: choose with person=, or --person")
+        if person and not 0 <= person < len(people):
+            raise at.error(f"no person {person} of {len(people)}", remedy="count them from 0, the longest first")
+        tree = people[person] if people else tree
+    if not isinstance(tree, dict):
+        raise at.error(f"holds a {type(tree).__name__}, expected a dictionary of arrays", place="whole file")
+    arrays = {}
+    for key in _KEYS:
+        if tree.get(key) is not None:
+            at.place = key
+            arrays[key] = array_of(at, tree[key])
+    if "pred_rotmat" in arrays:
+        at.notes.append("in the axes of the camera, whose own motion is not in this file")
+    return arrays, system
+
+
+def _turns(at: Spot, array: np.ndarray, key: str) -> np.ndarray:
+    """Axis-angle (T, J, 3) of it, or of matrices."""
+    array = numbers(at, array, " ".join("TJKL"[: max(array.ndim, 2)]), key, LARGEST_ANGLE)
+    if array.shape[-2:] != (3, 3) or (array.ndim == 3 and key not in ROOT):
+        if array[0].size % 3:
+            raise at.error(f"expected 3 columns for each joint, got {array.shape}", place=key)
+        return array.reshape(len(array), -1, 3)
+    matrix = torch.from_numpy(array.reshape(len(array), -1, 3, 3))
+    if not (matrix.mT @ matrix - torch.eye(3)).abs().max() < 0.1 or not (torch.linalg.det(matrix) > 0).all():
+        raise at.error("matrices that are no rotations", place=key)
+    return rotation.matrix_to_axis_angle(rotation.nearest(matrix)).numpy()
+
+
+def _rate(at: Spot, arrays: dict[str, np.ndarray], system: str, usual: float | None) -> float:
+    rates = {key: frame_rate(at, arrays[key], key) for key in RATES if key in arrays}
+    if not rates and usual is not None:
+        at.notes.append(f"{system} keeps no frame rate: taken as {usual:g}; say it with fps=, or --fps-in")
+        return usual
+    if not rates:
+        remedy = "say it with fps=, or --fps-in"
+        raise at.error("the frame rate is missing", place=" / ".join(RATES), remedy=remedy)
+    if len(set(rates.values())) > 1:
+        said = ", ".join(f"{rate:g}" for rate in rates.values())
+        raise at.error(f"the frame rates disagree: {said}", place=", ".join(rates), remedy="keep the key that is right")
+    return next(iter(rates.values()))
+
+
+def load(
+    path: str | Path,
+    *,
+    skeleton: Skeleton = STANDARD,
+    pelvis_offset: Tensor | None = None,
+    person: int = 0,
+    up: str | None = None,
+    axes: str | None = None,
+    fps: float | None = None,
+) -> Motion:
+    """Reads the body of a file as a Motion on 22 joints; hands, jaw and eyes are left out.
 
     root = trans + pelvis_offset. SMPL's translation is not the pelvis: pelvis = trans + J_0(betas), where J_0 is
     the pelvis of the shaped template, which the root rotation leaves where it is. Without the body model J_0 is
@@ -98,28 +172,29 @@ def load(path: str | Path, *, skeleton: Skeleton = STANDARD, pelvis_offset: Tens
     Args:
         skeleton: 22 joints in SMPL's order, such as that of the subject's own body.
         pelvis_offset: (3,) J_0(betas) in metres; None is zero.
+        person: whom, of a file of several; the longest first.
+        up, axes: instead of z up (GVHMR, WHAM and AIST++: y; TRAM: -y), which is doubted where the heads of the file
+            are above its feet along another axis. fps: instead of the file's.
 
     Raises:
-        DataError: see ``read``.
+        DataError: see ``_read``; nothing that a pickle asks for is executed.
         ShapeError: the skeleton has not 22 joints, or pelvis_offset is not (3,).
     """
-    if len(skeleton) != BODY // 3:
-        raise ShapeError(f"skeleton: expected the {BODY // 3} body joints of SMPL, got {len(skeleton)}")
-    amass = _read(path)
-    guess = "pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root"
-    notes = () if pelvis_offset is not None else (guess,)
-    if amass.poses.shape[1] > BODY:
-        notes += (f"{amass.model}: hands and face are left out, 22 joints of the body are read",)
-    turns = amass.poses[:, :BODY].unflatten(-1, (-1, 3))
-    return Motion(
-        skeleton,
-        (amass.trans + _offset(pelvis_offset)).float(),
-        rotation.axis_angle_to_matrix(turns).float(),
-        amass.fps,
-        contacts=None if amass.contacts is None else amass.contacts.float(),
-        name=Path(path).stem,
-        notes=notes,
-    )
+    if len(skeleton) != BODY:
+        raise ShapeError(f"skeleton: expected the {BODY} body joints of SMPL, got {len(skeleton)}")
+    judging.check_given(None, up, axes)
+    with reading(path, _REMEDY) as at:
+        amass = _read(at, person, fps)
+        notes = at.notes
+        if pelvis_offset is None:
+            notes.append("pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root")
+        if amass.joints > BODY:
+            model = MODELS.get(amass.joints, f"{amass.joints} joints")
+            notes.append(f"{model}: hands and face are left out, {BODY} joints of the body are read")
+        root, rot = amass.trans + _offset(pelvis_offset), rotation.axis_angle_to_matrix(amass.turns)
+        contacts = None if amass.contacts is None else amass.contacts.float()
+        motion = Motion(skeleton, root, rot, amass.fps, contacts, at.path.stem, tuple(notes))
+        return judging.to_world(at, motion, unit=1.0, up=up, axes=axes, says_up=amass.up, trust=0.5)
 
 
 def save(
@@ -140,7 +215,7 @@ def save(
         DataError: NaN or infinity, or the file cannot be written.
     """
     check_writable(path, motion)
-    check_shape(motion.rot, f"T {BODY // 3} 3 3", "rot")
+    check_shape(motion.rot, f"T {BODY} 3 3", "rot")
     if model not in EXTRA:
         raise ShapeError(f"model: expected one of {', '.join(EXTRA)}, got {model!r}")
     turns = rotation.matrix_to_axis_angle(motion.rot.double()).flatten(-2)
@@ -159,34 +234,8 @@ def save(
     write_whole(path, archive.getvalue())
 
 
-def _poses(at: Spot, arrays: dict[str, np.ndarray]) -> np.ndarray:
-    if "poses" in arrays:
-        poses = numbers(at, arrays["poses"], "T D", "poses", LARGEST_ANGLE)
-    else:
-        for key in ("root_orient", "pose_body"):
-            if key not in arrays:
-                raise at.error(f'neither "poses" nor "{key}" is there', place=key)
-        found = {
-            key: numbers(at, arrays[key], f"T {POSE_PARTS[key]}", key, LARGEST_ANGLE)
-            for key in POSE_PARTS
-            if key in arrays
-        }
-        rows = {len(part) for part in found.values()}
-        if len(rows) > 1:
-            raise at.error(f"expected equally many frames, got {sorted(rows)}", place=", ".join(found))
-        poses = np.concatenate([found.get(key, np.zeros((*rows, width))) for key, width in POSE_PARTS.items()], axis=1)
-    if poses.shape[1] not in MODELS:
-        raise at.error(f"expected {', '.join(map(str, MODELS))} columns, got {poses.shape[1]}", place="poses")
-    return poses
-
-
 def _offset(pelvis_offset: Tensor | None) -> Tensor:
     if pelvis_offset is None:
         return torch.zeros(3, dtype=torch.float64)
     check_shape(pelvis_offset, "3", "pelvis_offset")
     return pelvis_offset.double().cpu()
-
-
-def _text(value: np.ndarray) -> str:
-    item = value.reshape(-1)[0] if value.size and value.dtype.kind in "US" else "neutral"
-    return item.decode("latin-1") if isinstance(item, bytes) else str(item)

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse
 import torch
 
-from motionlab.io.reading import LARGEST, Spot
+from motionlab.io.reading import LARGEST, Spot, npy_header, read_npy
 
 
 def read_pickle(at: Spot, data: bytes) -> object:
@@ -29,6 +29,22 @@ def read_pickle(at: Spot, data: bytes) -> object:
     if data[:2] == b"PK" or data[: len(_LEGACY)] == _LEGACY:
         return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     return _Reader(at, data).load()
+
+
+def read_array(at: Spot, data: bytes) -> object:
+    """Reads a .npy: an array, or of one of objects what :func:`read_pickle` makes of the first.
+
+    Raises:
+        DataError: see :func:`read_pickle`.
+    """
+    stream = io.BytesIO(data)
+    header = npy_header(at, stream)
+    if not header[2].hasobject:
+        return read_npy(at, stream, len(data), header)
+    array = read_pickle(at, stream.read())
+    if not (isinstance(array, _Record) and array.name == "_reconstruct" and array.state and array.state[-1]):
+        raise at.error("an array of objects without an object", place="pickle")
+    return array.state[-1][0]
 
 
 #: How files of torch before its version 1.6 begin.

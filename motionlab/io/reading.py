@@ -147,17 +147,31 @@ def read_npz(
             if member.file_size > LARGEST:
                 raise at.error(f"{member.file_size} bytes are more than {LARGEST}")
             with archive.open(member) as stream:
-                arrays[key] = _read_npy(at, stream, member.file_size, plain)
+                arrays[key] = read_npy(at, stream, member.file_size, npy_header(at, stream), plain)
     at.place = ""
     return arrays
 
 
-def _read_npy(at: Spot, stream, size: int, plain: str) -> np.ndarray:
+def npy_header(at: Spot, stream) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Reads shape, order and kind of a .npy from a stream.
+
+    Raises:
+        DataError: a version that is not known. ValueError: no such header; inside ``reading`` a DataError.
+    """
     version = np.lib.format.read_magic(stream)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in header:
         raise at.error(f"npy version {version} is not known")
-    shape, fortran, dtype = header[version](stream)
+    return header[version](stream)
+
+
+def read_npy(at: Spot, stream, size: int, header: tuple, plain: str = "save plain arrays only") -> np.ndarray:
+    """Reads the array of a .npy of ``size`` bytes, whose header has been read.
+
+    Raises:
+        DataError: it holds objects, or less than it promises.
+    """
+    shape, fortran, dtype = header
     if dtype.hasobject:
         raise at.error("holds pickled Python objects, which are never loaded", remedy=plain)
     if any(n < 0 for n in shape) or math.prod(shape) * dtype.itemsize > size:

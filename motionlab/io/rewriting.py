@@ -173,27 +173,40 @@ def _line_end(line: str) -> str:
 # -------------------------------------------------------------------------------------------------------- npz
 def _npz(at: Spot, loaded: Motion, made: Motion) -> bytes:
     arrays = {k: np.array(x) for k, x in read_npz(at).items()}
-    if "trans" not in arrays or not {"poses", "pose_body"} & set(arrays):
-        raise at.error("not an AMASS file", place="keys")
+    places, moving = _smpl_keys(arrays)
+    if not places:
+        raise at.error("not an AMASS file of axis-angles", place="keys")
     count = loaded.frames
-    for key in ("trans", "contacts", "poses", *amass.POSE_PARTS):
-        if key in arrays and len(arrays[key]) == count:
+    for key in {moving, "contacts", *(key for key, _ in places), "pose_jaw", "pose_eye", "pose_hand"} & arrays.keys():
+        if len(arrays[key]) == count:
             arrays[key] = np.concatenate((arrays[key], np.repeat(arrays[key][-1:], made.frames - count, 0)))
+    table = {key: arrays[key].reshape(len(arrays[key]), -1) for key in {moving, *(key for key, _ in places)}}
+    first, root = (torch.from_numpy(table[key][:count, :3].astype(np.float64)) for key in (places[0][0], moving))
+    rot, root = _base(loaded, made, rotation.axis_angle_to_matrix(first), root, 1.0)
     new_rot, new_root = (x.numpy() for x in _changed(loaded, made))
-    turns = rotation.matrix_to_axis_angle(made.rot.double()).numpy()
-    parts = [("poses", 0)] * len(made.skeleton) if "poses" in arrays else [("root_orient", 0)]
-    parts += [("pose_body", 3)] * (len(made.skeleton) - len(parts))
-    for j, (key, less) in enumerate(parts):
-        columns = slice(3 * j - less, 3 * j - less + 3)
-        arrays[key][new_rot[:, j], columns] = turns[new_rot[:, j], j]
-    offset = (loaded.root[-1].double() - torch.from_numpy(arrays["trans"][count - 1].astype(np.float64))).numpy()
-    arrays["trans"][new_root] = made.root.double().numpy()[new_root] - offset
+    turns = rotation.matrix_to_axis_angle(rot).numpy()
+    for j, (key, column) in enumerate(places):
+        table[key][new_rot[:, j], column : column + 3] = turns[new_rot[:, j], j]
+    table[moving][new_root] = root.numpy()[new_root]
+    arrays |= {key: rows.reshape(arrays[key].shape) for key, rows in table.items()}
     if "contacts" in arrays and made.contacts is not None:
         rows = new_rot.any(1) | new_root
         arrays["contacts"][rows] = made.contacts.numpy()[rows]
     archive = io.BytesIO()
     np.savez_compressed(archive, **arrays)
     return archive.getvalue()
+
+
+def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], str]:
+    """Where the axis-angle of each joint lies, as key and first column, and the key of the translation; else none."""
+    whole, *split = (next((k for k in keys if k in arrays), "") for keys in (amass.POSES, amass.ROOT, amass.PARTS))
+    moving = next((key for key in amass.TRANS if key in arrays), "")
+    places = [(whole, 3 * j) for j in range(amass.BODY)] if whole else [(split[0], 0)]
+    places += [] if whole else [(split[1], 3 * j) for j in range(amass.BODY - 1)]
+    used = {key for key, _ in places} | {moving}
+    if "" in used or "smpl_scaling" in arrays or any(arrays[key].shape[-2:] == (3, 3) for key in used):
+        return [], ""
+    return places, moving
 
 
 # -------------------------------------------------------------------------------------------------------- GLB
@@ -268,8 +281,7 @@ def _rewritable(source: str | Path) -> bool:
     if suffix != ".npz":
         return suffix in REWRITERS
     with reading(source) as at:
-        keys = set(read_npz(at, ("trans", "poses", "pose_body")))
-    return "trans" in keys and len(keys) > 1
+        return bool(_smpl_keys(read_npz(at, amass._KEYS))[0])
 
 
 #: What is said of a file that is written anew.
