@@ -126,13 +126,13 @@ def _turned(figure: Figure, scale: float, axes: str) -> Figure:
     world = axes_to_matrix(axes)
     if not isinstance(figure, Motion):
         return replace(figure, positions=(scale * figure.positions @ world.T).float())
-    if axes == "xyz" and scale == 1:
-        return figure.to(torch.float32)
-    rot = figure.rot.clone()
-    rot[:, 0] = world.to(rot) @ rot[:, 0]
-    skeleton = replace(figure.skeleton, offsets=figure.skeleton.offsets * scale)
-    root = scale * figure.root @ world.to(figure.root).T
-    return replace(figure, skeleton=skeleton, root=root, rot=rot).to(torch.float32)
+    skeleton, root, rot = figure.skeleton, figure.root, figure.rot.clone()
+    if axes != "xyz" or scale != 1:
+        rot[:, 0] = world.to(rot) @ rot[:, 0]
+        root = scale * root @ world.to(root).T
+    if skeleton.offsets.dtype != torch.float32 or scale != 1:
+        skeleton = replace(skeleton, offsets=skeleton.offsets * scale).to(torch.float32)
+    return replace(figure, skeleton=skeleton, root=root.float(), rot=rot.float())
 
 
 def _names(figure: Figure) -> list[str]:
