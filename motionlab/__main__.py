@@ -46,11 +46,12 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     text = "write a motion file in another format, told by the endings of the names"
     command = add_command(commands, "convert", text, "convert walk.bvh walk.glb", _convert)
     command.add_argument("source", metavar="IN", type=Path, help=READ)
-    command.add_argument("target", metavar="OUT", type=Path, help=" ".join(WRITTEN))
+    command.add_argument("target", metavar="OUT", type=Path, help=f"{' '.join(WRITTEN)} .npy (of HumanML3D)")
     command.add_argument("--fps", type=float, help="frames per second of the output (default: those of the input)")
     add_reading(command, rate=("--fps-in",))
     command.add_argument("--rest", choices=("t", "a"), help="of a .bvh or bones: a T or an A as the rest pose")
     command.add_argument("--standard", action="store_true", help="put it on the 22 standard joints (always for .npz)")
+    command.add_argument("--features", action="store_true", help="a .npy of HumanML3D's 263 numbers, not of 22 joints")
     flesh = command.add_mutually_exclusive_group()
     flesh.add_argument("--body", action="store_true", help="the default body on the 22 joints (of a .glb the default)")
     flesh.add_argument("--bones", "--no-body", action="store_true", help="a .glb of the file's own joints, no body")
@@ -215,6 +216,7 @@ def _span(ends: tuple[float, float]) -> str:
 
 
 def _convert(options: argparse.Namespace) -> int:
+    from motionlab import humanml
     from motionlab.body import BodyModel
     from motionlab.io.rewriting import WRITERS, check_target, for_amass
     from motionlab.motion import resample
@@ -231,17 +233,21 @@ def _convert(options: argparse.Namespace) -> int:
         motion, note = for_amass(motion)
         if note:
             say_note(note)
-    elif options.standard or body:
+    elif options.standard or body or suffix == ".npy":
         motion = with_standard_joints(motion)
     if options.rest:
-        if suffix == ".npz" or body:
+        if suffix in (".npz", ".npy") or body:
             raise DataError("its rest pose is given", path=options.target, remedy="--rest is for a .bvh or for --bones")
         motion = with_rest(motion, options.rest)
-    if options.fps is not None:
+    if suffix == ".npy":
+        motion = resample(motion, humanml.FPS)
+    elif options.fps is not None:
         if not 1 <= options.fps <= 1000:  # not a number is neither
             raise DataError(f"{options.fps:g} frames per second", place="--fps", remedy="give 1 to 1000")
         motion = resample(motion, options.fps)
-    more = {"body": BodyModel.from_anny()} if body else {}
+    if options.features and suffix != ".npy":
+        raise DataError("only a .npy holds features", path=options.target, remedy="leave out --features")
+    more = {"body": BodyModel.from_anny()} if body else {"as_features": True} if options.features else {}
     WRITERS[suffix](options.target, motion, **more)
     for note in motion.notes[len(told) :]:
         say_note(note)

@@ -14,7 +14,7 @@ FLOORS = """
     errors examples parallel
     batch files optimise rotation skeleton training_loop diffusion.sampling
     body checkpoint motion
-    heading
+    heading humanml
     baselines contact rest rigs skinning tailoring humor.state diffusion.features diffusion.state
     observation retarget humor.cvae diffusion.curves diffusion.footsteps diffusion.losses diffusion.masks
     io viz data_synth humor.body_shape humor.energies humor.priors humor.transition

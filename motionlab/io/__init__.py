@@ -7,10 +7,15 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+import torch
+
+from motionlab import humanml
 from motionlab.errors import DataError
-from motionlab.io import amass, asf, bvh, clips, gltf, points
+from motionlab.io import amass, asf, bvh, clips, gltf, judging, points
+from motionlab.io.pickles import read_array
 from motionlab.io.points import Positions
-from motionlab.io.reading import read_bytes, reading
+from motionlab.io.reading import frame_rate, numbers, read_bytes, reading
 from motionlab.motion import Motion
 
 #: A key that only this layout has -> its loader.
@@ -43,6 +48,35 @@ def load_npz(path: str | Path, **options) -> Motion | Positions:
     return _npz_loader(path)(path, **options)
 
 
+def load_npy(
+    path: str | Path,
+    *,
+    person: int = 0,
+    unit: str | float | None = None,
+    up: str | None = None,
+    axes: str | None = None,
+    fps: float | None = None,
+) -> Motion:
+    """Reads a .npy: HumanML3D's joints (T, 22, 3) or 263 numbers a frame, at 20 frames per second and y up unless they
+    or the caller tell otherwise; of one that holds an object, see :func:`motionlab.io.amass.load`.
+
+    Raises:
+        DataError: it holds anything else.
+    """
+    judging.check_given(unit, up, axes)
+    with reading(path, "save joints (T, 22, 3) or HumanML3D's features (T, 263) with numpy.save") as at:
+        array = read_array(at, read_bytes(at))
+        if not isinstance(array, np.ndarray):
+            return amass.load(path, person=person, up=up, axes=axes, fps=fps)
+        if array.ndim == 2 and array.shape[1] == humanml.SIZE:
+            joints = humanml.joints_of(torch.from_numpy(numbers(at, array, f"T {humanml.SIZE}", "array", 1e6)))
+        else:
+            joints = torch.from_numpy(numbers(at, array, f"T {humanml.JOINTS} 3", "array", 1e6))
+        rate = humanml.FPS if fps is None else frame_rate(at, fps, "fps")
+        motion = humanml.motion_of(joints, rate, at.path.stem)
+        return judging.to_world(at, motion, unit=unit, up=up, axes=axes, says_unit=1.0, says_up="y", trust=0.5)
+
+
 #: Loader by file suffix; each takes the path and its own options.
 LOADERS = {
     ".bvh": bvh.load,
@@ -52,7 +86,7 @@ LOADERS = {
     ".npz": load_npz,
     ".pt": amass.load,
     ".pkl": amass.load,
-    ".npy": amass.load,
+    ".npy": load_npy,
     ".glb": gltf.load,
     ".trc": points.load_trc,
     ".c3d": points.load_c3d,

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motionlab import rotation
+from motionlab import humanml, rotation
 from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.io import amass, bvh, gltf
@@ -271,7 +271,8 @@ def _put(data: bytearray, start: int, content: dict, output: int, rows: np.ndarr
         struct.pack_into(f"<{width}f", data, first + int(t) * view.get("byteStride", 4 * width), *old[t])
 
 
-WRITERS: dict[str, Callable[[Path, Motion], None]] = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save}
+WRITERS: dict[str, Callable[[Path, Motion], None]] = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save,
+                                                    ".npy": humanml.save}  # fmt: skip
 REWRITERS: dict[str, Callable[[Spot, Motion, Motion], bytes]] = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
 
 
@@ -288,6 +289,7 @@ def _rewritable(source: str | Path) -> bool:
 _ANEW = {
     ".bvh": "written anew, its numbers rounded to 1e-8 m and 1e-6 degrees",
     ".npz": "written anew as parameters of SMPL-H, in double precision",
+    ".npy": "written anew as the places of 22 joints at 20 frames per second, as HumanML3D has them",
     ".glb": "written anew in single precision, as bones without a body (`convert` writes one with a body)",
 }
 
@@ -332,6 +334,8 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
     if suffix == ".npz":
         made, body = for_amass(made)
         lost += body and f"; {body}"
+    if suffix == ".npy" and made.skeleton.names != STANDARD.names:
+        made = retarget(made).motion
     WRITERS[suffix](target, made)
     return f"{_ANEW[suffix]}{lost}"
 
