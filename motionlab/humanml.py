@@ -14,6 +14,7 @@ and a turn through straight back keeps its sign.
 from __future__ import annotations
 
 import io
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,7 @@ def features(joints: Tensor) -> Tensor:
     turned = torch.zeros(len(joints), JOINTS, 3, 3, dtype=torch.float64)
     for chain in _CHAINS:
         above = face
-        for a, b in zip(chain, chain[1:], strict=False):
+        for a, b in pairwise(chain):
             bone = rotation.rotation_between(torch.tensor(_AXES[b], dtype=torch.float64), joints[:, b] - joints[:, a])
             turned[:, b], above = above.mT @ bone, bone
     still = (step[:, list(_FEET)].square().sum(-1) < _STILL).double()
@@ -86,7 +87,7 @@ def begun(joints: Tensor) -> Tensor:
 
 
 def motion_of(joints: Tensor, fps: float = FPS, name: str = "") -> Motion:
-    """Finds a motion on the 22 joints that stands at ``joints`` (T, 22, 3) in their own axes, with bones of mean length.
+    """Finds a motion on the 22 joints that stands at ``joints`` (T, 22, 3), in their axes, with bones of mean length.
 
     Where several bones leave a joint, its rotation is the best for all of them; where one does, the nearest to the
     joint above, for how a limb is twisted cannot be seen from places.

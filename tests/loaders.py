@@ -8,6 +8,7 @@ import detected
 import seeds
 import torch
 
+from motionlab import io
 from motionlab.body import BodyModel
 from motionlab.errors import DataError
 from motionlab.io import amass, asf, bvh, cameras, clips, gltf, keypoints, openpose, points, smpl
@@ -60,6 +61,11 @@ LOADERS = {
     "projected.csv": lambda path: points.load_projected(path, camera=seeds.camera(), fps=50),
     ".glb": gltf.load,
     **dict.fromkeys(calibrated.SEEDS, lambda path: cameras.load_camera(path)[0]),
+    "gvhmr.pt": amass.load,
+    "wham.pkl": amass.load,
+    "tram.npy": io.load,
+    "humanml.npy": io.load,
+    "features.npy": io.load,
     **dict.fromkeys(detected.SEEDS, partial(keypoints.load, fps=30, size=detected.SIZE)),
 }
 

@@ -5,6 +5,7 @@ import json
 import pickle
 import struct
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import calibrated
@@ -12,7 +13,8 @@ import detected
 import numpy as np
 import torch
 
-from motionlab import rotation
+import results
+from motionlab import humanml, rotation
 from motionlab.io import amass, bvh, gltf
 from motionlab.motion import Motion
 from motionlab.observation import Camera, look_at
@@ -229,5 +231,10 @@ SEEDS: dict[str, bytes] = {
     "projected.csv": projected_text().encode(),
     ".glb": saved(gltf.save, ".glb"),
     **calibrated.SEEDS,
+    "gvhmr.pt": results.gvhmr(),
+    "wham.pkl": results.wham(),
+    "tram.npy": results.tram(),
+    "humanml.npy": saved(humanml.save, ".npy"),
+    "features.npy": saved(partial(humanml.save, as_features=True), ".npy"),
     **detected.SEEDS,
 }

@@ -1,11 +1,15 @@
+import io as bytes_io
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from motionlab import rotation
+import results
+from motionlab import io, rotation
 from motionlab.errors import DataError, ShapeError
-from motionlab.io import amass
+from motionlab.io import amass, rewriting
 from motionlab.io.reading import reading
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
@@ -129,3 +133,84 @@ def test_save_refuses_what_amass_cannot_hold(tmp_path):
         amass.save(tmp_path / "a.npz", motion, model="smal")
     with pytest.raises(ShapeError, match="one clip"):
         amass.save(tmp_path / "a.npz", Motion(STANDARD, torch.zeros(2, FRAMES, 3), eye.expand(2, -1, -1, -1, -1), 30.0))
+
+
+SYSTEMS = {"gvhmr.pt": results.gvhmr, "wham.pkl": results.wham, "tram.npy": results.tram, "aist.pkl": results.aist}
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_what_other_systems_write_is_the_person_they_saw(tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(SYSTEMS[name]())
+    loaded, person = io.load(path), results.person()
+    torch.testing.assert_close(loaded.rot, person.rot, atol=2e-6, rtol=0)
+    torch.testing.assert_close(loaded.root, person.root, atol=2e-5, rtol=0)
+    usual = 60 if name == "aist.pkl" else 30
+    assert loaded.fps == usual and any("--fps-in" in note for note in loaded.notes)
+    assert io.load(path, fps=24).fps == 24
+    assert any("camera" in note for note in loaded.notes) == (name == "tram.npy")
+
+
+def test_of_several_people_the_longest_is_first_and_the_others_are_said(tmp_path):
+    (tmp_path / "a.pkl").write_bytes(results.wham())
+    first, second = io.load(tmp_path / "a.pkl"), io.load(tmp_path / "a.pkl", person=1)
+    assert (first.frames, second.frames) == (6, 3) and any("person 0 of 2" in note for note in first.notes)
+    with pytest.raises(DataError, match="no person 2 of 2"):
+        io.load(tmp_path / "a.pkl", person=2)
+
+
+@pytest.mark.parametrize("shape", ["66 columns", "joints", "matrices", "split", "smplx", "no body"])
+def test_shapes_that_people_save(tmp_path, shape):
+    content, person = arrays(156), results.person(FRAMES)
+    turns, trans, rot = results.parameters(torch.eye(3).double(), person)
+    content |= {
+        "poses": np.concatenate((turns, content["poses"][:, 66:]), 1),
+        "trans": trans,
+        "betas": np.zeros((1, 10)),
+    }
+    change = {
+        "66 columns": {"poses": turns},
+        "joints": {"poses": content["poses"].reshape(FRAMES, 52, 3), "betas": np.zeros((FRAMES, 10))},
+        "matrices": {"poses": rot.numpy(), "betas": np.float64(0)},
+        "split": {"global_orient": turns[:, None, :3], "body_pose": turns[:, 3:].reshape(FRAMES, 21, 3)},
+        "smplx": {"global_orient": rot[:, 0].numpy(), "body_pose": rot[:, 1:].numpy()},
+        "no body": {"poses": turns[:, :63]},
+    }[shape]
+    if "body_pose" in change:
+        del content["poses"]
+        content["transl"] = content.pop("trans")
+    path = written(tmp_path / "a.npz", content | change)
+    if shape == "no body":
+        with pytest.raises(DataError, match="expected 66 columns or more, got 63"):
+            amass.load(path)
+        return
+    loaded = amass.load(path)
+    torch.testing.assert_close(loaded.rot, person.rot, atol=2e-6, rtol=0)
+    torch.testing.assert_close(loaded.root, person.root, atol=1e-6, rtol=0)
+    rot = loaded.rot.clone()
+    rot[2, 5] = torch.eye(3)
+    rewriting.write_back(path, tmp_path / "b.npz", loaded, replace(loaded, rot=rot))
+    torch.testing.assert_close(amass.load(tmp_path / "b.npz").rot, rot, atol=2e-6, rtol=0)
+
+
+class Hostile:
+    def __reduce__(self):
+        return print, ("executed",)
+
+
+def test_code_is_refused_wherever_it_hides(tmp_path, capsys):
+    stream = bytes_io.BytesIO()
+    torch.save({"smpl_params_global": Hostile()}, stream)
+    nested = bytes_io.BytesIO()
+    np.save(nested, {"pred_rotmat": Hostile()}, allow_pickle=True)
+    state = b"\x80\x02c_codecs\nencode\n}X\x01\x00\x00\x00aX\x01\x00\x00\x00bsb."  # sets the state of a function
+    hostile = {
+        "a.pt": stream.getvalue(),
+        "b.npy": nested.getvalue(),
+        "c.pkl": results.as_joblib([np.zeros(3), Hostile()]),
+    }
+    for name, data in (hostile | {"d.pkl": state}).items():
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(DataError):
+            io.load(tmp_path / name)
+    assert "executed" not in capsys.readouterr().out

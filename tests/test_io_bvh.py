@@ -3,6 +3,7 @@
 import os
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import torch
 
 from motionlab import io, rotation
 from motionlab.errors import DataError, ShapeError
-from motionlab.io import bvh
+from motionlab.io import bvh, rewriting
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from tests.twins import fk as twin_fk
@@ -351,3 +352,68 @@ def test_bandai_translation_is_in_the_hips_and_sometimes_in_the_root_too():
 
 def _rows(path: Path) -> np.ndarray:
     return np.loadtxt(path.read_text().split("Frame Time:")[1].splitlines()[1:])
+
+
+def walker(relative: bool = False, shift: float = 0.0) -> str:
+    """Position channels on every joint: at their OFFSETs, or relative to them, as MakeHuman's."""
+    six = f"CHANNELS 6 Xposition Yposition Zposition {ROTATIONS}"
+    text = TEXT.replace("CHANNELS 3 Yrotation Zrotation Xrotation", six)
+    text = text.replace("CHANNELS 2 Xrotation Zrotation", six)
+    spine, leg, foot = ("0 0 0", "0 0 0", "0 0 0") if relative else ("0 50 2", "0 9 0", "0 -85 0")
+    foot = f"0 {float(foot.split()[1]) + shift} 0"
+    row = f"1 91 -2 10 20 30 {spine} 5 -10 15 {leg} 40 0 -20 {foot} 33 12 0\n"
+    return text[: text.index("1 91 -2")] + 2 * row
+
+
+def test_positions_that_count_from_the_offsets_are_not_taken_for_them(tmp_path):
+    usual = bvh.load(write(tmp_path, walker()), unit="cm", up="y")
+    relative = bvh.load(write(tmp_path, walker(relative=True)), unit="cm", up="y")
+    torch.testing.assert_close(relative.positions, usual.positions)
+    assert any("count from the OFFSETs" in note for note in relative.notes) and not usual.notes
+    moved = bvh.load(write(tmp_path, walker(relative=True, shift=-5.0)), unit="cm", up="y")
+    assert moved.skeleton.offsets[moved.skeleton.index("Foot")].norm() == pytest.approx(0.90, abs=1e-6)
+
+
+TIMES = {  # frame time -> frames per second, words of the note
+    "33.333": (30.0, "milliseconds"), "8.3333": (120.0, "milliseconds"), "30": (30.0, "a rate"), "1": (1.0, "no usual"),
+    "0.0333333": (30.0, ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("line", TIMES)
+def test_frame_times_that_cannot_be_are_doubted(tmp_path, line):
+    (fps, word), path = TIMES[line], write(tmp_path, TEXT.replace("0.033333", line))
+    loaded = bvh.load(path, unit="cm", up="y")
+    assert loaded.fps == fps and any(word in note for note in loaded.notes) == bool(word)
+    assert bvh.load(path, unit="cm", up="y", fps=25).fps == 25
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_count_of_frames_that_is_off_by_one_is_noted_and_mended_in_writing(tmp_path, count):
+    path = write(tmp_path, TEXT.replace("Frames: 2", f"frames:\t{count}").replace("HIERARCHY", "Hierarchy"))
+    path.write_text(path.read_text().replace("MOTION", "Motion").replace("ROOT", "Root"))
+    loaded = bvh.load(path, unit="cm", up="y")
+    assert loaded.frames == 2 and any(f"promises {count}" in note for note in loaded.notes)
+    rot = loaded.rot.clone()
+    rot[1, 1] = torch.eye(3)
+    rewriting.write_back(path, tmp_path / "out.bvh", loaded, replace(loaded, rot=rot))
+    again = bvh.load(tmp_path / "out.bvh", unit="cm", up="y")
+    assert not again.notes and torch.equal(again.rot[0], loaded.rot[0])
+    torch.testing.assert_close(again.rot[1], rot[1], atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding", "said"),
+    [
+        ("Hüfte_é", "latin-1", "Latin-1"),
+        ("左足首", "cp932", "Shift-JIS"),
+        ("センター", "cp932", "Shift-JIS"),
+        ("Hüfte", "utf-8", ""),
+    ],
+)
+def test_names_that_are_not_utf_8_survive_reading_and_writing(tmp_path, name, encoding, said):
+    path = write(tmp_path, TEXT.replace("Hips", name).encode(encoding))
+    loaded = bvh.load(path, unit="cm", up="y")
+    assert loaded.skeleton.names[0] == name and any(said in note for note in loaded.notes) == bool(said)
+    rewriting.write_back(path, tmp_path / "out.bvh", loaded, loaded)
+    assert (tmp_path / "out.bvh").read_bytes() == path.read_bytes()

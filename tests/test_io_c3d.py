@@ -1,4 +1,5 @@
 import os
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -93,3 +94,78 @@ def test_real_takes_agree_with_ezc3d():
         np.testing.assert_allclose(loaded.positions.numpy(), expected, atol=1e-6)
         assert list(loaded.names) == reference["parameters"]["POINT"]["LABELS"]["value"]
         assert loaded.fps == 50 and 0 < loaded.positions[..., 2].max() < 2.2
+
+
+def figure(frames: int = 6) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Markers of a person of 1.7 m, y up, in metres."""
+    names = ("Head", "LHip", "RHip", "LAnkle", "RAnkle")
+    still = np.array([[0, 1.7, 0], [0.1, 0.9, 0], [-0.1, 0.9, 0], [0.1, 0.1, 0], [-0.1, 0.1, 0]])
+    return still + 0.01 * np.arange(frames)[:, None, None] * np.array([0, 0, 1.0]), names
+
+
+def by_hand(points: np.ndarray, names, processor=84, unit=b"m", parameters=b"", first=1, last=None) -> bytes:
+    """A C3D of floats as a processor writes them: Intel 84, DEC 85, MIPS 86; from the format guide."""
+    order = ">" if processor == 86 else "<"
+
+    def floats(values) -> bytes:
+        if processor != 85:
+            return np.asarray(values, f"{order}f4").tobytes()
+        words = np.asarray(np.asarray(values) * 4, "<f4").view("<u2").reshape(-1, 2)[:, ::-1]
+        return np.ascontiguousarray(words).tobytes()
+
+    def entry(name: bytes, group: int, body: bytes) -> bytes:
+        return struct.pack("bb", len(name), group) + name + struct.pack(f"{order}h", len(body) + 2) + body
+
+    def text(words: list[bytes], width: int) -> bytes:
+        return struct.pack("bBBB", -1, 2, width, len(words)) + b"".join(w.ljust(width) for w in words) + b"\0"
+
+    block = b"\1\x50\1" + bytes([processor]) + entry(b"POINT", -1, b"\0")
+    block += entry(b"LABELS", 1, text([name.encode() for name in names], 12))
+    block += entry(b"UNITS", 1, text([unit], len(unit)) if unit else struct.pack("bBBB", -1, 2, 0, 0) + b"\0")
+    block += entry(b"RATE", 1, struct.pack("bB", 4, 0) + floats([100.0]) + b"\0") + parameters
+    last = first + len(points) - 1 if last is None else last
+    header = struct.pack(f"{order}BBHHHHH", 2, 0x50, len(names), 0, first, last, 0) + floats([-1.0])
+    header += struct.pack(f"{order}HH", 3, 0) + floats([100.0])
+    table = np.concatenate([points, np.zeros((*points.shape[:2], 1))], -1)
+    return header.ljust(512, b"\0") + block.ljust(512, b"\0") + floats(table.ravel())
+
+
+@pytest.mark.parametrize("processor", [84, 85, 86])
+@pytest.mark.parametrize("unit", [b"m", b"Meters", b""])
+def test_every_processor_without_a_word_on_what_is_up(tmp_path, processor, unit):
+    points, names = figure()
+    (tmp_path / "a.c3d").write_bytes(by_hand(points, names, processor, unit))
+    loaded = load_c3d(tmp_path / "a.c3d")
+    np.testing.assert_allclose(loaded.positions.numpy(), points[..., [0, 2, 1]] * [1, -1, 1], atol=1e-6)
+    assert any("up axis y detected" in note for note in loaded.notes)
+    assert any("unit m detected" in note for note in loaded.notes) == (not unit)
+    assert load_c3d(tmp_path / "a.c3d", up="z", fps=50).fps == 50
+
+
+def test_points_at_exactly_zero_were_not_measured(tmp_path):
+    points, names = figure()
+    points[2:4, 0] = 0
+    (tmp_path / "a.c3d").write_bytes(by_hand(points, names))
+    loaded = load_c3d(tmp_path / "a.c3d")
+    assert (~loaded.valid).nonzero().tolist() == [[2, 0], [3, 0]]
+    assert any("2 of 30 points" in note for note in loaded.notes)
+    assert float(loaded.positions[1, 0, 2]) == pytest.approx(1.7)
+
+
+@pytest.mark.parametrize(
+    ("frames", "last", "entry"),
+    [(66000, 65535, None), (66000, 66000 - 65536, None), (66000, 65535, b"LONG_FRAMES"), (66000, 65535, b"TRIAL")],
+)
+def test_recordings_longer_than_the_header_counts(tmp_path, frames, last, entry):
+    points, names = figure(frames)
+    more = b""
+    if entry == b"LONG_FRAMES":
+        more = struct.pack("<bb", 11, 1) + entry + struct.pack("<h", 8) + struct.pack("<bBf", 4, 0, frames) + b"\0\0"
+    elif entry == b"TRIAL":
+        more = struct.pack("<bb", 5, -2) + entry + struct.pack("<h", 3) + b"\0"
+        for name, value in ((b"ACTUAL_START_FIELD", 1), (b"ACTUAL_END_FIELD", frames)):
+            body = struct.pack("<bBB2H", 2, 1, 2, value % 65536, value // 65536) + b"\0"
+            more += struct.pack("<bb", len(name), 2) + name + struct.pack("<h", len(body) + 2) + body
+    (tmp_path / "a.c3d").write_bytes(by_hand(points, names, parameters=more, last=last))
+    loaded = load_c3d(tmp_path / "a.c3d")
+    assert loaded.frames == frames and any("65535" in note for note in loaded.notes) == (entry is None)

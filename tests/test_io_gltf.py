@@ -15,7 +15,7 @@ from data_synth.body import capsule_body
 from motionlab import rotation
 from motionlab.body import lbs
 from motionlab.errors import DataError, ShapeError
-from motionlab.io import gltf
+from motionlab.io import gltf, rewriting
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT, fk
 from motionlab.tailoring import tailored
@@ -307,3 +307,148 @@ def test_damaged_json_is_named(tmp_path, written, damage):
     with pytest.raises(DataError) as error:
         gltf.load(path)
     assert "bad.glb" in str(error.value) and error.value.remedy
+
+
+FORWARD = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0.0]])  # glTF from world
+
+
+class Foreign:
+    """A GLB as others write them: bones with axes of their own below a scaled, turned armature; keys where they like."""
+
+    def __init__(self, motion, unit=0.01, bound=True, names=True):
+        draw, tree = torch.Generator().manual_seed(3), motion.skeleton.parents
+        self.file, self.frames = gltf._Buffer(), rotation.random((len(tree),), draw, dtype=torch.float64)
+        self.file.content["asset"]["generator"] = "somebody else"
+        armature = rotation.random((1,), draw, dtype=torch.float64)[0]
+        above = torch.cat((torch.eye(3).double()[None], self.frames[list(tree[1:])]))
+        rot = motion.rot.double().clone()
+        rot[:, 0] = armature.T @ torch.from_numpy(FORWARD) @ rot[:, 0]
+        self.turns = rotation.matrix_to_quaternion(above.mT @ rot @ self.frames)[..., [1, 2, 3, 0]].numpy()
+        self.root = (motion.root.double().numpy() @ FORWARD.T @ armature.numpy()) / unit
+        places = (above.mT @ motion.skeleton.offsets.double()[..., None])[..., 0] / unit
+        places[0] = 0
+        rest = rotation.matrix_to_quaternion(above.mT @ self.frames)[:, [1, 2, 3, 0]].tolist()
+        nodes = self.file.content["nodes"]
+        for k, name in enumerate(motion.skeleton.names):
+            children = [j for j, parent in enumerate(tree) if parent == k]
+            nodes.append({"translation": places[k].tolist(), "rotation": rest[k], "children": children})
+            nodes[-1] |= {"name": name} if names else {}
+        turn = rotation.matrix_to_quaternion(armature)[[1, 2, 3, 0]].tolist()
+        nodes.append({"name": "Armature", "children": [0], "rotation": turn, "scale": [unit] * 3})
+        self.file.content["scenes"][0]["nodes"] = [len(nodes) - 1]
+        skin = {"joints": list(range(len(tree)))}
+        if bound:
+            bind = torch.eye(4, dtype=torch.float64).repeat(len(tree), 1, 1)
+            bind[:, :3, :3], bind[:, :3, 3] = self.frames, motion.skeleton.rest_positions().double()
+            skin["inverseBindMatrices"] = self.file.add(torch.linalg.inv(bind).mT, "f4")
+        self.file.content["skins"] = [skin]
+        self.file.content["animations"] = []
+
+    def key(self, node, path, times, values, how="LINEAR"):
+        times, values = (self.file.add(np.asarray(x, dtype=float), "f4") for x in (times, values))
+        self.file.channels.append({"sampler": len(self.file.samplers), "target": {"node": node, "path": path}})
+        self.file.samplers.append({"input": times, "output": values, "interpolation": how})
+
+    def write(self, path, name="walk"):
+        animation = {"name": name, "samplers": self.file.samplers, "channels": self.file.channels}
+        self.file.content["animations"].append(animation)
+        self.file.samplers, self.file.channels = [], []
+        path.write_bytes(self.file.glb())
+        return path
+
+    def sampled(self, path, start=1 / 30):
+        times = start + np.arange(len(self.root)) / 30
+        self.key(0, "translation", times, self.root)
+        for k in range(self.turns.shape[1]):
+            self.key(k, "rotation", times, self.turns[:, k])
+            self.key(k, "scale", times[[0, -1]], np.ones((2, 3)), "STEP")
+            if k:
+                still = np.array(self.file.content["nodes"][k]["translation"])
+                self.key(k, "translation", times[[0, -1]], [still, still], "STEP")
+        return self.write(path)
+
+
+@pytest.mark.parametrize("bound", [True, False])
+@pytest.mark.parametrize("unit", [1.0, 0.01])
+def test_a_file_of_others_is_the_same_motion_on_its_bound_pose(tmp_path, unit, bound):
+    """Constant channels with two keys, an armature that is scaled and turned, axes of bones that point anywhere."""
+    loaded = gltf.load(Foreign(spin(), unit, bound).sampled(tmp_path / "a.glb"))
+    order = loaded.skeleton.indices(STANDARD.names)
+    assert loaded.fps == FPS and (loaded.positions[:, order] - spin().positions).abs().max() < 1e-5
+    rest = loaded.skeleton.rest_positions()[order]
+    if bound:
+        assert (rest - STANDARD.rest_positions()).abs().max() < 1e-5
+        assert rotation.geodesic(loaded.rot[:, order], spin().rot).max() < 1e-3
+    else:  # the zero pose is that of the nodes: the T-pose below the armature
+        apart = torch.cdist(rest[None], rest[None]) - torch.cdist(*[STANDARD.rest_positions()[None]] * 2)
+        assert apart.abs().max() < 1e-4
+
+
+@pytest.mark.parametrize("names", [True, False])
+def test_a_file_of_others_is_written_back(tmp_path, names):
+    path = Foreign(spin(), names=names).sampled(tmp_path / "a.glb")
+    loaded = gltf.load(path)
+    rot, root = loaded.rot.clone(), loaded.root.clone()
+    rot[4, 3] = rotation.rotation_about("x", torch.tensor(0.4)) @ rot[4, 3]
+    rot[9, 0], root[6] = UPRIGHT, root[6] + 0.25
+    made = replace(loaded, rot=rot, root=root)
+    said = rewriting.write_back(path, tmp_path / "b.glb", loaded, made)
+    again = gltf.load(tmp_path / "b.glb")
+    assert said.startswith(f"{FRAMES - 3} of {FRAMES} frames")
+    assert (again.positions - made.positions).abs().max() < 1e-5
+    same = [t for t in range(FRAMES) if t not in (4, 6, 9)]
+    assert torch.equal(again.rot[same], loaded.rot[same]) and torch.equal(again.root[same], loaded.root[same])
+
+
+def test_keys_at_odd_times_are_read_evenly(tmp_path):
+    """A cubic and a straight root, a turn that is slerped, one that steps: each by its own keys, against formulas."""
+    file = Foreign(spin(), unit=1.0)
+    knee, elbow = STANDARD.index("left_knee"), STANDARD.index("left_elbow")
+    times, place = np.array([0.0, 0.5, 2.0]), np.array([1.0, 2.0, 3.0])
+    cubic = [[3 * t**2 * place, t**3 * place, 3 * t**2 * place] for t in times]
+    file.key(0, "translation", times, np.reshape(cubic, (9, 3)), "CUBICSPLINE")
+    file.key(knee, "rotation", [0.0, 1.0], Rotation.from_euler("x", [[0], [90]], degrees=True).as_quat())
+    file.key(elbow, "rotation", [0.0, 1.0], Rotation.from_euler("z", [[10], [70]], degrees=True).as_quat(), "STEP")
+    loaded = gltf.load(file.write(tmp_path / "a.glb"), fps=30)
+    seconds = np.arange(61) / 30
+    assert loaded.frames == 61 and loaded.fps == 30
+    armature = Rotation.from_quat(file.file.content["nodes"][-1]["rotation"]).as_matrix()
+    expected = (seconds[:, None] ** 3 * place) @ armature.T @ FORWARD
+    np.testing.assert_allclose(loaded.root.numpy(), expected, atol=1e-4)
+    undone = gltf._framed(loaded.skeleton.to(torch.float64), loaded.rot.double(), torch.linalg.inv(file.frames))[1]
+    turn = Rotation.from_matrix(undone[:, loaded.skeleton.index("left_knee")].numpy()).as_rotvec(degrees=True)
+    np.testing.assert_allclose(turn, np.minimum(seconds, 1)[:, None] * [90, 0, 0], atol=1e-2)
+    turn = Rotation.from_matrix(undone[:, loaded.skeleton.index("left_elbow")].numpy()).as_rotvec(degrees=True)
+    np.testing.assert_allclose(turn[:, 2], np.where(seconds < 0.999, 10, 70), atol=1e-2)
+    assert any("not one per frame" in note for note in gltf.load(tmp_path / "a.glb").notes)
+
+
+def test_one_of_several_animations_is_chosen_and_all_are_listed(tmp_path):
+    file = Foreign(spin())
+    for name, shift in (("Walk", 0.0), ("Run", 50.0)):
+        file.key(0, "translation", [0.0, 1 / 30], [[0, 0, shift], [0, 0, shift]])
+        file.write(tmp_path / "a.glb", name)
+    first, run = gltf.load(tmp_path / "a.glb"), gltf.load(tmp_path / "a.glb", animation="Run")
+    assert first.name == "Walk" and any("Walk, Run" in note and "--animation" in note for note in first.notes)
+    assert run.name == "Run" and torch.equal(gltf.load(tmp_path / "a.glb", animation="1").root, run.root)
+    assert float((run.root - first.root).norm(dim=-1)[0]) == pytest.approx(0.5, abs=1e-5)
+    with pytest.raises(DataError, match="no animation 'Jump': Walk, Run"):
+        gltf.load(tmp_path / "a.glb", animation="Jump")
+
+
+def test_joints_below_others_that_are_none_and_beside_the_figure(tmp_path):
+    """A node between two joints, and a handle beside the root: the first is composed, the second left out aloud."""
+    file = Foreign(spin(), unit=1.0)
+    nodes, skin = file.file.content["nodes"], file.file.content["skins"][0]
+    neck, head = STANDARD.index("neck"), STANDARD.index("head")
+    nodes += [{"name": "between", "children": [head], "translation": [0, 0.1, 0]}, {"name": "handle"}]
+    nodes[neck]["children"].remove(head)
+    nodes[neck]["children"].append(len(nodes) - 2)
+    nodes[22]["children"].append(len(nodes) - 1)
+    skin["joints"].append(len(nodes) - 1)
+    del skin["inverseBindMatrices"]
+    loaded = gltf.load(file.sampled(tmp_path / "a.glb"))
+    assert len(loaded.skeleton) == 22 and any("left out: handle" in note for note in loaded.notes)
+    longer = (loaded.skeleton.offsets[loaded.skeleton.index("head")]).norm()
+    frame = file.frames[neck].T @ STANDARD.offsets[head].double()
+    assert float(longer) == pytest.approx(float((frame + torch.tensor([0, 0.1, 0])).norm()), abs=1e-5)

@@ -1,4 +1,4 @@
-"""Units and axes: people of every unit, up axis and posture against what the judge says; and that every command says it."""
+"""Units and axes: people of every unit, up axis and posture; and that every command says what was guessed."""
 
 from dataclasses import replace
 
@@ -44,7 +44,7 @@ def test_a_person_s_size_tells_the_unit(tmp_path, unit, tall):
 
 
 def test_a_prop_does_not_make_a_giant():
-    """A pole of 6 m in the hand: the legs tell that these are metres; without legs known by name it would be 3 m tall."""
+    """A pole of 6 m in the hand: the legs tell that these are metres; without their names it would be 3 m tall."""
     offsets = torch.cat((STANDARD.offsets, torch.tensor([[0.0, 6.0, 0.0]])))
     names = (*STANDARD.names, "pole")
     held = Skeleton(names, (*STANDARD.parents, 20), offsets)
@@ -106,9 +106,9 @@ def markers(points: torch.Tensor, names: tuple[str, ...]) -> Positions:
 
 def test_markers_without_a_word_tell_nothing():
     cloud = torch.from_numpy(np.random.default_rng(0).normal(size=(9, 6, 3)))
-    with pytest.raises(DataError, match="what is up.*--up"):
+    with pytest.raises(DataError, match=r"what is up.*--up"):
         judged(markers(cloud, tuple("abcdef")), unit=1.0)
-    with pytest.raises(DataError, match="the unit.*--unit"):
+    with pytest.raises(DataError, match=r"the unit.*--unit"):
         judged(markers(cloud, tuple("abcdef")), up="z")
 
 

@@ -68,3 +68,48 @@ def test_real_person_stands_upright():
     height = loaded.positions[..., 2]
     low, high = (height[:, loaded.names.index(name)].mean() for name in ("LHeel", "Head"))
     assert -0.1 < low < 0.3 and 1.3 < high < 2.0
+
+
+def lab(axes: str, change=lambda text: text, **how) -> str:
+    """A person of 1.7 m, as labs write tables: which file axis is up, right and forward."""
+    still = {"Head": (0, 1.7, 0), "LHip": (0, 0.9, -0.1), "RHip": (0, 0.9, 0.1), "LAnkle": (0, 0.1, -0.1)}
+    pick = ["xyz".index(letter) for letter in axes]
+    cells = "\t".join(str(point[k]) for point in still.values() for k in pick)
+    return change(table([f"{n + 1}\t{n / 60}\t{cells}" for n in range(4)], tuple(still), "m", **how))
+
+
+@pytest.mark.parametrize(("axes", "up"), [("xyz", "y"), ("xzy", "z"), ("yxz", "x")])
+def test_what_is_up_in_a_lab_is_seen_by_the_heads(tmp_path, axes, up):
+    (tmp_path / "a.trc").write_text(lab(axes))
+    loaded = points.load_trc(tmp_path / "a.trc")
+    np.testing.assert_allclose(loaded.positions[:, :, 2], [[1.7, 0.9, 0.9, 0.1]] * 4, atol=1e-6)
+    assert any(f"up axis {up} detected" in note for note in loaded.notes) == (up != "y")
+    given = points.load_trc(tmp_path / "a.trc", up="y")
+    assert not given.notes and float(given.positions[0, 0, 2]) == pytest.approx((0, 1.7, 0)["xyz".index(axes[1])])
+
+
+HABITS = {  # what labs write -> words of the note
+    "padded header": (lambda t: t.replace("60.0\t60.0\t4\t4\tm", " 60.0\t\t 60.0\t\t 4\t\t 4 \t\tm"), ""),
+    "a count with a point": (lambda t: t.replace("60.0\t60.0\t4\t4\tm", "60.0\t60.0\t4.0\t4.0\tm"), ""),
+    "a wrong count": (lambda t: t.replace("60.0\t60.0\t4\t4", "60.0\t60.0\t100\t4"), "promises 100 frames: the 4"),
+    "meters": (lambda t: t.replace("4\t4\tm", "4\t4\tMeters"), ""),
+}
+
+
+@pytest.mark.parametrize("habit", HABITS)
+def test_headers_as_labs_write_them(tmp_path, habit):
+    change, words = HABITS[habit]
+    assert change(lab("xyz")) != lab("xyz")
+    (tmp_path / "a.trc").write_text(lab("xyz", change))
+    loaded = points.load_trc(tmp_path / "a.trc")
+    assert loaded.frames == 4 and loaded.valid.all() and float(loaded.positions[0, 0, 2]) == pytest.approx(1.7)
+    assert [words in note for note in loaded.notes] == [True] * bool(words)
+
+
+def test_zeros_and_rows_that_end_early_were_not_measured(tmp_path):
+    rows = ["1\t0.0\t0\t0\t0\t1\t2\t3", "2\t0.1\t1\t2\t3\t4", "3\t0.2\t1\t2\t3"]
+    (tmp_path / "a.trc").write_text(table(rows, unit="m"))
+    loaded = points.load_trc(tmp_path / "a.trc")
+    assert loaded.valid.tolist() == [[False, True], [True, False], [True, False]]
+    notes = " ".join(loaded.notes)
+    assert "1 of 6 points" in notes and "line 7 ends 2 cells early" in notes and "line 8 ends 3" in notes

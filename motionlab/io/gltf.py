@@ -420,9 +420,10 @@ def _animation(at: Spot, content: dict, wanted: str | int | None) -> dict:
     if not every:
         raise at.error("holds no animation", place="animations")
     names = [str(one.get("name", k)) for k, one in enumerate(every)]
-    number = 0 if wanted is None else names.index(str(wanted)) if str(wanted) in names else int(wanted)
+    word = "0" if wanted is None else str(wanted)
+    number = names.index(word) if word in names else int(word) if word.isdecimal() else -1
     if not 0 <= number < len(every):
-        raise at.error(f"no animation {wanted!r}: {', '.join(names)}", place="animations")
+        raise at.error(f"no animation {word!r}: {', '.join(names)}", place="animations")
     if len(every) > 1 and wanted is None:
         others = f"animation {names[0]!r}, the first of {len(every)}: {', '.join(names)}"
         at.notes.append(f"{others}; choose with animation=, or --animation")

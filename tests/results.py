@@ -1,0 +1,113 @@
+"""Made-up results of systems that find people in videos, as these write them: GVHMR, WHAM, TRAM, AIST++."""
+
+import io
+import pickle
+from collections import defaultdict
+
+import numpy as np
+import torch
+
+from motionlab import rotation
+from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD, UPRIGHT
+
+#: A file's axes from the world's: y up, and of a camera that looks along y.
+Y_UP, CAMERA = UPRIGHT.T.double(), torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]).double()
+
+
+def person(frames: int = 6) -> Motion:
+    draw = torch.Generator().manual_seed(4)
+    rot = rotation.exp(0.2 * torch.randn(frames, 22, 3, generator=draw))
+    rot[:, 0] = UPRIGHT @ rot[:, 0]
+    return Motion(STANDARD, torch.tensor([0.3, 2.0, 0.93]) + 0.02 * torch.arange(frames)[:, None], rot, 30.0)
+
+
+def parameters(axes: torch.Tensor, motion: Motion | None = None) -> tuple[np.ndarray, np.ndarray, torch.Tensor]:
+    """Axis-angle (T, 66), translations (T, 3) and matrices (T, 22, 3, 3), in a file's axes."""
+    motion = motion or person()
+    rot = motion.rot.double().clone()
+    rot[:, 0] = axes @ rot[:, 0]
+    turns = rotation.matrix_to_axis_angle(rot).flatten(1)
+    return turns.float().numpy(), (motion.root.double() @ axes.T).float().numpy(), rot.float()
+
+
+def gvhmr() -> bytes:
+    turns, trans, _ = (torch.as_tensor(x) for x in parameters(Y_UP))
+    body = {"global_orient": turns[:, :3], "body_pose": turns[:, 3:], "transl": trans, "betas": torch.zeros(6, 10)}
+    away = {key: value + 7 for key, value in body.items()}
+    stream = io.BytesIO()
+    torch.save(
+        {"smpl_params_global": body, "smpl_params_incam": away, "K_fullimg": torch.eye(3).expand(6, 3, 3)}, stream
+    )
+    return stream.getvalue()
+
+
+def tram() -> bytes:
+    _, trans, rot = parameters(CAMERA)
+    whole = torch.cat((rot, torch.eye(3).expand(6, 2, 3, 3)), 1)
+    tree = {"pred_rotmat": whole, "pred_trans": torch.from_numpy(trans)[:, None], "pred_shape": torch.zeros(6, 10)}
+    stream = io.BytesIO()
+    np.save(stream, tree, allow_pickle=True)
+    return stream.getvalue()
+
+
+def aist() -> bytes:
+    turns, trans, _ = parameters(Y_UP)
+    poses = np.concatenate((turns, np.zeros((6, 6))), 1)
+    return pickle.dumps({"smpl_poses": poses, "smpl_trans": 93 * trans, "smpl_scaling": np.array([93.0])})
+
+
+def wham(people=((4, 3), (9, 6))) -> bytes:
+    results = defaultdict(dict)
+    for name, frames in people:
+        turns, trans, _ = parameters(Y_UP, person(frames))
+        hands = np.zeros((frames, 6), np.float32)
+        pose = np.concatenate((turns, hands), 1)
+        results[name] = {"pose": pose + 5, "trans": trans + 5, "pose_world": pose, "trans_world": trans}
+        results[name] |= {"betas": np.zeros((frames, 10)), "frame_ids": np.arange(frames)}
+    return as_joblib(results)
+
+
+class _Wrapper:
+    """Stands for joblib's record of an array, whose numbers lie behind it."""
+
+
+_Wrapper.__module__, _Wrapper.__qualname__ = "joblib.numpy_pickle", "NumpyArrayWrapper"
+
+
+def as_joblib(tree: object) -> bytes:
+    """What joblib.dump writes: a pickle in which each array is a record, then padding to 16 bytes, then its numbers."""
+    stream, arrays = io.BytesIO(), []
+
+    class Pickler(pickle._Pickler):
+        def save(self, thing, *rest):
+            if isinstance(thing, np.ndarray):
+                record = _Wrapper()
+                record.__dict__ |= {
+                    "subclass": np.ndarray,
+                    "shape": thing.shape,
+                    "order": "C",
+                    "dtype": thing.dtype,
+                    "allow_mmap": True,
+                    "numpy_array_alignment_bytes": 16,
+                }
+                super().save(record, *rest)
+                self.framer.commit_frame(force=True)
+                padding = 16 - (stream.tell() + 1) % 16
+                stream.write(bytes([padding]) + b"\xff" * padding + thing.tobytes())
+                arrays.append(thing)
+            else:
+                super().save(thing, *rest)
+
+        def save_global(self, thing, name=None):
+            if thing is _Wrapper:
+                self.write(pickle.GLOBAL + b"joblib.numpy_pickle\nNumpyArrayWrapper\n")
+                self.memoize(thing)
+            else:
+                super().save_global(thing, name)
+
+        dispatch = pickle._Pickler.dispatch | {type: save_global}
+
+    Pickler(stream, protocol=4).dump(tree)
+    assert arrays
+    return stream.getvalue()
