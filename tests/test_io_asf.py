@@ -175,6 +175,20 @@ def test_the_skeleton_is_found_beside_the_take(tmp_path):
         io.load(amc)
 
 
+def test_of_several_skeletons_the_one_of_the_longest_name_is_taken(tmp_path):
+    """As of HDM05: HDM_bd.asf of HDM_bd_walk_001.amc, though HDM.asf lies there too."""
+    asf_path, amc = write(tmp_path)
+    (tmp_path / "HDM.asf").write_text("nothing")
+    asf_path.rename(tmp_path / "HDM_bd.ASF")
+    amc = amc.rename(tmp_path / "hdm_bd_walk_001.amc")
+    expected = asf.load(tmp_path / "HDM_bd.ASF", amc, fps=60, unit=0.01)
+    found = io.load(amc, fps=60, unit="cm")
+    torch.testing.assert_close(found.positions, expected.positions)
+    assert found.notes == () and torch.equal(
+        io.load(amc, asf=tmp_path / "HDM_bd.ASF", fps=60, unit=0.01).root, found.root
+    )
+
+
 def test_radians(tmp_path):
     motion = asf.load(*write(tmp_path))
     words = [line.split() for line in AMC.splitlines()]

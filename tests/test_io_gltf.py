@@ -313,7 +313,7 @@ FORWARD = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0.0]])  # glTF from world
 
 
 class Foreign:
-    """A GLB as others write them: bones with axes of their own below a scaled, turned armature; keys where they like."""
+    """A GLB as others write them: bones with axes of their own, a scaled and turned armature, keys where they like."""
 
     def __init__(self, motion, unit=0.01, bound=True, names=True):
         draw, tree = torch.Generator().manual_seed(3), motion.skeleton.parents

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import io
+from motionlab import __main__, io
 from motionlab.errors import DataError, MissingData
 from motionlab.io import amass, bvh, points
 from motionlab.io.points import Positions
-from motionlab.io.recordings import SOURCES, inventory, recordings
+from motionlab.io.recordings import SOURCES, inventory, passed_over, recordings
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 from motionlab.skeleton import STANDARD, UPRIGHT
@@ -159,3 +159,31 @@ def test_every_recording_of_the_data_set_loads():
     for name, expected in minutes.items():
         assert sum(r.minutes for r in rows.values() if r.source == name) == pytest.approx(expected, abs=0.06)
     assert not any(rows[key].trainable for key in rows if key[0] in ("bandai_namco", "anidance", "captury_falls"))
+
+
+def test_what_is_passed_over_is_said_with_the_reason(tmp_path, capsys):
+    bvh.save(tmp_path / "walk.bvh", standing())
+    for name in ("a.fbx", "b.fbx", "notes.md", "02.asf", "talk.json"):
+        (tmp_path / name).write_text("{}")
+    lines = "\n".join(passed_over(tmp_path))
+    for words in (
+        "2 .fbx, such as a.fbx: in Blender: import FBX, export BVH",
+        "1 .md",
+        "02.asf: name the .amc",
+        "talk.json",
+    ):
+        assert words in lines
+    assert "walk.bvh" not in lines
+    assert __main__.main(["data", str(tmp_path)]) == 0
+    assert "passed over" in capsys.readouterr().out
+    with pytest.raises(DataError, match="import FBX, export BVH"):
+        io.load(tmp_path / "a.fbx")
+
+
+def test_what_is_said_of_files_goes_to_the_loaders_that_take_it(tmp_path):
+    bvh.save(tmp_path / "walk.bvh", standing())
+    dance(tmp_path / "dance.npz")
+    (given,) = (r for r in recordings(tmp_path, reading={"unit": "m", "up": "y"}) if r.path.suffix == ".bvh")
+    assert given.loader(given.path).notes == ()
+    rows = {row.kind: row for row in inventory(tmp_path, reading={"fps": 12.0})}
+    assert rows["bvh"].fps == (12, 12) and rows["npz"].fps == (25, 25) and not rows["npz"].unread

@@ -107,6 +107,8 @@ _NOT_ONE_FILE = {
 
 def why_not(suffix: str) -> str:
     """Says what to do about a file that no loader reads, by its suffix."""
+    if suffix in (".json", ".txt"):
+        return "neither frames of OpenPose nor of DeepMimic"
     return _NOT_ONE_FILE.get(suffix, f"one of {', '.join(sorted(LOADERS))}")
 
 
