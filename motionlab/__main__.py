@@ -46,7 +46,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     text = "write a motion file in another format, told by the endings of the names"
     command = add_command(commands, "convert", text, "convert walk.bvh walk.glb", _convert)
     command.add_argument("source", metavar="IN", type=Path, help=READ)
-    command.add_argument("target", metavar="OUT", type=Path, help=f"{' '.join(WRITTEN)} .npy (of HumanML3D)")
+    command.add_argument("target", metavar="OUT", type=Path, help=f"{' '.join(WRITTEN)} (HumanML3D's joints)")
     command.add_argument("--fps", type=float, help="frames per second of the output (default: those of the input)")
     add_reading(command, rate=("--fps-in",))
     command.add_argument("--rest", choices=("t", "a"), help="of a .bvh or bones: a T or an A as the rest pose")

@@ -14,8 +14,8 @@ from motionlab.errors import DataError
 if TYPE_CHECKING:
     from motionlab.motion import Motion
 
-WRITTEN = (".bvh", ".npz", ".glb")
-READ = f"{' '.join(WRITTEN)} .amc, DeepMimic's .txt, or .pt .pkl .npy of GVHMR, WHAM, TRAM"
+WRITTEN = (".bvh", ".npz", ".glb", ".npy")
+READ = f"{' '.join(WRITTEN)} .amc, DeepMimic's .txt, or .pt .pkl of GVHMR, WHAM"
 
 
 #: Options of ``add_reading`` -> of the loaders.
