@@ -327,10 +327,15 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
     suffix = Path(target).suffix.lower()
     grown = loaded is not None and made.frames > loaded.frames
     same = source is not None and suffix == Path(source).suffix.lower() and not (grown and suffix == ".glb")
-    if same and _rewritable(source):
-        _rewrite(source, target, loaded, made)
-        return _stayed(loaded, made)
     lost = "; the body of the file that was read is lost" if _skinned(source) else ""
+    if same and _rewritable(source):
+        try:
+            _rewrite(source, target, loaded, made)
+            return _stayed(loaded, made)
+        except DataError as error:  # a GLB need not have a key for what changed in every frame
+            if suffix != ".glb":
+                raise
+            lost += f"; it could not be kept, for {str(error).partition(' (remedy')[0]}"
     if suffix == ".npz":
         made, body = for_amass(made)
         lost += body and f"; {body}"
