@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +22,9 @@ from motionlab import rotation
 from motionlab.body import BodyModel
 from motionlab.errors import ShapeError
 from motionlab.files import write_whole
-from motionlab.io import judging
-from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_bytes, reading
-from motionlab.io.rooting import rerooted
+from motionlab.io.gltf_reading import BIN_CHUNK, GENERATOR, JSON_CHUNK, MAGIC, TYPES
+from motionlab.io.gltf_reading import load as load
+from motionlab.io.reading import check_writable
 from motionlab.motion import Motion
 from motionlab.rest import places_of
 from motionlab.skeleton import Skeleton
@@ -36,14 +34,6 @@ _COMPONENTS = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
 _VERTICES, _INDICES = 34962, 34963  # targets of a buffer view
 #: glTF from world: a quarter turn about x.
 _Y_UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-_MAGIC, _JSON_CHUNK, _BIN_CHUNK = b"glTF", b"JSON", b"BIN\0"
-_GENERATOR = "motionlab"
-_REST = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
-#: Component types that are read, and what one is where they are normalised.
-_NUMBERS = {5126: ("<f4", 0), 5120: ("<i1", 127), 5121: ("<u1", 255), 5122: ("<i2", 32767), 5123: ("<u2", 65535)}
-#: Rates that keys at odd times may lie on, the first that fits; and how many frames are too many.
-_RATES, _MOST_FRAMES = (24, 25, 30, 48, 50, 60, 100, 120), 1e6
-_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
 def save(
@@ -109,59 +99,11 @@ def _different(names: list[str]) -> list[str]:
     return [f"{name} {k}" if names.count(name) > 1 else name for k, name in enumerate(names, start=1)]
 
 
-def load(
-    path: str | Path,
-    *,
-    person: int = 0,
-    animation: str | int | None = None,
-    unit: str | float | None = None,
-    up: str | None = None,
-    axes: str | None = None,
-    fps: float | None = None,
-    translations: str = "strict",
-) -> Motion:
-    """Reads one person of an animation of a GLB as a motion with the file's own skeleton.
-
-    The joints are those of a skin, or of the animation where there is no skin. Their zero pose is the one in which the
-    skin is bound, else the one in which the nodes rest; of files of :func:`save` that of the motion. Channels with keys
-    at other times than the rest are read at the times of all, or evenly where these are not steady.
-
-    Args:
-        person: which skin of several, in the file's order; that there are others is noted.
-        animation: its name, or number from 0; None: the first, and others are noted.
-        unit, up, axes: instead of metres and y up, which are doubted only where the figure speaks against them.
-        fps: how often it is read; None: once per key. translations: see :func:`motionlab.io.rooting.rerooted`.
-
-    Raises:
-        DataError: not such a file, or nobody with this number.
-    """
-    judging.check_given(unit, up, axes)
-    with reading(path, "write it with motionlab.io.gltf.save, or export GLB with sampled animation") as at:
-        content, blob = _chunks(at)
-        found = _figure(at, content, blob, person, animation, fps)
-        where = [f"node {joint} translation" for joint in found.joints]
-        kept, skeleton, root, rot = rerooted(at, found.skeleton, found.place.numpy(), found.rot, translations, where)
-        skeleton, rot = _framed(skeleton, rot, found.frames[kept])
-        skeleton = replace(skeleton, contact_names=found.skeleton.contact_names, sole=found.skeleton.sole)
-        motion = Motion(skeleton, root, rot, found.fps, name=found.name, notes=tuple(at.notes))
-        ours = content.get("asset", {}).get("generator") == _GENERATOR
-        how = {"says_unit": 1.0, "says_up": "y", "trust": 9.0 if ours else 1.0, "table": judging.AXES | {"y": "x-zy"}}
-        return judging.to_world(at, motion, unit=1.0 if ours and unit is None else unit, up=up, axes=axes, **how)
-
-
-def _framed(skeleton: Skeleton, rot: Tensor, frames: Tensor) -> tuple[Skeleton, Tensor]:
-    """The same tree, of whose joints ``frames`` (J, 3, 3) becomes the zero pose: offsets and rotations (T, J, 3, 3)."""
-    above = torch.cat((torch.eye(3, dtype=torch.float64)[None], frames[list(skeleton.parents[1:])]))
-    if (frames - torch.eye(3)).abs().max() < 1e-6:
-        return skeleton, rot
-    return replace(skeleton, offsets=(above @ skeleton.offsets[..., None])[..., 0]), above @ rot @ frames.mT
-
-
 class _Buffer:
     """A glTF document under construction: its JSON and its one binary buffer."""
 
     def __init__(self) -> None:
-        self.content = {"asset": {"version": "2.0", "generator": _GENERATOR}, "accessors": [], "bufferViews": []}
+        self.content = {"asset": {"version": "2.0", "generator": GENERATOR}, "accessors": [], "bufferViews": []}
         self.content |= {"scene": 0, "scenes": [{"nodes": []}], "nodes": [], "skins": []}
         self.samplers: list[dict] = []
         self.channels: list[dict] = []
@@ -178,7 +120,7 @@ class _Buffer:
             "bufferView": len(self.content["bufferViews"]) - 1,
             "componentType": _COMPONENTS[kind],
             "count": len(array),
-            "type": _TYPES[array.shape[1]],
+            "type": TYPES[array.shape[1]],
         }
         if bounds:
             accessor |= {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
@@ -191,9 +133,9 @@ class _Buffer:
         self.content["buffers"] = [{"byteLength": len(blob)}]
         text = json.dumps(self.content, allow_nan=False, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
-        chunks = [(_JSON_CHUNK, text), (_BIN_CHUNK, blob)]
+        chunks = [(JSON_CHUNK, text), (BIN_CHUNK, blob)]
         body = b"".join(struct.pack("<I4s", len(data), kind) + data for kind, data in chunks)
-        return struct.pack("<4sII", _MAGIC, 2, 12 + len(body)) + body
+        return struct.pack("<4sII", MAGIC, 2, 12 + len(body)) + body
 
 
 def _animate(file: _Buffer, motion: Motion, name: str) -> int:
@@ -277,295 +219,3 @@ def _normals(vertices: Tensor, faces: Tensor) -> Tensor:
     total = torch.zeros_like(vertices).index_add_(0, faces.reshape(-1), face.repeat_interleave(3, 0))
     length = total.norm(dim=-1, keepdim=True)
     return torch.where(length > 0, total / length, torch.tensor([0.0, 1.0, 0.0]).to(total))
-
-
-def _chunks(at: Spot) -> tuple[dict, bytes]:
-    """The JSON and the binary chunk."""
-    data = read_bytes(at)
-    if len(data) < 20 or data[:4] != _MAGIC:
-        raise at.error("not a GLB file", place="header")
-    version, length = struct.unpack_from("<II", data, 4)
-    if version != 2 or length != len(data):
-        raise at.error(f"version {version}, {length} bytes promised, {len(data)} present", place="header")
-    found, start = {}, 12
-    while start + 8 <= len(data):
-        size, kind = struct.unpack_from("<I4s", data, start)
-        if start + 8 + size > len(data):
-            raise at.error(f"chunk {kind!r} promises {size} bytes, past the end", place=f"byte {start}")
-        found.setdefault(kind, data[start + 8 : start + 8 + size])
-        start += 8 + size
-    if _JSON_CHUNK not in found:
-        raise at.error("no JSON chunk", place="header")
-    content = json.loads(found[_JSON_CHUNK].decode())
-    return content, found.get(_BIN_CHUNK, b"")
-
-
-def _array(at: Spot, content: dict, blob: bytes, index: int, width: int, place: str) -> np.ndarray:
-    """The numbers of an accessor, (N, width): floats, or integers that stand for shares of one."""
-    accessor = content["accessors"][index]
-    view = content["bufferViews"][accessor["bufferView"]]
-    kind, largest = _NUMBERS.get(accessor["componentType"], ("", 0))
-    normal = accessor.get("normalized", False) is True
-    if accessor["type"] != _TYPES[width] or not kind or normal != (largest > 0) or "sparse" in accessor:
-        raise at.error(f"expected float {_TYPES[width]}, got {accessor['type']}", place=place)
-    if view.get("buffer", 0) != 0 or "uri" in content["buffers"][0]:
-        raise at.error("its numbers lie in another file", place=place)
-    size = np.dtype(kind).itemsize
-    count, stride = accessor["count"], view.get("byteStride", size * width)
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    if min(start, count - 1, stride - size * width) < 0 or start + (count - 1) * stride + size * width > len(blob):
-        raise at.error(
-            f"{count} values of {stride} bytes from byte {start} do not lie in {len(blob)} bytes", place=place
-        )
-    rows = numbers(at, np.ndarray((count, width), kind, blob, start, (stride, size)), f"T {width}", place)
-    return np.maximum(rows / largest, -1) if normal else rows
-
-
-@dataclass
-class _Figure:
-    """One person of a file: the nodes that are joints, and how each stands (T, J, 3) and is turned (T, J, 3, 3) against
-    the one above, float64.
-
-    sizes (J,): by which what is above scales a joint's translation. frames (J, 3, 3): how a joint is turned in the zero
-    pose, against the world. tracks: (node, what) -> its sampler, keys and values.
-    """
-
-    joints: list[int]
-    skeleton: Skeleton
-    place: Tensor
-    rot: Tensor
-    sizes: Tensor
-    frames: Tensor
-    tracks: dict[tuple[int, str], tuple[dict, np.ndarray, np.ndarray]]
-    times: np.ndarray
-    fps: float
-    name: str
-
-
-def _names(nodes: list[dict], joints: list[int]) -> dict[int, str]:
-    """A name for each joint: its node's, with its number where there is none or two share it."""
-    names = {joint: str(nodes[joint].get("name") or "joint") for joint in joints}
-    seen = Counter(names.values())
-    return {k: x if seen[x] == 1 and nodes[k].get("name") else f"{x}{k}" for k, x in names.items()}
-
-
-def _figure(
-    at: Spot, content: dict, blob: bytes, person: int, animation: str | int | None, fps: float | None
-) -> _Figure:
-    nodes, skins = content["nodes"], content.get("skins") or []
-    if not 0 <= person < max(len(skins), 1):
-        raise at.error(f"no person {person}: {len(skins)} skins", remedy="count them from 0")
-    chosen, skin = _animation(at, content, animation), skins[person] if skins else {}
-    parent: dict[int, int] = {}
-    for i, node in enumerate(nodes):
-        for child in node.get("children", ()):
-            if parent.setdefault(child, i) != i:
-                raise at.error("a node with two parents", place=f"node {child}")
-    channels = [(c["target"]["node"], c["target"]["path"], chosen["samplers"][c["sampler"]])
-                for c in chosen["channels"] if c["target"]["path"] in _REST and "node" in c["target"]]  # fmt: skip
-    joints, chains = _tree(at, parent, skin.get("joints") or sorted({node for node, _, _ in channels}), nodes)
-    names = _names(nodes, joints)
-    used = {node for joint in joints for node in chains[joint]}
-    tracks = {
-        (node, what): (sampler, *_keys(at, content, blob, sampler, what, f"node {node} {what}"))
-        for node, what, sampler in channels
-        if node in used
-    }
-    if not tracks:
-        raise at.error("animates no joint", place="animations")
-    extras = skin.get("extras", {}) | chosen.get("extras", {})
-    times, rate = _grid(at, [keys for _, keys, _ in tracks.values()], extras.get("fps"), fps)
-    local = {node: _local(at, nodes[node], node, tracks, times) for node in used}
-    uneven = [str(nodes[node].get("name", node)) for node, (_, _, size, even) in local.items() if not even]
-    if uneven:
-        at.notes.append(f"{', '.join(uneven[:5])}: scaled unevenly, or through time: the mean size is kept")
-
-    index = {joint: i for i, joint in enumerate(joints)}
-
-    def below(joint: int) -> tuple[Tensor, Tensor, Tensor]:  # the joint above, or the world
-        top = next((k for k, node in enumerate(chains[joint][1:], 1) if node in index), len(chains[joint]))
-        size = torch.ones(3, dtype=torch.float64)
-        for node in chains[joint][top:]:
-            size = size * local[node][2]
-        place, rot = torch.zeros(1, 3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
-        for node in chains[joint][:top][::-1]:
-            place = place + (rot @ (size * local[node][0])[..., None])[..., 0]
-            rot, above, size = rot @ local[node][1], size, size * local[node][2]
-        return place, rot, above.mean()
-
-    place, rot, sizes = (
-        torch.stack(x, dim=d) for x, d in zip(zip(*map(below, joints), strict=True), (1, 1, 0), strict=True)
-    )
-    parents = tuple(next((index[node] for node in chains[joint][1:] if node in index), -1) for joint in joints)
-    skeleton = Skeleton(
-        names=tuple(names[joint] for joint in joints),
-        parents=parents,
-        offsets=place[0] * torch.tensor([0.0] + [1.0] * (len(joints) - 1))[:, None],
-        contact_names=tuple(extras.get("contact_names", ())),
-        sole=float(extras.get("sole", 0.0)),
-        standing=_standing(at, content, blob, skin, joints, chains),
-    )
-    if len(skins) > 1:
-        at.notes.append(f"person {person} of {len(skins)} in the file")
-    frames = torch.eye(3, dtype=torch.float64).repeat(len(joints), 1, 1)
-    if content.get("asset", {}).get("generator") != _GENERATOR:
-        frames = _bound(at, content, blob, skin, joints, chains)
-    name = str((skin if len(skins) > 1 else chosen).get("name", ""))
-    return _Figure(joints, skeleton, place, rot, sizes, frames, tracks, times, rate, name)
-
-
-def _animation(at: Spot, content: dict, wanted: str | int | None) -> dict:
-    """The animation of that name or number, counted from 0; others are noted."""
-    every = content.get("animations") or []
-    if not every:
-        raise at.error("holds no animation", place="animations")
-    names = [str(one.get("name", k)) for k, one in enumerate(every)]
-    word = "0" if wanted is None else str(wanted)
-    number = names.index(word) if word in names else int(word) if word.isdecimal() else -1
-    if not 0 <= number < len(every):
-        raise at.error(f"no animation {word!r}: {', '.join(names)}", place="animations")
-    if len(every) > 1 and wanted is None:
-        others = f"animation {names[0]!r}, the first of {len(every)}: {', '.join(names)}"
-        at.notes.append(f"{others}; choose with animation=, or --animation")
-    return every[number]
-
-
-def _tree(at: Spot, parent: dict[int, int], joints: list[int], nodes: list[dict]) -> tuple[list[int], dict]:
-    """The joints of the largest tree, what is above first, and the way from each to the top; others are noted."""
-    chains = {joint: _chain(at, parent, joint, len(nodes)) for joint in joints}
-    joints = sorted(joints, key=lambda joint: len(chains[joint]))
-    roots = {joint: [node for node in chains[joint] if node in chains][-1] for joint in joints}
-    sizes = Counter(roots.values())
-    root, size = max(sizes.items(), key=lambda item: item[1])
-    if size < 0.6 * len(joints):
-        raise at.error("the joints are not one tree", place="skin")
-    lost = [str(nodes[joint].get("name", joint)) for joint in joints if roots[joint] != root]
-    if lost:
-        at.notes.append(f"joints beside the figure are left out: {', '.join(lost)}")
-    return [joint for joint in joints if roots[joint] == root], chains
-
-
-def _keys(at: Spot, content: dict, blob: bytes, sampler: dict, what: str, place: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times (N,) and values (N, W) of a channel, or (N, 3, W) of a cubic spline with its tangents."""
-    keys = _array(at, content, blob, sampler["input"], 1, f"{place} times")[:, 0]
-    values = _array(at, content, blob, sampler["output"], len(_REST[what]), place)
-    if sampler.get("interpolation") == "CUBICSPLINE":
-        values = values.reshape(-1, 3, values.shape[1])
-    if len(values) != len(keys) or (np.diff(keys) < 0).any():
-        raise at.error(f"{len(values)} values for {len(keys)} times that should ascend", place=place)
-    return keys, values
-
-
-def _grid(at: Spot, keys: list[np.ndarray], says: object, fps: float | None) -> tuple[np.ndarray, float]:
-    """The times at which all channels are read, and frames per second: where the keys are, if that is steady."""
-    times = np.unique(np.concatenate(keys))
-    times = times[np.concatenate(([True], np.diff(times) > 1e-4))]
-    steady = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else None
-    if says is None and fps is None and steady is None:
-        at.notes.append("one pose, at 30 frames per second as any")
-    if steady is not None and abs(steady / max(round(steady), 1) - 1) < 2e-4:  # times in single precision
-        steady = float(round(steady))
-    rate = frame_rate(at, next((x for x in (fps, says, steady) if x is not None), 30.0))
-    if abs(times - times[0] - np.arange(len(times)) / rate).max() <= 0.05 / rate:
-        return times, rate
-    if says is not None and fps is None:
-        raise at.error(f"its keys are not one per frame at {rate:g} frames per second", place="times")
-    if fps is None:
-        ticks = {rate: (times - times[0]) * rate for rate in _RATES}
-        rate = next((rate for rate, at in ticks.items() if abs(at - at.round()).max() < 0.05), 30)
-        at.notes.append(f"its keys are not one per frame: read {rate} times a second; say it with fps=, or --fps-in")
-    count = (times[-1] - times[0]) * rate
-    if not count < _MOST_FRAMES:
-        raise at.error(f"{count:.3g} frames", place="times")
-    return times[0] + np.arange(int(count + 0.05) + 1) / rate, float(rate)
-
-
-def _local(at: Spot, node: dict, number: int, tracks: dict, times: np.ndarray) -> tuple[Tensor, Tensor, Tensor, bool]:
-    """Where a node stands (T, 3), how it is turned (T, 3, 3), its mean size (3,), and whether that is even."""
-    still = {what: node.get(what, rest) for what, rest in _REST.items()}
-    if "matrix" in node:
-        matrix = numbers(at, node["matrix"], "16", f"node {number} matrix").reshape(4, 4).T
-        size = np.linalg.norm(matrix[:3, :3], axis=0)
-        if not size.min() > 0 or not np.linalg.det(matrix[:3, :3]) > 0:
-            raise at.error("a matrix that flattens or mirrors", place=f"node {number} matrix")
-        turn = torch.from_numpy(matrix[:3, :3] / size)
-        quaternion = rotation.matrix_to_quaternion(rotation.nearest(turn))[[1, 2, 3, 0]]
-        still = {"translation": matrix[:3, 3], "rotation": quaternion.numpy(), "scale": size}
-    read = {}
-    for what, rest in _REST.items():
-        value = numbers(at, still[what], str(len(rest)), f"node {number} {what}")
-        track = tracks.get((number, what))
-        read[what] = torch.from_numpy(_sampled(*track, times) if track else np.tile(value, (len(times), 1)))
-    if ((read["rotation"].norm(dim=-1) - 1).abs() > 0.01).any():
-        raise at.error("not a unit quaternion", place=f"node {number} rotation")
-    size = read["scale"].mean(0)
-    even = bool((read["scale"] - size.mean()).abs().max() <= 0.01 * size.mean().abs())
-    if not size.min() > 0:
-        raise at.error("a scale that flattens or mirrors", place=f"node {number} scale")
-    size = torch.ones(3, dtype=torch.float64) if even and abs(size.mean() - 1) < 1e-3 else size.mean() if even else size
-    return read["translation"], rotation.quaternion_to_matrix(read["rotation"][:, [3, 0, 1, 2]]), size, even
-
-
-def _sampled(sampler: dict, keys: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """A channel at other times than its keys (the glTF specification, 3.11 and appendix C)."""
-    how = sampler.get("interpolation", "LINEAR")
-    if how != "CUBICSPLINE" and keys.shape == times.shape and abs(keys - times).max() <= 1e-4:
-        return values
-    at = np.clip(np.searchsorted(keys, times + 1e-5, side="right") - 1, 0, max(len(keys) - 2, 0))
-    after = np.minimum(at + 1, len(keys) - 1)
-    step = np.maximum(keys[after] - keys[at], 1e-9)
-    t = np.clip((times - keys[at]) / step, 0, 1)[:, None]
-    if how == "STEP":
-        return np.where(t < 1 - 1e-3, values[at], values[after])
-    if how == "CUBICSPLINE":
-        (a, b), step = (values[at], values[after]), step[:, None]
-        found = (2 * t**3 - 3 * t**2 + 1) * a[:, 1] + (t**3 - 2 * t**2 + t) * step * a[:, 2]
-        found = found + (3 * t**2 - 2 * t**3) * b[:, 1] + (t**3 - t**2) * step * b[:, 0]
-        return found / np.linalg.norm(found, axis=1, keepdims=True) if found.shape[1] == 4 else found
-    if values.shape[1] == 3:
-        return values[at] + t * (values[after] - values[at])
-    a, b = (rotation.quaternion_to_matrix(torch.from_numpy(values[k][:, [3, 0, 1, 2]])) for k in (at, after))
-    return rotation.matrix_to_quaternion(rotation.slerp(a, b, torch.from_numpy(t[:, 0])))[:, [1, 2, 3, 0]].numpy()
-
-
-def _bound(at: Spot, content: dict, blob: bytes, skin: dict, joints: list[int], chains: dict) -> Tensor:
-    """How the joints (J, 3, 3) are turned where the mesh is bound; without a mesh, where the nodes rest."""
-    rest = {node: _local(at, content["nodes"][node], node, {}, np.zeros(1))[1][0] for j in joints for node in chains[j]}
-    turned = torch.stack([torch.linalg.multi_dot([torch.eye(3).double()] * 2 + [rest[n] for n in chains[j][::-1]])
-                          for j in joints])  # fmt: skip
-    if "inverseBindMatrices" not in skin:
-        return turned
-    inverse = _array(at, content, blob, skin["inverseBindMatrices"], 16, "inverseBindMatrices").reshape(-1, 4, 4)
-    bound = torch.from_numpy(inverse[:, :3, :3].copy())  # glTF stores columns first, so this is the transpose
-    where = [skin["joints"].index(joint) for joint in joints]
-    if len(bound) <= max(where) or not (torch.linalg.det(bound[where]) > 0).all():
-        return turned
-    return rotation.nearest(bound[where])
-
-
-def _standing(
-    at: Spot, content: dict, blob: bytes, skin: dict, joints: list[int], chains: dict[int, list[int]]
-) -> Tensor:
-    """How the joints are turned (J, 3, 3) where the skin is bound, or else where the nodes rest."""
-    if "inverseBindMatrices" in skin:
-        columns = _array(at, content, blob, skin["inverseBindMatrices"], 16, "inverse bind matrices")
-        bound = torch.as_tensor(columns).reshape(-1, 4, 4)[:, :3, :3]  # columns first: transposed, which turns back
-        return rotation.nearest(bound[[skin["joints"].index(joint) for joint in joints]])
-    pose = []
-    for joint in joints:
-        turn = torch.eye(3, dtype=torch.float64)
-        for node in chains[joint]:
-            still = numbers(at, content["nodes"][node].get("rotation", (0, 0, 0, 1)), "4", f"node {node} rotation")
-            turn = rotation.quaternion_to_matrix(torch.as_tensor(still)[[3, 0, 1, 2]]) @ turn
-        pose.append(turn)
-    return torch.stack(pose)
-
-
-def _chain(at: Spot, parent: dict[int, int], node: int, count: int) -> list[int]:
-    """The node and everything above it, to the top."""
-    chain = [node]
-    while chain[-1] in parent:
-        chain.append(parent[chain[-1]])
-        if len(chain) > count:
-            raise at.error("the nodes form a circle", place=f"node {node}")
-    return chain

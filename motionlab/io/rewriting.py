@@ -19,7 +19,7 @@ from torch import Tensor
 from motionlab import humanml, rotation
 from motionlab.errors import DataError
 from motionlab.files import write_whole
-from motionlab.io import amass, bvh, gltf
+from motionlab.io import amass, bvh, gltf, gltf_reading
 from motionlab.io.reading import Spot, check_writable, read_bytes, read_npz, read_text, reading
 from motionlab.motion import Motion
 from motionlab.retarget import retarget
@@ -213,18 +213,19 @@ def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], st
 def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
     if made.frames != loaded.frames:
         raise at.error("frames cannot be added to a GLB")
-    content, blob = gltf._chunks(at)
+    content, blob = gltf_reading._chunks(at)
     names = [animation.get("name") for animation in content["animations"]]
     data, number = bytearray(read_bytes(at)), names.index(loaded.name) if loaded.name in names else 0
     start = data.rindex(blob, 0) if blob else len(data)
-    found = gltf._figure(at, content, blob, 0, number, None)
+    found = gltf_reading._figure(at, content, blob, 0, number, None)
     index = found.skeleton.indices(loaded.skeleton.names)
     if len(found.times) != loaded.frames:
         raise at.error("read at other times than those of its keys", place="times")
     # what turns in the pose in which the mesh is bound, back to what the file's nodes turn by
     frames, nodes = found.frames[index], [found.joints[k] for k in index]
     before, after = (
-        replace(m, rot=gltf._framed(m.skeleton.to(torch.float64), m.rot.double(), frames.mT)[1]) for m in (loaded, made)
+        replace(m, rot=gltf_reading._framed(m.skeleton.to(torch.float64), m.rot.double(), frames.mT)[1])
+        for m in (loaded, made)
     )
     lengths = [
         float(x.double().norm(dim=-1).sum()) for x in (loaded.skeleton.offsets[1:], found.skeleton.offsets[index[1:]])
@@ -234,7 +235,7 @@ def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
     new_rot, new_root = _changed(loaded, made)
     new = {}
     for k, node in enumerate(nodes):
-        place, turn, _, _ = gltf._local(at, content["nodes"][node], node, found.tracks, found.times)
+        place, turn, _, _ = gltf_reading._local(at, content["nodes"][node], node, found.tracks, found.times)
         if k == 0:
             rot, root = _base(before, after, turn, place, scale)
             new[node, "translation"] = new_root, root
@@ -378,4 +379,4 @@ def _skinned(source: str | Path | None) -> bool:
     if source is None or Path(source).suffix.lower() != ".glb":
         return False
     with reading(source) as at:
-        return bool(gltf._chunks(at)[0].get("meshes"))
+        return bool(gltf_reading._chunks(at)[0].get("meshes"))
