@@ -63,9 +63,9 @@ LOADERS = {
     **dict.fromkeys(calibrated.SEEDS, lambda path: cameras.load_camera(path)[0]),
     "gvhmr.pt": amass.load,
     "wham.pkl": amass.load,
-    "tram.npy": io.load,
-    "humanml.npy": io.load,
-    "features.npy": io.load,
+    "tram.npy": io.load_npy,
+    "humanml.npy": io.load_npy,
+    "features.npy": io.load_npy,
     **dict.fromkeys(detected.SEEDS, partial(keypoints.load, fps=30, size=detected.SIZE)),
 }
 
