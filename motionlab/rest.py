@@ -18,7 +18,7 @@ from motionlab import rotation
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
 
-ZERO, SKIN, FIRST = "zero pose", "rest pose in the file", "first frame, a T-pose"
+ZERO, FIRST = "zero pose", "first frame, a T-pose"
 SQUARE, MOVED = "movement, by right angles", "movement"
 
 _BODY = torch.eye(3, dtype=torch.float64)  # left, up, front
@@ -68,8 +68,6 @@ def rest_poses(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, Te
 def _candidates(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, Tensor | None]]:
     skeleton = motion.skeleton
     yield ZERO, _to_body(skeleton, _BODY.expand(len(skeleton), 3, 3), joints)
-    if skeleton.standing is not None:
-        yield SKIN, _to_body(skeleton, skeleton.standing.double(), joints)
     if not _looks_ahead(motion, joints):
         return
     means = _means(motion, joints, _BODY[2])

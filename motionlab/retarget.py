@@ -250,7 +250,7 @@ def with_rest(motion: Motion, pose: str) -> Motion:
     offsets = skeleton.offsets.double().clone()
     offsets[1:] = (new[above].mT @ offsets[1:, :, None])[..., 0]
     rot = torch.cat((world[:, :1], world[:, above].mT @ world[:, 1:]), dim=1)
-    skeleton = replace(skeleton, offsets=offsets.to(skeleton.offsets), standing=None)
+    skeleton = replace(skeleton, offsets=offsets.to(skeleton.offsets))
     return replace(motion, skeleton=skeleton, rot=rot.to(motion.rot))
 
 

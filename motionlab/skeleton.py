@@ -29,9 +29,8 @@ class Skeleton:
     names: J joint names. parents: index of each joint's parent, -1 for the root, which comes first;
     every parent stands before its children. offsets (J, 3) or (..., J, 3): metres from the parent, in
     the rest frame; offsets[0] is not used. contact_names: the joints that may touch the floor.
-    sole: metres from the lowest rest-pose joint down to the floor. standing (J, 3, 3): how the joints are turned in the
-    rest pose of a file whose zero pose is none, in any one frame for all. roles: standard name -> own name, where a
-    user said what is what.
+    sole: metres from the lowest rest-pose joint down to the floor. roles: standard name -> own name, where a user said
+    what is what.
 
     Raises:
         ShapeError: parents or offsets do not fit the names, or a parent comes after its child.
@@ -42,7 +41,6 @@ class Skeleton:
     offsets: Tensor
     contact_names: tuple[str, ...] = ()
     sole: float = 0.0
-    standing: Tensor | None = None
     roles: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -124,8 +122,7 @@ class Skeleton:
 
     def to(self, *args, **kwargs) -> Skeleton:
         """Returns the skeleton with offsets on another device or of another dtype."""
-        standing = None if self.standing is None else self.standing.to(*args, **kwargs)
-        return replace(self, offsets=self.offsets.to(*args, **kwargs), standing=standing)
+        return replace(self, offsets=self.offsets.to(*args, **kwargs))
 
 
 def fk(skeleton: Skeleton, root: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:

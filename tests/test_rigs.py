@@ -12,9 +12,9 @@ from test_retarget import SIDES, assert_same, reframed, wild, without
 from motionlab import certificate, io, rotation
 from motionlab.__main__ import main
 from motionlab.errors import DataError
-from motionlab.io import bvh, gltf
+from motionlab.io import bvh
 from motionlab.motion import Motion
-from motionlab.rest import FIRST, MOVED, SKIN, SQUARE, ZERO
+from motionlab.rest import FIRST, MOVED, SQUARE, ZERO
 from motionlab.retarget import match_joints, put_on, retarget, with_rest
 from motionlab.rigs import find_joints
 from motionlab.skeleton import STANDARD, UPRIGHT
@@ -194,25 +194,6 @@ def test_any_axes_are_found_from_the_movement(generator):
     off = torch.rad2deg(rotation.geodesic(found.motion.world[1], motion.world[1])).amax(0)
     limbs = STANDARD.indices([f"{s}_{part}" for s in SIDES for part in ("hip", "knee", "shoulder", "elbow")])
     assert off[limbs].max() < 1 and off.max() < 12, off
-
-
-def test_a_rest_pose_in_the_file_is_used(generator, tmp_path):
-    motion = person(generator)
-    frames = rotation.random((22,), generator, dtype=torch.float64)
-    turned = reframed(motion, frames)
-    skinned = replace(
-        turned, skeleton=replace(turned.skeleton, standing=rotation.random((), generator).double() @ frames)
-    )
-    assert match_joints(skinned).source == SKIN
-    upright = replace(turned, skeleton=replace(turned.skeleton, standing=frames))
-    assert_same(retarget(upright), motion)
-    gltf.save(tmp_path / "rig.glb", upright)
-    again = io.load(tmp_path / "rig.glb")
-    torch.testing.assert_close(again.skeleton.standing.double(), frames, atol=1e-6, rtol=0)
-    assert retarget(again).residual < 1e-6 and match_joints(again).source == SKIN
-    standard = tmp_path / "standard.glb"
-    gltf.save(standard, motion)
-    assert match_joints(io.load(standard)).source == ZERO
 
 
 def test_a_t_pose_in_the_first_frame_is_used(generator):

@@ -75,7 +75,6 @@ def _roles(path: Path) -> dict[str, str]:
     return {name: own for name, own in found.items() if own}
 
 
-
 def say_note(note: str) -> None:
     """Prints a note."""
     print(f"note: {note}", flush=True)

@@ -26,7 +26,6 @@ from motionlab.io.gltf_reading import BIN_CHUNK, GENERATOR, JSON_CHUNK, MAGIC, T
 from motionlab.io.gltf_reading import load as load
 from motionlab.io.reading import check_writable
 from motionlab.motion import Motion
-from motionlab.rest import places_of
 from motionlab.skeleton import Skeleton
 from motionlab.tailoring import tailored
 
@@ -79,8 +78,7 @@ def save(
     for motion, name, shape in zip(people, names, shapes, strict=True):
         skeleton, first = motion.skeleton, _animate(file, motion, name)
         if body is None:
-            pose = torch.eye(3).expand(len(skeleton), 3, 3) if skeleton.standing is None else skeleton.standing
-            _bind(file, first, name, skeleton, places_of(skeleton, pose), pose)
+            _bind(file, first, name, skeleton, skeleton.rest_positions(), torch.eye(3).expand(len(skeleton), 3, 3))
         else:
             worn = body if shape is not None else tailored(body, skeleton)
             template, joints = worn.template, worn.joints
