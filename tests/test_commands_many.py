@@ -83,11 +83,11 @@ def test_files_of_a_folder_that_are_passed_over_are_counted(motions, tmp_path, c
         (motions / name).write_text("x")
     (motions / "older").mkdir()
     assert inbetween(motions, tmp_path / "again", "--jobs", "1") == 0
-    assert "note: 3 of 6 files were passed over: not .bvh .npz .glb" in capsys.readouterr().out
+    assert "note: 3 of 6 files were passed over: not .bvh .npz .glb .npy" in capsys.readouterr().out
     with pytest.raises(SystemExit):
         main(["inbetween", "--help"])
     said = " ".join(capsys.readouterr().out.split())
-    assert "a motion (.bvh .npz .glb .amc, or DeepMimic's .txt), or a folder: of it all .bvh .npz .glb" in said
+    assert "a motion (.bvh .npz .glb .npy .amc, DeepMimic's .txt, or .pt .pkl of GVHMR, WHAM), or a folder" in said
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_files_of_a_folder_that_are_passed_over_are_counted(motions, tmp_path, c
         (("motions", "motions/../motions"), "the motions would be written over"),
         (("motions/walk0.bvh", "motions/../motions/walk0.bvh"), "this is the file that was opened"),
         (("motions/walk0.bvh", "one.fbx"), "use one of .bvh, .npz, .glb"),
-        (("empty", "made"), "no motion (.bvh, .npz, .glb) in this folder"),
+        (("empty", "made"), "no motion (.bvh, .npz, .glb, .npy) in this folder"),
         (("motions", "made", "--jobs", "0"), "give a number above 0"),
         (("motions", "made", "--jobs", "2", "--cluster", "tcp://127.0.0.1:1"), "leave out --jobs"),
         (("motions", "made", "--cluster", "tcp://127.0.0.1:1"), "no Dask scheduler answers"),

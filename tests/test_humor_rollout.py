@@ -232,7 +232,15 @@ def test_shapes_that_do_not_fit(model, first, z):
         rollout(model, torch.zeros(first, dtype=F64), torch.zeros(z, dtype=F64))
 
 
-def test_ctrl_c_within_compiled_loops_is_heard_when_they_end(model, generator):
+@pytest.fixture
+def interruptible():
+    """Ctrl-C is heard, also in a process that was started in the background, where it is not."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_within_compiled_loops_is_heard_when_they_end(model, generator, interruptible):
     """A signal from another thread, wherever it falls: never the SystemError that numba makes of it."""
     first, z = first_states(generator, 1), latents(generator, 1, 200)
     rollout(model, first, z, loops=True)
