@@ -40,6 +40,7 @@ _MANY = 250  # steps of the sampler that begins
 _SECONDS = (0.5, 600.0)  # of new motion: half a window's worth is hardly one, and ten minutes take two to make
 _JUMPS = 0.2  # share of frames; with more it is noise that jumps
 _LEAST = 12  # frames in which noise can be measured
+_LASTS = "errors that last longer, as those of poses from video do, are not measured: for these give --noise 2,10"
 _CALM = 9  # frames over which poses from handles are smoothed, at the models' rate
 
 
@@ -93,6 +94,7 @@ def repaired(
     notes = [size + ", as given" * given]
     if not noisy:
         notes.append("there is none to take away" if given else "that is no more than in clean recordings: it stays")
+        notes += [_LASTS] * (not given)
     jumps = _jumps(motion)
     if jumps.any():
         spans = ", ".join(f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in runs(jumps))

@@ -99,7 +99,7 @@ class Retargeted:
 def retarget(
     motion: Motion,
     *,
-    proportions: str = "source",
+    proportions: str | Skeleton = "source",
     leg: float | None = None,
     floor: bool = True,
     plant: bool = True,
@@ -118,7 +118,8 @@ def retarget(
         proportions: "source" keeps the source's bone lengths and joint places, so the residual shows only
             what the standard tree cannot hold; "standard" takes those of ``STANDARD``, scaled so that thigh
             + shin are as long as the source's: the residual then holds every difference between the bodies.
-            Either way the middle between the hips is where the source's is.
+            A skeleton of the 22 joints: as "standard", of that body. Any way the middle between the hips is where
+            the source's is.
         leg: thigh + shin in metres to scale the whole recording to (figure and path); None: as it is.
         floor: raise the motion so that the lowest ball of the foot (2 % of the frames are lower) is at sole height.
         plant: with other proportions, bend the legs so that the ankles are as high as the source's and the
@@ -136,7 +137,7 @@ def retarget(
         raise ShapeError(f"{motion.name or 'motion'} has no frames")
     if not (motion.root.isfinite().all() and motion.rot.isfinite().all()):
         raise DataError("numbers that are not finite", path=motion.name, place="frames", remedy="cut or fill them")
-    if proportions not in ("source", "standard"):
+    if not isinstance(proportions, Skeleton) and proportions not in ("source", "standard"):
         raise ValueError(f"proportions: expected 'source' or 'standard', got {proportions!r}")
     if leg is not None and not leg > 0:
         raise ValueError(f"leg: expected metres above zero, got {leg}")
@@ -148,36 +149,37 @@ def retarget(
     if not length > 0:
         raise DataError("legs of no length", path=motion.name, place="rest pose", remedy="check the offsets")
     scale = leg / length if leg else 1.0
-    standing = STANDARD.to(torch.float64)
+    standing = (proportions if isinstance(proportions, Skeleton) else STANDARD).to(torch.float64)
     standing = standing.scaled(scale * length / _leg_length_of(standing))
     correction = _corrections(body)
     positions, world = source.world
     where = {name: scale * positions[:, j] for name, j in body.joints.items()}
-    skeleton = standing if proportions == "standard" else _source_proportions(body, correction, standing, scale)
+    own = proportions == "source"
+    skeleton = _source_proportions(body, correction, standing, scale) if own else standing
     rot = _rotations(body, correction, world)
     hips = (where["left_hip"] + where["right_hip"]) / 2
     below = skeleton.offsets[skeleton.indices(["left_hip", "right_hip"])].mean(0)
     target = Motion(skeleton, hips - rot[:, 0] @ below, rot, source.fps, name=motion.name)
-    if proportions == "standard" and plant:
+    if plant and not own:
         target = two_bone_ik(target, _planted(target, where))
     balls = target.positions[:, skeleton.indices(FEET[2:])]
     lift = skeleton.sole - float(torch.quantile(balls[..., 2].amin(-1), 0.02)) if floor else 0.0
     up = torch.tensor([0.0, 0.0, lift], dtype=torch.float64)
     target, where = replace(target, root=target.root + up), {name: place + up for name, place in where.items()}
     error = {n: float((target.positions[:, STANDARD.index(n)] - p).norm(dim=-1).mean()) for n, p in where.items()}
-    own = source.skeleton.names
+    called = source.skeleton.names
     lost = _lost(body, source.skeleton, positions, world)
-    error |= {own[j]: scale * off for j, off in lost.items()}
+    error |= {called[j]: scale * off for j, off in lost.items()}
     unmapped = tuple(name for name in STANDARD.names if name not in where)
     notes = [f"joints recognised: {len(where)} of {len(STANDARD)}"]
     notes += [] if body.source == ZERO else [f"how the joints are turned is taken from the {body.source}"]
     way = "raised" if lift > 0 else "lowered"
     notes += [f"{way} by {abs(lift):.3f} m, so that the feet stand on the floor"] if abs(lift) > 0.0005 else []
-    guesses = [f"{name} = {own[j]}" for name, j in guessed_joints(source.skeleton, body.joints).items()]
+    guesses = [f"{name} = {called[j]}" for name, j in guessed_joints(source.skeleton, body.joints).items()]
     notes += [f"said by no name, taken by their place: {', '.join(guesses)}"] if guesses else []
     notes += [f"the file has no {', '.join(unmapped)}: made up from the joints around"] if unmapped else []
     notes += [
-        f"LOST: what {own[j]} does, as it is none of the joints found; what hangs on it is {off:.2f} m off "
+        f"LOST: what {called[j]} does, as it is none of the joints found; what hangs on it is {off:.2f} m off "
         "(say what it is: names=, on the command line --names)"
         for j, off in lost.items()
     ]
@@ -185,13 +187,46 @@ def retarget(
         motion=replace(target, notes=(*motion.notes, *notes)).to(motion.root.dtype),
         residual=sum(error.values()) / len(error),
         per_joint=error,
-        names={name: own[j] for name, j in body.joints.items()},
+        names={name: called[j] for name, j in body.joints.items()},
         unmapped=unmapped,
         scale=scale,
         floor=lift,
         skate=_skates(target, where),
         notes=tuple(notes),
     )
+
+
+def retarget_onto(motion: Motion, rig: Motion) -> Retargeted:
+    """Puts the movement of one motion on the rig of another: its bones, names and rest pose.
+
+    By way of the 22 joints in the rig's proportions: the path is scaled as the legs are, feet that stood still stand
+    still, on the floor. What the rig has besides stays as at rest.
+
+    Args:
+        motion: (T) on any joints that are found. rig: any motion of the rig; only its skeleton and rest pose count.
+
+    Returns:
+        Its motion is the rig's; all else is told of the 22 joints, and what is not carried over by its notes.
+
+    Raises:
+        DataError: as :func:`match_joints`, of either.
+    """
+    source, body = match_joints(motion), match_joints(rig)
+    bones = retarget(rig.cut(0, 1), floor=False, body=body).motion.skeleton
+    found = retarget(motion, proportions=bones, leg=_leg_length(body), body=source)
+    made = put_on(found.motion, rig.skeleton, body)
+    follow, every = len(body.joints), len(rig.skeleton)
+    notes = [f"joints of the rig that follow: {follow} of {every}" + "; the others stay as at rest" * (follow < every)]
+    notes += [f"scaled by {found.scale:.3f}, as the rig's legs are"]
+    off = 100 * found.residual
+    notes += [f"joints are {off:.1f} cm on average from where the file's are then, by what the bodies differ in"]
+    lacks = [name for name in source.joints if name not in body.joints]
+    notes += [f"not carried over, as the rig has none: {', '.join(lacks)}"] if lacks else []
+    skeleton, used = motion.skeleton, {*source.joints.values()}
+    more = [skeleton.names[j] for j in range(len(skeleton)) if j not in used and j in skeleton.parents]
+    notes += [f"not carried over, as they are none of the 22 joints: {', '.join(more)}"] if more else []
+    made = replace(made, notes=(), name=motion.name).to(motion.root.dtype)
+    return replace(found, motion=made, notes=(*found.notes, *notes))
 
 
 def put_on(motion: Motion, skeleton: Skeleton, body: Match) -> Motion:

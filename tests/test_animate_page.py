@@ -28,7 +28,7 @@ def desk(tmp_path, monkeypatch):
 
 
 def test_every_command_of_the_page_runs(desk, capsys):
-    assert len(COMMANDS) == 13
+    assert len(COMMANDS) == 16
     for command in COMMANDS:
         first, *words = shlex.split(command)
         if first == "cp":
@@ -38,6 +38,7 @@ def test_every_command_of_the_page_runs(desk, capsys):
         said = capsys.readouterr().out
         if "--keys 0,30,60-last" in command:
             assert "139 of 197 frames keep the file's own numbers, byte for byte" in said
+    assert io.load("loop.bvh").frames == 34
     assert io.load("longer/generated_0.bvh").frames == 227
     assert {path.name for path in (desk / "made").iterdir()} == {"generated_0.bvh", "generated_1.bvh", "both.mp4"}
     assert {path.name for path in (desk / "filled").iterdir()} == {"a.bvh", "b.bvh"}

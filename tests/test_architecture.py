@@ -24,7 +24,7 @@ FLOORS = """
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
     corpus splits humor.scales humor.unknowns corrections diffusion.completer_training
     bench shipped doctor onnx_export humor.chain_training humor.quality humor.stages humor.start animate
-    train_more models humor.shooting renew
+    finish train_more models humor.shooting renew
     train_completer train_plain train_prior
     train
     humor.testops

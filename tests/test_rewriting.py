@@ -8,7 +8,7 @@ import torch
 
 from motionlab import animate, io, rotation
 from motionlab.io import bvh, gltf
-from motionlab.io.rewriting import write_back
+from motionlab.io.rewriting import WRITERS, write_back
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from tests.test_animate import walk
@@ -99,4 +99,22 @@ def test_it_is_said_how_many_frames_and_joints_stayed(tmp_path):
         assert write_back(source, out, loaded, replace(loaded, rot=rot)) == f"{said} {own}"
     assert write_back(source, out, loaded, replace(loaded, rot=bent)).startswith("18 of 20 frames")
     moved = replace(loaded, rot=rotation.rotation_about("y", torch.tensor(0.1)) @ shaken, root=loaded.root + 1)
-    assert write_back(source, out, loaded, moved) == f"0 of 20 frames {own}"
+    assert write_back(source, out, loaded, moved).endswith("stays, byte for byte; all numbers are new")
+
+
+def test_a_bvh_may_have_fewer_frames_and_another_rate_the_rest_stays_byte_for_byte(tmp_path):
+    source, out = tmp_path / "in.bvh", tmp_path / "out.bvh"
+    bvh.save(source, walk(20))
+    loaded, lines = io.load(source), source.read_text().splitlines()
+    at = lines.index("MOTION")
+    assert write_back(source, out, loaded, loaded.cut(0, 7)).startswith("7 of 7 frames")
+    assert out.read_text().splitlines() == [*lines[: at + 1], "Frames: 7", *lines[at + 2 : at + 10]]
+    write_back(source, out, loaded, replace(loaded, fps=48.0))
+    assert out.read_text().splitlines() == [*lines[: at + 2], f"Frame Time: {1 / 48:.10f}", *lines[at + 3 :]]
+    for suffix in (".npz", ".glb"):  # these are written anew
+        WRITERS[suffix](tmp_path / f"in{suffix}", walk(20))
+        loaded = io.load(tmp_path / f"in{suffix}")
+        made = replace(loaded.cut(0, 7), fps=48.0)
+        assert "written anew" in write_back(tmp_path / f"in{suffix}", tmp_path / f"out{suffix}", loaded, made)
+        found = io.load(tmp_path / f"out{suffix}")
+        assert (found.frames, found.fps) == (7, 48.0)

@@ -1,5 +1,5 @@
-"""The animator's commands: ``inbetween``, ``repair`` and ``complete`` of a motion file or a folder of them, and
-``generate``."""
+"""The animator's commands: ``inbetween``, ``repair``, ``complete``, ``plant``, ``cycle`` and ``retarget`` of a motion
+file or a folder of them, and ``generate``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from motionlab.commands import many
 from motionlab.commands.many import Job
 from motionlab.commands.motions import READ, WRITTEN, add_reading, make_folder, read_motion, say_note
 from motionlab.commands.printing import add_command, is_watched
-from motionlab.commands.showing import add_film, check_film, draw_film
+from motionlab.commands.showing import add_cut, add_film, check_film, cut, draw_film
 from motionlab.errors import DataError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _OUT = f"a file ({' '.join(WRITTEN)}; the format of IN keeps the file's own numb
 
 
 def add_commands(commands: argparse._SubParsersAction) -> None:
-    """Adds the four commands; nothing heavy is imported before one runs."""
+    """Adds the commands; nothing heavy is imported before one runs."""
     example = "walk.bvh --keys 0,30,60,90,120-last --out between.bvh --film between.mp4"
     command = _command(
         commands, "inbetween", "keep the frames you name, make those between them", example, _inbetween, _DRAW
@@ -48,6 +48,22 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     which.add_argument("--hidden", type=_words, help="joints to make: legs, left_arm, right_knee, ...; others stay")
     which.add_argument("--known", type=_words, help="joints whose places alone are known: left_wrist,head, ...")
 
+    _command(commands, "plant", "hold feet that stand in place", "walk.bvh --out planted.bvh", _plant, plants=False)
+
+    text, example = "make a motion a loop, or let it go nowhere", "walk.bvh --loop --cut 1.467 2.567 --out loop.bvh"
+    command = _command(commands, "cycle", text, example, _cycle)
+    command.add_argument("--loop", action="store_true", help="its last frame is its first again; best cut to one round")
+    command.add_argument("--in-place", action="store_true", help="the root stays above one point of the floor")
+    add_cut(command)
+    command.add_argument("--blend", type=float, metavar="SECONDS", help="in which each end gives in (default: 0.25)")
+
+    text, example = "put the movement of a motion on the rig of another", "walk.bvh --onto rig.bvh --out mine.bvh"
+    command = _command(commands, "retarget", text, example, None, plants=False)
+    command.add_argument(
+        "--onto", type=Path, required=True, metavar="RIG", help=f"its bones, names and rest pose: {READ}"
+    )
+    command.add_argument("--onto-names", type=Path, metavar="FILE.json", help="as --names, of RIG")
+
     text, example = "make new motions, or what may follow on one", "generate --seconds 4 --count 2 --out made/"
     command = add_command(commands, "generate", text, example, _generate)
     command.add_argument("--seconds", type=float, default=4.0, help="how long each is, or goes on (default 4)")
@@ -63,7 +79,13 @@ _DRAW = "draw one of the motions that are possible, by the network; none: its on
 
 
 def _command(
-    commands: argparse._SubParsersAction, name: str, text: str, example: str, make: Callable, *seed: str
+    commands: argparse._SubParsersAction,
+    name: str,
+    text: str,
+    example: str,
+    make: Callable | None,
+    *seed: str,
+    plants: bool = True,
 ) -> argparse.ArgumentParser:
     command = add_command(commands, name, text, f"{name} {example}", _on_motions)
     command.add_argument("source", metavar="IN", type=Path, help=_IN)
@@ -71,14 +93,15 @@ def _command(
     add_film(command, "what was given beside what was made of it; not of a folder")
     many.add_sharing(command, "of a folder")
     command.set_defaults(make=make)
-    _usual(command, *seed)
+    _usual(command, *seed, plants=plants)
     return command
 
 
-def _usual(command: argparse.ArgumentParser, seed: str = "") -> None:
+def _usual(command: argparse.ArgumentParser, seed: str = "", plants: bool = True) -> None:
     if seed:  # of what draws
         command.add_argument("--seed", type=_seed, help=seed)
-    command.add_argument("--no-planting", dest="plant", action="store_false", help="leave sliding feet alone")
+    if plants:
+        command.add_argument("--no-planting", dest="plant", action="store_false", help="leave sliding feet alone")
     add_reading(command)
 
 
@@ -154,11 +177,16 @@ def _made(
 ) -> tuple[Motion, Motion]:
     """Reads a motion, makes another of it and writes that; returns both, and says what was guessed, and how."""
     from motionlab.io.rewriting import check_target, write_back
+    from motionlab.retarget import retarget_onto
 
     check_target(source, target)
-    motion = read_motion(source, options, say)
-    found = options.make(options, motion, progress)
-    for note in (*found.notes, write_back(source, target, motion, found.motion)):
+    motion = given = read_motion(source, options, say)
+    if "onto" in options:
+        source, given = options.onto, _rig(options, say)
+        found = retarget_onto(motion, given)
+    else:
+        found = options.make(options, motion, progress)
+    for note in (*found.notes, write_back(source, target, given, found.motion)):
         say(note)
     return motion, found.motion
 
@@ -188,6 +216,29 @@ def _complete(options: argparse.Namespace, motion: Motion, progress: bool) -> An
             raise DataError("poses from places have one answer", place="--seed", remedy="leave it out")
         return renew.posed(motion, options.known, plant=options.plant)
     return animate.completed(motion, options.hidden or [], seed=options.seed, plant=options.plant, progress=progress)
+
+
+def _plant(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
+    from motionlab import finish
+
+    return finish.locked(motion)
+
+
+def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
+    from motionlab import finish
+
+    if not (options.loop or options.in_place):
+        raise DataError("nothing to do", path=options.source, place="cycle", remedy="give --loop, --in-place or both")
+    motion = cut(motion, options.source, options.cut)
+    blend = finish.BLEND if options.blend is None else options.blend
+    how = {"loop": options.loop, "in_place": options.in_place, "blend": blend}
+    return finish.cycled(motion, **how, plant=options.plant)
+
+
+def _rig(options: argparse.Namespace, say: Callable[[str], None]) -> Motion:
+    """Reads --onto, of which nothing is given but the names."""
+    alone = argparse.Namespace(names=options.onto_names)
+    return read_motion(options.onto, alone, lambda note: say(f"{options.onto.name}: {note}"))
 
 
 def _generate(options: argparse.Namespace) -> int:

@@ -43,7 +43,7 @@ def add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fp
 
 def reading(options: argparse.Namespace) -> dict[str, object]:
     """Returns what was given of ``add_reading``, as options of the loaders."""
-    return {key: value for name, key in _READING.items() if (value := getattr(options, name)) is not None}
+    return {key: value for name, key in _READING.items() if (value := getattr(options, name, None)) is not None}
 
 
 def read_motion(path: Path, options: argparse.Namespace, say: Callable[[str], None] | None = None) -> Motion:

@@ -31,8 +31,15 @@ def add_show(commands: argparse._SubParsersAction) -> None:
     )
     command.add_argument("--bones", action="store_true", help="a figure of the file's own joints, not a body")
     command.add_argument("--follow", action="store_true", help="the view moves along with who walks")
-    command.add_argument("--cut", type=float, nargs=2, metavar=("FROM", "TO"), help="only these seconds of every file")
+    add_cut(command, "of every file")
     add_reading(command)
+
+
+def add_cut(command: argparse.ArgumentParser, what: str = "") -> None:
+    """Adds ``--cut``, for :func:`cut`."""
+    command.add_argument(
+        "--cut", type=float, nargs=2, metavar=("FROM", "TO"), help=f"only these seconds {what}".strip()
+    )
 
 
 def add_film(command: argparse.ArgumentParser, what: str) -> None:
@@ -76,7 +83,7 @@ def _show(options: argparse.Namespace) -> int:
         given, motion = motion.notes, motion if options.bones else with_standard_joints(motion)
         for note in motion.notes[len(given) :]:
             told(note)
-        motions[label] = _cut(motion, path, options.cut)
+        motions[label] = cut(motion, path, options.cut)
     if options.out.suffix == _PICTURE:
         print(_draw_poses(motions, options.out, options.bones))
     else:
@@ -88,8 +95,8 @@ def _tell(label: str, note: str) -> None:
     print(f"{label}: {note}", flush=True)
 
 
-def _cut(motion: Motion, path: Path, seconds: list[float] | None) -> Motion:
-    """What lies between two times.
+def cut(motion: Motion, path: Path, seconds: list[float] | None) -> Motion:
+    """Returns what lies between two times; all, where none are given.
 
     Raises:
         DataError: nothing does.

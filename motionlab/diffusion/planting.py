@@ -25,7 +25,7 @@ from torch.nn.functional import max_pool1d, normalize, one_hot, pad
 
 from motionlab import rotation
 from motionlab.baselines import nearest_known
-from motionlab.contact import contacts_from_positions, resting_heights
+from motionlab.contact import contacts_from_positions, resting_heights, with_contacts
 from motionlab.diffusion import footsteps
 from motionlab.diffusion.curves import lines_between
 from motionlab.errors import DataError, ShapeError
@@ -94,6 +94,13 @@ def planted(
     longest = torch.maximum((footsteps.STRAIGHT if step else _STRETCHED) * (thigh + shin), (ankle - hip).norm(dim=-1))
     heel = _within(heel, there, foot[:, None], hip, longest[..., None])
     return _turned(motion, heel, there)
+
+
+def standing(motion: Motion) -> Tensor:
+    """Says where left and right ankles and then balls stand: bool (..., T, 4), of a motion's contacts or, as it has
+    none, of its own."""
+    labelled = motion if motion.contacts is not None else with_contacts(motion)
+    return torch.cat([_stands(labelled, names) for names in (ANKLES, BALLS)], dim=-1)
 
 
 def _stands(motion: Motion, names: tuple[str, ...], slow: bool = True) -> Tensor:

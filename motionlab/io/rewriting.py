@@ -1,7 +1,8 @@
 """Writes a changed motion back into the file that it came from: what did not change stays, byte for byte.
 
 A rotation or root position that equals the loaded one keeps the numbers, the channel order, unit and axes of the file;
-whatever else the file holds (End Sites, betas, a skin) stays. Frames may be added behind the last one, not in a GLB.
+whatever else the file holds (End Sites, betas, a skin) stays. Frames may be added behind the last one, not in a GLB; a
+BVH may also have fewer, and another frame rate.
 """
 
 from __future__ import annotations
@@ -32,15 +33,15 @@ def _rewrite(source: str | Path, target: str | Path, loaded: Motion, made: Motio
     """Writes ``made`` as a copy of the file ``source``, in which only what differs from ``loaded`` is new.
 
     Args:
-        loaded: as ``source`` was read, (T) frames. made: on the same joints, (T) frames or more.
+        loaded: as ``source`` was read, (T) frames. made: on the same joints, in frames that the format can hold.
 
     Raises:
-        DataError: another skeleton or fewer frames; no such format; or the file has no channel for what changed.
+        DataError: another skeleton; no such format; or the file has no channel for what changed.
     """
     check_writable(target, made)
     suffix = Path(source).suffix.lower()
     with reading(source, _REMEDY) as at:
-        if made.skeleton.names != loaded.skeleton.names or made.frames < loaded.frames:
+        if made.skeleton.names != loaded.skeleton.names:
             raise at.error("not the motion of this file")
         if suffix not in REWRITERS:
             raise at.error(f"a {suffix} file cannot be rewritten")
@@ -82,6 +83,8 @@ def _bvh(at: Spot, loaded: Motion, made: Motion) -> bytes:
     scale = float(lengths / np.linalg.norm(place.mean(0)[index[1:]], axis=-1).sum())
     scale = next((unit for unit in bvh.UNITS.values() if abs(scale / unit - 1) < 1e-4), scale)
     top = index[0]
+    fps, loaded = loaded.fps, loaded.cut(0, made.frames)
+    place, turns, values = (x[: loaded.frames] for x in (place, turns, values))
     rot, root = _base(loaded, made, turns[:, top], torch.from_numpy(place[:, top]), scale)
     new_rot, new_root = _changed(loaded, made)
     column, starts = 0, []
@@ -115,7 +118,7 @@ def _bvh(at: Spot, loaded: Motion, made: Motion) -> bytes:
         where = np.array(list(turned))
         proper = np.array([order[0] == order[2] for order in turned.values()])
         table[:, where] = _carried_on(table[:, where], mine[:, where[:, 0]], proper, values[0, where])
-    return _bvh_text(text, table, mine, loaded.frames).encode(at.encoding)
+    return _bvh_text(text, table, mine, loaded.frames, None if made.fps == fps else made.fps).encode(at.encoding)
 
 
 def _carried_on(angles: np.ndarray, mine: np.ndarray, proper: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -143,12 +146,15 @@ def _carried_on(angles: np.ndarray, mine: np.ndarray, proper: np.ndarray, first:
     return made
 
 
-def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, frames: int) -> str:
-    """The file's text with new numbers where ``mine``, and its own line ends; lines without one as they are."""
+def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, frames: int, fps: float | None) -> str:
+    """The file's text with new numbers where ``mine``, and its own line ends; lines without one as they are.
+
+    frames: of the file that are left. fps: None: the file's.
+    """
     lines = text.splitlines(keepends=True)
     start = next(n for n, line in enumerate(lines) if line.split()[:1] and line.split()[0].upper() == "MOTION")
     rows = [n for n in range(start + 1, len(lines)) if lines[n].strip()]
-    heading, rows = rows[:2], rows[2:]
+    heading, rows, gone = rows[:2], rows[2 : 2 + len(table)], rows[2 + len(table) :]
     end = _line_end(lines[start])
     words = [lines[n].split() for n in rows]
     words += words[-1:] * (len(table) - frames)
@@ -160,9 +166,13 @@ def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, frames: int) -> st
         lines[n] = line + _line_end(lines[n]) if its.any() else lines[n]
     if float(lines[heading[0]].partition(":")[2]) != len(table):
         lines[heading[0]] = f"Frames: {len(table)}{end}"
+    if fps is not None:
+        lines[heading[1]] = f"Frame Time: {1 / fps:.10f}{end}"
     if len(table) > frames:
         lines[rows[-1]] = lines[rows[-1]].removesuffix(_line_end(lines[rows[-1]])) + end
         lines[rows[-1] + 1 : rows[-1] + 1] = [line + end for line in found[frames:]]
+    for n in gone:
+        lines[n] = ""
     return "".join(lines)
 
 
@@ -326,8 +336,7 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
     """
     check_target(source, target)
     suffix = Path(target).suffix.lower()
-    grown = loaded is not None and made.frames > loaded.frames
-    same = source is not None and suffix == Path(source).suffix.lower() and not (grown and suffix == ".glb")
+    same = source is not None and suffix == Path(source).suffix.lower() and _holds(suffix, loaded, made)
     lost = "; the body of the file that was read is lost" if _skinned(source) else ""
     if same and _rewritable(source):
         try:
@@ -346,11 +355,19 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
     return f"{_ANEW[suffix]}{lost}"
 
 
+def _holds(suffix: str, loaded: Motion, made: Motion) -> bool:
+    """Returns whether a file of this format can be rewritten with so many frames, at this rate."""
+    more = made.frames - loaded.frames
+    return suffix == ".bvh" or (made.fps == loaded.fps and (more == 0 or (more > 0 and suffix == ".npz")))
+
+
 def _stayed(loaded: Motion, made: Motion) -> str:
     """Says how much of a rewritten file is as it was: frames, and joints that stay in frames that changed."""
-    new, new_root = _changed(loaded, made)
+    new, new_root = _changed(loaded.cut(0, made.frames), made)
     new[:, 0] |= new_root
     frames, joints = int((~new.any(1)).sum()), int((~new.any(0)).sum())
+    if not frames and not joints:
+        return "what the file says of its joints, channels, unit and axes stays, byte for byte; all numbers are new"
     also = f", and {joints} of {new.shape[1]} joints in all frames," if joints and frames < made.frames else ""
     return f"{frames} of {made.frames} frames{also} keep the file's own numbers, byte for byte"
 
