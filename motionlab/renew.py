@@ -31,7 +31,7 @@ from motionlab.heading import heading_frame, local_to_world, world_to_local_posi
 from motionlab.motion import FPS, Motion
 from motionlab.retarget import retarget
 from motionlab.rigs import find_joints
-from motionlab.skeleton import STANDARD
+from motionlab.skeleton import BALLS, FEET, STANDARD
 
 ROUGH, PLAIN = "completer_rough", "diffusion_plain"  # corrects what was smoothed; makes new motion
 CLEAN = Noise(0.35 * math.pi / 180, 0.0015)  # as much is measured on clean recordings
@@ -40,7 +40,8 @@ _MANY = 250  # steps of the sampler that begins
 _SECONDS = (0.5, 600.0)  # of new motion: half a window's worth is hardly one, and ten minutes take two to make
 _JUMPS = 0.2  # share of frames; with more it is noise that jumps
 _LEAST = 12  # frames in which noise can be measured
-_LASTS = "errors that last longer, as those of poses from video do, are not measured: for these give --noise 2,10"
+_LASTS = "errors that last, as those of poses from video, are not measured: for these give --noise 2,10, and --drift"
+_ANCHOR = 0.5  # seconds in which the path's drift is one
 _CALM = 9  # frames over which poses from handles are smoothed, at the models' rate
 
 
@@ -70,6 +71,7 @@ def repaired(
     noise: Noise | None = None,
     *,
     method: str | None = None,
+    drift: bool = False,
     plant: bool = True,
     progress: bool = False,
 ) -> Animated:
@@ -80,7 +82,7 @@ def repaired(
     given is believed; None: measured, and left where there is no more of it than clean recordings have.
 
     method: "network" or "curves", of both; None: for noise the network from ``_WORTH`` on, for jumps what ``inbetween``
-    chooses.
+    chooses. drift: also take away what the path drifts by, as that of poses from video does (:func:`_anchored`).
 
     Raises:
         DataError: no such method, or a skeleton whose joints are not known.
@@ -100,23 +102,27 @@ def repaired(
         spans = ", ".join(f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in runs(jumps))
         notes.append(f"frames that jump: {spans}; they are made anew from those around")
         keep = Keep(~jumps, torch.zeros(len(motion.skeleton), dtype=torch.bool))
-        found = inbetween(motion, keep, method=method, plant=plant and not noisy, progress=progress)
+        found = inbetween(motion, keep, method=method, plant=plant and not (noisy or drift), progress=progress)
         motion = found.motion
-        if not noisy:
+        if not (noisy or drift):
             return Animated(motion, (*notes, *found.notes))
         notes.append(found.notes[0])
-    if not noisy:
+    if not (noisy or drift):
         return Animated(motion, (*notes, "no frame jumps: the motion stays as it is"))
     method = method or ("network" if noise.turn >= _WORTH else "curves")
-    smooth = smoothed(motion, noise)
+    smooth = smoothed(motion, noise) if noisy else motion
     nothing = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.zeros(len(motion.skeleton), dtype=torch.bool))
     body = Standard.of(motion, smooth, nothing, lift=retarget(smooth).floor)
     made = body.joints
-    if method == "network":
+    if noisy and method == "network":
         fill = partial(completer.load(ROUGH).complete, tremble=noise.turn)
         made = body.corrected(by_windows(fill, body.lacking, progress))
     how = ", and the network corrects what that blurs" if method == "network" else " by a smoother alone"
-    notes.append("noise is smoothed away" + how)
+    notes += ["noise is smoothed away" + how] * noisy
+    if drift:
+        made, way = _anchored(made), made.root
+        far = float((made.root - way)[-1].norm())
+        notes.append(f"the path goes by the feet that stand: it ends {far:.2f} m from where it did")
     return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
 
 
@@ -126,6 +132,27 @@ def _jumps(motion: Motion) -> Tensor:
         cleaning.faults(retarget(motion).motion)["teleport"] if motion.frames > 2 else torch.zeros(motion.frames) > 0
     )
     return found if 0 < found.float().mean() < _JUMPS else torch.zeros_like(found)
+
+
+def _anchored(joints: Motion) -> Motion:
+    """The 22 joints (T) on a path on which the foot that stands stands still, raised or lowered to the floor.
+
+    What stands is the lowest of ankles and balls. Its velocity, the median and then a mean over ``_ANCHOR`` seconds, is
+    the path's drift. Who flies for half of that time, or slides, is held in place: this is for walks.
+    """
+    skeleton, near = joints.skeleton, max(round(_ANCHOR * joints.fps / 2), 1)
+    feet = joints.positions[:, skeleton.indices(FEET)]
+    above = feet[..., 2] - resting_heights(skeleton)[[skeleton.contact_names.index(name) for name in FEET]]
+    lowest = (above[1:] + above[:-1]).argmin(-1)
+    speed = feet.diff(dim=0)[torch.arange(len(lowest)), lowest]
+    weight = torch.hann_window(2 * near + 3, periodic=False)[1:-1].to(speed)
+    for blur in (lambda x: x.median(-1).values, lambda x: x @ (weight / weight.sum())):
+        index = torch.arange(-near, len(speed) + near).clamp(0, len(speed) - 1)
+        speed = blur(speed[index].unfold(0, 2 * near + 1, 1))
+    root = joints.root - torch.cat((torch.zeros_like(speed[:1]), speed)).cumsum(0)
+    made = replace(joints, root=root)
+    low = made.positions[:, skeleton.indices(BALLS), 2].amin(-1).quantile(0.02)
+    return replace(made, root=root + (skeleton.sole - low) * torch.tensor([0.0, 0.0, 1.0]).to(root))
 
 
 # -------------------------------------------------------------------------------------------- from a few joints

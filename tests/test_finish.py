@@ -7,8 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from motionlab import examples, finish, io, rotation
+from motionlab import examples, finish, io, renew, rotation
 from motionlab.__main__ import main
+from motionlab.diffusion.denoising import Noise
 from motionlab.errors import DataError
 from motionlab.metrics.gait import slide_where_truth_stands_mm
 from motionlab.metrics.pose import jitter
@@ -165,9 +166,9 @@ def test_the_commands_write_what_they_say(walk, tmp_path, capsys):
 
 
 # --------------------------------------------------------------------------------------------- what other systems give
-def as_given(walk: Motion, seed: int) -> Motion:
+def as_given(walk: Motion, seed: int, drift: float = 0.12) -> Motion:
     """The walk as a system sees it that reads poses from video: every joint off by 4 degrees about each axis for a
-    third of a second, the root drifting at 12 cm/s, and a little trembling."""
+    third of a second, the root drifting by so many m/s along each axis, and a little trembling."""
     draws = torch.Generator().manual_seed(seed)
 
     def lasting(*shape: int) -> Tensor:
@@ -177,7 +178,7 @@ def as_given(walk: Motion, seed: int) -> Motion:
         return (smooth / smooth.std()).unflatten(1, shape)
 
     turn = math.radians(4) * lasting(22, 3) + math.radians(0.1) * torch.randn(walk.frames, 22, 3, generator=draws)
-    shift = (0.12 / walk.fps * lasting(3)).cumsum(0) * torch.tensor([1.0, 1.0, 0.3])
+    shift = (drift / walk.fps * lasting(3)).cumsum(0) * torch.tensor([1.0, 1.0, 0.3])
     return replace(walk, rot=walk.rot @ rotation.exp(turn), root=walk.root + shift, contacts=None)
 
 
@@ -203,8 +204,24 @@ def test_repair_cleans_what_gvhmr_gives_from_its_file(walk, tmp_path, capsys):
     assert root_relative(found, walk) < root_relative(given, walk)
 
 
-def test_repair_says_of_noise_that_it_does_not_take_how_to_have_it_taken(walk):
-    from motionlab import renew
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_path_that_drifts_goes_by_the_feet(seed, walk):
+    """By 0.6 m/s, as TRAM's may: the same limits, and the path is nearer to the true one."""
+    given = as_given(walk, seed, drift=0.6)
+    noise = Noise.of(2, 1)
+    held = renew.repaired(given, noise).motion
+    made = renew.repaired(given, noise, drift=True)
+    assert float(jitter(made.motion.positions, 30.0)) / 10 < 7 and slide(made.motion, walk) < 5 < 15 < slide(held, walk)
+    off, was = ((m.root - walk.root).norm(dim=-1).mean() for m in (made.motion, given))
+    assert off < 0.6 * was and root_relative(made.motion, walk) < root_relative(given, walk)
+    assert any("the path goes by the feet" in note for note in made.notes)
 
+
+def test_control_a_path_that_does_not_drift_stays(walk):
+    made = renew.repaired(walk, drift=True).motion
+    assert (made.root - walk.root).norm(dim=-1).max() < 0.02 and slide(made, walk) <= slide(walk, walk) + 0.1
+
+
+def test_repair_says_of_noise_that_it_does_not_take_how_to_have_it_taken(walk):
     made = renew.repaired(as_given(walk, 1))
     assert any("--noise 2,10" in note for note in made.notes)

@@ -42,6 +42,8 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     )
     command.add_argument("--method", choices=_METHODS, help="default: network; for jumps as of inbetween")
 
+    command.add_argument("--drift", action="store_true", help="the path goes by the feet: of a walk seen on a video")
+
     example = "walk.bvh --hidden legs --out completed.bvh"
     command = _command(commands, "complete", "make joints that are missing or wrong", example, _complete, _DRAW)
     which = command.add_mutually_exclusive_group(required=True)
@@ -204,7 +206,7 @@ def _repair(options: argparse.Namespace, motion: Motion, progress: bool) -> Anim
     from motionlab.diffusion.denoising import Noise
 
     noise = None if options.noise is None else Noise.of(options.noise[0], options.noise[1] / 10)
-    how = {"method": options.method, "plant": options.plant}
+    how = {"method": options.method, "drift": options.drift, "plant": options.plant}
     return renew.repaired(motion, noise, progress=progress, **how)
 
 
