@@ -15,7 +15,7 @@ from motionlab.corrections import WINDOW, Keep, Standard, by_windows, overlappin
 from motionlab.diffusion.denoising import Noise
 from motionlab.diffusion.windows import on_standard
 from motionlab.errors import DataError
-from motionlab.io import amass, bvh, gltf
+from motionlab.io import amass, bvh, gltf, rewriting
 from motionlab.metrics.pose import acceleration
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT

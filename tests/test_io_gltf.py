@@ -278,7 +278,7 @@ def rewrite(path, change):
 
 
 DAMAGE = {
-    "no animation": lambda c: c.pop("animations"),
+    "no animation, no skin": lambda c: (c.pop("animations"), c.pop("skins")),
     "no nodes": lambda c: c.pop("nodes"),
     "joint not there": lambda c: c["skins"][0].update(joints=[0, 99]),
     "circle": lambda c: (c["nodes"][21].update(children=[0]), c["nodes"][22].pop("children")),
@@ -413,6 +413,19 @@ def test_a_file_of_others_gets_another_motion_as_a_new_animation_and_keeps_the_r
     assert torch.equal(old.rot, loaded.rot) and torch.equal(old.root, loaded.root)
     before, after = parse(path)[0], parse(tmp_path / "b.glb")[0]
     assert all(after[key] == before[key] for key in ("nodes", "skins", "scenes"))
+
+
+def test_a_skin_without_animation_is_one_pose_and_can_be_given_a_motion(tmp_path):
+    whole, bare = Foreign(spin()).sampled(tmp_path / "a.glb"), tmp_path / "bare.glb"
+    bare.write_bytes(rewrite(whole, lambda c: c.pop("animations")))
+    loaded, moving = gltf.load(bare), gltf.load(whole)
+    assert loaded.frames == 1 and any("no animation" in note for note in loaded.notes)
+    assert loaded.skeleton.names == moving.skeleton.names
+    torch.testing.assert_close(loaded.skeleton.offsets, moving.skeleton.offsets)
+    made = replace(moving, name="new")
+    assert "new animation" in rewriting.write_back(bare, tmp_path / "b.glb", loaded, made)
+    again = gltf.load(tmp_path / "b.glb")
+    assert again.name == "new" and (again.positions - moving.positions).abs().max() < 1e-5
 
 
 def test_keys_at_odd_times_are_read_evenly(tmp_path):

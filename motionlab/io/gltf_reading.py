@@ -172,10 +172,10 @@ def _figure(
         for node, what, sampler in channels
         if node in used
     }
-    if not tracks:
+    if not tracks and chosen["channels"]:
         raise at.error("animates no joint", place="animations")
     extras = skin.get("extras", {}) | chosen.get("extras", {})
-    times, rate = _grid(at, [keys for _, keys, _ in tracks.values()], extras.get("fps"), fps)
+    times, rate = _grid(at, [keys for _, keys, _ in tracks.values()] or [np.zeros(1)], extras.get("fps"), fps)
     local = {node: _local(at, nodes[node], node, tracks, times) for node in used}
     uneven = [str(nodes[node].get("name", node)) for node, (_, _, size, even) in local.items() if not even]
     if uneven:
@@ -215,8 +215,11 @@ def _figure(
 
 
 def _animation(at: Spot, content: dict, wanted: str | int | None) -> dict:
-    """The animation of that name or number, counted from 0; others are noted."""
+    """The animation of that name or number, counted from 0, of a skin without one its pose; others are noted."""
     every = content.get("animations") or []
+    if not every and content.get("skins") and wanted is None:
+        at.notes.append("holds no animation: read as the one pose in which its nodes rest")
+        return {"samplers": [], "channels": []}
     if not every:
         raise at.error("holds no animation", place="animations")
     names = [str(one.get("name", k)) for k, one in enumerate(every)]

@@ -222,8 +222,9 @@ def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], st
 # -------------------------------------------------------------------------------------------------------- GLB
 def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
     content, blob = gltf_reading._chunks(at)
-    names = [animation.get("name") for animation in content["animations"]]
-    data, number = bytearray(read_bytes(at)), names.index(loaded.name) if loaded.name in names else 0
+    names = [animation.get("name") for animation in content.setdefault("animations", [])]
+    number = names.index(loaded.name) if loaded.name in names else 0 if names else None
+    data = bytearray(read_bytes(at))
     start = data.rindex(blob, 0) if blob else len(data)
     found = gltf_reading._figure(at, content, blob, 0, number, None)
     index = found.skeleton.indices(loaded.skeleton.names)
@@ -251,8 +252,9 @@ def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
         turned = rot[:, 0] if k == 0 else (turn @ before.rot[:, k].mT)[at_frame] @ after.rot[:, k]
         new[node, "rotation"] = rotation.matrix_to_quaternion(turned)[:, [1, 2, 3, 0]]
     if again:
-        still = {key: x for key, x in first.items() if key in found.tracks}
-        return _animated(at, content, blob, {key for key in found.tracks if key[0] not in nodes}, still | new, made)
+        still = {key: first.get(key, torch.from_numpy(values[:1])) for key, (_, _, values) in found.tracks.items()}
+        others = [v for key, (_, _, v) in found.tracks.items() if key not in first | new and np.ptp(v, 0).max() > 1e-4]
+        return _animated(at, content, blob, len(others), still | new, made)
     new_rot, new_root = _changed(loaded, made)
     outputs = [sampler["output"] for sampler, _, _ in found.tracks.values()]
     for (node, what), numbers in new.items():
@@ -274,9 +276,9 @@ def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
 
 
 def _animated(
-    at: Spot, content: dict, blob: bytes, others: set, keys: dict[tuple[int, str], Tensor], made: Motion
+    at: Spot, content: dict, blob: bytes, others: int, keys: dict[tuple[int, str], Tensor], made: Motion
 ) -> bytes:
-    """The file with one more animation, the first: values (T or 1, W) of every (node, what). others: what else moves."""
+    """The file with one more animation, the first: values (T or 1, W) of every (node, what). others: that move, too."""
     if others or len(content.get("skins", ())) > 1 or len(content.get("buffers", ())) > 1:
         raise at.error("others, or what is above the joints, are animated, too")
     file = gltf._Buffer()
