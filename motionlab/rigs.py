@@ -100,7 +100,7 @@ def find_joints(skeleton: Skeleton, path: object = None) -> dict[str, int]:
 def dropped_joints(skeleton: Skeleton, joints: dict[str, int]) -> list[int]:
     """Finds joints with others below them that stand where a standard joint is missing: what they do is lost."""
     above = _ancestors(skeleton.parents)
-    lost: set[int] = set()
+    lost, known_ones = set(), set(joints.values())
     top = next(joints[name] for name in ("spine3", "pelvis") if name in joints)
     arms = [[f"{side}_{part}" for part in WORDS["arm"]] for side in _BOTH]
     legs = [[f"{side}_{part}" for part in WORDS["leg"]] for side in _BOTH]
@@ -111,7 +111,10 @@ def dropped_joints(skeleton: Skeleton, joints: dict[str, int]) -> list[int]:
             lost |= {j for j in above[b] if a in above[j] and k > i + 1}
         end, last = known[-1]
         lost |= {j for j, path in enumerate(above) if -1 < end < len(chain) - 1 and last in path}
-    return sorted(lost & set(skeleton.parents) - set(joints.values()))
+        if end < 0 and chain not in legs:  # no arm or head has a name: what the trunk carries may be it
+            trunk = {joints["pelvis"], *(joints[name] for name in joints if name.startswith("spine"))}
+            lost |= {j for j, path in enumerate(above) if next((k for k in path[::-1] if k in known_ones), -1) in trunk}
+    return sorted(lost & set(skeleton.parents) - known_ones)
 
 
 def guessed_joints(skeleton: Skeleton, joints: dict[str, int]) -> dict[str, int]:
@@ -139,10 +142,12 @@ def _found(names: tuple[str, ...], parents: tuple[int, ...], fixed: tuple[tuple[
     above = _ancestors(parents)
     said = _read(names)
     found = dict(fixed)
+    below = Counter(j for path in above for j in path)
+    rank = {j: k for k, j in enumerate(sorted(range(len(names)), key=lambda j: (-below[j], names[j])))}
     for side in ("left_", "right_", ""):
         words = [word if own == side.strip("_") else "" for own, word in said]
         for limb in ("leg", "arm") if side else ("head",):
-            found |= _limb(limb, side, words, above, found)
+            found |= _limb(limb, side, words, above, found, rank)
     found = _trunk(above, found) | found
     top = found.get("spine3", found.get("pelvis"))
     if "neck" not in found and "spine3" in found:  # a spine that goes on above the arms
@@ -206,25 +211,27 @@ def _ancestors(parents: Sequence[int]) -> list[tuple[int, ...]]:
     return above
 
 
-def _limb(limb: str, side: str, said: list[str], above: list[tuple[int, ...]], fixed: dict[str, int]) -> dict[str, int]:
-    """The reading of a limb that names most of its joints, each below the one before it."""
+def _limb(
+    limb: str, side: str, said: list[str], above: list[tuple[int, ...]], fixed: dict[str, int], rank: dict[int, int]
+) -> dict[str, int]:
+    """The reading of a limb that names most of its joints, each below the one before it; of equals the first by rank."""
     choices = []
     for part in WORDS[limb]:
         ranks = _RANKS[part]
-        own = [(ranks[word], len(above[j]), j) for j, word in enumerate(said) if word in ranks]
+        own = [(ranks[word], len(above[j]), rank[j], j) for j, word in enumerate(said) if word in ranks]
         told = f"{side}{part}"
         # of joints with one name below each other (upperarm01, upperarm02) the upper is the joint
-        own = [c for c in own if not any(said[c[2]] == said[j] and j in above[c[2]] for *_, j in own)]
+        own = [c for c in own if not any(said[c[-1]] == said[j] and j in above[c[-1]] for *_, j in own)]
         own = sorted(own)[:_MOST]
-        choices.append([(0, 0, fixed[told])] if told in fixed else [None, *own])
+        choices.append([(0, 0, 0, fixed[told])] if told in fixed else [None, *own])
     best: tuple = ((0.0, 0, 0, 0), {})
     for way in product(*choices):
         taken = [(part, choice) for part, choice in zip(WORDS[limb], way, strict=True) if choice]
-        joints = [choice[2] for _, choice in taken]
+        joints = [choice[-1] for _, choice in taken]
         if all(a in above[b] for a, b in pairwise(joints)):
             count = sum(_COUNTS.get(part, 1.0) for part, _ in taken)
             score = (count, *(-sum(choice[i] for _, choice in taken) for i in range(3)))
-            best = max(best, (score, {f"{side}{part}": choice[2] for part, choice in taken}), key=lambda x: x[0])
+            best = max(best, (score, {f"{side}{part}": choice[-1] for part, choice in taken}), key=lambda x: x[0])
     return best[1]
 
 

@@ -286,8 +286,9 @@ def _motion(at: Spot, lines: list[str], motion_line: int, width: int, fps: float
     if len(header) < 2:
         raise at.error("the file ends before 'Frame Time:': it is truncated")
     frames, frame_time = header
-    if not 0 < frame_time < np.inf:
-        raise at.error(f"the frame time must be above zero, got {frame_time}", remedy="write seconds per frame")
+    if fps is None and not 0 < frame_time < np.inf:
+        remedy = "write seconds per frame, or say it with fps=, or --fps-in"
+        raise at.error(f"the frame time must be above zero, got {frame_time}", remedy=remedy)
     fps = frame_rate(at, _rate(at, frame_time, rows[1][1]) if fps is None else fps)
     at.place = f"line {rows[0][0]}"
     if frames < 1 or not width:
@@ -314,7 +315,8 @@ def _rate(at: Spot, frame_time: float, line: str) -> float:
     """Frames per second: the whole number that the printed digits can mean (0.033333 is 30), else 1 / time."""
     if frame_time > 2:
         fps, what = (frame_time, "a rate") if frame_time in _RATES else (1000 / frame_time, "milliseconds")
-        fps = round(fps) if abs(fps - round(fps)) < 0.01 else fps
+        digit = 10.0 ** -len(line.strip().partition(".")[2])  # 16.67 is 60 a second, and so is 17
+        fps = next((rate for rate in _RATES if what == "milliseconds" and abs(1000 / rate - frame_time) < digit), fps)
         at.notes.append(
             f"a frame time of {frame_time:g} s is taken as {what}, {fps:g} frames per second: "
             "give the right one with fps=, or --fps-in"

@@ -204,7 +204,7 @@ def _up(
     score = {}
     for axis, share in shares.items():
         floor = torch.minimum(_along(axis, low[seen]), _along(axis, high[seen])).quantile(0.1)
-        score[axis] = share + _FLOOR * bool(abs(floor) < 0.08 * length) - _RARE * (axis not in ("y", "z"))
+        score[axis] = share + _FLOOR * bool(abs(floor) < 0.08 * length) - _RARE * (axis not in ("y", "z", says))
         score[axis] += trust * (axis == says)
     first, second = sorted(score, key=lambda axis: (-score[axis], axis != says))[:2]
     sure = score[first] - score[second] > _SURE and shares[first] > 0
