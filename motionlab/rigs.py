@@ -214,7 +214,7 @@ def _ancestors(parents: Sequence[int]) -> list[tuple[int, ...]]:
 def _limb(
     limb: str, side: str, said: list[str], above: list[tuple[int, ...]], fixed: dict[str, int], rank: dict[int, int]
 ) -> dict[str, int]:
-    """The reading of a limb that names most of its joints, each below the one before it; of equals the first by rank."""
+    """The reading of a limb that names most of its joints, each below the one above; of equals the first by rank."""
     choices = []
     for part in WORDS[limb]:
         ranks = _RANKS[part]

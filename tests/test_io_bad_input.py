@@ -121,7 +121,7 @@ MALFORMED: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
     "trc: rate zero": (".trc", text(".trc", "^60.0", "0"), ("DataRate",)),
     "trc: rate negative": (".trc", text(".trc", "^60.0", "-60"), ("DataRate",)),
     "trc: a word": (".trc", text(".trc", "300", "left"), ("line 6",)),
-    "trc: unit unknown": (".trc", text(".trc", "mm", "px"), ("px",)),
+    "trc: unit unknown": (".trc", text(".trc", "mm", "px"), ("Units",)),
     "c3d: other processor": (".c3d", seeds.SEEDS[".c3d"].replace(b"\1\x50\1\x54", b"\1\x50\1\x57"), ("87",)),
     "c3d: more frames": (".c3d", seeds.c3d_bytes(np.zeros((80, 2, 4), "<i2"))[:1536], ("80 frames",)),
     "c3d: no frames": (".c3d", seeds.c3d_bytes(np.zeros((0, 2, 4), "<i2")), ("3-D data",)),

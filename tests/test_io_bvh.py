@@ -376,7 +376,7 @@ def test_positions_that_count_from_the_offsets_are_not_taken_for_them(tmp_path):
 
 TIMES = {  # frame time -> frames per second, words of the note
     "33.333": (30.0, "milliseconds"), "8.3333": (120.0, "milliseconds"), "30": (30.0, "a rate"), "1": (1.0, "no usual"),
-    "0.0333333": (30.0, ""),
+    "0.0333333": (30.0, ""), "16.67": (60.0, "milliseconds"), "33": (30.0, "milliseconds"),
 }  # fmt: skip
 
 
@@ -386,6 +386,14 @@ def test_frame_times_that_cannot_be_are_doubted(tmp_path, line):
     loaded = bvh.load(path, unit="cm", up="y")
     assert loaded.fps == fps and any(word in note for note in loaded.notes) == bool(word)
     assert bvh.load(path, unit="cm", up="y", fps=25).fps == 25
+
+
+@pytest.mark.parametrize("line", ["0", "-0.0333", "1e-9"])
+def test_a_frame_time_that_says_nothing_can_be_given(tmp_path, line):
+    path = write(tmp_path, TEXT.replace("0.033333", line))
+    with pytest.raises(DataError, match="--fps-in"):
+        bvh.load(path)
+    assert bvh.load(path, fps=25).fps == 25
 
 
 @pytest.mark.parametrize("count", [1, 3])

@@ -76,6 +76,18 @@ def test_who_lies_in_a_y_up_file_is_not_stood_up(tmp_path, lean, turn):
     assert any("too close to be sure" in note for note in loaded.notes)
 
 
+@pytest.mark.parametrize("up", ["-y", "x", "-z"])
+def test_who_lies_in_a_file_whose_zero_pose_stands_elsewhere(up):
+    """Few files are upside down, but this one says so; that the head is before the feet is no reason against it."""
+    lying, world = person(-1.5, 0.0, (0.1, 0.2, 0.1)), judging.axes_to_matrix(judging.AXES[up]).float()
+    file = world.T @ UPRIGHT  # from the axes of the rest pose to those of the file
+    skeleton = replace(STANDARD, offsets=STANDARD.offsets @ file.T)
+    rot = file @ lying.rot @ file.T
+    rot[:, 0] = world.T @ lying.rot[:, 0] @ file.T
+    loaded = judged(Motion(skeleton, lying.root @ world, rot, 30.0))
+    torch.testing.assert_close(loaded.positions, lying.positions, atol=1e-5, rtol=0)
+
+
 def test_smpl_is_z_up_unless_the_heads_say_otherwise(tmp_path):
     standing = person()
     amass.save(tmp_path / "z.npz", standing)

@@ -57,7 +57,7 @@ def test_mirrors_and_nonsense_are_no_axes(axes):
 def test_unknown_units_are_refused(tmp_path, unit):
     path = tmp_path / "a.trc"
     path.write_text(table(["1\t0.0\t1\t2\t3\t1\t2\t3"], unit=unit))
-    with pytest.raises(DataError, match="line 3: unit"):
+    with pytest.raises(DataError, match="nor its points say the unit"):
         points.load_trc(path)
 
 
@@ -92,6 +92,9 @@ HABITS = {  # what labs write -> words of the note
     "padded header": (lambda t: t.replace("60.0\t60.0\t4\t4\tm", " 60.0\t\t 60.0\t\t 4\t\t 4 \t\tm"), ""),
     "a count with a point": (lambda t: t.replace("60.0\t60.0\t4\t4\tm", "60.0\t60.0\t4.0\t4.0\tm"), ""),
     "a wrong count": (lambda t: t.replace("60.0\t60.0\t4\t4", "60.0\t60.0\t100\t4"), "promises 100 frames: the 4"),
+    "no count": (lambda t: t.replace("60.0\t60.0\t4\t4", "60.0\t60.0\t0\t4"), "promises 0 frames: the 4"),
+    "no unit": (lambda t: t.replace("4\t4\tm", "4\t4\t"), "unit m detected"),
+    "another unit": (lambda t: t.replace("4\t4\tm", "4\t4\tmetric"), "unit m detected"),
     "meters": (lambda t: t.replace("4\t4\tm", "4\t4\tMeters"), ""),
 }
 
@@ -112,4 +115,4 @@ def test_zeros_and_rows_that_end_early_were_not_measured(tmp_path):
     loaded = points.load_trc(tmp_path / "a.trc")
     assert loaded.valid.tolist() == [[False, True], [True, False], [True, False]]
     notes = " ".join(loaded.notes)
-    assert "1 of 6 points" in notes and "line 7 ends 2 cells early" in notes and "line 8 ends 3" in notes
+    assert "1 of 6 points" in notes and "2 of 3 rows end early" in notes

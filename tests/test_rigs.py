@@ -17,8 +17,9 @@ from motionlab.motion import Motion
 from motionlab.rest import FIRST, MOVED, SQUARE, ZERO
 from motionlab.retarget import match_joints, put_on, retarget, with_rest
 from motionlab.rigs import find_joints
-from motionlab.skeleton import STANDARD, UPRIGHT
+from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
 
+ARMS = STANDARD.indices([f"{s}_{p}" for s in ("left", "right") for p in ("collar", "shoulder", "elbow", "wrist")])
 LETTERS = {"L": (1, 0, 0), "R": (-1, 0, 0), "U": (0, 1, 0), "D": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
 #: Where x, y and z of each joint point in a T, as Left, Right, Up, Down, Forward, Back of the body; who is not named is
 #: turned as the parent. Found from recordings of each (the third: published axes of LAFAN1).
@@ -84,6 +85,26 @@ def test_what_stands_around_a_name_says_nothing(family, change):
     names = {own: change(own) for own in skeleton.names}
     found = find_joints(replace(skeleton, names=tuple(names.values())))
     assert {name: skeleton.names[j] for name, j in found.items()} == truth
+
+
+@pytest.mark.parametrize("family", ["MakeHuman", "Second Life"])
+def test_the_order_in_the_file_says_nothing(family):
+    skeleton, truth = made(family)
+    depth = [0]
+    for parent in skeleton.parents[1:]:
+        depth.append(depth[parent] + 1)
+    order = sorted(range(len(skeleton)), key=lambda j: (depth[j], -j))
+    tree = tuple(order.index(skeleton.parents[j]) if j else -1 for j in order)
+    other = Skeleton(tuple(skeleton.names[j] for j in order), tree, skeleton.offsets[order])
+    assert {name: other.names[j] for name, j in find_joints(other).items()} == truth
+
+
+def test_arms_in_no_known_words_are_lost_aloud(generator):
+    motion = wild(generator)
+    names = [f"q{j}" if j in ARMS else n for j, n in enumerate(STANDARD.names)]
+    found = retarget(replace(motion, skeleton=replace(motion.skeleton, names=tuple(names), contact_names=())))
+    elbow = STANDARD.index("left_elbow")
+    assert found.residual > 0.01 and any(f"LOST: what q{elbow} does" in note for note in found.notes)
 
 
 def test_a_map_says_what_names_do_not(generator, tmp_path, capsys):

@@ -108,7 +108,7 @@ def _arrays(at: Spot, person: int) -> tuple[dict[str, np.ndarray], tuple[str, st
         keys = {*tree, *(key for each in people for key in each)}
         system = next((found for key, found in _SYSTEMS.items() if key in keys), system)
         people = [tree["smpl_params_global"]] if "smpl_params_global" in tree else people
-        people.sort(key=lambda each: -max(len(each[key]) for key in (*POSES, *PARTS) if key in each))
+        people.sort(key=lambda each: -max(len(array_of(at, each[key])) for key in (*POSES, *PARTS) if key in each))
         if len(people) > 1:
             at.notes.append(f"person {person} of {len(people)}, the longest first: choose with person=, or --person")
         if person and not 0 <= person < len(people):

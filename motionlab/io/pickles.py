@@ -7,6 +7,7 @@ tensors, plain containers, what a body of SMPL holds) is refused before anything
 
 from __future__ import annotations
 
+import codecs
 import io
 import math
 import pickle
@@ -27,7 +28,13 @@ def read_pickle(at: Spot, data: bytes) -> object:
     """
     at.place = "pickle"
     if data[:2] == b"PK" or data[: len(_LEGACY)] == _LEGACY:
-        return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+        with torch.serialization.safe_globals(_OF_NUMPY):
+            try:
+                return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+            except pickle.UnpicklingError as error:  # whose message advises to run it
+                raise _refused(
+                    at, ", ".join(re.findall(r"GLOBAL (\S+)", str(error))) or "an instruction of another protocol"
+                ) from error
     return _Reader(at, data).load()
 
 
@@ -46,6 +53,21 @@ def read_array(at: Spot, data: bytes) -> object:
         raise at.error("an array of objects without an object", place="pickle")
     return array.state[-1][0]
 
+
+def _refused(at: Spot, asked: str) -> Exception:
+    return at.error(
+        f"asks for {asked}, which is no array, tensor or container: refused, nothing was executed",
+        place="pickle",
+        remedy="do not trust this file; save plain arrays with numpy.savez",
+    )
+
+
+#: What torch may build beside tensors, by the names that any version of numpy gave it.
+_OF_NUMPY = [
+    *((getattr(np._core.multiarray, name), f"{core}.multiarray.{name}")
+      for name in ("_reconstruct", "scalar") for core in ("numpy.core", "numpy._core")),
+    np.ndarray, np.dtype, codecs.encode, *{type(np.dtype(kind)) for kind in "?bBhHiIlLefd"},
+]  # fmt: skip
 
 #: How files of torch before its version 1.6 begin.
 _LEGACY = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
@@ -111,11 +133,7 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
             return _record(sparse[1])
         if _CHUMPY.fullmatch(module):
             return _record("chumpy")
-        raise self.at.error(
-            f"asks for {full}, which is no array, tensor or container: refused, nothing was executed",
-            place="pickle",
-            remedy="do not trust this file; save plain arrays with numpy.savez",
-        )
+        raise _refused(self.at, full)
 
     def persistent_load(self, pid):
         raise self.at.error("refers to objects outside the file", place="pickle")

@@ -230,7 +230,7 @@ def load_trc(
         lines = read_text(at).splitlines()
         if len(lines) < 6 or not lines[0].startswith("PathFileType"):
             raise at.error("expected PathFileType, five header lines and at least one frame", place="line 1")
-        head = _trc_header(at, lines, unit, fps)
+        head = _trc_header(at, lines, fps)
         at.place = "line 4"
         names = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
         if len(names) != head["NumMarkers"]:
@@ -238,12 +238,17 @@ def load_trc(
         if len(set(names)) < len(names):
             raise at.error("two markers have the same name", remedy="rename one of them")
         rows = [_trc_row(at, number, line, len(names)) for number, line in enumerate(lines[5:], 6) if line.strip()]
-        if not rows:
-            raise at.error("no frames", place="line 6")
+        if not rows or not names:
+            raise at.error("no frames" if names else "no markers", place="line 6" if names else "line 4")
+        short = [len(row) for row in rows if 3 * len(names) - len(row) > 1]  # one empty cell often lacks its tab
+        if short:
+            at.notes.append(f"{len(short)} of {len(rows)} rows end early: what they lack was not measured")
+        rows = [row + [math.nan] * (3 * len(names) - len(row)) for row in rows]
         if len(rows) != head["NumFrames"]:
             at.notes.append(f"NumFrames promises {head['NumFrames']} frames: the {len(rows)} that are there are read")
         points = np.array(rows).reshape(len(rows), len(names), 3)
         figure = _measured(at, names, points, np.isfinite(points).all(-1), head["DataRate"])
+        at.place = "line 3, Units"
         how = {"says_unit": head["Units"], "says_up": "y", "trust": 0.5, "table": _TRC_AXES}
         return judging.to_world(at, figure, unit=unit, up=up, axes=axes, **how)
 
@@ -259,20 +264,15 @@ def _measured(at: Spot, names: tuple[str, ...], points: np.ndarray, valid: np.nd
     return Positions(names, points, valid, fps, at.path.stem, notes=tuple(at.notes))
 
 
-def _trc_header(at: Spot, lines: list[str], unit: object, fps: float | None) -> dict:
+def _trc_header(at: Spot, lines: list[str], fps: float | None) -> dict:
     at.place = "line 3"
     head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-    for key in ("DataRate", "NumFrames", "NumMarkers", "Units"):
-        if key not in head and (unit is None or key != "Units"):
+    for key in ("DataRate", "NumFrames", "NumMarkers"):
+        if key not in head:
             raise at.error(f"{key} is missing", place="line 2")
-    metres = unit_named(head.get("Units", ""))
-    if metres is None and unit is None:
-        remedy = f"use one of {', '.join(judging.UNITS)}, or say it with unit=, or --unit"
-        raise at.error(f"unit {head['Units']!r} is not known", remedy=remedy)
     counts = {key: int(float(head[key])) for key in ("NumFrames", "NumMarkers")}
-    if min(counts.values()) < 1:
-        raise at.error(f"expected at least one frame and one marker, got {counts}")
     rate = float(head["DataRate"]) if fps is None else fps
+    metres = unit_named(head.get("Units", ""))
     return {**counts, "DataRate": frame_rate(at, rate, "line 3, DataRate"), "Units": metres}
 
 
@@ -284,10 +284,7 @@ def _trc_row(at: Spot, number: int, line: str, markers: int) -> list[float]:
     values = [float(cell) if cell.strip() else math.nan for cell in cells[: 3 * markers]]
     if any(abs(value) > 1e9 for value in values):
         raise at.error("a coordinate is not a usable number")
-    missing = 3 * markers - len(values)
-    if missing > 1:  # one empty cell at the end often lacks its tab
-        at.notes.append(f"line {number} ends {missing} cells early: not measured")
-    return values + [math.nan] * missing
+    return values
 
 
 def load_c3d(

@@ -225,7 +225,8 @@ def frame_rate(at: Spot, value: object, place: str = "frame rate") -> float:
     """
     rate = np.asarray(value)
     if rate.size != 1 or rate.dtype.kind not in "fiu" or not 0 < (fps := float(rate.reshape(()))) <= 1e5:
-        raise at.error(f"expected frames per second above zero, got {value!r}", place=place)
+        remedy = "say it with fps=, or --fps-in"
+        raise at.error(f"expected frames per second above zero, got {rate}", place=place, remedy=remedy)
     return fps
 
 
