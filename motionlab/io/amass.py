@@ -140,13 +140,12 @@ def _turns(at: Spot, array: np.ndarray, key: str) -> np.ndarray:
 
 
 def _rate(at: Spot, arrays: dict[str, np.ndarray], system: str, usual: float | None) -> float:
-    rates = {key: frame_rate(at, arrays[key], key) for key in RATES if key in arrays}
+    rates = {key: frame_rate(at, arrays[key], key, judging.SAY_RATE) for key in RATES if key in arrays}
     if not rates and usual is not None:
-        at.notes.append(f"{system} keeps no frame rate: taken as {usual:g}; say it with fps=, or --fps-in")
+        at.notes.append(f"{system} keeps no frame rate: taken as {usual:g}; {judging.SAY_RATE}")
         return usual
     if not rates:
-        remedy = "say it with fps=, or --fps-in"
-        raise at.error("the frame rate is missing", place=" / ".join(RATES), remedy=remedy)
+        raise at.error("the frame rate is missing", place=" / ".join(RATES), remedy=judging.SAY_RATE)
     if len(set(rates.values())) > 1:
         said = ", ".join(f"{rate:g}" for rate in rates.values())
         raise at.error(f"the frame rates disagree: {said}", place=", ".join(rates), remedy="keep the key that is right")

@@ -287,9 +287,9 @@ def _motion(at: Spot, lines: list[str], motion_line: int, width: int, fps: float
         raise at.error("the file ends before 'Frame Time:': it is truncated")
     frames, frame_time = header
     if fps is None and not 0 < frame_time < np.inf:
-        remedy = "write seconds per frame, or say it with fps=, or --fps-in"
+        remedy = f"write seconds per frame, or {judging.SAY_RATE}"
         raise at.error(f"the frame time must be above zero, got {frame_time}", remedy=remedy)
-    fps = frame_rate(at, _rate(at, frame_time, rows[1][1]) if fps is None else fps)
+    fps = frame_rate(at, _rate(at, frame_time, rows[1][1]) if fps is None else fps, remedy=judging.SAY_RATE)
     at.place = f"line {rows[0][0]}"
     if frames < 1 or not width:
         raise at.error("no frames" if width else "no channels", remedy="export at least one frame")

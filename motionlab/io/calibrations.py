@@ -24,8 +24,10 @@ WORDS = {
     "size": ("size", "image_size", "imgsize", "img_size", "resolution"),
     "width": ("width", "image_width", "w"),
     "height": ("height", "image_height", "h"),
-    "model": ("model", "distortion_model", "camera_model", "fisheye"),
 }  # fmt: skip
+#: Lenses that bend more than OpenCV's usual model can: what they are called, and the keys that tell.
+_FISHEYE = re.compile("fisheye|equidistan|omni|kannala|kb4")
+_TELLS = re.compile("fisheye|model|lens|projection|type")
 #: Parameters of COLMAP's models: f or fx fy, cx, cy, then the lens in OpenCV's order.
 _COLMAP = {
     "SIMPLE_PINHOLE": (1, ()), "PINHOLE": (2, ()), "SIMPLE_RADIAL": (1, (0,)), "RADIAL": (1, (0, 1)),
@@ -64,6 +66,9 @@ def _known(table: object) -> Table:
     found = {word: value for word, value in found.items() if value is not None}
     if isinstance(pair := found.pop("size", None), list) and len(pair) == 2:
         found = {"width": pair[0], "height": pair[1]} | found
+    tells = (f"{key} {value}".lower() for key, value in lower.items() if _TELLS.search(key))
+    bent = any(_FISHEYE.search(text) and not text.endswith((" 0", " 0.0", " false", " none", " ")) for text in tells)
+    found |= {"fisheye": True} if bent else {}
     return found if "intrinsics" in found else {}
 
 

@@ -81,7 +81,7 @@ def _of_table(at: Spot, table: Table, size: tuple[int, int] | None) -> tuple[Cam
     needed = ["intrinsics", *(["rotation", "translation"] if placed else []), "width", "height"]
     if missing := [key for key in needed if key not in table]:
         raise at.error(f"no {', '.join(missing)}", remedy="add them; the size of the images also by --size")
-    if str(table.get("model", False)).lower() in ("true", "fisheye", "equidistant", "omni"):
+    if "fisheye" in table:
         raise at.error("a fisheye lens", place="lens", remedy="undistort the footage (cv2.fisheye), and give that")
     width, height = (int(x) for x in image_size(at, [table["width"], table["height"]], "width, height"))
     k = torch.from_numpy(numbers(at, table["intrinsics"], "3 3", "intrinsics"))

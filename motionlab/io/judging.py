@@ -24,6 +24,8 @@ _TRIED, _PERSON, _FIGURE, ASSUMED = ("m", "cm", "mm", "inch"), (1.2, 2.2), (0.5,
 #: A person's longest chain of bones, foot to hand, over the height: the size of a figure in any pose; and thigh and
 #: shin over the height. Where the two sizes differ by more than ``_PROP``, the chain holds more than a body.
 CHAIN, _LEG, _PROP = 1.4, 0.47, 0.35
+#: The remedy for a frame rate.
+SAY_RATE = "say it with fps=, or --fps-in"
 #: The file's axes that become the world's x, y, z, by the one that points up. Who faces +z in a y-up file faces +y.
 AXES = {"y": "-xzy", "z": "xyz", "x": "yzx", "-y": "xz-y", "-z": "x-y-z", "-x": "zy-x"}
 #: How the letters of an up axis weigh: head above the feet (the share of frames), the lowest point near zero, what the

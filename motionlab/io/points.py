@@ -273,7 +273,7 @@ def _trc_header(at: Spot, lines: list[str], fps: float | None) -> dict:
     counts = {key: int(float(head[key])) for key in ("NumFrames", "NumMarkers")}
     rate = float(head["DataRate"]) if fps is None else fps
     metres = unit_named(head.get("Units", ""))
-    return {**counts, "DataRate": frame_rate(at, rate, "line 3, DataRate"), "Units": metres}
+    return {**counts, "DataRate": frame_rate(at, rate, "line 3, DataRate", judging.SAY_RATE), "Units": metres}
 
 
 def _trc_row(at: Spot, number: int, line: str, markers: int) -> list[float]:
@@ -331,7 +331,7 @@ def load_c3d(
         if not count or len(names) < count or len(set(names[:count])) < count:
             raise at.error(f"expected {count} different labels, got {len(names)}", place="POINT:LABELS")
         rate = fps if fps is not None else points.get("RATE", _c3d_numbers(data, 4, 1, 20, kind))[0]
-        rate = frame_rate(at, rate, "POINT:RATE")
+        rate = frame_rate(at, rate, "POINT:RATE", judging.SAY_RATE)
         xyz, measured = _c3d_table(at, data, header, parameters, count, kind)
         figure = _measured(at, names[:count], xyz, measured, rate)
         screen = str(points.get("Y_SCREEN", [""])[0]).strip().lower().removeprefix("+")

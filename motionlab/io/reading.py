@@ -217,7 +217,7 @@ def numbers(
     return array
 
 
-def frame_rate(at: Spot, value: object, place: str = "frame rate") -> float:
+def frame_rate(at: Spot, value: object, place: str = "frame rate", remedy: str | None = None) -> float:
     """Checks a frame rate in frames per second: one finite number above zero, at most 100,000.
 
     Raises:
@@ -225,7 +225,6 @@ def frame_rate(at: Spot, value: object, place: str = "frame rate") -> float:
     """
     rate = np.asarray(value)
     if rate.size != 1 or rate.dtype.kind not in "fiu" or not 0 < (fps := float(rate.reshape(()))) <= 1e5:
-        remedy = "say it with fps=, or --fps-in"
         raise at.error(f"expected frames per second above zero, got {rate}", place=place, remedy=remedy)
     return fps
 
