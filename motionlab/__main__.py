@@ -144,10 +144,13 @@ def _data(options: argparse.Namespace) -> int:
     if not folder:
         raise MissingData("the folder of recordings", "Name it, or set MOTIONLAB_DATA to it.")
     if options.certify:
-        return _certify(Path(folder))
+        return _certify(Path(folder), options)
     from motionlab.io import recordings
 
     rows = recordings.inventory(Path(folder), video_fps=options.fps, reading=reading(options))
+    for row in rows:
+        for guess in row.guessed:
+            say_note(f"{row.source}, {row.kind}: {guess}")
     print(
         text_table(
             [
@@ -174,22 +177,27 @@ def _data(options: argparse.Namespace) -> int:
     return 1 if unread else 0
 
 
-def _certify(place: Path) -> int:
+def _certify(place: Path, options: argparse.Namespace) -> int:
     """Sends every motion of a folder, or one file, to the 22 standard joints and back; says what that costs."""
     from motionlab import certificate, io
+    from motionlab.io.recordings import guesses
 
     failed: list[DataError] = []
+    noted: list[tuple[Path, list[str]]] = []
 
     def certified() -> Iterator[certificate.Certificate]:
         for path in (
             sorted(p for p in place.rglob("*") if p.suffix.lower() in io.LOADERS) if place.is_dir() else [place]
         ):
+            noted.append((path, []))
             try:
-                yield certificate.certify(io.load(path))
+                yield certificate.certify(read_motion(path, options, noted[-1][1].append))
             except DataError as error:
                 failed.append(error)
 
     rows = certificate.by_rig(certified())
+    for guess in guesses(noted):
+        say_note(guess)
     print(
         text_table(
             [

@@ -339,6 +339,20 @@ def test_data_prints_the_table_and_then_the_files_that_cannot_be_read(tmp_path, 
     assert "cannot be read: " in printed.err and "bad.bvh" in printed.err and "remedy" in printed.err
 
 
+@pytest.mark.parametrize("certify", [[], ["--certify"]])
+def test_data_says_first_what_it_guessed(tmp_path, capsys, certify):
+    for n in range(3):
+        turns = torch.eye(3).expand(4 + n, 22, 3, 3).clone()
+        turns[:, 0] = UPRIGHT
+        bvh.save(tmp_path / f"{n}.bvh", Motion(STANDARD.scaled(1 + n / 50), torch.zeros(4 + n, 3), turns, 30.0))
+    main = ["data", str(tmp_path), *certify]
+    assert __main__.main(main) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "3 such as 0.bvh: u" in lines[0] and "3 such as 0.bvh: u" in lines[1] and not lines[2].startswith("note")
+    assert __main__.main([*main, "--unit", "cm", "--up", "y"]) == 0
+    assert "note" not in capsys.readouterr().out
+
+
 def test_unknown_output_format_is_refused(tmp_path, capsys):
     assert __main__.main(["convert", str(tmp_path / "a.bvh"), str(tmp_path / "a.fbx")]) == 2
     assert ".bvh, .npz, .glb" in capsys.readouterr().err

@@ -6,7 +6,8 @@ folder is searched for files that a loader knows, so that a folder of one's own 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -93,7 +94,8 @@ class Row:
 
     clips, minutes: of those that can be read. fps, points: lowest and highest over them, 0 where there is none.
     points: joints, markers or keypoints. trainable: None where the source is not known. seen: share of points that
-    were measured or detected. unread: why each of the others cannot be read; the message names the file.
+    were measured or detected. unread: why each of the others cannot be read; the message names the file. guessed: see
+    ``guesses``.
     """
 
     source: str
@@ -107,6 +109,7 @@ class Row:
     licence: str
     trainable: bool | None
     unread: tuple[DataError | MissingData, ...] = ()
+    guessed: tuple[str, ...] = ()
 
 
 def recordings(
@@ -168,11 +171,11 @@ def inventory(
     """
     groups: dict[tuple[str, str], list] = {}
     for name, kind, path, loader in _found(Path(folder), source, video_fps):
-        groups.setdefault((name, kind), []).append((_tried(loader, path, reading or {}), loader))
+        groups.setdefault((name, kind), []).append((_tried(loader, path, reading or {}), loader, path))
     rows = []
     for (name, kind), items in groups.items():
-        sizes = [size for size, _ in items if isinstance(size, tuple)]
-        frames, rates, points, _ = zip(*sizes, strict=True) if sizes else ((0,),) * 4
+        sizes = [size for size, *_ in items if isinstance(size, tuple)]
+        frames, rates, points, *_ = zip(*sizes, strict=True) if sizes else ((0,),) * 3
         known = SOURCES.get(name)
         function = getattr(items[0][1], "func", items[0][1])
         rows.append(
@@ -183,17 +186,29 @@ def inventory(
                 sum(t / fps for t, fps, *_ in sizes) / 60,
                 (min(rates), max(rates)),
                 (min(points), max(points)),
-                sum(share * t for t, _, _, share in sizes) / max(sum(frames), 1),
+                sum(share * t for t, _, _, share, _ in sizes) / max(sum(frames), 1),
                 f"{function.__module__.removeprefix('motionlab.')}.{function.__name__}",
                 known.licence if known else "not known",
                 known.trainable if known else None,
-                tuple(size for size, _ in items if not isinstance(size, tuple)),
+                tuple(size for size, *_ in items if not isinstance(size, tuple)),
+                guesses((path, size[4]) for size, _, path in items if isinstance(size, tuple)),
             )
         )
     return rows
 
 
-def _tried(loader: Callable, path: Path, reading: dict) -> tuple[int, float, int, float] | DataError | MissingData:
+def guesses(noted: Iterable[tuple[Path, Sequence[str]]], most: int = 8) -> tuple[str, ...]:
+    """Sums up the notes of files: those that differ by numbers alone are one, of which the first is told."""
+    kinds: dict[str, list[str]] = {}
+    for path, notes in noted:
+        for note in notes:
+            kinds.setdefault(re.sub(r"[\d.]+", "0", note.partition(":")[0]), []).append(f"{path.name}: {note}")
+    told = sorted(kinds.values(), key=len, reverse=True)
+    more = [f"{len(told) - most} notes more, of other kinds"] if len(told) > most else []
+    return (*(f"{len(each)} such as {each[0]}" if len(each) > 1 else each[0] for each in told[:most]), *more)
+
+
+def _tried(loader: Callable, path: Path, reading: dict) -> tuple | DataError | MissingData:
     """The size of a recording, or why it cannot be read."""
     try:
         return _size(io.guided(loader, path, reading))
@@ -201,12 +216,12 @@ def _tried(loader: Callable, path: Path, reading: dict) -> tuple[int, float, int
         return error
 
 
-def _size(value: Motion | Positions | Observation2D) -> tuple[int, float, int, float]:
-    """Frames, frames per second, points, share of points seen."""
+def _size(value: Motion | Positions | Observation2D) -> tuple[int, float, int, float, tuple[str, ...]]:
+    """Frames, frames per second, points, share of points seen, notes."""
     if isinstance(value, Motion):
-        return value.frames, value.fps, len(value.skeleton), 1.0
+        return value.frames, value.fps, len(value.skeleton), 1.0, value.notes
     mask = value.valid if isinstance(value, Positions) else value.visible
-    return value.frames, value.fps, len(value.names), float(mask.float().mean())
+    return value.frames, value.fps, len(value.names), float(mask.float().mean()), getattr(value, "notes", ())
 
 
 _SET = "Set MOTIONLAB_DATA to a folder with one sub-folder of recordings per source."
