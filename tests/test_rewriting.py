@@ -118,3 +118,18 @@ def test_a_bvh_may_have_fewer_frames_and_another_rate_the_rest_stays_byte_for_by
         assert said in write_back(tmp_path / f"in{suffix}", tmp_path / f"out{suffix}", loaded, made)
         found = io.load(tmp_path / f"out{suffix}")
         assert (found.frames, found.fps) == (7, 48.0)
+
+
+@pytest.mark.parametrize("person", [0, 1])
+def test_of_several_people_the_one_who_was_read_changes(tmp_path, person):
+    people = [walk(20), replace(walk(20), root=walk(20).root + torch.tensor([0.0, 2.0, 0.0]))]
+    people[1].rot[:, 5] = rotation.rotation_about("x", torch.linspace(0, 1, 20))
+    source, target = tmp_path / "two.glb", tmp_path / "b.glb"
+    gltf.save(source, people)
+    loaded = io.load(source, person=person)
+    made = replace(loaded, rot=loaded.rot.clone())
+    made.rot[3:9, 4] = rotation.rotation_about("x", torch.tensor(0.5))
+    write_back(source, target, loaded, made)
+    torch.testing.assert_close(io.load(target, person=person).rot, made.rot, atol=2e-6, rtol=0)
+    other = 1 - person
+    torch.testing.assert_close(io.load(target, person=other).rot, io.load(source, person=other).rot, atol=0, rtol=0)

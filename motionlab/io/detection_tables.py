@@ -200,7 +200,8 @@ def from_npz(at: Spot) -> Detections:
     keys = ("keypoints", "positions_2d", "confidence", "names", "fps", "size", "ids")  # positions_2d holds a pickle
     arrays = read_npz(at, keys, plain=PLAIN)
     if "keypoints" not in arrays:
-        raise at.error("the key keypoints is missing", place="keys", remedy=PLAIN)
+        remedy = f"unpack it, if it is a folder's archive, and name the folder; else {PLAIN}"
+        raise at.error("the key keypoints is missing", place="keys", remedy=remedy)
     array = arrays["keypoints"]
     points = numbers(at, array, "T P K D" if array.ndim == 4 else "T K D", "keypoints", FARTHEST, nan=True)
     points = points if array.ndim == 4 else points[:, None]

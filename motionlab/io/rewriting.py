@@ -10,7 +10,9 @@ from __future__ import annotations
 import io
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -222,11 +224,9 @@ def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], st
 # -------------------------------------------------------------------------------------------------------- GLB
 def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
     content, blob = gltf_reading._chunks(at)
-    names = [animation.get("name") for animation in content.setdefault("animations", [])]
-    number = names.index(loaded.name) if loaded.name in names else 0 if names else None
     data = bytearray(read_bytes(at))
     start = data.rindex(blob, 0) if blob else len(data)
-    found = gltf_reading._figure(at, content, blob, 0, number, None)
+    found = gltf_reading._figure(at, content, blob, *_of_whom(at, content, loaded), None)
     index = found.skeleton.indices(loaded.skeleton.names)
     if len(found.times) != loaded.frames:
         raise at.error("read at other times than those of its keys", place="times")
@@ -292,6 +292,21 @@ def _animated(
     animation = {"name": made.name or "motion", "samplers": file.samplers, "channels": file.channels}
     content["animations"].insert(0, animation | {"extras": {"fps": made.fps}})
     return file.glb()
+
+
+def _of_whom(at: Spot, content: dict, loaded: Motion) -> tuple[int, int | None]:
+    """Which person and which animation of a GLB a motion is; no animation of one that has none."""
+    people, animations = len(content.get("skins") or [0]), len(content.setdefault("animations", []))
+    if not animations:
+        return 0, None
+    said = [k for k in range(people) if any(note.startswith(f"person {k} of") for note in loaded.notes)]
+    for person, number in product(said or range(people), range(animations)):
+        with suppress(DataError):  # of others
+            one = gltf_reading.load(at.path, person=person, animation=number, translations="mean")
+            if one.skeleton.names == loaded.skeleton.names and one.rot.shape == loaded.rot.shape:
+                if (one.rot[:, 1:] - loaded.rot[:, 1:].to(one.rot)).abs().max() < 1e-4:
+                    return person, number
+    raise at.error("read at other times than those of its keys", place="times")
 
 
 def _put(data: bytearray, start: int, content: dict, output: int, rows: np.ndarray, old: np.ndarray, new: np.ndarray):
