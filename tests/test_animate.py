@@ -307,6 +307,7 @@ def test_beyond_keys_that_move_the_default_goes_on_and_beyond_a_lone_one_it_wait
         (("complete", "--hidden", "pelvis"), "name some below the root"),
         (("complete", "--known", "tail"), "use legs, arms"),
         (("complete", "--known", "head", "--seed", "1"), "leave it out"),
+        (("inbetween", "--keys", "0,last", "--asf", "a.asf"), "leave out --asf"),
     ],
 )
 def test_bad_keys_and_joints_are_refused_with_a_remedy(words, said, tmp_path, capsys):

@@ -133,3 +133,4 @@ def test_of_several_people_the_one_who_was_read_changes(tmp_path, person):
     torch.testing.assert_close(io.load(target, person=person).rot, made.rot, atol=2e-6, rtol=0)
     other = 1 - person
     torch.testing.assert_close(io.load(target, person=other).rot, io.load(source, person=other).rot, atol=0, rtol=0)
+    assert "the other people of the file that was read are lost" in write_back(source, tmp_path / "c.bvh", loaded, made)

@@ -381,7 +381,7 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
     check_target(source, target)
     suffix = Path(target).suffix.lower()
     same = source is not None and suffix == Path(source).suffix.lower() and _holds(suffix, loaded, made)
-    lost = "; the body of the file that was read is lost" if _skinned(source) else ""
+    lost = _left_behind(source)
     if same and _rewritable(source):
         try:
             _rewrite(source, target, loaded, made)
@@ -436,9 +436,13 @@ def _has_standard_bones(skeleton: Skeleton) -> bool:
     return skeleton.names == STANDARD.names and bool((skeleton.offsets - STANDARD.offsets)[1:].abs().max() < 1e-4)
 
 
-def _skinned(source: str | Path | None) -> bool:
-    """Returns whether a file is a GLB with a body."""
+def _left_behind(source: str | Path | None) -> str:
+    """Says what a file loses that is written anew: of a GLB the body, and what is beside the motion."""
     if source is None or Path(source).suffix.lower() != ".glb":
-        return False
+        return ""
     with reading(source) as at:
-        return bool(gltf_reading._chunks(at)[0].get("meshes"))
+        content = gltf_reading._chunks(at)[0]
+    beside = {"meshes": (0, "the body"), "animations": (1, "the other animations"), "skins": (1, "the other people")}
+    lost = [what for key, (least, what) in beside.items() if len(content.get(key) or ()) > least]
+    verb = "is" if lost == ["the body"] else "are"
+    return f"; {', '.join(lost)} of the file that was read {verb} lost" if lost else ""
