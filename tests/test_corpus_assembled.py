@@ -172,7 +172,7 @@ BAD = {
     "empty": lambda text: "",
     "no number": lambda text: line(text, 20, lambda row: f"nan {row.split(' ', 1)[1]}"),
     "huge": lambda text: line(text, 20, lambda row: f"1e30 {row.split(' ', 1)[1]}"),
-    "no body": lambda text: text.replace("left_", "").replace("right_", ""),
+    "no body": lambda text: text.replace("left_", "a").replace("right_", "b"),
     "eternal": lambda text: line(text, 2, lambda row: "Frame Time: 90000"),  # at 30 fps, more than memory holds
 }
 
