@@ -15,7 +15,7 @@ from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
 from motionlab.files import write_whole
 from motionlab.io import judging
-from motionlab.io.pickles import array_of, read_array, read_pickle
+from motionlab.io.pickles import array_of, arrays_of, read_array, read_pickle
 from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_bytes, read_npz, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
@@ -114,13 +114,7 @@ def _arrays(at: Spot, person: int) -> tuple[dict[str, np.ndarray], tuple[str, st
         if person and not 0 <= person < len(people):
             raise at.error(f"no person {person} of {len(people)}", remedy="count them from 0, the longest first")
         tree = people[person] if people else tree
-    if not isinstance(tree, dict):
-        raise at.error(f"holds a {type(tree).__name__}, expected a dictionary of arrays", place="whole file")
-    arrays = {}
-    for key in _KEYS:
-        if tree.get(key) is not None:
-            at.place = key
-            arrays[key] = array_of(at, tree[key])
+    arrays = arrays_of(at, tree, _KEYS, "whole file")
     if "pred_rotmat" in arrays:
         at.notes.append("in the axes of the camera, whose own motion is not in this file")
     return arrays, system

@@ -19,7 +19,7 @@ from motionlab import rotation
 from motionlab.files import write_whole
 from motionlab.io import judging
 from motionlab.io.judging import AXES, UNITS
-from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_text, reading
+from motionlab.io.reading import RATES, Spot, check_writable, frame_rate, numbers, read_text, reading
 from motionlab.io.rooting import rerooted
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
@@ -29,8 +29,6 @@ from motionlab.skeleton import Skeleton
 #: six digits of it: no measured or designed End Site is just that, so that ours are known again.
 TIP = 0.618034
 _REMEDY = "export the BVH again, or repair the line"
-#: Frames per second that somebody may have written as the frame time; other large numbers are milliseconds.
-_RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 144, 240)
 
 
 def load(
@@ -314,9 +312,9 @@ def _motion(at: Spot, lines: list[str], motion_line: int, width: int, fps: float
 def _rate(at: Spot, frame_time: float, line: str) -> float:
     """Frames per second: the whole number that the printed digits can mean (0.033333 is 30), else 1 / time."""
     if frame_time > 2:
-        fps, what = (frame_time, "a rate") if frame_time in _RATES else (1000 / frame_time, "milliseconds")
+        fps, what = (frame_time, "a rate") if frame_time in RATES else (1000 / frame_time, "milliseconds")
         digit = 10.0 ** -len(line.strip().partition(".")[2])  # 16.67 is 60 a second, and so is 17
-        fps = next((rate for rate in _RATES if what == "milliseconds" and abs(1000 / rate - frame_time) < digit), fps)
+        fps = next((rate for rate in RATES if what == "milliseconds" and abs(1000 / rate - frame_time) < digit), fps)
         at.notes.append(
             f"a frame time of {frame_time:g} s is taken as {what}, {fps:g} frames per second: "
             "give the right one with fps=, or --fps-in"

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.io import judging
-from motionlab.io.reading import Spot, frame_rate, numbers, read_bytes, reading
+from motionlab.io.reading import RATES, Spot, frame_rate, numbers, read_bytes, reading
 from motionlab.io.rooting import rerooted
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
@@ -28,8 +28,7 @@ GENERATOR = "motionlab"
 _REST = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 #: Component types that are read, and what one is where they are normalised.
 _NUMBERS = {5126: ("<f4", 0), 5120: ("<i1", 127), 5121: ("<u1", 255), 5122: ("<i2", 32767), 5123: ("<u2", 65535)}
-#: Rates that keys at odd times may lie on, the first that fits; and how many frames are too many.
-_RATES, _MOST_FRAMES = (24, 25, 30, 48, 50, 60, 100, 120), 1e6
+_MOST_FRAMES = 1e6  # more are too many
 
 
 def load(
@@ -274,7 +273,7 @@ def _grid(at: Spot, keys: list[np.ndarray], says: object, fps: float | None) -> 
     if says is not None and fps is None:
         raise at.error(f"its keys are not one per frame at {rate:g} frames per second", place="times")
     if fps is None:
-        ticks = {rate: (times - times[0]) * rate for rate in _RATES}
+        ticks = {rate: (times - times[0]) * rate for rate in RATES}
         rate = next((rate for rate, at in ticks.items() if abs(at - at.round()).max() < 0.05), 30)
         at.notes.append(f"its keys are not one per frame: read {rate} times a second; say it with fps=, or --fps-in")
     count = (times[-1] - times[0]) * rate

@@ -24,8 +24,9 @@ import torch
 
 from motionlab.errors import DataError
 from motionlab.io import tracking
+from motionlab.io.detection_json import from_json
 from motionlab.io.detection_tables import from_lines, from_npz, from_trc
-from motionlab.io.detections import PLAIN, Detections, from_folder, from_json
+from motionlab.io.detections import PLAIN, Detections, from_folder
 from motionlab.io.layouts import names_of
 from motionlab.io.reading import LARGEST, Spot, frame_rate, image_size, read_json, read_text, reading
 from motionlab.observation import Observation2D

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from motionlab.io.reading import RATES
+
 #: Where fewer of the numbers between the first and the last image are there than this share, they are no film's.
 _SPARSE = 0.1
 #: No film has so many frames; a number from here on is a moment since 1970, in ms, us or ns.
 _MOMENT = 10**11
-#: Numbers that are times: steps a second, and the rates that cameras have.
+#: Numbers that are times: how many a second there are, and may be.
 _UNITS, _RATES = {"ms": 1e3, "us": 1e6, "ns": 1e9}, (4.0, 1000.0)
-_COMMON = (24, 25, 30, 48, 50, 60, 100, 120, 240)  # frames per second
 _LEAST = 8  # step from which numbers may be times: fewer are frames
 _NEAR = 0.03  # share by which a rate may be off and still be the same
 
@@ -50,7 +51,7 @@ def frames_of(
     if unit is not None and len(steps) > 1 and _are_times(first, steps, step, counts, rates[unit], fps):
         rate = rates[unit]
         if unit == "ms" and (steps == steps[0]).all():  # cut to whole ones
-            rate = next((float(each) for each in _COMMON if 1e3 / (step + 1) < each <= rate), rate)
+            rate = next((float(each) for each in RATES if 1e3 / (step + 1) < each <= rate), rate)
         told = "" if fps is None or abs(fps / rate - 1) < _NEAR else f", though {fps:g} a second were asked for"
         note = f"numbers from {first} to {last} in steps of {exact:.4g} are times in {unit}: {rate:.4g} a second{told}"
         return [0, *counts.cumsum().astype(int).tolist()], rate, [note]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from motionlab.io import detections, tracking
+from motionlab.io import detection_json, detections, tracking
 from motionlab.io.layouts import names_of
 from motionlab.io.reading import frame_rate, read_json, reading
 from motionlab.observation import Observation2D
@@ -36,7 +36,7 @@ def load(
             or nobody at the place asked for.
     """
     with reading(folder, "point at a folder with one OpenPose JSON file per frame of one camera") as at:
-        found = detections.from_folder(at, lambda one: detections.openpose(one, read_json(one)), ".json")
+        found = detections.from_folder(at, lambda one: detection_json.openpose(one, read_json(one)), ".json")
         if fps is None:
             raise at.error(
                 "expected frames per second: OpenPose stores none", place="fps", remedy="pass fps=, or --fps"

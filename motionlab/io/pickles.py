@@ -12,6 +12,7 @@ import io
 import math
 import pickle
 import re
+from collections.abc import Iterable
 
 import numpy as np
 import scipy.sparse
@@ -177,6 +178,23 @@ def _latin1(text, encoding="latin1"):
     if encoding not in ("latin1", "latin-1"):
         raise ValueError("not latin1")
     return str(text).encode("latin1")
+
+
+def arrays_of(at: Spot, tree: object, keys: Iterable[str], place: str) -> dict[str, np.ndarray]:
+    """Reads those arrays of a dictionary that are there; ``at.place`` goes along.
+
+    Raises:
+        DataError: no dictionary, or something else than numbers.
+    """
+    if not isinstance(tree, dict):
+        raise at.error(f"holds a {type(tree).__name__}, expected a dictionary of arrays", place=place)
+    arrays = {}
+    for key in keys:
+        if tree.get(key) is not None:
+            at.place = key
+            arrays[key] = array_of(at, tree[key])
+    at.place = ""
+    return arrays
 
 
 def array_of(at: Spot, value: object) -> np.ndarray:

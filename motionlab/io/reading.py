@@ -24,6 +24,8 @@ from motionlab.motion import Motion
 _JAPANESE = re.compile("[\u3041-\u30fe]|[\u4e00-\u9fff]{2}")
 #: Files, archive members and promised arrays beyond this many bytes are refused before memory is asked for.
 LARGEST = 2**31
+#: Frames per second that people record at.
+RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 144, 240)
 
 
 @dataclass

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from motionlab.body import BodyModel
-from motionlab.io.pickles import array_of, read_pickle
+from motionlab.io.pickles import arrays_of, read_pickle
 from motionlab.io.reading import Spot, numbers, read_bytes, read_npz, reading
 from motionlab.skeleton import STANDARD, Skeleton
 
@@ -40,7 +40,7 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
     with reading(path, _REMEDY) as at:
         data = read_bytes(at)
         keys = (*_KEYS, "posedirs")
-        raw = read_npz(at, keys) if data[:2] == b"PK" else _unpickled(at, data, keys)
+        raw = read_npz(at, keys) if data[:2] == b"PK" else arrays_of(at, read_pickle(at, data), keys, "pickle")
         for key in _KEYS:
             if key not in raw:
                 raise at.error(f"no key {key!r}; found {', '.join(raw) or 'none of the keys of a body'}", place=key)
@@ -113,16 +113,3 @@ def _parents(at: Spot, table: np.ndarray) -> list[int]:
     if tuple(parents[: len(STANDARD)]) != STANDARD.parents:
         raise at.error("does not begin with the tree of SMPL's 22 body joints", place="kintree_table")
     return parents
-
-
-def _unpickled(at: Spot, data: bytes, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
-    tree = read_pickle(at, data)
-    if not isinstance(tree, dict):
-        raise at.error(f"holds a {type(tree).__name__}, expected a dictionary of arrays", place="pickle")
-    arrays = {}
-    for key in keys:
-        if tree.get(key) is not None:
-            at.place = key
-            arrays[key] = array_of(at, tree[key])
-    at.place = ""
-    return arrays

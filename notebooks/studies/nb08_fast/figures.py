@@ -112,7 +112,7 @@ def profiles(
             ax.set_yticks(ticks, [str(k) for k in ticks])
     for ax in axes[-len(found) :]:
         ax.set_xlabel("processor time of stage 3 (s)")
-    axes[0].legend(loc="upper right")
+    axes[0].legend(loc="lower left")
     return fig
 
 
