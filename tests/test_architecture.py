@@ -24,8 +24,8 @@ FLOORS = """
     humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
     corpus splits humor.scales humor.unknowns corrections diffusion.completer_training
     bench shipped doctor onnx_export humor.chain_training humor.quality humor.stages humor.start animate
-    finish train_more models humor.shooting renew
-    train_completer train_plain train_prior
+    footlock train_more models humor.shooting renew
+    looping train_completer train_plain train_prior
     train
     humor.testops
     posterior scene_fit

@@ -221,20 +221,20 @@ def _complete(options: argparse.Namespace, motion: Motion, progress: bool) -> An
 
 
 def _plant(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab import finish
+    from motionlab import footlock
 
-    return finish.locked(motion)
+    return footlock.locked(motion)
 
 
 def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab import finish
+    from motionlab import looping
 
     if not (options.loop or options.in_place):
         raise DataError("nothing to do", path=options.source, place="cycle", remedy="give --loop, --in-place or both")
     motion = cut(motion, options.source, options.cut)
-    blend = finish.BLEND if options.blend is None else options.blend
+    blend = looping.BLEND if options.blend is None else options.blend
     how = {"loop": options.loop, "in_place": options.in_place, "blend": blend}
-    return finish.cycled(motion, **how, plant=options.plant)
+    return looping.cycled(motion, **how, plant=options.plant)
 
 
 def _rig(options: argparse.Namespace, say: Callable[[str], None]) -> Motion:

@@ -1,10 +1,6 @@
-"""Finishes a motion for use elsewhere: feet that stand stay in place, its end meets its beginning, it goes nowhere.
+"""Loops: the end of a motion meets its beginning, and it may stay in place.
 
-    locked(motion)                                    # no foot slides that stands
-    cycled(motion, in_place=True)                     # a loop, on the spot
-
-Source: Kovar et al. 2002 for feet (``diffusion.planting``); Holden 2023, "Creating looping animations from motion
-capture", for loops; thesis 4.1.2 for motion in place.
+Source: Holden 2023, "Creating looping animations from motion capture"; thesis 4.1.2 for motion in place.
 """
 
 from __future__ import annotations
@@ -16,52 +12,13 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.animate import Animated
-from motionlab.corrections import Keep, Standard
-from motionlab.diffusion.planting import standing
 from motionlab.errors import DataError
-from motionlab.metrics.gait import slide_in_contact_mm
+from motionlab.footlock import locked
 from motionlab.motion import Motion, fix_root_horizontally
-from motionlab.retarget import retarget
-from motionlab.skeleton import ANKLES, BALLS
 
-_LEG = [f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")]
-_STAYS = 1e-4  # metres: feet that planting moves by less stay to the bit, and their legs
 BLEND = 0.25  # seconds at either end over which a loop is closed
 _LEAST = 4  # frames of a loop
 _TURNS = 30.0  # degrees between the ends from which a loop says what it costs
-
-
-def locked(motion: Motion) -> Animated:
-    """Computes a motion (T) whose feet stay in place where they stand; only hips, knees and ankles turn otherwise.
-
-    What stands: low and slow (``diffusion.planting``), on the floor where the feet are lowest.
-
-    Raises:
-        DataError: fewer than two frames, or a skeleton whose joints are not known.
-    """
-    if motion.frames < 2:
-        raise DataError("one frame has no speed", path=motion.name, place="frames", remedy="give a motion")
-    body = _legs_open(motion)
-    made = body.back(body.joints, plant=True)
-    tips = sorted(body.mapped[j] for j in body.joints.skeleton.indices([*ANKLES, *BALLS]) if j in body.mapped)
-    still = (made.positions - motion.positions)[:, tips].norm(dim=-1).amax(-1) < _STAYS
-    made = replace(made, rot=torch.where(still[:, None, None, None], motion.rot, made.rot))
-    before, after = body.joints, _legs_open(made, body.lift).joints
-    feet = body.joints.skeleton.indices([*ANKLES, *BALLS])
-    stands = standing(before)
-    slides = [float(slide_in_contact_mm(m.positions[:, feet], stands)) for m in (before, after)]
-    note = f"feet that stand slide {slides[0]:.1f} mm a frame before, {slides[1]:.1f} after"
-    note = note if stands.any() else "no foot stands: the motion stays as it is"
-    where = f"the floor is taken to be at {0 - body.lift:.2f} m, where the feet are lowest"
-    return Animated(made, (*body.notes(True), note, where))
-
-
-def _legs_open(motion: Motion, lift: float | None = None) -> Standard:
-    """The motion on 22 joints, of which all but the legs are kept."""
-    keep = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.ones(len(motion.skeleton), dtype=torch.bool))
-    found = retarget(motion)
-    keep.joints[[motion.skeleton.index(found.names[name]) for name in _LEG]] = False
-    return Standard.of(motion, motion, keep, lift=found.floor if lift is None else lift)
 
 
 def cycled(

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from motionlab import examples, finish, io, renew, rotation
+from motionlab import examples, footlock, io, looping, renew, rotation
 from motionlab.__main__ import main
 from motionlab.diffusion.denoising import Noise
 from motionlab.errors import DataError
@@ -58,7 +58,7 @@ def test_feet_that_slide_are_held_and_only_legs_turn_otherwise(walk):
     walk = walk.cut(0, 90)  # later it stands for seconds: where the root goes on, no leg is long enough
     drift = torch.tensor([0.006, -0.003, 0.0]) * torch.arange(walk.frames)[:, None]  # 6.7 mm a frame
     given = replace(walk, root=walk.root + drift)
-    made = finish.locked(given)
+    made = footlock.locked(given)
     assert slide(given, walk) > 6 and slide(made.motion, walk) < 2
     others = [j for j in range(22) if j not in LEGS]
     assert torch.equal(made.motion.rot[:, others], given.rot[:, others]) and torch.equal(made.motion.root, given.root)
@@ -68,9 +68,9 @@ def test_feet_that_slide_are_held_and_only_legs_turn_otherwise(walk):
 
 def test_control_who_stands_still_stays_to_the_bit_and_swinging_legs_go_on_swinging():
     still = standing()
-    assert torch.equal(finish.locked(still).motion.rot, still.rot)
+    assert torch.equal(footlock.locked(still).motion.rot, still.rot)
     swinging = standing(shake=0.8)
-    made = finish.locked(swinging).motion
+    made = footlock.locked(swinging).motion
     left = STANDARD.index("left_foot")
     assert (made.positions - swinging.positions)[:, left].norm(dim=-1).max() < 0.1
     assert made.positions[:, left].std(0)[1] > 0.8 * swinging.positions[:, left].std(0)[1]
@@ -78,14 +78,14 @@ def test_control_who_stands_still_stays_to_the_bit_and_swinging_legs_go_on_swing
 
 def test_one_frame_is_refused(walk):
     with pytest.raises(DataError, match="no speed"):
-        finish.locked(walk.cut(0, 1))
+        footlock.locked(walk.cut(0, 1))
 
 
 # ------------------------------------------------------------------------------------------------------------ loops
 def test_a_loop_has_no_jump_larger_than_the_motion_inside(walk):
     given = walk.cut(STRIDE.start, STRIDE.stop)
     hasty = float(given.positions.diff(n=2, dim=0).norm(dim=-1).max())
-    made = finish.cycled(given).motion
+    made = looping.cycled(given).motion
     assert torch.equal(made.rot[-1], made.rot[0]) and made.root[-1, 2] == made.root[0, 2]
     torch.testing.assert_close((made.root[-1] - made.root[0])[:2], (given.root[-1] - given.root[0])[:2])
     assert rounds(made).diff(n=2, dim=0).norm(dim=-1).max() < 1.4 * hasty
@@ -99,18 +99,18 @@ def test_a_loop_holds_feet_over_its_seam_and_without_planting_they_slide(walk):
     given = walk.cut(STRIDE.start, STRIDE.stop)
     slides = []
     for plant in (True, False):
-        made = finish.cycled(given, plant=plant).motion
+        made = looping.cycled(given, plant=plant).motion
         way, index = made.root[-1] - made.root[0], torch.arange(3 * (made.frames - 1)) % (made.frames - 1)
         root = torch.cat([made.root[:-1] + k * way for k in range(3)])
         every = replace(made, root=root, rot=made.rot[index])
-        truth = replace(every, rot=finish.locked(every).motion.rot)
+        truth = replace(every, rot=footlock.locked(every).motion.rot)
         slides.append(slide(every, truth))
     assert slides[0] < 1.5 < 3 < slides[1]
 
 
 def test_control_what_is_a_loop_already_stays_as_it_is():
     given = standing(41, shake=0.8)  # two rounds, the last frame is the first
-    made = finish.cycled(given, plant=False).motion
+    made = looping.cycled(given, plant=False).motion
     torch.testing.assert_close(made.rot, given.rot, atol=1e-5, rtol=0)
     torch.testing.assert_close(made.root, given.root, atol=1e-6, rtol=0)
 
@@ -121,19 +121,19 @@ def test_ends_of_any_difference_meet_in_the_middle():
     turns = torch.linspace(0, 0.6, 31)
     rot = given.rot.clone()
     rot[:, STANDARD.index("neck")] = rotation.rotation_about("y", turns)
-    made = finish.cycled(replace(given, rot=rot), plant=False, blend=0.2).motion
+    made = looping.cycled(replace(given, rot=rot), plant=False, blend=0.2).motion
     angle = rotation.matrix_to_axis_angle(made.rot[:, STANDARD.index("neck")])[:, 1]
     assert angle[0] == pytest.approx(0.3, abs=1e-5) and angle[-1] == pytest.approx(0.3, abs=1e-5)
     torch.testing.assert_close(angle[6:25], turns[6:25], atol=1e-5, rtol=0)
-    note = finish.cycled(replace(given, rot=rotation.rotation_about("z", turns)[:, None] @ rot), plant=False).notes
+    note = looping.cycled(replace(given, rot=rotation.rotation_about("z", turns)[:, None] @ rot), plant=False).notes
     assert any("it turns by 34 degrees" in line for line in note)
 
 
 def test_what_stays_in_place_keeps_height_and_turns(walk):
-    made = finish.cycled(walk, loop=False, in_place=True).motion
+    made = looping.cycled(walk, loop=False, in_place=True).motion
     assert not made.root[:, :2].any() and torch.equal(made.root[:, 2], walk.root[:, 2])
     assert torch.equal(made.rot, walk.rot)
-    both = finish.cycled(walk.cut(STRIDE.start, STRIDE.stop), in_place=True).motion
+    both = looping.cycled(walk.cut(STRIDE.start, STRIDE.stop), in_place=True).motion
     assert not both.root[:, :2].any() and torch.equal(both.rot[-1], both.rot[0])
 
 
