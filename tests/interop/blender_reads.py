@@ -1,15 +1,18 @@
-"""What Blender makes of a file: ``python blender_reads.py FILE FPS FRAME...`` prints it as the last line, JSON.
+"""What Blender makes of a file: ``python blender_reads.py FILE FPS FRAME... [BACK.glb]`` prints it, JSON.
+
+BACK.glb: where its exporter writes the scene again, with the settings that it has.
 
 Run by itself, not imported: Blender as a module (``bpy``) does not share a process with others.
 """
 
 import json
+import os
 import sys
 
 import bpy
 
 
-def main(path: str, fps: float, frames: list[int]) -> dict:
+def main(path: str, fps: float, frames: list[int], back: str = "") -> dict:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     first = 0
@@ -46,6 +49,8 @@ def main(path: str, fps: float, frames: list[int]) -> dict:
             posed = o.evaluated_get(graph)
             points = [list(posed.matrix_world @ vertex.co) for vertex in posed.to_mesh().vertices]
             found["vertices"][o.name].append(points)
+    if back:
+        bpy.ops.export_scene.gltf(filepath=back)
     return found
 
 
@@ -57,4 +62,6 @@ def moved_by(thing) -> str:
 
 
 if __name__ == "__main__":
-    print(json.dumps(main(sys.argv[1], float(sys.argv[2]), [int(frame) for frame in sys.argv[3:]])))
+    frames, backs = ([word for word in sys.argv[3:] if word.isdigit() == digits] for digits in (True, False))
+    print(json.dumps(main(sys.argv[1], float(sys.argv[2]), [int(frame) for frame in frames], *backs)), flush=True)
+    os._exit(0)  # what exported falls over itself when Python takes it down

@@ -1,42 +1,29 @@
-"""Blender opens what we write: how many armatures, meshes and actions; joints and skin are where ours are.
+"""Blender opens what we write: how many armatures, meshes and actions; joints and skin are where ours are."""
 
-$MOTIONLAB_INTEROP names the Python that has ``bpy``; it is asked in a process of its own.
-"""
-
-import json
-import os
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import in_blender
 import numpy as np
 import pytest
 import torch
+from in_blender import MARKS
 
 from motionlab.body import BodyModel, lbs
 from motionlab.io import bvh, gltf
 from motionlab.motion import Motion
 
-PYTHON = os.environ.get("MOTIONLAB_INTEROP")
-pytestmark = [pytest.mark.interop, pytest.mark.skipif(PYTHON is None, reason="no Python with Blender: make interop")]
+pytestmark = MARKS
 FRAMES = (0, 17, 40, 63, 89)
 
 
 def blender(path: Path, fps: float = 30.0) -> dict:
-    script = Path(__file__).with_name("blender_reads.py")
-    command = [PYTHON, script, path, fps, *FRAMES]
-    run = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=300)
-    assert run.returncode == 0, run.stderr[-2000:]
-    said = run.stdout + run.stderr
-    assert "zero length" not in said and "Error" not in said, said[-2000:]
-    return json.loads(run.stdout.splitlines()[-1])
+    return in_blender.blender(path, fps, FRAMES)
 
 
 def apart(theirs: list[dict], motion: Motion, later: int = 0) -> float:
     """The largest distance in metres of any joint at any of the frames, ours so many frames later."""
-    ours = motion.positions[[frame + later for frame in FRAMES]].numpy()
-    heads = np.array([[frame[name] for name in motion.skeleton.names] for frame in theirs])
-    return float(np.linalg.norm(heads - ours, axis=-1).max())
+    return float(in_blender.apart(theirs, motion, FRAMES, later).max())
 
 
 @pytest.fixture(scope="module")

@@ -1,34 +1,16 @@
-"""What ``inbetween`` writes is opened by Blender: keys where they were, one armature, one action, as many frames.
+"""What ``inbetween`` writes is opened by Blender: keys where they were, one armature, one action, as many frames."""
 
-$MOTIONLAB_INTEROP names the Python that has ``bpy``; it is asked in a process of its own.
-"""
-
-import json
-import os
-import subprocess
 from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
 import pytest
+from in_blender import MARKS, apart, blender, joints_of
 
 from motionlab import __main__, io
 from motionlab.body import BodyModel
 from motionlab.io import bvh, gltf
-from motionlab.motion import Motion
 
-PYTHON = os.environ.get("MOTIONLAB_INTEROP")
-pytestmark = [pytest.mark.interop, pytest.mark.skipif(PYTHON is None, reason="no Python with Blender: make interop")]
+pytestmark = MARKS
 FRAMES, KEYS, BETWEEN = 80, (0, 20, 21, 60, 79), (10, 30, 40, 50)
-
-
-def blender(path: Path, fps: float) -> dict:
-    """What ``blender_reads.py`` says, at the keys and then between them."""
-    script = Path(__file__).with_name("blender_reads.py")
-    command = [PYTHON, script, path, fps, *KEYS, *BETWEEN]
-    run = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=300)
-    assert run.returncode == 0, run.stderr[-2000:]
-    return json.loads(run.stdout.splitlines()[-1])
 
 
 @pytest.fixture(scope="module", params=["bvh", "glb"])
@@ -43,18 +25,7 @@ def filled(request, tmp_path_factory, motions):
         gltf.save(source, motion, BodyModel.from_anny(), names=["walk"])
     command = ["inbetween", source, "--keys", ",".join(map(str, KEYS)), "--method", "network", "--out", out]
     assert __main__.main([str(word) for word in command]) == 0
-    return motion, blender(out, motion.fps), io.load(out), request.param
-
-
-def apart(heads: list[dict], motion: Motion, frames: tuple[int, ...]) -> np.ndarray:
-    """Metres (F,) that the farthest joint of each frame is from where it is in a motion."""
-    theirs = np.array([[frame[name] for name in motion.skeleton.names] for frame in heads])
-    return np.linalg.norm(theirs - motion.positions[list(frames)].numpy(), axis=-1).max(-1)
-
-
-def joints_of(found: dict) -> list[dict]:
-    assert len(found["armatures"]) == 1
-    return next(iter(found["joints"].values()))
+    return motion, blender(out, motion.fps, KEYS + BETWEEN), io.load(out), request.param
 
 
 def test_it_is_one_armature_one_action_and_as_many_frames(filled):
