@@ -117,7 +117,7 @@ def test_a_page_says_whether_todays_numbers_are_those_on_record(suite, tmp_path,
 def test_regenerate_writes_what_ran_and_keeps_what_failed(suite, monkeypatch):
     failed_before = (suite / "00_fails.ipynb").read_bytes()
     taken = []
-    monkeypatch.setattr(execute, "_write_fingerprint", lambda path, **_: taken.append(path.stem))
+    monkeypatch.setattr(execute, "_write_fingerprint", lambda path, *_: taken.append(path.stem))
     runs = execute.regenerate()
     assert [run.ok for run in runs] == [False, True] and taken == ["01_runs"]
     assert (suite / "00_fails.ipynb").read_bytes() == failed_before
@@ -135,11 +135,8 @@ def test_notebooks_run_side_by_side_and_the_longest_begins_first(suite, tmp_path
     findings.save_record(suite / "results/01.json", replace(record, provenance={"smoke seconds": "30"}))
     jobs = [(path, tmp_path / path.name) for path in execute.find_notebooks()]
     seen = []
-    runs = execute.run_side_by_side(
-        jobs, {"MOTIONLAB_PROFILE": "x"}, done=lambda run, out: seen.append(out), processes=1
-    )
-    assert [run.notebook for run in runs] == ["00_fails", "01_runs"]
-    assert [out.stem for out in seen] == ["01_runs", "00_fails"]
+    runs = execute.run_side_by_side(jobs, {"MOTIONLAB_PROFILE": "x"}, done=seen.append, processes=1)
+    assert [run.notebook for run in runs] == ["00_fails", "01_runs"] and seen == runs[::-1]
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("[1/2] 01_runs") and lines[0].endswith("ran") and "failed at cell 2" in lines[1]
 
@@ -148,7 +145,7 @@ def test_a_fingerprint_is_not_replaced_by_another_unless_asked(suite, monkeypatc
     path = suite / "01_runs.ipynb"
     marks = {"size": staleness.mark(4.0)}
     smoke = findings.Record("01_runs", "", (), {"seconds": "2"}, marks)
-    monkeypatch.setattr(execute, "_measured", lambda path, environments: [smoke, smoke])
+    monkeypatch.setattr(execute, "_measured", lambda path, environment, others: [smoke, smoke])
     monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
     before = findings.load_record(suite / "results/01.json")
     execute._write_fingerprint(path)
@@ -186,22 +183,23 @@ def test_the_suites_command_writes_the_report(suite, tmp_path, capsys):
     assert suite_main.main(["report", "00", "--out", str(tmp_path / "report")]) == 1
 
 
-def test_readme_takes_its_findings_between_its_marks(suite, tmp_path, monkeypatch):
-    monkeypatch.setattr(pages, "FINDINGS", ((("X01",), "It is {size.value:.1f} cm."),))
+def test_pages_take_their_findings_between_their_marks(suite, tmp_path):
+    headline = '\n[[headline]]\nclaims = ["X01"]\nsays = "It is {size.value:.1f} cm."\n'
+    (suite / "claims.toml").write_text(LEDGER + headline, encoding="utf-8")
     start, end = pages.MARKS
     (tmp_path / "docs").mkdir()
-    readme = tmp_path / "README.md"
-    readme.write_text(f"before\n{start}\nstale\n{end}\nafter\n", encoding="utf-8")
-    pages.update(tmp_path)
-    text = readme.read_text(encoding="utf-8")
-    assert text.startswith("before\n") and text.endswith("after\n") and "stale" not in text
-    assert "- It is 4.0 cm. ([01](notebooks/01_runs.ipynb))" in text
-    pages.update(tmp_path)
-    assert readme.read_text(encoding="utf-8") == text
-    monkeypatch.setattr(pages, "FINDINGS", ((("X01",), "It is 4 cm."),))
+    readme, board = tmp_path / "README.md", tmp_path / "docs/scoreboard.md"
+    for page in (readme, board):
+        page.write_text(f"before\n{start}\nstale\n{end}\nafter\n", encoding="utf-8")
+    for _ in range(2):  # the second time changes nothing
+        pages.update(tmp_path)
+        texts = [page.read_text(encoding="utf-8") for page in (readme, board)]
+        assert all(x.startswith("before\n") and x.endswith("after\n") and "stale" not in x for x in texts)
+        assert "- It is 4.0 cm. ([01](notebooks/01_runs.ipynb))" in texts[0] and "| X01 | Size" in texts[1]
+    (suite / "claims.toml").write_text(LEDGER + headline.replace("{size.value:.1f}", "4"), encoding="utf-8")
     with pytest.raises(DataError, match="4 is typed"):
         pages.update(tmp_path)
-    readme.write_text("nothing", encoding="utf-8")
+    board.write_text("nothing", encoding="utf-8")
     with pytest.raises(DataError, match="no marks for the findings"):
         pages.update(tmp_path)
 

@@ -178,4 +178,4 @@ def test_what_is_said_of_the_results_is_what_the_records_say():
     claims = findings.load_claims(execute.NOTEBOOKS / "claims.toml")
     found = findings.load_results(execute.NOTEBOOKS / "results")
     assert pages.first_findings(claims, found) in PAGES["README.md"]
-    assert pages.scoreboard(claims, found) == PAGES["docs/scoreboard.md"]
+    assert pages.scoreboard(claims, found) in PAGES["docs/scoreboard.md"]

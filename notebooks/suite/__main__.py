@@ -30,27 +30,24 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m suite", description="Run the notebooks.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    command = commands.add_parser("report", help="the notebooks as pages, checked by running them")
-    command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
-    command.add_argument("--out", type=Path, default=ROOT / "report")
-    command.add_argument("--profile", choices=("smoke", "full"), default=os.environ.get("MOTIONLAB_PROFILE") or "smoke")
-    command.add_argument("--no-run", action="store_true", help="only the pages, which then say: not checked today")
-    command.set_defaults(run=_report)
+    def command(name: str, run, does: str) -> argparse.ArgumentParser:
+        made = commands.add_parser(name, help=does)
+        made.set_defaults(run=run)
+        return made
 
-    command = commands.add_parser("regenerate", help="run the notebooks in place, full profile, as committed")
-    command.add_argument("notebooks", nargs="*", help='only these, such as "02"')
-    command.add_argument(
-        "--fingerprints", action="store_true", help="only what their smoke runs measure, into the records"
-    )
-    command.add_argument(
-        "--again", action="store_true", help="with --fingerprints: also where the recorded one differs"
-    )
-    command.set_defaults(run=_regenerate)
-
-    command = commands.add_parser("records", help="what changed in the code behind the records")
-    command.set_defaults(run=lambda options: print(execute.changed_behind()) or 0)
-    command = commands.add_parser("pages", help="docs/scoreboard.md and README's findings, from the records")
-    command.set_defaults(run=lambda options: pages.update(ROOT) or 0)
+    what = {"nargs": "*", "help": 'only these, such as "02"'}
+    profile = {"choices": ("smoke", "full"), "default": os.environ.get("MOTIONLAB_PROFILE") or "smoke"}
+    made = command("report", _report, "the notebooks as pages, checked by running them")
+    made.add_argument("notebooks", **what)
+    made.add_argument("--out", type=Path, default=ROOT / "report")
+    made.add_argument("--profile", **profile)
+    made.add_argument("--no-run", action="store_true", help="only the pages, which then say: not checked today")
+    made = command("regenerate", _regenerate, "run the notebooks in place, full profile, as committed")
+    made.add_argument("notebooks", **what)
+    made.add_argument("--fingerprints", action="store_true", help="only what smoke runs measure, into the records")
+    made.add_argument("--again", action="store_true", help="with --fingerprints: also where the recorded one differs")
+    command("records", lambda _: print(execute.changed_behind()) or 0, "what changed in the code behind the records")
+    command("pages", lambda _: pages.update(ROOT) or 0, "docs/scoreboard.md and README's findings, from the records")
     return parser
 
 

@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 NOTEBOOKS = Path(__file__).resolve().parents[1]
-_SHARED = ("claims.toml", "results")  # what notebooks read from where they lie
 
 
 def refresh(folder: Path, notebooks: Path = NOTEBOOKS) -> list[str]:
@@ -24,7 +23,7 @@ def refresh(folder: Path, notebooks: Path = NOTEBOOKS) -> list[str]:
     """
     copied, kept = folder / ".copied", []
     copied.mkdir(parents=True, exist_ok=True)
-    for name in _SHARED:
+    for name in ("claims.toml", "results"):  # what notebooks read from where they lie
         if not (folder / name).is_symlink() and (notebooks / name).exists():
             (folder / name).symlink_to((notebooks / name).resolve())
     for source in sorted(notebooks.glob("*.ipynb")):
@@ -50,5 +49,5 @@ def _text(path: Path) -> list[str] | None:
 if __name__ == "__main__":
     for name in refresh(folder := Path(sys.argv[1])):
         print(
-            f"{folder / name}: you edited it and it has a new version; yours is kept. Rename yours to get the new one"
+            f"{folder / name}: you edited it, and there is a new version. Yours is kept: rename it to get the new one"
         )

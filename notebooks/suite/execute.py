@@ -15,6 +15,7 @@ from motionlab import parallel
 from motionlab.doctor import ROOT
 from motionlab.errors import DataError, MissingData
 from suite import findings, staleness
+from suite.findings import Record
 
 NOTEBOOKS = ROOT / "notebooks"
 _QUIET = ["--log-level=40"]  # the kernel's advice on encrypting its own sockets is not for the reader
@@ -31,13 +32,9 @@ OTHER_ROUNDINGS = (
     {"MOTIONLAB_NUDGE": "1", "OMP_NUM_THREADS": "1"},
     {"MOTIONLAB_NUDGE": "2", "OMP_NUM_THREADS": "1"},
     _NARROW | {"OMP_NUM_THREADS": "1"},
-    {
-        "ATEN_CPU_CAPABILITY": "avx2",
-        "MKL_ENABLE_INSTRUCTIONS": "AVX2",
-        "ONEDNN_MAX_CPU_ISA": "AVX2",
-        "OMP_NUM_THREADS": "1",
-    },
-)
+    {"ATEN_CPU_CAPABILITY": "avx2", "MKL_ENABLE_INSTRUCTIONS": "AVX2", "ONEDNN_MAX_CPU_ISA": "AVX2",
+     "OMP_NUM_THREADS": "1"},
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -56,9 +53,8 @@ class Run:
 
     def status(self) -> str:
         """Returns "ran", or where it failed."""
-        if self.ok:
-            return "ran"
-        return "failed" if self.failed_cell is None else f"failed at cell {self.failed_cell}"
+        where = "" if self.failed_cell is None else f" at cell {self.failed_cell}"
+        return "ran" if self.ok else f"failed{where}"
 
 
 def find_notebooks(names: Sequence[str] = ()) -> list[Path]:
@@ -70,11 +66,13 @@ def find_notebooks(names: Sequence[str] = ()) -> list[Path]:
     suite = sorted(NOTEBOOKS.glob("[0-9][0-9]*_*.ipynb"))
     if not suite:
         raise MissingData(f"{NOTEBOOKS}/NN_*.ipynb", "Run this in a checkout of motionlab.")
-    unknown = [name for name in names if not any(path.name.startswith(Path(name).name) for path in suite)]
-    if unknown:
-        raise MissingData(f"notebook {unknown[0]!r}", f"There are: {', '.join(path.stem for path in suite)}.")
-    chosen = [path for path in suite if any(path.name.startswith(Path(name).name) for name in names)]
-    return chosen if names else suite
+    chosen = suite if not names else []
+    for name in names:
+        found = [path for path in suite if path.name.startswith(Path(name).name)]
+        if not found:
+            raise MissingData(f"notebook {name!r}", f"There are: {', '.join(path.stem for path in suite)}.")
+        chosen += found
+    return sorted(set(chosen))
 
 
 # ------------------------------------------------------------------------------------------------------- one notebook
@@ -88,9 +86,7 @@ async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run
     from nbclient import NotebookClient
     from nbclient.exceptions import CellExecutionError
 
-    start = time.perf_counter()
-    failed: dict = {}
-    book = None
+    start, failed, book = time.perf_counter(), {}, None
     try:
         book = nbformat.read(path, as_version=4)
         client = NotebookClient(
@@ -107,7 +103,8 @@ async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run
         with tempfile.TemporaryDirectory(prefix="motionlab-", ignore_cleanup_errors=True) as bench:
             await client.async_execute(env={**os.environ, "TMPDIR": bench, **environment})
     except CellExecutionError as error:
-        failed = {"failed_cell": _last_cell(book), "error": f"{error.ename}: {error.evalue}"}
+        last = max((cell.get("execution_count") or 0 for cell in book.cells), default=0)
+        failed = {"failed_cell": last, "error": f"{error.ename}: {error.evalue}"}
     except Exception as error:  # a kernel that dies, a notebook that is no notebook: report it, run the others
         failed = {"error": f"{type(error).__name__}: {error}"}
     if book is not None and (not failed or out != path):
@@ -119,16 +116,12 @@ async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run
     return Run(path.stem, time.perf_counter() - start, **failed)
 
 
-def _last_cell(book) -> int:
-    return max((cell.get("execution_count") or 0 for cell in book.cells if cell.cell_type == "code"), default=0)
-
-
 # ------------------------------------------------------------------------------------------------------ several of them
 def run_side_by_side(
     jobs: Sequence[tuple[Path, Path]],
     environment: Mapping[str, str],
     *,
-    done: Callable[[Run, Path], object] = lambda run, out: None,
+    done: Callable[[Run], object] = lambda run: None,
     processes: int | None = None,
 ) -> list[Run]:
     """Runs notebooks (from, to) on as many processes as there are cores, one thread each; prints a line for each.
@@ -139,21 +132,18 @@ def run_side_by_side(
     Returns:
         how they went, in the order of ``jobs``.
     """
-    processes = processes or parallel.cores()
-    environment = ONE_THREAD | dict(environment)
-    runs: dict[Path, Run] = {}
+    environment, runs = ONE_THREAD | dict(environment), {}
+    queue = sorted(jobs, key=lambda job: -_smoke_seconds(job[0]))
 
-    async def worker(queue: list[tuple[Path, Path]]) -> None:
+    async def worker() -> None:
         while queue:
             path, out = queue.pop(0)
-            runs[path] = await _execute(path, out, environment)
-            run = runs[path]
+            run = runs[path] = await _execute(path, out, environment)
             print(f"[{len(runs)}/{len(jobs)}] {path.stem:<30} {run.seconds:5.0f} s  {run.status()}", flush=True)
-            await asyncio.to_thread(done, run, out)
+            done(run)
 
     async def everything() -> None:
-        queue = sorted(jobs, key=lambda job: -_smoke_seconds(job[0]))
-        await asyncio.gather(*(worker(queue) for _ in range(min(processes, len(jobs)))))
+        await asyncio.gather(*(worker() for _ in range(min(processes or parallel.cores(), len(jobs)))))
 
     asyncio.run(everything())
     return [runs[path] for path, _ in jobs]
@@ -161,15 +151,7 @@ def run_side_by_side(
 
 def _smoke_seconds(path: Path) -> float:
     """Seconds that a notebook's smoke run took when its fingerprint was taken; infinite where nobody knows."""
-    try:
-        return float(findings.load_record(_record_path(path)).provenance["smoke seconds"])
-    except (DataError, KeyError, ValueError):
-        return float("inf")
-
-
-def _record_path(notebook: Path) -> Path:
-    """Where the record of a notebook lies: results/NN.json beside it."""
-    return notebook.parent / "results" / f"{staleness.number_of(notebook.stem)}.json"
+    return float(findings.record_of(path).provenance.get("smoke seconds", "inf"))
 
 
 def regenerate(names: Sequence[str] = ()) -> list[Run]:
@@ -177,13 +159,12 @@ def regenerate(names: Sequence[str] = ()) -> list[Run]:
 
     A notebook that fails keeps its file.
     """
-    runs = []
-    environment = {"MOTIONLAB_PROFILE": "full", "MOTIONLAB_BATCH": "1", "MOTIONLAB_RECORD": "1"} | data_variable()
+    runs, environment = [], {"MOTIONLAB_PROFILE": "full", "MOTIONLAB_BATCH": "1", "MOTIONLAB_RECORD": "1"}
+    environment |= data_variable()
     for path in find_notebooks(names):
         print(f"{path.stem} ...", flush=True)
-        runs.append(asyncio.run(_execute(path, path, environment)))
-        if runs[-1].ok:
-            runs[-1] = _with_fingerprint(path, runs[-1], again=True, apart={})
+        run = asyncio.run(_execute(path, path, environment))
+        runs.append(_with_fingerprint(path, run, again=True) if run.ok else run)
         print(f"      {runs[-1].status()}, {runs[-1].seconds:.0f} s", flush=True)
     return runs
 
@@ -196,22 +177,21 @@ def take_fingerprints(names: Sequence[str] = (), *, again: bool = False) -> list
 
     again: take it also where it differs from the recorded one, as where a budget of the smoke profile was changed.
     """
-    apart = {"fingerprint": f"taken again on {date.today()}, apart from the full run"} if again else {}
-    how = {"again": again, "apart": apart}
-    return [_with_fingerprint(path, Run(path.stem, 0.0), **how) for path in find_notebooks(names)]
+    apart = f"taken again on {date.today()}, apart from the full run" if again else ""
+    return [_with_fingerprint(path, Run(path.stem, 0.0), again, apart) for path in find_notebooks(names)]
 
 
-def _with_fingerprint(path: Path, run: Run, **how) -> Run:
+def _with_fingerprint(path: Path, run: Run, again: bool, apart: str = "") -> Run:
     """Take the fingerprint of one notebook; the run with its seconds, or with what went wrong."""
     began = time.perf_counter()
     try:
-        _write_fingerprint(path, **how)
+        _write_fingerprint(path, again, apart)
     except DataError as error:
         run = replace(run, error=str(error))
     return replace(run, seconds=run.seconds + time.perf_counter() - began)
 
 
-def _write_fingerprint(path: Path, *, again: bool = False, apart: Mapping[str, str] | None = None) -> None:
+def _write_fingerprint(path: Path, again: bool = False, apart: str = "") -> None:
     """Take the fingerprint of a notebook and put it into its record.
 
     A record that has one is only confirmed: a smoke run on synthetic motion and, where $MOTIONLAB_DATA names some, one
@@ -223,14 +203,12 @@ def _write_fingerprint(path: Path, *, again: bool = False, apart: Mapping[str, s
         StaleRecord: the record has another fingerprint, and ``again`` is not given.
         DataError: there is no record, or a run failed.
     """
-    place = _record_path(path)
+    place = findings.record_path(path)
     record = findings.load_record(place)
     confirm = bool(record.fingerprint) and not again
-    plain, nothing, data = {"OMP_NUM_THREADS": "1"}, {"MOTIONLAB_DATA": ""}, data_variable()
-    runs = _measured(path, [nothing | each for each in (plain, *(() if confirm else OTHER_ROUNDINGS))])
-    with_data = (
-        _measured(path, [data | each for each in (plain, *OTHER_ROUNDINGS[: 2 * (1 - confirm)])]) if data else []
-    )
+    others, data = () if confirm else OTHER_ROUNDINGS, data_variable()
+    runs = _measured(path, {"MOTIONLAB_DATA": ""}, others)
+    with_data = _measured(path, data, others[:2]) if data else []
     last = (with_data or runs)[0]
     if confirm:
         moved = staleness.differences(record.fingerprint, runs[0].fingerprint)
@@ -238,37 +216,28 @@ def _write_fingerprint(path: Path, *, again: bool = False, apart: Mapping[str, s
         if moved:
             raise staleness.StaleRecord(path.stem, list(dict.fromkeys(moved)), record.seconds)
     else:
-        made = [run.fingerprint for run in runs]
-        there = [run.fingerprint for run in with_data]
-        found, unsteady = staleness.merged(made)
-        real, more = staleness.merged(there) if there else ({}, [])
+        found, unsteady = staleness.merged([run.fingerprint for run in runs])
+        real, more = staleness.merged([run.fingerprint for run in with_data])
         for name in dict.fromkeys((*unsteady, *more)):
             print(f"      {name}: differs too much with other rounding, not in the fingerprint", flush=True)
         real = {name: mark for name, mark in real.items() if name not in found or not mark.agrees(found[name])}
         record = replace(record, fingerprint=found, fingerprint_on_recordings=real, recordings=last.recordings)
-    findings.save_record(
-        place,
-        replace(
-            record,
-            source_hash=staleness.code_hash(path),
-            weights=last.weights,
-            modules=last.modules,
-            provenance=record.provenance | {"smoke seconds": runs[0].provenance["seconds"]} | dict(apart or {}),
-        ),
-    )
+    said = {"smoke seconds": runs[0].provenance["seconds"]} | ({"fingerprint": apart} if apart else {})
+    now = {"source_hash": staleness.code_hash(path), "weights": last.weights, "modules": last.modules}
+    findings.save_record(place, replace(record, **now, provenance=record.provenance | said))
 
 
-def _measured(path: Path, environments: Sequence[Mapping[str, str]]) -> list[findings.Record]:
-    """The records of smoke runs of one notebook, one after the other."""
+def _measured(path: Path, environment: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> list[Record]:
+    """The records of smoke runs of one notebook, one after the other: as it is, and with other roundings."""
     found = []
-    for environment in environments:
+    smoke = {"MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1", "MOTIONLAB_RECORD": "1"} | dict(environment)
+    for rounding in ({"OMP_NUM_THREADS": "1"}, *others):
         with tempfile.TemporaryDirectory() as folder:
-            smoke = {"MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1"}
-            smoke |= {"MOTIONLAB_RESULTS": folder, "MOTIONLAB_RECORD": "1"}
-            run = asyncio.run(_execute(path, Path(folder) / path.name, smoke | dict(environment)))
+            out = Path(folder) / path.name
+            run = asyncio.run(_execute(path, out, smoke | {"MOTIONLAB_RESULTS": folder} | rounding))
             if not run.ok:
                 raise DataError(f"{run.status()}: {run.error}", path=path, remedy="mend it, then take its fingerprint")
-            found.append(findings.load_record(Path(folder) / f"{staleness.number_of(path.stem)}.json"))
+            found.append(findings.load_record(out.with_name(findings.record_path(path).name)))
     return found
 
 
@@ -279,11 +248,9 @@ def data_variable() -> dict[str, str]:
 
 
 def run_summary(runs: Sequence[Run]) -> str:
-    """Returns a text for the terminal that says how the runs went."""
-    width = max((len(run.notebook) for run in runs), default=0)
-    lines = [f"{'ok ' if r.ok else '-- '} {r.notebook:<{width}} {r.seconds:6.0f} s  {r.status()}" for r in runs]
-    lines += [f"    {run.notebook}: {run.error.splitlines()[0]}" for run in runs if not run.ok]
-    return "\n".join([*lines, f"{sum(run.ok for run in runs)} of {len(runs)} notebooks ran"])
+    """Returns a text for the terminal that says how many notebooks ran, and why the others did not."""
+    failed = [f"-- {run.notebook} {run.status()}: {run.error.splitlines()[0]}" for run in runs if not run.ok]
+    return "\n".join([*failed, f"{len(runs) - len(failed)} of {len(runs)} notebooks ran"])
 
 
 def changed_behind(root: Path = ROOT) -> str:

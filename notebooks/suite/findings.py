@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import operator
 import re
 import tomllib
 from dataclasses import asdict, dataclass, field
@@ -24,7 +23,6 @@ HOLDS = "holds"
 FAILS = "does not hold"
 UNJUDGED = "cannot be judged here"
 ROLES = ("claim", "control", "apparatus", "beyond")
-_OPERATORS = {">=": operator.ge, "<=": operator.le}
 
 
 @dataclass(frozen=True)
@@ -55,25 +53,30 @@ class Criterion:
     revised: str = ""
     other: float | None = None
 
+    @property
+    def name(self) -> str:
+        """Its name within its claim."""
+        return self.id.split(".")[1]
+
     def bound_text(self) -> str:
         """Returns the bound as a person writes it, such as ">= 3 deg" or "0.8 to 1.2"."""
         if self.other is None:
             return f"{self.relation} {self.bound:g} {self.unit}".strip()
-        return "{:g} to {:g} {}".format(*sorted((self.bound, self.other)), self.unit).strip()
+        return "{:g} to {:g} {}".format(*self.ends, self.unit).strip()
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The least and the greatest value within the bound, both included."""
+        other = {">=": math.inf, "<=": -math.inf}[self.relation] if self.other is None else self.other
+        return min(self.bound, other), max(self.bound, other)
 
     def meets(self, value: float) -> bool:
         """Returns whether a value lies within the bound, its end included."""
-        within = [_OPERATORS[self.relation](value, self.bound)]
-        if self.other is not None:
-            within.append(_OPERATORS[">=" if self.relation == "<=" else "<="](value, self.other))
-        return all(within)
+        return self.ends[0] <= value <= self.ends[1]
 
     def beyond(self, low: float, high: float) -> bool:
         """Returns whether a whole interval lies on one wrong side of the bound."""
-        ends = (self.bound, self.bound if self.other is None else self.other)
-        below, above = min(ends), max(ends)
-        wrong = {">=": high < below, "<=": low > above}
-        return any(wrong.values()) if self.other is not None else wrong[self.relation]
+        return high < self.ends[0] or low > self.ends[1]
 
 
 @dataclass(frozen=True)
@@ -148,26 +151,26 @@ def load_claims(path: Path | str) -> dict[str, Claim]:
         raise DataError(str(error), path=path, remedy="restore claims.toml from the repository") from error
     claims: dict[str, Claim] = {}
     for row in table.get("claim", []):
-        row = dict(row)
-        tests = []
+        place = f"claim {row.get('id', '?')}"
         try:
-            for name, entry in row.pop("test", {}).items():
-                if entry["relation"] not in _OPERATORS:
-                    raise KeyError(f"relation {entry['relation']!r}")
-                if entry.get("role", "claim") not in ROLES:
-                    raise KeyError(f"role {entry['role']!r}")
-                tests.append(
-                    Criterion(**{**entry, "id": f"{row['id']}.{name}", "needs": tuple(entry.get("needs", ()))})
-                )
-            claim = Claim(**{**row, "carriers": tuple(row.get("carriers", ()))}, tests=tuple(tests))
+            tests = tuple(_criterion(f"{row['id']}.{name}", entry) for name, entry in row.get("test", {}).items())
+            rest = {name: value for name, value in row.items() if name != "test"}
+            claim = Claim(**{**rest, "carriers": tuple(row.get("carriers", ()))}, tests=tests)
         except (KeyError, TypeError) as error:
-            raise DataError(str(error), path=path, place=f"claim {row.get('id', '?')}") from error
-        if foreign := set(claim.carriers) - {test.id.split(".")[1] for test in tests}:
-            raise DataError(f"no test {', '.join(sorted(foreign))} to carry it", path=path, place=f"claim {claim.id}")
+            raise DataError(str(error), path=path, place=place) from error
+        if foreign := set(claim.carriers) - {test.name for test in tests}:
+            raise DataError(f"no test {', '.join(sorted(foreign))} to carry it", path=path, place=place)
         if claim.id in claims:
-            raise DataError("id used twice", path=path, place=f"claim {claim.id}")
+            raise DataError("id used twice", path=path, place=place)
         claims[claim.id] = claim
     return claims
+
+
+def _criterion(name: str, entry: dict) -> Criterion:
+    test = Criterion(**{**entry, "id": name, "needs": tuple(entry.get("needs", ()))})
+    if test.relation not in (">=", "<=") or test.role not in ROLES:
+        raise KeyError(f"relation {test.relation!r}, role {test.role!r}")
+    return test
 
 
 def all_tests(claims: dict[str, Claim]) -> dict[str, Criterion]:
@@ -226,9 +229,8 @@ class Record:
     def moved(self, now: Record) -> list[str]:
         """Lists how a smoke run differs from this record, a phrase each."""
         other = [name for name, digest in self.weights.items() if now.weights.get(name, digest) != digest]
-        return [f"{name} are other weights" for name in other] + staleness.differences(
-            self.expected(now.recordings), now.fingerprint
-        )
+        moved = staleness.differences(self.expected(now.recordings), now.fingerprint)
+        return [*(f"{name} are other weights" for name in other), *moved]
 
 
 _NUMBERS = ("value", "low", "high")  # of a finding; NaN where there was nothing to measure
@@ -264,6 +266,17 @@ def load_record(path: Path | str) -> Record:
         return Record(**{**raw, **marks, "findings": tuple(Finding(**row) for row in rows)})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(str(error), path=path, remedy="run `make full` to measure again") from error
+
+
+def record_path(notebook: Path) -> Path:
+    """Returns where the record of a notebook lies: results/NN.json beside it."""
+    return notebook.parent / "results" / f"{staleness.number_of(notebook.stem)}.json"
+
+
+def record_of(notebook: Path) -> Record:
+    """Reads the record of a notebook; an empty one where there is none."""
+    path = record_path(notebook)
+    return load_record(path) if path.exists() else Record(notebook.stem, "", ())
 
 
 def load_results(folder: Path | str) -> list[Finding]:

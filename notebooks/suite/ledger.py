@@ -34,6 +34,7 @@ SILENT, VOID = "not informative", "void: its control failed"
 #: Of one that does.
 DECIDES = (HOLDS, FAILS, UNJUDGED)
 LEAST, ROUNDS = 8, 5  # clips, people or seeds; rounds of a stopwatch
+_REAL = ("recordings", "bandai_namco", "pose2sim", "anidance", "cmu", "captury")
 _NUMBERS = re.compile(r"\d[\d.,]*\d|\d")
 
 
@@ -72,21 +73,20 @@ def verdict(claim: Claim, found: Iterable[Finding]) -> str:
     Refuted where most rows of the tests that carry it fail and none holds (``carriers``; all, where none are named).
     """
     weighed = weigh(claim, found)
-    if not weighed:
-        return OPEN
-    if not any(test.role == "claim" for test in claim.tests):
+    rows = [w for w in weighed if w.test.role == "claim"]
+    if weighed and not any(test.role == "claim" for test in claim.tests):
         built = {w.says for w in weighed if w.test.role == "apparatus"}
         return CONSTRUCTION if built == {HOLDS} else UNDECIDED
-    if not any(w.test.role == "claim" for w in weighed):
+    if not rows:
         return OPEN
-    rows = [w for w in weighed if w.test.role == "claim" and w.says in DECIDES]
-    says = [w.says for w in rows]
-    carried = [w.says for w in rows if not claim.carriers or w.test.id.split(".")[1] in claim.carriers]
+    rows = [w for w in rows if w.says in DECIDES]
+    says = {w.says for w in rows}
+    carried = [w.says for w in rows if not claim.carriers or w.test.name in claim.carriers]
     if HOLDS not in carried and 2 * carried.count(FAILS) > len(carried):
         return REFUTED
-    if says and set(says) == {HOLDS}:
+    if says == {HOLDS}:
         return CONFIRMED
-    return CONDITION if HOLDS in says and FAILS in says else UNDECIDED
+    return CONDITION if {HOLDS, FAILS} <= says else UNDECIDED
 
 
 # --------------------------------------------------------------------------------------------------------- in words
@@ -119,7 +119,7 @@ def answer(claim: Claim, found: Sequence[Finding]) -> str:
     Raises:
         DataError: it names a number that no finding holds, or has one written in that is not the thesis's own.
     """
-    named = {test.id.split(".")[1]: tuple(f for f in found if f.test == test.id) for test in claim.tests}
+    named = {test.name: tuple(f for f in found if f.test == test.id) for test in claim.tests}
     place = f"answer of {claim.id}"
     typed = _NUMBERS.findall(re.sub(r"\{[^}]*\}|\b\dD\b|\bstage \d", "", claim.answer))
     if foreign := sorted(set(typed) - set(_NUMBERS.findall(f"{claim.thesis} {claim.title}"))):
@@ -128,6 +128,14 @@ def answer(claim: Claim, found: Sequence[Finding]) -> str:
         return claim.answer.format(**{name: _Measured(rows) for name, rows in named.items() if rows})
     except (KeyError, AttributeError, ValueError, TypeError, IndexError) as error:
         raise DataError(f"no finding for {error}", place=place, remedy="name test, source and number") from error
+
+
+def found_answer(claim: Claim, found: Sequence[Finding]) -> str:
+    """Returns a claim's answer; of a run that did not measure all that it names, a sentence that says so."""
+    try:
+        return answer(claim, found) if any(f.claim == claim.id for f in found) else ""
+    except DataError:
+        return "This run did not measure all that the answer names."
 
 
 def spoken(claim: Claim, found: Sequence[Finding]) -> str:
@@ -139,9 +147,7 @@ def spoken(claim: Claim, found: Sequence[Finding]) -> str:
 
 def apart(claim: Claim, found: Sequence[Finding]) -> dict[str, str]:
     """Returns the verdict on synthetic motion alone and on recordings alone."""
-    parts = {"synthetic": [], "real": []}
-    for f in found:
-        parts["real" if is_real(f) else "synthetic"].append(f)
+    parts = {"synthetic": [f for f in found if not is_real(f)], "real": [f for f in found if is_real(f)]}
     return {name: verdict(claim, some) for name, some in parts.items()}
 
 
@@ -150,22 +156,15 @@ def is_real(finding: Finding) -> bool:
     return finding.source.lower().startswith(_REAL)
 
 
-_REAL = ("recordings", "bandai_namco", "pose2sim", "anidance", "cmu", "captury")
-
-
-def scoreboard(claims: Mapping[str, Claim], found: Sequence[Finding], *, answers: bool = True) -> list[dict[str, str]]:
-    """Returns one row per claim: id, section, title, verdict (also in full), answer, the notebook that shows it.
-
-    answers: False where not all that they name was measured, as in the smoke profile.
-    """
+def scoreboard(claims: Mapping[str, Claim], found: Sequence[Finding]) -> list[dict[str, str]]:
+    """Returns one row per claim: id, title, verdict (also in full), answer, the notebook that shows it."""
     return [
         {
             "claim": claim.id,
-            "thesis": claim.section,
             "in short": claim.title,
             "verdict": verdict(claim, found),
             "in full": spoken(claim, found),
-            "answer": answer(claim, found) if answers and any(f.claim == claim.id for f in found) else "",
+            "answer": answer(claim, found) if any(f.claim == claim.id for f in found) else "",
             "notebook": claim.notebook,
         }
         for claim in claims.values()

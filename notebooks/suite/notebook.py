@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -58,21 +59,14 @@ def setup(
     profile = profile or os.environ.get("MOTIONLAB_PROFILE") or "full"
     if profile not in PROFILES or set(budgets) != set(PROFILES):
         raise DataError(f"profile {profile!r} with budgets {sorted(budgets)}", remedy=f"profiles are {PROFILES}")
-    folder = data or os.environ.get("MOTIONLAB_DATA") or None
-    if folder and not Path(folder).is_dir():
-        raise DataError("no such folder", path=folder, remedy="set MOTIONLAB_DATA to the unpacked recordings")
-    here = Path.cwd()
+    data = data or os.environ.get("MOTIONLAB_DATA") or None
+    if data and not Path(data).is_dir():
+        raise DataError("no such folder", path=data, remedy="set MOTIONLAB_DATA to the unpacked recordings")
     viz.draft = profile == "smoke" and bool(os.environ.get("MOTIONLAB_BATCH"))  # a person wants to see whole films
     parallel.one_thread()
-    lab = Lab(
-        notebook=notebook,
-        profile=profile,
-        seed=seed,
-        budget=SimpleNamespace(**budgets[profile]),
-        data=Path(folder) if folder else None,
-        claims=findings.load_claims(here / "claims.toml"),
-        folder=here,
-    )
+    here, budget = Path.cwd(), SimpleNamespace(**budgets[profile])
+    claims = findings.load_claims(here / "claims.toml")
+    lab = Lab(notebook, profile, seed, budget, Path(data) if data else None, claims, here)
     lab.say(lab.headline())
     return lab
 
@@ -91,7 +85,6 @@ class Lab:
     found: list[Finding] = field(default_factory=list)
     marks: staleness.Fingerprint = field(default_factory=dict)
     opened: float = field(default_factory=time.perf_counter)
-    workbench: list[tempfile.TemporaryDirectory] = field(default_factory=list)
 
     @property
     def number(self) -> str:
@@ -99,26 +92,22 @@ class Lab:
         return staleness.number_of(self.notebook)
 
     def headline(self) -> str:
-        """Returns profile, data, seed, device and versions in two lines."""
+        """Returns profile, data, seed, device and versions, and how long a run took when it was last recorded."""
         packages = ", ".join(f"{name} {version(name)}" for name in ("torch", "kornia", "pyvista"))
         where = "synthetic motion and the real recordings" if self.data else "synthetic motion"
         cpu = f"CPU, {torch.get_num_threads()} threads"
         device = torch.cuda.get_device_name() if torch.cuda.is_available() else cpu
         short = "  \nA short run: readings in the text are those of the full one." if self.profile == "smoke" else ""
+        known, cost = self._record().provenance, "It was never recorded how long a run takes."
+        if "seconds" in known:
+            full, brief = float(known["seconds"]), float(known.get("smoke seconds", "nan"))
+            worked = known.get("processor seconds")
+            took = f"{full / 60:.0f} minutes" + (f", {float(worked) / 60:.0f} of them a processor's" if worked else "")
+            cost = f"When it was last recorded, a full run took {took}, a short one {brief:.0f} s."
         return (
             f"**{self.notebook}**, profile *{self.profile}*, seed {self.seed}, on {where}.  \n"
-            f"Python {platform.python_version()}, {packages}; {device}.{short}  \n{self.cost()}"
+            f"Python {platform.python_version()}, {packages}; {device}.{short}  \n{cost}"
         )
-
-    def cost(self) -> str:
-        """Returns how long a full and a short run of this notebook took when they were last recorded."""
-        known = self._record().provenance
-        full, short = (float(known.get(name, "nan")) for name in ("seconds", "smoke seconds"))
-        worked = float(known.get("processor seconds", "nan"))
-        if not full < float("inf"):
-            return "It was never recorded how long a run takes."
-        work = f", {worked / 60:.0f} of them a processor's" if worked < float("inf") else ""
-        return f"When it was last recorded, a full run took {full / 60:.0f} minutes{work}, a short one {short:.0f} s."
 
     def generator(self, salt: object = "") -> torch.Generator:
         """Returns a fresh generator that depends on the notebook's seed and on ``salt`` only."""
@@ -135,23 +124,25 @@ class Lab:
         picture: a matplotlib Figure, an RGB array (H, W, 3), a PIL image, a film, or the path of a PNG.
         """
         if isinstance(picture, Figure):
-            display(Image(_png(lambda file: picture.savefig(file, format="png", dpi=110, bbox_inches="tight"))))
+            display(Image(_png(picture.savefig, dpi=110, bbox_inches="tight")))
             plt.close(picture)
         elif isinstance(picture, np.ndarray | Pillow.Image):
             still = Pillow.fromarray(picture) if isinstance(picture, np.ndarray) else picture
             small = still.convert("RGB").quantize(256, dither=Pillow.Dither.NONE)  # a third of the bytes
-            display(Image(_png(lambda file: small.save(file, format="png", optimize=True))))
+            display(Image(_png(small.save, optimize=True)))
         elif hasattr(picture, "_repr_html_"):
             display(HTML(picture._repr_html_()))  # nbconvert drops image/gif from its report; an <img> stays
         else:
             display(Image(filename=str(picture)))
         self.say(f"**Figure {number}.** {caption}")
 
+    @cached_property
+    def _workbench(self) -> tempfile.TemporaryDirectory:
+        return tempfile.TemporaryDirectory(prefix="motionlab-")
+
     def scratch(self, name: str) -> Path:
         """Returns a path for a film or file of this run in a folder that is deleted afterwards."""
-        if not self.workbench:
-            self.workbench.append(tempfile.TemporaryDirectory(prefix="motionlab-"))
-        return Path(self.workbench[0].name) / name
+        return Path(self._workbench.name) / name
 
     def table(self, rows: Sequence[Mapping[str, object]], caption: str = "") -> None:
         """Shows rows (all with the same keys) as a Markdown table; floats with three digits."""
@@ -174,23 +165,17 @@ class Lab:
 
         The numbers are this run's in the full profile. In the smoke profile they are those of the committed record.
         """
-        mine = {k: c for k, c in self.claims.items() if c.notebook == self.number}
-        found = self.settled() if self.profile == "full" else list(self._record().findings)
-        lines = []
-        for claim in mine.values():
-            try:
-                said = ledger.answer(claim, found)
-            except DataError:
-                said = "*(This run did not measure all that the answer names.)*"
-            lines.append(f'- **{claim.id}**, "{claim.title}": **{ledger.spoken(claim, found)}.** {said}')
-        self.say("\n".join(lines))
-
-    def _listed(self, title: str, fold: bool, rows: list[dict[str, object]]) -> None:
-        self.fold(title, rows) if fold else self.table(rows)
+        found = self.settled() if self.profile == "full" else self._record().findings
+        self.say(
+            "\n".join(
+                f'- **{c.id}**, "{c.title}": **{ledger.spoken(c, found)}.** {ledger.found_answer(c, found)}'
+                for c in self.claims.values()
+                if c.notebook == self.number
+            )
+        )
 
     def show(self, widget: object) -> None:
-        """Shows a live widget (a pyvista scene, a slider) where a person sits in front of it, not in a batch run; a
-        function that makes one is not called there."""
+        """Shows a live widget (a pyvista scene, a slider), or what a function makes of one, unless in a batch run."""
         if not os.environ.get("MOTIONLAB_BATCH"):
             display(widget() if callable(widget) else widget)
 
@@ -224,31 +209,16 @@ class Lab:
         """
         rule = self.criterion(test)
         samples = torch.as_tensor(samples, dtype=torch.float64).flatten()
+        value = low = high = float("nan")
         if samples.numel():
             value, low, high = interval(samples, statistic, self.generator(f"{test}/{source}"))
-        else:
-            value = low = high = float("nan")
         if baseline is not None:
             baseline = torch.as_tensor(baseline, dtype=torch.float64).flatten()
             generator = self.generator(f"{test}/{source}/baseline")
             baseline = interval(baseline, statistic, generator)[0] if baseline.numel() else None
-        finding = Finding(
-            test=test,
-            source=source,
-            value=value,
-            low=low,
-            high=high,
-            n=samples.numel(),
-            unit=rule.unit,
-            statistic=statistic,
-            bound=rule.bound_text(),
-            verdict=findings.judge(rule, low, high, samples.numel()),
-            notebook=self.notebook,
-            profile=self.profile,
-            baseline=rule.baseline,
-            baseline_value=baseline,
-            note=note,
-        )
+        n, bound, verdict = samples.numel(), rule.bound_text(), findings.judge(rule, low, high, samples.numel())
+        where = self.notebook, self.profile, rule.baseline, baseline, note
+        finding = Finding(test, source, value, low, high, n, rule.unit, statistic, bound, verdict, *where)
         self.found = [f for f in self.found if (f.test, f.source) != (test, source)] + [finding]
         return finding
 
@@ -264,13 +234,11 @@ class Lab:
         """What this run measured, but for what the clock decides and what only this machine has."""
         marks = dict(self.marks)
         for f in self.found:
-            rule = self.criterion(f.test)
+            rule, name = self.criterion(f.test), f.test if f.source == "synthetic" else f"{f.test}, {f.source}"
             if rule.clock or f.source.startswith("your "):
                 continue
-            name = f.test if f.source == "synthetic" else f"{f.test}, {f.source}"
             scale = rule.bound or 1.0  # of a difference that is compared with 0: a thousandth of its unit is rounding
-            marks[name] = staleness.mark(f.value, scale)
-            marks[f"{name}: n"] = staleness.Mark(f.n, 0)
+            marks |= {name: staleness.mark(f.value, scale), f"{name}: n": staleness.Mark(f.n, 0)}
             if f.baseline_value is not None:
                 marks[f"{name}: baseline"] = staleness.mark(f.baseline_value, scale)
         return marks
@@ -278,31 +246,12 @@ class Lab:
     def stale(self) -> list[str]:
         """Lists how this smoke run differs from its record, a phrase each."""
         record = self._record()
-        if self.profile != "smoke" or not record.source_hash:
-            return []
-        if not record.fingerprint and not self.marks and not self.found:
+        measured = record.fingerprint or self.marks or self.found
+        if self.profile != "smoke" or not record.source_hash or not measured:
             return []
         if not record.fingerprint:
             return ["the record has no fingerprint: python -m suite regenerate --fingerprints " + self.number]
         return record.moved(self._measured(0.0, 0.0))
-
-    def findings(self, *, fold: bool = False) -> None:
-        """Shows every number measured in this run; fold: behind a click."""
-        self._listed(
-            "Every number measured in this run",
-            fold,
-            [
-                {
-                    "test": f.test,
-                    "source": f.source,
-                    f"measured (95 % interval), {self.profile}": f"{f.statistic} {f.value_text()}",
-                    "bound": f.bound,
-                    "baseline": "" if f.baseline_value is None else f"{f.baseline}: {f.baseline_value:.3g} {f.unit}",
-                    "note": f.note,
-                }
-                for f in self.found
-            ],
-        )
 
     def settled(self) -> list[Finding]:
         """Returns this run's findings, with the recorded ones where this run may not judge.
@@ -321,53 +270,60 @@ class Lab:
         return [value for key, value in (recorded | fresh | slow).items() if key in fresh | away | slow]
 
     def _record(self) -> Record:
-        path = self.folder / "results" / f"{self.number}.json"
-        return findings.load_record(path) if path.exists() else Record(self.notebook, "", ())
+        return findings.record_of(self.folder / f"{self.notebook}.ipynb")
 
     def _code(self) -> str:
         file = self.folder / f"{self.notebook}.ipynb"
         return staleness.code_hash(file) if file.exists() else ""
 
-    def verdicts(self, *, fold: bool = False) -> None:
-        """Shows the verdict table: no measured number, so that it reads the same in both profiles.
+    def findings(self, *, fold: bool = False) -> None:
+        """Shows every number measured in this run; fold: behind a click."""
+        rows = [
+            {
+                "test": f.test,
+                "source": f.source,
+                f"measured (95 % interval), {self.profile}": f"{f.statistic} {f.value_text()}",
+                "bound": f.bound,
+                "baseline": "" if f.baseline_value is None else f"{f.baseline}: {f.baseline_value:.3g} {f.unit}",
+                "note": f.note,
+            }
+            for f in self.found
+        ]
+        self.fold("Every number measured in this run", rows) if fold else self.table(rows)
 
-        fold: behind a click.
+    def verdicts(self, *, fold: bool = False) -> None:
+        """Shows the verdict table without any measured number, the same in both profiles; fold: behind a click.
+
         A source that only this machine has ("your SMPL") is judged in the numbers above, not here.
         """
-        rows = sorted(
-            (f for f in self.settled() if not f.source.startswith("your ")),
-            key=lambda f: (f.test, f.source != "synthetic", f.source),
-        )
-        self._listed(
-            "Test, bound and verdict",
-            fold,
-            [
-                {
-                    "test": f.test,
-                    "source": f.source,
-                    "we ask": self.criterion(f.test).definition,
-                    "bound": f.bound,
-                    "verdict": f"**{f.verdict}**",
-                }
-                for f in rows
-            ],
-        )
+        shown = [f for f in self.settled() if not f.source.startswith("your ")]
+        rows = [
+            {
+                "test": f.test,
+                "source": f.source,
+                "we ask": self.criterion(f.test).definition,
+                "bound": f.bound,
+                "verdict": f"**{f.verdict}**",
+            }
+            for f in sorted(shown, key=lambda f: (f.test, f.source != "synthetic", f.source))
+        ]
+        self.fold("Test, bound and verdict", rows) if fold else self.table(rows)
 
     def close(self) -> None:
-        """Compares this run with the record, and writes one where that is asked for.
+        """Compares a smoke run with the record, and writes one where that is asked for.
 
-        A smoke run prints how the record differs from it. A run of ``make full`` ($MOTIONLAB_RECORD) writes
-        results/NN.json; any run writes to $MOTIONLAB_RESULTS when that is set; others write nothing.
+        A run of ``make full`` ($MOTIONLAB_RECORD) writes results/NN.json; any run writes to $MOTIONLAB_RESULTS when
+        that is set; others write nothing.
 
         Raises:
             StaleRecord: a smoke run differs from its fingerprint, and $MOTIONLAB_VERIFY is set.
         """
-        seconds, worked = time.perf_counter() - self.opened, _processor_seconds()
-        elsewhere = os.environ.get("MOTIONLAB_RESULTS")
-        if elsewhere:
-            findings.save_record(Path(elsewhere) / f"{self.number}.json", self._measured(seconds, worked))
-        elif self.profile == "full" and os.environ.get("MOTIONLAB_RECORD"):
-            findings.save_record(self.folder / "results" / f"{self.number}.json", self._measured(seconds, worked))
+        seconds, worked = time.perf_counter() - self.opened, sum(os.times()[:4])  # with what it waited for
+        folder = os.environ.get("MOTIONLAB_RESULTS")
+        if not folder and self.profile == "full" and os.environ.get("MOTIONLAB_RECORD"):
+            folder = self.folder / "results"
+        if folder:
+            findings.save_record(Path(folder) / f"{self.number}.json", self._measured(seconds, worked))
         moved = self.stale()
         if moved and os.environ.get("MOTIONLAB_VERIFY"):
             raise staleness.StaleRecord(self.notebook, moved, self._record().seconds)
@@ -391,19 +347,10 @@ class Lab:
         )
 
 
-def _processor_seconds() -> float:
-    """What this process and those that it began and waited for have worked."""
-    return sum(os.times()[:4])
-
-
-def _png(write: Callable[[io.BytesIO], object]) -> bytes:
+def _png(write: Callable[..., object], **how: object) -> bytes:
     buffer = io.BytesIO()
-    write(buffer)
+    write(buffer, format="png", **how)
     return buffer.getvalue()
-
-
-# -------------------------------------------------------------------------------------------------------------- tables
-# Tables as text.
 
 
 def _markdown_table(rows: Sequence[Mapping[str, object]]) -> str:

@@ -101,9 +101,9 @@ def read(notebook: Path, out: Path) -> Page:
             code = ""
         if cell.cell_type == "markdown":
             body.append(markdown(cell.source))
-        shown = _shown(cell.get("outputs", ()), keep, out)
-        pictures += [each for each in shown if isinstance(each, Picture)]
-        body += [_figure(each) if isinstance(each, Picture) else each for each in shown]
+        for each in _shown(cell.get("outputs", ()), keep, out):
+            pictures += [each] if isinstance(each, Picture) else []
+            body.append(_figure(each) if isinstance(each, Picture) else each)
     first = next((cell.source for cell in book.cells if cell.cell_type == "markdown"), "")
     answer = _said(first, "Answer", "We find")
     points = re.findall(r"^- \*\*(.+?)\*\*", answer, re.MULTILINE)
@@ -155,9 +155,8 @@ def _inline(text: str) -> str:
 
 def _said(text: str, *heads: str) -> str:
     """The paragraph, and a list right below it, that begins with one of these words in bold."""
-    found = re.search(
-        rf"^\*\*(?:{'|'.join(heads)})\.?\*\*(?: \([^)]*\)\.)?\s*(.+?)(?=\n\n(?!- )|\Z)", text, re.M | re.S
-    )
+    head = rf"^\*\*(?:{'|'.join(heads)})\.?\*\*(?: \([^)]*\)\.)?\s*"
+    found = re.search(head + r"(.+?)(?=\n\n(?!- )|\Z)", text, re.MULTILINE | re.DOTALL)
     return found[1] if found else ""
 
 

@@ -14,11 +14,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import jinja2
 
-from motionlab.errors import DataError
 from suite import execute, findings, ledger, staleness
 from suite.execute import Run
 from suite.findings import Claim, Finding, Record
@@ -51,8 +50,7 @@ _VERDICTS = {
 }
 
 
-@dataclass(frozen=True)
-class Check:
+class Check(NamedTuple):
     """What today's run says of a notebook: "good", "bad" or "" (nothing), in a sentence, with details.
 
     agree: how many findings are those of the record."""
@@ -98,11 +96,8 @@ def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: boo
     try:
         if run:
             today.mkdir(parents=True)
-            execute.run_side_by_side(
-                [(path, today / path.name) for path in paths],
-                environment | {"MOTIONLAB_RESULTS": str((today / "results").resolve())},
-                done=lambda run, _: ran.append(run),
-            )
+            environment |= {"MOTIONLAB_RESULTS": str((today / "results").resolve())}
+            execute.run_side_by_side([(path, today / path.name) for path in paths], environment, done=ran.append)
     finally:
         for entry in build(out, ran, full=profile == "full"):
             if entry.check.mark == "bad":
@@ -122,27 +117,22 @@ def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[En
     found = findings.load_results(execute.NOTEBOOKS / "results")
     shown = []
     for path in execute.find_notebooks():
-        run, mine = today.get(path.stem), f"{staleness.number_of(path.stem)}.json"
-        record = _record(path.parent / "results" / mine, path.stem)
-        now = _record(out / "today/results" / mine, path.stem)
-        copy = out / "today" / path.name
+        run, copy = today.get(path.stem), out / "today" / path.name
+        record, now = findings.record_of(path), findings.record_of(copy)
+        check = _check(run, record, now, full=full)
         if full and run and run.ok:
             path, record = copy, now
             found = [*(f for f in found if f.notebook != path.stem), *record.findings]
-        check = _check(run, record, now, full=full)
-        if check.mark == "good" and not full:
+        elif check.mark == "good":
             copy.unlink(missing_ok=True)
         shown.append((page.read(path, out), record, check))
+    verdicts = {claim: ledger.verdict(claim, found) for claim in claims.values()}
     entries = [
-        Entry(*each, tuple((c, ledger.verdict(c, found)) for c in claims.values() if c.notebook == each[0].number))
-        for each in shown
+        Entry(each, record, check, tuple((c, said) for c, said in verdicts.items() if c.notebook == each.number))
+        for each, record, check in shown
     ]
-    _write(out, entries, claims, found)
+    _write(out, entries, verdicts, found)
     return entries
-
-
-def _record(path: Path, notebook: str) -> Record:
-    return findings.load_record(path) if path.exists() else Record(notebook, "", ())
 
 
 def _check(run: Run | None, record: Record, now: Record, *, full: bool) -> Check:
@@ -157,28 +147,31 @@ def _check(run: Run | None, record: Record, now: Record, *, full: bool) -> Check
     expected = record.expected(now.recordings)
     if not expected:
         return Check("", f"Run {day} to its end; no numbers are on record to compare")
-    if moved := record.moved(now):
-        return Check(
-            "bad", f"Checked {day}: {len(moved)} of {len(expected)} numbers differ from the record", tuple(moved)
-        )
+    if moved := tuple(record.moved(now)):
+        return Check("bad", f"Checked {day}: {len(moved)} of {len(expected)} numbers differ from the record", moved)
     agree = sum(not name.endswith((": n", ": baseline")) for name in expected)
     return Check("good", f"Checked {day}: {agree} finding{'s' * (agree != 1)} agree{'s' * (agree == 1)}", agree=agree)
 
 
 # --------------------------------------------------------------------------------------------------------------- pages
-def _write(out: Path, entries: Sequence[Entry], claims: Mapping[str, Claim], found: Sequence[Finding]) -> None:
+def _write(out: Path, entries: Sequence[Entry], verdicts: Mapping[Claim, str], found: Sequence[Finding]) -> None:
     """Write the gallery, a page for every notebook, that of the tests, and their style."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"measured": _measured, "answer": lambda claim: _answer(claim, found)}
+    environment.filters |= {"measured": _measured, "answer": lambda claim: ledger.found_answer(claim, found)}
     films = [picture for entry in entries for picture in entry.page.pictures if picture.film]
+    parts: dict[str, list[Entry]] = {}
+    for entry in entries:
+        head = [title for number, title in PARTS.items() if number <= entry.page.number][-1]
+        parts.setdefault(head, []).append(entry)
     environment.globals |= {
         "entries": entries,
-        "claims": {claim: ledger.verdict(claim, found) for claim in claims.values()},
+        "parts": parts,
+        "claims": verdicts,
         "pages": {entry.page.number: f"{entry.page.name}.html" for entry in entries},
         "verdicts": _VERDICTS,
-        "spoken": {claim.id: ledger.spoken(claim, found) for claim in claims.values()},
+        "spoken": {claim.id: ledger.spoken(claim, found) for claim in verdicts},
         "findings": found,
         "film": next((film for film in films if film.caption.startswith(FILM)), next(iter(films), None)),
         "points": next((entry.page.points for entry in reversed(entries) if entry.page.points), ()),
@@ -189,34 +182,16 @@ def _write(out: Path, entries: Sequence[Entry], claims: Mapping[str, Claim], fou
     def write(name: str, template: str, **values: object) -> None:
         (out / name).write_text(environment.get_template(template).render(values), encoding="utf-8")
 
-    write("index.html", "index.html", parts=_parts(entries))
-    write("tests.html", "tests.html", tests=findings.all_tests(dict(claims)))
+    write("index.html", "index.html")
+    write("tests.html", "tests.html")
     for before, entry, after in zip([None, *entries], entries, [*entries[1:], None], strict=False):
         write(f"{entry.page.name}.html", "notebook.html", entry=entry, before=before, after=after)
     shutil.copy(TEMPLATES / "style.css", out / "style.css")
-
-
-def _parts(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
-    """The entries under the headings of the gallery."""
-    parts: dict[str, list[Entry]] = {}
-    for entry in entries:
-        head = [title for number, title in PARTS.items() if number <= entry.page.number][-1]
-        parts.setdefault(head, []).append(entry)
-    return parts
 
 
 def _measured(finding: Finding) -> str:
     """What was measured, as a person writes it."""
     if not math.isfinite(finding.value):
         return "not run: nothing to measure" if finding.n == 0 else f"no number, n = {finding.n}"
-    return f"{finding.statistic} {finding.value_text()}".replace(" ,", ",").replace(
-        "n = ", "n\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}"
-    )
-
-
-def _answer(claim: Claim, found: Sequence[Finding]) -> str:
-    """The claim's answer; of a full run that did not measure all that it names, a sentence that says so."""
-    try:
-        return ledger.answer(claim, found) if any(f.claim == claim.id for f in found) else ""
-    except DataError:
-        return "This run did not measure all that the answer names."
+    said = f"{finding.statistic} {finding.value_text()}".replace(" ,", ",")
+    return said.replace("n = ", "n\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")

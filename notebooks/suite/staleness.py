@@ -12,7 +12,7 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,6 +43,9 @@ class Mark(NamedTuple):
             return self.value is other.value
         return abs(self.value - other.value) <= max(self.within, other.within)
 
+    def __str__(self) -> str:
+        return "nothing" if self.value is None else f"{self.value:.4g}"
+
 
 Fingerprint = dict[str, Mark]
 
@@ -57,10 +60,9 @@ class StaleRecord(DataError):
 
     def __init__(self, notebook: str, moved: Sequence[str], seconds: float | None = None) -> None:
         self.moved = tuple(moved)
-        rerun = f"make full NOTEBOOKS={number_of(notebook)}" + (
-            "" if seconds is None else f" ({duration(seconds)} when last run)"
-        )
-        super().__init__("stale: " + "; ".join(moved), place=f"record of {notebook}", remedy=rerun)
+        took = "" if seconds is None else f" ({duration(seconds)} when last run)"
+        remedy = f"make full NOTEBOOKS={number_of(notebook)}{took}"
+        super().__init__("stale: " + "; ".join(moved), place=f"record of {notebook}", remedy=remedy)
 
 
 def duration(seconds: float) -> str:
@@ -81,16 +83,13 @@ def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
     Returns:
         the fingerprint, and what differs too much, or is not in all of them, to be part of it.
     """
-    first, others = runs[0], runs[1:]
     found, unsteady = {}, []
-    for name, (value, within) in first.items():
-        values = [run[name].value for run in others if name in run]
-        if len(values) < len(others) or any((v is None) != (value is None) for v in values):
-            unsteady.append(name)
-            continue
-        spread = max((abs(v - value) for v in values if v is not None), default=0.0)
-        size = min((run[name].within for run in runs if run[name].within), default=0.0) / TOLERANCE
-        if spread > STEADY * size:
+    for name, (value, within) in (runs[0] if runs else {}).items():
+        marks = [run[name] for run in runs if name in run]
+        known = [mark.value for mark in marks if mark.value is not None]
+        spread = max((abs(each - value) for each in known if value is not None), default=0.0)
+        size = min((mark.within for mark in marks if mark.within), default=0.0) / TOLERANCE
+        if len(marks) < len(runs) or len(known) not in (0, len(runs)) or spread > STEADY * size:
             unsteady.append(name)
         else:
             found[name] = Mark(value, max(within, SLACK * spread))
@@ -100,15 +99,11 @@ def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
 def differences(recorded: Fingerprint, now: Fingerprint) -> list[str]:
     """Lists how a run differs from its record, a phrase each; empty where nothing moved."""
     gone = [f"{name} is not measured any more" for name in recorded if name not in now]
+    both = {name: (was, now[name]) for name, was in recorded.items() if name in now and not was.agrees(now[name])}
     return gone + [
-        f"{name} was {_number(was)}, is {_number(now[name])} (may differ by {max(was.within, now[name].within):.1g})"
-        for name, was in recorded.items()
-        if name in now and not was.agrees(now[name])
+        f"{name} was {was}, is {found} (may differ by {max(was.within, found.within):.1g})"
+        for name, (was, found) in both.items()
     ]
-
-
-def _number(found: Mark) -> str:
-    return "nothing" if found.value is None else f"{found.value:.4g}"
 
 
 # ------------------------------------------------------------------------------------------------------ code and files
@@ -131,34 +126,28 @@ def _without_imports(code: str) -> str:
     return "\n".join(line for line in lines if line.strip())
 
 
-def loaded_modules(packages: Iterable[str] = OURS) -> dict[str, str]:
+def loaded_modules() -> dict[str, str]:
     """Computes a hash of every module of ours that this process has imported: of code, not layout or documentation."""
-    chosen = tuple(packages)
-    files = {
-        name: module.__file__
-        for name, module in sorted(sys.modules.items())
-        if name.split(".")[0] in chosen and getattr(module, "__file__", None)
-    }
-    return {name: source_hash(Path(file).read_text(encoding="utf-8")) for name, file in files.items()}
+    files = {name: getattr(module, "__file__", None) for name, module in sorted(sys.modules.items())}
+    ours = {name: file for name, file in files.items() if file and name.split(".")[0] in OURS}
+    return {name: source_hash(Path(file).read_text(encoding="utf-8")) for name, file in ours.items()}
 
 
 def changed_modules(recorded: Mapping[str, str], root: Path) -> list[str]:
     """Lists modules that are not what they were when a record was made: changed, renamed, gone. Only informs."""
-    beside = {name: name.startswith(("studies", "suite")) for name in recorded}  # the notebooks
-    paths = {name: [root, root / "notebooks"][beside[name]] / name.replace(".", "/") for name in recorded}
-    now = {}
-    for name, path in paths.items():
+    changed = []
+    for name, before in recorded.items():
+        path = root / ("notebooks" if name.startswith(("studies", "suite")) else "") / name.replace(".", "/")
         file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-        now[name] = source_hash(file.read_text(encoding="utf-8")) if file.is_file() else ""
-    return [name for name, before in recorded.items() if now[name] != before]
+        if not file.is_file() or source_hash(file.read_text(encoding="utf-8")) != before:
+            changed.append(name)
+    return changed
 
 
 def recordings_digest(folder: Path | None) -> dict[str, str]:
     """Computes a hash of the files (names and sizes) of every source in a folder of recordings; empty without one."""
-    if folder is None:
-        return {}
     found = {}
-    for source in sorted(path for path in Path(folder).iterdir() if path.is_dir()):
+    for source in sorted(path for path in folder.iterdir() if path.is_dir()) if folder else ():
         files = sorted((str(f.relative_to(source)), f.stat().st_size) for f in source.rglob("*") if f.is_file())
         found[source.name] = hashlib.sha256(json.dumps(files).encode()).hexdigest()[:8]
     return found
