@@ -25,7 +25,7 @@ help:
 	@echo "make small       the small models that notebooks 10, 13 and 15 compare, from MOTIONLAB_DATA (hours): rows are kept"
 	@echo "make train       pose prior, first states and features of recordings, in MOTIONLAB_DATA (hours)"
 	@echo "make bench       speed, as ratios measured in one run"
-	@echo "make doctor      what is installed, what is missing, and the remedy"
+	@echo "make doctor      what is installed, what is missing, and the remedy; how large each room is"
 
 notebooks: setup
 	@PYTHONPATH=notebooks $(PY) -m suite report
@@ -70,6 +70,7 @@ bench: setup
 doctor: setup
 	@$(PY) -m motionlab doctor
 	@PYTHONPATH=notebooks $(PY) -m suite records
+	@$(PY) tests/sizes.py
 
 setup: $(PREPARED)
 	@:

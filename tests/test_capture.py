@@ -13,7 +13,7 @@ from motionlab import rotation
 from motionlab.body import lbs
 from motionlab.errors import NotConverged, ShapeError
 from motionlab.motion import Motion
-from motionlab.observation import BODY_25, Observation2D, look_at
+from motionlab.observation import BODY_25, look_at
 from motionlab.skeleton import STANDARD, UPRIGHT
 from tests.draws import seeded
 
@@ -170,18 +170,6 @@ def test_what_makes_noise_larger(body):
     assert near[:, K["mid_hip"]].mean() > 2 * near[:, K["nose"]].mean(), "a hip is harder than a nose"
     edge = occluders.wall((-2, -1), (0.0, -1))
     assert (sigma(from_south(), edge) > 1.5 * sigma(from_south()))[:, K["neck"]].all(), "covered in part"
-
-
-def test_same_seed_same_observation(body):
-    one, two, other = (capture.observe(standing(), body, from_south(), seeded(s)).observation for s in (1, 1, 2))
-    assert torch.equal(one.keypoints, two.keypoints) and torch.equal(one.confidence, two.confidence)
-    assert not torch.equal(one.keypoints, other.keypoints)
-
-
-def test_an_observation_holds_no_truth(body):
-    observation = capture.observe(standing(), body, from_south(), seeded()).observation
-    assert not any(isinstance(value, Motion | capture.Truth) for value in vars(observation).values())
-    assert set(vars(observation)) == set(Observation2D.__dataclass_fields__)
 
 
 @pytest.mark.parametrize("seed", range(8))

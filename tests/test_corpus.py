@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from data_synth import corpus
-from data_synth.audit import acceleration, audit
+from data_synth.audit import audit
 from data_synth.corpus import Recipe, build
 from motionlab.errors import ShapeError
 
@@ -94,22 +94,3 @@ def test_a_damaged_cache_is_made_anew(damage):
     path.write_bytes({"truncated": data[: len(data) // 2], "flipped": data, "garbage": b"no tensors"}[damage])
     again = small()
     assert torch.equal(fresh.sequences[-1].motion.rot, again.sequences[-1].motion.rot)
-
-
-def test_statistics_count_everything():
-    whole = small()
-    rows = whole.statistics()
-    assert sum(row["sequences"] for row in rows) == 5
-    assert sum(row["minutes"] for row in rows) == pytest.approx(5 * 15 / 60)
-    for row in rows:
-        assert sum(row["actions"].values()) == pytest.approx(1)
-
-
-@pytest.mark.parametrize("index", [1, 4, 12, 13])
-def test_acceleration_is_continuous(index):
-    """Its peak, in the sequences with the fastest steps, does not grow with the frame rate (a bench does them all)."""
-    peak = []
-    for fps in (60.0, 240.0):
-        take = corpus.perform_sequence(Recipe(fps=fps), index)
-        peak.append(float(acceleration(take.motion.to(torch.float64)).max()))
-    assert peak[1] < 1.05 * peak[0]

@@ -64,16 +64,6 @@ def test_same_seed_same_failure_other_seed_another(name):
     assert not torch.equal(one[0].keypoints, other[0].keypoints)
 
 
-def test_below_follows_the_true_height_not_the_picture():
-    after, mask = corrupt.occlude_below(observed(missing=0.0), POINTS, 0.9)
-    assert torch.equal(mask, POINTS[..., 2] < 0.9) and torch.equal(after.visible, POINTS[..., 2] >= 0.9)
-
-
-def test_single_frames():
-    after, _ = corrupt.drop_frames(observed(), [0, 7, -1])
-    assert (~after.visible.any(-1)).nonzero()[:, 1].unique().tolist() == [0, 7, 59]
-
-
 def test_flipping_the_same_frames_twice_is_nothing():
     before = observed()
     after, mask = corrupt.flip_limbs(before, seeded(), 0.3, 5)
@@ -142,10 +132,3 @@ def test_three_d_noise():
     assert torch.equal(positions, kept)
     one, two, other = (corrupt.noisy_joints(positions, seeded(s))[0] for s in (1, 1, 2))
     assert torch.equal(one, two) and not torch.equal(one, other)
-
-
-def test_double_precision_stays():
-    o = observed()
-    o = Observation2D(o.keypoints.double(), o.confidence.double(), BODY_25, 30.0, CAMERA)
-    for draw in DRAWN.values():
-        assert draw(o, seeded())[0].keypoints.dtype == torch.float64

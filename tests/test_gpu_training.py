@@ -1,6 +1,5 @@
-"""The steps of tests/bench/gpu: their losses beside the library's, and that none of them waits for the host."""
+"""The steps of tests/bench/gpu: their losses, windows and masks beside the library's."""
 
-import copy
 import math
 from dataclasses import replace
 
@@ -16,7 +15,7 @@ from motionlab.diffusion.windows import gather, on_standard
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
-from tests.bench.gpu import steps, train
+from tests.bench.gpu import steps
 
 ODDS = torch.tensor([0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.85])
 COUNT = 24
@@ -125,54 +124,3 @@ def test_masks_are_as_the_library_draws_them(kind, table, k):
     more = 0.25 if kind == "entries" else 0.0  # all but those that are missing in the same frames
     assert abs(mine[..., :-1].mean() - theirs[..., :-1].mean() - more) < 0.03
     assert abs(mine[..., -1].mean() - theirs[..., -1].mean()) < 0.03
-
-
-def test_what_is_packed_is_what_was_there(windows, data, k, tmp_path):
-    train.pack(windows, str(tmp_path / "w.npz"))
-    found = train.unpacked(str(tmp_path / "w.npz"), torch.device("cpu"))
-    assert (found.root - data.root).abs().max() < 4e-4 and (found.rot - data.rot).abs().max() < 1e-3
-    assert torch.equal(found.contacts, data.contacts) and torch.equal(found.begins, data.begins)
-
-
-def _away(thing):
-    """On the meta device, where a constant of the host and a value that is read are errors."""
-    found = copy.copy(thing)
-    for name, value in vars(thing).items():
-        if isinstance(value, torch.Tensor):
-            setattr(found, name, value.to("meta"))
-        elif isinstance(value, list):
-            setattr(found, name, [x.to("meta") if isinstance(x, torch.Tensor) else x for x in value])
-    return found
-
-
-@pytest.mark.parametrize(
-    "how",
-    [
-        {"recipe": {"kinds": [["legs", 0.5], ["keys", 0.5]], "size": 64, "layers": 1, "batch": 4}},
-        {"recipe": {"kinds": [["nothing", 1.0]], "size": 64, "layers": 1, "batch": 4, "noised": True}},
-        {"plain": {"size": "small", "batch": 4}},
-    ],
-)
-def test_no_step_waits_for_the_host(how, k, data, table):
-    far = _away(k)
-    far.device = torch.device("meta")
-    one = train.Run("one", how, far, _away(data), _away(table))
-    one.advance()
-    with pytest.raises((RuntimeError, NotImplementedError)):  # control
-        one.loss.item()
-    near = train.Run("one", how, k, data, table)
-    near.advance()
-    assert near.loss > 0 and all(x.grad.isfinite().all() for x in near.weights)
-
-
-@pytest.mark.parametrize(
-    ("how", "said"),
-    [
-        ({"plain": {"size": "small", "patch": 2}}, "patch: of a denoiser it hears size"),
-        ({"recipe": {"kinds": [["legs", 0.5], ["onward", 0.5]]}}, "onward: of masks it draws nothing"),
-        ({"recipe": {"kinds": [["legs", 1.0]], "rough": True}}, "rough"),
-    ],
-)
-def test_what_a_plan_asks_for_and_does_not_get_is_refused(how, said, k, data, table):
-    with pytest.raises(ValueError, match=f"one: {said}"):
-        train.Run("one", how, k, data, table)

@@ -1,6 +1,5 @@
 """The study of notebook 11: chains along one noise, copies, splices, and measures by person."""
 
-import dataclasses
 from types import SimpleNamespace
 
 import pytest
@@ -50,31 +49,6 @@ def test_chains_along_one_noise_agree_and_along_other_noise_do_not():
     other, _ = walks.ddpm(model(), (1000,), 200, seeded(4))
     apart = (made[100] - made[1000]).square().mean()
     assert apart < 0.02 * (other[1000] - made[1000]).square().mean()
-
-
-def test_what_is_seen_ends_with_the_result():
-    made, seen = walks.ddpm(model(), (50,), 2, seeded(5))
-    assert torch.equal(seen[0.0], made[50]) and tuple(seen) == walks.LEFT
-    assert not torch.equal(seen[1.0], made[50])
-
-
-@dataclasses.dataclass
-class Network:
-    denoiser: torch.nn.Module
-
-
-class Wide(torch.nn.Linear):
-    def forward(self, x, stamps):
-        return super().forward(x)
-
-
-def test_in_halves_the_last_steps_are_exact_and_the_others_near():
-    network = Wide(64, 64)
-    fast, x = walks.halved(Network(network)).denoiser, torch.randn(70, 64, generator=seeded(20))
-    with torch.no_grad():
-        last, early = (torch.full((70,), t) for t in (walks.EXACT - 1, walks.EXACT))
-        assert torch.allclose(fast(x, last), network(x, last), atol=1e-6)
-        assert torch.allclose(fast(x, early), network(x, early), atol=0.05) and fast(x, early).dtype == x.dtype
 
 
 def moving(seed, frames, count=None):
@@ -133,19 +107,6 @@ def test_pseudo_values_of_a_mean_are_the_groups_own_means():
     groups = torch.arange(5).repeat(6)
     values = measures.pseudo(lambda x: float(x.travel.mean()), [judged(torch.zeros(30, 1), travel)], groups)
     assert values == pytest.approx(torch.stack([travel[groups == k].mean() for k in range(5)]))
-
-
-def test_a_field_is_over_the_mean_of_training_and_the_best_rival_is_the_nearest_to_it():
-    sets = {
-        name: judged(torch.randn(20, 3, generator=seeded(k)), torch.full((20,), float(k)))
-        for k, name in enumerate("ABCD")
-    }
-    sets["A"].travel[3] = torch.nan  # as where no foot is down
-    assert len(measures.over(sets["A"], sets["B"], "travel")) == 19
-    assert measures.over(sets["D"], sets["C"], "travel").tolist() == pytest.approx([1.5] * 20)
-    sets |= {"P": sets["D"], "people who train": sets["C"]}
-    found = measures.beside_the_best(sets, ["B", "D"], sets["C"], torch.arange(20) // 5, sets["C"])
-    assert found["travel"][2] == "D" and found["travel"][1].mean() == pytest.approx(1.5)
 
 
 def test_the_classifier_is_a_coin_on_equal_sets_and_sure_on_others():

@@ -39,19 +39,6 @@ def test_widened_regions_hold_on_people_who_had_no_say():
         )
 
 
-def test_few_people_get_the_widest_radius_that_was_asked_for():
-    some = people(4)
-    assert cal.radius(some, 1.0, 1e-4, 0.9) == max(cal.deviations(c, 1.0, 1e-4)[0].max().item() for c in some)
-
-
-def test_a_person_counts_once_however_many_places_are_hidden():
-    few, many = people(2, places=10), people(2, places=1000, generator=seeded(3))
-    many = [Clip("another", c.truth + 1.0, c.fit, c.drawn) for c in many]
-    assert cal.by_person(few + many, lambda c: c.error).shape == (2,)
-    both = cal.held(few + many, 1.0, 1e-4, 3.0)
-    assert both[0] > 0.8 and both[1] < 0.2
-
-
 def test_likelihood_chooses_the_temperature_that_is_true():
     assert cal.chosen(people(20)) == (1.0, min(cal.FLOORS))
     assert cal.chosen(people(20, wrong=3.0))[0] == 10.0

@@ -9,7 +9,6 @@ import torch
 from motionlab.contact import with_contacts
 from motionlab.observation import look_at
 from studies.nb09_posterior import assumed_camera as assumed
-from tests.draws import seeded
 from tests.fit_inputs import keypoints, side_camera, two_walks
 
 FRAMES = torch.tensor([2, 9, 16])
@@ -68,18 +67,3 @@ def test_numbers_that_are_true_of_a_known_case(clip):
     pitched = replace(true, rotation=true.rotation.clone())
     pitched.rotation[:, 2] = up.float()
     assert assumed.true_numbers(seen, clip, pitched, FRAMES)[3].item() == pytest.approx(0.1, abs=1e-5)
-
-
-def test_what_was_told_is_known_as_well_as_it_was_measured(seen):
-    exact = torch.tensor([0.0, 0.1, 0.2, 0.05, 0.3]).double()
-    middle, sizes = seen.before({2: 0.01}, exact)
-    assert middle.tolist() == pytest.approx([0.0, 0.0, 0.2, 0.0, 0.0], abs=1e-6)
-    assert sizes.tolist() == pytest.approx([0.05, 10.0, 0.01, 0.15, 0.4])
-
-
-def test_a_told_focal_length_narrows_the_distance(seen):
-    exact, wide = torch.zeros(5).double(), []
-    for told in assumed.KNOWLEDGE.values():
-        chain = assumed.walked(seen, exact, told, seeded(), steps=1500, block=100, least=3)
-        wide.append(chain.draws()[:, 1].std().item())
-    assert wide[0] > wide[1] > 0 and wide[0] > 1.5 * wide[2]

@@ -5,8 +5,6 @@ import torch
 
 from data_synth import clips
 from motionlab.humor import compiled, stages, unknowns
-from motionlab.humor.pretrained import load_priors
-from studies.nb06_profile.program import Closure, changes, trained_terms
 from studies.official import unknowns as official_unknowns
 from studies.shared import profiling, savings
 from studies.shared.savings import FAITHFUL, LEAN, Savings
@@ -45,22 +43,6 @@ def test_every_rung_and_every_saving_alone_has_the_same_terms(work, part):
     single = [replace(FAITHFUL, **{field.name: True}) for field in fields(Savings)]
     for on in [FAITHFUL, *single, *(on for _, on in savings.rungs())]:
         assert apart(terms(work, on, part), lean) < 1e-4, on
-
-
-def test_a_trained_prior_sees_the_official_heading_and_nothing_else():
-    """People turn little between frames, where the acos of a guarded cosine is wrong by a milliradian."""
-    walk = clips.draw(1, seeded(), actions=("walk",))[0].motion.cut(0, 12)
-    heading, rest = changes(trained_terms(walk, seeded()))
-    assert rest < 1e-6 and 1e-4 < heading < 0.05
-    assert not any(weight.requires_grad for weight in load_priors().motion.parameters())  # shared, they stay frozen
-
-
-def test_steps_written_out_are_the_closure(work):
-    for on in (FAITHFUL, LEAN):
-        step = Closure(work, on)
-        with step.gradients():
-            states = step.roll_out(step.first_state())
-            assert apart(step.energies(states, step.pose(states)), terms(work, on)) < 1e-6
 
 
 def test_control_another_shape_is_another_energy(work):

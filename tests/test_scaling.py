@@ -1,7 +1,6 @@
 import torch
 from scipy.optimize import curve_fit
 
-from studies.nb06_profile import official_profile
 from studies.nb06_profile.scaling import power_law
 
 
@@ -27,9 +26,3 @@ def test_median_and_width_agree_with_least_squares_in_the_logarithm():
     deviation = cov[1, 1] ** 0.5
     assert abs(median - found[1]) < 0.2 * deviation
     assert 0.85 < (high - low) / (2 * 2.1 * deviation) < 1.25  # 2.1: Student's t with 18 degrees of freedom
-
-
-def test_official_profile_gives_the_shares_of_its_reference():
-    found = official_profile.load()
-    assert [round(x, 1) for x in found.shares().values()] == [81.3, 47.7, 18.5, 47.7]
-    assert round(found.total, 1) == 35.8 and 14 < found.fits(11 * 2**30) < 15

@@ -99,14 +99,12 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 # --------------------------------------------------------------------------------------------------------------- views
-def views_table(folder: Path, plans: Sequence[str], cameras: Sequence[str], alone: int | None) -> None:
-    """Prints the error of every view under each plan, fitted together, or of one alone; and processor seconds."""
+def views_table(folder: Path, plans: Sequence[str], cameras: Sequence[str]) -> None:
+    """Prints the error of every view under each plan, fitted together, and processor seconds."""
     _import_studies()
     from studies.nb05_testops import recordings
 
     views, priors = recordings.pose2sim(folder), pretrained.load_priors()
-    if alone is not None:
-        views = _one(views, alone)
     print(f"{views.observation.frames} frames of {', '.join(views.names)}; joint error, pelvis aligned, cm")
     for how in cameras:
         for name in plans:
@@ -123,14 +121,6 @@ def views_table(folder: Path, plans: Sequence[str], cameras: Sequence[str], alon
                 f"{found['acceleration'].mean():.2f}; surprise {surprise}; {spent:.1f} s, {searched} closures",
                 flush=True,
             )
-
-
-def _one(views, k: int):
-    """One of several views."""
-    seen = views.observation
-    seen = replace(seen, keypoints=seen.keypoints[k : k + 1], confidence=seen.confidence[k : k + 1])
-    part = {name: getattr(views, name)[k : k + 1] for name in ("cameras", "names", "pictures")}
-    return views._replace(observation=seen, **part)
 
 
 # -------------------------------------------------------------------------------------------------------------- people
@@ -202,7 +192,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--files", type=Path, default=beside[0] if beside else None, help="folder of keypoint files")
     parser.add_argument("--views", action="store_true", help="fit Pose2Sim's four views; a minute or so each plan")
-    parser.add_argument("--alone", type=int, metavar="VIEW", help="fit one view, 0 to 3, by itself")
     parser.add_argument("--people", type=int, metavar="N", help="fit so many people of CMU, each alone")
     parser.add_argument("--part", choices=("choose", "report"), default="choose", help="whose people these are")
     parser.add_argument(
@@ -224,7 +213,7 @@ def main() -> None:
     elif not (data / "pose2sim_openpose").is_dir():
         print("no MOTIONLAB_DATA with pose2sim_openpose in it: nothing measured")
     else:
-        views_table(data / "pose2sim_openpose", options.plans, options.cameras, options.alone)
+        views_table(data / "pose2sim_openpose", options.plans, options.cameras)
 
 
 if __name__ == "__main__":

@@ -162,26 +162,6 @@ def report(found: dict) -> None:
                 )
 
 
-def hidden_legs(rows: list[tuple[str, Motion]]) -> None:
-    """Prints how far legs that are never seen come from where they were, and straight ones, as of a doll."""
-    generator = torch.Generator().manual_seed(0)
-    found = {name: defaultdict(list) for name in ("network", "straight")}
-    for person, motion in rows:
-        legs = sorted(animate.found_joints(motion, ["legs"]))
-        below = [j for j in legs if motion.skeleton.parents[j] in legs]  # hips stay where they are
-        keep = animate.kept(motion, joints=[n for j, n in enumerate(motion.skeleton.names) if j not in legs])
-        for name, made in (
-            ("network", animate.completed(motion, ["legs"]).motion),
-            ("straight", animate.curves(motion, keep)),
-        ):
-            far = (made.positions - motion.positions)[:, below].norm(dim=-1)
-            found[name][person].append(100 * float(far.mean()))
-    for name, each in found.items():
-        far = torch.tensor([sum(x) / len(x) for x in each.values()])
-        mean, low, high = intervals.interval(far, "mean", generator)
-        print(f"hidden legs, {name}: {mean:.1f} cm [{low:.1f}, {high:.1f}]")
-
-
 def main() -> None:
     data = os.environ.get("MOTIONLAB_DATA")
     if not data or not (Path(data) / "cmu_library").is_dir():
@@ -192,13 +172,9 @@ def main() -> None:
     parser.add_argument("--part", choices=people.PARTS, default="report")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
-    parser.add_argument("--legs", action="store_true", help="hidden legs instead")
     options = parser.parse_args()
     rows = clips(Path(data) / "cmu_library", options.part, options.clips)
     print(f"{len(rows)} clips of {len({who for who, _ in rows})} people ({options.part})")
-    if options.legs:
-        hidden_legs(rows)
-        return
     found = {name: defaultdict(lambda: defaultdict(list)) for name in ("error", "slid", "pops", "seconds")}
     try:
         for done, (person, motion) in enumerate(rows):

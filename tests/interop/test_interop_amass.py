@@ -1,10 +1,8 @@
 """aitviewer reads the AMASS files that we write and puts every joint where we have it, on a body in SMPL-H's format.
 
-SMPL's own bodies may not be shipped; this one has our bones, one vertex a joint. $MOTIONLAB_INTEROP names the Python.
+SMPL's own bodies may not be shipped; this one has our bones, one vertex a joint.
 """
 
-import os
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +12,7 @@ import torch
 
 from motionlab.io import amass
 from motionlab.skeleton import STANDARD
+from tests.interop.asking import ask, needs_python
 
 pytestmark = pytest.mark.interop
 PELVIS = torch.tensor([-0.002, -0.23, 0.03])  # J_0, which SMPL's translation leaves out
@@ -40,16 +39,13 @@ def write_body(folder: Path) -> None:
     np.savez(folder / "smplh/SMPLH_FEMALE.npz", **arrays)  # which aitviewer takes for "neutral"
 
 
-@pytest.mark.skipif("MOTIONLAB_INTEROP" not in os.environ, reason="no Python with aitviewer: make interop")
+@needs_python
 def test_joints_of_another_reader_are_ours(tmp_path, motions):
     walk = replace(motions[0].cut(0, 60), skeleton=STANDARD, contacts=None)
     write_body(tmp_path)
     amass.save(tmp_path / "walk.npz", walk, pelvis_offset=PELVIS)
-    script = Path(__file__).with_name("aitviewer_reads.py")
-    words = (os.environ["MOTIONLAB_INTEROP"], script, tmp_path / "walk.npz", tmp_path, tmp_path / "joints.npz", 15)
-    run = subprocess.run([str(word) for word in words], capture_output=True, text=True, timeout=300)
-    assert run.returncode == 0, run.stderr[-2000:]
-    assert "FPS 30.0" in run.stdout and "neutral" in run.stdout
+    said = ask("aitviewer_reads.py", tmp_path / "walk.npz", tmp_path, tmp_path / "joints.npz", 15).stdout
+    assert "FPS 30.0" in said and "neutral" in said
     with np.load(tmp_path / "joints.npz") as found:
         joints, half = found["joints"][:, :22], found["other"][:, :22]
     ours = walk.positions.numpy()

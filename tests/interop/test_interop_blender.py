@@ -1,29 +1,24 @@
 """Blender opens what we write: how many armatures, meshes and actions; joints and skin are where ours are."""
 
 from dataclasses import replace
-from pathlib import Path
 
-import in_blender
 import numpy as np
 import pytest
 import torch
-from in_blender import MARKS
 
 from motionlab.body import BodyModel, lbs
 from motionlab.io import bvh, gltf
 from motionlab.motion import Motion
+from tests.interop import asking
+from tests.interop.asking import blender, needs_python
 
-pytestmark = MARKS
+pytestmark = [pytest.mark.interop, needs_python]
 FRAMES = (0, 17, 40, 63, 89)
-
-
-def blender(path: Path, fps: float = 30.0) -> dict:
-    return in_blender.blender(path, fps, FRAMES)
 
 
 def apart(theirs: list[dict], motion: Motion, later: int = 0) -> float:
     """The largest distance in metres of any joint at any of the frames, ours so many frames later."""
-    return float(in_blender.apart(theirs, motion, FRAMES, later).max())
+    return float(asking.apart(theirs, motion, FRAMES, later).max())
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +37,7 @@ def people(motions):
 def one(tmp_path_factory, people, body):
     path = tmp_path_factory.mktemp("glb") / "one.glb"
     gltf.save(path, people[0], body, names=["Anna"])
-    return blender(path)
+    return blender(path, 30, FRAMES)
 
 
 def test_a_person_is_an_armature_a_skinned_mesh_and_an_action(one):
@@ -69,7 +64,7 @@ def test_negative_control_another_frame_is_elsewhere(one, people):
 def test_two_people_are_two_armatures_each_with_its_action(tmp_path, people, body, with_body):
     """Without a body, too: not 44 empties. Blender 4.2 makes an action each, 4.4 and later a slot each of one."""
     gltf.save(tmp_path / "two.glb", people, body if with_body else None, names=["Anna", "Bert"])
-    found = blender(tmp_path / "two.glb")
+    found = blender(tmp_path / "two.glb", 30, FRAMES)
     assert sorted(found["armatures"]) == ["Anna", "Bert"] and len(set(found["armatures"].values())) == 2
     assert found["meshes"] == ({"Anna body": ["Anna"], "Bert body": ["Bert"]} if with_body else {})
     assert found["objects"] == (4 if with_body else 2)
@@ -78,10 +73,10 @@ def test_two_people_are_two_armatures_each_with_its_action(tmp_path, people, bod
 
 
 def test_bvh_is_one_armature_with_bones_of_some_length(tmp_path, people):
-    """blender() fails on "zero length node"; head, hands and toes are as long as save says."""
+    """``blender`` fails on "zero length node"; head, hands and toes are as long as save says."""
     walk = people[0]
     bvh.save(tmp_path / "walk.bvh", walk)
-    found = blender(tmp_path / "walk.bvh")
+    found = blender(tmp_path / "walk.bvh", 30, FRAMES)
     assert found["fps"] == 30 and list(found["armatures"]) == ["walk"] and found["actions"] == 1
     assert apart(found["joints"]["walk"], walk) < 1e-3
     lengths = found["lengths"]["walk"]

@@ -3,13 +3,13 @@
 from dataclasses import replace
 
 import pytest
-from in_blender import MARKS, apart, blender, joints_of
 
 from motionlab import __main__, io
 from motionlab.body import BodyModel
 from motionlab.io import bvh, gltf
+from tests.interop.asking import apart, blender, joints_of, needs_python
 
-pytestmark = MARKS
+pytestmark = [pytest.mark.interop, needs_python]
 FRAMES = (0, 10, 20, 29)
 COMMANDS = {
     "t pose": ["convert", "IN", "OUT", "--rest", "t"],

@@ -1,12 +1,6 @@
-"""Other programs open what ``fit`` writes: Blender its scene and BVH, ffprobe its film, aitviewer its AMASS file.
+"""Other programs open what ``fit`` writes: Blender its scene and BVH, ffprobe its film, aitviewer its AMASS file."""
 
-$MOTIONLAB_INTEROP names the Python that has ``bpy`` and aitviewer; each is asked in a process of its own.
-"""
-
-import json
-import os
 import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,22 +14,13 @@ from data_synth.subjects import SUBJECTS
 from motionlab import __main__, fit
 from motionlab.io import amass, bvh, gltf
 from motionlab.observation import BODY_25, look_at, project
+from tests.interop.asking import ask, blender, needs_python
 from tests.interop.test_interop_amass import PELVIS, write_body
 from tests.interop.test_interop_video import ffprobe
 
-PYTHON = os.environ.get("MOTIONLAB_INTEROP")
 pytestmark = pytest.mark.interop
-other = pytest.mark.skipif(PYTHON is None, reason="no Python with Blender and aitviewer: make interop")
 FRAMES, FPS, SIZE = 8, 25, (640, 360)  # of the film; the motions have 30 frames per second
 SHOWN = (0, 3, 8)
-
-
-def ask(script: str, *words: object) -> str:
-    """What another Python prints."""
-    command = [PYTHON, Path(__file__).with_name(script), *words]
-    run = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=300)
-    assert run.returncode == 0, run.stderr[-2000:]
-    return run.stdout
 
 
 @pytest.fixture(scope="module")
@@ -54,11 +39,11 @@ def scene(tmp_path_factory) -> Path:
     return folder / "out"
 
 
-@other
+@needs_python
 @pytest.mark.parametrize("name", ["scene.glb", "motion.bvh"])
 def test_blender_plays_the_scene_and_the_bvh(scene, name):
     ours = {"scene.glb": gltf.load, "motion.bvh": bvh.load}[name](scene / name)
-    found = json.loads(ask("blender_reads.py", scene / name, 30, *SHOWN).splitlines()[-1])
+    found = blender(scene / name, 30, SHOWN)
     assert len(found["armatures"]) == found["actions"] == 1 and found["fps"] == ours.fps == 30
     assert len(found["meshes"]) == (name == "scene.glb")
     heads = np.array(
@@ -74,12 +59,12 @@ def test_ffprobe_counts_the_frames_of_the_film(scene):
     assert (frames, rate, codec, pixels) == (FRAMES, FPS, "h264", "yuv420p") and not any(side % 2 for side in size)
 
 
-@other
+@needs_python
 def test_aitviewer_puts_the_joints_where_the_amass_file_has_them(scene, tmp_path):
     """Its ``trans`` is the pelvis: a reader that adds SMPL's J_0 shows all of it moved by that, as the report says."""
     write_body(tmp_path)
     ours = amass.load(scene / "motion.npz")
-    said = ask("aitviewer_reads.py", scene / "motion.npz", tmp_path, tmp_path / "joints.npz", 15)
+    said = ask("aitviewer_reads.py", scene / "motion.npz", tmp_path, tmp_path / "joints.npz", 15).stdout
     assert "FPS 30.0" in said and "neutral" in said
     with np.load(tmp_path / "joints.npz") as found:
         joints = found["joints"][:, :22] - PELVIS.numpy()

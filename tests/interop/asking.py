@@ -1,4 +1,4 @@
-"""Asks Blender, in a process of its own: $MOTIONLAB_INTEROP names the Python that has ``bpy`` (`make interop`)."""
+"""Another Python, with Blender and aitviewer, is asked in a process of its own; $MOTIONLAB_INTEROP names it."""
 
 import json
 import os
@@ -12,15 +12,20 @@ import pytest
 from motionlab.motion import Motion
 
 PYTHON = os.environ.get("MOTIONLAB_INTEROP")
-MARKS = [pytest.mark.interop, pytest.mark.skipif(PYTHON is None, reason="no Python with Blender: make interop")]
+needs_python = pytest.mark.skipif(PYTHON is None, reason="no Python with Blender and aitviewer: make interop")
+
+
+def ask(script: str, *words: object) -> subprocess.CompletedProcess:
+    """A script beside this file, run to its end there."""
+    command = [PYTHON, Path(__file__).with_name(script), *words]
+    run = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, run.stderr[-2000:]
+    return run
 
 
 def blender(path: Path, fps: float, frames: Sequence[int], back: Path | None = None) -> dict:
-    """What Blender makes of a file, at some frames; back: written again by its exporter, with its own settings."""
-    script = Path(__file__).with_name("blender_reads.py")
-    command = [PYTHON, script, path, fps, *frames, *([back] if back else [])]
-    run = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=300)
-    assert run.returncode == 0, run.stderr[-2000:]
+    """What Blender makes of a file, at these frames, without a complaint; back: written again by its exporter."""
+    run = ask("blender_reads.py", path, fps, *frames, *([back] if back else []))
     said = run.stdout + run.stderr
     assert "zero length" not in said and "Error" not in said, said[-2000:]
     return json.loads(next(line for line in reversed(run.stdout.splitlines()) if line.startswith("{")))
