@@ -93,17 +93,6 @@ def test_a_wall_hides_what_is_behind_it_and_nothing_in_front(body):
         assert (shot.truth.clear == (0.0 if hides else 1.0)).all()
 
 
-def test_half_a_wall_hides_half_a_person(body):
-    """The wall reaches from x = 0.02 to the right: the line to a point p crosses y = -1 at 3/4 of p.x, nearly."""
-    shot = capture.observe(standing(), body, from_south(), seeded(), [occluders.wall((0.02, -1), (2, -1))])
-    x, y, _ = shot.truth.points.unbind(-1)
-    at_wall = x * 3 / (y + 4)
-    sure = (at_wall - 0.02).abs() > 0.02
-    free = torch.where(shot.truth.clear > 0.5, 1.0, 0.0)
-    assert torch.equal(free[sure], (at_wall < 0.02).float()[sure]) and 0.2 < free.mean() < 0.8
-    assert not shot.observation.visible[shot.truth.clear == 0].any()
-
-
 def test_scenes_hide_what_they_say(body):
     walk, camera = standing(40, -np.pi / 2, 3.0), from_south(6.0)
     desk = capture.observe(walk, body, camera, seeded(), [occluders.desk_before(walk, camera)]).truth

@@ -67,20 +67,6 @@ def test_what_cannot_be(model, truth):
         model.complete(torch.full_like(places, torch.inf), which)
 
 
-def test_kept_chains_keep_the_handles_but_for_the_height(model, truth):
-    """Eq. 4.10, and the mean pose that it must beat."""
-    which = people.handles(("left_wrist", "head"), 24, seeded())
-    which[:12, 0] = True  # the pelvis of half of them
-    some = people.Poses(truth, truth, torch.arange(24), which & False)
-    for way in (trials.inpainted(model, False), trials.inpainted(model, True), trials.mean_kept(model)):
-        made = way(some, which, seeded())
-        assert off(made, truth)[:12][which[:12]].max() < 1e-4 and off(made, truth)[~which].max() > 0.02
-        shift = (made.positions - truth.positions)[:, 0]
-        assert (shift - shift[:, :1])[which].abs().max() < 1e-4 and shift[12:, 0, 2].abs().max() > 1e-3
-    free = trials.draw(model)(some, which, seeded())  # control
-    assert off(free, truth)[:12][which[:12]].max() > 1e-2
-
-
 def test_the_gaussian_against_normal_equations_and_its_draws(model, windows, truth):
     known = Known(training.stuck(windows.evenly(150)), model)
     which, places = people.handles(("head", "left_foot"), 24, seeded()), truth.positions[:, 0]

@@ -68,12 +68,6 @@ def test_sitting_hides_the_legs_from_the_first_frame_and_ends_on_the_seat(shot):
     assert (tilt[:, :3] < 30).all()
 
 
-def test_nothing_is_hidden_where_nothing_stands_in_the_way(shot):
-    scene = shot("walking")
-    assert scene.observation.visible[..., LEGS].float().mean() > 0.9
-    assert not scene.wrong.any() and scene.occluders == ((),) * 3
-
-
 def test_passing_shows_the_legs_first_and_hides_them_later(shot):
     scene = shot("walking, legs hidden", 4)
     visible = scene.observation.visible[..., LEGS].float()
@@ -124,11 +118,6 @@ def test_without_drops_whole_frames_and_keeps_the_rest(shot):
     assert scene.observation.visible[:, 29].any()  # the original is untouched
 
 
-def test_gaps_lie_where_they_are_called():
-    assert scenes.gap_frames("first", 3) == [0, 1, 2] and scenes.gap_frames("last", 2) == [58, 59]
-    assert scenes.gap_frames("middle", 1) == [30]
-
-
 def test_clips_do_not_depend_on_the_count_or_on_the_call(shot):
     one, three = scenes.film("dance", 1), shot("dance")
     assert torch.equal(one.observation.keypoints[0], three.observation.keypoints[0])
@@ -147,11 +136,6 @@ def test_held_out_clips_differ():
     motion = scenes.held_out(4, frames=30)
     assert motion.root.shape == (4, 30, 3) and motion.contacts.shape == (4, 30, 9)
     assert torch.equal(scenes.held_out(2, frames=30).root, motion.root[:2])
-
-
-def test_an_unknown_case_lists_the_known():
-    with pytest.raises(KeyError, match="dance"):
-        scenes.film("swimming")
 
 
 def test_recorded_motion_is_filmed_with_one_camera_in_every_view():
