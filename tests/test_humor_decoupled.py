@@ -1,7 +1,6 @@
-"""The decoupled energy: against loops over single transitions, at an exact roll-out; its searches; the toy."""
+"""The decoupled energy: against loops over single transitions, at an exact roll-out; the toy."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,9 +14,8 @@ from motionlab.humor.evidence import evidence
 from motionlab.humor.rollout import infer, rollout
 from motionlab.humor.stages import Problem
 from motionlab.humor.unknowns import Unknowns
-from studies.nb07_decoupled import energy, trials
+from studies.nb07_decoupled import energy
 from studies.nb07_decoupled.energy import Form, sequences, terms, to_persistent, to_states
-from studies.nb07_decoupled.search import BOTH, Plan, X, Z, search
 from studies.nb07_decoupled.toy import descend
 from tests.fit_inputs import joints, keypoints
 
@@ -134,79 +132,6 @@ def test_the_energy_of_whole_roll_outs_is_the_judges_and_moves_the_first_state_a
         torch.testing.assert_close(found[name].detach(), value)
     (gradient,) = torch.autograd.grad(sum(found.values()).sum(), point["x"])
     assert gradient[:, 0].abs().max() > 0 and not gradient[:, 1:].any()
-
-
-# ----------------------------------------------------------------------------------------------------------- searches
-def lowered(problem, start, plan, evaluations=6):
-    found = search(problem, start, plan, evaluations).unknown
-    return found, (energy_of(problem, found, plan) - energy_of(problem, start, plan))
-
-
-def energy_of(problem, unknown, plan):
-    with torch.no_grad():
-        return sum(terms(problem, unknown, plan.form)[0].values())
-
-
-@pytest.mark.parametrize(
-    "plan", [Plan(rate=1e-3), Plan(Form(None), rate=1e-3), Plan(rate=1e-3, turns=2), Plan(Form(2))]
-)
-def test_a_search_lowers_its_energy(problem, start, plan):
-    assert (lowered(problem, start, plan)[1] < 0).all()
-
-
-@pytest.mark.parametrize(("moving", "still"), [(X, "z"), (Z, "x")])
-def test_what_does_not_move_stays(problem, start, moving, still):
-    found, _ = lowered(problem, start, Plan(moving=moving), 2)
-    assert torch.equal(found[still], start[still]) and not torch.equal(found[moving[0]], start[moving[0]])
-
-
-def test_a_held_first_state_stays_and_the_rest_moves(problem, start):
-    found, _ = lowered(problem, start, Plan(moving=BOTH, held=True), 2)
-    assert torch.equal(found["x"][:, 0], start["x"][:, 0]) and not torch.equal(found["x"][:, 1:], start["x"][:, 1:])
-
-
-def test_copied_states_are_what_was_decoded(problem, start):
-    plan = Plan(Form(1, 0.0), rate=0.0, share=1.0)
-    found, _ = lowered(problem, start, plan, 1)
-    with torch.no_grad():
-        wanted = sequences(problem.priors.motion, to_states(start["x"]), start["z"]).states[:, 0]
-    torch.testing.assert_close(to_states(found["x"]), wanted, atol=1e-5, rtol=1e-5)
-
-
-def test_rates_of_a_batch_are_each_rows_own(problem, start):
-    both = search(problem, start, Plan(rate=torch.tensor([0.0, 0.01])), 2).unknown
-    assert torch.equal(both["z"][0], start["z"][0])
-    alone = search(problem, start, Plan(rate=0.01), 2).unknown
-    torch.testing.assert_close(both["z"][1], alone["z"][1])
-
-
-# ------------------------------------------------------------------------------------------------------ what is told
-def test_the_chosen_setting_is_the_best_and_roll_outs_have_no_springs(problem, start, walk):
-    known = trials.Case(problem, start, walk, walk)
-    grid = {"rate": (0.0, 1e-3), "weight": (1e-3,)}
-    for form in (Form(1), Form(None)):
-        plan = trials.chosen(known, Plan(form), 4, grid)
-        assert plan.rate == pytest.approx(1e-3) and plan.form.weight == (1.0 if form.steps is None else 1e-3)
-
-
-def test_arrivals_are_counted_to_the_lowest_that_any_method_saw():
-    runs = {
-        name: SimpleNamespace(watched={n: {"energy": torch.tensor(x)} for n, x in zip((0, 5, 9), rows, strict=True)})
-        for name, rows in {
-            "a": ([10.0, 1.0], [1.0, 0.9], [0.0, 0.8]),
-            "b": ([10.0, 1.0], [9.0, 0.0], [5.0, 0.0]),
-        }.items()
-    }
-    found = trials.arrived(runs, 0.9)
-    assert found["a"].tolist() == [5.0, float("inf")] and found["b"].tolist() == [float("inf"), 5.0]
-
-
-def test_nearest_is_who_is_nearest_to_their_own():
-    assert trials.nearest(torch.tensor([[0.1, 0.2], [0.1, 0.2]])).tolist() == [1.0, 0.0]
-
-
-def test_looks_begin_at_the_start_and_end_with_the_search():
-    assert trials.looks(40)[0] == 0 and trials.looks(40)[-1] == 40 and trials.looks(40)[:4] == [0, 1, 2, 3]
 
 
 def test_conjugate_gradients_solve_a_quadratic_in_as_many_steps_as_it_has_numbers():
