@@ -35,6 +35,7 @@ DIFFICULTY = {
 }  # fmt: skip
 SIZE = 0.7  # metres: square root of the image area of a standing adult, COCO's measure of size
 SKILL = 0.25  # of an annotator's spread: so far does the detector miss a clear, resting keypoint
+SHUTTER = 0.5  # share of a frame's time that the shutter is open
 NEAR = 0.03  # metres at the person's depth: an error below this counts as a hit, and confidence is its probability
 
 
@@ -85,13 +86,12 @@ def observe(
     betas: Tensor | None = None,
     noise: float = 1.0,
     correlation: float = 0.5,
-    shutter: float = 0.5,
 ) -> Capture:
     """What a detector sees of one clip.
 
     The error of each coordinate is Gaussian with
 
-        sigma^2 = (noise SKILL DIFFICULTY_k SIZE f/z e^(0.3 n) h)^2 + (shutter v)^2 / 12 + 0.3^2
+        sigma^2 = (noise SKILL DIFFICULTY_k SIZE f/z e^(0.3 n) h)^2 + (SHUTTER v)^2 / 12 + 0.3^2
 
     in pixels: f/z pixels per metre at the person's depth, n ~ N(0, 1) per frame and keypoint (images
     differ), h = 1 + 2 (1 - clear), and 2.5 times that behind the person's own body, v pixels per frame
@@ -109,7 +109,6 @@ def observe(
         betas: (B,) shape of the body; bone lengths are always the motion's.
         noise: 0 for perfect keypoints where they are detected (only the last two terms stay).
         correlation: of the error from one frame to the next.
-        shutter: share of a frame's time that the shutter is open.
 
     Raises:
         ShapeError: batch axes, or a moving occluder with other frames.
@@ -129,7 +128,7 @@ def observe(
     hard = points.new_tensor([DIFFICULTY[_part(name)] for name in BODY_25])
     hindrance = (1 + 2 * (1 - clear)) * torch.where(self_hidden, 2.5, 1.0)
     luck = (0.3 * torch.randn(clear.shape, generator=generator)).exp()
-    blur = shutter * velocity(pixels, 1.0, dim=0).norm(dim=-1)
+    blur = SHUTTER * velocity(pixels, 1.0, dim=0).norm(dim=-1)
     spread = noise * SKILL * SIZE * hard * scale * hindrance * luck
     sigma = (spread**2 + blur**2 / 12 + 0.3**2).sqrt()
     near = NEAR * scale

@@ -20,9 +20,8 @@ from torch import Tensor
 from motionlab.errors import ShapeError, check_shape
 from motionlab.observation import Observation2D
 
-#: The keypoints of a leg below the hip and of an arm below the shoulder, without their side.
+#: The keypoints of a leg below the hip, without their side.
 LEG = ("knee", "ankle", "big_toe", "small_toe", "heel")
-ARM = ("elbow", "wrist")
 SIDES = ("left", "right")
 
 
@@ -49,14 +48,10 @@ def drop_frames(observation: Observation2D, frames: Iterable[int]) -> tuple[Obse
 
 
 def flip_limbs(
-    observation: Observation2D,
-    generator: torch.Generator,
-    share: float = 0.1,
-    length: int = 3,
-    limb: Sequence[str] = LEG,
+    observation: Observation2D, generator: torch.Generator, share: float = 0.1, length: int = 3
 ) -> tuple[Observation2D, Tensor]:
-    """Left and right of the given parts change places, confidence and all, in runs of frames."""
-    pairs = [[observation.index(f"{side}_{part}") for part in limb] for side in SIDES]
+    """Left and right leg change places, confidence and all, in runs of frames."""
+    pairs = [[observation.index(f"{side}_{part}") for part in LEG] for side in SIDES]
     swapped = torch.arange(len(observation.names))
     swapped[pairs[0]], swapped[pairs[1]] = torch.tensor(pairs[1]), torch.tensor(pairs[0])
     frames = _runs(observation.confidence.shape[:-1], share, length, generator)

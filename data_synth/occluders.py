@@ -64,13 +64,11 @@ def desk(
     return _boxes("desk", [((0, 0, height - 0.02), (length, depth, 0.04)), panel, *ends], x, y, yaw)
 
 
-def wall(
-    start: tuple[float, float], end: tuple[float, float], *, height: float = 2.5, thickness: float = 0.1
-) -> Occluder:
-    """A wall that stands on the floor from ``start`` to ``end`` (x, y)."""
+def wall(start: tuple[float, float], end: tuple[float, float], *, height: float = 2.5) -> Occluder:
+    """A wall of 10 cm that stands on the floor from ``start`` to ``end`` (x, y)."""
     (ax, ay), (bx, by) = start, end
     length = math.hypot(bx - ax, by - ay)
-    box = ((0, 0, height / 2), (length, thickness, height))
+    box = ((0, 0, height / 2), (length, 0.1, height))
     return _boxes("wall", [box], (ax + bx) / 2, (ay + by) / 2, math.atan2(by - ay, bx - ax))
 
 

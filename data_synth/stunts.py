@@ -8,6 +8,7 @@ from dataclasses import replace
 import torch
 
 from data_synth.actions import ACTIONS
+from data_synth.curves import ramp
 from data_synth.subjects import Subject
 from motionlab import rotation
 from motionlab.motion import Motion
@@ -36,8 +37,7 @@ def tumble(subject: Subject, generator: torch.Generator, *, frames: int = 60, fp
             tucked[joint] = rotation.exp(torch.tensor([_TUCK[part], 0.0, 0.0]))
     count = frames - ready
     s = (torch.arange(1, count + 1) / count).double()
-    ease = s**3 * (10 - 15 * s + 6 * s**2)
-    angle = 2.5 * math.pi * (0.5 * ease + 0.5 * s**2).float()
+    angle = 2.5 * math.pi * (0.5 * ramp(s) + 0.5 * s**2).float()
     blend = (4 * s).clamp(max=1).float()
     rot = rotation.slerp(pose.expand(count, -1, 3, 3), tucked.expand(count, -1, 3, 3), blend[:, None])
     rot[:, 0] = rotation.exp(angle[:, None] * left) @ pose[0]
