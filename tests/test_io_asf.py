@@ -213,7 +213,7 @@ WRONG = {  # name: (asf, amc, words)
     "zero length unit": (ASF.replace("length 0.45", "length 0"), AMC, "section :units.*above zero"),
     "angle unit": (ASF.replace("angle deg", "angle grad"), AMC, "section :units.*angle"),
     "NaN direction": (ASF.replace("direction 0 1 0.1", "direction 0 nan 0.1"), AMC, "line 38"),
-    "direction of two": (ASF.replace("direction 0 1 0.1", "direction 0 1"), AMC, "line 38.*expected shape"),
+    "direction of two": (ASF.replace("direction 0 1 0.1", "direction 0 1"), AMC, "line 38.*expected 3 values"),
     "bad dof": (ASF.replace("dof rx\n", "dof rx l\n"), AMC, "degrees of freedom"),
     "duplicate bone": (ASF.replace("name thorax", "name ltibia"), AMC, "second bone named 'ltibia'"),
     "unknown bone": (ASF.replace("lfemur ltibia\n", "lfemur ltibia lfoot\n"), AMC, "'lfoot' is not in :bonedata"),
@@ -228,8 +228,8 @@ WRONG = {  # name: (asf, amc, words)
     "foreign bone": (ASF, AMC.replace("ltibia 22", "rtibia 22"), "line 7.*no such bone"),
     "bone twice": (ASF, AMC.replace("ltibia 22\n", "ltibia 22\nltibia 22\n"), "line 8.*twice"),
     "frame skipped": (ASF, AMC.replace("\n2\n", "\n3\n"), "line 8.*frame 3 follows frame 1"),
-    "NaN": (ASF, AMC.replace("ltibia 22", "ltibia nan"), "frames.*not a usable number"),
-    "word": (ASF, AMC.replace("ltibia 22", "ltibia x"), "no number"),
+    "NaN": (ASF, AMC.replace("ltibia 22", "ltibia nan"), "line 4.*value .* is 'nan', not a usable number"),
+    "word": (ASF, AMC.replace("ltibia 22", "ltibia x"), "line 4.*value .* is 'x'"),
     "values before a frame": (ASF, AMC.replace("1\nroot 10", "root 10"), "line 4.*frame number 1"),
 }
 

@@ -266,7 +266,7 @@ WRONG = {  # name: (file, words of the message)
     "channel count": (TEXT.replace("CHANNELS 3", "CHANNELS 4"), "line 9.*promises 4 and lists 3"),
     "unknown channel": (TEXT.replace("CHANNELS 3 Yrotation", "CHANNELS 3 Yscale"), "line 9.*channels must be"),
     "channel twice": (TEXT.replace("CHANNELS 3 Yrotation", "CHANNELS 3 Zrotation"), "line 9.*different"),
-    "offset of two": (TEXT.replace("OFFSET 9 0 0", "OFFSET 9 0"), "line 17.*expected shape"),
+    "offset of two": (TEXT.replace("OFFSET 9 0 0", "OFFSET 9 0"), "line 17.*expected 3 values"),
     "offset NaN": (TEXT.replace("OFFSET 9 0 0", "OFFSET 9 nan 0"), "line 17"),
     "no offset": (TEXT.replace("OFFSET 9 0 0\n", "\n"), "Leg ends without an OFFSET"),
     "duplicate name": (TEXT.replace("JOINT Leg", "JOINT Spine"), "line 15.*second joint named 'Spine'"),

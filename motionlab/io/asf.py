@@ -12,7 +12,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.errors import DataError
 from motionlab.io.judging import UNITS
-from motionlab.io.reading import Spot, frame_rate, numbers, read_text, reading
+from motionlab.io.reading import Spot, floats, frame_rate, read_text, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
 
@@ -23,13 +23,15 @@ _INCH = 0.0254
 
 @dataclass
 class _Bone:
-    """One bone as the file gives it: unit direction, length in file units, axis frame, degrees of freedom."""
+    """One bone as the file gives it: unit direction, length in file units, axis frame, degrees of freedom; of the root
+    also where it stands."""
 
     direction: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     length: float = 0.0
     axis: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     axis_order: str = "XYZ"
     dof: list[str] = field(default_factory=list)
+    position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
 
 
 @dataclass
@@ -40,7 +42,6 @@ class _Asf:
     children: dict[str, list[str]]
     length: float
     degrees: bool
-    position: list[float]
 
 
 def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: float | None = None) -> Motion:
@@ -85,7 +86,11 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
         turns = [i for i, axis in enumerate(axes) if axis[0] == "r"]
         rot[:, 0] = _turn(figure, "root", torch.from_numpy(first[:, turns] * to_radians), [axes[i] for i in turns])
         world = UPRIGHT.double()
-        root = (torch.from_numpy(first[:, moves]) + torch.tensor(figure.position, dtype=torch.float64)) * unit @ world.T
+        root = (
+            (torch.from_numpy(first[:, moves]) + torch.tensor(figure.bones["root"].position, dtype=torch.float64))
+            * unit
+            @ world.T
+        )
         rot[:, 0] = world @ rot[:, 0]
         return Motion(skeleton, root.float(), rot.float(), fps, name=at.path.stem, notes=tuple(notes))
 
@@ -141,30 +146,12 @@ def _skeleton(figure: _Asf, unit: float) -> Skeleton:
 
 
 def _parse_asf(at: Spot, text: str) -> _Asf:
-    """Read a skeleton.
+    """Reads a skeleton.
 
     Raises:
         DataError: naming the line.
     """
-    sections = _sections(text)
-    missing = [key for key in ("units", "root", "bonedata", "hierarchy") if not sections.get(key)]
-    if missing:
-        raise at.error(f"no section :{', :'.join(missing)}: truncated, or no ASF")
-    units = {words[0].lower(): words[1:] for _, words in sections["units"]}
-    at.place = "section :units"
-    length = _floats(at, units.get("length", []), 1)[0]
-    if not 1e-6 < length < 1e6 or units.get("angle") not in (["deg"], ["rad"]):
-        raise at.error("expected 'length' above zero (1e-6 to 1e6) and 'angle deg' or 'angle rad'")
-    root, position = _root(at, sections["root"])
-    bones = {"root": root} | _bones(at, sections["bonedata"])
-    children = _hierarchy(at, sections["hierarchy"], bones)
-    at.place = ""
-    return _Asf(bones, children, length, units["angle"] == ["deg"], position)
-
-
-def _sections(text: str) -> dict[str, list[tuple[int, list[str]]]]:
-    """Lines as words under their :keyword, with line numbers."""
-    sections: dict[str, list[tuple[int, list[str]]]] = {}
+    sections: dict[str, list[tuple[int, list[str]]]] = {}  # lines as words under their :keyword, with line numbers
     current = None
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].split()
@@ -173,24 +160,51 @@ def _sections(text: str) -> dict[str, list[tuple[int, list[str]]]]:
             words = words[1:]
         if words and current is not None:
             current.append((number, words))
-    return sections
-
-
-def _root(at: Spot, lines: list[tuple[int, list[str]]]) -> tuple[_Bone, list[float]]:
-    root, position = _Bone(dof=["tx", "ty", "tz", "rx", "ry", "rz"]), [0.0, 0.0, 0.0]
-    for number, (key, *words) in lines:
+    missing = [key for key in ("units", "root", "bonedata", "hierarchy") if not sections.get(key)]
+    if missing:
+        raise at.error(f"no section :{', :'.join(missing)}: truncated, or no ASF")
+    units = {words[0].lower(): words[1:] for _, words in sections["units"]}
+    at.place = "section :units"
+    (length,) = floats(at, units.get("length", []), 1).tolist()
+    if not 1e-6 < length < 1e6 or units.get("angle") not in (["deg"], ["rad"]):
+        raise at.error("expected 'length' above zero (1e-6 to 1e6) and 'angle deg' or 'angle rad'")
+    bones = {"root": _Bone(dof=["tx", "ty", "tz", "rx", "ry", "rz"])}
+    for number, (key, *words) in sections["root"]:
         at.place = f"line {number}"
-        if key == "order":
-            root.dof = [word.lower() for word in words]
-            if sorted(root.dof) != ["rx", "ry", "rz", "tx", "ty", "tz"]:
-                raise at.error(f"order must name TX TY TZ RX RY RZ once each, got {' '.join(words)}")
-        elif key == "axis":
-            root.axis_order = _order(at, words)
-        elif key == "position":
-            position = _floats(at, words, 3)
-        elif key == "orientation":
-            root.axis = _floats(at, words, 3)
-    return root, position
+        _tell(at, bones["root"], "root axis" if key == "axis" else key, words)
+    bones |= _bones(at, sections["bonedata"])
+    children = _hierarchy(at, sections["hierarchy"], bones)
+    at.place = ""
+    return _Asf(bones, children, length, units["angle"] == ["deg"])
+
+
+def _tell(at: Spot, bone: _Bone, key: str, words: list[str]) -> None:
+    """Takes what a line says of a bone or of the root."""
+    if key == "direction":
+        bone.direction = floats(at, words, 3).tolist()
+    elif key == "length":
+        (bone.length,) = floats(at, words, 1).tolist()
+    elif key == "position":
+        bone.position = floats(at, words, 3).tolist()
+    elif key == "orientation":
+        bone.axis = floats(at, words, 3).tolist()
+    elif key == "axis":
+        bone.axis, bone.axis_order = floats(at, words[:3], 3).tolist(), _order(at, words[3:])
+    elif key == "root axis":
+        bone.axis_order = _order(at, words)
+    elif key in ("dof", "order"):
+        bone.dof = [word.lower() for word in words]
+        if key == "order" and sorted(bone.dof) != ["rx", "ry", "rz", "tx", "ty", "tz"]:
+            raise at.error(f"order must name TX TY TZ RX RY RZ once each, got {' '.join(words)}")
+        if key == "dof" and (not set(bone.dof) <= {"rx", "ry", "rz"} or len(set(bone.dof)) != len(bone.dof)):
+            raise at.error(f"degrees of freedom must be different ones of rx ry rz, got {' '.join(words)}")
+
+
+def _order(at: Spot, words: list[str]) -> str:
+    order = "".join(words).upper()
+    if sorted(order) != ["X", "Y", "Z"]:
+        raise at.error(f"axis order must be X, Y and Z in some order, got {' '.join(words)!r}")
+    return order
 
 
 def _bones(at: Spot, lines: list[tuple[int, list[str]]]) -> dict[str, _Bone]:
@@ -210,16 +224,8 @@ def _bones(at: Spot, lines: list[tuple[int, list[str]]]) -> dict[str, _Bone]:
             bones[name], bone = bone, None
         elif key == "name":
             name = " ".join(words)
-        elif key == "direction":
-            bone.direction = _floats(at, words, 3)
-        elif key == "length":
-            bone.length = _floats(at, words, 1)[0]
-        elif key == "axis":
-            bone.axis, bone.axis_order = _floats(at, words[:3], 3), _order(at, words[3:])
-        elif key == "dof":
-            bone.dof = [word.lower() for word in words]
-            if not set(bone.dof) <= {"rx", "ry", "rz"} or len(set(bone.dof)) != len(bone.dof):
-                raise at.error(f"degrees of freedom must be different ones of rx ry rz, got {' '.join(words)}")
+        else:
+            _tell(at, bone, key, words)
     if bone is not None:
         raise at.error(f"bone {name} has no end: the file is truncated")
     return bones
@@ -249,17 +255,6 @@ def _hierarchy(at: Spot, lines: list[tuple[int, list[str]]], bones: dict[str, _B
     return children
 
 
-def _order(at: Spot, words: list[str]) -> str:
-    order = "".join(words).upper()
-    if sorted(order) != ["X", "Y", "Z"]:
-        raise at.error(f"axis order must be X, Y and Z in some order, got {' '.join(words)!r}")
-    return order
-
-
-def _floats(at: Spot, words: list[str], count: int) -> list[float]:
-    return numbers(at, [float(word) for word in words], str(count)).tolist()
-
-
 def _parse_amc(at: Spot, text: str, figure: _Asf) -> tuple[bool, np.ndarray]:
     """Whether angles are degrees, and one row of values a frame: the bones' degrees of freedom in ASF order.
 
@@ -267,42 +262,34 @@ def _parse_amc(at: Spot, text: str, figure: _Asf) -> tuple[bool, np.ndarray]:
         DataError: naming the line.
     """
     widths = {name: len(bone.dof) for name, bone in figure.bones.items() if bone.dof}
-    degrees, rows, frame, first = figure.degrees, [], None, 1
+    degrees, frames, lines = figure.degrees, [], []
     for number, line in enumerate(text.splitlines(), start=1):
-        words = line.split()
+        at.place, words = f"line {number}", line.split()
         if not words or words[0][0] == "#":
             continue
-        if words[0][0] == ":":
-            degrees = {":DEGREES": True, ":RADIANS": False}.get(words[0].upper(), degrees)
-        elif len(words) == 1 and words[0].isdigit():
-            if frame is not None:
-                rows.append(_row(at, frame, widths, first))
-            if int(words[0]) != len(rows) + 1:
-                raise at.error(f"frame {words[0]} follows frame {len(rows)}", place=f"line {number}")
-            frame, first = {}, number
-        elif frame is None or words[0] in frame or widths.get(words[0]) != len(words) - 1:
-            at.place = f"line {number}"
-            if frame is None:
-                raise at.error(f"expected frame number 1, got {line.strip()[:40]!r}")
-            if words[0] in frame:
-                raise at.error(f"{words[0]} twice in one frame")
-            raise at.error(
-                f"{words[0][:40]}: expected {widths.get(words[0], 'no such bone,')} values, got {len(words) - 1}"
-            )
+        name, *values = words
+        if name[0] == ":":
+            degrees = {":DEGREES": True, ":RADIANS": False}.get(name.upper(), degrees)
+        elif not values and name.isdigit():
+            if int(name) != len(frames) + 1:
+                raise at.error(f"frame {name} follows frame {len(frames)}")
+            frames.append({})
+            lines.append(number)
+        elif not frames:
+            raise at.error(f"expected frame number 1, got {line.strip()[:40]!r}")
+        elif name in frames[-1]:
+            raise at.error(f"{name} twice in one frame")
+        elif len(values) != widths.get(name):
+            raise at.error(f"{name[:40]}: expected {widths.get(name, 'no such bone,')} values, got {len(values)}")
         else:
-            frame[words[0]] = words[1:]
-    if frame is None:
-        raise at.error("no frames: truncated, or no AMC")
-    rows.append(_row(at, frame, widths, first))
-    try:
-        table = np.array(rows, dtype=np.float64)
-    except ValueError as error:
-        raise at.error(f"a value is no number: {error}", place="frames") from error
-    return degrees, numbers(at, table, "T C", place="frames")
-
-
-def _row(at: Spot, frame: dict[str, list[str]], widths: dict[str, int], number: int) -> list[str]:
-    if len(frame) != len(widths):
-        missing = ", ".join(name for name in widths if name not in frame)
-        raise at.error(f"frame without {missing}: truncated", place=f"line {number}")
-    return [value for name in widths for value in frame[name]]
+            frames[-1][name] = values
+    if not frames:
+        raise at.error("no frames: truncated, or no AMC", place="")
+    rows = []
+    for frame, number in zip(frames, lines, strict=True):
+        at.place = f"line {number}"
+        if missing := [name for name in widths if name not in frame]:
+            raise at.error(f"frame without {', '.join(missing)}: truncated")
+        rows.append(floats(at, [value for name in widths for value in frame[name]], sum(widths.values())))
+    at.place = ""
+    return degrees, np.stack(rows)

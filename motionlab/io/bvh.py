@@ -18,8 +18,8 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.files import write_whole
 from motionlab.io import judging
-from motionlab.io.judging import AXES, UNITS
-from motionlab.io.reading import RATES, Spot, check_writable, frame_rate, numbers, read_text, reading
+from motionlab.io.judging import AXES, UNITS, Axes, Unit
+from motionlab.io.reading import RATES, Spot, check_writable, floats, frame_rate, read_text, reading
 from motionlab.io.rooting import rerooted
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
@@ -34,9 +34,9 @@ _REMEDY = "export the BVH again, or repair the line"
 def load(
     path: str | Path,
     *,
-    unit: str | float | None = None,
-    up: str | None = None,
-    axes: str | None = None,
+    unit: Unit = None,
+    up: Axes = None,
+    axes: Axes = None,
     fps: float | None = None,
     translations: str = "strict",
 ) -> Motion:
@@ -66,8 +66,17 @@ def load(
     if translations not in ("strict", "mean"):
         raise ValueError(f"expected translations 'strict' or 'mean', got {translations!r}")
     with reading(path, _REMEDY) as at:
-        joints, values, found = _parse(at, read_text(at), fps)
-        motion = _assemble(at, joints, values, found, translations)
+        joints, values, rate = _parse(at, read_text(at), fps)
+        place, rot, relative = _local(joints, values)
+        if relative:
+            at.notes.append("position channels below the root count from the OFFSETs, which are kept")
+        kept = [i for i, joint in enumerate(joints) if not joint.is_end or _speaks(joint, joints[joint.parent])]
+        row = {i: k for k, i in enumerate(kept)} | {-1: -1}
+        offsets = torch.tensor([joints[i].offset for i in kept], dtype=torch.float64)
+        skeleton = Skeleton(tuple(joints[i].name for i in kept), tuple(row[joints[i].parent] for i in kept), offsets)
+        lines = [f"line {joints[i].line}" for i in kept]
+        _, skeleton, root, rot = rerooted(at, skeleton, place[:, kept], rot[:, kept], translations, lines)
+        motion = Motion(skeleton, root, rot, rate, name=at.path.stem, notes=tuple(at.notes))
         return judging.to_world(at, motion, unit=unit, up=up, axes=axes)
 
 
@@ -123,21 +132,6 @@ class _Joint:
     is_end: bool = False
 
 
-def _assemble(at: Spot, joints: list[_Joint], values: np.ndarray, fps: float, translations: str) -> Motion:
-    """The recording in the file's own units and axes."""
-    place, rot, relative = _local(joints, values)
-    if relative:
-        at.notes.append("position channels below the root count from the OFFSETs, which are kept")
-    kept = [i for i, joint in enumerate(joints) if not joint.is_end or not _says_nothing(joint, joints[joint.parent])]
-    row = {i: k for k, i in enumerate(kept)} | {-1: -1}
-    parents = [row[joints[i].parent] for i in kept]
-    offsets = torch.tensor([joints[i].offset for i in kept], dtype=torch.float64)
-    skeleton = Skeleton(tuple(joints[i].name for i in kept), tuple(parents), offsets)
-    lines = [f"line {joints[i].line}" for i in kept]
-    _, skeleton, root, rot = rerooted(at, skeleton, place[:, kept], rot[:, kept], translations, lines)
-    return Motion(skeleton, root, rot, fps, name=at.path.stem, notes=tuple(at.notes))
-
-
 def _tip(offset: Sequence[float]) -> list[float]:
     """The End Site of a joint without children, from the joint's OFFSET as it stands in the file."""
     axis = max(range(3), key=lambda k: abs(offset[k]))
@@ -145,9 +139,9 @@ def _tip(offset: Sequence[float]) -> list[float]:
     return [length if k == axis else 0.0 for k in range(3)]
 
 
-def _says_nothing(end: _Joint, joint: _Joint) -> bool:
-    made_up = max(abs(a - b) for a, b in zip(end.offset, _tip(joint.offset), strict=True)) < 1e-6
-    return made_up or not any(end.offset)
+def _speaks(end: _Joint, joint: _Joint) -> bool:
+    """Whether an End Site has a length, and not that which :func:`save` makes up."""
+    return any(end.offset) and not np.allclose(end.offset, _tip(joint.offset), rtol=0, atol=1e-6)
 
 
 def _local(joints: list[_Joint], values: np.ndarray) -> tuple[np.ndarray, Tensor, list[int]]:
@@ -197,9 +191,7 @@ def _parse(at: Spot, text: str, fps: float | None = None) -> tuple[list[_Joint],
     """
     lines = text.splitlines()
     joints, motion_line = _hierarchy(at, lines)
-    values, fps = _motion(at, lines, motion_line, sum(len(joint.channels) for joint in joints), fps)
-    at.place = ""
-    return joints, values, fps
+    return joints, *_motion(at, lines, motion_line, sum(len(joint.channels) for joint in joints), fps)
 
 
 def _hierarchy(at: Spot, lines: list[str]) -> tuple[list[_Joint], int]:
@@ -247,7 +239,7 @@ def _hierarchy(at: Spot, lines: list[str]) -> tuple[list[_Joint], int]:
                 raise at.error(f"{joints[open_joints[-1]].name} ends without an OFFSET")
             open_joints.pop()
         elif head == "OFFSET" and open_joints:
-            joints[open_joints[-1]].offset = numbers(at, [float(w) for w in words[1:]], "3").tolist()
+            joints[open_joints[-1]].offset = floats(at, words[1:], 3).tolist()
         elif head == "CHANNELS" and open_joints:
             joints[open_joints[-1]].channels = _channels(at, words, joints[open_joints[-1]])
         elif head == "MOTION":
@@ -299,14 +291,12 @@ def _motion(at: Spot, lines: list[str], motion_line: int, width: int, fps: float
             f"promises {frames:g} frames, the file has {len(rows)}",
             remedy="copy the file again if it is truncated, or correct the number",
         )
-    try:
-        values = np.array(" ".join([line for _, line in rows]).split(), dtype=np.float64)
-        fits = values.size == len(rows) * width and np.isfinite(values).all()
-    except ValueError:
-        fits = False
-    if not fits:
-        raise _bad_row(at, rows, width)
-    return numbers(at, values.reshape(len(rows), width), "T C", place="motion block"), fps
+    values = np.empty((len(rows), width))
+    for row, (number, line) in zip(values, rows, strict=True):
+        at.place = f"line {number}"
+        row[:] = floats(at, line.split(), width)
+    at.place = ""
+    return values, fps
 
 
 def _rate(at: Spot, frame_time: float, line: str) -> float:
@@ -323,22 +313,6 @@ def _rate(at: Spot, frame_time: float, line: str) -> float:
     digits = len(line.strip().partition(".")[2])
     whole = max(round(1 / frame_time), 1)
     return float(whole) if digits >= 4 and abs(frame_time - 1 / whole) <= 10.0**-digits else 1 / frame_time
-
-
-def _bad_row(at: Spot, rows: list[tuple[int, str]], width: int) -> Exception:
-    for number, line in rows:
-        words = line.split()
-        at.place = f"line {number}"
-        if len(words) != width:
-            return at.error(f"expected {width} values, got {len(words)}")
-        for column, word in enumerate(words, start=1):
-            try:
-                if np.isfinite(float(word)):
-                    continue
-            except ValueError:
-                pass
-            return at.error(f"value {column} is {word[:40]!r}, not a finite number")
-    return at.error("the frames do not have the promised width")
 
 
 def _hierarchy_text(skeleton: Skeleton, scale: float, order: str, ends: set[int]) -> tuple[list[str], list[int]]:

@@ -34,6 +34,8 @@ _FLOOR, _RARE, _SURE = 0.5, 0.3, 0.3
 _HEAD, _NECK = re.compile(r"head|[lr][fb]hd|頭|^face$"), re.compile(r"neck|nose|c7|clavicle|首")
 _FEET = re.compile(r"foot|feet|ankle|toe|heel|足首|[lr](ank|hee)|malleol|calc(?!.*tub)")
 
+#: What callers say of a file: a unit's name or metres; a letter of ``AXES``, or the file axes that become x, y, z.
+Unit, Axes = str | float | None, str | None
 Figure = TypeVar("Figure")  # a Motion, or points.Positions
 
 

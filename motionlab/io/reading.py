@@ -10,8 +10,8 @@ import json
 import math
 import re
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,6 +24,8 @@ from motionlab.motion import Motion
 _JAPANESE = re.compile("[\u3041-\u30fe]|[\u4e00-\u9fff]{2}")
 #: Files, archive members and promised arrays beyond this many bytes are refused before memory is asked for.
 LARGEST = 2**31
+#: Numbers from here on are refused: products beyond float32's square root overflow, and nothing physical is that large.
+_USABLE = 1e18
 #: Frames per second that people record at.
 RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 144, 240)
 
@@ -154,6 +156,18 @@ def read_npz(
     return arrays
 
 
+def check_keys(at: Spot, arrays: dict[str, np.ndarray], keys: Iterable[str]) -> None:
+    """Checks that a file has all of these keys.
+
+    Raises:
+        DataError: it lacks some; names them, and what is there.
+    """
+    missing = [key for key in keys if key not in arrays]
+    if missing:
+        found = ", ".join(arrays) or "none that is known"
+        raise at.error(f"missing {', '.join(missing)}; found {found}", place="keys")
+
+
 def npy_header(at: Spot, stream) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Reads shape, order and kind of a .npy from a stream.
 
@@ -183,14 +197,13 @@ def read_npy(at: Spot, stream, size: int, header: tuple, plain: str = "save plai
 
 
 def numbers(
-    at: Spot, array: object, shape: str, place: str | None = None, largest: float = 1e18, *, nan: bool = False
+    at: Spot, array: object, shape: str, place: str | None = None, largest: float = _USABLE, *, nan: bool = False
 ) -> np.ndarray:
     """Checks an array's axes and that every number is finite; returns it as float64.
 
     Args:
         shape: words such as ``"T 24 3"``: a number is a fixed size, a word any size of at least one.
-        largest: numbers from here on are refused. The default is float32's square root: products beyond it
-            overflow, and nothing physical is that large.
+        largest: numbers from here on are refused.
         nan: let NaN and None pass, as NaN.
 
     Raises:
@@ -217,6 +230,23 @@ def numbers(
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise at.error(f"{array[where]} at index {where} is not a usable number", place=place)
     return array
+
+
+def floats(at: Spot, words: Sequence[str], count: int) -> np.ndarray:
+    """Reads the ``count`` numbers of a line of text.
+
+    Raises:
+        DataError: there are more or fewer, or one is not finite or too large; names the first.
+    """
+    if len(words) != count:
+        raise at.error(f"expected {count} values, got {len(words)}")
+    values = np.full(count, np.nan)
+    with suppress(ValueError):  # where a word is no number, it and all behind it stay NaN
+        values[:] = words
+    bad = np.flatnonzero(~(np.abs(values) < _USABLE))
+    if bad.size:
+        raise at.error(f"value {bad[0] + 1} is {words[bad[0]][:40]!r}, not a usable number")
+    return values
 
 
 def frame_rate(at: Spot, value: object, place: str = "frame rate", remedy: str | None = None) -> float:
