@@ -29,8 +29,8 @@ from torch import Tensor
 
 from motionlab.errors import ShapeError, check_shape
 from motionlab.io import judging
-from motionlab.io.judging import axes_to_matrix, unit_named
-from motionlab.io.reading import Spot, frame_rate, numbers, read_bytes, read_npz, read_text, reading
+from motionlab.io.judging import Axes, Unit, axes_to_matrix, unit_named
+from motionlab.io.reading import Spot, check_keys, floats, frame_rate, numbers, read_bytes, read_npz, read_text, reading
 from motionlab.observation import Camera, Observation2D
 
 #: Names in the file's order, as worked out above; wrist and hand are two markers at the end of the forearm.
@@ -115,9 +115,7 @@ def load_anidance(path: str | Path) -> Positions:
     """
     with reading(path, 'save "positions_cm" (T, 24, 3) and "fps" with numpy.savez') as at:
         arrays = read_npz(at, ("positions_cm", "fps"))
-        for key in ("positions_cm", "fps"):
-            if key not in arrays:
-                raise at.error("this key is missing", place=key)
+        check_keys(at, arrays, ("positions_cm", "fps"))
         points = torch.from_numpy(numbers(at, arrays["positions_cm"], f"T {len(NAMES)} 3", "positions_cm")) / 100
         points[:, 1:] += points[:, :1]
         world = (points @ axes_to_matrix("x-zy").T).float()
@@ -159,10 +157,9 @@ def load_biomech(path: str | Path, *, fps: float) -> Positions:
         body = rows[5 : 5 + max(frames, 0)]
         if not body or len(body) != frames:
             raise at.error(f"promises {frames} frames, holds {len(body)}", place="line 2")
-        table = torch.tensor([_cells(at, row, 3, column, line) for line, row in enumerate(body, start=6)])
+        table = _table(at, [row[3:column] for row in body], column - 3, 6)
         picks = torch.tensor(list(starts.values()))[:, None] - 3 + torch.arange(3)
-        world = torch.from_numpy(numbers(at, table[:, picks].numpy(), f"T {len(starts)} 3", "table")) / 1000
-        world = world @ axes_to_matrix("-x-yz").T
+        world = table[:, picks] / 1000 @ axes_to_matrix("-x-yz").T
         valid = torch.ones(world.shape[:2], dtype=torch.bool)
         return Positions(tuple(starts), world.float(), valid, frame_rate(at, fps, "fps"), at.path.parent.name)
 
@@ -187,31 +184,25 @@ def load_projected(path: str | Path, *, camera: Camera, fps: float) -> Observati
         if not names or len(set(names)) < len(names):
             raise at.error("expected different joint names in every second column", place="line 1")
         width = 1 + 2 * len(names)
-        table = torch.tensor([_cells(at, row, 1, width, line) for line, row in enumerate(rows[1:], start=2)])
-        share = torch.from_numpy(numbers(at, table.numpy(), f"T {width - 1}", "table")).unflatten(-1, (-1, 2))
-        pixels = share * camera.width
+        pixels = _table(at, [row[1:width] for row in rows[1:]], width - 1, 2).unflatten(-1, (-1, 2)) * camera.width
         inside = ((pixels >= 0) & (pixels < torch.tensor([camera.width, camera.height]))).all(-1)
         pixels = torch.where(inside[..., None], pixels, 0.0)
         fps = frame_rate(at, fps, "fps")
-        return Observation2D(
-            pixels.float(), inside.float(), names, fps, camera, f"{at.path.parent.name} {at.path.stem}"
-        )
+        name = f"{at.path.parent.name} {at.path.stem}"
+        return Observation2D(pixels.float(), inside.float(), names, fps, camera, name)
 
 
-def _cells(at: Spot, row: list[str], start: int, stop: int, line: int) -> list[float]:
-    at.place = f"line {line}"
-    if len(row) < stop:
-        raise at.error(f"expected {stop} cells, got {len(row)}")
-    return [float(cell) for cell in row[start:stop]]
+def _table(at: Spot, rows: list[list[str]], width: int, first: int) -> Tensor:
+    """Numbers (T, W) float64, of single precision, of rows from line ``first`` on."""
+    table = np.empty((len(rows), width), np.float32)
+    for row, values in enumerate(rows):
+        at.place = f"line {first + row}"
+        table[row] = floats(at, values, width)
+    return torch.from_numpy(table).double()
 
 
 def load_trc(
-    path: str | Path,
-    *,
-    unit: str | float | None = None,
-    up: str | None = None,
-    axes: str | None = None,
-    fps: float | None = None,
+    path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: float | None = None
 ) -> Positions:
     """Reads the markers of a TRC file in metres, z up.
 
@@ -230,11 +221,16 @@ def load_trc(
         lines = read_text(at).splitlines()
         if len(lines) < 6 or not lines[0].startswith("PathFileType"):
             raise at.error("expected PathFileType, five header lines and at least one frame", place="line 1")
-        head = _trc_header(at, lines, fps)
+        at.place = "line 3"
+        head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+        check_keys(at, head, ("DataRate", "NumFrames", "NumMarkers"))
+        frames, markers = (int(float(head[key])) for key in ("NumFrames", "NumMarkers"))
+        rate = float(head["DataRate"]) if fps is None else fps
+        rate = frame_rate(at, rate, "line 3, DataRate", judging.SAY_RATE)
         at.place = "line 4"
         names = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
-        if len(names) != head["NumMarkers"]:
-            raise at.error(f"NumMarkers promises {head['NumMarkers']} markers, got {len(names)} names")
+        if len(names) != markers:
+            raise at.error(f"NumMarkers promises {markers} markers, got {len(names)} names")
         if len(set(names)) < len(names):
             raise at.error("two markers have the same name", remedy="rename one of them")
         rows = [_trc_row(at, number, line, len(names)) for number, line in enumerate(lines[5:], 6) if line.strip()]
@@ -244,12 +240,12 @@ def load_trc(
         if short:
             at.notes.append(f"{len(short)} of {len(rows)} rows end early: what they lack was not measured")
         rows = [row + [math.nan] * (3 * len(names) - len(row)) for row in rows]
-        if len(rows) != head["NumFrames"]:
-            at.notes.append(f"NumFrames promises {head['NumFrames']} frames: the {len(rows)} that are there are read")
+        if len(rows) != frames:
+            at.notes.append(f"NumFrames promises {frames} frames: the {len(rows)} that are there are read")
         points = np.array(rows).reshape(len(rows), len(names), 3)
-        figure = _measured(at, names, points, np.isfinite(points).all(-1), head["DataRate"])
+        figure = _measured(at, names, points, np.isfinite(points).all(-1), rate)
         at.place = "line 3, Units"
-        how = {"says_unit": head["Units"], "says_up": "y", "trust": 0.5, "table": _TRC_AXES}
+        how = {"says_unit": unit_named(head.get("Units", "")), "says_up": "y", "trust": 0.5, "table": _TRC_AXES}
         return judging.to_world(at, figure, unit=unit, up=up, axes=axes, **how)
 
 
@@ -264,18 +260,6 @@ def _measured(at: Spot, names: tuple[str, ...], points: np.ndarray, valid: np.nd
     return Positions(names, points, valid, fps, at.path.stem, notes=tuple(at.notes))
 
 
-def _trc_header(at: Spot, lines: list[str], fps: float | None) -> dict:
-    at.place = "line 3"
-    head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-    for key in ("DataRate", "NumFrames", "NumMarkers"):
-        if key not in head:
-            raise at.error(f"{key} is missing", place="line 2")
-    counts = {key: int(float(head[key])) for key in ("NumFrames", "NumMarkers")}
-    rate = float(head["DataRate"]) if fps is None else fps
-    metres = unit_named(head.get("Units", ""))
-    return {**counts, "DataRate": frame_rate(at, rate, "line 3, DataRate", judging.SAY_RATE), "Units": metres}
-
-
 def _trc_row(at: Spot, number: int, line: str, markers: int) -> list[float]:
     at.place = f"line {number}"
     cells = line.rstrip("\r\n").split("\t")[2:]
@@ -288,12 +272,7 @@ def _trc_row(at: Spot, number: int, line: str, markers: int) -> list[float]:
 
 
 def load_c3d(
-    path: str | Path,
-    *,
-    unit: str | float | None = None,
-    up: str | None = None,
-    axes: str | None = None,
-    fps: float | None = None,
+    path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: float | None = None
 ) -> Positions:
     """Reads labelled points of a C3D file in metres, z up; analogue channels are skipped.
 
@@ -327,7 +306,8 @@ def load_c3d(
         parameters = _c3d_parameters(at, data, start, kind)
         at.place = "POINT"
         points = {k.removeprefix("POINT:"): v for k, v in parameters.items() if k.startswith("POINT:") and v.size}
-        count, names = int(header[1]), _c3d_names(points)
+        every = ["LABELS", *(f"LABELS{n}" for n in range(2, 100))]  # a parameter holds at most 255 labels
+        count, names = int(header[1]), tuple(str(name) for key in every for name in points.get(key, []))
         if not count or len(names) < count or len(set(names[:count])) < count:
             raise at.error(f"expected {count} different labels, got {len(names)}", place="POINT:LABELS")
         rate = fps if fps is not None else points.get("RATE", _c3d_numbers(data, 4, 1, 20, kind))[0]
@@ -339,11 +319,6 @@ def load_c3d(
         how = {"says_unit": unit_named(points.get("UNITS", [""])[0]), "table": _C3D_AXES}
         how |= {"says_up": screen, "trust": 9.0} if screen in judging.AXES else {}
         return judging.to_world(at, figure, unit=unit, up=up, axes=axes, **how)
-
-
-def _c3d_names(points: dict) -> tuple[str, ...]:
-    keys = ["LABELS", *(f"LABELS{n}" for n in range(2, 100))]  # a parameter holds at most 255 labels
-    return tuple(str(name) for key in keys for name in points.get(key, []))
 
 
 def _c3d_numbers(data: bytes, kind: int, count: int, start: int, processor: int) -> np.ndarray:
