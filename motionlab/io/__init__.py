@@ -13,6 +13,7 @@ import torch
 from motionlab import humanml
 from motionlab.errors import DataError
 from motionlab.io import amass, asf, bvh, clips, gltf, judging, points
+from motionlab.io.judging import Axes, Unit
 from motionlab.io.pickles import read_array
 from motionlab.io.points import Positions
 from motionlab.io.reading import frame_rate, numbers, read_bytes, reading
@@ -52,9 +53,9 @@ def load_npy(
     path: str | Path,
     *,
     person: int = 0,
-    unit: str | float | None = None,
-    up: str | None = None,
-    axes: str | None = None,
+    unit: Unit = None,
+    up: Axes = None,
+    axes: Axes = None,
     fps: float | None = None,
 ) -> Motion:
     """Reads a .npy: HumanML3D's joints (T, 22, 3) or 263 numbers a frame, at 20 frames per second and y up unless they
@@ -68,10 +69,9 @@ def load_npy(
         array = read_array(at, read_bytes(at))
         if not isinstance(array, np.ndarray):
             return amass.load(path, person=person, up=up, axes=axes, fps=fps)
-        if array.ndim == 2 and array.shape[1] == humanml.SIZE:
-            joints = humanml.joints_of(torch.from_numpy(numbers(at, array, f"T {humanml.SIZE}", "array", 1e6)))
-        else:
-            joints = torch.from_numpy(numbers(at, array, f"T {humanml.JOINTS} 3", "array", 1e6))
+        shape = f"T {humanml.SIZE}" if array.ndim == 2 and array.shape[1] == humanml.SIZE else f"T {humanml.JOINTS} 3"
+        joints = torch.from_numpy(numbers(at, array, shape, "array", 1e6))
+        joints = humanml.joints_of(joints) if joints.ndim == 2 else joints
         rate = humanml.FPS if fps is None else frame_rate(at, fps, "fps")
         motion = humanml.motion_of(joints, rate, at.path.stem)
         return judging.to_world(at, motion, unit=unit, up=up, axes=axes, says_unit=1.0, says_up="y", trust=0.5)
@@ -90,11 +90,6 @@ LOADERS = {
     ".glb": gltf.load,
     ".trc": points.load_trc,
     ".c3d": points.load_c3d,
-}
-_POSITIONS = {
-    ".trc": "motionlab.io.points.load_trc",
-    ".c3d": "motionlab.io.points.load_c3d",
-    ".npz": "motionlab.io.points.load_anidance",
 }
 _NOT_ONE_FILE = {
     ".fbx": "in Blender: import FBX, export BVH",
@@ -139,6 +134,7 @@ def load(path: str | Path, **options) -> Motion:
         raise DataError(f"no loader for {suffix or 'a name without suffix'!r}", path=path, remedy=why_not(suffix))
     motion = guided(LOADERS[suffix], path, options, strict=True)
     if not isinstance(motion, Motion):
-        remedy = f"for its positions use {_POSITIONS[suffix]}"
+        loader = _npz_loader(path) if suffix == ".npz" else LOADERS[suffix]
+        remedy = f"for its positions use {loader.__module__}.{loader.__name__}"
         raise DataError("holds positions without rotations", path=path, remedy=remedy)
     return motion

@@ -4,7 +4,6 @@ give as .pt, .pkl or .npy."""
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
 from motionlab.files import write_whole
 from motionlab.io import judging
+from motionlab.io.judging import Axes
 from motionlab.io.pickles import array_of, arrays_of, read_array, read_pickle
 from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_bytes, read_npz, reading
 from motionlab.motion import Motion
@@ -41,61 +41,6 @@ _SYSTEMS = {
 _REMEDY = 'save "poses" (T, 66 or more), "trans" (T, 3) and "mocap_framerate"'
 
 
-@dataclass(frozen=True, eq=False)
-class Amass:
-    """What a file holds of the body. Metres, in the file's own axes.
-
-    turns (T, 22, 3): axis-angle in radians of root orientation and body joints. trans (T, 3): SMPL's translation.
-    fps: frames per second. joints: of the file's model. up: what its format says. contacts (T, 9) or None: of
-    ``STANDARD.contact_names``; not AMASS's own, HuMoR and we add it.
-    """
-
-    turns: Tensor
-    trans: Tensor
-    fps: float
-    joints: int
-    up: str
-    contacts: Tensor | None = None
-
-
-def _read(at: Spot, person: int = 0, fps: float | None = None) -> Amass:
-    """Reads the body of a file, float64, as it is.
-
-    ``POSES`` or the split ``ROOT`` and ``PARTS`` may be axis-angle, (T, 3J) or (T, J, 3), or matrices (T, J, 3, 3).
-    Shapes and hands are not read.
-
-    Raises:
-        DataError: a key is missing, its numbers have another shape or are not finite, or two frame rates differ.
-    """
-    arrays, (system, up, usual) = _arrays(at, person)
-    split = [next((key for key in keys if key in arrays), None) for keys in (ROOT, PARTS)]
-    whole = next((key for key in POSES if key in arrays), None)
-    if not whole and None in split:
-        raise at.error(f'neither "poses" nor "{(ROOT, PARTS)[split.index(None)][0]}" is there', place="keys")
-    turns = [_turns(at, arrays[key], key) for key in ([whole] if whole else split)]
-    if len({len(part) for part in turns}) > 1:
-        raise at.error(f"expected equally many frames, got {[len(part) for part in turns]}", place=", ".join(split))
-    turns = np.concatenate(turns, axis=1)
-    if turns.shape[1] < BODY:
-        raise at.error(f"expected {3 * BODY} columns or more, got {3 * turns.shape[1]}", place=whole or split[1])
-    key = next((key for key in TRANS if key in arrays), None)
-    if key is None:
-        raise at.error("this key is missing", place="trans")
-    trans = arrays[key].reshape(len(arrays[key]), -1) if arrays[key].ndim == 3 else arrays[key]
-    trans = numbers(at, trans, f"{len(turns)} 3", key)
-    if "smpl_scaling" in arrays:
-        trans = trans / numbers(at, arrays["smpl_scaling"].reshape(-1), "1", "smpl_scaling")
-    ids = arrays.get("frame_ids", np.zeros(0))
-    if ids.size == len(turns) > 1 and (np.diff(ids.ravel().astype(float)) != 1).any():
-        at.notes.append("frames are missing in between, which the file joins: see its frame_ids")
-    contacts = arrays.get("contacts")
-    if contacts is not None:
-        contacts = torch.from_numpy(numbers(at, contacts, f"{len(turns)} {len(STANDARD.contact_names)}", "contacts"))
-    fps = _rate(at, arrays, system, usual) if fps is None else frame_rate(at, fps, "fps")
-    body = torch.from_numpy(turns[:, :BODY])
-    return Amass(body, torch.from_numpy(trans), fps, turns.shape[1], up, contacts)
-
-
 def _arrays(at: Spot, person: int) -> tuple[dict[str, np.ndarray], tuple[str, str, float | None]]:
     """The arrays of one body that are known, and of which system: its name, up axis and usual rate."""
     data = read_bytes(at)
@@ -120,8 +65,22 @@ def _arrays(at: Spot, person: int) -> tuple[dict[str, np.ndarray], tuple[str, st
     return arrays, system
 
 
-def _turns(at: Spot, array: np.ndarray, key: str) -> np.ndarray:
-    """Axis-angle (T, J, 3) of it, or of matrices."""
+def _turns(at: Spot, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """Axis-angle (T, J, 3) of all joints: of ``POSES``, or of the split ``ROOT`` and ``PARTS``."""
+    whole, *split = (next((key for key in keys if key in arrays), None) for keys in (POSES, ROOT, PARTS))
+    if not whole and None in split:
+        raise at.error(f'neither "poses" nor "{(ROOT, PARTS)[split.index(None)][0]}" is there', place="keys")
+    turns = [_axis_angles(at, arrays[key], key) for key in ([whole] if whole else split)]
+    if len({len(part) for part in turns}) > 1:
+        raise at.error(f"expected equally many frames, got {[len(part) for part in turns]}", place=", ".join(split))
+    turns = np.concatenate(turns, axis=1)
+    if turns.shape[1] < BODY:
+        raise at.error(f"expected {3 * BODY} columns or more, got {3 * turns.shape[1]}", place=whole or split[1])
+    return turns
+
+
+def _axis_angles(at: Spot, array: np.ndarray, key: str) -> np.ndarray:
+    """Axis-angle (T, J, 3) of (T, 3J), of (T, J, 3), or of matrices (T, J, 3, 3)."""
     array = numbers(at, array, " ".join("TJKL"[: max(array.ndim, 2)]), key, LARGEST_ANGLE)
     if array.shape[-2:] != (3, 3) or (array.ndim == 3 and key not in ROOT):
         if array[0].size % 3:
@@ -152,11 +111,11 @@ def load(
     skeleton: Skeleton = STANDARD,
     pelvis_offset: Tensor | None = None,
     person: int = 0,
-    up: str | None = None,
-    axes: str | None = None,
+    up: Axes = None,
+    axes: Axes = None,
     fps: float | None = None,
 ) -> Motion:
-    """Reads the body of a file as a Motion on 22 joints; hands, jaw and eyes are left out.
+    """Reads the body of a file as a Motion on 22 joints; hands, jaw and eyes are left out, shapes are not read.
 
     root = trans + pelvis_offset. SMPL's translation is not the pelvis: pelvis = trans + J_0(betas), where J_0 is
     the pelvis of the shaped template, which the root rotation leaves where it is. Without the body model J_0 is
@@ -170,24 +129,41 @@ def load(
             are above its feet along another axis. fps: instead of the file's.
 
     Raises:
-        DataError: see ``_read``; nothing that a pickle asks for is executed.
+        DataError: a key is missing, its numbers have another shape or are not finite, or two frame rates differ;
+            nothing that a pickle asks for is executed.
         ShapeError: the skeleton has not 22 joints, or pelvis_offset is not (3,).
     """
     if len(skeleton) != BODY:
         raise ShapeError(f"skeleton: expected the {BODY} body joints of SMPL, got {len(skeleton)}")
     judging.check_given(None, up, axes)
     with reading(path, _REMEDY) as at:
-        amass = _read(at, person, fps)
-        notes = at.notes
+        arrays, (system, says_up, usual) = _arrays(at, person)
+        turns = _turns(at, arrays)
+        frames, joints = turns.shape[:2]
+        key = next((key for key in TRANS if key in arrays), None)
+        if key is None:
+            raise at.error("this key is missing", place="trans")
+        trans = arrays[key].reshape(len(arrays[key]), -1) if arrays[key].ndim == 3 else arrays[key]
+        trans = numbers(at, trans, f"{frames} 3", key)
+        if "smpl_scaling" in arrays:
+            trans = trans / numbers(at, arrays["smpl_scaling"].reshape(-1), "1", "smpl_scaling")
+        ids = arrays.get("frame_ids", np.zeros(0))
+        if ids.size == frames > 1 and (np.diff(ids.ravel().astype(float)) != 1).any():
+            at.notes.append("frames are missing in between, which the file joins: see its frame_ids")
+        contacts = arrays.get("contacts")  # not AMASS's own, HuMoR and we add it
+        if contacts is not None:
+            contacts = numbers(at, contacts, f"{frames} {len(STANDARD.contact_names)}", "contacts")
+            contacts = torch.from_numpy(contacts).float()
+        rate = _rate(at, arrays, system, usual) if fps is None else frame_rate(at, fps, "fps")
         if pelvis_offset is None:
-            notes.append("pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root")
-        if amass.joints > BODY:
-            model = MODELS.get(amass.joints, f"{amass.joints} joints")
-            notes.append(f"{model}: hands and face are left out, {BODY} joints of the body are read")
-        root, rot = amass.trans + _offset(pelvis_offset), rotation.axis_angle_to_matrix(amass.turns)
-        contacts = None if amass.contacts is None else amass.contacts.float()
-        motion = Motion(skeleton, root, rot, amass.fps, contacts, at.path.stem, tuple(notes))
-        return judging.to_world(at, motion, unit=1.0, up=up, axes=axes, says_up=amass.up, trust=0.5)
+            at.notes.append("pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root")
+        if joints > BODY:
+            model = MODELS.get(joints, f"{joints} joints")
+            at.notes.append(f"{model}: hands and face are left out, {BODY} joints of the body are read")
+        root = torch.from_numpy(trans) + _offset(pelvis_offset)
+        rot = rotation.axis_angle_to_matrix(torch.from_numpy(turns[:, :BODY]))
+        motion = Motion(skeleton, root, rot, rate, contacts, at.path.stem, tuple(at.notes))
+        return judging.to_world(at, motion, unit=1.0, up=up, axes=axes, says_up=says_up, trust=0.5)
 
 
 def save(

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from motionlab import rotation
-from motionlab.io.reading import Spot, frame_rate, numbers, read_json, read_npz, reading
+from motionlab.io.reading import Spot, check_keys, frame_rate, numbers, read_json, read_npz, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
 
@@ -58,11 +58,7 @@ def load_amp(path: str | Path) -> Motion:
     """
     with reading(path, "convert the poselib file again, with all its keys") as at:
         arrays = read_npz(at)
-        missing = [key for key in (_AMP_ROTATION, *_AMP_KEYS) if key not in arrays]
-        if missing:
-            raise at.error(
-                f"missing {', '.join(missing)}; found {', '.join(sorted(arrays)) or 'nothing'}", place="keys"
-            )
+        check_keys(at, arrays, (_AMP_ROTATION, *_AMP_KEYS))
         skeleton = _amp_skeleton(at, arrays)
         quaternion = numbers(at, arrays[_AMP_ROTATION], f"T {len(skeleton)} 4", place=_AMP_ROTATION)
         root = numbers(at, arrays["root_translation"], f"{len(quaternion)} 3", place="root_translation")

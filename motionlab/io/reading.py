@@ -162,10 +162,9 @@ def check_keys(at: Spot, arrays: dict[str, np.ndarray], keys: Iterable[str]) -> 
     Raises:
         DataError: it lacks some; names them, and what is there.
     """
-    missing = [key for key in keys if key not in arrays]
+    missing = ", ".join(key for key in keys if key not in arrays)
     if missing:
-        found = ", ".join(arrays) or "none that is known"
-        raise at.error(f"missing {', '.join(missing)}; found {found}", place="keys")
+        raise at.error(f"missing {missing}; found {', '.join(arrays) or 'none that is known'}", place=missing)
 
 
 def npy_header(at: Spot, stream) -> tuple[tuple[int, ...], bool, np.dtype]:

@@ -9,7 +9,7 @@ import torch
 
 from motionlab.body import BodyModel
 from motionlab.io.pickles import arrays_of, read_pickle
-from motionlab.io.reading import Spot, numbers, read_bytes, read_npz, reading
+from motionlab.io.reading import Spot, check_keys, numbers, read_bytes, read_npz, reading
 from motionlab.skeleton import STANDARD, Skeleton
 
 _KEYS = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
@@ -41,9 +41,7 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
         data = read_bytes(at)
         keys = (*_KEYS, "posedirs")
         raw = read_npz(at, keys) if data[:2] == b"PK" else arrays_of(at, read_pickle(at, data), keys, "pickle")
-        for key in _KEYS:
-            if key not in raw:
-                raise at.error(f"no key {key!r}; found {', '.join(raw) or 'none of the keys of a body'}", place=key)
+        check_keys(at, raw, _KEYS)
         return _body(at, raw, betas)
 
 
