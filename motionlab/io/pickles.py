@@ -91,20 +91,47 @@ class _Record:
         self.state = state
 
 
-#: What is built of a name, as a record: numpy's arrays, torch's tensors, and joblib's arrays, which lie in the file
-#: behind their records.
-_NUMPY = {
-    **{
-        f"{core}.multiarray.{name}": name
-        for core in ("numpy.core", "numpy._core")
-        for name in ("_reconstruct", "scalar")
-    },
-    **{f"{core}.numeric._frombuffer": "_frombuffer" for core in ("numpy.core", "numpy._core")},
-    "numpy.ndarray": "ndarray",
-    "numpy.dtype": "dtype",
-    "torch._utils._rebuild_tensor_v2": "tensor",
-    "torch.storage._load_from_bytes": "storage",
-    "joblib.numpy_pickle.NumpyArrayWrapper": "joblib",
+def _record(name: str) -> type[_Record]:
+    return type("Record", (_Record,), {"name": name})
+
+
+def _reconstructor(cls, base, state):
+    """Protocol 0 and 1's way to make an empty object; only of records."""
+    if not (isinstance(cls, type) and issubclass(cls, _Record)):
+        raise TypeError("not a class")
+    return cls()
+
+
+def _latin1(text, encoding="latin1"):
+    """How Python 3 writes bytes in protocol 2."""
+    if encoding not in ("latin1", "latin-1"):
+        raise ValueError("not latin1")
+    return str(text).encode("latin1")
+
+
+#: Modules by the name that they have now.
+_MOVED = {
+    "__builtin__": "builtins", "copy_reg": "copyreg", "numpy.core.multiarray": "numpy._core.multiarray",
+    "numpy.core.numeric": "numpy._core.numeric",
+}  # fmt: skip
+#: What is built of a name: containers, bytes, and records of numpy's arrays, torch's tensors and joblib's arrays, which
+#: lie in the file behind their records.
+_BUILT = {
+    "copyreg._reconstructor": _reconstructor,
+    "_codecs.encode": _latin1,
+    "builtins.bytes": lambda: b"",  # how Python 3 writes none in protocol 2
+    # to be filled; what a defaultdict makes of what it lacks is left out
+    **dict.fromkeys(("builtins.dict", "collections.OrderedDict", "collections.defaultdict"), lambda *_: {}),
+    "builtins.object": _record("object"),
+    "builtins.set": _record("set"),
+    "numpy._core.multiarray._reconstruct": _record("_reconstruct"),
+    "numpy._core.multiarray.scalar": _record("scalar"),
+    "numpy._core.numeric._frombuffer": _record("_frombuffer"),
+    "numpy.ndarray": _record("ndarray"),
+    "numpy.dtype": _record("dtype"),
+    "torch._utils._rebuild_tensor_v2": _record("tensor"),
+    "torch.storage._load_from_bytes": _record("storage"),
+    "joblib.numpy_pickle.NumpyArrayWrapper": _record("joblib"),
 }
 _SPARSE = re.compile(r"scipy\.sparse\.(?:_?(?:csc|csr|coo)\.)?(csc|csr|coo)_(?:matrix|array)")
 _CHUMPY = re.compile(r"chumpy(?:\.\w+)*")
@@ -117,24 +144,14 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
         self.at, self.dispatch = at, pickle._Unpickler.dispatch | {pickle.BUILD[0]: _Reader.load_build}
 
     def find_class(self, module: str, name: str):
-        full = f"{module}.{name}"
-        if full in ("copy_reg._reconstructor", "copyreg._reconstructor"):
-            return _reconstructor
-        if full in ("__builtin__.object", "builtins.object", "__builtin__.set", "builtins.set"):
-            return _record(name)
-        if full in ("collections.OrderedDict", "collections.defaultdict", "builtins.dict", "__builtin__.dict"):
-            return _dict
-        if full == "_codecs.encode":
-            return _latin1
-        if full in ("__builtin__.bytes", "builtins.bytes"):
-            return _no_bytes
-        if full in _NUMPY:
-            return _record(_NUMPY[full])
+        full = f"{_MOVED.get(module, module)}.{name}"
+        if full in _BUILT:
+            return _BUILT[full]
         if sparse := _SPARSE.fullmatch(full):
             return _record(sparse[1])
         if _CHUMPY.fullmatch(module):
             return _record("chumpy")
-        raise _refused(self.at, full)
+        raise _refused(self.at, f"{module}.{name}")
 
     def persistent_load(self, pid):
         raise self.at.error("refers to objects outside the file", place="pickle")
@@ -150,34 +167,6 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
             shape, kind = _shape(self.at, record.state["shape"]), _kind(self.at, record.state["dtype"])
             raw = self.stream.read(kind.itemsize * math.prod(shape))
             self.stack[-1] = _from_bytes(self.at, raw, record.state["dtype"], shape, record.state["order"])
-
-
-def _record(name: str) -> type[_Record]:
-    return type("Record", (_Record,), {"name": name})
-
-
-def _reconstructor(cls, base, state):
-    """Protocol 0 and 1's way to make an empty object; only of records."""
-    if not (isinstance(cls, type) and issubclass(cls, _Record)):
-        raise TypeError("not a class")
-    return cls()
-
-
-def _dict(*_):
-    """A dictionary, to be filled; what a defaultdict makes of what it lacks is left out."""
-    return {}
-
-
-def _no_bytes():
-    """How Python 3 writes empty bytes in protocol 2."""
-    return b""
-
-
-def _latin1(text, encoding="latin1"):
-    """How Python 3 writes bytes in protocol 2."""
-    if encoding not in ("latin1", "latin-1"):
-        raise ValueError("not latin1")
-    return str(text).encode("latin1")
 
 
 def arrays_of(at: Spot, tree: object, keys: Iterable[str], place: str) -> dict[str, np.ndarray]:
@@ -266,13 +255,9 @@ def _dense(at: Spot, form: str, state: object) -> np.ndarray:
         raise at.error(f"a sparse matrix of shape {shape}")
     values = array_of(at, state["data"])
     if form == "coo":
-        where = [array_of(at, state[k]) for k in ("row", "col")] if "row" in state else _coords(at, state)
-        return scipy.sparse.coo_array((values, where), shape=shape).toarray()
+        where = (state["row"], state["col"]) if "row" in state else state["coords"]
+        return scipy.sparse.coo_array((values, [array_of(at, axis) for axis in where]), shape=shape).toarray()
     make = {"csc": scipy.sparse.csc_array, "csr": scipy.sparse.csr_array}[form]
     matrix = make((values, array_of(at, state["indices"]), array_of(at, state["indptr"])), shape=shape)
     matrix.check_format(full_check=True)
     return matrix.toarray()
-
-
-def _coords(at: Spot, state: dict) -> list[np.ndarray]:
-    return [array_of(at, axis) for axis in state["coords"]]

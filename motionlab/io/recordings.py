@@ -32,6 +32,9 @@ _TEXTS = (".json", ".txt")  # told by their beginnings
 SUFFIXES: dict[str, Callable] = {suffix: loader for suffix, loader in io.LOADERS.items() if suffix not in _TEXTS}
 
 
+_SET = "Set MOTIONLAB_DATA to a folder with one sub-folder of recordings per source."
+
+
 class Recording(NamedTuple):
     """One recording: ``loader(path)`` gives a Motion, Positions or Observation2D."""
 
@@ -48,7 +51,7 @@ class Source:
     """
 
     licence: str
-    trainable: bool
+    trainable: bool | None
     files: dict[str, tuple[str, Callable]]
 
 
@@ -111,7 +114,6 @@ class Row:
     fps: tuple[float, float]
     points: tuple[int, int]
     seen: float
-    loader: str
     licence: str
     trainable: bool | None
     unread: tuple[DataError | MissingData, ...] = ()
@@ -152,8 +154,8 @@ def passed_over(folder: str | Path) -> list[str]:
         flat = place == folder
         used = {path for _, path, _ in _files(name, place, flat, None)}
         kinds: dict[str, list[Path]] = {}
-        for path in sorted(place.glob("*") if flat else place.rglob("*")):
-            if path.is_file() and not {path, path.parent} & used:
+        for path in _below(place, flat):
+            if not {path, path.parent} & used:
                 kinds.setdefault(path.suffix.lower(), []).append(path)
         for suffix, paths in kinds.items():
             why = "no recording of this source" if name in SOURCES else io.why_not(suffix)
@@ -177,29 +179,19 @@ def inventory(
     """
     groups: dict[tuple[str, str], list] = {}
     for name, kind, path, loader in _found(Path(folder), source, video_fps):
-        groups.setdefault((name, kind), []).append((_tried(loader, path, reading or {}), loader, path))
+        groups.setdefault((name, kind), []).append((path, _size(loader, path, reading or {})))
     rows = []
     for (name, kind), items in groups.items():
-        sizes = [size for size, *_ in items if isinstance(size, tuple)]
+        noted = [(path, size[4]) for path, size in items if isinstance(size, tuple)]
+        sizes = [size for _, size in items if isinstance(size, tuple)]
         frames, rates, points, *_ = zip(*sizes, strict=True) if sizes else ((0,),) * 3
-        known = SOURCES.get(name)
-        function = getattr(items[0][1], "func", items[0][1])
-        rows.append(
-            Row(
-                name,
-                kind,
-                len(sizes),
-                sum(t / fps for t, fps, *_ in sizes) / 60,
-                (min(rates), max(rates)),
-                (min(points), max(points)),
-                sum(share * t for t, _, _, share, _ in sizes) / max(sum(frames), 1),
-                f"{function.__module__.removeprefix('motionlab.')}.{function.__name__}",
-                known.licence if known else "not known",
-                known.trainable if known else None,
-                tuple(size for size, *_ in items if not isinstance(size, tuple)),
-                guesses((path, size[4]) for size, _, path in items if isinstance(size, tuple)),
-            )
-        )
+        minutes = sum(t / fps for t, fps, *_ in sizes) / 60
+        seen = sum(share * t for t, _, _, share, _ in sizes) / max(sum(frames), 1)
+        spans = (min(rates), max(rates)), (min(points), max(points))
+        known = SOURCES.get(name, Source("not known", None, {}))
+        unread = tuple(size for _, size in items if not isinstance(size, tuple))
+        licence = known.licence, known.trainable
+        rows.append(Row(name, kind, len(sizes), minutes, *spans, seen, *licence, unread, guesses(noted)))
     return rows
 
 
@@ -214,23 +206,16 @@ def guesses(noted: Iterable[tuple[Path, Sequence[str]]], most: int = 8) -> tuple
     return (*(f"{len(each)} such as {each[0]}" if len(each) > 1 else each[0] for each in told[:most]), *more)
 
 
-def _tried(loader: Callable, path: Path, reading: dict) -> tuple | DataError | MissingData:
-    """The size of a recording, or why it cannot be read."""
+def _size(loader: Callable, path: Path, reading: Mapping) -> tuple[int, float, int, float, tuple] | Exception:
+    """Frames, frames per second, points, share of points seen, and notes of a recording; or why it cannot be read."""
     try:
-        return _size(io.guided(loader, path, reading))
+        value = io.guided(loader, path, reading)
     except (DataError, MissingData) as error:
         return error
-
-
-def _size(value: Motion | Positions | Observation2D) -> tuple[int, float, int, float, tuple[str, ...]]:
-    """Frames, frames per second, points, share of points seen, notes."""
     if isinstance(value, Motion):
         return value.frames, value.fps, len(value.skeleton), 1.0, value.notes
     mask = value.valid if isinstance(value, Positions) else value.visible
     return value.frames, value.fps, len(value.names), float(mask.float().mean()), getattr(value, "notes", ())
-
-
-_SET = "Set MOTIONLAB_DATA to a folder with one sub-folder of recordings per source."
 
 
 def _places(folder: Path) -> dict[str, Path]:
@@ -242,17 +227,14 @@ def _places(folder: Path) -> dict[str, Path]:
 
 
 def _found(folder: Path, source: str | None, video_fps: float | None) -> Iterator[tuple[str, str, Path, Callable]]:
-    places = _places(folder)
+    places, one = _places(folder), None
     if source is not None and source not in places:
         raise MissingData(f"source {source!r} in {folder}", f"There are: {', '.join(sorted(places))}.")
-    empty = True
     for name in sorted(places) if source is None else [source]:
-        for kind, path, loader in _files(name, places[name], places[name] == folder, video_fps):
-            empty = False
-            yield name, kind, path, loader
-    if empty:
-        passed = passed_over(folder)
-        raise MissingData(f"any recording in {folder}", "; ".join([*passed, _SET]))
+        for one in _files(name, places[name], places[name] == folder, video_fps):
+            yield name, *one
+    if one is None:
+        raise MissingData(f"any recording in {folder}", "; ".join([*passed_over(folder), _SET]))
 
 
 def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Iterator[tuple[str, Path, Callable]]:
@@ -263,7 +245,7 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
                 yield kind, path, partial(loader, up="z") if as_judged else loader
         return
     views = set()
-    for path in sorted(path for path in (place.glob("*") if flat else place.rglob("*")) if path.is_file()):
+    for path in _below(place, flat):
         suffix = path.suffix.lower()
         if suffix in SUFFIXES:
             yield suffix[1:], path, SUFFIXES[suffix]
@@ -274,6 +256,10 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
                 yield "openpose", path.parent, partial(openpose.load, fps=video_fps)
             elif b'"Frames"' in head:
                 yield suffix[1:], path, clips.load_deepmimic
+
+
+def _below(place: Path, flat: bool) -> list[Path]:
+    return sorted(path for path in (place.glob("*") if flat else place.rglob("*")) if path.is_file())
 
 
 def _head(path: Path) -> bytes:
