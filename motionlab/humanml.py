@@ -14,6 +14,7 @@ and a turn through straight back keeps its sign.
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
 from motionlab.files import write_whole
 from motionlab.motion import Motion, resample
-from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
+from motionlab.skeleton import STANDARD, UPRIGHT
 
 FPS, SIZE, JOINTS = 20.0, 263, 22
 _STILL = 0.002  # m^2: a foot that moves less between frames stands still
@@ -110,10 +111,9 @@ def motion_of(joints: Tensor, fps: float = FPS, name: str = "") -> Motion:
                     offsets[k] = (world[:, j].mT @ bones[k][..., None])[..., 0].mean(0)
         else:
             world[:, j] = above
-    rot = torch.cat((world[:, :1], world[:, list(tree[1:])].mT @ world[:, 1:]), dim=1)
-    skeleton = Skeleton(STANDARD.names, tree, offsets, STANDARD.contact_names, STANDARD.sole)
+    skeleton = replace(STANDARD, offsets=offsets)
     note = "rotations are worked out from the places of the joints: how limbs are twisted is not in the file"
-    return Motion(skeleton, joints[:, 0], rot, fps, name=name, notes=(note,))
+    return Motion(skeleton, joints[:, 0], skeleton.local(world), fps, name=name, notes=(note,))
 
 
 def save(path: str | Path, motion: Motion, *, as_features: bool = False) -> None:

@@ -248,9 +248,7 @@ def put_on(motion: Motion, skeleton: Skeleton, body: Match) -> Motion:
             turned.append(turned[parent] @ body.rest_rot[parent].T @ body.rest_rot[j])
         else:  # above the pelvis
             turned.append(world[:, 0] @ body.rest_rot[j])
-    parents = torch.stack([turned[p] for p in skeleton.parents[1:]], dim=1)
-    rot = torch.cat((turned[0][:, None], parents.mT @ torch.stack(turned[1:], dim=1)), dim=1)
-    skeleton = skeleton.to(torch.float64)
+    rot, skeleton = skeleton.local(torch.stack(turned, dim=1)), skeleton.to(torch.float64)
     own = fk(skeleton, torch.zeros_like(motion.root, dtype=torch.float64), rot)[0]
     hips = places[:, STANDARD.indices(["left_hip", "right_hip"])].mean(1)
     root = hips - own[:, [body.joints["left_hip"], body.joints["right_hip"]]].mean(1)
@@ -280,11 +278,9 @@ def with_rest(motion: Motion, pose: str) -> Motion:
         turned = rotation.rotation_about("z", torch.pi * quarter) if j in arms and pose == "a" else _EYE
         down.append(turned @ down[parent] if parent >= 0 else turned)
     new = body.rest_rot.mT @ torch.stack(frames) @ torch.stack(down).mT
-    world = motion.to(torch.float64).world[1] @ new
-    above = list(skeleton.parents[1:])
+    rot = skeleton.local(motion.to(torch.float64).world[1] @ new)
     offsets = skeleton.offsets.double().clone()
-    offsets[1:] = (new[above].mT @ offsets[1:, :, None])[..., 0]
-    rot = torch.cat((world[:, :1], world[:, above].mT @ world[:, 1:]), dim=1)
+    offsets[1:] = (new[list(skeleton.parents[1:])].mT @ offsets[1:, :, None])[..., 0]
     skeleton = replace(skeleton, offsets=offsets.to(skeleton.offsets))
     return replace(motion, skeleton=skeleton, rot=rot.to(motion.rot))
 
@@ -366,8 +362,7 @@ def _rotations(body: Match, correction: Tensor, world: Tensor) -> Tensor:
             turned.append(world[:, j] @ body.rest_rot[j].T @ correction[joint])
         else:
             turned.append(turned[STANDARD.parents[joint]])
-    parents = torch.stack([turned[p] for p in STANDARD.parents[1:]], dim=1)
-    return torch.cat((turned[0][:, None], parents.mT @ torch.stack(turned[1:], dim=1)), dim=1)
+    return STANDARD.local(torch.stack(turned, dim=1))
 
 
 def _source_proportions(body: Match, correction: Tensor, standing: Skeleton, scale: float) -> Skeleton:

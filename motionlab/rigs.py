@@ -42,16 +42,8 @@ _ORDER = (
     "spine1", "spine2", "spine3",
 )  # fmt: skip
 _SIDES = {
-    "l": "left",
-    "left": "left",
-    "r": "right",
-    "right": "right",
-    "c": "",
-    "m": "",
-    "x": "",
-    "center": "",
-    "centre": "",
-}
+    "l": "left", "left": "left", "r": "right", "right": "right", "c": "", "m": "", "x": "", "center": "", "centre": "",
+}  # fmt: skip
 _RANKS = {
     part: {word: rank for rank, group in enumerate(words.split("|")) for word in group.split()}
     for limb in WORDS.values() for part, words in limb.items()

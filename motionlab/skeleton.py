@@ -116,6 +116,11 @@ class Skeleton:
         """Computes the height (...) of the root above the floor when standing in the rest pose, metres."""
         return self.sole - self.rest_positions()[..., 1].amin(-1)
 
+    def local(self, world: Tensor) -> Tensor:
+        """Computes rotations against the parent (..., J, 3, 3) from those against the world, as :func:`fk` has them."""
+        above = world[..., list(self.parents[1:]), :, :]
+        return torch.cat((world[..., :1, :, :], above.mT @ world[..., 1:, :, :]), dim=-3)
+
     def scaled(self, factor: float) -> Skeleton:
         """Returns the same skeleton, every length times ``factor``."""
         return replace(self, offsets=self.offsets * factor, sole=self.sole * factor)

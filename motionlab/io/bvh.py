@@ -129,7 +129,19 @@ class _Joint:
     line: int
     offset: list[float] | None = None
     channels: list[str] = field(default_factory=list)
+    first: int = 0  # the column of its first channel
     is_end: bool = False
+
+    @property
+    def moves(self) -> dict[int, int]:
+        """Axis -> column of each position channel."""
+        return {"xyz".index(c[0]): k for k, c in enumerate(self.channels, self.first) if c.endswith("position")}
+
+    @property
+    def turns(self) -> tuple[str, list[int]]:
+        """Order and columns of the rotation channels."""
+        columns = [k for k, c in enumerate(self.channels, self.first) if c.endswith("rotation")]
+        return "".join(self.channels[k - self.first][0].upper() for k in columns), columns
 
 
 def _tip(offset: Sequence[float]) -> list[float]:
@@ -150,22 +162,16 @@ def _local(joints: list[_Joint], values: np.ndarray) -> tuple[np.ndarray, Tensor
     place = np.broadcast_to(offset, (len(values), *offset.shape)).copy()
     rot = torch.eye(3, dtype=torch.float64).expand(len(values), len(joints), 3, 3).clone()
     by_order: dict[str, list[tuple[int, list[int]]]] = {}
-    column = 0
     for i, joint in enumerate(joints):
-        turns = []
-        for channel in joint.channels:
-            if channel.endswith("position"):
-                place[:, i, "xyz".index(channel[0])] = values[:, column]
-            else:
-                turns.append(column)
-            column += 1
-        order = "".join(channel[0].upper() for channel in joint.channels if channel.endswith("rotation"))
-        by_order.setdefault(order, []).append((i, turns))
+        for axis, column in joint.moves.items():
+            place[:, i, axis] = values[:, column]
+        order, columns = joint.turns
+        if order:
+            by_order.setdefault(order, []).append((i, columns))
     for order, rows in by_order.items():
         which, columns = zip(*rows, strict=True)
-        if order:
-            angles = torch.from_numpy(np.deg2rad(values[:, np.array(columns)]))
-            rot[:, list(which)] = rotation.euler_to_matrix(angles, order)
+        angles = torch.from_numpy(np.deg2rad(values[:, np.array(columns)]))
+        rot[:, list(which)] = rotation.euler_to_matrix(angles, order)
     relative = _relative(joints, place.mean(0))
     place[:, relative] += offset[relative]
     return place, rot, relative
@@ -176,7 +182,7 @@ def _relative(joints: list[_Joint], place: np.ndarray) -> list[int]:
 
     Either all below the root that have any, or none: those of bones that stand at zero, when the OFFSETs do not.
     """
-    moving = [i for i, joint in enumerate(joints) if i and any(name.endswith("position") for name in joint.channels)]
+    moving = [i for i, joint in enumerate(joints) if i and joint.moves]
     length = {i: float(np.linalg.norm(joints[i].offset)) for i in moving}
     bones = [i for i in moving if length[i] > 1e-3 * max(length.values())]
     near = sum(np.linalg.norm(place[i]) < 0.2 * length[i] for i in bones)
@@ -241,7 +247,9 @@ def _hierarchy(at: Spot, lines: list[str]) -> tuple[list[_Joint], int]:
         elif head == "OFFSET" and open_joints:
             joints[open_joints[-1]].offset = floats(at, words[1:], 3).tolist()
         elif head == "CHANNELS" and open_joints:
-            joints[open_joints[-1]].channels = _channels(at, words, joints[open_joints[-1]])
+            joint = joints[open_joints[-1]]
+            joint.first = sum(len(other.channels) for other in joints)
+            joint.channels = _channels(at, words, joint)
         elif head == "MOTION":
             if open_joints:
                 raise at.error(f"the braces of {joints[open_joints[-1]].name} are still open")

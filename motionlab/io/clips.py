@@ -73,7 +73,7 @@ def load_amp(path: str | Path) -> Motion:
         if is_local.size != 1 or is_local.dtype.kind not in "biu":
             raise at.error(f"expected true or false, got {is_local!r}", place="is_local")
         if not is_local.item():
-            rot[:, 1:] = rot[:, list(skeleton.parents[1:])].mT @ rot[:, 1:]
+            rot = skeleton.local(rot)
         fps = frame_rate(at, arrays["fps"], "fps")
         return Motion(skeleton, torch.from_numpy(root).float(), rot.float(), fps, name=at.path.stem)
 

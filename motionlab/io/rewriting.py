@@ -26,29 +26,9 @@ from motionlab.io import amass, bvh, gltf, gltf_reading
 from motionlab.io.reading import Spot, check_writable, read_bytes, read_npz, read_text, reading
 from motionlab.motion import Motion
 from motionlab.retarget import retarget
-from motionlab.skeleton import STANDARD, Skeleton
+from motionlab.skeleton import STANDARD
 
 _REMEDY = "name an --out of another format, which is written anew"
-
-
-def _rewrite(source: str | Path, target: str | Path, loaded: Motion, made: Motion) -> None:
-    """Writes ``made`` as a copy of the file ``source``, in which only what differs from ``loaded`` is new.
-
-    Args:
-        loaded: as ``source`` was read, (T) frames. made: on the same joints, in frames that the format can hold.
-
-    Raises:
-        DataError: another skeleton; no such format; or the file has no channel for what changed.
-    """
-    check_writable(target, made)
-    suffix = Path(source).suffix.lower()
-    with reading(source, _REMEDY) as at:
-        if made.skeleton.names != loaded.skeleton.names:
-            raise at.error("not the motion of this file")
-        if suffix not in REWRITERS:
-            raise at.error(f"a {suffix} file cannot be rewritten")
-        content = REWRITERS[suffix](at, loaded, made)
-    write_whole(target, content)
 
 
 def _changed(loaded: Motion, made: Motion) -> tuple[Tensor, Tensor]:
@@ -89,33 +69,24 @@ def _bvh(at: Spot, loaded: Motion, made: Motion) -> bytes:
     place, turns, values = (x[: loaded.frames] for x in (place, turns, values))
     rot, root = _base(loaded, made, turns[:, top], torch.from_numpy(place[:, top]), scale)
     new_rot, new_root = _changed(loaded, made)
-    column, starts = 0, []
-    for joint in joints:
-        starts.append(column)
-        column += len(joint.channels)
-    more = made.frames - loaded.frames
-    table = np.concatenate((values, np.repeat(values[-1:], more, 0)))
+    table = np.concatenate((values, np.repeat(values[-1:], made.frames - loaded.frames, 0)))
     mine, turned = np.zeros(table.shape, dtype=bool), {}
     for k, i in enumerate(index):
-        turning = [c for c, name in enumerate(joints[i].channels) if name.endswith("rotation")]
-        rows = new_rot[:, k].numpy()
-        if turning and rows.any():
-            order = "".join(joints[i].channels[c][0].upper() for c in turning)
-            angles = torch.rad2deg(rotation.matrix_to_euler(rot[rows, k], order)).numpy()
-            where = np.array(turning) + starts[i]
-            table[np.ix_(rows, where)] = angles
+        (order, where), rows = joints[i].turns, new_rot[:, k].numpy()
+        if order and rows.any():
+            table[np.ix_(rows, where)] = torch.rad2deg(rotation.matrix_to_euler(rot[rows, k], order)).numpy()
             mine[np.ix_(rows, where)] = True
             turned[tuple(where)] = order
         elif rows[: loaded.frames].any() and not joints[i].is_end:
             raise at.error(f"{names[i]} has no rotation channels", place=names[i])
-    moving = {name[0]: c for c, name in enumerate(joints[top].channels) if name.endswith("position")}
+    moving = joints[top].moves
     if new_root[: loaded.frames].any() and len(moving) < 3:
         raise at.error(f"{names[top]} has no position channels", place=names[top])
     if top in relative:
         root = root - torch.tensor(joints[top].offset).double()
-    for axis, c in moving.items():
-        table[new_root.numpy(), starts[top] + c] = root[new_root, "xyz".index(axis)].numpy()
-        mine[new_root.numpy(), starts[top] + c] = True
+    for axis, column in moving.items():
+        table[new_root.numpy(), column] = root[new_root, axis].numpy()
+        mine[new_root.numpy(), column] = True
     if turned:
         where = np.array(list(turned))
         proper = np.array([order[0] == order[2] for order in turned.values()])
@@ -186,8 +157,6 @@ def _line_end(line: str) -> str:
 def _npz(at: Spot, loaded: Motion, made: Motion) -> bytes:
     arrays = {k: np.array(x) for k, x in read_npz(at).items()}
     places, moving = _smpl_keys(arrays)
-    if not places:
-        raise at.error("not an AMASS file of axis-angles", place="keys")
     count = loaded.frames
     for key in {moving, "contacts", *(key for key, _ in places), "pose_jaw", "pose_eye", "pose_hand"} & arrays.keys():
         if len(arrays[key]) == count:
@@ -327,15 +296,6 @@ WRITERS: dict[str, Callable[[Path, Motion], None]] = {".bvh": bvh.save, ".npz": 
 REWRITERS: dict[str, Callable[[Spot, Motion, Motion], bytes]] = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
 
 
-def _rewritable(source: str | Path) -> bool:
-    """Returns whether a file can be rewritten: a BVH, an AMASS npz or a GLB."""
-    suffix = Path(source).suffix.lower()
-    if suffix != ".npz":
-        return suffix in REWRITERS
-    with reading(source) as at:
-        return bool(_smpl_keys(read_npz(at, amass._KEYS))[0])
-
-
 #: What is said of a file that is written anew.
 _ANEW = {
     ".bvh": "written anew, its numbers rounded to 1e-8 m and 1e-6 degrees",
@@ -358,15 +318,9 @@ def check_target(source: str | Path | None, target: str | Path) -> None:
     target = Path(target)
     if target.suffix.lower() not in WRITERS:
         raise DataError("cannot write this format", path=target, remedy=f"use one of {', '.join(WRITERS)}")
-    if source is not None and _is_one_file(Path(source), target):  # what is kept is read from there at each export
-        raise DataError("this is the file that was opened", path=target, remedy="give another name")
-
-
-def _is_one_file(source: Path, target: Path) -> bool:
-    try:
-        return target.samefile(source)
-    except OSError:  # one is not there, or has no name that can be
-        return False
+    with suppress(OSError):  # one is not there, or has no name that can be
+        if source is not None and target.samefile(source):  # what is kept is read from there at each export
+            raise DataError("this is the file that was opened", path=target, remedy="give another name")
 
 
 def write_back(source: str | Path | None, target: str | Path, loaded: Motion | None, made: Motion) -> str:
@@ -379,12 +333,15 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
         DataError: a target that cannot be (:func:`check_target`), or for an .npz a skeleton of unknown joints.
     """
     check_target(source, target)
-    suffix = Path(target).suffix.lower()
-    same = source is not None and suffix == Path(source).suffix.lower() and _holds(suffix, loaded, made)
-    lost = _left_behind(source)
-    if same and _rewritable(source):
+    suffix, lost = Path(target).suffix.lower(), _left_behind(source)
+    if source is not None and suffix == Path(source).suffix.lower() and _rewritable(source, loaded, made):
+        check_writable(target, made)
         try:
-            _rewrite(source, target, loaded, made)
+            with reading(source, _REMEDY) as at:
+                if made.skeleton.names != loaded.skeleton.names:
+                    raise at.error("not the motion of this file")
+                content = REWRITERS[suffix](at, loaded, made)
+            write_whole(target, content)
             changed = (made.frames, made.fps) != (loaded.frames, loaded.fps)
             return _MORE if changed and suffix == ".glb" else _stayed(loaded, made)
         except DataError as error:  # a GLB need not have a key for what changed in every frame
@@ -400,10 +357,14 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
     return f"{_ANEW[suffix]}{lost}"
 
 
-def _holds(suffix: str, loaded: Motion, made: Motion) -> bool:
-    """Returns whether a file of this format can be rewritten with so many frames, at this rate."""
-    more = made.frames - loaded.frames
-    return suffix in (".bvh", ".glb") or (made.fps == loaded.fps and more >= 0)
+def _rewritable(source: str | Path, loaded: Motion, made: Motion) -> bool:
+    """Whether a file, a BVH, an AMASS npz or a GLB, can hold so many frames at this rate."""
+    suffix = Path(source).suffix.lower()
+    if suffix != ".npz":
+        return suffix in REWRITERS
+    with reading(source) as at:
+        places, _ = _smpl_keys(read_npz(at, amass._KEYS))
+        return bool(places) and made.fps == loaded.fps and made.frames >= loaded.frames
 
 
 def _stayed(loaded: Motion, made: Motion) -> str:
@@ -425,15 +386,12 @@ def for_amass(motion: Motion) -> tuple[Motion, str]:
     Raises:
         DataError: a skeleton whose joints are not known.
     """
-    if _has_standard_bones(motion.skeleton):
+    own = motion.skeleton
+    if own.names == STANDARD.names and (own.offsets - STANDARD.offsets)[1:].abs().max() < 1e-4:
         return motion, ""
     leg = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
     found = retarget(motion, proportions="standard", leg=leg)
     return found.motion, f"AMASS files hold no bone lengths: put on the standard body, {found.scale:.3f} times as large"
-
-
-def _has_standard_bones(skeleton: Skeleton) -> bool:
-    return skeleton.names == STANDARD.names and bool((skeleton.offsets - STANDARD.offsets)[1:].abs().max() < 1e-4)
 
 
 def _left_behind(source: str | Path | None) -> str:

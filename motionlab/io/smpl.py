@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import torch
 from motionlab.body import BodyModel
 from motionlab.io.pickles import arrays_of, read_pickle
 from motionlab.io.reading import Spot, check_keys, numbers, read_bytes, read_npz, reading
-from motionlab.skeleton import STANDARD, Skeleton
+from motionlab.skeleton import STANDARD
 
 _KEYS = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
 _REMEDY = "use an unchanged model file of SMPL, SMPL+H or SMPL-X (smpl.is.tue.mpg.de), or an npz of its arrays"
@@ -92,9 +93,7 @@ def _body(at: Spot, raw: dict[str, np.ndarray], betas: int) -> BodyModel:
         bind_rot=torch.eye(3).repeat(count, 1, 1),
         weights=torch.from_numpy(folded / folded.sum(1, keepdims=True)).float(),
         faces=torch.from_numpy(faces).long(),
-        skeleton=Skeleton(
-            STANDARD.names, STANDARD.parents, torch.from_numpy(offsets).float(), STANDARD.contact_names, sole
-        ),
+        skeleton=replace(STANDARD, offsets=torch.from_numpy(offsets).float(), sole=sole),
         keypoint_vertices=dict(zip(_POINTS, _VERTICES.get(vertices, ()), strict=False)),
         pose_directions=posed,
         notes=tuple(notes),
