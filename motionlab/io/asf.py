@@ -68,30 +68,18 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
             notes.append(f"the file names no unit: taken as 1/{figure.length:g} inch = {unit:.5f} m, as CMU does")
         skeleton = _skeleton(figure, unit)
     with reading(amc, "take the .amc of the take again, with the .asf of the same subject") as at:
-        degrees, table = _parse_amc(at, read_text(at), figure)
+        degrees, frames = _parse_amc(at, read_text(at), figure)
         if fps is None:
             fps = _CMU_FPS
             notes.append(f"the file names no frame rate: taken as {fps:g}, as CMU does")
         fps = frame_rate(at, fps, "fps argument")
-        to_radians = np.pi / 180 if degrees else 1.0
-        rot = torch.eye(3, dtype=torch.float64).expand(len(table), len(skeleton), 3, 3).clone()
-        column = len(figure.bones["root"].dof)
-        for name in list(figure.bones)[1:]:
-            dof = figure.bones[name].dof
-            angles = torch.from_numpy(table[:, column : column + len(dof)] * to_radians)
-            rot[:, skeleton.index(name)] = _turn(figure, name, angles, dof)
-            column += len(dof)
-        first, axes = table[:, : len(figure.bones["root"].dof)], figure.bones["root"].dof
-        moves = [axes.index(f"t{axis}") for axis in "xyz"]
-        turns = [i for i, axis in enumerate(axes) if axis[0] == "r"]
-        rot[:, 0] = _turn(figure, "root", torch.from_numpy(first[:, turns] * to_radians), [axes[i] for i in turns])
-        world = UPRIGHT.double()
-        root = (
-            (torch.from_numpy(first[:, moves]) + torch.tensor(figure.bones["root"].position, dtype=torch.float64))
-            * unit
-            @ world.T
-        )
-        rot[:, 0] = world @ rot[:, 0]
+        upright, own = UPRIGHT.double(), figure.bones["root"]
+        rot = torch.eye(3, dtype=torch.float64).expand(len(frames["root"]), len(skeleton), 3, 3).clone()
+        for name, values in frames.items():
+            rot[:, skeleton.index(name)] = _turn(figure.bones[name], values, degrees, figure.degrees)
+        moved = torch.from_numpy(frames["root"][:, [own.dof.index(f"t{axis}") for axis in "xyz"]])
+        root = (moved + torch.tensor(own.position, dtype=torch.float64)) * unit @ upright.T
+        rot[:, 0] = upright @ rot[:, 0]
         return Motion(skeleton, root.float(), rot.float(), fps, name=at.path.stem, notes=tuple(notes))
 
 
@@ -112,19 +100,18 @@ def load_beside(
     if asf is None and amc.is_file():
         remedy = "put the subject's .asf beside it, or name it with asf=, or --asf"
         missing = amc.with_name(f"{amc.stem.split('_')[0]}.asf")
-        raise DataError(
-            "no skeleton file that is called as the .amc begins", path=missing, remedy=remedy, place=amc.name
-        )
+        what = "no skeleton file that is called as the .amc begins"
+        raise DataError(what, path=missing, remedy=remedy, place=amc.name)
     return load(asf or amc.with_suffix(".asf"), amc, fps=fps, unit=UNITS[unit] if unit in UNITS else unit)
 
 
-def _turn(figure: _Asf, name: str, angles: Tensor, dof: list[str]) -> Tensor:
+def _turn(bone: _Bone, values: np.ndarray, degrees: bool, axis_degrees: bool) -> Tensor:
     """C M C^T (T, 3, 3); turns about fixed axes in the order written are intrinsic ones in reverse."""
-    bone = figure.bones[name]
-    order = "".join(axis[1] for axis in dof).upper()
-    turn = rotation.euler_to_matrix(angles.flip(-1), order[::-1])
-    axis = torch.deg2rad(torch.tensor(bone.axis, dtype=torch.float64)) if figure.degrees else torch.tensor(bone.axis)
-    frame = rotation.euler_to_matrix(axis.double().flip(-1), bone.axis_order[::-1])
+    turning = [k for k, dof in enumerate(bone.dof) if dof[0] == "r"][::-1]
+    angles = torch.from_numpy(values[:, turning] * (np.pi / 180 if degrees else 1.0))
+    turn = rotation.euler_to_matrix(angles, "".join(bone.dof[k][1] for k in turning).upper())
+    axis = torch.tensor(bone.axis[::-1], dtype=torch.float64)
+    frame = rotation.euler_to_matrix(torch.deg2rad(axis) if axis_degrees else axis, bone.axis_order[::-1])
     return frame @ turn @ frame.mT
 
 
@@ -137,9 +124,8 @@ def _skeleton(figure: _Asf, unit: float) -> Skeleton:
         parents.append(names.index(parent))
         names.append(name)
         offsets.append([unit * above.length * x for x in above.direction])
-        bone = figure.bones.get(name)
         children = figure.children.get(name, [])
-        if bone is not None and not children and bone.length > 0:
+        if name in figure.bones and not children and figure.bones[name].length > 0:
             children = [f"{name}_end"]
         stack += [(child, name) for child in reversed(children)]
     return Skeleton(tuple(names), tuple(parents), torch.tensor(offsets))
@@ -255,8 +241,8 @@ def _hierarchy(at: Spot, lines: list[tuple[int, list[str]]], bones: dict[str, _B
     return children
 
 
-def _parse_amc(at: Spot, text: str, figure: _Asf) -> tuple[bool, np.ndarray]:
-    """Whether angles are degrees, and one row of values a frame: the bones' degrees of freedom in ASF order.
+def _parse_amc(at: Spot, text: str, figure: _Asf) -> tuple[bool, dict[str, np.ndarray]]:
+    """Whether angles are degrees, and the values (T, D) of every bone that has degrees of freedom.
 
     Raises:
         DataError: naming the line.
@@ -291,5 +277,5 @@ def _parse_amc(at: Spot, text: str, figure: _Asf) -> tuple[bool, np.ndarray]:
         if missing := [name for name in widths if name not in frame]:
             raise at.error(f"frame without {', '.join(missing)}: truncated")
         rows.append(floats(at, [value for name in widths for value in frame[name]], sum(widths.values())))
-    at.place = ""
-    return degrees, np.stack(rows)
+    at.place, ends = "", np.cumsum(list(widths.values()))
+    return degrees, dict(zip(widths, np.split(np.stack(rows), ends[:-1], axis=1), strict=True))
