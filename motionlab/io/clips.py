@@ -62,13 +62,7 @@ def load_amp(path: str | Path) -> Motion:
         skeleton = _amp_skeleton(at, arrays)
         quaternion = numbers(at, arrays[_AMP_ROTATION], f"T {len(skeleton)} 4", place=_AMP_ROTATION)
         root = numbers(at, arrays["root_translation"], f"{len(quaternion)} 3", place="root_translation")
-        length = np.linalg.norm(quaternion, axis=-1)
-        if (np.abs(length - 1) > 0.05).any():
-            frame, joint = np.argwhere(np.abs(length - 1) > 0.05)[0]
-            place = f"{_AMP_ROTATION}, frame {frame}, {skeleton.names[joint]}"
-            raise at.error(f"quaternion of length {length[frame, joint]:.3g}, expected 1", place=place)
-        wxyz = torch.from_numpy((quaternion / length[..., None])[..., [3, 0, 1, 2]])
-        rot = rotation.quaternion_to_matrix(wxyz)
+        rot = _rotations(at, quaternion[..., [3, 0, 1, 2]], skeleton.names, 0.05)
         is_local = arrays["is_local"]
         if is_local.size != 1 or is_local.dtype.kind not in "biu":
             raise at.error(f"expected true or false, got {is_local!r}", place="is_local")
@@ -113,11 +107,11 @@ def load_deepmimic(path: str | Path) -> Motion:
         rot = torch.eye(3, dtype=torch.float64).expand(len(table), len(_DEEPMIMIC), 3, 3).clone()
         column = 4
         for joint, (name, _, _, width) in enumerate(_JOINTS):
-            part = torch.from_numpy(table[:, column : column + width])
-            if width == 4:
-                rot[:, joint] = rotation.quaternion_to_matrix(_unit(at, part, name))
+            part = table[:, column : column + width]
+            if width == 4:  # rounded by hand in places: humanoid3d_punch goes down to 0.93
+                rot[:, joint] = _rotations(at, part[:, None], (name,), 0.2)[:, 0]
             elif width == 1:
-                rot[:, joint] = rotation.rotation_about("z", part[:, 0])
+                rot[:, joint] = rotation.rotation_about("z", torch.from_numpy(part[:, 0]))
             column += width
         rot[:, 0] = UPRIGHT.double() @ rot[:, 0]
         root = torch.from_numpy(table[:, 1:4]) @ UPRIGHT.double().T
@@ -156,10 +150,12 @@ def _evenly(motion: Motion, times: np.ndarray) -> Motion:
     )
 
 
-def _unit(at: Spot, quaternion: torch.Tensor, name: str) -> torch.Tensor:
-    length = quaternion.norm(dim=-1)
-    bad = (length - 1).abs() > 0.2  # rounded by hand in places: humanoid3d_punch goes down to 0.93
-    if bad.any():
-        i = int(bad.nonzero()[0])
-        raise at.error(f"quaternion of length {float(length[i]):.3g}, expected 1", place=f"frame {i}, {name}")
-    return quaternion / length[:, None]
+def _rotations(at: Spot, quaternions: np.ndarray, names: tuple[str, ...], off: float) -> torch.Tensor:
+    """Matrices (T, J, 3, 3) of quaternions (T, J, 4), w first, of about length 1."""
+    length = np.linalg.norm(quaternions, axis=-1)
+    bad = np.argwhere(np.abs(length - 1) > off)
+    if len(bad):
+        frame, joint = bad[0]
+        place = f"frame {frame}, {names[joint]}"
+        raise at.error(f"quaternion of length {length[frame, joint]:.3g}, expected 1", place=place)
+    return rotation.quaternion_to_matrix(torch.from_numpy(quaternions / length[..., None]))

@@ -100,10 +100,15 @@ def to_world(
     Raises:
         DataError: neither the file nor its figure tells the unit, or what is up.
     """
-    names, skeleton = _names(figure), getattr(figure, "skeleton", None)
-    head, feet = _found(_HEAD, names) or _found(_NECK, names), _feet(names, skeleton)
-    points = _sampled(figure)
-    notes = [*figure.notes, *_rate_noted(figure.fps)]
+    skeleton = getattr(figure, "skeleton", None)
+    names = [name.lower().rpartition(":")[2] for name in (skeleton or figure).names]
+    head, feet = _found(_HEAD, names) or _found(_NECK, names), _found(_FEET, names)
+    if skeleton is not None:  # the ankles alone: who has no foot above
+        feet = [j for j in feet if skeleton.parents[j] not in feet]
+    points, notes = _sampled(figure), [*figure.notes]
+    if not 5 <= figure.fps <= 1000:
+        said = f"{figure.fps:.4g} frames per second is no usual rate"
+        notes.append(f"{said}: give the right one with fps=, or --fps-in")
     if axes is None and up is None:
         zero = None if says_up else _rest_up(skeleton, head, feet)
         up, said, sure = _up(points, head, feet, says_up or zero, trust)
@@ -139,11 +144,6 @@ def _turned(figure: Figure, scale: float, axes: str) -> Figure:
     return replace(figure, skeleton=skeleton, root=root.float(), rot=rot.float())
 
 
-def _names(figure: Figure) -> list[str]:
-    names = figure.skeleton.names if isinstance(figure, Motion) else figure.names
-    return [name.lower().rpartition(":")[2] for name in names]
-
-
 def _sampled(figure: Figure) -> Tensor:
     """Some 20 frames of points (S, J, 3), float64; NaN where not measured."""
     step = max(figure.frames // 20, 1)
@@ -154,12 +154,6 @@ def _sampled(figure: Figure) -> Tensor:
 
 def _found(words: re.Pattern, names: list[str]) -> list[int]:
     return [i for i, name in enumerate(names) if words.search(name)]
-
-
-def _feet(names: list[str], skeleton: Skeleton | None) -> list[int]:
-    """The points of the feet; of a skeleton the ankles alone: who has no foot above."""
-    feet = _found(_FEET, names)
-    return feet if skeleton is None else [j for j in feet if skeleton.parents[j] not in feet]
 
 
 def _legs(skeleton: Skeleton, feet: list[int]) -> list[list[int]]:
@@ -254,10 +248,3 @@ def longest_chain(skeleton: Skeleton) -> float:
         longest = max(longest, down[parent] + reach)
         down[parent] = max(down[parent], reach)
     return longest
-
-
-def _rate_noted(fps: float) -> tuple[str, ...]:
-    """Says so where a frame rate is not one that motion is recorded at."""
-    if 5 <= fps <= 1000:
-        return ()
-    return (f"{fps:.4g} frames per second is no usual rate: give the right one with fps=, or --fps-in",)
