@@ -60,6 +60,7 @@ LOADERS = {
     "biomech.csv": lambda path: points.load_biomech(path, fps=50),
     "projected.csv": lambda path: points.load_projected(path, camera=seeds.camera(), fps=50),
     ".glb": gltf.load,
+    ".gltf": gltf.load,
     **dict.fromkeys(calibrated.SEEDS, lambda path: cameras.load_camera(path)[0]),
     "gvhmr.pt": amass.load,
     "wham.pkl": amass.load,

@@ -129,6 +129,12 @@ FAMILIES: dict[str, tuple[str, str, str, str]] = {
         "Bip01>Bip01_Pelvis Bip01_{L}_Finger0<Bip01_{L}_Hand Bip01_{L}_Toe0Nub<Bip01_{L}_Toe0 "
         "Bip01_HeadNub<Bip01_Head Bip01_Footsteps<Bip01",
     ),
+    "3ds Max Biped, thighs on the spine": (  # its triangle of the pelvis
+        "Bip01_Spine Bip01_Spine1 - Bip01_Spine2 Bip01_Neck Bip01_Head",
+        "Bip01_{L}_Thigh Bip01_{L}_Calf Bip01_{L}_Foot Bip01_{L}_Toe0",
+        "Bip01_{L}_Clavicle Bip01_{L}_UpperArm Bip01_{L}_Forearm Bip01_{L}_Hand",
+        "Bip01_Pelvis>Bip01_Spine Bip01>Bip01_Pelvis Bip01_{L}_Finger0<Bip01_{L}_Hand Bip01_Footsteps<Bip01",
+    ),
     "Valve": (
         "ValveBiped.Bip01_Pelvis ValveBiped.Bip01_Spine1 ValveBiped.Bip01_Spine2 ValveBiped.Bip01_Spine4 "
         "ValveBiped.Bip01_Neck1 ValveBiped.Bip01_Head1",

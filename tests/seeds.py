@@ -1,5 +1,6 @@
 """Small valid files of every format, as bytes, for the tests of loaders. Made here; no recording is copied."""
 
+import base64
 import io
 import json
 import pickle
@@ -212,6 +213,15 @@ def projected_text() -> str:
     return f"Timestamps [ms],Hips,,Head,,\n{rows}"
 
 
+def gltf_text(glb: bytes) -> bytes:
+    """A .gltf, with its numbers inside, of a GLB."""
+    size = int.from_bytes(glb[12:16], "little")
+    content = json.loads(glb[20 : 20 + size])
+    numbers = base64.b64encode(glb[28 + size :]).decode()
+    content["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{numbers}"
+    return json.dumps(content).encode()
+
+
 SEEDS: dict[str, bytes] = {
     ".bvh": saved(bvh.save, ".bvh"),
     ".asf": asf_text().encode(),
@@ -230,6 +240,7 @@ SEEDS: dict[str, bytes] = {
     "biomech.csv": biomech_text().encode(),
     "projected.csv": projected_text().encode(),
     ".glb": saved(gltf.save, ".glb"),
+    ".gltf": gltf_text(saved(gltf.save, ".glb")),
     **calibrated.SEEDS,
     "gvhmr.pt": results.gvhmr(),
     "wham.pkl": results.wham(),

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pygltflib
 import pytest
+import seeds
 import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
 from data_synth.body import capsule_body
-from motionlab import rotation
+from motionlab import io, rotation
 from motionlab.body import lbs
 from motionlab.errors import DataError, ShapeError
 from motionlab.io import gltf, gltf_reading, rewriting
@@ -263,6 +264,19 @@ def test_nothing_half_written(tmp_path, body, monkeypatch):
     with pytest.raises(DataError, match="frame 9"):
         gltf.save(tmp_path / "a.glb", broken)
     assert [p.name for p in tmp_path.iterdir()] == ["a.glb"] and (tmp_path / "a.glb").read_bytes() == b"old"
+
+
+def test_a_gltf_with_its_numbers_inside_is_the_same_motion_and_one_without_says_why_not(tmp_path, written):
+    path, text = tmp_path / "a.gltf", seeds.gltf_text(written.read_bytes())
+    path.write_bytes(b"\n" + text)
+    one, other = io.load(written), io.load(path)
+    assert torch.equal(one.rot, other.rot) and torch.equal(one.root, other.root) and one.notes == other.notes
+    assert "the body of the file that was read is lost" in rewriting.write_back(path, tmp_path / "b.glb", other, other)
+    outside = json.loads(text)
+    outside["buffers"][0]["uri"] = "a.bin"
+    path.write_text(json.dumps(outside))
+    with pytest.raises(DataError, match=r"a\.gltf, buffers: its numbers lie in another file, a\.bin .*\.glb"):
+        io.load(path)
 
 
 def rewrite(path, change):

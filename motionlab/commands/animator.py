@@ -239,7 +239,7 @@ def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Anima
 
 def _rig(options: argparse.Namespace, say: Callable[[str], None]) -> Motion:
     """Reads --onto, of which names are given, and what to do with bones that change their length."""
-    stretched = options.translations if options.onto.suffix.lower() in (".bvh", ".glb") else None
+    stretched = options.translations if options.onto.suffix.lower() in (".bvh", ".glb", ".gltf") else None
     alone = argparse.Namespace(names=options.onto_names, translations=stretched)
     return read_motion(options.onto, alone, lambda note: say(f"{options.onto.name}: {note}"))
 

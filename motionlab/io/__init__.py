@@ -88,13 +88,13 @@ LOADERS = {
     ".pkl": amass.load,
     ".npy": load_npy,
     ".glb": gltf.load,
+    ".gltf": gltf.load,
     ".trc": points.load_trc,
     ".c3d": points.load_c3d,
 }
 _NOT_ONE_FILE = {
     ".fbx": "in Blender: import FBX, export BVH",
     ".blend": "in Blender: export BVH",
-    ".gltf": "export it as one binary file, .glb",
     ".asf": "name the .amc: the .asf is found beside it",
     "": "a folder of OpenPose frames is read with motionlab.io.openpose.load",
 }

@@ -1,10 +1,12 @@
-"""Animated GLB files (glTF 2.0, binary) as motions: ours, Blender's, and whatever else is out there.
+"""Animated GLB files (glTF 2.0, binary), and .gltf with their numbers inside, as motions: ours, Blender's, and whatever
+else is out there.
 
 Source: the glTF 2.0 specification (Khronos), 3.11 Animations, appendix C on interpolation, 4.4 GLB layout.
 """
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
 from collections import Counter
@@ -42,7 +44,7 @@ def load(
     fps: float | None = None,
     translations: str = "strict",
 ) -> Motion:
-    """Reads one person of an animation of a GLB as a motion with the file's own skeleton.
+    """Reads one person of an animation of a GLB or .gltf as a motion with the file's own skeleton.
 
     The joints are those of a skin, or of the animation where there is no skin. Their zero pose is the one in which the
     skin is bound, else the one in which the nodes rest; of our own files that of the motion. Channels with keys at
@@ -80,8 +82,15 @@ def _framed(skeleton: Skeleton, rot: Tensor, frames: Tensor) -> tuple[Skeleton, 
 
 
 def _chunks(at: Spot) -> tuple[dict, bytes]:
-    """The JSON and the binary chunk."""
+    """The JSON and the binary chunk; of a .gltf, which is JSON alone, the numbers that it holds itself."""
     data = read_bytes(at)
+    if data.lstrip()[:1] == b"{":
+        content = json.loads(data)
+        head, _, numbers = content["buffers"][0].pop("uri").partition(",")
+        if not (head.startswith("data:") and head.endswith(";base64")):
+            remedy = "export it as one binary file, .glb, or with its buffers inside"
+            raise at.error(f"its numbers lie in another file, {head[:40]}", place="buffers", remedy=remedy)
+        return content, base64.b64decode(numbers)
     if len(data) < 20 or data[:4] != MAGIC:
         raise at.error("not a GLB file", place="header")
     version, length = struct.unpack_from("<II", data, 4)
@@ -96,8 +105,7 @@ def _chunks(at: Spot) -> tuple[dict, bytes]:
         start += 8 + size
     if JSON_CHUNK not in found:
         raise at.error("no JSON chunk", place="header")
-    content = json.loads(found[JSON_CHUNK].decode())
-    return content, found.get(BIN_CHUNK, b"")
+    return json.loads(found[JSON_CHUNK].decode()), found.get(BIN_CHUNK, b"")
 
 
 def _array(at: Spot, content: dict, blob: bytes, index: int, width: int, place: str) -> np.ndarray:

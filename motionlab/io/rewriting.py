@@ -396,7 +396,7 @@ def for_amass(motion: Motion) -> tuple[Motion, str]:
 
 def _left_behind(source: str | Path | None) -> str:
     """Says what a file loses that is written anew: of a GLB the body, and what is beside the motion."""
-    if source is None or Path(source).suffix.lower() != ".glb":
+    if source is None or Path(source).suffix.lower() not in (".glb", ".gltf"):
         return ""
     with reading(source) as at:
         content = gltf_reading._chunks(at)[0]
