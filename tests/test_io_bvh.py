@@ -238,8 +238,6 @@ def cut(marker: str, text: str = TEXT) -> str:
 
 
 WRONG = {  # name: (file, words of the message)
-    "empty": ("", "empty"),
-    "binary": (bytes(range(256)) * 40, "cannot be read|zero bytes|expected HIERARCHY"),
     "another format": ('{"Frames": []}', "line 1.*expected HIERARCHY"),
     "no HIERARCHY": (TEXT.replace("HIERARCHY\n", ""), "line 1.*expected HIERARCHY"),
     "no ROOT": (TEXT.replace("ROOT Hips", "JOINT Hips"), "line 2.*expected ROOT"),
@@ -294,10 +292,7 @@ def test_wrong_files_name_file_place_and_remedy(tmp_path, name):
     assert str(path) in str(caught.value) and caught.value.place and caught.value.remedy
 
 
-def test_missing_file_and_folder(tmp_path):
-    for path in (tmp_path / "none.bvh", tmp_path):
-        with pytest.raises(DataError):
-            bvh.load(path)
+def test_names_that_no_loader_reads(tmp_path):
     for name, words in (("a.xyz", r"no loader.*\.bvh"), ("a.asf", r"no loader.*name the \.amc"), ("a", "openpose")):
         with pytest.raises(DataError, match=words):
             io.load(tmp_path / name)

@@ -104,9 +104,6 @@ def setter(frame: int, column: int, value):
 
 
 WRONG = {
-    "empty": (b"", "empty"),
-    "binary": (bytes(range(256)), "clip"),
-    "truncated": (json.dumps({"Frames": frames()}).encode()[:500], "JSONDecodeError"),
     "a list": ([1, 2], '"Frames"'),
     "no Frames": ({"Loop": "wrap"}, '"Frames"'),
     "Frames a word": ({"Frames": "many"}, '"Frames"'),

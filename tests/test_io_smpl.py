@@ -291,24 +291,3 @@ def test_not_a_body_at_all(tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(DataError, match=r"model\.pkl.*remedy"):
         smpl.load(path)
-
-
-def test_absent_and_folder(tmp_path):
-    for path in (tmp_path, tmp_path / "none.pkl"):
-        with pytest.raises(DataError):
-            smpl.load(path)
-
-
-def test_object_arrays_in_npz_are_never_unpickled(tmp_path):
-    data = {**arrays(), "J_regressor": np.array([{"a": 1}], dtype=object)}
-    with pytest.raises(DataError, match="pickled Python objects"):
-        smpl.load(write_npz(tmp_path / "a.npz", data))
-
-
-@pytest.mark.parametrize("cut", [0.1, 0.5, 0.9, 0.999])
-@pytest.mark.parametrize("write", [write_npz, write_pkl])
-def test_truncated(tmp_path, cut, write):
-    path = write(tmp_path / ("m.npz" if write is write_npz else "m.pkl"), arrays())
-    path.write_bytes(path.read_bytes()[: int(cut * path.stat().st_size)])
-    with pytest.raises(DataError):
-        smpl.load(path)
