@@ -42,9 +42,8 @@ def cycled(
         motion, off = _closed(motion, blend)
         notes.append(f"the ends differed by {100 * off[0]:.0f} cm in height and up to {off[1]:.0f} degrees in a joint")
         if off[2] > _TURNS:
-            notes.append(
-                f"it turns by {off[2]:.0f} degrees from end to end, which is taken out: cut where it faces alike"
-            )
+            said = f"it turns by {off[2]:.0f} degrees from end to end, which is taken out"
+            notes.append(f"{said}: cut where it faces alike")
         if plant:
             motion = _planted_around(motion)
             notes.append("feet that stand are held in place, over the seam, too")

@@ -79,10 +79,10 @@ def _candidates(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, T
 
 def _looks_ahead(motion: Motion, joints: dict[str, int]) -> bool:
     """Whether knees and toes are on the whole where the front is if left is left: sides may be swapped."""
-    hip, knee, ankle, ball = (
-        motion.positions[:, [joints.get(f"{side}_{part}", 0) for side in ("left", "right")]]
-        for part in ("hip", "knee", "ankle", "foot")
-    )
+    pairs = [
+        [joints.get(f"{side}_{part}", 0) for side in ("left", "right")] for part in ("hip", "knee", "ankle", "foot")
+    ]
+    hip, knee, ankle, ball = (motion.positions[:, pair] for pair in pairs)
     front = torch.linalg.cross(hip[:, 0] - hip[:, 1], (hip - ankle).mean(1), dim=-1)
     toes = ball - ankle if "left_foot" in joints and "right_foot" in joints else torch.zeros_like(knee)
     return bool(((knee - (hip + ankle) / 2 + toes).mean(1) * front).sum(-1).mean() > 0)

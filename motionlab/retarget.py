@@ -344,12 +344,12 @@ def _corrections(body: Match) -> Tensor:
         part, child = name.rpartition("_")[2], _child(name, body.joints)
         parent = STANDARD.parents[joint]
         if name not in body.joints or part == "wrist":
-            corrections.append(corrections[parent] if parent >= 0 else torch.eye(3, dtype=torch.float64))
+            corrections.append(corrections[parent] if parent >= 0 else _EYE)
         elif child and (part in _LIMBS or (part == "ankle" and not body.flat_feet)):
             bone = body.rest[body.joints[child]] - body.rest[body.joints[name]]
             corrections.append(rotation.rotation_between(STANDARD.offsets[STANDARD.index(child)].double(), bone))
         else:
-            corrections.append(torch.eye(3, dtype=torch.float64))
+            corrections.append(_EYE)
     return torch.stack(corrections)
 
 

@@ -157,10 +157,8 @@ def _read(names: Sequence[str]) -> list[tuple[str, str]]:
     """Side and word of every name, less the prefix and suffix with which most names make sense."""
     tokens, sides = [], []
     for name in names:
-        parts = re.findall(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+", re.split(r"[:|/](?=.*[A-Za-z])", name)[-1])[
-            -2 * _MOST :
-        ]
-        words = [part.lower() for part in parts]
+        own = re.split(r"[:|/](?=.*[A-Za-z])", name)[-1]
+        words = [part.lower() for part in re.findall(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+", own)[-2 * _MOST :]]
         sides.append(max((_SIDES[word] for word in words if word in _SIDES), key=len, default=None))
         tokens.append(tuple(word for word in words if word not in _SIDES))
 
@@ -174,14 +172,13 @@ def _read(names: Sequence[str]) -> list[tuple[str, str]]:
 
     prefixes = Counter(own[:k] for own in tokens for k in range(1, len(own)))
     suffixes = Counter(own[-k:] for own in tokens for k in range(1, len(own)))
-    ways = [
-        [(), *sorted((w for w, n in c.items() if n >= _SHARED), key=lambda w: (len(w), w))]
-        for c in (prefixes, suffixes)
-    ]
-    return max(
-        (words_with(*way) for way in product(*ways)),
-        key=lambda said: len({(side, _PARTS[word]) for side, word in said if word in _PARTS}),
-    )
+    shared = ([w for w, n in counted.items() if n >= _SHARED] for counted in (prefixes, suffixes))
+    ways = product(*([(), *sorted(words, key=lambda w: (len(w), w))] for words in shared))
+
+    def sense(said: list[tuple[str, str]]) -> int:
+        return len({(side, _PARTS[word]) for side, word in said if word in _PARTS})
+
+    return max((words_with(*way) for way in ways), key=sense)
 
 
 def _sided(side: str | None, word: str) -> tuple[str, str]:

@@ -105,11 +105,8 @@ def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | fl
     motion = motion.to(torch.float64)
     skeleton, names, world = motion.skeleton, motion.skeleton.names, judging.axes_to_matrix(AXES[up])
     rest = (motion.rot - torch.eye(3).double()).abs().amax((0, 2, 3)) < 1e-6
-    ends = {
-        j
-        for j in range(1, len(names))
-        if j not in skeleton.parents and names[j] == f"{names[skeleton.parents[j]]}_end" and rest[j]
-    }
+    leaves = [j for j in range(1, len(names)) if j not in skeleton.parents and rest[j]]
+    ends = {j for j in leaves if names[j] == f"{names[skeleton.parents[j]]}_end"}
     rot = motion.rot.clone()
     rot[:, 0] = world.T @ rot[:, 0]
     text, turning = _hierarchy_text(skeleton, scale, order, ends)
@@ -295,10 +292,8 @@ def _motion(at: Spot, lines: list[str], motion_line: int, width: int, fps: float
     if rows and abs(frames - len(rows)) == 1:  # some count from 0, and some the rest pose
         at.notes.append(f"the file promises {frames:g} frames and has {len(rows)}: those that are there are read")
     elif frames != len(rows):
-        raise at.error(
-            f"promises {frames:g} frames, the file has {len(rows)}",
-            remedy="copy the file again if it is truncated, or correct the number",
-        )
+        remedy = "copy the file again if it is truncated, or correct the number"
+        raise at.error(f"promises {frames:g} frames, the file has {len(rows)}", remedy=remedy)
     values = np.empty((len(rows), width))
     for row, (number, line) in zip(values, rows, strict=True):
         at.place = f"line {number}"
@@ -309,16 +304,15 @@ def _motion(at: Spot, lines: list[str], motion_line: int, width: int, fps: float
 
 def _rate(at: Spot, frame_time: float, line: str) -> float:
     """Frames per second: the whole number that the printed digits can mean (0.033333 is 30), else 1 / time."""
-    if frame_time > 2:
-        fps, what = (frame_time, "a rate") if frame_time in RATES else (1000 / frame_time, "milliseconds")
-        digit = 10.0 ** -len(line.strip().partition(".")[2])  # 16.67 is 60 a second, and so is 17
-        fps = next((rate for rate in RATES if what == "milliseconds" and abs(1000 / rate - frame_time) < digit), fps)
-        at.notes.append(
-            f"a frame time of {frame_time:g} s is taken as {what}, {fps:g} frames per second: "
-            "give the right one with fps=, or --fps-in"
-        )
-        return fps
     digits = len(line.strip().partition(".")[2])
+    if frame_time > 2:
+        fps, what = frame_time, "a rate"
+        if frame_time not in RATES:  # 16.67 is 60 a second, and so is 17
+            near = (rate for rate in RATES if abs(1000 / rate - frame_time) < 10.0**-digits)
+            fps, what = next(near, 1000 / frame_time), "milliseconds"
+        taken = f"a frame time of {frame_time:g} s is taken as {what}, {fps:g} frames per second"
+        at.notes.append(f"{taken}: give the right one with fps=, or --fps-in")
+        return fps
     whole = max(round(1 / frame_time), 1)
     return float(whole) if digits >= 4 and abs(frame_time - 1 / whole) <= 10.0**-digits else 1 / frame_time
 

@@ -122,9 +122,8 @@ def _array(at: Spot, content: dict, blob: bytes, index: int, width: int, place: 
     count, stride = accessor["count"], view.get("byteStride", size * width)
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
     if min(start, count - 1, stride - size * width) < 0 or start + (count - 1) * stride + size * width > len(blob):
-        raise at.error(
-            f"{count} values of {stride} bytes from byte {start} do not lie in {len(blob)} bytes", place=place
-        )
+        what = f"{count} values of {stride} bytes from byte {start}"
+        raise at.error(f"{what} do not lie in {len(blob)} bytes", place=place)
     rows = numbers(at, np.ndarray((count, width), kind, blob, start, (stride, size)), f"T {width}", place)
     return np.maximum(rows / largest, -1) if normal else rows
 
@@ -187,24 +186,22 @@ def _figure(
     uneven = [str(nodes[node].get("name", node)) for node, (_, _, size, even) in local.items() if not even]
     if uneven:
         at.notes.append(f"{', '.join(uneven[:5])}: scaled unevenly, or through time: the mean size is kept")
-
     index = {joint: i for i, joint in enumerate(joints)}
 
-    def below(joint: int) -> tuple[Tensor, Tensor, Tensor]:  # the joint above, or the world
-        top = next((k for k, node in enumerate(chains[joint][1:], 1) if node in index), len(chains[joint]))
+    # where the first of a chain stands and how it is turned, what scales it, and whose child it is
+    def below(chain: list[int]) -> tuple[Tensor, Tensor, Tensor, int]:
+        top = next((k for k, node in enumerate(chain[1:], 1) if node in index), len(chain))
         size = torch.ones(3, dtype=torch.float64)
-        for node in chains[joint][top:]:
+        for node in chain[top:]:
             size = size * local[node][2]
         place, rot = torch.zeros(1, 3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
-        for node in chains[joint][:top][::-1]:
+        for node in chain[:top][::-1]:
             place = place + (rot @ (size * local[node][0])[..., None])[..., 0]
             rot, above, size = rot @ local[node][1], size, size * local[node][2]
-        return place, rot, above.mean()
+        return place, rot, above.mean(), index[chain[top]] if top < len(chain) else -1
 
-    place, rot, sizes = (
-        torch.stack(x, dim=d) for x, d in zip(zip(*map(below, joints), strict=True), (1, 1, 0), strict=True)
-    )
-    parents = tuple(next((index[node] for node in chains[joint][1:] if node in index), -1) for joint in joints)
+    places, turns, sizes, parents = zip(*(below(chains[joint]) for joint in joints), strict=True)
+    place, rot, sizes = torch.stack(places, dim=1), torch.stack(turns, dim=1), torch.stack(sizes)
     skeleton = Skeleton(
         names=tuple(names[joint] for joint in joints),
         parents=parents,

@@ -33,9 +33,8 @@ def read_pickle(at: Spot, data: bytes) -> object:
             try:
                 return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
             except pickle.UnpicklingError as error:  # whose message advises to run it
-                raise _refused(
-                    at, ", ".join(re.findall(r"GLOBAL (\S+)", str(error))) or "an instruction of another protocol"
-                ) from error
+                asked = ", ".join(re.findall(r"GLOBAL (\S+)", str(error)))
+                raise _refused(at, asked or "an instruction of another protocol") from error
     return _Reader(at, data).load()
 
 
@@ -56,11 +55,9 @@ def read_array(at: Spot, data: bytes) -> object:
 
 
 def _refused(at: Spot, asked: str) -> Exception:
-    return at.error(
-        f"asks for {asked}, which is no array, tensor or container: refused, nothing was executed",
-        place="pickle",
-        remedy="do not trust this file; save plain arrays with numpy.savez",
-    )
+    message = f"asks for {asked}, which is no array, tensor or container: refused, nothing was executed"
+    remedy = "do not trust this file; save plain arrays with numpy.savez"
+    return at.error(message, place="pickle", remedy=remedy)
 
 
 #: What torch may build beside tensors, by the names that any version of numpy gave it.

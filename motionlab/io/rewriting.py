@@ -201,16 +201,12 @@ def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
         raise at.error("read at other times than those of its keys", place="times")
     # what turns in the pose in which the mesh is bound, back to what the file's nodes turn by
     frames, nodes = found.frames[index], [found.joints[k] for k in index]
-    before, after = (
-        replace(m, rot=gltf_reading._framed(m.skeleton.to(torch.float64), m.rot.double(), frames.mT)[1])
-        for m in (loaded, made)
-    )
-    lengths = [
-        float(x.double().norm(dim=-1).sum()) for x in (loaded.skeleton.offsets[1:], found.skeleton.offsets[index[1:]])
-    ]
-    scale = lengths[0] / lengths[1] if lengths[1] else 1.0
+    doubles = (motion.to(torch.float64) for motion in (loaded, made))
+    before, after = (replace(m, rot=gltf_reading._framed(m.skeleton, m.rot, frames.mT)[1]) for m in doubles)
+    offsets = (loaded.skeleton.offsets[1:], found.skeleton.offsets[index[1:]])
+    ours, its = (float(x.double().norm(dim=-1).sum()) for x in offsets)
+    scale = ours / its if its else 1.0
     scale = float(found.sizes[index[0]]) * (1.0 if abs(scale - 1) < 1e-4 else scale)
-    again = made.frames != loaded.frames or made.fps != loaded.fps
     new, first, at_frame = {}, {}, torch.arange(made.frames).clamp(max=loaded.frames - 1)
     for k, node in enumerate(nodes):
         place, turn, size, _ = gltf_reading._local(at, content["nodes"][node], node, found.tracks, found.times)
@@ -220,7 +216,7 @@ def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
             new[node, "translation"] = root
         turned = rot[:, 0] if k == 0 else (turn @ before.rot[:, k].mT)[at_frame] @ after.rot[:, k]
         new[node, "rotation"] = rotation.matrix_to_quaternion(turned)[:, [1, 2, 3, 0]]
-    if again:
+    if (made.frames, made.fps) != (loaded.frames, loaded.fps):
         still = {key: first.get(key, torch.from_numpy(values[:1])) for key, (_, _, values) in found.tracks.items()}
         others = [v for key, (_, _, v) in found.tracks.items() if key not in first | new and np.ptp(v, 0).max() > 1e-4]
         return _animated(at, content, blob, len(others), still | new, made)
@@ -234,10 +230,8 @@ def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
         output = sampler.get("output", -1)
         accessor = content["accessors"][output]
         if outputs.count(output) != 1 or values.shape[:1] + values.shape[2:] != (loaded.frames,):
-            raise at.error(
-                f"{found.skeleton.names[index[nodes.index(node)]]} has no {what} of its own in every frame",
-                place=f"node {node}",
-            )
+            name = loaded.skeleton.names[nodes.index(node)]
+            raise at.error(f"{name} has no {what} of its own in every frame", place=f"node {node}")
         if accessor["componentType"] != 5126:
             raise at.error(f"its {what} are no floats", place=f"node {node}")
         _put(data, start, content, output, rows.numpy(), values, numbers.numpy())
@@ -303,8 +297,6 @@ _ANEW = {
     ".npy": "written anew as the places of 22 joints at 20 frames per second, as HumanML3D has them",
     ".glb": "written anew in single precision, as bones without a body (`convert` writes one with a body)",
 }
-
-
 #: What is said of a GLB in other frames.
 _MORE = "the file's nodes and meshes stay; the motion is a new animation, the first, in single precision"
 
