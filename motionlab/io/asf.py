@@ -23,8 +23,8 @@ _INCH = 0.0254
 
 @dataclass
 class _Bone:
-    """One bone as the file gives it: unit direction, length in file units, axis frame, degrees of freedom; of the root
-    also where it stands."""
+    """One bone as the file gives it: unit direction, length in file units, axis frame, degrees of freedom, the bones
+    at its end; of the root also where it stands."""
 
     direction: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     length: float = 0.0
@@ -32,16 +32,7 @@ class _Bone:
     axis_order: str = "XYZ"
     dof: list[str] = field(default_factory=list)
     position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-
-
-@dataclass
-class _Asf:
-    """A skeleton file: the bones by name ("root" first), who hangs on whom, and the units."""
-
-    bones: dict[str, _Bone]
-    children: dict[str, list[str]]
-    length: float
-    degrees: bool
+    children: list[str] = field(default_factory=list)
 
 
 def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: float | None = None) -> Motion:
@@ -62,21 +53,21 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
     """
     notes: list[str] = []
     with reading(asf, "take the .asf of the subject again") as at:
-        figure = _parse_asf(at, read_text(at))
+        bones, length, asf_degrees = _parse_asf(at, read_text(at))
         if unit is None:
-            unit = _INCH / figure.length
-            notes.append(f"the file names no unit: taken as 1/{figure.length:g} inch = {unit:.5f} m, as CMU does")
-        skeleton = _skeleton(figure, unit)
+            unit = _INCH / length
+            notes.append(f"the file names no unit: taken as 1/{length:g} inch = {unit:.5f} m, as CMU does")
+        skeleton = _skeleton(bones, unit)
     with reading(amc, "take the .amc of the take again, with the .asf of the same subject") as at:
-        degrees, frames = _parse_amc(at, read_text(at), figure)
+        degrees, frames = _parse_amc(at, read_text(at), bones, asf_degrees)
         if fps is None:
             fps = _CMU_FPS
             notes.append(f"the file names no frame rate: taken as {fps:g}, as CMU does")
         fps = frame_rate(at, fps, "fps argument")
-        upright, own = UPRIGHT.double(), figure.bones["root"]
+        upright, own = UPRIGHT.double(), bones["root"]
         rot = torch.eye(3, dtype=torch.float64).expand(len(frames["root"]), len(skeleton), 3, 3).clone()
         for name, values in frames.items():
-            rot[:, skeleton.index(name)] = _turn(figure.bones[name], values, degrees, figure.degrees)
+            rot[:, skeleton.index(name)] = _turn(bones[name], values, degrees, asf_degrees)
         moved = torch.from_numpy(frames["root"][:, [own.dof.index(f"t{axis}") for axis in "xyz"]])
         root = (moved + torch.tensor(own.position, dtype=torch.float64)) * unit @ upright.T
         rot[:, 0] = upright @ rot[:, 0]
@@ -115,24 +106,23 @@ def _turn(bone: _Bone, values: np.ndarray, degrees: bool, axis_degrees: bool) ->
     return frame @ turn @ frame.mT
 
 
-def _skeleton(figure: _Asf, unit: float) -> Skeleton:
+def _skeleton(bones: dict[str, _Bone], unit: float) -> Skeleton:
     names, parents, offsets = ["root"], [-1], [[0.0, 0.0, 0.0]]
-    stack = [(child, "root") for child in reversed(figure.children.get("root", []))]
+    stack = [(child, "root") for child in reversed(bones["root"].children)]
     while stack:
         name, parent = stack.pop()
-        above = figure.bones[parent]
+        above = bones[parent]
         parents.append(names.index(parent))
         names.append(name)
         offsets.append([unit * above.length * x for x in above.direction])
-        children = figure.children.get(name, [])
-        if name in figure.bones and not children and figure.bones[name].length > 0:
-            children = [f"{name}_end"]
-        stack += [(child, name) for child in reversed(children)]
+        if name in bones:
+            children = bones[name].children or [f"{name}_end"] * (bones[name].length > 0)
+            stack += [(child, name) for child in reversed(children)]
     return Skeleton(tuple(names), tuple(parents), torch.tensor(offsets))
 
 
-def _parse_asf(at: Spot, text: str) -> _Asf:
-    """Reads a skeleton.
+def _parse_asf(at: Spot, text: str) -> tuple[dict[str, _Bone], float, bool]:
+    """The bones by name, "root" first, the unit of length, and whether angles are degrees.
 
     Raises:
         DataError: naming the line.
@@ -157,11 +147,12 @@ def _parse_asf(at: Spot, text: str) -> _Asf:
     bones = {"root": _Bone(dof=["tx", "ty", "tz", "rx", "ry", "rz"])}
     for number, (key, *words) in sections["root"]:
         at.place = f"line {number}"
-        _tell(at, bones["root"], "root axis" if key == "axis" else key, words)
+        if key in ("order", "axis", "position", "orientation"):
+            _tell(at, bones["root"], "root axis" if key == "axis" else key, words)
     bones |= _bones(at, sections["bonedata"])
-    children = _hierarchy(at, sections["hierarchy"], bones)
+    _hierarchy(at, sections["hierarchy"], bones)
     at.place = ""
-    return _Asf(bones, children, length, units["angle"] == ["deg"])
+    return bones, length, units["angle"] == ["deg"]
 
 
 def _tell(at: Spot, bone: _Bone, key: str, words: list[str]) -> None:
@@ -210,15 +201,14 @@ def _bones(at: Spot, lines: list[tuple[int, list[str]]]) -> dict[str, _Bone]:
             bones[name], bone = bone, None
         elif key == "name":
             name = " ".join(words)
-        else:
+        elif key in ("direction", "length", "axis", "dof"):
             _tell(at, bone, key, words)
     if bone is not None:
         raise at.error(f"bone {name} has no end: the file is truncated")
     return bones
 
 
-def _hierarchy(at: Spot, lines: list[tuple[int, list[str]]], bones: dict[str, _Bone]) -> dict[str, list[str]]:
-    children: dict[str, list[str]] = {}
+def _hierarchy(at: Spot, lines: list[tuple[int, list[str]]], bones: dict[str, _Bone]) -> None:
     placed = {"root"}
     for number, words in lines:
         at.place = f"line {number}"
@@ -234,21 +224,20 @@ def _hierarchy(at: Spot, lines: list[tuple[int, list[str]]], bones: dict[str, _B
             if name in placed:
                 raise at.error(f"{name} has two parents")
             placed.add(name)
-            children.setdefault(parent, []).append(name)
+            bones[parent].children.append(name)
     lost = [name for name in bones if name not in placed]
     if lost:
         raise at.error(f"{', '.join(lost)} hang on nothing", place="section :hierarchy")
-    return children
 
 
-def _parse_amc(at: Spot, text: str, figure: _Asf) -> tuple[bool, dict[str, np.ndarray]]:
+def _parse_amc(at: Spot, text: str, bones: dict[str, _Bone], degrees: bool) -> tuple[bool, dict[str, np.ndarray]]:
     """Whether angles are degrees, and the values (T, D) of every bone that has degrees of freedom.
 
     Raises:
         DataError: naming the line.
     """
-    widths = {name: len(bone.dof) for name, bone in figure.bones.items() if bone.dof}
-    degrees, frames, lines = figure.degrees, [], []
+    widths = {name: len(bone.dof) for name, bone in bones.items() if bone.dof}
+    frames, lines = [], []
     for number, line in enumerate(text.splitlines(), start=1):
         at.place, words = f"line {number}", line.split()
         if not words or words[0][0] == "#":

@@ -43,20 +43,16 @@ def load(
     """Reads a BVH file: metres, z up, the file's own skeleton and rest pose.
 
     Position channels replace a joint's OFFSET; where they are about zero in the joints below the root, they are
-    relative to it, and noted. A Motion translates at one joint, so the root is the
-    deepest joint of the unbranched chain at the top whose position channels move (Bandai-Namco: Hips
-    under a resting joint_Root); the joints above it are composed into it and noted. End Sites with a
-    length become leaf joints named ``<parent>_end``; those of length zero, and those that :func:`save` made
-    up (see ``TIP``), say nothing and are dropped.
+    relative to it, and noted. Which joint is the root: see :func:`motionlab.io.rooting.rerooted` (Bandai-Namco: Hips
+    under a resting joint_Root). End Sites with a length become leaf joints named ``<parent>_end``; those of no length,
+    and those that :func:`save` made up (see ``TIP``), say nothing and are dropped.
 
     Args:
-        unit: metres per unit, or "m", "cm", "mm", "inch"; None: the one that makes a person of 1.2 to 2.2 m, else
-            the one of m, cm, mm that makes a figure of 0.5 to 2.5 m, else it is scaled to 1.70 m. Noted.
-        up: "y", "z", "-y", ...; None: where the legs of the zero pose point from, and the head is above the feet.
-            Noted. axes: instead of it, the file's axes that become the world's x, y and z, such as "x-zy".
+        unit, up, axes: see :func:`motionlab.io.judging.to_world`. Without a unit the one that makes a person of 1.2 to
+            2.2 m, else the one of m, cm, mm that makes a figure of 0.5 to 2.5 m, else it is scaled to 1.70 m. Without
+            up where the legs of the zero pose point from, and the head is above the feet. Noted.
         fps: frames per second; None: by the frame time. More than 2 s a frame is taken as milliseconds, and noted.
-        translations: a joint below the root that moves against its parent is kept at its mean position
-            and noted; "strict" refuses if it moves more than 2 % of the longest chain, "mean" never.
+        translations: "strict" or "mean", of joints below the root that move: see ``rerooted``.
 
     Raises:
         DataError: the file is not a readable BVH; names the file, the line and the remedy.
@@ -194,25 +190,27 @@ def _parse(at: Spot, text: str, fps: float | None = None) -> tuple[list[_Joint],
     """
     lines = text.splitlines()
     joints, motion_line = _hierarchy(at, lines)
-    return joints, *_motion(at, lines, motion_line, sum(len(joint.channels) for joint in joints), fps)
+    width = 0
+    for joint in joints:
+        joint.first, width = width, width + len(joint.channels)
+    return joints, *_motion(at, lines, motion_line, width, fps)
 
 
 def _hierarchy(at: Spot, lines: list[str]) -> tuple[list[_Joint], int]:
     joints: list[_Joint] = []
     open_joints: list[int] = []
     names: set[str] = set()
-    started = expect_brace = False
+    expected, expect_brace = "HIERARCHY", False
     for number, line in enumerate(lines, start=1):
         words = line.split()
         if not words:
             continue
         at.place = f"line {number}"
-        head = words[0].upper()
-        expected = "ROOT" if started else "HIERARCHY"
+        head, joint = words[0].upper(), joints[open_joints[-1]] if open_joints else None
         if not joints and head != expected:
             raise at.error(f"expected {expected}, got {line.strip()[:40]!r}")
-        if not started:
-            started = True
+        if expected == "HIERARCHY":
+            expected = "ROOT"
             continue
         if expect_brace != (head == "{"):
             raise at.error("a joint's name must be followed by {" if expect_brace else "a { without a joint")
@@ -221,35 +219,32 @@ def _hierarchy(at: Spot, lines: list[str]) -> tuple[list[_Joint], int]:
         elif head in ("ROOT", "JOINT", "END"):
             if (head == "ROOT") != (not joints):
                 raise at.error("a second ROOT: one figure a file", remedy="split the file, one ROOT each")
-            if joints and not open_joints:
+            if joints and joint is None:
                 raise at.error(f"{words[0]} outside the root's braces")
-            parent = open_joints[-1] if open_joints else -1
-            if joints and joints[parent].is_end:
+            if joint and joint.is_end:
                 raise at.error("an End Site has no children")
-            name = " ".join(words[1:]) if head != "END" else f"{joints[parent].name}_end"
+            name = f"{joint.name}_end" if head == "END" else " ".join(words[1:])
             if not name:
                 raise at.error(f"{words[0]} without a name")
             if name in names:
                 raise at.error(f"a second joint named {name!r}", remedy="give every joint its own name")
             names.add(name)
-            open_joints.append(len(joints))
-            joints.append(_Joint(name, parent, number, is_end=head == "END"))
+            joints.append(_Joint(name, open_joints[-1] if open_joints else -1, number, is_end=head == "END"))
+            open_joints.append(len(joints) - 1)
             expect_brace = True
         elif head == "}":
-            if not open_joints:
+            if joint is None:
                 raise at.error("a } too many")
-            if joints[open_joints[-1]].offset is None:
-                raise at.error(f"{joints[open_joints[-1]].name} ends without an OFFSET")
+            if joint.offset is None:
+                raise at.error(f"{joint.name} ends without an OFFSET")
             open_joints.pop()
-        elif head == "OFFSET" and open_joints:
-            joints[open_joints[-1]].offset = floats(at, words[1:], 3).tolist()
-        elif head == "CHANNELS" and open_joints:
-            joint = joints[open_joints[-1]]
-            joint.first = sum(len(other.channels) for other in joints)
+        elif head == "OFFSET" and joint:
+            joint.offset = floats(at, words[1:], 3).tolist()
+        elif head == "CHANNELS" and joint:
             joint.channels = _channels(at, words, joint)
         elif head == "MOTION":
-            if open_joints:
-                raise at.error(f"the braces of {joints[open_joints[-1]].name} are still open")
+            if joint:
+                raise at.error(f"the braces of {joint.name} are still open")
             return joints, number
         else:
             raise at.error(f"expected JOINT, End Site, OFFSET, CHANNELS or a brace, got {line.strip()[:40]!r}")

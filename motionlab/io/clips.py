@@ -59,7 +59,14 @@ def load_amp(path: str | Path) -> Motion:
     with reading(path, "convert the poselib file again, with all its keys") as at:
         arrays = read_npz(at)
         check_keys(at, arrays, (_AMP_ROTATION, *_AMP_KEYS))
-        skeleton = _amp_skeleton(at, arrays)
+        names = arrays["node_names"]
+        if names.ndim != 1 or names.dtype.kind != "U" or len(set(names.tolist())) != names.size or not names.size:
+            raise at.error("expected a list of different names", place="node_names")
+        parents = numbers(at, arrays["parent_indices"], f"{names.size}", "parent_indices").astype(int).tolist()
+        if any(not (-1 <= p < j) or (p == -1) != (j == 0) for j, p in enumerate(parents)):
+            raise at.error(f"one root first, then parents before children; got {parents}", place="parent_indices")
+        offsets = numbers(at, arrays["local_translation"], f"{names.size} 3", "local_translation")
+        skeleton = Skeleton(tuple(names.tolist()), tuple(parents), torch.from_numpy(offsets).float())
         quaternion = numbers(at, arrays[_AMP_ROTATION], f"T {len(skeleton)} 4", place=_AMP_ROTATION)
         root = numbers(at, arrays["root_translation"], f"{len(quaternion)} 3", place="root_translation")
         rot = _rotations(at, quaternion[..., [3, 0, 1, 2]], skeleton.names, 0.05)
@@ -70,17 +77,6 @@ def load_amp(path: str | Path) -> Motion:
             rot = skeleton.local(rot)
         fps = frame_rate(at, arrays["fps"], "fps")
         return Motion(skeleton, torch.from_numpy(root).float(), rot.float(), fps, name=at.path.stem)
-
-
-def _amp_skeleton(at: Spot, arrays: dict[str, np.ndarray]) -> Skeleton:
-    names = arrays["node_names"]
-    if names.ndim != 1 or names.dtype.kind != "U" or len(set(names.tolist())) != names.size or not names.size:
-        raise at.error("expected a list of different names", place="node_names")
-    parents = numbers(at, arrays["parent_indices"], f"{names.size}", place="parent_indices").astype(int).tolist()
-    if any(not (-1 <= p < j) or (p == -1) != (j == 0) for j, p in enumerate(parents)):
-        raise at.error(f"one root first, then parents before children; got {parents}", place="parent_indices")
-    offsets = numbers(at, arrays["local_translation"], f"{names.size} 3", place="local_translation")
-    return Skeleton(tuple(names.tolist()), tuple(parents), torch.from_numpy(offsets).float())
 
 
 def load_deepmimic(path: str | Path) -> Motion:

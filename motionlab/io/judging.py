@@ -92,7 +92,9 @@ def to_world(
     """Turns a motion or positions of a file's own unit and axes into metres, z up, float32; notes what was guessed.
 
     Args:
-        unit, up, axes: what the caller gives, which is taken as it is; checked before, by :func:`check_given`.
+        unit, up, axes: what the caller gives, which is taken as it is; checked before, by :func:`check_given`: metres
+            per unit, or "m", "cm", "mm", "inch"; the file's axis that points up, "y", "z", "-y", ...; instead of it the
+            file's axes that become the world's x, y and z, such as "x-zy".
         says_unit, says_up: what the file or its format says: metres, and a letter of ``AXES``. Of a motion without,
             the zero pose is asked. trust: how much the letter weighs against a head above the feet in all frames (1).
         table: the axes by the one that points up, as ``AXES``.

@@ -58,10 +58,9 @@ _C3D_TYPES = {-1: "S1", 1: "u1", 2: "i2", 4: "f4"}
 class Positions:
     """Labelled 3-D points through time; no rotations, no bones.
 
-    names: the K points, as the file calls them. positions (T, K, 3): metres, world, z up. valid (T, K):
-    False where the point was not measured; its position is then 0, never NaN. fps: frames per second.
-    name: where it came from. bones: pairs of point indices that keep their distance, for drawing. notes: what a
-    loader had to decide.
+    names: the K points, as the file calls them. positions (T, K, 3): metres, world, z up. valid (T, K): False where the
+    point was not measured; its position is then 0, never NaN. fps: frames per second. name: where it came from. bones:
+    pairs of point indices that keep their distance, for drawing. notes: what a loader had to decide.
 
     Raises:
         ShapeError: the arrays do not fit the names or each other, or fps is not positive.
@@ -100,9 +99,8 @@ class Positions:
                 raise KeyError(f"no point {name!r}; points are {', '.join(self.names)}")
         pick = [self.names.index(name) for name in names]
         bones = tuple((pick.index(a), pick.index(b)) for a, b in self.bones if a in pick and b in pick)
-        return replace(
-            self, names=tuple(names), positions=self.positions[:, pick], valid=self.valid[:, pick], bones=bones
-        )
+        positions, valid = self.positions[:, pick], self.valid[:, pick]
+        return replace(self, names=tuple(names), positions=positions, valid=valid, bones=bones)
 
 
 def load_anidance(path: str | Path) -> Positions:
@@ -209,9 +207,8 @@ def load_trc(
     An empty cell, ``nan``, a marker at exactly (0, 0, 0), and what a row that ends early lacks was not measured.
 
     Args:
-        unit, fps: instead of what the file says.
-        up, axes: which file axis points up, or which become world x, y and z. The default is OpenSim's convention
-            (x forward, y up, z right: "zxy"), unless the heads of the markers are above their feet along another.
+        unit, fps: instead of what the file says. up, axes: see :func:`motionlab.io.judging.to_world`; by default
+            OpenSim's convention (x forward, y up, z right: "zxy"), unless heads are above feet along another.
 
     Raises:
         DataError: header and table do not fit each other, a cell is not a number, the unit is not known.
@@ -281,9 +278,8 @@ def load_c3d(
     A point with a negative residual, at exactly (0, 0, 0) or whose coordinates are not finite was not measured.
 
     Args:
-        unit, up, axes, fps: what the file's ``POINT:UNITS``, ``Y_SCREEN`` (the axis that points up on a screen) and
-            ``RATE`` say, else what heads above feet, and their distance, tell. ``axes`` names the file's axes that
-            become world x, y and z, such as ``"xyz"`` or ``"x-zy"``.
+        unit, up, axes, fps: see :func:`motionlab.io.judging.to_world`; by default what the file's ``POINT:UNITS``,
+            ``Y_SCREEN`` (the axis that points up on a screen) and ``RATE`` say, else what heads above feet tell.
 
     Raises:
         DataError: not a C3D file, damaged, an unknown processor, or a unit or an up axis that neither file nor caller
