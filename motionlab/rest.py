@@ -8,6 +8,7 @@ bends about one axis, and what has neither is turned, on the whole, as what it h
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import permutations, product
 
 import torch
@@ -94,6 +95,14 @@ def places_of(skeleton: Skeleton, pose: Tensor) -> Tensor:
     for j, parent in enumerate(skeleton.parents[1:], start=1):
         rest[j] = rest[parent] + pose[parent].double() @ skeleton.offsets[j].double()
     return rest
+
+
+def reframed(skeleton: Skeleton, rot: Tensor, frames: Tensor) -> tuple[Skeleton, Tensor]:
+    """Computes offsets and rotations (T, J, 3, 3) of the same movement where ``frames`` (J, 3, 3) is the zero pose."""
+    above = torch.cat((_BODY[None], frames[list(skeleton.parents[1:])]))
+    if (frames - torch.eye(3)).abs().max() < 1e-6:
+        return skeleton, rot
+    return replace(skeleton, offsets=(above @ skeleton.offsets[..., None])[..., 0]), above @ rot @ frames.mT
 
 
 def _to_body(skeleton: Skeleton, pose: Tensor, joints: dict[str, int], near: float = 0.9) -> Tensor | None:

@@ -15,7 +15,7 @@ from motionlab import rotation
 from motionlab.contact import contacts_from_positions
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.motion import Motion
-from motionlab.rest import MOVED, SQUARE, ZERO, rest_poses
+from motionlab.rest import MOVED, SQUARE, ZERO, reframed, rest_poses
 from motionlab.rigs import dropped_joints, find_joints, guessed_joints
 from motionlab.skeleton import BALLS, FEET, STANDARD, Skeleton, fk
 
@@ -278,11 +278,8 @@ def with_rest(motion: Motion, pose: str) -> Motion:
         turned = rotation.rotation_about("z", torch.pi * quarter) if j in arms and pose == "a" else _EYE
         down.append(turned @ down[parent] if parent >= 0 else turned)
     new = body.rest_rot.mT @ torch.stack(frames) @ torch.stack(down).mT
-    rot = skeleton.local(motion.to(torch.float64).world[1] @ new)
-    offsets = skeleton.offsets.double().clone()
-    offsets[1:] = (new[list(skeleton.parents[1:])].mT @ offsets[1:, :, None])[..., 0]
-    skeleton = replace(skeleton, offsets=offsets.to(skeleton.offsets))
-    return replace(motion, skeleton=skeleton, rot=rot.to(motion.rot))
+    turned, rot = reframed(skeleton.to(torch.float64), motion.rot.double(), new.mT)
+    return replace(motion, skeleton=turned.to(skeleton.offsets), rot=rot.to(motion.rot))
 
 
 def _lost(body: Match, skeleton: Skeleton, positions: Tensor, world: Tensor) -> dict[int, float]:

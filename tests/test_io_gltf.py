@@ -16,8 +16,9 @@ from data_synth.body import capsule_body
 from motionlab import io, rotation
 from motionlab.body import lbs
 from motionlab.errors import DataError, ShapeError
-from motionlab.io import gltf, gltf_reading, rewriting
+from motionlab.io import gltf, rewriting
 from motionlab.motion import Motion
+from motionlab.rest import reframed
 from motionlab.skeleton import STANDARD, UPRIGHT, fk
 from motionlab.tailoring import tailored
 
@@ -457,9 +458,7 @@ def test_keys_at_odd_times_are_read_evenly(tmp_path):
     armature = Rotation.from_quat(file.file.content["nodes"][-1]["rotation"]).as_matrix()
     expected = (seconds[:, None] ** 3 * place) @ armature.T @ FORWARD
     np.testing.assert_allclose(loaded.root.numpy(), expected, atol=1e-4)
-    undone = gltf_reading._framed(
-        loaded.skeleton.to(torch.float64), loaded.rot.double(), torch.linalg.inv(file.frames)
-    )[1]
+    undone = reframed(loaded.skeleton.to(torch.float64), loaded.rot.double(), torch.linalg.inv(file.frames))[1]
     turn = Rotation.from_matrix(undone[:, loaded.skeleton.index("left_knee")].numpy()).as_rotvec(degrees=True)
     np.testing.assert_allclose(turn, np.minimum(seconds, 1)[:, None] * [90, 0, 0], atol=1e-2)
     turn = Rotation.from_matrix(undone[:, loaded.skeleton.index("left_elbow")].numpy()).as_rotvec(degrees=True)

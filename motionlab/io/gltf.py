@@ -71,7 +71,9 @@ def save(
         raise ShapeError(f"expected one frame rate, got {[motion.fps for motion in people]}: use motion.resample")
     shapes = list(betas) if betas is not None and (not isinstance(betas, Tensor) or betas.ndim == 2) else None
     shapes = shapes or [betas] * len(people)
-    names = _different([motion.name or "motion" for motion in people]) if names is None else list(names)
+    given = [motion.name or "motion" for motion in people]
+    numbered = [f"{name} {k}" if given.count(name) > 1 else name for k, name in enumerate(given, start=1)]
+    names = numbered if names is None else list(names)
     if not len(people) == len(shapes) == len(names):
         raise ShapeError(f"{len(people)} people, {len(names)} names and {len(shapes)} betas: expected one for each")
     file = _Buffer()
@@ -90,11 +92,6 @@ def save(
     animation = {"name": people[0].name or "motion", "samplers": file.samplers, "channels": file.channels}
     file.content["animations"] = [animation | {"extras": {"fps": people[0].fps}}]
     write_whole(path, file.glb())
-
-
-def _different(names: list[str]) -> list[str]:
-    """The names, with their place where one stands there twice."""
-    return [f"{name} {k}" if names.count(name) > 1 else name for k, name in enumerate(names, start=1)]
 
 
 class _Buffer:

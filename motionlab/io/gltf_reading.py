@@ -22,6 +22,7 @@ from motionlab.io import judging
 from motionlab.io.reading import RATES, Spot, frame_rate, numbers, read_bytes, reading
 from motionlab.io.rooting import rerooted
 from motionlab.motion import Motion
+from motionlab.rest import reframed
 from motionlab.skeleton import Skeleton
 
 MAGIC, JSON_CHUNK, BIN_CHUNK = b"glTF", b"JSON", b"BIN\0"
@@ -65,20 +66,12 @@ def load(
         found = _figure(at, content, blob, person, animation, fps)
         where = [f"node {joint} translation" for joint in found.joints]
         kept, skeleton, root, rot = rerooted(at, found.skeleton, found.place.numpy(), found.rot, translations, where)
-        skeleton, rot = _framed(skeleton, rot, found.frames[kept])
+        skeleton, rot = reframed(skeleton, rot, found.frames[kept])
         skeleton = replace(skeleton, contact_names=found.skeleton.contact_names, sole=found.skeleton.sole)
         motion = Motion(skeleton, root, rot, found.fps, name=found.name, notes=tuple(at.notes))
         ours = content.get("asset", {}).get("generator") == GENERATOR
         how = {"says_unit": 1.0, "says_up": "y", "trust": 9.0 if ours else 1.0, "table": judging.AXES | {"y": "x-zy"}}
         return judging.to_world(at, motion, unit=1.0 if ours and unit is None else unit, up=up, axes=axes, **how)
-
-
-def _framed(skeleton: Skeleton, rot: Tensor, frames: Tensor) -> tuple[Skeleton, Tensor]:
-    """The same tree, of whose joints ``frames`` (J, 3, 3) becomes the zero pose: offsets and rotations (T, J, 3, 3)."""
-    above = torch.cat((torch.eye(3, dtype=torch.float64)[None], frames[list(skeleton.parents[1:])]))
-    if (frames - torch.eye(3)).abs().max() < 1e-6:
-        return skeleton, rot
-    return replace(skeleton, offsets=(above @ skeleton.offsets[..., None])[..., 0]), above @ rot @ frames.mT
 
 
 def _chunks(at: Spot) -> tuple[dict, bytes]:

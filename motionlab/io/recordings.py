@@ -70,31 +70,19 @@ SOURCES: dict[str, Source] = {
     "cmu_library": Source("CMU terms, credit", True, {"bvh": ("*/*.bvh", bvh.load)}),
     "cmu_native": Source("CMU terms, credit", True, {"amc": ("*/*.amc", asf.load_beside)}),
     "deepmimic": Source("MIT", True, {"json": ("*humanoid3d*.txt", clips.load_deepmimic)}),
-    "captury_falls": Source(
-        "free for research: evaluate only",
-        False,
-        {
-            "c3d": ("*/mocap.c3d", points.load_c3d),
-            "csv": ("*/biomech.csv", partial(points.load_biomech, fps=50)),
-            "2d": ("*/projected*.csv", _captury_view),
-        },
-    ),
+    "captury_falls": Source("free for research: evaluate only", False, {
+        "c3d": ("*/mocap.c3d", points.load_c3d), "csv": ("*/biomech.csv", partial(points.load_biomech, fps=50)),
+        "2d": ("*/projected*.csv", _captury_view)}),
     "reactidle": Source("MIT", True, {"bvh": ("*.bvh", bvh.load)}),
     "animated_drawings": Source("MIT", True, {"bvh": ("*.bvh", bvh.load)}),
     "isaacgym_amp_cmu": Source("BSD-3 + CMU terms", True, {"npz": ("*.npz", clips.load_amp)}),
-    "pose2sim_openpose": Source(
-        "BSD-3",
-        True,
-        {
-            "openpose": ("*/cam*_json", partial(openpose.load, fps=60, layout="BODY_25B")),
-            "trc": ("ref3d/*.trc", points.load_trc),
-        },
-    ),
-    # a webcam, whose rate is not stored: 30 is presumed
+    "pose2sim_openpose": Source("BSD-3", True, {
+        "openpose": ("*/cam*_json", partial(openpose.load, fps=60, layout="BODY_25B")),
+        "trc": ("ref3d/*.trc", points.load_trc)}),
+    # two whose rate is not stored: 30 is presumed; the first is of a webcam
     "3dance_openpose": Source("MIT", True, {"openpose": ("*/", partial(openpose.load, fps=30, layout="BODY_25"))}),
-    # the rate is not stated either; 30 is presumed
     "openpose_crowd": Source("MIT", True, {"openpose": (".", partial(openpose.load, fps=30, layout="BODY_25"))}),
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

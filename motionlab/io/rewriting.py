@@ -25,6 +25,7 @@ from motionlab.files import write_whole
 from motionlab.io import amass, bvh, gltf, gltf_reading
 from motionlab.io.reading import Spot, check_writable, read_bytes, read_npz, read_text, reading
 from motionlab.motion import Motion
+from motionlab.rest import reframed
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD
 
@@ -202,7 +203,7 @@ def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
     # what turns in the pose in which the mesh is bound, back to what the file's nodes turn by
     frames, nodes = found.frames[index], [found.joints[k] for k in index]
     doubles = (motion.to(torch.float64) for motion in (loaded, made))
-    before, after = (replace(m, rot=gltf_reading._framed(m.skeleton, m.rot, frames.mT)[1]) for m in doubles)
+    before, after = (replace(m, rot=reframed(m.skeleton, m.rot, frames.mT)[1]) for m in doubles)
     offsets = (loaded.skeleton.offsets[1:], found.skeleton.offsets[index[1:]])
     ours, its = (float(x.double().norm(dim=-1).sum()) for x in offsets)
     scale = ours / its if its else 1.0
