@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse
 import torch
 
-from motionlab.io.reading import LARGEST, Spot, npy_header, read_npy
+from motionlab.io.reading import LARGEST, Spot, read_npy
 
 
 def read_pickle(at: Spot, data: bytes) -> object:
@@ -44,11 +44,11 @@ def read_array(at: Spot, data: bytes) -> object:
     Raises:
         DataError: see :func:`read_pickle`.
     """
-    stream = io.BytesIO(data)
-    header = npy_header(at, stream)
-    if not header[2].hasobject:
-        return read_npy(at, stream, len(data), header)
-    array = read_pickle(at, stream.read())
+    return read_npy(at, data, objects=_first)
+
+
+def _first(at: Spot, data: bytes) -> object:
+    array = read_pickle(at, data)
     if not (isinstance(array, _Record) and array.name == "_reconstruct" and array.state and array.state[-1]):
         raise at.error("an array of objects without an object", place="pickle")
     return array.state[-1][0]

@@ -6,11 +6,12 @@ reads, and raises ``at.error(...)`` where it finds something wrong. Nothing here
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
 import zipfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -131,7 +132,7 @@ def read_npz(
 ) -> dict[str, np.ndarray]:
     """Reads the arrays of an npz by key: those of ``keys`` that are there, or all.
 
-    Never unpickles: an array of Python objects is refused unread; one that nobody asked for is not touched.
+    Never unpickles: an array of Python objects is refused; one that nobody asked for is not touched.
 
     Args:
         plain: the remedy for an array of objects.
@@ -150,8 +151,7 @@ def read_npz(
                 continue
             if member.file_size > LARGEST:
                 raise at.error(f"{member.file_size} bytes are more than {LARGEST}")
-            with archive.open(member) as stream:
-                arrays[key] = read_npy(at, stream, member.file_size, npy_header(at, stream), plain)
+            arrays[key] = read_npy(at, archive.read(member), plain=plain)
     at.place = ""
     return arrays
 
@@ -167,32 +167,29 @@ def check_keys(at: Spot, arrays: dict[str, np.ndarray], keys: Iterable[str]) -> 
         raise at.error(f"missing {missing}; found {', '.join(arrays) or 'none that is known'}", place=missing)
 
 
-def npy_header(at: Spot, stream) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """Reads shape, order and kind of a .npy from a stream.
+def read_npy(
+    at: Spot, data: bytes, *, plain: str = "save plain arrays only", objects: Callable | None = None
+) -> object:
+    """Reads the array of a .npy; of one of Python objects what ``objects(at, pickle)`` makes, else it is refused.
 
     Raises:
-        DataError: a version that is not known. ValueError: no such header; inside ``reading`` a DataError.
+        DataError: a version that is not known, objects, or less than it promises.
+        ValueError: no .npy; inside ``reading`` a DataError.
     """
+    stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in header:
         raise at.error(f"npy version {version} is not known")
-    return header[version](stream)
-
-
-def read_npy(at: Spot, stream, size: int, header: tuple, plain: str = "save plain arrays only") -> np.ndarray:
-    """Reads the array of a .npy of ``size`` bytes, whose header has been read.
-
-    Raises:
-        DataError: it holds objects, or less than it promises.
-    """
-    shape, fortran, dtype = header
+    shape, fortran, dtype = header[version](stream)
+    if dtype.hasobject and objects is not None:
+        return objects(at, stream.read())
     if dtype.hasobject:
         raise at.error("holds pickled Python objects, which are never loaded", remedy=plain)
-    if any(n < 0 for n in shape) or math.prod(shape) * dtype.itemsize > size:
-        raise at.error(f"promises shape {shape} of {dtype} but has only {size} bytes")
-    data = np.frombuffer(stream.read(), dtype=dtype, count=math.prod(shape))
-    return data.reshape(shape, order="F" if fortran else "C")
+    if any(n < 0 for n in shape) or math.prod(shape) * dtype.itemsize > len(data):
+        raise at.error(f"promises shape {shape} of {dtype} but has only {len(data)} bytes")
+    array = np.frombuffer(stream.read(), dtype=dtype, count=math.prod(shape))
+    return array.reshape(shape, order="F" if fortran else "C")
 
 
 def numbers(
