@@ -91,7 +91,7 @@ def find_joints(skeleton: Skeleton, path: object = None) -> dict[str, int]:
 
 def dropped_joints(skeleton: Skeleton, joints: dict[str, int]) -> list[int]:
     """Finds joints with others below them that stand where a standard joint is missing: what they do is lost."""
-    above = _ancestors(skeleton.parents)
+    above = ancestors(skeleton.parents)
     lost, known_ones = set(), set(joints.values())
     top = next(joints[name] for name in ("spine3", "pelvis") if name in joints)
     arms = [[f"{side}_{part}" for part in WORDS["arm"]] for side in _BOTH]
@@ -131,7 +131,7 @@ def _listed(names: Sequence[str], most: int = 40) -> str:
 
 @lru_cache(maxsize=64)
 def _found(names: tuple[str, ...], parents: tuple[int, ...], fixed: tuple[tuple[str, int], ...]) -> dict[str, int]:
-    above = _ancestors(parents)
+    above = ancestors(parents)
     said = _read(names)
     found = dict(fixed)
     below = Counter(j for path in above for j in path)
@@ -192,8 +192,8 @@ def _sided(side: str | None, word: str) -> tuple[str, str]:
     return "", word
 
 
-def _ancestors(parents: Sequence[int]) -> list[tuple[int, ...]]:
-    """For every joint those above it, the root first."""
+def ancestors(parents: Sequence[int]) -> list[tuple[int, ...]]:
+    """Returns the joints above every joint, the root first."""
     above: list[tuple[int, ...]] = []
     for parent in parents:
         above.append((*above[parent], parent) if parent >= 0 else ())

@@ -89,8 +89,7 @@ def save(
                 joints = joints + body.joint_directions @ shape.to(joints)
             _bind(file, first, name, skeleton, joints, body.bind_rot)
             _mesh(file, name, body, template, colour)
-    animation = {"name": people[0].name or "motion", "samplers": file.samplers, "channels": file.channels}
-    file.content["animations"] = [animation | {"extras": {"fps": people[0].fps}}]
+    file.content["animations"] = [file.animation(people[0])]
     write_whole(path, file.glb())
 
 
@@ -111,16 +110,22 @@ class _Buffer:
         view = {"buffer": 0, "byteOffset": len(self.blob), "byteLength": array.nbytes}
         self.blob += array.tobytes()
         self.content["bufferViews"].append(view | ({"target": target} if target else {}))
-        accessor = {
-            "bufferView": len(self.content["bufferViews"]) - 1,
-            "componentType": _COMPONENTS[kind],
-            "count": len(array),
-            "type": TYPES[array.shape[1]],
-        }
+        accessor = {"bufferView": len(self.content["bufferViews"]) - 1, "componentType": _COMPONENTS[kind]}
+        accessor |= {"count": len(array), "type": TYPES[array.shape[1]]}
         if bounds:
             accessor |= {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
         self.content["accessors"].append(accessor)
         return len(self.content["accessors"]) - 1
+
+    def move(self, node: int, what: str, time: int, keys: Tensor) -> None:
+        """Let a node move: keys (N, W) at the times of an accessor."""
+        self.channels.append({"sampler": len(self.samplers), "target": {"node": node, "path": what}})
+        self.samplers.append({"input": time, "interpolation": "LINEAR", "output": self.add(keys, "f4")})
+
+    def animation(self, motion: Motion) -> dict:
+        """All that moves, as one animation with the name and rate of a motion."""
+        name, extras = motion.name or "motion", {"fps": motion.fps}
+        return {"name": name, "samplers": self.samplers, "channels": self.channels, "extras": extras}
 
     def glb(self) -> bytes:
         """The file: header, JSON chunk padded with spaces, binary chunk padded with zeros."""
@@ -152,12 +157,9 @@ def _animate(file: _Buffer, motion: Motion, name: str) -> int:
     file.content["scenes"][0]["nodes"].append(len(nodes))
     nodes.append({"name": name, "children": [first]})
     time = file.add(torch.arange(motion.frames, dtype=torch.float64) / motion.fps, "f4", bounds=True)
-    for joint, what, keys in [
-        (0, "translation", root),
-        *((j, "rotation", x) for j, x in enumerate(quaternion.unbind(1))),
-    ]:
-        file.channels.append({"sampler": len(file.samplers), "target": {"node": first + joint, "path": what}})
-        file.samplers.append({"input": time, "interpolation": "LINEAR", "output": file.add(keys, "f4")})
+    file.move(first, "translation", time, root)
+    for joint, keys in enumerate(quaternion.unbind(1), start=first):
+        file.move(joint, "rotation", time, keys)
     return first
 
 
@@ -167,15 +169,11 @@ def _bind(file: _Buffer, first: int, name: str, skeleton: Skeleton, joints: Tens
     inverse_bind = torch.eye(4, dtype=torch.float64).repeat(len(joints), 1, 1)
     inverse_bind[:, :3, :3] = back
     inverse_bind[:, :3, 3] = -(back @ joints[..., None])[..., 0]
-    file.content["skins"].append(
-        {
-            "name": name,
-            "inverseBindMatrices": file.add(inverse_bind.mT, "f4"),  # glTF stores columns first
-            "skeleton": first,
-            "joints": list(range(first, first + len(joints))),
-            "extras": {"contact_names": skeleton.contact_names, "sole": float(skeleton.sole)},
-        }
-    )
+    bound = file.add(inverse_bind.mT, "f4")  # glTF stores columns first
+    skin = {"name": name, "inverseBindMatrices": bound, "skeleton": first}
+    skin["joints"] = list(range(first, first + len(joints)))
+    skin["extras"] = {"contact_names": skeleton.contact_names, "sole": float(skeleton.sole)}
+    file.content["skins"].append(skin)
 
 
 def _mesh(file: _Buffer, name: str, body: BodyModel, template: Tensor, colour: tuple) -> None:
@@ -185,10 +183,8 @@ def _mesh(file: _Buffer, name: str, body: BodyModel, template: Tensor, colour: t
     joints, whose weakest two have up to 3 % (millimetres at a few vertices).
     """
     template, faces, nodes = template.detach().cpu().double(), body.faces.cpu(), file.content["nodes"]
-    attributes = {
-        "POSITION": file.add(template, "f4", _VERTICES, bounds=True),
-        "NORMAL": file.add(_normals(template, faces), "f4", _VERTICES),
-    }
+    attributes = {"POSITION": file.add(template, "f4", _VERTICES, bounds=True)}
+    attributes["NORMAL"] = file.add(_normals(template, faces), "f4", _VERTICES)
     joints = body.weights.shape[1]
     share, which = body.weights.detach().cpu().double().topk(min(4, joints), dim=1)
     pad = (0, 4 - share.shape[1])

@@ -13,6 +13,7 @@ from torch import Tensor
 from motionlab.errors import ShapeError
 from motionlab.io.reading import Spot
 from motionlab.motion import Motion
+from motionlab.rigs import ancestors
 from motionlab.skeleton import Skeleton
 
 #: Metres per unit of length.
@@ -160,12 +161,8 @@ def _found(words: re.Pattern, names: list[str]) -> list[int]:
 
 def _legs(skeleton: Skeleton, feet: list[int]) -> list[list[int]]:
     """From each ankle up to the hip, where a leg of its own ends: thigh, shin and what lies between."""
-    ways = []
-    for joint in feet:
-        way = [joint]
-        while skeleton.parents[way[-1]] >= 0:
-            way.append(skeleton.parents[way[-1]])
-        ways.append(way)
+    above = ancestors(skeleton.parents)
+    ways = [[joint, *above[joint][::-1]] for joint in feet]
     shared = set(ways[0]).intersection(*ways[1:]) if len(ways) > 1 else set()
     return [[joint for joint in way if joint not in shared] for way in ways] if shared else []
 

@@ -251,10 +251,8 @@ def _animated(
     inputs = {n: file.add(times[:n], "f4", bounds=True) for n in {len(values) for values in keys.values()}}
     for (node, what), values in keys.items():
         values = rotation.unroll_quaternion(values, dim=0) if what == "rotation" else values
-        file.channels.append({"sampler": len(file.samplers), "target": {"node": node, "path": what}})
-        file.samplers.append({"input": inputs[len(values)], "output": file.add(values, "f4")})
-    animation = {"name": made.name or "motion", "samplers": file.samplers, "channels": file.channels}
-    content["animations"].insert(0, animation | {"extras": {"fps": made.fps}})
+        file.move(node, what, inputs[len(values)], values)
+    content["animations"].insert(0, file.animation(made))
     return file.glb()
 
 
