@@ -156,7 +156,7 @@ def read_npz(
     return arrays
 
 
-def check_keys(at: Spot, arrays: dict[str, np.ndarray], keys: Iterable[str]) -> None:
+def check_keys(at: Spot, arrays: dict[str, object], keys: Iterable[str]) -> None:
     """Checks that a file has all of these keys.
 
     Raises:
