@@ -4,6 +4,7 @@ give as .pt, .pkl or .npy."""
 from __future__ import annotations
 
 import io
+from collections.abc import Container
 from pathlib import Path
 
 import numpy as np
@@ -65,17 +66,23 @@ def _arrays(at: Spot, person: int) -> tuple[dict[str, np.ndarray], tuple[str, st
     return arrays, system
 
 
+def keys_of(arrays: Container[str]) -> tuple[str, ...]:
+    """Returns the keys of the whole pose, of its root and body, and of the translation; "" where there is none."""
+    return tuple(next((key for key in keys if key in arrays), "") for keys in (POSES, ROOT, PARTS, TRANS))
+
+
 def _turns(at: Spot, arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Axis-angle (T, J, 3) of all joints: of ``POSES``, or of the split ``ROOT`` and ``PARTS``."""
-    whole, *split = (next((key for key in keys if key in arrays), None) for keys in (POSES, ROOT, PARTS))
-    if not whole and None in split:
-        raise at.error(f'neither "poses" nor "{(ROOT, PARTS)[split.index(None)][0]}" is there', place="keys")
-    turns = [_axis_angles(at, arrays[key], key) for key in ([whole] if whole else split)]
+    whole, root, parts, _ = keys_of(arrays)
+    if not whole and not (root and parts):
+        raise at.error(f'neither "poses" nor "{(PARTS if root else ROOT)[0]}" is there', place="keys")
+    keys = [whole] if whole else [root, parts]
+    turns = [_axis_angles(at, arrays[key], key) for key in keys]
     if len({len(part) for part in turns}) > 1:
-        raise at.error(f"expected equally many frames, got {[len(part) for part in turns]}", place=", ".join(split))
+        raise at.error(f"expected equally many frames, got {[len(part) for part in turns]}", place=", ".join(keys))
     turns = np.concatenate(turns, axis=1)
     if turns.shape[1] < BODY:
-        raise at.error(f"expected {3 * BODY} columns or more, got {3 * turns.shape[1]}", place=whole or split[1])
+        raise at.error(f"expected {3 * BODY} columns or more, got {3 * turns.shape[1]}", place=keys[-1])
     return turns
 
 
@@ -140,8 +147,8 @@ def load(
         arrays, (system, says_up, usual) = _arrays(at, person)
         turns = _turns(at, arrays)
         frames, joints = turns.shape[:2]
-        key = next((key for key in TRANS if key in arrays), None)
-        if key is None:
+        *_, key = keys_of(arrays)
+        if not key:
             raise at.error("this key is missing", place="trans")
         trans = arrays[key].reshape(len(arrays[key]), -1) if arrays[key].ndim == 3 else arrays[key]
         trans = numbers(at, trans, f"{frames} 3", key)

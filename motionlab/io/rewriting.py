@@ -181,10 +181,9 @@ def _npz(at: Spot, loaded: Motion, made: Motion) -> bytes:
 
 def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], str]:
     """Where the axis-angle of each joint lies, as key and first column, and the key of the translation; else none."""
-    whole, *split = (next((k for k in keys if k in arrays), "") for keys in (amass.POSES, amass.ROOT, amass.PARTS))
-    moving = next((key for key in amass.TRANS if key in arrays), "")
-    places = [(whole, 3 * j) for j in range(amass.BODY)] if whole else [(split[0], 0)]
-    places += [] if whole else [(split[1], 3 * j) for j in range(amass.BODY - 1)]
+    whole, root, parts, moving = amass.keys_of(arrays)
+    split = [(root, 0), *((parts, 3 * j) for j in range(amass.BODY - 1))]
+    places = [(whole, 3 * j) for j in range(amass.BODY)] if whole else split
     used = {key for key, _ in places} | {moving}
     if "" in used or "smpl_scaling" in arrays or any(arrays[key].shape[-2:] == (3, 3) for key in used):
         return [], ""
