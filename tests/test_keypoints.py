@@ -181,7 +181,7 @@ def test_footage_lists_its_people_and_gives_some(tmp_path):
     assert found.people(0.9).keypoints.shape == (2, 8, 17, 2) and found.people().keypoints.shape[0] == 3
     assert torch.equal(found.people([8, 3]).keypoints[0], found.person(8).keypoints)
     for call in (lambda: found.person(77), lambda: found.person("tall"), lambda: found.people([])):
-        with pytest.raises(DataError, match="nobody has the ids"):
+        with pytest.raises(DataError, match="nobody has the id"):
             call()
     with pytest.raises(DataError, match=r"ask for 1\.000"):
         found.people(1.1)
@@ -217,7 +217,7 @@ def test_numbers_of_frames_and_images_are_bounded(tmp_path):
         ("[]", ("nobody",)),
         ('[{"frame_id": -1, "instances": []}]', ("frame 0", "no frame number")),
         ('[{"frame_id": 1, "instances": []}, {"frame_id": 1, "instances": []}]', ("there twice",)),
-        ('[{"image_id": 1, "keypoints": [1, 2]}]', ("entry 0", "x, y, confidence")),
+        ('[{"image_id": 1, "keypoints": [1, 2]}]', ("frame 1, person 0", "x, y, confidence")),
         ("frame,person,keypoint,x,y\n0,0,0,1\n", ("line 2", "5 cells")),
         ("frame,person,keypoint,x,y\n0.5,0,0,1,1\n", ("line 2", "no frame number")),
         ("frame,person,keypoint,x,y\n0,0,0,1,one\n", ("line 2", "'one' is not a number")),

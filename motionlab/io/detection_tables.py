@@ -8,7 +8,7 @@ import re
 import numpy as np
 
 from motionlab.io import detections
-from motionlab.io.detections import FARTHEST, PLAIN, Detections, first_of, whole_number
+from motionlab.io.detections import PLAIN, Detections, Sighting, first_of, pixels, whole_number
 from motionlab.io.layouts import MEDIAPIPE_33, standard_name
 from motionlab.io.reading import Spot, frame_rate, numbers, read_npz
 
@@ -40,10 +40,10 @@ def from_lines(at: Spot, text: str) -> Detections:
 
 def _yolo(at: Spot, lines: list[tuple[int, str]]) -> Detections:
     """Each line: class, box, points; then the box's confidence, where asked for, and the track's id, where tracked."""
-    people = []
-    for text in dict.fromkeys(text for _, text in lines):  # a second run writes the lines again
-        at.place, words = f"person {len(people)}", text.split(None, _MOST_WORDS)
-        values = numbers(at, [_cell(at, word) for word in words[:_MOST_WORDS]], "N", largest=FARTHEST, nan=True)
+
+    def read(text: str) -> Sighting:
+        words = text.split(None, _MOST_WORDS)
+        values = pixels(at, [_cell(at, word) for word in words[:_MOST_WORDS]], "N")
         choices = [values[5 : 5 + k * d].reshape(k, d) for k, d in _YOLO if 0 <= len(words) - 5 - k * d <= 2]
         points = next((points for points in choices if _in_box(points, values[1:5])), None)
         if points is None:
@@ -52,8 +52,10 @@ def _yolo(at: Spot, lines: list[tuple[int, str]]) -> Detections:
         more = words[5 + points.size :]
         tracked = len(more) == 2 or bool(more and whole_number(more[0]))  # one number: a confidence, or an id from 1
         scores = points[:, 2] if points.shape[1] == 3 else None
-        people.append((detections.with_scores(at, points[:, :2], scores), whole_number(more[-1]) if tracked else None))
-    return detections.collect(at, "Ultralytics", [(0, people)])
+        return detections.with_scores(at, points[:, :2], scores), whole_number(more[-1]) if tracked else None
+
+    people = dict.fromkeys(text for _, text in lines)  # a second run writes the lines again
+    return detections.collect(at, "Ultralytics", [(0, people)], read)
 
 
 def _cell(at: Spot, cell: str) -> float:
@@ -167,7 +169,7 @@ def from_trc(at: Spot, text: str) -> Detections:
     about = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
     fps = frame_rate(at, _cell(at, about.get("DataRate", "")))
     names = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
-    seen = []
+    order, table = [], []
     for n, line in enumerate(lines[4:], start=5):
         at.place, row = f"line {n}", [cell.strip() for cell in line.split("\t")]
         number = whole_number(row[0])
@@ -176,19 +178,18 @@ def from_trc(at: Spot, text: str) -> Detections:
                 raise at.error(f"{row[0][:40]!r} is no frame number")
             continue  # the line of X1 Y1 Z1, and a blank one
         cells = [_cell(at, cell) if cell else math.nan for cell in row[2 : 2 + 3 * len(names)]]
-        cells += [math.nan] * (3 * len(names) - len(cells))
-        seen.append((number, [(numbers(at, cells, "N", largest=FARTHEST, nan=True).reshape(-1, 3), None)]))
-    at.place = "coordinates"
-    if not len(seen) >= _cell(at, about.get("NumFrames", "1")) >= 1:
-        raise at.error(f"{len(seen)} frames of {about.get('NumFrames', 1)}", place="whole file")
-    points = np.concatenate([people[0][0] for _, people in seen])
-    known = np.abs(points[np.isfinite(points).all(-1) & (points[:, :2] != 0).any(-1)])
+        order.append(number)
+        table.append(pixels(at, cells + [math.nan] * (3 * len(names) - len(cells)), "N"))
+    if not len(table) >= _cell(at, about.get("NumFrames", "1")) >= 1:
+        raise at.error(f"{len(table)} frames of {about.get('NumFrames', 1)}", place="whole file")
+    points = np.reshape(table, (len(table), -1, 3))
+    known = np.abs(points[np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)])
     if (known[:, 2] > 0).any() or (len(known) and np.median(known[:, :2]) < _METRES):
         remedy = "give the file in pixels (Sports2D: ..._px_person00.trc)"
-        raise at.error("3-D points, or metres, where a fit needs pixels", remedy=remedy)
-    for _, people in seen:
-        people[0][0][:, 2] = math.nan  # no confidences
-    return detections.collect(at, "Sports2D", seen, names=detections.point_names(at, names), fps=fps)
+        raise at.error("3-D points, or metres, where a fit needs pixels", place="coordinates", remedy=remedy)
+    points[..., 2] = math.nan  # no confidences
+    frames = ((number, [(here, None)]) for number, here in zip(order, points, strict=True))
+    return detections.collect(at, "Sports2D", frames, tuple, names=detections.point_names(at, names), fps=fps)
 
 
 def from_npz(at: Spot) -> Detections:
@@ -203,7 +204,7 @@ def from_npz(at: Spot) -> Detections:
         remedy = f"unpack it, if it is a folder's archive, and name the folder; else {PLAIN}"
         raise at.error("the key keypoints is missing", place="keys", remedy=remedy)
     array = arrays["keypoints"]
-    points = numbers(at, array, "T P K D" if array.ndim == 4 else "T K D", "keypoints", FARTHEST, nan=True)
+    points = pixels(at, array, "T P K D" if array.ndim == 4 else "T K D", "keypoints")
     points = points if array.ndim == 4 else points[:, None]
     *lead, axes = points.shape
     if axes not in (2, 3):
@@ -211,11 +212,11 @@ def from_npz(at: Spot) -> Detections:
     scores = points[..., 2] if axes == 3 else np.full(lead, np.nan)
     if "confidence" in arrays:
         shape = " ".join(str(n) for n in array.shape[:-1])
-        scores = numbers(at, arrays["confidence"], shape, "confidence", FARTHEST, nan=True).reshape(lead)
+        scores = pixels(at, arrays["confidence"], shape, "confidence").reshape(lead)
     points = np.concatenate([points[..., :2], scores[..., None]], -1)
     ids: list[int | None] = [None] * lead[1]
     if "ids" in arrays:
         ids = [whole_number(number) for number in numbers(at, arrays["ids"], str(lead[1]), "ids").tolist()]
     names = detections.point_names(at, [str(name) for name in arrays.get("names", np.zeros(0)).ravel()[: lead[2] + 1]])
-    seen = [(n, [*zip(people, ids, strict=True)]) for n, people in enumerate(points)]
-    return detections.collect(at, "plain npz", seen, names=names, **detections.stated(at, arrays))
+    frames = enumerate(zip(people, ids, strict=True) for people in points)
+    return detections.collect(at, "plain npz", frames, tuple, names=names, **detections.stated(at, arrays))

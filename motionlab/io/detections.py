@@ -1,7 +1,7 @@
 """What a 2-D pose detector found, people in frames, whatever it was written as; readers of JSON and tables make it.
 
-A reader moves ``at.place`` along and keeps what the file says: NaN where it says nothing, units and scores as they
-are. What these mean is for ``keypoints`` to say.
+A reader keeps what the file says: NaN where it says nothing, units and scores as they are. What these mean is for
+``keypoints`` to say.
 """
 
 from __future__ import annotations
@@ -56,36 +56,40 @@ class Detections:
     notes: list[str] = field(default_factory=list)
     loose: bool = False
 
-    def renumbered(self, at: Spot, fps: float | None = None, film: int | Sequence[int] | None = None) -> Detections:
-        """Returns the same by frame: numbers that are times or those of any pictures become frames, and a note says so.
+    def in_order(
+        self, at: Spot, fps: float | None, film: int | Sequence[int] | None = None
+    ) -> tuple[Detections, list[np.ndarray]]:
+        """Returns the same by frame, with its rate, and its people in a list from the first frame to the last.
 
-        fps: frames per second that somebody said. film: frames of the film, or the numbers of its images.
+        Numbers that are times or those of any pictures become frames, and a note says so; a number without a frame
+        shows nobody.
+
+        Args:
+            fps: frames per second that somebody said.
+            film: frames of the film, or the numbers of its images.
 
         Raises:
-            DataError: no frame.
+            DataError: no frame or no rate, numbers that lie too far apart, people with different numbers of keypoints.
         """
         if not self.frames:
             raise at.error("holds no frames", place="")
-        numbers = sorted(self.frames)
-        order, rate, notes = numbering.frames_of(numbers, fps=fps or self.fps, film=film, loose=self.loose)
-        frames, ids = ({n: of[k] for n, k in zip(order, numbers, strict=True)} for of in (self.frames, self.ids))
-        return replace(self, frames=frames, ids=ids, fps=self.fps or rate, notes=[*self.notes, *notes])
-
-    def in_order(self, at: Spot) -> tuple[list[np.ndarray], int]:
-        """Puts people in a list from the first frame to the last; a number without a frame shows nobody.
-
-        Raises:
-            DataError: numbers that lie too far apart, people with different numbers of keypoints.
-        """
-        first, last = min(self.frames), max(self.frames)
+        fps = fps if fps is None else frame_rate(at, fps, "fps")
+        given = sorted(self.frames)
+        order, told, notes = numbering.frames_of(given, fps=fps or self.fps, film=film, loose=self.loose)
+        frames, ids = ({n: of[k] for n, k in zip(order, given, strict=True)} for of in (self.frames, self.ids))
+        first, last = order[0], order[-1]
         if last - first >= MOST_FRAMES:
             raise at.error(f"frame numbers run from {first} to {last}", place="", remedy="remove the stray file")
-        counts = {n: self.frames[n].shape[1] for n in sorted(self.frames) if len(self.frames[n])}
+        counts = {n: frames[n].shape[1] for n in order if len(frames[n])}
         count = next(iter(counts.values()), 0)
         if other := next((n for n in counts if counts[n] != count), None):
             message = f"expected {count} keypoints as in the frames before, got {counts[other]}"
             raise at.error(message, place=f"frame {other}")
-        return [self.frames.get(n, _NOBODY) for n in range(first, last + 1)], first
+        rate = fps or self.fps or told
+        if rate is None:
+            raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
+        found = replace(self, frames=frames, ids=ids, fps=rate, notes=[*self.notes, *notes])
+        return found, [frames.get(n, _NOBODY) for n in range(first, last + 1)]
 
 
 #: One frame in which nobody was seen.
@@ -110,9 +114,11 @@ def from_folder(at: Spot, read: Callable[[Spot], Detections], *suffixes: str) ->
     if files is None:
         raise at.error(f"no numbered {' or '.join(suffixes)[1:].upper().replace('.', '')} file in it")
     frames, ids, whole = {}, {}, None
-    for number in sorted(files):
-        with reading(files[number], "run the detector again for this frame") as one:
-            found = NOBODY if _is_blank(files[number]) else read(one)
+    for number, file in sorted(files.items()):
+        with reading(file, "run the detector again for this frame") as one:
+            # YOLO writes a blank file of labels for an image without people
+            blank = file.suffix == ".txt" and file.stat().st_size < 64 and not file.read_bytes().strip()
+            found = NOBODY if blank else read(one)
             if len(found.frames) != 1:
                 raise one.error(f"holds {len(found.frames)} frames", place="", remedy="name this file, not its folder")
             (frames[number],), (ids[number],) = found.frames.values(), found.ids.values()
@@ -120,11 +126,6 @@ def from_folder(at: Spot, read: Callable[[Spot], Detections], *suffixes: str) ->
             if len(frames[number]) and found.names != whole.names:
                 raise one.error("names other points than the frames before", place="names")
     return replace(whole or found, frames=frames, ids=ids)
-
-
-def _is_blank(file: Path) -> bool:
-    """Whether a file of labels holds none: YOLO writes such a one for an image without people."""
-    return file.suffix == ".txt" and file.stat().st_size < 64 and not file.read_bytes().strip()
 
 
 def _series(at: Spot, suffix: str) -> dict[int, Path] | None:
@@ -135,12 +136,12 @@ def _series(at: Spot, suffix: str) -> dict[int, Path] | None:
         found = re.search(r"(\d{1,19})(?:_keypoints)?$", stem)
         if found is not None:
             files = series.setdefault(stem[: found.start()], {})
-            if files.setdefault(int(found.group(1)), file) is not file:
-                raise at.error(f"{files[int(found.group(1))].name} has the same frame number", place=file.name)
-    sizes = sorted((len(files) for files in series.values()), reverse=True)
-    if len(sizes) > 1 and sizes[0] == sizes[1]:
+            if files.setdefault(int(found[1]), file) is not file:
+                raise at.error(f"{files[int(found[1])].name} has the same frame number", place=file.name)
+    ranked = sorted(series.values(), key=len, reverse=True)
+    if len(ranked) > 1 and len(ranked[0]) == len(ranked[1]):
         raise at.error(f"several series of frames: {', '.join(sorted(series))}", remedy="one folder per camera")
-    return next((files for files in series.values() if len(files) == sizes[0]), None)
+    return ranked[0] if ranked else None
 
 
 # -------------------------------------------------------------------------------------------------- what readers share
@@ -149,25 +150,31 @@ def unknown(at: Spot) -> DataError:
     return at.error(f"no known layout of keypoints; known are {_FORMATS}", remedy=PLAIN)
 
 
-def collect(at: Spot, detector: str, seen: Iterable[tuple[int, list[Sighting]]], **more) -> Detections:
-    """Joins (frame number, people) pairs; who has no points at all becomes a row of zeros.
+def collect(
+    at: Spot, detector: str, frames: Iterable[tuple[int, Iterable]], read: Callable[..., Sighting], **more
+) -> Detections:
+    """Reads (frame number, people) pairs, a person at a time; who has no points at all becomes a row of zeros.
 
     Raises:
         DataError: a frame is there twice, people have different numbers of keypoints, or far too many.
     """
-    frames, ids = {}, {}
-    for number, people in seen:
-        if number in frames:
+    found = Detections(detector, {}, {}, **more)
+    for number, people in frames:
+        seen = []
+        for k, person in enumerate(people):
+            at.place = f"frame {number}, person {k}"
+            seen.append(read(person))
+        if number in found.frames:
             raise at.error("this frame is there twice", place=f"frame {number}")
-        counts = {len(points) for points, _ in people if len(points)}
+        counts = {len(points) for points, _ in seen if len(points)}
         if len(counts) > 1:
             raise at.error("people have different numbers of keypoints")
         if max(counts, default=0) > _MOST_POINTS:
             raise at.error(f"{max(counts)} keypoints of one person")
-        shown = [points if len(points) else np.zeros((*counts, 3)) for points, _ in people] if counts else []
-        frames[number] = np.stack(shown) if shown else _NOBODY
-        ids[number] = [name for _, name in people] if shown else []
-    return Detections(detector, frames, ids, **more)
+        shown = [points if len(points) else np.zeros((*counts, 3)) for points, _ in seen] if counts else []
+        found.frames[number] = np.stack(shown) if shown else _NOBODY
+        found.ids[number] = [name for _, name in seen] if shown else []
+    return found
 
 
 def collect_named(at: Spot, detector: str, seen: list[tuple[int, list[tuple[dict, int | None]]]], **more) -> Detections:
@@ -190,17 +197,20 @@ def collect_named(at: Spot, detector: str, seen: list[tuple[int, list[tuple[dict
         layouts = (names for names in (COCO_17, MEDIAPIPE_33) if set(known.values()) <= set(names))
         names = next(layouts, tuple(known.values()))
         places, count = {key: names.index(name) for key, name in known.items()}, len(names)
-    rows: list[tuple[int, list[Sighting]]] = []
-    for number, people in seen:
-        rows.append((number, []))
-        for points, name in people:
-            at.place = f"frame {number}, person {len(rows[-1][1])}"
-            row = np.full((count, 3), np.nan)
-            row[[places[key] for key in points]] = numbers(at, [*points.values()], "K 3", largest=FARTHEST, nan=True)
-            rows[-1][1].append((row, name))
+
+    def read(person: tuple[dict, int | None]) -> Sighting:
+        row = np.full((count, 3), np.nan)
+        row[[places[key] for key in person[0]]] = pixels(at, [*person[0].values()], "K 3")
+        return row, person[1]
+
     if names == MEDIAPIPE_33 or (names is None and count == len(MEDIAPIPE_33)):
         detector, more["lowest"] = "MediaPipe", _MEDIAPIPE
-    return collect(at, detector, rows, names=names, **more)
+    return collect(at, detector, seen, read, names=names, **more)
+
+
+def pixels(at: Spot, values: object, shape: str, place: str | None = None) -> np.ndarray:
+    """Checks coordinates or scores, of which any may be NaN; see ``reading.numbers``."""
+    return numbers(at, values, shape, place, FARTHEST, nan=True)
 
 
 def whole_number(value: object) -> int | None:
@@ -220,9 +230,8 @@ def first_of(place: dict, words: tuple[str, ...]) -> object:
 
 def with_scores(at: Spot, xy: np.ndarray, scores: object) -> np.ndarray:
     """Joins xy (K, 2) and K scores, or None, to points (K, 3)."""
-    if scores is None:
-        return np.concatenate([xy, np.full((len(xy), 1), np.nan)], 1)
-    return np.concatenate([xy, numbers(at, scores, str(len(xy)), largest=FARTHEST, nan=True)[:, None]], 1)
+    scores = np.full(len(xy), np.nan) if scores is None else pixels(at, scores, str(len(xy)))
+    return np.column_stack([xy, scores])
 
 
 def point_names(at: Spot, value: object) -> tuple[str, ...] | None:

@@ -28,15 +28,13 @@ from motionlab.io.detection_json import from_json
 from motionlab.io.detection_tables import from_lines, from_npz, from_trc
 from motionlab.io.detections import PLAIN, Detections, from_folder
 from motionlab.io.layouts import names_of
-from motionlab.io.reading import LARGEST, Spot, frame_rate, image_size, read_json, read_text, reading
+from motionlab.io.reading import LARGEST, Spot, image_size, read_json, read_text, reading
 from motionlab.observation import Observation2D
 
 #: Scores to this are ones that ran over; beyond they are of another scale.
 _OVER = 1.2
 #: Coordinates of which half stay below this are shares of the image; of which so many are negative, no place in it.
 _SHARE, _NEGATIVE = 2.0, 0.25
-
-
 #: Points lie on the border of the image within so many pixels; and were put there where that many, and this share of
 #: all points, lie on the same side.
 _ON, _REPEATED, _PUT = 1e-3, 4, 0.005
@@ -90,16 +88,31 @@ class Footage:
             rows.append(row | {"confidence": float(sure[sure > 0].mean()), "height px": track.height})
         return rows
 
-    def person(self, which: str | int = "longest") -> Observation2D:
-        """Returns one person's keypoints (T, K, 2): of an id, or who was seen longest or is tallest in the image.
+    def chosen(self, which: str | int | Sequence[str | int]) -> list[Person]:
+        """Returns who is meant: "longest" seen, "largest" in the image, "all" who are there for a second, or ids.
 
         Raises:
-            DataError: nobody has this id.
+            DataError: nobody has one of the ids.
         """
-        known = {"longest": self.tracks[0], "largest": max(self.tracks, key=lambda track: track.height)}
-        return self._observation([known[which]] if which in known else self._of_ids([which]), single=True)
+        words = [str(word) for word in ([which] if isinstance(which, str | int) else which)]
+        if words == ["all"]:
+            least = min(self.fps, self.frames / 2)  # a second, or half of a shorter clip
+            return [track for track in self.tracks if len(track.frames) >= least] or [self.tracks[0]]
+        known = {str(each): track for track in self.tracks for each in (*track.also, track.id)}
+        if len(words) == 1:
+            largest = max(self.tracks, key=lambda track: track.height)
+            known |= {"longest": self.tracks[0], "largest": largest}
+        if wrong := [word for word in words if word not in known] or [""] * (not words):
+            remedy = f"use longest, largest, all or some of {', '.join([*known][:20])}"
+            raise self._error(f"nobody has the id {', '.join(wrong)}", remedy)
+        return list(dict.fromkeys(known[word] for word in words))
 
-    def people(self, which: Sequence[int] | float = 0.5) -> Observation2D:
+    def person(self, which: str | int = "longest") -> Observation2D:
+        """Returns one person's keypoints (T, K, 2), see ``chosen``."""
+        found = self.people([which])
+        return replace(found, keypoints=found.keypoints[0], confidence=found.confidence[0])
+
+    def people(self, which: Sequence[str | int] | float = 0.5) -> Observation2D:
         """Returns several people's keypoints as one batch (B, T, K, 2).
 
         Args:
@@ -108,13 +121,21 @@ class Footage:
         Raises:
             DataError: nobody has one of the ids, or was seen in so large a share; or all of it is too much to hold.
         """
-        if not isinstance(which, int | float):
-            return self._observation(self._of_ids(which))
-        tracks = [track for track in self.tracks if len(track.frames) >= which * self.frames]
+        if isinstance(which, int | float):
+            tracks = [track for track in self.tracks if len(track.frames) >= which * self.frames]
+        else:
+            tracks = self.chosen(which)
         if not tracks:
             most = len(self.tracks[0].frames) / self.frames
             raise self._error(f"nobody was seen in {which:.0%} of the frames", f"ask for {most:.3f} or less")
-        return self._observation(tracks)
+        shape = (len(tracks), self.frames, len(self.names), 3)
+        if 4 * np.prod(shape, dtype=float) > LARGEST:
+            raise self._error(f"{shape[:3]} people, frames and points are too many", "take fewer people")
+        table = torch.zeros(shape)
+        for row, track in zip(table, tracks, strict=True):
+            row[torch.from_numpy(track.frames)] = torch.from_numpy(track.points)
+        name = f"{self.path.name} from frame {self.first}"
+        return Observation2D(table[..., :2], table[..., 2], self.names, self.fps, name=name)
 
     def of(self, tracks: Sequence[Person]) -> Footage:
         """Returns the footage with other tracks, but for frames and people of whom nothing was seen.
@@ -154,25 +175,6 @@ class Footage:
     def _error(self, message: str, remedy: str) -> DataError:
         return DataError(message, path=self.path, place="people", remedy=remedy)
 
-    def _of_ids(self, ids: Sequence[object]) -> list[Person]:
-        known = {each: track for track in self.tracks for each in (*track.also, track.id)}
-        if not ids or not set(ids) <= known.keys():
-            some = ", ".join(str(name) for name in [*known][:20])
-            wrong = [each for each in ids if each not in known]
-            raise self._error(f"nobody has the ids {wrong}", f'use "longest", "largest" or some of {some}')
-        return [known[each] for each in ids]
-
-    def _observation(self, tracks: list[Person], *, single: bool = False) -> Observation2D:
-        shape = (len(tracks), self.frames, len(self.names), 3)
-        if 4 * np.prod(shape, dtype=float) > LARGEST:
-            raise self._error(f"{shape[:3]} people, frames and points are too many", "take fewer people")
-        table = torch.zeros(shape)
-        for row, track in zip(table, tracks, strict=True):
-            row[torch.from_numpy(track.frames)] = torch.from_numpy(track.points)
-        table = table[0] if single else table
-        name = f"{self.path.name} from frame {self.first}"
-        return Observation2D(table[..., :2], table[..., 2], self.names, self.fps, name=name)
-
 
 def _longest(track: Person) -> tuple[float, float]:
     return -len(track.frames), -track.height
@@ -209,13 +211,7 @@ def load(
     """
     with reading(path, "give what a 2-D pose detector wrote: a file, or a folder with one file per frame") as at:
         found = from_folder(at, _read_file, ".json", ".txt") if at.path.is_dir() else _read_file(at)
-        found = found.renumbered(at, fps, film)
-        frames, first = found.in_order(at)
-        fps = fps if fps is not None else found.fps
-        if fps is None:
-            raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
-        rate = frame_rate(at, fps, "fps")
-        stop = np.cumsum([len(people) for people in frames])[:-1]
+        found, frames = found.in_order(at, fps, film)
         if not any(len(people) for people in frames):
             raise at.error("nobody was detected in any frame", place="")
         everybody = np.concatenate([people for people in frames if len(people)]).astype(np.float32)
@@ -226,13 +222,14 @@ def load(
         names = found.names if layout is None and found.names else names_of(at, everybody, layout)
         if len(names) != everybody.shape[1]:
             raise at.error(f"{len(names)} names for {everybody.shape[1]} keypoints", place="names")
-        frames = np.split(everybody, stop)
+        first, given = min(found.frames), sorted(found.frames)
         ids = [found.ids.get(first + n, []) for n in range(len(frames))]
-        stride = np.median(np.diff(sorted(found.frames))) if len(found.frames) > 1 else 1
-        tracks, more = _told_apart(frames, ids, gap=max(1, round(min(max(gap * rate, stride), len(frames)))))
-        order = sorted(tracks, key=_longest)
-        notes = (*notes, *more)
-        return Footage(at.path, found.detector, names, rate, size, first, len(frames), notes, tuple(order))
+        frames = np.split(everybody, np.cumsum([len(people) for people in frames])[:-1])
+        stride = np.median(np.diff(given)) if len(given) > 1 else 1
+        gap = max(1, round(min(max(gap * found.fps, stride), len(frames))))
+        tracks, more = _told_apart(frames, ids, gap=gap)
+        everything = (found.detector, names, found.fps, size, first, len(frames), (*notes, *more))
+        return Footage(at.path, *everything, tuple(sorted(tracks, key=_longest)))
 
 
 def _read_file(at: Spot) -> Detections:
@@ -286,17 +283,12 @@ def _calibrate(at: Spot, people: np.ndarray, size: tuple[float, float] | None, l
         message = "coordinates around zero are no place in an image, but 3-D (world landmarks in metres) or centred"
         raise at.error(message, place="coordinates", remedy="save the image's landmarks, in pixels or from 0 to 1")
     if seen.any() and np.median(np.abs(xy[seen])) < _SHARE:
-        _to_pixels(at, xy, size)
+        if size is None:
+            message = "coordinates are shares of an image whose size the file does not hold"
+            raise at.error(message, place="size", remedy="pass size=(width, height), or --size")
+        xy *= size
         notes.append(f"coordinates are shares of the image: multiplied by its size, {size[0]:g} x {size[1]:g}")
     return notes
-
-
-def _to_pixels(at: Spot, xy: np.ndarray, size: tuple[float, float] | None) -> None:
-    """Multiplies shares of the image by its size, in place; an image that was stretched for the detector is undone."""
-    if size is None:
-        message = "coordinates are shares of an image whose size the file does not hold"
-        raise at.error(message, place="size", remedy="pass size=(width, height), or --size")
-    xy *= size
 
 
 def _told_apart(frames: list[np.ndarray], ids: list[list], *, gap: int) -> tuple[list[Person], list[str]]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from motionlab.io import detection_json, detections, tracking
+from motionlab.io.keypoints import Footage, Person
 from motionlab.io.layouts import names_of
-from motionlab.io.reading import frame_rate, read_json, reading
+from motionlab.io.reading import read_json, reading
 from motionlab.observation import Observation2D
 
 
@@ -37,12 +37,7 @@ def load(
     """
     with reading(folder, "point at a folder with one OpenPose JSON file per frame of one camera") as at:
         found = detections.from_folder(at, lambda one: detection_json.openpose(one, read_json(one)), ".json")
-        if fps is None:
-            raise at.error(
-                "expected frames per second: OpenPose stores none", place="fps", remedy="pass fps=, or --fps"
-            )
-        rate = frame_rate(at, fps, "fps")
-        frames, first = found.renumbered(at, rate).in_order(at)
+        found, frames = found.in_order(at, fps)
         frames = [np.nan_to_num(people).astype(np.float32) for people in frames]
         for people in frames:
             people[..., 2] = people[..., 2].clip(0, 1)
@@ -52,15 +47,14 @@ def load(
             raise at.error("nobody was detected in any frame" + (": every confidence is 0" if shown else ""))
         names = names_of(at, np.concatenate(shown), layout)
         if max(len(people) for people in frames) == 1 and person in ("longest", "largest", 0):
-            chosen = [(frame, 0) for frame, people in enumerate(frames) if len(people)]
+            pairs = [(frame, 0) for frame, people in enumerate(frames) if len(people)]
         else:
-            chosen = _choose(tracking.join(frames, gap=max(1, round(gap * rate))), person)
-        if chosen is None:
+            pairs = _choose(tracking.join(frames, gap=max(1, round(gap * found.fps))), person)
+        if pairs is None:
             raise at.error(f"nobody fits person={person!r}", remedy='pass "longest", "largest" or a smaller number')
-        table = torch.zeros(len(frames), len(names), 3)
-        for frame, index in chosen:
-            table[frame] = torch.from_numpy(frames[frame][index])
-        return Observation2D(table[..., :2], table[..., 2], names, rate, name=f"{at.path.name} from frame {first}")
+        track = Person(0, np.array([n for n, _ in pairs]), np.stack([frames[n][k] for n, k in pairs]))
+        first = min(found.frames)
+        return Footage(at.path, found.detector, names, found.fps, None, first, len(frames), (), (track,)).person()
 
 
 def _choose(tracks: list[tracking.Track], person: str | int) -> list[tuple[int, int]] | None:

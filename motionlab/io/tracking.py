@@ -188,7 +188,7 @@ def _apart(tracks: list[Track], b: np.ndarray, frame: int) -> np.ndarray:
 
 
 def _boxes(people: np.ndarray) -> np.ndarray:
-    """Left, top, right, bottom (..., 4) of the seen keypoints of people (..., K, 3), each of whom shows one."""
+    """Left, top, right, bottom (..., 4) of the seen keypoints of people (..., K, 3); infinite where none is seen."""
     seen = people[..., 2:] > 0
     top = np.where(seen, people[..., :2], np.inf).min(-2)
     return np.concatenate([top, np.where(seen, people[..., :2], -np.inf).max(-2)], -1)
@@ -196,7 +196,5 @@ def _boxes(people: np.ndarray) -> np.ndarray:
 
 def _extent(people: np.ndarray) -> np.ndarray:
     """Diagonal (...) of the box around the seen keypoints of people (..., K, 3), pixels; 0 where none is seen."""
-    seen = people[..., 2:] > 0
-    top = np.where(seen, people[..., :2], -np.inf).max(-2)
-    bottom = np.where(seen, people[..., :2], np.inf).min(-2)
-    return np.where(seen.any((-1, -2)), np.linalg.norm(np.maximum(top - bottom, 0), axis=-1), 0.0)
+    box = _boxes(people)
+    return np.linalg.norm(np.maximum(box[..., 2:] - box[..., :2], 0), axis=-1)
