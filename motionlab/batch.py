@@ -66,8 +66,8 @@ def run_many(
     A job that raises is reported when it does and at the end, and so is one whose process is killed twice while it is
     alone in it; all others are done. What one process computes, several do: nothing is shared between jobs. A single
     job runs in this process, where Ctrl-C means to a fit that it should end at its best; of several, Ctrl-C ends those
-    that have begun, without a result. A cluster drops what
-    has not begun; what its workers have begun they finish, unseen from here.
+    that have begun, without a result. A cluster drops what has not begun; what its workers have begun they finish,
+    unseen from here.
 
     Args:
         function: of one job; it and the jobs are pickled, so a module's function, or a ``functools.partial`` of one.
@@ -78,22 +78,23 @@ def run_many(
         name: of a job, for messages.
 
     Raises:
-        ValueError: jobs_at_once is below 1, or above it with a cluster, which has processes of its own.
-        MissingData: a cluster without the package ``distributed``.
-        DataError: no such cluster, one without workers, with workers of several threads, or one that went away; what
-            is done stays done.
+        DataError: jobs_at_once is below 1, or above it with a cluster, which has processes of its own; no such
+            cluster, one without workers, with workers of several threads, or one that went away; what is done stays
+            done. MissingData: a cluster without the package ``distributed``.
     """
     if jobs_at_once < 1:
-        raise ValueError(f"jobs_at_once: expected 1 or more, got {jobs_at_once}")
+        raise DataError(f"{jobs_at_once} jobs", place="--jobs", remedy="give a number above 0")
     if jobs_at_once > 1 and cluster is not None:
-        raise ValueError("jobs_at_once: a cluster does as many as it has workers")
+        remedy = "leave out --jobs: a cluster does as many at once as it has workers"
+        raise DataError("processes here, or a cluster", place="--jobs, --cluster", remedy=remedy)
     left = [k for k, job in enumerate(jobs) if finished is None or not finished(job)]
     batch = Batch(tuple(map(name, jobs)), skipped=tuple(sorted({*range(len(jobs))} - {*left})))
     with tqdm(total=len(jobs), initial=len(batch.skipped), desc="clips", disable=len(jobs) < 2) as progress:
 
         def done(k: int, found: Any) -> None:
             if not isinstance(found, Failed) and finished is not None and not finished(jobs[k]):
-                found = Failed(_NOT_DONE if cluster is None else _NOT_HERE)
+                unshared = "done, but what it writes last is not here: do its workers share this folder?"
+                found = Failed("stopped before it was done" if cluster is None else unshared)
             if isinstance(found, Failed):
                 batch.failed[k] = found
                 progress.write(f"{batch.names[k]}: {found.message}\n{found.trace}".rstrip(), file=sys.stderr)
@@ -154,7 +155,8 @@ def _on_cluster(work: dict[int, Callable[[], Any]], address: str, done: Callable
     try:
         import distributed
     except ImportError as error:
-        raise MissingData("the package distributed, which speaks to a Dask cluster,", _INSTALL) from error
+        how = "Install it in the checkout: pip install -e '.[cluster]'."
+        raise MissingData("the package distributed, which speaks to a Dask cluster,", how) from error
     try:
         client = distributed.Client(address, timeout=PATIENCE)
     except (OSError, ValueError) as error:
@@ -176,13 +178,8 @@ def _on_cluster(work: dict[int, Callable[[], Any]], address: str, done: Callable
                 k = futures.pop(future)
                 error = None if future.status == "finished" else future.exception()
                 if future.cancelled() or isinstance(error, distributed.CancelledError):
-                    raise DataError("the cluster went away", path=address, remedy=_AGAIN)
+                    remedy = "start it and run the same command again: what is finished is skipped"
+                    raise DataError("the cluster went away", path=address, remedy=remedy)
                 done(k, future.result() if error is None else Failed(f"{type(error).__name__}: {error}"))
         finally:
             client.cancel(list(futures))
-
-
-_NOT_DONE = "stopped before it was done"
-_NOT_HERE = "done, but what it writes last is not here: do its workers share this folder?"
-_INSTALL = "Install it in the checkout: pip install -e '.[cluster]'."
-_AGAIN = "start it and run the same command again: what is finished is skipped"

@@ -14,14 +14,14 @@ import torch
 from motionlab import detect
 from motionlab.errors import DataError, MissingData
 from motionlab.files import output_folder
-from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.io import keypoints, lens, video
 from motionlab.io.cameras import for_images, load_camera
 from motionlab.io.keypoints import Footage
 from motionlab.io.layouts import to_body_25
 from motionlab.io.video import Video
-from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
+from motionlab.observation import Camera, Observation2D, at_rate
 from motionlab.optimise import begins
+from motionlab.scene_fit import ENOUGH, USED
 
 _OUTSIDE = 0.2  # share of detections outside the image from which they are not of this image
 _SAMPLES = 60  # pictures in which the background is compared, half a second or more apart
@@ -61,15 +61,13 @@ class Clip:
         seconds = np.arange(self.count) / self.rate
         if self.times is None:
             return np.array([round(each) for each in seconds * self.footage.fps])
-        return np.searchsorted(self.times, seconds + 1e-6, "right") - 1
+        return _frames_at(self.times, seconds)
 
     def pictures(self, frames: Sequence[int]) -> Iterator[np.ndarray]:
         """Returns the pictures of frames of the film, as a camera without distortion would have taken them."""
-        if self.video.times is None:
-            wanted = [self.first + frame for frame in frames]
-        else:
-            begin = self.video.times[self.first]
-            wanted = [int(np.searchsorted(self.video.times, begin + f / self.rate + 1e-6, "right")) - 1 for f in frames]
+        wanted, times = [self.first + frame for frame in frames], self.video.times
+        if times is not None:
+            wanted = _frames_at(times, times[self.first] + np.array(frames) / self.rate).tolist()
         found = self.video.pictures(wanted)
         return lens.straight(found, self.camera) if self.camera is not None and self.camera.distortion else found
 
@@ -94,6 +92,39 @@ class Clip:
                     here.append((*points.min(0), *points.max(0)))
             boxes.append(here)
         return video.background_drift(self.pictures(frames), boxes)
+
+
+def _frames_at(times: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+    """The frame that is there at each moment."""
+    return np.searchsorted(times, seconds + 1e-6, "right") - 1
+
+
+def read_clip(
+    keypoints_path: str | Path | None,
+    video_path: str | Path | None = None,
+    *,
+    person: str | int | Sequence[str | int] = "longest",
+    camera: str | Path | None = None,
+    camera_name: str | None = None,
+    **how,
+) -> tuple[Clip, list[int], Observation2D]:
+    """Returns a clip with the camera of a file, its lens taken out; the ids of who is meant; their keypoints for a fit.
+
+    Args:
+        person: see ``Footage.chosen``.
+        how: see ``open_clip``.
+
+    Raises:
+        DataError: see ``open_clip``, ``with_camera`` and ``observation``; nobody has the id, or people outside the
+            image. MissingData: see ``detect.find``.
+    """
+    clip = open_clip(keypoints_path, video_path, **how)
+    if camera is not None:
+        clip = with_camera(clip, camera, camera_name)
+    ids = [track.id for track in clip.footage.chosen(person)]
+    check_image(clip, observation(clip, ids), camera)
+    clip = straightened(clip)
+    return clip, ids, observation(clip, ids)
 
 
 def open_clip(
@@ -124,18 +155,16 @@ def open_clip(
             notes = [f"keypoints of an earlier run: {keypoints_path}; delete it to find them again"]
         else:
             detect.find(shown, keypoints_path, fps=fps, progress=bool(begins("keypoints", progress)))
-    how = {"fps": fps, "size": size, "layout": layout, "film": None if shown is None else shown.numbers or shown.frames}
-    read, told = _read(keypoints_path, how, shown)
+    how = {"size": size, "layout": layout, "film": shown}
+    read = keypoints.load(keypoints_path, fps=fps, **how)
     first = None if shown is None else _first(read, shown)
     if shown is not None and first is None and read.first + read.frames <= shown.frames + _SLACK and shown.fps:
-        counted, _ = _read(keypoints_path, how | {"fps": shown.fps}, shown)
-        notes.append(
-            f"keypoints numbered as the footage's frames: taken at its {shown.fps:g} a second, not {read.fps:g}"
-        )
-        read, first = counted, _first(counted, shown)
+        rates = f"taken at its {shown.fps:g} a second, not {read.fps:g}"
+        notes.append(f"keypoints numbered as the footage's frames: {rates}")
+        read = keypoints.load(keypoints_path, fps=shown.fps, **how)
+        first = _first(read, shown)
     notes += read.notes
-    size = read.size or (shown and shown.size)
-    size = size and (round(size[0]), round(size[1]))
+    size = read.size and (round(read.size[0]), round(read.size[1]))
     if size is not None:
         read, more = read.within(size)
         notes += more
@@ -145,22 +174,8 @@ def open_clip(
         message = f"{shown.frames} frames, but the keypoints reach frame {read.first + read.frames - 1}"
         raise DataError(message, path=shown.path, remedy="give the footage that the keypoints are of, and its --fps")
     times = _times(read, shown, first)
-    notes += [*shown.notes, *_said(read, shown, first, times, told)]
+    notes += [*shown.notes, *_said(read, shown, first, times, guessed=fps is None)]
     return Clip(read, shown, first, size, tuple(notes), times)
-
-
-def _read(path: str | Path, how: dict[str, object], shown: Video | None) -> tuple[Footage, set[str]]:
-    """Keypoints; and what of fps and size the video had to say, as they do not."""
-    how, told = dict(how), set()
-    while True:
-        try:
-            return keypoints.load(path, **how), told
-        except DataError as error:
-            known = None if shown is None or error.place not in ("fps", "size") else getattr(shown, error.place)
-            if known is None or how[error.place] is not None:
-                raise
-            how[error.place] = known
-            told.add(error.place)
 
 
 def _pace(read: Footage, shown: Video) -> float:
@@ -192,8 +207,8 @@ def _times(read: Footage, shown: Video, first: int) -> np.ndarray | None:
     return np.append(times, times[-1] + np.arange(1, read.frames - len(times) + 1) / shown.fps)
 
 
-def _said(read: Footage, shown: Video, first: int, times: np.ndarray | None, told: set[str]) -> list[str]:
-    """What was assumed of keypoints and footage."""
+def _said(read: Footage, shown: Video, first: int, times: np.ndarray | None, *, guessed: bool) -> list[str]:
+    """What was assumed of keypoints and footage; guessed: nobody said the keypoints' rate."""
     rate, notes = shown.fps or read.fps, []
     last = 1 + round((read.frames - 1) * _pace(read, shown))
     if times is not None:
@@ -205,7 +220,13 @@ def _said(read: Footage, shown: Video, first: int, times: np.ndarray | None, tol
     if first:
         notes.append(f"the keypoints begin at frame {first} of the footage")
     every = round(shown.frames / max(read.frames, 1))
-    if "fps" in told and first == 0 and every > 1 and 0 <= shown.frames - (read.frames - 1) * every <= every:
+    if (
+        guessed
+        and read.fps == shown.fps
+        and first == 0
+        and every > 1
+        and 0 <= shown.frames - (read.frames - 1) * every <= every
+    ):
         notes.append(
             f"the keypoints are taken for the first {read.frames} of {shown.frames} frames: if they are of one in "
             f"{every}, say --fps {rate / every:g}"
@@ -249,29 +270,6 @@ def straightened(clip: Clip) -> Clip:
     return replace(clip, footage=clip.footage.of(found), notes=(*clip.notes, *notes))
 
 
-def ids_of(read: Footage, person: str | int | Sequence[str | int]) -> list[int]:
-    """Finds the ids of the people who are meant.
-
-    Raises:
-        DataError: nobody has one of the ids.
-    """
-    words = [person] if isinstance(person, str | int) else list(person)
-    if words == ["all"]:
-        least = min(read.fps, read.frames / 2)  # a second, or half of a shorter clip
-        return [track.id for track in read.tracks if len(track.frames) >= least] or [read.tracks[0].id]
-    if words == ["longest"]:
-        return [read.tracks[0].id]
-    if words == ["largest"]:
-        return [max(read.tracks, key=lambda track: track.height).id]
-    known = {str(each): track.id for track in read.tracks for each in (*track.also, track.id)}
-    wrong = [str(word) for word in words if str(word) not in known]
-    if wrong:
-        some = ", ".join([*known][:20])
-        message = f"nobody has the id {', '.join(wrong)}"
-        raise DataError(message, path=read.path, place="people", remedy=f"use longest, largest, all or some of {some}")
-    return list(dict.fromkeys(known[str(word)] for word in words))
-
-
 def observation(clip: Clip, ids: Sequence[int]) -> Observation2D:
     """Computes keypoints (P, T, 25, 2) at 30 fps, in the layout that a fit uses.
 
@@ -280,12 +278,11 @@ def observation(clip: Clip, ids: Sequence[int]) -> Observation2D:
     """
     read = clip.footage
     seen = at_rate(to_body_25(read.people(ids), midpoints=True), times=clip.times)
-    used = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]
     if seen.frames < 2:
         raise DataError("one frame is no motion", path=read.path, remedy="give two frames or more")
     for each, confidence in zip(ids, seen.confidence, strict=True):
-        if (confidence[:, used] > 0).sum(-1).max() < 4:
-            message = "no frame shows 4 keypoints that a fit uses (it leaves out neck and hips)"
+        if (confidence[:, USED] > 0).sum(-1).max() < ENOUGH:
+            message = f"no frame shows {ENOUGH} keypoints that a fit uses (it leaves out neck and hips)"
             remedy = "use another recording, or another --person"
             raise DataError(message, path=read.path, place=f"person {each}", remedy=remedy)
     return seen

@@ -22,9 +22,9 @@ from torch import Tensor
 
 from motionlab import scene_report, stature
 from motionlab.body import BodyModel
-from motionlab.clip import Clip, check_image, ids_of, observation, open_clip, straightened, with_camera
+from motionlab.clip import Clip, read_clip
 from motionlab.errors import DataError
-from motionlab.files import output_folder, writing
+from motionlab.files import output_folder, write_whole, writing
 from motionlab.humor import body_shape, pretrained
 from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.io import amass, bvh, gltf, video
@@ -128,16 +128,12 @@ def run_clip(
                    pose_prior=pose_prior, initial=initial, fps=fps, layout=layout, camera_name=camera_name,
                    height=height)  # fmt: skip
     began, out = time.perf_counter(), output_folder(out)
-    clip = open_clip(keypoints, video, out=out, fps=fps, size=size, layout=layout, progress=progress)
-    if camera is not None:
-        clip = with_camera(clip, camera, camera_name)
-    ids = ids_of(clip.footage, person)
+    how = {"fps": fps, "size": size, "layout": layout, "progress": progress}
+    how |= {"person": person, "camera": camera, "camera_name": camera_name}
+    clip, ids, seen = read_clip(keypoints, video, out=out, **how)
     if height is not None and len(ids) > 1:
         raise DataError(f"{len(ids)} people and one height", place="height", remedy="fit one at a time: --person ID")
     _check_free(out, _stems(ids))
-    check_image(clip, observation(clip, ids), camera)
-    clip = straightened(clip)
-    seen = observation(clip, ids)
     priors = pretrained.load_priors(
         motion=prior, pose=pose_prior, initial=initial, pelvis=None if pelvis is None else tuple(pelvis)
     )
@@ -148,27 +144,30 @@ def run_clip(
     fitted = fit_people(seen, task)
     record = _record(clip, ids, fitted, drift, height)
     record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped, "asked": asked}
-    body = BodyModel.from_anny()
-    with writing(out), tempfile.TemporaryDirectory(prefix=".fit-", dir=out) as part:
-        part, poster = Path(part), b""
-        record["files"] = [*_write(part, ids, fitted, record, body), "report.html"]
-        early = record | {"finished": False, "notes": [*record["notes"], "the film is not drawn yet"]}
-        _report(part, early, began)
-        _clear(out)
-        _move(part, out, [*record["files"], RESULT])
+    body, poster = BodyModel.from_anny(), b""
+    with writing(out), tempfile.TemporaryDirectory(prefix=".fit-", dir=out) as folder:
+        part = Path(folder)
+        files = _write(part, ids, fitted, record, body)
+        record["files"] = [*files, "report.html"]
+        for name in _of_earlier(out):
+            (out / name).unlink(missing_ok=True)
+        for name in files:
+            (part / name).replace(out / name)
+        _report(out, record | {"finished": False, "notes": [*record["notes"], "the film is not drawn yet"]}, began)
+        record["finished"] = not fitted.stopped
         try:
-            poster, drawn = _film(part / "overlay.mp4", clip, fitted, body, quick, progress).poster, True
+            poster = _film(part / "overlay.mp4", clip, fitted, body, quick, progress).poster
+            (part / "overlay.mp4").replace(out / "overlay.mp4")
             record["files"].insert(-1, "overlay.mp4")
         except KeyboardInterrupt:
             record["notes"].append("stopped while the film was drawn: there is none")
-            drawn = False
-        except Exception as error:  # of the machine: a film is not worth a fit
+            record["finished"] = False
+        except (
+            Exception
+        ) as error:  # of the machine: a film is not worth a fit, and the same call would not draw it either
             record["notes"].append(f"the film could not be drawn: {type(error).__name__}: {error}")
-            drawn = None
-        record["finished"] = not fitted.stopped and drawn is not False  # the same call would not draw it either
-        _report(part, record, began, poster)
-        _move(part, out, [*(["overlay.mp4"] if drawn else []), "report.html", RESULT])
-    if drawn:
+        _report(out, record, began, poster)
+    if poster:
         shutil.rmtree(windows, ignore_errors=True)
     return record
 
@@ -217,10 +216,10 @@ def _write(folder: Path, ids: Sequence[int], fitted: SceneFit, record: dict[str,
     return [*files, "scene.glb"]
 
 
-def _report(folder: Path, record: dict[str, object], began: float, poster: bytes = b"") -> None:
+def _report(out: Path, record: dict[str, object], began: float, poster: bytes = b"") -> None:
     record["seconds"] = time.perf_counter() - began
-    (folder / "report.html").write_text(scene_report.page(record, poster), encoding="utf-8")
-    (folder / RESULT).write_text(json.dumps(record, indent=1, allow_nan=False), encoding="utf-8")
+    write_whole(out / "report.html", scene_report.page(record, poster))
+    write_whole(out / RESULT, json.dumps(record, indent=1, allow_nan=False))
 
 
 def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool, progress: bool | str) -> film.Film:
@@ -240,18 +239,6 @@ def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool
     how = {"roles": roles, "shown": fitted.shown[:, at].tolist(), "seen": seen, "progress": begins("film", progress)}
     how |= {"area": _SMALL} if quick else {}
     return film.over_footage(motions, fitted.camera, pictures, path, body, **how)
-
-
-def _clear(out: Path) -> None:
-    """Deletes what an earlier run wrote."""
-    for name in _of_earlier(out):
-        (out / name).unlink(missing_ok=True)
-
-
-def _move(part: Path, out: Path, files: Sequence[str]) -> None:
-    """Moves files into place, the last one last."""
-    for name in files:
-        (part / name).replace(out / name)
 
 
 # ---------------------------------------------------------------------------------------------------------- the record

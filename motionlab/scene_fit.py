@@ -20,7 +20,6 @@ from tqdm import tqdm
 
 from motionlab import rotation, stature
 from motionlab.baselines import interpolate
-from motionlab.errors import DataError
 from motionlab.files import write_whole, writing
 from motionlab.humor import body_shape, testops
 from motionlab.humor.energies import UNUSED_BODY_25
@@ -39,10 +38,11 @@ WHOLE, STRETCH, OVERLAP = 180, 120, 24
 TOGETHER = 8
 #: Frames for which somebody may be unseen and still be shown.
 _SHOWN = 15
-_ENOUGH = 4  # keypoints that place a person
+ENOUGH = 4  # keypoints that place a person
 _KEYS = ("root", "rot", "contacts", "betas", "surprise")  # of each person
 _SAID = ("energy", "terms", "reasons", "notes")  # of their fit: energy (E, P) of the named terms
-_USED = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]
+#: Keypoints of BODY_25 that a fit uses.
+USED = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]
 _MODES = {"shooting": "lean", "rollout": "official"}  # of a fit by each solver: with rollout all of it is the original
 
 
@@ -120,16 +120,14 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
     Of another ``height`` than an adult's they are fitted as adults in a scene that is as much larger, see ``stature``.
     Ctrl-C keeps the best so far of footage in one window; of longer footage it keeps the windows that are done.
 
+    Of each at least one frame shows ``ENOUGH`` of the keypoints that a fit uses.
+
     Raises:
-        DataError: nothing that a fit uses was seen of somebody. KeyboardInterrupt: stopped between windows.
+        KeyboardInterrupt: stopped between windows.
     """
     if task.height is not None:
         return _of_height(seen, task, task.height)
-    enough = (seen.confidence[..., _USED] > 0).sum(-1) >= _ENOUGH
-    if not enough.any(-1).all():
-        nobody = (~enough.any(-1)).nonzero()[:, 0].tolist()
-        message = f"no frame shows {_ENOUGH} keypoints that a fit uses (it leaves out neck and hips)"
-        raise DataError(message, place=f"person {nobody[0]}", remedy="use another recording, or another --person")
+    enough = (seen.confidence[..., USED] > 0).sum(-1) >= ENOUGH
     people, frames = enough.shape
     whole = frames <= WHOLE or task.solver == "rollout"  # which cuts windows of its own
     starts = (0,) if whole else window_starts(frames, STRETCH, OVERLAP)
@@ -172,7 +170,8 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
     camera = camera if camera is not None else task.camera
     motions = [_joined(parts, frames, seen.fps) for parts in pieces]
     surprise = torch.stack([torch.stack([part["surprise"] for part in parts]).mean() for parts in pieces])
-    shown = _shown(enough)
+    near = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)
+    shown = near[:, 0] > 0
     if not task.placed:
         motions, camera, lift = _on_the_floor(motions, shown, camera)
         notes += [f"the floor was moved by {100 * lift:+.1f} cm so that the feet stand on z = 0"]
@@ -202,7 +201,7 @@ def _common_camera(seen: Observation2D, enough: Tensor, task: Task) -> tuple[Cam
     """One camera for all, from at most 4 s where most is seen: that of one person, or of a coarse fit of everybody the
     mean of their cameras, weighted by what was seen of each and by how well the fit met it."""
     length = min(seen.frames, STRETCH)
-    most = seen.confidence[..., _USED].sum((0, 2)).unfold(0, length, 1).sum(-1).argmax()
+    most = seen.confidence[..., USED].sum((0, 2)).unfold(0, length, 1).sum(-1).argmax()
     span = slice(int(most), int(most) + length)
     who = enough[:, span].any(-1).nonzero()[:, 0].tolist()[:TOGETHER]
     part = _cut(seen, who, span)
@@ -212,7 +211,7 @@ def _common_camera(seen: Observation2D, enough: Tensor, task: Task) -> tuple[Cam
     fitted = task.fit(part, task.camera, floor, schedule=work, solver="shooting")
     if fitted.stopped:
         raise KeyboardInterrupt
-    weight = part.confidence[..., _USED].sum((1, 2)) / (1 + fitted.doubts.misfit.nan_to_num(1e6))
+    weight = part.confidence[..., USED].sum((1, 2)) / (1 + fitted.doubts.misfit.nan_to_num(1e6))
     weight = weight / weight.sum()
     turn = sum(w * c.rotation for w, c in zip(weight, fitted.cameras, strict=True))
     centre = sum(w * c.centre for w, c in zip(weight, fitted.cameras, strict=True))
@@ -297,12 +296,6 @@ def _joined(parts: Sequence[dict[str, Tensor]], frames: int, fps: float) -> Moti
     if not known.all():
         motion = interpolate(motion, known)
     return replace(motion, contacts=(contacts > 0.5).float())
-
-
-def _shown(enough: Tensor) -> Tensor:
-    """Frames (P, T) within half a second of one in which enough was seen."""
-    near = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)
-    return near[:, 0] > 0
 
 
 def _on_the_floor(motions: Sequence[Motion], shown: Tensor, camera: Camera) -> tuple[list[Motion], Camera, float]:

@@ -94,7 +94,7 @@ def test_a_function_that_leaves_nothing_behind_has_failed(tmp_path):
 def test_one_clip_runs_here(tmp_path):
     assert batch.run_many(lambda job: os.getpid(), [0]).results == {0: os.getpid()}
     assert batch.run_many(str, []).lines() == ["0 clips: 0 done"]
-    with pytest.raises(ValueError, match="jobs_at_once"):
+    with pytest.raises(DataError, match="0 jobs"):
         batch.run_many(str, [], jobs_at_once=0)
 
 
@@ -134,7 +134,7 @@ def test_workers_of_several_threads_are_refused(cluster, monkeypatch):
     monkeypatch.setattr(distributed.Client, "scheduler_info", two)
     with pytest.raises(DataError, match="--nthreads 1"):
         batch.run_many(str, [1, 2], cluster=address)
-    with pytest.raises(ValueError, match="as many as it has workers"):
+    with pytest.raises(DataError, match="as many at once as it has workers"):
         batch.run_many(str, [1, 2], cluster=address, jobs_at_once=2)
 
 

@@ -12,7 +12,7 @@ import imageio.v2 as imageio
 import numpy as np
 import pytest
 
-from motionlab import detect, fit
+from motionlab import clip, detect
 from motionlab.errors import DataError, MissingData, ShapeError
 from motionlab.io import keypoints
 from motionlab.io.layouts import HALPE_26
@@ -223,11 +223,11 @@ def test_keypoints_of_another_video_are_not_taken_for_those_of_this_one(tmp_path
     monkeypatch.setattr(detect, "_rtmpose", lambda: lambda picture: found.append(1) or (spots, np.ones((1, 26))))
     out = tmp_path / "out"
     for name, count in (("a", FRAMES), ("a", FRAMES), ("b", 2 * FRAMES), ("b", 2 * FRAMES)):
-        clip = fit.open_clip(None, tmp_path / f"{name}.mp4", out=out)
-        assert len(found) == count and clip.footage.frames == FRAMES
+        read = clip.open_clip(None, tmp_path / f"{name}.mp4", out=out)
+        assert len(found) == count and read.footage.frames == FRAMES
         assert detect.found_in(out / "keypoints.npz") == f"{name}.mp4"
-    assert any("earlier run" in note for note in clip.notes)
+    assert any("earlier run" in note for note in read.notes)
     with np.load(out / "keypoints.npz") as whole:
         np.savez(out / "keypoints.npz", **{key: whole[key] for key in whole if key != "video"})
-    fit.open_clip(None, tmp_path / "a.mp4", out=out)
+    clip.open_clip(None, tmp_path / "a.mp4", out=out)
     assert len(found) == 2 * FRAMES  # of a file that does not say, as before

@@ -100,12 +100,12 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _list_people(options: argparse.Namespace) -> int:
-    from motionlab import fit
+    from motionlab import clip
 
     how = {name: getattr(options, name) for name in ("out", "fps", "size", "layout")}
-    clip = fit.open_clip(options.keypoints, options.video, progress=is_watched() or "lines", **how)
-    print(text_table(clip.footage.table()))
-    for note in clip.notes:
+    found = clip.open_clip(options.keypoints, options.video, progress=is_watched() or "lines", **how)
+    print(text_table(found.footage.table()))
+    for note in found.notes:
         print(f"note: {note}")
     return 0
 

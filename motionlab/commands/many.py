@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from operator import itemgetter
 from pathlib import Path
 
 Job = tuple[str, Path | None, Path | None, Path]  # name, what it is read from (one or two paths), and where it goes
@@ -36,15 +37,10 @@ def run_clips(
         DataError: --jobs below 1 or with --cluster, or no cluster. MissingData: the package that speaks to one.
     """
     from motionlab import batch
-    from motionlab.errors import DataError
 
-    if options.jobs is not None and options.jobs < 1:
-        raise DataError(f"{options.jobs} jobs", place="--jobs", remedy="give a number above 0")
-    if options.jobs is not None and options.cluster is not None:
-        remedy = "leave out --jobs: a cluster does as many at once as it has workers"
-        raise DataError("processes here, or a cluster", place="--jobs, --cluster", remedy=remedy)
     clips = [(name, *(path and path.resolve() for path in paths)) for name, *paths in clips]  # for other machines
-    how = {"jobs_at_once": options.jobs or 1, "cluster": options.cluster, "name": _name}
+    jobs = 1 if options.jobs is None else options.jobs
+    how = {"jobs_at_once": jobs, "cluster": options.cluster, "name": itemgetter(0)}
     found = batch.run_many(function, clips, finished=finished, **how)
     said = defaultdict(list)
     for k, notes in sorted(found.results.items()):
@@ -59,8 +55,3 @@ def run_clips(
     if found.failed:  # why was said when it happened
         print(f"failed: {', '.join(found.names[k] for k in sorted(found.failed))}", file=sys.stderr)
     return 1 if found.failed else 0
-
-
-def _name(clip: Job) -> str:
-    """Returns the name of a clip, for messages."""
-    return clip[0]

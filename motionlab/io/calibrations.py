@@ -1,6 +1,6 @@
-"""Calibrations that are tables: JSON, Pose2Sim's TOML, OpenCV's FileStorage, EasyMocap's two files, COLMAP's text.
+"""Calibrations: JSON, Pose2Sim's TOML, OpenCV's FileStorage, EasyMocap's two files, COLMAP, Qualisys XML, Captury.
 
-Each becomes a table of ``WORDS`` per camera, numbers as the file has them; ``cameras`` judges what they say.
+Each becomes a table of ``WORDS`` per camera, in pixels and metres; ``cameras`` judges what they say.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 
-from motionlab.io.reading import Spot, read_bytes, read_json, read_text, reading
+from motionlab.io.judging import axes_to_matrix
+from motionlab.io.reading import Spot, numbers, read_bytes, read_json, read_text, reading
 
 #: What is known of a camera, and the words that files have for it.
 WORDS = {
@@ -33,20 +34,25 @@ _COLMAP = {
     "SIMPLE_PINHOLE": (1, ()), "PINHOLE": (2, ()), "SIMPLE_RADIAL": (1, (0,)), "RADIAL": (1, (0, 1)),
     "OPENCV": (2, (0, 1, 2, 3)), "FULL_OPENCV": (2, (0, 1, 2, 3, 4, 5, 6, 7)),
 }  # fmt: skip
+#: Qualisys gives image positions in 64ths of a pixel; its camera axes are y up, z backward: ours y down, z forward.
+_QUALISYS_PIXEL, _FLIP = 64.0, np.diag([1.0, -1.0, -1.0])
+_CAPTURY = "tc camera calibration"
 Table = dict[str, object]
 
 
-def read_tables(at: Spot) -> dict[str, Table] | None:
-    """Reads the cameras of a file by name; None where it is none of these formats.
+def read_tables(at: Spot) -> dict[str, Table]:
+    """Reads the cameras of a file by name.
 
     Raises:
-        DataError: damaged, or no camera in it.
+        DataError: damaged, or no known format.
     """
     head = read_bytes(at)[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
     if re.match(rb"\{|\[\s*[\[{]", head):
         return _of_json(read_json(at))
-    if b"<opencv_storage" in head:
-        return _named(_xml(at))
+    if head.startswith(b"<"):
+        return _opencv_xml(at) if b"<opencv_storage" in head else qualisys(at)
+    if head.startswith(_CAPTURY.encode()):
+        return captury(at, width=1920)
     if head.startswith(b"%YAML") or at.path.suffix.lower() in (".yml", ".yaml"):
         return _easymocap(at) if re.search("intri|extri", at.path.name) else _named(_yaml(read_text(at)))
     if re.search(rb"^\d+\s+[A-Z_]+\s+\d+\s+\d+\s+[-\d.]", head, re.MULTILINE):
@@ -54,7 +60,7 @@ def read_tables(at: Spot) -> dict[str, Table] | None:
     if at.path.suffix.lower() == ".toml" or re.match(rb"(#.*\n|\s)*\[[\w\"'.-]+\]\s", head):
         tables = tomllib.loads(read_text(at))
         return {str(table.get("name") or key): known for key, table in tables.items() if (known := _known(table))}
-    return None
+    raise at.error("no calibration of a known kind")
 
 
 def _known(table: object) -> Table:
@@ -102,19 +108,22 @@ def _of_json(document: object) -> dict[str, Table]:
     return found or {"camera": {word: inner[word] for word in WORDS if word in inner}}
 
 
-def _xml(at: Spot) -> dict[str, object]:
+def _xml(at: Spot) -> ElementTree.Element:
     text = read_text(at).strip()
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise at.error("document type declarations are refused", remedy="delete the declaration")
+    return ElementTree.fromstring(text.encode())
+
+
+def _opencv_xml(at: Spot) -> dict[str, Table]:
     found = {}
-    for node in ElementTree.fromstring(text.encode()):
+    for node in _xml(at):
         parts = {part.tag: (part.text or "").split() for part in node}
         if {"rows", "cols", "data"} <= parts.keys():
-            at.place = node.tag
             found[node.tag] = {"rows": parts["rows"][0], "cols": parts["cols"][0], "data": parts["data"]}
         elif not parts:
             found[node.tag] = _value((node.text or "").strip())
-    return {key: _matrix(value) for key, value in found.items()}
+    return _named(found)
 
 
 def _yaml(text: str) -> dict[str, object]:
@@ -125,8 +134,7 @@ def _yaml(text: str) -> dict[str, object]:
         sides = [re.search(rf"\b{side}:\s*(\d+)", body) for side in ("rows", "cols")]
         row = re.search(r"\[([^\[\]]*)\]", body)
         if row and all(sides):
-            data = [float(cell) for cell in row[1].replace(",", " ").split()]
-            found[key] = _matrix({"rows": sides[0][1], "cols": sides[1][1], "data": data})
+            found[key] = {"rows": sides[0][1], "cols": sides[1][1], "data": row[1].replace(",", " ").split()}
         elif row:
             found[key] = [_value(cell.strip()) for cell in row[1].split(",")]
         elif "\n" not in body.strip():
@@ -172,3 +180,80 @@ def _colmap(at: Spot) -> dict[str, Table]:
         found[words[0]] = {"intrinsics": intrinsics, "width": width, "height": height, "distortion": lens}
     at.place = ""
     return found
+
+
+def qualisys(at: Spot) -> dict[str, Table]:
+    """Reads the cameras of a Qualisys XML by serial.
+
+    With r the file's r11..r33 as a matrix and p its x, y, z:  R = diag(1, -1, -1) r,  t = -R p.
+
+    Raises:
+        DataError: not such a file, or a number is missing or unusable.
+    """
+    found: dict[str, Table] = {}
+    for index, node in enumerate(_xml(at).iter("camera"), start=1):
+        name = node.get("serial") or f"camera {index}"
+        at.place = f"camera {name}"
+        if name in found:
+            raise at.error("two cameras have this serial")
+        parts = {tag: node.find(tag) for tag in ("fov_video", "transform", "intrinsic")}
+
+        def read(tag: str, *keys: str, parts: dict = parts) -> np.ndarray:
+            if missing := [f"<{tag}>"] if parts[tag] is None else [key for key in keys if key not in parts[tag].attrib]:
+                raise at.error(f"{missing[0]} is missing")
+            return numbers(at, [float(parts[tag].get(key)) for key in keys], "N")
+
+        rotation = _FLIP @ read("transform", *(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))).reshape(3, 3)
+        left, top, right, bottom = read("fov_video", "left", "top", "right", "bottom").tolist()
+        focal = read("intrinsic", "focalLengthU", "focalLengthV") / _QUALISYS_PIXEL
+        centre = read("intrinsic", "centerPointU", "centerPointV") / _QUALISYS_PIXEL - (left, top)
+        place = read("transform", "x", "y", "z") / 1000
+        found[name] = _seen_from(focal, centre, rotation, place, right - left + 1, bottom - top + 1)
+    if not found:
+        raise at.error("no <camera> in it")
+    return found
+
+
+def captury(at: Spot, width: int) -> dict[str, Table]:
+    """Reads the cameras of a Captury camera.calib by their place in it; width: of the images, pixels.
+
+    Turned from the file's y-up world into that of Captury's C3D files, z up: (x, -z, y). There its joints
+    project onto Captury's own projections.
+
+    Raises:
+        DataError: not such a file, or a number is missing or unusable.
+    """
+    text = read_text(at)
+    if not text.startswith(_CAPTURY):
+        raise at.error(f'expected "{_CAPTURY}" first', place="line 1")
+    found, upright = {}, axes_to_matrix("x-zy").double().numpy()
+    for index, block in enumerate(re.split(r"^camera\b", text, flags=re.MULTILINE)[1:]):
+        at.place = f"camera {index}"
+
+        def read(key: str, count: int, block: str = block) -> np.ndarray:
+            line = re.search(rf"^[ \t]*{key}[ \t]+([^#\n]*)", block, flags=re.MULTILINE)
+            if line is None:
+                raise at.error(f"{key} is missing")
+            return numbers(at, [float(word) for word in line[1].split()], str(count), f"{at.place}, {key}")
+
+        sensor = read("sensorSize", 2)
+        if not (sensor > 0).all():
+            raise at.error(f"sensorSize: expected two lengths above zero, got {sensor.tolist()}")
+        pixels = width / sensor[0]
+        focal = read("focalLength", 1) * pixels * np.append(1.0, read("pixelAspect", 1))
+        centre = (sensor / 2 + read("centerOffset", 2)) * pixels
+        right, up = read("right", 3), read("up", 3)
+        rotation = np.stack((right, -up, np.cross(right, -up))) @ upright.T
+        place = upright @ read("origin", 3) / 1000
+        found[str(index)] = _seen_from(focal, centre, rotation, place, width, round(float(sensor[1] * pixels)))
+    if not found:
+        raise at.error("no camera in it")
+    return found
+
+
+def _seen_from(focal, centre, rotation, place, width: float, height: float) -> Table:
+    """A table of focal lengths and centre (2,) in pixels, and where the camera stands (3,), metres."""
+    intrinsics = np.eye(3)
+    intrinsics[[0, 1], [0, 1]], intrinsics[:2, 2] = focal, centre
+    here = {"intrinsics": intrinsics, "rotation": rotation, "translation": -rotation @ place}
+    return here | {"width": width, "height": height}

@@ -57,7 +57,7 @@ class Detections:
     loose: bool = False
 
     def in_order(
-        self, at: Spot, fps: float | None, film: int | Sequence[int] | None = None
+        self, at: Spot, fps: float | None, film: int | Sequence[int] | None = None, otherwise: float | None = None
     ) -> tuple[Detections, list[np.ndarray]]:
         """Returns the same by frame, with its rate, and its people in a list from the first frame to the last.
 
@@ -67,6 +67,7 @@ class Detections:
         Args:
             fps: frames per second that somebody said.
             film: frames of the film, or the numbers of its images.
+            otherwise: frames per second where neither the file nor its numbers say it.
 
         Raises:
             DataError: no frame or no rate, numbers that lie too far apart, people with different numbers of keypoints.
@@ -85,7 +86,7 @@ class Detections:
         if other := next((n for n in counts if counts[n] != count), None):
             message = f"expected {count} keypoints as in the frames before, got {counts[other]}"
             raise at.error(message, place=f"frame {other}")
-        rate = fps or self.fps or told
+        rate = fps or self.fps or told or otherwise
         if rate is None:
             raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
         found = replace(self, frames=frames, ids=ids, fps=rate, notes=[*self.notes, *notes])

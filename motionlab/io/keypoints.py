@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -30,6 +31,9 @@ from motionlab.io.detections import PLAIN, Detections, from_folder
 from motionlab.io.layouts import names_of
 from motionlab.io.reading import LARGEST, Spot, image_size, read_json, read_text, reading
 from motionlab.observation import Observation2D
+
+if TYPE_CHECKING:
+    from motionlab.io.video import Video
 
 #: Scores to this are ones that ran over; beyond they are of another scale.
 _OVER = 1.2
@@ -188,7 +192,7 @@ def load(
     layout: str | None = None,
     lowest: float | None = None,
     gap: float = 0.5,
-    film: int | Sequence[int] | None = None,
+    film: Video | None = None,
 ) -> Footage:
     """Reads what a 2-D pose detector wrote, whichever it was, and joins its people through time, in pixels.
 
@@ -203,28 +207,21 @@ def load(
         layout: one of ``layouts.LAYOUTS``; None takes the file's names, or decides by the number of keypoints.
         lowest: confidence below which a point was not seen; None is what the detector itself draws by.
         gap: seconds for which a person may vanish and still be the same one.
-        film: number of frames of the film, where it is known: numbers up to there are its frames; or the numbers of
-            its images.
+        film: the video of the keypoints. Numbers up to its length are its frames, or those of its images; it says
+            rate and size where the file does not.
 
     Raises:
         DataError: nothing that is known, 3-D poses, damaged, nobody at all; or fps or size is needed.
     """
     with reading(path, "give what a 2-D pose detector wrote: a file, or a folder with one file per frame") as at:
         found = from_folder(at, _read_file, ".json", ".txt") if at.path.is_dir() else _read_file(at)
-        found, frames = found.in_order(at, fps, film)
-        if not any(len(people) for people in frames):
-            raise at.error("nobody was detected in any frame", place="")
-        everybody = np.concatenate([people for people in frames if len(people)]).astype(np.float32)
+        known = None if film is None else film.numbers or film.frames
+        found, frames = found.in_order(at, fps, known, film and film.fps)
         size = found.size if size is None else image_size(at, size)
-        notes = [*found.notes, *_calibrate(at, everybody, size, found.lowest if lowest is None else lowest)]
-        if not (everybody[..., 2] > 0).any():
-            raise at.error("nobody was detected in any frame: no point is sure enough", place="")
-        names = found.names if layout is None and found.names else names_of(at, everybody, layout)
-        if len(names) != everybody.shape[1]:
-            raise at.error(f"{len(names)} names for {everybody.shape[1]} keypoints", place="names")
+        size = size or (film and film.size)
+        frames, names, notes = cleaned(at, found, frames, layout, lowest, size)
         first, given = min(found.frames), sorted(found.frames)
         ids = [found.ids.get(first + n, []) for n in range(len(frames))]
-        frames = np.split(everybody, np.cumsum([len(people) for people in frames])[:-1])
         stride = np.median(np.diff(given)) if len(given) > 1 else 1
         gap = max(1, round(min(max(gap * found.fps, stride), len(frames))))
         tracks, more = _told_apart(frames, ids, gap=gap)
@@ -244,6 +241,31 @@ def _read_file(at: Spot) -> Detections:
         return from_json(at, read_json(at, nan=True))
     text = read_text(at)
     return from_trc(at, text) if text.startswith("PathFileType") else from_lines(at, text)
+
+
+def cleaned(
+    at: Spot,
+    found: Detections,
+    frames: list[np.ndarray],
+    layout: str | None,
+    lowest: float | None = None,
+    size: tuple[float, float] | None = None,
+) -> tuple[list[np.ndarray], tuple[str, ...], list[str]]:
+    """Returns frames of people (P, K, 3) in pixels with confidences of 0..1, the names of the points, and notes.
+
+    Raises:
+        DataError: nobody, the image size is needed, coordinates of 3-D poses, or no layout.
+    """  # fmt: skip
+    if not any(len(people) for people in frames):
+        raise at.error("nobody was detected in any frame", place="")
+    everybody = np.concatenate([people for people in frames if len(people)]).astype(np.float32)
+    notes = [*found.notes, *_calibrate(at, everybody, size, found.lowest if lowest is None else lowest)]
+    if not (everybody[..., 2] > 0).any():
+        raise at.error("nobody was detected in any frame: no point is sure enough", place="")
+    names = found.names if layout is None and found.names else names_of(at, everybody, layout)
+    if len(names) != everybody.shape[1]:
+        raise at.error(f"{len(names)} names for {everybody.shape[1]} keypoints", place="names")
+    return np.split(everybody, np.cumsum([len(people) for people in frames])[:-1]), names, notes
 
 
 def _calibrate(at: Spot, people: np.ndarray, size: tuple[float, float] | None, lowest: float) -> list[str]:

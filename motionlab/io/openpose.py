@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from motionlab.io import detection_json, detections, tracking
-from motionlab.io.keypoints import Footage, Person
-from motionlab.io.layouts import names_of
+from motionlab.io.keypoints import Footage, Person, cleaned
 from motionlab.io.reading import read_json, reading
 from motionlab.observation import Observation2D
 
@@ -38,14 +37,7 @@ def load(
     with reading(folder, "point at a folder with one OpenPose JSON file per frame of one camera") as at:
         found = detections.from_folder(at, lambda one: detection_json.openpose(one, read_json(one)), ".json")
         found, frames = found.in_order(at, fps)
-        frames = [np.nan_to_num(people).astype(np.float32) for people in frames]
-        for people in frames:
-            people[..., 2] = people[..., 2].clip(0, 1)
-            people[people[..., 2] == 0] = 0
-        shown = [people for people in frames if len(people)]
-        if not any((people[..., 2] > 0).any() for people in shown):
-            raise at.error("nobody was detected in any frame" + (": every confidence is 0" if shown else ""))
-        names = names_of(at, np.concatenate(shown), layout)
+        frames, names, _ = cleaned(at, found, frames, layout, lowest=0.0)
         if max(len(people) for people in frames) == 1 and person in ("longest", "largest", 0):
             pairs = [(frame, 0) for frame, people in enumerate(frames) if len(people)]
         else:

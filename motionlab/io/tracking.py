@@ -78,7 +78,8 @@ def join(frames: list[np.ndarray], *, gap: int) -> list[Track]:
                 del free[k]
         for k in free:
             person = people[k][:_BODY]
-            alive.append(Track([(frame, k)], person.copy(), person, [float(_extent(person))]))
+            alive.append(Track([], person, person))
+            alive[-1].add(frame, k, person)
             tracks.append(alive[-1])
     return tracks
 
