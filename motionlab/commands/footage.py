@@ -12,13 +12,10 @@ from motionlab.commands.many import Job
 from motionlab.commands.printing import add_command, is_watched, text_table
 from motionlab.errors import DataError
 
-#: A clip's keypoints are one of the first, or a folder that holds some of the second; its video one of the third, or a
-#: folder that holds some of the last.
+#: A clip's keypoints are one of the first, or a folder that holds some of the second; its video one of the third, or
+#: a folder of images.
 _TABLES, _PER_FRAME = (".json", ".csv", ".npz"), (".json", ".txt")
-_VIDEOS, _PICTURES = (
-    (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg"),
-    (".png", ".jpg", ".jpeg", ".bmp", ".webp"),
-)
+_VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
 _PASSED_ON = ("person", "fps", "size", "layout", "camera", "camera_name", "prior", "pose_prior", "initial", "pelvis",
               "height", "solver", "quick")  # fmt: skip
 
@@ -70,7 +67,6 @@ def add_fit(commands: argparse._SubParsersAction) -> None:
 
 
 def _size(text: str) -> tuple[int, int]:
-    """An image size such as 1280x720."""
     sides = text.lower().split("x")
     if len(sides) != 2 or not all(side.isdecimal() and 0 < int(side) < 100_000 for side in sides):
         raise argparse.ArgumentTypeError(f"expected width x height in pixels, such as 1280x720, got {text!r}")
@@ -78,7 +74,6 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def _height(text: str) -> float:
-    """A person's height in metres."""
     try:
         height = float(text)
     except ValueError:
@@ -169,10 +164,12 @@ def _clips_of(keypoints: Path | None, videos: Path | None) -> dict[str, tuple[Pa
     Raises:
         DataError: no such folder, nothing in it, a video without keypoints or the other way round, or two for one.
     """
+    from motionlab.io.video import PICTURES
+
     seen = _named(keypoints, _TABLES, _PER_FRAME)
     if videos is None:
         return {name: (path, None) for name, path in seen.items()}
-    shown = _named(videos, _VIDEOS, _PICTURES)
+    shown = _named(videos, _VIDEOS, PICTURES)
     if keypoints is None:
         return {name: (None, path) for name, path in shown.items()}
     of = defaultdict(list)

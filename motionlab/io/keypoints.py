@@ -159,22 +159,23 @@ class Footage:
         Some detectors put there what they take to be outside: then many lie on the same border to the digit.
         """
         points = np.concatenate([track.points.reshape(-1, 3) for track in self.tracks])
-        points, lines = points[points[:, 2] > 0], []
+        points, borders = points[points[:, 2] > 0], []
         for axis in (0, 1):
             for place in (0.0, size[axis] - 1.0, float(size[axis])):
                 if (np.abs(points[:, axis] - place) < _ON).sum() >= max(_REPEATED, _PUT * len(points)):
-                    lines.append((axis, place))
-        if not lines:
+                    borders.append((axis, place))
+        if not borders:
             return self, []
-        tracks, count = [], 0
-        for track in self.tracks:
-            on = np.any([np.abs(track.points[..., axis] - place) < _ON for axis, place in lines], 0)
-            count += int((on & (track.points[..., 2] > 0)).sum())
-            tracks.append(replace(track, points=np.where(on[..., None], np.float32(0), track.points)))
-        note = (
-            f"{count / len(points):.1%} of the points lie on the very border of the image: they were outside, left out"
-        )
-        return self.of(tracks), [note]
+
+        def outside(points: np.ndarray) -> np.ndarray:
+            return np.any([np.abs(points[..., axis] - place) < _ON for axis, place in borders], 0)
+
+        tracks = [
+            replace(track, points=np.where(outside(track.points)[..., None], np.float32(0), track.points))
+            for track in self.tracks
+        ]
+        said = "of the points lie on the very border of the image: they were outside, left out"
+        return self.of(tracks), [f"{outside(points).mean():.1%} {said}"]
 
     def _error(self, message: str, remedy: str) -> DataError:
         return DataError(message, path=self.path, place="people", remedy=remedy)

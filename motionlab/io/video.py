@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 
 from motionlab.io.reading import Spot, reading
 
-_PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
 _SMALL = 160  # pixels across a picture in which the background is compared
 #: Share of the width by which the background may be off before a camera has moved: two pixels of ``_SMALL``.
 MOVED = 0.0125
@@ -60,7 +60,10 @@ class Video:
         with reading(self.path, "convert it to MP4 (H.264), or to PNGs") as at:
             if self.images:
                 for frame in wanted:
-                    yield self._checked(at, _image(self.images[min(frame, self.frames - 1)]))
+                    picture = _image(self.images[min(frame, self.frames - 1)])
+                    if picture.shape[1::-1] != self.size:
+                        raise at.error(f"a picture of {picture.shape[1::-1]} among those of {self.size} pixels")
+                    yield picture
                 return
             now, picture, stream = -1, None, _decoded(at, self.size)
             for frame in wanted:
@@ -71,11 +74,6 @@ class Video:
                 yield picture
             stream.close()
 
-    def _checked(self, at: Spot, picture: np.ndarray) -> np.ndarray:
-        if picture.shape[1::-1] != self.size:
-            raise at.error(f"a picture of {picture.shape[1::-1]} among those of {self.size} pixels")
-        return picture
-
 
 def open_video(path: str | Path) -> Video:
     """Opens a video that FFmpeg reads, or a folder of images.
@@ -85,9 +83,9 @@ def open_video(path: str | Path) -> Video:
     """
     with reading(path, "give a video, or a folder with an image per frame") as at:
         if at.path.is_dir():
-            found = [each for each in at.path.iterdir() if each.suffix.lower() in _PICTURES]
+            found = [each for each in at.path.iterdir() if each.suffix.lower() in PICTURES]
             if not found:
-                raise at.error(f"0 images ({', '.join(_PICTURES)}) in this folder")
+                raise at.error(f"0 images ({', '.join(PICTURES)}) in this folder")
             images = tuple(sorted(found, key=_numbered))
             first = _image(images[0])
             return Video(at.path, None, first.shape[1::-1], len(images), images)
