@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from walked import table, write_json
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
@@ -18,7 +19,7 @@ from motionlab.__main__ import main
 from motionlab.commands.footage import _clips_of
 from motionlab.errors import DataError
 from motionlab.io import bvh
-from motionlab.observation import look_at, project
+from motionlab.observation import look_at
 
 CAMERA = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=90.0, width=128, height=72)
 
@@ -117,12 +118,11 @@ def test_folders_that_cannot_be_used(motions, tmp_path, monkeypatch, capsys, wor
 def make_footage(folder):
     """videos/ with two folders of images, keypoints/ with the folders of a detector."""
     for k, name in enumerate(("cam1", "cam1_2")):
-        points = project(CAMERA, fit.landmarks_of(walk(k, 6)))[0]
-        videos, keypoints = folder / "videos" / name, folder / "keypoints" / f"{name}_json"
-        videos.mkdir(parents=True), keypoints.mkdir(parents=True)
-        for frame, row in enumerate(torch.cat((points, torch.ones_like(points[..., :1])), -1).flatten(1).tolist()):
-            people = {"version": 1.3, "people": [{"pose_keypoints_2d": row}]}
-            (keypoints / f"{name}_{frame:012d}_keypoints.json").write_text(json.dumps(people))
+        frames = table(walk(k, 6), camera=CAMERA)
+        videos = folder / "videos" / name
+        videos.mkdir(parents=True)
+        write_json(folder / "keypoints" / f"{name}_json", frames, name)
+        for frame in range(len(frames)):
             Image.fromarray(np.full((72, 128, 3), 40 * frame, np.uint8)).save(videos / f"{frame:04d}.png")
     return folder
 

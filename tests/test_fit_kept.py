@@ -10,40 +10,27 @@ import imageio.v2 as imageio
 import numpy as np
 import pytest
 import torch
+from walked import CAMERA, few_steps, short_windows, table, walk, write_npz
 
-from data_synth.actions import ACTIONS
-from data_synth.subjects import SUBJECTS
 from motionlab import files, fit, scene_fit, scene_report
 from motionlab.errors import DataError
 from motionlab.humor import testops
 from motionlab.humor.priors import InitGmm
-from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.io import amass
-from motionlab.observation import BODY_25, Observation2D, look_at, project
+from motionlab.observation import BODY_25, Observation2D
 from motionlab.viz.palette import ROLE
 
-CAMERA = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=900.0, width=1280, height=720)
 LONG, SHORT = 20, 6
 
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch) -> None:
-    """Few steps, and windows of 8 frames: a clip of 20 has three."""
-    plan = Plan(rounds=1, closures=2, leaps=0, trial=0)
-    monkeypatch.setattr(scene_fit, "QUICK_WORK", testops.Schedule(steps=(1, 1, 1), inner=3, shooting=plan))
-    for name, value in {"WHOLE": 10, "STRETCH": 8, "OVERLAP": 2, "_SHOWN": 1}.items():
-        monkeypatch.setattr(scene_fit, name, value)
+    few_steps(monkeypatch)
+    short_windows(monkeypatch)
 
 
 def keypoints(folder: Path, frames: int) -> Path:
-    """Perfect detections of a walk."""
-    motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion.cut(20, 20 + frames)
-    motion = replace(motion, root=motion.root - motion.root[:1] * torch.tensor([1.0, 1.0, 0.0]))
-    points = project(CAMERA, fit.landmarks_of(motion))[0]
-    table = torch.cat((points, torch.ones_like(points[..., :1])), -1)[:, None].numpy()
-    file = folder / f"walk{frames}.npz"
-    np.savez(file, keypoints=table, names=np.array(BODY_25), fps=30.0, size=np.array([1280, 720]))
-    return file
+    return write_npz(folder / f"walk{frames}.npz", table(walk(frames)))
 
 
 def record(out: Path) -> dict:

@@ -8,10 +8,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import torch
+import walked
 from PIL import Image
+from walked import CAMERA, aside, few_steps, short_windows, table, write_camera, write_json, write_npz
 
-from data_synth.actions import ACTIONS
-from data_synth.subjects import SUBJECTS
 from motionlab import fit, scene_fit, scene_report
 from motionlab.__main__ import main
 from motionlab.checkpoint import SHIPPED
@@ -19,51 +19,30 @@ from motionlab.errors import DataError
 from motionlab.humor import body_shape, pretrained, testops
 from motionlab.humor.energies import RGB, RGB_LIGHT
 from motionlab.humor.shooting import feedback_solver
-from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.io import amass, bvh, gltf, video
 from motionlab.io.cameras import load_camera
 from motionlab.motion import Motion
-from motionlab.observation import BODY_25, Camera, Observation2D, at_rate, look_at, project
+from motionlab.observation import BODY_25, Observation2D, at_rate, project
 from motionlab.skeleton import BALLS, STANDARD
 
-CAMERA = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=900.0, width=1280, height=720)
 FRAMES = 8
 FOOT = ("ankle", "heel", "big_toe", "small_toe")
 
 
 @pytest.fixture(scope="module")
 def walk() -> Motion:
-    motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion.cut(20, 20 + FRAMES)
-    return replace(motion, root=motion.root - motion.root[:1] * torch.tensor([1.0, 1.0, 0.0]))
+    return walked.walk(FRAMES)
 
 
 def seen(motion: Motion) -> Observation2D:
     """Perfect detections."""
-    pixels, _ = project(CAMERA, fit.landmarks_of(motion))
-    return Observation2D(pixels, torch.ones(pixels.shape[:-1]), BODY_25, motion.fps, CAMERA)
-
-
-def write_json(folder: Path, keypoints: torch.Tensor, confidence: torch.Tensor, first: int = 0) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    table = torch.cat((keypoints, confidence[..., None]), -1).flatten(1)
-    for frame, row in enumerate(table.tolist(), start=first):
-        people = [{"pose_keypoints_2d": row}] if any(row[2::3]) else []
-        (folder / f"view_{frame:04d}_keypoints.json").write_text(json.dumps({"version": 1.3, "people": people}))
-    return folder
-
-
-def write_camera(path: Path, camera: Camera = CAMERA, *, placed: bool = True) -> Path:
-    content = {"intrinsics": camera.intrinsics.tolist(), "width": camera.width, "height": camera.height}
-    if placed:
-        content |= {"rotation": camera.rotation.tolist(), "translation": camera.translation.tolist()}
-    path.write_text(json.dumps(content))
-    return path
+    points = table(motion)[:, 0]
+    return Observation2D(points[..., :2], points[..., 2], BODY_25, motion.fps, CAMERA)
 
 
 @pytest.fixture
 def keypoints(tmp_path, walk) -> Path:
-    observation = seen(walk)
-    return write_json(tmp_path / "keypoints", observation.keypoints, observation.confidence)
+    return write_json(tmp_path / "keypoints", table(walk))
 
 
 def run(*words: object) -> int:
@@ -76,9 +55,7 @@ def record(out: Path) -> dict:
 
 @pytest.fixture
 def few(monkeypatch) -> None:
-    """Quick fits of even fewer steps."""
-    plan = Plan(rounds=1, closures=3, leaps=0, trial=0)
-    monkeypatch.setattr(scene_fit, "QUICK_WORK", testops.Schedule(steps=(1, 1, 1), inner=4, shooting=plan))
+    few_steps(monkeypatch, inner=4, closures=3)
 
 
 def test_everything_is_written_and_said(tmp_path, keypoints, capsys):
@@ -211,13 +188,9 @@ def test_priors_from_files(tmp_path, keypoints, capsys, monkeypatch, few):
 # ----------------------------------------------------------------------------------------- people, and long footage
 def two_people(folder: Path, motion: Motion) -> Path:
     """One in all frames, and a second, 1.5 m to the left, who is there in the last four."""
-    other = replace(motion, root=motion.root + torch.tensor([-1.5, 0.5, 0.0]))
-    both = torch.stack([project(CAMERA, fit.landmarks_of(each))[0] for each in (motion, other)], 1)  # (T, 2, 25, 2)
-    sure = torch.ones(*both.shape[:-1], 1)
-    sure[:-4, 1] = 0
-    table = torch.cat((both, sure), -1).numpy()
-    np.savez(folder / "two.npz", keypoints=table, names=np.array(BODY_25), fps=30.0, size=np.array([1280, 720]))
-    return folder / "two.npz"
+    both = table(motion, aside(motion, -1.5, 0.5))
+    both[:-4, 1, :, 2] = 0
+    return write_npz(folder / "two.npz", both)
 
 
 def test_people_are_listed_and_fitted_into_one_scene(tmp_path, walk, few, capsys):
@@ -241,18 +214,13 @@ def test_people_are_listed_and_fitted_into_one_scene(tmp_path, walk, few, capsys
 
 
 @pytest.fixture
-def short_windows(monkeypatch) -> None:
-    monkeypatch.setattr(scene_fit, "WHOLE", 10)
-    monkeypatch.setattr(scene_fit, "STRETCH", 8)
-    monkeypatch.setattr(scene_fit, "OVERLAP", 2)
-    monkeypatch.setattr(scene_fit, "_SHOWN", 1)
+def windows(monkeypatch) -> None:
+    short_windows(monkeypatch)
 
 
-def test_a_long_clip_stopped_in_the_middle_goes_on(tmp_path, short_windows, few, monkeypatch):
+def test_a_long_clip_stopped_in_the_middle_goes_on(tmp_path, windows, few, monkeypatch):
     """Ctrl-C in the second of three windows: the first is kept; a rerun fits two, and ends where a whole run does."""
-    motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion.cut(20, 40)
-    observation = seen(motion)
-    folder = write_json(tmp_path / "long", observation.keypoints, observation.confidence)
+    folder = write_json(tmp_path / "long", table(walked.walk(20)))
     whole, out, calls, real = tmp_path / "whole", tmp_path / "out", [], testops.fit
     common = ("--keypoints", folder, "--fps", 30, "--quick", "--out")
     assert run(*common, whole) == 0
@@ -296,11 +264,10 @@ def test_the_floor_is_where_feet_rest_that_are_in_contact(walk):
     assert lifts[0] < -0.17 and lifts[1] - lifts[0] > 0.1
 
 
-def test_somebody_who_leaves_and_returns(tmp_path, short_windows, few):
-    motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion.cut(20, 46)
-    observation = seen(motion)
-    observation.confidence[6:20] = 0
-    folder = write_json(tmp_path / "keypoints", observation.keypoints, observation.confidence)
+def test_somebody_who_leaves_and_returns(tmp_path, windows, few):
+    frames = table(walked.walk(26))
+    frames[6:20, ..., 2] = 0
+    folder = write_json(tmp_path / "keypoints", frames)
     found = fit.run_clip(folder, tmp_path / "out", fps=30, quick=True)
     assert found["people"][0]["spans_s"] == [[0.0, 7 / 30], [19 / 30, 26 / 30]]
     assert bvh.load(tmp_path / "out" / "motion.bvh").frames == 26
@@ -323,29 +290,25 @@ def test_windows_of_one_motion_are_joined_to_it(walk):
     assert (low[:3] - own.positions[:3, :, 2].amin(-1)).abs().max() < 1e-4
 
 
-def nobody(folder: Path, at: Observation2D) -> None:
-    write_json(folder, at.keypoints, torch.zeros_like(at.confidence))
-
-
-def only_hips(folder: Path, at: Observation2D) -> None:
-    hips = torch.zeros_like(at.confidence)
-    hips[:, [1, 9, 12]] = 1.0
-    write_json(folder, at.keypoints, hips)
+def only(points: list[int], frames: torch.Tensor) -> torch.Tensor:
+    """Detections of some points alone."""
+    frames[..., [k for k in range(25) if k not in points], 2] = 0
+    return frames
 
 
 BAD = {
-    "empty folder": (lambda folder, at: folder.mkdir(), "frame"),
-    "no folder": (lambda folder, at: None, "no such file"),
-    "nobody": (nobody, "nobody was detected"),
-    "nothing that is used": (only_hips, "no frame shows 4 keypoints"),
-    "one frame": (lambda folder, at: write_json(folder, at.keypoints[:1], at.confidence[:1]), "one frame"),
+    "empty folder": (lambda folder, frames: folder.mkdir(), "frame"),
+    "no folder": (lambda folder, frames: None, "no such file"),
+    "nobody": (lambda folder, frames: write_json(folder, only([], frames)), "nobody was detected"),
+    "nothing that is used": (lambda folder, frames: write_json(folder, only([1, 9, 12], frames)), "shows 4 keypoints"),
+    "one frame": (lambda folder, frames: write_json(folder, frames[:1]), "one frame"),
 }
 
 
 @pytest.mark.parametrize("name", BAD)
 def test_keypoints_that_cannot_be_used(tmp_path, walk, capsys, name):
     make, message = BAD[name]
-    make(tmp_path / "keypoints", seen(walk))
+    make(tmp_path / "keypoints", table(walk))
     words = ("--layout", "BODY_25", "--fps", 30, "--out", tmp_path / "out", "--quick")
     assert run("--keypoints", tmp_path / "keypoints", *words) == 2
     said = capsys.readouterr().err

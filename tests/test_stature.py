@@ -1,18 +1,16 @@
 """How tall somebody is, of people whose bones are known; and children, who are fitted as adults of a larger scene."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+import walked
+from walked import few_steps, table, write_camera, write_npz
 
-from data_synth.actions import ACTIONS
-from data_synth.subjects import SUBJECTS
-from motionlab import fit, scene_fit, scene_report, stature
+from motionlab import fit, scene_report, stature
 from motionlab.body import BodyModel
-from motionlab.humor import body_shape, testops
-from motionlab.humor.shooting.feedback_solver import Plan
+from motionlab.humor import body_shape
 from motionlab.io import bvh
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, look_at, project
@@ -22,9 +20,7 @@ FRAMES = 30
 
 
 def walk(size: float) -> Motion:
-    motion = ACTIONS["walk"](SUBJECTS[0], torch.Generator().manual_seed(4)).motion.cut(20, 20 + FRAMES)
-    motion = replace(motion, root=motion.root - motion.root[:1] * torch.tensor([1.0, 1.0, 0.0]))
-    return stature.resized(motion, size)
+    return stature.resized(walked.walk(FRAMES), size)
 
 
 def camera(high: float = 1.4) -> Camera:
@@ -72,15 +68,11 @@ def test_a_larger_scene_looks_the_same_from_as_much_farther_off():
 @pytest.fixture
 def child(tmp_path, monkeypatch):
     """Keypoints and the placed camera of somebody of 0.6 of the standard's size."""
-    plan = Plan(rounds=1, closures=4, leaps=0, trial=0)
-    monkeypatch.setattr(scene_fit, "QUICK_WORK", testops.Schedule(steps=(2, 3, 1), inner=8, shooting=plan))
+    few_steps(monkeypatch, steps=(2, 3, 1), inner=8, closures=4)
     monkeypatch.setattr(fit.film, "over_footage", lambda *_, **__: (_ for _ in ()).throw(RuntimeError("none")))
     by = camera()
-    pixels = seen(walk(0.6), by).keypoints[0]
-    table = torch.cat((pixels, torch.ones_like(pixels[..., :1])), -1)[:, None].numpy()
-    np.savez(tmp_path / "a.npz", keypoints=table, names=np.array(BODY_25), fps=30.0, size=np.array([1280, 720]))
-    content = {name: getattr(by, name).tolist() for name in ("intrinsics", "rotation", "translation")}
-    (tmp_path / "camera.json").write_text(json.dumps(content | {"width": 1280, "height": 720}))
+    write_npz(tmp_path / "a.npz", table(walk(0.6), camera=by))
+    write_camera(tmp_path / "camera.json", by)
     return tmp_path
 
 
