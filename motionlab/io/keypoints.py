@@ -256,7 +256,7 @@ def cleaned(
 
     Raises:
         DataError: nobody, the image size is needed, coordinates of 3-D poses, or no layout.
-    """  # fmt: skip
+    """
     if not any(len(people) for people in frames):
         raise at.error("nobody was detected in any frame", place="")
     everybody = np.concatenate([people for people in frames if len(people)]).astype(np.float32)
