@@ -197,10 +197,12 @@ def qualisys(at: Spot) -> dict[str, Table]:
         if name in found:
             raise at.error("two cameras have this serial")
         parts = {tag: node.find(tag) for tag in ("fov_video", "transform", "intrinsic")}
+        if lacking := [tag for tag, part in parts.items() if part is None]:
+            raise at.error(f"<{lacking[0]}> is missing")
 
         def read(tag: str, *keys: str, parts: dict = parts) -> np.ndarray:
-            if missing := [f"<{tag}>"] if parts[tag] is None else [key for key in keys if key not in parts[tag].attrib]:
-                raise at.error(f"{missing[0]} is missing")
+            if lacking := [key for key in keys if key not in parts[tag].attrib]:
+                raise at.error(f"{lacking[0]} is missing")
             return numbers(at, [float(parts[tag].get(key)) for key in keys], "N")
 
         rotation = _FLIP @ read("transform", *(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))).reshape(3, 3)

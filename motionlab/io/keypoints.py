@@ -220,6 +220,7 @@ def load(
         found, frames = found.in_order(at, fps, known, film and film.fps)
         size = found.size if size is None else image_size(at, size)
         size = size or (film and film.size)
+        lowest = found.lowest if lowest is None else lowest
         frames, names, notes = cleaned(at, found, frames, layout, lowest, size)
         first, given = min(found.frames), sorted(found.frames)
         ids = [found.ids.get(first + n, []) for n in range(len(frames))]
@@ -245,12 +246,7 @@ def _read_file(at: Spot) -> Detections:
 
 
 def cleaned(
-    at: Spot,
-    found: Detections,
-    frames: list[np.ndarray],
-    layout: str | None,
-    lowest: float | None = None,
-    size: tuple[float, float] | None = None,
+    at: Spot, found: Detections, frames: list[np.ndarray], layout: str | None, lowest: float, size=None
 ) -> tuple[list[np.ndarray], tuple[str, ...], list[str]]:
     """Returns frames of people (P, K, 3) in pixels with confidences of 0..1, the names of the points, and notes.
 
@@ -260,7 +256,7 @@ def cleaned(
     if not any(len(people) for people in frames):
         raise at.error("nobody was detected in any frame", place="")
     everybody = np.concatenate([people for people in frames if len(people)]).astype(np.float32)
-    notes = [*found.notes, *_calibrate(at, everybody, size, found.lowest if lowest is None else lowest)]
+    notes = [*found.notes, *_calibrate(at, everybody, size, lowest)]
     if not (everybody[..., 2] > 0).any():
         raise at.error("nobody was detected in any frame: no point is sure enough", place="")
     names = found.names if layout is None and found.names else names_of(at, everybody, layout)

@@ -37,7 +37,7 @@ def load(
     with reading(folder, "point at a folder with one OpenPose JSON file per frame of one camera") as at:
         found = detections.from_folder(at, lambda one: detection_json.openpose(one, read_json(one)), ".json")
         found, frames = found.in_order(at, fps)
-        frames, names, _ = cleaned(at, found, frames, layout, lowest=0.0)
+        frames, names, _ = cleaned(at, found, frames, layout, 0.0)
         if max(len(people) for people in frames) == 1 and person in ("longest", "largest", 0):
             pairs = [(frame, 0) for frame, people in enumerate(frames) if len(people)]
         else:
