@@ -86,7 +86,7 @@ def load_captury(path: str | Path, *, width: int) -> list[Camera]:
 
 def _camera(at: Spot, name: str, table: Table, size: tuple[int, int] | None = None) -> tuple[Camera, bool]:
     """A camera of a table, if it can be one, and whether its place is known."""
-    where = f"camera {name}, "
+    where = "" if name == "camera" else f"camera {name}, "  # the only one, without a name
     if size is not None and not table.keys() & {"width", "height"}:
         table = table | {"width": size[0], "height": size[1]}
     placed = bool(table.keys() & {"rotation", "translation"})
