@@ -9,17 +9,21 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
-from torch import Tensor
+from torch import Tensor, nn
 
 from motionlab.errors import DataError
 from motionlab.files import write_whole
 
+Network = TypeVar("Network", bound=nn.Module)
 #: Where the weights that ship with the project lie.
 SHIPPED = Path(__file__).parent / "checkpoints"
 _LOADED: dict[str, str] = {}  # what this process has read: name and checksum
@@ -89,6 +93,28 @@ def read_recipe(path: Path | str) -> dict:
     if not isinstance(recipe, dict):
         raise DataError("not a recipe", path=path, remedy=REMEDY)
     return recipe
+
+
+def shipped(name: str) -> Path:
+    """Returns where a model lies: one that ships, by its name, or the one at a path."""
+    return SHIPPED / name if Path(name).name == name else Path(name)
+
+
+@contextmanager
+def rebuilding(path: Path | str, complaint: str) -> Iterator[None]:
+    """Turns what goes wrong while a network is built of a recipe and its tensors into a DataError: it is of another."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise DataError(f"{complaint} ({type(error).__name__}: {error})"[:300], path=path, remedy=REMEDY) from error
+
+
+def frozen(build: Callable[[], Network], tensors: Mapping[str, Tensor], prefix: str = "") -> Network:
+    """Builds a network with those tensors whose names begin so; torch's own generator stays as it is."""
+    with torch.random.fork_rng(devices=[]):
+        model = build()
+    model.load_state_dict({n.removeprefix(prefix): x.float() for n, x in tensors.items() if n.startswith(prefix)})
+    return model.eval().requires_grad_(False)
 
 
 def load_foreign(path: Path | str, keys: str | tuple[str, ...], remedy: str) -> dict[str, Tensor]:

@@ -7,17 +7,16 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from motionlab import checkpoint, shipped, train_completer, train_more, train_plain, train_prior
+from motionlab import checkpoint, shipped, train_more
+from motionlab.courses import COURSES
 from motionlab.diffusion.embedding import FeatureRecipe
 from motionlab.errors import DataError
-
-_COURSES = {name: home for home in (train_completer, train_plain, train_prior) for name in home.RECIPES}
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Adds what ``train NAME`` takes."""
     command.add_argument(
-        "model", choices=("small", "features", *_COURSES),
+        "model", choices=("small", "features", *COURSES),
         help="pose and first states; what generated motion is judged in; what completes motions, a denoiser and a "
         "transition prior, trained until Ctrl-C",
     )  # fmt: skip
@@ -28,7 +27,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--out", type=Path, help="default: the checkpoint that ships; of small, its folder")
     command.add_argument(
-        "--more", action="store_true", help=f"{', '.join(_COURSES)}: go on from the kept run, or what ships"
+        "--more", action="store_true", help=f"{', '.join(COURSES)}: go on from the kept run, or what ships"
     )
     command.set_defaults(run=_train)
 
@@ -40,30 +39,22 @@ def _count(text: str) -> int:
 
 
 def _train(options: argparse.Namespace) -> int:
-    if options.model in _COURSES:
-        return _train_on(options)
-    if options.more:
-        raise DataError(f"{options.model} takes no --more", remedy=f"it is for {', '.join(_COURSES)}")
-    if options.model == "small":
-        data, out = shipped.real_motions(options.data), options.out or checkpoint.SHIPPED
+    name, out = options.model, options.out
+    if options.more and name not in COURSES:
+        raise DataError(f"{name} takes no --more", remedy=f"it is for {', '.join(COURSES)}")
+    if name == "small":
+        data, out = shipped.real_motions(options.data), out or checkpoint.SHIPPED
         shipped.make_pose_prior(data, out, seed=options.seed, steps=options.steps or shipped.STEPS)
         shipped.make_init_gmm(data, out, seed=options.seed)
         return 0
-    recipe = replace(FeatureRecipe(), seed=options.seed)
-    recipe = replace(recipe, steps=options.steps or recipe.steps)
-    shipped.make_features(options.data, options.out or checkpoint.SHIPPED / "features_real", recipe)
-    return 0
-
-
-def _train_on(options: argparse.Namespace) -> int:
-    """Trains until Ctrl-C."""
-    home = _COURSES[options.model]
-    recipe = home.RECIPES[options.model]
-    recipe = replace(recipe, steps=options.steps or recipe.steps, seed=options.seed)
-    out = options.out or checkpoint.SHIPPED / options.model
+    kind, recipe = COURSES.get(name, (None, FeatureRecipe()))
+    recipe = replace(recipe, seed=options.seed, steps=options.steps or recipe.steps)
+    if kind is None:
+        shipped.make_features(options.data, out or checkpoint.SHIPPED / "features_real", recipe)
+        return 0
     try:
-        course, every = home.Course(options.model, recipe, options.data), min(2500, -(-recipe.steps // 8))
-        train_more.go_on(course, out, more=options.more, every=every)
+        course, every = kind(name, recipe, options.data), min(2500, -(-recipe.steps // 8))
+        train_more.go_on(course, out or checkpoint.SHIPPED / name, more=options.more, every=every)
     except KeyboardInterrupt:
         print("stopped; the same command with --more goes on")
     return 0

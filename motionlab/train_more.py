@@ -14,7 +14,7 @@ import os
 from abc import ABC, abstractmethod
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
@@ -52,12 +52,26 @@ class Course(ABC):
     """What is trained without end, and what a model of it is worth.
 
     name: of what ships. recipe: of new weights. windows: that it learns from; bodies: on so many each motion is there.
+    held: what it is judged on. trainer: its run. built: fields of a recipe that weights decide.
     """
 
-    name: str
-    recipe: Any
-    windows: Windows
     bodies = 1
+    trainer: ClassVar[type[TrainingRun]]
+    built: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, name: str, recipe: Any, folder: Path | str | None, data: tuple[Windows, Any] | None = None):
+        """data: windows and what is held out, instead of the folder's."""
+        self.name, self.recipe = name, recipe
+        self.windows, self.held = data or self._data(folder)
+
+    @abstractmethod
+    def _data(self, folder: Path | str | None) -> tuple[Windows, Any]:
+        """Windows of the folder's people who train, and what those who choose are."""
+
+    @property
+    def examples(self) -> Any:
+        """What the run draws from."""
+        return self.windows
 
     @abstractmethod
     def load(self, path: Path) -> Any:
@@ -67,17 +81,19 @@ class Course(ABC):
             DataError: it is of another.
         """
 
-    @abstractmethod
     def begun(self, recipe: Any, first: Any) -> TrainingRun:
         """A new run of a recipe, from the weights of a model or None; its ``earlier`` counts the steps behind them."""
+        if first is not None:
+            recipe = replace(recipe, **{name: getattr(first.recipe, name) for name in self.built})
+        return self.trainer(recipe, self.examples, first)
 
-    @abstractmethod
     def resumed(self, kept: Path) -> TrainingRun:
         """The run that was kept.
 
         Raises:
             DataError: it is damaged, or was trained on other data.
         """
+        return self.trainer.resume(kept, self.examples)
 
     @abstractmethod
     def measured(self, model: Any) -> dict[str, float]:

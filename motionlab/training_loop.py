@@ -1,7 +1,7 @@
 """The training loop of every network: resumable to the bit, with averaged weights and skipped bad batches.
 
-A trainer derives from :class:`TrainingRun` and adds what differs: its batches and their loss, its learning rate, and
-the model that it makes of weights. A run is saved whole or not at all, and read without executing anything.
+A trainer derives from :class:`TrainingRun` and adds what differs: its batches and their loss, and, where they do, its
+learning rate and what is made of the network. A run is saved whole or not at all, and read without executing anything.
 
 Source: Polyak and Juditsky 1992, averaged weights, here with a moving average that warms up.
 """
@@ -12,6 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -46,50 +47,49 @@ class TrainingRun(ABC):
     drawn from it. curve: rows of step, loss, its parts and measures. best: step, measure and averaged weights that
     the judge liked best, if there was one. skipped, in_a_row: batches without a finite gradient, all and since a good
     one; the run ends at ``give_up`` in a row. earlier: steps that its first weights had behind them. clip: largest norm
-    of the gradient; None: as it is.
+    of the gradient; None: as it is. extra: what else is saved, by name.
     """
 
     #: What the run is trained on, as errors and saved runs call it.
-    data_name: ClassVar[str]
+    data_name: ClassVar[str] = "windows"
+    #: Reads the recipe from ``asdict``'s content.
+    reads: ClassVar[Callable[[dict], Any]]
     give_up = 1
     clip: float | None = 1.0
 
-    def __init__(self, recipe: Any, digest: str, generator: torch.Generator, model: nn.Module) -> None:
+    def __init__(
+        self,
+        recipe: Any,
+        digest: str,
+        generator: torch.Generator,
+        model: nn.Module,
+        optimiser: torch.optim.Optimizer,
+        **extra: Any,
+    ) -> None:
         self.recipe, self.digest, self.generator, self.model = recipe, digest, generator, model
         self.average = {name: value.clone() for name, value in model.state_dict().items()}
-        self.optimiser = self._optimiser()
+        self.optimiser, self.extra = optimiser, extra
         self.curve: list[dict] = []
         self.best: dict | None = None
         self.step = self.skipped = self.in_a_row = self.earlier = 0
         self._whole()
 
     @abstractmethod
-    def _optimiser(self) -> torch.optim.Optimizer:
-        """A new optimiser of the model's parameters."""
-
-    @abstractmethod
-    def _rate(self) -> float:
-        """The learning rate at this step."""
-
-    @abstractmethod
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         """The loss of a new batch, and the parts that it is made of."""
 
-    @abstractmethod
+    def _rate(self) -> float:
+        """The learning rate at this step."""
+        return warmed_cosine(self.recipe.lr, self.step, self.recipe.steps, self.recipe.warm_up)
+
+    def _ready(self, model: nn.Module) -> Any:
+        """What is used of a frozen network."""
+        return model
+
     def _made(self, weights: dict[str, Tensor]) -> Any:
-        """The frozen model of these weights, ready for use."""
-
-    @classmethod
-    @abstractmethod
-    def _recipe(cls, content: dict) -> Any:
-        """The recipe of ``asdict``'s content."""
-
-    def _extra(self) -> dict:
-        """What else is saved."""
-        return {}
-
-    def _restore(self, found: dict) -> None:  # noqa: B027
-        """Take up what ``_extra`` saved."""
+        model = deepcopy(self.model).eval().requires_grad_(False)
+        model.load_state_dict(weights)
+        return self._ready(model)
 
     @property
     def averaged(self) -> Any:
@@ -107,19 +107,14 @@ class TrainingRun(ABC):
         until: int | None = None,
         keep: Path | None = None,
         every: int = 500,
-        validate: Measure | None = None,
         judge: Measure | None = None,
         judge_every: int = 2500,
-        judge_from: float = 0.0,
         progress: bool = False,
     ) -> Self:
         """Trains on to the last step, or to ``until``; saves to ``keep`` every ``every`` steps and at the end.
 
-        Args:
-            validate: measures of the averaged model, for the curve, every ``every`` steps and at the last one.
-            judge: measures of the averaged model, of which the first chooses ``best`` (less is better), every
-                ``judge_every`` steps (a multiple of ``every``) and at the last one; none in the first ``judge_from``
-                of all steps.
+        judge: measures of the averaged model, of which the first chooses ``best`` (less is better), every
+        ``judge_every`` steps (a multiple of ``every``) and at the last one.
 
         Ctrl-C keeps what was reached (between weights and their average: what was written last) and raises on.
 
@@ -135,8 +130,8 @@ class TrainingRun(ABC):
                 bar.update()
                 if self.step % every and self.step != last:
                     continue
-                due = (self.step % judge_every == 0 and self.step >= judge_from * steps) or self.step == last
-                row |= self._measured(validate, judge if due else None)
+                if judge and (self.step % judge_every == 0 or self.step == last):
+                    row |= self._judged(judge)
                 self.curve.append({"step": self.earlier + self.step, **row})
                 if not bar.disable:
                     tqdm.write(f"{self.step}: " + ", ".join(f"{name} {value:.3g}" for name, value in row.items()))
@@ -193,17 +188,12 @@ class TrainingRun(ABC):
         """Weights, average and generator belong together: this is where an interrupted step goes back to."""
         self._drawn_from, self._torn = self.generator.get_state(), False
 
-    def _measured(self, validate: Measure | None, judge: Measure | None) -> dict[str, float]:
-        if validate is None and judge is None:
-            return {}
-        model = self.averaged
-        row = dict(validate(model)) if validate else {}
-        if judge is not None and (judged := judge(model)):
-            row |= judged
-            name, value = next(iter(judged.items()))
-            if value < (self.best[name] if self.best else math.inf):
-                weights = {key: x.clone() for key, x in self.average.items()}
-                self.best = {"step": self.step, name: value, "weights": weights}
+    def _judged(self, judge: Measure) -> dict[str, float]:
+        row = judge(self.averaged)
+        name, value = next(iter(row.items()))
+        if value < (self.best[name] if self.best else math.inf):
+            weights = {key: x.clone() for key, x in self.average.items()}
+            self.best = {"step": self.step, name: value, "weights": weights}
         return row
 
     def save(self, path: Path | str) -> None:
@@ -216,22 +206,22 @@ class TrainingRun(ABC):
             "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
             "skipped": (self.skipped, self.in_a_row), "earlier": self.earlier,
         }  # fmt: skip
-        torch.save(content | self._extra(), part)
+        torch.save(content | self.extra, part)
         part.replace(path)
 
     @classmethod
-    def resume(cls, path: Path | str, data: Any, *where: Any, **more: Any) -> Self:
-        """Reads a run as it was when it was saved; it goes on as if it had never stopped.
-
-        data: what it is trained on. where, more: for the trainer, behind its recipe and data.
+    def resume(cls, path: Path | str, data: Any) -> Self:
+        """Reads a run on these data as it was when it was saved; it goes on as if it had never stopped.
 
         Raises:
             DataError: the file is missing, damaged, or was trained on other data.
         """
-        recipe, found = cls._read(path)
+        with _reading(path):
+            found = torch.load(path, map_location="cpu", weights_only=True)
+            recipe = cls.reads(found["recipe"])
         if found.get(cls.data_name) != data.digest:
             raise DataError(f"trained on other {cls.data_name}", path=path, remedy=AFRESH)
-        run = cls(recipe, data, *where, **more)
+        run = cls(recipe, data)
         with _reading(path):
             run.model.load_state_dict(found["model"])
             for name, value in found["average"].items():
@@ -241,15 +231,9 @@ class TrainingRun(ABC):
             run.step, run.curve, run.best = found["step"], found["curve"], found["best"]
             run.skipped, run.in_a_row = found["skipped"]
             run.earlier = found.get("earlier", 0)
-            run._restore(found)
+            run.extra = {name: found[name] for name in run.extra}
             run._whole()
         return run
-
-    @classmethod
-    def _read(cls, path: Path | str) -> tuple[Any, dict]:
-        with _reading(path):
-            found = torch.load(path, map_location="cpu", weights_only=True)
-            return cls._recipe(found["recipe"]), found
 
 
 @contextmanager

@@ -24,7 +24,7 @@ FLOORS = """
     corpus splits humor.scales humor.unknowns corrections diffusion.completer_training
     bench shipped doctor onnx_export humor.chain_training humor.quality humor.stages humor.start animate
     footlock train_more models humor.shooting renew
-    looping train_completer train_plain train_prior
+    looping courses
     train
     humor.testops
     posterior scene_fit
@@ -38,7 +38,7 @@ LIBRARY, SYNTHETIC, STUDIES = "motionlab", "data_synth", "studies"
 DATA_MODEL = "suite.findings"
 SUITE, BENCH = "suite", ("suite.notebook", "suite.ledger", DATA_MODEL)
 #: Where commands bring synthetic motion and models together; the rest of the library does not know it.
-COMPOSERS = ("splits", "shipped", "train_more", "train_completer", "train_plain", "train_prior", "train")
+COMPOSERS = ("splits", "shipped", "train_more", "courses", "train")
 #: Studies may not import each other, but for these, which are there for several.
 SHARED = ("studies.shared", "studies.official")
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import checkpoint, rotation, train_completer, train_more
+from motionlab import checkpoint, rotation, train_more
 from motionlab.bench import cases, judge
 from motionlab.bench.person_windows import PersonWindows
 from motionlab.contact import with_contacts
+from motionlab.courses import CompleterCourse
 from motionlab.diffusion import completer, completer_training, masks, state
 from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.completer_training import CompleterTraining, losses
@@ -349,7 +350,7 @@ def test_the_energy_score_rewards_draws_about_the_truth(people):
 def test_who_corrects_what_was_smoothed_is_judged_beside_the_smoother(people, monkeypatch):
     """One that adds nothing leaves what the smoother leaves; the truth leaves nothing."""
     recipe = CompleterRecipe(size=64, layers=1, rough=True)
-    course, model = train_completer.Course("completer_rough", recipe, None, (None, people)), Completer(recipe)
+    course, model = CompleterCourse("completer_rough", recipe, None, (None, people)), Completer(recipe)
     silent = course.measured(model)
     monkeypatch.setattr(model, "complete", lambda motion, known, tremble: people.motion)
     exact, (first, *rest) = course.measured(model), list(silent)
@@ -381,18 +382,18 @@ def test_training_writes_what_is_better_only(motions, people, here):
     data = gather([on_standard(m) for m in motions], judge.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
     recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1)
     how = {"every": 2, "schedules": 1}
-    train_more.go_on(train_completer.Course("completer", recipe, None, (data, people)), here, **how)
+    train_more.go_on(CompleterCourse("completer", recipe, None, (data, people)), here, **how)
     content = here.with_suffix(".safetensors").read_bytes()
     for again in (True, False):  # goes on from what is there, or begins anew, and spoils it: the file stays
         kept_in(here).unlink()
         train_more.go_on(
-            train_completer.Course("completer", replace(recipe, lr=1e3), None, (data, people)), here, more=again, **how
+            CompleterCourse("completer", replace(recipe, lr=1e3), None, (data, people)), here, more=again, **how
         )
         assert here.with_suffix(".safetensors").read_bytes() == content
     assert CompleterTraining.resume(kept_in(here), data).recipe.lr == 1e3
     with pytest.raises(DataError, match="not a completer_draws"):
         train_more.go_on(
-            train_completer.Course("completer_draws", replace(recipe, noised=True), None, (data, people)), here, **how
+            CompleterCourse("completer_draws", replace(recipe, noised=True), None, (data, people)), here, **how
         )
     with pytest.raises(DataError, match="--data"):
         train_more.learnt_from(None, judge.FRAMES)
@@ -416,9 +417,9 @@ def test_training_that_was_killed_goes_on_as_if_it_had_not_been(motions, people,
 
     monkeypatch.setattr(CompleterTraining, "advance", killed)
     with pytest.raises(KeyboardInterrupt):
-        train_more.go_on(train_completer.Course("completer", recipe, None, (data, people)), here, **how)
+        train_more.go_on(CompleterCourse("completer", recipe, None, (data, people)), here, **how)
     monkeypatch.setattr(CompleterTraining, "advance", advance)
-    train_more.go_on(train_completer.Course("completer", recipe, None, (data, people)), here, **how)
+    train_more.go_on(CompleterCourse("completer", recipe, None, (data, people)), here, **how)
     made = CompleterTraining.resume(kept_in(here), data)
     assert made.step == 4
     assert all(torch.equal(x, made.model.state_dict()[name]) for name, x in whole.model.state_dict().items())

@@ -2,7 +2,7 @@
 
 import pytest
 
-from motionlab import checkpoint, train_more, train_plain
+from motionlab import checkpoint, courses, train_more
 from motionlab.diffusion.model import DenoiserRecipe
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
@@ -14,7 +14,7 @@ SMALL = DenoiserRecipe(size="small", steps=4, batch=4)
 @pytest.fixture
 def course(motions):
     windows = gather([*map(on_standard, motions)], 60, people=["a", *["b"] * (len(motions) - 1)])
-    return train_plain.Course("diffusion_plain", SMALL, None, (windows, windows.draw(4, seeded())))
+    return courses.DenoiserCourse("diffusion_plain", SMALL, None, (windows, windows.draw(4, seeded())))
 
 
 def test_it_goes_on_from_what_it_wrote(course, tmp_path, monkeypatch):
@@ -25,8 +25,8 @@ def test_it_goes_on_from_what_it_wrote(course, tmp_path, monkeypatch):
     train_more.go_on(course, out, every=2, schedules=1)
     before, first = checkpoint.read_recipe(out), course.load(out)
     row = before["quality, people who choose"]
-    levels = [value for name, value in row.items() if name != train_plain.CHOSEN]
-    assert row[train_plain.CHOSEN] == pytest.approx(sum(levels) / len(levels)) and before["recipe"]["size"] == "small"
+    levels = [value for name, value in row.items() if name != courses.MEAN_ERROR]
+    assert row[courses.MEAN_ERROR] == pytest.approx(sum(levels) / len(levels)) and before["recipe"]["size"] == "small"
     train_more._kept("diffusion_plain", out).unlink()
     begun = course.begun(DenoiserRecipe(steps=4, batch=4), first)
     assert begun.recipe.size == "small"

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from motionlab import checkpoint, splits, train_more, train_prior
+from motionlab import checkpoint, courses, splits, train_more
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.humor.chain_training import ChainRecipe
@@ -26,7 +26,7 @@ def course(motions):
         body: {"c": splits.state_windows(some[:1]), "d": splits.state_windows(some[1:])}
         for body, some in bodies.items()
     }
-    return train_prior.Course("transition", SMALL, None, (windows, held))
+    return courses.PriorCourse("transition", SMALL, None, (windows, held))
 
 
 def test_half_of_the_windows_are_of_the_standard_body(course):
@@ -42,9 +42,9 @@ def test_who_does_what_was_asked_has_one(course, monkeypatch):
         row = {"one step, constant velocity, cm": 0.4, "one step, prior mean, cm": 0.75 * 0.4 * much}
         row |= {"one step, posterior, cm": 0.25 * 0.4 * much, "2 s, posterior z, cm": 5.0 * much}
         row |= {"2 s, closed loop, cm": 2.0 * much, "2 s, hold, cm": 99.0}
-        monkeypatch.setattr(train_prior, "quality_row", lambda *_, row=row: row)
+        monkeypatch.setattr(courses, "quality_row", lambda *_, row=row: row)
         found = course.measured(None)
-        assert next(iter(found.items())) == (train_prior.CHOSEN, pytest.approx(much))
+        assert next(iter(found.items())) == (courses.OVER_ASKED, pytest.approx(much))
         assert found["own bones: 2 s, hold, cm"] == found["standard body: 2 s, hold, cm"] == 99.0
 
 

@@ -25,11 +25,10 @@ from torch import Tensor, nn
 from motionlab import checkpoint
 from motionlab.diffusion import state
 from motionlab.diffusion.curves import curve_weights
-from motionlab.errors import DataError, ShapeError
+from motionlab.errors import ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
-from motionlab.training_loop import warmed_cosine
 
 _TIMES = 2  # numbers that say how far the known frames around are
 _TREMBLE = 10.0  # per radian: what a rough model is told instead
@@ -77,10 +76,6 @@ class CompleterRecipe:
     def read(cls, content: dict) -> CompleterRecipe:
         """Reads a recipe from ``asdict``, as JSON gives it back."""
         return cls(**content | {"kinds": tuple((name, odds) for name, odds in content["kinds"])})
-
-    def rate(self, step: int) -> float:
-        """Computes the learning rate at a step."""
-        return warmed_cosine(self.lr, step, self.steps, self.warm_up)
 
 
 class Completer(nn.Module):
@@ -329,11 +324,5 @@ def load(path: Path | str) -> Completer:
     ships = isinstance(path, str) and Path(path).name == path and not Path(path).with_suffix(".safetensors").exists()
     path = checkpoint.SHIPPED / path if ships else Path(path)
     tensors, about = checkpoint.load(path.with_suffix(".safetensors"))
-    try:
-        with torch.random.fork_rng(devices=[]):
-            model = Completer(CompleterRecipe.read(about["recipe"]))
-        model.load_state_dict({name: x.float() for name, x in tensors.items()})
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        message = f"completes no motions ({type(error).__name__}: {error})"[:300]
-        raise DataError(message, path=path, remedy=checkpoint.REMEDY) from error
-    return model.eval().requires_grad_(False)
+    with checkpoint.rebuilding(path, "completes no motions"):
+        return checkpoint.frozen(lambda: Completer(CompleterRecipe.read(about["recipe"])), tensors)

@@ -8,7 +8,6 @@ errors of open 6-D numbers and contacts. A diffusion model has to say means, so 
 from __future__ import annotations
 
 import math
-from copy import deepcopy
 from dataclasses import replace
 
 import torch
@@ -34,8 +33,8 @@ _EVERY = torch.ones(state.UNITS, dtype=torch.bool)
 class CompleterTraining(TrainingRun):
     """A training run of a completer. start: the model to begin from, with its sizes of numbers; None: new weights."""
 
-    data_name = "windows"
     give_up = 20
+    reads = CompleterRecipe.read
 
     def __init__(self, recipe: CompleterRecipe, windows: Windows, start: Completer | None = None) -> None:
         self.windows = windows
@@ -49,34 +48,20 @@ class CompleterTraining(TrainingRun):
             units = state.Units.measure(state.rows(some))
             model.mean.copy_(units.mean), model.scale.copy_(units.scale)
         model.halves = fast_halves(model.mean.device)
-        super().__init__(recipe, windows.digest, torch.Generator().manual_seed(recipe.seed), model)
+        how = {"lr": recipe.lr, "weight_decay": recipe.decay, "betas": (0.9, 0.98)}
+        optimiser = torch.optim.AdamW(model.parameters(), **how)
+        super().__init__(recipe, windows.digest, torch.Generator().manual_seed(recipe.seed), model, optimiser)
 
-    @classmethod
-    def _recipe(cls, content: dict) -> CompleterRecipe:
-        return CompleterRecipe.read(content)
-
-    def _optimiser(self) -> torch.optim.Optimizer:
-        how = {"lr": self.recipe.lr, "weight_decay": self.recipe.decay, "betas": (0.9, 0.98)}
-        return torch.optim.AdamW(self.model.parameters(), **how)
-
-    def _rate(self) -> float:
-        return self.recipe.rate(self.step)
-
-    def _made(self, weights: dict[str, Tensor]) -> Completer:
-        model = deepcopy(self.model).eval().requires_grad_(False)
-        model.load_state_dict(weights)
+    def _ready(self, model: Completer) -> Completer:
         model.halves = False
         return model
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         recipe = self.recipe
         motion, clips = self.windows.drawn(recipe.batch, self.generator)
-        seen = self.windows.seen
-        seen = (
-            _EVERY.expand(len(clips), -1)
-            if seen is None
-            else torch.cat((seen[clips], _EVERY[:2].expand(len(clips), 2)), 1)
-        )
+        seen = _EVERY.repeat(len(clips), 1)
+        if self.windows.seen is not None:
+            seen[:, :-2] = self.windows.seen[clips]
         if recipe.rough:
             shown, tremble = self._smoothed(motion)
             shown, frame = stuck_root(shown)

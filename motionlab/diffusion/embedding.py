@@ -13,7 +13,6 @@ features are physical descriptions and joint statistics.
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -26,7 +25,7 @@ from torch import Tensor, nn
 from motionlab import checkpoint
 from motionlab.contact import resting_heights
 from motionlab.diffusion.windows import Windows
-from motionlab.errors import DataError, ShapeError
+from motionlab.errors import ShapeError
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion, velocity
 from motionlab.skeleton import FEET, STANDARD
@@ -101,6 +100,9 @@ class Autoencoder(nn.Module):
         return self.decoder(self.encoder(x.mT)).mT
 
 
+_SIZES = ("mean", "scale", "centre", "spread")  # of ``Features``
+
+
 @dataclass(frozen=True, eq=False)
 class Features:
     """The trained encoder, frozen: ``features(motion)`` is (N, size), about unit size on training motion.
@@ -122,10 +124,8 @@ class Features:
         """Latent numbers (N, size), float64, of windows (N, recipe.frames) at 30 fps, a batch at a time."""
         if motion.frames != self.recipe.frames:
             raise ShapeError(f"expected windows of {self.recipe.frames} frames, got {motion.frames}")
-        rows = [
-            (_signals(_some(motion, at, batch)) - self.mean) / self.scale for at in range(0, len(motion.root), batch)
-        ]
-        latent = torch.cat([self.network.encoder(x.mT) for x in rows])
+        parts = (motion.clip(slice(at, at + batch)) for at in range(0, len(motion.root), batch))
+        latent = torch.cat([self.network.encoder(((_signals(x) - self.mean) / self.scale).mT) for x in parts])
         return ((latent - self.centre) / self.spread).double()
 
     @torch.no_grad()
@@ -142,7 +142,6 @@ class _FeatureRun(TrainingRun):
     """Trains an autoencoder on windows. Every group weighs the same in the loss, or the few numbers that say whether a
     foot slides would drown."""
 
-    data_name = "windows"
     clip = None
 
     def __init__(self, recipe: FeatureRecipe, windows: Windows) -> None:
@@ -152,10 +151,8 @@ class _FeatureRun(TrainingRun):
             network = Autoencoder(recipe)
         self.mean, self.scale = _moments(_signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
         self.weight = torch.cat([torch.full((n,), 1 / (n * len(FEATURE_GROUPS))) for n in FEATURE_GROUPS.values()])
-        super().__init__(recipe, windows.digest, generator, network)
-
-    def _optimiser(self) -> torch.optim.Optimizer:
-        return torch.optim.Adam(self.model.parameters(), self.recipe.lr)
+        optimiser = torch.optim.Adam(network.parameters(), recipe.lr)
+        super().__init__(recipe, windows.digest, generator, network, optimiser)
 
     def _rate(self) -> float:
         return 0.5 * self.recipe.lr * (1 + math.cos(math.pi * self.step / self.recipe.steps))
@@ -164,15 +161,9 @@ class _FeatureRun(TrainingRun):
         x = (_signals(self.windows.draw(self.recipe.batch, self.generator)) - self.mean) / self.scale
         return ((self.model(x) - x).square() * self.weight).sum(-1).mean(), {}
 
-    def _made(self, weights: dict[str, Tensor]) -> Features:
-        network = copy.deepcopy(self.model).eval().requires_grad_(False)
-        network.load_state_dict(weights)
+    def _ready(self, network: Autoencoder) -> Features:
         size = self.recipe.size
         return Features(network, self.mean, self.scale, torch.zeros(size), torch.ones(size), self.recipe)
-
-    @classmethod
-    def _recipe(cls, content: dict) -> FeatureRecipe:
-        return FeatureRecipe(**content)
 
 
 def train_features(
@@ -181,10 +172,10 @@ def train_features(
     """Trains on windows; returns the features and the curve: loss, and what is ``missed`` of held-out windows."""
     if windows.length != recipe.frames:
         raise ShapeError(f"windows of {windows.length} frames, recipe of {recipe.frames}")
-    validate = None if held is None else lambda features: features.missed(held)
-    run = _FeatureRun(recipe, windows).run(every=max(1, recipe.steps // 20), validate=validate, progress=progress)
+    judge, every = None if held is None else lambda features: features.missed(held), max(1, recipe.steps // 20)
+    run = _FeatureRun(recipe, windows).run(every=every, judge=judge, judge_every=every, progress=progress)
     made = run.averaged
-    made = replace(made, network=_rounded(made.network))
+    made.network.half().float()  # its weights as they are stored
     latent = made(windows.draw(2048, run.generator)).float()
     made = replace(made, centre=latent.mean(0), spread=latent.std(0).clamp(min=1e-3))
     return made, [{name: round(value, 4) for name, value in row.items()} for row in run.curve]
@@ -198,37 +189,20 @@ def _moments(x: Tensor) -> tuple[Tensor, Tensor]:
     return mean, torch.cat([part.square().mean().sqrt().clamp(min=1e-3).expand(part.shape[1]) for part in parts])
 
 
-def _rounded(network: nn.Module) -> nn.Module:
-    """Its weights as float16 would keep them: as they are stored."""
-    network.load_state_dict({name: value.half().float() for name, value in network.state_dict().items()})
-    return network
-
-
-def _some(motion: Motion, at: int, count: int) -> Motion:
-    return motion.clip(slice(at, at + count)) if len(motion.root) > count else motion
-
-
 def save_features(path: Path | str, features: Features, about: dict) -> None:
     """Writes ``path`` (.safetensors, weights as float16) and its recipe (.json) with ``about``."""
     weights = {f"network.{name}": value.half() for name, value in features.network.state_dict().items()}
-    others = {name: getattr(features, name) for name in ("mean", "scale", "centre", "spread")}
+    others = {name: getattr(features, name) for name in _SIZES}
     checkpoint.save(path, weights | others, about | {"recipe": asdict(features.recipe)})
 
 
 def _load(path: Path | str) -> Features:
-    """Features as ``save_features`` wrote them."""
     path = Path(path).with_suffix(".safetensors")
     tensors, about = checkpoint.load(path)
-    try:
+    with checkpoint.rebuilding(path, "not a feature autoencoder"):
         recipe = FeatureRecipe(**about["recipe"])
-        with torch.random.fork_rng(devices=[]):
-            network = Autoencoder(recipe)
-        network.load_state_dict({k[8:]: v.float() for k, v in tensors.items() if k.startswith("network.")})
-        others = [tensors[name].float() for name in ("mean", "scale", "centre", "spread")]
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        message = f"not a feature autoencoder ({type(error).__name__}: {error})"[:300]
-        raise DataError(message, path=path, remedy=checkpoint.REMEDY) from error
-    return Features(network.eval().requires_grad_(False), *others, recipe, about["sha256"][:12])
+        network = checkpoint.frozen(lambda: Autoencoder(recipe), tensors, "network.")
+        return Features(network, *(tensors[name].float() for name in _SIZES), recipe, about["sha256"][:12])
 
 
 @cache
@@ -238,4 +212,4 @@ def motion_features(name: str = "features_real") -> Features:
     Raises:
         DataError: no such checkpoint, or damaged.
     """
-    return _load(checkpoint.SHIPPED / name if Path(name).name == name else Path(name))
+    return _load(checkpoint.shipped(name))

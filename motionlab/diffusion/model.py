@@ -22,7 +22,6 @@ from motionlab.diffusion.sampling import NoiseSchedule, ddpm, noise_like
 from motionlab.errors import DataError, check_shape
 from motionlab.motion import FPS, Motion
 from motionlab.skeleton import Skeleton
-from motionlab.training_loop import warmed_cosine
 
 LEVELS = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all noising steps: where the error of x_0 is measured
 
@@ -74,10 +73,6 @@ class DenoiserRecipe:
     def schedule(self) -> NoiseSchedule:
         """The noising process."""
         return sampling.cosine(self.noising)
-
-    def rate(self, step: int) -> float:
-        """Computes the learning rate at a step."""
-        return warmed_cosine(self.lr, step, self.steps, self.warm_up)
 
     def denoiser(self) -> Denoiser:
         """Builds a new network; its weights come from torch's global generator.
@@ -152,21 +147,15 @@ def load_denoiser(path: Path | str) -> Trained:
     """
     path = Path(path).with_suffix(".safetensors")
     tensors, about = checkpoint.load(path)
-    try:
+    with checkpoint.rebuilding(path, "not a motion diffusion model"):
         recipe = DenoiserRecipe.read(about["recipe"])
-        with torch.random.fork_rng(devices=[]):
-            model = recipe.denoiser()
-        weights = {k.removeprefix("denoiser."): v.float() for k, v in tensors.items() if k.startswith("denoiser.")}
-        model.load_state_dict(weights)
+        model = checkpoint.frozen(recipe.denoiser, tensors, "denoiser.")
         normaliser = Normaliser(tensors["mean"].float(), tensors["scale"].float())
         for x in (normaliser.mean, normaliser.scale):
             check_shape(x, f"{recipe.layout.size}", "normaliser")
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        message = f"not a motion diffusion model ({type(error).__name__}: {error})"[:300]
-        raise DataError(message, path=path, remedy=checkpoint.REMEDY) from error
     if not all(value.isfinite().all() for value in tensors.values()):
         raise DataError("numbers that are not finite", path=path, remedy=checkpoint.REMEDY)
-    return Trained(model.eval().requires_grad_(False), recipe.schedule, recipe.layout, normaliser, recipe)
+    return Trained(model, recipe.schedule, recipe.layout, normaliser, recipe)
 
 
 @cache
@@ -176,4 +165,4 @@ def motion_model(name: str) -> Trained:
     Raises:
         DataError: no such checkpoint, or damaged.
     """
-    return load_denoiser(checkpoint.SHIPPED / name if Path(name).name == name else Path(name))
+    return load_denoiser(checkpoint.shipped(name))

@@ -119,8 +119,7 @@ def load(name: str = "poser") -> Poser:
     Raises:
         DataError: a file is missing or damaged.
     """
-    tensors, about = checkpoint.load(checkpoint.SHIPPED / name)
-    with torch.random.fork_rng(devices=[]):
-        model = Poser(PoseRecipe(**about["recipe"]))
-    model.load_state_dict({name: x.float() for name, x in tensors.items()})
-    return model.eval().requires_grad_(False)
+    path = checkpoint.SHIPPED / name
+    tensors, about = checkpoint.load(path)
+    with checkpoint.rebuilding(path, "makes no poses"):
+        return checkpoint.frozen(lambda: Poser(PoseRecipe(**about["recipe"])), tensors)

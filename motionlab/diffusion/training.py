@@ -8,12 +8,12 @@ by eye); dropout follows the run's generator; gradients not finite are skipped.
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import deepcopy
 
 import torch
 from torch import Tensor
 
 from motionlab.diffusion import masks
+from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Normaliser
 from motionlab.diffusion.losses import denoising_losses
 from motionlab.diffusion.model import DenoiserRecipe, Trained
@@ -29,8 +29,8 @@ _MEASURED = 2000  # windows that the normaliser is measured on
 class DenoiserTraining(TrainingRun):
     """A training run of a denoiser. start: the model to begin from, with its normaliser; None: new weights."""
 
-    data_name = "windows"
     give_up = 20
+    reads = DenoiserRecipe.read
 
     def __init__(self, recipe: DenoiserRecipe, windows: Windows, start: Trained | None = None) -> None:
         if windows.length != recipe.frames or windows.fps != FPS:
@@ -42,32 +42,21 @@ class DenoiserTraining(TrainingRun):
             model = recipe.denoiser()
         if start is None:
             some = self.layout.encode(windows.draw(_MEASURED, torch.Generator().manual_seed(0)))
-            self.normaliser = Normaliser.measure(some, self.layout, root_unit=recipe.root_unit)
+            sizes = Normaliser.measure(some, self.layout, root_unit=recipe.root_unit)
         else:
-            self.normaliser = start.normaliser
+            sizes = start.normaliser
             model.load_state_dict(start.denoiser.state_dict())
-        super().__init__(recipe, windows.digest, torch.Generator().manual_seed(recipe.seed), model)
+        optimiser = torch.optim.AdamW(model.parameters(), lr=recipe.lr, weight_decay=0.0)
+        generator = torch.Generator().manual_seed(recipe.seed)
+        super().__init__(recipe, windows.digest, generator, model, optimiser, normaliser=(sizes.mean, sizes.scale))
 
-    @classmethod
-    def _recipe(cls, content: dict) -> DenoiserRecipe:
-        return DenoiserRecipe.read(content)
+    @property
+    def normaliser(self) -> Normaliser:
+        """Of the numbers that it is shown."""
+        return Normaliser(*self.extra["normaliser"])
 
-    def _optimiser(self) -> torch.optim.Optimizer:
-        return torch.optim.AdamW(self.model.parameters(), lr=self.recipe.lr, weight_decay=0.0)
-
-    def _rate(self) -> float:
-        return self.recipe.rate(self.step)
-
-    def _made(self, weights: dict[str, Tensor]) -> Trained:
-        model = deepcopy(self.model).eval().requires_grad_(False)
-        model.load_state_dict(weights)
+    def _ready(self, model: Denoiser) -> Trained:
         return Trained(model, self.schedule, self.layout, self.normaliser, self.recipe)
-
-    def _extra(self) -> dict:
-        return {"normaliser": (self.normaliser.mean, self.normaliser.scale)}
-
-    def _restore(self, found: dict) -> None:
-        self.normaliser = Normaliser(*found["normaliser"])
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         recipe = self.recipe

@@ -107,6 +107,7 @@ class ChainTraining(TrainingRun):
     model to begin from; else z begins as the principal components of the change (:func:`begun_linear`)."""
 
     data_name = "examples"
+    reads = staticmethod(lambda content: ChainRecipe(**content))
 
     def __init__(self, recipe: ChainRecipe, examples: LiveExamples, start: Cvae | None = None) -> None:
         if examples.length != recipe.length + 1:
@@ -125,18 +126,10 @@ class ChainTraining(TrainingRun):
             begun_linear(model, self.scales, *pairs)
         else:
             model = self.scales.unfolded(start).requires_grad_(requires_grad=True).train()
-        super().__init__(recipe, examples.digest, torch.Generator().manual_seed(recipe.seed), model)
+        optimiser = torch.optim.Adamax(model.parameters(), lr=recipe.lr)
+        super().__init__(recipe, examples.digest, torch.Generator().manual_seed(recipe.seed), model, optimiser)
 
-    @classmethod
-    def _recipe(cls, content: dict) -> ChainRecipe:
-        return ChainRecipe(**content)
-
-    def _optimiser(self) -> torch.optim.Optimizer:
-        return torch.optim.Adamax(self.model.parameters(), lr=self.recipe.lr)
-
-    def _made(self, weights: dict[str, Tensor]) -> Cvae:
-        model = Cvae(self.recipe.width, skip=True, direct=True)
-        model.load_state_dict(weights)
+    def _ready(self, model: Cvae) -> Cvae:
         return self.scales.folded(model).frozen()
 
     def _rate(self) -> float:

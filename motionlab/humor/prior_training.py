@@ -8,7 +8,6 @@ millimetre per second.
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass
 
@@ -90,7 +89,6 @@ class _PoseRecipe:
 class _PosePriorRun(TrainingRun):
     """Trains a pose prior: Adam, its rate falls as a cosine, and KL grows over the first tenth."""
 
-    data_name = "poses"
     clip = None
 
     def __init__(
@@ -105,10 +103,7 @@ class _PosePriorRun(TrainingRun):
         count = recipe.steps * recipe.batch
         self.drawn = torch.multinomial(odds, count, replacement=True, generator=generator).split(recipe.batch)
         self.rot, self.seen = rot, seen
-        super().__init__(recipe, "", generator, model)
-
-    def _optimiser(self) -> torch.optim.Optimizer:
-        return torch.optim.Adam(self.model.parameters(), lr=_POSE_RATE)
+        super().__init__(recipe, "", generator, model, torch.optim.Adam(model.parameters(), lr=_POSE_RATE))
 
     def _rate(self) -> float:
         fallen = 0.5 * (1 + math.cos(math.pi * self.step / self.recipe.steps))
@@ -120,15 +115,6 @@ class _PosePriorRun(TrainingRun):
         miss, divergence = _objective(self.model, rot, seen, self.generator)
         grown = min(1.0, (self.step + 1) / (0.1 * self.recipe.steps))
         return miss + grown * divergence, {"miss": miss, "kl": divergence}
-
-    def _made(self, weights: dict[str, Tensor]) -> PosePrior:
-        model = copy.deepcopy(self.model)
-        model.load_state_dict(weights)
-        return model.frozen()
-
-    @classmethod
-    def _recipe(cls, content: dict) -> _PoseRecipe:
-        return _PoseRecipe(**content)
 
 
 def train_pose_prior(

@@ -1,0 +1,207 @@
+"""What is trained without end, each by what, on what, and judged how: completers, the thesis's own denoiser and the
+transition prior; see ``train_more``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from motionlab import checkpoint, train_more
+from motionlab.bench import cases
+from motionlab.bench.judge import CASES, FRAMES, Case, energy_score, judged
+from motionlab.bench.person_windows import PersonWindows, by_person, person_windows
+from motionlab.contact import with_contacts
+from motionlab.diffusion import completer, state
+from motionlab.diffusion.completer import KINDS, Completer, CompleterRecipe
+from motionlab.diffusion.completer_training import CompleterTraining
+from motionlab.diffusion.denoising import Noise, smoothed
+from motionlab.diffusion.model import DenoiserRecipe, Trained, load_denoiser, save_denoiser
+from motionlab.diffusion.training import DenoiserTraining
+from motionlab.diffusion.windows import Windows, on_standard
+from motionlab.errors import DataError
+from motionlab.humor.chain_training import ChainRecipe, ChainTraining
+from motionlab.humor.cvae import Cvae, from_weights, official_weights
+from motionlab.humor.examples import LiveExamples
+from motionlab.humor.quality import quality_row
+from motionlab.models import person_states
+from motionlab.motion import Motion
+from motionlab.train_more import learnt_from
+from motionlab.training_loop import fast_halves
+
+_EACH = 12  # windows of each person who chooses
+LEGS_AND_GAPS = "legs and gaps, cm"  # the mean of the first three cases: error, or energy score of draws
+_CHOOSING = ("legs hidden", "gap of 30 frames", "gap of 45 frames")
+_DRAWS = 3
+_NOISES = ((1.0, 0.5), (2.0, 1.0), (5.0, 2.0))  # degrees of joints, centimetres of the root
+MEAN_ERROR = "x0 error, mean over steps"
+OVER_ASKED = "over what was asked"
+#: What was asked of the prior, on either body: shares of what constant velocity leaves, and centimetres.
+ASKED = {
+    "one step, prior mean": 0.75, "one step, posterior": 0.25, "2 s, posterior z, cm": 5.0, "2 s, closed loop, cm": 2.0,
+}  # fmt: skip
+_BODIES = "own bones", "standard body"
+_MOST = 8  # windows of two seconds of each person who chooses
+
+
+class CompleterCourse(train_more.Course):
+    """A completer, judged on windows of the people who choose. Draws begin with new weights: those of one answer are
+    never left behind (docs/experiments.md)."""
+
+    trainer, built = CompleterTraining, ("frames", "size", "layers", "patch")
+
+    def _data(self, folder: Path | str | None) -> tuple[Windows, PersonWindows]:
+        windows, takes = learnt_from(folder, FRAMES)
+        return windows, person_windows(takes, FRAMES, _EACH)
+
+    def load(self, path: Path) -> Completer:
+        """Reads one that draws, or not, as the recipe says."""
+        found = completer.load(path)
+        if (found.recipe.noised, found.recipe.rough) != (self.recipe.noised, self.recipe.rough):
+            raise DataError(f"not a {self.name}", path=path, remedy="name another --out, or train its kind")
+        return found
+
+    save = staticmethod(completer.save)
+
+    def measured(self, model: Completer) -> dict[str, float]:
+        """By person, errors on every case; of draws, on those that choose, energy scores and how far apart they are
+        over their error. And accelerations over the truth's."""
+        if model.recipe.rough:
+            return _of_noise(model, self.held)
+        row = {}
+        for name, case in CASES.items():
+            if not model.recipe.noised:
+                each = judged(model.complete, case, self.held)
+                row[f"{name}, cm"] = float(each["cm"].mean())
+            elif name in _CHOOSING:
+                each = _of_draws(model, case, self.held)
+                row[f"{name}, energy score, cm"] = float(each["score"].mean())
+                row[f"{name}, spread over error"] = float((each["spread"] / each["cm"]).mean())
+            else:
+                continue
+            row[f"{name}, acceleration over the truth's"] = float(each["acceleration"].mean())
+        choose = [x for name, x in row.items() if name.startswith(_CHOOSING) and name.endswith(", cm")]
+        return {LEGS_AND_GAPS: sum(choose) / len(choose)} | row
+
+
+def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:
+    """What is left of noise that is new in every frame, and what the smoother alone leaves; first the mean."""
+    motion, whose, _ = windows
+    nothing = torch.zeros(*motion.root.shape[:2], state.UNITS, dtype=torch.bool)
+    row, left = {}, []
+    for degrees, cm in _NOISES:
+        noise = Noise.of(degrees, cm)
+        rough = with_contacts(smoothed(noise.on(motion, torch.Generator().manual_seed(0)), noise))
+        made = model.complete(rough, nothing, tremble=noise.turn)
+        mine, alone = (float(by_person(cases.error_cm(m, motion, nothing), whose).mean()) for m in (made, rough))
+        title = f"noise of {degrees:g} degrees, {cm:g} cm"
+        row |= {f"{title}, cm": mine, f"{title}, smoother alone, cm": alone}
+        left.append(mine)
+    return {"noise, cm": sum(left) / len(left)} | row
+
+
+def _of_draws(model: Completer, case: Case, windows: PersonWindows) -> dict[str, Tensor]:
+    """What becomes of a case's windows in ``_DRAWS`` draws, by person (P,)."""
+    motion, whose, lacks = windows
+    known, generator = case.mask(len(motion.root)), torch.Generator().manual_seed(0)
+    made = [
+        cases.pasted(model.complete(motion, known & ~lacks, generator), motion, known | lacks) for _ in range(_DRAWS)
+    ]
+    error = torch.stack([cases.error_cm(m, motion, known, case.joints) for m in made]).mean(0)
+    score = energy_score(made, motion, known, case.joints)
+    found = {
+        "score": score, "cm": error, "spread": 2 * (error - score),
+        "acceleration": torch.stack([cases.acceleration_ratio(m, motion) for m in made]).mean(0),
+    }  # fmt: skip
+    return {name: by_person(x, whose) for name, x in found.items()}
+
+
+class DenoiserCourse(train_more.Course):
+    """A denoiser that is told nothing, of the kind of its first weights."""
+
+    trainer, built = DenoiserTraining, ("size", "patch", "frame", "noising")
+
+    def _data(self, folder: Path | str | None) -> tuple[Windows, Motion]:
+        windows, takes = learnt_from(folder, FRAMES)
+        return windows, person_windows(takes, FRAMES, _EACH).motion
+
+    load = staticmethod(load_denoiser)
+
+    def begun(self, recipe: DenoiserRecipe, first: Trained | None) -> DenoiserTraining:
+        """In halves where these are faster."""
+        return super().begun(replace(recipe, bf16=fast_halves(torch.device("cpu"))), first)
+
+    def save(self, out: Path, model: Trained, about: dict) -> None:
+        """As ``save_denoiser``, weights as float16."""
+        save_denoiser(out, model, about, half=True)
+
+    def measured(self, model: Trained) -> dict[str, float]:
+        """Errors of x_0 at five steps, and first their mean."""
+        errors = model.errors(self.held, torch.Generator().manual_seed(0))
+        return {MEAN_ERROR: sum(errors.values()) / len(errors)} | errors
+
+
+class PriorCourse(train_more.Course):
+    """A transition prior: half of its windows are of people's own bones, half of the standard body, which fits use;
+    two in three of either on other betas. Held: by body and person, states and contacts (W, 61, ...)."""
+
+    bodies, trainer = len(_BODIES), ChainTraining
+
+    def _data(self, folder: Path | str | None) -> tuple[Windows, dict[str, dict[str, tuple[Tensor, Tensor]]]]:
+        windows, takes = learnt_from(folder, self.recipe.length + 2, own=True)
+        bodies = takes, [replace(t, motion=on_standard(t.motion)) for t in takes]
+        held = {body: person_states(some, most=_MOST) for body, some in zip(_BODIES, bodies, strict=True)}
+        if not held[_BODIES[0]]:
+            raise DataError("nobody who chooses is there", path=folder, remedy="unpack cmu_library into it")
+        return windows, held
+
+    @property
+    def examples(self) -> LiveExamples:
+        """On other bodies, as states."""
+        return LiveExamples(self.windows, self.recipe.length + 1)
+
+    def load(self, path: Path) -> Cvae:
+        """Reads one of this kind."""
+        found = from_weights(checkpoint.load(path)[0], path, checkpoint.REMEDY)
+        if found.direct is None or found.skip is None:
+            raise DataError(f"not a {self.name}", path=path, remedy="name another --out")
+        return found
+
+    def begun(self, recipe: ChainRecipe, first: Cvae | None) -> ChainTraining:
+        """What goes on from weights is never shown the truth between, and has the whole KL divergence at once."""
+        if first is not None:
+            recipe = replace(recipe, width=first.width, supervised=-1.0, sampled=0.0, annealed=1e-6)
+        return super().begun(recipe, first)
+
+    def save(self, out: Path, model: Cvae, about: dict) -> None:
+        """Weights as float16, but those of linear layers that begin as something exact."""
+        tensors = official_weights(model).items()
+        exact = ("skip", "direct")
+        checkpoint.save(out, {n: x if n.startswith(exact) else x.half() for n, x in tensors}, about)
+
+    def measured(self, model: Cvae) -> dict[str, float]:
+        """``quality_row`` on either body, a mean over people, and first the mean of what was asked over ``ASKED``."""
+        row, shares = {}, []
+        for body, people in self.held.items():
+            each = [quality_row(model, *windows) for windows in people.values()]
+            found = {name: float(torch.tensor([float(r[name]) for r in each]).nanmean()) for name in each[0]}
+            for name, asked in ASKED.items():
+                unit = 1.0 if name.endswith(", cm") else found["one step, constant velocity, cm"]
+                shares.append(found[name.removesuffix(", cm") + ", cm"] / unit / asked)
+            row |= {f"{body}: {name}": value for name, value in found.items()}
+        return {OVER_ASKED: sum(shares) / len(shares)} | row
+
+
+#: By name of what ships: a completer of one answer, one that corrects what was smoothed, one that draws, which may also
+#: be of nothing known; the denoiser; and the prior.
+COURSES = {
+    "completer": (CompleterCourse, CompleterRecipe()),
+    "completer_rough": (CompleterCourse, CompleterRecipe(rough=True, steps=2500)),
+    "completer_draws": (
+        CompleterCourse, CompleterRecipe(noised=True, kinds=(*KINDS, ("nothing", 0.1), ("onward", 0.2)))
+    ),
+    "diffusion_plain": (DenoiserCourse, DenoiserRecipe()),
+    "transition": (PriorCourse, ChainRecipe()),
+}  # fmt: skip
