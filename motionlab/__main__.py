@@ -68,10 +68,8 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("folder", nargs="?", help="default: $MOTIONLAB_DATA")
     command.add_argument("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
     add_reading(command, rate=("--fps-in",))
-
-    command.add_argument(
-        "--certify", action="store_true", help="say what the 22 standard joints lose of each rig in it"
-    )
+    text = "say what the 22 standard joints lose of each rig in it"
+    command.add_argument("--certify", action="store_true", help=text)
 
     text = "make training motion of recordings; say what is cut out and why"
     command = add_command(commands, "prepare", text, "prepare recordings/ --out prepared/", _prepare)
@@ -86,14 +84,12 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("--data", help="recordings: measure the transition priors on people nobody trained on, first")
 
     text = "write the completer as an ONNX file that fills gaps, for editors without Python"
-    command = add_command(commands, "onnx", text, "onnx --out inbetween.onnx")
+    command = add_command(commands, "onnx", text, "onnx --out inbetween.onnx", _onnx)
     command.add_argument("--model", default="completer", help="a completer that ships, or a path (default: completer)")
     command.add_argument("--out", type=Path, default=Path("inbetween.onnx"), help="default: inbetween.onnx")
-    command.set_defaults(run=_onnx)
 
-    command = add_command(
-        commands, "train", "train a model, and keep its recipe with it", "train transition --out prior"
-    )
+    text = "train a model, and keep its recipe with it"
+    command = add_command(commands, "train", text, "train transition --out prior")
     if "train" in arguments[:1]:  # its recipes come with torch
         from motionlab import train
 
@@ -151,23 +147,14 @@ def _data(options: argparse.Namespace) -> int:
     for row in rows:
         for guess in row.guessed:
             say_note(f"{row.source}, {row.kind}: {guess}")
-    print(
-        text_table(
-            [
-                {
-                    "source": row.source,
-                    "kind": row.kind,
-                    "clips": row.clips,
-                    "minutes": row.minutes,
-                    "fps": _span(row.fps),
-                    "joints": _span(row.points),
-                    "seen %": 100 * row.seen,
-                    "licence": row.licence,
-                }
-                for row in rows
-            ]
-        )
-    )
+    shown = [
+        {
+            "source": row.source, "kind": row.kind, "clips": row.clips, "minutes": row.minutes, "fps": _span(row.fps),
+            "joints": _span(row.points), "seen %": 100 * row.seen, "licence": row.licence,
+        }
+        for row in rows
+    ]  # fmt: skip
+    print(text_table(shown))
     print(f"{sum(row.clips for row in rows)} clips, {sum(row.minutes for row in rows):.1f} minutes")
     for line in recordings.passed_over(folder):
         print(f"passed over: {line}")
@@ -183,36 +170,29 @@ def _certify(place: Path, options: argparse.Namespace) -> int:
     from motionlab.io.recordings import guesses
 
     failed: list[DataError] = []
-    noted: list[tuple[Path, list[str]]] = []
+    noted: dict[Path, list[str]] = {}
+    every = sorted(p for p in place.rglob("*") if p.suffix.lower() in io.LOADERS) if place.is_dir() else [place]
 
     def certified() -> Iterator[certificate.Certificate]:
-        for path in (
-            sorted(p for p in place.rglob("*") if p.suffix.lower() in io.LOADERS) if place.is_dir() else [place]
-        ):
-            noted.append((path, []))
+        for path in every:
             try:
-                yield certificate.certify(read_motion(path, options, noted[-1][1].append))
+                yield certificate.certify(read_motion(path, options, noted.setdefault(path, []).append))
             except DataError as error:
                 failed.append(error)
 
     rows = certificate.by_rig(certified())
-    for guess in guesses(noted):
+    for guess in guesses(noted.items()):
         say_note(guess)
-    print(
-        text_table(
-            [
-                {
-                    "first": row.file, "files": row.files, "joints": f"{row.joints} of 22", "rest pose": row.source,
-                    "cm": 100 * row.place, "degrees": row.angle, "lost": ", ".join(row.lost) or "-",
-                    "holds": "yes" if row.holds else "NO",
-                }
-                for row in rows
-            ]
-        )
-    )  # fmt: skip
-    print(
-        f"there and back, at the 95th percentile: at most {100 * certificate.PLACE:g} cm, {certificate.ANGLE:g} degrees"
-    )
+    shown = [
+        {
+            "first": row.file, "files": row.files, "joints": f"{row.joints} of 22", "rest pose": row.source,
+            "cm": 100 * row.place, "degrees": row.angle, "lost": ", ".join(row.lost) or "-",
+            "holds": "yes" if row.holds else "NO",
+        }
+        for row in rows
+    ]  # fmt: skip
+    most = f"at most {100 * certificate.PLACE:g} cm, {certificate.ANGLE:g} degrees"
+    print(f"{text_table(shown)}\nthere and back, at the 95th percentile: {most}")
     for error in failed:
         print(f"not certified: {error}", file=sys.stderr)
     return 1 if failed or not all(row.holds for row in rows) else 0

@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import torch
@@ -22,7 +23,8 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.body import BodyModel
-from motionlab.corrections import Fill, Keep, Standard, by_windows, pasted, runs
+from motionlab.cleaning import runs
+from motionlab.corrections import Fill, Keep, Standard, by_windows, pasted
 from motionlab.diffusion import completer
 from motionlab.errors import DataError
 from motionlab.motion import FPS, Motion
@@ -61,7 +63,7 @@ def kept(motion: Motion, frames: Collection[int] | None = None, joints: Sequence
     if wrong:
         remedy = f"give numbers from 0 to {motion.frames - 1}"
         raise DataError(f"no frame {wrong[0]}", path=motion.name, place="keys", remedy=remedy)
-    keep = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.zeros(len(motion.skeleton), dtype=torch.bool))
+    keep = Keep.of(motion)
     keep.frames[sorted(frames or ())] = True
     keep.joints[sorted(found_joints(motion, joints))] = True
     return keep
@@ -139,13 +141,16 @@ def inbetween(
     """
     if not keep.frames.any():
         raise DataError("no frame is kept", path=motion.name, place="keys", remedy="keep one frame at least")
-    gap = _longest_gap(keep.frames) / motion.fps  # seconds
-    usual, why = _usual_method(gap, _beyond(keep.frames) / motion.fps)
-    chosen = _checked(method or (usual if seed is None else "network"))
+    if method not in (None, *METHODS):
+        raise DataError(f"no method {method!r}", place="--method", remedy=f"use {', '.join(METHODS)}")
+    gap, beyond = (frames / motion.fps for frames in _unkept(keep.frames))  # seconds
+    usual, why = _usual_method(gap, beyond)
+    chosen = method or (usual if seed is None else "network")
     if keep.frames.all():
         return Animated(motion, ("every frame is kept: nothing is made",))
     asked = "" if chosen == usual else f", as asked; the default here is {usual}"
-    notes = [f"method: {chosen}{asked}{why and f', because {why}'}", *_of_draw(seed if chosen == "network" else None)]
+    seed = seed if chosen == "network" else None
+    notes = [f"method: {chosen}{asked}{why and f', because {why}'}", *_of_draw(seed)]
     drawn = curves(motion, keep)
     try:
         body = Standard.of(motion, drawn, keep)
@@ -155,9 +160,8 @@ def inbetween(
         return Animated(drawn, ("method: curves, without planted feet, as its joints are not known", str(error)))
     made = body.joints
     if chosen != "curves":
-        fill = network(_drawn_from(seed), body.lacking, progress)
         rate = min(FPS, _MOST / gap) if gap else FPS
-        made = body.corrected(fill, rate=rate)
+        made = body.corrected(network(seed, body.lacking, progress), rate=rate)
     return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
 
 
@@ -180,34 +184,29 @@ def completed(
     if not hide or 0 in hide:
         remedy = f"name some below the root, such as {', '.join(GROUPS)}"
         raise DataError("no joints to complete", path=motion.name, place="hidden joints", remedy=remedy)
-    keep = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.ones(len(motion.skeleton), dtype=torch.bool))
-    keep.joints[sorted(hide)] = False
+    keep = Keep.of(motion, hidden=hide)
     body = Standard.of(motion, curves(motion, keep), keep)
     why = "how close these joints come to the true ones was not measured"
     if hide >= {own for j, own in body.mapped.items() if STANDARD.names[j] in _LEGS}:
         why = "hidden legs came out 13 cm off on 15 people whom it had never seen"
-    made = body.corrected(network(_drawn_from(seed), body.lacking, progress))
-    note = f"method: network; {why}"
-    floor = "the floor is taken to be at height 0"
-    return Animated(body.back(made, plant=plant), (note, *_of_draw(seed), floor, *body.notes(plant)))
+    made = body.corrected(network(seed, body.lacking, progress))
+    notes = (f"method: network; {why}", *_of_draw(seed), "the floor is taken to be at height 0", *body.notes(plant))
+    return Animated(body.back(made, plant=plant), notes)
 
 
 def _of_draw(seed: int | None) -> tuple[str, ...]:
     return () if seed is None else (f"drawn with seed {seed}: livelier than people are, most so in long gaps",)
 
 
-def _drawn_from(seed: int | None) -> torch.Generator | None:
-    return None if seed is None else torch.Generator().manual_seed(seed)
-
-
-def network(draws: torch.Generator | None, lacking: Tensor, progress: bool) -> Fill:
-    """Returns what fills a motion (T) on the models' body by one answer (draws None), or by a draw.
+def network(seed: int | torch.Generator | None, lacking: Tensor, progress: bool) -> Fill:
+    """Returns what fills a motion (T) on the models' body by one answer (seed None), or by a draw.
 
     lacking (22,): joints that the figure does not have.
     """
-    if draws is None:
+    if seed is None:
         return by_windows(completer.load(NETWORK).complete, lacking, progress)
     model = completer.load(DRAWS)
+    draws = torch.Generator().manual_seed(seed) if isinstance(seed, int) else seed
     return by_windows(lambda motion, known: model.complete(motion, known, draws), lacking, progress, onward=True)
 
 
@@ -224,23 +223,12 @@ def _usual_method(gap: float, beyond: float) -> tuple[str, str]:
     return "network", f"{why} 20 cm off, not 9.9 and 21 (straight from key to key: 15 and 27)"
 
 
-def _checked(method: str) -> str:
-    if method not in METHODS:
-        raise DataError(f"no method {method!r}", place="--method", remedy=f"use {', '.join(METHODS)}")
-    return method
-
-
-def _longest_gap(frames: Tensor) -> int:
-    """Returns the most frames in a row that are not kept, between two that are."""
-    at = frames.nonzero()[:, 0]
-    return int(at.diff().max()) - 1 if len(at) > 1 else 0
-
-
-def _beyond(frames: Tensor) -> int:
-    """Returns the most frames that are not kept at either end, beside two or more that are."""
-    first, last = (runs(frames)[k] for k in (0, -1))
-    sides = ((first, first[0]), (last, len(frames) - last[1]))
-    return max((far for (begin, end), far in sides if end - begin > 1), default=0)
+def _unkept(frames: Tensor) -> tuple[int, int]:
+    """The most frames in a row that are not kept between two that are, and at either end, beside two or more."""
+    kept_runs = runs(frames)
+    gap = max((after - end for (_, end), (after, _) in pairwise(kept_runs)), default=0)
+    (begin, end), (start, stop) = kept_runs[0], kept_runs[-1]
+    return gap, max(begin * (end - begin > 1), (len(frames) - stop) * (stop - start > 1))
 
 
 # ------------------------------------------------------------------------------------------------------ curves

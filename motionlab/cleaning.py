@@ -55,7 +55,7 @@ def faults(motion: Motion) -> dict[str, Tensor]:
         "t-pose": _calibration(motion, places),
         "afloat": _afloat(motion, places),
         "sunk": _wide(places[..., 2].amin(-1) < -_SUNK, fps, 0.1),
-        "frozen": _runs(velocity(places, fps, dim=0).norm(dim=-1).amax(-1) < _STILL, _STILL_FOR * fps),
+        "frozen": _lasting(velocity(places, fps, dim=0).norm(dim=-1).amax(-1) < _STILL, _STILL_FOR * fps),
         "flipped": _wide(_backwards(motion) > _BACKWARDS, fps, 0.1),
     }
 
@@ -68,7 +68,7 @@ def clean(motion: Motion, shortest: float = SHORTEST) -> Cleaned:
         seconds[name] = float((found & ~bad).sum()) / motion.fps
         bad = bad | found
     stretches, left = [], 0
-    for start, stop in _stretches(~bad):
+    for start, stop in runs(~bad):
         if stop - start >= shortest * motion.fps:
             name = f"{motion.name} from {start / motion.fps:.1f} s"
             stretches.append(replace(motion.cut(start, stop), name=name))
@@ -77,16 +77,16 @@ def clean(motion: Motion, shortest: float = SHORTEST) -> Cleaned:
     return Cleaned(tuple(stretches), {n: s for n, s in (seconds | {"short": left / motion.fps}).items() if s})
 
 
-def _stretches(good: Tensor) -> list[tuple[int, int]]:
-    """Starts and stops of the runs of True in (T,)."""
-    edges = F.pad(good.int(), (1, 1)).diff()
+def runs(on: Tensor) -> list[tuple[int, int]]:
+    """Returns begin and end of every run of True (T,)."""
+    edges = F.pad(on.int(), (1, 1)).diff()
     return list(zip((edges == 1).nonzero()[:, 0].tolist(), (edges == -1).nonzero()[:, 0].tolist(), strict=True))
 
 
-def _runs(on: Tensor, least: float) -> Tensor:
+def _lasting(on: Tensor, least: float) -> Tensor:
     """(T,): on, where it stays on for ``least`` frames or more."""
     out = torch.zeros_like(on)
-    for start, stop in _stretches(on):
+    for start, stop in runs(on):
         if stop - start >= least:
             out[start:stop] = True
     return out
@@ -122,9 +122,8 @@ def _calibration(motion: Motion, places: Tensor) -> Tensor:
         leg = places[:, at(f"{side}_ankle")] - places[:, at(f"{side}_hip")]
         found &= (along > 0.94) & (-leg[:, 2] > 0.97 * leg.norm(dim=-1))
     edge = min(motion.frames, round(3 * motion.fps))
-    near = torch.zeros_like(found)
-    near[:edge] = near[motion.frames - edge :] = True
-    return _wide(found & near, motion.fps, 0.3) if (found & near).any() else found & near
+    found[edge : motion.frames - edge] = False
+    return _wide(found, motion.fps, 0.3)
 
 
 def _afloat(motion: Motion, places: Tensor) -> Tensor:
@@ -135,10 +134,10 @@ def _afloat(motion: Motion, places: Tensor) -> Tensor:
     feet = places[:, motion.skeleton.indices(FEET)]
     above = feet[..., 2] - resting
     lowest = torch.minimum(above.amin(-1), places[..., 2].amin(-1) - 0.05)
-    hanging = _runs(lowest > _AIR, _LEAP * fps)
+    hanging = _lasting(lowest > _AIR, _LEAP * fps)
     speed = velocity(feet, fps, dim=0).norm(dim=-1)
     held = ((above > _STEP) & (speed < 0.15)).any(-1) & (lowest > _STEP)
-    return hanging | _wide(_runs(held, 0.2 * fps), fps, 0.3)
+    return hanging | _wide(_lasting(held, 0.2 * fps), fps, 0.3)
 
 
 def _backwards(motion: Motion) -> Tensor:

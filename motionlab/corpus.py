@@ -174,31 +174,30 @@ def assemble(
         refused = [f"{file}: {why}" for row in rows for file, why in row.refused.items()]
         said = f"{len(refused)} recordings are refused, such as {refused[0]}." if refused else "Give longer recordings."
         raise MissingData(f"any usable motion in {folder}", said)
-    once, again = _once(found)
-    rows = [_counted(row, [t for t in again if t.source == row.source]) for row in rows]
+    once, lost = _once(found)
+    rows = [
+        replace(row, kept=row.kept - lost[row.source], cut={**row.cut, "repeated": lost[row.source]})
+        if row.source in lost else row
+        for row in rows
+    ]  # fmt: skip
     return Corpus(tuple(once), tuple(rows), hashlib.sha256(" ".join(digests).encode()).hexdigest()[:16])
 
 
-def _once(takes: Sequence[Take]) -> tuple[list[Take], list[Take]]:
-    """The takes, and those that repeat an earlier one: as long, and the same pose within a hundredth at nine frames.
+def _once(takes: Sequence[Take]) -> tuple[list[Take], dict[str, float]]:
+    """The takes without those that repeat an earlier one: as long, and the same pose within a hundredth at nine frames;
+    and by source how many seconds these last.
 
     Of the CMU library eight subjects are copies of others (83 and 122, 91 and 105, ...).
     """
-    once, again, seen = [], [], defaultdict(list)
+    once, lost, seen = [], defaultdict(float), defaultdict(list)
     for take in takes:
         some = take.motion.rot[torch.linspace(0, take.motion.frames - 1, 9).long()]
         if any((some - other).abs().mean() < 0.01 for other in seen[take.motion.frames]):
-            again.append(take)
+            lost[take.source] += take.motion.seconds
         else:
             once.append(take)
             seen[take.motion.frames].append(some)
-    return once, again
-
-
-def _counted(row: SourceRow, again: Sequence[Take]) -> SourceRow:
-    """A row in which repeated takes are cut."""
-    lost = sum(t.motion.seconds for t in again)
-    return replace(row, kept=row.kept - lost, cut={**row.cut, "repeated": lost}) if lost else row
+    return once, lost
 
 
 def _key(folder: Path, files: Sequence[Path], fps: object) -> str:
@@ -230,16 +229,14 @@ def _prepared(
         found = run_jobs(jobs, min(workers, len(jobs)) or 1, lambda k, _: shown.update(len(lots[k])))
     every = [each for lot in found for each in lot]
     tensors = {name: torch.cat([t for each in every for t in each[name]]) for name in _EMPTY}
-    about = {
-        "takes": [take for each in every for take in each["takes"]],
-        "recordings": len(files), "seconds": sum(each["seconds"] for each in every), "source": source, "fps": fps,
+    cut: Counter[str] = Counter()
+    for each in every:
+        cut.update(each["cut"])
+    row = {
+        "source": source, "recordings": len(files), "seconds": sum(each["seconds"] for each in every), "cut": cut,
         "refused": {each["file"]: each["refused"] for each in every if each["refused"]},
     }  # fmt: skip
-    cut: dict[str, float] = defaultdict(float)
-    for each in every:
-        for name, seconds in each["cut"].items():
-            cut[name] += seconds
-    text = json.dumps(about | {"cut": dict(cut)})
+    text = json.dumps({"takes": [take for each in every for take in each["takes"]], "row": row, "fps": fps})
     return serialised(tensors, {"about": text, "sum": _sum(text, tensors)})
 
 
@@ -276,12 +273,11 @@ def _one(place: Path, path: Path, load: Callable, fps: float, said: str, strict:
         whole = resample(replace(moved.motion, name=file.with_suffix("").as_posix()), fps, "spline")
         cleaned = cleaning.clean(whole)
     except (DataError, MissingData, ValueError) as error:
-        found["refused"] = _reason(error)
         if strict and str(path) in str(error):
             raise
         if strict:
-            raise DataError(found["refused"], path=path, remedy=_WITHOUT) from error
-        return found
+            raise DataError(_reason(error), path=path, remedy=_WITHOUT) from error
+        return found | {"refused": _reason(error)}
     found["seconds"] = whole.seconds
     found["cut"] = dict(cleaned.seconds)
     for stretch in cleaned.stretches:
@@ -328,7 +324,7 @@ def _read(path: Path) -> tuple[list[Take], SourceRow] | None:
     except (OSError, SafetensorError, KeyError, ValueError):
         return None
     root, rot, contacts, offsets = tensors.values()
-    source, takes, at = about["source"], [], 0
+    source, takes, at = about["row"]["source"], [], 0
     matrices = rotation.quaternion_to_matrix(rot)
     for i, each in enumerate(about["takes"]):
         stop = at + each["frames"]
@@ -338,8 +334,4 @@ def _read(path: Path) -> tuple[list[Take], SourceRow] | None:
         person = people.person_of(source, each["file"])
         takes.append(Take(motion, each["name"], source, person, each["said"], each["fps"], tuple(each["missing"])))
         at = stop
-    row = SourceRow(
-        about["source"], about["recordings"], about["seconds"], sum(t.motion.seconds for t in takes), about["cut"],
-        about["refused"],
-    )  # fmt: skip
-    return takes, row
+    return takes, SourceRow(**about["row"], kept=sum(t.motion.seconds for t in takes))

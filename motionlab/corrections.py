@@ -8,7 +8,7 @@ What is kept stays bit for bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -16,6 +16,7 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from motionlab import rotation
+from motionlab.cleaning import runs
 from motionlab.contact import with_contacts
 from motionlab.diffusion.planting import planted
 from motionlab.motion import FPS, Motion, resample
@@ -40,6 +41,13 @@ class Keep:
 
     frames: Tensor
     joints: Tensor
+
+    @classmethod
+    def of(cls, motion: Motion, frames: Tensor | None = None, hidden: Collection[int] | None = None) -> Keep:
+        """Returns what is kept of a motion: these frames; and, where some joints are hidden, all others."""
+        joints = torch.full((len(motion.skeleton),), hidden is not None)
+        joints[sorted(hidden or ())] = False
+        return cls(torch.zeros(motion.frames, dtype=torch.bool) if frames is None else frames, joints)
 
     @property
     def rot(self) -> Tensor:
@@ -79,9 +87,7 @@ class Standard:
         """
         body = match_joints(motion)
         if keep.frames.any():
-            index = keep.frames.nonzero()[:, 0]
-            kept = replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=None)
-            lift = retarget(kept, body=body).floor
+            lift = retarget(replace(motion.clip(keep.frames), contacts=None), body=body).floor
         found = retarget(drawn, floor=False, body=body)
         up = torch.tensor([0.0, 0.0, lift])
         joints = replace(found.motion, root=found.motion.root + up, contacts=None, notes=())
@@ -105,21 +111,17 @@ class Standard:
         rate: frames per second that ``fill`` is shown as its own; less: more seconds in a window.
         """
         slow, known = self.at_model_rate(rate)
-        body, scale = _on_body(slow)
+        body, scale = on_model_body(slow)
         made = fill(body, known)
-        hips = _hips(made, 1.0) / scale
+        hips = _hips(made) / scale
         rot = torch.where(known[:, :22, None, None] | self.lacking[:, None, None], slow.rot, made.rot)
-        root = hips - _hips(replace(slow, rot=rot, root=torch.zeros_like(slow.root)), 1.0)
+        root = hips - _hips(replace(slow, rot=rot, root=torch.zeros_like(slow.root)))
         root = torch.where(known[:, -2:-1], slow.root, root)
         # smooth: this, not poses, goes to the other rate
         change = replace(slow, root=root - slow.root, rot=slow.rot.mT @ rot, contacts=made.contacts)
         change = resample(change, self.motion.fps, "spline").cut(0, self.motion.frames)
         own = self.joints
         return replace(own, root=own.root + change.root, rot=own.rot @ change.rot, contacts=change.contacts)
-
-    def on_model_body(self) -> tuple[Motion, float]:
-        """Returns the motion at the models' rate on the body that they know, and by how much it is larger there."""
-        return _on_body(self.at_model_rate()[0])
 
     @property
     def lacking(self) -> Tensor:
@@ -135,7 +137,7 @@ class Standard:
         ratio = own.fps / rate
         count = math.ceil((frames - 1) / ratio - 1e-6) + 1
         index = torch.arange(math.ceil((count - 1) * ratio) + 2).clamp(max=frames - 1)
-        slow = resample(replace(own, root=own.root[index], rot=own.rot[index]), rate).cut(0, count)
+        slow = resample(own.clip(index), rate).cut(0, count)
         at = torch.arange(count) * ratio
         low = (at + 1e-4).floor().long().clamp(max=frames - 1)
         high = (at - 1e-4).ceil().long().clamp(max=frames - 1)
@@ -144,10 +146,7 @@ class Standard:
         times = torch.arange(frames) / ratio
         for side in ((times + 1e-4).floor(), (times - 1e-4).ceil()):
             column = side.long().clamp(max=count - 1)[:, None].expand(self.known.shape)
-            known = (
-                known
-                | torch.zeros_like(known, dtype=torch.long).scatter_reduce(0, column, self.known.long(), "amax").bool()
-            )
+            known = known.long().scatter_reduce(0, column, self.known.long(), "amax").bool()
         return with_contacts(slow), known
 
     # ------------------------------------------------------------------------------------------------ and back
@@ -157,8 +156,7 @@ class Standard:
         if plant and made.frames > 1:
             made = self._planted(made)
         skeleton, own = self.motion.skeleton, self.drawn.to(torch.float64)
-        before, after = self.joints.to(torch.float64).world[1], made.to(torch.float64).world[1]
-        turn = after @ before.mT
+        turn = made.to(torch.float64).world[1] @ self.joints.to(torch.float64).world[1].mT
         standing = {own_: j for j, own_ in self.mapped.items()}
         world, local = own.world[1], own.rot.clone()
         fresh: list[Tensor] = []
@@ -168,7 +166,7 @@ class Standard:
             local[:, j] = above.mT @ fresh[j]
         hips = [self.mapped[STANDARD.index(f"{side}_hip")] for side in ("left", "right")]
         here = fk(own.skeleton, torch.zeros_like(own.root), local)[0][:, hips].mean(1)
-        root = _hips(made.to(torch.float64), 1.0) - torch.tensor([0.0, 0.0, self.lift]).double() - here
+        root = _hips(made.to(torch.float64)) - torch.tensor([0.0, 0.0, self.lift]).double() - here
         made = replace(self.motion, root=root.to(self.motion.root), rot=local.to(self.motion.rot), contacts=None)
         return pasted(made, self.motion, self.keep)
 
@@ -177,8 +175,7 @@ class Standard:
         labelled = made if made.contacts is not None else with_contacts(made)
         known = self.known[:, _LEGS].all(-1)
         contacts = torch.where(known[:, None], with_contacts(made).contacts, labelled.contacts)
-        some = replace(made, root=made.root[None], rot=made.rot[None], contacts=contacts[None])
-        step = bool(self.keep.frames.any())
+        some, step = replace(made, contacts=contacts).clip(None), bool(self.keep.frames.any())
         return replace(made, rot=planted(some, known=known[None], ease=_EASE * made.fps, step=step).rot[0])
 
 
@@ -188,13 +185,14 @@ _LEGS = [
 ]  # fmt: skip
 
 
-def _hips(motion: Motion, scale: float) -> Tensor:
+def _hips(motion: Motion) -> Tensor:
     """The middle between the hips (T, 3)."""
-    return scale * motion.positions[:, motion.skeleton.indices(["left_hip", "right_hip"])].mean(1)
+    return motion.positions[:, motion.skeleton.indices(["left_hip", "right_hip"])].mean(1)
 
 
-def _on_body(joints: Motion) -> tuple[Motion, float]:
-    """The motion on the body that models know, its path scaled with it, legs as they are turned; and the scale."""
+def on_model_body(joints: Motion) -> tuple[Motion, float]:
+    """Returns the 22 joints on the body that models know, the path scaled with it, legs as they are turned; and by how
+    much it is larger there."""
     knee = STANDARD.index("left_knee")
     moved = retarget(joints, proportions="standard", plant=False, floor=False).motion
     scale = float(STANDARD.offsets[knee].norm() / moved.skeleton.offsets[knee].norm())
@@ -245,7 +243,7 @@ def padded(motion: Motion, known: Tensor) -> tuple[Motion, Tensor]:
     """Returns a motion (T) of a window or more and what is known of it (T, U): its last frame again, unknown."""
     index = torch.arange(max(motion.frames, WINDOW)).clamp(max=motion.frames - 1)
     known = known[index] & (torch.arange(len(index)) < motion.frames)[:, None]
-    return replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=motion.contacts[index]), known
+    return motion.clip(index), known
 
 
 def overlapping(begin: int, end: int, frames: int) -> list[int]:
@@ -255,17 +253,10 @@ def overlapping(begin: int, end: int, frames: int) -> list[int]:
     return torch.linspace(begin, last, math.ceil((last - begin) / _STRIDE) + 1).round().long().tolist()
 
 
-def runs(on: Tensor) -> list[tuple[int, int]]:
-    """Returns begin and end of every run of True (T,)."""
-    edges = torch.cat((on.new_zeros(1), on, on.new_zeros(1))).long().diff()
-    return list(zip((edges == 1).nonzero()[:, 0].tolist(), (edges == -1).nonzero()[:, 0].tolist(), strict=True))
-
-
 def filled_in(motion: Motion, known: Tensor, fill: Fill, starts: Sequence[int], run: tuple[int, int]) -> Motion:
     """Computes the motion (T) with the frames of a run filled in by windows, weighted where they overlap."""
     at = torch.tensor(starts)[:, None] + torch.arange(WINDOW)
-    cut = replace(motion, root=motion.root[at], rot=motion.rot[at], contacts=motion.contacts[at])
-    whole = merged(fill(cut, known[at]), at, motion.frames)
+    whole = merged(fill(motion.clip(at), known[at]), at, motion.frames)
     mine = torch.zeros(motion.frames, dtype=torch.bool)
     mine[run[0] : run[1]] = True
     open_ = mine[:, None] & ~known

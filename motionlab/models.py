@@ -123,17 +123,14 @@ def _models_table() -> str:
     for path in sorted(checkpoint.SHIPPED.glob("*.json")):
         recipe = checkpoint.read_recipe(path)
         minutes = recipe.get("minutes of motion, before mirroring", {})
-        rows.append(
-            {
-                "model": path.stem,
-                "MB": f"{path.with_suffix('.safetensors').stat().st_size / 1e6:.1f}",
-                "real, h": f"{minutes.get('recordings', 0) / 60:.1f}",
-                "synthetic, h": f"{minutes.get('synthetic', 0) / 60:.1f}",
-                "people": str(recipe.get("people", "")),
-                "steps": str(recipe.get("step", recipe.get("recipe", {}).get("steps", recipe.get("steps", "")))),
-                "made by": f"`{recipe.get('made by') or recipe.get('command', '')}`",
-            }
-        )
+        steps = recipe.get("step", recipe.get("recipe", {}).get("steps", recipe.get("steps", "")))
+        rows.append({
+            "model": path.stem, "MB": f"{path.with_suffix('.safetensors').stat().st_size / 1e6:.1f}",
+            "real, h": f"{minutes.get('recordings', 0) / 60:.1f}",
+            "synthetic, h": f"{minutes.get('synthetic', 0) / 60:.1f}",
+            "people": str(recipe.get("people", "")), "steps": str(steps),
+            "made by": f"`{recipe.get('made by') or recipe.get('command', '')}`",
+        })  # fmt: skip
     return _markdown(rows)
 
 

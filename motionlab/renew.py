@@ -20,7 +20,7 @@ from torch import Tensor
 from motionlab import baselines, cleaning, rotation
 from motionlab.animate import DRAWS, Animated, curves, found_joints, inbetween, network
 from motionlab.contact import resting_heights, with_contacts
-from motionlab.corrections import WINDOW, Keep, Standard, by_windows, runs
+from motionlab.corrections import WINDOW, Keep, Standard, by_windows, on_model_body
 from motionlab.diffusion import completer
 from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.model import motion_model
@@ -97,22 +97,20 @@ def repaired(
     if not noisy:
         notes.append("there is none to take away" if given else "that is no more than in clean recordings: it stays")
         notes += [_LASTS] * (not given)
-    jumps = _jumps(motion)
+    jumps, quiet = _jumps(motion), not (noisy or drift)
     if jumps.any():
-        spans = ", ".join(f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in runs(jumps))
+        spans = ", ".join(f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in cleaning.runs(jumps))
         notes.append(f"frames that jump: {spans}; they are made anew from those around")
-        keep = Keep(~jumps, torch.zeros(len(motion.skeleton), dtype=torch.bool))
-        found = inbetween(motion, keep, method=method, plant=plant and not (noisy or drift), progress=progress)
+        found = inbetween(motion, Keep.of(motion, ~jumps), method=method, plant=plant and quiet, progress=progress)
         motion = found.motion
-        if not (noisy or drift):
+        if quiet:
             return Animated(motion, (*notes, *found.notes))
         notes.append(found.notes[0])
-    if not (noisy or drift):
+    if quiet:
         return Animated(motion, (*notes, "no frame jumps: the motion stays as it is"))
     method = method or ("network" if noise.turn >= _WORTH else "curves")
     smooth = smoothed(motion, noise) if noisy else motion
-    nothing = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.zeros(len(motion.skeleton), dtype=torch.bool))
-    body = Standard.of(motion, smooth, nothing, lift=retarget(smooth).floor)
+    body = Standard.of(motion, smooth, Keep.of(motion), lift=retarget(smooth).floor)
     made = body.joints
     if noisy and method == "network":
         fill = partial(completer.load(ROUGH).complete, tremble=noise.turn)
@@ -128,9 +126,9 @@ def repaired(
 
 def _jumps(motion: Motion) -> Tensor:
     """(T,): frames that no body reaches from those before and behind."""
-    found = (
-        cleaning.faults(retarget(motion).motion)["teleport"] if motion.frames > 2 else torch.zeros(motion.frames) > 0
-    )
+    if motion.frames < 3:
+        return torch.zeros(motion.frames, dtype=torch.bool)
+    found = cleaning.faults(retarget(motion).motion)["teleport"]
     return found if 0 < found.float().mean() < _JUMPS else torch.zeros_like(found)
 
 
@@ -171,9 +169,9 @@ def posed(motion: Motion, known: Sequence[str], *, plant: bool = True) -> Animat
     if lost or not joints:
         remedy = f"use some of {', '.join(names)}"
         raise DataError(f"no standard joint stands for {', '.join(lost) or 'nothing'}", place="--known", remedy=remedy)
-    nothing = Keep(torch.zeros(motion.frames, dtype=torch.bool), torch.zeros(len(motion.skeleton), dtype=torch.bool))
-    rest = replace(motion, rot=torch.eye(3).to(motion.rot).expand_as(motion.rot), contacts=None)
-    body, (given, _) = Standard.of(motion, rest, nothing), Standard.of(motion, motion, nothing).on_model_body()
+    nothing = Keep.of(motion)
+    body = Standard.of(motion, curves(motion, nothing), nothing)
+    given, _ = on_model_body(Standard.of(motion, motion, nothing).at_model_rate()[0])
     which = torch.zeros(len(STANDARD), dtype=torch.bool)
     which[STANDARD.indices([owners[j] for j in joints])] = True
     made = body.corrected(lambda *_: _from_handles(given, which))
@@ -217,8 +215,8 @@ def generated(
         return _new(round(seconds * FPS), draws, plant, progress)
     more = max(round(seconds * start.fps), 1)
     index = torch.arange(start.frames + more).clamp(max=start.frames - 1)
-    longer = replace(start, root=start.root[index], rot=start.rot[index], contacts=None)
-    keep = Keep(torch.arange(len(index)) < start.frames, torch.zeros(len(start.skeleton), dtype=torch.bool))
+    longer = replace(start.clip(index), contacts=None)
+    keep = Keep.of(longer, torch.arange(len(index)) < start.frames)
     body = Standard.of(longer, curves(longer, keep), keep)
     motion = body.back(body.corrected(network(draws, body.lacking, progress)), plant=plant)
     return Animated(motion, (f"made by the model {DRAWS}, which goes on from the end", *body.notes(plant)))
@@ -227,15 +225,13 @@ def generated(
 def _new(frames: int, draws: torch.Generator, plant: bool, progress: bool) -> Animated:
     motion = _on_floor(motion_model(PLAIN).sample(1, draws, steps=_MANY).clip(0))
     if frames > WINDOW:
-        index = torch.arange(frames).clamp(max=WINDOW - 1)
-        motion = replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=motion.contacts[index])
+        motion = motion.clip(torch.arange(frames).clamp(max=WINDOW - 1))
         known = (torch.arange(frames) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
         lacking = torch.zeros(len(STANDARD), dtype=torch.bool)
         motion = network(draws, lacking, progress)(motion, known)
     motion = motion.cut(0, frames)
     if plant:
-        some = replace(motion, root=motion.root[None], rot=motion.rot[None], contacts=motion.contacts[None])
-        motion = planted(some, slow=False).clip(0)
+        motion = planted(motion.clip(None), slow=False).clip(0)
     who = f"{PLAIN}, and after two seconds by {DRAWS}" if frames > WINDOW else PLAIN
     return Animated(replace(motion, name="generated", notes=()), (f"made by the model {who}",))
 

@@ -87,17 +87,14 @@ def make_pose_prior(data: RealMotions, out: Path, *, seed: int = 0, steps: int =
         "what": "pose prior: variational autoencoder, 21 rotations to 32 latents",
         "command": f"{_COMMAND} --steps {steps} --seed {seed}",
         "data": {source: len(x) for source, x in found.items()},
-        "corpus": asdict(corpus.Recipe()),
-        "seed": seed,
-        "steps": steps,
+        "corpus": asdict(corpus.Recipe()), "seed": seed, "steps": steps,
         "deviation": {"radians": prior_training.POSE_TURN, "metres": prior_training.POSE_PLACE},
         "held out": {name: prior_training.reconstruction(model, _poses(some, 3)) for name, some in data.held.items()},
         "beyond anatomical limits, degrees": {
-            "samples": _beyond_limits(drawn),
-            "training poses": _beyond_limits(every[::50]),
+            "samples": _beyond_limits(drawn), "training poses": _beyond_limits(every[::50]),
         },
         "history": [[step, round(miss, 3), round(nats, 3)] for step, miss, nats in history],
-    }
+    }  # fmt: skip
     tensors = {n: x for n, x in model.state_dict().items() if not n.endswith("num_batches_tracked")}
     checkpoint.save(out / "pose_prior_real", tensors, recipe)
     return recipe
@@ -110,27 +107,19 @@ def make_init_gmm(data: RealMotions, out: Path, *, seed: int = 0) -> dict:
     gmm, history = prior_training.fit_mixture(samples, generator)
     gmm = InitGmm(*(x.float() for x in gmm.tensors().values()))
     single, _ = prior_training.fit_mixture(samples, generator, components=1)
-    tests = {source: _first_states(some, 3) for source, some in data.held.items()}
+    held = {}
+    for source, some in data.held.items():
+        x = _first_states(some, 3)
+        nats = (round(float(each.log_prob(x).mean()), 2) for each in (gmm, single))
+        held[source] = dict(zip(("mixture", "single Gaussian"), nats, strict=True)) | {"frames": len(x)}
     recipe = {
         "what": "mixture of Gaussians over joints and velocities of a single frame",
         "command": f"{_COMMAND} --seed {seed}",
         "data": {source: sum(m.frames for m in some) for source, some in data.train.items()},
-        "samples": len(samples),
-        "corpus": asdict(corpus.Recipe()),
-        "seed": seed,
-        "components": len(gmm.weights),
-        "ridge": prior_training.MIXTURE_RIDGE,
-        "weights": [round(w, 4) for w in gmm.weights.tolist()],
-        "held-out log-likelihood, nats per frame": {
-            name: {
-                "mixture": round(float(gmm.log_prob(x).mean()), 2),
-                "single Gaussian": round(float(single.log_prob(x).mean()), 2),
-                "frames": len(x),
-            }
-            for name, x in tests.items()
-        },
-        "history": [round(x, 3) for x in history],
-    }
+        "samples": len(samples), "corpus": asdict(corpus.Recipe()), "seed": seed, "components": len(gmm.weights),
+        "ridge": prior_training.MIXTURE_RIDGE, "weights": [round(w, 4) for w in gmm.weights.tolist()],
+        "held-out log-likelihood, nats per frame": held, "history": [round(x, 3) for x in history],
+    }  # fmt: skip
     checkpoint.save(out / "init_gmm_real", gmm.tensors(), recipe)
     return recipe
 
@@ -144,17 +133,16 @@ def make_features(folder: Path | str | None, out: Path, recipe: embedding.Featur
     windows, held = (
         gather([on_standard(m) for each in some.values() for m in each], recipe.frames) for some in (train, choose)
     )
-    features, curve = embedding.train_features(windows, recipe, held.evenly(256), progress=True)
+    held = held.evenly(256)
+    features, curve = embedding.train_features(windows, recipe, held, progress=True)
     about = {
         "what": "autoencoder over windows of 60 frames: the features that generated motion is judged in",
         "command": f"python -m motionlab train features --steps {recipe.steps} --seed {recipe.seed} --data FOLDER",
         "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in train.items()},
-        "corpus": asdict(corpus.Recipe()),
-        "windows": windows.digest,
-        "torch": torch.__version__,
-        "share of variance missed, held out": {k: round(v, 4) for k, v in features.missed(held.evenly(256)).items()},
+        "corpus": asdict(corpus.Recipe()), "windows": windows.digest, "torch": torch.__version__,
+        "share of variance missed, held out": {k: round(v, 4) for k, v in features.missed(held).items()},
         "curve": curve,
-    }
+    }  # fmt: skip
     embedding.save_features(out, features, about)
     return about
 
@@ -165,8 +153,6 @@ def _beyond_limits(rot: Tensor) -> dict[str, float]:
     and over all joints), and the share of poses in which no angle is more than 5 degrees beyond."""
     whole = torch.cat((torch.eye(3).to(rot).expand(len(rot), 1, 3, 3), rot), 1)
     beyond = torch.stack(list(anatomy.excess(STANDARD, whole).values()), -1)
-    return {
-        "worst": float(beyond.amax(-1).mean()),
-        "mean": float(beyond.mean()),
-        "within 5 degrees": float((beyond.amax(-1) <= 5).float().mean()),
-    }
+    worst = beyond.amax(-1)
+    found = {"worst": worst.mean(), "mean": beyond.mean(), "within 5 degrees": (worst <= 5).float().mean()}
+    return {name: float(value) for name, value in found.items()}

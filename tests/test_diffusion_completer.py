@@ -121,7 +121,7 @@ def test_open_places_are_those_that_an_unknown_part_moves(windows):
 def test_curves_are_smooth_curves_through_what_is_known(windows, known):
     mean, scale = torch.randn(2, state.MADE, generator=torch.Generator().manual_seed(1)).abs() + 0.5
     columns, numbers = known[..., state.owners()], (state.made(windows) - mean) / scale
-    plain = torch.where(columns, numbers, smooth_curves(numbers, columns)) * scale + mean
+    plain = torch.where(columns, numbers, smooth_curves(numbers, columns, torch.arange(state.MADE))) * scale + mean
     plain = state.made(state.motion_of(plain, windows))
     assert (completer.guess(windows, known, mean, scale) - plain).abs().max() < 1e-4
 

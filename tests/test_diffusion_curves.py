@@ -24,7 +24,7 @@ def test_it_is_the_process_s_conditional_mean_column_by_column(seed, chance):
     generator = torch.Generator().manual_seed(seed)
     x = torch.randn(2, FRAMES, 3, generator=generator)
     known = torch.rand(x.shape, generator=generator) < chance
-    found = smooth_curves(torch.where(known, x, torch.nan), known)
+    found = smooth_curves(torch.where(known, x, torch.nan), known, torch.arange(3))
     cov = _matern(FRAMES).numpy()
     for rows, columns, curve in zip(x.numpy(), known.numpy(), found.numpy(), strict=True):
         for d in range(3):
@@ -53,7 +53,7 @@ def test_smooth_motion_is_found_again_nearer_than_by_straight_lines_and_without_
     x = torch.stack((torch.sin(time / 9), torch.cos(time / 14)), -1)[None]
     known = torch.ones_like(x, dtype=torch.bool)
     known[:, 22:38] = False
-    smooth, straight = smooth_curves(x, known), lines_between(x, known)
+    smooth, straight = smooth_curves(x, known, torch.arange(2)), lines_between(x, known)
     assert torch.equal(smooth[known], x[known])
     assert (smooth - x).abs().max() < 0.25 * (straight - x).abs().max()
     bends = [m.diff(n=2, dim=1).abs()[:, [20, 21, 36, 37]].max() for m in (smooth, straight, x)]
@@ -63,6 +63,6 @@ def test_smooth_motion_is_found_again_nearer_than_by_straight_lines_and_without_
 def test_far_from_what_is_known_it_is_zero_again():
     known = torch.zeros(1, 400, 1, dtype=torch.bool)
     known[:, 0] = True
-    curve = smooth_curves(torch.ones(1, 400, 1), known)[0, :, 0]
+    curve = smooth_curves(torch.ones(1, 400, 1), known, torch.arange(1))[0, :, 0]
     assert curve[0] == 1 and curve[-1].abs() < 1e-6 and (curve.diff() <= 0).all()
-    assert smooth_curves(torch.ones(1, 4, 1), known[:, 1:5]).abs().max() == 0
+    assert smooth_curves(torch.ones(1, 4, 1), known[:, 1:5], torch.arange(1)).abs().max() == 0

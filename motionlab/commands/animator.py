@@ -28,20 +28,17 @@ _OUT = f"a file ({' '.join(WRITTEN)}; the format of IN keeps the file's own numb
 def add_commands(commands: argparse._SubParsersAction) -> None:
     """Adds the commands; nothing heavy is imported before one runs."""
     example = "walk.bvh --keys 0,30,60,90,120-last --out between.bvh --film between.mp4"
-    command = _command(
-        commands, "inbetween", "keep the frames you name, make those between them", example, _inbetween, _DRAW
-    )
+    text = "keep the frames you name, make those between them"
+    command = _command(commands, "inbetween", text, example, _inbetween, _DRAW)
     command.add_argument("--keys", required=True, help="frames that stay, from 0: 0,45,90 or 0-20,60-last")
     command.add_argument("--joints", type=_words, default=[], help="joints that stay in all frames, as left_wrist,arms")
     command.add_argument("--method", choices=_METHODS, help="default: what is measured best for the longest gap")
 
     example = "walk.bvh --out repaired.bvh"
     command = _command(commands, "repair", "take noise and jumps out of a motion", example, _repair)
-    command.add_argument(
-        "--noise", type=_noise, metavar="auto|DEGREES[,MM]", help="of joints and root (default: auto, as measured)"
-    )
+    text = "of joints and root (default: auto, as measured)"
+    command.add_argument("--noise", type=_noise, metavar="auto|DEGREES[,MM]", help=text)
     command.add_argument("--method", choices=_METHODS, help="default: network; for jumps as of inbetween")
-
     command.add_argument("--drift", action="store_true", help="the path goes by the feet: of a walk seen on a video")
 
     example = "walk.bvh --hidden legs --out completed.bvh"
@@ -61,9 +58,8 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
 
     text, example = "put the movement of a motion on the rig of another", "walk.bvh --onto rig.bvh --out mine.bvh"
     command = _command(commands, "retarget", text, example, None, plants=False)
-    command.add_argument(
-        "--onto", type=Path, required=True, metavar="RIG", help=f"its bones, names and rest pose: {READ}"
-    )
+    text = f"its bones, names and rest pose: {READ}"
+    command.add_argument("--onto", type=Path, required=True, metavar="RIG", help=text)
     command.add_argument("--onto-names", type=Path, metavar="FILE.json", help="as --names, of RIG")
 
     text, example = "make new motions, or what may follow on one", "generate --seconds 4 --count 2 --out made/"
@@ -135,8 +131,8 @@ def _on_motions(options: argparse.Namespace) -> int:
     """Runs a command on one motion, or on every motion of a folder."""
     if not options.source.is_dir():
         if options.jobs is not None or options.cluster is not None:
-            remedy = "give a folder of motions"
-            raise DataError("one motion is not shared out", place="--jobs, --cluster", remedy=remedy)
+            what, remedy = "one motion is not shared out", "give a folder of motions"
+            raise DataError(what, place="--jobs, --cluster", remedy=remedy)
         if options.film:
             check_film(options.film)
         given, made = _made(options.source, options.out, options, say_note, progress=is_watched())
@@ -159,11 +155,7 @@ def _on_motions(options: argparse.Namespace) -> int:
     if len(found) < len(files):
         print(f"note: {len(files) - len(found)} of {len(files)} files were passed over: not {' '.join(WRITTEN)}")
     clips = [(path.name, path, None, options.out / path.name) for path in found]
-    return many.run_clips(partial(_make, options=options), clips, _is_made, options)
-
-
-def _is_made(clip: Job) -> bool:
-    return clip[3].exists()
+    return many.run_clips(partial(_make, options=options), clips, lambda clip: clip[3].exists(), options)
 
 
 def _make(clip: Job, options: argparse.Namespace) -> list[str]:

@@ -28,13 +28,11 @@ def add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fp
     more = command.add_argument_group("what a file does not say, or says wrongly (default: worked out, and noted)")
     more.add_argument("--unit", type=_metres, help="of lengths: m, cm, mm, inch, or metres")
     more.add_argument("--up", type=_up, metavar="AXIS", help="the file's axis that points up: y, z, ... (--up=-y)")
-    more.add_argument(
-        "--axes", type=_axes, metavar="XYZ", help="instead: the file's axes that become x, y and z, up; as --axes=x-zy"
-    )
+    text = "instead: the file's axes that become x, y and z, up; as --axes=x-zy"
+    more.add_argument("--axes", type=_axes, metavar="XYZ", help=text)
     more.add_argument(*rate, dest="fps_in", type=float, metavar="FPS", help="frames per second of the file")
-    more.add_argument(
-        "--translations", choices=("strict", "mean"), help="of bones that change their length: refuse, or keep the mean"
-    )
+    text = "of bones that change their length: refuse, or keep the mean"
+    more.add_argument("--translations", choices=("strict", "mean"), help=text)
     more.add_argument("--asf", type=Path, metavar="FILE", help="the skeleton of an .amc (default: beside it)")
     more.add_argument("--names", type=Path, metavar="FILE.json", help="what its joints are: standard name -> its own")
     more.add_argument("--person", type=int, metavar="N", help="whom, of a file of several, from 0 (default: 0)")

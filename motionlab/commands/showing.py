@@ -26,9 +26,8 @@ def add_show(commands: argparse._SubParsersAction) -> None:
     text = "draw motion files side by side: a film, or a picture of key poses"
     command = add_command(commands, "show", text, "show walk.bvh --out walk.mp4", _show)
     command.add_argument("files", nargs="+", type=Path, metavar="IN", help=f"a motion: {READ}; up to {_MOST} of them")
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="FILE", help="a film (.mp4, .gif), or key poses (.png), a row a file"
-    )
+    text = "a film (.mp4, .gif), or key poses (.png), a row a file"
+    command.add_argument("--out", type=Path, required=True, metavar="FILE", help=text)
     command.add_argument("--bones", action="store_true", help="a figure of the file's own joints, not a body")
     command.add_argument("--follow", action="store_true", help="the view moves along with who walks")
     add_cut(command, "of every file")
@@ -37,9 +36,8 @@ def add_show(commands: argparse._SubParsersAction) -> None:
 
 def add_cut(command: argparse.ArgumentParser, what: str = "") -> None:
     """Adds ``--cut``, for :func:`cut`."""
-    command.add_argument(
-        "--cut", type=float, nargs=2, metavar=("FROM", "TO"), help=f"only these seconds {what}".strip()
-    )
+    text = f"only these seconds {what}".strip()
+    command.add_argument("--cut", type=float, nargs=2, metavar=("FROM", "TO"), help=text)
 
 
 def add_film(command: argparse.ArgumentParser, what: str) -> None:
@@ -78,7 +76,7 @@ def _show(options: argparse.Namespace) -> int:
     check_film(options.out, len(options.files), picture=True)
     motions = {}
     for label, path in zip(_labels(options.files), options.files, strict=True):
-        told = partial(_tell, label)
+        told = partial(print, f"{label}:", flush=True)
         motion = read_motion(path, options, told)
         given, motion = motion.notes, motion if options.bones else with_standard_joints(motion)
         for note in motion.notes[len(given) :]:
@@ -89,10 +87,6 @@ def _show(options: argparse.Namespace) -> int:
     else:
         print(draw_film(motions, options.out, bones=options.bones, follow=options.follow))
     return 0
-
-
-def _tell(label: str, note: str) -> None:
-    print(f"{label}: {note}", flush=True)
 
 
 def cut(motion: Motion, path: Path, seconds: list[float] | None) -> Motion:

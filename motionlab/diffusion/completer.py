@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 from motionlab import checkpoint
 from motionlab.diffusion import state
-from motionlab.diffusion.curves import curve_weights
+from motionlab.diffusion.curves import smooth_curves
 from motionlab.errors import ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
@@ -266,7 +266,7 @@ def moving_noise(known: Tensor, fps: float, generator: torch.Generator) -> Tenso
     count, frames = known.shape[:2]
     noise = waves_of_motion(frames, fps) @ torch.randn(count, frames, state.MADE, generator=generator)
     noise *= noise.new_tensor([_ROOT] * 3 + [_LOUD] * (state.MADE - 3))
-    return noise - through(noise, known.cpu())
+    return noise - smooth_curves(noise, known.cpu(), state.owners())
 
 
 def waves_of_motion(frames: int, fps: float) -> Tensor:
@@ -281,21 +281,8 @@ def waves_of_motion(frames: int, fps: float) -> Tensor:
 
 def guess(motion: Motion, known: Tensor, mean: Tensor, scale: Tensor) -> Tensor:
     """Computes the numbers (B, T, ``MADE``) of smooth curves through what is known, the mean where nothing is."""
-    drawn = through((state.made(motion) - mean) / scale, known) * scale + mean
+    drawn = smooth_curves((state.made(motion) - mean) / scale, known, state.owners().to(known.device)) * scale + mean
     return state.made(state.motion_of(drawn, motion))  # 6-D numbers of rotations, not short ones
-
-
-def through(numbers: Tensor, known: Tensor) -> Tensor:
-    """Computes smooth curves (B, T, ``MADE``) through those of the numbers that are known, 0 where nothing is."""
-    owners = state.owners().to(known.device)
-    patterns, which = torch.unique(known.mT.flatten(0, 1), dim=0, return_inverse=True)
-    which = which.unflatten(0, (len(known), -1))[:, owners].flatten()
-    told = torch.where(known[..., owners], numbers, 0.0).mT.flatten(0, 1)
-    drawn = torch.zeros_like(told)
-    for k, weights in enumerate(curve_weights(patterns).to(told)):
-        mine = (which == k).nonzero()[:, 0]
-        drawn[mine] = told[mine] @ weights.mT
-    return torch.where(known[..., owners], numbers, drawn.unflatten(0, (len(known), -1)).mT)
 
 
 def until_known(known: Tensor, fps: float) -> Tensor:

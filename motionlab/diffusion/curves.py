@@ -20,17 +20,11 @@ _NOISE = 1e-5  # of its variance: of what is known, so that every pattern can be
 def lines_between(x: Tensor, known: Tensor) -> Tensor:
     """Computes x (B, T, D) with unknown entries (not ``known``, bool B T D) interpolated linearly in time, held at the
     ends; 0 in a column without known ones. What x holds at unknown entries is never read."""
-    before, after, any_known = _around(known)
+    before, after = (at.mT for at in nearest_known(known.mT))  # both the nearest one at the ends
     time = torch.arange(x.shape[-2], device=x.device)[:, None]
     share = (time - before) / (after - before).clamp(min=1)
     left, right = (torch.where(known, x, 0.0).gather(-2, at) for at in (before, after))
-    return torch.where(any_known, left + share.to(x) * (right - left), 0.0)
-
-
-def _around(known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The known frames next before and after (B, T, D), both the nearest one at the ends; which columns know any."""
-    before, after = (at.mT for at in nearest_known(known.mT))
-    return before, after, known.any(-2, keepdim=True)
+    return torch.where(known.any(-2, keepdim=True), left + share.to(x) * (right - left), 0.0)
 
 
 def _matern(frames: int) -> Tensor:
@@ -40,13 +34,20 @@ def _matern(frames: int) -> Tensor:
     return (1 + far) * torch.exp(-far)
 
 
-def smooth_curves(x: Tensor, known: Tensor) -> Tensor:
-    """Computes x (B, T, D) with smooth curves through what is known (bool, B T D), 0 in a column that knows nothing.
-    What x holds elsewhere is never read."""
-    patterns, which = torch.unique(known.mT.reshape(-1, x.shape[-2]), dim=0, return_inverse=True)
-    told = torch.where(known, x, 0.0)
-    drawn = torch.einsum("cij,cj->ci", curve_weights(patterns).to(x)[which], told.mT.reshape(len(which), -1))
-    return torch.where(known, x, drawn.unflatten(0, (len(x), -1)).mT)
+def smooth_curves(x: Tensor, known: Tensor, owners: Tensor) -> Tensor:
+    """Computes x (B, T, D) with smooth curves through what is known, 0 in a column that knows nothing. What x holds
+    elsewhere is never read.
+
+    known (B, T, U), bool: units; owners (D,): the unit that each number belongs to.
+    """
+    patterns, which = torch.unique(known.mT.flatten(0, 1), dim=0, return_inverse=True)
+    which = which.unflatten(0, (len(known), -1))[:, owners].flatten()
+    told = torch.where(known[..., owners], x, 0.0).mT.flatten(0, 1)
+    drawn = torch.zeros_like(told)
+    for k, weights in enumerate(curve_weights(patterns).to(told)):
+        mine = (which == k).nonzero()[:, 0]
+        drawn[mine] = told[mine] @ weights.mT
+    return torch.where(known[..., owners], x, drawn.unflatten(0, (len(known), -1)).mT)
 
 
 def curve_weights(patterns: Tensor) -> Tensor:

@@ -50,18 +50,6 @@ class _Step(nn.Module):
         return self.time_embed(self.sequence_pos_encoder.pe[stamps]).transpose(0, 1)
 
 
-class _In(nn.Module):
-    def __init__(self, inputs: int, size: int) -> None:
-        super().__init__()
-        self.poseEmbedding = nn.Linear(inputs, size)
-
-
-class _Out(nn.Module):
-    def __init__(self, size: int, outputs: int) -> None:
-        super().__init__()
-        self.poseFinal = nn.Linear(size, outputs)
-
-
 class Denoiser(nn.Module):
     """features: numbers per frame. size: of a token. patch: frames in a token.
 
@@ -81,12 +69,12 @@ class Denoiser(nn.Module):
     ) -> None:
         super().__init__()
         self.features, self.patch = features, patch
-        self.input_process = _In(features * patch, size)
+        self.input_process = nn.ModuleDict({"poseEmbedding": nn.Linear(features * patch, size)})
         self.sequence_pos_encoder = _Sines(size, dropout)
         layer = nn.TransformerEncoderLayer(size, heads, hidden, dropout, "gelu")
         self.seqTransEncoder = nn.TransformerEncoder(layer, layers, enable_nested_tensor=False)
         self.embed_timestep = _Step(size, self.sequence_pos_encoder)
-        self.output_process = _Out(size, features * patch)
+        self.output_process = nn.ModuleDict({"poseFinal": nn.Linear(size, features * patch)})
 
     def forward(self, x: Tensor, stamps: Tensor) -> Tensor:
         """Computes an estimate (B, T, D) of x_0 from x_t (B, T, D) and steps (B,).
@@ -97,9 +85,9 @@ class Denoiser(nn.Module):
         frames = check_shape(x, f"B T {self.features}", "x")["T"]
         if frames % self.patch:
             raise ShapeError(f"{frames} frames do not divide into tokens of {self.patch}")
-        tokens = self.input_process.poseEmbedding(x.unflatten(1, (-1, self.patch)).flatten(2))
+        tokens = self.input_process["poseEmbedding"](x.unflatten(1, (-1, self.patch)).flatten(2))
         tokens = torch.cat((self.embed_timestep(stamps), tokens.transpose(0, 1)))
-        said = self.output_process.poseFinal(self.seqTransEncoder(self.sequence_pos_encoder(tokens))[1:])
+        said = self.output_process["poseFinal"](self.seqTransEncoder(self.sequence_pos_encoder(tokens))[1:])
         return said.transpose(0, 1).unflatten(2, (self.patch, -1)).flatten(1, 2)
 
 

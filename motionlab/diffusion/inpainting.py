@@ -9,24 +9,22 @@ al. 2022, reconstruction guidance, with CondMDI's weight.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from motionlab.baselines import nearest_known
 from motionlab.contact import with_contacts
 from motionlab.diffusion import sampling
 from motionlab.diffusion.model import Trained
-from motionlab.diffusion.sampling import DenoiseFunction, NoiseSchedule, noise_like
+from motionlab.diffusion.sampling import After, DenoiseFunction, NoiseSchedule, noise_like
 from motionlab.errors import ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 
 _PUTS = ("overwrite", "imputed", "nothing")
-
-_Step = Callable[[Tensor, Tensor, int], Tensor]
 
 
 @dataclass(frozen=True)
@@ -63,13 +61,15 @@ def fill(model: Trained, x0: Tensor, known: Tensor, generator: torch.Generator, 
     m = _soft(known, way.soft) if way.soft else known.to(x0)
     if way.soft:  # where the mask is soft the nearest known value stands in
         seen = _held(seen, known)
-    denoise: DenoiseFunction = model.denoiser
+    inner: DenoiseFunction = model.denoiser
     if way.weight:
-        denoise = _guided(denoise, schedule, seen, m, way.weight)
+        inner = _guided(inner, schedule, seen, m, way.weight)
     elif way.put == "imputed":
-        denoise = _imputed(denoise, seen, m)
-    if denoise is not model.denoiser and not way.last:
-        denoise = _until_last(denoise, model.denoiser, int(schedule.stamps[0]))
+        inner = _imputed(inner, seen, m)
+
+    def denoise(x: Tensor, stamps: Tensor) -> Tensor:  # the network may have the last word (CondMDI)
+        return (inner if way.last or int(stamps[0]) != int(schedule.stamps[0]) else model.denoiser)(x, stamps)
+
     after = _overwrite(schedule, seen, m, generator, last=way.last) if way.put == "overwrite" else None
     x = sampling.ddpm(denoise, schedule, sampling.noise_like(x0, generator), generator, after=after)
     return offset_decay(x, seen, known, way.finish) if way.finish else x
@@ -91,20 +91,16 @@ def repair(
     """
     if model.layout.contacts and motion.contacts is None:
         motion = with_contacts(motion)
-    stuck = model.layout.frame == "stuck"
-    local, frame = stuck_root(motion) if stuck else (motion, None)
     x0 = model.encode(motion)
     whole, way = known.expand(len(x0), *known.shape[-2:]), way or Way()
-    at = [slice(i, i + batch) for i in range(0, len(x0), batch)]
-    parts = [fill(model, x0[some], whole[some], generator, way) for some in at]
-    made = model.decode(torch.cat(parts), local.skeleton)
-    made = replace(made, contacts=made.contacts, name=motion.name)
-    return local_to_world(frame, made) if stuck else made
+    parts = [fill(model, *some, generator, way) for some in zip(x0.split(batch), whole.split(batch), strict=True)]
+    made = replace(model.decode(torch.cat(parts), motion.skeleton), name=motion.name)
+    return local_to_world(stuck_root(motion)[1], made) if model.layout.frame == "stuck" else made
 
 
 def _overwrite(
     schedule: NoiseSchedule, known: Tensor, m: Tensor, generator: torch.Generator, *, last: bool = True
-) -> _Step:
+) -> After:
     """Eq. 4.10: behind every step the known part is replaced by itself, noised to that step.
 
     last: also behind the last step, where it is not noised any more: exact, and the cause of the seam. m may be soft.
@@ -123,14 +119,6 @@ def _imputed(denoise: DenoiseFunction, known: Tensor, m: Tensor) -> DenoiseFunct
     """MDM's way: the estimate of x_0 gets the known part, and the sampler goes on from that."""
     m = m.to(known)
     return lambda x, stamps: (1 - m) * denoise(x, stamps) + m * known
-
-
-def _until_last(inner: DenoiseFunction, denoise: DenoiseFunction, last: int) -> DenoiseFunction:
-    """``inner``, but ``denoise`` alone at the step that is told ``last``, so that the network has the last word.
-
-    Source: CondMDI, ``--stop_imputation_at 1``.
-    """
-    return lambda x, stamps: (denoise if int(stamps[0]) == last else inner)(x, stamps)
 
 
 def _guided(
@@ -156,11 +144,8 @@ def _soft(m: Tensor, frames: int) -> Tensor:
     """A mask (..., T, D) whose edges in time rise over ``frames`` frames outside what is known: 1, ..., 1/(n+1), 0."""
     best = m.float()
     for k in range(1, frames + 1):
-        value = 1 - k / (frames + 1)
-        for way in (k, -k):
-            moved = torch.roll(m.float(), way, -2)
-            moved[..., (slice(0, way) if way > 0 else slice(way, None)), :] = 0
-            best = torch.maximum(best, value * moved)
+        for sides in ((k, -k), (-k, k)):
+            best = torch.maximum(best, (1 - k / (frames + 1)) * pad(m.float(), (0, 0, *sides)))
     return best
 
 

@@ -5,16 +5,18 @@ Source: CondMDI (Cohan et al. 2024), random frames x random joints; the test cas
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from motionlab.diffusion.features import Layout
 from motionlab.skeleton import STANDARD
 
 _EDGE = 5  # known frames on either side of what lies between
 _APART = (4, 45)  # frames from one lone key to the next
+_KINDS = ("nothing", "frames", "gap", "between", "onward", "keys", "joints", "entries", "legs")
 LEGS = ("hip", "knee", "ankle", "foot")
 
 
@@ -40,66 +42,46 @@ def draw_units(frames: int, count: int, generator: torch.Generator, kinds: Mappi
     Raises:
         ValueError: an unknown kind, or odds that are not positive.
     """
-    if not kinds or set(kinds) - set(_MAKE) or not all(odds > 0 for odds in kinds.values()):
-        raise ValueError(f"kinds: expected odds above 0 for some of {', '.join(_MAKE)}, got {dict(kinds)}")
+    if not kinds or set(kinds) - set(_KINDS) or not all(odds > 0 for odds in kinds.values()):
+        raise ValueError(f"kinds: expected odds above 0 for some of {', '.join(_KINDS)}, got {dict(kinds)}")
     chosen = torch.multinomial(torch.tensor(list(kinds.values())), count, replacement=True, generator=generator)
-    size, names = len(STANDARD) + 2, list(kinds)
-    found = [_MAKE[names[kind]](frames, size, generator) for kind in chosen.tolist()]
-    return torch.stack([mask.expand(frames, size).bool() for mask in found])
+    names = list(kinds)
+    found = [_drawn(names[kind], frames, generator) for kind in chosen.tolist()]
+    return torch.stack([mask.expand(frames, len(STANDARD) + 2).bool() for mask in found])
 
 
-def _nothing(frames: int, size: int, generator: torch.Generator) -> Tensor:
-    return torch.zeros(1, 1)
+def _drawn(kind: str, frames: int, generator: torch.Generator) -> Tensor:
+    """A mask (frames or 1, U or 1) of one kind."""
 
+    def number(low: int, high: int) -> int:
+        return int(torch.randint(low, high, (), generator=generator))
 
-def _frames(frames: int, size: int, generator: torch.Generator) -> Tensor:
-    return torch.rand(frames, 1, generator=generator) < torch.rand(1, generator=generator)
+    def chance(*shape: int) -> Tensor:
+        return torch.rand(shape, generator=generator)
 
-
-def _gap(frames: int, size: int, generator: torch.Generator) -> Tensor:
-    length = int(torch.randint(1, max(frames, 2), (), generator=generator))  # at least a frame stays known
-    start = int(torch.randint(frames - min(length, frames) + 1, (), generator=generator))
-    time = torch.arange(frames)[:, None]
-    return (time < start) | (time >= start + length)
-
-
-def _between(frames: int, size: int, generator: torch.Generator) -> Tensor:
-    inside = _gap(max(frames - 2 * _EDGE, 1), size, generator)
-    edge = torch.ones((frames - len(inside)) // 2, 1, dtype=torch.bool)
-    return torch.cat((edge, inside, torch.ones(frames - len(edge) - len(inside), 1, dtype=torch.bool)))
-
-
-def _onward(frames: int, size: int, generator: torch.Generator) -> Tensor:
-    return torch.arange(frames)[:, None] < int(torch.randint(1, max(frames, 2), (), generator=generator))
-
-
-def _keys(frames: int, size: int, generator: torch.Generator) -> Tensor:
-    apart = int(torch.randint(_APART[0], _APART[1] + 1, (), generator=generator))
-    first = int(torch.randint(min(apart, frames), (), generator=generator))
-    return (torch.arange(frames)[:, None] - first) % apart == 0
-
-
-def _joints(frames: int, size: int, generator: torch.Generator) -> Tensor:
-    known = torch.rand(1, size, generator=generator) < torch.rand(1, generator=generator)
+    size, time = len(STANDARD) + 2, torch.arange(frames)[:, None]
+    if kind == "nothing":
+        return torch.zeros(1, 1)
+    if kind == "frames":
+        return chance(frames, 1) < chance(1)
+    if kind == "gap":
+        length = number(1, max(frames, 2))  # at least a frame stays known
+        start = number(0, frames - min(length, frames) + 1)
+        return (time < start) | (time >= start + length)
+    if kind == "between":
+        inside = _drawn("gap", max(frames - 2 * _EDGE, 1), generator)
+        before = (frames - len(inside)) // 2
+        return pad(inside, (0, 0, before, frames - before - len(inside)), value=True)
+    if kind == "onward":
+        return time < number(1, max(frames, 2))
+    if kind == "keys":
+        apart = number(_APART[0], _APART[1] + 1)
+        return (time - number(0, min(apart, frames))) % apart == 0
+    if kind == "legs":
+        known = torch.ones(1, size, dtype=torch.bool)
+        known[:, [j for j, name in enumerate(STANDARD.names) if name.endswith(LEGS)]] = False
+        known[:, -2] = chance() < 0.5
+    else:
+        known = chance(1 if kind == "joints" else frames, size) < chance(1)
     known[:, -1] = False
     return known
-
-
-def _entries(frames: int, size: int, generator: torch.Generator) -> Tensor:
-    known = torch.rand(frames, size, generator=generator) < torch.rand(1, generator=generator)
-    known[:, -1] = False
-    return known
-
-
-def _legs(frames: int, size: int, generator: torch.Generator) -> Tensor:
-    known = torch.ones(1, size, dtype=torch.bool)
-    known[:, [j for j, name in enumerate(STANDARD.names) if name.endswith(LEGS)]] = False
-    known[:, -2] = torch.rand((), generator=generator) < 0.5
-    known[:, -1] = False
-    return known
-
-
-_MAKE: dict[str, Callable[[int, int, torch.Generator], Tensor]] = {
-    "nothing": _nothing, "frames": _frames, "gap": _gap, "between": _between, "onward": _onward, "keys": _keys,
-    "joints": _joints, "entries": _entries, "legs": _legs,
-}  # fmt: skip

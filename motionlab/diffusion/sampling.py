@@ -145,16 +145,9 @@ def ddpm(
 
 
 @torch.no_grad()
-def ddim(
-    denoise: DenoiseFunction,
-    schedule: NoiseSchedule,
-    x: Tensor,
-    *,
-    after: After | None = None,
-) -> Tensor:
+def ddim(denoise: DenoiseFunction, schedule: NoiseSchedule, x: Tensor) -> Tensor:
     """Draws samples (B, ...) by steps that keep the estimated noise and draw none (eta = 0)."""
     for t in range(len(schedule) - 1, -1, -1):
         x0, before = denoise(x, _stamps(schedule, t, x)), schedule.before[t]
         x = before.sqrt().to(x) * x0 + (1 - before).clamp(min=0).sqrt().to(x) * schedule.noise_of(x0, x, t)
-        x = after(x, x0, t) if after else x
     return x
