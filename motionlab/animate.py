@@ -166,12 +166,7 @@ def inbetween(
 
 
 def completed(
-    motion: Motion,
-    hidden: Sequence[str],
-    *,
-    seed: int | None = None,
-    plant: bool = True,
-    progress: bool = False,
+    motion: Motion, hidden: Sequence[str], *, seed: int | None = None, plant: bool = True, progress: bool = False
 ) -> Animated:
     """Computes the joints that ``hidden`` names (see :func:`found_joints`), in all frames; what they hold is not read.
 

@@ -185,13 +185,7 @@ def _turned(motion: Motion, heel: Tensor, ball: Tensor) -> Motion:
     return replace(motion, rot=rot.unflatten(0, size))
 
 
-def reach_targets(
-    motion: Motion,
-    names: Sequence[str],
-    targets: Tensor,
-    *,
-    steps: int = 10,
-) -> Motion:
+def reach_targets(motion: Motion, names: Sequence[str], targets: Tensor, *, steps: int = 10) -> Motion:
     """Computes the motion with its handles at their targets, every frame for itself.
 
     With J the change of the handles' positions by small turns of all joints about world axes (and by shifts of the
