@@ -211,7 +211,8 @@ def by_windows(fill: Fill, lacking: Tensor, progress: bool = False, *, onward: b
 
     def filled(motion: Motion, known: Tensor) -> Motion:
         frames, has = motion.frames, torch.cat((~lacking, torch.ones(2, dtype=torch.bool)))
-        motion, known = padded(motion, known)
+        index = torch.arange(max(frames, WINDOW)).clamp(max=frames - 1)  # a window at least: its last frame, unknown
+        motion, known = motion.clip(index), known[index] & (torch.arange(len(index)) < frames)[:, None]
         done = known.clone()
         gaps = runs(~(known | ~has)[:, :-1].all(-1))
         total = sum(last - first for first, last in gaps)
@@ -219,7 +220,7 @@ def by_windows(fill: Fill, lacking: Tensor, progress: bool = False, *, onward: b
             for first, last in gaps:
                 while first < last:
                     starts, stop = _next(first, last, motion.frames, onward)
-                    motion = filled_in(motion, done, fill, starts, (first, stop))
+                    motion = _filled_in(motion, done, fill, starts, (first, stop))
                     done[first:stop] = has
                     bar.update(stop - first)
                     first = stop
@@ -239,13 +240,6 @@ def _next(first: int, last: int, frames: int, onward: bool) -> tuple[list[int], 
     return [min(max(first - _PAST, 0), frames - WINDOW)], first + far
 
 
-def padded(motion: Motion, known: Tensor) -> tuple[Motion, Tensor]:
-    """Returns a motion (T) of a window or more and what is known of it (T, U): its last frame again, unknown."""
-    index = torch.arange(max(motion.frames, WINDOW)).clamp(max=motion.frames - 1)
-    known = known[index] & (torch.arange(len(index)) < motion.frames)[:, None]
-    return motion.clip(index), known
-
-
 def overlapping(begin: int, end: int, frames: int) -> list[int]:
     """Returns where windows begin that cover begin to end, at most ``_STRIDE`` frames apart, inside the frames."""
     begin = max(min(begin, frames - WINDOW), 0)
@@ -253,32 +247,24 @@ def overlapping(begin: int, end: int, frames: int) -> list[int]:
     return torch.linspace(begin, last, math.ceil((last - begin) / _STRIDE) + 1).round().long().tolist()
 
 
-def filled_in(motion: Motion, known: Tensor, fill: Fill, starts: Sequence[int], run: tuple[int, int]) -> Motion:
-    """Computes the motion (T) with the frames of a run filled in by windows, weighted where they overlap."""
-    at = torch.tensor(starts)[:, None] + torch.arange(WINDOW)
-    whole = merged(fill(motion.clip(at), known[at]), at, motion.frames)
-    mine = torch.zeros(motion.frames, dtype=torch.bool)
-    mine[run[0] : run[1]] = True
-    open_ = mine[:, None] & ~known
-    return replace(
-        motion,
-        rot=torch.where(open_[:, :-2, None, None], whole.rot, motion.rot),
-        root=torch.where(open_[:, -2:-1], whole.root, motion.root),
-        contacts=torch.where(open_[:, -1:], whole.contacts, motion.contacts),
-    )
-
-
-def merged(windows: Motion, at: Tensor, frames: int) -> Motion:
-    """Computes one motion (T) of windows (B, 60) at frames (B, 60), which fade into each other where they overlap."""
-    rise = torch.arange(WINDOW)
-    weight = torch.minimum(rise + 1, WINDOW - rise).to(windows.root).expand(at.shape)
-    total = torch.zeros(frames).index_add_(0, at.flatten(), weight.flatten()).clamp(min=1.0)
+def _filled_in(motion: Motion, known: Tensor, fill: Fill, starts: Sequence[int], run: tuple[int, int]) -> Motion:
+    """The motion (T) with the frames of a run filled in by windows, which fade into each other where they overlap."""
+    at, rise = torch.tensor(starts)[:, None] + torch.arange(WINDOW), torch.arange(WINDOW)
+    made = fill(motion.clip(at), known[at])
+    weight = torch.minimum(rise + 1, WINDOW - rise).to(made.root).expand(at.shape)
+    total = torch.zeros(motion.frames).index_add_(0, at.flatten(), weight.flatten()).clamp(min=1.0)
 
     def mean(x: Tensor) -> Tensor:  # (B, 60, ...) -> (T, ...)
         part = x * weight.reshape(*at.shape, *(1,) * (x.ndim - 2))
-        whole = torch.zeros(frames, *x.shape[2:]).index_add_(0, at.flatten(), part.flatten(0, 1))
+        whole = torch.zeros(motion.frames, *x.shape[2:]).index_add_(0, at.flatten(), part.flatten(0, 1))
         return whole / total.reshape(-1, *(1,) * (x.ndim - 2))
 
-    rot = rotation.sixd_to_matrix(rotation.matrix_to_sixd(mean(windows.rot)))
-    contacts = None if windows.contacts is None else (mean(windows.contacts) > 0.5).to(rot)
-    return replace(windows, root=mean(windows.root), rot=rot, contacts=contacts)
+    open_ = ~known
+    open_[: run[0]] = open_[run[1] :] = False
+    rot = rotation.sixd_to_matrix(rotation.matrix_to_sixd(mean(made.rot)))
+    return replace(
+        motion,
+        rot=torch.where(open_[:, :-2, None, None], rot, motion.rot),
+        root=torch.where(open_[:, -2:-1], mean(made.root), motion.root),
+        contacts=torch.where(open_[:, -1:], (mean(made.contacts) > 0.5).to(rot), motion.contacts),
+    )

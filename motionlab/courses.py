@@ -4,6 +4,7 @@ transition prior; see ``train_more``."""
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from motionlab import checkpoint, train_more
 from motionlab.bench import cases
-from motionlab.bench.judge import CASES, FRAMES, Case, energy_score, judged
+from motionlab.bench.judge import CASES, FRAMES, judged
 from motionlab.bench.person_windows import PersonWindows, by_person, person_windows
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer, state
@@ -70,17 +71,16 @@ class CompleterCourse(train_more.Course):
         over their error. And accelerations over the truth's."""
         if model.recipe.rough:
             return _of_noise(model, self.held)
-        row = {}
-        for name, case in CASES.items():
-            if not model.recipe.noised:
-                each = judged(model.complete, case, self.held)
-                row[f"{name}, cm"] = float(each["cm"].mean())
-            elif name in _CHOOSING:
-                each = _of_draws(model, case, self.held)
+        row, noised = {}, model.recipe.noised
+        for name in _CHOOSING if noised else CASES:
+            draws = torch.Generator().manual_seed(0) if noised else None
+            fill = partial(model.complete, generator=draws)
+            each = judged(fill, CASES[name], self.held, draws=_DRAWS if noised else 1)
+            if noised:
                 row[f"{name}, energy score, cm"] = float(each["score"].mean())
                 row[f"{name}, spread over error"] = float((each["spread"] / each["cm"]).mean())
             else:
-                continue
+                row[f"{name}, cm"] = float(each["cm"].mean())
             row[f"{name}, acceleration over the truth's"] = float(each["acceleration"].mean())
         choose = [x for name, x in row.items() if name.startswith(_CHOOSING) and name.endswith(", cm")]
         return {LEGS_AND_GAPS: sum(choose) / len(choose)} | row
@@ -100,22 +100,6 @@ def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:
         row |= {f"{title}, cm": mine, f"{title}, smoother alone, cm": alone}
         left.append(mine)
     return {"noise, cm": sum(left) / len(left)} | row
-
-
-def _of_draws(model: Completer, case: Case, windows: PersonWindows) -> dict[str, Tensor]:
-    """What becomes of a case's windows in ``_DRAWS`` draws, by person (P,)."""
-    motion, whose, lacks = windows
-    known, generator = case.mask(len(motion.root)), torch.Generator().manual_seed(0)
-    made = [
-        cases.pasted(model.complete(motion, known & ~lacks, generator), motion, known | lacks) for _ in range(_DRAWS)
-    ]
-    error = torch.stack([cases.error_cm(m, motion, known, case.joints) for m in made]).mean(0)
-    score = energy_score(made, motion, known, case.joints)
-    found = {
-        "score": score, "cm": error, "spread": 2 * (error - score),
-        "acceleration": torch.stack([cases.acceleration_ratio(m, motion) for m in made]).mean(0),
-    }  # fmt: skip
-    return {name: by_person(x, whose) for name, x in found.items()}
 
 
 class DenoiserCourse(train_more.Course):

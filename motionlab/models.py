@@ -44,7 +44,7 @@ _CREDIT = (
 )
 
 
-def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[str, float]]:
+def judge_prior(name: str, folder: Path | str) -> dict[str, dict[str, float]]:
     """Computes what a transition prior that ships does on the people of ``report``.
 
     Every person counts alike, with at most 24 windows of two seconds. The result also goes into the prior's recipe.
@@ -61,13 +61,13 @@ def judge_prior(name: str, folder: Path | str, seed: int = 0) -> dict[str, dict[
     found = {}
     for body in BODIES:
         some = [replace(t, motion=on_standard(t.motion)) for t in takes] if body else takes
-        rows = list(person_rows(model, person_states(some), seed).values())
+        rows = list(person_rows(model, person_states(some)).values())
         if not rows:
             raise DataError("nobody of ``report`` is there", path=folder, remedy="unpack cmu_library into it")
         for measure in rows[0]:
             values = torch.tensor([row[measure] for row in rows])
             values = values[values.isfinite()]
-            mean, low, high = interval(values, "mean", torch.Generator().manual_seed(seed))
+            mean, low, high = interval(values, "mean", torch.Generator().manual_seed(0))
             found[body + measure] = {"mean": mean, "low": low, "high": high, "people": len(values)}
     path = checkpoint.SHIPPED / f"{name}.json"
     write_whole(path, json.dumps(checkpoint.read_recipe(path) | {REPORT: found}, indent=1) + "\n")

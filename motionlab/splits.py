@@ -15,13 +15,14 @@ import torch
 from motionlab.errors import DataError
 from motionlab.humor import state
 from motionlab.io.recordings import recordings
-from motionlab.motion import Motion, resample
+from motionlab.motion import FPS, Motion, resample
 from motionlab.retarget import retarget
 
 #: Sources on which weights that ship with the project may be trained, by their licences.
 SHIPPABLE = ("cmu_amc", "deepmimic", "reactidle", "animated_drawings", "isaacgym_amp_cmu")
 #: Those that a corpus of real motion is made of (``corpus.assemble``); people, not clips, are kept apart there.
 REAL = ("cmu_library", "cmu_native", *SHIPPABLE)
+_STATES = 61  # of a window: two seconds
 SYNTHETIC, RECORDED = "synthetic", "recordings"
 
 
@@ -45,8 +46,9 @@ def evenly(items: Sequence, most: int | None) -> list:
     return [items[round(i * (len(items) - 1) / max(most - 1, 1))] for i in range(most)]
 
 
-def standard(folder: Path | str | None, source: str, *, each: int | None = None, fps: float = 30.0) -> list[Motion]:
-    """Loads the motions of one source on the 22 joints, with the source's own proportions, feet on the floor.
+def standard(folder: Path | str | None, source: str, *, each: int | None = None) -> list[Motion]:
+    """Loads the motions of one source on the 22 joints, at 30 frames per second, with the source's own proportions,
+    feet on the floor.
 
     Without a folder, or without that source in it, the list is empty. Loaded once per session.
 
@@ -56,22 +58,22 @@ def standard(folder: Path | str | None, source: str, *, each: int | None = None,
     if folder is None or not (Path(folder) / source).is_dir():
         return []
     found = [(path, load) for _, path, load in recordings(folder, source)]
-    return [_standard(path, load, fps) for path, load in evenly(found, each)]
+    return [_standard(path, load) for path, load in evenly(found, each)]
 
 
 @lru_cache(maxsize=512)
-def _standard(path: Path, load: Callable, fps: float) -> Motion:
-    return resample(retarget(load(path)).motion, fps)
+def _standard(path: Path, load: Callable) -> Motion:
+    return resample(retarget(load(path)).motion, FPS)
 
 
-def state_windows(motions: Sequence[Motion], frames: int = 61, most: int = 48) -> tuple[torch.Tensor, torch.Tensor]:
-    """Computes states (W, frames, 339) with velocities of the past, and contacts (W, frames, 9), evenly over motions;
-    none where all are shorter."""
+def state_windows(motions: Sequence[Motion], most: int = 48) -> tuple[torch.Tensor, torch.Tensor]:
+    """Computes states (W, 61, 339) with velocities of the past, and contacts (W, 61, 9), evenly over motions; none
+    where all are shorter."""
     cuts = [
-        (state.from_motion(m, causal=True)[i : i + frames].float(), m.contacts[i : i + frames].float())
-        for m in motions for i in range(0, m.frames - frames + 1, frames)
+        (state.from_motion(m, causal=True)[i : i + _STATES].float(), m.contacts[i : i + _STATES].float())
+        for m in motions for i in range(0, m.frames - _STATES + 1, _STATES)
     ]  # fmt: skip
     if not cuts:
-        return torch.zeros(0, frames, state.STATE), torch.zeros(0, frames, state.CONTACTS)
+        return torch.zeros(0, _STATES, state.STATE), torch.zeros(0, _STATES, state.CONTACTS)
     x, c = zip(*evenly(cuts, most), strict=True)
     return torch.stack(x), torch.stack(c)

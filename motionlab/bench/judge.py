@@ -56,19 +56,27 @@ def people(folder: Path | str, part: str, each: int = 24) -> PersonWindows:
     return person_windows(corpus.assemble(folder, splits.real_sources(folder)).part(part), FRAMES, each)
 
 
-def judged(fill: Fill, case: Case, windows: PersonWindows, *, lacking: bool = False) -> dict[str, Tensor]:
+def judged(
+    fill: Fill, case: Case, windows: PersonWindows, *, lacking: bool = False, draws: int = 1
+) -> dict[str, Tensor]:
     """Computes by person (P,) what becomes of the windows: error in cm, sliding in mm a frame, acceleration over the
-    truth's.
+    truth's; in the mean over so many draws, and of several also their energy score and how far apart they are, in cm.
 
     Nobody is asked for a joint that a figure lacks: it stays as it came. lacking: who fills in is told of it, though.
     """
     motion, whose, lacks = windows
     known = case.mask(len(motion.root))
-    made = cases.pasted(fill(motion, known if lacking else known & ~lacks), motion, known | lacks)
-    found = {
-        "cm": cases.error_cm(made, motion, known, case.joints), "slide": cases.slide_mm(made, motion),
-        "acceleration": cases.acceleration_ratio(made, motion),
-    }  # fmt: skip
+    told = known if lacking else known & ~lacks
+    made = [cases.pasted(fill(motion, told), motion, known | lacks) for _ in range(draws)]
+    rows = {
+        "cm": [cases.error_cm(m, motion, known, case.joints) for m in made],
+        "slide": [cases.slide_mm(m, motion) for m in made],
+        "acceleration": [cases.acceleration_ratio(m, motion) for m in made],
+    }
+    found = {name: torch.stack(each).mean(0) for name, each in rows.items()}
+    if draws > 1:
+        found["score"] = energy_score(made, motion, known, case.joints)
+        found["spread"] = 2 * (found["cm"] - found["score"])
     return {name: by_person(x, whose) for name, x in found.items()}
 
 

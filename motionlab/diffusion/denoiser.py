@@ -26,30 +26,6 @@ def _sines(count: int, size: int) -> Tensor:
     return table
 
 
-class _Sines(nn.Module):
-    """Adds the table to tokens (L, B, size), with dropout."""
-
-    def __init__(self, size: int, dropout: float) -> None:
-        super().__init__()
-        self.dropout = nn.Dropout(dropout)
-        self.register_buffer("pe", _sines(_LONGEST, size)[:, None], persistent=False)
-
-    def forward(self, tokens: Tensor) -> Tensor:
-        return self.dropout(tokens + self.pe[: len(tokens)])
-
-
-class _Step(nn.Module):
-    """The step's token (1, B, size): its row of sines through two layers."""
-
-    def __init__(self, size: int, table: _Sines) -> None:
-        super().__init__()
-        self.sequence_pos_encoder = table
-        self.time_embed = nn.Sequential(nn.Linear(size, size), nn.SiLU(), nn.Linear(size, size))
-
-    def forward(self, stamps: Tensor) -> Tensor:
-        return self.time_embed(self.sequence_pos_encoder.pe[stamps]).transpose(0, 1)
-
-
 class Denoiser(nn.Module):
     """features: numbers per frame. size: of a token. patch: frames in a token.
 
@@ -70,10 +46,12 @@ class Denoiser(nn.Module):
         super().__init__()
         self.features, self.patch = features, patch
         self.input_process = nn.ModuleDict({"poseEmbedding": nn.Linear(features * patch, size)})
-        self.sequence_pos_encoder = _Sines(size, dropout)
+        self.dropout = nn.Dropout(dropout)
+        self.register_buffer("sines", _sines(_LONGEST, size)[:, None], persistent=False)
         layer = nn.TransformerEncoderLayer(size, heads, hidden, dropout, "gelu")
         self.seqTransEncoder = nn.TransformerEncoder(layer, layers, enable_nested_tensor=False)
-        self.embed_timestep = _Step(size, self.sequence_pos_encoder)
+        embed = nn.Sequential(nn.Linear(size, size), nn.SiLU(), nn.Linear(size, size))
+        self.embed_timestep = nn.ModuleDict({"time_embed": embed})
         self.output_process = nn.ModuleDict({"poseFinal": nn.Linear(size, features * patch)})
 
     def forward(self, x: Tensor, stamps: Tensor) -> Tensor:
@@ -86,8 +64,10 @@ class Denoiser(nn.Module):
         if frames % self.patch:
             raise ShapeError(f"{frames} frames do not divide into tokens of {self.patch}")
         tokens = self.input_process["poseEmbedding"](x.unflatten(1, (-1, self.patch)).flatten(2))
-        tokens = torch.cat((self.embed_timestep(stamps), tokens.transpose(0, 1)))
-        said = self.output_process["poseFinal"](self.seqTransEncoder(self.sequence_pos_encoder(tokens))[1:])
+        step = self.embed_timestep["time_embed"](self.sines[stamps])  # a token of its own, the first
+        tokens = torch.cat((step.transpose(0, 1), tokens.transpose(0, 1)))
+        seen = self.seqTransEncoder(self.dropout(tokens + self.sines[: len(tokens)]))
+        said = self.output_process["poseFinal"](seen[1:])
         return said.transpose(0, 1).unflatten(2, (self.patch, -1)).flatten(1, 2)
 
 

@@ -132,9 +132,7 @@ class Trained:
 
 def save_denoiser(path: Path | str, model: Trained, about: dict, *, half: bool = False) -> None:
     """Writes ``path`` (.safetensors) and its recipe (.json), with ``about`` beside it. half: weights as float16."""
-    weights = {f"denoiser.{name}": value for name, value in model.denoiser.state_dict().items()}
-    data = {f"denoiser.{name}" for name, _ in model.denoiser.named_buffers()}
-    weights = {k: v.half() if half and k not in data else v for k, v in weights.items()}
+    weights = {f"denoiser.{n}": x.half() if half else x for n, x in model.denoiser.state_dict().items()}
     tensors = weights | {"mean": model.normaliser.mean, "scale": model.normaliser.scale}
     checkpoint.save(path, tensors, about | {"recipe": asdict(model.recipe)})
 

@@ -67,9 +67,7 @@ def planted(
     thigh, shin, foot = (skeleton.offsets[skeleton.indices(names)].norm(dim=-1) for names in (_KNEES, ANKLES, BALLS))
     heel_down, ball_down = (_stands(motion, names, slow) for names in (ANKLES, BALLS))
     right = torch.zeros_like(motion.root[..., :1], dtype=torch.bool) if known is None else known[..., None]
-    at_heel, at_ball = (
-        _place(points, stands, right) - points for points, stands in ((ankle, heel_down), (ball, ball_down))
-    )
+    at_heel, at_ball = _place(ankle, heel_down, right) - ankle, _place(ball, ball_down, right) - ball
     shift = torch.where(right[..., None], 0.0, at_ball)
     anew = moving = torch.zeros_like(ball_down)
     if step:
@@ -206,10 +204,14 @@ def reach_targets(motion: Motion, names: Sequence[str], targets: Tensor, *, step
     known = targets.isfinite().all(-1)
     above = _above(motion.skeleton, handles).to(motion.root)
     weight = torch.full_like(motion.root[..., 0], _DAMPING)
-    missing = _missing(motion, handles, targets, known)
+
+    def missed(motion: Motion) -> Tensor:  # (..., T, K, 3): the way from every known handle to its target
+        return torch.where(known[..., None], targets - motion.positions[..., handles, :], 0.0)
+
+    missing = missed(motion)
     for _ in range(steps):
         tried = _stepped(motion, handles, above, missing, known, weight)
-        left = _missing(tried, handles, targets, known)
+        left = missed(tried)
         better = left.square().sum((-1, -2)) < missing.square().sum((-1, -2))
         weight = torch.where(better, weight / 3, weight * 10).clamp(min=_DAMPING)
         motion = replace(
@@ -219,11 +221,6 @@ def reach_targets(motion: Motion, names: Sequence[str], targets: Tensor, *, step
         )
         missing = torch.where(better[..., None, None], left, missing)
     return motion
-
-
-def _missing(motion: Motion, handles: Sequence[int], targets: Tensor, known: Tensor) -> Tensor:
-    """(..., T, K, 3): the way from every known handle to its target."""
-    return torch.where(known[..., None], targets - motion.positions[..., handles, :], 0.0)
 
 
 def _stepped(motion, handles, above, missing, known, weight) -> Motion:
