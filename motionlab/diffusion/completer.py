@@ -145,12 +145,11 @@ class Completer(nn.Module):
         how much joints trembled (B,), radians."""
         begun, open_ = self._begun(motion, known)
         scale, shown = self.units.made[1], None
-        if self.recipe.noised:
-            if angle is None:
-                angle, shown = torch.full((len(begun),), math.pi / 2).to(begun), torch.zeros_like(begun)
-            else:
-                turned = angle[:, None, None]
-                shown = (turned.cos() * (state.made(motion) - begun) / scale + turned.sin() * noise) * open_
+        if angle is not None:
+            turned = angle[:, None, None]
+            shown = (turned.cos() * (state.made(motion) - begun) / scale + turned.sin() * noise) * open_
+        elif self.recipe.noised:
+            angle, shown = torch.full((len(begun),), math.pi / 2).to(begun), torch.zeros_like(begun)
         return state.motion_of(begun + self._added(motion, begun, known, shown, angle, tremble) * scale * open_, motion)
 
     def _begun(self, motion: Motion, known: Tensor) -> tuple[Tensor, Tensor]:
@@ -214,22 +213,21 @@ class Completer(nn.Module):
         if generator is not None and not self.recipe.noised:
             raise ValueError("this model has one answer and draws none")
         if self.recipe.rough != (tremble is not None):
-            raise ValueError(
-                f"tremble: {'expected a size' if self.recipe.rough else 'only a rough model is told of it'}"
-            )
+            told = "expected a size" if self.recipe.rough else "only a rough model is told of it"
+            raise ValueError(f"tremble: {told}")
         if motion.contacts is None:
-            motion = replace(
-                motion, contacts=motion.root.new_zeros(*motion.root.shape[:-1], len(STANDARD.contact_names))
-            )
-            known = torch.cat((known[..., :-1], torch.zeros_like(known[..., -1:])), -1)
+            none = motion.root.new_zeros(*motion.root.shape[:-1], len(STANDARD.contact_names))
+            motion, known = replace(motion, contacts=none), known.clone()
+            known[..., -1] = False
         local, frame = stuck_root(motion)
         parts = []
         for at in torch.arange(len(motion.root)).split(batch):
             some = local.clip(at), known[at]
+            if generator is not None:
+                parts.append(self._drawn(*some, generator, steps))
+                continue
             size = None if tremble is None else torch.full((len(at),), tremble).to(local.root)
-            parts.append(
-                self.filled(*some, tremble=size) if generator is None else self._drawn(*some, generator, steps)
-            )
+            parts.append(self.filled(*some, tremble=size))
         root, rot, contacts = (torch.cat([getattr(p, name) for p in parts]) for name in ("root", "rot", "contacts"))
         world = local_to_world(frame, replace(local, root=root, rot=rot, contacts=(contacts > 0.5).to(root)))
         return replace(

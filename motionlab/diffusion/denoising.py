@@ -36,9 +36,10 @@ class Noise:
 
     def on(self, motion: Motion, generator: torch.Generator) -> Motion:
         """Adds this noise to a motion; contacts are dropped."""
-        turn = _rotation_noise(motion.rot.shape[:-2], self.turn, generator, lasting=self.lasting)
-        shift = self.shift * _steady(motion.root.shape, generator, dim=motion.root.ndim - 2, lasting=self.lasting)
-        return replace(motion, root=motion.root + shift, rot=motion.rot @ turn, contacts=None)
+        dim = motion.root.ndim - 2
+        turn = self.turn * _steady((*motion.rot.shape[:-2], 3), generator, dim=dim, lasting=self.lasting)
+        shift = self.shift * _steady(motion.root.shape, generator, dim=dim, lasting=self.lasting)
+        return replace(motion, root=motion.root + shift, rot=motion.rot @ rotation.exp(turn), contacts=None)
 
 
 def smoothed(motion: Motion, noise: Noise) -> Motion:
@@ -60,12 +61,7 @@ def noise_size(layout: Layout, normaliser: Normaliser, turn: float, shift: float
     return size / normaliser.scale
 
 
-def _rotation_noise(shape: Sequence[int], turn: float, generator: torch.Generator, *, lasting: float = 0.0) -> Tensor:
-    """Small random rotations (..., T, J, 3, 3), each axis N(0, turn) radians, as ``_steady``."""
-    return rotation.exp(turn * _steady((*shape, 3), generator, dim=len(shape) - 2, lasting=lasting))
-
-
-def _steady(shape: Sequence[int], generator: torch.Generator, *, dim: int, lasting: float = 0.0) -> Tensor:
+def _steady(shape: Sequence[int], generator: torch.Generator, *, dim: int, lasting: float) -> Tensor:
     """Standard normal numbers of which those next to each other along ``dim`` have correlation ``lasting``."""
     fresh = torch.randn(shape, generator=generator).movedim(dim, 0)
     out = [fresh[0]]

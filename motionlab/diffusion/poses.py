@@ -100,9 +100,8 @@ class Poser(nn.Module):
         """
         count = check_shape(targets, f"B {_J} 3", "targets")["B"]
         if which.shape != targets.shape[:-1] or which.dtype != torch.bool:
-            raise ShapeError(
-                f"which: expected bool {tuple(targets.shape[:-1])}, got {which.dtype} {tuple(which.shape)}"
-            )
+            want = f"bool {tuple(targets.shape[:-1])}"
+            raise ShapeError(f"which: expected {want}, got {which.dtype} {tuple(which.shape)}")
         if not targets[which].isfinite().all():
             raise DataError("a target is not finite", place="targets", remedy="let that joint be free")
         return self.decode(self(targets, which, torch.zeros(count, NUMBERS), torch.full((count,), math.pi / 2)))

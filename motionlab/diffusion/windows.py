@@ -54,14 +54,11 @@ class Windows:
         def either(a: Tensor, b: Tensor) -> Tensor:
             return torch.where(flip.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
 
-        motion = replace(
-            motion,
-            skeleton=replace(motion.skeleton, offsets=either(other.skeleton.offsets, motion.skeleton.offsets)),
-            root=either(other.root, motion.root),
-            rot=either(other.rot, motion.rot),
-            contacts=None if motion.contacts is None else either(other.contacts, motion.contacts),
-        )
-        return motion, self.clip[begin]
+        contacts = None if motion.contacts is None else either(other.contacts, motion.contacts)
+        offsets = either(other.skeleton.offsets, motion.skeleton.offsets)
+        root, rot = either(other.root, motion.root), either(other.rot, motion.rot)
+        skeleton = replace(motion.skeleton, offsets=offsets)
+        return replace(motion, skeleton=skeleton, root=root, rot=rot, contacts=contacts), self.clip[begin]
 
     def _begins(self, count: int, generator: torch.Generator) -> Tensor:
         if self.people is None:

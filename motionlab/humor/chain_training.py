@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -66,13 +65,6 @@ class ChainRecipe:
 
 
 _SURE = -3.0  # log variance of z at first, from the posterior
-
-
-class _Walked(NamedTuple):
-    """What chains say, over all steps: states after each in the frame before it (N, 339), contact logits (N, 9)."""
-
-    after: Tensor
-    logits: Tensor
 
 
 @torch.no_grad()
@@ -151,10 +143,10 @@ class ChainTraining(TrainingRun):
                 q = self.scales.posterior(self.model, past[:closed], now[:closed])
                 p = self.scales.prior(self.model, past[judged:])
                 z = torch.cat((q.sample(self.generator), known[t], p.sample(self.generator).detach()))
-                found = _Walked(*apply(past, self.scales.decode(self.model, past, z)))
-                steps.append(found), pasts.append(past[:closed]), posteriors.append(q), targets.append(now)
+                steps.append(apply(past, self.scales.decode(self.model, past, z)))  # states after in the frame before
+                pasts.append(past[:closed]), posteriors.append(q), targets.append(now)
                 given = torch.rand(recipe.batch, 1, generator=self.generator) < truth
-                x = torch.where(given, states[:, t + 1], globalise(found.after, frame))
+                x = torch.where(given, states[:, t + 1], globalise(steps[-1][0], frame))
                 x = x.detach() if (t + 1) % recipe.chain == 0 else x
             q = Gaussian(*map(torch.cat, zip(*posteriors, strict=True)))
             divergence = kl(q, self.scales.prior(self.model, torch.cat(pasts))).sum(-1).mean()
