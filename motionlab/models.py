@@ -22,7 +22,7 @@ from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import sample_rollout
 from motionlab.humor.state import unpack
 from motionlab.metrics.intervals import interval
-from motionlab.motion import Motion
+from motionlab.motion import FPS, Motion
 
 PRIORS = "humor_*", "transition"  # patterns of their names
 #: Where the measurements stand in a recipe.
@@ -100,7 +100,11 @@ def person_rows(
 @torch.no_grad()
 def _walkers(model: Cvae, states: torch.Tensor, seed: int) -> dict[str, float]:
     """Of windows in which a person walks, the share whose samples still do in the last half second, and who do so."""
-    speed = _over_floor(states)
+
+    def over_floor(states: torch.Tensor) -> torch.Tensor:  # (W, T - 1) of the pelvis, m/s
+        return unpack(states)["joints"][:, :, 0, :2].diff(dim=1).norm(dim=-1) * FPS
+
+    speed = over_floor(states)
     walking = speed.mean(1) > _WALKING
     names = "walkers who go on", "data's walkers who go on"
     if not walking.any():
@@ -108,13 +112,8 @@ def _walkers(model: Cvae, states: torch.Tensor, seed: int) -> dict[str, float]:
     first, generator = states[walking, 0], torch.Generator().manual_seed(seed)
     made = sample_rollout(model, first, states.shape[1] - 1, generator=generator).states
     least = 0.5 * speed[walking].mean(1)
-    still = (_over_floor(made)[:, -15:].mean(1) > least, speed[walking, -15:].mean(1) > least)
+    still = (over_floor(made)[:, -15:].mean(1) > least, speed[walking, -15:].mean(1) > least)
     return {name: float(each.float().mean()) for name, each in zip(names, still, strict=True)}
-
-
-def _over_floor(states: torch.Tensor) -> torch.Tensor:
-    """Speed (W, T - 1) of the pelvis over the floor, m/s."""
-    return unpack(states)["joints"][:, :, 0, :2].diff(dim=1).norm(dim=-1) * 30.0
 
 
 def _models_table() -> str:
@@ -167,8 +166,8 @@ def _cell(found: Mapping[str, float] | None) -> str:
 def _markdown(rows: list[dict[str, str]]) -> str:
     if not rows:
         return ""
-    lines = [f"| {' | '.join(rows[0])} |", "|" + "---|" * len(rows[0])]
-    return "\n".join([*lines, *(f"| {' | '.join(row.values())} |" for row in rows)])
+    lines = [f"| {' | '.join(cells)} |" for cells in (rows[0], *(row.values() for row in rows))]
+    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
 
 
 def write_readme() -> Path:

@@ -30,18 +30,14 @@ from motionlab.skeleton import STANDARD
 RIDGES = (0.01, 0.1, 1.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # variances; the known numbers say much alike
 FILTERS: Mapping[str, tuple[Callable, Mapping[str, Sequence]]] = {
     "Savitzky-Golay": (
-        lambda x, fps, window, degree: baselines.savitzky_golay(x, window, degree),
+        lambda x, fps, **settings: baselines.savitzky_golay(x, **settings),
         {"window": (5, 7, 9, 13, 17, 21), "degree": (2, 3)},
     ),
-    "one euro": (
-        lambda x, fps, min_cutoff, beta: baselines.one_euro(x, fps, min_cutoff, beta),
-        {"min_cutoff": (0.5, 1.0, 2.0, 4.0, 8.0), "beta": (0.0, 1.0, 4.0)},
+    "one euro": (baselines.one_euro, {"min_cutoff": (0.5, 1.0, 2.0, 4.0, 8.0), "beta": (0.0, 1.0, 4.0)}),
+    "Kalman smoother": (  # only their ratio matters
+        baselines.kalman, {"noise": (1.0,), "acceleration": (3.0, 10.0, 30.0, 100.0, 300.0)}
     ),
-    "Kalman smoother": (
-        lambda x, fps, noise, acceleration: baselines.kalman(x, fps, noise, acceleration),
-        {"noise": (1.0,), "acceleration": (3.0, 10.0, 30.0, 100.0, 300.0)},  # only their ratio matters
-    ),
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
