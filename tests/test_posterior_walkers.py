@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import posterior
 from motionlab.errors import DataError, NotConverged, ShapeError
-from motionlab.posterior import autocorrelation_times, walkers
+from studies.nb09_posterior.walkers import LEAST, autocorrelation_times, walkers
 
 COV = torch.tensor([[1.0, 1.8, 0.0], [1.8, 4.0, 0.0], [0.0, 0.0, 0.01]], dtype=torch.float64)
 MEAN = torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64)
@@ -74,7 +73,7 @@ def test_control_one_look_at_a_long_chain_is_not_enough(generator):
     """The first look is long by the same estimate that decides when to stop; the next one has to agree."""
     how = {"names": "abc", "generator": generator, "block": 4000}
     once = walkers(gaussian, near(generator), steps=4000, **how)
-    assert (len(once.chain) >= posterior.LEAST * once.times).all() and once.looks == 1 and not once.long_enough
+    assert (len(once.chain) >= LEAST * once.times).all() and once.looks == 1 and not once.long_enough
     assert walkers(gaussian, near(generator), steps=8000, **how).long_enough
 
 

@@ -115,9 +115,9 @@ def test_a_real_artists_rig_ties_toes_to_the_other_foot():
     assert any((row["holder"], row["joint"]) == ("left_foot", "right_foot") and row["metres"] > 1.5 for row in rows)
     toe = next(row["vertex"] for row in rows if (row["holder"], row["joint"]) == ("left_foot", "right_foot"))
     rot = torch.eye(3).repeat(22, 1, 1)
-    leak = skinning._leakage(body, torch.zeros(3), rot, [toe]).per_joint
+    leak = pruning.leakage(body, torch.zeros(3), rot, [toe]).per_joint
     assert leak[STANDARD.index("right_knee")] > 1e-4  # metres per radian
-    assert skinning._leakage(skinning.prune(body), torch.zeros(3), rot, [toe]).per_joint.max() == 0
+    assert pruning.leakage(skinning.prune(body), torch.zeros(3), rot, [toe]).per_joint.max() == 0
 
 
 def test_reach_is_the_fall_off_of_ordinary_weights_continued(clean, faulty):
@@ -161,11 +161,11 @@ def test_influence_agrees_with_finite_differences(clean, face, generator):
 
 def test_spurious_weights_leak_gradient_to_the_legs_and_pruning_stops_it(clean, faulty, face, generator):
     root, rot = pose(generator)
-    leak = skinning._leakage(faulty[0], root, rot, face)
+    leak = pruning.leakage(faulty[0], root, rot, face)
     assert leak.per_joint[LEGS[1:]].min() > 1e-4  # metres per radian: planted on the right hip and both knees
     assert leak.share > 1e-4
     for body in (clean, skinning.prune(faulty[0])):
-        stopped = skinning._leakage(body, root, rot, face)
+        stopped = pruning.leakage(body, root, rot, face)
         assert stopped.share == 0 and float(stopped.influence[:, LEGS].abs().max()) == 0
         assert stopped.influence[:, STANDARD.index("neck")].min() > 0.01  # the chain above still moves the face
 
@@ -176,7 +176,7 @@ def test_displacement_is_zero_at_rest_and_grows_with_what_is_pruned(faulty, gene
     moving = Motion(STANDARD, root, rot, 30.0)
     body = faulty[0]
     assert skinning.displacement(body, skinning.prune(body), still)[1] < 1e-6
-    rows = skinning.pruning_sweep(body, moving, [0], [0.0, 1e-3, 1e-2])
+    rows = pruning.sweep(body, body, faulty[1], moving, [0], [0.0, 1e-3, 1e-2])
     assert rows[0]["removed"] == 0 and rows[0]["max_mm"] < 1e-2
     assert rows[0]["mean_mm"] < rows[1]["mean_mm"] < rows[2]["mean_mm"]
     assert rows[2]["removed"] == pytest.approx(0.03, abs=0.002)

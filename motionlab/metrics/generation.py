@@ -5,7 +5,6 @@ Every measure tells the sizes of its sets, as most of them change with it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
@@ -23,11 +22,11 @@ class Score(NamedTuple):
     spread: float = float("nan")  #: standard deviation over the random subsets, where there are some
 
 
-def _checked(x: Tensor, y: Tensor, least: int = 2) -> tuple[Tensor, Tensor]:
-    """Both sets in float64, of one width, with at least so many finite rows."""
+def _checked(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """Both sets in float64, of one width, with at least two rows, all finite."""
     check_shape(y, f"M {check_shape(x, 'N D', 'generated')['D']}", "real")
-    if min(len(x), len(y)) < least:
-        raise ShapeError(f"needs at least {least} samples a side, got {len(x)} generated and {len(y)} real")
+    if min(len(x), len(y)) < 2:
+        raise ShapeError(f"needs at least 2 samples a side, got {len(x)} generated and {len(y)} real")
     for name, z in (("generated", x), ("real", y)):
         if not z.isfinite().all():
             row = int((~z.isfinite().all(-1)).nonzero()[0])
@@ -85,18 +84,14 @@ def kid(
     *,
     subsets: int = 100,
     size: int = 1000,
-    replacement: bool = False,
 ) -> Score:
     """Computes the kernel distance, whose mean is free of N: :func:`_polynomial_mmd` over random subsets; its spread.
 
     Subsets have ``size`` samples, or as many as the smaller set has; where neither set leaves a choice there is one
     subset. The score's n and m are the sets', not the subsets'.
 
-    Args:
-        replacement: draw with replacement from a set larger than ``size``, as MDM does. Pairs that were drawn twice
-            then count as similar, which biases the score upwards.
-
-    Source: Binkowski et al. 2018; constants and the replacement of MDM (``eval/unconstrained/metrics/kid.py``).
+    Source: Binkowski et al. 2018; constants of MDM (``eval/unconstrained/metrics/kid.py``). Differs: MDM draws with
+    replacement; pairs that were drawn twice then count as similar, which biases the score upwards.
     Raises:
         ShapeError: fewer than two samples a side, or different D. DataError: a feature is not finite.
     """
@@ -106,20 +101,9 @@ def kid(
         raise ShapeError(f"expected subsets of at least 2 samples, and at least one; got {subsets} of {size}")
     if size == len(x) == len(y):
         return Score(_polynomial_mmd(x, y), len(x), len(y))
-    found = [_polynomial_mmd(*(_pick(z, size, generator, replacement) for z in (x, y))) for _ in range(subsets)]
-    return _summary(found, len(x), len(y))
-
-
-def _pick(x: Tensor, size: int, generator: torch.Generator, replacement: bool = False) -> Tensor:
-    """Random rows; with replacement only where there is a choice, as in MDM."""
-    if replacement and size < len(x):
-        return x[torch.randint(len(x), (size,), generator=generator)]
-    return x[torch.randperm(len(x), generator=generator)[:size]]
-
-
-def _summary(found: list[float], n: int, m: int) -> Score:
-    values = torch.tensor(found, dtype=torch.float64)
-    return Score(values.mean().item(), n, m, values.std(correction=0).item())
+    picks = ([z[torch.randperm(len(z), generator=generator)[:size]] for z in (x, y)] for _ in range(subsets))
+    found = torch.tensor([_polynomial_mmd(*pick) for pick in picks], dtype=torch.float64)
+    return Score(found.mean().item(), len(x), len(y), found.std(correction=0).item())
 
 
 # ------------------------------------------------------------------------------------------------- manifolds
@@ -189,49 +173,14 @@ def density_coverage(generated: Tensor, real: Tensor, k: int = 5) -> Coverage:
     return Coverage(inside.sum().item() / (k * len(x)), inside.any(0).double().mean().item(), len(x), len(y))
 
 
-def diversity(x: Tensor, generator: torch.Generator | None = None, pairs: int | None = None) -> Score:
-    """Computes the mean distance between two samples of one set (N, D): every pair, or some drawn with replacement.
+def diversity(x: Tensor) -> Score:
+    """Computes the mean distance between two samples of one set (N, D), over all m pairs.
 
-    A high number may be noise and a low one collapse: read it beside the real set's own. n is the set's size, m the
-    number of pairs.
-
-    Args:
-        pairs: as in the literature (MDM: 200); a sample may meet itself there. None: all pairs, no randomness.
+    A high number may be noise and a low one collapse: read it beside the real set's own.
 
     Raises:
-        ShapeError: fewer than two samples. ValueError: pairs without a generator.
+        ShapeError: fewer than two samples. DataError: a feature is not finite.
     """
     x, _ = _checked(x, x)
-    if pairs is None:
-        total = _distances(x, x).sum().item()
-        count = len(x) * (len(x) - 1)
-        return Score(total / count, len(x), count // 2)
-    if generator is None or pairs < 1:
-        raise ValueError("pairs: expected at least one, and a generator to draw them with")
-    first, second = (x[torch.randint(len(x), (pairs,), generator=generator)] for _ in range(2))
-    gaps = torch.linalg.vector_norm(first - second, dim=1)
-    return Score(gaps.mean().item(), len(x), pairs, gaps.std(correction=0).item())
-
-
-# --------------------------------------------------------------------------------------------------- neighbours
-
-
-def nearest_rows(queries: Tensor, library: Tensor, batch: int = 4096) -> tuple[Tensor, Tensor]:
-    """Computes distance (N,), float64, and index (N,) of the row of a library (M, D) nearest to each query (N, D)."""
-    if queries.ndim != 2 or library.ndim != 2 or queries.shape[1] != library.shape[1] or not len(library):
-        raise ShapeError(f"expected (N, D) and (M > 0, D), got {tuple(queries.shape)} and {tuple(library.shape)}")
-    rows = library.split(batch)
-    return nearest_of_batches(queries.double(), ((part.double(), k * batch) for k, part in enumerate(rows)))
-
-
-def nearest_of_batches(queries: Tensor, batches: Iterator[tuple[Tensor, int]]) -> tuple[Tensor, Tensor]:
-    """Computes the distance (N,) and index (N,) of the nearest row for queries (N, D), over batches of (rows, number of
-    the first one). The candidate of each batch is found by the quick expansion of the square, its distance exactly."""
-    best = torch.full((len(queries),), torch.inf, dtype=torch.float64, device=queries.device)
-    index = torch.zeros(len(queries), dtype=torch.long, device=queries.device)
-    for rows, start in batches:
-        candidate = (rows.square().sum(1) - 2 * queries @ rows.mT).argmin(1)
-        distance = torch.linalg.vector_norm(queries - rows[candidate], dim=1)
-        better = distance < best
-        best, index = torch.where(better, distance, best), torch.where(better, candidate + start, index)
-    return best, index
+    count = len(x) * (len(x) - 1)
+    return Score(_distances(x, x).sum().item() / count, len(x), count // 2)

@@ -18,14 +18,13 @@ import torch
 from torch import Tensor
 
 from data_synth.scenes import Scene
-from motionlab import posterior
 from motionlab.humor.body_shape import landmarks, offsets
 from motionlab.humor.energies import body_25_confidence, gmof
 from motionlab.humor.testops import Fitted
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
-from motionlab.posterior import Chain
 from motionlab.skeleton import STANDARD
+from studies.nb09_posterior.walkers import Chain, walkers
 
 NAMES = ("stature (log)", "distance (log)", "focal length (log)", "pitch (rad)", "camera height (m)")
 PIXEL = 6.0  # pixels: standard deviation of a keypoint of confidence 1; HuMoR's 0.001 beside its 0.075 says 6.1
@@ -140,11 +139,11 @@ def true_numbers(seen: View, truth: Motion, camera: Camera, frames: Tensor) -> T
 def walked(
     seen: View, exact: Tensor, told: Mapping[int, float], generator: torch.Generator, *, many: int = 24, **how
 ) -> Chain:
-    """Draws the five numbers by walkers that start about what is known; how: goes to ``posterior.walkers``."""
+    """Draws the five numbers by walkers that start about what is known; how: goes to ``walkers``."""
     middle, sizes = seen.before(told, exact)
     about = middle + 0.02 * torch.randn(many, len(NAMES), generator=generator, dtype=torch.float64)
     about[:, 1] += about[:, 0] + about[:, 2]  # nearly as large in the image
-    return posterior.walkers(lambda x: seen.log_prob(x, middle, sizes), about, names=NAMES, generator=generator, **how)
+    return walkers(lambda x: seen.log_prob(x, middle, sizes), about, names=NAMES, generator=generator, **how)
 
 
 def asked(

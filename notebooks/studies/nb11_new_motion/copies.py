@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from motionlab.heading import heading_frame, world_to_local_positions
-from motionlab.metrics.generation import nearest_of_batches
 from motionlab.motion import Motion, joined, mirror
 
 EVERY = 6  # frames between the poses that are compared: five a second
@@ -64,6 +63,19 @@ def rows(positions: Tensor, root: Tensor, orientation: Tensor) -> Tensor:
     """Windows (N, T, J, 3) as rows of every ``EVERY``-th pose's joints, metres, in the heading frame of the first."""
     frame = heading_frame(root, orientation)
     return world_to_local_positions(frame, positions[:, ::EVERY].flatten(1, 2)).flatten(1)
+
+
+def nearest_of_batches(queries: Tensor, batches: Iterator[tuple[Tensor, int]]) -> tuple[Tensor, Tensor]:
+    """Computes the distance (N,) and index (N,) of the nearest row for queries (N, D), over batches of (rows, number of
+    the first one). The candidate of each batch is found by the quick expansion of the square, its distance exactly."""
+    best = torch.full((len(queries),), torch.inf, dtype=torch.float64, device=queries.device)
+    index = torch.zeros(len(queries), dtype=torch.long, device=queries.device)
+    for rows, start in batches:
+        candidate = (rows.square().sum(1) - 2 * queries @ rows.mT).argmin(1)
+        distance = torch.linalg.vector_norm(queries - rows[candidate], dim=1)
+        better = distance < best
+        best, index = torch.where(better, distance, best), torch.where(better, candidate + start, index)
+    return best, index
 
 
 def threshold(held_out: Nearest) -> float:
