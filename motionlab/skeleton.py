@@ -105,6 +105,13 @@ class Skeleton:
         partner = [next((swap[s] + n[len(s) :] for s in swap if n.startswith(s)), n) for n in self.names]
         return self.indices(partner)
 
+    def ancestors(self) -> Tensor:
+        """Returns a boolean (J, J): entry (j, a) is True where joint a is j itself or above it."""
+        above = torch.eye(len(self), dtype=torch.bool)
+        for joint, parent in enumerate(self.parents[1:], start=1):
+            above[joint] |= above[parent]
+        return above
+
     def rest_positions(self) -> Tensor:
         """Computes joint positions (..., J, 3) of the rest pose, metres, rest frame, root at the origin."""
         positions = [torch.zeros_like(self.offsets[..., 0, :])]

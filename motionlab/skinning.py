@@ -94,7 +94,7 @@ def surface_distance(body: BodyModel) -> Tensor:
 
 def tree_distance(skeleton: Skeleton) -> Tensor:
     """Counts the bones (J, J) between every two joints."""
-    above = ancestors(skeleton).long()
+    above = skeleton.ancestors().long()
     depth = above.sum(1)
     return depth[:, None] + depth - 2 * (above @ above.T)
 
@@ -228,14 +228,6 @@ def influence(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int
 def _decades(body: BodyModel) -> Tensor:
     """How many decades each weight lies below a half, (V, J); infinite where it is zero."""
     return -(2 * body.weights.double()).log10()
-
-
-def ancestors(skeleton: Skeleton) -> Tensor:
-    """Returns a boolean (J, J): entry (j, a) is True where joint a is j itself or above it."""
-    above = torch.eye(len(skeleton), dtype=torch.bool)
-    for joint, parent in enumerate(skeleton.parents[1:], start=1):
-        above[joint] |= above[parent]
-    return above
 
 
 def _edges(body: BodyModel) -> coo_array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -166,13 +167,26 @@ def from_weights(weights: dict[str, Tensor], path: Path, remedy: str) -> Cvae:
     last = weights.get("prior_net.net.12.bias")
     latent = LATENT if last is None else len(last) // 2
     model = Cvae(len(first), latent, skip="skip.weight" in weights, direct="direct.weight" in weights)
+    return reorder(filled(model, weights, "tensors do not fit HuMoR's networks", path, remedy))
+
+
+def filled(model: nn.Module, weights: Mapping[str, Tensor], unfit: str, path: Path, remedy: str) -> nn.Module:
+    """Returns a model, frozen, with the weights of a state dict, whose norms need not have counted their batches.
+
+    Raises:
+        DataError: names or shapes are others (``unfit``), or a number is not finite.
+    """
+    counts = {name: value for name, value in model.state_dict().items() if name.endswith("num_batches_tracked")}
     try:
-        model.load_state_dict({name: value.float() for name, value in weights.items()})
+        model.load_state_dict(counts | {name: value.float() for name, value in weights.items()})
     except RuntimeError as error:
-        what = str(error).splitlines()[-1].strip()
-        raise DataError(f"tensors do not fit HuMoR's networks: {what}", path=path, remedy=remedy) from error
-    reorder(model)
-    for name, value in weights.items():
+        raise DataError(f"{unfit}: {str(error).splitlines()[-1].strip()}", path=path, remedy=remedy) from error
+    finite(weights, path, remedy)
+    return model.frozen()
+
+
+def finite(tensors: Mapping[str, Tensor], path: Path, remedy: str) -> None:
+    """Raises DataError where a tensor holds a number that is not finite."""
+    for name, value in tensors.items():
         if not value.isfinite().all():
             raise DataError("numbers that are not finite", path=path, place=name, remedy=remedy)
-    return model.frozen()

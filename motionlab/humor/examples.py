@@ -44,14 +44,11 @@ class LiveExamples:
         motion, clip = self.motions.drawn(count, generator)
         betas = self.bodies * torch.randn(count, body_shape.BETAS, generator=generator)
         betas = betas * (torch.rand(count, 1, generator=generator) < 2 / 3)
-        offsets = motion.skeleton.offsets * body_shape.scales(betas)[:, None, :, None]
-        legs = STANDARD.indices(["left_knee", "left_ankle"])
-        grown = offsets[..., legs, :].norm(dim=-1).sum(-1) / motion.skeleton.offsets[..., legs, :].norm(dim=-1).sum(-1)
-        body = replace(motion.skeleton, offsets=offsets)
-        states = from_motion(replace(motion, skeleton=body, root=motion.root * grown[..., None]), causal=True)
+        motion = _grown(motion, body_shape.scales(betas)[:, None, :, None])
+        states = from_motion(motion, causal=True)
         seen = self.motions.seen
         recorded = torch.ones(count, len(STANDARD), dtype=torch.bool) if seen is None else seen[clip]
-        return states[:, 1:], motion.contacts[:, 1:], offsets[:, 0], recorded
+        return states[:, 1:], motion.contacts[:, 1:], motion.skeleton.offsets[:, 0], recorded
 
     @property
     def digest(self) -> str:
@@ -79,8 +76,12 @@ def live_examples(motions: Sequence[Motion], length: int, missing: Sequence[Sequ
 def other_body(motion: Motion, generator: torch.Generator) -> Motion:
     """Puts the same angles on a body drawn at random; the path grows with the legs, so that feet hardly slide."""
     betas = _PEOPLE * torch.randn(body_shape.BETAS, generator=generator)
-    scale = body_shape.scales(betas)[:, None]
-    offsets = motion.skeleton.offsets * scale
-    legs = motion.skeleton.indices(["left_knee", "left_ankle"])
-    grown = offsets[legs].norm(dim=-1).sum() / motion.skeleton.offsets[legs].norm(dim=-1).sum()
-    return replace(motion, skeleton=replace(motion.skeleton, offsets=offsets), root=motion.root * grown)
+    return _grown(motion, body_shape.scales(betas)[:, None])
+
+
+def _grown(motion: Motion, scale: Tensor) -> Motion:
+    """A motion whose bones are so many times as long, (..., 22, 1)."""
+    offsets, legs = motion.skeleton.offsets * scale, STANDARD.indices(["left_knee", "left_ankle"])
+    longer, before = (x[..., legs, :].norm(dim=-1).sum(-1) for x in (offsets, motion.skeleton.offsets))
+    root = motion.root * (longer / before)[..., None]
+    return replace(motion, skeleton=replace(motion.skeleton, offsets=offsets), root=root)

@@ -23,7 +23,7 @@ from torch import Tensor
 from motionlab import checkpoint
 from motionlab.errors import DataError, ShapeError
 from motionlab.humor import state
-from motionlab.humor.cvae import Cvae, from_weights
+from motionlab.humor.cvae import Cvae, filled, finite, from_weights
 from motionlab.humor.priors import (
     BODY_JOINTS,
     FIRST_STATE_SIZE,
@@ -82,8 +82,8 @@ def load_priors(
         DataError: a file is missing, damaged or of something else; an official one without ``pelvis``, or ``pelvis``
             without one or not in metres; a motion prior whose velocities are central ones, without ``initial``.
     """
-    moved = {"motion": _suffix(motion) in _TORCH, "initial": _suffix(initial) == ".npz"}
-    official = next((path for path, yes in ((motion, moved["motion"]), (initial, moved["initial"])) if yes), None)
+    their_motion, their_initial = _suffix(motion) in _TORCH, _suffix(initial) == ".npz"
+    official = motion if their_motion else initial if their_initial else None
     if official is not None and pelvis is None:
         raise DataError(
             "its states are of SMPL's translation, and a fit needs to know where the pelvis lies from there",
@@ -95,25 +95,22 @@ def load_priors(
         raise DataError("pelvis: no official motion or initial prior that it moves", remedy="leave it out")
     if pelvis is not None and not all(abs(x) < 2 for x in pelvis):
         raise DataError(f"pelvis: expected metres, got {pelvis}", remedy="give its x, y and z")
-    model = _official_motion(motion) if moved["motion"] else load_motion_prior(str(motion or f"humor_{name}"))
+    if their_motion:
+        model = _at_pelvis(_official_motion(motion), pelvis)
+    else:
+        model = load_motion_prior(str(motion or f"humor_{name}"))
     if initial is None and not model.causal:
         raise DataError(
             "its velocities are central ones, which know the next frame; the first states that ship know the past only",
             path=motion,
             remedy="give the first states it was trained with, too (initial, --initial): prior_gmm.npz of its release",
         )
-    found = Priors(
-        model,
-        _vposer(pose) if _suffix(pose) in _TORCH else load_pose_prior(str(pose or f"pose_prior_{name}")),
-        _official_mixture(initial) if moved["initial"] else load_initial(str(initial or f"init_gmm_{name}")),
-    )
-    if pelvis is None:
-        return found
-    return Priors(
-        _at_pelvis(found.motion, pelvis) if moved["motion"] else found.motion,
-        found.pose,
-        _mixture_at_pelvis(found.initial, pelvis) if moved["initial"] else found.initial,
-    )
+    if their_initial:
+        mixture = _mixture_at_pelvis(_official_mixture(initial), pelvis)
+    else:
+        mixture = load_initial(str(initial or f"init_gmm_{name}"))
+    theirs = _suffix(pose) in _TORCH
+    return Priors(model, _vposer(pose) if theirs else load_pose_prior(str(pose or f"pose_prior_{name}")), mixture)
 
 
 def _suffix(path: Path | str | None) -> str:
@@ -152,15 +149,7 @@ def load_pose_prior(name: str = f"pose_prior_{DEFAULT}") -> PosePrior:
         DataError: no such checkpoint, damaged, or of something else.
     """
     tensors, path = _tensors(name)
-    model = PosePrior()
-    counts = {key: value for key, value in model.state_dict().items() if key.endswith("num_batches_tracked")}
-    try:
-        model.load_state_dict(counts | {key: value.float() for key, value in tensors.items()})
-    except RuntimeError as error:
-        what = str(error).splitlines()[-1].strip()
-        raise DataError(f"not a pose prior: {what}", path=path, remedy=checkpoint.REMEDY) from error
-    _finite(tensors, path)
-    return model.frozen()
+    return filled(PosePrior(), tensors, "not a pose prior", path, checkpoint.REMEDY)
 
 
 @cache
@@ -171,7 +160,7 @@ def load_initial(name: str = f"init_gmm_{DEFAULT}") -> InitGmm:
         DataError: no such checkpoint, damaged, or of something else.
     """
     tensors, path = _tensors(name)
-    _finite(tensors, path)
+    finite(tensors, path, checkpoint.REMEDY)
     return _mixture_of(tensors, path)
 
 
@@ -183,18 +172,12 @@ def load_motion_prior(name: str = f"humor_{DEFAULT}") -> Cvae:
         DataError: no such checkpoint, or damaged.
     """
     tensors, path = _tensors(name)
-    return from_weights({key: value.float() for key, value in tensors.items()}, path, checkpoint.REMEDY)
+    return from_weights(tensors, path, checkpoint.REMEDY)
 
 
 def _tensors(name: str) -> tuple[dict[str, Tensor], Path]:
     path = checkpoint.SHIPPED / name if Path(name).name == name else Path(name)
     return checkpoint.load(path)[0], path
-
-
-def _finite(tensors: dict[str, Tensor], path: Path) -> None:
-    for name, value in tensors.items():
-        if not value.isfinite().all():
-            raise DataError("numbers that are not finite", path=path, place=name, remedy=checkpoint.REMEDY)
 
 
 # --------------------------------------------------------------------------------------------------- files of others
@@ -206,24 +189,18 @@ def _official_motion(path: Path | str) -> Cvae:
 
 def _official_mixture(path: Path | str) -> InitGmm:
     """The official ``prior_gmm.npz``: weights (K,), means (K, 138), covariances (K, 138, 138)."""
+    shapes = {"weights": "K", "means": "K D", "covariances": "K D D"}
     with reading(path, "take prior_gmm.npz of the official HuMoR release") as at:
-        raw = read_npz(at, ("weights", "means", "covariances"))
-        count = len(raw["weights"]) if raw["weights"].ndim else 0
-        shapes = {
-            "weights": f"{count}",
-            "means": f"{count} {FIRST_STATE_SIZE}",
-            "covariances": f"{count} {FIRST_STATE_SIZE} {FIRST_STATE_SIZE}",
-        }
-        found = {name: torch.from_numpy(numbers(at, raw[name], shape, name)) for name, shape in shapes.items()}
-        return _mixture_of(found, path)
+        raw = read_npz(at, tuple(shapes))
+        found = {name: torch.from_numpy(numbers(at, x, shapes[name], name)) for name, x in raw.items()}
+    return _mixture_of(found, path)
 
 
-def _mixture_of(tensors: Mapping[str, Tensor], path: Path | str | None = None) -> InitGmm:
+def _mixture_of(tensors: Mapping[str, Tensor], path: Path | str) -> InitGmm:
     """The mixture of arrays ``weights``, ``means``, ``covariances``; ``path`` is for the errors."""
     names = ("weights", "means", "covariances")
-    missing = [name for name in names if name not in tensors]
     remedy = "take the official prior_gmm.npz, or a checkpoint of this project"
-    if missing:
+    if missing := [name for name in names if name not in tensors]:
         raise DataError(f"no {', '.join(missing)}", path=path, remedy=remedy)
     try:
         gmm = InitGmm(*(tensors[name] for name in names))
@@ -240,13 +217,13 @@ def _vposer(path: Path | str) -> PosePrior:
     named = checkpoint.load_foreign(path, "state_dict", remedy)
     found = {name.removeprefix("vp_model."): value for name, value in named.items()}
     try:
-        return _from_vposer(found)
+        return _from_vposer(found, Path(path), remedy)
     except (KeyError, RuntimeError, ValueError) as error:
         what = f"no tensor {error}" if isinstance(error, KeyError) else str(error).splitlines()[-1].strip()
         raise DataError(f"not VPoser's weights: {what}", path=path, remedy=remedy) from error
 
 
-def _from_vposer(found: Mapping[str, Tensor]) -> PosePrior:
+def _from_vposer(found: Mapping[str, Tensor], path: Path, remedy: str) -> PosePrior:
     second = "encoder_net.2.weight" in found
     names, model = (_NAMES_2 if second else _NAMES_1), PosePrior(3, _VPOSER_2_SLOPES if second else VPOSER_SLOPES)
     taken = {
@@ -258,13 +235,8 @@ def _from_vposer(found: Mapping[str, Tensor]) -> PosePrior:
         weight, bias = (found[f"{_FOLDED}.{part}"].float() for part in _PARTS[False])
         taken["second.bias"] = weight @ taken["second.bias"] + bias
         taken["second.weight"] = weight @ taken["second.weight"]
-    for name in taken:
-        if not taken[name].isfinite().all():
-            raise ValueError(f"{name} has numbers that are not finite")
     # they write the 6 numbers of a joint as (3, 2), column after column being ours
     for part in ("out.weight", "out.bias"):
         if taken[part].shape[0] == 6 * BODY_JOINTS:
             taken[part] = taken[part].unflatten(0, (BODY_JOINTS, 3, 2)).transpose(1, 2).flatten(0, 2)
-    counts = {name: value for name, value in model.state_dict().items() if name.endswith("num_batches_tracked")}
-    model.load_state_dict(taken | counts)
-    return model.frozen()
+    return filled(model, taken, "not VPoser's weights", path, remedy)

@@ -228,16 +228,8 @@ def _bones(state: Tensor) -> Tensor:
     return joints[..., 1:, :] - joints[..., list(STANDARD.parents[1:]), :]
 
 
-def _paths() -> Tensor:
-    """(22, 21): 1 where a bone, named by its lower joint, lies between the pelvis and a joint."""
-    found = torch.zeros(JOINT_COUNT, JOINT_COUNT - 1)
-    for joint in range(1, JOINT_COUNT):
-        found[joint] = found[STANDARD.parents[joint]]
-        found[joint, joint - 1] = 1.0
-    return found
-
-
-_PATHS = _paths()
+#: (22, 21): 1 where a bone, named by its lower joint, lies between the pelvis and a joint.
+_PATHS = STANDARD.ancestors()[:, 1:].float()
 
 
 def pelvis_offset(state: Tensor) -> Tensor:

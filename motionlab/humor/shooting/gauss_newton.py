@@ -39,18 +39,8 @@ _OWN = slice(9, 75)  # of the joints that the roll-out carries, in xi
 _STEP = 1e-3
 
 
-def _above() -> Tensor:
-    """(22, 22): entry [k, j] is 1 where joint k's rotation moves joint j, which lies below it."""
-    table = torch.zeros(_J, _J)
-    for j in range(_J):
-        k = STANDARD.parents[j]
-        while k >= 0:
-            table[k, j], k = 1.0, STANDARD.parents[k]
-    return table
-
-
-_ABOVE = _above()
-_HANGS = _ABOVE + torch.eye(_J)  # [k, j]: the bone to k is on the way to j
+_HANGS = STANDARD.ancestors().float().T.contiguous()  # [k, j]: the bone to k is on the way to j
+_ABOVE = _HANGS - torch.eye(_J)  # [k, j]: joint k's rotation moves joint j, which lies below it
 _IN_GROUP = F.one_hot(torch.tensor(GROUP_OF), BETAS).float()
 
 

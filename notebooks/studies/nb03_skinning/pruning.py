@@ -36,7 +36,7 @@ def leaked_mm(body: BodyModel, pose: Motion, holds: float = skinning.SMALL) -> T
 
     A joint may move what it, or a joint below it, holds with a weight of ``holds``.
     """
-    below = skinning.ancestors(body.skeleton).to(body.weights)
+    below = body.skeleton.ancestors().to(body.weights)
     allowed = (body.weights >= holds).to(below) @ below > 0
     return 1000 * torch.where(allowed, 0, _levers(body, pose)).norm(dim=-1)
 
@@ -50,7 +50,7 @@ def _levers(body: BodyModel, pose: Motion) -> Tensor:
     positions, world = (x[0] for x in fk(pose.skeleton, pose.root, pose.rot))
     turn = world @ body.bind_rot.mT
     carried = torch.einsum("jab,vjb->vja", turn, body.template[:, None] - body.joints) + positions
-    below = skinning.ancestors(body.skeleton).to(body.weights)  # (k, j): j is k or above it
+    below = body.skeleton.ancestors().to(body.weights)  # (k, j): j is k or above it
     arm = (body.weights[..., None] * carried).transpose(1, 2) @ below  # (V, 3, J)
     arm = arm.mT - (body.weights @ below)[..., None] * positions
     return 2**0.5 * arm.norm(dim=-1)
@@ -129,7 +129,7 @@ def leakage(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int],
     Source: thesis 3.3.2.
     """
     held = (body.weights[torch.as_tensor(vertices)] >= holds).long()
-    above = skinning.ancestors(body.skeleton).long()
+    above = body.skeleton.ancestors().long()
     return Leakage(skinning.influence(body, root, rot, vertices), held @ above > 0)
 
 
