@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -77,36 +77,25 @@ class Motion:
 
     def cut(self, start: int | None = None, stop: int | None = None, step: int | None = None) -> Motion:
         """Frames start:stop:step; a step divides the frame rate."""
-        pick = slice(start, stop, step)
-        contacts = None if self.contacts is None else self.contacts[..., pick, :]
-        return replace(
-            self,
-            root=self.root[..., pick, :],
-            rot=self.rot[..., pick, :, :, :],
-            contacts=contacts,
-            fps=self.fps / (step or 1),
-        )
+        pick, every = slice(start, stop, step), slice(None)
+        return self._each(lambda x, after: x[(..., pick, *after * [every])], fps=self.fps / (step or 1))
 
     def clip(self, index) -> Motion:
         """One entry (or a slice) of the leading batch axis, with its own skeleton where each has one."""
-        contacts = None if self.contacts is None else self.contacts[index]
-        rot, offsets = self.rot[index], self.skeleton.offsets
+        offsets = self.skeleton.offsets
         if offsets.ndim == self.rot.ndim - 1:  # (N or 1, ..., 1, J, 3)
             offsets = offsets.expand(len(self.rot), *offsets.shape[1:])[index]
-            offsets = offsets[0] if rot.ndim == 4 and len(offsets) == 1 else offsets
-        skeleton = replace(self.skeleton, offsets=offsets)
-        return replace(self, skeleton=skeleton, root=self.root[index], rot=rot, contacts=contacts)
+            offsets = offsets[0] if self.rot[index].ndim == 4 and len(offsets) == 1 else offsets
+        return self._each(lambda x, _: x[index], skeleton=replace(self.skeleton, offsets=offsets))
 
     def to(self, *args, **kwargs) -> Motion:
         """Every tensor on another device or of another dtype."""
-        contacts = None if self.contacts is None else self.contacts.to(*args, **kwargs)
-        return replace(
-            self,
-            skeleton=self.skeleton.to(*args, **kwargs),
-            root=self.root.to(*args, **kwargs),
-            rot=self.rot.to(*args, **kwargs),
-            contacts=contacts,
-        )
+        return self._each(lambda x, _: x.to(*args, **kwargs), skeleton=self.skeleton.to(*args, **kwargs))
+
+    def _each(self, change: Callable[[Tensor, int], Tensor], **rest) -> Motion:
+        """Every tensor of frames changed, by a function that is told how many axes come after time."""
+        contacts = None if self.contacts is None else change(self.contacts, 1)
+        return replace(self, root=change(self.root, 1), rot=change(self.rot, 3), contacts=contacts, **rest)
 
 
 def velocity(x: Tensor, fps: float, dim: int) -> Tensor:
@@ -182,12 +171,7 @@ def windows(motion: Motion, length: int, stride: int) -> Motion:
         dim = x.ndim - 1 - rest
         return x.unfold(dim, length, stride).movedim(-1, dim + 1).movedim(dim, 0)
 
-    return replace(
-        motion,
-        root=unfold(motion.root, 1),
-        rot=unfold(motion.rot, 3),
-        contacts=None if motion.contacts is None else unfold(motion.contacts, 1),
-    )
+    return motion._each(unfold)
 
 
 def joined(motions: Iterable[Motion]) -> Motion:

@@ -249,7 +249,10 @@ def minimise_batch(
     """
     machine = _Machine(energy, variables, memory, rows=rows)
     machine.iterations, machine.tolerance_grad, machine.unit = steps * inner, tolerance_grad, unit
-    machine.tolerance_change = _per_clip(tolerance_change, len(machine.clips))
+    tolerance, each = torch.as_tensor(tolerance_change, dtype=torch.float64), (len(machine.clips),)
+    if tolerance.ndim and tolerance.shape != each:
+        raise ShapeError(f"tolerance_change: expected one number or {each}, got {tuple(tolerance.shape)}")
+    machine.tolerance_change = tolerance.expand(each).tolist()
     budget = steps * inner * 5 // 4 if max_closures is None else max_closures
     began, rest = time.perf_counter(), "closures"
     bar = tqdm(total=budget, desc=progress if isinstance(progress, str) else None, disable=not progress, leave=False)
@@ -271,14 +274,6 @@ def minimise_batch(
     found = {name: value.clone() for name, value in machine.named(machine.best).items()}
     reasons = [clip.reason or rest for clip in machine.clips]
     return BatchFit(found, machine.best_energy, history, time.perf_counter() - began, reasons)
-
-
-def _per_clip(tolerance: float | Tensor, clips: int) -> list[float]:
-    if not isinstance(tolerance, Tensor) or not tolerance.ndim:
-        return [float(tolerance)] * clips
-    if tolerance.shape != (clips,):
-        raise ShapeError(f"tolerance_change: expected one number or ({clips},), got {tuple(tolerance.shape)}")
-    return tolerance.tolist()
 
 
 @dataclass

@@ -54,7 +54,12 @@ def log(matrix: Tensor) -> Tensor:
     turn the vector itself jumps to its opposite (no logarithm is continuous there); the derivative is that of
     the branch returned.
     """
-    return _quaternion_to_axis_angle(matrix_to_quaternion(matrix))
+    q = torch.nn.functional.normalize(matrix_to_quaternion(matrix), dim=-1)
+    w, v = q[..., :1], q[..., 1:]  # w >= 0: the vector is 2 atan2(|v|, w) v / |v|
+    s2 = _square(v)
+    small = s2 < 0.04
+    inside, s = torch.where(small, s2, 0.0), torch.where(small, 1.0, s2).sqrt()
+    return 2 * v * torch.where(small, _series(_ASIN, inside), torch.atan2(s, w) / s)
 
 
 def left_jacobian(v: Tensor) -> Tensor:
@@ -87,22 +92,6 @@ def matrix_to_quaternion(matrix: Tensor) -> Tensor:
     check_shape(matrix, "... 3 3", "matrix")
     q = kc.rotation_matrix_to_quaternion(matrix)
     return torch.where(q[..., :1] < 0, -q, q)
-
-
-def _quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
-    """Converts quaternions (..., 4), w first, any length but zero, to rotation vectors (..., 3), angle in [0, pi].
-
-    v = 2 atan2(|q_xyz|, w) / |q_xyz| q_xyz. A half turn (w = 0) has two such vectors; the one along q_xyz
-    is returned.
-    """
-    check_shape(quaternion, "... 4", "quaternion")
-    q = torch.nn.functional.normalize(quaternion, dim=-1)
-    q = torch.where(q[..., :1] < 0, -q, q)
-    w, v = q[..., :1], q[..., 1:]
-    s2 = (v * v).sum(-1, keepdim=True)
-    small = s2 < 0.04
-    inside, s = torch.where(small, s2, 0.0), torch.where(small, 1.0, s2).sqrt()
-    return 2 * v * torch.where(small, _series(_ASIN, inside), torch.atan2(s, w) / s)
 
 
 def sixd_to_matrix(sixd: Tensor, layout: str = "columns") -> Tensor:

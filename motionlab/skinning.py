@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -186,26 +186,24 @@ def prune(body: BodyModel, threshold: float = SMALL) -> BodyModel:
     return replace(body, weights=kept / total)
 
 
-def displaced_mm(body: BodyModel, other: BodyModel, motion: Motion, chunk: int = 32) -> Tensor:
+def displaced_mm(body: BodyModel, other: BodyModel, motion: Motion) -> Tensor:
     """Computes the distance of two bodies' vertices in one motion: (T,) 95th percentile over them, mm."""
-    root, rot = motion.root.flatten(0, -2), motion.rot.flatten(0, -4)
-    found = []
-    for start in range(0, len(root), chunk):
-        pose = (motion.skeleton, root[start : start + chunk], rot[start : start + chunk])
-        away = torch.linalg.vector_norm(lbs(body, *pose) - lbs(other, *pose), dim=-1)
-        found.append(1000 * away.quantile(0.95, dim=-1))
-    return torch.cat(found)
+    return torch.cat([1000 * away.quantile(0.95, dim=-1) for away in _apart(body, other, motion)])
 
 
-def displacement(body: BodyModel, other: BodyModel, motion: Motion, chunk: int = 32) -> tuple[float, float]:
+def displacement(body: BodyModel, other: BodyModel, motion: Motion) -> tuple[float, float]:
     """Computes the mean and largest distance in metres of two bodies' vertices in one motion."""
-    root, rot = motion.root.flatten(0, -2), motion.rot.flatten(0, -4)
     total, largest = 0.0, 0.0
-    for start in range(0, len(root), chunk):
-        pose = (motion.skeleton, root[start : start + chunk], rot[start : start + chunk])
-        away = torch.linalg.vector_norm(lbs(body, *pose) - lbs(other, *pose), dim=-1)
+    for away in _apart(body, other, motion):
         total, largest = total + float(away.mean(1).sum()), max(largest, float(away.max()))
-    return total / len(root), largest
+    return total / motion.root[..., 0].numel(), largest
+
+
+def _apart(body: BodyModel, other: BodyModel, motion: Motion) -> Iterator[Tensor]:
+    """Distances (n, V) of two bodies' vertices, metres, a few frames at a time."""
+    for root, rot in zip(motion.root.flatten(0, -2).split(32), motion.rot.flatten(0, -4).split(32), strict=True):
+        pose = (motion.skeleton, root, rot)
+        yield torch.linalg.vector_norm(lbs(body, *pose) - lbs(other, *pose), dim=-1)
 
 
 def influence(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int]) -> Tensor:

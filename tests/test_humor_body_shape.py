@@ -48,9 +48,9 @@ def test_our_subjects_are_within_reach(subject):
 
 
 def test_unknown_lengths_count_as_standard():
-    lengths = body_shape.offsets(torch.ones(8)).norm(dim=-1)
-    lengths[STANDARD.indices(["left_knee", "right_knee", "left_elbow"])] = torch.nan
-    found = body_shape._from_lengths(lengths)
+    offsets = body_shape.offsets(torch.ones(8))
+    offsets[STANDARD.indices(["left_knee", "right_knee", "left_elbow"])] = torch.nan
+    found = body_shape.from_skeleton(replace(STANDARD, offsets=offsets))
     names = list(body_shape.BONE_GROUPS)
     assert found[names.index("thighs")] == 0
     assert torch.allclose(found[names.index("upper arms")], torch.tensor(1.0), atol=1e-5)
@@ -58,7 +58,7 @@ def test_unknown_lengths_count_as_standard():
 
 def test_bones_without_length_and_other_joints_are_refused():
     with pytest.raises(DataError, match="no length"):
-        body_shape._from_lengths(torch.zeros(22))
+        body_shape.from_skeleton(replace(STANDARD, offsets=torch.zeros(22, 3)))
     with pytest.raises(ShapeError):
         body_shape.offsets(torch.zeros(7))
 

@@ -90,7 +90,8 @@ def landmarks(joints: Tensor, turns: Tensor, betas: Tensor) -> Tensor:
 def from_skeleton(skeleton: Skeleton) -> Tensor:
     """Computes from a skeleton of the 22 standard joints the betas (..., 8) whose bone lengths are nearest to its own.
 
-    In each group the scale s = sum l l0 / sum l0^2 minimises sum (l - s l0)^2, l0 the standard's lengths.
+    In each group the scale s = sum l l0 / sum l0^2 minimises sum (l - s l0)^2, l0 the standard's lengths. Lengths that
+    are not finite are left out; a group of which none is known is as the standard (beta 0).
 
     Raises:
         ShapeError: other joints than the standard's.
@@ -98,15 +99,7 @@ def from_skeleton(skeleton: Skeleton) -> Tensor:
     """
     if skeleton.names != STANDARD.names:
         raise ShapeError("from_skeleton: expected the 22 standard joints; retarget the motion first")
-    return _from_lengths(skeleton.offsets.norm(dim=-1))
-
-
-def _from_lengths(lengths: Tensor) -> Tensor:
-    """Computes betas from the length (..., 22) in metres of the bone to each joint; the first is not used.
-
-    Lengths that are not finite are left out; a group of which none is known is as the standard (beta 0).
-    """
-    check_shape(lengths, f"... {len(STANDARD)}", "lengths")
+    lengths = skeleton.offsets.norm(dim=-1)
     standard = STANDARD.offsets.to(lengths).norm(dim=-1)
     member = torch.nn.functional.one_hot(torch.tensor(GROUP_OF), BETAS).to(lengths) * (standard > 0)[:, None]
     known = lengths.isfinite()

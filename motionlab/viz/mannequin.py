@@ -300,12 +300,3 @@ def add_lights(plotter: pv.Plotter) -> None:
 def add_words(plotter: pv.Plotter, text: str, place: str, size: float):
     """Adds text at a place of the panel, such as "lower_left", so many points high; returns its actor."""
     return plotter.add_text(text, position=place, font_size=round(size), color=INK, font="arial")
-
-
-def add_label(plotter: pv.Plotter, point: np.ndarray, text: str, height: int) -> None:
-    """Adds a word at a point of the world, upright on the screen."""
-    plotter.add_point_labels(
-        point[None], [text], font_size=max(round(height / 22), 10), text_color=INK, font_family="arial", bold=False,
-        show_points=False, shape=None, always_visible=True, reset_camera=False, justification_horizontal="center",
-        justification_vertical="top",
-    )  # fmt: skip

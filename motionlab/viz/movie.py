@@ -45,20 +45,6 @@ _WITHOUT = [("left_shoulder", "right_shoulder"), ("left_hip", "right_hip"), ("le
 _FINE = 2  # drawn twice as large and reduced: smooth edges
 
 
-def side_by_side(
-    motions: Mapping[str, Motion],
-    path: str | Path,
-    *,
-    roles: Mapping[str, str],
-    things: Sequence[Mesh] = (),
-    size: tuple[int, int] | None = None,
-    fps: float = 12.0,
-    speed: float = 0.6,
-) -> Film:
-    """Writes a GIF of :func:`film` with one panel per motion (label -> one clip), slower than life, of any length."""
-    return film(motions, path, roles=roles, things=things, size=size, fps=fps, speed=speed, most=10_000)
-
-
 def drawn(times: np.ndarray) -> np.ndarray:
     """Returns the times (N,) at which a film's pictures are drawn: all, or for a draft a few, both ends among them."""
     if viz.draft and len(times) > _DRAFT:

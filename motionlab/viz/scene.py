@@ -29,7 +29,7 @@ from motionlab.observation import Camera
 from motionlab.tailoring import tailored
 from motionlab.viz import mannequin, viewpoint
 from motionlab.viz.ground import Shadow, floor_tiles
-from motionlab.viz.palette import LINE, PAPER, blend, colour
+from motionlab.viz.palette import INK, LINE, PAPER, blend, colour
 
 # It comes with CUDA builds of torch. Loaded after Mesa's LLVM, it kills the process.
 with contextlib.suppress(ImportError, OSError):
@@ -321,7 +321,11 @@ class Scene:
 
     def label(self, point, text: str, *, panel: int = 0) -> Scene:
         """Adds a word that stays upright at a point (3,) of the world."""
-        mannequin.add_label(self._panel(panel), np.asarray(point, float), text, self.size[1])
+        self._panel(panel).add_point_labels(
+            np.asarray(point, float)[None], [text], font_size=max(round(self.size[1] / 22), 10), text_color=INK,
+            font_family="arial", bold=False, show_points=False, shape=None, always_visible=True, reset_camera=False,
+            justification_horizontal="center", justification_vertical="top",
+        )  # fmt: skip
         return self
 
     def _arrange(self) -> None:

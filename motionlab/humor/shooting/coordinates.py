@@ -243,12 +243,8 @@ def first_slopes(problem: Problem, unknown: Unknowns, count: int) -> Tensor:
     def at(sign: float) -> Tensor:
         return unknowns.first_state(moved(many, sign * steps.repeat(clips, 1)), problem.priors)
 
-    return _padded(derivatives.state_change(at(1.0), at(-1.0)) / (2 * _STEP), clips, count)
-
-
-def _padded(change: Tensor, clips: int, count: int) -> Tensor:
-    """(B f, 210) as (B, n, f), what is shared passed on."""
-    shared = count - _FIRST
+    change = derivatives.state_change(at(1.0), at(-1.0)) / (2 * _STEP)
+    shared = count - _FIRST  # passed on
     out = change.new_zeros(clips, CHANGE + shared, count)
     out[:, :CHANGE] = change.unflatten(0, (clips, count)).mT
     out[:, CHANGE:, _FIRST:] = torch.eye(shared, dtype=change.dtype, device=change.device)

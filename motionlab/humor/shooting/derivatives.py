@@ -20,7 +20,6 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.heading import Frame
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae, Gaussian
 from motionlab.humor.state import ADDED, CHANGES
@@ -228,19 +227,10 @@ def _prior_slopes(model: Cvae, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 # ------------------------------------------------------------------------------------------------ changes of states
-def own_frames(states: Tensor) -> tuple[Tensor, Frame]:
-    """Computes world states (..., 339) in their own heading frames, and these frames."""
-    frame = state.heading(states)
-    return state.localise(states, frame), frame
-
-
 def state_change(states: Tensor, others: Tensor) -> Tensor:
     """Computes the change (..., 210) that takes others to states (..., 339), world; of first order in rotations."""
-    return own_state_change(*own_frames(states), *own_frames(others))
-
-
-def own_state_change(x: Tensor, ours: Frame, y: Tensor, theirs: Frame) -> Tensor:
-    """Computes :func:`state_change` of states that are in their own frames already."""
+    ours, theirs = state.heading(states), state.heading(others)
+    x, y = state.localise(states, ours), state.localise(others, theirs)
     spin = x[..., ADDED:].unflatten(-1, (22, 3, 3)).mT @ y[..., ADDED:].unflatten(-1, (22, 3, 3))  # R_x R_y^T
     spin = (spin - spin.mT) / 2
     omega = torch.stack((spin[..., 2, 1], spin[..., 0, 2], spin[..., 1, 0]), -1)
