@@ -16,17 +16,7 @@ from torch.nn import functional as F
 
 from motionlab import rotation
 from motionlab.humor.cvae import Cvae, Gaussian
-from motionlab.humor.state import (
-    DELTA,
-    DELTA_SLICES,
-    ONWARD,
-    SHAPES,
-    SLICES,
-    STATE,
-    heading,
-    localise,
-    unpack,
-)
+from motionlab.humor.state import DELTA, DELTA_SLICES, ONWARD, SHAPES, SLICES, STATE, heading, localise, unpack
 
 #: An error of one: metres, m/s, matrix entries, rad/s.
 ERROR_UNITS = {

@@ -219,13 +219,7 @@ def _search(
         return sum(found.values())
 
     fit = minimise_batch(
-        energy,
-        point,
-        rows=True,
-        steps=steps,
-        inner=inner,
-        tolerance_change=tolerance * first,
-        progress=progress,
+        energy, point, rows=True, steps=steps, inner=inner, tolerance_change=tolerance * first, progress=progress
     )
     return back({**{n: x.detach() for n, x in point.items()}, **fit.variables}, every).detached(), fit
 

@@ -214,8 +214,7 @@ def fit(
     seen = evidence(observation, cameras=cameras, floor=floor, size=size)
     if abs(seen.fps - FPS) > 0.02 * FPS:
         raise DataError(
-            f"{seen.fps:g} frames per second; the motion prior knows {FPS:g}",
-            remedy="resample the observation first",
+            f"{seen.fps:g} frames per second; the motion prior knows {FPS:g}", remedy="resample the observation first"
         )
     schedule = schedule or (Schedule.lean() if mode == "lean" else Schedule.official(keypoints=seen.view is not None))
     weights = weights or (JOINTS if seen.view is None else RGB_LIGHT if mode == "lean" else RGB)

@@ -77,14 +77,7 @@ def _polynomial_mmd(x: Tensor, y: Tensor) -> float:
     return (within(x) + within(y) - 2 * kernel(x, y).mean()).item()
 
 
-def kid(
-    generated: Tensor,
-    real: Tensor,
-    generator: torch.Generator,
-    *,
-    subsets: int = 100,
-    size: int = 1000,
-) -> Score:
+def kid(generated: Tensor, real: Tensor, generator: torch.Generator, *, subsets: int = 100, size: int = 1000) -> Score:
     """Computes the kernel distance, whose mean is free of N: :func:`_polynomial_mmd` over random subsets; its spread.
 
     Subsets have ``size`` samples, or as many as the smaller set has; where neither set leaves a choice there is one
