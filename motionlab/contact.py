@@ -30,8 +30,8 @@ def resting_heights(skeleton: Skeleton) -> Tensor:
     return torch.stack(columns, -1) if names else above[..., :0]
 
 
-def _hysteresis(on: Tensor, off: Tensor, dim: int = -2) -> Tensor:
-    """Runs of not ``off`` along ``dim`` that hold at least one ``on``: bool, shaped as both.
+def _hysteresis(on: Tensor, off: Tensor) -> Tensor:
+    """Runs of not ``off`` in time that hold at least one ``on``: bool (..., T, C), as both.
 
     The same forwards and backwards in time: a run begins and ends at the loose threshold and needs the
     strict one once.
@@ -39,11 +39,10 @@ def _hysteresis(on: Tensor, off: Tensor, dim: int = -2) -> Tensor:
     on = on & ~off
 
     def since(on: Tensor, off: Tensor) -> Tensor:  # was the last event an "on"?
-        shape = [-1 if i == dim % on.ndim else 1 for i in range(on.ndim)]
-        time = torch.arange(1, on.shape[dim] + 1, device=on.device).reshape(shape)
-        return (time * on).cummax(dim).values > (time * off).cummax(dim).values
+        time = torch.arange(1, on.shape[-2] + 1, device=on.device)[:, None]
+        return (time * on).cummax(-2).values > (time * off).cummax(-2).values
 
-    return since(on, off) | since(on.flip(dim), off.flip(dim)).flip(dim)
+    return since(on, off) | since(on.flip(-2), off.flip(-2)).flip(-2)
 
 
 def contacts_from_positions(

@@ -36,8 +36,7 @@ TEMPERATURE, FLOOR = 30.0, 0.08
 #: Level -> how many deviations wide a region is that held so much of the hidden limbs of those people.
 RADII = {0.5: 1.49, 0.8: 2.47, 0.9: 3.65}
 #: Joints whose places are calibrated: where they are hidden.
-LIMBS = ("knee", "ankle", "foot", "elbow", "wrist")
-_LIMBS = torch.tensor([any(part in name for part in LIMBS) for name in STANDARD.names])
+_LIMBS = torch.tensor([n.endswith(("knee", "ankle", "foot", "elbow", "wrist")) for n in STANDARD.names])
 _TOGETHER = 32  # draws rolled out at once: 4 MB of gains each
 _SHORTEST = 5  # frames: what is hidden for less is not spoken of
 

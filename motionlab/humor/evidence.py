@@ -202,11 +202,9 @@ def evidence(
     if isinstance(observation, Observation3D):
         points, visible = _batched(observation.points, 4), _batched(observation.visible, 3)
         weight = (visible.bool() & points.isfinite().all(-1)).to(points)
-        _not_empty(points)
         return Evidence(torch.where(weight[..., None] > 0, points, 0.0), weight, observation.fps)
     keypoints, confidence = _batched(observation.keypoints, 4), _batched(observation.confidence, 3)
     values, weight, notes = _as_body_25(keypoints, confidence, observation.names)
-    _not_empty(values)
     given = list(cameras) if cameras is not None else [observation.camera] * len(values)
     if len(given) != len(values):
         raise ShapeError(f"cameras: expected one for each of {len(values)} clips, got {len(given)}")
@@ -245,12 +243,10 @@ def _assumed_camera(values: Tensor, weight: Tensor, size: tuple[int, int] | None
 def _batched(x: Tensor, axes: int) -> Tensor:
     if x.ndim not in (axes - 1, axes):
         raise ShapeError(f"expected {axes - 1} or {axes} axes (one batch axis of clips), got {tuple(x.shape)}")
-    return x if x.ndim == axes else x[None]
-
-
-def _not_empty(values: Tensor) -> None:
-    if values.shape[0] == 0 or values.shape[1] == 0:
+    x = x if x.ndim == axes else x[None]
+    if 0 in x.shape[:2]:
         raise DataError("no clip or no frame to fit", remedy="give at least one frame")
+    return x
 
 
 def _as_body_25(keypoints: Tensor, confidence: Tensor, names: Sequence[str]) -> tuple[Tensor, Tensor, tuple[str, ...]]:

@@ -44,12 +44,8 @@ _SIDED = (
     ("left_hip", "left_knee"), ("left_knee", "left_ankle"), ("left_ankle", "left_heel"), ("left_ankle", "left_big_toe"),
     ("left_big_toe", "left_small_toe"), ("nose", "left_eye"), ("left_eye", "left_ear"),
 )  # fmt: skip
-_PAIRS = (
-    ("neck", "mid_hip"),
-    ("neck", "nose"),
-    *_SIDED,
-    *((a.replace("left", "right"), b.replace("left", "right")) for a, b in _SIDED),
-)
+_OTHER_SIDE = ((a.replace("left", "right"), b.replace("left", "right")) for a, b in _SIDED)
+_PAIRS = (("neck", "mid_hip"), ("neck", "nose"), *_SIDED, *_OTHER_SIDE)
 _BONES = [tuple(map(BODY_25.index, pair)) for pair in _PAIRS]
 #: An upright body that looks into the camera, whose axes are right, down and forward: the rotation vector (pi, 0, 0).
 _FACING = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
