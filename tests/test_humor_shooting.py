@@ -17,7 +17,7 @@ from motionlab.humor.rollout import sample_rollout
 from motionlab.humor.shooting import coordinates, feedback_solver
 from motionlab.humor.shooting import coordinates as loop_module
 from motionlab.humor.shooting.coordinates import FIRST_SIZES, Loop, linearised, moved, opened
-from motionlab.humor.shooting.feedback_solver import Plan, ShootingReport, searched, solve
+from motionlab.humor.shooting.feedback_solver import Plan, searched, solve
 from motionlab.humor.stages import Problem, motion_terms
 from motionlab.humor.unknowns import Unknowns
 from studies.shared.workload import random_priors, workload
@@ -303,8 +303,8 @@ def test_of_two_starts_the_lower_goes_on(cases):
     far = replace(unknown, z=noisy(unknown.z, 2.0, 9))
     rows = slice(0, 1), slice(1, 2)
     here, there = (of_both(a.rows(rows[0]), b.rows(rows[1])) for a, b in ((unknown, far), (far, unknown)))
-    plan, sizes, report = replace(STEADY, leaps=0, trial=1), [], ShootingReport()
-    found, fits = solve(problem, here, plan, report, rival=there, linearise=rows_of(linearised, sizes))
+    plan, sizes, noted = replace(STEADY, leaps=0, trial=1), [], []
+    found, fits = solve(problem, here, plan, rival=there, linearise=rows_of(linearised, sizes), note=noted.append)
     assert sizes == [2 * CLIPS, CLIPS]
     alone = [solve(problem, begin, plan) for begin in (here, there)]
     first = torch.minimum(*(fits[0].energy for _, fits in alone))
@@ -314,7 +314,8 @@ def test_of_two_starts_the_lower_goes_on(cases):
     ends = torch.stack([fits[-1].energy for _, fits in alone]).gather(0, lower[None])[0]
     torch.testing.assert_close(total(problem, found), ends, atol=0, rtol=1e-4)
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
-    assert all(x.shape == (CLIPS,) for x in report.history) and len(report.history) == len(report.seconds)
+    assert all(fit.history.shape[1:] == (CLIPS,) for fit in fits) and noted.count("linearised") == 2
+    assert noted.count("energies") == sum(fit.closures for fit in fits)
 
 
 def test_a_second_start_that_is_the_first_costs_nothing(cases):

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -72,32 +72,21 @@ class Plan:
             raise ValueError(f"race: expected closures and two more to be left after it, got {self}")
 
 
-@dataclass
-class ShootingReport:
-    """What a fit spent: after each closure the energies (B,) of its clips (those that are done stay at their last) and
-    the seconds until it had them, without its gradient, by ``clock``; seconds of each linearisation and its leaps."""
-
-    history: list[Tensor] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
-    linearised: list[float] = field(default_factory=list)
-    clock: Callable[[], float] = time.perf_counter
-    began: float = 0.0
-
-
 def solve(
     problem: Problem,
     unknown: Unknowns,
     plan: Plan | None = None,
-    report: ShootingReport | None = None,
     *,
     rival: Unknowns | None = None,
     linearise: Callable[..., Loop] = linearised,
+    note: Callable[[str], None] = lambda what: None,
     progress: bool | str = False,
 ) -> tuple[Unknowns, list[BatchFit]]:
     """Lowers stage 3's energy from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
 
     rival: a second start of the same recordings; after the plan's trial the lower one of each goes on. linearise: where
-    the coordinates come from, called as ``coordinates.linearised``; another for ablations.
+    the coordinates come from, called as ``coordinates.linearised``; another for ablations. note: called with
+    "linearised" when the searches of a round begin, and with "energies" whenever energies are known.
 
     Returns:
         the unknowns of lowest energy, and the reports of all rounds, of all clips; of one that is done: "no decrease".
@@ -107,14 +96,13 @@ def solve(
     """
     if unknown.z.shape[1] != 1:
         raise ShapeError(f"z: expected one window per recording, got {unknown.z.shape[1]}")
-    plan, report, clips = plan or Plan(), report or ShootingReport(), len(unknown.z)
+    plan, clips = plan or Plan(), len(unknown.z)
     unknown = unknown.map(lambda x: x.detach().clone())
     trial = 0 if rival is None and plan.second else plan.trial
     if rival is not None:
         both = _beside(unknown, rival)
         unknown = both if trial and plan.second else unknown
     mark, fits = time.perf_counter(), []
-    report.began = report.clock()
     energy = unknown.betas.new_full((len(unknown.betas),), float("inf"))
     live = torch.arange(len(energy), device=energy.device)
     if len(energy) > clips:  # a second start that is the first is none
@@ -132,10 +120,9 @@ def solve(
         try:
             size = energy[live].abs().nan_to_num(posinf=0.0)  # 0: not known yet
             found, fit, leaping[live] = _round(
-                problem.rows(live % clips), here, size, leaping[live], now, report, linearise, name
+                problem.rows(live % clips), here, size, leaping[live], now, linearise, note, name
             )
         except (KeyboardInterrupt, NotConverged) as ended:
-            del report.seconds[len(report.history) :]
             if not fits:
                 raise
             if isinstance(ended, KeyboardInterrupt):
@@ -148,8 +135,6 @@ def solve(
         energy[live[better]] = fit.energy[better]
         whole = _widened(fit, live, energy, time.perf_counter() - mark)
         fits.append(_of_clips(whole, torch.arange(len(energy), device=energy.device) % clips)[1])
-        report.history += fits[-1].history.unbind(0)
-        del report.seconds[len(report.history) :]  # Ctrl-C between an energy and its gradient
         done = plan.tolerance * energy[live].abs()
         gained = gain > (done.clamp(min=plan.least * (unknown.z.shape[2] + 1)) if plan.least else done)
         mark, live = time.perf_counter(), live[gained] if count >= trial else live
@@ -179,26 +164,22 @@ def _round(
     size: Tensor,
     leaping: Tensor,
     plan: Plan,
-    report: ShootingReport,
     linearise: Callable[..., Loop],
+    note: Callable[[str], None],
     progress: bool | str,
 ) -> tuple[Unknowns, BatchFit, Tensor]:
     """One linearisation and the searches around it: from where a clip is, and from where it may leap to.
 
     size (B,): of each clip's energy. leaping: bool (B,), clips that may leap; returned anew.
     """
-    began, clips = report.clock(), len(size)
+    clips = len(size)
     loop = linearise(problem, unknown, ridge=plan.ridge, stride=plan.stride)
     who, shaper, first = _starts(problem, unknown, loop, plan.leaps if leaping.any() else 0, plan.tolerance)
     if not leaping.all():
         may = leaping[who]
         may[:clips] = True
         who, shaper, first = who[may], shaper[may], first[may]
-    report.linearised.append(report.clock() - began)
-
-    def note() -> None:
-        report.seconds.append(report.clock() - report.began)
-
+    note("linearised")
     how, enough = {"note": note, "progress": progress}, _LEAST_STEP * plan.tolerance * size
     race = plan.race if len(who) > clips else 0
     rows, fit = searched(problem, unknown, loop, who, shaper, first, race or plan.closures, enough=enough[who], **how)
@@ -229,14 +210,14 @@ def searched(
     *,
     nu: Tensor | None = None,
     enough: float | Tensor = 0.0,
-    note: Callable[[], None] = lambda: None,
+    note: Callable[[str], None] = lambda what: None,
     progress: bool | str = False,
 ) -> tuple[Unknowns, BatchFit]:
     """Minimises the energy from R starts around one linearisation; row r belongs to clip who[r] and starts at first (R,
     f), in coordinates of its own: shaper (R, f, f) in place of ``Loop.first``.
 
     nu: where its latents start, (R, T - 1, 48); default 0. enough: a row is done when a step, and then one down the
-    gradient, gain no more than this, (R,) or one number. note: called whenever energies are known.
+    gradient, gain no more than this, (R,) or one number. note: as of :func:`solve`.
     """
     some, here = problem.rows(who), unknown.rows(who)
     around = loop.rows(who)._replace(first=shaper)
@@ -247,7 +228,7 @@ def searched(
             these, at, near = some.rows(rows), here.rows(rows), around.rows(rows)
         at, rolled = opened(these, at, near, new)
         found = sum(rolled_terms(these, at, rolled).values())
-        note()
+        note("energies")
         return found
 
     nu = torch.zeros_like(here.z[:, 0]) if nu is None else nu

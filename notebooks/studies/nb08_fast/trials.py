@@ -235,21 +235,26 @@ def shooting(task: Task, work: Schedule = FULL_WORK, start: Unknowns | None = No
     if work.guesses and task.problem.evidence.hides_feet.any():
         plan = replace(plan, second=True, trial=max(plan.trial, testops._WEIGHED))
         rival = _seated(task)
-    report, kept = feedback_solver.ShootingReport(clock=clock), []
+    kept, noted = [], {"begins": [], "linearised": [], "energies": []}
+
+    def note(what: str) -> None:
+        noted[what].append(clock() - began)
 
     def linearise(problem: Problem, unknown: Unknowns, **how) -> coordinates.Loop:
         kept.append((clock() - began, unknown.map(lambda x: x.detach().clone())))
+        note("begins")
         return coordinates.linearised(problem, unknown, **how)
 
     ready = clock() - began
-    found, _ = feedback_solver.solve(task.problem, start, plan, report, rival=rival, linearise=linearise)
+    found, fits = feedback_solver.solve(task.problem, start, plan, rival=rival, linearise=linearise, note=note)
     kept.append((clock() - began, found.detached()))
     spent = clock() - began
-    energies = torch.stack(report.history).nan_to_num(torch.inf).amin(1).cummin(0).values
+    energies = torch.cat([fit.history for fit in fits]).nan_to_num(torch.inf).amin(1).cummin(0).values
     kept = [(now, _lower(task, unknown)) for now, unknown in kept]
-    parts = {"start": ready, "linearisations": sum(report.linearised)}
+    linearisations = sum(noted["linearised"]) - sum(noted["begins"][: len(noted["linearised"])])
+    parts = {"start": ready, "linearisations": linearisations}
     parts["closures"] = spent - sum(parts.values())
-    return Run(energies, ready + torch.tensor(report.seconds), kept, spent, parts)
+    return Run(energies, torch.tensor(noted["energies"][: len(energies)]), kept, spent, parts)
 
 
 def _seated(task: Task) -> Unknowns:
