@@ -148,7 +148,10 @@ class Chain(torch.autograd.Function):
         joint, bias = torch.cat(decoder.z_weights), torch.cat(decoder.biases)
         sizes, transposed = [len(b) for b in decoder.biases], joint.mT.contiguous()
         shares = None if gains is not None else F.linear(u, joint, bias).unbind(0)
-        place = _homogeneous(first[:, STATE:]) if first.shape[1] > STATE else None
+        place = None
+        if first.shape[1] > STATE:  # homogeneous
+            last = first.new_tensor([[[0.0, 0.0, 1.0]]]).expand(len(first), 1, 3)
+            place = torch.cat((first[:, STATE:].unflatten(1, (2, 3)), last), 1)
         past, steps, zs, places, ways = [], [], [], [], []
         for t, now in enumerate(u.unbind(0)):
             past.append(x)
@@ -203,12 +206,6 @@ class Chain(torch.autograd.Function):
                 d_x = torch.baddbmm(d_x[:, None], d_shares[t][:, None], ctx.gains[t])[:, 0]
         d_u = torch.stack(d_shares)
         return None, d_x, d_z + d_u @ ctx.joint if ctx.gains is None else d_u, None, d_spread
-
-
-def _homogeneous(place: Tensor) -> Tensor:
-    """The two rows (B, 6) of a place in the world as a matrix (B, 3, 3)."""
-    last = place.new_tensor([[0.0, 0.0, 1.0]]).expand(len(place), 3)
-    return torch.cat((place, last), 1).unflatten(1, (3, 3))
 
 
 def _onward(step: Step) -> Tensor:

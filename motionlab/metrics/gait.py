@@ -59,13 +59,6 @@ def ahead(motion: Motion) -> Tensor:
     return ((left - right) * forward).sum(-1)
 
 
-def right_foot(motion: Motion, truth: Motion) -> Tensor:
-    """Computes the share (G,) of frames with the right foot forward, of those in which the truth has one 5 cm ahead."""
-    found, true = ahead(motion), ahead(truth)
-    clear = true.abs() > 0.05
-    return ((found * true > 0) & clear).float().sum(-1) / clear.float().sum(-1).clamp(min=1)
-
-
 def skating_ratio(positions: Tensor, fps: float, *, height: float = 0.05, speed: float = 0.5) -> Tensor:
     """Computes the share (...) of frames in which some foot slides over the floor.
 
