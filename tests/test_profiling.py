@@ -3,7 +3,7 @@ import gc
 import pytest
 import torch
 
-from studies.shared.profiling import Stopwatch, Timing, _timed, graph_nodes, interleaved
+from studies.shared.profiling import Stopwatch, graph_nodes, interleaved
 
 
 class Clock:
@@ -18,22 +18,19 @@ class Clock:
         self.now += seconds
 
 
-def test_timer_finds_a_nap_and_leaves_garbage_collection_as_it_was():
+def test_garbage_collection_is_off_meanwhile_and_then_as_it_was():
     calls, clock = [], Clock()
 
     def nap():
         calls.append(gc.isenabled())
         clock.nap(len(calls))
 
-    assert _timed(nap, n=5, warm_up=2, clock=clock) == Timing(5.0, 2.0, 5)  # of 3, 4, 5, 6, 7
+    assert interleaved({"nap": nap}, n=5, warm_up=2, clock=clock)["nap"].tolist() == [3, 4, 5, 6, 7]
     assert calls[2:] == [False] * 5 and gc.isenabled()
     with pytest.raises(ValueError, match="n"):
-        _timed(nap, n=0)
-
-
-def test_collection_comes_back_after_an_error():
+        interleaved({"nap": nap}, n=0)
     with pytest.raises(ZeroDivisionError):
-        _timed(lambda: 1 / 0, warm_up=0)
+        interleaved({"nap": lambda: 1 / 0}, warm_up=0)
     assert gc.isenabled()
 
 

@@ -15,7 +15,7 @@ from motionlab.body import BodyModel
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.viz.movie import Mesh, overlay
-from motionlab.viz.palette import INK, LINE, ROLE
+from motionlab.viz.palette import INK, ROLE
 from motionlab.viz.scene import Scene
 from studies.shared.plots import canvas, paints
 
@@ -58,34 +58,6 @@ def _labelled(picture: np.ndarray, text: str) -> np.ndarray:
     image = Image.fromarray(picture)
     ImageDraw.Draw(image).text((10, 8), text, fill=INK, font=ImageFont.load_default(15))
     return np.asarray(image)
-
-
-def pairs(
-    cases: Mapping[str, tuple[Tensor, Tensor]],
-    *,
-    ylabel: str,
-    columns: int = 5,
-    marks: Sequence[str] = ("stage 2", "stage 3"),
-) -> Figure:
-    """One panel per case: a line from every clip's value before (B,) to its value after, and the mean of each."""
-    rows = -(-len(cases) // columns)
-    fig, axes = canvas(rows, min(columns, len(cases)), size=(2.25 * min(columns, len(cases)), 2.7 * rows), sharey=True)
-    before_role, after_role = ROLE["stage2"], ROLE["stage3"]
-    for ax, (name, (before, after)) in zip(axes, cases.items(), strict=False):
-        for a, b in zip(before.tolist(), after.tolist(), strict=True):
-            ax.plot((0, 1), (a, b), color=LINE, lw=1.2, zorder=1)
-        for x, values, paint in ((0, before, before_role), (1, after, after_role)):
-            ax.scatter([x] * len(values), values, s=14, color=paint, zorder=2)
-            ax.plot((x - 0.18, x + 0.18), [values.nanmean()] * 2, color=paint, lw=3, zorder=3)
-        ax.set_title(name, fontsize=9)
-        ax.set_xticks((0, 1), list(marks))
-        ax.set_xlim(-0.4, 1.4)
-        ax.grid(axis="x", visible=False)
-    for ax in axes[len(cases) :]:
-        ax.set_axis_off()
-    for ax in axes[::columns]:
-        ax.set_ylabel(ylabel)
-    return fig
 
 
 def spectra(cases: Mapping[str, Mapping[str, Tensor]], edges: Sequence[float], *, roles: Mapping[str, str]) -> Figure:

@@ -68,8 +68,7 @@ def compared(
         "stage 3": fitted.motion.positions,
         "the truth itself": tested.truth.positions,
     }
-    every = {name: contenders.Found(positions) for name, positions in found.items()}
-    scores = contenders.measures(every, tested.truth, seen.visible)
+    scores = contenders.measures(found, tested.truth, seen.visible)
     return {n: {m: tested.mean(x) for m, x in row.items()} for n, row in scores.items()}, rows, chosen
 
 

@@ -1,8 +1,4 @@
-"""Does stage 3 earn its time? Stage 2, stage 3 and smoothers on the same clips, with intervals and paired differences.
-
-found = methods(fitted, observation, smoother)          # positions by name
-table(measures(found, truth, observation.visible), generator)
-paired_table(..., "stage 3", "stage 2", generator)
+"""Does stage 3 earn its time? Smoothers beside the stages, and what is measured of all on the same clips.
 
 Source: HuMoR (Rempe et al. 2021), section 5.2: global errors without alignment, of joints with 4 cm of noise and of
 joints seen only above 0.9 m.
@@ -11,7 +7,7 @@ joints seen only above 0.9 m.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Protocol
 
@@ -22,10 +18,7 @@ from motionlab.baselines import kalman, nearest_known, savitzky_golay
 from motionlab.contact import contacts_from_positions, resting_heights
 from motionlab.humor import start as starts
 from motionlab.humor.evidence import Observation3D, evidence
-from motionlab.humor.testops import Fitted
-from motionlab.metrics import gait, intervals, pose
-from motionlab.metrics.gait import legs
-from motionlab.metrics.intervals import paired
+from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.skeleton import FEET, STANDARD, fk
@@ -38,13 +31,6 @@ class Seen(Protocol):
 
     observation: Observation2D
     cameras: Sequence[Camera]
-
-
-#: What :func:`measures` measures, and whether less is better.
-LESS_IS_BETTER = {
-    "all cm": True, "visible cm": True, "hidden cm": True, "legs cm": True, "acceleration error m/s^2": True,
-    "contact F1": False, "slide mm": True, "under floor %": True,
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -70,11 +56,8 @@ class Smoother:
         if self.kind == "kalman":
             return kalman(whole, seen.fps, self.a, self.b).unflatten(-1, (-1, 3))
         window = min(int(self.a), whole.shape[1] - 1 + whole.shape[1] % 2)
-        return (
-            savitzky_golay(whole, window, int(self.b)).unflatten(-1, (-1, 3))
-            if window > self.b
-            else whole.view_as(placed)
-        )
+        smooth = savitzky_golay(whole, window, int(self.b)) if window > self.b else whole
+        return smooth.unflatten(-1, (-1, 3))
 
 
 def _interpolated(x: Tensor, known: Tensor) -> Tensor:
@@ -102,78 +85,28 @@ def mean_pose(pose_prior) -> Tensor:
     return fk(STANDARD, torch.zeros(3), body)[0]
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """What a method says: positions (B, T, 22, 3), and contacts (B, T, 9) where it says that itself."""
-
-    positions: Tensor
-    contacts: Tensor | None = None
-
-
-def methods(
-    fitted: Fitted, observation: Observation3D, smoothers: Mapping[str, Smoother], rest: Tensor
-) -> dict[str, Found]:
-    """The stages of a fit beside the baselines, by name."""
-    found = {name: Found(smoother(observation, rest)) for name, smoother in smoothers.items()}
-    stages = {f"stage {k}": Found(m.positions) for k, m in fitted.stages.items() if k > 1}
-    if 3 in fitted.stages:
-        stages["stage 3"] = replace(stages["stage 3"], contacts=fitted.contacts)
-    return found | stages
-
-
-def measures(found: Mapping[str, Found], truth: Motion, visible: Tensor) -> dict[str, dict[str, Tensor]]:
+def measures(found: Mapping[str, Tensor], truth: Motion, visible: Tensor) -> dict[str, dict[str, Tensor]]:
     """Errors by method and measure, each (B,): world, no alignment; NaN where nothing of a kind is there.
 
-    truth (B, T) with contacts; visible (B, T, 22). Contacts of a method that gives none follow from the heights and
-    speeds of its joints. slide: of feet where the true foot stands, mm per frame.
+    found: positions (B, T, 22, 3). truth (B, T) with contacts; visible (B, T, 22). Contacts follow from the heights and
+    speeds of joints. slide: of feet where the true foot stands, mm per frame.
     """
     return {name: _measures(each, truth, visible.bool()) for name, each in found.items()}
 
 
-def _measures(found: Found, truth: Motion, visible: Tensor) -> dict[str, Tensor]:
-    p, t, skeleton = found.positions, truth.positions, truth.skeleton
+def _measures(p: Tensor, truth: Motion, visible: Tensor) -> dict[str, Tensor]:
+    t, skeleton = truth.positions, truth.skeleton
     seen, hidden = pose.mpjpe_visible_occluded(p, t, visible, align="none")
     feet = skeleton.indices(list(FEET))
-    touching = found.contacts
-    if touching is None:
-        touching = contacts_from_positions(p[..., skeleton.contact_indices, :], truth.fps, resting_heights(STANDARD))
+    touching = contacts_from_positions(p[..., skeleton.contact_indices, :], truth.fps, resting_heights(STANDARD))
     deep = gait.floor_penetration(p[..., feet[2:], :], depths=(0.03,)).frequency[..., 0]
     return {
         "all cm": CM * pose.mpjpe(p, t, align="none"),
         "visible cm": CM * seen,
         "hidden cm": CM * hidden,
-        "legs cm": CM * pose.joint_errors(p, t, align="none")[..., legs(truth)].mean((-1, -2)),
+        "legs cm": CM * pose.joint_errors(p, t, align="none")[..., gait.legs(truth)].mean((-1, -2)),
         "acceleration error m/s^2": pose.acceleration_error(p, t, truth.fps),
         "contact F1": gait.contact_scores(touching, truth.contacts).f1,
         "slide mm": gait.slide_where_truth_stands_mm(p[..., feet, :], t[..., feet, :]),
         "under floor %": 100 * deep,
     }
-
-
-def table(scores: Mapping[str, Mapping[str, Tensor]], generator: torch.Generator) -> list[dict[str, str]]:
-    """A row per method: mean over clips and its 95 % bootstrap interval of every measure."""
-    return [{"method": n} | {m: _interval(x, generator) for m, x in row.items()} for n, row in scores.items()]
-
-
-def paired_table(
-    scores: Mapping[str, Mapping[str, Tensor]], after: str, before: str, generator: torch.Generator
-) -> list[dict[str, object]]:
-    """A row per measure: the difference of two methods clip by clip, the share of clips in which the first wins."""
-    rows = []
-    for name, less in LESS_IS_BETTER.items():
-        a, b = scores[after][name], scores[before][name]
-        both = a.isfinite() & b.isfinite()
-        if both.any():
-            better = ((a < b) if less else (a > b))[both].double().mean()
-            difference = paired(a, b, generator)
-            rows.append({"measure": name, f"{after} - {before}": str(difference), "clips": difference.n,
-                         "better in": f"{100 * better:.0f} %"})  # fmt: skip
-    return rows
-
-
-def _interval(x: Tensor, generator: torch.Generator) -> str:
-    x = x[x.isfinite()]
-    if not len(x):
-        return "-"
-    value, low, high = intervals.interval(x, "mean", generator)
-    return f"{value:.2f} [{low:.2f}, {high:.2f}]"

@@ -7,53 +7,12 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import torch
 from torch import Tensor
 
 Name = TypeVar("Name", bound=Hashable)
-
-
-class Timing(NamedTuple):
-    """Seconds per call."""
-
-    median: float
-    iqr: float  #: spread: third quartile minus first
-    n: int  #: calls measured
-
-
-def _timed(
-    call: Callable[[], object], *, n: int = 7, warm_up: int = 1, clock: Callable[[], float] = time.perf_counter
-) -> Timing:
-    """Wall time of ``call()``, garbage collection off, after ``warm_up`` calls that do not count.
-
-    Waits for the GPU where there is one. The median, because a shared machine only ever adds time. With
-    ``time.process_time`` as the clock only the time counts in which the processor worked for this process.
-
-    Raises:
-        ValueError: n is less than one.
-    """
-    if n < 1:
-        raise ValueError(f"n: expected at least one measured call, got {n}")
-    wait = torch.cuda.synchronize if torch.cuda.is_available() else lambda: None
-    for _ in range(warm_up):
-        call()
-    seconds = []
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        for _ in range(n):
-            wait()
-            start = clock()
-            call()
-            wait()
-            seconds.append(clock() - start)
-    finally:
-        if was_on:
-            gc.enable()
-    low, median, high = torch.tensor(seconds, dtype=torch.float64).quantile(torch.tensor([0.25, 0.5, 0.75]).double())
-    return Timing(median.item(), (high - low).item(), n)
 
 
 def interleaved(
@@ -65,20 +24,29 @@ def interleaved(
 ) -> dict[Name, Tensor]:
     """Measures seconds (n,) of every call, by name: n rounds through all, so that a machine that slows down slows all.
 
-    Garbage collection is off; each call runs ``warm_up`` times before the first round. clock: as for :func:`_timed`.
+    Garbage collection is off; each call runs ``warm_up`` times before the first round. Waits for the GPU where there is
+    one. With ``time.process_time`` only the time counts in which the processor worked for this process.
 
     Raises:
         ValueError: n is less than one.
     """
     if n < 1:
         raise ValueError(f"n: expected at least one measured round, got {n}")
-    seconds = {name: torch.zeros(n, dtype=torch.float64) for name in calls}
     for call in calls.values():
         for _ in range(warm_up):
             call()
-    for k in range(n):
-        for name, call in calls.items():
-            seconds[name][k] = _timed(call, n=1, warm_up=0, clock=clock).median
+    was_on, seconds = gc.isenabled(), {name: torch.zeros(n, dtype=torch.float64) for name in calls}
+    gc.disable()
+    try:
+        for k in range(n):
+            for name, call in calls.items():
+                watch = Stopwatch(clock)
+                with watch("call"):
+                    call()
+                seconds[name][k] = watch.seconds["call"]
+    finally:
+        if was_on:
+            gc.enable()
     return seconds
 
 

@@ -119,19 +119,6 @@ class Workload:
         return pose
 
 
-def marks(case: Workload) -> dict[str, Tensor]:
-    """What the energies are at unknowns that nothing was searched for: the mean energy of stages 2 and 3, and the size
-    of its gradient in each of stage 3's unknowns. A changed term or weight moves them, but for contacts and
-    bones, which are nearly satisfied there: notebook 07 marks every term by itself."""
-    found = {}
-    for stage in (2, 3):
-        part = Part(stage, case.frames)
-        unknown = case.unknowns(part, LEAN)
-        found[f"energy of stage {stage}'s closure"] = case.closure(part, LEAN, unknown)().mean()
-    slopes = {name: x.grad for name, x in unknown.named().items() if x.grad is not None}
-    return found | {f"slope of stage 3 in {name}": slope.norm() for name, slope in slopes.items()}
-
-
 def workload(
     clip: Motion, priors: Priors, generator: torch.Generator, batch: int = 1, *, inferred: bool = False
 ) -> Workload:
