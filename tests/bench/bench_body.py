@@ -10,14 +10,14 @@ import torch
 from motionlab import rotation
 from motionlab.body import AVERAGE_ADULT, BodyModel, lbs
 from motionlab.skeleton import fk
-from studies.shared.profiling import _timed
+from studies.shared.profiling import interleaved
 
 FRAMES, REPEATS = 64, 7
 
 
 def seconds(function) -> float:
     """Median wall-clock time of a call after one to warm up."""
-    return _timed(function, n=REPEATS).median
+    return interleaved({"it": function}, n=REPEATS)["it"].median().item()
 
 
 def gathered(body: BodyModel, root: torch.Tensor, rot: torch.Tensor) -> torch.Tensor:

@@ -15,7 +15,7 @@ from motionlab import rotation
 from motionlab.io import bvh
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
-from studies.shared.profiling import _timed
+from studies.shared.profiling import interleaved
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", PendingDeprecationWarning)  # bvhio imports glm by its old name
@@ -26,7 +26,7 @@ FRAMES, REPEATS, CHECKED = 1800, 5, (0, 1234, 1799)
 
 def seconds(function, repeats: int) -> float:
     """Median wall-clock time of a call after one to warm up."""
-    return _timed(function, n=repeats).median
+    return interleaved({"it": function}, n=repeats)["it"].median().item()
 
 
 def bvhio_positions(root, frame: int) -> dict[str, np.ndarray]:

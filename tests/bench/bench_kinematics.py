@@ -8,7 +8,7 @@ import torch
 
 from motionlab import rotation
 from motionlab.skeleton import STANDARD, fk
-from studies.shared.profiling import _timed, interleaved
+from studies.shared.profiling import interleaved
 
 LOOPED = 200  # frames that the slow way is timed on
 
@@ -69,7 +69,7 @@ def compare(clips: int, frames: int, generator: torch.Generator) -> None:
     torch.testing.assert_close(gradient(with_roma), gradient(ours), atol=1e-4, rtol=1e-4)
     forward = in_turns(ours, with_roma)
     both = in_turns(*(lambda way=way: gradient(way) for way in (ours, with_roma)))
-    loop = _timed(looped, n=3).median * clips * frames / few
+    loop = interleaved({"it": looped}, n=3)["it"].median().item() * clips * frames / few
     t, t_both = forward[0].median().item(), both[0].median().item()
     print(f"fk of {clips} x {frames} frames: {t * 1e3:.2f} ms, with its backward pass {t_both * 1e3:.2f} ms")
     print(f"  loop over frames ({few} measured) / fk = {loop / t:.0f}")

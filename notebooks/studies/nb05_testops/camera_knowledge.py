@@ -26,6 +26,7 @@ from studies.nb05_testops.filmed_people import Filmed
 
 TILT, RISE = 3.0, 0.05  # standard deviations, degrees and metres, of a camera that was placed by eye
 CM = 100.0
+Methods = Mapping[str, Mapping[str, Tensor]]  # method -> measure -> numbers (P,)
 
 
 def placed_by_eye(camera: Camera, generator: torch.Generator) -> Camera:
@@ -102,19 +103,13 @@ def scores(motion: Motion, shot: Filmed) -> dict[str, Tensor]:
     """
     scene, p, t = shot.scene, motion.positions, shot.scene.truth.positions
     px = misses(pixels_of(motion, list(scene.cameras)), scene.observation)
-    found = {
-        "pose": CM * pose.mpjpe(p, t, align="root"),
-        "place": CM * pose.mpjpe(p, t, align="none"),
-        "px": px,
-        "ratio": px / misses(scene.pixels, scene.observation),
-        "acceleration": pose.acceleration_error(p, t, scene.truth.fps),
-    }
+    found = {"pose": CM * pose.mpjpe(p, t, align="root"), "place": CM * pose.mpjpe(p, t, align="none"), "px": px}
+    found |= {"ratio": px / misses(scene.pixels, scene.observation)}
+    found |= {"acceleration": pose.acceleration_error(p, t, scene.truth.fps)}
     return {name: shot.people.mean(values) for name, values in found.items()}
 
 
-def score_rows(
-    plain: Mapping[str, Mapping[str, Mapping[str, Tensor]]], generator: torch.Generator
-) -> list[dict[str, object]]:
+def score_rows(plain: Mapping[str, Methods], generator: torch.Generator) -> list[dict[str, object]]:
     """Returns a row per source and method: means over people, of the pose with its interval."""
     return [
         {"people": f"{source} ({len(found['pose'])})", "after": method}
@@ -127,39 +122,27 @@ def score_rows(
 
 
 def gains(
-    plain: Mapping[str, Mapping[str, Mapping[str, Tensor]]],
-    chosen: Mapping[str, tuning.Choice],
-    generator: torch.Generator,
+    plain: Mapping[str, Methods], chosen: Mapping[str, tuning.Choice], generator: torch.Generator
 ) -> list[dict[str, object]]:
     """Returns a row per source: what stage 2 was tuned to, and what stage 3 gains over it with its 95 % interval."""
-    return [
-        {
-            "people": f"{source} ({len(by['stage 3']['pose'])})",
-            "stage 2 is tuned to": tuning.said(chosen[source]),
-            "stage 3 less the tuned stage 2: pose, cm": intervals.paired(
-                by["stage 3"]["pose"], by["tuned stage 2"]["pose"], generator
-            ),
-        }
-        for source, by in plain.items()
-    ]
+    rows = []
+    for source, by in plain.items():
+        two, three = (by[method]["pose"] for method in ("tuned stage 2", "stage 3"))
+        row = {"people": f"{source} ({len(three)})", "stage 2 is tuned to": tuning.said(chosen[source])}
+        rows.append(row | {"stage 3 less the tuned stage 2: pose, cm": intervals.paired(three, two, generator)})
+    return rows
 
 
-def knowledge_rows(
-    found: Mapping[str, Mapping[str, Mapping[str, Tensor]]], generator: torch.Generator
-) -> list[dict[str, object]]:
+def knowledge_rows(found: Mapping[str, Methods], generator: torch.Generator) -> list[dict[str, object]]:
     """Returns a row by what is known of the camera: errors in pose and in place, and what the pose loses."""
-    inside, place = found["root"], found["none"]
-    most = inside["camera and floor"]["stage 3"]
-    return [
-        {
-            "known": name,
-            "stage 3: pose, cm": f"{by['stage 3'].mean():.1f}",
-            "more than with all known": ""
-            if by["stage 3"] is most
-            else intervals.paired(by["stage 3"], most, generator),
-            "place, cm": f"{place[name]['stage 3'].mean():.0f}",
+    rows, most = [], found["root"]["camera and floor"]["stage 3"]
+    for name, by in found["root"].items():
+        place, three = found["none"][name], by["stage 3"]
+        rows.append({
+            "known": name, "stage 3: pose, cm": f"{three.mean():.1f}",
+            "more than with all known": "" if three is most else intervals.paired(three, most, generator),
+            "place, cm": f"{place['stage 3'].mean():.0f}",
             "tuned stage 2: pose, cm": f"{by['tuned stage 2'].mean():.1f}",
-            "its place, cm": f"{place[name]['tuned stage 2'].mean():.0f}",
-        }
-        for k, (name, by) in enumerate(inside.items())
-    ]
+            "its place, cm": f"{place['tuned stage 2'].mean():.0f}",
+        })  # fmt: skip
+    return rows

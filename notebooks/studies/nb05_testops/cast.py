@@ -8,8 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -17,14 +15,14 @@ from torch import Tensor
 from data_synth import corrupt, scenes
 from data_synth.actions import ACTIONS
 from data_synth.scenes import Scene
-from motionlab import corpus, splits
 from motionlab.corpus import Take
 from motionlab.metrics.gait import SEATED, tilt_and_bend
 from motionlab.motion import Motion
 from studies.nb05_testops.measures import SEAT, unsupported
+from studies.shared import clips
+from studies.shared.clips import FRAMES, stacked
 
 Fits = Callable[[Motion], Tensor]
-FRAMES = 60
 _STANDS = 45.0  # degrees of thighs and knees: straighter legs are those of somebody who stands
 _MOMENT = 10  # frames over which somebody must stand, or sit
 _DEEP = 0.2  # metres that the pelvis sinks of somebody who crouches
@@ -46,39 +44,16 @@ class Cast:
         return f"{len(self)} clips of {len(set(self.people))} people"
 
 
-@lru_cache(maxsize=8)
-def takes(folder: Path | str, part: str) -> tuple[Take, ...]:
-    """Loads the recordings of the CMU library's people of one part, longer than a clip."""
-    found = corpus.assemble(folder, splits.real_sources(folder), progress=False).takes
-    return tuple(t for t in found if t.source == "cmu_library" and t.part == part and t.motion.frames > FRAMES)
-
-
 def everyday(some: Sequence[Take], count: int) -> Cast:
     """Returns ``count`` clips of whatever people do, as evenly over people as can be."""
-    by_person: dict[str, list[Motion]] = {}
-    for take in some:
-        for start in range(0, take.motion.frames - FRAMES + 1, FRAMES):
-            by_person.setdefault(take.person, []).append(take.motion.cut(start, start + FRAMES))
-    each = -(-count // len(by_person))
-    pairs = [(who, m) for who, motions in by_person.items() for m in splits.evenly(motions, each + 2)[1:-1]]
-    return _cast(splits.evenly(pairs, count))
+    return _cast(clips.everyday(some, count))
 
 
 def who(some: Sequence[Take], fits: Fits, each: int, most: int, seed: int, words: str = "") -> Cast:
-    """Returns clips that begin where ``fits`` (starts,) is true, at most ``each`` a person and ``most`` in all.
-
-    Beginnings are drawn; clips of one take do not overlap. words: what a take's description must match.
-    """
-    generator = torch.Generator().manual_seed(seed)
-    found: dict[str, list[Motion]] = {}
-    for take in some:
-        starts = fits(take.motion).nonzero().flatten() if re.search(words, take.said, re.IGNORECASE) else ()
-        while len(starts):
-            at = int(starts[torch.randint(len(starts), (), generator=generator)])
-            found.setdefault(take.person, []).append(take.motion.cut(at, at + FRAMES))
-            starts = starts[(starts - at).abs() >= FRAMES]
-    pairs = [(person, m) for person, motions in found.items() for m in splits.evenly(motions, each)]
-    return _cast(splits.evenly(pairs, most))
+    """Returns clips that begin where ``fits`` (starts,) is true, as ``clips.begun``. words: what a take's description
+    must match."""
+    told = [take for take in some if re.search(words, take.said, re.IGNORECASE)]
+    return _cast(clips.begun(told, fits, torch.Generator().manual_seed(seed), each, most))
 
 
 def acted(action: str, fits: Fits, count: int, seed: int, **options) -> Cast:
@@ -130,7 +105,7 @@ def _from_to(begin: Tensor, end: Tensor, *, turned: bool = False) -> Tensor:
 
 def walks(motion: Motion) -> Tensor:
     """(starts,) true where the pelvis goes 1.5 m or more in the clip."""
-    return (motion.root[FRAMES - 1 :, :2] - motion.root[: motion.frames - FRAMES + 1, :2]).norm(dim=-1) > 1.5
+    return clips.goes(motion, 1.5)
 
 
 def lies(motion: Motion) -> Tensor:
@@ -157,15 +132,9 @@ def by_person(values: Tensor, people: Sequence[str] | None) -> Tensor:
 # ------------------------------------------------------------------------------------------------ how a detector fails
 def spoilt(scene: Scene, how: Callable, seed: int, **options) -> Scene:
     """Lets the detector fail as a function of ``data_synth.corrupt`` does, clip by clip."""
-    generator, rows = torch.Generator().manual_seed(seed), []
-    for index in range(len(scene)):
-        rows.append(how(scene.clip(index), generator, **options))
-    seen, wrong = zip(*rows, strict=True)
-    observation = replace(
-        scene.observation,
-        keypoints=torch.stack([o.keypoints for o in seen]),
-        confidence=torch.stack([o.confidence for o in seen]),
-    )
+    generator = torch.Generator().manual_seed(seed)
+    seen, wrong = zip(*(how(scene.clip(k), generator, **options) for k in range(len(scene))), strict=True)
+    observation = stacked(seen, camera=None)
     return replace(scene, observation=observation, wrong=torch.stack(wrong))
 
 

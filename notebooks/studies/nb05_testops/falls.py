@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
 from motionlab.skeleton import STANDARD
 from motionlab.viz.movie import strip
 from studies.nb05_testops.recordings import COMPARED, compared
+from studies.shared.clips import part, stacked
 
 #: What is shown, from which second on of which take.
 MOMENTS = {
@@ -60,19 +61,13 @@ def moments(folder: Path | str, *, frames: int = 60, views: int = 4) -> Moments:
     """Reads the moments of Captury's takes at 30 fps, by so many of their cameras."""
     seen, cameras, joints, names = [], [], [], []
     for name, (take, start) in MOMENTS.items():
-        place = Path(folder) / take
+        place, first = Path(folder) / take, round(start * FPS)
         there = points.load_biomech(place / "biomech.csv", fps=50.0).select(list(COMPARED.values())).positions
         for index, camera in enumerate(load_captury(place / "camera.calib", width=1920)[:views]):
             table = points.load_projected(place / f"projected{index:02}.csv", camera=camera, fps=50.0)
-            seen.append(_cut(at_rate(_as_body_25(table)), start, frames))
-            cameras.append(camera), joints.append(_at_30(there, start, frames)), names.append(name)
-    whole = replace(
-        seen[0],
-        keypoints=torch.stack([each.keypoints for each in seen]),
-        confidence=torch.stack([each.confidence for each in seen]),
-        camera=None,
-    )
-    return Moments(whole, cameras, torch.stack(joints), tuple(names))
+            seen.append(part(at_rate(_as_body_25(table)), slice(first, first + frames)))
+            cameras.append(camera), joints.append(_at_30(there, first, frames)), names.append(name)
+    return Moments(stacked(seen, camera=None), cameras, torch.stack(joints), tuple(names))
 
 
 def _as_body_25(table: Observation2D) -> Observation2D:
@@ -82,15 +77,9 @@ def _as_body_25(table: Observation2D) -> Observation2D:
     return replace(table, keypoints=keypoints, confidence=confidence, names=BODY_25)
 
 
-def _cut(seen: Observation2D, start: float, frames: int) -> Observation2D:
-    first = round(start * FPS)
-    part = slice(first, first + frames)
-    return replace(seen, keypoints=seen.keypoints[part], confidence=seen.confidence[part])
-
-
-def _at_30(joints: Tensor, start: float, frames: int) -> Tensor:
+def _at_30(joints: Tensor, first: int, frames: int) -> Tensor:
     """Joints (T, 12, 3) at 50 fps as (frames, 12, 3) at 30, linear between."""
-    at = (round(start * FPS) + torch.arange(frames)) * (50.0 / FPS)
+    at = (first + torch.arange(frames)) * (50.0 / FPS)
     low = at.floor().long().clamp(max=len(joints) - 2)
     return torch.lerp(joints[low], joints[low + 1], (at - low)[:, None, None])
 
@@ -105,20 +94,24 @@ def over_time(motion: Motion, truth: Tensor) -> Tensor:
 
 def rows(curves: Mapping[str, Tensor], names: tuple[str, ...]) -> list[dict[str, object]]:
     """Returns a row per moment and method: mean error over the views, of the whole clip and of its last quarter."""
-    found = []
-    for moment in dict.fromkeys(names):
-        mine = [k for k, name in enumerate(names) if name == moment]
-        for method, error in list(curves.items())[1:]:
-            last = error[mine, -(error.shape[1] // 4) :].mean()
-            found.append({"moment": moment, "method": method, "views": len(mine)}
-                         | {"pose, cm": error[mine].mean().item(), "last quarter, cm": last.item()})  # fmt: skip
-    return found
+    return [
+        {"moment": moment, "method": method, "views": len(error)}
+        | {"pose, cm": error.mean().item(), "last quarter, cm": _last(error)}
+        for moment, by_method in panels(curves, names, tuple(curves)[1:]).items()
+        for method, error in by_method.items()
+    ]
 
 
-def panels(curves: Mapping[str, Tensor], names: tuple[str, ...]) -> dict[str, dict[str, Tensor]]:
+def _last(error: Tensor) -> float:
+    return error[:, -(error.shape[1] // 4) :].mean().item()
+
+
+def panels(
+    curves: Mapping[str, Tensor], names: tuple[str, ...], shown: Sequence[str] = SHOWN
+) -> dict[str, dict[str, Tensor]]:
     """Returns by moment and method the errors over time (V, T) of its views."""
     mine = {moment: [k for k, name in enumerate(names) if name == moment] for moment in dict.fromkeys(names)}
-    return {moment: {n: x[some] for n, x in curves.items() if n in SHOWN} for moment, some in mine.items()}
+    return {moment: {n: x[some] for n, x in curves.items() if n in shown} for moment, some in mine.items()}
 
 
 def person(taken: Moments, view: int, priors: Priors, schedule: Schedule) -> Motion:
@@ -141,6 +134,6 @@ def pictured(ways: Mapping[str, Motion], true: Motion, view: int, body: BodyMode
 def ends(curves: Mapping[str, Tensor], names: tuple[str, ...]) -> list[dict[str, object]]:
     """Returns a row per moment: the mean error in cm over its last quarter, all views, of the methods in ``SHOWN``."""
     return [
-        {"moment": moment} | {f"{name}, cm": x[:, -(x.shape[1] // 4) :].mean().item() for name, x in some.items()}
+        {"moment": moment} | {f"{name}, cm": _last(x) for name, x in some.items()}
         for moment, some in panels(curves, names).items()
     ]

@@ -12,7 +12,8 @@ from data_synth import scenes
 from data_synth.scenes import Scene
 from motionlab.bench.person_windows import by_person
 from motionlab.motion import Motion
-from studies.nb05_testops.cast import FRAMES, everyday, takes
+from studies.nb05_testops.cast import everyday
+from studies.shared.clips import FRAMES, takes
 
 
 class People(NamedTuple):

@@ -24,6 +24,7 @@ from studies.nb05_testops import cast as clips_of
 from studies.nb05_testops import measures
 from studies.nb05_testops.cast import Cast, by_person
 from studies.nb05_testops.trials import Rival, rival_of, scores
+from studies.shared.clips import FRAMES, takes
 
 SYNTHETIC, CMU = "synthetic", "CMU"
 Case = tuple[str, str]
@@ -48,10 +49,10 @@ def synthetic(cases: Sequence[str], clips: int, seed: int, frames: int) -> dict[
     """Films ``clips`` synthetic people in each case."""
     as_filmed = {PLAIN: "easy", FLIPS: "limb flips", FALSE: "false detections", WALL: "walking, legs hidden",
                  WALKS: "walking", FLOOR: "floor roll", TUMBLE: "tumble", DANCE: "dance"}  # fmt: skip
-    made = {SITS: lambda: _desk(clips_of.acted("sit", clips_of.sits_down, clips, seed, seconds=1.0), frames, seed),
-            SINKS: lambda: _desk(_crouchers(clips, seed), frames, seed)}  # fmt: skip
+    made = {SITS: lambda: clips_of.acted("sit", clips_of.sits_down, clips, seed, seconds=1.0),
+            SINKS: lambda: _crouchers(clips, seed)}  # fmt: skip
     return {
-        (case, SYNTHETIC): made[case]()
+        (case, SYNTHETIC): _shot(case, _cut(made[case](), frames), seed)
         if case in made
         else scenes.film(as_filmed[case], clips, seed=seed, frames=frames)
         for case in cases
@@ -72,12 +73,12 @@ def real(
     who they are. Nothing without recordings."""
     if folder is None:
         return {}, {}
-    takes = clips_of.takes(folder, part)
-    cast = {PLAIN: clips_of.everyday(takes, clips + clips // 2), FLIPS: clips_of.everyday(takes, clips)}
+    some = takes(folder, part)
+    cast = {PLAIN: clips_of.everyday(some, clips + clips // 2), FLIPS: clips_of.everyday(some, clips)}
     cast[FALSE] = cast[FLIPS]
     drawn = {SITS: (clips_of.sits_down, 2, ""), SINKS: (clips_of.sinks, 1, ""), WALKS: (clips_of.walks, 1, "walk"),
              FLOOR: (clips_of.lies, 2, ""), DANCE: (clips_of.lively, 2, "danc|salsa|macarena")}  # fmt: skip
-    cast |= {case: clips_of.who(takes, fits, each, clips + 2, seed, said) for case, (fits, each, said) in drawn.items()}
+    cast |= {case: clips_of.who(some, fits, each, clips + 2, seed, said) for case, (fits, each, said) in drawn.items()}
     cast[WALL] = cast[WALKS]
     found = {}
     for case in cases:
@@ -94,13 +95,9 @@ def _shot(case: str, cast: Cast, seed: int) -> Scene:
     return spoil(scene, seed) if spoil else scene
 
 
-def _desk(cast: Cast, frames: int, seed: int) -> Scene:
-    return scenes.film_recorded("legs behind a desk", _cut(cast, frames).motions, seed=seed)
-
-
 def _cut(cast: Cast, frames: int) -> Cast:
     """Every so manieth frame of a short run; the whole clip where ``frames`` are all."""
-    step = clips_of.FRAMES // frames
+    step = FRAMES // frames
     motions = [replace(m, root=m.root[::step], rot=m.rot[::step], contacts=m.contacts[::step]) for m in cast.motions]
     return Cast(tuple(motions), cast.people)
 
@@ -124,15 +121,13 @@ def rows(filmed: Mapping[Case, Scene], people: Mapping[Case, Sequence[str]]) -> 
     """Returns a row per case and source: clips, people, what is seen and what is wrong."""
     return [
         {
-            "case": case,
-            "source": source,
-            "clips": len(s),
+            "case": case, "source": source, "clips": len(s),
             "people": len(set(people.get((case, source), range(len(s))))),
             "leg joints seen, %": 100 * s.seen[..., gait.legs(s.truth)].float().mean().item(),
             "false detections, %": 100 * s.wrong.float().mean().item(),
         }
         for (case, source), s in filmed.items()
-    ]
+    ]  # fmt: skip
 
 
 def of(some: Iterable[Case], *cases: str) -> list[Case]:
@@ -143,28 +138,13 @@ def of(some: Iterable[Case], *cases: str) -> list[Case]:
 # -------------------------------------------------------------------------------------------------- who is compared
 def rivals(found: Mapping[Rival, Mapping[Case, Mapping[str, Tensor]]], cases: Sequence[Case]) -> dict[Case, Rival]:
     """Chooses each case's stage 2 on the practice clips of its own task and source."""
-    chosen = {}
-    for case, source in cases:
-        task, measure = TUNED_ON[case]
-        chosen[case, source] = rival_of(found, (task, source), measure)
-    return chosen
+    tasks = {(case, source): TUNED_ON[case] for case, source in cases}
+    return {key: rival_of(found, (task, key[1]), measure) for key, (task, measure) in tasks.items()}
 
 
 def without(arm: str) -> Weights:
     """Returns the weights of an ablation: the usual ones, some of stage 3's at zero."""
     return replace(RGB_LIGHT, **dict.fromkeys(ARMS[arm], (0.0, 0.0, 0.0)))
-
-
-def swing(motion: Motion, truth: Motion, hidden: Tensor) -> Tensor:
-    """Computes how far the hidden legs swing over how far the true ones do (B,); NaN where fewer than ten frames are
-    hidden."""
-    enough = hidden.sum(-1) >= 10
-    return torch.where(enough, measures.swing(motion, hidden) / measures.swing(truth, hidden), torch.nan)
-
-
-def finite(values: Tensor) -> Tensor:
-    """Returns the values that are numbers."""
-    return values[values.isfinite()]
 
 
 def scored(found: Mapping[Case, Motion], filmed: Mapping[Case, Scene]) -> dict[Case, dict[str, Tensor]]:
@@ -173,20 +153,16 @@ def scored(found: Mapping[Case, Motion], filmed: Mapping[Case, Scene]) -> dict[C
 
 
 def differences(
-    ours: Mapping[Case, Mapping[str, Tensor]],
-    theirs: Mapping[Case, Mapping[str, Tensor]],
-    people: Mapping[Case, Sequence[str]],
-    measures_: Sequence[str],
-    generator: Callable[[str], torch.Generator],
-) -> dict[str, list[tuple[str, str, Paired]]]:
+    ours: Mapping[Case, Mapping[str, Tensor]], theirs: Mapping[Case, Mapping[str, Tensor]],
+    people: Mapping[Case, Sequence[str]], measures_: Sequence[str], generator: Callable[[str], torch.Generator],
+) -> dict[str, list[tuple[str, str, Paired]]]:  # fmt: skip
     """Computes by measure the mean difference over people of every case and source, with its interval."""
-    found = {}
-    for name in measures_:
-        found[name] = []
-        for key in ours:
-            by = [by_person(x[key][name], people.get(key)) for x in (ours, theirs)]
-            found[name].append((*key, paired(*by, generator(f"{key}/{name}"))))
-    return found
+
+    def less(key: Case, name: str) -> Paired:
+        by = [by_person(x[key][name], people.get(key)) for x in (ours, theirs)]
+        return paired(*by, generator(f"{key}/{name}"))
+
+    return {name: [(*key, less(key, name)) for key in ours] for name in measures_}
 
 
 def posture(ways: Mapping[str, Motion], truth: Motion) -> dict[str, dict[str, Tensor]]:
@@ -213,12 +189,16 @@ def crouchers(count: int, seed: int) -> dict[str, Tensor]:
 def swings(
     ways: Mapping[str, Mapping[int, Motion]], scene: Scene, people: Sequence[str] | None
 ) -> dict[str, dict[int, Tensor]]:
-    """Computes by way and length of the failure how far the hidden legs swing (P,) over the true swing, by person."""
+    """Computes by way and length of the failure how far the hidden legs swing (P,) over the true swing, by person; of
+    clips in which they are hidden in ten frames or more."""
     hidden = ~scene.seen[..., gait.legs(scene.truth)].any(-1)
-    return {
-        way: {n: finite(by_person(swing(m, scene.truth, hidden), people)) for n, m in by_lead.items()}
-        for way, by_lead in ways.items()
-    }
+
+    def over_true(motion: Motion) -> Tensor:
+        ratio = measures.swing(motion, hidden) / measures.swing(scene.truth, hidden)
+        values = by_person(torch.where(hidden.sum(-1) >= 10, ratio, torch.nan), people)
+        return values[values.isfinite()]
+
+    return {way: {n: over_true(m) for n, m in by_lead.items()} for way, by_lead in ways.items()}
 
 
 def lateness(ways: Mapping[str, Motion], truth: Motion) -> dict[str, tuple[Tensor, Tensor, Tensor]]:
@@ -254,12 +234,9 @@ def failures(
 
 
 def smoothing(
-    dance: Case,
-    power: Mapping[Case, Mapping[str, Tensor]],
-    stages: Mapping[int, Motion],
-    truth: Motion,
+    dance: Case, power: Mapping[Case, Mapping[str, Tensor]], stages: Mapping[int, Motion], truth: Motion,
     people: Sequence[str] | None,
-) -> list[tuple[str, str, Tensor, Tensor]]:
+) -> list[tuple[str, str, Tensor, Tensor]]:  # fmt: skip
     """Returns what H08 asks of a dance: test, statistic, and numbers of stages 3 and 2 by person.
 
     power: case -> way -> power over true power (B, bands); the second band holds the accents.

@@ -24,9 +24,10 @@ from motionlab.metrics.intervals import interval
 from motionlab.motion import Motion
 from motionlab.viz.palette import INK, LINE, colour
 from studies.nb05_testops import trials
-from studies.nb05_testops.cast import everyday, takes
+from studies.nb05_testops.cast import everyday
 from studies.nb05_testops.measures import error_over_time
 from studies.nb05_testops.trials import CaseFit, later_error
+from studies.shared.clips import part, takes
 from studies.shared.contenders import CM
 from studies.shared.plots import canvas
 
@@ -39,10 +40,10 @@ WAYS: dict[str, dict[str, object]] = {
 }
 ROLES = {"truth": "truth", "lean": "ours", "official": "baseline", "official, not smooth": "axis-angle"}
 SAID = {"first 1": "first frame", "middle 1": "middle frame", "first 10": "first 10 frames"}
-
-
 HOW = "official unknowns, start and masks at the lean price"
 Refit = Callable[..., Fitted]
+#: Fits, and what missing frames add to their error (B,), by way, source and variant.
+Fits, Added = Mapping[tuple[str, str, str], CaseFit], Mapping[tuple[str, str, str], Tensor]
 
 
 # ------------------------------------------------------------------------------------------------ who is filmed
@@ -64,20 +65,11 @@ def from_the_front(motions: Sequence[Motion], seed: int) -> Scene:
 
 def some_of(scene: Scene, count: int) -> Scene:
     """Returns the first clips of a scene."""
-    part = slice(0, count)
-    observation = replace(
-        scene.observation, keypoints=scene.observation.keypoints[part], confidence=scene.observation.confidence[part]
-    )
-    return replace(
-        scene,
-        truth=scene.truth.clip(part),
-        observation=observation,
-        cameras=scene.cameras[part],
-        pixels=scene.pixels[part],
-        seen=scene.seen[part],
-        wrong=scene.wrong[part],
-        occluders=scene.occluders[part],
-    )
+    few = slice(0, count)
+    return Scene(
+        scene.name, scene.truth.clip(few), part(scene.observation, few), scene.cameras[few], scene.pixels[few],
+        scene.seen[few], scene.wrong[few], scene.occluders[few],
+    )  # fmt: skip
 
 
 def gap(variant: str, frames: int) -> list[int]:
@@ -93,10 +85,9 @@ def lost_file(scene: Scene, frame: int) -> Scene:
 
     One frame shorter; the truth is that of the video's frames.
     """
-    o, last = scene.observation, scene.truth.frames - 1
+    last = scene.truth.frames - 1
     keep = [t for t in range(last + 1) if t != frame]
-    observation = replace(o, keypoints=o.keypoints[:, keep], confidence=o.confidence[:, keep])
-    return replace(scene, observation=observation, truth=scene.truth.cut(0, last))
+    return replace(scene, observation=part(scene.observation, slice(None), keep), truth=scene.truth.cut(0, last))
 
 
 # ------------------------------------------------------------------------------------------------ fits
@@ -107,12 +98,7 @@ def tiny() -> Schedule:
 
 
 def fitted(
-    seen: Mapping[str, Scene],
-    way: str,
-    variants: Sequence[str],
-    priors: Priors,
-    schedule: Schedule | None,
-    keep: bool = False,
+    seen: Mapping[str, Scene], way: str, variants: Sequence[str], priors: Priors, schedule: Schedule | None, keep: bool
 ) -> dict[tuple[str, str], CaseFit]:
     """Fits scenes with frames missing in a way of ``WAYS``: (source, variant) -> fit.
 
@@ -179,20 +165,17 @@ def first_speed(motion: Motion) -> Tensor:
     return motion.positions[:, :2].diff(dim=1).norm(dim=-1).mean((1, 2)) * motion.fps
 
 
-def jumps(
-    fits: Mapping[tuple[str, str, str], CaseFit], added: Mapping[tuple[str, str, str], Tensor], truth: Motion
-) -> list[dict[str, object]]:
+def jumps(fits: Fits, added: Added, truth: Motion) -> list[dict[str, object]]:
     """Returns a row per way and variant of the synthetic clips: speed of the first step, and the error later."""
-    rows = [{"fit": "truth", "missing": "-", "first step after stage 2, m/s": first_speed(truth).mean().item()}]
-    rows[0] |= {"error added later, m": "-", "worst clip, m": "-"}
+    heads = ("fit", "missing", "first step after stage 2, m/s", "error added later, m", "worst clip, m")
+    rows = [("truth", "-", first_speed(truth).mean().item(), "-", "-")]
     for (way, source, variant), found in fits.items():
         if source == "synthetic" and not variant.startswith("middle"):
             more = added.get((way, source, variant))
-            row = {"fit": way, "missing": SAID.get(variant, "nothing")}
-            row["first step after stage 2, m/s"] = first_speed(found.stages[2]).mean().item()
-            row["error added later, m"] = "-" if more is None else more.mean().item() / CM
-            rows.append(row | {"worst clip, m": "-" if more is None else more.max().item() / CM})
-    return rows
+            late = ("-", "-") if more is None else (more.mean().item() / CM, more.max().item() / CM)
+            speed = first_speed(found.stages[2]).mean().item()
+            rows.append((way, SAID.get(variant, "nothing"), speed, *late))
+    return [dict(zip(heads, row, strict=True)) for row in rows]
 
 
 def _more(error: float, unit: str) -> str:
@@ -200,7 +183,7 @@ def _more(error: float, unit: str) -> str:
     return f"{abs(error):.1f} {unit} {'farther from' if error > 0 else 'nearer to'} the truth"
 
 
-def spoken(added: Mapping[tuple[str, str, str], Tensor], sources: Sequence[str], bound: float) -> str:
+def spoken(added: Added, sources: Sequence[str], bound: float) -> str:
     """Says what one missing frame adds in the official way, by source and place, and whether it is what was expected.
 
     bound: cm; a mean of that much or more is a breakdown.
@@ -208,16 +191,15 @@ def spoken(added: Mapping[tuple[str, str, str], Tensor], sources: Sequence[str],
     means = {(s, v): added["official", s, v].mean().item() for s in sources for v in ("middle 1", "first 1")}
     said = [f"- {source} clips without the {SAID[v]}: {_more(x, 'cm')}" for (source, v), x in means.items()]
     broken = sum(x >= bound for x in means.values())
-    verdict = {0: "Not as the thesis says", len(means): "As the thesis says"}.get(
-        broken, "Only partly as the thesis says"
-    )
+    verdicts = {0: "Not as the thesis says", len(means): "As the thesis says"}
+    verdict = verdicts.get(broken, "Only partly as the thesis says")
     return (
         f"**Reading.** {verdict}. A breakdown would be {bound:g} cm farther from the truth, or more. "
         "Beside the same fit with all frames, later frames of the official fit end:\n\n" + "\n".join(said)
     )
 
 
-def why(fits: Mapping[tuple[str, str, str], CaseFit], added: Mapping[tuple[str, str, str], Tensor]) -> str:
+def why(fits: Fits, added: Added) -> str:
     """Says how the first step after stage 2 and the error go together where nothing is smooth."""
     way, parts = "official, not smooth", ("first 1", "first 10")
     speed = {v: first_speed(fits[way, "synthetic", v].stages[2]).mean().item() for v in parts}
@@ -281,7 +263,7 @@ def over_time(
     return fig
 
 
-def by_gap(increase: Mapping[tuple[str, str, str], Tensor], bound: float, generator: torch.Generator) -> Figure:
+def by_gap(increase: Added, bound: float, generator: torch.Generator) -> Figure:
     """Draws the error that missing frames add by (way, source, variant): a dot a clip (B,), mean, 95 % interval."""
     sources = list(dict.fromkeys(source for _, source, _ in increase))
     variants = list(dict.fromkeys(variant for _, _, variant in increase))

@@ -26,6 +26,7 @@ TESTS = {"noise": JOINTS, "low joints hidden": KEYPOINTS}
 MEASURES = {"all cm": "all joints, cm", "hidden cm": "hidden joints, cm",
             "acceleration error m/s^2": "acceleration off, m/s^2", "contact F1": "contact F1",
             "slide mm": "slide, mm a frame"}  # fmt: skip
+Tried = Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]]  # people and test -> method -> measure -> (P,)
 
 
 def observed(test: str, people: People, generator: torch.Generator) -> Observation3D:
@@ -44,14 +45,9 @@ def best_filter(seen: Observation3D, truth: Motion, tried: Observation3D, practi
 
 
 def compared(
-    test: str,
-    tested: People,
-    practice: People,
-    priors: Priors,
-    schedule: Schedule,
-    generator: torch.Generator,
+    test: str, tested: People, practice: People, priors: Priors, schedule: Schedule, generator: torch.Generator,
     **tried_out: object,
-) -> tuple[dict[str, dict[str, Tensor]], list[dict[str, float]], tuning.Choice]:
+) -> tuple[dict[str, dict[str, Tensor]], list[dict[str, float]], tuning.Choice]:  # fmt: skip
     """Fits people's joints by every method; numbers of each by measure, one (P,) a person.
 
     Also the grid that stage 2 was tuned on, and what was chosen. tried_out: goes to ``tuning.search``.
@@ -72,7 +68,7 @@ def compared(
     return {n: {m: tested.mean(x) for m, x in row.items()} for n, row in scores.items()}, rows, chosen
 
 
-def rows(found: Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]]) -> list[dict[str, object]]:
+def rows(found: Tried) -> list[dict[str, object]]:
     """Returns a row per source, test and method: means over people."""
     return [
         {"people": source, "test": test, "method": method}
@@ -82,9 +78,7 @@ def rows(found: Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]]) ->
     ]
 
 
-def chosen_rows(
-    found: Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]], chosen: Mapping[tuple[str, str], tuning.Choice]
-) -> list[dict[str, object]]:
+def chosen_rows(found: Tried, chosen: Mapping[tuple[str, str], tuning.Choice]) -> list[dict[str, object]]:
     """Returns a row per source and test: what stage 2 was tuned to, and the error by which the test is judged."""
     made = []
     for (source, test), by in found.items():
@@ -99,9 +93,7 @@ def chosen_rows(
     return made
 
 
-def rows_of_figure(
-    found: Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]],
-) -> tuple[list[dict[str, dict[str, Tensor]]], tuple[str, ...]]:
+def rows_of_figure(found: Tried) -> tuple[list[dict[str, dict[str, Tensor]]], tuple[str, ...]]:
     """Returns a figure's rows, by people and test and by method, numbers (P,), and the label of each row."""
     shown = {
         "joint error (cm)": ("noise", "all cm"),
@@ -126,10 +118,9 @@ SHOWN = ("tuned stage 2", "stage 3")
 
 def duels(sources: Mapping[str, object]) -> list[tuple[str, str, str, str]]:
     """Returns every duel of stage 3: source, test, the ledger's name of it, and the rival."""
-    noise, hidden = TESTS
-    kinds = [(noise, "polish", rival) for rival in ("stage 2", "tuned stage 2")]
-    kinds += [(noise, "smoothing", "best filter")]
-    kinds += [(hidden, "hidden", rival) for rival in ("stage 2", "tuned stage 2")]
+    (noise, hidden), twos = TESTS, ("stage 2", "tuned stage 2")
+    kinds = [*((noise, "polish", two) for two in twos), (noise, "smoothing", "best filter")]
+    kinds += [(hidden, "hidden", two) for two in twos]
     return [(source, *kind) for source in sources for kind in kinds]
 
 

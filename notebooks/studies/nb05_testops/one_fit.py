@@ -22,6 +22,7 @@ from motionlab.metrics import gait
 from motionlab.motion import Motion
 from motionlab.viz.movie import Mesh, stage
 from motionlab.viz.palette import ROLE
+from studies.shared.clips import stacked
 from studies.shared.plots import canvas
 
 #: The terms that a figure follows: label and role.
@@ -52,12 +53,11 @@ def filmed(motion: Motion, generator: torch.Generator) -> Scene:
     low = [seen.observation.names.index(n) for n in seen.observation.names if "knee" in n or "ankle" in n or "toe" in n]
     confidence = seen.observation.confidence.clone()
     confidence[motion.frames // 2 :, low] = 0.0
-    observation = replace(seen.observation, keypoints=seen.observation.keypoints[None], confidence=confidence[None])
-    joints_seen = scenes.joints_seen(confidence[None] > 0, motion.skeleton.names)
-    batch = scenes.together([motion])
-    wrong = torch.zeros_like(confidence[None], dtype=torch.bool)
-    return Scene(motion.name, batch, replace(observation, camera=None), (camera,), observation.keypoints, joints_seen,
-                 wrong, ((),))  # fmt: skip
+    one = stacked([replace(seen.observation, confidence=confidence)], camera=None)
+    return Scene(
+        motion.name, scenes.together([motion]), one, (camera,), one.keypoints,
+        scenes.joints_seen(one.visible, motion.skeleton.names), torch.zeros_like(one.visible), ((),),
+    )  # fmt: skip
 
 
 def fitted(

@@ -22,6 +22,7 @@ from motionlab.viz.scene import Scene
 WIDTH = 300  # pixels of a panel
 
 Pictures = Callable[[int], np.ndarray]  # frame -> (H, W, 3) uint8 of the camera's shape
+Panel = Callable[[Sequence[int]], list[np.ndarray]]  # of a film: frames -> pictures
 
 
 def shape(camera: Camera, width: int = WIDTH) -> tuple[int, int]:
@@ -65,7 +66,7 @@ def staged(motion: Motion, camera: Camera, body: BodyModel, width: int = WIDTH) 
 
 
 def bodies(
-    motion: Motion, camera: Camera, pictures: Pictures, frames: Sequence[int], role: str, body: BodyModel
+    motion: Motion, camera: Camera, pictures: Pictures, role: str, body: BodyModel, frames: Sequence[int]
 ) -> list[np.ndarray]:
     """Draws a motion's skin through a camera over the pictures of some frames."""
     how = {"size": pictures(frames[0]).shape[1::-1], "roles": [role]}
@@ -93,35 +94,7 @@ class Photo:
         return f'<img src="data:image/jpeg;base64,{base64.b64encode(jpeg(self.picture, 85)).decode()}">'
 
 
-@dataclass(frozen=True, eq=False)
-class Bodies:
-    """A panel of a film: a motion drawn through a camera over its pictures."""
-
-    motion: Motion
-    camera: Camera
-    pictures: Pictures
-    role: str
-    body: BodyModel
-
-    def __call__(self, frames: Sequence[int]) -> list[np.ndarray]:
-        """Draws some frames."""
-        return bodies(self.motion, self.camera, self.pictures, frames, self.role, self.body)
-
-
-@dataclass(frozen=True, eq=False)
-class Detected:
-    """A panel of a film: detections over the pictures of a camera."""
-
-    seen: Observation2D
-    camera: Camera
-    pictures: Pictures
-
-    def __call__(self, frames: Sequence[int]) -> list[np.ndarray]:
-        """Draws some frames."""
-        return detections(self.seen, self.camera, self.pictures, frames)
-
-
-def film(panels: Mapping[str, Bodies | Detected], count: int, fps: float, path: Path) -> Film:
+def film(panels: Mapping[str, Panel], count: int, fps: float, path: Path) -> Film:
     """Writes panels as an MP4 at the speed of life."""
     frames = [int(frame) for frame in drawn(np.arange(count))]
     rows = [panel(frames) for panel in panels.values()]

@@ -22,15 +22,11 @@ from motionlab.humor.testops import Schedule
 from motionlab.metrics.intervals import interval
 from motionlab.motion import Motion
 from motionlab.parallel import one_thread
-from studies.nb05_testops.cast import Cast, by_person, everyday, takes
-from studies.nb05_testops.trials import Rival, fit_rivals, fit_together, rival_of, scores, tried
+from studies.nb05_testops.cast import by_person, everyday
+from studies.nb05_testops.trials import fit_rivals, fit_together, rival_of, scores, tried
+from studies.shared.clips import takes
 
 MEASURES = ("all", "legs", "world", "acceleration", "contact F1")
-
-
-def clips(folder: Path | str, part: str, count: int) -> Cast:
-    """Returns at most ``count`` clips of two seconds of the people of one part, as evenly over people as can be."""
-    return everyday(takes(folder, part), count)
 
 
 def filmed(motions: Sequence[Motion], seed: int) -> dict[str, scenes.Scene]:
@@ -38,20 +34,15 @@ def filmed(motions: Sequence[Motion], seed: int) -> dict[str, scenes.Scene]:
     return {view: scenes.film_recorded(view, motions, seed=seed) for view in scenes.VIEWS}
 
 
-def tuned_stage_2(practice: dict[str, scenes.Scene], priors: Priors, schedule: Schedule) -> dict[str, Rival]:
-    """Finds for each view the stage 2 with the least error of legs, or of all joints in plain view."""
-    found = tried(
-        practice, priors, schedule, smoothness=(100.0, 10.0, 1.5, 0.5, 0.15), pose=(1.0,), windows=(0, 5, 9, 15)
-    )
-    return {view: rival_of(found, view, "all" if view == "plain view" else "legs") for view in practice}
-
-
 def compare(
     practice: dict[str, scenes.Scene], tested: dict[str, scenes.Scene], people: Sequence[str], priors: Priors
 ) -> dict[str, dict]:
-    """Computes errors of stage 3 and of the tuned stage 2 in every view, and their paired differences, by person."""
+    """Computes errors of stage 3 and of the stage 2 that is best on practice clips (of legs, or of all joints in plain
+    view) in every view, and their paired differences, by person."""
     schedule, generator, found = Schedule.lean(), torch.Generator().manual_seed(0), {}
-    best = tuned_stage_2(practice, priors, schedule)
+    grid = {"smoothness": (100.0, 10.0, 1.5, 0.5, 0.15), "pose": (1.0,), "windows": (0, 5, 9, 15)}
+    scored = tried(practice, priors, schedule, **grid)
+    best = {view: rival_of(scored, view, "all" if view == "plain view" else "legs") for view in practice}
     fits = fit_together(tested, priors, schedule=schedule)
     for view, scene in tested.items():
         plain = fit_rivals({view: scene}, {view: best[view]}, priors, schedule)
@@ -78,7 +69,9 @@ def main() -> None:
     parser.add_argument("--clips", type=int, default=24)
     options = parser.parse_args()
     one_thread()
-    cast, others = clips(options.folder, options.part, options.clips), clips(options.folder, "choose", 8)
+    cast, others = (
+        everyday(takes(options.folder, part), count) for part, count in ((options.part, options.clips), ("choose", 8))
+    )
     tested, practice = filmed(cast.motions, seed=1), filmed(others.motions, seed=2)
     found = compare(practice, tested, cast.people, pretrained.load_priors())
     told = {"part": options.part, "people": sorted(set(cast.people)), pretrained.DEFAULT: found}

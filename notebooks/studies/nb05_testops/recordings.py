@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +29,7 @@ from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate, project
 from studies.nb05_testops import over_video
 from studies.nb05_testops.camera_knowledge import in_camera, misses, start_cameras
+from studies.shared.clips import part, stacked
 
 #: The twelve joints that marker tables and keypoints share, ours and Pose2Sim's name of each.
 COMPARED = {
@@ -65,14 +67,12 @@ class Views(NamedTuple):
 
     def clip(self, index: int, frames: int | None = None) -> Observation2D:
         """Returns one view's keypoints (T, 25, 2), or their first frames."""
-        seen = self.observation
-        return replace(seen, keypoints=seen.keypoints[index, :frames], confidence=seen.confidence[index, :frames])
+        return part(self.observation, index, slice(frames))
 
     def first(self, frames: int) -> Views:
         """Returns the first frames of every view."""
-        seen, reference = self.observation, None if self.reference is None else self.reference[:frames]
-        short = replace(seen, keypoints=seen.keypoints[:, :frames], confidence=seen.confidence[:, :frames])
-        return self._replace(observation=short, reference=reference)
+        reference = None if self.reference is None else self.reference[:frames]
+        return self._replace(observation=part(self.observation, slice(None), slice(frames)), reference=reference)
 
 
 @cache
@@ -92,26 +92,21 @@ def pose2sim(folder: Path | str, *, trial: str = "single_balancing") -> Views:
         message = f"{len(places)} views and {len(cameras)} cameras"
         raise DataError(message, path=folder / trial, remedy="unpack the data set again")
     seen = [to_body_25(openpose.load(p, fps=60.0, layout="BODY_25B"), midpoints=True) for p in places]
-    whole, names = _together(seen, trial), tuple(place.name.removesuffix("_json") for place in places)
-    observation = at_rate(whole)
+    names = tuple(place.name.removesuffix("_json") for place in places)
+    observation = at_rate(_together(seen, trial))
     if trial != "single_balancing":
         found, missed = triangulated(cameras, observation)
         return Views(observation, cameras, names, found, tuple(map(over_video.blank, cameras)), missed=missed)
     markers = points.load_trc(folder / "ref3d" / "Balancing_for_IK.trc").select(list(COMPARED.values())).positions
-    observation = at_rate(_together([_first(each, len(markers)) for each in seen], trial))
+    observation = at_rate(_together([part(each, slice(len(markers))) for each in seen], trial))
     films = [folder / "videos" / f"{name}.mp4" for name in names]
     pictures = tuple(over_video.Video(path, camera, 2) for path, camera in zip(films, cameras, strict=True))
     return Views(observation, cameras, names, markers[::2][: observation.frames], pictures)
 
 
-def _first(seen: Observation2D, frames: int) -> Observation2D:
-    return replace(seen, keypoints=seen.keypoints[:frames], confidence=seen.confidence[:frames])
-
-
 def _together(seen: Sequence[Observation2D], name: str) -> Observation2D:
     frames = min(each.frames for each in seen)
-    keypoints, confidence = ([getattr(each, n)[:frames] for each in seen] for n in ("keypoints", "confidence"))
-    return replace(seen[0], keypoints=torch.stack(keypoints), confidence=torch.stack(confidence), name=name)
+    return stacked([part(each, slice(frames)) for each in seen], name=name)
 
 
 def triangulated(cameras: Sequence[Camera], seen: Observation2D) -> tuple[Tensor, float]:
@@ -142,8 +137,7 @@ def own(folder: Path | str, *, fps: float = FPS, size: tuple[int, int] | None = 
 
     size: width and height in pixels; None: the least usual size that holds the detections.
     """
-    seen = at_rate(to_body_25(openpose.load(folder, fps=fps), midpoints=True))
-    seen = replace(seen, keypoints=seen.keypoints[None], confidence=seen.confidence[None])
+    seen = stacked([at_rate(to_body_25(openpose.load(folder, fps=fps), midpoints=True))])
     return Views(seen, None, ("yours",), None, (over_video.blank(start_cameras(seen, size=size)[0]),), size)
 
 
@@ -207,14 +201,11 @@ class Refits:
 def camera_rows(refits: Refits, index: int, off: Callable[[Motion, Camera, Observation2D], float]) -> list[dict]:
     """Returns a row per knowledge of the camera and stage: pixels off, by a function and by the library."""
     found, seen = [], refits.views.clip(index, refits.frames)
-    for how in refits.views.knows:
-        for stage in (2, 3):
-            (camera,) = cameras = refits.cameras(stage, index, how)
-            motion = refits(index, how).stages[stage]
-            library = misses(pixels_of(motion, cameras), seen).item()
-            found.append(
-                {"camera": how, "stage": stage, "px, written above": off(motion, camera, seen), "library": library}
-            )
+    for how, stage in product(refits.views.knows, (2, 3)):
+        (camera,) = cameras = refits.cameras(stage, index, how)
+        motion = refits(index, how).stages[stage]
+        row = {"camera": how, "stage": stage, "px, written above": off(motion, camera, seen)}
+        found.append(row | {"library": misses(pixels_of(motion, cameras), seen).item()})
     return found
 
 
@@ -224,15 +215,13 @@ def pictured(
     """Draws the detections of a frame, and stages of a fit as bodies, over what the camera filmed."""
     views, fitted = refits.views, refits(index, how, focal)
     frame, pictures, count = min(frame, fitted.motion.frames - 1), views.pictures[index], refits.frames
-    seen, panels = views.clip(index, count), {}
-    panels["detected"] = over_video.detections(seen, fitted.cameras[0], pictures, [frame])[0]
+    seen = views.clip(index, count)
+    panels = {"detected": over_video.detections(seen, fitted.cameras[0], pictures, [frame])[0]}
     for stage in stages:
         (camera,) = cameras = refits.cameras(stage, index, how, focal)
         off = misses(pixels_of(fitted.stages[stage], cameras), seen).item()
-        motion = fitted.stages[stage].clip(0)
-        panels[f"stage {stage}: {off:.0f} px off"] = over_video.bodies(
-            motion, camera, pictures, [frame], f"stage{stage}", body
-        )[0]
+        (drawn,) = over_video.bodies(fitted.stages[stage].clip(0), camera, pictures, f"stage{stage}", body, [frame])
+        panels[f"stage {stage}: {off:.0f} px off"] = drawn
     return over_video.side_by_side(panels)
 
 
@@ -264,16 +253,13 @@ def measured(motion: Motion, cameras: Sequence[Camera], views: Views) -> dict[st
     return {"px": misses(pixels_of(motion, list(cameras)), views.observation)} | inside | {"acceleration": moving}
 
 
-_HEADS = {
-    "px": "pixels off",
-    "root": "pose, cm",
-    "global": "in the room, cm",
-    "acceleration": "acceleration / reference's",
-}
+_HEADS = {"px": "pixels off", "root": "pose, cm", "global": "in the room, cm",
+          "acceleration": "acceleration / reference's"}  # fmt: skip
+Score = Mapping[str, Mapping[str, Mapping[str, Tensor]]]  # take -> method -> what ``measured`` says
 
 
-def rows(score: Mapping[str, Mapping[str, Mapping[str, Tensor]]]) -> list[dict[str, object]]:
-    """Returns a row per take and method, means over the views, from what :func:`measured` says of each."""
+def rows(score: Score) -> list[dict[str, object]]:
+    """Returns a row per take and method, means over the views."""
     return [
         {"take": trial, "method": method} | {head: _said(numbers[name].mean().item()) for name, head in _HEADS.items()}
         for trial, found in score.items()
@@ -285,7 +271,7 @@ def _said(value: float) -> object:
     return value if math.isfinite(value) else "-"
 
 
-def reading(score: Mapping[str, Mapping[str, Mapping[str, Tensor]]], takes: Mapping[str, Views]) -> str:
+def reading(score: Score, takes: Mapping[str, Views]) -> str:
     """Says what came out on the balancing person, and on the pose of the other take."""
     a, b = (score[trial] for trial in TRIALS)
     mean = {name: {k: x.mean().item() for k, x in found.items()} for name, found in a.items()}
@@ -306,15 +292,13 @@ def reading(score: Mapping[str, Mapping[str, Mapping[str, Tensor]]], takes: Mapp
 
 def panels(
     views: Views, motions: Mapping[str, Motion], body: BodyModel, *, by: int = 0, other: int = 2
-) -> dict[str, over_video.Bodies | over_video.Detected]:
+) -> dict[str, over_video.Panel]:
     """Returns a film's panels: detections, tuned stage 2 and stage 3 in the view that was fitted, and another view."""
-    seen, here = views.clip(by), (views.cameras[by], views.pictures[by])
+    here, there = ((views.cameras[k], views.pictures[k]) for k in (by, other))
     two, three = (motions[name].clip(by) for name in ("tuned stage 2", "stage 3"))
     return {
-        f"camera {by + 1}: detected": over_video.Detected(seen, *here),
-        "tuned stage 2": over_video.Bodies(two, *here, "stage2", body),
-        "stage 3": over_video.Bodies(three, *here, "stage3", body),
-        f"the same stage 3 from camera {other + 1}": over_video.Bodies(
-            three, views.cameras[other], views.pictures[other], "stage3", body
-        ),
+        f"camera {by + 1}: detected": partial(over_video.detections, views.clip(by), *here),
+        "tuned stage 2": partial(over_video.bodies, two, *here, "stage2", body),
+        "stage 3": partial(over_video.bodies, three, *here, "stage3", body),
+        f"the same stage 3 from camera {other + 1}": partial(over_video.bodies, three, *there, "stage3", body),
     }

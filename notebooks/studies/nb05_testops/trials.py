@@ -25,6 +25,7 @@ from motionlab.parallel import run_jobs
 from motionlab.skeleton import STANDARD
 from studies.nb05_testops.kept_fits import kept, placed
 from studies.nb05_testops.measures import error_over_time
+from studies.shared.clips import part, stacked
 from studies.shared.contenders import CM, Seen
 
 
@@ -49,28 +50,22 @@ def fit_together(
 
     keep: fits that were made before are not made again (``kept_fits``). how: goes to ``fit``.
     """
-    names = list(seen)
-    counts = [len(seen[n].cameras) for n in names]
-    keypoints = torch.cat([seen[n].observation.keypoints for n in names])
-    confidence = torch.cat([seen[n].observation.confidence for n in names])
-    cameras = [camera for n in names for camera in seen[n].cameras]
+    cameras = [camera for each in seen.values() for camera in each.cameras]
+    every = [part(each.observation, k) for each in seen.values() for k in range(len(each.cameras))]
+    every = stacked(every, camera=None, name="")
     size = min(batch, -(-len(cameras) // workers))
     parts = [slice(start, start + size) for start in range(0, len(cameras), size)]
-    like = replace(seen[names[0]].observation, camera=None, name="")
-    clips = [replace(like, keypoints=keypoints[part], confidence=confidence[part]) for part in parts]
     one = partial(_fit, priors=priors, how=how, keep=keep)
-    found = run_jobs([partial(one, some, cameras[part]) for some, part in zip(clips, parts, strict=True)], workers)
+    found = run_jobs([partial(one, part(every, some), cameras[some]) for some in parts], workers)
     stages = {stage: _joined([f.stages[stage] for f in found]) for stage in found[0].stages}
     contacts, betas = torch.cat([f.contacts for f in found]), torch.cat([f.betas for f in found])
     cameras, each = [c for f in found for c in f.cameras], sum(f.seconds for f in found) / len(cameras)
-    ends = torch.tensor(counts).cumsum(0).tolist()
-    return {
-        n: CaseFit(
-            {stage: motion.clip(slice(end - count, end)) for stage, motion in stages.items()},
-            contacts[end - count : end], cameras[end - count : end], betas[end - count : end], each * count,
-        )
-        for n, count, end in zip(names, counts, ends, strict=True)
-    }  # fmt: skip
+    fits, start = {}, 0
+    for name, scene in seen.items():
+        mine = slice(start, start + len(scene.cameras))
+        of_stages, start = {stage: motion.clip(mine) for stage, motion in stages.items()}, mine.stop
+        fits[name] = CaseFit(of_stages, contacts[mine], cameras[mine], betas[mine], each * len(scene.cameras))
+    return fits
 
 
 def _fit(
@@ -150,29 +145,15 @@ class Rival:
     pose: float
     window: int
 
-    def weights(self) -> Weights:
-        """Returns the weights of its stages 1 and 2."""
-        return with_smoothness(self.smoothness, self.pose)
-
 
 #: What stage 2 is tuned over: its smoothness, the weight of its pose prior, and frames of the filter after it.
-GRID = {
-    "smoothness": (400.0, 100.0, 25.0, 6.0, 1.5, 0.4),
-    "pose": (0.0, 0.01, 0.04, 0.2, 1.0, 5.0),
-    "windows": (0, 5, 9, 15, 21, 31),
-}
+GRID = (400.0, 100.0, 25.0, 6.0, 1.5, 0.4), (0.0, 0.01, 0.04, 0.2, 1.0, 5.0), (0, 5, 9, 15, 21, 31)
 
 
 def tried(
-    practice: Mapping[str, Seen],
-    priors: Priors,
-    schedule: Schedule,
-    *,
-    smoothness: Sequence[float] = GRID["smoothness"],
-    pose: Sequence[float] = GRID["pose"],
-    windows: Sequence[int] = GRID["windows"],
-    **how,
-) -> dict[Rival, dict[str, dict[str, Tensor]]]:
+    practice: Mapping[str, Seen], priors: Priors, schedule: Schedule, *, smoothness: Sequence[float] = GRID[0],
+    pose: Sequence[float] = GRID[1], windows: Sequence[int] = GRID[2], **how,
+) -> dict[Rival, dict[str, dict[str, Tensor]]]:  # fmt: skip
     """Scores stage 2 on practice scenes (with ``truth`` and ``seen``), by rival and scene: every smoothness, weight of
     the pose prior and filter. how: goes to :func:`fit_together`."""
     found = {}
@@ -197,12 +178,10 @@ def fit_rivals(
     """Fits each scene by its own rival, filter included. how: goes to :func:`fit_together`."""
     found, by_weights = {}, {}
     for name, rival in rivals.items():
-        by_weights.setdefault((rival.smoothness, rival.pose), []).append(name)
-    for names in by_weights.values():
-        weights = rivals[names[0]].weights()
-        some = {n: seen[n] for n in names}
-        fits = fit_together(some, priors, schedule=schedule.without_stage_3(), weights=weights, **how)
-        found |= {n: smoothed(fits[n].stages[2], rivals[n].window) for n in names}
+        by_weights.setdefault((rival.smoothness, rival.pose), {})[name] = seen[name]
+    for which, some in by_weights.items():
+        fits = fit_together(some, priors, schedule=schedule.without_stage_3(), weights=with_smoothness(*which), **how)
+        found |= {n: smoothed(fits[n].stages[2], rivals[n].window) for n in some}
     return {name: found[name] for name in seen}
 
 

@@ -19,6 +19,7 @@ from motionlab.observation import Observation2D
 #: Times the usual weights in stages 1 and 2, of smoothness and of the pose prior.
 FACTORS, POSES = (0.03, 0.1, 0.3, 1.0, 3.0), (0.0, 0.04, 0.2, 1.0, 5.0, 25.0)
 WINDOWS = (0, 5, 9, 15, 21)  # frames of the Savitzky-Golay filter, 0 for none
+Seen = Observation2D | Observation3D
 
 
 class Choice(NamedTuple):
@@ -37,18 +38,10 @@ class Choice(NamedTuple):
 
 
 def search(
-    practice: Observation2D | Observation3D,
-    truth: Motion,
-    priors: Priors,
-    weights: Weights,
-    schedule: Schedule,
-    *,
-    align: str,
-    factors: Sequence[float] = FACTORS,
-    poses: Sequence[float] = POSES,
-    windows: Sequence[int] = WINDOWS,
+    practice: Seen, truth: Motion, priors: Priors, weights: Weights, schedule: Schedule, *, align: str,
+    factors: Sequence[float] = FACTORS, poses: Sequence[float] = POSES, windows: Sequence[int] = WINDOWS,
     **given: object,
-) -> list[dict[str, float]]:
+) -> list[dict[str, float]]:  # fmt: skip
     """Computes stage 2's mean error on practice clips (B, T), a row for each smoothness, pose prior and filter tried.
 
     From the usual weights on, smoothness and pose prior are tried in turn, each with every filter, until neither
@@ -60,11 +53,9 @@ def search(
     def measure(tried: Choice) -> None:
         if tried in rows:
             return
-        found = fit(
-            practice, priors, weights=tried.weights(weights), schedule=schedule.without_stage_3(), **given
-        ).stages[2]
+        fitted = fit(practice, priors, weights=tried.weights(weights), schedule=schedule.without_stage_3(), **given)
         for window in windows:
-            error = pose.mpjpe(filtered(found, window).positions, truth.positions, align=align)
+            error = pose.mpjpe(filtered(fitted.stages[2], window).positions, truth.positions, align=align)
             rows[tried._replace(window=window)] = 100 * error.mean().item()
 
     while True:
@@ -99,12 +90,7 @@ def filtered(motion: Motion, window: int) -> Motion:
 
 
 def stage_2(
-    observed: Observation2D | Observation3D,
-    priors: Priors,
-    weights: Weights,
-    schedule: Schedule,
-    chosen: Choice,
-    **given: object,
+    observed: Seen, priors: Priors, weights: Weights, schedule: Schedule, chosen: Choice, **given: object
 ) -> Motion:
     """Fits stage 2 with the weights and the filter that were chosen."""
     changed, schedule = chosen.weights(weights), schedule.without_stage_3()
@@ -112,12 +98,7 @@ def stage_2(
 
 
 def ways(
-    observed: Observation2D | Observation3D,
-    priors: Priors,
-    weights: Weights,
-    schedule: Schedule,
-    chosen: Choice,
-    **given: object,
+    observed: Seen, priors: Priors, weights: Weights, schedule: Schedule, chosen: Choice, **given: object
 ) -> dict[str, Motion]:
     """Fits an observation by all stages, and by stage 2 as it was tuned: motions by name."""
     fitted = fit(observed, priors, weights=weights, schedule=schedule, **given)

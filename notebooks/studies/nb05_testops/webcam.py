@@ -23,8 +23,8 @@ from motionlab.motion import FPS, Motion
 from motionlab.observation import Camera, Observation2D
 from studies.nb05_testops.camera_knowledge import misses
 from studies.nb05_testops.filmed_people import People
+from studies.shared.clips import part
 
-PITCHES = (-20.0, -10.0, 0.0, 10.0, 20.0)  # degrees that a camera looks down
 SMOOTHED = 9  # frames of the filter over detections whose speed is measured
 #: Shares of the body's mass, put on the 22 joints; a limb's half at either end.
 #: Source: de Leva 1996, rounded, men and women alike.
@@ -34,15 +34,12 @@ _MASS = {"head": 0.07, "spine3": 0.16, "spine2": 0.1, "spine1": 0.07, "pelvis": 
     for joint, share in (("shoulder", 0.014), ("elbow", 0.022), ("wrist", 0.014), ("hip", 0.072), ("knee", 0.092),
                          ("ankle", 0.022), ("foot", 0.014))
 }  # fmt: skip
-_SPEED = "speed / detections'"
 _FEET = ("left_ankle", "left_foot", "right_ankle", "right_foot")
 
 
 def clips(folder: Path | str, starts: Sequence[int], frames: int) -> Observation2D:
     """Reads clips (G, T) of a webcam recording of 3Dance, 30 fps presumed."""
-    seen = openpose.load(folder, fps=FPS, layout="BODY_25")
-    cut = torch.tensor(starts)[:, None] + torch.arange(frames)
-    return replace(seen, keypoints=seen.keypoints[cut], confidence=seen.confidence[cut])
+    return part(openpose.load(folder, fps=FPS, layout="BODY_25"), torch.tensor(starts)[:, None] + torch.arange(frames))
 
 
 def pitched(size: tuple[int, int], degrees: float) -> Camera:
@@ -60,13 +57,9 @@ def pitch_of(camera: Camera) -> float:
 
 
 def at_pitches(
-    seen: Observation2D,
-    size: tuple[int, int],
-    priors: Priors,
-    schedule: Schedule,
-    pitches: Sequence[float] = PITCHES,
+    seen: Observation2D, size: tuple[int, int], priors: Priors, schedule: Schedule, pitches: Sequence[float],
     lens: Sequence[Camera] | None = None,
-) -> dict[float, Fitted]:
+) -> dict[float, Fitted]:  # fmt: skip
     """Fits clips (G, T) once from every pitch; stage 3 may then move the camera.
 
     lens: cameras whose focal length is known, and the size of whose image.
@@ -78,11 +71,6 @@ def at_pitches(
             some = [replace(c, intrinsics=known.intrinsics) for c, known in zip(some, lens, strict=True)]
         found[degrees] = fit(seen, priors, cameras=some, floor="refine", schedule=schedule)
     return found
-
-
-def energy(found: Fitted) -> Tensor:
-    """Computes the energy (G,) at the end of stage 3."""
-    return sum(found.energies[3].values())
 
 
 # ------------------------------------------------------------------------------------------------------------- balance
@@ -143,7 +131,7 @@ def seen_motion(motion: Motion, cameras: Sequence[Camera], seen: Observation2D) 
 RECORDINGS = ("dance_upper_body", "PRE_json")
 #: What may say which pitch is right: least of it.
 RULES = {
-    "energy of stage 3": lambda found, seen: energy(found),
+    "energy of stage 3": lambda found, seen: sum(found.energies[3].values()),
     "pixels off": lambda found, seen: misses(pixels_of(found.motion, found.cameras), seen),
     "off balance": lambda found, seen: off_balance(found.motion).mean(-1),
 }
@@ -164,16 +152,13 @@ def best_rule(found: Mapping[float, Fitted], scene: Scene) -> tuple[str, list[di
     """Returns the rule whose pitch ends nearest to the true one, clip by clip, and a row per rule."""
     true = torch.tensor([pitch_of(camera) for camera in scene.cameras])
     ended = torch.tensor([[pitch_of(camera) for camera in fitted.cameras] for fitted in found.values()])
-    index = {
-        name: torch.stack([rule(f, scene.observation) for f in found.values()]).argmin(0)
-        for name, rule in RULES.items()
-    }
-    off = {name: (ended.gather(0, at[None])[0] - true).abs() for name, at in index.items()}
+    off = {}
+    for name, rule in RULES.items():
+        at = torch.stack([rule(f, scene.observation) for f in found.values()]).argmin(0)
+        off[name] = (ended.gather(0, at[None])[0] - true).abs()
     best = min(off, key=lambda name: off[name].mean().item())
-    level = (true - ended[list(found).index(0.0)]).abs()
-    rows = [{"pitch by": name, "off, degrees": x.mean().item(), "clips": len(true)} for name, x in off.items()]
-    rows.append({"pitch by": "none: taken as level", "off, degrees": level.mean().item(), "clips": len(true)})
-    return best, rows
+    off["none: taken as level"] = (true - ended[list(found).index(0.0)]).abs()
+    return best, [{"pitch by": n, "off, degrees": x.mean().item(), "clips": len(true)} for n, x in off.items()]
 
 
 def standing(truth: Motion) -> tuple[float, float]:
@@ -195,38 +180,29 @@ def shown(found: Mapping[float, Fitted], picked: float) -> tuple[dict[str, Motio
 
 
 def rows(
-    found: Mapping[str, Mapping[float, Fitted]],
-    picked: Mapping[str, float],
-    seen: Mapping[str, Observation2D],
+    found: Mapping[str, Mapping[float, Fitted]], picked: Mapping[str, float], seen: Mapping[str, Observation2D],
     size: tuple[int, int],
-) -> list[dict[str, object]]:
-    """Returns a row per recording and fit: level camera, stages 2 and 3, and stage 3 at the picked pitch."""
+) -> list[dict[str, object]]:  # fmt: skip
+    """Returns a row per recording and fit, of what can be said without a reference: level camera, stages 2 and 3, and
+    stage 3 at the picked pitch."""
     made = []
     for name, by in found.items():
-        here, some = seen[name], f"{name} ({len(seen[name].keypoints)} clips)"
-        level, other = by[0.0], by[picked[name]]
-        cameras = [pitched(size, 0.0)] * len(here.keypoints)
-        made.append(row(some, "stage 2, level camera", level.stages[2], cameras, here))
-        made.append(row(some, "stage 3, level camera", level.motion, level.cameras, here))
+        here, level, other = seen[name], by[0.0], by[picked[name]]
+        ways = {"stage 2, level camera": (level.stages[2], [pitched(size, 0.0)] * len(here.keypoints))}
+        ways["stage 3, level camera"] = level.motion, level.cameras
         if picked[name]:
-            made.append(row(some, f"stage 3, pitch {picked[name]:+.0f}°", other.motion, other.cameras, here))
+            ways[f"stage 3, pitch {picked[name]:+.0f}°"] = other.motion, other.cameras
+        for label, (motion, cameras) in ways.items():
+            moves = seen_motion(motion, cameras, here)
+            made.append({
+                "recording": f"{name} ({len(here.keypoints)} clips)", "fit": label,
+                "pixels off": misses(pixels_of(motion, list(cameras)), here).mean().item(),
+                "off balance, cm": off_balance(motion).median().item(),
+                "trunk leans, degrees": lean(motion).median().item(),
+                "speed / detections'": moves["speed"].mean().item(),
+                "acceleration / detections'": moves["acceleration"].mean().item(),
+            })  # fmt: skip
     return made
-
-
-def row(
-    recording: str, label: str, motion: Motion, cameras: Sequence[Camera], seen: Observation2D
-) -> dict[str, object]:
-    """Returns what can be said of a fit without a reference."""
-    moves = seen_motion(motion, cameras, seen)
-    return {
-        "recording": recording,
-        "fit": label,
-        "pixels off": misses(pixels_of(motion, list(cameras)), seen).mean().item(),
-        "off balance, cm": off_balance(motion).median().item(),
-        "trunk leans, degrees": lean(motion).median().item(),
-        _SPEED: moves["speed"].mean().item(),
-        "acceleration / detections'": moves["acceleration"].mean().item(),
-    }
 
 
 def reading(rules: Sequence[Mapping[str, object]], rule: str, real: tuple) -> str:
