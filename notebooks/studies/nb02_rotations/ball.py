@@ -19,18 +19,11 @@ _LABEL = {
     "shape": None, "font_family": "arial", "text_color": INK, "always_visible": True, "show_points": False,
     "reset_camera": False,
 }  # fmt: skip
+_HIGH = 800  # pixels
 _TUBE = {"smooth_shading": True, "specular": 0.2, "reset_camera": False}
 
 
-def draw_ball(
-    vectors: Mapping[str, Tensor],
-    gap: int,
-    *,
-    azimuth: float = -60.0,
-    elevation: float = 24.0,
-    upto: float = 1.0,
-    size: tuple[int, int] = (1000, 800),
-) -> np.ndarray:
+def draw_ball(vectors: Mapping[str, Tensor], gap: int, *, azimuth: float, upto: float) -> np.ndarray:
     """Draws rotation vectors (T, 3) by role in the ball, as a picture (H, W, 3).
 
     A path is broken where it leaves the ball on one side and comes back on the other; both points are named. Its
@@ -39,15 +32,15 @@ def draw_ball(
     Args:
         gap: hidden frames, in the middle. upto: share of the path that is drawn strongly, with a head at its end.
     """
-    with Scene(size, azimuth=azimuth, elevation=elevation) as scene:
+    with Scene((1000, _HIGH), azimuth=azimuth, elevation=24.0) as scene:
         scene.plotter.enable_depth_peeling(8)
-        _add_ball(scene, size)
+        _add_ball(scene)
         for role, path in vectors.items():
-            _add_path(scene.plotter, np.asarray(path, float), role, gap, upto, size)
+            _add_path(scene.plotter, np.asarray(path, float), role, gap, upto)
         return scene.image()
 
 
-def _add_ball(scene: Scene, size: tuple[int, int]) -> None:
+def _add_ball(scene: Scene) -> None:
     """The ball, its lines of latitude and longitude, its axes, and the ring of upright bodies."""
     skin = pv.Sphere(radius=math.pi, theta_resolution=96, phi_resolution=96)
     scene.mesh(skin.points, skin.regular_faces, blend(ROLE["axis-angle"], "white", 0.6), opacity=0.16)
@@ -60,14 +53,14 @@ def _add_ball(scene: Scene, size: tuple[int, int]) -> None:
     for axis, name in zip(np.eye(3), "xyz", strict=True):
         line = pv.lines_from_points(np.stack((-math.pi * axis, math.pi * axis)))
         plotter.add_mesh(line, color=LINE, line_width=1, reset_camera=False)
-        plotter.add_point_labels([1.07 * math.pi * axis], [name], font_size=size[1] // 44, **_LABEL)
+        plotter.add_point_labels([1.07 * math.pi * axis], [name], font_size=_HIGH // 44, **_LABEL)
     heading = torch.linspace(1e-4, math.tau - 1e-4, 241, dtype=torch.float64)
     upright = rotation.matrix_to_axis_angle(rotation.rotation_about("z", heading) @ UPRIGHT.double())
     line = pv.lines_from_points(upright.numpy()).tube(radius=0.018)
     plotter.add_mesh(line, color=ROLE["observation"], **_TUBE)
 
 
-def _add_path(plotter: pv.Plotter, path: np.ndarray, role: str, gap: int, upto: float, size: tuple[int, int]) -> None:
+def _add_path(plotter: pv.Plotter, path: np.ndarray, role: str, gap: int, upto: float) -> None:
     """One path: strong up to now and pale after, with beads at its hidden frames, and where it leaves and re-enters."""
     now = max(1, round(upto * (len(path) - 1)))
     paint = ROLE[role]
@@ -87,4 +80,4 @@ def _add_path(plotter: pv.Plotter, path: np.ndarray, role: str, gap: int, upto: 
     for i in broken:
         ends = path[i : i + 2] / np.linalg.norm(path[i : i + 2], axis=-1, keepdims=True)
         words = ["leaves here", "comes back here:\nthe same rotation"]
-        plotter.add_point_labels(3.6 * ends, words, font_size=size[1] // 42, **_LABEL)
+        plotter.add_point_labels(3.6 * ends, words, font_size=_HIGH // 42, **_LABEL)

@@ -137,18 +137,18 @@ def excess(gaps: Mapping[str, Gaps], filled: Mapping[tuple[str, str], Tensor]) -
     return fig
 
 
-def liveliest(root: Tensor, seconds: float) -> Tensor:
-    """Cuts out the stretch of a root (T, 3, 3) in which carried and decoded vectors change sides most often."""
+def liveliest(root: Tensor) -> Tensor:
+    """Cuts out the 12 s of a root (T, 3, 3) in which carried and decoded vectors change sides most often."""
     carried, decoded = rep.carried_and_decoded(root)
-    mask, length = rep.flipped(carried, decoded), min(round(seconds * FPS), len(root))
+    mask, length = rep.flipped(carried, decoded), min(round(12 * FPS), len(root))
     changes = (mask[1:] != mask[:-1]).float().unfold(0, length - 1, 1).sum(-1)
     start = int(changes.argmax())
     return root[start : start + length]
 
 
-def carried_and_decoded(root: Tensor, seconds: float = 12.0) -> Figure:
+def carried_and_decoded(root: Tensor) -> Figure:
     """Draws the two vectors of one root (T, 3, 3) over time, and how far their midpoint is off."""
-    root = liveliest(root, seconds)
+    root = liveliest(root)
     carried, decoded = rep.carried_and_decoded(root)
     time = torch.arange(len(root)) / FPS
     fig, axes = canvas(2, 1, size=(11.0, 5.0), sharex=True)

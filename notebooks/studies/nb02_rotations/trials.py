@@ -106,18 +106,16 @@ def heading_at(motion: Motion, degrees: float) -> Motion:
     return replace(motion, root=motion.root @ turn.mT, rot=rot)
 
 
-def with_roots(motion: Motion, roots: Mapping[str, Tensor], *, around: int, fps: float = 75.0) -> dict[str, Motion]:
-    """Gives copies of a motion other root rotations (T, 3, 3): its middle, ``around`` frames on either side of it.
-
-    fps: more frames, for slow motion.
-    """
+def with_roots(motion: Motion, roots: Mapping[str, Tensor], *, around: int) -> dict[str, Motion]:
+    """Gives copies of a motion other root rotations (T, 3, 3): its middle, ``around`` frames on either side of it, at
+    75 fps for slow motion."""
     panels = {"truth": motion} | {
         name: replace(motion, rot=torch.cat((root.to(motion.rot)[:, None], motion.rot[:, 1:]), dim=1))
         for name, root in roots.items()
     }
     middle = motion.frames // 2
     first, last = max(middle - around, 0), min(middle + around, motion.frames)
-    return {name: resample(panel.cut(first, last), fps) for name, panel in panels.items()}
+    return {name: resample(panel.cut(first, last), 75.0) for name, panel in panels.items()}
 
 
 # ----------------------------------------------------------------------------------------------------------- gaps

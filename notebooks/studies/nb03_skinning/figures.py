@@ -81,7 +81,7 @@ def legs_by_closures(curves: Mapping[str, Tensor], budgets: Sequence[int]) -> Fi
     return fig
 
 
-def trade(rows: Sequence[Mapping[str, float]], marks: Sequence[float] = (1e-3, SMALL)) -> Figure:
+def trade(rows: Sequence[Mapping[str, float]]) -> Figure:
     """What a pruning threshold leaves of the leak and of the planted entries, and how far it moves the skin.
 
     rows as of :func:`studies.nb03_skinning.pruning.sweep`.
@@ -103,7 +103,7 @@ def trade(rows: Sequence[Mapping[str, float]], marks: Sequence[float] = (1e-3, S
     axes[2].legend(loc="upper left")
     for ax in axes:
         ax.set(xscale="log", xlabel="weights below this are pruned")
-        for mark in marks:
+        for mark in (1e-3, SMALL):
             ax.axvline(mark, color=ROLE["truth"], lw=1, ls=":")
     return fig
 

@@ -19,7 +19,7 @@ from motionlab.motion import Motion
 from motionlab.observation import Camera, look_at, project
 from motionlab.skeleton import fk
 from motionlab.skinning import influence
-from studies.shared.torch_search import FitResult, minimise
+from studies.shared.torch_search import minimise
 
 #: What the thesis's clip still saw.
 ARM = ("left_shoulder", "left_elbow", "left_wrist")
@@ -83,12 +83,11 @@ class PartialFit:
     """What a fit to the arm and the face did.
 
     moved: the fitted motions (..., T). legs_mm: by budget in closures, how far a leg joint had moved at most in the
-    pelvis's frame at the best point up to there, mm (...). fit: its history.
+    pelvis's frame at the best point up to there, mm (...).
     """
 
     moved: Motion
     legs_mm: dict[int, Tensor]
-    fit: FitResult
 
 
 def fit(
@@ -124,9 +123,9 @@ def fit(
         return 1000 * (_legs_in_pelvis(case, theta) - rest).norm(dim=-1).amax((-2, -1))
 
     start = {"theta": case.theta.clone().requires_grad_(), "root": case.root.clone().requires_grad_()}
-    found = minimise(watched, start, method=method, steps=closures, max_closures=closures, lr=lr or STEP[method])
+    minimise(watched, start, method=method, steps=closures, max_closures=closures, lr=lr or STEP[method])
     made = Motion(case.body.skeleton, root, rotation.sixd_to_matrix(theta), case.fps, name="fitted to arm and face")
-    return PartialFit(made, {at: seen.get(at, moved()) for at in (*budgets, closures)}, found)
+    return PartialFit(made, {at: seen.get(at, moved()) for at in (*budgets, closures)})
 
 
 def legs_mm(
@@ -154,12 +153,12 @@ def _turned(motion: Motion) -> Motion:
     return replace(motion, root=root, rot=torch.cat((turn @ motion.rot[:, :1], motion.rot[:, 1:]), dim=1))
 
 
-def _facing(root: Tensor, orientation: Tensor, *, metres: float = 3.5) -> Camera:
+def _facing(root: Tensor, orientation: Tensor) -> Camera:
     """A webcam in front of a person at root (3,), orientation (3, 3), level with the chest."""
     forward = orientation @ torch.tensor([0.0, 0.0, 1.0])
     forward = torch.nn.functional.normalize(forward[:2], dim=0)
     chest = root + torch.tensor([0.0, 0.0, 0.3])
-    eye = chest + metres * torch.cat((forward, torch.zeros(1)))
+    eye = chest + 3.5 * torch.cat((forward, torch.zeros(1)))
     return look_at(eye, chest, focal=1000.0, width=1280, height=960)
 
 

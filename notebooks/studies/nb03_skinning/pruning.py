@@ -31,13 +31,13 @@ def moved_by_mm(body: BodyModel, pose: Motion, names: Sequence[str]) -> Tensor:
     return 1000 * _levers(body, pose)[:, body.skeleton.indices(names)].norm(dim=-1)
 
 
-def leaked_mm(body: BodyModel, pose: Motion, holds: float = skinning.SMALL) -> Tensor:
+def leaked_mm(body: BodyModel, pose: Motion) -> Tensor:
     """Computes how far each vertex moves per radian of the joints that should not move it: (V,), mm per radian.
 
-    A joint may move what it, or a joint below it, holds with a weight of ``holds``.
+    A joint may move what it, or a joint below it, holds with a weight of ``skinning.SMALL``.
     """
     below = body.skeleton.ancestors().to(body.weights)
-    allowed = (body.weights >= holds).to(below) @ below > 0
+    allowed = (body.weights >= skinning.SMALL).to(below) @ below > 0
     return 1000 * torch.where(allowed, 0, _levers(body, pose)).norm(dim=-1)
 
 
@@ -75,7 +75,7 @@ def skin(body: BodyModel, pose: Motion, threshold: float, size: tuple[int, int] 
         return scene.floor().image()
 
 
-def moved_by_legs(bodies: Mapping[str, BodyModel], pose: Motion, size: tuple[int, int] = (960, 420)) -> np.ndarray:
+def moved_by_legs(bodies: Mapping[str, BodyModel], pose: Motion) -> np.ndarray:
     """Draws bodies in one pose (1 frame), painted by what the joints of the legs move, whole and from near the face.
 
     Returns:
@@ -83,9 +83,8 @@ def moved_by_legs(bodies: Mapping[str, BodyModel], pose: Motion, size: tuple[int
     """
     fields = {name: moved_by_mm(body, pose, LEGS) for name, body in bodies.items()}
     look, rows = {"frame": 0, "title": "mm per rad", "limits": (0.0, 2.0), "cmap": "Oranges"}, []
-    width = round(size[0] / len(bodies))
-    for eye in (None, _before_the_face(pose, width, size[1])):
-        with Scene(size, panels=tuple(bodies) if eye is None else ("",) * len(bodies), camera=eye) as scene:
+    for eye in (None, _before_the_face(pose, round(960 / len(bodies)), 420)):
+        with Scene((960, 420), panels=tuple(bodies) if eye is None else ("",) * len(bodies), camera=eye) as scene:
             for panel, (name, field) in enumerate(fields.items()):
                 scene.body(bodies[name], pose, field=field, panel=panel, **look)
             rows.append(scene.floor().image())

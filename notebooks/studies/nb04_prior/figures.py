@@ -163,13 +163,13 @@ STEP_ROLES = {
 }  # fmt: skip
 
 
-def continuation(samples: Motion, person: Motion, body: BodyModel, size: tuple[int, int] = (1200, 400)) -> np.ndarray:
+def continuation(samples: Motion, person: Motion, body: BodyModel) -> np.ndarray:
     """Draws where samples (S, T) of a motion have got to after a third, two thirds and all of their time.
 
     Translucent: the samples. Dark: the person. Grey: the pose that all of them left.
     """
     frames = [round((samples.frames - 1) * k / 3) for k in (1, 2, 3)]
-    with Scene(size, panels=tuple(f"after {frame / samples.fps:.1f} s" for frame in frames)) as scene:
+    with Scene((1200, 400), panels=tuple(f"after {frame / samples.fps:.1f} s" for frame in frames)) as scene:
         for panel, frame in enumerate(frames):
             scene.body(body, person, "observation", frame=0, opacity=0.35, panel=panel)
             scene.body(body, person, "truth", frame=min(frame, person.frames - 1), panel=panel)
@@ -264,24 +264,22 @@ DRIFT_ROLES = {
 }  # fmt: skip
 
 
-def drift(panels: Mapping[str, Mapping[str, Tensor]], fps: float = 30.0) -> Figure:
+def drift(panels: Mapping[str, Mapping[str, Tensor]]) -> Figure:
     """Draws joint error in cm (N, T) over time, a panel per source: medians over clips and quartiles, logarithmic."""
-    rows = -(-len(panels) // 3)
-    fig, axes = canvas(
-        rows, min(3, len(panels)), size=(3.1 * min(3, len(panels)) + 1.8, 2.6 * rows), sharey=True, sharex=True
-    )
+    rows, columns = -(-len(panels) // 3), min(3, len(panels))
+    fig, axes = canvas(rows, columns, size=(3.1 * columns + 1.8, 2.6 * rows), sharey=True, sharex=True)
     for ax, (name, series) in zip(axes, panels.items(), strict=False):
         paint = paints(list(series), DRIFT_ROLES)
         for label, values in series.items():
             low, middle, high = np.percentile(values.numpy(force=True), (25, 50, 75), axis=0)
-            t = np.arange(1, len(middle) + 1) / fps
+            t = np.arange(1, len(middle) + 1) / 30
             dotted = label == "single errors added"
             if not dotted:
                 ax.fill_between(t, low, high, color=paint[label], alpha=0.13, lw=0)
             ax.plot(t, middle, color=paint[label], lw=1.5 if dotted else 1.9, ls=":" if dotted else "-", label=label)
         ax.set(title=f"{name.replace(', ', chr(10), 1)} ({len(values)})", yscale="log", ylim=(0.05, 200))
         ax.yaxis.set_major_formatter("{x:g}")
-    for ax in axes[-min(3, len(panels)) :]:
+    for ax in axes[-columns:]:
         ax.set_xlabel("time (s)")
     fig.supylabel("joint error (cm, log)", fontsize=10)
     fig.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False)
@@ -313,14 +311,14 @@ def knees(groups: Mapping[str, Mapping[str, Tensor]]) -> Figure:
     return fig
 
 
-def dimensions(effects: Mapping[str, Motion], body: BodyModel, size: tuple[int, int] = (1280, 330)) -> np.ndarray:
+def dimensions(effects: Mapping[str, Motion], body: BodyModel) -> np.ndarray:
     """Draws a panel per latent dimension: the last poses of three roll-outs (3, T), side by side, below, at and above
     the prior's mean."""
     facing = next(iter(effects.values())).rot[1, 0, 0, :2, 2]
     azimuth = float(torch.rad2deg(torch.atan2(facing[1], facing[0]))) + 35.0
     turn = np.radians(azimuth)
     right = torch.tensor([-np.sin(turn), np.cos(turn), 0.0], dtype=torch.float32)
-    with Scene(size, panels=tuple(effects), azimuth=azimuth, elevation=8.0) as scene:
+    with Scene((1280, 330), panels=tuple(effects), azimuth=azimuth, elevation=8.0) as scene:
         for panel, motion in enumerate(effects.values()):
             for index, role in enumerate(("baseline", "observation", "ours")):
                 moved = motion.clip(index)

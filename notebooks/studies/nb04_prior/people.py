@@ -17,6 +17,7 @@ from motionlab.humor import state
 from motionlab.humor.cvae import Cvae
 from motionlab.metrics.gait import SEATED, tilt_and_bend
 from motionlab.motion import Motion
+from studies.shared.clips import whole
 
 FRAMES = 62  # two seconds, and a frame before them from which the first velocity is taken
 DESCENT = 0.2  # metres that a pelvis sinks in two seconds of going down
@@ -74,11 +75,8 @@ def drawn(count: int, *, seed: int = 0) -> Clips:
 
 def recorded(takes: Sequence[Take], each: int) -> Clips | None:
     """Returns at most ``each`` clips of every person, evenly through what they did; None where there are none."""
-    cuts: dict[str, list[Motion]] = {}
-    for take in takes:
-        for start in range(0, take.motion.frames - FRAMES + 1, FRAMES):
-            cuts.setdefault(take.person, []).append(take.motion.cut(start, start + FRAMES))
-    return _together((who, cut) for who, mine in cuts.items() for cut in splits.evenly(mine, each))
+    cuts = whole(takes, FRAMES).items()
+    return _together((who, cut) for who, mine in cuts for cut in splits.evenly(mine, each))
 
 
 def going_down(takes: Sequence[Take], each: int) -> Clips | None:

@@ -80,12 +80,12 @@ def dose(found: Mapping[str, Mapping[str, Mapping[int, Tensor]]], ylabel: str) -
     return fig
 
 
-def seen_by(scene: Scene, label: str, frame: int, body: BodyModel, index: int = 0) -> np.ndarray:
-    """Draws what a clip's camera sees at a frame, with the detections on it."""
-    clip, things = scene.clip(index), meshes(scene.occluders[index])
+def seen_by(scene: Scene, label: str, frame: int, body: BodyModel) -> np.ndarray:
+    """Draws what the first clip's camera sees at a frame, with the detections on it."""
+    clip, things = scene.clip(0), meshes(scene.occluders[0])
     layer = {label: ("observation", clip.keypoints, clip.confidence)}
     how = {"things": things, "body": body, "width": 620}
-    return through_the_camera(scene.truth.clip(index), scene.cameras[index], layer, frame, **how)
+    return through_the_camera(scene.truth.clip(0), scene.cameras[0], layer, frame, **how)
 
 
 def wrists(motions: Mapping[str, Motion], roles: Mapping[str, str], body: BodyModel) -> np.ndarray:

@@ -227,13 +227,13 @@ def lost(rows: Sequence[Mapping[str, object]], bound: float) -> str:
 
 
 # ------------------------------------------------------------------------------------------------ figures
-def pulls_drawn(pulls: Mapping[str, Tensor], gone: Sequence[int], frames: int = 8) -> Figure:
+def pulls_drawn(pulls: Mapping[str, Tensor], gone: Sequence[int]) -> Figure:
     """Draws how hard terms of the energy pull at each of the first frames, on a logarithmic axis; shaded: unseen."""
     fig, (ax,) = canvas(size=(7.4, 3.0))
     paint = {"keypoints": colour("observation"), "smoothness": colour("stage2")}
     for k, (name, pull) in enumerate(pulls.items()):
-        at = np.arange(frames) + 0.36 * (k - 0.5)
-        ax.bar(at, pull[:frames].clamp(min=1e-3).numpy(), 0.34, color=paint[name], label=name, bottom=0)
+        at = np.arange(8) + 0.36 * (k - 0.5)
+        ax.bar(at, pull[:8].clamp(min=1e-3).numpy(), 0.34, color=paint[name], label=name, bottom=0)
     for t in gone:
         ax.text(t - 0.18, 0.13, f"{pulls['keypoints'][t]:.0f}", ha="center", color=paint["keypoints"])
         ax.axvspan(t - 0.5, t + 0.5, color=LINE, alpha=0.4, lw=0)

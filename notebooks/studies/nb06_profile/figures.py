@@ -47,9 +47,9 @@ def _stack(ax: Axes, table: Mapping[str, Mapping[str, float]], digits: int) -> f
     return left.max()
 
 
-def bars(seconds: Mapping[str, Mapping[str, float]], *, size: tuple[float, float] | None = None) -> Figure:
+def bars(seconds: Mapping[str, Mapping[str, float]]) -> Figure:
     """Draws closures as bars on one axis, in milliseconds, stacked by part: label -> part -> seconds."""
-    figure, (ax,) = canvas(size=size or (9.0, 1.1 + 0.36 * len(seconds)))
+    figure, (ax,) = canvas(size=(9.0, 1.1 + 0.36 * len(seconds)))
     table = {label: {part: 1e3 * x for part, x in row.items()} for label, row in seconds.items()}
     ax.set_xlim(0, 1.12 * _stack(ax, table, 0))
     ax.set_xlabel("processor time of one closure (ms)")
@@ -57,14 +57,12 @@ def bars(seconds: Mapping[str, Mapping[str, float]], *, size: tuple[float, float
     return figure
 
 
-def phases(
-    minutes: Mapping[str, Mapping[str, Mapping[str, float]]], *, size: tuple[float, float] = (10.5, 3.2)
-) -> Figure:
+def phases(minutes: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Figure:
     """Draws minutes of each phase, stacked by part; one panel per program, all on one axis.
 
     minutes: program -> phase -> part -> minutes. The sum of a program is in its title.
     """
-    figure, axes = canvas(1, len(minutes), size=size, sharex=True, sharey=True)
+    figure, axes = canvas(1, len(minutes), size=(10.5, 3.2), sharex=True, sharey=True)
     longest = 0.0
     for ax, (program, table) in zip(axes, minutes.items(), strict=True):
         longest = max(longest, _stack(ax, dict(enumerate(table.values())), 1))
@@ -81,15 +79,13 @@ def shares(
     claimed: Mapping[str, float],
     least: Mapping[str, float],
     measured: Mapping[str, Mapping[str, tuple[float, float, float]]],
-    *,
-    size: tuple[float, float] = (9.0, 3.0),
 ) -> Figure:
     """Draws shares in %: what is claimed with its band of 10 points, and what was measured.
 
     claimed: share -> the thesis's %. least: share -> the least that its conclusion asks for. measured: label -> share
     -> (value, low, high).
     """
-    figure, (ax,) = canvas(size=size)
+    figure, (ax,) = canvas(size=(9.0, 3.0))
     rows = [*claimed, *least]
     for row, name in enumerate(rows):
         low, high = (claimed[name] - 10, claimed[name] + 10) if name in claimed else (least[name], 100.0)
@@ -126,19 +122,14 @@ def _law(ax: Axes, label: str, paint: tuple, x: Sequence[float], y: Tensor, law:
         ax.plot([at] * len(each), each, "o", color=paint, ms=4, mec="white", mew=0.5)
 
 
-def growth(
-    panels: Mapping[str, Measured],
-    *,
-    others: Mapping[str, tuple[Sequence[float], Sequence[float]]],
-    size: tuple[float, float] = (10.5, 3.8),
-) -> Figure:
+def growth(panels: Mapping[str, Measured], *, others: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Figure:
     """Draws milliseconds of a closure against its size, both logarithmic, each with the posterior of its power law
     (median, 95 % band); all panels on one axis.
 
     panels: label of the x axis -> series -> (x (k,), measurements (k, n), law). others: label of the x axis -> (x, ms)
     of the official code.
     """
-    figure, axes = canvas(1, len(panels), size=size, sharey=True)
+    figure, axes = canvas(1, len(panels), size=(10.5, 3.8), sharey=True)
     for ax, (xlabel, series) in zip(axes, panels.items(), strict=True):
         paint = paints(list(series), FORMS)
         for label, (x, y, law) in series.items():
@@ -159,18 +150,14 @@ def growth(
 
 
 def memory(
-    found: Mapping[str, tuple[str, Sequence[float], Sequence[float]]],
-    limit: float,
-    *,
-    claimed: float,
-    size: tuple[float, float] = (9.0, 3.6),
+    found: Mapping[str, tuple[str, Sequence[float], Sequence[float]]], limit: float, *, claimed: float
 ) -> Figure:
     """Draws memory in GiB against clips in a batch, both logarithmic, and where straight lines reach a limit in GiB.
 
     found: series -> (form, clips, bytes); a series named "live tensors" is drawn hollow. claimed: clips that are said
     to fit.
     """
-    figure, (ax,) = canvas(size=size)
+    figure, (ax,) = canvas(size=(9.0, 3.6))
     for label, (form, clips, held) in found.items():
         y, tone = np.asarray(held) / GIB, colour(FORMS[form])
         slope, level = np.polyfit(clips, y, 1)
@@ -193,10 +180,10 @@ def memory(
     return figure
 
 
-def ladder(seconds: Mapping[str, Tensor], *, size: tuple[float, float] | None = None) -> Figure:
+def ladder(seconds: Mapping[str, Tensor]) -> Figure:
     """Draws milliseconds of a closure on each rung, median and quartiles, with the gain over the rung above and over
     the first."""
-    figure, (ax,) = canvas(size=size or (8.0, 0.9 + 0.36 * len(seconds)))
+    figure, (ax,) = canvas(size=(8.0, 0.9 + 0.36 * len(seconds)))
     first = before = None
     for row, values in enumerate(seconds.values()):
         middle, below, above = _middle(1e3 * values)

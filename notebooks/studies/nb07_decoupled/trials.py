@@ -27,6 +27,7 @@ from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from studies.nb07_decoupled.energy import Unknown, posed, prior_of, rolled_out, to_persistent, to_states
 from studies.nb07_decoupled.search import Found, Plan, search
+from studies.shared.clips import part
 from studies.shared.joints import noisy
 from studies.shared.sitting import seated
 
@@ -52,7 +53,13 @@ class Case:
 
 def case(scene: Scene, priors: Priors, schedule: Schedule, frames: int) -> Case:
     """The first ``frames`` of a filmed scene, after stages 1 and 2."""
-    return _begun(_first(scene, frames), scene.truth.cut(0, frames), priors, schedule, cameras=scene.cameras)
+    return _begun(
+        part(scene.observation, slice(None), slice(frames)),
+        scene.truth.cut(0, frames),
+        priors,
+        schedule,
+        cameras=scene.cameras,
+    )
 
 
 def tracked(
@@ -74,15 +81,10 @@ def _begun(seen: Observation2D | Observation3D, truth: Motion, priors: Priors, s
     return Case(problem, {"x": to_persistent(states), "z": z, "betas": begun.betas}, truth, begun.stages[2])
 
 
-def _first(scene: Scene, frames: int):
-    seen = scene.observation
-    return replace(seen, keypoints=seen.keypoints[:, :frames], confidence=seen.confidence[:, :frames])
-
-
 def solved(scene: Scene, priors: Priors, schedule: Schedule, frames: int) -> dict[str, Tensor]:
     """What a whole fit by shooting finds, as decoupled unknowns: the states of its roll-out, its z, its shape."""
     how = {"schedule": schedule, "solver": "shooting", "cameras": scene.cameras}
-    fitted = testops.fit(_first(scene, frames), priors, **how)
+    fitted = testops.fit(part(scene.observation, slice(None), slice(frames)), priors, **how)
     first, z = fitted.first[:, 0], fitted.z[:, 0]
     with torch.no_grad():
         states = torch.cat((first[:, None], rollout(priors.motion, first, z, with_prior=False).states), 1)

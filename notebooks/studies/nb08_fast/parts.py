@@ -38,11 +38,11 @@ def costs(task: Task, unknown: Unknowns, rounds: int) -> dict[str, Tensor]:
     return interleaved(calls, n=rounds, clock=clock)
 
 
-def from_truth(task: Task, work: Schedule, rounds: int = 3, closures: int = 12) -> Run:
+def from_truth(task: Task, work: Schedule) -> Run:
     """Our search with few rounds and no leaps, begun at the true motion: what a perfect start network would leave."""
     trust = torch.ones_like(task.problem.evidence.trust)
     start = task.posed_as(task.truth, trust).unknown
-    plan = replace(work.shooting, rounds=rounds, closures=closures, leaps=0, race=0, tolerance=0.0, least=0.0)
+    plan = replace(work.shooting, rounds=3, closures=12, leaps=0, race=0, tolerance=0.0, least=0.0)
     return shooting(task, replace(work, shooting=plan, guesses=False), start)
 
 

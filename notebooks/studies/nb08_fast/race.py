@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from data_synth import scenes
-from motionlab import corpus, splits
 from motionlab.humor import start as starts
 from motionlab.humor.energies import RGB_LIGHT
 from motionlab.humor.priors import Priors
@@ -22,6 +21,7 @@ from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 from motionlab.scene_fit import FULL_WORK, QUICK_WORK
 from studies.nb08_fast.trials import CM, Run, Single, Task, clock, prepare, shooting, single_shooting
+from studies.shared.clips import everyday, stacked, takes
 
 SYNTHETIC, CMU = "synthetic", "CMU"
 PLAIN, WALL = "plain view", "behind a low wall"
@@ -69,7 +69,8 @@ def clips(
             motions = [replace(truth.clip(k), skeleton=replace(truth.skeleton, offsets=truth.skeleton.offsets[k, 0]))
                        for k in range(count)]  # fmt: skip
         elif folder:
-            who, motions = zip(*recorded(folder, part, count, frames), strict=True)
+            who, motions = zip(*everyday(takes(folder, part), count), strict=True)
+            motions = [motion.cut(0, frames) for motion in motions]
         else:
             continue
         films = {view: scenes.film_recorded(view, motions, seed=seed) for view in (PLAIN, WALL)}
@@ -79,25 +80,10 @@ def clips(
     return found
 
 
-def recorded(folder: Path, part: str, count: int, frames: int) -> list[tuple[str, Motion]]:
-    """So many clips of whatever CMU's people of one part do, as evenly over people as can be: who, and the motion."""
-    by_person: dict[str, list[Motion]] = {}
-    for take in corpus.assemble(folder, splits.real_sources(folder), progress=False).takes:
-        if take.source == "cmu_library" and take.part == part and take.motion.frames > 60:
-            cuts = [take.motion.cut(k, k + frames) for k in range(0, take.motion.frames - 59, 60)]
-            by_person.setdefault(take.person, []).extend(cuts)
-    each = -(-count // len(by_person))
-    pairs = [(who, m) for who, motions in by_person.items() for m in splits.evenly(motions, each + 2)[1:-1]]
-    return splits.evenly(pairs, count)
-
-
 def _clip(source: str, person: str, view: str, film: scenes.Scene, k: int, priors: Priors, work: Schedule) -> Clip:
     seen = film.clip(k)
-    one = replace(seen, keypoints=seen.keypoints[None], confidence=seen.confidence[None], camera=None)
-    task = prepare(
-        view, one, priors, RGB_LIGHT, film.truth.clip([k]), cameras=[film.cameras[k]], schedule=work,
-        seen=film.seen[k : k + 1],
-    )  # fmt: skip
+    how = {"cameras": [film.cameras[k]], "schedule": work, "seen": film.seen[k : k + 1]}
+    task = prepare(view, stacked([seen], camera=None), priors, RGB_LIGHT, film.truth.clip([k]), **how)
     return Clip(source, person, view, task, seen, film.occluders[k])
 
 
@@ -137,10 +123,9 @@ def times_sooner(task: Task, runs: Mapping[str, Run]) -> float:
     return runs[SINGLE].until(aim) / runs[DEFAULT].until(aim)
 
 
-def less(task: Task, runs: Mapping[str, Run], name: str, measure: str, *, at_end: bool = False) -> float:
-    """Error of one racer, or of stage 2, less that of single shooting, cm: after the default's time, or each at its own
-    end."""
-    limit = float("inf") if at_end else runs[DEFAULT].spent
+def less(task: Task, runs: Mapping[str, Run], name: str, measure: str) -> float:
+    """Error of one racer, or of stage 2, less that of single shooting, cm: after the default's time."""
+    limit = runs[DEFAULT].spent
     mine = errors(task, task.rough) if name == START else after(task, runs[name], limit)
     return mine[measure] - after(task, runs[SINGLE], limit)[measure]
 
@@ -178,8 +163,7 @@ def whole_errors(task: Task, runs: Mapping[str, Run], quick: Motion) -> dict[str
 
 def whole_fit(clip: Clip, priors: Priors, work: Schedule) -> tuple[float, Motion]:
     """Processor seconds of a whole fit by the product, keypoints to motion, and the motion."""
-    one = replace(clip.seen, keypoints=clip.seen.keypoints[None], confidence=clip.seen.confidence[None])
-    began = clock()
+    one, began = stacked([clip.seen]), clock()
     fitted = fit(one, priors, cameras=[clip.seen.camera], floor="camera", schedule=work, solver="shooting")
     return clock() - began, fitted.motion
 

@@ -88,9 +88,9 @@ def energy_score(draws: Tensor, truth: Tensor) -> Tensor:
     return CM * (error - apart / 2)
 
 
-def ball(clip: Clip, size: float, count: int = 32, seed: int = 0) -> Tensor:
+def ball(clip: Clip, size: float, count: int = 32) -> Tensor:
     """Draws (K, M, 3) from a ball around the fit that knows nothing of the clip: N(0, size^2) along each axis."""
-    noise = torch.randn(count, *clip.fit.shape, generator=torch.Generator().manual_seed(seed))
+    noise = torch.randn(count, *clip.fit.shape, generator=torch.Generator().manual_seed(0))
     return clip.fit + size * noise
 
 
@@ -101,10 +101,10 @@ def ball_size(clips: Sequence[Clip]) -> float:
     return sizes[scores.index(min(scores))]
 
 
-def ellipsoid_draws(clip: Clip, heat: float, floor: float, count: int = 32, seed: int = 0) -> Tensor:
+def ellipsoid_draws(clip: Clip, heat: float, floor: float) -> Tensor:
     """Draws (K, M, 3) from the Gaussian of a clip's draws with a floor."""
     mean, factor = gaussian(clip, heat, floor)
-    noise = torch.randn(count, *mean.shape, 1, generator=torch.Generator().manual_seed(seed))
+    noise = torch.randn(32, *mean.shape, 1, generator=torch.Generator().manual_seed(0))
     return mean + (factor @ noise)[..., 0]
 
 

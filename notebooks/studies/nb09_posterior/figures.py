@@ -76,12 +76,12 @@ def film(draws: Draws, body: BodyModel, path: Path, **how) -> movie.Film:
     return movie.Film(path, frames, rate, seconds, 1.0, size, movie.jpeg(pictures[2 * len(pictures) // 3]))
 
 
-def rank_bars(found: Mapping[str, Tensor], *, roles: Mapping[str, str], bins: int = 8) -> Figure:
+def rank_bars(found: Mapping[str, Tensor], *, roles: Mapping[str, str]) -> Figure:
     """Draws ranks (C, n) of the truth among the draws, a panel each: flat where the sampler is right, a U: too sure.
 
     The band holds 95 % of the bars of a right one, were only the clips independent and a clip's ranks the same.
     """
-    fig, axes = canvas(1, len(found), size=(3.0 * len(found) + 0.4, 2.7), sharey=True)
+    bins, (fig, axes) = 8, canvas(1, len(found), size=(3.0 * len(found) + 0.4, 2.7), sharey=True)
     paint = paints(list(found), roles)
     for ax, (label, ranks) in zip(axes, found.items(), strict=True):
         values, edges = ranks.flatten().numpy(), np.linspace(0, 1, bins + 1)
@@ -130,12 +130,10 @@ def bars(
     return fig
 
 
-def corner(
-    series: Mapping[str, Tensor], names: Sequence[str], truth: Tensor, roles: Mapping[str, str], size: float = 1.7
-) -> Figure:
+def corner(series: Mapping[str, Tensor], names: Sequence[str], truth: Tensor, roles: Mapping[str, str]) -> Figure:
     """Draws (N, n) by label: each number's distribution on the diagonal, each pair's below it; truth (n,) black."""
     count, paint = len(names), paints(list(series), roles)
-    fig, axes = canvas(count, count, size=(size * count + 0.6, size * count + 0.2))
+    fig, axes = canvas(count, count, size=(1.7 * count + 0.6, 1.7 * count + 0.2))
     every = torch.cat([*series.values(), truth[None]]).numpy(force=True)
     low, high = np.percentile(every, (0.3, 99.7), axis=0)
     low, high = np.minimum(low, truth.numpy()), np.maximum(high, truth.numpy())

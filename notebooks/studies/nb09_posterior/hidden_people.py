@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -13,16 +13,15 @@ from torch import Tensor
 
 from data_synth import scenes
 from data_synth.scenes import Scene
-from motionlab import corpus, posterior, splits
+from motionlab import posterior
 from motionlab.bench.cases import HIDDEN, JOINTS
-from motionlab.corpus import Take
 from motionlab.diffusion import completer
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule, fit
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
+from studies.shared import clips
 
-FRAMES = 60
 TEMPERATURES = (1.0, 10.0, 30.0, 100.0)
 SIDES = {side: STANDARD.indices([n for n in HIDDEN if n.startswith(side)]) for side in ("left", "right")}
 
@@ -49,62 +48,39 @@ class Clip:
         return (self.fit - self.truth).norm(dim=-1)
 
 
-@lru_cache(maxsize=2)
-def _takes(folder: Path, part: str) -> tuple[Take, ...]:
-    found = corpus.assemble(folder, splits.real_sources(folder), progress=False).takes
-    return tuple(t for t in found if t.source == "cmu_library" and t.part == part and t.motion.frames > FRAMES)
-
-
 def recorded(folder: Path, part: str, count: int, seed: int) -> tuple[Scene, tuple[str, ...]]:
     """Films people of the CMU library, one walk and one other clip each, at most ``count`` of either, behind a low wall
     or, where they go nowhere, a desk; and who they are. Where a clip begins is drawn."""
-    cast = [pair for way in (1.5, -1.0) for pair in _clips(_takes(folder, part), way, count, seed)]
+    cast = []
+    for metres in (1.5, -1.0):
+        draws = torch.Generator().manual_seed(seed)
+        cast += clips.begun(clips.takes(folder, part), partial(clips.goes, metres=metres), draws, 1, count)
     people, motions = zip(*cast, strict=True)
     return scenes.film_recorded("behind a low wall", [replace(m, name="") for m in motions], seed=seed), people
-
-
-def _clips(takes: Sequence[Take], way: float, count: int, seed: int) -> list[tuple[str, Motion]]:
-    """A clip of each person in which the pelvis goes farther than ``way``, metres."""
-    generator, found = torch.Generator().manual_seed(seed), {}
-    for take in takes:
-        root = take.motion.root[:, :2]
-        starts = ((root[FRAMES - 1 :] - root[: len(root) - FRAMES + 1]).norm(dim=-1) > way).nonzero().flatten()
-        while len(starts):
-            at = int(starts[torch.randint(len(starts), (), generator=generator)])
-            found.setdefault(take.person, []).append(take.motion.cut(at, at + FRAMES))
-            starts = starts[(starts - at).abs() >= FRAMES]
-    return splits.evenly([(who, m) for who, some in found.items() for m in splits.evenly(some, 1)], count)
 
 
 def fitted(scene: Scene, priors: Priors, work: Schedule, batch: int = 8) -> list[tuple[Fitted, int]]:
     """Fits every clip as ``motionlab fit`` does, some at once: of each the fit that it is in, and its place there."""
     found = []
     for at in torch.arange(len(scene)).split(batch):
-        o = scene.observation
-        part = replace(o, keypoints=o.keypoints[at], confidence=o.confidence[at])
         cameras = [scene.cameras[k] for k in at.tolist()]
-        one = fit(part, priors, cameras=cameras, schedule=work, solver="shooting")
+        one = fit(clips.part(scene.observation, at), priors, cameras=cameras, schedule=work, solver="shooting")
         found += [(one, k) for k in range(len(at))]
     return found
 
 
 def opened(
-    fits: Sequence[tuple[Fitted, int]],
-    scene: Scene,
-    people: Sequence[str],
-    seed: int,
-    count: int = 32,
-    temperatures: Sequence[float] = TEMPERATURES,
+    fits: Sequence[tuple[Fitted, int]], scene: Scene, people: Sequence[str], seed: int, count: int = 32
 ) -> list[Clip]:
-    """Draws from every clip's posterior at some temperatures, ``count`` motions at each."""
-    found, heats = [], torch.tensor(temperatures).repeat_interleave(count)
+    """Draws from every clip's posterior at ``TEMPERATURES``, ``count`` motions at each."""
+    found, heats = [], torch.tensor(TEMPERATURES).repeat_interleave(count)
     for index, ((fit_, k), person) in enumerate(zip(fits, people, strict=True)):
         generator = torch.Generator().manual_seed(1000 * seed + index)
         draws = posterior.sample(fit_, len(heats), generator=generator, clip=k, temperature=heats)
         places = about_pelvis(draws.motions)[:, draws.hidden].split(count)
         true, own = (about_pelvis(m) for m in (scene.truth.clip(index), draws.fit))
         shown = (own - true).norm(dim=-1)[draws.limbs & ~draws.hidden].mean()
-        drawn = dict(zip(temperatures, places, strict=True))
+        drawn = dict(zip(TEMPERATURES, places, strict=True))
         how = {"seen": shown.item(), "doubtful": bool(draws.doubts)}
         found.append(Clip(person, true[draws.hidden], own[draws.hidden], drawn, **how))
     return found

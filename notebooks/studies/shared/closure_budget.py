@@ -80,29 +80,19 @@ class Spent:
         raise DataError(f"no phase {name!r}", remedy=f"known: {', '.join(phase.name for phase in self.phases)}")
 
 
-def spend(
-    contenders: Mapping[str, tuple[Workload, Savings]],
-    *,
-    n: int,
-    warm_up: int = 1,
-    schedule: Schedule = OFFICIAL,
-    clock: Callable[[], float] = time.process_time,
-) -> dict[str, Spent]:
-    """Time one closure of each phase of each contender, in n rounds through all of them after ``warm_up`` more."""
-    tables = {name: phases(schedule, work.frames) for name, (work, _) in contenders.items()}
+def spend(contenders: Mapping[str, tuple[Workload, Savings]], *, n: int) -> dict[str, Spent]:
+    """Time one closure of each phase of each contender, in n rounds through all of them after one more."""
+    tables = {name: phases(OFFICIAL, work.frames) for name, (work, _) in contenders.items()}
     calls = {name: [work.closure(phase.part, on) for phase in tables[name]] for name, (work, on) in contenders.items()}
-    rounds = []
-    for _ in range(warm_up + n):
-        rounds.append({name: [_parts(closure, clock) for closure in row] for name, row in calls.items()})
-    rounds = rounds[warm_up:]
+    rounds = [{name: [_parts(closure) for closure in row] for name, row in calls.items()} for _ in range(1 + n)][1:]
     return {
         name: Spent(tuple(table), tuple(_columns(column) for column in zip(*(r[name] for r in rounds), strict=True)))
         for name, table in tables.items()
     }
 
 
-def _parts(closure: Callable[..., Tensor], clock: Callable[[], float]) -> dict[str, float]:
-    watch = Stopwatch(clock)
+def _parts(closure: Callable[..., Tensor]) -> dict[str, float]:
+    watch = Stopwatch(time.process_time)
     closure(mark=watch)
     return watch.seconds
 
@@ -111,11 +101,11 @@ def _columns(rows: Sequence[dict[str, float]]) -> dict[str, Tensor]:
     return {name: torch.tensor([row[name] for row in rows], dtype=torch.float64) for name in rows[0]}
 
 
-def evaluations(work: Workload, part: Part, *, outer: int, inner: int = OFFICIAL.inner) -> list[int]:
+def evaluations(work: Workload, part: Part, *, outer: int) -> list[int]:
     """Closures that each of ``outer`` steps takes of ``torch.optim.LBFGS`` as the official code sets it, lean mode."""
     unknown, count = work.unknowns(part, LEAN), []
     moving = [x for x in unknown.named().values() if x.requires_grad]
-    optimiser = torch.optim.LBFGS(moving, lr=1.0, max_iter=inner, line_search_fn="strong_wolfe")
+    optimiser = torch.optim.LBFGS(moving, lr=1.0, max_iter=OFFICIAL.inner, line_search_fn="strong_wolfe")
     closure = work.closure(part, LEAN, unknown)
 
     def counted() -> Tensor:

@@ -22,11 +22,9 @@ from motionlab.bench.person_windows import by_person
 from motionlab.diffusion.embedding import motion_features
 from motionlab.metrics import generation
 from motionlab.metrics.intervals import interval
-from motionlab.metrics.pose import masked_mean
 from motionlab.motion import Motion
-from motionlab.skeleton import BALLS, STANDARD
+from studies.shared import small_measures
 
-DOWN = 0.03  # metres above where a ball rests: it is down there
 FEATURES = "features_real"
 #: Ratios of means, by the field of ``Judged`` that is averaged.
 RATIOS = ("travel", "slide", "acceleration")
@@ -46,13 +44,10 @@ class Judged:
     def of(cls, motion: Motion) -> Judged:
         """Measures windows (N, T) on the standard body, feet on a floor at z = 0."""
         points, fps = motion.positions, motion.fps
-        balls = points[..., STANDARD.indices(BALLS), :]
-        down = balls[..., 2] - STANDARD.sole < DOWN
-        moved = 1000 * balls[..., :2].diff(dim=-3).norm(dim=-1)
         return cls(
             motion_features(FEATURES)(motion),
-            fps * motion.root[..., :2].diff(dim=-2).norm(dim=-1).mean(-1),
-            masked_mean(moved, down[:, 1:] & down[:, :-1], 2),
+            small_measures.travel(motion),
+            small_measures.slide_mm(motion),
             fps**2 * points.diff(n=2, dim=-3).norm(dim=-1).mean((-1, -2)),
         )
 
@@ -98,17 +93,17 @@ def pseudo(measure: Callable[..., float], sets: Sequence[Judged | Motion], group
     return len(names) * whole - (len(names) - 1) * left
 
 
-def told_apart(x: Judged, y: Judged, generator: torch.Generator, neighbours: int = 5, draws: int = 40) -> Tensor:
+def told_apart(x: Judged, y: Judged, generator: torch.Generator) -> Tensor:
     """How often the five nearest others tell which of two sets a sample is of: (2 N,), shares of random halvings; a
     coin is right in half. One half of one set stands beside the other half of the other, as sets begun from the same
     noise are nearer to each other than chance."""
     half, right, tried = x.numbers // 2, torch.zeros(2, x.numbers), torch.zeros(2, x.numbers)
     label = torch.arange(2 * half) >= half
-    for _ in range(draws):
+    for _ in range(40):
         order = torch.randperm(x.numbers, generator=generator)
         a, b = order[:half], order[half : 2 * half]
         z = torch.cat((x.latent[a], y.latent[b])).double()
-        near = torch.cdist(z, z).fill_diagonal_(torch.inf).topk(neighbours, largest=False).indices
+        near = torch.cdist(z, z).fill_diagonal_(torch.inf).topk(5, largest=False).indices
         hit = ((label[near].double().mean(1) > 0.5) == label).float()
         for k, rows, part in ((0, a, hit[:half]), (1, b, hit[half:])):
             right[k, rows] += part

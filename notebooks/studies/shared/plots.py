@@ -98,31 +98,21 @@ def median_band(ax: Axes, x: np.ndarray, rows: np.ndarray, tint, label: str, *, 
     ax.plot(x, np.nanmedian(rows, axis=0), color=tint, lw=1.8, label=label, ls=ls)
 
 
-def boxes(
-    series: Series,
-    *,
-    xlabel: str,
-    log: bool = False,
-    roles: Mapping[str, str] | None = None,
-    size: tuple[float, float] | None = None,
-) -> Figure:
+def boxes(series: Series, *, xlabel: str, roles: Mapping[str, str] | None = None) -> Figure:
     """Draws one distribution per source on its own line: its density, the middle half as a bar, the median as a dot."""
     found = _samples(series)
     paint = paints(list(found), roles)
-    _, (ax,) = canvas(size=size or (7.0, 0.8 + 0.42 * len(found)))
-    for row, (label, values) in enumerate(found.items()):
-        x = np.log10(values[values > 0]) if log else values
+    _, (ax,) = canvas(size=(7.0, 0.8 + 0.42 * len(found)))
+    for row, (label, x) in enumerate(found.items()):
         low, quarter, middle, three, high = np.percentile(x, (1, 25, 50, 75, 99))
         edges = np.linspace(low, high, 49) if high > low else np.array([low - 0.5, low + 0.5])
         share = np.histogram(x, edges)[0].astype(float)
         share = np.convolve(share, np.hanning(7)[1:-1] / 3, "same") if len(share) > 7 else share
         centre = (edges[1:] + edges[:-1]) / 2
         half = 0.42 * share / max(share.max(), 1e-12)
-        back = (lambda v: 10**v) if log else (lambda v: v)
-        ax.fill_between(back(centre), row - half, row + half, color=paint[label], alpha=0.28, lw=0)
-        ax.plot(back(np.array([quarter, three])), [row, row], color=paint[label], lw=5, solid_capstyle="butt")
-        ax.plot(back(middle), row, "o", color="white", mec=INK, ms=5)
-    ax.set_xscale("log" if log else "linear")
+        ax.fill_between(centre, row - half, row + half, color=paint[label], alpha=0.28, lw=0)
+        ax.plot([quarter, three], [row, row], color=paint[label], lw=5, solid_capstyle="butt")
+        ax.plot(middle, row, "o", color="white", mec=INK, ms=5)
     ax.set_yticks(range(len(found)), [f"{label}  (n = {len(values):,})" for label, values in found.items()])
     ax.set_ylim(len(found) - 0.5, -0.5)
     ax.grid(visible=False, axis="y")
@@ -130,12 +120,9 @@ def boxes(
     return ax.figure
 
 
-def _rows(values) -> np.ndarray:
-    return np.asarray(values.detach().cpu() if isinstance(values, torch.Tensor) else values, float)
-
-
 def _samples(series: Series) -> dict[str, np.ndarray]:
-    found = {label: (x := _rows(values).ravel())[np.isfinite(x)] for label, values in series.items()}
+    found = {label: np.asarray(values, float).ravel() for label, values in series.items()}
+    found = {label: x[np.isfinite(x)] for label, x in found.items()}
     empty = [label for label, values in found.items() if not len(values)]
     if empty or not found:
         raise ShapeError(f"nothing to plot{' for ' + ', '.join(empty) if empty else ''}: no finite values")

@@ -113,12 +113,12 @@ def travel(motion: Motion) -> Tensor:
     return motion.fps * motion.root[..., :2].diff(dim=-2).norm(dim=-1).mean(-1)
 
 
-def driven(motion: Motion, *, least: float = _TRAVELS) -> Tensor:
+def driven(motion: Motion) -> Tensor:
     """How well the legs account for where the root goes, (N,): the cosine, over all frames and both axes of the floor,
     between the root's velocity and the velocity that its lower foot pushes it with, were it to stand.
 
     1: the lower foot stands or the root moves in its direction; 0: root and legs know nothing of each other. NaN where
-    the root's mean speed is below ``least`` m/s. The lower foot: the joint of the feet nearest to its resting height.
+    the root's mean speed is below 0.2 m/s. The lower foot: the joint of the feet nearest to its resting height.
     """
     feet = motion.skeleton.indices(list(FEET))
     about = motion.positions[..., feet, :] - motion.root[..., None, :]
@@ -129,7 +129,7 @@ def driven(motion: Motion, *, least: float = _TRAVELS) -> Tensor:
     way = motion.root[..., :2].diff(dim=-2) * motion.fps
     size = way.square().sum((-1, -2)).sqrt() * push.square().sum((-1, -2)).sqrt()
     found = (way * push).sum((-1, -2)) / size.clamp_min(1e-12)
-    return torch.where(torch.linalg.vector_norm(way, dim=-1).mean(-1) >= least, found, torch.nan)
+    return torch.where(torch.linalg.vector_norm(way, dim=-1).mean(-1) >= _TRAVELS, found, torch.nan)
 
 
 def with_others_roots(motion: Motion, generator: torch.Generator) -> Motion:
