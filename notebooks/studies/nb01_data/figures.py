@@ -53,13 +53,8 @@ def people(rows: Mapping[str, Tensor], halves: Sequence[float], crowds: Mapping[
     left.text(0.74 * most, 0.66 * most, "equally far", ha="left", va="top")
     for name, row in rows.items():
         left.plot(row[:, 0], row[:, 1], "o", ms=5, alpha=0.75, color=paint[name], label=name)
-    left.set(
-        xlabel="squared distance of a person from the other people",
-        ylabel="from the source",
-        xlim=(0, most),
-        ylim=(0, most),
-        title=f"one person at a time, n = {len(next(iter(rows.values())))}",
-    )
+    left.set(xlabel="squared distance of a person from the other people", ylabel="from the source", xlim=(0, most))
+    left.set(ylim=(0, most), title=f"one person at a time, n = {len(next(iter(rows.values())))}")
     left.legend(loc="upper left", frameon=False)
     right.hist(halves, bins=24, color=ROLE["real"], label="one half of the people from the other")
     for name, far in crowds.items():

@@ -108,11 +108,9 @@ def detect(
 
     noise: times that of a human annotator. hidden: height in metres below which the desk hides the person.
     """
-    desk = (
-        occluders.desk_before(shot.motion, shot.camera, share=0.8, hidden=hidden)
-        if failure == "behind a desk"
-        else None
-    )
+    desk = None
+    if failure == "behind a desk":
+        desk = occluders.desk_before(shot.motion, shot.camera, share=0.8, hidden=hidden)
     things = () if desk is None else (desk,)
     found = capture.observe(shot.motion, shot.body, shot.camera, generator, things, noise=noise).observation
     if failure == "limbs flipped":

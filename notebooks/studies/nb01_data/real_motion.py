@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,14 +69,9 @@ def cleaned_rows(found: Corpus) -> list[dict[str, object]]:
     """Computes a row per source: recordings, minutes, how many are kept, and minutes cut by fault."""
     faults = sorted({name for row in found.rows for name in row.cut})
     return [
-        {
-            "source": row.source,
-            "recordings": row.recordings,
-            "minutes": row.seconds / 60,
-            "kept": row.kept / 60,
-            **{f"{name}": row.cut.get(name, 0.0) / 60 for name in faults},
-            "refused files": len(row.refused),
-        }
+        {"source": row.source, "recordings": row.recordings, "minutes": row.seconds / 60, "kept": row.kept / 60}
+        | {name: row.cut.get(name, 0.0) / 60 for name in faults}
+        | {"refused files": len(row.refused)}
         for row in found.rows
     ]
 
@@ -85,14 +80,10 @@ def kind_rows(found: Corpus) -> list[dict[str, object]]:
     """Computes a row per kind of motion: minutes in each part, people, and the median speed of the pelvis."""
     rows = []
     for kind, takes in takes_by_kind(found).items():
-        rows.append(
-            {
-                "kind": kind,
-                **{f"{part}, min": _minutes([t for t in takes if t.part == part]) for part in people.PARTS},
-                "people": len({t.person for t in takes}),
-                "pelvis, m/s (median)": float(torch.cat([_speed(t.motion) for t in takes]).median()),
-            }
-        )
+        speeds = [velocity(t.motion.root[:, :2], t.motion.fps, dim=0).norm(dim=-1) for t in takes]
+        minutes = {f"{part}, min": _minutes([t for t in takes if t.part == part]) for part in people.PARTS}
+        about = {"people": len({t.person for t in takes}), "pelvis, m/s (median)": float(torch.cat(speeds).median())}
+        rows.append({"kind": kind} | minutes | about)
     return rows
 
 
@@ -108,10 +99,6 @@ def _minutes(takes: Sequence[Take]) -> float:
     return sum(t.motion.seconds for t in takes) / 60
 
 
-def _speed(motion: Motion) -> Tensor:
-    return velocity(motion.root[:, :2], motion.fps, dim=0).norm(dim=-1)
-
-
 # ------------------------------------------------------------------------------------------------------- frame rates
 def resampling_rows(folder: Path | str, every: int = 1) -> list[dict[str, object]]:
     """Computes what going from 24 to 30 frames per second costs, a row per way.
@@ -119,7 +106,10 @@ def resampling_rows(folder: Path | str, every: int = 1) -> list[dict[str, object
     Truth: recordings at 120 frames per second, every fourth frame. Given: every fifth. Means over 22 joints and clips.
     """
     errors: dict[str, list[list[float]]] = {}
-    for motion in _native(folder, every):
+    for _, path, load in list(recordings(folder, NATIVE))[::every]:
+        motion = retarget(load(path)).motion.to(torch.float64)
+        if motion.frames < 300:
+            continue
         truth, given = motion.cut(step=4), motion.cut(step=5)
         for how in ("linear", "spline"):
             found = resample(given, 30.0, how)
@@ -127,14 +117,8 @@ def resampling_rows(folder: Path | str, every: int = 1) -> list[dict[str, object
             a, b = found.positions[2:n], truth.positions[2:n]
             speeds = [velocity(x, 30.0, dim=0) for x in (a, b)]
             bends = [30.0**2 * (x[2:] - 2 * x[1:-1] + x[:-2]) for x in (a, b)]
-            errors.setdefault(how, []).append(
-                [
-                    1000 * _far(a, b),
-                    100 * _far(*speeds),
-                    _far(*bends),
-                    *(float(x.norm(dim=-1).mean()) for x in bends),
-                ]
-            )
+            sizes = [float(x.norm(dim=-1).mean()) for x in bends]
+            errors.setdefault(how, []).append([1000 * _far(a, b), 100 * _far(*speeds), _far(*bends), *sizes])
     names = ("places, mm", "velocities, cm/s", "accelerations, m/s^2", "mean acceleration", "of the truth")
     return [
         {"way": how, "clips": len(rows), **dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))}
@@ -144,13 +128,6 @@ def resampling_rows(folder: Path | str, every: int = 1) -> list[dict[str, object
 
 def _far(a: Tensor, b: Tensor) -> float:
     return float((a - b).norm(dim=-1).mean())
-
-
-def _native(folder: Path | str, every: int) -> Iterator[Motion]:
-    for _, path, load in list(recordings(folder, NATIVE))[::every]:
-        motion = retarget(load(path)).motion.to(torch.float64)
-        if motion.frames >= 300:
-            yield motion
 
 
 # --------------------------------------------------------------------------------------------------------- contacts
@@ -175,16 +152,11 @@ def contact_rows(folder: Path | str, every: int = 1) -> list[dict[str, object]]:
         found, truth = (torch.cat([pair[i] for pair in pairs]) for i in (0, 1))
         scores = contact_scores(found, truth)
         times = [t for a, b in pairs for t in _timing(a, b)]
+        means = {"F1": scores.f1, "precision": scores.precision, "recall": scores.recall}
         rows.append(
-            {
-                "person": person,
-                "part": people.part_of(person),
-                "clips": len(pairs),
-                "F1": float(scores.f1.mean()),
-                "precision": float(scores.precision.mean()),
-                "recall": float(scores.recall.mean()),
-                "timing, ms": 1000 * float(np.mean(times)) if times else float("nan"),
-            }
+            {"person": person, "part": people.part_of(person), "clips": len(pairs)}
+            | {name: float(x.mean()) for name, x in means.items()}
+            | {"timing, ms": 1000 * float(np.mean(times)) if times else float("nan")}
         )
     return rows
 
@@ -237,33 +209,23 @@ def _timing(found: Tensor, truth: Tensor) -> list[float]:
 def toes_rows(found: Corpus) -> list[dict[str, object]]:
     """Computes how well the bend of the toes is predicted from the foot, its height and its speed, by ridge regression
     over recordings that have toes: root mean square error in degrees, a row per part."""
-    inputs: Mapping[str, list[Tensor]] = {part: [] for part in people.PARTS}
-    bends: Mapping[str, list[Tensor]] = {part: [] for part in people.PARTS}
+    feet: dict[str, list[tuple[Tensor, Tensor]]] = {part: [] for part in people.PARTS}
     for take in found.takes:
         if take.source == NATIVE:
-            for side in ("left", "right"):
-                x, y = _foot(take.motion, side)
-                inputs[take.part].append(x), bends[take.part].append(y)
-    if not inputs["train"]:
+            feet[take.part] += [_foot(take.motion, side) for side in ("left", "right")]
+    if not feet["train"]:
         return []
-    x, y = torch.cat(inputs["train"]), torch.cat(bends["train"])
+    known = {part: [torch.cat(x) for x in zip(*pairs, strict=True)] for part, pairs in feet.items() if pairs}
+    x, y = known["train"]
     middle, size = x.mean(0), x.std(0)
-
-    def rows(x: Tensor) -> Tensor:
-        return torch.cat(((x - middle) / size, torch.ones(len(x), 1)), 1)
-
-    design = rows(x)
+    designs = {n: torch.cat(((x - middle) / size, torch.ones(len(x), 1)), 1) for n, (x, _) in known.items()}
+    design, rows = designs["train"], []
     weights = torch.linalg.solve(design.mT @ design + torch.eye(design.shape[1]), design.mT @ y)
-    found_rows = []
-    for part in people.PARTS:
-        if inputs[part]:
-            truth = torch.cat(bends[part])
-            guesses = {"regression": rows(torch.cat(inputs[part])) @ weights, "mean": y.mean(), "rigid": 0.0}
-            found_rows.append(
-                {"part": part, "frames": len(truth)}
-                | {name: float((guess - truth).square().mean().sqrt()) for name, guess in guesses.items()}
-            )
-    return found_rows
+    for part, (_, truth) in known.items():
+        guesses = {"regression": designs[part] @ weights, "mean": y.mean(), "rigid": 0.0}
+        off = {name: float((guess - truth).square().mean().sqrt()) for name, guess in guesses.items()}
+        rows.append({"part": part, "frames": len(truth)} | off)
+    return rows
 
 
 def _foot(motion: Motion, side: str) -> tuple[Tensor, Tensor]:

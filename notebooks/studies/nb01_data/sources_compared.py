@@ -76,13 +76,9 @@ def describe_clips(clips: Iterable[tuple[Motion, str, str | Sequence[str]]], sec
 
 def describe_synthetic(sequences: Sequence, seconds: float = 2.0) -> Windows:
     """Describes the sequences of a synthetic corpus; kinds are those of recordings."""
-    return describe_clips(
-        (
-            (s.motion, s.take.subject.name, [KIND_OF_ACTION.get(label, "other") for label in s.take.labels])
-            for s in sequences
-        ),
-        seconds,
-    )
+    kinds = [[KIND_OF_ACTION.get(label, "other") for label in s.take.labels] for s in sequences]
+    whole = [(s.motion, s.take.subject.name, kind) for s, kind in zip(sequences, kinds, strict=True)]
+    return describe_clips(whole, seconds)
 
 
 def describe_recorded(takes: Sequence[Take], seconds: float = 2.0) -> Windows:
@@ -91,14 +87,9 @@ def describe_recorded(takes: Sequence[Take], seconds: float = 2.0) -> Windows:
 
 
 def describe_one(
-    motion: Motion,
-    generator: torch.Generator,
-    *,
-    start: float = 0.0,
-    seconds: float = 2.0,
-    speed: float = 1.0,
+    motion: Motion, generator: torch.Generator, *, start: float = 0.0, seconds: float = 2.0, speed: float = 1.0,
     tremble: float = 0.0,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Describes one window of a motion (12,): from ``start`` seconds on, played faster, its root trembling by mm.
 
     Where the motion is shorter, the window ends with it.
@@ -228,17 +219,11 @@ def kind_row(kind: str, real: Windows, made: Windows, told: float) -> dict[str, 
     names, units = zip(*DESCRIPTION_UNITS.items(), strict=True)
     at, then = gaps.abs().argsort(descending=True)[:2].tolist()
     return {
-        "kind": kind,
-        "people": real.people,
-        "recorded windows": len(real.whose),
-        "synthetic windows": len(made.whose),
-        "differs most in": f"{names[at]}, {units[at]}",
-        "synthetic mean": float(made.table[:, at].mean()),
-        "recorded mean": real.mean(names[at]),
-        "difference, SD": f"{gaps[at]:+.1f}",
-        "next largest difference": f"{names[then]} {gaps[then]:+.1f} SD",
-        "judge is right, %": f"{100 * told:.0f}",
-    }
+        "kind": kind, "people": real.people, "recorded windows": len(real.whose), "synthetic windows": len(made.whose),
+        "differs most in": f"{names[at]}, {units[at]}", "synthetic mean": float(made.table[:, at].mean()),
+        "recorded mean": real.mean(names[at]), "difference, SD": f"{gaps[at]:+.1f}",
+        "next largest difference": f"{names[then]} {gaps[then]:+.1f} SD", "judge is right, %": f"{100 * told:.0f}",
+    }  # fmt: skip
 
 
 def percent(value: float, low: float, high: float) -> str:

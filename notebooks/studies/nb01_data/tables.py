@@ -83,21 +83,15 @@ def retarget_rows(folder: Path | str, *, each: int | None = None) -> list[dict[s
         motions = [load(path) for path, load in found]
         own = [retarget(m) for m in motions]
         other = [retarget(m, proportions="standard") for m in motions]
-        rates, joints = sorted({m.fps for m in motions}), sorted({len(m.skeleton) for m in motions})
-        rows.append(
-            {
-                "source": source,
-                "clips": len(motions),
-                "minutes": sum(m.seconds for m in motions) / 60,
-                "fps": _range(rates),
-                "joints": _range(joints),
-                "residual, own bones, cm": 100 * _mean(r.residual for r in own),
-                "residual, standard bones, cm": 100 * _mean(r.residual for r in other),
-                "worst clip, cm": 100 * max(r.residual for r in other),
-                "skate in the file, mm/frame": _mean(r.skate[0] for r in other),
-                "skate after, mm/frame": _mean(r.skate[1] for r in other),
-            }
-        )
+        rows.append({
+            "source": source, "clips": len(motions), "minutes": sum(m.seconds for m in motions) / 60,
+            "fps": _range(m.fps for m in motions), "joints": _range(len(m.skeleton) for m in motions),
+            "residual, own bones, cm": 100 * _mean(r.residual for r in own),
+            "residual, standard bones, cm": 100 * _mean(r.residual for r in other),
+            "worst clip, cm": 100 * max(r.residual for r in other),
+            "skate in the file, mm/frame": _mean(r.skate[0] for r in other),
+            "skate after, mm/frame": _mean(r.skate[1] for r in other),
+        })  # fmt: skip
     return rows
 
 
@@ -107,5 +101,6 @@ def _mean(values: Iterable[float]) -> float:
     return sum(known) / len(known) if known else float("nan")
 
 
-def _range(values: Sequence[float]) -> str:
-    return f"{values[0]:g}" if len(values) == 1 else f"{values[0]:g} to {values[-1]:g}"
+def _range(values: Iterable[float]) -> str:
+    some = sorted(set(values))
+    return f"{some[0]:g}" if len(some) == 1 else f"{some[0]:g} to {some[-1]:g}"

@@ -21,14 +21,9 @@ from studies.shared.plots import canvas
 
 #: Which colour a representation has.
 ROLE_OF = {
-    "axis-angle": "axis-angle",
-    "axis-angle, unrolled": "baseline",
-    "axis-angle, nearest vector": "baseline",
-    "quaternion, w ≥ 0": "quaternion",
-    "Euler ZXY": "stage2",
-    "6D, lengths free": "observation",
-    "6D": "6d",
-}
+    "axis-angle": "axis-angle", "axis-angle, unrolled": "baseline", "axis-angle, nearest vector": "baseline",
+    "quaternion, w ≥ 0": "quaternion", "Euler ZXY": "stage2", "6D, lengths free": "observation", "6D": "6d",
+}  # fmt: skip
 _DASHES = {"x": "-", "y": "--", "z": ":", "w": "-."}
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -33,35 +33,24 @@ class Representation:
     tidy: Callable[[Tensor], Tensor] = lambda theta: theta
 
 
-def _unrolled(matrix: Tensor) -> Tensor:
-    return rotation.unroll_axis_angle(rotation.matrix_to_axis_angle(matrix))
-
-
 _XYZ, _COLUMNS = ("x", "y", "z"), ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z")
 AXIS_ANGLE = Representation("axis-angle", rotation.matrix_to_axis_angle, rotation.axis_angle_to_matrix, _XYZ)
 #: Axis-angle whose branch is made continuous along time (the frame axis, second from the right) beforehand.
-UNROLLED = Representation("axis-angle, unrolled", _unrolled, rotation.axis_angle_to_matrix, _XYZ)
+UNROLLED = replace(
+    AXIS_ANGLE,
+    name="axis-angle, unrolled",
+    encode=lambda r: rotation.unroll_axis_angle(rotation.matrix_to_axis_angle(r)),
+)
 QUATERNION = Representation(
-    "quaternion, w ≥ 0",
-    rotation.matrix_to_quaternion,
-    rotation.quaternion_to_matrix,
-    ("w", "x", "y", "z"),
+    "quaternion, w ≥ 0", rotation.matrix_to_quaternion, rotation.quaternion_to_matrix, ("w", "x", "y", "z"),
     tidy=lambda q: torch.nn.functional.normalize(q, dim=-1),
-)
+)  # fmt: skip
 EULER = Representation(
-    "Euler ZXY",
-    lambda r: rotation.matrix_to_euler(r, "ZXY"),
-    lambda e: rotation.euler_to_matrix(e, "ZXY"),
+    "Euler ZXY", lambda r: rotation.matrix_to_euler(r, "ZXY"), lambda e: rotation.euler_to_matrix(e, "ZXY"),
     ("about Z", "about X", "about Y"),
-)
+)  # fmt: skip
 RAW_SIXD = Representation("6D, lengths free", rotation.matrix_to_sixd, rotation.sixd_to_matrix, _COLUMNS)
-SIXD = Representation(
-    "6D",
-    rotation.matrix_to_sixd,
-    rotation.sixd_to_matrix,
-    _COLUMNS,
-    tidy=lambda d: rotation.matrix_to_sixd(rotation.sixd_to_matrix(d)),
-)
+SIXD = replace(RAW_SIXD, name="6D", tidy=lambda d: rotation.matrix_to_sixd(rotation.sixd_to_matrix(d)))
 #: The five descriptions of the first experiment, and the five that fill gaps.
 DESCRIPTIONS = (AXIS_ANGLE, UNROLLED, QUATERNION, EULER, SIXD)
 FILLERS = (AXIS_ANGLE, QUATERNION, UNROLLED, RAW_SIXD, SIXD)

@@ -251,14 +251,9 @@ ARMS = {"axis-angle": (AXIS_ANGLE, False), "axis-angle, nearest vector": (UNROLL
 
 
 def compare_consistency(
-    people: People,
-    fit: Callable[[Tensor, Tensor], Tensor],
-    generator: torch.Generator,
-    *,
-    each: int,
-    noise_deg: float,
-    seconds: float = 2.0,
-) -> Consistency:
+    people: People, fit: Callable[[Tensor, Tensor], Tensor], generator: torch.Generator, *, each: int,
+    noise_deg: float, seconds: float = 2.0,
+) -> Consistency:  # fmt: skip
     """Runs one consistency fit on carried and decoded parameters of the same clips and noise, arm by arm.
 
     Args:

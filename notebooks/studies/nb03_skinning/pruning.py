@@ -195,14 +195,9 @@ def held(body: BodyModel, vertex: int) -> str:
 def audited(name: str, body: BodyModel, pose: Motion) -> dict:
     """Returns a body's row in the table of weights: both readings of the thesis's 3 %, and the leak in one pose."""
     report = skinning.weight_report(body)
-    leaks = [leak_percent(skinning.prune(body, threshold), pose) for threshold in (0.0, 1e-3, 1e-2)]
+    leaks = {"leak to the legs, %": 0.0, "leak, pruned 1e-3": 1e-3, "leak, pruned 1e-2": 1e-2}
     return {
-        "body": name,
-        "vertices x joints": f"{len(body.weights)} x {body.weights.shape[1]}",
-        "% of all entries": 100 * report.share_of_all,
-        "% of the non-zero": 100 * report.share_of_nonzero,
+        "body": name, "vertices x joints": f"{len(body.weights)} x {body.weights.shape[1]}",
+        "% of all entries": 100 * report.share_of_all, "% of the non-zero": 100 * report.share_of_nonzero,
         "long-range": int(skinning.spurious(body).sum()),
-        "leak to the legs, %": leaks[0],
-        "leak, pruned 1e-3": leaks[1],
-        "leak, pruned 1e-2": leaks[2],
-    }
+    } | {name: leak_percent(skinning.prune(body, least), pose) for name, least in leaks.items()}  # fmt: skip

@@ -43,14 +43,10 @@ def write(path: Path, anny: BodyModel, generator: torch.Generator, share: float 
         weights[beyond, hand], weights[beyond, wrist] = weights[beyond, wrist], 0
     parents = np.array([0, *STANDARD.parents[1:], *wrists])
     np.savez(
-        path,
-        v_template=body.template.numpy(),
-        shapedirs=np.zeros((VERTICES, 3, 10), np.float32),
-        J_regressor=_regressor(body.template.numpy(), joints),
-        weights=weights,
-        kintree_table=np.stack((parents, np.arange(JOINTS))),
-        f=body.faces.numpy(),
-    )
+        path, v_template=body.template.numpy(), shapedirs=np.zeros((VERTICES, 3, 10), np.float32),
+        J_regressor=_regressor(body.template.numpy(), joints), weights=weights,
+        kintree_table=np.stack((parents, np.arange(JOINTS))), f=body.faces.numpy(),
+    )  # fmt: skip
     return path
 
 
@@ -92,9 +88,9 @@ def _with_centroids(points: np.ndarray, faces: np.ndarray, count: int) -> tuple[
     return points, np.vstack((np.delete(faces, largest, axis=0), *parts)), corners
 
 
-def _regressor(points: np.ndarray, joints: np.ndarray, near: int = 200) -> np.ndarray:
+def _regressor(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
     """Weights (J, V) that sum to 1 and give each joint from the vertices around it, the least in square."""
-    found = np.zeros((len(joints), len(points)))
+    near, found = 200, np.zeros((len(joints), len(points)))
     for row, joint in zip(found, joints, strict=True):
         some = np.linalg.norm(points - joint, axis=1).argsort()[:near]
         system = np.vstack((points[some].T, np.ones(near)))

@@ -260,15 +260,12 @@ Score = Mapping[str, Mapping[str, Mapping[str, Tensor]]]  # take -> method -> wh
 
 def rows(score: Score) -> list[dict[str, object]]:
     """Returns a row per take and method, means over the views."""
+    said = lambda x: x if math.isfinite(x) else "-"  # noqa: E731
     return [
-        {"take": trial, "method": method} | {head: _said(numbers[name].mean().item()) for name, head in _HEADS.items()}
+        {"take": trial, "method": method} | {head: said(numbers[name].mean().item()) for name, head in _HEADS.items()}
         for trial, found in score.items()
         for method, numbers in found.items()
     ]
-
-
-def _said(value: float) -> object:
-    return value if math.isfinite(value) else "-"
 
 
 def reading(score: Score, takes: Mapping[str, Views]) -> str:
