@@ -3,8 +3,6 @@
 PYTHONPATH=notebooks python -m studies.nb00_start.first_demo    # writes docs/pictures/sitting.jpg
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The figures of notebook 01: what windows of motion look like, source by source, person by person, kind by kind."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

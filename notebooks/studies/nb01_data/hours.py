@@ -9,8 +9,6 @@ the report, each counting alike. Beside the completer stands ridge regression of
 already is not made again.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The pictures of notebook 01 that show people: a wall of films, and what a detector sees of somebody."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple

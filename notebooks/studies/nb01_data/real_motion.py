@@ -1,7 +1,5 @@
 """The corpus of real motion in tables: what is in it, how it was resampled, and how good its contact labels are."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

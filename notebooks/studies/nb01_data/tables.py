@@ -1,7 +1,5 @@
 """Tables of notebook 01: is a corpus ground truth, what does retargeting cost."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 

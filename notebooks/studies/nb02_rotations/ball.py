@@ -1,7 +1,5 @@
 """The ball of rotation vectors, radius pi: each point a rotation, opposite points of its surface the same one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """The figures of notebook 02: one gap, the ball, numbers of a turn, distance from the cut, gaps, flips, consistency."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

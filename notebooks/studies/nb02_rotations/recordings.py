@@ -1,7 +1,5 @@
 """Root rotations of recorded people, falls included, by person."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 

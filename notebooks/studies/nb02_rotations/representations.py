@@ -5,8 +5,6 @@ turns a body by 360 degrees (3.2.3, Fig. 3.4), and a consistency term that avera
 (3.3.2). The energies of both stand in the notebook; what they are made of is here.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

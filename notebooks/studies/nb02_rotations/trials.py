@@ -5,8 +5,6 @@ a recording's axes is an accident, and the branch cut depends on it, so every tr
 its own, drawn at random.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The figures of notebook 03: how weights fall off, how far the legs go, what a threshold buys."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

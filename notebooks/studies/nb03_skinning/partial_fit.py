@@ -5,8 +5,6 @@ descendants of the pelvis and ancestors of nothing that is observed, so any grad
 skinning weights that should not be there. The energy is written in the notebook; here are its surroundings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What pruning at a threshold does to a whole skin: where it moves, what still leaks, what planted faults are left."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

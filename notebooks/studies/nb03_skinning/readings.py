@@ -1,7 +1,5 @@
 """What notebook 03's tables and figures say, in sentences whose numbers come from the run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import torch

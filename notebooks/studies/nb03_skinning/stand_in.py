@@ -3,8 +3,6 @@
 SMPL itself may not be shipped. This file goes through the same reader as a person's own SMPL file would.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

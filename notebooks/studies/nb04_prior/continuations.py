@@ -1,7 +1,5 @@
 """Chains of single steps, and what becomes of a body when one number of the latent is turned."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import torch

@@ -1,7 +1,5 @@
 """Wrong on purpose: variants of the networks and the roll-out that a comparison with the official code must catch."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 

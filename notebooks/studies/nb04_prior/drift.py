@@ -7,8 +7,6 @@ up to, which is where stage 3 of the test-time optimisation starts.
 Source: thesis 3.3.3, Figs. 3.10 (decoded one by one), 3.11 (the sequence), 3.12 (rolled out).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The figures of notebook 04: what a state holds, one step, what a prior reaches, and how decoded motion drifts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 

@@ -6,8 +6,6 @@ The camera's y axis points down: the floor's normal is the one with n_y <= 0, an
 Source: HuMoR (Rempe et al. 2021), supplement, and its official code: the floor is 3 numbers of stage 3's variables.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

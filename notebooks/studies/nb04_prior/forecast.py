@@ -7,8 +7,6 @@ from the people who train, its width is chosen on the people who choose, and bot
 report, each person counting alike.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Sequence
 

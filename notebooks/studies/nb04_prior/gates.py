@@ -1,7 +1,5 @@
 """What a transition prior is asked to reach on people nobody trained on: the measures of the model table, as tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 

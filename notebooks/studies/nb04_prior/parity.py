@@ -6,8 +6,6 @@ with: they need no file, and in the second every layer matters.
 Source: golden arrays of the official code (Rempe et al. 2021), float64; see ``tests/golden/README.md``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 Errors are measured in the axes of the camera, where the true and the found world agree whatever is known of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 Where something happens in a clip (somebody sits down), the moment is drawn, not fixed.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The figures of notebooks 05a and 05b: fits beside their truth, in the world, in the image and over time."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 

@@ -3,8 +3,6 @@
 A case of a source is (case, source); the unit is the person, and every synthetic clip shows another one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

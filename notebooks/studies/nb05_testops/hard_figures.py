@@ -1,7 +1,5 @@
 """The figures of notebook 05b: differences by case, what sits, swing by length of a failure, what a camera sees."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

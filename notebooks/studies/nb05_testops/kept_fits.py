@@ -2,8 +2,6 @@
 a notebook waits for what that knob changes. Below ``$MOTIONLAB_CACHE``, or the user's cache; safe to delete.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ Fit and truth are motions (B, T) of the 22 joints at the same frame rate, world,
 returns one number per clip (B,), NaN where a mask leaves nothing to measure.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

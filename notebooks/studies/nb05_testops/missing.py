@@ -1,7 +1,5 @@
 """Notebook 05d: frames without detections, and what a fit makes of the frames after them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache

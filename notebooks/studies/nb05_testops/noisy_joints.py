@@ -4,8 +4,6 @@ Contacts of all methods follow from the heights and speeds of their joints, thos
 be judged by another rule than its rivals'.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Notebook 05a: one clip fitted, its energy term by term, and the same fit with other weights."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 

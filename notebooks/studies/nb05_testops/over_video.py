@@ -1,7 +1,5 @@
 """People drawn through a camera over what it filmed: one picture, and films of panels side by side."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The figures of notebook 05c: methods beside each other, person by person, with what their mean is sure to."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

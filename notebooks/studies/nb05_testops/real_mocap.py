@@ -6,8 +6,6 @@ Tuned are stage 2's smoothness and a filter after it. Clips are of the people of
 many each, evenly through what they did.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Many cases in one fit, and the table of errors that every case gets. Clips of a batch do not touch each other."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

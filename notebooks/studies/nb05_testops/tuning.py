@@ -1,8 +1,6 @@
 """A stage 2 that is hard to beat: its smoothness, its pose prior and a filter after it, chosen together on clips of
 other people."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """A webcam of which nothing is known: its pitch as an unknown, and whether the fit stands and moves as people do."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Where time and memory go: phases of a program, shares against a claim, how a cost grows, a ladder of savings."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 One profile, not a sample: every number is n = 1, whatever the runs behind its median.
 """
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path

@@ -6,8 +6,6 @@ Notebook 06 shows the file where it is. Times are wall times between two synchro
 so that processor time says nothing.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Where the time of a call goes, and how much memory it holds, by torch's profiler."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 

@@ -3,8 +3,6 @@
 A closure is one evaluation of the energy with its gradient, which L-BFGS asks for again and again.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

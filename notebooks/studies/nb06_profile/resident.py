@@ -6,8 +6,6 @@ The sum of live tensors (``profiles.peak_memory``) is the least that a program c
 machine must have: interpreter, libraries, tensors, and what the allocator keeps between them.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

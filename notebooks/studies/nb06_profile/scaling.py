@@ -5,8 +5,6 @@
 Times scatter by a factor, not by an amount, hence the log-normal noise. Its size s is unknown too, and found.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What the notebook says under its figures: captions, and readings whose numbers come from the run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from torch import Tensor

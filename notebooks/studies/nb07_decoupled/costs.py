@@ -3,8 +3,6 @@
 Source: thesis 3.3.1. Times are processor time.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -12,8 +12,6 @@ Differs: x is 273 numbers in the world, rotations 6 of them; what is compared ar
 matrices among them. The first k frames of the k-th sequence, which the thesis leaves out, are the roll-out from x_0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple

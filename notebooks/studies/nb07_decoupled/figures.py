@@ -1,7 +1,5 @@
 """The figures of notebook 07: the toy, costs, how long a gap takes, what the variants find."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

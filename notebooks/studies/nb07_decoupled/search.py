@@ -5,8 +5,6 @@ Every clip of a batch is a search of its own, so that settings are compared in o
 Source: thesis 3.3.1 (copy, blend, loss), 3.3.3 (x or z alone; "flip flop", which it names and does not try).
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

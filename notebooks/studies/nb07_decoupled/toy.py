@@ -1,7 +1,5 @@
 """Conjugate gradients for the toy of notebook 07."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

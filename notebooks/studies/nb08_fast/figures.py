@@ -1,7 +1,5 @@
 """Pictures of notebook 08: the toy, the nudge, one clip over time, and the race."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What becomes of one nudge of one latent: in a plain roll-out, and in one that steers itself."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

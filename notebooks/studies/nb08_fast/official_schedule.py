@@ -7,8 +7,6 @@ and its three sub-stages, the other as ``fit`` does, here with the solver's firs
 older prior, ``compact``, which is gone; commit 18b64a8 has it.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Where the default's time goes, and what it would be if it began at the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

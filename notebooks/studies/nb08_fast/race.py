@@ -1,7 +1,5 @@
 """Who races, on whom, and what is read from a race: one clip at a time, one core, the processor's own clock."""
 
-from __future__ import annotations
-
 import math
 import platform
 from collections.abc import Mapping, Sequence

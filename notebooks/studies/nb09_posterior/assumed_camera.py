@@ -9,8 +9,6 @@ higher. The image knows d - s - k; feet on a floor know how pitch and height go 
 what is known beforehand.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 

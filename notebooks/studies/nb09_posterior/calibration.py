@@ -8,8 +8,6 @@ Source: Lee, Barber and Willett 2023 (distribution-free inference with hierarchi
 (energy score, logarithmic score).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 

@@ -1,7 +1,5 @@
 """The figures of notebook 09: draws as ghosts, regions around joints, and whether they hold what they promise."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path

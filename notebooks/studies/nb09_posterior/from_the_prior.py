@@ -6,8 +6,6 @@ among them is uniform. Only then does a wrong rank mean a wrong sampler, and not
 Source: Talts et al. 2018 (simulation-based calibration).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

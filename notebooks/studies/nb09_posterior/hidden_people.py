@@ -1,7 +1,5 @@
 """People behind a wall or a desk, fitted, and what else they could have been doing: places about the pelvis, metres."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 Source: thesis Eqs. 4.1-4.7; Ho et al. 2020; Nichol and Dhariwal 2021; Song et al. 2021.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

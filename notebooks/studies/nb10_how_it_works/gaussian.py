@@ -1,7 +1,5 @@
 """Data whose denoiser is known exactly: a Gaussian. What samplers do to it can be said in closed form."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

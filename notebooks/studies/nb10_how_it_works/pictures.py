@@ -1,7 +1,5 @@
 """The figures of notebook 10: noise on a motion, what the network makes of it, the misprint, what each loss is for."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

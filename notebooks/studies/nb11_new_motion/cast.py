@@ -1,7 +1,5 @@
 """The motion that generated motion is held against: people nobody trained on, people who train, people who choose."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

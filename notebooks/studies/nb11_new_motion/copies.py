@@ -1,7 +1,5 @@
 """Whether motion that was made is a copy: how far its nearest training window is, at any shift, mirrored too."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace

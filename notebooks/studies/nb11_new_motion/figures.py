@@ -1,7 +1,5 @@
 """The figures of notebook 11: a wall of bodies, measures of generators, quality over steps, what is still to come."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Generators that anybody could write down, of training windows: what the model must beat."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -8,8 +8,6 @@ with W a Brownian motion in s, so a coarse step adds the sum of what the fine on
 1000 steps along one W differ by their steps alone, not by luck.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

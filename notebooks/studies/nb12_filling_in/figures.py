@@ -1,7 +1,5 @@
 """The figures of notebook 12."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import product
 

@@ -6,8 +6,6 @@ the thesis blames its root, which is held over one spot, so that nothing says wh
 a root is trained. What such a root takes away is the path: so it is hidden.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from torch import Tensor

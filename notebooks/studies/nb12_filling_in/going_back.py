@@ -6,8 +6,6 @@ sqrt((1 - alpha_bar) / alpha_bar) = size. From there the model goes back in one 
 Source: thesis 4.2.1; SDEdit (Meng et al. 2022), which adds all of the noise itself.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import torch

@@ -2,8 +2,6 @@
 the network that learnt what to add behind a smoother; it is told how large the noise is, which the others are tuned to.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 Everybody is compared with the best rival on the report, which favours rivals, and so is the second best: the baseline.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from operator import sub, truediv
 

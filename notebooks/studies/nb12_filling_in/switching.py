@@ -4,8 +4,6 @@ Source: thesis 4.4.2, "motion switching". The best cut: motion graphs (Kovar et 
 recordings are most alike, and a cross-fade there. It sees both recordings inside the gap, which the others do not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

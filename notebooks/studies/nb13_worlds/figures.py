@@ -1,7 +1,5 @@
 """The figures of notebook 13."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

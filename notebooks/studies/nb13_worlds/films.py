@@ -5,8 +5,6 @@
 Of each arm's first seed, of the samples that travel, those at the quartiles of skating: nobody picks them by eye.
 """
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

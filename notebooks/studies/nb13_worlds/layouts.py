@@ -3,8 +3,6 @@
 Source: thesis 4.1.2: the state in the world, or relative to the first frame ("stuck root").
 """
 
-from __future__ import annotations
-
 from itertools import product
 
 import torch

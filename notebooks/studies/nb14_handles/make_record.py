@@ -4,8 +4,6 @@
 ``python -m studies.nb14_handles.make_record results/long/handles.json [--seeds 4 | --ship]``
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -3,8 +3,6 @@
 Source: nearest neighbours; ridge regression on whatever is given, which is the mean of a Gaussian (Bishop 2006, 2.3).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -5,8 +5,6 @@ diffusion model has to say means); once more those of the handles, by the recipe
 sees is pure noise. A rotation that a figure lacks counts as right. Source: thesis 4.1.2 and 4.2.4.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from copy import deepcopy

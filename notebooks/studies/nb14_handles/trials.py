@@ -1,7 +1,5 @@
 """Every way of making poses on the same handles: how far handles and free joints are off, and what draws are worth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise

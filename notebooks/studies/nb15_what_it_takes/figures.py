@@ -1,7 +1,5 @@
 """The figures of notebook 15: curves with intervals, and bars."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Hidden legs by ridge regression on so many people, and what longer trainings left on record."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ All get the places of the joints above the knees, of which TestOps' stages 1 and
 on by HuMoR's prior; a network takes the body above the legs as known.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Which measures see a fault: recorded windows of the people who choose, as they were and spoilt, beside the report."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

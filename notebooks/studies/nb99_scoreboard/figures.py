@@ -1,7 +1,5 @@
 """The scoreboard's picture: how far every finding that decides lies from its bound."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from textwrap import shorten

@@ -8,8 +8,6 @@ Source: Loper et al. 2015 (SMPL), Eq. 2-4, in the order of operations that the o
 SMPL-H.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 

@@ -12,8 +12,6 @@ Source: behaviour of the official HuMoR code (Rempe et al. 2021) at its last pub
 arrays; float64 values and gradients agree to rounding (``tests/test_official_rollout.py``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch

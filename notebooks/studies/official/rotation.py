@@ -6,8 +6,6 @@ Differs: cross products name their axis. The official ones take the first axis o
 go wrong there.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -10,8 +10,6 @@ pass). It evaluates the sequence in the world's frame and in the camera's; here 
 has the size of the whole clip also while only 15 frames are rolled out; here that of what is rolled out.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

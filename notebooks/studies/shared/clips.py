@@ -1,7 +1,5 @@
 """Clips of two seconds of the people of the CMU library, and parts of what a camera saw."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache

@@ -3,8 +3,6 @@
 seconds of the program = sum over phases of closures x seconds of one closure
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Source: HuMoR (Rempe et al. 2021), section 5.2: global errors without alignment,
 joints seen only above 0.9 m.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product

@@ -3,8 +3,6 @@
 Settings are chosen on the people who choose; the best rival is the best on the report.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial

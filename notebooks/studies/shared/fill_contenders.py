@@ -4,8 +4,6 @@ Most recordings are of a figure without toes and with a stiff back. Nobody is as
 have. Rivals are told of it, whatever it holds; networks, which learnt never to be, are not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which window is shown, and what of it: the same for films, for the scene to turn, and for the knob."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

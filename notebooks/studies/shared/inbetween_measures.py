@@ -1,7 +1,5 @@
 """Measures the seams of a filled gap, and whether what was given has stayed, in metres and seconds."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -3,8 +3,6 @@
 Source: HuMoR (Rempe et al. 2021), section 5.2.
 """
 
-from __future__ import annotations
-
 import torch
 
 from motionlab.humor.evidence import Observation3D

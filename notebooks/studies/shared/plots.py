@@ -4,8 +4,6 @@ Every function returns a matplotlib Figure that pyplot does not know; nothing gl
 whose label names a role has its colour, others take theirs from ``roles`` (label -> role) or in turn.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Measures how long a call takes, and counts the steps of autograd behind it."""
 
-from __future__ import annotations
-
 import gc
 import time
 from collections import defaultdict

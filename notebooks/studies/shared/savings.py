@@ -7,8 +7,6 @@ CPU).
 Source: thesis 3.2.4 (what is slow); the savings are ours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, fields, replace

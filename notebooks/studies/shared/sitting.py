@@ -1,7 +1,5 @@
 """Who sits, and who only crouches: legs bent, and the trunk behind the feet, where it would fall without a seat."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

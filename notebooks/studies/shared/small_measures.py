@@ -1,7 +1,5 @@
 """What small denoisers are worth: their estimates of x_0 on strangers, and the motion that they make up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

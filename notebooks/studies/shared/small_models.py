@@ -8,8 +8,6 @@ sets share arms, and measuring anew (``--again``) trains nothing. A run that is 
 kept. It works at the lowest priority, on one core.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import hashlib

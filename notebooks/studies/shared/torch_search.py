@@ -1,7 +1,5 @@
 """Minimise an energy over named tensors: L-BFGS or Adam, a budget in evaluations, and the best point seen."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
