@@ -31,17 +31,11 @@ def _over(name: str, other: str) -> Callable[[Row], float]:
     return lambda row: row[name] / row[other]
 
 
+_STRAIGHT = "one step, constant velocity, cm"
 #: By the name of the test of H01.
 GATES = {
-    "one_step": Gate(
-        "one step, prior's mean",
-        _over("one step, prior mean, cm", "one step, constant velocity, cm"),
-        rival=lambda _: 1.0,
-    ),
-    "one_step_shown": Gate(
-        "one step, shown the answer",
-        _over("one step, posterior, cm", "one step, constant velocity, cm"),
-    ),
+    "one_step": Gate("one step, prior's mean", _over("one step, prior mean, cm", _STRAIGHT), rival=lambda _: 1.0),
+    "one_step_shown": Gate("one step, shown the answer", _over("one step, posterior, cm", _STRAIGHT)),
     "open_loop": Gate("2 s, z known, open loop", _measure("2 s, posterior z, cm")),
     "closed_loop": Gate("2 s, z known, closed loop", _measure("2 s, closed loop, cm")),
     "foresight": Gate("2 s, prior's mean alone", _measure("2 s, prior mean, cm"), rival=_measure("2 s, hold, cm")),
@@ -50,11 +44,8 @@ GATES = {
     "slide": Gate("samples: feet slide", _measure("samples' slide"), "data's slide"),
     "walkers": Gate("samples: walkers who walk on", _measure("walkers who go on")),
     "active": Gate("active latents", _measure("active")),
-    "contacts": Gate(
-        "contacts, F1",
-        _measure("one step, posterior, contact F1"),
-        rival=_measure("contact F1, as one frame before"),
-    ),
+    "contacts": Gate("contacts, F1", _measure("one step, posterior, contact F1"),
+                     rival=_measure("contact F1, as one frame before")),
 }  # fmt: skip
 
 
@@ -101,13 +92,10 @@ def reached(
     table: Mapping[tuple[str, str], Mapping[str, Row]], generator: torch.Generator
 ) -> dict[str, dict[str, tuple[float, float, float]]]:
     """Computes by prior and source what each gate's number is: the mean over people, and its interval."""
-    found: dict[str, dict[str, tuple[float, float, float]]] = {}
+    found = {}
     for (prior, source), rows in table.items():
-        mine = found.setdefault(f"{prior}, {source}", {})
-        for name, gate in GATES.items():
-            values = by_person(gate, rows)
-            if len(values):
-                mine[name] = interval(values, "mean", generator)
+        values = {name: by_person(gate, rows) for name, gate in GATES.items()}
+        found[f"{prior}, {source}"] = {n: interval(x, "mean", generator) for n, x in values.items() if len(x)}
     return found
 
 

@@ -152,19 +152,9 @@ def missed_rows(rows: Sequence[Row], tests: Mapping[str, tuple[Sequence[float], 
     """Returns a table of the arrays that miss their tolerance, the worst first, and why; below them, by how much models
     miss that are broken on purpose (``controls.parity``)."""
     missed = sorted((row for row in rows if not row.holds), key=lambda row: -row.error / row.tolerance)
-    lean = [
-        {"array": r.arrays, "error": f"{r.error:.1e}", "tolerance": f"{r.tolerance:.0e}", "because of": r.why}
-        for r in missed
-    ]
-    return lean + [
-        {
-            "array": f"H01.{name}",
-            "error": f"{broken:.1e}",
-            "tolerance": "",
-            "because of": f"broken; ours {max(own):.0e}",
-        }
-        for name, (own, broken) in tests.items()
-    ]
+    lean = [(r.arrays, f"{r.error:.1e}", f"{r.tolerance:.0e}", r.why) for r in missed]
+    wrong = [(f"H01.{n}", f"{bad:.1e}", "", f"broken; ours {max(own):.0e}") for n, (own, bad) in tests.items()]
+    return [dict(zip(("array", "error", "tolerance", "because of"), row, strict=True)) for row in lean + wrong]
 
 
 def reading(rows: Sequence[Row]) -> str:
@@ -217,13 +207,9 @@ def _frames(golden: Golden) -> Iterator[Row]:
     first = official_rollout.split(worlds[:, 0])
     move = (*official_rollout._frame(first), official_rollout._trans_to_joint(first))
     yield _row(golden, "canon_w2a_rot", "official", move[0])
-    yield _row(
-        golden,
-        "canon_local_*",
-        "official",
-        official_rollout._join(official_rollout._move(official_rollout._parts(two), *move)),
-    )
-    back = official_rollout._move_back(official_rollout._move(official_rollout._parts(two), *move), *move)
+    there = official_rollout._move(official_rollout._parts(two), *move)
+    back = official_rollout._move_back(there, *move)
+    yield _row(golden, "canon_local_*", "official", official_rollout._join(there))
     yield _row(golden, "canon_back_*", "official", official_rollout._join(back))
     frame, c = state.heading(worlds[:, :1]), state.pelvis_offset(worlds[:, :1])
     yield _row(golden, "canon_w2a_rot", "lean", frame.turn)
@@ -240,12 +226,9 @@ def _official_apply(past: Tensor, raw: Tensor) -> tuple[Tensor, Tensor]:
 def _networks(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
     past, now, z = golden.packed("x_past"), golden.packed("x_t"), golden["z"]
     posterior, prior, raw = model.posterior(past, now), model.prior(past), model.decode(past, z)
-    official_raw = raw[..., state.OFFICIAL_DELTA_ORDER.argsort()]
-    for name, value in (
-        ("encoder", torch.cat(posterior, -1)),
-        ("prior", torch.cat(prior, -1)),
-        ("decoder", official_raw),
-    ):
+    said = {"encoder": torch.cat(posterior, -1), "prior": torch.cat(prior, -1)}
+    said["decoder"] = raw[..., state.OFFICIAL_DELTA_ORDER.argsort()]
+    for name, value in said.items():
         yield _row(golden, f"{pre}{name}_raw", "lean", value)
     if not pre:
         official = official_weights(model)
@@ -264,10 +247,8 @@ def _networks(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
     yield from _rollouts(golden, model, pre)
     worlds = golden.states("world_")
     c = state.pelvis_offset(worlds[:, 0])
-    for form, both, limit in (
-        ("official", official_rollout.infer(model, worlds), EXACT),
-        ("lean", rollout.infer(model, worlds, offset=c), YAW),
-    ):
+    exact, lean = official_rollout.infer(model, worlds), rollout.infer(model, worlds, offset=c)
+    for form, both, limit in (("official", exact, EXACT), ("lean", lean, YAW)):
         for name, found in zip(("post", "prior"), both, strict=True):
             yield _row(golden, f"{pre}infer_{name}_mean", form, found.mean, limit)
             if not pre:
@@ -277,14 +258,10 @@ def _networks(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
 def _rollouts(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
     local, worlds, z = golden.packed("x_past"), golden.states("world_"), golden["roll_z"]
     c, c_world = state.pelvis_offset(local), state.pelvis_offset(worlds[:, 0])
-    official = {
-        "roll_": official_rollout.rollout(model, local, z, canonical=True),
-        "rollworld_": official_rollout.rollout(model, worlds[:, 0], z),
-    }
-    lean = {
-        "roll_": rollout.rollout(model, local, z, offset=c),
-        "rollworld_": rollout.rollout(model, worlds[:, 0], z, offset=c_world),
-    }
+    official = {"roll_": official_rollout.rollout(model, local, z, canonical=True)}
+    official["rollworld_"] = official_rollout.rollout(model, worlds[:, 0], z)
+    lean = {"roll_": rollout.rollout(model, local, z, offset=c)}
+    lean["rollworld_"] = rollout.rollout(model, worlds[:, 0], z, offset=c_world)
     if not pre:
         official["rollmean_"] = official_rollout.rollout(model, local, None, steps=z.shape[1], canonical=True)
         lean["rollmean_"] = rollout.sample_rollout(model, local, z.shape[1], offset=c)
@@ -298,14 +275,9 @@ def _rollouts(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
         if not pre:
             yield _row(golden, "rollmean_z", form, runs["rollmean_"].z, limit)
     if not pre:
-        found = official_rollout.rollout(model, worlds[:, 0], golden["infer_post_mean"]).states
-        for name in ("joints", "trans"):
-            yield _row(
-                golden,
-                f"recon_{name}",
-                "official",
-                state.unpack(found)[name].flatten(2) if name == "joints" else state.unpack(found)[name],
-            )
+        parts = state.unpack(official_rollout.rollout(model, worlds[:, 0], golden["infer_post_mean"]).states)
+        yield _row(golden, "recon_joints", "official", parts["joints"].flatten(2))
+        yield _row(golden, "recon_trans", "official", parts["trans"])
     slopes = gradients(golden, model, pre, lambda first, z: official_rollout.rollout(model, first, z, canonical=True))
     for name in slopes if not pre else ("grad_loss", "grad_z", "grad_x0_joints"):
         yield _row(golden, pre + name, "official", slopes[name])

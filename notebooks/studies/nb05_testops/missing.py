@@ -23,10 +23,10 @@ from motionlab.motion import Motion
 from motionlab.viz.palette import INK, LINE, colour
 from studies.nb05_testops import trials
 from studies.nb05_testops.cast import everyday
+from studies.nb05_testops.contenders import CM
 from studies.nb05_testops.measures import error_over_time
 from studies.nb05_testops.trials import CaseFit, later_error
 from studies.shared.clips import part, takes
-from studies.shared.contenders import CM
 from studies.shared.plots import canvas
 
 ROUGH = replace(RGB, joints3d_smooth=(0.0, 0.0, 0.0))  # the official weights, and nothing that smooths

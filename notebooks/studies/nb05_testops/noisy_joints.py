@@ -15,9 +15,9 @@ from motionlab.humor.evidence import Observation3D
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
 from motionlab.motion import Motion
-from studies.nb05_testops import tuning
+from studies.nb05_testops import contenders, tuning
 from studies.nb05_testops.filmed_people import People
-from studies.shared import contenders, joints
+from studies.shared import joints
 
 #: The weights of each test.
 TESTS = {"noise": JOINTS, "low joints hidden": KEYPOINTS}

@@ -21,10 +21,10 @@ from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.parallel import run_jobs
 from motionlab.skeleton import STANDARD
+from studies.nb05_testops.contenders import CM, Seen
 from studies.nb05_testops.kept_fits import kept, placed
 from studies.nb05_testops.measures import error_over_time
 from studies.shared.clips import part, stacked
-from studies.shared.contenders import CM, Seen
 
 
 @dataclass(frozen=True, eq=False)

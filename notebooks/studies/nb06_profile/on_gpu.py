@@ -24,7 +24,7 @@ from studies.shared.workload import Part, Workload, random_priors, workload
 
 FILE = Path(__file__).parents[2] / "results" / "long" / "gpu.json"
 COMMAND = "python -m studies.nb06_profile.on_gpu"
-_BATCHES, _FRAMES, _ROUNDS = (1, 4, 8), 60, 9
+_FRAMES, _ROUNDS = 60, 9
 
 
 def moved(work: Workload, device: torch.device | str) -> Workload:
@@ -38,34 +38,26 @@ def moved(work: Workload, device: torch.device | str) -> Workload:
     return Workload(replace(work.problem, evidence=seen, priors=own), still, moving)
 
 
-def measure(
-    device: str = "cuda",
-    *,
-    batches: Sequence[int] = _BATCHES,
-    frames: int = _FRAMES,
-    width: int = 1024,
-    rounds: int = _ROUNDS,
-) -> dict[str, object]:
+def measure(device: str = "cuda", batches: Sequence[int] = (1, 4, 8)) -> dict[str, object]:
     """Measures milliseconds and MiB of a closure of each form and batch, and the roll-out's share of one.
 
     allocated: most bytes of tensors. used: most bytes of the card that were taken, with what the allocator keeps and
     the context, which decides how many clips fit.
     """
-    generator, cuda = torch.Generator().manual_seed(0), device == "cuda"
-    walk, priors = clips.draw(1, generator, actions=("walk",))[0].motion.cut(0, frames), random_priors(generator, width)
-    rows, cause = [], None
+    generator, rows, cause = torch.Generator().manual_seed(0), [], None
+    walk, priors = clips.draw(1, generator, actions=("walk",))[0].motion.cut(0, _FRAMES), random_priors(generator)
     for batch in batches:
         work = moved(workload(walk, priors, generator, batch), device)
-        calls = {form: work.closure(Part(3, frames), on) for form, on in FORMS.items()}
-        seconds = profiling.interleaved(calls, n=rounds)
+        calls = {form: work.closure(Part(3, _FRAMES), on) for form, on in FORMS.items()}
+        seconds = profiling.interleaved(calls, n=_ROUNDS)
         for form, call in calls.items():
-            row = {"form": form, "clips": batch, "ms": 1e3 * seconds[form].median().item(), "n": rounds}
-            rows.append(row | (_memory(call) if cuda else {}))
+            row = {"form": form, "clips": batch, "ms": 1e3 * seconds[form].median().item(), "n": _ROUNDS}
+            rows.append(row | (_memory(call) if device == "cuda" else {}))
         if batch == 1:
-            took = profiling.interleaved(alone(work), n=rounds)
+            took = profiling.interleaved(alone(work), n=_ROUNDS)
             cause = 100 * (took["roll-out"] / took["whole closure"]).median().item()
-    name = torch.cuda.get_device_name() if cuda else device
-    found = {"device": name, "torch": torch.__version__, "frames": frames, "roll-out's share of the closure, %": cause}
+    name = torch.cuda.get_device_name() if device == "cuda" else device
+    found = {"device": name, "torch": torch.__version__, "frames": _FRAMES, "roll-out's share of the closure, %": cause}
     return found | {"rows": rows}
 
 

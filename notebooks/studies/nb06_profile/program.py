@@ -166,12 +166,11 @@ def alone_table(found: Mapping[str, Tensor], official: Official) -> list[dict[st
             "forward and backward": name,
             "official code, ms": f"{1e3 * theirs[name]:,.0f}" if name in theirs else "",
             "its share, %": f"{100 * theirs[name] / official.closure:.0f}" if name in theirs else "",
-            "our imitation, ms": f"{1e3 * x.median():,.0f}",
-            "share, %": f"{100 * (x / whole).median():.0f}",
+            "our imitation, ms": f"{1e3 * x.median():,.0f}", "share, %": f"{100 * (x / whole).median():.0f}",
             "n": len(x),
         }
         for name, x in found.items()
-    ]
+    ]  # fmt: skip
 
 
 def claimed(official: Official, ours: Mapping[str, Tensor]) -> list[dict[str, object]]:
@@ -208,9 +207,8 @@ def clocks(one: Workload, spent: Mapping[str, Spent]) -> list[dict[str, object]]
         found = {"torch.profiler": profiles.time_shares(closure, savings.PARTS)}
         found["stopwatch"] = {part: x / sum(watched.values()) for part, x in watched.items()}
         for clock, parts in found.items():
-            rows.append(
-                {"form": form, "by": clock} | {f"{part}, %": f"{100 * parts[part]:.0f}" for part in savings.PARTS}
-            )
+            shares_ = {f"{part}, %": f"{100 * parts[part]:.0f}" for part in savings.PARTS}
+            rows.append({"form": form, "by": clock} | shares_)
     return rows
 
 
@@ -223,11 +221,9 @@ def live_tensors(works: Sequence[Workload]) -> dict[str, list[int]]:
 
 
 def memory_rows(
-    official: Official,
-    spent: Mapping[str, Spent],
-    held: Mapping[str, tuple[str, Sequence[int], Sequence[float]]],
+    official: Official, spent: Mapping[str, Spent], held: Mapping[str, tuple[str, Sequence[int], Sequence[float]]],
     live: Mapping[str, Sequence[float]],
-) -> list[dict[str, object]]:
+) -> list[dict[str, object]]:  # fmt: skip
     """Lists time and memory (RSS; live tensors in brackets) of closures, as ``on_gpu.rows``; our times of one clip."""
     rows = [
         {"machine": "its own CPU core", "form": "official code", "clips": clips, "ms of a closure": f"{1e3 * s:,.0f}",

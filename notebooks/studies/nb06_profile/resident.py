@@ -64,9 +64,8 @@ def _most() -> int:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        prog="python -m studies.nb06_profile.resident", description=__doc__.splitlines()[0]
-    )
+    about = __doc__.splitlines()[0]
+    parser = argparse.ArgumentParser(prog="python -m studies.nb06_profile.resident", description=about)
     parser.add_argument("form", choices=FORMS)
     parser.add_argument("batch", type=int)
     parser.add_argument("--frames", type=int, default=60)

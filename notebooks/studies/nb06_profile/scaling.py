@@ -43,7 +43,7 @@ class PowerLaw:
 
 
 def power_law(
-    x: Tensor | Sequence[float], y: Tensor | Sequence[float], *, seed: int = 0, draws: int = 4000, walkers: int = 16
+    x: Tensor | Sequence[float], y: Tensor | Sequence[float], *, seed: int = 0, draws: int = 4000
 ) -> PowerLaw:
     """The posterior of a power law through n positive points, by emcee's affine-invariant walkers.
 
@@ -69,7 +69,7 @@ def power_law(
         value = -0.5 * (misfit**2).sum(-1) - len(v) * noise[:, 0]
         return np.where((noise[:, 0] > -9) & (noise[:, 0] < 2), value, -np.inf)
 
-    slope, level = np.polyfit(u, v, 1)
+    (slope, level), walkers = np.polyfit(u, v, 1), 16
     spread = max((v - level - slope * u).std(), 1e-3)
     random = np.random.RandomState(seed)  # what emcee takes; nothing global is touched
     start = np.array([level, slope, np.log(spread)]) + random.normal(size=(walkers, 3)) * [spread, spread, 0.3]
@@ -102,27 +102,12 @@ def slopes(x: Sequence[float], seconds: Mapping[tuple[str, float], Tensor], name
     return (u[:, None] * y).sum(0) / u.square().sum()
 
 
-def reaches(x: Sequence[float], y: Sequence[float], limit: float) -> Tensor:
-    """Where the straight lines through each two points (x_i, y_i), (x_j, y_j) reach y = ``limit``.
-
-    One number per pair (n (n - 1) / 2,); their spread says how straight the line is.
-
-    Raises:
-        DataError: fewer than two points, or a pair whose line does not rise.
-    """
-    if len(x) < 2 or len(x) != len(y):
-        raise DataError(f"{len(x)} and {len(y)} numbers", remedy="give two points or more")
+def fits(x: Sequence[float], y: Sequence[float], limit: float) -> float:
+    """Computes where the straight lines through each two points (x_i, y_i), (x_j, y_j) reach y = ``limit``, the median;
+    infinite where a line does not rise, as that of a few kilobytes."""
     found = []
     for (x0, y0), (x1, y1) in combinations(zip(x, y, strict=True), 2):
         if (x1 - x0) * (y1 - y0) <= 0:
-            raise DataError(f"from {x0} to {x1} the line goes from {y0} to {y1}", remedy="it must rise")
+            return math.inf
         found.append(x0 + (limit - y0) * (x1 - x0) / (y1 - y0))
-    return torch.tensor(found, dtype=torch.float64)
-
-
-def fits(x: Sequence[float], y: Sequence[float], limit: float) -> float:
-    """Computes the median of :func:`reaches`; infinite where a line does not rise, as that of a few kilobytes."""
-    try:
-        return reaches(x, y, limit).median().item()
-    except DataError:
-        return math.inf
+    return torch.tensor(found, dtype=torch.float64).median().item() if found else math.inf

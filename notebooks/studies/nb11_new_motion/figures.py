@@ -27,9 +27,8 @@ def wall(people: Motion, made: Motion, across: int, path: Path, body: BodyModel)
     rows += [({f"P {k + 1}": made.clip(k) for k in range(at, at + across)}, "ours") for at in (0, across)]
     fine, scenes = 1 if viz.draft else 2, []
     for panels, role in rows:
-        scenes.append(
-            stage(panels, dict.fromkeys(panels, role), body, (fine * 216 * across, fine * 270), follow=True)[0]
-        )
+        size = (fine * 216 * across, fine * 270)
+        scenes.append(stage(panels, dict.fromkeys(panels, role), body, size, follow=True)[0])
         scenes[-1].smooth(False)
     pictures = []
     for now in drawn(np.arange(made.frames) / made.fps):
@@ -64,11 +63,9 @@ def measures(
 
 
 def over_steps(
-    found: Mapping[str, Mapping[int, Mapping[str, Tensor]]],
-    level: Mapping[str, float],
-    roles: Mapping[str, str],
+    found: Mapping[str, Mapping[int, Mapping[str, Tensor]]], level: Mapping[str, float], roles: Mapping[str, str],
     generator: Generator,
-) -> Figure:
+) -> Figure:  # fmt: skip
     """A panel per measure over the number of steps, a line per sampler; level: people who train, dashed. Of ratios
     (all but coverage), within a tenth is shaded."""
     names = list(level)

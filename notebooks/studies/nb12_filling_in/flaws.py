@@ -17,7 +17,7 @@ from motionlab.metrics.pose import joint_errors, masked_mean
 from motionlab.motion import Motion
 from studies.shared.fill_contenders import BLENDED, LEFT, MIXED, PLAIN, Models, P, R, T
 from studies.shared.fill_people import FRAMES, only, some
-from studies.shared.inbetween_measures import keyframe_error, natural_changes, step_changes
+from studies.shared.inbetween_measures import natural_changes, step_changes, worst_known_m
 
 OPEN, FADED, SOFT = "P, not written back", "P, mixed afterwards", "P, blended (4.2.5)"
 JUMP, LARGE, OFF, LEAVES = "jump, m/s", "over a large natural one", "known off, cm", "error in the gap, cm"
@@ -44,7 +44,7 @@ def seams(made: Mapping[str, Motion], known: Tensor) -> dict[str, dict[str, Tens
     for name, motion in made.items():
         change = step_changes(motion.positions, truth.fps)
         jump = masked_mean(change, frames[:, 1:] != frames[:, :-1], 1)
-        off = 100 * keyframe_error(motion.positions, truth.positions, frames).worst_m
+        off = 100 * worst_known_m(motion.positions, truth.positions, frames)
         found[name] = {JUMP: jump, LARGE: jump / level, OFF: off, LEAVES: cases.error_cm(motion, truth, known)}
     return found
 

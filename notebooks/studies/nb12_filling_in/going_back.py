@@ -42,13 +42,9 @@ def _begin(schedule: NoiseSchedule, size: float) -> int:
 
 @torch.no_grad()
 def denoise(
-    model: Trained,
-    noisy: Motion,
-    rough: Motion,
-    noise: Noise,
-    generator: torch.Generator,
+    model: Trained, noisy: Motion, rough: Motion, noise: Noise, generator: torch.Generator,
     start: ReverseProcess | None = None,
-) -> Motion:
+) -> Motion:  # fmt: skip
     """Computes denoised motions (B, T), where they were in the world, by the reverse process.
 
     It begins at the step with the same noise. rough: about the same motions, as a filter leaves them: the frame of

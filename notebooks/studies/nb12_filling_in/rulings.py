@@ -76,10 +76,8 @@ def of_seams(
     exact = torch.stack([ends[n][off] for n in ("curves", R, T, flaws.FADED)]).amax(0)
     yield "D17.exact", *(by_person(x / 100, windows.whose) for x in (exact, ends[flaws.OPEN][off])), ""
     yield "D17.gap", *(each(n, gap) - each(P, gap) for n in (flaws.FADED, flaws.SOFT)), ""
-    far = {
-        n: by_person(flaws.off_the_line(made[n], windows.motion, known), windows.whose)
-        for n in ("truth", P, flaws.SOFT)
-    }
+    lines = {n: flaws.off_the_line(made[n], windows.motion, known) for n in ("truth", P, flaws.SOFT)}
+    far = {n: by_person(x, windows.whose) for n, x in lines.items()}
     yield "D16.free", far[flaws.SOFT] / far["truth"], far[P] / far["truth"], ""
 
 

@@ -22,14 +22,9 @@ Way = Callable[[Poses, Tensor, torch.Generator], Motion]
 
 @torch.no_grad()
 def drawn(
-    model: Poser,
-    targets: Tensor,
-    which: Tensor,
-    generator: torch.Generator,
-    *,
-    steps: int = 20,
+    model: Poser, targets: Tensor, which: Tensor, generator: torch.Generator, *, steps: int = 20,
     kept: tuple[Tensor, Tensor] | None = None,
-) -> Motion:
+) -> Motion:  # fmt: skip
     """Draws poses (B, 1) by DDIM in steps of equal angle. kept: numbers and which of them stay, each (B, ``NUMBERS``):
     they are put back, as noisy as the rest, behind every step (Eq. 4.10)."""
     x = torch.randn(len(targets), NUMBERS, generator=generator)

@@ -79,7 +79,7 @@ def roles(made: Mapping[str, Motion]) -> dict[str, str]:
 def middle(windows: PersonWindows) -> Tensor:
     """The row of each person's middle window."""
     mine = [(windows.whose == person).nonzero()[:, 0] for person in windows.whose.unique()]
-    return torch.stack([rows_[len(rows_) // 2] for rows_ in mine])
+    return torch.stack([some[len(some) // 2] for some in mine])
 
 
 def tuned(learn, model: Trained, people: int, seed: int, choose: Rows):

@@ -106,16 +106,9 @@ class _Halved(nn.Module):
 
 
 def everybody_of(
-    folder: Path | str | None,
-    *,
-    each: int = 24,
-    practice: int = 3,
-    library: int = 15_000,
-    parts: int = 256,
-    most: int = 1000,
-    draws: int = 6,
-    halves: bool = True,
-) -> tuple[Cast, Models, Mapping[str, Contender]]:
+    folder: Path | str | None, *, each: int = 24, practice: int = 3, library: int = 15_000, parts: int = 256,
+    most: int = 1000, draws: int = 6, halves: bool = True,
+) -> tuple[Cast, Models, Mapping[str, Contender]]:  # fmt: skip
     """Windows, models, and contenders by name.
 
     each, practice: windows of each person of the report, and of those who choose. library, parts: windows that rivals

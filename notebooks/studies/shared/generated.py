@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -55,11 +54,6 @@ class Judged:
         """Those rows, a mask or indices, as ``Motion.clip`` takes them."""
         return Judged(self.latent[rows], self.travel[rows], self.slide[rows], self.acceleration[rows])
 
-    @cached_property
-    def numbers(self) -> int:
-        """How many windows."""
-        return len(self.latent)
-
 
 def shares(made: Judged, real: Judged, whose: Tensor) -> dict[str, Tensor]:
     """Coverage and recall (P,) of each person: of their windows, how many have a sample among their five nearest
@@ -97,10 +91,10 @@ def told_apart(x: Judged, y: Judged, generator: torch.Generator) -> Tensor:
     """How often the five nearest others tell which of two sets a sample is of: (2 N,), shares of random halvings; a
     coin is right in half. One half of one set stands beside the other half of the other, as sets begun from the same
     noise are nearer to each other than chance."""
-    half, right, tried = x.numbers // 2, torch.zeros(2, x.numbers), torch.zeros(2, x.numbers)
+    half, (right, tried) = len(x.latent) // 2, torch.zeros(2, 2, len(x.latent))
     label = torch.arange(2 * half) >= half
     for _ in range(40):
-        order = torch.randperm(x.numbers, generator=generator)
+        order = torch.randperm(len(x.latent), generator=generator)
         a, b = order[:half], order[half : 2 * half]
         z = torch.cat((x.latent[a], y.latent[b])).double()
         near = torch.cdist(z, z).fill_diagonal_(torch.inf).topk(5, largest=False).indices

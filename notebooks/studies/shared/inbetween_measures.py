@@ -1,12 +1,10 @@
 """Measures the seams of a filled gap, and whether what was given has stayed, in metres and seconds."""
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
 from motionlab.errors import ShapeError, check_shape
-from motionlab.metrics.pose import joint_errors, masked_mean
+from motionlab.metrics.pose import joint_errors
 
 
 def step_changes(positions: Tensor, fps: float) -> Tensor:
@@ -31,16 +29,12 @@ def natural_changes(positions: Tensor, fps: float) -> Tensor:
     return step_changes(positions, fps)[..., 1:-1].flatten()
 
 
-class KeyframeError(NamedTuple):
-    """How far what was given has moved, per clip."""
+def worst_known_m(predicted: Tensor, truth: Tensor, known: Tensor) -> Tensor:
+    """Computes how far what was given has moved at most, metres (...): the worst joint of the worst known frame.
 
-    mean_m: Tensor  #: (...) metres over all joints of all known frames; NaN where no frame is known
-    worst_m: Tensor  #: (...) metres, the worst joint of the worst frame
-
-
-def keyframe_error(predicted: Tensor, truth: Tensor, known: Tensor) -> KeyframeError:
-    """Computes distances of positions (..., T, J, 3), metres, world, at the frames that were given; known (..., T)."""
+    Positions (..., T, J, 3), world; known (..., T): the frames that were given; NaN where there are none.
+    """
     errors = joint_errors(predicted, truth, align="none")
     kept = known.bool()[..., None].expand(errors.shape)
     worst = torch.where(kept, errors, -torch.inf).amax((-1, -2))
-    return KeyframeError(masked_mean(errors, kept, 2), torch.where(kept.any(-1).any(-1), worst, torch.nan))
+    return torch.where(kept.any(-1).any(-1), worst, torch.nan)

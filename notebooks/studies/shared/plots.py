@@ -13,7 +13,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from motionlab.errors import ShapeError
 from motionlab.viz.palette import INK, LINE, ROLE, colour
 
 Series = Mapping[str, torch.Tensor | np.ndarray | Sequence[float]]
@@ -28,18 +27,12 @@ _STYLE = {
 _TURN = ("ours", "baseline", "6d", "axis-angle", "stage2", "quaternion", "stage3", "observation", "truth")
 
 
-def canvas(
-    rows: int = 1,
-    columns: int = 1,
-    *,
-    size: tuple[float, float] = (7.0, 3.2),
-    sharex: bool | str = False,
-    sharey: bool | str = False,
-) -> tuple[Figure, np.ndarray]:
-    """Returns a figure of ``size`` inches in the house style and its axes in reading order (rows * columns,)."""
+def canvas(rows: int = 1, columns: int = 1, *, size: tuple[float, float], **shared) -> tuple[Figure, np.ndarray]:
+    """Returns a figure of ``size`` inches in the house style and its axes in reading order (rows * columns,); shared:
+    "sharex" and "sharey", as of ``Figure.subplots``."""
     with rc_context(_STYLE):
         figure = Figure(figsize=size, layout="constrained")
-        return figure, figure.subplots(rows, columns, sharex=sharex, sharey=sharey, squeeze=False).ravel()
+        return figure, figure.subplots(rows, columns, squeeze=False, **shared).ravel()
 
 
 def paints(labels: Sequence[str], roles: Mapping[str, str] | None = None) -> dict[str, tuple[float, float, float]]:
@@ -48,9 +41,7 @@ def paints(labels: Sequence[str], roles: Mapping[str, str] | None = None) -> dic
     wanted = [role for label, role in named.items() if role in ROLE or label in (roles or {})]
     free = [role for role in _TURN if role not in wanted] or list(_TURN)
     taken = iter(range(len(labels)))
-    return {
-        label: colour(role if role in wanted else free[next(taken) % len(free)]) for label, role in named.items()
-    }  # fmt: skip
+    return {n: colour(role if role in wanted else free[next(taken) % len(free)]) for n, role in named.items()}
 
 
 def over_time(
@@ -73,9 +64,8 @@ def over_time(
         for label, values in series.items():
             y = np.atleast_2d(values.numpy(force=True))
             t = np.arange(y.shape[1]) / fps
-            median_band(
-                ax, t, y, paint[label], label, alpha=0.15, ls=(0, (4, 2)) if roles.get(label) == "truth" else "-"
-            )
+            line = (0, (4, 2)) if roles.get(label) == "truth" else "-"
+            median_band(ax, t, y, paint[label], label, alpha=0.15, ls=line)
         if hidden and name in hidden:
             mask = hidden[name].numpy()
             shaded = {"where": mask, "color": LINE, "alpha": 0.35, "lw": 0, "transform": ax.get_xaxis_transform()}
@@ -98,7 +88,7 @@ def median_band(ax: Axes, x: np.ndarray, rows: np.ndarray, tint, label: str, *, 
 
 def boxes(series: Series, *, xlabel: str, roles: Mapping[str, str] | None = None) -> Figure:
     """Draws one distribution per source on its own line: its density, the middle half as a bar, the median as a dot."""
-    found = _samples(series)
+    found = {label: x[np.isfinite(x)] for label, x in ((n, np.asarray(y, float)) for n, y in series.items())}
     paint = paints(list(found), roles)
     _, (ax,) = canvas(size=(7.0, 0.8 + 0.42 * len(found)))
     for row, (label, x) in enumerate(found.items()):
@@ -116,12 +106,3 @@ def boxes(series: Series, *, xlabel: str, roles: Mapping[str, str] | None = None
     ax.grid(visible=False, axis="y")
     ax.set_xlabel(xlabel, color=INK)
     return ax.figure
-
-
-def _samples(series: Series) -> dict[str, np.ndarray]:
-    found = {label: np.asarray(values, float).ravel() for label, values in series.items()}
-    found = {label: x[np.isfinite(x)] for label, x in found.items()}
-    empty = [label for label, values in found.items() if not len(values)]
-    if empty or not found:
-        raise ShapeError(f"nothing to plot{' for ' + ', '.join(empty) if empty else ''}: no finite values")
-    return found

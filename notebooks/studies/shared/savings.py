@@ -210,19 +210,13 @@ def roll(unknown: Unknowns, priors: Priors, evidence: Evidence, on: Savings, mar
 
 
 def terms(
-    problem: Problem,
-    unknown: Unknowns,
-    on: Savings,
-    *,
-    grown: bool = True,
-    contacts: bool = True,
-    mark: Mark = record_function,
+    problem: Problem, unknown: Unknowns, on: Savings, *, mark: Mark = record_function, **how: bool
 ) -> dict[str, Tensor]:
-    """Stage 3's weighted terms (G,); arguments as ``stages.motion_terms``."""
+    """Stage 3's weighted terms (G,); how: grown, contacts, as of ``stages.motion_terms``."""
     with weights_of(problem.priors, on):
         rolled = roll(unknown, problem.priors, problem.evidence, on, mark)
         with mark("terms"):
-            return stages.rolled_terms(problem, unknown, rolled, grown=grown, contacts=contacts)
+            return stages.rolled_terms(problem, unknown, rolled, **how)
 
 
 def closure(problem: Problem, unknown: Unknowns, on: Savings, *, mark: Mark = record_function, **how) -> Tensor:

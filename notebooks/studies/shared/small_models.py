@@ -112,16 +112,19 @@ def paired(name: str, arms: Collection[str]) -> list[dict]:
     return [row for row in rows if row["arm"] in arms and row["seed"] in seeds]
 
 
+def _of(rows: Sequence[dict], arm: str) -> list[dict]:
+    return sorted((row for row in rows if row["arm"] == arm), key=lambda row: row["seed"])
+
+
 def by_seed(rows: Sequence[dict], arm: str, measure: str) -> torch.Tensor:
     """What the samples of an arm measured, a number for each seed (S,), in the order of seeds."""
-    mine = sorted((row for row in rows if row["arm"] == arm), key=lambda row: row["seed"])
-    return torch.tensor([row["samples"][measure] for row in mine], dtype=torch.float64)
+    return torch.tensor([row["samples"][measure] for row in _of(rows, arm)], dtype=torch.float64)
 
 
 def estimates_by_seed(rows: Sequence[dict], arm: str, measure: str) -> torch.Tensor:
     """What the estimates of x_0 of an arm left, by seed, level of noise and person (S, 5, P)."""
-    mine = sorted((row for row in rows if row["arm"] == arm), key=lambda row: row["seed"])
-    return torch.tensor([list(row["estimates"][measure].values()) for row in mine], dtype=torch.float64)
+    found = [list(row["estimates"][measure].values()) for row in _of(rows, arm)]
+    return torch.tensor(found, dtype=torch.float64)
 
 
 # ------------------------------------------------------------------------------------------------------------ training
@@ -177,7 +180,10 @@ def trained(arm: Arm, data: _Data) -> dict[str, Trained]:
     windows = _of_people(data.windows, arm.people, arm.recipe.seed) if arm.people else data.windows
     partial = folder() / f"{arm.digest}.partial.pt"
     run = DenoiserTraining.resume(partial, windows) if partial.exists() else DenoiserTraining(arm.recipe, windows)
-    ways = {"judge": _judge(data.choose), "judge_every": arm.recipe.steps // _JUDGEMENTS} if arm.stops else {}
+    ways, errors = {}, held_errors(data.choose)
+    if arm.stops:  # by the mean error of x_0 over levels of noise
+        ways["judge"] = lambda model: {"x0 error": sum((found := errors(model)).values()) / len(found)}
+        ways["judge_every"] = arm.recipe.steps // _JUDGEMENTS
     run.run(keep=partial, every=_KEEP, **ways)
     models = [run.shipped, run.averaged] if arm.stops else [run.averaged]
     for (name, path), model in zip(paths.items(), models, strict=True):
@@ -185,17 +191,6 @@ def trained(arm: Arm, data: _Data) -> dict[str, Trained]:
         save_denoiser(path, model, {"arm": name, "curve": run.curve} | stopped, half=True)
     partial.unlink(missing_ok=True)
     return {name: load_denoiser(path) for name, path in paths.items()}
-
-
-def _judge(choose: Motion):
-    """The mean error of x_0 over levels of noise, on windows (N, T)."""
-    errors = held_errors(choose)
-
-    def measure(model: Trained) -> dict[str, float]:
-        found = errors(model)
-        return {"x0 error": sum(found.values()) / len(found)}
-
-    return measure
 
 
 def run(name: str, recordings: Path, *, seeds: int | None = None, again: bool = False) -> None:
@@ -215,10 +210,7 @@ def run(name: str, recordings: Path, *, seeds: int | None = None, again: bool = 
             row |= small_measures.measured(model, data.report)
             at[kept, arm.recipe.seed] = row
             said = ", ".join(f"{what} {x:.3g}" for what, x in row["samples"].items())
-            error = sum(map(sum, row["estimates"]["x0 error"].values())) / sum(
-                map(len, row["estimates"]["x0 error"].values())
-            )
-            seconds = time.process_time() - before
+            error, seconds = torch.tensor([*row["estimates"]["x0 error"].values()]).mean(), time.process_time() - before
             print(f"{name}: {kept}, seed {arm.recipe.seed}, {seconds:.0f} s: x0 {error:.3f}, {said}", flush=True)
         found["rows"] = sorted(at.values(), key=lambda row: (row["seed"], row["arm"]))
         _write(path, found)

@@ -137,20 +137,12 @@ def workload(
     states = state.from_motion(motion, causal=priors.motion.causal)
     first = state.unpack(states[:, None, 0])
     shared = {"betas": betas + noise(*betas.shape, scale=0.1), "camera": noise(batch, 3, scale=0.02)}
-    still = {
-        "trans": motion.root[:, None],
-        "orient": unknowns.from_matrix(motion.rot[:, None, :, 0], "lean"),
-        "latent": noise(batch, 1, motion.frames, 32, scale=0.5),
-    }
-    moving = {
-        "trans": first["trans"],
-        "orient": unknowns.from_matrix(first["root_orient"], "lean"),
-        "latent": noise(batch, 1, 32, scale=0.5),
-        "trans_vel": first["trans_vel"],
-        "root_orient_vel": first["root_orient_vel"],
-        "joints_vel": first["joints_vel"].flatten(-2),
-        "z": noise(batch, 1, motion.frames - 1, priors.motion.latent, scale=0.3),
-    }
+    still = {"trans": motion.root[:, None], "orient": unknowns.from_matrix(motion.rot[:, None, :, 0], "lean")}
+    still["latent"] = noise(batch, 1, motion.frames, 32, scale=0.5)
+    moving = {name: first[name] for name in ("trans", "trans_vel", "root_orient_vel")}
+    moving |= {"orient": unknowns.from_matrix(first["root_orient"], "lean")}
+    moving |= {"joints_vel": first["joints_vel"].flatten(-2), "latent": noise(batch, 1, 32, scale=0.5)}
+    moving["z"] = noise(batch, 1, motion.frames - 1, priors.motion.latent, scale=0.3)
     if inferred:
         with torch.no_grad():
             still["latent"] = priors.pose.encode(motion.rot[..., 1:, :, :]).mean[:, None]
