@@ -131,15 +131,16 @@ def people_table(folder: Path, options: argparse.Namespace) -> None:
     _import_studies()
     from studies.nb05_testops import cast as clips_of
     from studies.nb05_testops import measures
+    from studies.shared.clips import takes
 
     if options.cast == "synthetic stays seated":
         cast = clips_of.acted("sit", _stays_seated, options.people, 7, seconds=3.0)
     elif options.cast == "synthetic sits":
         cast = clips_of.acted("sit", clips_of.sits_down, options.people, 7, seconds=1.0)
     elif options.cast == "sits":
-        cast = clips_of.who(clips_of.takes(folder, options.part), clips_of.sits_down, 2, options.people, 7)
+        cast = clips_of.who(takes(folder, options.part), clips_of.sits_down, 2, options.people, 7)
     else:
-        cast = clips_of.everyday(clips_of.takes(folder, options.part), options.people)
+        cast = clips_of.everyday(takes(folder, options.part), options.people)
     motions = [motion.cut(0, clips_of.FRAMES) for motion in cast.motions]
     scene, priors = scenes.film_recorded(options.view, motions, seed=3), pretrained.load_priors()
     when, size = measures.moment(scene.truth), (int(scene.cameras[0].width), int(scene.cameras[0].height))
