@@ -38,11 +38,11 @@ def accumulation(model: Cvae, truth: Motion) -> Tensor:
 
 
 # ---------------------------------------------------------------------------------------- poses and steps
-def moment(truth: Motion, frames: int = 10) -> Tensor:
-    """Finds the first or the last ``frames`` (B, T) of each clip, whichever have the pelvis lower."""
+def moment(truth: Motion) -> Tensor:
+    """Finds the first or the last ten frames (B, T) of each clip, whichever have the pelvis lower."""
     height, when = truth.root[..., 2], torch.zeros(truth.root.shape[:-1], dtype=torch.bool)
-    early = height[..., :frames].mean(-1) < height[..., -frames:].mean(-1)
-    when[..., :frames], when[..., -frames:] = early[..., None], ~early[..., None]
+    early = height[..., :10].mean(-1) < height[..., -10:].mean(-1)
+    when[..., :10], when[..., -10:] = early[..., None], ~early[..., None]
     return when
 
 

@@ -47,9 +47,9 @@ class Video:
         return self.frames[min(frame, len(self.frames) - 1)]
 
 
-def blank(camera: Camera, width: int = WIDTH) -> Pictures:
+def blank(camera: Camera) -> Pictures:
     """Returns paper, for keypoints whose video nobody has."""
-    paper = np.asarray(Image.new("RGB", shape(camera, width), PAPER))
+    paper = np.asarray(Image.new("RGB", shape(camera), PAPER))
     return lambda frame: paper
 
 

@@ -209,15 +209,13 @@ def camera_rows(refits: Refits, index: int, off: Callable[[Motion, Camera, Obser
     return found
 
 
-def pictured(
-    refits: Refits, body: BodyModel, index: int, how: str, focal: float, frame: int, stages: Sequence[int] = (2, 3)
-) -> np.ndarray:
-    """Draws the detections of a frame, and stages of a fit as bodies, over what the camera filmed."""
+def pictured(refits: Refits, body: BodyModel, index: int, how: str, focal: float, frame: int) -> np.ndarray:
+    """Draws the detections of a frame, and stages 2 and 3 of a fit as bodies, over what the camera filmed."""
     views, fitted = refits.views, refits(index, how, focal)
     frame, pictures, count = min(frame, fitted.motion.frames - 1), views.pictures[index], refits.frames
     seen = views.clip(index, count)
     panels = {"detected": over_video.detections(seen, fitted.cameras[0], pictures, [frame])[0]}
-    for stage in stages:
+    for stage in (2, 3):
         (camera,) = cameras = refits.cameras(stage, index, how, focal)
         off = misses(pixels_of(fitted.stages[stage], cameras), seen).item()
         (drawn,) = over_video.bodies(fitted.stages[stage].clip(0), camera, pictures, f"stage{stage}", body, [frame])

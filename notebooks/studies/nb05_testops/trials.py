@@ -189,13 +189,12 @@ def with_smoothness(weight: float, pose: float = 1.0) -> Weights:
     return replace(RGB, joints3d_smooth=(weight, weight, 0.0), pose_prior=(early, early, 0.0))
 
 
-def on_the_floor(motion: Motion, sole: float = 0.09) -> Motion:
-    """Bends the legs of a fit (B, T) so that no ankle is lower than ``sole`` metres: two bones each, knees forward.
+def on_the_floor(motion: Motion) -> Motion:
+    """Bends the legs of a fit (B, T) so that no ankle is lower than 9 cm: two bones each, knees forward.
 
     What a floor alone does for stage 2: the pelvis stays, the foot keeps its direction.
     """
-    rot, world = motion.rot.clone(), motion.world
-    points, turns = world
+    sole, rot, (points, turns) = 0.09, motion.rot.clone(), motion.world
     for side in gait.SIDES:
         hip, knee, ankle = motion.skeleton.indices([f"{side}_{part}" for part in ("hip", "knee", "ankle")])
         target = points[..., ankle, :].clone()

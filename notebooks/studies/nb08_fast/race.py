@@ -121,9 +121,10 @@ def times_sooner(task: Task, runs: Mapping[str, Run]) -> float:
     return runs[SINGLE].until(aim) / runs[DEFAULT].until(aim)
 
 
-def less(task: Task, runs: Mapping[str, Run], name: str, measure: str) -> float:
-    """Error of one racer, or of stage 2, less that of single shooting, cm: after the default's time."""
-    limit = runs[DEFAULT].spent
+def less(task: Task, runs: Mapping[str, Run], name: str, measure: str, *, at_end: bool = False) -> float:
+    """Error of one racer, or of stage 2, less that of single shooting, cm: after the default's time, or each at its own
+    end."""
+    limit = float("inf") if at_end else runs[DEFAULT].spent
     mine = errors(task, task.rough) if name == START else after(task, runs[name], limit)
     return mine[measure] - after(task, runs[SINGLE], limit)[measure]
 

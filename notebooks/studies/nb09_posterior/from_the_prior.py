@@ -69,14 +69,14 @@ def found(problem: Problem, true: Unknowns, rounds: int = 4) -> Fitted:
     return Fitted(None, {}, None, None, None, None, None, {}, {}, problem=problem, unknown=at.detached())
 
 
-def ranks(fit: Fitted, joints: Tensor, seed: int, count: int = 63, spread: float = 1.0) -> Tensor:
+def ranks(fit: Fitted, joints: Tensor, seed: int, *, spread: float = 1.0) -> Tensor:
     """Ranks (B, 18) of the truth among draws at temperature 1, 0 to 1: both ankles' places about the pelvis at three
     times while they are hidden. spread: how many times as wide they are drawn, for a control."""
     rows, ankles = [], torch.tensor([7, 8])
     times = torch.tensor([round(t * (joints.shape[1] - 1)) for t in _TIMES])
     for clip in range(len(joints)):
         generator = torch.Generator().manual_seed(1000 * seed + clip)
-        many = posterior.rolled(fit, count, generator, clip, spread**2)
+        many = posterior.rolled(fit, 63, generator, clip, spread**2)
         places = about_pelvis(many)[:, times][:, :, ankles]
         rows.append((places < joints[clip, times][:, ankles]).double().mean(0).flatten())
     return torch.stack(rows)
