@@ -41,10 +41,8 @@ def heat(errors: Mapping, scores: Mapping, spread: Mapping) -> Figure:
 
 def spoken(errors: Mapping, scores: Mapping) -> str:
     """What hidden legs cost, in words; of one case."""
-    one, drawn = (
-        ", ".join(f"{n} {some[n][0]:.1f}" for n in names)
-        for some, names in ((errors, (R, "Gaussian")), (scores, (T, R, GAUSSIAN, P, GUIDED)))
-    )
+    asked = (errors, (R, "Gaussian")), (scores, (T, R, GAUSSIAN, P, GUIDED))
+    one, drawn = (", ".join(f"{n} {some[n][0]:.1f}" for n in names) for some, names in asked)
     return f"Hidden legs, cm. Error of one answer: {one}. Energy score: {drawn}."
 
 

@@ -38,10 +38,7 @@ from studies.shared import small_measures
 RECORDS = Path(__file__).parents[2] / "results" / "long"
 STEPS, LONGER = 1000, 10  # of the optimiser; times that where somebody stops training
 ALL = LossWeights()
-BASE = DenoiserRecipe(
-    size="small", patch=4, steps=STEPS, batch=16, lr=2e-3, warm_up=100, dropout=0.0,
-    weights=ALL,
-)  # fmt: skip
+BASE = DenoiserRecipe(size="small", patch=4, steps=STEPS, batch=16, lr=2e-3, warm_up=100, dropout=0.0, weights=ALL)
 _EACH, _PRACTICE = 12, 6  # windows of a person: of the report, and of those who choose
 _KEEP, _JUDGEMENTS = 250, 20  # steps between two states kept; judgements of a run that is stopped
 
@@ -98,9 +95,8 @@ def record(name: str) -> dict:
     Raises:
         DataError: nothing is kept of it.
     """
-    path = RECORDS / f"small_{name}.json"
+    path, remedy = RECORDS / f"small_{name}.json", f"python -m studies.shared.small_models {name}, or make small"
     if not path.exists():
-        remedy = f"python -m studies.shared.small_models {name}, or make small"
         raise DataError("nothing is kept of this set", path=path, remedy=remedy)
     return json.loads(path.read_text(encoding="utf-8"))
 
@@ -180,10 +176,7 @@ def trained(arm: Arm, data: _Data) -> dict[str, Trained]:
     windows = _of_people(data.windows, arm.people, arm.recipe.seed) if arm.people else data.windows
     partial = folder() / f"{arm.digest}.partial.pt"
     run = DenoiserTraining.resume(partial, windows) if partial.exists() else DenoiserTraining(arm.recipe, windows)
-    ways, errors = {}, held_errors(data.choose)
-    if arm.stops:  # by the mean error of x_0 over levels of noise
-        ways["judge"] = lambda model: {"x0 error": sum((found := errors(model)).values()) / len(found)}
-        ways["judge_every"] = arm.recipe.steps // _JUDGEMENTS
+    ways = {"judge": _judge(data.choose), "judge_every": arm.recipe.steps // _JUDGEMENTS} if arm.stops else {}
     run.run(keep=partial, every=_KEEP, **ways)
     models = [run.shipped, run.averaged] if arm.stops else [run.averaged]
     for (name, path), model in zip(paths.items(), models, strict=True):
@@ -191,6 +184,12 @@ def trained(arm: Arm, data: _Data) -> dict[str, Trained]:
         save_denoiser(path, model, {"arm": name, "curve": run.curve} | stopped, half=True)
     partial.unlink(missing_ok=True)
     return {name: load_denoiser(path) for name, path in paths.items()}
+
+
+def _judge(choose: Motion):
+    """The mean error of x_0 over levels of noise, on windows (N, T)."""
+    errors = held_errors(choose)
+    return lambda model: {"x0 error": sum((found := errors(model)).values()) / len(found)}
 
 
 def run(name: str, recordings: Path, *, seeds: int | None = None, again: bool = False) -> None:
