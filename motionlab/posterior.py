@@ -18,7 +18,8 @@ Source: Lee, Barber and Willett 2023 (conformal prediction where people bring ma
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -53,6 +54,15 @@ class Draws:
     motions: Motion
     hidden: Tensor
     doubts: tuple[str, ...] = ()
+
+    def changed(self, how: Callable[[Motion], Motion]) -> Draws:
+        """Returns the same draws, each of their motions changed alike: moved, or made larger."""
+        return replace(self, fit=how(self.fit), motions=how(self.motions))
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        return len(self.motions.root)
 
     @property
     def limbs(self) -> Tensor:

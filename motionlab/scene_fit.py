@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from motionlab import rotation, stature
+from motionlab import posterior, rotation, stature
 from motionlab.baselines import interpolate
 from motionlab.files import write_whole, writing
 from motionlab.humor import body_shape, testops
@@ -30,6 +30,7 @@ from motionlab.io.reading import read_npz, reading
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.optimise import begins
+from motionlab.posterior import Draws
 from motionlab.skeleton import BALLS, STANDARD
 
 #: Frames (at 30 fps) that are fitted at once, and the windows of more: their length and what neighbours share.
@@ -53,6 +54,7 @@ class SceneFit:
     motions: one per person, of the whole footage, on the fitted bones; unseen times are filled in. shown (P, T): seen,
     or only for a moment not. seen: keypoints of BODY_25 (P, T, 25, 2). camera: one for all. surprise (P,): see
     ``testops.Doubts``. windows: how many. reasons: why each search ended. stopped: whether Ctrl-C ended it.
+    draws: of each person, other motions that explain as well what was seen, where they were asked for.
     """
 
     motions: tuple[Motion, ...]
@@ -65,6 +67,7 @@ class SceneFit:
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
     stopped: bool = False
+    draws: tuple[Draws, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +75,7 @@ class Task:
     """How a scene is fitted. camera: None for an assumed one. placed: whether its place is known. size: of the image.
 
     keep: folder for the windows that are done; None keeps none. height: of everybody, metres; None is about an adult's.
+    draws: how many other motions to draw of each person, where the footage is fitted in one piece.
     """
 
     priors: Priors
@@ -83,6 +87,7 @@ class Task:
     keep: Path | None = None
     progress: bool | str = False
     height: float | None = None
+    draws: int = 0
 
     @property
     def schedule(self) -> testops.Schedule | None:
@@ -139,7 +144,7 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
         camera, notes = _common_camera(seen, enough, task)
         floor = "camera"
     pieces: list[list[dict[str, Tensor]]] = [[] for _ in range(people)]
-    reasons, energy, stopped, many = [], {}, False, len(starts) > 1
+    reasons, energy, stopped, many, draws = [], {}, False, len(starts) > 1, []
     for k, start in enumerate(tqdm(starts, "windows", unit="window", disable=not many or task.progress is not True)):
         if many:
             begins(f"window {k + 1} of {len(starts)}", task.progress)
@@ -156,6 +161,8 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
                 if fitted.stopped and many:
                     raise KeyboardInterrupt
                 found = _arrays(fitted)
+                if task.draws and not many and not stopped:
+                    draws += _drawn(fitted, task.draws)
                 if floor in (None, "guess"):  # one person, one window
                     camera = fitted.cameras[0]
                 if file is not None:
@@ -174,11 +181,22 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
     shown = near[:, 0] > 0
     if not task.placed:
         motions, camera, lift = _on_the_floor(motions, shown, camera)
+        up = torch.tensor([0.0, 0.0, lift])
+        draws = [each.changed(lambda m: replace(m, root=m.root + up)) for each in draws]
         notes += [f"the floor was moved by {100 * lift:+.1f} cm so that the feet stand on z = 0"]
+    if task.draws and not draws:
+        why = f"more than {WHOLE / 30:g} s is fitted in pieces" if many else "the fit was stopped"
+        notes += [f"no other motions are drawn: {why}"]
     return SceneFit(
         tuple(motions), shown, seen, camera, surprise, energy, len(starts), tuple(reasons),
-        tuple(dict.fromkeys(notes)), stopped,
+        tuple(dict.fromkeys(notes)), stopped, tuple(draws),
     )  # fmt: skip
+
+
+def _drawn(fitted: testops.Fitted, count: int) -> list[Draws]:
+    """Other motions of each person of a fit."""
+    generator = torch.Generator().manual_seed(0)
+    return [posterior.sample(fitted, count, generator=generator, clip=k) for k in range(len(fitted.betas))]
 
 
 def _of_height(seen: Observation2D, task: Task, height: float) -> SceneFit:
@@ -188,9 +206,10 @@ def _of_height(seen: Observation2D, task: Task, height: float) -> SceneFit:
     if not task.placed:  # nothing but the bones says how large the scene is
         factor = height / float(np.mean([stature.of(motion) for motion in found.motions]))
     motions = tuple(stature.resized(motion, factor) for motion in found.motions)
+    draws = tuple(each.changed(lambda m: stature.resized(m, factor)) for each in found.draws)
     camera = task.camera if task.placed else stature.moved(found.camera, factor)
     note = f"{height:g} m tall: fitted as an adult, {1 / factor:.3g} times as large, and made smaller again"
-    return replace(found, motions=motions, camera=camera, notes=(*found.notes, note))
+    return replace(found, motions=motions, camera=camera, notes=(*found.notes, note), draws=draws)
 
 
 def _cut(seen: Observation2D, people: Sequence[int], span: slice) -> Observation2D:

@@ -89,7 +89,7 @@ def lines(record: Record) -> list[str]:
         said += [
             f"person {row['id']}: in {100 * row['share']:.0f} % of the frames; {facts}",
             f"  {_doubt(row)}",
-            *(f"  {text}" for text in not_known(row)),
+            *(f"  {text}" for text in (*not_known(row), *row.get("open", ()))),
             "  contacts: " + ", ".join(f"{n.replace('_', ' ')} {100 * c:.0f} %" for n, c in row["contacts"].items()),
             f"  AMASS: {row['amass']['says']}",
         ]

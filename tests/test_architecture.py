@@ -27,7 +27,8 @@ FLOORS = """
     looping courses
     train
     humor.testops
-    posterior scene_fit
+    posterior
+    scene_fit
     clip scene_report
     fit
     commands

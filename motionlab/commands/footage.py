@@ -17,7 +17,7 @@ from motionlab.errors import DataError
 _TABLES, _PER_FRAME = (".json", ".csv", ".npz"), (".json", ".txt")
 _VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
 _PASSED_ON = ("person", "fps", "size", "layout", "camera", "camera_name", "prior", "pose_prior", "initial", "pelvis",
-              "height", "solver", "quick")  # fmt: skip
+              "height", "draws", "solver", "quick")  # fmt: skip
 
 
 def add_fit(commands: argparse._SubParsersAction) -> None:
@@ -54,6 +54,11 @@ def add_fit(commands: argparse._SubParsersAction) -> None:
     command.add_argument(
         "--height", type=_height, metavar="METRES", help="of the person who is fitted, where that is no adult's"
     )
+    command.add_argument(
+        "--draws", type=int, default=0, metavar="K",
+        help="of a clip of up to 6 s, K other motions that explain as well what was seen, and how far off hidden limbs "
+        "may be",
+    )  # fmt: skip
     command.add_argument(
         "--solver", choices=("shooting", "rollout"), default="shooting",
         help="of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -16,6 +16,7 @@ from motionlab import viz
 from motionlab.body import BodyModel
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
+from motionlab.skeleton import STANDARD
 from motionlab.viz.movie import Film, jpeg
 from motionlab.viz.palette import INK, PAPER, blend, colour
 from motionlab.viz.scene import Scene
@@ -108,6 +109,7 @@ def over_footage(
     roles: Sequence[str | tuple],
     shown: Sequence[Sequence[bool]] | None = None,
     seen: Sequence[Observation2D] = (),
+    ghosts: Mapping[int, tuple[Tensor, Tensor]] | None = None,
     area: int = _AREA,
     progress: bool | str = False,
 ) -> Film:
@@ -121,6 +123,8 @@ def over_footage(
         pictures: one (H, W, 3) uint8 for each frame; None is paper.
         shown: (P, T) in which frames there is somebody.
         seen: detections of each person, a frame for each of the film, drawn as dots.
+        ghosts: by person, where joints of other motions are in the image (K, T, 22, 2) and which are hidden (T, 22):
+            their hidden limbs are drawn as lines.
         area: of the picture over the footage, pixels. progress: show a bar; or its name.
     """
     count, fps = motions[0].frames, motions[0].fps
@@ -145,11 +149,25 @@ def over_footage(
             for frame, front in enumerate(bar):
                 for person, role in zip(seen, roles, strict=False):
                     front = _dotted(front, person, frame, size[0] / camera.width, role)
+                for k, (places, hidden) in (ghosts or {}).items():
+                    if shown is None or shown[k][frame]:
+                        front = _ghostly(front, places[:, frame], hidden[frame], size[0] / camera.width, roles[k])
                 text = "over the footage" if pictures is not None else "through the camera"
                 picture = np.concatenate((labelled(front, text), side.image(frame / fps)), 1)
                 film.append_data(picture)
                 poster = picture if poster is None or frame == count // 2 else poster
     return Film(Path(path), count, fps, count / fps, 1.0, Path(path).stat().st_size, jpeg(poster))
+
+
+def _ghostly(picture: np.ndarray, places: Tensor, hidden: Tensor, scale: float, role: str | tuple) -> np.ndarray:
+    """Draws the hidden bones of other motions, places (K, 22, 2), as lines, so that many of them make a cloud."""
+    image = Image.fromarray(picture)
+    pen, tone = ImageDraw.Draw(image, "RGBA"), tuple(round(255 * c) for c in blend(colour(role), INK, 0.3))
+    for joint in hidden.nonzero()[:, 0].tolist():
+        for a, b in zip(places[:, STANDARD.parents[joint]] * scale, places[:, joint] * scale, strict=True):
+            if bool(torch.isfinite(a).all() and torch.isfinite(b).all()):
+                pen.line([tuple(a.tolist()), tuple(b.tolist())], fill=(*tone, 90), width=2)
+    return np.asarray(image)
 
 
 def _usual(points: Tensor) -> float:
