@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from walked import SIZE, aside, few_steps, table, walk, write_camera, write_json
 
-from motionlab import fit
+from motionlab import fit, scene_fit
 from motionlab.__main__ import main
 from motionlab.io import gltf
 
@@ -39,9 +39,10 @@ def desk(tmp_path_factory) -> Path:
 
 def test_every_command_of_the_page_runs(desk, monkeypatch, capsys):
     few_steps(monkeypatch)
+    monkeypatch.setattr(scene_fit, "FULL_WORK", scene_fit.QUICK_WORK)
     monkeypatch.setitem(sys.modules, "rtmlib", None)  # as where the extra is not installed
     monkeypatch.chdir(desk)
-    assert len(COMMANDS) == 8
+    assert len(COMMANDS) == 9
     for command in COMMANDS:
         words = shlex.split(command)[1:]
         finds_keypoints = words[0] == "fit" and "--keypoints" not in words
