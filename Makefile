@@ -75,7 +75,7 @@ doctor: setup
 setup: $(PREPARED)
 	@:
 
-$(PREPARED): $(INSTALLED) motionlab/body.py motionlab/doctor.py
+$(PREPARED): $(INSTALLED) motionlab/body.py motionlab/commands/doctor.py
 	@echo "== preparing: off-screen rendering and the body"
 	@$(PY) -m motionlab doctor --prepare
 	@$(PY) -m jupyter labextension disable --level=sys_prefix @jupyterlab/apputils-extension:announcements

@@ -8,19 +8,20 @@ from importlib import import_module
 from types import ModuleType
 
 __version__ = "0.1.0"
-#: What a stranger imports; the rest is what this needs, and the command line.
+#: What a stranger imports, and the rooms of the applications: animate, footage, training.
 __all__ = [
     "animate",
     "baselines",
-    "batch",
+    "bench",
     "body",
+    "certificate",
     "cleaning",
     "contact",
     "corpus",
     "diffusion",
     "errors",
     "examples",
-    "fit",
+    "footage",
     "heading",
     "humor",
     "io",
@@ -30,11 +31,11 @@ __all__ = [
     "optimise",
     "people",
     "posterior",
-    "renew",
     "retarget",
     "rotation",
     "skeleton",
     "skinning",
+    "training",
     "viz",
 ]
 

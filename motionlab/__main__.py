@@ -8,8 +8,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from motionlab import doctor
-from motionlab.commands import animator, footage
+from motionlab.commands import animator, doctor, footage
 from motionlab.commands.motions import READ, WRITTEN, add_reading, read_motion, reading, say_note, with_standard_joints
 from motionlab.commands.printing import add_command, text_table
 from motionlab.commands.showing import add_show
@@ -91,7 +90,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     text = "train a model, and keep its recipe with it"
     command = add_command(commands, "train", text, "train transition --out prior")
     if "train" in arguments[:1]:  # its recipes come with torch
-        from motionlab import train
+        from motionlab.training import train
 
         train.add_options(command)
     return parser
@@ -108,7 +107,7 @@ def _prepare(options: argparse.Namespace) -> int:
 
 
 def _onnx(options: argparse.Namespace) -> int:
-    from motionlab import onnx_export
+    from motionlab.commands import onnx_export
     from motionlab.diffusion import completer
 
     onnx_export.export(completer.load(options.model), options.out)
@@ -117,7 +116,8 @@ def _onnx(options: argparse.Namespace) -> int:
 
 
 def _models(options: argparse.Namespace) -> int:
-    from motionlab import checkpoint, models
+    from motionlab import checkpoint
+    from motionlab.training import models
 
     for path in [p for kind in models.PRIORS for p in sorted(checkpoint.SHIPPED.glob(f"{kind}.json")) if options.data]:
         models.judge_prior(path.stem, options.data)
@@ -205,8 +205,8 @@ def _span(ends: tuple[float, float]) -> str:
 
 def _convert(options: argparse.Namespace) -> int:
     from motionlab import humanml
+    from motionlab.animate.rewriting import WRITERS, check_target, for_amass
     from motionlab.body import BodyModel
-    from motionlab.io.rewriting import WRITERS, check_target, for_amass
     from motionlab.motion import resample
     from motionlab.retarget import with_rest
 

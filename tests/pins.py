@@ -6,7 +6,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-from motionlab.doctor import _normal_name, _read_pins
+from motionlab.commands.doctor import _normal_name, _read_pins
 
 ROOT = Path(__file__).resolve().parents[1]
 CONSTRAINTS_HEAD = """\

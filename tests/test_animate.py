@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import __main__, animate, baselines, io, renew, rotation
+from motionlab import __main__, baselines, io, rotation
+from motionlab.animate.corrections import WINDOW, Keep, Standard, by_windows, overlapping
+from motionlab.animate.filling import filling, renew, rewriting
 from motionlab.body import BodyModel
 from motionlab.contact import with_contacts
-from motionlab.corrections import WINDOW, Keep, Standard, by_windows, overlapping
 from motionlab.diffusion.denoising import Noise
 from motionlab.diffusion.windows import on_standard
 from motionlab.errors import DataError
-from motionlab.io import amass, bvh, gltf, rewriting
+from motionlab.io import amass, bvh, gltf
 from motionlab.metrics.pose import acceleration
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
@@ -69,10 +70,10 @@ def test_known_frames_stay_in_the_file_to_the_bit_and_the_rest_is_what_was_made(
     SAVE[suffix](source, walk())
     assert command("inbetween", source, "--keys", KEYS, "--method", "curves", "--out", out) == 0
     before, after = io.load(source), io.load(out)
-    keep = animate.kept(before, animate.frames_named(KEYS, before.frames))
+    keep = filling.kept(before, filling.frames_named(KEYS, before.frames))
     assert keep.frames.sum() == 24 and "byte for byte" in capsys.readouterr().out
     assert same(before, after, keep) and after.fps == before.fps and after.skeleton.names == before.skeleton.names
-    made = animate.inbetween(before, keep, method="curves").motion
+    made = filling.inbetween(before, keep, method="curves").motion
     assert (after.positions - made.positions).abs().max() < 1e-4
     assert (after.positions - before.positions)[~keep.frames].norm(dim=-1).max() > 0.02  # it was filled in
     if suffix == ".bvh":
@@ -88,22 +89,22 @@ def test_known_frames_stay_in_the_file_to_the_bit_and_the_rest_is_what_was_made(
 @pytest.mark.parametrize(("method", "seed"), [("network", None), ("network", 0), ("curves", None)])
 def test_kept_joints_stay_and_what_is_not_kept_is_never_read(method, seed):
     motion = mixamo(walk())
-    keep = animate.kept(motion, {0, 40, 129}, ["arms", "Head"])
+    keep = filling.kept(motion, {0, 40, 129}, ["arms", "Head"])
     generator = torch.Generator().manual_seed(0)
     other = rotation.random(motion.rot.shape[:2], generator)
     scrambled = replace(motion, rot=torch.where(keep.rot[..., None, None], motion.rot, other))
     scrambled = replace(scrambled, root=torch.where(keep.rot[:, :1], motion.root, motion.root + 3.0))
-    made, again = (animate.inbetween(m, keep, method=method, seed=seed).motion for m in (motion, scrambled))
+    made, again = (filling.inbetween(m, keep, method=method, seed=seed).motion for m in (motion, scrambled))
     assert same(motion, made, keep) and torch.equal(made.rot, again.rot) and torch.equal(made.root, again.root)
     assert keep.joints.sum() == 7 and not torch.equal(made.rot, motion.rot)
 
 
 def test_hidden_legs_are_made_from_the_rest_alone_in_windows_that_overlap():
     motion = mixamo(walk(150))
-    legs = sorted(animate.found_joints(motion, ["legs"]))
+    legs = sorted(filling.found_joints(motion, ["legs"]))
     rot = motion.rot.clone()
     rot[:, legs] = rotation.random((150, len(legs)), torch.Generator().manual_seed(1))
-    made, again = (animate.completed(m, ["legs"], plant=False).motion for m in (motion, replace(motion, rot=rot)))
+    made, again = (filling.completed(m, ["legs"], plant=False).motion for m in (motion, replace(motion, rot=rot)))
     others = [j for j in range(len(STANDARD)) if j not in legs]
     assert torch.equal(made.rot, again.rot) and torch.equal(made.rot[:, others], motion.rot[:, others])
     assert torch.equal(made.root, motion.root)
@@ -115,13 +116,13 @@ def test_hidden_legs_are_made_from_the_rest_alone_in_windows_that_overlap():
 
 def test_a_seed_draws_one_motion_and_another_seed_another():
     motion = mixamo(walk(60))
-    keep = animate.kept(motion, {0, 1, 58, 59})
-    found = [animate.inbetween(motion, keep, seed=seed) for seed in (0, 0, 1, None)]
+    keep = filling.kept(motion, {0, 1, 58, 59})
+    found = [filling.inbetween(motion, keep, seed=seed) for seed in (0, 0, 1, None)]
     assert ["drawn" in " ".join(made.notes) for made in found] == [True, True, True, False]
     drawn = [made.motion.rot for made in found]
     assert torch.equal(drawn[0], drawn[1])
     assert all((drawn[0] - other).abs().max() > 0.02 for other in drawn[2:])
-    legs = [animate.completed(motion, ["legs"], seed=seed).motion.rot for seed in (0, 0, 1)]
+    legs = [filling.completed(motion, ["legs"], seed=seed).motion.rot for seed in (0, 0, 1)]
     assert torch.equal(legs[0], legs[1]) and not torch.equal(legs[0], legs[2])
 
 
@@ -166,8 +167,8 @@ def seam(made: Motion, keep: Keep) -> float:
 @pytest.mark.parametrize("gap", [20, 100])
 def test_no_seam_at_the_ends_of_a_gap_shorter_or_longer_than_a_window(method, gap):
     motion = walk(180, 30.0)
-    keep = animate.kept(motion, set(range(180)) - set(range(40, 40 + gap)))
-    made = animate.inbetween(motion, keep, method=method).motion
+    keep = filling.kept(motion, set(range(180)) - set(range(40, 40 + gap)))
+    made = filling.inbetween(motion, keep, method=method).motion
     assert seam(made, keep) < 4
     held = baselines.hold(motion, keep.frames)
     assert seam(held, keep) > 8  # a pose that waits, and jumps at the end
@@ -179,7 +180,7 @@ def test_feet_that_stand_are_planted_where_the_known_frames_have_them():
     sway = torch.zeros(60)
     sway[20:40] = 0.04 * torch.hann_window(20)
     given = replace(still, root=still.root + torch.stack((sway, 0 * sway, 0 * sway), -1))
-    keep = animate.kept(given, set(range(20)) | set(range(40, 60)))
+    keep = filling.kept(given, set(range(20)) | set(range(40, 60)))
     body = Standard.of(given, given, keep)
     feet = STANDARD.indices(["left_foot", "right_foot"])
     slid, stood = (body.back(body.joints, plant=p).positions[:, feet] for p in (False, True))
@@ -227,7 +228,7 @@ def test_noise_that_is_given_is_believed_and_jumps_are_filled_in_first(monkeypat
     assert torch.equal(renew.repaired(motion, Noise(0.0, 0.0)).motion.rot, motion.rot)
     jump = 2.0 * (torch.arange(90) == 50)[:, None]
     noisy = Noise.of(1.0, 0.5).on(motion, torch.Generator().manual_seed(0))
-    asked, fill = [], animate.inbetween
+    asked, fill = [], filling.inbetween
     monkeypatch.setattr(renew, "inbetween", lambda *a, **k: asked.append(k["method"]) or fill(*a, **k))
     made = renew.repaired(replace(noisy, root=noisy.root + jump), method="curves")
     off = (made.motion.root - motion.root).norm(dim=-1)
@@ -288,11 +289,11 @@ def test_who_goes_on_from_a_glb_keeps_its_body(body, tmp_path, capsys):
 
 def test_beyond_keys_that_move_the_default_goes_on_and_beyond_a_lone_one_it_waits():
     motion = walk(60, 30.0)
-    moving, lone = (animate.inbetween(motion, animate.kept(motion, frames)) for frames in (range(45), {44}))
+    moving, lone = (filling.inbetween(motion, filling.kept(motion, frames)) for frames in (range(45), {44}))
     made = moving.motion.root[44:, 1].diff() * 30
     assert moving.notes[0].startswith("method: network") and made[0] > 0.4  # m/s, of 1: no dead stop
     assert lone.notes[0].startswith("method: curves") and (lone.motion.root.diff(dim=0).abs() < 1e-4).all()
-    held = animate.inbetween(motion, animate.kept(motion, range(45)), method="curves").motion
+    held = filling.inbetween(motion, filling.kept(motion, range(45)), method="curves").motion
     assert (held.root[45:].diff(dim=0).abs() < 1e-4).all()
 
 
@@ -320,18 +321,18 @@ def test_bad_keys_and_joints_are_refused_with_a_remedy(words, said, tmp_path, ca
 def test_a_skeleton_of_unknown_joints_gets_curves_and_is_told_so():
     motion = walk(30)
     beast = replace(motion, skeleton=replace(STANDARD, names=tuple(f"b{j}" for j in range(22)), contact_names=()))
-    keep = animate.kept(beast, {0, 29})
-    found = animate.inbetween(beast, keep)
+    keep = filling.kept(beast, {0, 29})
+    found = filling.inbetween(beast, keep)
     assert same(beast, found.motion, keep) and "curves" in found.notes[0]
     with pytest.raises(DataError, match="--names"):
-        animate.inbetween(beast, keep, method="network")
+        filling.inbetween(beast, keep, method="network")
 
 
 # ------------------------------------------------------------------------------------------------------ widget
 def test_the_editor_fills_in_what_is_chosen_and_exports_it(tmp_path):
     source, out = tmp_path / "in.bvh", tmp_path / "out.bvh"
     bvh.save(source, mixamo(walk(30)))
-    box = animate.editor(source, backend="picture")
+    box = filling.editor(source, backend="picture")
     player, frames, keep, method, file, export, message = (
         box.hands[name] for name in ("player", "frames", "keep", "method", "file", "export", "message")
     )
@@ -351,7 +352,7 @@ def test_the_editor_fills_in_what_is_chosen_and_exports_it(tmp_path):
     file.value = str(out)
     export.click()
     before, after = io.load(source), io.load(out)
-    assert same(before, after, animate.kept(before, {0, 15, 29}, ["arms"])) and not torch.equal(before.rot, after.rot)
+    assert same(before, after, filling.kept(before, {0, 15, 29}, ["arms"])) and not torch.equal(before.rot, after.rot)
     assert f"{out} is written" in message.value
 
 
@@ -362,7 +363,7 @@ def test_the_editor_draws_a_body_or_a_figure_where_joints_are_not_known(tmp_path
     bvh.save(strange, replace(walk(8), skeleton=beast))
 
     def skins(path, **how) -> int:
-        plotter = animate.editor(path, "picture", **how).hands["player"].scene.plotter
+        plotter = filling.editor(path, "picture", **how).hands["player"].scene.plotter
         meshes = [actor.mapper.dataset for actor in plotter.renderers[0].actors.values() if hasattr(actor, "mapper")]
         return sum(mesh.n_cells > 10_000 for mesh in meshes)
 
@@ -381,7 +382,7 @@ def test_the_editor_exports_what_was_typed_last_though_it_is_not_drawn_yet(tmp_p
         hands["export"].click()
 
     async def session() -> str:
-        hands = animate.editor(source, backend="picture").hands
+        hands = filling.editor(source, backend="picture").hands
         other = threading.Thread(target=person, args=[hands])  # as ipykernel answers widgets
         other.start()
         other.join()  # the loop stands still, as under a slow draw
@@ -394,13 +395,13 @@ def test_the_editor_exports_what_was_typed_last_though_it_is_not_drawn_yet(tmp_p
 
     assert asyncio.run(session()) == "0,7,20,last"
     before, after = io.load(source), io.load(out)
-    assert same(before, after, animate.kept(before, {0, 7, 20, 29})) and not torch.equal(before.rot, after.rot)
+    assert same(before, after, filling.kept(before, {0, 7, 20, 29})) and not torch.equal(before.rot, after.rot)
 
 
 def test_the_editor_says_what_is_wrong_and_exports_nothing_until_it_is_right(tmp_path, monkeypatch):
     source = tmp_path / "in.bvh"
     bvh.save(source, mixamo(walk(30)))
-    hands = animate.editor(source, backend="picture").hands
+    hands = filling.editor(source, backend="picture").hands
     frames, keep, file, export, message = (hands[name] for name in ("frames", "keep", "file", "export", "message"))
     wrong = {"0,900": "give numbers from 0 to 29", "a<b": "&#x27;a&lt;b&#x27; is no frame", "": "no frame is kept"}
     for text, said in (wrong | {"0-9999999999": "is no frame", "5-2": "is no frame"}).items():
@@ -417,6 +418,6 @@ def test_the_editor_says_what_is_wrong_and_exports_nothing_until_it_is_right(tmp
         export.click()
         assert words in message.value, name
     assert source.read_bytes() == before and list(tmp_path.iterdir()) == [source]
-    monkeypatch.setattr(animate, "inbetween", lambda *a, **k: 1 / 0)
+    monkeypatch.setattr(filling, "inbetween", lambda *a, **k: 1 / 0)
     frames.value = "0,10"
     assert "ZeroDivisionError" in message.value and export.disabled

@@ -7,30 +7,26 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-#: The rooms of the library, a floor a line, the lowest first. An import goes strictly down, or stays inside its room: a
-#: module, or a package that is named here as a whole.
+#: The rooms of the library, a floor a line, the lowest first: what is below "animate" is what a stranger imports. An
+#: import goes strictly down, or stays inside its room: a module, or a package that is named here as a whole.
 FLOORS = """
-    errors examples parallel
-    batch files optimise rotation skeleton training_loop diffusion.sampling
-    body checkpoint motion
-    heading humanml
-    baselines contact rest rigs skinning tailoring humor.state diffusion.features diffusion.state
-    observation retarget humor.cvae diffusion.curves diffusion.footsteps diffusion.losses diffusion.masks
-    io viz data_synth humor.body_shape humor.energies humor.priors humor.transition
-        diffusion.completer diffusion.denoiser diffusion.planting diffusion.windows
-    certificate cleaning detect people metrics stature humor.compiled humor.evidence humor.examples humor.pretrained
-        humor.prior_training diffusion.model diffusion.poses
-    humor.rollout diffusion.denoising diffusion.embedding diffusion.inpainting diffusion.training
-    corpus splits humor.scales humor.unknowns corrections diffusion.completer_training
-    bench shipped doctor onnx_export humor.chain_training humor.quality humor.stages humor.start animate
-    footlock train_more models humor.shooting renew
-    looping courses
-    train
+    diffusion.footsteps errors examples parallel people
+    diffusion.denoiser diffusion.sampling files optimise rotation skeleton
+    body checkpoint motion rigs
+    baselines cleaning contact heading humanml observation rest skinning tailoring
+    data_synth diffusion.curves diffusion.embedding diffusion.features diffusion.state humor.body_shape humor.state io
+        metrics retarget viz
+    certificate corpus diffusion.completer diffusion.denoising diffusion.masks diffusion.model diffusion.planting
+        diffusion.windows humor.cvae splits
+    diffusion.inpainting diffusion.poses humor.energies humor.priors humor.scales humor.transition
+    bench humor.compiled humor.evidence humor.pretrained
+    humor.rollout
+    humor.quality humor.unknowns
+    humor.stages humor.start
+    humor.shooting
     humor.testops
     posterior
-    scene_fit
-    clip scene_report
-    fit
+    animate footage training
     commands
     __main__
 """
@@ -39,7 +35,7 @@ LIBRARY, SYNTHETIC, STUDIES = "motionlab", "data_synth", "studies"
 DATA_MODEL = "suite.findings"
 SUITE, BENCH = "suite", ("suite.notebook", "suite.ledger", DATA_MODEL)
 #: Where commands bring synthetic motion and models together; the rest of the library does not know it.
-COMPOSERS = ("splits", "shipped", "train_more", "courses", "train")
+COMPOSERS = ("training",)
 #: Studies may not import each other, but for these, which are there for several.
 SHARED = ("studies.shared", "studies.official")
 

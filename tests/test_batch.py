@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from motionlab import batch
+from motionlab.commands import batch
 from motionlab.errors import DataError, MissingData
 from tests import jobs
 

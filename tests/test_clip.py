@@ -12,9 +12,9 @@ import pytest
 import torch
 from PIL import Image
 
-from motionlab import clip
-from motionlab.clip import Clip
 from motionlab.errors import DataError
+from motionlab.footage import clip
+from motionlab.footage.clip import Clip
 from motionlab.io import lens, video
 from motionlab.io.lens import distorted
 from motionlab.observation import at_rate

@@ -14,10 +14,11 @@ from walked import table, write_json
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import batch, fit
 from motionlab.__main__ import main
+from motionlab.commands import batch
 from motionlab.commands.footage import _clips_of
 from motionlab.errors import DataError
+from motionlab.footage import fit
 from motionlab.io import bvh
 from motionlab.observation import look_at
 

@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from motionlab import checkpoint, courses, splits, train_more
+from motionlab import checkpoint, splits
 from motionlab.diffusion.model import DenoiserRecipe
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
-from motionlab.humor.chain_training import ChainRecipe
 from motionlab.skeleton import STANDARD
+from motionlab.training import courses, train_more
+from motionlab.training.chain_training import ChainRecipe
 from tests.draws import seeded
 
 PLAIN = DenoiserRecipe(size="small", steps=4, batch=4)

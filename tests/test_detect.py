@@ -12,8 +12,8 @@ import imageio.v2 as imageio
 import numpy as np
 import pytest
 
-from motionlab import clip, detect
 from motionlab.errors import DataError, MissingData, ShapeError
+from motionlab.footage import clip, detect
 from motionlab.io import keypoints
 from motionlab.io.layouts import HALPE_26
 from motionlab.io.video import Video

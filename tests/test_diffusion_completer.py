@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import checkpoint, rotation, train_more
+from motionlab import checkpoint, rotation
 from motionlab.bench import cases, judge
 from motionlab.bench.person_windows import PersonWindows
 from motionlab.contact import with_contacts
-from motionlab.courses import CompleterCourse
-from motionlab.diffusion import completer, completer_training, masks, state
+from motionlab.diffusion import completer, masks, state
 from motionlab.diffusion.completer import Completer, CompleterRecipe
-from motionlab.diffusion.completer_training import CompleterTraining, losses
 from motionlab.diffusion.curves import smooth_curves
 from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.features import Layout
@@ -23,6 +21,9 @@ from motionlab.errors import DataError, ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
+from motionlab.training import completer_training, train_more
+from motionlab.training.completer_training import CompleterTraining, losses
+from motionlab.training.courses import CompleterCourse
 
 FRAMES = 12
 TINY = CompleterRecipe(frames=FRAMES, size=64, layers=1, batch=8, steps=60, warm_up=5, lr=3e-3)

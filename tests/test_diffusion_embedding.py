@@ -8,7 +8,7 @@ import torch
 
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
-from motionlab import shipped, splits, train
+from motionlab import splits
 from motionlab.__main__ import main
 from motionlab.diffusion import embedding
 from motionlab.diffusion.windows import gather, on_standard
@@ -18,6 +18,7 @@ from motionlab.metrics.generation import frechet
 from motionlab.motion import mirror
 from motionlab.rotation import rotation_about
 from motionlab.skeleton import STANDARD
+from motionlab.training import feature_training, shipped, train
 
 TINY = embedding.FeatureRecipe(frames=12, size=6, width=8, steps=120, batch=8, lr=5e-3, seed=3)
 PARTS = list(embedding.FEATURE_GROUPS.values())
@@ -40,18 +41,18 @@ def some(data):
 
 @pytest.fixture(scope="module")
 def trained(data, some):
-    return embedding.train_features(data, TINY, some)
+    return feature_training.train_features(data, TINY, some)
 
 
 def test_signals_do_not_know_place_or_heading(some):
     elsewhere = local_to_world(Frame(rotation_about("z", torch.tensor(1.1)), torch.tensor([3.0, -2.0, 0.0])), some)
-    torch.testing.assert_close(embedding._signals(elsewhere), embedding._signals(some), atol=2e-3, rtol=0)
+    torch.testing.assert_close(embedding.signals(elsewhere), embedding.signals(some), atol=2e-3, rtol=0)
 
 
 def test_signals_show_a_drift_and_the_sliding_of_feet_that_stand(some):
     drift = torch.arange(12) / 30 * 0.2
     slid = replace(some, root=some.root + torch.stack((drift, 0 * drift, 0 * drift), -1))
-    was, now = (embedding._signals(m).split(PARTS, -1) for m in (some, slid))
+    was, now = (embedding.signals(m).split(PARTS, -1) for m in (some, slid))
     assert (now[0] - was[0]).norm(dim=-1)[:, -1].sub(0.2 * 11 / 30).abs().max() < 1e-4
     torch.testing.assert_close(now[1], was[1], atol=1e-5, rtol=0)  # joints about the root
     stands = was[3] < 0.1  # slower than about 5 mm/s, or not low
@@ -62,23 +63,23 @@ def test_signals_show_a_drift_and_the_sliding_of_feet_that_stand(some):
 
 def test_a_foot_high_above_the_floor_does_not_slide(some):
     up = replace(some, root=some.root + torch.tensor([0.0, 0.0, 0.5]))
-    assert embedding._signals(up).split(PARTS, -1)[3].max() < 1e-4
+    assert embedding.signals(up).split(PARTS, -1)[3].max() < 1e-4
 
 
 def test_signals_refuse_what_are_no_windows(some):
     with pytest.raises(ShapeError, match="windows"):
-        embedding._signals(some.clip(0))
+        embedding.signals(some.clip(0))
     with pytest.raises(ShapeError, match="windows"):
-        embedding._signals(some.cut(0, 1))
+        embedding.signals(some.cut(0, 1))
 
 
 def test_training_learns_and_is_the_same_again(data, some, trained):
     features, curve = trained
     assert curve[-1]["loss"] < 0.8 * curve[0]["loss"] and curve[-1]["place"] < 0.3
     assert curve[-1]["joints"] < curve[0]["joints"]
-    again, _ = embedding.train_features(data, TINY, some)
+    again, _ = feature_training.train_features(data, TINY, some)
     assert torch.equal(again(some), features(some))
-    other, _ = embedding.train_features(data, replace(TINY, seed=4))
+    other, _ = feature_training.train_features(data, replace(TINY, seed=4))
     assert not torch.allclose(other(some), features(some))
 
 
@@ -100,7 +101,7 @@ def test_what_is_missed_is_all_of_it_for_a_network_that_says_the_mean(some):
     )
     with torch.no_grad():
         features.network.decoder[-1].weight.zero_()
-        features.network.decoder[-1].bias.copy_(embedding._signals(some).mean((0, 1)))
+        features.network.decoder[-1].bias.copy_(embedding.signals(some).mean((0, 1)))
     assert set(features.missed(some)) == set(embedding.FEATURE_GROUPS)
     assert all(abs(share - 1) < 1e-3 for share in features.missed(some).values())
 
@@ -125,7 +126,7 @@ def test_files_of_something_else_are_refused(trained, tmp_path):
 
 def test_the_command_trains_on_the_people_who_train(motions, tmp_path, monkeypatch):
     """And watches what is missed of those who choose."""
-    asked, train_features = [], embedding.train_features
+    asked, train_features = [], feature_training.train_features
 
     def trained(windows, recipe, held, **how):
         asked.append((windows.digest, held))
@@ -133,7 +134,7 @@ def test_the_command_trains_on_the_people_who_train(motions, tmp_path, monkeypat
 
     found = shipped.RealMotions({splits.RECORDED: motions[:1]}, {"people who choose": motions[1:]}, {})
     monkeypatch.setattr(shipped, "real_motions", lambda folder: found)
-    monkeypatch.setattr(embedding, "train_features", trained)
+    monkeypatch.setattr(feature_training, "train_features", trained)
     monkeypatch.setattr(train, "FeatureRecipe", lambda: replace(TINY, frames=60))
     how = "--steps 3 --seed 2"
     assert main(["train", "features", *how.split(), "--data", "x", "--out", str(tmp_path / "f")]) == 0

@@ -6,13 +6,13 @@ import pytest
 import torch
 
 from motionlab import rotation
-from motionlab.diffusion import losses
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.losses import LossWeights
+from motionlab.diffusion.model import LossWeights
 from motionlab.diffusion.sampling import cosine
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
+from motionlab.training import losses
 
 LAYOUT = Layout()
 EVERYTHING = Layout(velocities=True)

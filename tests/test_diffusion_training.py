@@ -9,13 +9,13 @@ import torch
 
 from motionlab import checkpoint
 from motionlab.__main__ import main
-from motionlab.diffusion import denoiser, masks, training
+from motionlab.diffusion import denoiser, masks
 from motionlab.diffusion.features import Normaliser
-from motionlab.diffusion.losses import LossWeights
-from motionlab.diffusion.model import DenoiserRecipe, load_denoiser, motion_model, save_denoiser
+from motionlab.diffusion.model import DenoiserRecipe, LossWeights, load_denoiser, motion_model, save_denoiser
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.skeleton import STANDARD
+from motionlab.training import denoiser_training
 
 TINY = {"size": 16, "layers": 1, "heads": 2, "hidden": 16}
 SMALL = DenoiserRecipe(size="tiny", frames=8, steps=8, batch=4, lr=3e-3, warm_up=2, noising=50, seed=5)
@@ -40,7 +40,7 @@ def same(one, two):
 # ----------------------------------------------------------------------------------------------------- runs
 @pytest.mark.parametrize("joint", ["left_wrist", "spine2"])  # what hangs on the second is where its rotation puts it
 def test_a_joint_that_no_recording_has_is_not_learnt(motions, joint):
-    run = training.DenoiserTraining(
+    run = denoiser_training.DenoiserTraining(
         SMALL, gather([on_standard(m) for m in motions], SMALL.frames, missing=[(joint,)] * 2)
     )
     lost = STANDARD.indices([joint, joint.replace("left", "right")])
@@ -53,35 +53,35 @@ def test_a_joint_that_no_recording_has_is_not_learnt(motions, joint):
 
 
 def test_the_same_seed_gives_the_same_weights_whatever_torch_drew_elsewhere(data):
-    one = training.DenoiserTraining(SMALL, data).run(until=2)
+    one = denoiser_training.DenoiserTraining(SMALL, data).run(until=2)
     torch.manual_seed(77)
     state = torch.get_rng_state()
-    two = training.DenoiserTraining(SMALL, data).run(until=2)
+    two = denoiser_training.DenoiserTraining(SMALL, data).run(until=2)
     assert same(one, two) and torch.equal(state, torch.get_rng_state())
-    assert not same(one, training.DenoiserTraining(replace(SMALL, seed=6), data).run(until=2))
+    assert not same(one, denoiser_training.DenoiserTraining(replace(SMALL, seed=6), data).run(until=2))
 
 
 def test_a_run_does_not_go_on_with_other_windows(motions, data, tmp_path):
-    training.DenoiserTraining(SMALL, data).run(until=1, keep=tmp_path / "run.pt")
+    denoiser_training.DenoiserTraining(SMALL, data).run(until=1, keep=tmp_path / "run.pt")
     with pytest.raises(DataError, match="other windows"):
-        training.DenoiserTraining.resume(tmp_path / "run.pt", gather(motions, SMALL.frames))
+        denoiser_training.DenoiserTraining.resume(tmp_path / "run.pt", gather(motions, SMALL.frames))
     with pytest.raises(DataError, match="windows of 9 frames at 30 fps; expected 8"):
-        training.DenoiserTraining(SMALL, gather(motions, 9))
+        denoiser_training.DenoiserTraining(SMALL, gather(motions, 9))
     with pytest.raises(DataError, match="at 15 fps"):
-        training.DenoiserTraining(SMALL, gather([m.cut(step=2) for m in motions], SMALL.frames))
+        denoiser_training.DenoiserTraining(SMALL, gather([m.cut(step=2) for m in motions], SMALL.frames))
     with pytest.raises(DataError, match="without contacts"):
-        training.DenoiserTraining(SMALL, gather([replace(m, contacts=None) for m in motions], SMALL.frames))
+        denoiser_training.DenoiserTraining(SMALL, gather([replace(m, contacts=None) for m in motions], SMALL.frames))
 
 
 def test_the_loss_is_the_weighted_sum_of_its_parts(data):
     weights = LossWeights(fk=2.0, velocity=0.5, contact=7.0)
-    row = training.DenoiserTraining(replace(SMALL, weights=weights), data).advance()
+    row = denoiser_training.DenoiserTraining(replace(SMALL, weights=weights), data).advance()
     parts = row["simple"] + 2 * row["fk"] + 0.5 * row["velocity"] + 7 * row["contact"]
     assert row["loss"] == pytest.approx(parts, rel=1e-5)
 
 
 def test_the_rate_follows_the_recipe(data):
-    run, rates = training.DenoiserTraining(SMALL, data), []
+    run, rates = denoiser_training.DenoiserTraining(SMALL, data), []
     for _ in range(SMALL.steps):
         run.advance()
         rates.append(run.optimiser.param_groups[0]["lr"] / SMALL.lr)
@@ -91,15 +91,15 @@ def test_the_rate_follows_the_recipe(data):
 
 def test_the_judge_measures_errors_on_held_out_windows(data):
     """Of its own noise, so that models compare: the same again, and other windows have others."""
-    model = training.DenoiserTraining(SMALL, data).averaged
-    one, again, other = (training.held_errors(data.evenly(n))(model) for n in (8, 8, 5))
+    model = denoiser_training.DenoiserTraining(SMALL, data).averaged
+    one, again, other = (denoiser_training.held_errors(data.evenly(n))(model) for n in (8, 8, 5))
     assert list(one) == [f"x0 error at t = {t}" for t in (2, 10, 20, 29, 39)] and one == again != other
 
 
 # ---------------------------------------------------------------------------------------------------- files
 @pytest.fixture
 def model(data):
-    return training.DenoiserTraining(SMALL, data).run(until=2).shipped
+    return denoiser_training.DenoiserTraining(SMALL, data).run(until=2).shipped
 
 
 def test_a_model_comes_back_from_its_files(model, data, tmp_path):
@@ -179,11 +179,11 @@ def test_the_command_says_what_is_wrong(tmp_path, monkeypatch, capsys, arguments
 
 
 def test_a_run_can_begin_from_another_model_and_goes_on_with_its_normaliser(data, tmp_path):
-    first = training.DenoiserTraining(SMALL, data).run(until=2).averaged
+    first = denoiser_training.DenoiserTraining(SMALL, data).run(until=2).averaged
     other = replace(first, normaliser=Normaliser(first.normaliser.mean + 1.0, first.normaliser.scale * 2.0))
-    run = training.DenoiserTraining(SMALL, data, start=other)
+    run = denoiser_training.DenoiserTraining(SMALL, data, start=other)
     assert all(torch.equal(run.model.state_dict()[k], v) for k, v in other.denoiser.state_dict().items())
     run.run(until=1, keep=tmp_path / "run.pt")
-    again = training.DenoiserTraining.resume(tmp_path / "run.pt", data)
+    again = denoiser_training.DenoiserTraining.resume(tmp_path / "run.pt", data)
     assert torch.equal(run.shipped.normaliser.mean, other.normaliser.mean)
     assert torch.equal(again.normaliser.scale, other.normaliser.scale)

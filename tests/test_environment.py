@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from motionlab.doctor import _normal_name, _read_pins
+from motionlab.commands.doctor import _normal_name, _read_pins
 from tests import pins
 
 ROOT = Path(__file__).resolve().parents[1]

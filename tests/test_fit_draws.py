@@ -3,8 +3,8 @@
 import pytest
 from walked import few_steps, table, walk, write_npz
 
-from motionlab import fit, scene_fit, scene_report
 from motionlab.errors import DataError
+from motionlab.footage import fit, scene_fit, scene_report
 from motionlab.io import gltf_reading
 from motionlab.observation import BODY_25
 

@@ -12,8 +12,9 @@ import pytest
 import torch
 from walked import CAMERA, few_steps, short_windows, table, walk, write_npz
 
-from motionlab import files, fit, scene_fit, scene_report
+from motionlab import files
 from motionlab.errors import DataError
+from motionlab.footage import fit, scene_fit, scene_report
 from motionlab.humor import testops
 from motionlab.humor.priors import InitGmm
 from motionlab.io import amass

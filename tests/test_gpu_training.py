@@ -8,13 +8,14 @@ import torch
 
 from motionlab.diffusion import masks, state
 from motionlab.diffusion.completer import Completer, CompleterRecipe
-from motionlab.diffusion.completer_training import _WEIGHTS, losses
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.losses import LossWeights, denoising_losses
+from motionlab.diffusion.model import LossWeights
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
+from motionlab.training.completer_training import _WEIGHTS, losses
+from motionlab.training.losses import denoising_losses
 from tests.bench.gpu import steps
 
 ODDS = torch.tensor([0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.85])

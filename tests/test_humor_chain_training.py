@@ -9,10 +9,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from motionlab.errors import DataError
-from motionlab.humor import chain_training, scales
-from motionlab.humor.chain_training import ChainRecipe, ChainTraining
+from motionlab.humor import scales
 from motionlab.humor.cvae import Cvae, from_weights, official_weights
-from motionlab.humor.examples import live_examples
 from motionlab.humor.scales import Scales
 from motionlab.humor.state import (
     OFFICIAL_DELTA_ORDER,
@@ -27,6 +25,9 @@ from motionlab.humor.state import (
 )
 from motionlab.motion import mirror
 from motionlab.skeleton import STANDARD
+from motionlab.training import chain_training
+from motionlab.training.chain_training import ChainRecipe, ChainTraining
+from motionlab.training.examples import live_examples
 from tests.draws import seeded
 
 SMALL = ChainRecipe(width=64, steps=8, batch=10, length=3, chain=2, seed=5)

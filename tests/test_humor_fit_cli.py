@@ -12,10 +12,10 @@ import walked
 from PIL import Image
 from walked import CAMERA, aside, few_steps, short_windows, table, write_camera, write_json, write_npz
 
-from motionlab import fit, scene_fit, scene_report
 from motionlab.__main__ import main
 from motionlab.checkpoint import SHIPPED
 from motionlab.errors import DataError
+from motionlab.footage import fit, scene_fit, scene_report
 from motionlab.humor import body_shape, pretrained, testops
 from motionlab.humor.energies import RGB, RGB_LIGHT
 from motionlab.humor.shooting import feedback_solver

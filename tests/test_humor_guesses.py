@@ -7,8 +7,9 @@ import torch
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import rotation, scene_fit
-from motionlab.fit import landmarks_of
+from motionlab import rotation
+from motionlab.footage import scene_fit
+from motionlab.footage.fit import landmarks_of
 from motionlab.humor import evidence, pretrained, start, testops, unknowns
 from motionlab.humor.energies import RGB_LIGHT
 from motionlab.humor.stages import Problem

@@ -9,10 +9,11 @@ import torch
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import heading_frame
-from motionlab.humor import pretrained, prior_training, priors, state
+from motionlab.humor import pretrained, priors, state
 from motionlab.humor.priors import InitGmm
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
+from motionlab.training import prior_training
 
 
 def golden_mixture() -> InitGmm:

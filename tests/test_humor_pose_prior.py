@@ -7,11 +7,12 @@ from torch.nn import functional as F
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import checkpoint, rotation, shipped
+from motionlab import checkpoint, rotation
 from motionlab.errors import DataError, ShapeError
-from motionlab.humor import pretrained, prior_training
+from motionlab.humor import pretrained
 from motionlab.humor.priors import PosePrior
 from motionlab.skeleton import STANDARD
+from motionlab.training import prior_training, shipped
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,10 @@ import torch
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import checkpoint, shipped
+from motionlab import checkpoint
 from motionlab.errors import DataError
-from motionlab.humor import pretrained, prior_training, priors
+from motionlab.humor import pretrained, priors
+from motionlab.training import prior_training, shipped
 
 
 def first_states(seed: int = 5) -> torch.Tensor:

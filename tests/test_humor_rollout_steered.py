@@ -6,7 +6,8 @@ Everything twice: as compiled loops, and as tensors.
 import pytest
 import torch
 
-from motionlab import doctor, heading, rotation
+from motionlab import heading, rotation
+from motionlab.commands import doctor
 from motionlab.humor import compiled, state
 from motionlab.humor.rollout import rollout, steered_rollout
 from tests.draws import draw

@@ -5,11 +5,12 @@ import torch
 
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
-from motionlab import checkpoint, shipped, splits
+from motionlab import checkpoint, splits
 from motionlab.__main__ import main
 from motionlab.errors import ShapeError
 from motionlab.humor import pretrained
 from motionlab.humor.cvae import Cvae
+from motionlab.training import shipped
 
 
 @pytest.mark.parametrize("width", [0, 16, 48, 100])

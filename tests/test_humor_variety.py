@@ -4,8 +4,8 @@ import torch
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import shipped
-from motionlab.humor import examples, priors, state
+from motionlab.humor import priors, state
+from motionlab.training import examples, shipped
 
 
 def test_other_bodies_keep_angles_and_feet(generator):

@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 import results
 from motionlab import io, rotation
+from motionlab.animate.filling import rewriting
 from motionlab.errors import DataError, ShapeError
-from motionlab.io import amass, rewriting
+from motionlab.io import amass
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 

@@ -11,8 +11,9 @@ import pytest
 import torch
 
 from motionlab import io, rotation
+from motionlab.animate.filling import rewriting
 from motionlab.errors import DataError, ShapeError
-from motionlab.io import bvh, rewriting
+from motionlab.io import bvh
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from tests.twins import fk as twin_fk

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from data_synth.body import capsule_body
 from motionlab import io, rotation
+from motionlab.animate.filling import rewriting
 from motionlab.body import lbs
 from motionlab.errors import DataError, ShapeError
-from motionlab.io import gltf, rewriting
+from motionlab.io import gltf
 from motionlab.motion import Motion
 from motionlab.rest import reframed
 from motionlab.skeleton import STANDARD, UPRIGHT, fk

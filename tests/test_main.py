@@ -9,11 +9,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab import __main__, animate, doctor
-from motionlab.commands import animator, motions
-from motionlab.doctor import Check
+from motionlab import __main__
+from motionlab.animate.filling import filling, rewriting
+from motionlab.commands import animator, doctor, motions
+from motionlab.commands.doctor import Check
 from motionlab.errors import DataError, MissingData
-from motionlab.io import bvh, load, rewriting
+from motionlab.io import bvh, load
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from suite import __main__ as suite_main
@@ -369,7 +370,7 @@ def test_table_is_aligned():
 
 def test_what_the_commands_offer_is_what_the_library_does():
     """They may not import it before one runs."""
-    assert tuple(rewriting.WRITERS) == motions.WRITTEN and animator._METHODS == animate.METHODS
+    assert tuple(rewriting.WRITERS) == motions.WRITTEN and animator._METHODS == filling.METHODS
 
 
 def test_help_loads_neither_torch_nor_numpy():

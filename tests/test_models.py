@@ -6,11 +6,12 @@ import pytest
 import torch
 
 from data_synth import scenes
-from motionlab import checkpoint, corpus, models
+from motionlab import checkpoint, corpus
 from motionlab.contact import with_contacts
 from motionlab.errors import DataError
 from motionlab.humor import pretrained
 from motionlab.humor.cvae import Cvae, official_weights
+from motionlab.training import models
 
 
 @pytest.fixture

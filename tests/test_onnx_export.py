@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import onnx_export
+from motionlab.commands import onnx_export
 from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.curves import curve_weights
 from motionlab.errors import DataError

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from walked import SIZE, aside, few_steps, table, walk, write_camera, write_json
 
-from motionlab import fit, scene_fit
 from motionlab.__main__ import main
+from motionlab.footage import fit, scene_fit
 from motionlab.io import gltf
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "own_footage.md"

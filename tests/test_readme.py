@@ -8,14 +8,15 @@ import imageio.v2 as imageio
 import pytest
 import torch
 
-from motionlab import examples, io, onnx_export, retarget
+from motionlab import examples, io, retarget
 from motionlab.__main__ import _parser
 from motionlab.bench import judge
 from motionlab.bench.person_windows import PersonWindows
+from motionlab.commands import onnx_export
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer
 from motionlab.diffusion.windows import on_standard
-from motionlab.fit import landmarks_of
+from motionlab.footage.fit import landmarks_of
 from motionlab.io import gltf
 from motionlab.motion import resample, windows
 from motionlab.observation import look_at, project

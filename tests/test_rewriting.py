@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import animate, io, rotation
+from motionlab import io, rotation
+from motionlab.animate.filling import filling
+from motionlab.animate.rewriting import WRITERS, write_back
 from motionlab.io import bvh, gltf
-from motionlab.io.rewriting import WRITERS, write_back
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from tests.test_animate import walk
@@ -53,8 +54,8 @@ def test_no_channel_jumps_where_a_middle_angle_is_beyond_a_quarter_turn(kept, tm
         lines[n] = " ".join(words)
     source.write_text("\n".join([*lines, ""]))
     loaded = io.load(source)
-    keep = animate.kept(loaded, animate.frames_named(kept, 90))
-    made = animate.inbetween(loaded, keep, method="curves", plant=False).motion
+    keep = filling.kept(loaded, filling.frames_named(kept, 90))
+    made = filling.inbetween(loaded, keep, method="curves", plant=False).motion
     write_back(source, out, loaded, made)
     old, new = (np.loadtxt(path.read_text().splitlines()[-90:]) for path in (source, out))
     assert 100 < old[:, 4].min() and np.abs(np.diff(old[:, 3:], axis=0)).max() < 8

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from data_synth import scenes
+from motionlab.footage.scene_fit import FULL_WORK
 from motionlab.humor import pretrained, testops
 from motionlab.humor.energies import JOINTS
-from motionlab.scene_fit import FULL_WORK
 from studies.nb08_fast import trials
 from studies.shared import joints
 

@@ -8,8 +8,8 @@ import torch
 import walked
 from walked import few_steps, table, write_camera, write_npz
 
-from motionlab import fit, scene_report, stature
 from motionlab.body import BodyModel
+from motionlab.footage import fit, scene_report, stature
 from motionlab.humor import body_shape
 from motionlab.io import bvh
 from motionlab.motion import Motion

@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 
 import torch
 
-from motionlab.doctor import ROOT
+from motionlab.commands.doctor import ROOT
 from motionlab.humor import stages
 from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.testops import Schedule

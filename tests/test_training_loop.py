@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from motionlab.errors import DataError
-from motionlab.training_loop import TrainingRun
+from motionlab.training.training_loop import TrainingRun
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from motionlab.body import BodyModel
+from motionlab.footage.overlay import _film_size, as_camera, bodies_over, over_footage
 from motionlab.io import video
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, look_at
 from motionlab.skeleton import STANDARD, UPRIGHT
-from motionlab.viz.footage import _film_size, as_camera, bodies_over, over_footage
 
 CAMERA = look_at(torch.tensor([0.0, -4.0, 1.2]), torch.tensor([0.0, 0.0, 0.9]), focal=150.0, width=160, height=120)
 RED, GREEN = (0.9, 0.1, 0.1), (0.1, 0.7, 0.1)

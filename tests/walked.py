@@ -9,7 +9,7 @@ import torch
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import fit, scene_fit
+from motionlab.footage import fit, scene_fit
 from motionlab.humor import testops
 from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.motion import Motion

@@ -1,1 +1,1 @@
-"""The commands that take a file of many options: from footage to a scene, an animator's tools, both on many clips."""
+"""What ``motionlab`` does at a command line, a module for each kind of command; ``motionlab.__main__`` lists them."""

@@ -17,7 +17,7 @@ from motionlab.commands.showing import add_cut, add_film, check_film, cut, draw_
 from motionlab.errors import DataError
 
 if TYPE_CHECKING:
-    from motionlab.animate import Animated
+    from motionlab.animate.filling import Animated
     from motionlab.motion import Motion
 
 _METHODS = ("network", "curves")
@@ -170,7 +170,7 @@ def _made(
     source: Path, target: Path, options: argparse.Namespace, say: Callable[[str], None], progress: bool = False
 ) -> tuple[Motion, Motion]:
     """Reads a motion, makes another of it and writes that; returns both, and says what was guessed, and how."""
-    from motionlab.io.rewriting import check_target, write_back
+    from motionlab.animate.rewriting import check_target, write_back
     from motionlab.retarget import retarget_onto
 
     check_target(source, target)
@@ -186,15 +186,15 @@ def _made(
 
 
 def _inbetween(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab import animate
+    from motionlab.animate.filling import filling
 
-    keep = animate.kept(motion, animate.frames_named(options.keys, motion.frames), options.joints)
+    keep = filling.kept(motion, filling.frames_named(options.keys, motion.frames), options.joints)
     how = {"method": options.method, "seed": options.seed, "plant": options.plant}
-    return animate.inbetween(motion, keep, progress=progress, **how)
+    return filling.inbetween(motion, keep, progress=progress, **how)
 
 
 def _repair(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab import renew
+    from motionlab.animate.filling import renew
     from motionlab.diffusion.denoising import Noise
 
     noise = None if options.noise is None else Noise.of(options.noise[0], options.noise[1] / 10)
@@ -203,23 +203,23 @@ def _repair(options: argparse.Namespace, motion: Motion, progress: bool) -> Anim
 
 
 def _complete(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab import animate, renew
+    from motionlab.animate.filling import filling, renew
 
     if options.known:
         if options.seed is not None:
             raise DataError("poses from places have one answer", place="--seed", remedy="leave it out")
         return renew.posed(motion, options.known, plant=options.plant)
-    return animate.completed(motion, options.hidden or [], seed=options.seed, plant=options.plant, progress=progress)
+    return filling.completed(motion, options.hidden or [], seed=options.seed, plant=options.plant, progress=progress)
 
 
 def _plant(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab import footlock
+    from motionlab.animate.filling import footlock
 
     return footlock.locked(motion)
 
 
 def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab import looping
+    from motionlab.animate.filling import looping
 
     if not (options.loop or options.in_place):
         raise DataError("nothing to do", path=options.source, place="cycle", remedy="give --loop, --in-place or both")
@@ -237,8 +237,8 @@ def _rig(options: argparse.Namespace, say: Callable[[str], None]) -> Motion:
 
 
 def _generate(options: argparse.Namespace) -> int:
-    from motionlab import renew
-    from motionlab.io.rewriting import write_back
+    from motionlab.animate.filling import renew
+    from motionlab.animate.rewriting import write_back
 
     if options.count < 1:
         raise DataError(f"{options.count} motions", place="--count", remedy="give a number above 0")

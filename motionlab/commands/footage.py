@@ -100,7 +100,7 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _list_people(options: argparse.Namespace) -> int:
-    from motionlab import clip
+    from motionlab.footage import clip
 
     how = {name: getattr(options, name) for name in ("out", "fps", "size", "layout")}
     found = clip.open_clip(options.keypoints, options.video, progress=is_watched() or "lines", **how)
@@ -111,7 +111,7 @@ def _list_people(options: argparse.Namespace) -> int:
 
 
 def _fit_one(options: argparse.Namespace) -> int:
-    from motionlab import fit, scene_report
+    from motionlab.footage import fit, scene_report
 
     how = {name: getattr(options, name) for name in _PASSED_ON} | {"progress": is_watched() or "lines"}
     try:
@@ -144,7 +144,7 @@ def _fit_each(options: argparse.Namespace) -> int:
 
 def _fit_clip(clip: Job, how: dict[str, object]) -> list[str]:
     """Fits one of many; says who is to be doubted."""
-    from motionlab import fit, scene_report
+    from motionlab.footage import fit, scene_report
 
     _, keypoints, video, out = clip
     record = fit.run_clip(keypoints, out, video=video, **how)
@@ -154,7 +154,7 @@ def _fit_clip(clip: Job, how: dict[str, object]) -> list[str]:
 
 
 def _is_fitted(clip: Job, how: dict[str, object]) -> bool:
-    from motionlab import fit
+    from motionlab.footage import fit
 
     _, keypoints, video, out = clip
     return fit.is_finished(out, {"keypoints": keypoints, "video": video} | how)

@@ -36,7 +36,7 @@ def run_clips(
     Raises:
         DataError: --jobs below 1 or with --cluster, or no cluster. MissingData: the package that speaks to one.
     """
-    from motionlab import batch
+    from motionlab.commands import batch
 
     clips = [(name, *(path and path.resolve() for path in paths)) for name, *paths in clips]  # for other machines
     jobs = 1 if options.jobs is None else options.jobs

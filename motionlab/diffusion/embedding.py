@@ -13,8 +13,7 @@ features are physical descriptions and joint statistics.
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import ClassVar
@@ -24,12 +23,10 @@ from torch import Tensor, nn
 
 from motionlab import checkpoint
 from motionlab.contact import resting_heights
-from motionlab.diffusion.windows import Windows
 from motionlab.errors import ShapeError
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion, velocity
 from motionlab.skeleton import FEET, STANDARD
-from motionlab.training_loop import TrainingRun
 
 #: Joints whose velocities count; what of the feet is low counts once more, as sliding.
 _MOVING = ("pelvis", "head", "left_wrist", "right_wrist", *FEET)
@@ -39,8 +36,8 @@ _LOW, _EDGE = 0.03, 0.01  # metres above its resting height: a foot joint is low
 _SLOW = 0.05  # m/s: of a sliding foot's speed the logarithm counts, from about here on, or a swinging one hides it
 
 
-def _signals(motion: Motion) -> Tensor:
-    """Rows (N, T, 94) of windows (N, T) on the standard joints, in the heading frame of their first frames.
+def signals(motion: Motion) -> Tensor:
+    """Computes rows (N, T, 94) of windows (N, T) on the standard joints, in the heading frame of their first frames.
 
     Metres and metres per second; sliding: log(1 + speed over the floor / SLOW), faded out where the joint is not low.
 
@@ -125,68 +122,17 @@ class Features:
         if motion.frames != self.recipe.frames:
             raise ShapeError(f"expected windows of {self.recipe.frames} frames, got {motion.frames}")
         parts = (motion.clip(slice(at, at + batch)) for at in range(0, len(motion.root), batch))
-        latent = torch.cat([self.network.encoder(((_signals(x) - self.mean) / self.scale).mT) for x in parts])
+        latent = torch.cat([self.network.encoder(((signals(x) - self.mean) / self.scale).mT) for x in parts])
         return ((latent - self.centre) / self.spread).double()
 
     @torch.no_grad()
     def missed(self, motion: Motion) -> dict[str, float]:
         """Computes the share of each group's variance that the latent numbers miss, of windows (N, T)."""
-        x = (_signals(motion) - self.mean) / self.scale
+        x = (signals(motion) - self.mean) / self.scale
         wrong, total = (self.network(x) - x).square(), (x - x.mean((0, 1))).square()
         groups = (each.split(list(FEATURE_GROUPS.values()), -1) for each in (wrong, total))
         parts = zip(FEATURE_GROUPS, *groups, strict=True)
         return {name: float(a.sum() / b.sum().clamp(min=1e-12)) for name, a, b in parts}
-
-
-class _FeatureRun(TrainingRun):
-    """Trains an autoencoder on windows. Every group weighs the same in the loss, or the few numbers that say whether a
-    foot slides would drown."""
-
-    clip = None
-
-    def __init__(self, recipe: FeatureRecipe, windows: Windows) -> None:
-        generator, self.windows = torch.Generator().manual_seed(recipe.seed), windows
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(recipe.seed)
-            network = Autoencoder(recipe)
-        self.mean, self.scale = _moments(_signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
-        self.weight = torch.cat([torch.full((n,), 1 / (n * len(FEATURE_GROUPS))) for n in FEATURE_GROUPS.values()])
-        optimiser = torch.optim.Adam(network.parameters(), recipe.lr)
-        super().__init__(recipe, windows.digest, generator, network, optimiser)
-
-    def _rate(self) -> float:
-        return 0.5 * self.recipe.lr * (1 + math.cos(math.pi * self.step / self.recipe.steps))
-
-    def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
-        x = (_signals(self.windows.draw(self.recipe.batch, self.generator)) - self.mean) / self.scale
-        return ((self.model(x) - x).square() * self.weight).sum(-1).mean(), {}
-
-    def _ready(self, network: Autoencoder) -> Features:
-        size = self.recipe.size
-        return Features(network, self.mean, self.scale, torch.zeros(size), torch.ones(size), self.recipe)
-
-
-def train_features(
-    windows: Windows, recipe: FeatureRecipe, held: Motion | None = None, *, progress: bool = False
-) -> tuple[Features, list[dict]]:
-    """Trains on windows; returns the features and the curve: loss, and what is ``missed`` of held-out windows."""
-    if windows.length != recipe.frames:
-        raise ShapeError(f"windows of {windows.length} frames, recipe of {recipe.frames}")
-    judge, every = None if held is None else lambda features: features.missed(held), max(1, recipe.steps // 20)
-    run = _FeatureRun(recipe, windows).run(every=every, judge=judge, judge_every=every, progress=progress)
-    made = run.averaged
-    made.network.half().float()  # its weights as they are stored
-    latent = made(windows.draw(2048, run.generator)).float()
-    made = replace(made, centre=latent.mean(0), spread=latent.std(0).clamp(min=1e-3))
-    return made, [{name: round(value, 4) for name, value in row.items()} for row in run.curve]
-
-
-def _moments(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean of each column and one deviation per group, of rows (N, T, 94)."""
-    flat = x.flatten(0, 1)
-    mean = flat.mean(0)
-    parts = (flat - mean).split(list(FEATURE_GROUPS.values()), 1)
-    return mean, torch.cat([part.square().mean().sqrt().clamp(min=1e-3).expand(part.shape[1]) for part in parts])
 
 
 def save_features(path: Path | str, features: Features, about: dict) -> None:

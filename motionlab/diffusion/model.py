@@ -17,13 +17,33 @@ from motionlab import checkpoint
 from motionlab.diffusion import denoiser, sampling
 from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.losses import LossWeights
 from motionlab.diffusion.sampling import NoiseSchedule, ddpm, noise_like
 from motionlab.errors import DataError, check_shape
 from motionlab.motion import FPS, Motion
 from motionlab.skeleton import Skeleton
 
 LEVELS = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all noising steps: where the error of x_0 is measured
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """How much each part of the training loss counts; 0 switches it off, and it is not computed.
+
+    fk: per square metre. contact: per square metre moved in a frame.
+    """
+
+    simple: float = 1.0
+    fk: float = 0.05
+    velocity: float = 1.0
+    contact: float = 5.0
+
+    def __post_init__(self) -> None:
+        if not all(weight >= 0 for weight in asdict(self).values()):
+            raise ValueError("weights: expected numbers of 0 or more")
+
+    def parts(self) -> dict[str, float]:
+        """Returns the parts that count, with their weights."""
+        return {name: weight for name, weight in asdict(self).items() if weight}
 
 
 @dataclass(frozen=True)

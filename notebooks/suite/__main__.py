@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from motionlab.doctor import ROOT
+from motionlab.commands.doctor import ROOT
 from motionlab.errors import DataError, MissingData
 from suite import execute, pages, report
 

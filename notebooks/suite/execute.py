@@ -12,7 +12,7 @@ from datetime import date
 from pathlib import Path
 
 from motionlab import parallel
-from motionlab.doctor import ROOT
+from motionlab.commands.doctor import ROOT
 from motionlab.errors import DataError, MissingData
 from suite import findings, staleness
 from suite.findings import Record

@@ -20,8 +20,8 @@ from pathlib import Path
 import torch
 
 from data_synth import scenes
-from motionlab import scene_fit
 from motionlab.errors import DataError
+from motionlab.footage import scene_fit
 from motionlab.humor import pretrained, testops
 from motionlab.humor.testops import Schedule
 from motionlab.io import keypoints

@@ -20,15 +20,16 @@ from pathlib import Path
 
 import torch
 
-from motionlab import animate, baselines, io, people
-from motionlab.corrections import Standard
+from motionlab import baselines, io, people
+from motionlab.animate.corrections import Standard
+from motionlab.animate.filling import filling
 from motionlab.errors import DataError
 from motionlab.metrics import intervals
 from motionlab.metrics.pose import joint_errors
 from motionlab.motion import Motion, resample
 
 FPS, FRAMES, GAPS, LOW, MORE = 30.0, 130, (15, 30, 60), 0.03, 1.0
-METHODS = ("slerp", "slerp+", *animate.METHODS)
+METHODS = ("slerp", "slerp+", *filling.METHODS)
 KINDS = ("gap", "keys", "one", "beyond")
 
 
@@ -55,7 +56,7 @@ def clips(folder: Path, part: str, each: int) -> list[tuple[str, Motion]]:
     return rows
 
 
-def case(kind: str, gap: int, motion: Motion) -> tuple[Motion, animate.Keep, torch.Tensor]:
+def case(kind: str, gap: int, motion: Motion) -> tuple[Motion, filling.Keep, torch.Tensor]:
     """The motion that is to be filled in, what is kept of it, and the frames (T,) at which it is measured."""
     start = (FRAMES - gap) // 2
     if kind == "gap":
@@ -66,14 +67,14 @@ def case(kind: str, gap: int, motion: Motion) -> tuple[Motion, animate.Keep, tor
         known, middle = (1 if kind == "one" else 10), FRAMES // 2
         motion = motion.cut(middle - known // 2 - gap, middle - known // 2 + known + gap)
         frames = set(range(gap, gap + known))
-    keep, time = animate.kept(motion, frames), torch.arange(motion.frames)
+    keep, time = filling.kept(motion, frames), torch.arange(motion.frames)
     inside = ~keep.frames & (kind in ("one", "beyond") or (time > min(frames)) & (time < max(frames)))
     return motion, keep, inside
 
 
-def filled(method: str, motion: Motion, keep: animate.Keep) -> Motion:
+def filled(method: str, motion: Motion, keep: filling.Keep) -> Motion:
     if not method.startswith("slerp"):
-        return animate.inbetween(motion, keep, method=method).motion
+        return filling.inbetween(motion, keep, method=method).motion
     made = baselines.interpolate(motion, keep.frames)
     if method == "slerp":
         return made
@@ -86,19 +87,19 @@ def accelerations(motion: Motion) -> torch.Tensor:
     return motion.positions.diff(n=2, dim=0).norm(dim=-1) * motion.fps**2
 
 
-def pops(made: Motion, truth: Motion, keep: animate.Keep) -> tuple[float, float]:
+def pops(made: Motion, truth: Motion, keep: filling.Keep) -> tuple[float, float]:
     """The seam, and the largest acceleration of a knee in what was made."""
     size = accelerations(made)
     beside = (keep.frames[:-1] ^ keep.frames[1:]).nonzero()[:, 0]
     seam = size[torch.cat((beside - 1, beside)).clamp(0, len(size) - 1)].max() / accelerations(truth).max()
-    knees = [j for name, j in animate._standard_joints(truth).items() if name.endswith("knee")]
+    knees = [j for name, j in filling._standard_joints(truth).items() if name.endswith("knee")]
     known = keep.frames[:-2] & keep.frames[1:-1] & keep.frames[2:]
     return float(seam), float(size[~known][:, knees].max())
 
 
 def slide(motion: Motion, whole: Motion, truth: Motion, where: torch.Tensor) -> float:
     """mm per frame of ankles that are low, in the frames ``where``; NaN where none is. whole: tells the floor."""
-    feet = [j for name, j in animate._standard_joints(truth).items() if name.endswith("ankle")]
+    feet = [j for name, j in filling._standard_joints(truth).items() if name.endswith("ankle")]
     floor = whole.positions[:, feet, 2].quantile(0.02, dim=0)
     p = motion.positions[:, feet]
     low = (p[..., 2] < floor + LOW) & where[:, None]
@@ -137,7 +138,7 @@ def report(found: dict) -> None:
 
     for kind in sorted({kind for kind, _, _ in error}):
         for gap in GAPS:
-            usual = animate._usual_method(gap / FPS * (kind in ("gap", "keys")), gap / FPS * (kind == "beyond"))[0]
+            usual = filling._usual_method(gap / FPS * (kind in ("gap", "keys")), gap / FPS * (kind == "beyond"))[0]
             if (kind, gap, usual) not in error:
                 continue
             best = by_person(error[kind, gap, usual])

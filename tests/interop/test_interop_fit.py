@@ -11,7 +11,8 @@ import torch
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import __main__, fit
+from motionlab import __main__
+from motionlab.footage import fit
 from motionlab.io import amass, bvh, gltf
 from motionlab.observation import BODY_25, look_at, project
 from tests.interop.asking import ask, blender, needs_python

@@ -12,7 +12,7 @@ import torch
 
 from data_synth import scenes
 from motionlab.body import BodyModel
-from motionlab.doctor import ROOT
+from motionlab.commands.doctor import ROOT
 from motionlab.humor import pretrained, testops
 from motionlab.motion import Motion
 from motionlab.viz import movie, scene

@@ -25,16 +25,16 @@ from motionlab.bench.judge import CASES, FRAMES, Fill
 from motionlab.bench.person_windows import PersonWindows, by_person, person_windows
 from motionlab.corpus import Take
 from motionlab.diffusion.completer import CompleterRecipe
-from motionlab.diffusion.completer_training import CompleterTraining
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.files import write_whole
 from motionlab.humor import quality
-from motionlab.humor.chain_training import ChainRecipe, ChainTraining
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.examples import live_examples
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
-from motionlab.training_loop import TrainingRun
+from motionlab.training.chain_training import ChainRecipe, ChainTraining
+from motionlab.training.completer_training import CompleterTraining
+from motionlab.training.examples import live_examples
+from motionlab.training.training_loop import TrainingRun
 
 SHARES, SEEDS = (1 / 32, 1 / 8, 1 / 2, 1.0), (0, 1, 2)
 EACH, PRACTICE = 24, 8  # windows of a person: of the report, and to choose on

@@ -13,11 +13,12 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from motionlab import corpus, models, splits
+from motionlab import corpus, splits
 from motionlab.humor import pretrained, quality
-from motionlab.humor.examples import live_examples
 from motionlab.humor.state import heading, localise, unpack
 from motionlab.metrics.intervals import interval, paired
+from motionlab.training import models
+from motionlab.training.examples import live_examples
 
 DRAWS, BATCH = 16_000, 400  # windows to learn from; drawn at once
 AHEAD, WIDTHS = 60, (1e1, 1e2, 1e3, 1e4)  # frames; ridges

@@ -11,12 +11,13 @@ import torch
 from torch import Tensor
 
 from data_synth import scenes
-from motionlab import corpus, models, people, splits
+from motionlab import corpus, people, splits
 from motionlab.corpus import Take
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae
 from motionlab.metrics.gait import SEATED, tilt_and_bend
 from motionlab.motion import Motion
+from motionlab.training import models
 from studies.shared.clips import whole
 
 FRAMES = 62  # two seconds, and a frame before them from which the first velocity is taken

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from data_synth.scenes import Scene
 from motionlab import rotation
-from motionlab.fit import pixel_distances, pixels_of
+from motionlab.footage.fit import pixel_distances, pixels_of
 from motionlab.humor.energies import RGB_LIGHT
 from motionlab.humor.evidence import evidence
 from motionlab.humor.priors import Priors

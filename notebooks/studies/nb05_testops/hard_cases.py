@@ -13,7 +13,7 @@ from torch import Tensor
 from data_synth import corrupt, scenes
 from data_synth.scenes import Scene
 from motionlab.contact import with_contacts
-from motionlab.fit import landmarks_of
+from motionlab.footage.fit import landmarks_of
 from motionlab.humor.energies import RGB_LIGHT, Weights
 from motionlab.metrics import gait
 from motionlab.metrics.intervals import Paired, paired

@@ -10,9 +10,9 @@ import numpy as np
 from PIL import Image
 
 from motionlab.body import BodyModel
+from motionlab.footage.overlay import as_camera, bodies_over, labelled
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
-from motionlab.viz.footage import as_camera, bodies_over, labelled
 from motionlab.viz.movie import Film, drawn, jpeg, overlay, write_film
 from motionlab.viz.palette import PAPER
 from motionlab.viz.scene import Scene

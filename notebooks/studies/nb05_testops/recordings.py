@@ -17,7 +17,7 @@ from torch import Tensor
 from data_synth import scenes
 from motionlab.body import BodyModel
 from motionlab.errors import DataError
-from motionlab.fit import landmarks_of, pixels_of
+from motionlab.footage.fit import landmarks_of, pixels_of
 from motionlab.humor import testops
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule

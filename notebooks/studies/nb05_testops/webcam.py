@@ -12,7 +12,7 @@ from data_synth import scenes
 from data_synth.scenes import Scene
 from motionlab import rotation
 from motionlab.baselines import savitzky_golay
-from motionlab.fit import pixels_of
+from motionlab.footage.fit import pixels_of
 from motionlab.humor.evidence import ASSUMED_HEIGHT, LEVEL
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule, fit

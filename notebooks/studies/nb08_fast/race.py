@@ -11,13 +11,13 @@ import torch
 from torch import Tensor
 
 from data_synth import scenes
+from motionlab.footage.scene_fit import FULL_WORK, QUICK_WORK
 from motionlab.humor import start as starts
 from motionlab.humor.energies import RGB_LIGHT
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
-from motionlab.scene_fit import FULL_WORK, QUICK_WORK
 from studies.nb08_fast.trials import CM, Run, Single, Task, clock, prepare, shooting, single_shooting
 from studies.shared.clips import everyday, stacked, takes
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from motionlab.footage.scene_fit import FULL_WORK
 from motionlab.humor import stages, testops, unknowns
 from motionlab.humor import start as starts
 from motionlab.humor.energies import Weights
@@ -24,7 +25,6 @@ from motionlab.humor.unknowns import FIRST, Unknowns
 from motionlab.motion import Motion
 from motionlab.observation import Camera
 from motionlab.optimise import minimise_batch
-from motionlab.scene_fit import FULL_WORK
 
 CM = 100.0
 clock = time.process_time

@@ -21,7 +21,7 @@ from motionlab.diffusion import sampling
 from motionlab.diffusion.model import Trained
 from motionlab.diffusion.sampling import NoiseSchedule
 from motionlab.motion import FPS, Motion
-from motionlab.training_loop import fast_halves
+from motionlab.training.training_loop import fast_halves
 
 #: Bands of frequency in Hz, from (including) to; cosine k of T frames has k fps / (2 T).
 BANDS = {"below 1 Hz": (0.1, 1.0), "1 to 4 Hz": (1.0, 4.0), "above 4 Hz": (4.0, 1e9)}

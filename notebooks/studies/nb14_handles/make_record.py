@@ -12,8 +12,9 @@ from pathlib import Path
 
 import torch
 
-from motionlab import checkpoint, files, train_more
+from motionlab import checkpoint, files
 from motionlab.diffusion.poses import Poser, PoseRecipe
+from motionlab.training import train_more
 from studies.nb14_handles import people, training, trials
 
 _SMALL = PoseRecipe(size=128, layers=3, steps=3000, batch=128)

@@ -19,7 +19,7 @@ from motionlab.heading import stuck_root
 from motionlab.metrics.pose import masked_mean
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
-from motionlab.training_loop import fast_halves, warmed_cosine
+from motionlab.training.training_loop import fast_halves, warmed_cosine
 
 #: What people hold a figure by.
 _ENDS = ("pelvis", "head", "left_wrist", "right_wrist", "left_ankle", "right_ankle", "left_foot", "right_foot")

@@ -20,7 +20,7 @@ from motionlab.diffusion.masks import units
 from motionlab.diffusion.model import Trained, motion_model
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
-from motionlab.training_loop import fast_halves
+from motionlab.training.training_loop import fast_halves
 from studies.shared.fill_people import Cast
 
 R, T, P, GUIDED = "R", "T", "P, Eq. 4.10", "P, guided"

@@ -23,15 +23,14 @@ import torch
 from motionlab import corpus, splits
 from motionlab.bench.judge import FRAMES
 from motionlab.bench.person_windows import PersonWindows, person_windows
-from motionlab.diffusion.losses import LossWeights
-from motionlab.diffusion.model import DenoiserRecipe, Trained, load_denoiser, save_denoiser
-from motionlab.diffusion.training import DenoiserTraining, held_errors
+from motionlab.diffusion.model import DenoiserRecipe, LossWeights, Trained, load_denoiser, save_denoiser
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
-from motionlab.train_more import learnt_from
+from motionlab.training.denoiser_training import DenoiserTraining, held_errors
+from motionlab.training.train_more import learnt_from
 from studies.shared import small_measures
 
 #: Where rows are kept, from ``notebooks/``.

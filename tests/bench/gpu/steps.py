@@ -16,11 +16,11 @@ from torch import Tensor
 
 from motionlab.diffusion import masks
 from motionlab.diffusion.completer import _LOUD, _ROOT, Completer, calmer, waves_of_motion
-from motionlab.diffusion.completer_training import _SILENT, _SQUARED, _WEIGHTS
 from motionlab.diffusion.curves import curve_weights
 from motionlab.diffusion.state import MADE, UNITS, owners
 from motionlab.motion import FPS
 from motionlab.skeleton import STANDARD
+from motionlab.training.completer_training import _SILENT, _SQUARED, _WEIGHTS
 
 J, C, T = len(STANDARD), len(STANDARD.contact_names), 60
 SPLIT = (3, 6 * J, C)

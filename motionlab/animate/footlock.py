@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import torch
 
-from motionlab.animate import Animated
-from motionlab.corrections import Keep, Standard
+from motionlab.animate.corrections import Keep, Standard
+from motionlab.animate.filling import Animated
 from motionlab.diffusion.planting import standing
 from motionlab.errors import DataError
 from motionlab.metrics.gait import slide_in_contact_mm

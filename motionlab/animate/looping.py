@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.animate import Animated
+from motionlab.animate.filling import Animated
+from motionlab.animate.footlock import locked
 from motionlab.errors import DataError
-from motionlab.footlock import locked
 from motionlab.motion import Motion, fix_root_horizontally
 
 BLEND = 0.25  # seconds at either end over which a loop is closed

@@ -19,7 +19,7 @@ from motionlab.errors import DataError, check_shape
 from motionlab.humor.cvae import Gaussian, kl
 from motionlab.humor.priors import POSE_LATENT, InitGmm, PosePrior
 from motionlab.skeleton import STANDARD, fk
-from motionlab.training_loop import TrainingRun
+from motionlab.training.training_loop import TrainingRun
 
 _COMPONENTS = 12
 _POSE_RATE = 1e-3  # of Adam, at the beginning

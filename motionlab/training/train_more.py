@@ -23,7 +23,7 @@ from motionlab import checkpoint, corpus, splits
 from motionlab.corpus import Take
 from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.errors import DataError
-from motionlab.training_loop import TrainingRun
+from motionlab.training.training_loop import TrainingRun
 
 
 def learnt_from(folder: Path | str | None, frames: int, *, own: bool = False) -> tuple[Windows, list[Take]]:

@@ -18,11 +18,12 @@ from motionlab import corpus as real_corpus
 from motionlab.diffusion import embedding
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
-from motionlab.humor import prior_training, priors, state
-from motionlab.humor.examples import other_body
+from motionlab.humor import priors, state
 from motionlab.humor.priors import InitGmm
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
+from motionlab.training import feature_training, prior_training
+from motionlab.training.examples import other_body
 
 STEPS = 4000  # of the pose prior
 _COMMAND = "python -m motionlab train small --data FOLDER"
@@ -134,7 +135,7 @@ def make_features(folder: Path | str | None, out: Path, recipe: embedding.Featur
         gather([on_standard(m) for each in some.values() for m in each], recipe.frames) for some in (train, choose)
     )
     held = held.evenly(256)
-    features, curve = embedding.train_features(windows, recipe, held, progress=True)
+    features, curve = feature_training.train_features(windows, recipe, held, progress=True)
     about = {
         "what": "autoencoder over windows of 60 frames: the features that generated motion is judged in",
         "command": f"python -m motionlab train features --steps {recipe.steps} --seed {recipe.seed} --data FOLDER",

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from motionlab import detect
 from motionlab.errors import DataError, MissingData
 from motionlab.files import output_folder
+from motionlab.footage import detect
+from motionlab.footage.scene_fit import ENOUGH, USED
 from motionlab.io import keypoints, lens, video
 from motionlab.io.cameras import for_images, load_camera
 from motionlab.io.keypoints import Footage
@@ -21,7 +22,6 @@ from motionlab.io.layouts import to_body_25
 from motionlab.io.video import Video
 from motionlab.observation import Camera, Observation2D, at_rate
 from motionlab.optimise import begins
-from motionlab.scene_fit import ENOUGH, USED
 
 _OUTSIDE = 0.2  # share of detections outside the image from which they are not of this image
 _SAMPLES = 60  # pictures in which the background is compared, half a second or more apart

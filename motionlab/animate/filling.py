@@ -22,9 +22,9 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
+from motionlab.animate.corrections import Fill, Keep, Standard, by_windows, pasted
 from motionlab.body import BodyModel
 from motionlab.cleaning import runs
-from motionlab.corrections import Fill, Keep, Standard, by_windows, pasted
 from motionlab.diffusion import completer
 from motionlab.errors import DataError
 from motionlab.motion import FPS, Motion
@@ -289,8 +289,8 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
         DataError: not a readable motion.
     """
     from motionlab import io
-    from motionlab.io.rewriting import write_back
-    from motionlab.viz.keyframes import keyframe_editor
+    from motionlab.animate.keyframes import keyframe_editor
+    from motionlab.animate.rewriting import write_back
 
     path = Path(path).resolve()
     motion = io.load(path, **guided)

@@ -28,11 +28,11 @@ from torch.nn import functional as F
 from motionlab import rotation
 from motionlab.errors import DataError
 from motionlab.humor.cvae import Cvae, Gaussian, kl
-from motionlab.humor.examples import LiveExamples
 from motionlab.humor.scales import ERROR_UNITS, Scales, huber, transition_pairs
 from motionlab.humor.state import DELTA, DELTA_SLICES, ONWARD, SHAPES, apply, globalise, heading, localise, unpack
 from motionlab.skeleton import STANDARD, fk
-from motionlab.training_loop import TrainingRun, fast_halves
+from motionlab.training.examples import LiveExamples
+from motionlab.training.training_loop import TrainingRun, fast_halves
 
 
 @dataclass(frozen=True)

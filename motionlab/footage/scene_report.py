@@ -12,13 +12,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from motionlab.footage.scene_fit import USED, SceneFit
 from motionlab.humor import body_shape
 from motionlab.humor.evidence import FEET_SEEN, feet_seen
 from motionlab.humor.start import above_floor
 from motionlab.humor.testops import MISFIT_WIDTH, SURPRISED
 from motionlab.metrics import pose
 from motionlab.observation import BODY_25
-from motionlab.scene_fit import USED, SceneFit
 from motionlab.skeleton import FEET
 from motionlab.viz.palette import ROLE
 

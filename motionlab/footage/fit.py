@@ -20,11 +20,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motionlab import scene_report, stature
 from motionlab.body import BodyModel
-from motionlab.clip import Clip, read_clip
 from motionlab.errors import DataError
 from motionlab.files import output_folder, write_whole, writing
+from motionlab.footage import overlay as film
+from motionlab.footage import scene_report, stature
+from motionlab.footage.clip import Clip, read_clip
+from motionlab.footage.scene_fit import SceneFit, Task, fit_people
 from motionlab.humor import body_shape, pretrained
 from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.io import amass, bvh, gltf, video
@@ -33,9 +35,7 @@ from motionlab.observation import Camera, Observation2D, project
 from motionlab.optimise import begins
 from motionlab.posterior import Draws
 from motionlab.retarget import retarget
-from motionlab.scene_fit import SceneFit, Task, fit_people
 from motionlab.skeleton import STANDARD
-from motionlab.viz import footage as film
 
 RESULT = "fit.json"
 _READ = ("keypoints", "video", "camera", "prior", "pose_prior", "initial")

@@ -15,13 +15,13 @@ from torch import Tensor
 from motionlab.diffusion import masks
 from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Normaliser
-from motionlab.diffusion.losses import denoising_losses
 from motionlab.diffusion.model import DenoiserRecipe, Trained
 from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.motion import FPS, Motion
-from motionlab.training_loop import TrainingRun
+from motionlab.training.losses import denoising_losses
+from motionlab.training.training_loop import TrainingRun
 
 _MEASURED = 2000  # windows that the normaliser is measured on
 

@@ -18,9 +18,10 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from motionlab import posterior, rotation, stature
+from motionlab import posterior, rotation
 from motionlab.baselines import interpolate
 from motionlab.files import write_whole, writing
+from motionlab.footage import stature
 from motionlab.humor import body_shape, testops
 from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.humor.priors import Priors

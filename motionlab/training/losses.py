@@ -7,34 +7,13 @@ thesis sums: 1 is a network that knows nothing. Positions are metres, not normal
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.errors import check_shape
-
-
-@dataclass(frozen=True)
-class LossWeights:
-    """How much each part counts; 0 switches it off, and it is not computed.
-
-    fk: per square metre. contact: per square metre moved in a frame.
-    """
-
-    simple: float = 1.0
-    fk: float = 0.05
-    velocity: float = 1.0
-    contact: float = 5.0
-
-    def __post_init__(self) -> None:
-        if not all(weight >= 0 for weight in asdict(self).values()):
-            raise ValueError("weights: expected numbers of 0 or more")
-
-    def parts(self) -> dict[str, float]:
-        """Returns the parts that count, with their weights."""
-        return {name: weight for name, weight in asdict(self).items() if weight}
 
 
 def denoising_losses(

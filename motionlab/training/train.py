@@ -7,10 +7,11 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from motionlab import checkpoint, shipped, train_more
-from motionlab.courses import COURSES
+from motionlab import checkpoint
 from motionlab.diffusion.embedding import FeatureRecipe
 from motionlab.errors import DataError
+from motionlab.training import shipped, train_more
+from motionlab.training.courses import COURSES
 
 
 def add_options(command: argparse.ArgumentParser) -> None:

@@ -18,9 +18,9 @@ import torch
 from torch import Tensor
 
 from motionlab import baselines, cleaning, rotation
-from motionlab.animate import DRAWS, Animated, curves, found_joints, inbetween, network
+from motionlab.animate.corrections import WINDOW, Keep, Standard, by_windows, on_model_body
+from motionlab.animate.filling import DRAWS, Animated, curves, found_joints, inbetween, network
 from motionlab.contact import resting_heights, with_contacts
-from motionlab.corrections import WINDOW, Keep, Standard, by_windows, on_model_body
 from motionlab.diffusion import completer
 from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.model import motion_model

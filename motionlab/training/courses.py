@@ -10,27 +10,28 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from motionlab import checkpoint, train_more
+from motionlab import checkpoint
 from motionlab.bench import cases
 from motionlab.bench.judge import CASES, FRAMES, judged
 from motionlab.bench.person_windows import PersonWindows, by_person, person_windows
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer, state
 from motionlab.diffusion.completer import KINDS, Completer, CompleterRecipe
-from motionlab.diffusion.completer_training import CompleterTraining
 from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.model import DenoiserRecipe, Trained, load_denoiser, save_denoiser
-from motionlab.diffusion.training import DenoiserTraining
 from motionlab.diffusion.windows import Windows, on_standard
 from motionlab.errors import DataError
-from motionlab.humor.chain_training import ChainRecipe, ChainTraining
 from motionlab.humor.cvae import Cvae, from_weights, official_weights
-from motionlab.humor.examples import LiveExamples
 from motionlab.humor.quality import quality_row
-from motionlab.models import person_states
 from motionlab.motion import Motion
-from motionlab.train_more import learnt_from
-from motionlab.training_loop import fast_halves
+from motionlab.training import train_more
+from motionlab.training.chain_training import ChainRecipe, ChainTraining
+from motionlab.training.completer_training import CompleterTraining
+from motionlab.training.denoiser_training import DenoiserTraining
+from motionlab.training.examples import LiveExamples
+from motionlab.training.models import person_states
+from motionlab.training.train_more import learnt_from
+from motionlab.training.training_loop import fast_halves
 
 _EACH = 12  # windows of each person who chooses
 LEGS_AND_GAPS = "legs and gaps, cm"  # the mean of the first three cases: error, or energy score of draws

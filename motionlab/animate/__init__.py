@@ -1,0 +1,13 @@
+"""An animator's tools: a motion of any skeleton in, a motion of the same skeleton out. Nothing of the library imports
+this room.
+
+A motion is put on the 22 standard joints, a model or a curve makes what is missing, and only what was made goes back to
+the joints of the file; what was kept stays bit for bit.
+
+    corrections    the way there and back, in the windows that models know; what is kept
+    filling        between keys, hidden joints; ``editor`` in JupyterLab (keyframes)
+    renew          without noise and glitches, poses from handles, new motion
+    footlock       feet that stand stay where they are
+    looping        the end meets the beginning; motion in place
+    rewriting      into the file that the motion came from
+"""

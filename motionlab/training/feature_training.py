@@ -1,0 +1,66 @@
+"""Trains the autoencoder in whose numbers generated motion is judged (``diffusion.embedding``)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from motionlab.diffusion.embedding import FEATURE_GROUPS, Autoencoder, FeatureRecipe, Features, signals
+from motionlab.diffusion.windows import Windows
+from motionlab.errors import ShapeError
+from motionlab.motion import Motion
+from motionlab.training.training_loop import TrainingRun
+
+
+class _FeatureRun(TrainingRun):
+    """Trains an autoencoder on windows. Every group weighs the same in the loss, or the few numbers that say whether a
+    foot slides would drown."""
+
+    clip = None
+
+    def __init__(self, recipe: FeatureRecipe, windows: Windows) -> None:
+        generator, self.windows = torch.Generator().manual_seed(recipe.seed), windows
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(recipe.seed)
+            network = Autoencoder(recipe)
+        self.mean, self.scale = _moments(signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
+        self.weight = torch.cat([torch.full((n,), 1 / (n * len(FEATURE_GROUPS))) for n in FEATURE_GROUPS.values()])
+        optimiser = torch.optim.Adam(network.parameters(), recipe.lr)
+        super().__init__(recipe, windows.digest, generator, network, optimiser)
+
+    def _rate(self) -> float:
+        return 0.5 * self.recipe.lr * (1 + math.cos(math.pi * self.step / self.recipe.steps))
+
+    def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
+        x = (signals(self.windows.draw(self.recipe.batch, self.generator)) - self.mean) / self.scale
+        return ((self.model(x) - x).square() * self.weight).sum(-1).mean(), {}
+
+    def _ready(self, network: Autoencoder) -> Features:
+        size = self.recipe.size
+        return Features(network, self.mean, self.scale, torch.zeros(size), torch.ones(size), self.recipe)
+
+
+def train_features(
+    windows: Windows, recipe: FeatureRecipe, held: Motion | None = None, *, progress: bool = False
+) -> tuple[Features, list[dict]]:
+    """Trains on windows; returns the features and the curve: loss, and what is ``missed`` of held-out windows."""
+    if windows.length != recipe.frames:
+        raise ShapeError(f"windows of {windows.length} frames, recipe of {recipe.frames}")
+    judge, every = None if held is None else lambda features: features.missed(held), max(1, recipe.steps // 20)
+    run = _FeatureRun(recipe, windows).run(every=every, judge=judge, judge_every=every, progress=progress)
+    made = run.averaged
+    made.network.half().float()  # its weights as they are stored
+    latent = made(windows.draw(2048, run.generator)).float()
+    made = replace(made, centre=latent.mean(0), spread=latent.std(0).clamp(min=1e-3))
+    return made, [{name: round(value, 4) for name, value in row.items()} for row in run.curve]
+
+
+def _moments(x: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean of each column and one deviation per group, of rows (N, T, 94)."""
+    flat = x.flatten(0, 1)
+    mean = flat.mean(0)
+    parts = (flat - mean).split(list(FEATURE_GROUPS.values()), 1)
+    return mean, torch.cat([part.square().mean().sqrt().clamp(min=1e-3).expand(part.shape[1]) for part in parts])
