@@ -6,10 +6,20 @@ import argparse
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from motionlab.commands import animator, doctor, footage
-from motionlab.commands.motions import READ, WRITTEN, add_reading, read_motion, reading, say_note, with_standard_joints
+from motionlab.commands.motions import (
+    READ,
+    WRITTEN,
+    add_reading,
+    read_motion,
+    reading,
+    say_note,
+    with_roles,
+    with_standard_joints,
+)
 from motionlab.commands.printing import add_command, text_table
 from motionlab.commands.showing import add_show
 from motionlab.errors import DataError, MissingData, ShapeError
@@ -167,16 +177,21 @@ def _data(options: argparse.Namespace) -> int:
 def _certify(place: Path, options: argparse.Namespace) -> int:
     """Sends every motion of a folder, or one file, to the 22 standard joints and back; says what that costs."""
     from motionlab import certificate, io
-    from motionlab.io.recordings import guesses
+    from motionlab.io.recordings import Recording, guesses, recordings
+    from motionlab.motion import Motion
 
     failed: list[DataError] = []
-    noted: dict[Path, list[str]] = {}
-    every = sorted(p for p in place.rglob("*") if p.suffix.lower() in io.LOADERS) if place.is_dir() else [place]
+    noted: dict[Path, tuple[str, ...]] = {}
+    how = reading(options)
+    every = recordings(place, reading=how) if place.is_dir() else [Recording("", place, partial(io.load, **how))]
 
     def certified() -> Iterator[certificate.Certificate]:
-        for path in every:
+        for _, path, load in every:
             try:
-                yield certificate.certify(read_motion(path, options, noted.setdefault(path, []).append))
+                found = load(path)
+                if isinstance(found, Motion):  # what holds positions alone has no rig
+                    noted[path] = found.notes
+                    yield certificate.certify(with_roles(found, options))
             except DataError as error:
                 failed.append(error)
 

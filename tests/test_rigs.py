@@ -170,6 +170,8 @@ def test_a_joint_that_is_lost_is_said_aloud_and_counted(generator, tmp_path, cap
     assert main(["data", str(tmp_path), "--certify"]) == 1
     assert "lowerarm01.x" in capsys.readouterr().out
     bvh.save(tmp_path / "lost.bvh", motion)
+    (tmp_path / "LICENSE.txt").write_text("no recording")
+    assert main(["data", str(tmp_path), "--certify"]) == 0
     assert main(["data", str(tmp_path / "lost.bvh"), "--certify"]) == 0
     assert "22 of 22  zero pose" in capsys.readouterr().out
 

@@ -59,6 +59,11 @@ def read_motion(path: Path, options: argparse.Namespace, say: Callable[[str], No
     motion = io.load(path, **reading(options))
     for note in motion.notes:
         (say or say_note)(note)
+    return with_roles(motion, options)
+
+
+def with_roles(motion: Motion, options: argparse.Namespace) -> Motion:
+    """Takes over which joint is which, where ``--names`` says it."""
     return replace(motion, skeleton=replace(motion.skeleton, roles=_roles(options.names))) if options.names else motion
 
 
