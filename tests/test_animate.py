@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from motionlab import __main__, baselines, io, rotation
+from motionlab.animate import filling, renew, rewriting
 from motionlab.animate.corrections import WINDOW, Keep, Standard, by_windows, overlapping
-from motionlab.animate.filling import filling, renew, rewriting
 from motionlab.body import BodyModel
 from motionlab.contact import with_contacts
 from motionlab.diffusion.denoising import Noise

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import results
 from motionlab import io, rotation
-from motionlab.animate.filling import rewriting
+from motionlab.animate import rewriting
 from motionlab.errors import DataError, ShapeError
 from motionlab.io import amass
 from motionlab.motion import Motion

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from motionlab import io, rotation
-from motionlab.animate.filling import rewriting
+from motionlab.animate import rewriting
 from motionlab.errors import DataError, ShapeError
 from motionlab.io import bvh
 from motionlab.motion import Motion

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from data_synth.body import capsule_body
 from motionlab import io, rotation
-from motionlab.animate.filling import rewriting
+from motionlab.animate import rewriting
 from motionlab.body import lbs
 from motionlab.errors import DataError, ShapeError
 from motionlab.io import gltf

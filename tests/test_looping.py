@@ -9,7 +9,7 @@ from torch import Tensor
 
 from motionlab import examples, io, rotation
 from motionlab.__main__ import main
-from motionlab.animate.filling import footlock, looping, renew
+from motionlab.animate import footlock, looping, renew
 from motionlab.diffusion.denoising import Noise
 from motionlab.errors import DataError
 from motionlab.metrics.gait import slide_where_truth_stands_mm

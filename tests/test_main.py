@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from motionlab import __main__
-from motionlab.animate.filling import filling, rewriting
+from motionlab.animate import filling, rewriting
 from motionlab.commands import animator, doctor, motions
 from motionlab.commands.doctor import Check
 from motionlab.errors import DataError, MissingData

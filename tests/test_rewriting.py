@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from motionlab import io, rotation
-from motionlab.animate.filling import filling
+from motionlab.animate import filling
 from motionlab.animate.rewriting import WRITERS, write_back
 from motionlab.io import bvh, gltf
 from motionlab.motion import Motion

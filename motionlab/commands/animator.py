@@ -186,7 +186,7 @@ def _made(
 
 
 def _inbetween(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab.animate.filling import filling
+    from motionlab.animate import filling
 
     keep = filling.kept(motion, filling.frames_named(options.keys, motion.frames), options.joints)
     how = {"method": options.method, "seed": options.seed, "plant": options.plant}
@@ -194,7 +194,7 @@ def _inbetween(options: argparse.Namespace, motion: Motion, progress: bool) -> A
 
 
 def _repair(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab.animate.filling import renew
+    from motionlab.animate import renew
     from motionlab.diffusion.denoising import Noise
 
     noise = None if options.noise is None else Noise.of(options.noise[0], options.noise[1] / 10)
@@ -203,7 +203,7 @@ def _repair(options: argparse.Namespace, motion: Motion, progress: bool) -> Anim
 
 
 def _complete(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab.animate.filling import filling, renew
+    from motionlab.animate import filling, renew
 
     if options.known:
         if options.seed is not None:
@@ -213,13 +213,13 @@ def _complete(options: argparse.Namespace, motion: Motion, progress: bool) -> An
 
 
 def _plant(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab.animate.filling import footlock
+    from motionlab.animate import footlock
 
     return footlock.locked(motion)
 
 
 def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab.animate.filling import looping
+    from motionlab.animate import looping
 
     if not (options.loop or options.in_place):
         raise DataError("nothing to do", path=options.source, place="cycle", remedy="give --loop, --in-place or both")
@@ -237,7 +237,7 @@ def _rig(options: argparse.Namespace, say: Callable[[str], None]) -> Motion:
 
 
 def _generate(options: argparse.Namespace) -> int:
-    from motionlab.animate.filling import renew
+    from motionlab.animate import renew
     from motionlab.animate.rewriting import write_back
 
     if options.count < 1:

@@ -21,8 +21,8 @@ from pathlib import Path
 import torch
 
 from motionlab import baselines, io, people
+from motionlab.animate import filling
 from motionlab.animate.corrections import Standard
-from motionlab.animate.filling import filling
 from motionlab.errors import DataError
 from motionlab.metrics import intervals
 from motionlab.metrics.pose import joint_errors
