@@ -21,12 +21,6 @@ from motionlab.io.reading import reading
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 
-#: Clips of the CMU library whose y is up, read as if z were: so they were when the notebooks were last run in full. It
-#: goes with the next full runs (docs/experiments.md, "Recordings as training data").
-_AS_JUDGED = frozenset((
-    "77_17", "111_12", "111_21", "111_38", "111_41", "113_08", "113_28", "125_01", "125_02", "125_03", "125_04",
-    "125_05", "125_06",
-))  # fmt: skip
 _TEXTS = (".json", ".txt")  # told by their beginnings
 #: Loader of a single file by suffix, for folders that are not known by name.
 SUFFIXES: dict[str, Callable] = {suffix: loader for suffix, loader in io.LOADERS.items() if suffix not in _TEXTS}
@@ -229,8 +223,7 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
     if name in SOURCES:
         for kind, (pattern, loader) in SOURCES[name].files.items():
             for path in [place] if pattern == "." else sorted(place.glob(pattern)):
-                as_judged = name == "cmu_library" and path.stem in _AS_JUDGED
-                yield kind, path, partial(loader, up="z") if as_judged else loader
+                yield kind, path, loader
         return
     views = set()
     for path in _below(place, flat):

@@ -94,29 +94,35 @@ def across_gaps(panels: Mapping[str, Mapping[str, Mapping[int, Tensor]]]) -> Fig
     return figure
 
 
-def variants(panels: Mapping[str, Mapping[str, Tensor]], roles: Mapping[str, str]) -> Figure:
-    """A panel per measure, a row per variant: a dot for every clip (B,) and the median as a bar."""
-    names = list(next(iter(panels.values())))
-    figure, axes = canvas(1, len(panels), size=(2.7 * len(panels) + 1.6, 0.7 + 0.29 * len(names)), sharey=True)
-    paint = paints(names, roles)
-    for ax, (measure, found) in zip(axes, panels.items(), strict=True):
-        for at, name in enumerate(names):
-            x = found[name].numpy(force=True)
+#: Measures of a search, by what an axis says.
+MEASURES = {"energy (nats)": "energy", "legs of the roll-out (cm)": "legs", "from x to roll-out (cm)": "gap"}
+
+
+def variants(score: Mapping[str, Mapping[str, Tensor]], roles: Mapping[str, str]) -> Figure:
+    """A panel per measure, a row for each of ``roles``: a dot for every clip (B,), the median as a bar."""
+    figure, axes = canvas(1, len(MEASURES), size=(2.7 * len(MEASURES) + 1.6, 0.7 + 0.29 * len(roles)), sharey=True)
+    paint = paints(list(roles), roles)
+    for ax, (title, measure) in zip(axes, MEASURES.items(), strict=True):
+        for at, name in enumerate(roles):
+            x = score[name][measure].numpy(force=True)
             ax.scatter(x, np.full(len(x), at), s=16, color=paint[name], alpha=0.6, lw=0)
             ax.plot([np.median(x)] * 2, [at - 0.33, at + 0.33], color=paint[name], lw=3)
-        ax.set_xlabel(measure)
-    axes[0].set_yticks(range(len(names)), names)
+        ax.set_xlabel(title)
+    axes[0].set_yticks(range(len(roles)), list(roles))
     axes[0].invert_yaxis()
     return figure
 
 
-def falls(curves: Mapping[str, tuple[Sequence[int], Tensor]], levels: Mapping[str, float], ylabel: str) -> Figure:
-    """Medians and quartiles over clips of series (evaluations (n,), values (n, B)), and levels to compare with."""
+def falls(apart: Mapping[str, Tensor], free: Mapping[str, Tensor], at: Sequence[int]) -> Figure:
+    """How far z is from that of its clip's whole fit: medians and quartiles over clips, after ``at`` evaluations
+    (n, B, B), and as levels what needs no search (B, B)."""
     figure, (ax,) = canvas(size=(7.5, 3.0))
-    for (name, (x, y)), tint in zip(curves.items(), (colour("ours"), colour("6d"), colour("baseline")), strict=False):
-        median_band(ax, np.asarray(x), y.T.numpy(force=True), tint, name, alpha=0.18, ls="-")
-    for k, (label, level) in enumerate(levels.items()):
-        ax.axhline(level, color=INK, lw=1.2, ls=((0, (4, 2)), (0, (1, 1.5)))[k % 2], label=label)
-    ax.set(xlabel="evaluations", ylabel=ylabel, ylim=(0, None))
+    for (name, y), tint in zip(apart.items(), (colour("ours"), colour("6d")), strict=True):
+        own = y.diagonal(dim1=1, dim2=2).T.numpy(force=True)
+        median_band(ax, np.asarray(at), own, tint, name, alpha=0.18, ls="-")
+    for k, (name, level) in enumerate(free.items()):
+        middle = level.diagonal().median().item()
+        ax.axhline(middle, color=INK, lw=1.2, ls=((0, (4, 2)), (0, (1, 1.5)))[k], label=f"{name} of the fixed x")
+    ax.set(xlabel="evaluations", ylabel="distance from its own z", ylim=(0, None))
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure

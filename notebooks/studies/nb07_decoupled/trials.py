@@ -10,11 +10,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from data_synth import scenes
 from data_synth.scenes import Scene
+from motionlab import corpus, splits
+from motionlab.bench.person_windows import person_windows
 from motionlab.humor import state, testops
 from motionlab.humor.energies import JOINTS, RGB_LIGHT
 from motionlab.humor.evidence import Observation2D, Observation3D, evidence
@@ -62,13 +66,20 @@ def case(scene: Scene, priors: Priors, schedule: Schedule, frames: int) -> Case:
     )
 
 
-def tracked(
-    truth: Motion, hidden: Sequence[int], priors: Priors, schedule: Schedule, generator: torch.Generator
-) -> Case:
-    """Clips (B, T) whose joints are measured in 3-D, 4 cm of noise on each, but for the hidden frames."""
+def people(folder: Path | None, source: str, part: str, count: int, seed: int, frames: int) -> Motion:
+    """Motions (B, T): ``count`` synthetic people who walk, or whatever is in the middle window of each recorded person
+    of a part (on the standard body)."""
+    if source == "synthetic":
+        return scenes.film("walking", count, seed=seed, frames=frames).truth
+    takes = corpus.assemble(folder, splits.real_sources(folder), progress=False).part(part)
+    return person_windows([take for take in takes if take.source == "cmu_library"], frames, 1).motion
+
+
+def tracked(truth: Motion, hidden: int, priors: Priors, schedule: Schedule, generator: torch.Generator) -> Case:
+    """Clips (B, T) whose joints are measured in 3-D, 4 cm of noise on each, but for so many frames in the middle."""
     seen = noisy(truth, generator)
     visible = seen.visible.clone()
-    visible[:, list(hidden)] = False
+    visible[:, (truth.frames - hidden) // 2 : (truth.frames + hidden) // 2] = False
     return _begun(replace(seen, visible=visible), truth, priors, schedule)
 
 
