@@ -13,7 +13,7 @@ from functools import partial
 from importlib import metadata
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 _DRAW = """
 import pyvista
 plotter = pyvista.Plotter(off_screen=True, window_size=(64, 64))
