@@ -56,7 +56,7 @@ def test_a_folder_of_ones_own_works(tmp_path):
 def test_keypoints_of_unknown_rate_are_not_guessed(tmp_path):
     (tmp_path / "0.json").write_text('{"people": [{"pose_keypoints_2d": ' + str([1.0] * 54) + "}]}")
     ((_, path, loader),) = recordings(tmp_path)
-    with pytest.raises(DataError, match="fps: expected frames per second"):
+    with pytest.raises(DataError, match="fps: the file holds no frames per second"):
         loader(path)
 
 
