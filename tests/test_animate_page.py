@@ -49,6 +49,6 @@ def test_every_command_of_the_page_runs(desk, capsys):
 def test_the_call_of_the_page_opens_the_editor(desk):
     shutil.copy(examples.WALK, desk)
     (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    code = code.replace('"walk.bvh"', '"walk.bvh", backend="picture"').replace("animate.editor", "box = animate.editor")
+    code = code.replace('"walk.bvh"', '"walk.bvh", backend="picture"').replace("filling.editor", "box = filling.editor")
     exec(code, names := {})
     assert names["box"].hands["player"].hand.max == 196
