@@ -77,7 +77,7 @@ def repaired(
 ) -> Animated:
     """Computes a motion (T) without glitches and noise, and says what was found.
 
-    Frames that no body reaches (``cleaning``) are filled in from those around (``animate.inbetween``). Noise is then
+    Frames that no body reaches (``cleaning``) are filled in from those around (``filling.inbetween``). Noise is then
     smoothed away by a Kalman smoother of its size; ``network`` says what to add to what that leaves. Noise that is
     given is believed; None: measured, and left where there is no more of it than clean recordings have.
 

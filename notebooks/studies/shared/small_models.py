@@ -2,10 +2,9 @@
 
     PYTHONPATH=notebooks python -m studies.shared.small_models frames [losses ...] [--data FOLDER] [--seeds 4]
 
-Each is the thesis's own denoiser (``train_plain``), but small. Rows go into ``results/long/small_SET.json`` as each arm
-ends; an arm that stands there is not trained again. Weights stay in the cache, by what they were made with, so that
-sets share arms, and measuring anew (``--again``) trains nothing. A run that is killed goes on where its last state was
-kept. It works at the lowest priority, on one core.
+Each is the thesis's own denoiser, but small. Rows go into ``results/long/small_SET.json`` as each arm ends; an arm that
+stands there is not trained again. Weights stay in the cache, by what they were made with, so that sets share arms, and
+measuring anew (``--again``) trains nothing. A run that is killed goes on. It works at the lowest priority, on one core.
 """
 
 import argparse
