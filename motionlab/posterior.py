@@ -60,11 +60,6 @@ class Draws:
         return replace(self, fit=how(self.fit), motions=how(self.motions))
 
     @property
-    def count(self) -> int:
-        """How many."""
-        return len(self.motions.root)
-
-    @property
     def limbs(self) -> Tensor:
         """Which joints (J,) are of limbs, whose places are calibrated."""
         return _LIMBS

@@ -345,3 +345,16 @@ def test_points_that_were_put_onto_the_border_are_not_seen(tmp_path):
     np.savez(tmp_path / "a.npz", keypoints=inside, names=detected.COCO, fps=30)
     with pytest.raises(DataError, match="nothing is left"):
         keypoints.load(tmp_path / "a.npz").within((1280, 720))
+
+
+@pytest.mark.parametrize("format", ["mmpose", "coco"])
+def test_a_person_whose_points_are_missing_is_refused_not_lost(tmp_path, format):
+    content = detected.mmpose(17, detected.COCO) if format == "mmpose" else detected.results(17)
+    person = content["instance_info"][1]["instances"][0] if format == "mmpose" else content[1]
+    path = tmp_path / "seen.json"
+    path.write_text(json.dumps(content))
+    assert keypoints.load(path, fps=30, size=detected.SIZE).tracks
+    del person["keypoints"]
+    path.write_text(json.dumps(content))
+    with pytest.raises(DataError, match="keypoints"):
+        keypoints.load(path, fps=30, size=detected.SIZE)

@@ -153,13 +153,12 @@ def run_clip(
     task = Task(priors, clip.camera, clip.placed, clip.size, solver, quick, windows, progress, height, draws)
     fitted = fit_people(seen, task)
     record = _record(clip, ids, fitted, drift, height)
-    for row, each in zip(record["people"], fitted.draws, strict=False):
-        row["open"] = ["no other motions are drawn: the fit is doubtful"] if row["doubtful"] else each.summary()
     record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped, "asked": asked}
+    others = {k: each for k, each in enumerate(fitted.draws) if not record["people"][k]["doubtful"]}
     body, poster = BodyModel.from_anny(), b""
     with writing(out), tempfile.TemporaryDirectory(prefix=".fit-", dir=out) as folder:
         part = Path(folder)
-        files = _write(part, ids, fitted, record, body)
+        files = _write(part, ids, fitted, others, record, body)
         record["files"] = [*files, "report.html"]
         for name in _of_earlier(out):
             (out / name).unlink(missing_ok=True)
@@ -168,8 +167,7 @@ def run_clip(
         _report(out, record | {"finished": False, "notes": [*record["notes"], "the film is not drawn yet"]}, began)
         record["finished"] = not fitted.stopped
         try:
-            ghosts = _undoubted(fitted, record)
-            poster = _film(part / "overlay.mp4", clip, fitted, body, ghosts, quick=quick, progress=progress).poster
+            poster = _film(part / "overlay.mp4", clip, fitted, body, others, quick=quick, progress=progress).poster
             (part / "overlay.mp4").replace(out / "overlay.mp4")
             record["files"].insert(-1, "overlay.mp4")
         except KeyboardInterrupt:
@@ -206,7 +204,14 @@ def _of_earlier(out: Path) -> list[str]:
         return []
 
 
-def _write(folder: Path, ids: Sequence[int], fitted: SceneFit, record: dict[str, object], body: BodyModel) -> list[str]:
+def _write(
+    folder: Path,
+    ids: Sequence[int],
+    fitted: SceneFit,
+    draws: dict[int, Draws],
+    record: dict[str, object],
+    body: BodyModel,
+) -> list[str]:
     """Writes all but film and report; adds to the record what concerns the files; returns their names."""
     files = []
     for stem, motion, row in zip(_stems(ids), fitted.motions, record["people"], strict=True):
@@ -224,18 +229,12 @@ def _write(folder: Path, ids: Sequence[int], fitted: SceneFit, record: dict[str,
         files += row["files"].values()
     names = [f"person {each}" for each in ids]
     gltf.save(folder / "scene.glb", fitted.motions[0] if len(ids) == 1 else fitted.motions, body=body, names=names)
-    if draws := _undoubted(fitted, record):
-        several = {
-            f"person {ids[k]}, {n}": each.motions.clip(n) for k, each in draws.items() for n in range(each.count)
-        }
-        gltf.save(folder / "draws.glb", list(several.values()), names=list(several))
+    if draws:
+        several = [(k, n) for k, each in draws.items() for n in range(len(each.motions.root))]
+        motions = [draws[k].motions.clip(n) for k, n in several]
+        gltf.save(folder / "draws.glb", motions, names=[f"person {ids[k]}, {n}" for k, n in several])
         files.append("draws.glb")
     return [*files, "scene.glb"]
-
-
-def _undoubted(fitted: SceneFit, record: dict[str, object]) -> dict[int, Draws]:
-    """What was drawn of whom, but of those whose fit is doubtful."""
-    return {k: each for k, each in enumerate(fitted.draws) if not record["people"][k]["doubtful"]}
 
 
 def _report(out: Path, record: dict[str, object], began: float, poster: bytes = b"") -> None:
@@ -293,6 +292,8 @@ def _record(
         for row, share in zip(people, stature.seen_size(fitted.seen, clip.camera), strict=True):
             if share < stature.SMALL:
                 row |= {"doubtful": True, "seems_m": share * stature.STATURE}
+    for row, each in zip(people, fitted.draws, strict=False):  # none, where none were asked for
+        row["open"] = ["no other motions are drawn: the fit is doubtful"] if row["doubtful"] else each.summary()
     source = "given, and its place" if clip.placed else "given, its place found" if given else "assumed, level at first"
     return {
         "keypoints": {

@@ -57,14 +57,16 @@ def from_json(at: Spot, document: object) -> Detections:
     return _landmarks(at, document)
 
 
-def _person(at: Spot, one: object, about: str = "") -> Sighting:
+def _person(at: Spot, one: object, about: str = "", *, needed: bool = False) -> Sighting:
     """A flat list x, y, confidence, x, ...; or rows of coordinates, or x and y apart, with the scores beside them.
 
-    No points, or an empty list, is somebody who was not found.
+    No points, or an empty list, is somebody who was not found. needed: the key of the points has to be there.
     """
     key = next((key for key in _POINTS if key in one), _POINTS[0]) if isinstance(one, dict) else _POINTS[0]
     if not isinstance(one, dict):
         raise at.error(f'expected an object with "{key}"')
+    if needed and key not in one:
+        raise at.error('expected "keypoints" of every person')
     values, points = one.get(key), np.zeros((0, 3))
     if isinstance(values, dict):  # Ultralytics
         xy = pixels(at, [values.get("x"), values.get("y")], "2 K").T
@@ -111,7 +113,7 @@ def _mmpose(at: Spot, document: dict | list) -> Detections:
         n = numbers.index(None)
         raise at.error(f"frame_id {frames[n]['frame_id']!r} is no frame number", place=f"frame {n}")
     people = zip(numbers, (frame["instances"] for frame in frames), strict=True)
-    read = partial(_person, at, about=f" (data set {meta.get('dataset_name', 'not named')})")
+    read = partial(_person, at, about=f" (data set {meta.get('dataset_name', 'not named')})", needed=True)
     return detections.collect(
         at, "MMPose", people, read, names=detections.point_names(at, meta.get("keypoint_id2name")), lowest=_MMPOSE
     )
@@ -131,7 +133,7 @@ def _of_images(at: Spot, images: dict[object, Iterable], *, alphapose: bool) -> 
         raise at.error("two images have the same number", place="image_id", remedy="one file per camera")
     people = ((order[image], people) for image, people in images.items())
     detector, lowest = ("AlphaPose", _ALPHAPOSE) if alphapose else ("COCO results", 0.0)
-    return detections.collect(at, detector, people, partial(_person, at), lowest=lowest, **more)
+    return detections.collect(at, detector, people, partial(_person, at, needed=not alphapose), lowest=lowest, **more)
 
 
 def _vitpose(at: Spot, document: dict) -> Detections:
