@@ -7,6 +7,7 @@ from the best weights, at half the rate. When it is killed, nothing but the last
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import hashlib
 import math
@@ -152,10 +153,13 @@ def _kept(name: str, out: Path) -> Path:
 
 
 def _give_way() -> None:
-    """The lowest priority, among the programs of this session and against other sessions."""
+    """The lowest priority, among the programs of this session and against other sessions, until the end."""
     with contextlib.suppress(OSError, AttributeError):
         os.nice(19)
-        Path("/proc/self/autogroup").write_text("19", encoding="ascii")  # of Linux, whose nice ends at a session
+        group = Path("/proc/self/autogroup")  # of Linux, whose nice ends at a session
+        before = group.read_text("ascii").rsplit(maxsplit=1)[-1]
+        group.write_text("19", encoding="ascii")
+        atexit.register(group.write_text, before, encoding="ascii")
 
 
 def _run(course: Course, kept: Path, there: Any, more: bool) -> TrainingRun:
