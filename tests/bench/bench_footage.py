@@ -40,6 +40,7 @@ _UNSAID = {"fps": 30.0, "size": (1280.0, 720.0)}
 #: What a fit may spend; the first is the default of ``fit``, and "first look" that of ``fit --quick``.
 PLANS = {
     "default": scene_fit.FULL_WORK,
+    "stage 2": scene_fit.FULL_WORK.without_stage_3(),
     "no guesses": replace(scene_fit.FULL_WORK, guesses=False),
     "lean": Schedule.lean(),
     "quick": Schedule.quick(),
