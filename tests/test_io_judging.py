@@ -124,6 +124,26 @@ def test_markers_without_a_word_tell_nothing():
         judged(markers(cloud, tuple("abcdef")), up="z")
 
 
+@pytest.mark.parametrize("how", [{}, {"says_up": "y", "trust": 0.5}], ids=["C3D without a screen", "TRC"])
+@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize("lean", [0.0, -1.5708, 1.5708])
+def test_markers_of_who_lies_are_never_turned_without_a_word(how, up, lean):
+    """Nothing tells a person who lies from one who stands: those who stand are right, of the others it is said."""
+    for turn in torch.arange(0, 6.2, 0.7854).tolist():
+        for place in ((0.0, 0.0), (1.5, 0.8), (-2.0, 3.0)):
+            truth = person(lean, turn, (*place, 0.95 if lean == 0 else 0.15)).positions
+            seen = markers(truth.double() @ judging.axes_to_matrix(judging.AXES[up]), STANDARD.names)
+            try:
+                found = judging.to_world(Spot("clip"), seen, unit=1.0, **how)
+            except DataError as error:
+                assert lean and "--up" in str(error) and not how
+                continue
+            assert sum("up axis" in note and "--up" in note for note in found.notes) == 1
+            assert lean or torch.allclose(found.positions, truth, atol=1e-5)
+            told = judging.to_world(Spot("clip"), seen, unit=1.0, says_up=up, trust=9.0)  # where the file says it
+            assert torch.allclose(told.positions, truth, atol=1e-5)
+
+
 @pytest.mark.parametrize("word", ["m", "Meters", "metre", " mm ", "millimeters", "CM", "in", "inches"])
 def test_words_for_units(word):
     assert judging.unit_named(word) in (1.0, 0.001, 0.01, 0.0254)

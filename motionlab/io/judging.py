@@ -25,8 +25,8 @@ _TRIED, _PERSON, _FIGURE, ASSUMED = ("m", "cm", "mm", "inch"), (1.2, 2.2), (0.5,
 #: A person's longest chain of bones, foot to hand, over the height: the size of a figure in any pose; and thigh and
 #: shin over the height. Where the two sizes differ by more than ``_PROP``, the chain holds more than a body.
 CHAIN, _LEG, _PROP = 1.4, 0.47, 0.35
-#: The remedy for a frame rate.
-SAY_RATE = "say it with fps=, or --fps-in"
+#: The remedies for a frame rate and an axis.
+SAY_RATE, _SAY_UP = "say it with fps=, or --fps-in", "say it with up=, or --up"
 #: The file's axes that become the world's x, y, z, by the one that points up. Who faces +z in a y-up file faces +y.
 AXES = {"y": "-xzy", "z": "xyz", "x": "yzx", "-y": "xz-y", "-z": "x-y-z", "-x": "zy-x"}
 #: How the letters of an up axis weigh: head above the feet (the share of frames), the lowest point near zero, what the
@@ -114,13 +114,15 @@ def to_world(
         notes.append(f"{said}: give the right one with fps=, or --fps-in")
     if axes is None and up is None:
         zero = None if says_up else _rest_up(skeleton, head, feet)
-        up, said, sure = _up(points, head, feet, says_up or zero, trust)
+        up, said, sure = _up(points, head, feet, says_up or zero, trust, skeleton is None)
         if up is None or (skeleton is None and says_up is None and not sure):
-            remedy = f"say it with up=, or --up: one of {', '.join(AXES)}"
+            remedy = f"{_SAY_UP}: one of {', '.join(AXES)}"
             raise at.error("neither the file nor its points say what is up", place="axes", remedy=remedy)
         said = f"the zero pose stands along it, {said}" if zero and up == zero else said
-        said += "" if sure else ", too close to be sure: say it with up=, or --up"
-        notes += [f"up axis {up} detected: {said}"] if up != says_up or not sure else []
+        guessed = skeleton is None and (says_up is None or trust < 1)  # who lies looks like who stands
+        said += f"; if they do not stand, {_SAY_UP}" if sure and guessed else ""
+        said += "" if sure else f", too close to be sure: {_SAY_UP}"
+        notes += [f"up axis {up} detected: {said}"] if up != says_up or guessed or not sure else []
     if unit is None:
         size = _size(points, head, feet, skeleton)
         if skeleton is not None and not size > 0:
@@ -183,7 +185,7 @@ def _along(axis: str, way: Tensor) -> Tensor:
 
 
 def _up(
-    points: Tensor, head: list[int], feet: list[int], says: str | None, trust: float
+    points: Tensor, head: list[int], feet: list[int], says: str | None, trust: float, markers: bool
 ) -> tuple[str | None, str, bool]:
     """The up axis of points (S, J, 3), on what grounds, and whether that is sure; None where they do not tell."""
     low, high = points.nan_to_num(nan=torch.inf).amin(1), points.nan_to_num(nan=-torch.inf).amax(1)
@@ -192,19 +194,21 @@ def _up(
     ways = ways[ways.isfinite().all(-1)]
     if not len(ways) or not ways.norm(dim=-1).max() > 0:
         if not seen.any() or says:
-            return says, "", True
+            return says, "as files of its kind are", True
         _, y, z = (high - low)[seen].mean(0).tolist()
         far = f"the figure extends {y:.3g} units along y, {z:.3g} along z"
         return ("z" if z > 1.2 * y else "y"), far, max(y, z) > 1.2 * min(y, z)
     length = ways.norm(dim=-1).quantile(0.9)
     shares = {axis: float((_along(axis, ways) > 0.6 * length).double().mean()) for axis in AXES}
-    score = {}
+    score, floors = {}, set()
     for axis, share in shares.items():
         floor = torch.minimum(_along(axis, low[seen]), _along(axis, high[seen])).quantile(0.1)
-        score[axis] = share + _FLOOR * bool(abs(floor) < 0.08 * length) - _RARE * (axis not in ("y", "z", says))
+        floors |= {axis} if abs(floor) < 0.08 * length else set()
+        score[axis] = share + _FLOOR * (axis in floors) - _RARE * (axis not in ("y", "z", says))
         score[axis] += trust * (axis == says)
     first, second = sorted(score, key=lambda axis: (-score[axis], axis != says))[:2]
     sure = score[first] - score[second] > _SURE and shares[first] > 0
+    sure &= not markers or first in floors or not floors & {"y", "z"}
     return first, f"the head is above the feet along it in {shares[first]:.0%} of the frames", sure
 
 

@@ -178,12 +178,13 @@ def inventory(
 
 
 def guesses(noted: Iterable[tuple[Path, Sequence[str]]], most: int = 8) -> tuple[str, ...]:
-    """Sums up the notes of files: those that differ by numbers alone are one, of which the first is told."""
+    """Sums up the notes of files: those that differ by numbers alone are one, of which the first is told; doubts first."""
     kinds: dict[str, list[str]] = {}
     for path, notes in noted:
         for note in notes:
-            kinds.setdefault(re.sub(r"[\d.]+", "0", note.partition(":")[0]), []).append(f"{path.name}: {note}")
-    told = sorted(kinds.values(), key=len, reverse=True)
+            kind = ("--" not in note, re.sub(r"[\d.]+", "0", note.partition(":")[0]))  # what offers an option doubts
+            kinds.setdefault(kind, []).append(f"{path.name}: {note}")
+    told = [kinds[kind] for kind in sorted(kinds, key=lambda kind: (kind[0], -len(kinds[kind])))]
     more = [f"{len(told) - most} notes more, of other kinds"] if len(told) > most else []
     return (*(f"{len(each)} such as {each[0]}" if len(each) > 1 else each[0] for each in told[:most]), *more)
 
