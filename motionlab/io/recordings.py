@@ -178,7 +178,7 @@ def inventory(
 
 
 def guesses(noted: Iterable[tuple[Path, Sequence[str]]], most: int = 8) -> tuple[str, ...]:
-    """Sums up the notes of files: those that differ by numbers alone are one, of which the first is told; doubts first."""
+    """Sums up notes of files, doubts first: those that differ by numbers alone are one, of which the first is told."""
     kinds: dict[str, list[str]] = {}
     for path, notes in noted:
         for note in notes:
