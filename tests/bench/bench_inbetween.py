@@ -27,6 +27,7 @@ from motionlab.errors import DataError
 from motionlab.metrics import intervals
 from motionlab.metrics.pose import joint_errors
 from motionlab.motion import Motion, resample
+from motionlab.rigs import find_joints
 
 FPS, FRAMES, GAPS, LOW, MORE = 30.0, 130, (15, 30, 60), 0.03, 1.0
 METHODS = ("slerp", "slerp+", *filling.METHODS)
@@ -92,14 +93,14 @@ def pops(made: Motion, truth: Motion, keep: filling.Keep) -> tuple[float, float]
     size = accelerations(made)
     beside = (keep.frames[:-1] ^ keep.frames[1:]).nonzero()[:, 0]
     seam = size[torch.cat((beside - 1, beside)).clamp(0, len(size) - 1)].max() / accelerations(truth).max()
-    knees = [j for name, j in filling._standard_joints(truth).items() if name.endswith("knee")]
+    knees = [j for name, j in find_joints(truth.skeleton, truth.name).items() if name.endswith("knee")]
     known = keep.frames[:-2] & keep.frames[1:-1] & keep.frames[2:]
     return float(seam), float(size[~known][:, knees].max())
 
 
 def slide(motion: Motion, whole: Motion, truth: Motion, where: torch.Tensor) -> float:
     """mm per frame of ankles that are low, in the frames ``where``; NaN where none is. whole: tells the floor."""
-    feet = [j for name, j in filling._standard_joints(truth).items() if name.endswith("ankle")]
+    feet = [j for name, j in find_joints(truth.skeleton, truth.name).items() if name.endswith("ankle")]
     floor = whole.positions[:, feet, 2].quantile(0.02, dim=0)
     p = motion.positions[:, feet]
     low = (p[..., 2] < floor + LOW) & where[:, None]
