@@ -14,7 +14,7 @@ FLOORS = """
     diffusion.denoiser diffusion.sampling files optimise rotation skeleton
     body checkpoint motion rigs
     baselines cleaning contact heading humanml observation rest skinning tailoring
-    data_synth diffusion.curves diffusion.embedding diffusion.features diffusion.state humor.body_shape humor.state io
+    data_synth diffusion.curves diffusion.encoder diffusion.features diffusion.state humor.body_shape humor.state io
         metrics retarget viz
     certificate corpus diffusion.completer diffusion.denoising diffusion.masks diffusion.model diffusion.planting
         diffusion.windows humor.cvae splits

@@ -11,7 +11,7 @@ from data_synth.corpus import perform_sequence
 from motionlab import rotation
 from motionlab.diffusion.denoising import Noise
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.model import DenoiserRecipe, Trained
+from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.skeleton import STANDARD
@@ -43,7 +43,7 @@ class Fixed(nn.Module):
 def model_of(motion, x0=None):
     recipe = DenoiserRecipe(frames=FRAMES)
     normaliser = Normaliser.measure(recipe.layout.encode(motion), recipe.layout)
-    return Trained(Fixed(recipe.schedule, x0), recipe.schedule, recipe.layout, normaliser, recipe)
+    return MotionDiffusion(Fixed(recipe.schedule, x0), recipe.schedule, recipe.layout, normaliser, recipe)
 
 
 def test_noise_has_the_size_it_says_and_lasts_as_long(motion, generator):

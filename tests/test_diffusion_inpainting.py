@@ -41,7 +41,7 @@ def made(denoise, after, count, generator):
 def test_the_known_part_is_noised_to_the_step_before(generator):
     """Eq. 4.10: mean and spread of what is put back behind step t are those of x_{t-1}."""
     known = torch.full((20_000, T, 1), 2.0, dtype=torch.float64)
-    after = inpainting._overwrite(SCHEDULE, known, M, generator)
+    after = inpainting._replace(SCHEDULE, known, M, generator)
     for t in (1, 30, 59):
         x = after(torch.full_like(known, -7.0), known, t)
         a = SCHEDULE.alpha_bar[t - 1]
@@ -53,7 +53,7 @@ def test_the_known_part_is_noised_to_the_step_before(generator):
 
 def test_imputed_estimates_end_exact(data, denoise, generator):
     known = curves(data, 5, generator)
-    x = made(inpainting._imputed(denoise, known, M), None, 5, generator)
+    x = made(inpainting._impute(denoise, known, M), None, 5, generator)
     assert (x[:, :8] - known[:, :8]).abs().max() < 1e-12 and (x[:, 12] - known[:, 12]).abs().max() > 1e-3
 
 
@@ -74,7 +74,7 @@ def test_guidance_comes_nearer_to_the_exact_conditional(data, denoise, generator
         mean = x[:, ~M[:, 0].bool(), 0].reshape(6, 150, -1).mean(1)
         return (mean - truth[::150]).square().mean().sqrt().item()
 
-    over = inpainting._overwrite(SCHEDULE, known, M, generator)
+    over = inpainting._replace(SCHEDULE, known, M, generator)
     plain = made(denoise, over, 900, generator)
     guided = made(inpainting._guided(denoise, SCHEDULE, known, M, 2.0), None, 900, generator)
     ignorant = made(denoise, None, 900, generator)
@@ -84,10 +84,10 @@ def test_guidance_comes_nearer_to_the_exact_conditional(data, denoise, generator
 def test_soft_masks_fall_beside_what_is_known():
     m = torch.zeros(10, 2)
     m[:3, 0] = 1
-    soft = inpainting._soft(m, 3)
+    soft = inpainting._ramped(m, 3)
     assert soft[:, 0].tolist() == pytest.approx([1, 1, 1, 0.75, 0.5, 0.25, 0, 0, 0, 0])
     assert soft[:, 1].abs().max() == 0
-    assert torch.equal(inpainting._soft(m, 0), m)
+    assert torch.equal(inpainting._ramped(m, 0), m)
 
 
 def test_the_finish_is_exact_and_smooth():

@@ -1,4 +1,4 @@
-"""Repair by every way: what is known stays, what is hidden is never read, and a perfect denoiser repairs perfectly."""
+"""Inpainting by every way: what is known stays, what is hidden is never read, a perfect denoiser fills in perfectly."""
 
 from dataclasses import replace
 
@@ -10,18 +10,18 @@ from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
 from motionlab.diffusion import inpainting, masks
 from motionlab.diffusion.features import Normaliser
-from motionlab.diffusion.inpainting import Way
-from motionlab.diffusion.model import DenoiserRecipe, Trained
+from motionlab.diffusion.inpainting import Inpainting
+from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import ShapeError
 from motionlab.skeleton import STANDARD
 
 WAYS = {
-    "eq. 4.10": Way(),
-    "imputed": Way(put="imputed"),
-    "guided": Way(put="imputed", weight=1.0),
-    "soft": Way(soft=2, last=False, finish=4),  # its last overwrite would blend held values in
-    "finish": Way(last=False, finish=4),
+    "eq. 4.10": Inpainting(),
+    "imputed": Inpainting(known="impute"),
+    "guided": Inpainting(known="impute", guidance_weight=1.0),
+    "soft": Inpainting(mask_ramp=2, replace_last=False, blend_frames=4),  # else held values would be blended in
+    "finish": Inpainting(replace_last=False, blend_frames=4),
 }
 
 
@@ -53,14 +53,14 @@ def model_of(motion):
     recipe = DenoiserRecipe(frames=12, noising=50)
     normaliser = Normaliser.measure(recipe.layout.encode(motion), recipe.layout)
     x0 = normaliser.apply(recipe.layout.encode(motion))
-    return Trained(Oracle(x0), recipe.schedule, recipe.layout, normaliser, recipe)
+    return MotionDiffusion(Oracle(x0), recipe.schedule, recipe.layout, normaliser, recipe)
 
 
 @pytest.mark.parametrize("way", WAYS)
 def test_with_a_perfect_denoiser_every_way_returns_the_truth_where_it_was(motion, generator, way):
     model = model_of(motion)
     known = whole_frames(model, [0, 1, 2, 9, 10, 11])
-    made = inpainting.repair(model, motion, known, generator, replace(WAYS[way], steps=10))
+    made = inpainting.inpaint(model, motion, known, generator, replace(WAYS[way], steps=10))
     assert (made.positions - motion.positions).abs().max() < 1e-3
     assert made.fps == motion.fps and motion.root[..., :2].std() > 0.05  # they were not at the origin
 
@@ -73,19 +73,20 @@ def test_hidden_numbers_are_never_read(motion, way):
     x0 = model.encode(motion)
     spoilt = torch.where(known, x0, float("nan"))
     first, second = (
-        inpainting.fill(model, x, known, torch.Generator().manual_seed(1), replace(WAYS[way], steps=5))
+        inpainting.inpaint_features(model, x, known, torch.Generator().manual_seed(1), replace(WAYS[way], steps=5))
         for x in (x0, spoilt)
     )
     assert first.isfinite().all() and torch.equal(first, second)
 
 
-def test_known_numbers_are_exact_unless_the_last_overwrite_is_left_out(motion, generator):
+def test_known_numbers_are_exact_unless_the_last_replacement_is_left_out(motion, generator):
     model = model_of(motion)
     x0, known = model.encode(motion), whole_frames(model, [0, 11])
     model.denoiser.x0 = torch.zeros_like(x0)  # a denoiser that is wrong everywhere
-    ways = {"last": Way(steps=9), "not": Way(steps=9, last=False), "finish": Way(last=False, finish=3)}
+    left = Inpainting(steps=9, replace_last=False)
+    ways = {"last": Inpainting(steps=9), "not": left, "finish": Inpainting(replace_last=False, blend_frames=3)}
     gaps = {
-        name: (inpainting.fill(model, x0, known, generator, way) - x0)[:, known].abs().max()
+        name: (inpainting.inpaint_features(model, x0, known, generator, way) - x0)[:, known].abs().max()
         for name, way in ways.items()
     }
     assert gaps["last"] < 1e-6 and gaps["finish"] < 1e-6 and gaps["not"] > 0.1
@@ -95,13 +96,13 @@ def test_an_unknown_number_takes_the_nearest_known_value_for_a_soft_mask():
     x = torch.arange(6.0)[None, :, None].expand(1, 6, 2).contiguous()
     known = torch.zeros(6, 2, dtype=torch.bool)
     known[[1, 5], 0] = True
-    held = inpainting._held(torch.where(known, x, 0.0), known)
+    held = inpainting._nearest_held(torch.where(known, x, 0.0), known)
     assert held[0, :, 0].tolist() == [1, 1, 1, 1, 5, 5] and not held[0, :, 1].any()
 
 
 def test_what_makes_no_sense_is_refused(motion, generator):
     model = model_of(motion)
     with pytest.raises(ShapeError, match="known"):
-        inpainting.repair(model, motion, torch.ones(11, model.layout.size, dtype=torch.bool), generator)
-    with pytest.raises(ValueError, match="overwrite"):
-        Way(put="paste")
+        inpainting.inpaint(model, motion, torch.ones(11, model.layout.size, dtype=torch.bool), generator)
+    with pytest.raises(ValueError, match="replace"):
+        Inpainting(known="paste")

@@ -1,7 +1,7 @@
-"""Fills unknown parts of motions with a diffusion model; :class:`Way` says how the known part enters.
+"""Inpaints motions with a diffusion model: unknown parts are sampled; :class:`Inpainting` says how the known enter.
 
 x (B, T, D) in normalised numbers; known (B, T, D); m (B, T, D) or (T, D): 1 where known (the thesis's 1 - m).
-:func:`repair` takes motions, :func:`fill` numbers.
+:func:`inpaint` takes motions, :func:`inpaint_features` numbers.
 
 Source: thesis 4.1.2, Eq. 4.10 (RePaint, EDGE: the known part noised to x_{t-1}), 4.2, 4.4.1; MDM (x_0 imputed); Ho et
 al. 2022, reconstruction guidance, with CondMDI's weight.
@@ -18,69 +18,71 @@ from torch.nn.functional import pad
 from motionlab.baselines import nearest_known
 from motionlab.contact import with_contacts
 from motionlab.diffusion import sampling
-from motionlab.diffusion.model import Trained
+from motionlab.diffusion.model import MotionDiffusion
 from motionlab.diffusion.sampling import After, DenoiseFunction, NoiseSchedule, noise_like
 from motionlab.errors import ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 
-_PUTS = ("overwrite", "imputed", "nothing")
+_KNOWN = ("replace", "impute", "none")
 
 
 @dataclass(frozen=True)
-class Way:
-    """How the known part enters.
+class Inpainting:
+    """How the known part enters the sampling.
 
-    put: "overwrite" (Eq. 4.10), "imputed" (MDM), or "nothing": it enters by guidance alone. steps: of the respaced
-    process. last: overwrite (or impute) also in the last step, as the thesis does. weight: of reconstruction guidance;
-    0: none. soft: frames over which the mask's edges rise. finish: frames over which ``offset_decay`` fades; 0: no
-    finish, known parts stay as the sampler left them.
+    known: "replace" (Eq. 4.10), "impute" (MDM), or "none": it enters by guidance alone. steps: of the respaced process.
+    replace_last: replace (or impute) also in the last step, as the thesis does. guidance_weight: of reconstruction
+    guidance; 0: none. mask_ramp: frames over which the mask's edges rise. blend_frames: over which ``offset_decay``
+    fades; 0: known parts stay as the sampler left them.
     """
 
-    put: str = "overwrite"
+    known: str = "replace"
     steps: int = 50
-    last: bool = True
-    weight: float = 0.0
-    soft: int = 0
-    finish: int = 0
+    replace_last: bool = True
+    guidance_weight: float = 0.0
+    mask_ramp: int = 0
+    blend_frames: int = 0
 
     def __post_init__(self) -> None:
-        if self.put not in _PUTS:
-            raise ValueError(f"put: expected one of {', '.join(_PUTS)}, got {self.put!r}")
+        if self.known not in _KNOWN:
+            raise ValueError(f"known: expected one of {', '.join(_KNOWN)}, got {self.known!r}")
 
 
-def fill(model: Trained, x0: Tensor, known: Tensor, generator: torch.Generator, way: Way) -> Tensor:
+def inpaint_features(
+    model: MotionDiffusion, x0: Tensor, known: Tensor, generator: torch.Generator, how: Inpainting
+) -> Tensor:
     """Computes normalised windows (B, T, D) that keep x0 where ``known`` holds and are sampled elsewhere.
 
-    known: bool (B, T, D) or (T, D). How exactly x0 is kept is up to ``way``; elsewhere it is never read.
+    known: bool (B, T, D) or (T, D). How exactly x0 is kept is up to ``how``; elsewhere it is never read.
     """
     if known.shape[-2:] != x0.shape[-2:] or known.ndim > x0.ndim:
         raise ShapeError(f"known: expected {tuple(x0.shape[-2:])} or {tuple(x0.shape)}, got {tuple(known.shape)}")
     seen = torch.where(known, x0, 0.0)
-    schedule = model.schedule.respaced(min(way.steps, len(model.schedule)))
-    m = _soft(known, way.soft) if way.soft else known.to(x0)
-    if way.soft:  # where the mask is soft the nearest known value stands in
-        seen = _held(seen, known)
+    schedule = model.schedule.respaced(min(how.steps, len(model.schedule)))
+    m = _ramped(known, how.mask_ramp) if how.mask_ramp else known.to(x0)
+    if how.mask_ramp:  # where the mask is soft the nearest known value stands in
+        seen = _nearest_held(seen, known)
     inner: DenoiseFunction = model.denoiser
-    if way.weight:
-        inner = _guided(inner, schedule, seen, m, way.weight)
-    elif way.put == "imputed":
-        inner = _imputed(inner, seen, m)
+    if how.guidance_weight:
+        inner = _guided(inner, schedule, seen, m, how.guidance_weight)
+    elif how.known == "impute":
+        inner = _impute(inner, seen, m)
 
     def denoise(x: Tensor, stamps: Tensor) -> Tensor:  # the network may have the last word (CondMDI)
-        return (inner if way.last or int(stamps[0]) != int(schedule.stamps[0]) else model.denoiser)(x, stamps)
+        return (inner if how.replace_last or int(stamps[0]) != int(schedule.stamps[0]) else model.denoiser)(x, stamps)
 
-    after = _overwrite(schedule, seen, m, generator, last=way.last) if way.put == "overwrite" else None
+    after = _replace(schedule, seen, m, generator, last=how.replace_last) if how.known == "replace" else None
     x = sampling.ddpm(denoise, schedule, sampling.noise_like(x0, generator), generator, after=after)
-    return offset_decay(x, seen, known, way.finish) if way.finish else x
+    return offset_decay(x, seen, known, how.blend_frames) if how.blend_frames else x
 
 
-def repair(
-    model: Trained,
+def inpaint(
+    model: MotionDiffusion,
     motion: Motion,
     known: Tensor,
     generator: torch.Generator,
-    way: Way | None = None,
+    how: Inpainting | None = None,
     *,
     batch: int = 64,
 ) -> Motion:
@@ -92,13 +94,14 @@ def repair(
     if model.layout.contacts and motion.contacts is None:
         motion = with_contacts(motion)
     x0 = model.encode(motion)
-    whole, way = known.expand(len(x0), *known.shape[-2:]), way or Way()
-    parts = [fill(model, *some, generator, way) for some in zip(x0.split(batch), whole.split(batch), strict=True)]
-    made = replace(model.decode(torch.cat(parts), motion.skeleton), name=motion.name)
+    whole, how = known.expand(len(x0), *known.shape[-2:]), how or Inpainting()
+    pairs = zip(x0.split(batch), whole.split(batch), strict=True)
+    x = torch.cat([inpaint_features(model, *pair, generator, how) for pair in pairs])
+    made = replace(model.decode(x, motion.skeleton), name=motion.name)
     return local_to_world(stuck_root(motion)[1], made) if model.layout.frame == "stuck" else made
 
 
-def _overwrite(
+def _replace(
     schedule: NoiseSchedule, known: Tensor, m: Tensor, generator: torch.Generator, *, last: bool = True
 ) -> After:
     """Eq. 4.10: behind every step the known part is replaced by itself, noised to that step.
@@ -115,8 +118,8 @@ def _overwrite(
     return after
 
 
-def _imputed(denoise: DenoiseFunction, known: Tensor, m: Tensor) -> DenoiseFunction:
-    """MDM's way: the estimate of x_0 gets the known part, and the sampler goes on from that."""
+def _impute(denoise: DenoiseFunction, known: Tensor, m: Tensor) -> DenoiseFunction:
+    """As MDM does: the estimate of x_0 gets the known part, and the sampler goes on from that."""
     m = m.to(known)
     return lambda x, stamps: (1 - m) * denoise(x, stamps) + m * known
 
@@ -140,7 +143,7 @@ def _guided(
     return better
 
 
-def _soft(m: Tensor, frames: int) -> Tensor:
+def _ramped(m: Tensor, frames: int) -> Tensor:
     """A mask (..., T, D) whose edges in time rise over ``frames`` frames outside what is known: 1, ..., 1/(n+1), 0."""
     best = m.float()
     for k in range(1, frames + 1):
@@ -160,12 +163,12 @@ def offset_decay(x: Tensor, known: Tensor, m: Tensor, frames: int) -> Tensor:
     """
     sure = (m >= 1).expand_as(x)
     offset = torch.where(sure, known - x, 0.0)
-    left = _faded(offset, sure, frames)
-    right = _faded(offset.flip(-2), sure.flip(-2), frames).flip(-2)
+    left = _fade_from_before(offset, sure, frames)
+    right = _fade_from_before(offset.flip(-2), sure.flip(-2), frames).flip(-2)
     return torch.where(sure, known, x + left + right)
 
 
-def _faded(offset: Tensor, sure: Tensor, frames: int) -> Tensor:
+def _fade_from_before(offset: Tensor, sure: Tensor, frames: int) -> Tensor:
     """What the known frame before each number adds to it (B, T, D); nothing where none is before."""
     count = offset.shape[-2]
     time = torch.arange(count, device=offset.device)[:, None].expand(offset.shape[-2:])
@@ -180,7 +183,7 @@ def _faded(offset: Tensor, sure: Tensor, frames: int) -> Tensor:
     return torch.where(any_before & ~sure, faded, 0.0)
 
 
-def _held(x: Tensor, known: Tensor) -> Tensor:
+def _nearest_held(x: Tensor, known: Tensor) -> Tensor:
     """Each unknown number takes the value of the known one nearest in time; 0 where its column knows none."""
     known = known.expand_as(x)
     time = torch.arange(x.shape[-2])[:, None].expand_as(x)

@@ -106,8 +106,11 @@ class DenoiserRecipe:
 
 
 @dataclass(frozen=True, eq=False)
-class Trained:
-    """denoiser: frozen. schedule: it was trained on. layout, normaliser: motions <-> its numbers (B, T, D)."""
+class MotionDiffusion:
+    """A trained diffusion model of motion.
+
+    denoiser: frozen. schedule: it was trained on. layout, normaliser: motions <-> its numbers (B, T, D).
+    """
 
     denoiser: Denoiser
     schedule: NoiseSchedule
@@ -150,14 +153,14 @@ class Trained:
         return found
 
 
-def save_denoiser(path: Path | str, model: Trained, about: dict, *, half: bool = False) -> None:
+def save_denoiser(path: Path | str, model: MotionDiffusion, about: dict, *, half: bool = False) -> None:
     """Writes ``path`` (.safetensors) and its recipe (.json), with ``about`` beside it. half: weights as float16."""
     weights = {f"denoiser.{n}": x.half() if half else x for n, x in model.denoiser.state_dict().items()}
     tensors = weights | {"mean": model.normaliser.mean, "scale": model.normaliser.scale}
     checkpoint.save(path, tensors, about | {"recipe": asdict(model.recipe)})
 
 
-def load_denoiser(path: Path | str) -> Trained:
+def load_denoiser(path: Path | str) -> MotionDiffusion:
     """Reads a model as ``save_denoiser`` wrote it, frozen, on the CPU.
 
     Raises:
@@ -173,11 +176,11 @@ def load_denoiser(path: Path | str) -> Trained:
             check_shape(x, f"{recipe.layout.size}", "normaliser")
     if not all(value.isfinite().all() for value in tensors.values()):
         raise DataError("numbers that are not finite", path=path, remedy=checkpoint.REMEDY)
-    return Trained(model, recipe.schedule, recipe.layout, normaliser, recipe)
+    return MotionDiffusion(model, recipe.schedule, recipe.layout, normaliser, recipe)
 
 
 @cache
-def motion_model(name: str) -> Trained:
+def motion_model(name: str) -> MotionDiffusion:
     """Loads a model that ships with the project, as "diffusion_plain", or the one at a path; once.
 
     Raises:

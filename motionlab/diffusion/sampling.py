@@ -3,7 +3,7 @@
 Noising steps are counted from 0: step t has been noised t + 1 times, the thesis's t + 1. All tables are float64.
 
 A denoiser is any function (x_t (B, ...), stamps (B,)) -> x_0 estimate (B, ...). ``after`` is called as
-after(x_{t-1}, x_0 estimate, t) -> x_{t-1} behind every step, which is where known parts are put back (``repair``).
+after(x_{t-1}, x_0 estimate, t) -> x_{t-1} behind every step, which is where known parts are put back (``inpaint``).
 
 Source: thesis Eqs. 4.1-4.7; Ho et al. 2020; Nichol and Dhariwal 2021; Song et al. 2021 (DDIM).
 """

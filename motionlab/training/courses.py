@@ -18,7 +18,7 @@ from motionlab.contact import with_contacts
 from motionlab.diffusion import completer, state
 from motionlab.diffusion.completer import KINDS, Completer, CompleterRecipe
 from motionlab.diffusion.denoising import Noise, smoothed
-from motionlab.diffusion.model import DenoiserRecipe, Trained, load_denoiser, save_denoiser
+from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion, load_denoiser, save_denoiser
 from motionlab.diffusion.windows import Windows, on_standard
 from motionlab.errors import DataError
 from motionlab.humor.cvae import Cvae, from_weights, official_weights
@@ -114,15 +114,15 @@ class DenoiserCourse(train_more.Course):
 
     load = staticmethod(load_denoiser)
 
-    def begun(self, recipe: DenoiserRecipe, first: Trained | None) -> DenoiserTraining:
+    def begun(self, recipe: DenoiserRecipe, first: MotionDiffusion | None) -> DenoiserTraining:
         """In halves where these are faster."""
         return super().begun(replace(recipe, bf16=fast_halves(torch.device("cpu"))), first)
 
-    def save(self, out: Path, model: Trained, about: dict) -> None:
+    def save(self, out: Path, model: MotionDiffusion, about: dict) -> None:
         """As ``save_denoiser``, weights as float16."""
         save_denoiser(out, model, about, half=True)
 
-    def measured(self, model: Trained) -> dict[str, float]:
+    def measured(self, model: MotionDiffusion) -> dict[str, float]:
         """Errors of x_0 at five steps, and first their mean."""
         errors = model.errors(self.held, torch.Generator().manual_seed(0))
         return {MEAN_ERROR: sum(errors.values()) / len(errors)} | errors

@@ -15,7 +15,7 @@ from torch import Tensor
 from motionlab.diffusion import masks
 from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Normaliser
-from motionlab.diffusion.model import DenoiserRecipe, Trained
+from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
@@ -32,7 +32,7 @@ class DenoiserTraining(TrainingRun):
     give_up = 20
     reads = DenoiserRecipe.read
 
-    def __init__(self, recipe: DenoiserRecipe, windows: Windows, start: Trained | None = None) -> None:
+    def __init__(self, recipe: DenoiserRecipe, windows: Windows, start: MotionDiffusion | None = None) -> None:
         if windows.length != recipe.frames or windows.fps != FPS:
             message = f"windows of {windows.length} frames at {windows.fps:g} fps; expected {recipe.frames} at {FPS:g}"
             raise DataError(message, remedy="gather windows of the recipe's length from motions at 30 fps")
@@ -55,8 +55,8 @@ class DenoiserTraining(TrainingRun):
         """Of the numbers that it is shown."""
         return Normaliser(*self.extra["normaliser"])
 
-    def _ready(self, model: Denoiser) -> Trained:
-        return Trained(model, self.schedule, self.layout, self.normaliser, self.recipe)
+    def _ready(self, model: Denoiser) -> MotionDiffusion:
+        return MotionDiffusion(model, self.schedule, self.layout, self.normaliser, self.recipe)
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         recipe = self.recipe
@@ -77,6 +77,6 @@ class DenoiserTraining(TrainingRun):
         return sum(weight * parts[name] for name, weight in weights.items()), parts
 
 
-def held_errors(held: Motion) -> Callable[[Trained], dict[str, float]]:
+def held_errors(held: Motion) -> Callable[[MotionDiffusion], dict[str, float]]:
     """Builds a judge that measures a model's errors of x_0 on held-out windows (B, T)."""
     return lambda model: model.errors(held, torch.Generator().manual_seed(0))

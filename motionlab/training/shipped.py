@@ -1,5 +1,5 @@
 """Small checkpoints that ship with the project, each made from its data: ``make_pose_prior`` and ``make_init_gmm`` make
-the priors over poses and first states, ``make_features`` the features that generated motion is judged in.
+the priors over poses and first states, ``make_encoder`` the features that generated motion is judged in.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from torch import Tensor
 from data_synth import anatomy, corpus
 from motionlab import checkpoint, splits
 from motionlab import corpus as real_corpus
-from motionlab.diffusion import embedding
+from motionlab.diffusion import encoder
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.humor import priors, state
 from motionlab.humor.priors import InitGmm
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
-from motionlab.training import feature_training, prior_training
+from motionlab.training import encoder_training, prior_training
 from motionlab.training.examples import other_body
 
 STEPS = 4000  # of the pose prior
@@ -125,8 +125,8 @@ def make_init_gmm(data: RealMotions, out: Path, *, seed: int = 0) -> dict:
     return recipe
 
 
-def make_features(folder: Path | str | None, out: Path, recipe: embedding.FeatureRecipe) -> dict:
-    """Trains and writes the features that generated motion is judged in (``diffusion.embedding``); returns the recipe.
+def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRecipe) -> dict:
+    """Trains and writes the features that generated motion is judged in (``diffusion.encoder``); returns the recipe.
 
     folder: of recordings. Trained on the people who train, watched on those who choose.
     """
@@ -135,16 +135,16 @@ def make_features(folder: Path | str | None, out: Path, recipe: embedding.Featur
         gather([on_standard(m) for each in some.values() for m in each], recipe.frames) for some in (train, choose)
     )
     held = held.evenly(256)
-    features, curve = feature_training.train_features(windows, recipe, held, progress=True)
+    features, curve = encoder_training.train_encoder(windows, recipe, held, progress=True)
     about = {
         "what": "autoencoder over windows of 60 frames: the features that generated motion is judged in",
         "command": f"python -m motionlab train features --steps {recipe.steps} --seed {recipe.seed} --data FOLDER",
         "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in train.items()},
         "corpus": asdict(corpus.Recipe()), "windows": windows.digest, "torch": torch.__version__,
-        "share of variance missed, held out": {k: round(v, 4) for k, v in features.missed(held).items()},
+        "share of variance missed, held out": {k: round(v, 4) for k, v in features.reconstruction_error(held).items()},
         "curve": curve,
     }  # fmt: skip
-    embedding.save_features(out, features, about)
+    encoder.save_encoder(out, features, about)
     return about
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from motionlab import checkpoint
-from motionlab.diffusion.embedding import FeatureRecipe
+from motionlab.diffusion.encoder import EncoderRecipe
 from motionlab.errors import DataError
 from motionlab.training import shipped, train_more
 from motionlab.training.courses import COURSES
@@ -48,10 +48,10 @@ def _train(options: argparse.Namespace) -> int:
         shipped.make_pose_prior(data, out, seed=options.seed, steps=options.steps or shipped.STEPS)
         shipped.make_init_gmm(data, out, seed=options.seed)
         return 0
-    kind, recipe = COURSES.get(name, (None, FeatureRecipe()))
+    kind, recipe = COURSES.get(name, (None, EncoderRecipe()))
     recipe = replace(recipe, seed=options.seed, steps=options.steps or recipe.steps)
     if kind is None:
-        shipped.make_features(options.data, out or checkpoint.SHIPPED / "features_real", recipe)
+        shipped.make_encoder(options.data, out or checkpoint.SHIPPED / "features_real", recipe)
         return 0
     try:
         course, every = kind(name, recipe, options.data), min(2500, -(-recipe.steps // 8))

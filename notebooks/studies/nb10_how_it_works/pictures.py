@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from motionlab.body import BodyModel
-from motionlab.diffusion.model import Trained
+from motionlab.diffusion.model import MotionDiffusion
 from motionlab.diffusion.sampling import NoiseSchedule, noise_like
 from motionlab.motion import Motion
 from motionlab.skeleton import BALLS, STANDARD
@@ -28,7 +28,7 @@ ROLES = {"before noise": "truth", "under noise": "observation", "the network's g
 
 
 @torch.no_grad()
-def noised(model: Trained, motion: Motion, t: int, generator: torch.Generator) -> dict[str, Motion]:
+def noised(model: MotionDiffusion, motion: Motion, t: int, generator: torch.Generator) -> dict[str, Motion]:
     """One window (1, T) as the network sees it at step t, and its guess of the window from that; in their own frame."""
     x0 = model.encode(motion)
     xt = model.schedule.noised(x0, t, noise_like(x0, generator))
@@ -53,7 +53,9 @@ def off_cm(made: Motion, truth: Motion) -> float:
 
 
 @torch.no_grad()
-def walked(model: Trained, few: NoiseSchedule, x: Tensor, generator: torch.Generator) -> tuple[list[int], list[Motion]]:
+def walked(
+    model: MotionDiffusion, few: NoiseSchedule, x: Tensor, generator: torch.Generator
+) -> tuple[list[int], list[Motion]]:
     """What the network guesses on the way from noise (1, T, D) to a motion, from the first step on: the noising steps
     that are left, and the motions (1, T); the last is what is made."""
     left, guesses = [], []

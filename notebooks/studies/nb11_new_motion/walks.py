@@ -18,7 +18,7 @@ from tqdm.auto import tqdm
 
 from motionlab.baselines import cosine_transform
 from motionlab.diffusion import sampling
-from motionlab.diffusion.model import Trained
+from motionlab.diffusion.model import MotionDiffusion
 from motionlab.diffusion.sampling import NoiseSchedule
 from motionlab.motion import FPS, Motion
 from motionlab.training.training_loop import fast_halves
@@ -40,7 +40,7 @@ class _Halved(nn.Module):
             return torch.cat([self.inner(*few).float() for few in zip(x.split(64), stamps.split(64), strict=True)])
 
 
-def halved(model: Trained) -> Trained:
+def halved(model: MotionDiffusion) -> MotionDiffusion:
     """The model with its network in bfloat16, where that is faster (twice), but for the last steps: there it shakes."""
     return replace(model, denoiser=_Halved(model.denoiser)) if fast_halves(torch.device("cpu")) else model
 
@@ -59,7 +59,7 @@ class _Chain:
 
 @torch.no_grad()
 def ddpm(
-    model: Trained, counts: Sequence[int], count: int, generator: torch.Generator
+    model: MotionDiffusion, counts: Sequence[int], count: int, generator: torch.Generator
 ) -> tuple[dict[int, Tensor], dict[float, Tensor]]:
     """Draws ``count`` samples (N, T, D), normalised numbers, in each of several numbers of steps, along one noise.
 
@@ -95,7 +95,7 @@ def ddpm(
 
 
 @torch.no_grad()
-def ddim(model: Trained, steps: int, count: int, generator: torch.Generator) -> Motion:
+def ddim(model: MotionDiffusion, steps: int, count: int, generator: torch.Generator) -> Motion:
     """Draws ``count`` samples by steps that draw no noise. The cosine schedule's even steps turn by equal angles."""
     x = sampling.ddim(model.denoiser, model.schedule.respaced(steps), model.noise(count, generator))
     return model.decode(x)

@@ -13,7 +13,7 @@ import torch
 from motionlab.contact import with_contacts
 from motionlab.diffusion import sampling
 from motionlab.diffusion.denoising import Noise, noise_size
-from motionlab.diffusion.model import Trained
+from motionlab.diffusion.model import MotionDiffusion
 from motionlab.diffusion.sampling import NoiseSchedule
 from motionlab.errors import DataError
 from motionlab.heading import local_to_world, stuck_root, world_to_local
@@ -42,7 +42,7 @@ def _begin(schedule: NoiseSchedule, size: float) -> int:
 
 @torch.no_grad()
 def denoise(
-    model: Trained, noisy: Motion, rough: Motion, noise: Noise, generator: torch.Generator,
+    model: MotionDiffusion, noisy: Motion, rough: Motion, noise: Noise, generator: torch.Generator,
     start: ReverseProcess | None = None,
 ) -> Motion:  # fmt: skip
     """Computes denoised motions (B, T), where they were in the world, by the reverse process.

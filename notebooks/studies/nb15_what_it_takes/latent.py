@@ -14,7 +14,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 from motionlab.bench.person_windows import PersonWindows
-from motionlab.diffusion.model import Trained
+from motionlab.diffusion.model import MotionDiffusion
 from motionlab.diffusion.sampling import NoiseSchedule, ddpm
 from motionlab.motion import Motion
 from studies.nb15_what_it_takes.figures import Panel
@@ -28,12 +28,12 @@ _WIDTH, _BATCH, _RATES = 512, 256, tuple(2.0**k for k in range(8))
 class Squeezed:
     """mean (T D,), axes (T D, K): windows are mean + axes z; z (N, K) of training windows has mean 0 and variance 1."""
 
-    model: Trained
+    model: MotionDiffusion
     mean: Tensor
     axes: Tensor
 
     @classmethod
-    def of(cls, model: Trained, x: Tensor, size: int, generator: Generator) -> Squeezed:
+    def of(cls, model: MotionDiffusion, x: Tensor, size: int, generator: Generator) -> Squeezed:
         """Of training windows as rows x (N, T D), by a randomised range finder (Halko et al. 2011)."""
         mean, size = x.mean(0), min(size, len(x) - 1)
         rows, basis = x - mean, torch.randn(len(x), min(size + 16, *x.shape), generator=generator)

@@ -12,7 +12,7 @@ from motionlab import corpus, splits
 from motionlab.bench import cases
 from motionlab.bench.person_windows import PersonWindows, by_person
 from motionlab.contact import with_contacts
-from motionlab.diffusion.model import Trained
+from motionlab.diffusion.model import MotionDiffusion
 from motionlab.motion import Motion
 from motionlab.viz.palette import ROLE
 from studies.nb15_what_it_takes.figures import Panel
@@ -36,14 +36,14 @@ class Rows(NamedTuple):
     kept: Tensor
 
 
-def rows(model: Trained, motion: Motion, whose: Tensor, lacks: Tensor) -> Rows:
+def rows(model: MotionDiffusion, motion: Motion, whose: Tensor, lacks: Tensor) -> Rows:
     """Windows (N, T) whose legs are hidden. lacks (N, 1, U): joints that a figure does not have."""
     kept = cases.columns(model.layout, cases.legs(len(whose), motion.frames) | lacks)
     labelled = with_contacts(motion) if motion.contacts is None else motion
     return Rows(model.encode(labelled).flatten(1), whose, kept.flatten(1))
 
 
-def teachers(model: Trained, cast: Cast, folder: Path | str | None, each: int) -> Rows:
+def teachers(model: MotionDiffusion, cast: Cast, folder: Path | str | None, each: int) -> Rows:
     """At most so many learnt windows of every recorded person, people numbered from 0. Without recordings each clip
     counts as a person."""
     whose = cast.clips
@@ -58,13 +58,13 @@ def teachers(model: Trained, cast: Cast, folder: Path | str | None, each: int) -
     return rows(model, cast.learnt.clip(some), whose[some].unique(return_inverse=True)[1], lacks)
 
 
-def filled(model: Trained, some: Rows, guess: Tensor) -> Motion:
+def filled(model: MotionDiffusion, some: Rows, guess: Tensor) -> Motion:
     """The windows with guesses (N, T D) in place of what was hidden, in the frame of their first pose."""
     x = torch.where(some.kept, some.x, guess)
     return model.decode(x.unflatten(1, (FRAMES, -1)))
 
 
-def left_cm(model: Trained, some: Rows, guess: Tensor) -> Tensor:
+def left_cm(model: MotionDiffusion, some: Rows, guess: Tensor) -> Tensor:
     """What is left of each person (P,): mean distance of knees, ankles and feet from the true ones, cm."""
     made, truth = (filled(model, some, x) for x in (guess, some.x))
     return by_person(cases.error_cm(made, truth, cases.legs(len(some.x), FRAMES), cases.LOWER), some.whose)
@@ -82,7 +82,7 @@ def middle(windows: PersonWindows) -> Tensor:
     return torch.stack([some[len(some) // 2] for some in mine])
 
 
-def tuned(learn, model: Trained, people: int, seed: int, choose: Rows):
+def tuned(learn, model: MotionDiffusion, people: int, seed: int, choose: Rows):
     """What ``learn`` (people, seed, weight) learnt, by the weight that leaves least of the people who choose."""
     tried = [learn(people, seed, weight) for weight in (100.0, 1000.0, 10_000.0)]
     return min(tried, key=lambda guess: float(left_cm(model, choose, guess(choose.x)).mean()))

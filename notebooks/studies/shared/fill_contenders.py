@@ -15,9 +15,9 @@ from motionlab.bench import rivals
 from motionlab.bench.rivals import RIDGES, Rivals
 from motionlab.diffusion import completer, state
 from motionlab.diffusion.completer import Completer, guess
-from motionlab.diffusion.inpainting import Way, repair
+from motionlab.diffusion.inpainting import Inpainting, inpaint
 from motionlab.diffusion.masks import units
-from motionlab.diffusion.model import Trained, motion_model
+from motionlab.diffusion.model import MotionDiffusion, motion_model
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 from motionlab.training.training_loop import fast_halves
@@ -30,17 +30,17 @@ _FEW = 6  # windows of a person that P is judged on where one answer is right
 FADES = (0, 5, 10)  # frames over which a rival's jump at the edge of what is known may fade
 EDGE = 10  # frames over which edges are mixed or blended
 #: How P, which is told nothing, is made to keep what is known.
-PLAIN = Way(steps=50)  # Eq. 4.10; 250 steps left no less
-LEFT = Way(steps=50, last=False)  # not written back after the last step
-MIXED = Way(steps=50, last=False, finish=EDGE)  # and then mixed with what is known
-BLENDED = Way(steps=50, soft=EDGE)  # 4.2.5
-_GUIDED = Way(put="imputed", weight=1.0, steps=25)
-_GUIDED_IN_TIME = replace(_GUIDED, last=False, finish=EDGE)
+PLAIN = Inpainting(steps=50)  # Eq. 4.10; 250 steps left no less
+LEFT = Inpainting(steps=50, replace_last=False)  # not written back after the last step
+MIXED = Inpainting(steps=50, replace_last=False, blend_frames=EDGE)  # and then mixed with what is known
+BLENDED = Inpainting(steps=50, mask_ramp=EDGE)  # 4.2.5
+_GUIDED = Inpainting(known="impute", guidance_weight=1.0, steps=25)
+_GUIDED_IN_TIME = replace(_GUIDED, replace_last=False, blend_frames=EDGE)
 #: Guided, by whether a case has edges in time, and whether every window has a mask of its own: chosen on the people who
 #: choose, of weights 1 to 20, 25 and 50 steps, with and without the last writing back.
 GUIDANCE = {
     (False, False): _GUIDED, (False, True): _GUIDED, (True, True): _GUIDED_IN_TIME,
-    (True, False): replace(_GUIDED_IN_TIME, weight=5.0),
+    (True, False): replace(_GUIDED_IN_TIME, guidance_weight=5.0),
 }  # fmt: skip
 
 
@@ -66,7 +66,7 @@ class Models:
 
     r: Completer
     t: Completer
-    p: Trained
+    p: MotionDiffusion
     rivals: Rivals
     most: int = 1000
 
@@ -74,10 +74,10 @@ class Models:
         """One draw of T."""
         return self.t.complete(motion, known, torch.Generator().manual_seed(seed), steps=STEPS)
 
-    def plain(self, motion: Motion, known: Tensor, way: Way, seed: int) -> Motion:
+    def plain(self, motion: Motion, known: Tensor, way: Inpainting, seed: int) -> Motion:
         """One draw of P."""
         way = replace(way, steps=min(way.steps, self.most))
-        return repair(self.p, motion, known[..., units(self.p.layout)], torch.Generator().manual_seed(seed), way)
+        return inpaint(self.p, motion, known[..., units(self.p.layout)], torch.Generator().manual_seed(seed), way)
 
     def curves(self, motion: Motion, known: Tensor) -> Motion:
         """What R adds to: smooth curves through what is known."""

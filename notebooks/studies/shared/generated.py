@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from motionlab.bench.person_windows import by_person
-from motionlab.diffusion.embedding import motion_features
+from motionlab.diffusion.encoder import motion_encoder
 from motionlab.metrics import generation
 from motionlab.metrics.intervals import interval
 from motionlab.motion import Motion
@@ -44,7 +44,7 @@ class Judged:
         """Measures windows (N, T) on the standard body, feet on a floor at z = 0."""
         points, fps = motion.positions, motion.fps
         return cls(
-            motion_features(FEATURES)(motion),
+            motion_encoder(FEATURES)(motion),
             small_measures.travel(motion),
             small_measures.slide_mm(motion),
             fps**2 * points.diff(n=2, dim=-3).norm(dim=-1).mean((-1, -2)),

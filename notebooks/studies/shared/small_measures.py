@@ -7,8 +7,8 @@ from torch import Tensor
 
 from motionlab.bench.person_windows import PersonWindows, by_person
 from motionlab.contact import resting_heights
-from motionlab.diffusion.embedding import motion_features
-from motionlab.diffusion.model import LEVELS, Trained, motion_model
+from motionlab.diffusion.encoder import motion_encoder
+from motionlab.diffusion.model import LEVELS, MotionDiffusion, motion_model
 from motionlab.diffusion.sampling import noise_like
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.metrics import gait, generation, pose
@@ -21,7 +21,7 @@ _DOWN = 0.03  # metres above where a ball rests
 _TRAVELS = 0.2  # m/s over the floor, from which a root counts as moving
 
 
-def measured(model: Trained, held: PersonWindows) -> dict:
+def measured(model: MotionDiffusion, held: PersonWindows) -> dict:
     """Measures a model. estimates: by measure and level of noise, a number a person; samples: by measure, one number.
 
     As many windows are made up as are held, by DDPM; the noise is the same for all models of one schedule.
@@ -31,7 +31,7 @@ def measured(model: Trained, held: PersonWindows) -> dict:
     return {"root's unit, m": unit, "estimates": _estimates(model, held), "samples": described(made, held.motion)}
 
 
-def made_up(model: Trained, count: int) -> Motion:
+def made_up(model: MotionDiffusion, count: int) -> Motion:
     """Draws the windows (count, T) that a model is measured on."""
     return model.sample(count, torch.Generator().manual_seed(0), steps=STEPS)
 
@@ -48,7 +48,7 @@ def plateau(held: PersonWindows) -> dict[str, dict[str, float]]:
 
 
 @torch.no_grad()
-def _estimates(model: Trained, held: PersonWindows) -> dict[str, dict[str, list[float]]]:
+def _estimates(model: MotionDiffusion, held: PersonWindows) -> dict[str, dict[str, list[float]]]:
     """x0 error: mean square, normalised. Distances of joints in the layout's frame, of the pelvis, and of joints about
     it, mm; of their velocities, m/s; and how far feet slide that truly stand, mm a frame."""
     x0, generator, found = model.encode(held.motion), torch.Generator().manual_seed(0), {}
@@ -85,7 +85,7 @@ def described(made: Motion, real: Motion | None = None) -> dict[str, float]:
         "lower ball over the floor, mm": 1000 * (balls[..., 2].amin(-1) - STANDARD.sole).median(),
     }  # fmt: skip
     if real is not None:
-        features = motion_features("features_real")
+        features = motion_encoder("features_real")
         x, y = features(made), features(real)
         found |= {
             "coverage": generation.density_coverage(x, y).coverage, "frechet": generation.frechet(x, y).value,

@@ -22,7 +22,7 @@ import torch
 from motionlab import corpus, splits
 from motionlab.bench.judge import FRAMES
 from motionlab.bench.person_windows import PersonWindows, person_windows
-from motionlab.diffusion.model import DenoiserRecipe, LossWeights, Trained, load_denoiser, save_denoiser
+from motionlab.diffusion.model import DenoiserRecipe, LossWeights, MotionDiffusion, load_denoiser, save_denoiser
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.files import write_whole
@@ -166,7 +166,7 @@ def _of_people(windows: Windows, count: int, seed: int) -> Windows:
     return replace(windows, begins=windows.begins[mine])
 
 
-def trained(arm: Arm, data: _Data) -> dict[str, Trained]:
+def trained(arm: Arm, data: _Data) -> dict[str, MotionDiffusion]:
     """What is kept of an arm, by name; trained where it is not in the cache, or gone on with."""
     paths = {name: folder() / f"{arm.digest}{'-last' * (k > 0)}.safetensors" for k, name in enumerate(arm.kept)}
     if all(path.exists() for path in paths.values()):

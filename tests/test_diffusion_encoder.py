@@ -10,7 +10,7 @@ from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
 from motionlab import splits
 from motionlab.__main__ import main
-from motionlab.diffusion import embedding
+from motionlab.diffusion import encoder
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import Frame, local_to_world
@@ -18,10 +18,10 @@ from motionlab.metrics.generation import frechet
 from motionlab.motion import mirror
 from motionlab.rotation import rotation_about
 from motionlab.skeleton import STANDARD
-from motionlab.training import feature_training, shipped, train
+from motionlab.training import encoder_training, shipped, train
 
-TINY = embedding.FeatureRecipe(frames=12, size=6, width=8, steps=120, batch=8, lr=5e-3, seed=3)
-PARTS = list(embedding.FEATURE_GROUPS.values())
+TINY = encoder.EncoderRecipe(frames=12, size=6, width=8, steps=120, batch=8, lr=5e-3, seed=3)
+PARTS = list(encoder.FEATURE_GROUPS.values())
 
 
 @pytest.fixture(scope="module")
@@ -41,45 +41,45 @@ def some(data):
 
 @pytest.fixture(scope="module")
 def trained(data, some):
-    return feature_training.train_features(data, TINY, some)
+    return encoder_training.train_encoder(data, TINY, some)
 
 
 def test_signals_do_not_know_place_or_heading(some):
     elsewhere = local_to_world(Frame(rotation_about("z", torch.tensor(1.1)), torch.tensor([3.0, -2.0, 0.0])), some)
-    torch.testing.assert_close(embedding.signals(elsewhere), embedding.signals(some), atol=2e-3, rtol=0)
+    torch.testing.assert_close(encoder.signals(elsewhere), encoder.signals(some), atol=2e-3, rtol=0)
 
 
 def test_signals_show_a_drift_and_the_sliding_of_feet_that_stand(some):
     drift = torch.arange(12) / 30 * 0.2
     slid = replace(some, root=some.root + torch.stack((drift, 0 * drift, 0 * drift), -1))
-    was, now = (embedding.signals(m).split(PARTS, -1) for m in (some, slid))
+    was, now = (encoder.signals(m).split(PARTS, -1) for m in (some, slid))
     assert (now[0] - was[0]).norm(dim=-1)[:, -1].sub(0.2 * 11 / 30).abs().max() < 1e-4
     torch.testing.assert_close(now[1], was[1], atol=1e-5, rtol=0)  # joints about the root
     stands = was[3] < 0.1  # slower than about 5 mm/s, or not low
-    low = some.positions[..., STANDARD.indices(embedding.FEET), 2] < 0.03
+    low = some.positions[..., STANDARD.indices(encoder.FEET), 2] < 0.03
     assert (stands & low).sum() > 100
     assert now[3][stands & low].median() > 10 * was[3][stands & low].median().clamp(min=0.01)
 
 
 def test_a_foot_high_above_the_floor_does_not_slide(some):
     up = replace(some, root=some.root + torch.tensor([0.0, 0.0, 0.5]))
-    assert embedding.signals(up).split(PARTS, -1)[3].max() < 1e-4
+    assert encoder.signals(up).split(PARTS, -1)[3].max() < 1e-4
 
 
 def test_signals_refuse_what_are_no_windows(some):
     with pytest.raises(ShapeError, match="windows"):
-        embedding.signals(some.clip(0))
+        encoder.signals(some.clip(0))
     with pytest.raises(ShapeError, match="windows"):
-        embedding.signals(some.cut(0, 1))
+        encoder.signals(some.cut(0, 1))
 
 
 def test_training_learns_and_is_the_same_again(data, some, trained):
     features, curve = trained
     assert curve[-1]["loss"] < 0.8 * curve[0]["loss"] and curve[-1]["place"] < 0.3
     assert curve[-1]["joints"] < curve[0]["joints"]
-    again, _ = feature_training.train_features(data, TINY, some)
+    again, _ = encoder_training.train_encoder(data, TINY, some)
     assert torch.equal(again(some), features(some))
-    other, _ = feature_training.train_features(data, replace(TINY, seed=4))
+    other, _ = encoder_training.train_encoder(data, replace(TINY, seed=4))
     assert not torch.allclose(other(some), features(some))
 
 
@@ -96,20 +96,20 @@ def test_features_are_of_unit_size_on_training_motion_and_see_a_spoilt_one(data,
 
 
 def test_what_is_missed_is_all_of_it_for_a_network_that_says_the_mean(some):
-    features = embedding.Features(
-        embedding.Autoencoder(TINY), torch.zeros(94), torch.ones(94), torch.zeros(6), torch.ones(6), TINY
+    features = encoder.MotionEncoder(
+        encoder.Autoencoder(TINY), torch.zeros(94), torch.ones(94), torch.zeros(6), torch.ones(6), TINY
     )
     with torch.no_grad():
         features.network.decoder[-1].weight.zero_()
-        features.network.decoder[-1].bias.copy_(embedding.signals(some).mean((0, 1)))
-    assert set(features.missed(some)) == set(embedding.FEATURE_GROUPS)
-    assert all(abs(share - 1) < 1e-3 for share in features.missed(some).values())
+        features.network.decoder[-1].bias.copy_(encoder.signals(some).mean((0, 1)))
+    assert set(features.reconstruction_error(some)) == set(encoder.FEATURE_GROUPS)
+    assert all(abs(share - 1) < 1e-3 for share in features.reconstruction_error(some).values())
 
 
 def test_kept_features_are_the_same_bit_for_bit(trained, some, tmp_path):
     features, _ = trained
-    embedding.save_features(tmp_path / "f", features, {"what": "a test"})
-    found = embedding._load(tmp_path / "f")
+    encoder.save_encoder(tmp_path / "f", features, {"what": "a test"})
+    found = encoder._load(tmp_path / "f")
     assert torch.equal(found(some), features(some))
     assert found.recipe == TINY
     assert json.loads((tmp_path / "f.json").read_text())["sha256"].startswith(found.digest) and len(found.digest) == 12
@@ -118,24 +118,24 @@ def test_kept_features_are_the_same_bit_for_bit(trained, some, tmp_path):
 def test_files_of_something_else_are_refused(trained, tmp_path):
     features, _ = trained
     with pytest.raises(DataError, match="No such file"):
-        embedding._load(tmp_path / "none")
-    embedding.save_features(tmp_path / "f", replace(features, recipe=replace(TINY, size=5)), {})
+        encoder._load(tmp_path / "none")
+    encoder.save_encoder(tmp_path / "f", replace(features, recipe=replace(TINY, size=5)), {})
     with pytest.raises(DataError, match="not a feature autoencoder"):
-        embedding._load(tmp_path / "f")
+        encoder._load(tmp_path / "f")
 
 
 def test_the_command_trains_on_the_people_who_train(motions, tmp_path, monkeypatch):
     """And watches what is missed of those who choose."""
-    asked, train_features = [], feature_training.train_features
+    asked, train_encoder = [], encoder_training.train_encoder
 
     def trained(windows, recipe, held, **how):
         asked.append((windows.digest, held))
-        return train_features(windows, recipe, held, **how)
+        return train_encoder(windows, recipe, held, **how)
 
     found = shipped.RealMotions({splits.RECORDED: motions[:1]}, {"people who choose": motions[1:]}, {})
     monkeypatch.setattr(shipped, "real_motions", lambda folder: found)
-    monkeypatch.setattr(feature_training, "train_features", trained)
-    monkeypatch.setattr(train, "FeatureRecipe", lambda: replace(TINY, frames=60))
+    monkeypatch.setattr(encoder_training, "train_encoder", trained)
+    monkeypatch.setattr(train, "EncoderRecipe", lambda: replace(TINY, frames=60))
     how = "--steps 3 --seed 2"
     assert main(["train", "features", *how.split(), "--data", "x", "--out", str(tmp_path / "f")]) == 0
     about = json.loads((tmp_path / "f.json").read_text())
@@ -146,7 +146,7 @@ def test_the_command_trains_on_the_people_who_train(motions, tmp_path, monkeypat
 
 
 def test_features_that_ship():
-    about = json.loads((embedding.checkpoint.SHIPPED / "features_real.json").read_text())
-    assert about["recipe"]["frames"] == 60 and 64 <= embedding.motion_features().recipe.size <= 128
+    about = json.loads((encoder.checkpoint.SHIPPED / "features_real.json").read_text())
+    assert about["recipe"]["frames"] == 60 and 64 <= encoder.motion_encoder().recipe.size <= 128
     assert "report" not in json.dumps(about["command"])
     assert max(about["share of variance missed, held out"].values()) < 0.35

@@ -1,4 +1,4 @@
-"""Trains the autoencoder in whose numbers generated motion is judged (``diffusion.embedding``)."""
+"""Trains the autoencoder in whose latent features generated motion is judged (``diffusion.encoder``)."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from motionlab.diffusion.embedding import FEATURE_GROUPS, Autoencoder, FeatureRecipe, Features, signals
+from motionlab.diffusion.encoder import FEATURE_GROUPS, Autoencoder, EncoderRecipe, MotionEncoder, signals
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.training.training_loop import TrainingRun
 
 
-class _FeatureRun(TrainingRun):
+class _EncoderRun(TrainingRun):
     """Trains an autoencoder on windows. Every group weighs the same in the loss, or the few numbers that say whether a
     foot slides would drown."""
 
     clip = None
 
-    def __init__(self, recipe: FeatureRecipe, windows: Windows) -> None:
+    def __init__(self, recipe: EncoderRecipe, windows: Windows) -> None:
         generator, self.windows = torch.Generator().manual_seed(recipe.seed), windows
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
@@ -38,19 +38,19 @@ class _FeatureRun(TrainingRun):
         x = (signals(self.windows.draw(self.recipe.batch, self.generator)) - self.mean) / self.scale
         return ((self.model(x) - x).square() * self.weight).sum(-1).mean(), {}
 
-    def _ready(self, network: Autoencoder) -> Features:
+    def _ready(self, network: Autoencoder) -> MotionEncoder:
         size = self.recipe.size
-        return Features(network, self.mean, self.scale, torch.zeros(size), torch.ones(size), self.recipe)
+        return MotionEncoder(network, self.mean, self.scale, torch.zeros(size), torch.ones(size), self.recipe)
 
 
-def train_features(
-    windows: Windows, recipe: FeatureRecipe, held: Motion | None = None, *, progress: bool = False
-) -> tuple[Features, list[dict]]:
+def train_encoder(
+    windows: Windows, recipe: EncoderRecipe, held: Motion | None = None, *, progress: bool = False
+) -> tuple[MotionEncoder, list[dict]]:
     """Trains on windows; returns the features and the curve: loss, and what is ``missed`` of held-out windows."""
     if windows.length != recipe.frames:
         raise ShapeError(f"windows of {windows.length} frames, recipe of {recipe.frames}")
-    judge, every = None if held is None else lambda features: features.missed(held), max(1, recipe.steps // 20)
-    run = _FeatureRun(recipe, windows).run(every=every, judge=judge, judge_every=every, progress=progress)
+    every, judge = max(1, recipe.steps // 20), None if held is None else lambda x: x.reconstruction_error(held)
+    run = _EncoderRun(recipe, windows).run(every=every, judge=judge, judge_every=every, progress=progress)
     made = run.averaged
     made.network.half().float()  # its weights as they are stored
     latent = made(windows.draw(2048, run.generator)).float()

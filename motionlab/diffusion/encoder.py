@@ -1,14 +1,10 @@
-"""Features in which generated motion is judged, and judges that choose a checkpoint.
+"""Encodes windows of motion as features for FID and KID: the latent numbers of an autoencoder over two seconds.
 
-The features are the latent numbers of an autoencoder over windows of two seconds. It sees the root's path and the
-feet's sliding, and is trained on training motion alone, as features must not depend on held-out motion. A judge
-measures a model while it is trained. ``kid_judge`` is the kernel distance of samples to held-out motion, in features
-that need no training: every model of every run is judged alike, and checkpoints are not chosen by what is reported.
+It sees the root's path and the feet's sliding, and is trained on training motion alone, as features must not depend on
+held-out motion.
 
-Source: FID's features are those of a trained network (Heusel et al. 2017; for motion Guo et al. 2020, MDM); KID:
-Binkowski et al. 2018; thesis 4.4.1 (stop by a measure, not by eye).
-Differs: an autoencoder, as there are no labels; root and feet count as much as all other joints together; the judge's
-features are physical descriptions and joint statistics.
+Source: FID's features are those of a trained network (Heusel et al. 2017; for motion Guo et al. 2020, MDM).
+Differs: an autoencoder, as there are no labels; root and feet count as much as all other joints together.
 """
 
 from __future__ import annotations
@@ -61,7 +57,7 @@ def signals(motion: Motion) -> Tensor:
 
 
 @dataclass(frozen=True)
-class FeatureRecipe:
+class EncoderRecipe:
     """frames: of a window, a multiple of 4. size: latent numbers. width: of convolutions. steps, batch, lr: of Adam,
     whose rate falls by a cosine. seed: of weights and windows."""
 
@@ -78,7 +74,7 @@ class FeatureRecipe:
 class Autoencoder(nn.Module):
     """Two convolutions over time, each halving it, and a linear layer; the same backwards. (N, T, 94) <-> (N, size)."""
 
-    def __init__(self, recipe: FeatureRecipe) -> None:
+    def __init__(self, recipe: EncoderRecipe) -> None:
         super().__init__()
         if recipe.frames % 4:
             raise ShapeError(f"frames: expected a multiple of 4, got {recipe.frames}")
@@ -97,12 +93,12 @@ class Autoencoder(nn.Module):
         return self.decoder(self.encoder(x.mT)).mT
 
 
-_SIZES = ("mean", "scale", "centre", "spread")  # of ``Features``
+_SIZES = ("mean", "scale", "centre", "spread")  # of ``MotionEncoder``
 
 
 @dataclass(frozen=True, eq=False)
-class Features:
-    """The trained encoder, frozen: ``features(motion)`` is (N, size), about unit size on training motion.
+class MotionEncoder:
+    """The trained encoder, frozen: ``encoder(motion)`` is (N, size), about unit size on training motion.
 
     mean (94,), scale (94,): of the signals, one scale per group. centre (size,), spread (size,): of the latent numbers.
     digest: of the checkpoint; it stands beside every table, as numbers in other features do not compare.
@@ -113,7 +109,7 @@ class Features:
     scale: Tensor
     centre: Tensor
     spread: Tensor
-    recipe: FeatureRecipe
+    recipe: EncoderRecipe
     digest: str = ""
 
     @torch.no_grad()
@@ -126,7 +122,7 @@ class Features:
         return ((latent - self.centre) / self.spread).double()
 
     @torch.no_grad()
-    def missed(self, motion: Motion) -> dict[str, float]:
+    def reconstruction_error(self, motion: Motion) -> dict[str, float]:
         """Computes the share of each group's variance that the latent numbers miss, of windows (N, T)."""
         x = (signals(motion) - self.mean) / self.scale
         wrong, total = (self.network(x) - x).square(), (x - x.mean((0, 1))).square()
@@ -135,25 +131,25 @@ class Features:
         return {name: float(a.sum() / b.sum().clamp(min=1e-12)) for name, a, b in parts}
 
 
-def save_features(path: Path | str, features: Features, about: dict) -> None:
+def save_encoder(path: Path | str, features: MotionEncoder, about: dict) -> None:
     """Writes ``path`` (.safetensors, weights as float16) and its recipe (.json) with ``about``."""
     weights = {f"network.{name}": value.half() for name, value in features.network.state_dict().items()}
     others = {name: getattr(features, name) for name in _SIZES}
     checkpoint.save(path, weights | others, about | {"recipe": asdict(features.recipe)})
 
 
-def _load(path: Path | str) -> Features:
+def _load(path: Path | str) -> MotionEncoder:
     path = Path(path).with_suffix(".safetensors")
     tensors, about = checkpoint.load(path)
     with checkpoint.rebuilding(path, "not a feature autoencoder"):
-        recipe = FeatureRecipe(**about["recipe"])
+        recipe = EncoderRecipe(**about["recipe"])
         network = checkpoint.frozen(lambda: Autoencoder(recipe), tensors, "network.")
-        return Features(network, *(tensors[name].float() for name in _SIZES), recipe, about["sha256"][:12])
+        return MotionEncoder(network, *(tensors[name].float() for name in _SIZES), recipe, about["sha256"][:12])
 
 
 @cache
-def motion_features(name: str = "features_real") -> Features:
-    """Loads features that ship with the project, by name, or those at a path; once.
+def motion_encoder(name: str = "features_real") -> MotionEncoder:
+    """Loads an encoder that ships with the project, by name, or one at a path; once.
 
     Raises:
         DataError: no such checkpoint, or damaged.
