@@ -44,7 +44,7 @@ _TOGETHER = 16  # recordings a job
 _WITHOUT = "leave it out of the folder, or assemble it without strict"
 #: Modules whose text decides what is kept.
 _READERS = (
-    "cleaning", "contact", "corpus", "motion", "rest", "retarget", "rigs", "rotation", "skeleton",
+    "cleaning", "contact", "corpus", "ik", "motion", "rest", "retarget", "rigs", "rotation", "skeleton",
     "io/asf", "io/amass", "io/bvh", "io/clips", "io/judging", "io/reading", "io/recordings",
 )  # fmt: skip
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.contact import contacts_from_positions
 from motionlab.errors import DataError, ShapeError, check_shape
+from motionlab.ik import two_bone_ik
 from motionlab.motion import Motion
 from motionlab.rest import MOVED, SQUARE, ZERO, reframed, rest_poses
 from motionlab.rigs import dropped_joints, find_joints, guessed_joints
@@ -381,35 +382,6 @@ def _source_proportions(body: Match, correction: Tensor, standing: Skeleton, sca
         for joint, share in zip(way, shares, strict=True):
             offsets[joint] = share * straight
     return replace(standing, offsets=offsets)
-
-
-def two_bone_ik(motion: Motion, ankles: Tensor) -> Motion:
-    """Bends the legs so that the ankles are at ``ankles`` (T, 2, 3: left, right); feet keep their orientation.
-
-    Two-bone inverse kinematics: the knee stays in its plane, a target out of reach is approached along the
-    line from the hip. Thigh and shin turn by the shortest rotation.
-    """
-    rot = motion.rot.clone()
-    positions, world = fk(motion.skeleton, motion.root, motion.rot)
-    for side, goal in zip(("left", "right"), ankles.unbind(1), strict=True):
-        hip, knee, ankle = motion.skeleton.indices([f"{side}_{part}" for part in ("hip", "knee", "ankle")])
-        h, k, a = positions[:, hip], positions[:, knee], positions[:, ankle]
-        thigh, shin = (k - h).norm(dim=-1, keepdim=True), (a - k).norm(dim=-1, keepdim=True)
-        line = goal - h
-        far = line.norm(dim=-1, keepdim=True).clamp(min=1e-6)
-        d = far.clamp((thigh - shin).abs().amax() + 1e-4, (thigh + shin).amin() * (1 - 1e-5))
-        u = line / far
-        bend = (k - h) + 0.02 * world[:, hip, :, 2]  # a straight leg bends forward
-        bend = torch.nn.functional.normalize(bend - (bend * u).sum(-1, keepdim=True) * u, dim=-1)
-        along = (d**2 + thigh**2 - shin**2) / (2 * d)
-        new_k = h + along * u + (thigh**2 - along**2).clamp(min=0).sqrt() * bend
-        turn_thigh = rotation.rotation_between(k - h, new_k - h)
-        turn_shin = rotation.rotation_between(a - k, h + d * u - new_k)
-        upper, lower = turn_thigh @ world[:, hip], turn_shin @ world[:, knee]
-        rot[:, hip] = world[:, motion.skeleton.parents[hip]].mT @ upper
-        rot[:, knee] = upper.mT @ lower
-        rot[:, ankle] = lower.mT @ world[:, ankle]
-    return replace(motion, rot=rot)
 
 
 def _resting(points: Tensor, fps: float) -> Tensor:

@@ -13,10 +13,10 @@ FLOORS = """
     diffusion.footsteps errors examples parallel people
     diffusion.denoiser diffusion.sampling files optimise rotation skeleton
     body checkpoint motion rigs
-    baselines cleaning contact heading humanml observation rest skinning tailoring
+    baselines cleaning contact heading humanml ik observation rest skinning tailoring
     data_synth diffusion.curves diffusion.encoder diffusion.features diffusion.state humor.body_shape humor.state io
         metrics retarget viz
-    certificate corpus diffusion.completer diffusion.denoising diffusion.masks diffusion.model diffusion.planting
+    certificate corpus diffusion.completer diffusion.denoising diffusion.masks diffusion.model diffusion.foot_locking
         diffusion.windows humor.cvae splits
     diffusion.inpainting diffusion.poses humor.energies humor.priors humor.scales humor.transition
     bench humor.compiled humor.evidence humor.pretrained

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from motionlab.diffusion import footsteps
-from motionlab.diffusion.planting import planted
+from motionlab.diffusion.foot_locking import lock_feet
 from motionlab.motion import Motion
 from motionlab.skeleton import ANKLES, BALLS, STANDARD, UPRIGHT
 
@@ -26,7 +26,7 @@ def glides():
     root[..., 2] = STANDARD.standing_height() - 0.04
     contacts = torch.ones(1, FRAMES, len(STANDARD.contact_names))
     start = Motion(STANDARD, root, rot, 30.0, contacts)
-    from motionlab.retarget import two_bone_ik
+    from motionlab.ik import two_bone_ik
 
     heels = start.positions[0][:, STANDARD.indices(ANKLES)] + torch.tensor([0.0, 0.0, 0.04])
     return replace(start, rot=two_bone_ik(start.clip(0), heels).rot[None])
@@ -40,7 +40,7 @@ def dragged(motion):
 
 
 def test_who_stands_elsewhere_behind_a_gap_steps_there_and_does_not_slide(glides):
-    pushed, steps = (planted(glides, known=KNOWN, ease=6, step=step) for step in (False, True))
+    pushed, steps = (lock_feet(glides, known=KNOWN, ease=6, step=step) for step in (False, True))
     assert dragged(pushed).min() > 0.4  # the control: in a line from place to place
     assert dragged(steps).max() < 0.08
     ankle = steps.positions[0][:, STANDARD.indices(ANKLES)]
@@ -50,7 +50,7 @@ def test_who_stands_elsewhere_behind_a_gap_steps_there_and_does_not_slide(glides
 
 
 def test_feet_that_glide_together_step_one_after_the_other(glides):
-    steps = planted(glides, known=KNOWN, ease=6, step=True)
+    steps = lock_feet(glides, known=KNOWN, ease=6, step=True)
     speed = steps.positions[0][:, STANDARD.indices(BALLS), :2].diff(dim=0).norm(dim=-1) * 30
     middle = [float((speed[:, f] * torch.arange(FRAMES - 1)).sum() / speed[:, f].sum()) for f in range(2)]
     assert abs(middle[0] - middle[1]) > 8  # frames; a hop: 0
@@ -62,11 +62,11 @@ def test_feet_that_stay_or_are_not_said_to_stand_keep_their_time():
     way = torch.stack((0.6 * time / 40, 0 * time, 0 * time), -1).float()
     stands, known = torch.ones(1, 40, 2, dtype=torch.bool), torch.zeros(1, 40, 1, dtype=torch.bool)
     known[:, :5], known[:, 35:] = True, True
-    when, anew, moving = footsteps.retimed(way, stands, known, LEG, 30.0)
+    when, anew, moving = footsteps.retime(way, stands, known, LEG, 30.0)
     assert anew[:, 5:35].all() and not anew[known.expand_as(anew)].any() and 0 < moving.sum() < anew.sum()
     assert (when.diff(dim=1) >= 0).all() and (when[:, 5] < 5).all() and (when[:, 34] > 34).all()
     for path, said in ((0.05 * way, stands), (way, ~stands)):
-        when, anew, _ = footsteps.retimed(path, said, known, LEG, 30.0)
+        when, anew, _ = footsteps.retime(path, said, known, LEG, 30.0)
         assert torch.equal(when, time.expand_as(when)) and not anew.any()
 
 
@@ -80,7 +80,7 @@ def legs_of(along, high=0.08):
 
 
 def flown(ways, stands, known):
-    return footsteps.flown(ways, stands[None, :, None], known[None, :, None], torch.tensor([[0.08]]), LEG, 30.0)
+    return footsteps.lift(ways, stands[None, :, None], known[None, :, None], torch.tensor([[0.08]]), LEG, 30.0)
 
 
 @pytest.mark.parametrize(("length", "high"), [(0.06, 0.03), (0.2, 0.05), (0.9, 0.08 * LEG)])

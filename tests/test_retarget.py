@@ -11,8 +11,9 @@ from rigs_made import made
 
 from motionlab import io, rotation
 from motionlab.errors import DataError, ShapeError
+from motionlab.ik import two_bone_ik
 from motionlab.motion import Motion
-from motionlab.retarget import _resting, _skate, retarget, two_bone_ik
+from motionlab.retarget import _resting, _skate, retarget
 from motionlab.skeleton import FEET, STANDARD, UPRIGHT, Skeleton
 
 SIDES = ("left", "right")

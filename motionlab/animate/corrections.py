@@ -18,14 +18,14 @@ from tqdm.auto import tqdm
 from motionlab import rotation
 from motionlab.cleaning import runs
 from motionlab.contact import with_contacts
-from motionlab.diffusion.planting import planted
+from motionlab.diffusion.foot_locking import lock_feet
 from motionlab.motion import FPS, Motion, resample
 from motionlab.retarget import Retargeted, match_joints, retarget
 from motionlab.skeleton import STANDARD, fk
 
 WINDOW = 60  # frames that models see
 _STRIDE = 20  # frames between windows where a joint is never known
-_EASE = 0.2  # seconds beside what is known over which planting sets in
+_EASE = 0.2  # seconds beside what is known over which foot locking sets in
 _EDGE = 2  # frames of a window that stay beside a gap
 _PAST = 20  # frames that a window of a draw goes on from
 
@@ -154,7 +154,7 @@ class Standard:
         """Computes the own motion with the turns and shifts by which ``made`` differs from ``joints``; what is kept is
         the motion's."""
         if plant and made.frames > 1:
-            made = self._planted(made)
+            made = self._feet_locked(made)
         skeleton, own = self.motion.skeleton, self.drawn.to(torch.float64)
         turn = made.to(torch.float64).world[1] @ self.joints.to(torch.float64).world[1].mT
         standing = {own_: j for j, own_ in self.mapped.items()}
@@ -170,13 +170,13 @@ class Standard:
         made = replace(self.motion, root=root.to(self.motion.root), rot=local.to(self.motion.rot), contacts=None)
         return pasted(made, self.motion, self.keep)
 
-    def _planted(self, made: Motion) -> Motion:
+    def _feet_locked(self, made: Motion) -> Motion:
         """Feet that stand stay in place, between frames whose legs are known; between kept frames they step."""
         labelled = made if made.contacts is not None else with_contacts(made)
         known = self.known[:, _LEGS].all(-1)
         contacts = torch.where(known[:, None], with_contacts(made).contacts, labelled.contacts)
         some, step = replace(made, contacts=contacts).clip(None), bool(self.keep.frames.any())
-        return replace(made, rot=planted(some, known=known[None], ease=_EASE * made.fps, step=step).rot[0])
+        return replace(made, rot=lock_feet(some, known=known[None], ease=_EASE * made.fps, step=step).rot[0])
 
 
 _LEGS = [

@@ -1,6 +1,6 @@
 """Foot lock: the feet of a motion that stand stay in place.
 
-Source: Kovar et al. 2002 (``diffusion.planting``).
+Source: Kovar et al. 2002 (``diffusion.foot_locking``).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import torch
 
 from motionlab.animate.corrections import Keep, Standard
 from motionlab.animate.filling import Animated
-from motionlab.diffusion.planting import standing
+from motionlab.diffusion.foot_locking import standing_feet
 from motionlab.errors import DataError
 from motionlab.metrics.gait import slide_in_contact_mm
 from motionlab.motion import Motion
@@ -19,13 +19,13 @@ from motionlab.retarget import retarget
 from motionlab.skeleton import ANKLES, BALLS
 
 _LEG = [f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")]
-_STAYS = 1e-4  # metres: feet that planting moves by less stay to the bit, and their legs
+_STAYS = 1e-4  # metres: feet that locking moves by less stay to the bit, and their legs
 
 
 def locked(motion: Motion) -> Animated:
     """Computes a motion (T) whose feet stay in place where they stand; only hips, knees and ankles turn otherwise.
 
-    What stands: low and slow (``diffusion.planting``), on the floor where the feet are lowest.
+    What stands: low and slow (``diffusion.foot_locking``), on the floor where the feet are lowest.
 
     Raises:
         DataError: fewer than two frames, or a skeleton whose joints are not known.
@@ -39,7 +39,7 @@ def locked(motion: Motion) -> Animated:
     still = (made.positions - motion.positions)[:, tips].norm(dim=-1).amax(-1) < _STAYS
     made = replace(made, rot=torch.where(still[:, None, None, None], motion.rot, made.rot))
     before, after = body.joints, _legs_open(made, body.lift).joints
-    stands = standing(before)
+    stands = standing_feet(before)
     slides = [float(slide_in_contact_mm(m.positions[:, feet], stands)) for m in (before, after)]
     note = f"feet that stand slide {slides[0]:.1f} mm a frame before, {slides[1]:.1f} after"
     note = note if stands.any() else "no foot stands: the motion stays as it is"

@@ -23,11 +23,12 @@ from motionlab.animate.filling import DRAWS, Animated, curves, found_joints, inb
 from motionlab.contact import resting_heights, with_contacts
 from motionlab.diffusion import completer
 from motionlab.diffusion.denoising import Noise, smoothed
+from motionlab.diffusion.foot_locking import lock_feet
 from motionlab.diffusion.model import motion_model
-from motionlab.diffusion.planting import planted, reach_targets
 from motionlab.diffusion.poses import finished, load
 from motionlab.errors import DataError
 from motionlab.heading import heading_frame, local_to_world, world_to_local_positions
+from motionlab.ik import reach_targets
 from motionlab.motion import FPS, Motion
 from motionlab.retarget import retarget
 from motionlab.rigs import find_joints
@@ -231,7 +232,7 @@ def _new(frames: int, draws: torch.Generator, plant: bool, progress: bool) -> An
         motion = network(draws, lacking, progress)(motion, known)
     motion = motion.cut(0, frames)
     if plant:
-        motion = planted(motion.clip(None), slow=False).clip(0)
+        motion = lock_feet(motion.clip(None), slow=False).clip(0)
     who = f"{PLAIN}, and after two seconds by {DRAWS}" if frames > WINDOW else PLAIN
     return Animated(replace(motion, name="generated", notes=()), (f"made by the model {who}",))
 

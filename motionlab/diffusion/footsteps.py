@@ -1,8 +1,8 @@
-"""Makes steps of what glides: feet that were filled in come to rest, go on quickly, and rise on the way.
+"""Turns feet that glide through a gap into steps: they stand, swing and rise.
 
 What a model or a curve fills in is a mean of what may happen: where people take a step at some moment, it glides. Who
 stands before a gap and stands elsewhere behind it has stepped; so a foot that is said to stand but travels is timed
-anew along its own way (:func:`retimed`), and one that goes from place to place goes off the floor (:func:`flown`).
+anew along its own way (:func:`retime`), and one that goes from place to place goes off the floor (:func:`lift`).
 
 Numbers: of recordings of people who choose, at 30 frames per second; lengths in legs where nothing else is said.
 """
@@ -50,7 +50,7 @@ class _Glide:
     length: float
 
 
-def retimed(points: Tensor, stands: Tensor, known: Tensor, leg: float, fps: float) -> tuple[Tensor, Tensor, Tensor]:
+def retime(points: Tensor, stands: Tensor, known: Tensor, leg: float, fps: float) -> tuple[Tensor, Tensor, Tensor]:
     """Computes when feet are where: (B, T, F) times along their own ways, the frames that are timed anew, and of these
     those of a step, bool (B, T, F).
 
@@ -122,7 +122,7 @@ def at_times(x: Tensor, when: Tensor) -> Tensor:
     return torch.lerp(a, b, (when - low).to(x)[..., None])
 
 
-def flown(legs: Tensor, stands: Tensor, known: Tensor, rest: Tensor, leg: float, fps: float) -> Tensor:
+def lift(legs: Tensor, stands: Tensor, known: Tensor, rest: Tensor, leg: float, fps: float) -> Tensor:
     """Computes hips, ankles and balls (3, B, T, F, 3), metres, z up, of feet that leave the floor as they go from place
     to place, from ones that may drag.
 

@@ -23,8 +23,8 @@ import torch
 from torch import Tensor, nn
 
 from motionlab import checkpoint, rotation
-from motionlab.diffusion.planting import reach_targets
 from motionlab.errors import DataError, ShapeError, check_shape
+from motionlab.ik import reach_targets
 from motionlab.motion import FPS, Motion
 from motionlab.skeleton import STANDARD
 

@@ -10,7 +10,7 @@ from motionlab import rotation
 from motionlab.bench.rivals import Rivals
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer
-from motionlab.diffusion.planting import planted
+from motionlab.diffusion.foot_locking import lock_feet
 from motionlab.heading import Frame, heading_frame, local_to_world, world_to_local, world_to_local_positions
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
@@ -38,7 +38,7 @@ def gaussian(cast: Cast, windows: int, count: int, generator: torch.Generator) -
 
     def draw(parts: int) -> Motion:
         fewer = replace(fitted, factor=fitted.factor[:, -parts:])
-        return planted(with_contacts(fewer.regression(*blank, generator=generator)))
+        return lock_feet(with_contacts(fewer.regression(*blank, generator=generator)))
 
     best = min(PARTS, key=lambda parts: frechet(Judged.of(draw(parts)), choose))
     return draw(best), best

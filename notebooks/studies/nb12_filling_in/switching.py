@@ -15,7 +15,7 @@ from motionlab.bench import cases
 from motionlab.bench.person_windows import PersonWindows, by_person
 from motionlab.contact import with_contacts
 from motionlab.corpus import Take
-from motionlab.diffusion.planting import planted
+from motionlab.diffusion.foot_locking import lock_feet
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.heading import heading_frame, local_to_world, world_to_local
 from motionlab.metrics.gait import skating_ratio
@@ -102,7 +102,7 @@ def _pace(motion: Motion) -> Tensor:
 
 def on_feet(made: Motion, known: Tensor) -> Motion:
     """With feet that stand, or step, where they are low and slow in the gap, as the product does."""
-    return planted(with_contacts(made), known=known[..., 0], ease=_EASE * made.fps, step=True)
+    return lock_feet(with_contacts(made), known=known[..., 0], ease=_EASE * made.fps, step=True)
 
 
 def everybody(m: Models, a: PersonWindows, b: Motion) -> dict[str, Motion]:

@@ -8,7 +8,7 @@ import torch
 from data_synth import scenes
 from motionlab import rotation
 from motionlab.contact import with_contacts
-from motionlab.diffusion.planting import _FADE, _stands, planted
+from motionlab.diffusion.foot_locking import _FADE, _stands, lock_feet
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
 from motionlab.skeleton import ANKLES, BALLS, STANDARD, UPRIGHT
@@ -42,14 +42,14 @@ def steps(motion):
 
 
 def test_feet_that_stand_stay_where_they_are(sliding):
-    made = planted(sliding)
+    made = lock_feet(sliding)
     assert steps(sliding).mean() > 4e-3 and len(steps(sliding)) > 100
     assert steps(made).mean() < 0.05 * steps(sliding).mean()
 
 
 def test_only_hips_knees_and_ankles_turn_and_a_foot_on_its_ball_keeps_its_orientation(walk, sliding):
     sliding = replace(walk, root=walk.root + 0.1 * (sliding.root - walk.root))  # legs stay long enough
-    made, skeleton = planted(sliding), sliding.skeleton
+    made, skeleton = lock_feet(sliding), sliding.skeleton
     turned = (made.rot - sliding.rot).abs().amax((0, 1, 3, 4)) > 1e-5
     legs = skeleton.indices([f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")])
     assert turned.nonzero()[:, 0].tolist() == sorted(legs)
@@ -76,15 +76,15 @@ def test_feet_that_no_label_names_stand_if_they_are_low_and_slow_and_only_then(w
     def slide(motion):
         return motion.positions[..., STANDARD.indices(BALLS), :].diff(dim=1).norm(dim=-1)
 
-    assert slide(creeping)[both].mean() > 3e-3 and slide(planted(creeping))[both].mean() < 5e-4
-    assert (planted(creeping, slow=False).positions - creeping.positions).abs().max() < 1e-3  # nothing says so
+    assert slide(creeping)[both].mean() > 3e-3 and slide(lock_feet(creeping))[both].mean() < 5e-4
+    assert (lock_feet(creeping, slow=False).positions - creeping.positions).abs().max() < 1e-3  # nothing says so
     running = replace(unlabelled, root=walk.root + 2.0 * torch.arange(60)[:, None] / 30 * torch.tensor([0.0, 1.0, 0.0]))
-    assert (planted(running).positions - running.positions).norm(dim=-1).mean() < 2e-3  # low, but at 2 m/s
+    assert (lock_feet(running).positions - running.positions).norm(dim=-1).mean() < 2e-3  # low, but at 2 m/s
 
 
 def test_true_motion_is_hardly_moved(walk):
     """The control: what a finish takes from motion that needs none."""
-    moved = (planted(walk).positions - walk.positions).norm(dim=-1)[..., STANDARD.indices(BALLS)]
+    moved = (lock_feet(walk).positions - walk.positions).norm(dim=-1)[..., STANDARD.indices(BALLS)]
     assert moved.mean() < 0.01
 
 
@@ -100,7 +100,7 @@ def test_a_heel_on_the_floor_stays_though_its_foot_trembles(walk):
     def slide(motion):
         return motion.positions[..., ankles, :].diff(dim=1).norm(dim=-1)[both].mean()
 
-    assert slide(shaken) > 4e-3 and slide(planted(shaken)) < 0.2 * slide(shaken)
+    assert slide(shaken) > 4e-3 and slide(lock_feet(shaken)) < 0.2 * slide(shaken)
 
 
 def test_out_of_reach_the_heel_lifts_and_the_ball_stays():
@@ -112,7 +112,7 @@ def test_out_of_reach_the_heel_lifts_and_the_ball_stays():
     said = torch.zeros(1, 60, len(STANDARD.contact_names))
     said[..., [STANDARD.contact_names.index(n) for n in BALLS]] = 1.0
     up = Motion(STANDARD, root, rot, 30.0, said)
-    made = planted(up)
+    made = lock_feet(up)
     heels, balls = (made.positions[..., STANDARD.indices(names), 2] for names in (ANKLES, BALLS))
     assert (balls.amax(1) - balls.amin(1)).max() < 1e-4
     assert (heels[:, -1] - heels[:, 0]).min() > 0.01  # the ball rests half-way up
@@ -123,12 +123,12 @@ def test_out_of_reach_the_heel_lifts_and_the_ball_stays():
 def test_who_never_stands_is_left_alone_and_who_says_nothing_is_refused(sliding):
     up = torch.tensor([0.0, 0.0, 1.0])
     flying = replace(sliding, root=sliding.root + up, contacts=torch.zeros_like(sliding.contacts))
-    assert (planted(flying).positions - flying.positions).abs().max() < 1e-3
+    assert (lock_feet(flying).positions - flying.positions).abs().max() < 1e-3
     with pytest.raises(DataError, match="with_contacts"):
-        planted(replace(sliding, contacts=None))
+        lock_feet(replace(sliding, contacts=None))
     for wrong in (
         sliding.clip(0),
         replace(sliding, skeleton=replace(sliding.skeleton, offsets=torch.zeros(6, 1, 22, 3))),
     ):
         with pytest.raises(ShapeError, match="on one body"):
-            planted(wrong)
+            lock_feet(wrong)

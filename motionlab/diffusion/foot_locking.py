@@ -1,22 +1,17 @@
-"""Finishes motions by inverse kinematics: standing feet stay in place, and handles come to their targets.
+"""Locks feet to the floor where they stand (footskate cleanup), by inverse kinematics of the legs.
 
-Feet (:func:`planted`): where the ball of a foot or an ankle is said to stand, or is low and slow, it stands. Every run
-of such frames gets one place, the mean of where the ball was in it. In between, the shift of the ball goes in a line
-from one run to the next. The ankle stays at its own mean as far as the foot's length lets it; what it needs besides the
-shift fades at its run's ends. Where the leg is too short the heel lifts, the ball stays. Hip and knee bend by two-bone
-inverse kinematics.
+Where the ball of a foot or an ankle is said to stand, or is low and slow, it stands. Every run of such frames gets one
+place, the mean of where the ball was in it. In between, the shift of the ball goes in a line from one run to the next.
+The ankle stays at its own mean as far as the foot's length lets it; what it needs besides the shift fades at its run's
+ends. Where the leg is too short the heel lifts, the ball stays. Hip and knee bend by two-bone inverse kinematics.
 
-Handles (:func:`reach_targets`): a few Gauss-Newton steps that change a pose as little as they can.
-
-Source: Kovar et al. 2002, "Footskate cleanup for motion capture editing"; damped least squares (Wampler 1986; Nakamura
-and Hanafusa 1986), the finish that thesis 4.2.4 leaves to others.
+Source: Kovar et al. 2002, "Footskate cleanup for motion capture editing".
 Differs: runs get their mean place, the root never moves, and a ball out of reach of leg and foot is approached, not
 reached.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -29,8 +24,8 @@ from motionlab.contact import contacts_from_positions, resting_heights, with_con
 from motionlab.diffusion import footsteps
 from motionlab.diffusion.curves import lines_between
 from motionlab.errors import DataError, ShapeError
+from motionlab.ik import two_bone_ik
 from motionlab.motion import Motion
-from motionlab.retarget import two_bone_ik
 from motionlab.skeleton import ANKLES, BALLS
 
 _STANDS = 0.5  # of a contact: more is one
@@ -39,12 +34,10 @@ _SLOW = {ANKLES: (0.25, 0.5), BALLS: (0.35, 0.7)}  # m/s, strict and loose (``co
 _RAISED = 0.1  # metres above where an ankle should rest: so high, at most, it may rest in known frames
 _FADE = 4  # frames beside a run in which a foot turns to lie flat
 _STRETCHED = 0.998  # of a straight leg: longer is out of reach, unless it was
-_FARTHEST = 0.5  # radians that a joint turns in one step towards its target, at most
-_DAMPING = 1e-4  # square metres per square radian, the least
 _HIPS, _KNEES = ("left_hip", "right_hip"), ("left_knee", "right_knee")
 
 
-def planted(
+def lock_feet(
     motion: Motion, *, slow: bool = True, known: Tensor | None = None, ease: float = 0.0, step: bool = False
 ) -> Motion:
     """Computes motions (B, T) on one body whose feet stay in place wherever their contacts say so.
@@ -74,7 +67,7 @@ def planted(
         alone = heel_down & ~ball_down & ~right  # a heel that stands takes its ball along
         shift, ball_down = torch.where(alone[..., None], at_heel, shift), ball_down | alone
         leg = float((thigh + shin).mean())
-        when, anew, moving = footsteps.retimed(ball, heel_down | ball_down, right, leg, motion.fps)
+        when, anew, moving = footsteps.retime(ball, heel_down | ball_down, right, leg, motion.fps)
         shift = torch.where(anew[..., None], footsteps.at_times(ball, when) - ball, shift)
         at_heel = torch.where(anew[..., None], footsteps.at_times(ankle, when) - ankle, at_heel)
     shift = _lines(shift, ball_down | right | anew)
@@ -86,15 +79,15 @@ def planted(
         lowest = torch.where(sure, ankle[..., 2], torch.inf).amin(1).clamp(max=rest + _RAISED)
         rest = torch.where(sure.any(1), lowest, rest)
         still, legs = (heel_down | ball_down) & ~moving, torch.stack((hip, heel, there))
-        _, heel, there = footsteps.flown(legs, still, right.expand_as(still), rest, leg, motion.fps)
-        heel, there = (x + _begun_slowly(y - x, right[..., 0], ease) for x, y in ((ankle, heel), (ball, there)))
+        _, heel, there = footsteps.lift(legs, still, right.expand_as(still), rest, leg, motion.fps)
+        heel, there = (x + _eased_in(y - x, right[..., 0], ease) for x, y in ((ankle, heel), (ball, there)))
     heel = there + foot[:, None] * normalize(heel - there, dim=-1)
     longest = torch.maximum((footsteps.STRAIGHT if step else _STRETCHED) * (thigh + shin), (ankle - hip).norm(dim=-1))
     heel = _within(heel, there, foot[:, None], hip, longest[..., None])
-    return _turned(motion, heel, there)
+    return _with_feet_at(motion, heel, there)
 
 
-def standing(motion: Motion) -> Tensor:
+def standing_feet(motion: Motion) -> Tensor:
     """Says where left and right ankles and then balls stand: bool (..., T, 4), of a motion's contacts or, as it has
     none, of its own."""
     labelled = motion if motion.contacts is not None else with_contacts(motion)
@@ -131,7 +124,7 @@ def _place(points: Tensor, stands: Tensor, known: Tensor) -> Tensor:
     return torch.where((mine[0] | mine[1])[..., None], torch.lerp(before, after, share), mean)
 
 
-def _begun_slowly(shift: Tensor, known: Tensor, frames: float) -> Tensor:
+def _eased_in(shift: Tensor, known: Tensor, frames: float) -> Tensor:
     """shift (B, T, F, 3), 0 where known (B, T), without the velocity that it has there, which fades over so many
     frames: less v n (u^3 - 2 u^2 + u), from both sides of a gap."""
     time, (before, after) = torch.arange(known.shape[-1]), nearest_known(known)
@@ -170,7 +163,7 @@ def _within(heel: Tensor, ball: Tensor, foot: Tensor, hip: Tensor, leg: Tensor) 
     return torch.where((heel - hip).norm(dim=-1, keepdim=True) > leg, lifted, heel)
 
 
-def _turned(motion: Motion, heel: Tensor, ball: Tensor) -> Motion:
+def _with_feet_at(motion: Motion, heel: Tensor, ball: Tensor) -> Motion:
     """The motion with ankles at ``heel`` and feet that point to ``ball`` (B, T, 2, 3), as far as legs reach."""
     skeleton, size = motion.skeleton, motion.root.shape[:2]
     every = Motion(skeleton, motion.root.flatten(0, 1), motion.rot.flatten(0, 1), motion.fps)  # frames are alone
@@ -181,74 +174,3 @@ def _turned(motion: Motion, heel: Tensor, ball: Tensor) -> Motion:
     rot = made.rot.clone()
     rot[:, ankles] = made.world[1][:, knees].mT @ turn @ every.world[1][:, ankles]
     return replace(motion, rot=rot.unflatten(0, size))
-
-
-def reach_targets(motion: Motion, names: Sequence[str], targets: Tensor, *, steps: int = 10) -> Motion:
-    """Computes the motion with its handles at their targets, every frame for itself.
-
-    With J the change of the handles' positions by small turns of all joints about world axes (and by shifts of the
-    root), each step is J^T (J J^T + damping)^-1 of what is missing: of all steps that close the gap the smallest. A
-    frame that a step would make worse stays and is damped more (Levenberg-Marquardt). Out of reach, it ends near.
-
-    Args:
-        names: of K handle joints. targets: (..., T, K, 3) metres, world; NaN where a handle is free.
-
-    Raises:
-        DataError: a motion that is not finite. KeyError: no such joint. ShapeError: targets of another shape.
-    """
-    handles = motion.skeleton.indices(list(names))
-    if targets.shape != (*motion.root.shape[:-1], len(handles), 3):
-        raise ShapeError(f"targets: expected {(*motion.root.shape[:-1], len(handles), 3)}, got {tuple(targets.shape)}")
-    if not (motion.root.isfinite().all() and motion.rot.isfinite().all()):
-        raise DataError("numbers that are not finite", place=motion.name, remedy="leave those frames out")
-    known = targets.isfinite().all(-1)
-    above = _above(motion.skeleton, handles).to(motion.root)
-    weight = torch.full_like(motion.root[..., 0], _DAMPING)
-
-    def missed(motion: Motion) -> Tensor:  # (..., T, K, 3): the way from every known handle to its target
-        return torch.where(known[..., None], targets - motion.positions[..., handles, :], 0.0)
-
-    missing = missed(motion)
-    for _ in range(steps):
-        tried = _stepped(motion, handles, above, missing, known, weight)
-        left = missed(tried)
-        better = left.square().sum((-1, -2)) < missing.square().sum((-1, -2))
-        weight = torch.where(better, weight / 3, weight * 10).clamp(min=_DAMPING)
-        motion = replace(
-            motion,
-            root=torch.where(better[..., None], tried.root, motion.root),
-            rot=torch.where(better[..., None, None, None], tried.rot, motion.rot),
-        )
-        missing = torch.where(better[..., None, None], left, missing)
-    return motion
-
-
-def _stepped(motion, handles, above, missing, known, weight) -> Motion:
-    positions, turns = motion.world
-    jacobian = _jacobian(positions, handles, above) * known[..., None, None, None]
-    shift = torch.eye(3).to(positions).expand(*known.shape, 1, 3, 3) * known[..., None, None, None]
-    jacobian = torch.cat((jacobian, shift), -3)
-    rows = jacobian.movedim(-2, -3).flatten(-4, -3).flatten(-2)  # (..., 3 K, 3 J)
-    square = rows @ rows.mT + weight[..., None, None] * torch.eye(rows.shape[-2]).to(rows)
-    step = (rows.mT @ torch.linalg.solve(square, missing.flatten(-2)[..., None]))[..., 0].unflatten(-1, (-1, 3))
-    turn, shift = step[..., :-1, :], step[..., -1, :]
-    turn = turn * (_FARTHEST / turn.norm(dim=-1, keepdim=True).clamp(min=_FARTHEST))
-    parents = torch.cat((torch.eye(3).to(turns).expand_as(turns[..., :1, :, :]), turns), -3)
-    parent = parents[..., [p + 1 for p in motion.skeleton.parents], :, :]
-    local = rotation.exp((parent.mT @ turn[..., None])[..., 0])
-    return replace(motion, root=motion.root + shift, rot=local @ motion.rot)
-
-
-def _above(skeleton, handles: Sequence[int]) -> Tensor:
-    """(K, J): 1 where a joint's turn moves a handle: the joints above it."""
-    found = torch.zeros(len(handles), len(skeleton))
-    for row, joint in enumerate(handles):
-        while (joint := skeleton.parents[joint]) >= 0:
-            found[row, joint] = 1
-    return found
-
-
-def _jacobian(positions: Tensor, handles: Sequence[int], above: Tensor) -> Tensor:
-    """(..., K, J, 3, 3): handle's velocity by a turn of joint j about the world's axes, -skew(p_handle - p_j)."""
-    lever = positions[..., handles, None, :] - positions[..., None, :, :]
-    return -rotation.skew(lever) * above[..., None, None]
