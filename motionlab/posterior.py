@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import DataError
-from motionlab.humor.shooting.coordinates import linearised, opened
+from motionlab.humor.shooting.coordinates import linearised, unwhiten
 from motionlab.humor.testops import Fitted
 from motionlab.humor.unknowns import motion_of
 from motionlab.motion import Motion
@@ -47,13 +47,13 @@ class Draws:
     """Motions that one clip could have been.
 
     fit: the motion (T,) that the fit found. motions: K others (K, T). hidden (T, J): limbs' joints that nothing showed.
-    doubts: what the fit says against itself.
+    diagnostics: what the fit says against itself.
     """
 
     fit: Motion
     motions: Motion
     hidden: Tensor
-    doubts: tuple[str, ...] = ()
+    diagnostics: tuple[str, ...] = ()
 
     def changed(self, how: Callable[[Motion], Motion]) -> Draws:
         """Returns the same draws, each of their motions changed alike: moved, or made larger."""
@@ -91,7 +91,7 @@ class Draws:
             for start, end in _spans(self.hidden[:, joint]):
                 size, span = width[start:end, joint].mean().item(), (start / self.fit.fps, (end - 1) / self.fit.fps)
                 said.append(f"{name.replace('_', ' ')}, {span[0]:.1f} to {span[1]:.1f} s: {size:.0f} cm at {level:.0%}")
-        return [*(line.replace("%", " %") for line in said), *self.doubts]
+        return [*(line.replace("%", " %") for line in said), *self.diagnostics]
 
 
 def sample(
@@ -105,8 +105,9 @@ def sample(
         DataError: a fit by another solver, which keeps no coordinates. ValueError: no draws, or a temperature below 0.
     """
     motions = rolled(fitted, count, generator, clip, temperature)
-    doubts = () if fitted.doubts is None else tuple(s for s in fitted.doubts.sentences() if f"clip {clip}:" in s)
-    return Draws(fitted.motion.clip(clip), motions, (fitted.problem.evidence.trust[clip] < 1) & _LIMBS, doubts)
+    said = () if fitted.diagnostics is None else fitted.diagnostics.sentences()
+    hidden = (fitted.problem.evidence.confidence_per_joint[clip] < 1) & _LIMBS
+    return Draws(fitted.motion.clip(clip), motions, hidden, tuple(s for s in said if f"clip {clip}:" in s))
 
 
 def rolled(fitted: Fitted, count: int, generator: torch.Generator, clip: int, temperature: float | Tensor) -> Motion:
@@ -126,7 +127,7 @@ def rolled(fitted: Fitted, count: int, generator: torch.Generator, clip: int, te
         noise = {name: torch.randn(len(size), *shape, generator=generator) for name, shape in shapes.items()}
         new = {name: size.reshape(-1, *(1,) * (x.ndim - 1)) * x for name, x in noise.items()}
         with torch.no_grad():
-            parts.append(opened(problem.rows(rows), unknown.rows(rows), loop.rows(rows), new)[1].body)
+            parts.append(unwhiten(problem.rows(rows), unknown.rows(rows), loop.rows(rows), new)[1].body)
     whole = {name: torch.cat([getattr(part, name) for part in parts]) for name in ("root", "rot", "betas")}
     return motion_of(parts[0]._replace(**whole), problem.evidence.fps)
 

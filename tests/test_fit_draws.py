@@ -26,7 +26,7 @@ def hidden_legs(folder):
 
 
 def test_draws_are_in_the_files_the_film_and_the_report(tmp_path, monkeypatch):
-    monkeypatch.setattr(scene_report, "SURPRISED", 1e9)
+    monkeypatch.setattr(scene_report, "MAX_LATENT_CHI2", 1e9)
     monkeypatch.setattr(scene_report, "MISFIT_WIDTH", 1e9)
     drawn = []
     real = fit.film.over_footage
@@ -47,7 +47,7 @@ def test_draws_are_in_the_files_the_film_and_the_report(tmp_path, monkeypatch):
 
 
 def test_of_a_doubtful_fit_nothing_is_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr(scene_report, "SURPRISED", -1.0)
+    monkeypatch.setattr(scene_report, "MAX_LATENT_CHI2", -1.0)
     found = fit.run_clip(hidden_legs(tmp_path), tmp_path / "out", draws=DRAWS)
     assert found["people"][0]["open"] == ["no other motions are drawn: the fit is doubtful"]
     assert "draws.glb" not in found["files"]

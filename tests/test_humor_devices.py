@@ -21,7 +21,7 @@ FEW = Schedule(
     refine=(0, 0),
     window=4,
     overlap=1,
-    shooting=Plan(rounds=2, closures=2, trial=1, tolerance=-1e3),  # a second start, then leaps wherever they lead
+    shooting=Plan(rounds=2, closures=2, trial_rounds=1, tolerance=-1e3),  # a second start, then jumps anywhere
 )
 
 
@@ -47,7 +47,7 @@ def asked(kind, walk, camera):
 def test_nothing_of_a_fit_is_left_on_the_cpu_and_it_is_the_same_fit(kind, solver, walk, camera, kit, monkeypatch):
     """A made-up device: what a GPU would refuse is written down and computed all the same."""
     monkeypatch.setattr(compiled, "fits", lambda *each: False)  # loops of the CPU, whose roundings are their own
-    monkeypatch.setattr(coordinates, "_one_by_one", lambda z: False)
+    monkeypatch.setattr(coordinates, "_clip_by_clip", lambda z: False)
     observation, how = asked(kind, walk, camera)
     how |= {"schedule": FEW, "solver": solver}
     here = testops.fit(observation, kit, **how)

@@ -62,7 +62,7 @@ def steered(case, found, y, nu):
     """z (B, T - 1, Z) that the gains make of nu on the way."""
     zs = []
     for t in range(FRAMES - 1):
-        z = (found.gains[:, t] @ y[..., None] + found.shapers[:, t] @ nu[:, t, :, None])[..., 0]
+        z = (found.gains[:, t] @ y[..., None] + found.whiteners[:, t] @ nu[:, t, :, None])[..., 0]
         y = (case["a"][:, t] @ y[..., None] + case["b"][:, t] @ z[..., None])[..., 0]
         zs.append(z)
     return torch.stack(zs, 1)
@@ -98,7 +98,7 @@ def test_gains_and_shapers_whiten(case):
     wrong[:, 2] *= 1.1
     assert gap(found._replace(gains=wrong)) > 1e-3
     assert gap(found._replace(gains=-found.gains)) > 0.1
-    assert gap(found._replace(shapers=found.shapers.mT)) > 1e-2
+    assert gap(found._replace(whiteners=found.whiteners.mT)) > 1e-2
     assert gap(found._replace(first=1.1 * found.first)) > 1e-3
 
 
@@ -115,7 +115,7 @@ def test_latents_of_which_nothing_is_known_stay_where_they_are(case):
     idle = case | {"b": torch.zeros_like(case["b"]), "pair": torch.zeros_like(case["pair"])}
     found = swept(idle, 1e-4)
     assert not found.gains.any()
-    torch.testing.assert_close(found.shapers, 100.0 * torch.eye(Z, dtype=F64).expand_as(found.shapers))
+    torch.testing.assert_close(found.whiteners, 100.0 * torch.eye(Z, dtype=F64).expand_as(found.whiteners))
 
 
 def test_single_precision_is_near(case):

@@ -16,8 +16,8 @@ from motionlab.humor.priors import FIRST_STATE_SIZE, InitGmm, Priors, first_stat
 from motionlab.humor.rollout import sample_rollout
 from motionlab.humor.shooting import coordinates, feedback_solver
 from motionlab.humor.shooting import coordinates as loop_module
-from motionlab.humor.shooting.coordinates import FIRST_SIZES, Loop, linearised, moved, opened
-from motionlab.humor.shooting.feedback_solver import Plan, searched, solve
+from motionlab.humor.shooting.coordinates import FIRST_SIZES, Whitening, apply_change, linearised, unwhiten
+from motionlab.humor.shooting.feedback_solver import Plan, minimise_from, solve
 from motionlab.humor.stages import Problem, motion_terms
 from motionlab.humor.unknowns import Unknowns
 from studies.shared.workload import random_priors, workload
@@ -27,7 +27,7 @@ from tests.rolled_inputs import F64, network
 
 FRAMES, CLIPS = 5, 2
 KINDS = ("joints", "fixed", "free")
-STEADY = Plan(rounds=2, closures=6, tolerance=0.0, stride=1, coarse=1)
+STEADY = Plan(rounds=2, closures=6, tolerance=0.0, stride=1, trial_stride=1)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def made(pose):
     work = workload(walk, random_priors(seeded(), width=32), seeded(), batch=CLIPS).double()
     priors = Priors(model, deepcopy(pose).double(), None)
     first = unknowns.first_state(work.moving, priors)
-    start = first_state_features(unknowns.local_first(first)).mean(0)
+    start = first_state_features(unknowns.first_state_in_heading_frame(first)).mean(0)
     spread = 0.05 * torch.randn(12, FIRST_STATE_SIZE, FIRST_STATE_SIZE, generator=seeded(1), dtype=F64)
     spread = spread @ spread.mT + 0.05 * torch.eye(FIRST_STATE_SIZE, dtype=F64)
     mixture = InitGmm(torch.full((12,), 1 / 12, dtype=F64), noisy(start.expand(12, -1), 0.1, 2), spread)
@@ -102,8 +102,8 @@ def of_both(a, b):
     return Unknowns(**{n: torch.cat((x, b.named()[n])) for n, x in a.named().items()})
 
 
-def nought(loop):
-    return {"nu": torch.zeros_like(loop.base), "first": torch.zeros_like(loop.first[..., 0])}
+def nought(white):
+    return {"nu": torch.zeros_like(white.base), "first": torch.zeros_like(white.first[..., 0])}
 
 
 # ---------------------------------------------------------------------------------------------------- the coordinates
@@ -116,7 +116,7 @@ def residuals(problem, at, rolled, touching, robust, whites):
     prior, z = rolled.rollout.prior, rolled.rollout.z
     bones = carried[:, :, 1:] - carried[:, :, list(energies.BONE_PARENTS)]
     slip = body.joints[:, :, list(energies.CONTACT_JOINTS)].diff(dim=1)
-    start = priors.first_state_features(unknowns.local_first(rolled.states[:, 0]))
+    start = priors.first_state_features(unknowns.first_state_in_heading_frame(rolled.states[:, 0]))
     found = {
         "joint_consistency": body.joints - carried,
         "bone_length": bones.norm(dim=-1).diff(dim=1),
@@ -131,29 +131,30 @@ def residuals(problem, at, rolled, touching, robust, whites):
     return torch.cat([(weights[n] ** 0.5 * r).flatten(1) for n, r in found.items()], 1)
 
 
-def hessian(problem, unknown, loop):
+def hessian(problem, unknown, white):
     """J^T J (N, N) of the first recording in its coordinates, nu before first, by central differences of roll-outs."""
     problem, unknown = one(problem, unknown, [0])
-    loop = Loop(*(part[:1] for part in loop))
-    _, middle = opened(problem, unknown, loop, nought(loop))
+    white = Whitening(*(part[:1] for part in white))
+    _, middle = unwhiten(problem, unknown, white, nought(white))
     touching = energies.contact_probabilities(middle.rollout.contact_logits)
     robust = problem.evidence.weight[..., None]
     if problem.evidence.view is not None:
         off = middle.body.observed - problem.evidence.values
         robust = 2**0.5 * robust * 100.0**2 / (100.0**2 + off.square())
     gmm = problem.priors.initial
-    share = gmm.each(priors.first_state_features(unknowns.local_first(middle.states[:, 0]))).softmax(-1)[0]
+    first = unknowns.first_state_in_heading_frame(middle.states[:, 0])
+    share = gmm.each(priors.first_state_features(first)).softmax(-1)[0]
     whites = torch.linalg.cholesky(torch.einsum("k,kij->ij", share, torch.linalg.inv(gmm.covariances.double())))
-    sizes = loop.base[0].numel(), loop.first.shape[1]
+    sizes = white.base[0].numel(), white.first.shape[1]
     step, unit = 1e-7, torch.eye(sum(sizes), dtype=F64)
     many = unknown.map(lambda x: x.expand(len(unit), *x.shape[1:]))
-    wide = Loop(*(part.expand(len(unit), *part.shape[1:]) for part in loop))
+    wide = Whitening(*(part.expand(len(unit), *part.shape[1:]) for part in white))
     rows = problem.rows(torch.zeros(len(unit), dtype=torch.long))
 
     def at(s):
         nu, first = (s * unit).split(sizes, 1)
-        new = {"nu": nu.unflatten(1, loop.base.shape[1:]), "first": first}
-        return residuals(rows, *opened(rows, many, wide, new), touching, robust, whites)
+        new = {"nu": nu.unflatten(1, white.base.shape[1:]), "first": first}
+        return residuals(rows, *unwhiten(rows, many, wide, new), touching, robust, whites)
 
     slopes = (at(step) - at(-step)) / (2 * step)
     return slopes @ slopes.mT, sizes[0]
@@ -164,27 +165,27 @@ def test_the_gauss_newton_matrix_is_the_identity_in_the_new_coordinates(smooth, 
     """Of nu; nothing couples it to the first state, whose own matrix is that of its shaper but for a ridge."""
     problem, unknown = smooth[kind]
     with torch.no_grad():
-        loop = linearised(problem, unknown, stride=1)
-        h, n = hessian(problem, unknown, loop)
+        white = linearised(problem, unknown, stride=1)
+        h, n = hessian(problem, unknown, white)
         tight = 1e-2 if kind == "free" else 2e-3  # the camera's slopes are differences
         torch.testing.assert_close(h[:n, :n], torch.eye(n, dtype=F64), atol=2e-3, rtol=0)
         assert h[:n, n:].abs().max() < tight
         values = torch.linalg.eigvalsh(h[n:, n:])  # small where its ridge is all that holds a direction
         assert values.min() > 0 and values.max() < 1 + tight and (values > 0.9).float().mean() > 0.8
-        back = torch.linalg.inv(loop.first[0])
+        back = torch.linalg.inv(white.first[0])
         ours, theirs = back.mT @ back, back.mT @ h[n:, n:] @ back
         gap = (ours - theirs) / (ours.diagonal()[:, None] * ours.diagonal()).sqrt()
         assert (gap - gap.diagonal().diag()).abs().max() < tight and gap.diagonal().min() > -tight
 
 
-@pytest.mark.parametrize("part", ["gains", "shared", "shapers"])
+@pytest.mark.parametrize("part", ["gains", "shared", "whiteners"])
 def test_control_with_one_part_of_the_coordinates_missing_they_are_not_round(smooth, part):
     problem, unknown = smooth["joints"]
     with torch.no_grad():
-        loop = linearised(problem, unknown, stride=1)
-        wrong = {"gains": 0 * loop.gains, "shared": 0 * loop.shared, "shapers": 1.2 * loop.shapers}[part]
-        base = unknown.z[:, 0] if part == "gains" else loop.base
-        h, n = hessian(problem, unknown, loop._replace(base=base, **{part: wrong}))
+        white = linearised(problem, unknown, stride=1)
+        wrong = {"gains": 0 * white.gains, "shared": 0 * white.shared, "whiteners": 1.2 * white.whiteners}[part]
+        base = unknown.z[:, 0] if part == "gains" else white.base
+        h, n = hessian(problem, unknown, white._replace(base=base, **{part: wrong}))
         assert (h[:n] - torch.eye(len(h), dtype=F64)[:n]).abs().max() > 0.05
 
 
@@ -193,8 +194,8 @@ def test_nought_is_where_one_stands(cases, kind):
     """The unknowns' own roll-out and energy, whatever the gains."""
     problem, unknown = cases[kind]
     with torch.no_grad():
-        loop = linearised(problem, unknown, stride=1)
-        at, rolled = opened(problem, unknown, loop, nought(loop))
+        white = linearised(problem, unknown, stride=1)
+        at, rolled = unwhiten(problem, unknown, white, nought(white))
         theirs = unknowns.roll(unknown, problem.priors, problem.evidence)
     torch.testing.assert_close(rolled.rollout.z, unknown.z[:, 0], atol=1e-10, rtol=0)
     torch.testing.assert_close(rolled.states, theirs.states, atol=1e-10, rtol=0)
@@ -209,9 +210,9 @@ def test_anywhere_is_an_exact_roll_out_of_the_unknowns_there(cases, kind, stride
     """However seldom the networks are differentiated."""
     problem, unknown = cases[kind]
     with torch.no_grad():
-        loop = linearised(problem, unknown, stride=stride)
-        new = {n: 0.3 * torch.randn(x.shape, generator=seeded(3), dtype=F64) for n, x in nought(loop).items()}
-        at, rolled = opened(problem, unknown, loop, new)
+        white = linearised(problem, unknown, stride=stride)
+        new = {n: 0.3 * torch.randn(x.shape, generator=seeded(3), dtype=F64) for n, x in nought(white).items()}
+        at, rolled = unwhiten(problem, unknown, white, new)
         there = replace(at, z=rolled.rollout.z[:, None])
         theirs = unknowns.roll(there, problem.priors, problem.evidence)
         found = sum(stages.rolled_terms(problem, at, rolled).values())
@@ -222,11 +223,11 @@ def test_anywhere_is_an_exact_roll_out_of_the_unknowns_there(cases, kind, stride
 
 def test_gradients_in_the_coordinates_are_finite_differences(cases):
     problem, unknown = cases["free"]
-    loop = linearised(problem, unknown, stride=1)
-    point = {n: 0.1 * torch.randn(x.shape, generator=seeded(4), dtype=F64) for n, x in nought(loop).items()}
+    white = linearised(problem, unknown, stride=1)
+    point = {n: 0.1 * torch.randn(x.shape, generator=seeded(4), dtype=F64) for n, x in nought(white).items()}
 
     def value(new):
-        return sum(stages.rolled_terms(problem, *opened(problem, unknown, loop, new)).values()).sum()
+        return sum(stages.rolled_terms(problem, *unwhiten(problem, unknown, white, new)).values()).sum()
 
     leaves = {n: x.clone().requires_grad_() for n, x in point.items()}
     slopes = dict(zip(leaves, torch.autograd.grad(value(leaves), leaves.values()), strict=True))
@@ -245,7 +246,7 @@ def test_unknowns_move_by_what_they_are_told(cases, kind):
     change = 0.3 * torch.randn(CLIPS, sum(sizes), generator=seeded(6), dtype=F64)
     names = [*FIRST_SIZES, "betas", "camera"]
     parts = dict(zip(names, change.split(sizes, 1), strict=False))
-    found = moved(unknown, change).named()
+    found = apply_change(unknown, change).named()
     assert found.keys() == unknown.named().keys() and torch.equal(found["z"], unknown.z)
     for name, x in unknown.named().items():
         if name == "orient":
@@ -264,7 +265,7 @@ def test_what_comes_back_has_the_reported_energy_and_it_is_lower(cases, kind):
     problem, unknown = cases[kind]
     kept = unknown.map(torch.clone).named()
     began = total(problem, unknown)
-    found, fits = solve(problem, unknown, replace(STEADY, leaps=0))  # a leap may begin lower
+    found, fits = solve(problem, unknown, replace(STEADY, mode_jumps=0))  # a leap may begin lower
     assert {n: x.shape for n, x in found.named().items()} == {n: x.shape for n, x in kept.items()}
     torch.testing.assert_close(fits[0].history[0], began, atol=0, rtol=1e-9)
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
@@ -303,8 +304,9 @@ def test_of_two_starts_the_lower_goes_on(cases):
     far = replace(unknown, z=noisy(unknown.z, 2.0, 9))
     rows = slice(0, 1), slice(1, 2)
     here, there = (of_both(a.rows(rows[0]), b.rows(rows[1])) for a, b in ((unknown, far), (far, unknown)))
-    plan, sizes, noted = replace(STEADY, leaps=0, trial=1), [], []
-    found, fits = solve(problem, here, plan, rival=there, linearise=rows_of(linearised, sizes), note=noted.append)
+    plan, sizes, noted = replace(STEADY, mode_jumps=0, trial_rounds=1), [], []
+    how = {"linearise": rows_of(linearised, sizes), "note": noted.append}
+    found, fits = solve(problem, here, plan, second_start=there, **how)
     assert sizes == [2 * CLIPS, CLIPS]
     alone = [solve(problem, begin, plan) for begin in (here, there)]
     first = torch.minimum(*(fits[0].energy for _, fits in alone))
@@ -323,8 +325,8 @@ def test_a_second_start_that_is_the_first_costs_nothing(cases):
     problem, unknown = cases["joints"]
     far = replace(unknown, z=noisy(unknown.z, 2.0, 9))
     there, sizes = of_both(unknown.rows(slice(0, 1)), far.rows(slice(1, 2))), []
-    plan = replace(STEADY, leaps=0, trial=1)
-    _, fits = solve(problem, unknown, plan, rival=there, linearise=rows_of(linearised, sizes))
+    plan = replace(STEADY, mode_jumps=0, trial_rounds=1)
+    _, fits = solve(problem, unknown, plan, second_start=there, linearise=rows_of(linearised, sizes))
     assert sizes == [CLIPS + 1, CLIPS]
     torch.testing.assert_close(fits[-1].energy, solve(problem, unknown, plan)[1][-1].energy, atol=0, rtol=1e-4)
 
@@ -333,8 +335,8 @@ def test_a_second_start_that_is_the_first_costs_nothing(cases):
 def test_a_start_that_is_not_finite_leaves_the_other(cases, bad):
     problem, unknown = cases["joints"]
     starts = [unknown, replace(unknown, z=torch.full_like(unknown.z, torch.nan))]
-    plan = replace(STEADY, trial=1)
-    found, _ = solve(problem, starts[bad], plan, rival=starts[1 - bad])
+    plan = replace(STEADY, trial_rounds=1)
+    found, _ = solve(problem, starts[bad], plan, second_start=starts[1 - bad])
     torch.testing.assert_close(
         total(problem, found), total(problem, solve(problem, unknown, plan)[0]), rtol=1e-3, atol=0
     )
@@ -342,17 +344,17 @@ def test_a_start_that_is_not_finite_leaves_the_other(cases, bad):
 
 def test_a_search_ends_where_steps_gain_too_little(cases):
     problem, unknown = cases["joints"]
-    loop, every = linearised(problem, unknown), torch.arange(CLIPS)
-    nowhere = torch.zeros_like(loop.first[..., 0])
-    alone = [searched(problem, unknown, loop, every, loop.first, nowhere, 12, enough=e)[1] for e in (0.0, 1e9)]
+    white, every = linearised(problem, unknown), torch.arange(CLIPS)
+    nowhere = torch.zeros_like(white.first[..., 0])
+    alone = [minimise_from(problem, unknown, white, every, white.first, nowhere, 12, enough=e)[1] for e in (0.0, 1e9)]
     assert alone[0].closures == 12 and alone[0].reasons == ["closures"] * CLIPS
     assert alone[1].closures < 6 and alone[1].reasons == ["no decrease"] * CLIPS  # the first goes down the gradient
     gains = -alone[0].history.cummin(0).values.diff(dim=0)
-    some = searched(problem, unknown, loop, every, loop.first, nowhere, 12, enough=0.3 * gains.amax(0))[1]
+    some = minimise_from(problem, unknown, white, every, white.first, nowhere, 12, enough=0.3 * gains.amax(0))[1]
     assert 3 < some.closures <= 12 and "no decrease" in some.reasons
     assert ((some.energy < alone[1].energy) & (some.energy >= alone[0].energy)).all()
-    one_of_two = torch.tensor([0.0, 1e9], dtype=loop.first.dtype)
-    mixed = searched(problem, unknown, loop, every, loop.first, nowhere, 12, enough=one_of_two)[1]
+    one_of_two = torch.tensor([0.0, 1e9], dtype=white.first.dtype)
+    mixed = minimise_from(problem, unknown, white, every, white.first, nowhere, 12, enough=one_of_two)[1]
     assert mixed.reasons == ["closures", "no decrease"]
     torch.testing.assert_close(mixed.energy[0], alone[0].energy[0])
     torch.testing.assert_close(mixed.energy[1], alone[1].energy[1])
@@ -360,17 +362,17 @@ def test_a_search_ends_where_steps_gain_too_little(cases):
 
 def test_a_second_start_of_other_recordings_is_refused(cases):
     problem, unknown = cases["joints"]
-    with pytest.raises(ShapeError, match="rival z"):
-        solve(problem, unknown, STEADY, rival=replace(unknown, z=unknown.z[:1]))
-    with pytest.raises(ShapeError, match="rival betas"):
-        solve(problem, unknown, STEADY, rival=replace(unknown, betas=None))
+    with pytest.raises(ShapeError, match="second start z"):
+        solve(problem, unknown, STEADY, second_start=replace(unknown, z=unknown.z[:1]))
+    with pytest.raises(ShapeError, match="second start betas"):
+        solve(problem, unknown, STEADY, second_start=replace(unknown, betas=None))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_clips_differentiated_one_by_one_are_those_of_a_batch(cases, kind, monkeypatch):
     problem, unknown = cases[kind]
     apart = linearised(problem, unknown)
-    monkeypatch.setattr(loop_module, "_one_by_one", lambda z: False)
+    monkeypatch.setattr(loop_module, "_clip_by_clip", lambda z: False)
     for ours, theirs in zip(apart, linearised(problem, unknown), strict=True):
         torch.testing.assert_close(ours, theirs, atol=1e-9, rtol=1e-7)
     assert apart.gains.transpose(0, 1).is_contiguous()  # as roll-outs read them
@@ -463,7 +465,7 @@ def test_an_interrupt_ends_at_the_best_so_far(cases, at, monkeypatch):
     problem, unknown = cases["joints"]
     began = total(problem, unknown)
     monkeypatch.setattr(feedback_solver, "rolled_terms", interrupted(stages.rolled_terms, at))
-    found, fits = solve(problem, unknown, Plan(rounds=4, closures=6, tolerance=0.0, leaps=0))
+    found, fits = solve(problem, unknown, Plan(rounds=4, closures=6, tolerance=0.0, mode_jumps=0))
     assert stages.interrupted(fits[-1]) and sum(fit.closures for fit in fits) == at - 1
     assert (total(problem, found) <= began * (1 + 1e-9)).all()
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
@@ -475,8 +477,8 @@ def second(change):
 
     def linearised(*args, **how):
         calls.append(1)
-        loop = coordinates.linearised(*args, **how)
-        return change(loop) if len(calls) == 2 else loop
+        white = coordinates.linearised(*args, **how)
+        return change(white) if len(calls) == 2 else white
 
     return linearised
 
@@ -485,7 +487,7 @@ def test_an_interrupt_while_differentiating_keeps_what_the_first_round_found(cas
     problem, unknown = cases["joints"]
     began = total(problem, unknown)
 
-    def tired(loop):
+    def tired(white):
         raise KeyboardInterrupt
 
     try:
@@ -499,7 +501,7 @@ def test_a_last_clip_that_cannot_be_differentiated_keeps_what_it_had(cases):
     """NaN gains in the second round, of all clips that still run."""
     problem, unknown = cases["joints"]
     began = total(problem, unknown)
-    broken = second(lambda loop: loop._replace(gains=loop.gains * torch.nan))
+    broken = second(lambda white: white._replace(gains=white.gains * torch.nan))
     found, fits = solve(problem, unknown, STEADY, linearise=broken)
     assert len(fits) == 1 and (total(problem, found) < began).all()
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)

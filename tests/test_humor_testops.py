@@ -189,7 +189,7 @@ def test_rounded_coordinates_begin_where_the_old_ones_are(kit, walk):
     p = problem(kit, joints(walk))
     unknown = testops.start_stage_1(p)
     moving = ("trans", "orient", "latent", "betas")
-    new, old = stages._rounded(unknown, moving, kit, p.evidence, JOINTS.of(2))
+    new, old = stages._preconditioned(unknown, moving, kit, p.evidence, JOINTS.of(2))
     there = unknown.named()
     for name, value in old(new, slice(None)).named().items():
         torch.testing.assert_close(value, there[name])
@@ -209,7 +209,7 @@ def test_rounded_coordinates_need_fewer_steps(kit, walk):
 def test_a_turn_written_by_parallel_vectors_stops_no_search(kit, walk, control, monkeypatch):
     """The same rotations with the second vector of one frame laid on the first: stage 2 ends where it would."""
     if control:
-        monkeypatch.setattr(unknowns, "renewed", lambda turn: turn)
+        monkeypatch.setattr(unknowns, "reorthogonalised", lambda turn: turn)
     p = problem(kit, joints(walk))
     plain = testops.start_stage_1(p)
     orient = plain.orient.clone()
@@ -226,7 +226,7 @@ def test_the_start_of_stage_three_follows_stage_two(kit, walk):
     gen = torch.Generator().manual_seed(0)
     shaken = replace(walk, root=walk.root + 0.03 * torch.randn(walk.root.shape, generator=gen))
     states = state.from_motion(shaken, causal=kit.motion.causal)
-    z, curvature, _ = starts._followed(kit.motion, states, torch.ones(2, 24, 22), 2e-5)
+    z, curvature, _ = starts._follow(kit.motion, states, torch.ones(2, 24, 22), 2e-5)
     drift = []
     for latents in (z, infer(kit.motion, states)[0].mean):
         rolled = state.unpack(rollout(kit.motion, states[:, 0], latents).states)["joints"]
@@ -238,8 +238,9 @@ def test_the_start_of_stage_three_follows_stage_two(kit, walk):
 
 def test_the_start_of_stage_three_takes_the_priors_mean_where_nothing_is_known(kit, walk):
     states = state.from_motion(walk, causal=kit.motion.causal)
-    z, *_ = starts._followed(kit.motion, states, torch.zeros(2, 24, 22), 1e-4)
-    torch.testing.assert_close(z[:, 0], kit.motion.prior(unknowns.local_first(states[:, 0])).mean, atol=1e-4, rtol=0)
+    z, *_ = starts._follow(kit.motion, states, torch.zeros(2, 24, 22), 1e-4)
+    first = unknowns.first_state_in_heading_frame(states[:, 0])
+    torch.testing.assert_close(z[:, 0], kit.motion.prior(first).mean, atol=1e-4, rtol=0)
 
 
 def in_float64(p):
@@ -258,13 +259,14 @@ def official_and_faithful(kit, seen, weights):
     unknown = replace(testops.start_stage_1(p), betas=torch.full((2, 8), 0.3))
     motion = unknowns.motion_of(unknowns.pose(unknown, kit, p.evidence), 30.0)
     shared = unknown.shared()
-    rolled, _ = starts.start_stage_3(motion, unknown.latent[:, 0], shared, p.evidence.trust, kit, (0,), 24, p.mode)
+    how = (shared, p.evidence.confidence_per_joint, kit, (0,), 24, p.mode)
+    rolled, _ = starts.start_stage_3(motion, unknown.latent[:, 0], *how)
     noise = torch.Generator().manual_seed(0)
     for stage, at in ((1, unknown), (2, unknown), (3, rolled)):
         at = at.map(lambda x: (x + 0.01 * torch.randn(x.shape, generator=noise)).double())
         found = []
         for form in (unknowns.LEAN, official_unknowns.FAITHFUL):
-            here, point = replace(in_float64(p), form=form), at.map(lambda x: x.clone().requires_grad_())
+            here, point = replace(in_float64(p), parametrisation=form), at.map(lambda x: x.clone().requires_grad_())
             terms = stages.motion_terms(here, point) if stage == 3 else stages.pose_terms(here, point, stage)
             leaves = point.named()
             slopes = torch.autograd.grad(sum(terms.values()).sum(), list(leaves.values()), allow_unused=True)

@@ -52,7 +52,7 @@ def speed(motion):
 
 
 def as_found(trans, turn, known, fps):
-    """A start that fills no gap, in the place of ``start.filled``: frames stay where nothing was seen."""
+    """A start that fills no gap, in the place of ``start.interpolate_unseen``: frames stay where nothing was seen."""
     return trans, turn
 
 
@@ -62,7 +62,7 @@ def test_unknown_frames_are_interpolated_and_ends_hold():
     known = torch.zeros(1, 9, dtype=torch.bool)
     known[0, [2, 6]] = True
     trans, turn = torch.randn(1, 9, 3, generator=gen), rotation.random((1, 9), gen)
-    found, turned = starts.filled(trans, turn, known, 30.0)
+    found, turned = starts.interpolate_unseen(trans, turn, known, 30.0)
     share = torch.tensor([0, 0, 0, 0.25, 0.5, 0.75, 1, 1, 1])
     torch.testing.assert_close(found[0], torch.lerp(trans[0, 2], trans[0, 6], share[:, None]))
     whole = rotation.geodesic(turn[0, 2], turn[0, 6])
@@ -73,7 +73,7 @@ def test_of_whom_nothing_is_known_stands_upright_at_the_origin():
     gen = torch.Generator().manual_seed(0)
     trans, turn = torch.randn(2, 4, 3, generator=gen), rotation.random((2, 4), gen)
     known = torch.tensor([[True], [False]]).expand(2, 4)
-    found, turned = starts.filled(trans, turn, known, 30.0)
+    found, turned = starts.interpolate_unseen(trans, turn, known, 30.0)
     assert torch.equal(found[0], trans[0]) and torch.equal(turned[0], turn[0])
     height = STANDARD.standing_height()
     torch.testing.assert_close(found[1], torch.stack((0 * height, 0 * height, height)).expand(4, 3))
@@ -85,7 +85,7 @@ def test_of_whom_nothing_is_known_stands_upright_at_the_origin():
 def test_missing_frames_continue_what_is_around_them(kit, walk, whole, frames, broken, monkeypatch):
     """Nothing jumps; and the rest is found as well as without the gap. A start that fills no gap misses this."""
     if broken:
-        monkeypatch.setattr(starts, "filled", as_found)
+        monkeypatch.setattr(starts, "interpolate_unseen", as_found)
     frames = list(frames)
     fitted = testops.fit(joints(walk, without(walk, frames)), kit, schedule=QUICK)
     seen = [t for t in range(24) if t not in frames]

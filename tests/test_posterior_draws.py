@@ -49,7 +49,7 @@ def least(truth):
 def rise(least, temperature, count=48):
     """By how much the energy of draws is above its minimum, over what half the squared length of their coordinates is
     on average, as an exact quadratic has it; and the bodies."""
-    seen, heard = [], posterior.opened
+    seen, heard = [], posterior.unwhiten
 
     def listened(problem, unknown, loop, new):
         at, out = heard(problem, unknown, loop, new)
@@ -59,7 +59,7 @@ def rise(least, temperature, count=48):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(energies, "motion_prior", made.whitened)
-        patch.setattr(posterior, "opened", listened)
+        patch.setattr(posterior, "unwhiten", listened)
         rolled(least, count, seeded(), 0, temperature)
         row = torch.tensor([0])
         floor = sum(motion_terms(least.problem.rows(row), least.unknown.rows(row)).values())
@@ -84,8 +84,8 @@ def test_truths_drawn_from_the_prior_rank_among_the_draws_and_half_the_spread_is
 
 def test_draws_are_exact_roll_outs(fitted, monkeypatch):
     """A naive twin: the open-loop chain from each draw's own first state and latents."""
-    seen, heard = [], posterior.opened
-    monkeypatch.setattr(posterior, "opened", lambda *given: seen.append(heard(*given)[1]) or heard(*given))
+    seen, heard = [], posterior.unwhiten
+    monkeypatch.setattr(posterior, "unwhiten", lambda *given: seen.append(heard(*given)[1]) or heard(*given))
     motion = rolled(fitted, 3, seeded(), 1, 10.0)
     (out,) = seen
     again = rollout(fitted.problem.priors.motion, out.states[:, 0], out.rollout.z).states

@@ -75,7 +75,7 @@ def is_twice_as_fine(names: dict) -> None:
 
 def is_a_fit_without_doubts(names: dict) -> None:
     assert names["positions"].shape == (1, 12, 22, 3) and names["positions"].isfinite().all()
-    assert not names["found"].doubts.doubtful.any()
+    assert not names["found"].diagnostics.doubtful.any()
 
 
 def is_a_repair_of_the_gap_alone(names: dict) -> None:

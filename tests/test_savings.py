@@ -58,7 +58,7 @@ def test_last_rung_is_what_every_fit_uses_and_the_first_is_the_faithful_mode(wor
     for on, form in ((LEAN, unknowns.LEAN), (FAITHFUL, official_unknowns.FAITHFUL)):
         unknown = work.unknowns(WHOLE, on)
         with savings.weights_of(work.problem.priors, on):
-            theirs = stages.motion_terms(replace(work.problem, form=form), unknown)
+            theirs = stages.motion_terms(replace(work.problem, parametrisation=form), unknown)
         ours = savings.terms(work.problem, unknown, on)
         assert apart(ours, theirs) < 1e-6
         assert abs(nodes(work, ours) - nodes(work, theirs)) <= 0.01 * nodes(work, theirs)

@@ -27,7 +27,12 @@ def test_the_record_is_of_the_recipe_that_the_code_has_and_the_notebook_shows_it
     assert not official_schedule.FULL.guesses
     rows = load(OFFICIAL)
     plan = json.loads(json.dumps(asdict(Plan())))
-    assert (plan["least"], plan["race"], plan["damped"], plan["second"]) == (0, 0, [], True)  # later, and off
+    assert (plan["min_gain"], plan["halving_after"], plan["damping"], plan["two_starts"]) == (
+        0,
+        0,
+        [],
+        True,
+    )  # came later
     assert all(plan | row["shooting"]["plan"] == plan for row in rows)
     assert [row["task"] for row in rows] == ["noisy joints", "low joints hidden", official_schedule.WALK]
     assert all(len(row["faithful"]["energy"]) == official_schedule.CLIPS for row in rows)
@@ -43,7 +48,8 @@ def test_forms_differ_by_the_official_headings_error_and_by_nothing_else(monkeyp
     task = next(official_schedule.tasks(1, frames=18))
     unknown, closures = in_full(task, Schedule(steps=(1, 1, 3), refine=(1, 2), inner=3))
     assert unknown.orient.shape[-1] == 3 and closures == 3 * 3
-    lean, official = task.energy(unknown), replace(task.problem, mode="official", form=official_unknowns.FAITHFUL)
+    how = {"mode": "official", "parametrisation": official_unknowns.FAITHFUL}
+    lean, official = task.energy(unknown), replace(task.problem, **how)
 
     def off():
         with torch.no_grad():

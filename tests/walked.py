@@ -58,7 +58,7 @@ def write_camera(path: Path, camera: Camera = CAMERA, *, placed: bool = True) ->
 
 def few_steps(monkeypatch, steps=(1, 1, 1), inner: int = 3, closures: int = 2) -> None:
     """Quick fits of even fewer steps."""
-    plan = Plan(rounds=1, closures=closures, leaps=0, trial=0)
+    plan = Plan(rounds=1, closures=closures, mode_jumps=0, trial_rounds=0)
     monkeypatch.setattr(scene_fit, "QUICK_WORK", testops.Schedule(steps=steps, inner=inner, shooting=plan))
 
 

@@ -41,7 +41,7 @@ TOGETHER = 8
 #: Frames for which somebody may be unseen and still be shown.
 _SHOWN = 15
 ENOUGH = 4  # keypoints that place a person
-_KEYS = ("root", "rot", "contacts", "betas", "surprise")  # of each person
+_KEYS = ("root", "rot", "contacts", "betas", "latent_chi2")  # of each person
 _SAID = ("energy", "terms", "reasons", "notes")  # of their fit: energy (E, P) of the named terms
 #: Keypoints of BODY_25 that a fit uses.
 USED = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]
@@ -53,8 +53,8 @@ class SceneFit:
     """P people of one scene, T frames at 30 fps, world coordinates, z up.
 
     motions: one per person, of the whole footage, on the fitted bones; unseen times are filled in. shown (P, T): seen,
-    or only for a moment not. seen: keypoints of BODY_25 (P, T, 25, 2). camera: one for all. surprise (P,): see
-    ``testops.Doubts``. windows: how many. reasons: why each search ended. stopped: whether Ctrl-C ended it.
+    or only for a moment not. seen: keypoints of BODY_25 (P, T, 25, 2). camera: one for all. latent_chi2 (P,): see
+    ``testops.FitDiagnostics``. windows: how many. reasons: why each search ended. stopped: whether Ctrl-C ended it.
     draws: of each person, other motions that explain as well what was seen, where they were asked for.
     """
 
@@ -62,7 +62,7 @@ class SceneFit:
     shown: Tensor
     seen: Observation2D
     camera: Camera
-    surprise: Tensor
+    latent_chi2: Tensor
     energy: dict[str, list[float]]
     windows: int
     reasons: tuple[str, ...]
@@ -110,13 +110,13 @@ FULL_WORK = replace(
     testops.Schedule.lean(),
     tolerance=3e-4,
     guesses=True,
-    shooting=Plan(8, 20, 1e-2, least=0.033, stride=4, race=5, second=False, damped=(0.1, 0.01)),
+    shooting=Plan(8, 20, 1e-2, min_gain=0.033, stride=4, halving_after=5, two_starts=False, damping=(0.1, 0.01)),
 )
 QUICK_WORK = replace(
     testops.Schedule.quick(),
     steps=(2, 4, 3),
     guesses=True,
-    shooting=Plan(2, 12, trial=0, leaps=0, stride=8, damped=(0.1, 0.01)),
+    shooting=Plan(2, 12, trial_rounds=0, mode_jumps=0, stride=8, damping=(0.1, 0.01)),
 )
 
 
@@ -177,7 +177,7 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
                 pieces[person].append({"start": start} | {key: found[key][row] for key in _KEYS})
     camera = camera if camera is not None else task.camera
     motions = [_joined(parts, frames, seen.fps) for parts in pieces]
-    surprise = torch.stack([torch.stack([part["surprise"] for part in parts]).mean() for parts in pieces])
+    latent_chi2 = torch.stack([torch.stack([part["latent_chi2"] for part in parts]).mean() for parts in pieces])
     near = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)
     shown = near[:, 0] > 0
     if not task.placed:
@@ -189,7 +189,7 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
         why = f"more than {WHOLE / 30:g} s is fitted in pieces" if many else "the fit was stopped"
         notes += [f"no other motions are drawn: {why}"]
     return SceneFit(
-        tuple(motions), shown, seen, camera, surprise, energy, len(starts), tuple(reasons),
+        tuple(motions), shown, seen, camera, latent_chi2, energy, len(starts), tuple(reasons),
         tuple(dict.fromkeys(notes)), stopped, tuple(draws),
     )  # fmt: skip
 
@@ -231,7 +231,7 @@ def _common_camera(seen: Observation2D, enough: Tensor, task: Task) -> tuple[Cam
     fitted = task.fit(part, task.camera, floor, schedule=work, solver="shooting")
     if fitted.stopped:
         raise KeyboardInterrupt
-    weight = part.confidence[..., USED].sum((1, 2)) / (1 + fitted.doubts.misfit.nan_to_num(1e6))
+    weight = part.confidence[..., USED].sum((1, 2)) / (1 + fitted.diagnostics.misfit.nan_to_num(1e6))
     weight = weight / weight.sum()
     turn = sum(w * c.rotation for w, c in zip(weight, fitted.cameras, strict=True))
     centre = sum(w * c.centre for w, c in zip(weight, fitted.cameras, strict=True))
@@ -245,12 +245,12 @@ def _arrays(fitted: testops.Fitted) -> dict[str, Tensor | np.ndarray]:
     """What is kept of a fit: tensors, and in arrays of text what it said."""
     motion, people = fitted.motion, len(fitted.betas)
     nothing = motion.root.new_full((people,), float("nan"))
-    doubts = fitted.doubts
-    windows = 1 if doubts is None else len(doubts.surprise) // people
+    doubts = fitted.diagnostics
+    windows = 1 if doubts is None else len(doubts.latent_chi2) // people
     energy = fitted.energies[max(fitted.energies)]
     return {
         "root": motion.root, "rot": motion.rot, "contacts": fitted.contacts, "betas": fitted.betas.detach(),
-        "surprise": nothing if doubts is None else doubts.surprise.unflatten(0, (people, windows)).mean(-1),
+        "latent_chi2": nothing if doubts is None else doubts.latent_chi2.unflatten(0, (people, windows)).mean(-1),
         "energy": torch.stack([*energy.values()]).detach(), "terms": np.array([*energy], str),
         "reasons": np.array([one.reasons[-1] for some in fitted.results.values() for one in some], str),
         "notes": np.array([note for note in fitted.notes if "doubts" not in note], str),

@@ -16,7 +16,7 @@ from motionlab.footage.scene_fit import USED, SceneFit
 from motionlab.humor import body_shape
 from motionlab.humor.evidence import FEET_SEEN, feet_seen
 from motionlab.humor.start import above_floor
-from motionlab.humor.testops import MISFIT_WIDTH, SURPRISED
+from motionlab.humor.testops import MAX_LATENT_CHI2, MISFIT_WIDTH
 from motionlab.metrics import pose
 from motionlab.observation import BODY_25
 from motionlab.skeleton import FEET
@@ -39,7 +39,7 @@ def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor
     away, weight: (T, 25), as ``fit.pixel_distances`` gives them.
     """
     motion, shown, seen = fitted.motions[k], fitted.shown[k], weight > 0
-    rms, surprise = float(away[seen].square().mean().sqrt()), float(fitted.surprise[k])
+    rms, latent_chi2 = float(away[seen].square().mean().sqrt()), float(fitted.latent_chi2[k])
     contacts = motion.contacts[shown].mean(0).tolist()
     by_time = [float(a[s].median()) if s.any() else None for a, s in zip(away, seen, strict=True)]
     return {
@@ -53,9 +53,9 @@ def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor
             "by_joint": {BODY_25[n]: float(away[:, n][seen[:, n]].mean()) for n in USED if seen[:, n].any()},
             "by_time": by_time,
         },
-        "surprise": surprise if np.isfinite(surprise) else None,
-        "doubtful": not (surprise <= SURPRISED and rms <= MISFIT_WIDTH * fitted.camera.width),
-        "bounds": {"surprise": SURPRISED, "rms": MISFIT_WIDTH * fitted.camera.width},
+        "latent_chi2": latent_chi2 if np.isfinite(latent_chi2) else None,
+        "doubtful": not (latent_chi2 <= MAX_LATENT_CHI2 and rms <= MISFIT_WIDTH * fitted.camera.width),
+        "bounds": {"latent_chi2": MAX_LATENT_CHI2, "rms": MISFIT_WIDTH * fitted.camera.width},
         "acceleration": float(pose.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
         "contacts": dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
         "contacts_by_time": {
@@ -98,9 +98,9 @@ def lines(record: Record) -> list[str]:
 
 def _doubt(row: Record) -> str:
     """Says whether a person's fit is to be doubted, and why."""
-    surprise, rms, bounds = row["surprise"], row["pixels"]["rms"], row["bounds"]
-    prior = "no motion prior was used" if surprise is None else f"surprise of the prior {surprise:.2f}"
-    text = f"{prior} (up to {bounds['surprise']:g} is usual), missed by {rms:.0f} px rms (up to {bounds['rms']:.0f})"
+    latent_chi2, rms, bounds = row["latent_chi2"], row["pixels"]["rms"], row["bounds"]
+    prior = "no motion prior was used" if latent_chi2 is None else f"latent chi2 {latent_chi2:.2f}"
+    text = f"{prior} (up to {bounds['latent_chi2']:g} is usual), missed by {rms:.0f} px rms (up to {bounds['rms']:.0f})"
     text += f", seems {row['seems_m']:.2f} m tall" if "seems_m" in row else ""
     return f"doubtful: {text}" if row["doubtful"] else f"no doubts: {text}"
 

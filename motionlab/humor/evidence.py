@@ -153,7 +153,7 @@ class Evidence:
         return (self.weight > 0).any(-1)
 
     @property
-    def trust(self) -> Tensor:
+    def confidence_per_joint(self) -> Tensor:
         """Computes how far each joint (B, T, 22) was observed: 1 seen, ``UNSEEN`` hidden, 0 in empty frames."""
         seen = self.weight > 0 if self.view is None else (self.weight > 0)[..., _SHOWN].any(-1)
         return torch.where(seen, 1.0, UNSEEN) * self.seen[..., None]
@@ -165,11 +165,11 @@ class Evidence:
             return torch.zeros(len(self.weight), dtype=torch.bool, device=self.weight.device)
         return feet_seen(self.weight) < FEET_SEEN
 
-    def short(self, frames: int) -> Evidence:
+    def first_frames(self, frames: int) -> Evidence:
         """Returns the first frames."""
         return replace(self, values=self.values[:, :frames], weight=self.weight[:, :frames])
 
-    def pieces(self, starts: Tensor, length: int) -> Evidence:
+    def windows(self, starts: Tensor, length: int) -> Evidence:
         """Cuts every clip into W windows of ``length`` that begin at ``starts`` (W,): clips become B W rows."""
         at = starts[:, None] + torch.arange(length)
         rows = torch.arange(len(self.values)).repeat_interleave(len(starts))

@@ -1,7 +1,7 @@
 """The three stages of the test-time optimisation: what each minimises, and the original search for its minimum.
 
 Source: HuMoR (Rempe et al. 2021), section 4 and its official code; thesis 3.1.2.
-Differs: in lean mode L-BFGS moves other coordinates, in which the energy is nearly round (last section).
+Differs: in lean mode L-BFGS moves preconditioned coordinates (last section).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from motionlab.humor import energies, state, unknowns
 from motionlab.humor.energies import SIGMA, Weights
 from motionlab.humor.evidence import Evidence
 from motionlab.humor.priors import Priors, first_state_features
-from motionlab.humor.unknowns import FIRST, Form, Posed, Rolled, Unknowns
+from motionlab.humor.unknowns import FIRST, Parametrisation, Posed, Rolled, Unknowns
 from motionlab.optimise import BatchFit, minimise_batch
 
 _OVERLAP = 2.0  # of the weight of joint_consistency: the official 200 beside 100
@@ -35,7 +35,7 @@ class Problem:
     """What does not change while a fit looks for its unknowns.
 
     evidence: of B = G W rows. starts (W,): first frame of each window in its recording. mode: "lean" or "official".
-    form: what turns unknowns into bodies.
+    parametrisation: turns unknowns into bodies.
     """
 
     evidence: Evidence
@@ -43,7 +43,7 @@ class Problem:
     weights: Weights
     mode: str = "lean"
     starts: tuple[int, ...] = (0,)
-    form: Form = unknowns.LEAN
+    parametrisation: Parametrisation = unknowns.LEAN
 
     def rows(self, index: Tensor) -> Problem:
         """Returns the same for some recordings alone."""
@@ -55,7 +55,7 @@ class Problem:
 def pose_terms(problem: Problem, unknown: Unknowns, stage: int) -> Terms:
     """Computes the weighted terms (G,) of stage 1 or 2 by name. Lean mode is smooth in stage 1 already."""
     evidence = problem.evidence
-    body = problem.form.pose(unknown, problem.priors, evidence)
+    body = problem.parametrisation.pose(unknown, problem.priors, evidence)
     terms = _data(body, evidence) | {
         "joints3d_smooth": energies.joints3d_smooth(body.joints),
         "pose_prior": energies.pose_prior(unknown.latent.flatten(0, 1)),
@@ -71,8 +71,8 @@ def motion_terms(problem: Problem, unknown: Unknowns, *, grown: bool = True, con
         grown: the first state's weight times frames / 15, as from the second sub-stage on.
         contacts: with the contact terms.
     """
-    evidence = problem.evidence.short(unknown.z.shape[2] + 1)
-    rolled = problem.form.roll(unknown, problem.priors, evidence)
+    evidence = problem.evidence.first_frames(unknown.z.shape[2] + 1)
+    rolled = problem.parametrisation.roll(unknown, problem.priors, evidence)
     return rolled_terms(problem, unknown, rolled, grown=grown, contacts=contacts)
 
 
@@ -81,10 +81,10 @@ def rolled_terms(
 ) -> Terms:
     """Computes :func:`motion_terms` of a roll-out that is there already."""
     frames = rolled.states.shape[1]
-    evidence = problem.evidence.short(frames)
+    evidence = problem.evidence.first_frames(frames)
     body, own = rolled.body, state.unpack(rolled.states)["joints"]
     touching = energies.contact_probabilities(rolled.rollout.contact_logits)
-    first = first_state_features(unknowns.local_first(rolled.states[:, 0]))
+    first = first_state_features(unknowns.first_state_in_heading_frame(rolled.states[:, 0]))
     terms = _data(body, evidence) | {
         "shape_prior": energies.shape_prior(body.betas, frames),
         "motion_prior": energies.motion_prior(rolled.rollout.z, rolled.rollout.prior),
@@ -137,8 +137,8 @@ def stage_1_and_2(problem: Problem, unknown: Unknowns, stage: int, **budget) -> 
     if problem.mode != "lean":
         return _search(terms, problem, unknown.named(), moving, **budget)
     weights = problem.weights.of(stage, listed=True)
-    unknown = replace(unknown, orient=unknowns.renewed(unknown.orient))
-    new, back = _rounded(unknown, moving, problem.priors, problem.evidence, weights)
+    unknown = replace(unknown, orient=unknowns.reorthogonalised(unknown.orient))
+    new, back = _preconditioned(unknown, moving, problem.priors, problem.evidence, weights)
     return _search(terms, problem, new, tuple(new), back, **budget)
 
 
@@ -168,7 +168,7 @@ def stage_3(
         if factors is None:
             found, fit = _search(terms, problem, unknown.named(), moving, steps=steps, **budget)
         else:
-            new, back = rounded_motion(unknown, moving, factors)
+            new, back = preconditioned_motion(unknown, moving, factors)
             found, fit = _search(terms, problem, new, tuple(new), back, steps=steps, **budget)
         fits.append(fit)
         return found
@@ -229,7 +229,7 @@ def interrupted(fit) -> bool:
     return "interrupted" in fit.reasons
 
 
-# ------------------------------------------------------------------------------------------------- rounder coordinates
+# -------------------------------------------------------------------------------------------------- preconditioning
 # A sequence's Gauss-Newton matrix is nearly the same block H_d (data) for every frame, joined by the smoothness of its
 # neighbours, H_s. The cosine transform of time makes that diagonal: for frequency k of T frames
 #
@@ -248,8 +248,10 @@ _REACH = {
 _REACH_CAMERA = (400.0, 400.0, 25.0)  # tilt, roll, rise
 
 
-def rounded_motion(unknown: Unknowns, moving: tuple[str, ...], factors: Tensor) -> tuple[dict[str, Tensor], Back]:
-    """Computes what :func:`_rounded` does, for stage 3; factors (G, W, L - 1 or more, 48, 48)."""
+def preconditioned_motion(
+    unknown: Unknowns, moving: tuple[str, ...], factors: Tensor
+) -> tuple[dict[str, Tensor], Back]:
+    """Computes what :func:`_preconditioned` does, for stage 3; factors (G, W, L - 1 or more, 48, 48)."""
     frames = unknown.z.shape[2] + 1
     factors = factors[:, :, : frames - 1]
     scale = {n: (reach * frames) ** -0.5 for n, reach in _REACH.items()}
@@ -266,7 +268,7 @@ def rounded_motion(unknown: Unknowns, moving: tuple[str, ...], factors: Tensor) 
     return {n: torch.zeros_like(named[n]) for n in moving if named[n].numel()}, back
 
 
-def _rounded(
+def _preconditioned(
     unknown: Unknowns, moving: tuple[str, ...], priors: Priors, evidence: Evidence, weights: dict[str, float]
 ) -> tuple[dict[str, Tensor], Back]:
     """Computes new numbers to move, zeros at the start, and the way from them to the unknowns.
@@ -317,7 +319,7 @@ def _curvature(unknown: Unknowns, names, priors, evidence, weights) -> tuple[Ten
             more[1:] += shifts[n].to(x).reshape(count, 1, *(1,) * (x.ndim - 2), -1)
         many[n] = more.flatten(0, 1)
     rows = torch.arange(groups).repeat(count + 1)
-    seen = evidence.pieces(torch.tensor([0]), frames)
+    seen = evidence.windows(torch.tensor([0]), frames)
     values, weight = seen.values[rows][:, pick], seen.weight[rows][:, pick]
     view = None if seen.view is None else seen.view.rows(rows)
     with torch.no_grad():

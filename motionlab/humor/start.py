@@ -1,7 +1,7 @@
 """Computes where a fit begins from what is visible: the root of stage 1, the first state and latents of stage 3.
 
 Stage 1 begins with the mean pose: laid onto visible joints (:func:`start_3d`), or put in front of the camera by a
-search over orientations (:func:`start_2d`). Frames in which too little is seen are interpolated (:func:`filled`).
+search over orientations (:func:`start_2d`). Frames in which too little is seen: :func:`interpolate_unseen`.
 
 Stage 3 begins with the motion of stage 2 (:func:`start_stage_3`). In lean mode z_t leads from where the roll-out *is*
 to where stage 2 is next, as far as the prior allows,
@@ -58,7 +58,7 @@ _MIN_SPREAD = 0.02  # metres: the second principal spread below which visible po
 _ITERATIONS, _STEP = 2, 1e-2
 #: Of the prior's weight while following. Little, since a miss now is a miss in all frames to come; with more of it what
 #: was not seen moves more as the prior would. Fits by ``shooting`` begin with both.
-EAGER, CALM = 0.02, 0.3
+DAMPING_ROLLOUT, DAMPING_SHOOTING = 0.02, 0.3
 _LASTING = 1.0  # p
 _LEG = ("hip", "knee", "ankle", "foot")
 SITTING_LEGS = STANDARD.indices([f"{side}_{part}" for side in ("left", "right") for part in _LEG])
@@ -117,7 +117,7 @@ def start_2d(evidence: Evidence, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return trans.gather(2, at)[:, :, 0], poses[path], enough
 
 
-def filled(trans: Tensor, turn: Tensor, known: Tensor, fps: float) -> tuple[Tensor, Tensor]:
+def interpolate_unseen(trans: Tensor, turn: Tensor, known: Tensor, fps: float) -> tuple[Tensor, Tensor]:
     """Computes root (B, T, 3) and orientation (B, T, 3, 3) interpolated where not ``known`` (B, T); ends hold.
 
     A clip of which nothing is known stands upright at the origin, its feet on the floor, and looks along +y.
@@ -223,13 +223,13 @@ def start_stage_3(
     motion: Motion,
     latent: Tensor,
     shared: dict[str, Tensor],
-    trust: Tensor,
+    confidence: Tensor,
     priors: Priors,
     starts: tuple[int, ...],
     length: int,
     mode: str = "lean",
     weight: float = 1e-3,
-    eager: float = EAGER,
+    damping: float = DAMPING_ROLLOUT,
 ) -> tuple[Unknowns, Tensor | None]:
     """Computes the unknowns of stage 3 from stage 2's motion, in windows; in lean mode also factors of z.
 
@@ -240,15 +240,15 @@ def start_stage_3(
 
     Args:
         motion (G, T): of stage 2. latent (G, T, 32): its pose latents. shared: its betas, camera.
-        trust (G, T, 22): how much each joint of it is to be believed, 0 to 1; used in lean mode.
-        starts, length: of the windows. weight: of the motion prior beside a square metre, w. eager: share on the way.
+        confidence (G, T, 22): how much each joint of it is to be believed, 0 to 1; used in lean mode.
+        starts, length: of the windows. weight: of the motion prior beside a square metre, w. damping: share on the way.
     """
     states = state.from_motion(motion, causal=priors.motion.causal)
     first = state.unpack(states[:, list(starts)])
     with torch.no_grad():
         if mode == "lean":
-            aims, share = (unknowns.cut_windows(x, starts, length).flatten(0, 1) for x in (states, trust))
-            z, curvature, sharp = _followed(priors.motion, aims, share, eager * weight)
+            aims, share = (unknowns.cut_windows(x, starts, length).flatten(0, 1) for x in (states, confidence))
+            z, curvature, sharp = _follow(priors.motion, aims, share, damping * weight)
             z, factors = (x.unflatten(0, (-1, len(starts))) for x in (z, _factors(curvature, sharp, weight)))
         else:
             z, factors = unknowns.cut_windows(infer(priors.motion, states)[0].mean, starts, length - 1), None
@@ -265,14 +265,14 @@ def start_stage_3(
     return unknown, factors
 
 
-def _followed(model: Cvae, states: Tensor, trust: Tensor, weight: float) -> tuple[Tensor, Tensor, Tensor]:
+def _follow(model: Cvae, states: Tensor, confidence: Tensor, weight: float) -> tuple[Tensor, Tensor, Tensor]:
     """z (B, T - 1, 48) of a roll-out from the first of states (B, T, 339) that is steered to follow them.
 
-    trust (B, T, 22): how much each joint of stage 2 is to be believed; where none is, z is the prior's mean. weight: w
+    confidence (B, T, 22): of each joint of stage 2; where it is 0, z is the prior's mean. weight: w
     above. Also the Gauss-Newton matrices (B, T - 1, 48, 48) of the ways, and the prior's 1 / sigma^2 (B, T - 1, 48).
     """
     now, found, curvature, precision = states[:, 0], [], [], []
-    for aim, share in zip(states[:, 1:].unbind(1), trust[:, 1:].unbind(1), strict=True):
+    for aim, share in zip(states[:, 1:].unbind(1), confidence[:, 1:].unbind(1), strict=True):
         frame = state.heading(now)
         past, aim = state.localise(now, frame), state.localise(aim, frame)
         prior, z = model.prior(past), model.posterior(past, aim).mean
@@ -305,17 +305,17 @@ def _linearised(model: Cvae, past: Tensor, z: Tensor, aim: Tensor, root: Tensor)
     return root * (after[:, 0] - aim), root[:, None] * (after[:, 1:] - after[:, :1]) / _STEP
 
 
-def _importance(trust: Tensor) -> Tensor:
+def _importance(confidence: Tensor) -> Tensor:
     """W (B, 339) from how much each joint (B, 22) is believed."""
-    whole = trust.mean(-1, keepdim=True)
-    child = torch.stack([trust[:, _CHILD[j]] for j in range(1, 22)], 1)
+    whole = confidence.mean(-1, keepdim=True)
+    child = torch.stack([confidence[:, _CHILD[j]] for j in range(1, 22)], 1)
     parts = {
         "trans": whole.expand(-1, 3),
         "trans_vel": (whole / FPS**2).expand(-1, 3),
         "root_orient": (_LEVER * whole).expand(-1, 9),
         "root_orient_vel": (_LEVER * whole / FPS**2).expand(-1, 3),
         "pose_body": (_LEVER * child).repeat_interleave(9, 1),
-        "joints": trust.repeat_interleave(3, 1),
-        "joints_vel": trust.repeat_interleave(3, 1) / FPS**2,
+        "joints": confidence.repeat_interleave(3, 1),
+        "joints_vel": confidence.repeat_interleave(3, 1) / FPS**2,
     }
     return torch.cat([parts[name] for name in state.SHAPES], 1)

@@ -30,7 +30,7 @@ from motionlab.humor.evidence import Evidence, Observation3D, evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.shooting.feedback_solver import Plan, solve
 from motionlab.humor.stages import Problem
-from motionlab.humor.unknowns import Form, Rolled, Unknowns, stitch_windows, window_starts
+from motionlab.humor.unknowns import Parametrisation, Rolled, Unknowns, stitch_windows, window_starts
 from motionlab.motion import FPS, Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.optimise import begins
@@ -42,9 +42,9 @@ SOLVERS = ("rollout", "shooting")
 _WEIGHED = 4  # rounds after which a start that sits is judged: after 2, some that stood up sat to the end
 _NAMES = ("stage 1 of 3: where they are", "stage 2 of 3: pose and size", "stage 3 of 3: motion")
 _WHOLE = 600  # frames that shooting takes at once: it keeps 3 MB of each
-#: From here on a fit is doubtful. On practice clips, of moves that the prior has seen, surprise was 0.05 to
+#: From here on a fit is doubtful. On practice clips, of moves that the prior has seen, latent_chi2 was 0.05 to
 #: 0.47 and misfit 6 to 13 pixels of 1280, or 7 cm where every joint had N(0, 4 cm) of noise.
-SURPRISED, MISFIT_METRES, MISFIT_WIDTH = 0.5, 0.12, 1 / 64  # the last of the image's width: 20 pixels of 1280
+MAX_LATENT_CHI2, MISFIT_METRES, MISFIT_WIDTH = 0.5, 0.12, 1 / 64  # the last of the image's width: 20 pixels of 1280
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Schedule:
 
     @classmethod
     def lean(cls) -> Schedule:
-        """Returns what lean mode needs, with its start near the goal and its rounder coordinates: less than half."""
+        """Returns what lean mode needs, with its start near the goal and preconditioning: less than half."""
         return cls(steps=(5, 10, 36), refine=(1, 3))
 
     @classmethod
@@ -89,19 +89,19 @@ class Schedule:
     @classmethod
     def quick(cls) -> Schedule:
         """Returns few steps, for tests and a first try."""
-        return cls(steps=(2, 3, 3), inner=8, refine=(1, 2), shooting=Plan(rounds=2, closures=8, trial=1))
+        return cls(steps=(2, 3, 3), inner=8, refine=(1, 2), shooting=Plan(rounds=2, closures=8, trial_rounds=1))
 
 
 @dataclass(frozen=True, eq=False)
-class Doubts:
-    """What there is to doubt about a fit of stage 3, per clip (B,).
+class FitDiagnostics:
+    """How well a fit of stage 3 agrees with the prior and with what was seen, per clip (B,).
 
-    surprise: mean square of (z - mu) / sigma over all transitions and latents: 1 for motion drawn from the prior, less
+    latent_chi2: mean square of (z - mu) / sigma over transitions and latents: 1 for motion drawn from the prior, less
     for motion like that of its training, which its latents overfit; large where a motion is not one that it would make.
     misfit: root mean square distance of what was seen, metres or pixels; from ``bound`` on it is doubtful.
     """
 
-    surprise: Tensor
+    latent_chi2: Tensor
     misfit: Tensor
     bound: float
     pixels: bool
@@ -109,16 +109,16 @@ class Doubts:
     @property
     def doubtful(self) -> Tensor:
         """(B,) true where either is not finite or above its bound."""
-        return ~((self.surprise <= SURPRISED) & (self.misfit <= self.bound))
+        return ~((self.latent_chi2 <= MAX_LATENT_CHI2) & (self.misfit <= self.bound))
 
     def sentences(self) -> tuple[str, ...]:
         """Returns a sentence for every clip that is doubtful."""
         unit = "{:.0f} px" if self.pixels else "{:.2f} m"
-        rows = zip(self.surprise.tolist(), self.misfit.tolist(), self.doubtful.tolist(), strict=True)
+        rows = zip(self.latent_chi2.tolist(), self.misfit.tolist(), self.doubtful.tolist(), strict=True)
         return tuple(
-            f"stage 3 doubts clip {k}: surprise of the prior {surprise:.2f} (up to {SURPRISED:g} is usual), what was "
+            f"stage 3 doubts clip {k}: latent chi2 {latent_chi2:.2f} (up to {MAX_LATENT_CHI2:g} is usual), what was "
             f"seen is missed by {unit.format(misfit)}"
-            for k, (surprise, misfit, doubtful) in enumerate(rows)
+            for k, (latent_chi2, misfit, doubtful) in enumerate(rows)
             if doubtful
         )
 
@@ -134,7 +134,7 @@ class Fitted:
     window where T is no more than ``Schedule.window``). betas (G, 8): shape in standard deviations.
     cameras: one per recording, as found; None for 3-D observations. energies: per stage, each term weighted, (G,).
     results: the optimiser's report of each stage; of stage 3 one per sub-stage or round. notes: what was assumed, left
-    out or is doubtful. doubts: what stage 3 says of its windows (G W,); None where none ran. problem, unknown: what
+    out or is doubtful. diagnostics: of stage 3's windows (G W,); None where none ran. problem, unknown: what
     shooting minimised, and where it ended (``posterior``); None after the other solver.
     """
 
@@ -149,7 +149,7 @@ class Fitted:
     results: dict[int, list[object]]
     starts: tuple[int, ...] = (0,)
     notes: tuple[str, ...] = ()
-    doubts: Doubts | None = None
+    diagnostics: FitDiagnostics | None = None
     problem: Problem | None = None
     unknown: Unknowns | None = None
 
@@ -170,7 +170,7 @@ def fit(
     weights: Weights | None = None,
     schedule: Schedule | None = None,
     mode: str = "lean",
-    form: Form = unknowns.LEAN,
+    parametrisation: Parametrisation = unknowns.LEAN,
     solver: str = "rollout",
     cameras: Sequence[Camera] | None = None,
     floor: str | None = None,
@@ -192,7 +192,7 @@ def fit(
             batch axis may be left out. Missing entries have no weight.
         weights: of the terms; default ``JOINTS``, or for keypoints ``RGB_LIGHT`` in lean, ``RGB`` in official mode.
         schedule: ``Schedule.lean()`` in lean mode and ``Schedule.official`` in the other unless given.
-        form: what turns unknowns into bodies.
+        parametrisation: what turns unknowns into bodies.
         solver: of stage 3: "rollout", whose numbers most notebooks hold, or in lean mode "shooting", which is faster
             and takes a recording whole; one of more than 600 frames goes to "rollout", in windows, and a note says so.
         cameras: one per recording, instead of the observation's.
@@ -218,7 +218,7 @@ def fit(
         )
     schedule = schedule or (Schedule.lean() if mode == "lean" else Schedule.official(keypoints=seen.view is not None))
     weights = weights or (JOINTS if seen.view is None else RGB_LIGHT if mode == "lean" else RGB)
-    problem = Problem(seen, priors, weights, mode, form=form)
+    problem = Problem(seen, priors, weights, mode, parametrisation=parametrisation)
     with threads_for(len(seen.values)):
         unknown = start_stage_1(problem)
         track = _Track(schedule, progress, watch)
@@ -246,7 +246,7 @@ def start_stage_1(problem: Problem) -> Unknowns:
         else:
             marks = landmarks(joints[None, None], turns[None, None], shape[:1])[0, 0]
             guess = starts.start_2d(seen, marks)
-        trans, turn = starts.filled(*guess, seen.fps)
+        trans, turn = starts.interpolate_unseen(*guess, seen.fps)
         if seen.view is not None and problem.mode != "lean":
             trans, turn = starts.start_facing(seen, marks)
     orient = unknowns.from_matrix(turn, problem.mode)
@@ -288,22 +288,22 @@ class _Track:
         whole = solver == "shooting" and frames <= _WHOLE
         length = frames if whole else min(s.window, frames)
         cuts = (0,) if whole else window_starts(frames, s.window, s.overlap)
-        cut = replace(problem, evidence=seen.pieces(torch.tensor(cuts), length), starts=cuts)
+        cut = replace(problem, evidence=seen.windows(torch.tensor(cuts), length), starts=cuts)
         pull, plan, budget = problem.weights.pull, s.shooting, self._budget(3)
-        begun = self._begun(problem, unknown, self.stages[2], unknown.latent, seen.trust)
+        begun = self._begun(problem, unknown, self.stages[2], unknown.latent, seen.confidence_per_joint)
         rest = (problem.priors, cuts, length, problem.mode, pull)
         if whole:
-            calm, rival = starts.start_stage_3(*begun, *rest, starts.CALM)[0], None
-            if plan.second and plan.trial:
-                rival = starts.start_stage_3(*begun, *rest)[0]
+            start, second_start = starts.start_stage_3(*begun, *rest, starts.DAMPING_SHOOTING)[0], None
+            if plan.two_starts and plan.trial_rounds:
+                second_start = starts.start_stage_3(*begun, *rest)[0]
             elif s.guesses and seen.hides_feet.any():
-                plan = replace(plan, second=True, trial=max(plan.trial, _WEIGHED))
-                rival = self._seated(problem, unknown, rest)
-                rival = Unknowns(**{
-                    name: torch.where(seen.hides_feet.reshape(-1, *(1,) * (x.ndim - 1)), x, getattr(calm, name))
-                    for name, x in rival.named().items()
+                plan = replace(plan, two_starts=True, trial_rounds=max(plan.trial_rounds, _WEIGHED))
+                second_start = self._seated(problem, unknown, rest)
+                second_start = Unknowns(**{
+                    name: torch.where(seen.hides_feet.reshape(-1, *(1,) * (x.ndim - 1)), x, getattr(start, name))
+                    for name, x in second_start.named().items()
                 })  # fmt: skip
-            rolled, self.results[3] = solve(cut, calm, plan, rival=rival, progress=budget["progress"])
+            rolled, self.results[3] = solve(cut, start, plan, second_start=second_start, progress=budget["progress"])
         else:
             rolled, factors = starts.start_stage_3(*begun, *rest)
             rolled, self.results[3] = stages.stage_3(
@@ -323,26 +323,27 @@ class _Track:
         )
         self.stages[3] = unknowns.motion_of(body, seen.fps, contacts=(contacts > 0.5).to(contacts))
         first = found.states[:, 0].unflatten(0, (-1, len(cuts)))
-        says = _doubts_of_rollout(found, cut.evidence)
+        says = _diagnosed(found, cut.evidence)
         long = (f"more than {_WHOLE} frames: stage 3 by rollout, in windows",) * (solver == "shooting" and not whole)
         fitted = self._fitted(problem, rolled, contacts, rolled.z, first, cuts, *long, *says.sentences())
         kept = {"problem": cut, "unknown": rolled.detached()} if whole else {}
-        return replace(fitted, doubts=says, **kept)
+        return replace(fitted, diagnostics=says, **kept)
 
-    def _begun(self, problem: Problem, unknown: Unknowns, motion: Motion, latent: Tensor, trust: Tensor) -> tuple:
+    def _begun(self, problem: Problem, unknown: Unknowns, motion: Motion, latent: Tensor, confidence: Tensor) -> tuple:
         """What stage 3 begins with; the floor is guessed below the feet of ``motion`` where its height is not known."""
         shared, view = unknown.shared(), problem.evidence.view
         if self.schedule.guesses and view is not None and view.free:
             up = torch.nn.functional.pad(-starts.above_floor(motion.positions)[:, None], (2, 0))
             motion, shared["camera"] = replace(motion, root=motion.root + up[:, None]), shared["camera"] + up
-        return motion, latent[:, 0], shared, trust
+        return motion, latent[:, 0], shared, confidence
 
     def _seated(self, problem: Problem, unknown: Unknowns, rest: tuple) -> Unknowns:
         """The start of stage 3 of somebody who sits where stage 2 is."""
-        sits, trust = starts.seated(self.stages[2]), problem.evidence.trust.clone()
-        trust[..., starts.SITTING_LEGS] = 1.0
+        sits, confidence = starts.seated(self.stages[2]), problem.evidence.confidence_per_joint.clone()
+        confidence[..., starts.SITTING_LEGS] = 1.0
         latent = problem.priors.pose.encode(sits.rot[:, None, :, 1:]).mean
-        return starts.start_stage_3(*self._begun(problem, unknown, sits, latent, trust), *rest, starts.CALM)[0]
+        begun = self._begun(problem, unknown, sits, latent, confidence)
+        return starts.start_stage_3(*begun, *rest, starts.DAMPING_SHOOTING)[0]
 
     def without_stage_3(self, problem: Problem, unknown: Unknowns, why: str) -> Fitted:
         why = "interrupted" if self.stopped else why
@@ -361,20 +362,20 @@ class _Track:
         )  # fmt: skip
 
 
-# --------------------------------------------------------------------------------------------------------- the doubts
-def doubts(problem: Problem, unknown: Unknowns) -> Doubts:
-    """Computes what there is to doubt about unknowns (G, 1, ...) of stage 3."""
+# --------------------------------------------------------------------------------------------------------- diagnostics
+def diagnostics(problem: Problem, unknown: Unknowns) -> FitDiagnostics:
+    """Computes how well unknowns (G, 1, ...) of stage 3 agree with the prior and with what was seen."""
     with torch.no_grad():
         rolled = unknowns.roll(unknown, problem.priors, problem.evidence)
-    return _doubts_of_rollout(rolled, problem.evidence)
+    return _diagnosed(rolled, problem.evidence)
 
 
 @torch.no_grad()
-def _doubts_of_rollout(rolled: Rolled, evidence: Evidence) -> Doubts:
-    """Computes what there is to doubt about roll-outs of B rows."""
+def _diagnosed(rolled: Rolled, evidence: Evidence) -> FitDiagnostics:
+    """Computes the diagnostics of roll-outs of B rows."""
     prior, weight = rolled.rollout.prior, (evidence.weight > 0).to(rolled.states)
-    surprise = ((rolled.rollout.z - prior.mean).square() * (-prior.log_var).exp()).mean((1, 2))
+    latent_chi2 = ((rolled.rollout.z - prior.mean).square() * (-prior.log_var).exp()).mean((1, 2))
     off = (rolled.body.observed - evidence.values).square().sum(-1)
     missed = torch.where(weight > 0, off, 0.0).sum((1, 2)) / weight.sum((1, 2)).clamp(min=1)
     bound = MISFIT_METRES if evidence.view is None else MISFIT_WIDTH * evidence.view.size[0]
-    return Doubts(surprise, missed.sqrt(), bound, evidence.view is not None)
+    return FitDiagnostics(latent_chi2, missed.sqrt(), bound, evidence.view is not None)

@@ -110,7 +110,7 @@ class Rolled(NamedTuple):
     body: Posed
 
 
-class Form(NamedTuple):
+class Parametrisation(NamedTuple):
     """How unknowns become bodies: in stages 1 and 2, and in stage 3. ``LEAN`` unless said otherwise."""
 
     pose: Callable[[Unknowns, Priors, Evidence], Posed]
@@ -127,7 +127,7 @@ def from_matrix(turn: Tensor, mode: str) -> Tensor:
     return rotation.matrix_to_sixd(turn) if mode == "lean" else rotation.log(turn)
 
 
-def renewed(turn: Tensor) -> Tensor:
+def reorthogonalised(turn: Tensor) -> Tensor:
     """Writes rotations (..., 6) anew where their two vectors are nearly parallel: there next to nothing turns a body
     round, and a search stands still. The rotations stay what they are."""
     first, second = turn[..., :3], turn[..., 3:]
@@ -185,10 +185,10 @@ def rolled_from(first: Tensor, rolled: Rollout, unknown: Unknowns, evidence: Evi
     return Rolled(states, rolled, _posed(parts["trans"], rot, unknown.per_window(), evidence))
 
 
-LEAN = Form(pose, roll)
+LEAN = Parametrisation(pose, roll)
 
 
-def local_first(states: Tensor) -> Tensor:
+def first_state_in_heading_frame(states: Tensor) -> Tensor:
     """Computes first states (B, 339) in their own heading frames."""
     return state.localise(states, state.heading(states))
 

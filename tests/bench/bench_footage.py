@@ -119,11 +119,11 @@ def views_table(folder: Path, plans: Sequence[str], cameras: Sequence[str]) -> N
             spent, searched = _seconds() - before, sum(len(each.history) for each in fitted.results[3])
             found = recordings.measured(fitted.motion, fitted.cameras, views)
             each = ", ".join(f"{value:.2f}" for value in found["root"].tolist())
-            surprise = ", ".join(f"{value:.1f}" for value in fitted.doubts.surprise.tolist())
+            latent_chi2 = ", ".join(f"{value:.1f}" for value in fitted.diagnostics.latent_chi2.tolist())
             print(
                 f"camera {how:7} {name:11} {found['root'].mean():5.2f} ({each}); in the room "
                 f"{found['global'].mean():5.1f}; {found['px'].mean():.1f} px; acceleration "
-                f"{found['acceleration'].mean():.2f}; surprise {surprise}; {spent:.1f} s, {searched} closures",
+                f"{found['acceleration'].mean():.2f}; surprise {latent_chi2}; {spent:.1f} s, {searched} closures",
                 flush=True,
             )
 

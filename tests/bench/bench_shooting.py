@@ -68,7 +68,7 @@ def loops(motion) -> None:
 
     def in_loops():
         moving = {n: x.clone().requires_grad_() for n, x in zero.items()}
-        at, rolled = coordinates.opened(work.problem, unknown, around, moving)
+        at, rolled = coordinates.unwhiten(work.problem, unknown, around, moving)
         energy = sum(rolled_terms(work.problem, at, rolled).values())
         return energy, torch.autograd.grad(energy.sum(), list(moving.values()))
 

@@ -1,4 +1,4 @@
-"""Changes variables around a roll-out so that stage 3's energy is close to half the squared norm of the new variables.
+"""Whitens stage 3 around a roll-out: its energy becomes close to half the squared norm of the new variables.
 
     z_t = z^_t + K_t (x_t - x^_t) + L_t^-T nu_t,        first state and what is shared = L_0^-T nu_0
 
@@ -43,8 +43,8 @@ _INFORMATION = 0.25 * 0.5
 _SHARPEST = 1e2  # 1 / sigma of the prior counts no more than this in the matrix
 
 
-class Loop(NamedTuple):
-    """Coordinates around a roll-out.
+class Whitening(NamedTuple):
+    """Whitened coordinates around a roll-out, in which the Gauss-Newton matrix is the identity.
 
     base (B, T - 1, 48): its z - K X. gains (B, T - 1, 48, 345): on X of ``rollout``; shared (B, T - 1, 48, S): on
     what all frames share. shapers (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T. Of the first state and what is
@@ -55,29 +55,32 @@ class Loop(NamedTuple):
     base: Tensor
     gains: Tensor
     shared: Tensor
-    shapers: Tensor
+    whiteners: Tensor
     first: Tensor
     rest: Tensor
     features: Tensor
 
-    def rows(self, index: Tensor) -> Loop:
+    def rows(self, index: Tensor) -> Whitening:
         """Returns the coordinates of some clips, which may repeat; gains as roll-outs read them."""
         gains = self.gains.transpose(0, 1)[:, index].transpose(0, 1)
-        return Loop(*(x[index] for x in self._replace(gains=self.base)))._replace(gains=gains)
+        return Whitening(*(x[index] for x in self._replace(gains=self.base)))._replace(gains=gains)
 
 
-def opened(problem: Problem, unknown: Unknowns, loop: Loop, new: Mapping[str, Tensor]) -> tuple[Unknowns, Rolled]:
-    """Computes unknowns and their exact roll-out from coordinates: nu (B, T - 1, 48) and first (B, f), by name."""
-    change = (loop.first @ new["first"][..., None])[..., 0]
-    at = moved(unknown, change)
+def unwhiten(
+    problem: Problem, unknown: Unknowns, white: Whitening, new: Mapping[str, Tensor]
+) -> tuple[Unknowns, Rolled]:
+    """Computes unknowns and their exact roll-out from whitened coordinates nu (B, T - 1, 48) and first (B, f)."""
+    change = (white.first @ new["first"][..., None])[..., 0]
+    at = apply_change(unknown, change)
     first = unknowns.first_state(at, problem.priors)
     shared = change[:, _FIRST:]
-    u = loop.base + (loop.shapers @ new["nu"][..., None])[..., 0] + (loop.shared @ shared[:, None, :, None])[..., 0]
-    rollout, _ = steered_rollout(problem.priors.motion, first, u, loop.gains)
+    u = white.base + (white.whiteners @ new["nu"][..., None])[..., 0]
+    u = u + (white.shared @ shared[:, None, :, None])[..., 0]
+    rollout, _ = steered_rollout(problem.priors.motion, first, u, white.gains)
     return at, unknowns.rolled_from(first, rollout, at, problem.evidence)
 
 
-def moved(unknown: Unknowns, change: Tensor) -> Unknowns:
+def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
     """Computes unknowns after a change (G, f) of the first state and of what is shared."""
     parts = dict(zip(FIRST_SIZES, change[:, None, :_FIRST].split(list(FIRST_SIZES.values()), -1), strict=True))
     new = {n: getattr(unknown, n) + parts[n] for n in FIRST_SIZES if n != "orient"}
@@ -92,26 +95,26 @@ def moved(unknown: Unknowns, change: Tensor) -> Unknowns:
 
 # -------------------------------------------------------------------------------------------------- the linearisation
 @torch.no_grad()
-def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stride: int = 1) -> Loop:
+def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stride: int = 1) -> Whitening:
     """Computes coordinates around the roll-out of unknowns (G, 1, ...), networks differentiated at stride-th frames.
 
     On a CPU one clip after another: the matrices of one stay in its cache.
     """
     clips = len(unknown.z)
-    if not _one_by_one(unknown.z):
-        return _together(problem, unknown, ridge, stride)
+    if not _clip_by_clip(unknown.z):
+        return _linearised(problem, unknown, ridge, stride)
     each = [torch.tensor([i]) for i in range(clips)]
-    parts = [_together(problem.rows(i), unknown.rows(i), ridge, stride) for i in each]
-    whole = Loop(*(torch.cat(x) for x in zip(*(p._replace(gains=p.base) for p in parts), strict=True)))
+    parts = [_linearised(problem.rows(i), unknown.rows(i), ridge, stride) for i in each]
+    whole = Whitening(*(torch.cat(x) for x in zip(*(p._replace(gains=p.base) for p in parts), strict=True)))
     gains = torch.cat([p.gains.transpose(0, 1) for p in parts], 1).transpose(0, 1)  # as roll-outs read them
     return whole._replace(gains=gains)
 
 
-def _one_by_one(z: Tensor) -> bool:
+def _clip_by_clip(z: Tensor) -> bool:
     return z.device.type == "cpu" and len(z) > 1
 
 
-def _together(problem: Problem, unknown: Unknowns, ridge: float, stride: int) -> Loop:
+def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) -> Whitening:
     z, model = unknown.z[:, 0], problem.priors.motion
     clips, frames = z.shape[0], z.shape[1] + 1
     first = unknowns.first_state(unknown, problem.priors)
@@ -135,10 +138,10 @@ def _together(problem: Problem, unknown: Unknowns, ridge: float, stride: int) ->
     pairs = torch.cat((found.after @ a + found.before, found.after @ b), -1)
     both = torch.cat((pairs, toward.unflatten(0, (clips, -1))), -2)
     swept = riccati_sweep(found.of_frame.mT @ found.of_frame, a, b, both.mT @ both, ridge)
-    gains, shared = _embedded(swept.gains, past, frame)
+    gains, shared = _gains_on_states(swept.gains, past, frame)
     gains = gains.transpose(0, 1).contiguous().transpose(0, 1)  # as roll-outs read them
     base = z - (gains @ inputs[..., None])[..., 0]
-    return Loop(base, gains, shared, swept.shapers, *first_shaper(problem, unknown, swept.first, frames))
+    return Whitening(base, gains, shared, swept.whiteners, *whiten_first_state(problem, unknown, swept.first, frames))
 
 
 def padded_moves(moves: derivatives.TransitionSlopes, clips: int, n: int) -> tuple[Tensor, Tensor]:
@@ -182,7 +185,7 @@ def between_keys(x: Tensor, keys: Tensor, clips: int) -> Tensor:
     return torch.lerp(x[:, after - 1], x[:, after], share.to(x).reshape(-1, *(1,) * (x.ndim - 2))).flatten(0, 1)
 
 
-def _embedded(gains: Tensor, x: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
+def _gains_on_states(gains: Tensor, x: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
     """Gains on small changes (B, T - 1, 48, n) as gains on X (..., 345) and on what is shared (..., S)."""
     m = x[..., ADDED:].unflatten(-1, (22, 3, 3))
     omega = gains[..., ADDED:XI].unflatten(-1, (22, 3))
@@ -197,10 +200,10 @@ def _embedded(gains: Tensor, x: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
     return torch.cat((gains[..., :ADDED], turns.flatten(-3), place), -1), gains[..., CHANGE:]
 
 
-def first_shaper(problem: Problem, unknown: Unknowns, cost: Tensor, frames: int) -> tuple[Tensor, Tensor, Tensor]:
+def whiten_first_state(problem: Problem, unknown: Unknowns, cost: Tensor, frames: int) -> tuple[Tensor, Tensor, Tensor]:
     """Computes the whitening L^-T (B, f, f) of the first state, shape and camera from their Gauss-Newton matrix: their
-    own terms and P_0 through ``moved``. Also, in whitened coordinates, the matrix without the initial-state mixture (B,
-    f, f), and how the features of that move (B, 138, f)."""
+    own terms and P_0 through ``apply_change``. Also, in whitened coordinates, the matrix without the initial-state
+    mixture (B, f, f), and how the features of that move (B, 138, f)."""
     weights, view = problem.weights.of(3, frames=frames), problem.evidence.view
     shared = cost.shape[-1] - CHANGE
     count = _FIRST + shared
@@ -225,13 +228,14 @@ def first_shaper(problem: Problem, unknown: Unknowns, cost: Tensor, frames: int)
     ridge = 1e-4 * diagonal + 1e-5 * diagonal.mean(-1, keepdim=True) + 1e-8
     factor = factorised((whole + torch.diag_embed(ridge)).double())
     unit = torch.eye(count, dtype=factor.dtype, device=factor.device).expand_as(factor)
-    shaper = torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(h)
-    return shaper, shaper.mT @ h @ shaper, features @ shaper
+    whitener = torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(h)
+    return whitener, whitener.mT @ h @ whitener, features @ whitener
 
 
 def mixed_features(problem: Problem, unknown: Unknowns) -> Tensor:
     """Computes the features (B, 138) of the first state that the initial-state mixture is over."""
-    return priors.first_state_features(unknowns.local_first(unknowns.first_state(unknown, problem.priors)))
+    first = unknowns.first_state(unknown, problem.priors)
+    return priors.first_state_features(unknowns.first_state_in_heading_frame(first))
 
 
 def first_slopes(problem: Problem, unknown: Unknowns, count: int) -> Tensor:
@@ -241,7 +245,7 @@ def first_slopes(problem: Problem, unknown: Unknowns, count: int) -> Tensor:
     many = replace(unknown, z=None).map(lambda x: x.repeat_interleave(count, 0))
 
     def at(sign: float) -> Tensor:
-        return unknowns.first_state(moved(many, sign * steps.repeat(clips, 1)), problem.priors)
+        return unknowns.first_state(apply_change(many, sign * steps.repeat(clips, 1)), problem.priors)
 
     change = derivatives.state_change(at(1.0), at(-1.0)) / (2 * _STEP)
     shared = count - _FIRST  # passed on

@@ -6,11 +6,11 @@ roll-outs whose latents are steered by feedback. Gradients are exact and of ever
 minima are those of ``stages.stage_3``.
 
 There may be a second start: after some rounds, with slopes at few frames until then, the lower one goes on. Later
-rounds search several valleys at once, of which each component of the initial-state mixture makes one (``valleys``),
+rounds search several modes at once, of which each component of the initial-state mixture makes one (``mixture_modes``),
 each in its own coordinates: a closure of four roll-outs takes about twice as long as one of one, not four times. They
-may be a race, of which after some closures the lowest alone goes on.
+may be cut short (``halving_after``): after some closures the lowest alone goes on.
 
-Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop); for the valleys none: HuMoR (Rempe et al. 2021)
+Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop); for the modes none: HuMoR (Rempe et al. 2021)
 has the mixture, and its optimiser stays where stage 2 puts it.
 Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift apart. Not multiple shooting: the states
 are no unknowns of their own, and the search begins at a roll-out (``start.start_stage_3``).
@@ -27,49 +27,52 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import NotConverged, ShapeError
-from motionlab.humor.shooting.coordinates import Loop, linearised, mixed_features, opened
+from motionlab.humor.shooting.coordinates import Whitening, linearised, mixed_features, unwhiten
 from motionlab.humor.shooting.gauss_newton import factorised
 from motionlab.humor.stages import Problem, interrupted, rolled_terms
 from motionlab.humor.unknowns import Unknowns
 from motionlab.optimise import BatchFit, minimise_batch
 
 _LEAST_STEP = 0.05  # of what a round must gain
-_RIDGE = 1e-4  # of the matrix that valleys share
+_RIDGE = 1e-4  # of the matrix that modes share
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much work.
+    """How much work the feedback solver does.
 
     rounds: linearisations at most. closures: of L-BFGS after each. tolerance: a clip is done when a round gains less
-    than this share of its energy's size, or less energy per frame than ``least``; and a round when a step, and then one
-    down the gradient, gain less than a twentieth of that share. stride: frames between those at which the networks are
-    differentiated. leaps: components of the first state's mixture whose valleys a clip tries in a round (``valleys``),
-    if they promise more. race: where a clip leaps, closures after which only the lowest search of each clip goes on;
-    where that is the one that stayed, the clip leaps no more. 0: all go on, in every round. trial: rounds that a second
-    start goes along, before the first leaps; with 0 it is not used. coarse: the least stride of these rounds. second:
-    False: no second start; the rounds of the trial remain. ridge: added to the matrix of z; damped: instead of it in
-    the first rounds, where the matrix is too sure of itself.
+    than this share of its energy's size, or less energy per frame than ``min_gain``; and a round when a step, and then
+    one down the gradient, gain less than a twentieth of that share. stride: frames between those at which the networks
+    are differentiated. mode_jumps: components of the first state's mixture whose modes a clip tries in a round
+    (``mixture_modes``), if they promise more. halving_after: where a clip jumps, closures after which only the lowest
+    search of each clip goes on; where that is the one that stayed, the clip jumps no more. 0: all go on, in every
+    round. trial_rounds: that a second start goes along, before the first jumps; with 0 it is not used. trial_stride:
+    the least stride of these. two_starts: False: no second start; the trial rounds remain. ridge: added to the matrix
+    of z; damping: instead of it in the first rounds, where the matrix is too sure of itself.
     """
 
     rounds: int = 25
     closures: int = 30
     tolerance: float = 1e-3
     stride: int = 1
-    leaps: int = 3
-    trial: int = 2
-    coarse: int = 4
+    mode_jumps: int = 3
+    trial_rounds: int = 2
+    trial_stride: int = 4
     ridge: float = 1e-6
-    damped: tuple[float, ...] = ()
-    least: float = 0.0
-    race: int = 0
-    second: bool = True
+    damping: tuple[float, ...] = ()
+    min_gain: float = 0.0
+    halving_after: int = 0
+    two_starts: bool = True
 
     def __post_init__(self) -> None:
-        if min(self.rounds, self.closures, self.stride, self.coarse) < 1 or min(self.leaps, self.trial) < 0:
-            raise ValueError(f"rounds, closures, strides: expected 1 or more, leaps, trial: 0 or more, got {self}")
-        if self.race and not 0 < self.race < self.closures - 1:
-            raise ValueError(f"race: expected closures and two more to be left after it, got {self}")
+        if (
+            min(self.rounds, self.closures, self.stride, self.trial_stride, self.mode_jumps + 1, self.trial_rounds + 1)
+            < 1
+        ):
+            raise ValueError(f"rounds, closures, strides: expected 1 or more, jumps, trial: 0 or more, got {self}")
+        if self.halving_after and not 0 < self.halving_after < self.closures - 1:
+            raise ValueError(f"halving_after: expected closures and two more to be left after it, got {self}")
 
 
 def solve(
@@ -77,14 +80,14 @@ def solve(
     unknown: Unknowns,
     plan: Plan | None = None,
     *,
-    rival: Unknowns | None = None,
-    linearise: Callable[..., Loop] = linearised,
+    second_start: Unknowns | None = None,
+    linearise: Callable[..., Whitening] = linearised,
     note: Callable[[str], None] = lambda what: None,
     progress: bool | str = False,
 ) -> tuple[Unknowns, list[BatchFit]]:
     """Lowers stage 3's energy from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
 
-    rival: a second start of the same recordings; after the plan's trial the lower one of each goes on. linearise: where
+    second_start: of the same recordings; after the plan's trial rounds the lower one of each goes on. linearise: where
     the coordinates come from, called as ``coordinates.linearised``; another for ablations. note: called with
     "linearised" when the searches of a round begin, and with "energies" whenever energies are known.
 
@@ -98,29 +101,29 @@ def solve(
         raise ShapeError(f"z: expected one window per recording, got {unknown.z.shape[1]}")
     plan, clips = plan or Plan(), len(unknown.z)
     unknown = unknown.map(lambda x: x.detach().clone())
-    trial = 0 if rival is None and plan.second else plan.trial
-    if rival is not None:
-        both = _beside(unknown, rival)
-        unknown = both if trial and plan.second else unknown
+    trial = 0 if second_start is None and plan.two_starts else plan.trial_rounds
+    if second_start is not None:
+        both = _with_second_start(unknown, second_start)
+        unknown = both if trial and plan.two_starts else unknown
     mark, fits = time.perf_counter(), []
     energy = unknown.betas.new_full((len(unknown.betas),), float("inf"))
     live = torch.arange(len(energy), device=energy.device)
     if len(energy) > clips:  # a second start that is the first is none
         other = [(x != x[live % clips]).flatten(1).any(1) for x in unknown.named().values()]
         live = live[torch.stack(other).any(0) | (live < clips)]
-    leaping = torch.ones_like(energy, dtype=torch.bool)
+    jumping = torch.ones_like(energy, dtype=torch.bool)
     for count in range(plan.rounds):
         if count == trial:
-            live = live[torch.isin(live, _lower(energy, clips))]
+            live = live[torch.isin(live, _lowest_rows(energy, clips))]
         if not len(live):
             break
-        now = plan if count >= trial else replace(plan, leaps=0, stride=max(plan.stride, plan.coarse))
-        now = replace(now, ridge=(*plan.damped, plan.ridge)[min(count, len(plan.damped))])
+        now = plan if count >= trial else replace(plan, mode_jumps=0, stride=max(plan.stride, plan.trial_stride))
+        now = replace(now, ridge=(*plan.damping, plan.ridge)[min(count, len(plan.damping))])
         here, name = unknown.rows(live), progress and f"{progress}, round {count + 1} of at most {plan.rounds}"
         try:
             size = energy[live].abs().nan_to_num(posinf=0.0)  # 0: not known yet
-            found, fit, leaping[live] = _round(
-                problem.rows(live % clips), here, size, leaping[live], now, linearise, note, name
+            found, fit, jumping[live] = _round(
+                problem.rows(live % clips), here, size, jumping[live], now, linearise, note, name
             )
         except (KeyboardInterrupt, NotConverged) as ended:
             if not fits:
@@ -133,27 +136,27 @@ def solve(
         for kept, new in zip(unknown.named().values(), found.named().values(), strict=True):
             kept[live[better]] = new[better]
         energy[live[better]] = fit.energy[better]
-        whole = _widened(fit, live, energy, time.perf_counter() - mark)
+        whole = _report_of_all(fit, live, energy, time.perf_counter() - mark)
         fits.append(_of_clips(whole, torch.arange(len(energy), device=energy.device) % clips)[1])
         done = plan.tolerance * energy[live].abs()
-        gained = gain > (done.clamp(min=plan.least * (unknown.z.shape[2] + 1)) if plan.least else done)
+        gained = gain > (done.clamp(min=plan.min_gain * (unknown.z.shape[2] + 1)) if plan.min_gain else done)
         mark, live = time.perf_counter(), live[gained] if count >= trial else live
         if interrupted(fit):
             break
-    return unknown.rows(_lower(energy, clips)), fits
+    return unknown.rows(_lowest_rows(energy, clips)), fits
 
 
-def _beside(unknown: Unknowns, rival: Unknowns) -> Unknowns:
+def _with_second_start(unknown: Unknowns, second_start: Unknowns) -> Unknowns:
     """Two starts of G clips as 2 G rows."""
-    ours, theirs = unknown.named(), rival.named()
+    ours, theirs = unknown.named(), second_start.named()
     for name, x in ours.items():
         got = tuple(theirs[name].shape) if name in theirs else None
         if got != tuple(x.shape):
-            raise ShapeError(f"rival {name}: expected shape {tuple(x.shape)}, got {got}")
+            raise ShapeError(f"second start {name}: expected shape {tuple(x.shape)}, got {got}")
     return Unknowns(**{name: torch.cat((x, theirs[name].detach())) for name, x in ours.items()})
 
 
-def _lower(energy: Tensor, clips: int) -> Tensor:
+def _lowest_rows(energy: Tensor, clips: int) -> Tensor:
     """Of each clip the row (G,) with the lower energy, the former where there is none."""
     return energy.unflatten(0, (-1, clips)).argmin(0) * clips + torch.arange(clips, device=energy.device)
 
@@ -162,49 +165,50 @@ def _round(
     problem: Problem,
     unknown: Unknowns,
     size: Tensor,
-    leaping: Tensor,
+    jumping: Tensor,
     plan: Plan,
-    linearise: Callable[..., Loop],
+    linearise: Callable[..., Whitening],
     note: Callable[[str], None],
     progress: bool | str,
 ) -> tuple[Unknowns, BatchFit, Tensor]:
-    """One linearisation and the searches around it: from where a clip is, and from where it may leap to.
+    """One linearisation and the searches around it: from where a clip is, and from where it may jump to.
 
-    size (B,): of each clip's energy. leaping: bool (B,), clips that may leap; returned anew.
+    size (B,): of each clip's energy. jumping: bool (B,), clips that may jump; returned anew.
     """
     clips = len(size)
-    loop = linearise(problem, unknown, ridge=plan.ridge, stride=plan.stride)
-    who, shaper, first = _starts(problem, unknown, loop, plan.leaps if leaping.any() else 0, plan.tolerance)
-    if not leaping.all():
-        may = leaping[who]
+    white = linearise(problem, unknown, ridge=plan.ridge, stride=plan.stride)
+    who, whitener, first = _starts(problem, unknown, white, plan.mode_jumps if jumping.any() else 0, plan.tolerance)
+    if not jumping.all():
+        may = jumping[who]
         may[:clips] = True
-        who, shaper, first = who[may], shaper[may], first[may]
+        who, whitener, first = who[may], whitener[may], first[may]
     note("linearised")
     how, enough = {"note": note, "progress": progress}, _LEAST_STEP * plan.tolerance * size
-    race = plan.race if len(who) > clips else 0
-    rows, fit = searched(problem, unknown, loop, who, shaper, first, race or plan.closures, enough=enough[who], **how)
+    race = plan.halving_after if len(who) > clips else 0
+    args = who, whitener, first, race or plan.closures
+    rows, fit = minimise_from(problem, unknown, white, *args, enough=enough[who], **how)
     found = fit.variables
     best, fit = _of_clips(fit, who)
     rows = rows.rows(best)
     if not race or interrupted(fit):
-        return rows, fit, leaping
+        return rows, fit, jumping
     how |= {"nu": found["nu"][best], "enough": enough}
     try:
-        args = who[best], shaper[best], found["first"][best], plan.closures - race
-        rows, more = searched(problem, unknown, loop, *args, **how)
+        args = who[best], whitener[best], found["first"][best], plan.closures - race
+        rows, more = minimise_from(problem, unknown, white, *args, **how)
     except KeyboardInterrupt:  # before its first energy
-        return rows, replace(fit, reasons=["interrupted"] * clips), leaping
+        return rows, replace(fit, reasons=["interrupted"] * clips), jumping
     tried = torch.isin(torch.arange(clips, device=who.device), who[clips:])
     whole = replace(more, history=torch.cat((fit.history, more.history)))
-    return rows, whole, leaping & ((best >= clips) | ~tried)
+    return rows, whole, jumping & ((best >= clips) | ~tried)
 
 
-def searched(
+def minimise_from(
     problem: Problem,
     unknown: Unknowns,
-    loop: Loop,
+    white: Whitening,
     who: Tensor,
-    shaper: Tensor,
+    whitener: Tensor,
     first: Tensor,
     closures: int,
     *,
@@ -214,19 +218,19 @@ def searched(
     progress: bool | str = False,
 ) -> tuple[Unknowns, BatchFit]:
     """Minimises the energy from R starts around one linearisation; row r belongs to clip who[r] and starts at first (R,
-    f), in coordinates of its own: shaper (R, f, f) in place of ``Loop.first``.
+    f), in coordinates of its own: shaper (R, f, f) in place of ``Whitening.first``.
 
     nu: where its latents start, (R, T - 1, 48); default 0. enough: a row is done when a step, and then one down the
     gradient, gain no more than this, (R,) or one number. note: as of :func:`solve`.
     """
     some, here = problem.rows(who), unknown.rows(who)
-    around = loop.rows(who)._replace(first=shaper)
+    around = white.rows(who)._replace(first=whitener)
 
     def energy(new: Mapping[str, Tensor], rows: Tensor) -> Tensor:
         these, at, near = some, here, around
         if len(rows) < len(who):  # gains are large: no copies while all run
             these, at, near = some.rows(rows), here.rows(rows), around.rows(rows)
-        at, rolled = opened(these, at, near, new)
+        at, rolled = unwhiten(these, at, near, new)
         found = sum(rolled_terms(these, at, rolled).values())
         note("energies")
         return found
@@ -236,7 +240,7 @@ def searched(
     how = {"steps": 1, "inner": closures, "max_closures": closures, "tolerance_change": enough}
     fit = minimise_batch(energy, start, rows=True, unit=True, progress=progress, **how)
     with torch.no_grad():
-        at, rolled = opened(some, here, around, fit.variables)
+        at, rolled = unwhiten(some, here, around, fit.variables)
     return replace(at, z=rolled.rollout.z[:, None]), fit
 
 
@@ -253,7 +257,7 @@ def _of_clips(fit: BatchFit, who: Tensor) -> tuple[Tensor, BatchFit]:
     return best, BatchFit({}, fit.energy[best], history, fit.seconds, reasons)
 
 
-def _widened(fit: BatchFit, live: Tensor, energy: Tensor, seconds: float) -> BatchFit:
+def _report_of_all(fit: BatchFit, live: Tensor, energy: Tensor, seconds: float) -> BatchFit:
     """The report of some clips as one of all: the others stay at their energy."""
     history = energy.expand(len(fit.history), -1).index_copy(1, live, fit.history)
     reasons = ["no decrease"] * len(energy)
@@ -262,7 +266,7 @@ def _widened(fit: BatchFit, live: Tensor, energy: Tensor, seconds: float) -> Bat
     return BatchFit({}, energy.clone(), history, seconds, reasons)
 
 
-# ------------------------------------------------------------------------------------------------- valleys
+# ------------------------------------------------------------------------------------------------- mixture modes
 # Where the mixture says that one of its components made the first state, a search stays with that component: on the way
 # to another the density is next to nothing. All other terms are, around a roll-out, nearly quadratic in the change d of
 # the first state and of what is shared, while nu = 0 and later latents give way. So the least of the energy with
@@ -270,35 +274,37 @@ def _widened(fit: BatchFit, live: Tensor, energy: Tensor, seconds: float) -> Bat
 #
 #     E_k = min_d  g d + 1/2 d H d + w (1/2 |W_k (f + F d - m_k)|^2 - c_k),
 #
-# is a linear system, and how deep its valley is is known, nearly, before it is entered; its matrix gives a leap the
-# coordinates to search in. g: gradient of all terms but the mixture's. H: their matrix (``Loop.rest``). f, F: the first
-# state's features and how they move. W_k, m_k, c_k: whitener, mean and constant of the component; w: its weight.
+# is a linear system, and how deep the mode is is known, nearly, before it is entered; its matrix gives a jump the
+# coordinates to search in. g: gradient of all terms but the mixture's. H: their matrix (``Whitening.rest``). f, F: the
+# first state's features and how they move. W_k, m_k, c_k: whitener, mean and constant of the component; w: its weight.
 
 
-def _starts(problem: Problem, unknown: Unknowns, loop: Loop, most: int, share: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Computes where searches begin: R rows, first those of all clips where they are, then leaps.
+def _starts(
+    problem: Problem, unknown: Unknowns, white: Whitening, most: int, share: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Computes where searches begin: R rows, first those of all clips where they are, then jumps.
 
-    most: leaps of a clip; only to where the energy should be lower than now by more than ``share`` of its size, the
-    valley of its own component included.
+    most: jumps of a clip; only to where the energy should be lower than now by more than ``share`` of its size, the
+    mode of its own component included.
 
     Returns:
         whose each row is (R,), its shaper (R, f, f) of the first state and what is shared, and where it begins in these
-        coordinates (R, f). Rows that stay have ``Loop.first``; those of leaps make the matrix of their valley 1.
+        coordinates (R, f). Rows that stay have ``Whitening.first``; those of jumps make the matrix of their mode 1.
     """
-    clips, size = loop.first.shape[:2]
-    stay, here = torch.arange(clips, device=loop.first.device), loop.first.new_zeros(clips, size)
+    clips, size = white.first.shape[:2]
+    stay, here = torch.arange(clips, device=white.first.device), white.first.new_zeros(clips, size)
     if not most or not _weight(problem, unknown):
-        return stay, loop.first, here
-    found = valleys(problem, unknown, loop)
+        return stay, white.first, here
+    found = mixture_modes(problem, unknown, white)
     gain, which = found.deepest(most)
     who, k = (gain > share * found.energy.abs()[:, None]).nonzero().unbind(1)
-    shaper, begin = entered(loop, found, who, which[who, k])
-    return torch.cat((stay, who)), torch.cat((loop.first, shaper)), torch.cat((here, begin))
+    whitener, begin = in_mode(white, found, who, which[who, k])
+    return torch.cat((stay, who)), torch.cat((white.first, whitener)), torch.cat((here, begin))
 
 
-class Valleys(NamedTuple):
+class MixtureModes(NamedTuple):
     """For each mixture component of the first state, how much lower the energy should be there: energy (B,) now, gain
-    (B, K), where that is (B, K, f), and its matrix (B, K, f, f), both in the coordinates of ``Loop.first``."""
+    (B, K), where that is (B, K, f), and its matrix (B, K, f, f), both in the coordinates of ``Whitening.first``."""
 
     energy: Tensor
     gain: Tensor
@@ -310,35 +316,35 @@ class Valleys(NamedTuple):
         return self.gain.topk(min(most, self.gain.shape[1]), 1)
 
 
-def entered(loop: Loop, found: Valleys, who: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:
-    """Computes shapers (R, f, f) and beginnings (R, f) of searches in valleys: component which (R,) of clip who (R,).
+def in_mode(white: Whitening, found: MixtureModes, who: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:
+    """Computes shapers (R, f, f) and beginnings (R, f) of searches in modes: component which (R,) of clip who (R,).
 
     Components differ in width by orders of magnitude: in the coordinates of another a step of Newton's misses by as
-    much, and the search leaves the valley again.
+    much, and the search leaves the mode again.
     """
     factor = factorised(found.matrix[who, which])
-    shaper = torch.linalg.solve_triangular(factor.mT, loop.first[who].to(factor), upper=True, left=False)
+    whitener = torch.linalg.solve_triangular(factor.mT, white.first[who].to(factor), upper=True, left=False)
     begin = (factor.mT @ found.where[who, which, :, None])[..., 0]
-    return shaper.to(loop.first), begin.to(loop.first)
+    return whitener.to(white.first), begin.to(white.first)
 
 
-def valleys(problem: Problem, unknown: Unknowns, loop: Loop) -> Valleys:
+def mixture_modes(problem: Problem, unknown: Unknowns, white: Whitening) -> MixtureModes:
     """Computes, for each mixture component of the first state, how much lower the energy should be there.
 
-    Where rounding left no valley the point is a saddle, and a search from there a waste.
+    Where rounding left no mode the point is a saddle, and a search from there a waste.
     """
-    clips, size = loop.first.shape[:2]
+    clips, size = white.first.shape[:2]
     weight, gmm = _weight(problem, unknown), problem.priors.initial
-    new = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": loop.first.new_zeros(clips, size).requires_grad_()}
+    new = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": white.first.new_zeros(clips, size).requires_grad_()}
     with torch.enable_grad():
-        terms = rolled_terms(problem, *opened(problem, unknown, loop, new))
+        terms = rolled_terms(problem, *unwhiten(problem, unknown, white, new))
         whole = sum(terms.values())
         rest = whole - terms.get("init_motion_prior", 0.0)
         g = torch.autograd.grad(rest.sum(), new["first"])[0].double()
     with torch.no_grad():
         f = mixed_features(problem, unknown)
-        off, way, constant = gmm.whitened(f, loop.features)
-        h = loop.rest.double() + _RIDGE * torch.eye(size, dtype=torch.float64, device=g.device)
+        off, way, constant = gmm.whitened(f, white.features)
+        h = white.rest.double() + _RIDGE * torch.eye(size, dtype=torch.float64, device=g.device)
         matrix = h[:, None] + weight * way.mT @ way
         toward = -g[:, None] - weight * (way.mT @ off[..., None])[..., 0]
         d = torch.linalg.solve_ex(matrix, toward[..., None])[0][..., 0]
@@ -346,7 +352,7 @@ def valleys(problem: Problem, unknown: Unknowns, loop: Loop) -> Valleys:
         least = change + weight * (0.5 * (off + (way @ d[..., None])[..., 0]).square().sum(-1) - constant)
         now = -weight * gmm.log_prob(f).double()
     gain = (now[:, None] - least).nan_to_num(nan=-torch.inf)
-    return Valleys(whole.detach(), gain.to(whole), d, matrix)
+    return MixtureModes(whole.detach(), gain.to(whole), d, matrix)
 
 
 def _weight(problem: Problem, unknown: Unknowns) -> float:

@@ -193,7 +193,7 @@ class Sweep(NamedTuple):
     """gains K (B, T - 1, Z, n), shapers L^-T (B, T - 1, Z, Z) and what the first change costs, P_0 (B, n, n)."""
 
     gains: Tensor
-    shapers: Tensor
+    whiteners: Tensor
     first: Tensor
 
 
@@ -206,7 +206,7 @@ def riccati_sweep(of_frame: Tensor, a: Tensor, b: Tensor, of_pair: Tensor, ridge
     n, size = b.shape[-2:]
     both = torch.cat((a, b), -1)
     cost = of_frame[:, -1]
-    gains, shapers = [], []
+    gains, whiteners = [], []
     eye = torch.eye(size, dtype=b.dtype, device=b.device)
     for t in reversed(range(b.shape[1])):
         step = both[:, t]
@@ -217,10 +217,10 @@ def riccati_sweep(of_frame: Tensor, a: Tensor, b: Tensor, of_pair: Tensor, ridge
         )
         half, inverse = back.split((n, size), -1)  # L^-1 Q_zy, L^-1
         gains.append(-inverse.mT @ half)
-        shapers.append(inverse.mT)
+        whiteners.append(inverse.mT)
         cost = q[:, :n, :n] - half.mT @ half + of_frame[:, t]
         cost = (cost + cost.mT) / 2
-    return Sweep(torch.stack(gains[::-1], 1), torch.stack(shapers[::-1], 1), cost)
+    return Sweep(torch.stack(gains[::-1], 1), torch.stack(whiteners[::-1], 1), cost)
 
 
 def factorised(h: Tensor) -> Tensor:

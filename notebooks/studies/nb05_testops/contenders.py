@@ -47,7 +47,7 @@ class Smoother:
     def __call__(self, observation: Observation3D, rest: Tensor) -> Tensor:
         """Positions (B, T, 22, 3), metres. rest (22, 3): the mean pose, root at the origin."""
         seen = evidence(observation)
-        trans, turn = starts.filled(*starts.start_3d(seen, rest), seen.fps)
+        trans, turn = starts.interpolate_unseen(*starts.start_3d(seen, rest), seen.fps)
         placed = rest @ turn.mT + trans[..., None, :]
         offset = _interpolated(seen.values - placed, seen.weight > 0)
         whole = (placed + offset).flatten(-2)

@@ -91,7 +91,7 @@ def lost_file(scene: Scene, frame: int) -> Scene:
 # ------------------------------------------------------------------------------------------------ fits
 def tiny() -> Schedule:
     """Returns a search of next to no steps, for the smoke profile."""
-    plan = Plan(rounds=1, closures=3, trial=1)
+    plan = Plan(rounds=1, closures=3, trial_rounds=1)
     return Schedule(steps=(1, 1, 2), inner=3, refine=(1, 1), shooting=plan)
 
 

@@ -25,14 +25,14 @@ class Nudged(NamedTuple):
 def nudged(task: Task, unknown: Unknowns, number: int, sigmas: float) -> Nudged:
     """Adds so many of the prior's standard deviations to all of z_number of one clip, in random directions, and rolls
     out with the other latents held (open loop) or answering (closed loop)."""
-    loop = coordinates.linearised(task.problem, unknown, stride=4)
+    white = coordinates.linearised(task.problem, unknown, stride=4)
     with torch.no_grad():
         first, z = unknowns.first_state(unknown, task.problem.priors), unknown.z[:, 0]
         plain, _ = steered_rollout(task.problem.priors.motion, first, z)
         push = torch.zeros_like(z)
         sign = torch.randn(z.shape[-1], generator=torch.Generator().manual_seed(number)).sign()
         push[0, number - 1] = sigmas * sign * (0.5 * plain.prior.log_var[0, number - 1]).exp()
-        ways = {"open loop": (z + push, None), "closed loop": (loop.base + push, loop.gains)}
+        ways = {"open loop": (z + push, None), "closed loop": (white.base + push, white.gains)}
         rolled = {way: steered_rollout(task.problem.priors.motion, first, *how)[0] for way, how in ways.items()}
         bodies = {
             way: unknowns.motion_of(unknowns.rolled_from(first, r, unknown, task.problem.evidence).body, 30.0).clip(0)

@@ -57,14 +57,15 @@ def compared(task: Task, schedule: Schedule) -> dict[str, object]:
     """Energies and errors (cm) of all clips by both, each by its own form's roll-out, and seconds of one core."""
     began = clock()
     unknown, closures = in_full(task, schedule)
-    spent, problem = clock() - began, replace(task.problem, mode="official", form=official_unknowns.FAITHFUL)
+    spent, problem = clock() - began, replace(task.problem, mode="official", parametrisation=official_unknowns.FAITHFUL)
     with torch.no_grad():
         end = sum(stages.motion_terms(problem, unknown).values())
-        body = problem.form.roll(unknown, problem.priors, problem.evidence).body
+        body = problem.parametrisation.roll(unknown, problem.priors, problem.evidence).body
     error = task.error(unknowns.motion_of(body, task.truth.fps))
     theirs = _row(end, error, closures=closures, seconds=round(spent, 1))
     began, plan = clock(), feedback_solver.Plan()
-    found, _ = feedback_solver.solve(task.problem, task.unknown, plan, rival=task.begun(starts.EAGER).unknown)
+    second = task.begun(starts.DAMPING_ROLLOUT).unknown
+    found, _ = feedback_solver.solve(task.problem, task.unknown, plan, second_start=second)
     spent = round(clock() - began, 1)
     ours = _row(task.energy(found), task.error(task.motion(found)), seconds=spent, plan=asdict(plan))
     start = _row(task.energy(task.unknown), task.error(task.rough))
@@ -77,8 +78,11 @@ def _row(energy: Tensor, error: Tensor, **more: object) -> dict[str, object]:
 
 def in_full(task: Task, schedule: Schedule) -> tuple[Unknowns, int]:
     """The unknowns that the faithful form's stage 3 ends with, after all of its sub-stages, and how many closures."""
-    problem, frames = replace(task.problem, mode="official", form=official_unknowns.FAITHFUL), task.truth.frames
-    how = (problem.evidence.trust, problem.priors, (0,), frames, "official")
+    problem, frames = (
+        replace(task.problem, mode="official", parametrisation=official_unknowns.FAITHFUL),
+        task.truth.frames,
+    )
+    how = (problem.evidence.confidence_per_joint, problem.priors, (0,), frames, "official")
     unknown, factors = starts.start_stage_3(task.rough, task.latent, task.unknown.shared(), *how)
     work = {name: getattr(schedule, name) for name in ("short", "refine", "inner", "tolerance")}
     unknown, fits = stages.stage_3(problem, unknown, factors, steps=schedule.steps[2], **work)

@@ -18,29 +18,29 @@ from studies.shared.profiling import interleaved
 
 def costs(task: Task, unknown: Unknowns, rounds: int) -> dict[str, Tensor]:
     """Processor seconds (rounds,) of what a search is made of, measured in turns around unknowns."""
-    loop, model = coordinates.linearised(task.problem, unknown, stride=4), task.problem.priors.motion
-    first, base = unknowns.first_state(unknown, task.problem.priors).detach(), loop.base.clone().requires_grad_()
-    new = {"nu": torch.zeros_like(loop.base), "first": torch.zeros_like(loop.first[..., 0])}
+    white, model = coordinates.linearised(task.problem, unknown, stride=4), task.problem.priors.motion
+    first, base = unknowns.first_state(unknown, task.problem.priors).detach(), white.base.clone().requires_grad_()
+    new = {"nu": torch.zeros_like(white.base), "first": torch.zeros_like(white.first[..., 0])}
     new = {name: x.requires_grad_() for name, x in new.items()}
 
     def closure() -> None:
-        terms = stages.rolled_terms(task.problem, *coordinates.opened(task.problem, unknown, loop, new))
+        terms = stages.rolled_terms(task.problem, *coordinates.unwhiten(task.problem, unknown, white, new))
         torch.autograd.grad(sum(terms.values()).sum(), tuple(new.values()))
 
     def chain() -> None:
-        torch.autograd.grad(steered_rollout(model, first, base, loop.gains)[0].states.sum(), base)
+        torch.autograd.grad(steered_rollout(model, first, base, white.gains)[0].states.sum(), base)
 
     calls = {"closure": closure, "of it: chain of steps": chain}
     calls["linearisation"] = lambda: coordinates.linearised(task.problem, unknown, stride=4)
-    calls["start that follows stage 2"] = lambda: task.begun(starts.CALM)
+    calls["start that follows stage 2"] = lambda: task.begun(starts.DAMPING_SHOOTING)
     return interleaved(calls, n=rounds, clock=clock)
 
 
 def from_truth(task: Task, work: Schedule) -> Run:
     """Our search with few rounds and no leaps, begun at the true motion: what a perfect start network would leave."""
-    trust = torch.ones_like(task.problem.evidence.trust)
+    trust = torch.ones_like(task.problem.evidence.confidence_per_joint)
     start = task.posed_as(task.truth, trust).unknown
-    plan = replace(work.shooting, rounds=3, closures=12, leaps=0, race=0, tolerance=0.0, least=0.0)
+    plan = replace(work.shooting, rounds=3, closures=12, mode_jumps=0, halving_after=0, tolerance=0.0, min_gain=0.0)
     return shooting(task, replace(work, shooting=plan, guesses=False), start)
 
 

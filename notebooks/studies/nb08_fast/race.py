@@ -30,7 +30,7 @@ LEVEL = 0.05
 WAYS = {
     "product": {
         "as in fits": Single(),
-        "20 pairs of L-BFGS, calm start, no sub-stages": Single((0, 0, 720), memory=20, eager=starts.CALM),
+        "20 pairs of L-BFGS, calm start, no sub-stages": Single((0, 0, 720), memory=20, eager=starts.DAMPING_SHOOTING),
     },
     "smoke": {"as in fits": Single((2, 2, 4)), "no sub-stages": Single((0, 0, 4))},
 }

@@ -62,7 +62,7 @@ class Task:
 
     def begun(self, eager: float, trust: Tensor | None = None) -> Task:
         """The same at another start (``start.start_stage_3``), joints believed as the evidence has them or as told."""
-        trust = self.problem.evidence.trust if trust is None else trust
+        trust = self.problem.evidence.confidence_per_joint if trust is None else trust
         how = (trust, self.problem.priors, (0,), self.truth.frames, "lean", self.problem.weights.pull, eager)
         start, factors = starts.start_stage_3(self.rough, self.latent, self.unknown.shared(), *how)
         return replace(self, unknown=start.detached(), factors=factors)
@@ -71,7 +71,7 @@ class Task:
         """The same at the calm start that follows another motion (B, T) than stage 2's."""
         with torch.no_grad():
             latent = self.problem.priors.pose.encode(motion.rot[:, :, 1:]).mean
-        return replace(self, rough=motion, latent=latent).begun(starts.CALM, trust)
+        return replace(self, rough=motion, latent=latent).begun(starts.DAMPING_SHOOTING, trust)
 
     def energy(self, unknown: Unknowns) -> Tensor:
         """Stage 3's energy (B,) of unknowns, by a roll-out of their z."""
@@ -119,7 +119,8 @@ def prepare(
     unknown = unknown.detached()
     seen = torch.ones(truth.positions.shape[:-1], dtype=torch.bool) if seen is None else seen
     spent = clock() - began
-    return Task(name, problem, unknown, None, unknown.latent[:, 0], truth, rough, seen, spent).begun(starts.CALM)
+    task = Task(name, problem, unknown, None, unknown.latent[:, 0], truth, rough, seen, spent)
+    return task.begun(starts.DAMPING_SHOOTING)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +188,7 @@ class Single:
     iterations: tuple[int, int, int] = (20, 40, 660)
     memory: int = 100
     tolerance: float = 1e-5
-    eager: float = starts.EAGER
+    eager: float = starts.DAMPING_ROLLOUT
 
 
 def single_shooting(task: Task, how: Single | None = None) -> Run:
@@ -208,7 +209,7 @@ def single_shooting(task: Task, how: Single | None = None) -> Run:
 
 def _descended(task: Task, unknown: Unknowns, moving, inner, how: Single, log: Log, what: dict) -> Unknowns:
     """One part of single shooting; notes the whole energy wherever the part sees all frames."""
-    new, old = stages.rounded_motion(unknown, moving, task.factors)
+    new, old = stages.preconditioned_motion(unknown, moving, task.factors)
     short = {"grown": False} if "grown" in what else {}
 
     def energy(at: dict[str, Tensor], rows: Tensor) -> Tensor:
@@ -231,22 +232,22 @@ def _descended(task: Task, unknown: Unknowns, moving, inner, how: Single, log: L
 def shooting(task: Task, work: Schedule = FULL_WORK, start: Unknowns | None = None) -> Run:
     """Stage 3 of one clip as the product does it (``testops.fit``, solver "shooting"), or from another start."""
     began, plan, rival = clock(), work.shooting, None
-    start = start or task.begun(starts.CALM).unknown
+    start = start or task.begun(starts.DAMPING_SHOOTING).unknown
     if work.guesses and task.problem.evidence.hides_feet.any():
-        plan = replace(plan, second=True, trial=max(plan.trial, testops._WEIGHED))
+        plan = replace(plan, two_starts=True, trial_rounds=max(plan.trial_rounds, testops._WEIGHED))
         rival = _seated(task)
     kept, noted = [], {"begins": [], "linearised": [], "energies": []}
 
     def note(what: str) -> None:
         noted[what].append(clock() - began)
 
-    def linearise(problem: Problem, unknown: Unknowns, **how) -> coordinates.Loop:
+    def linearise(problem: Problem, unknown: Unknowns, **how) -> coordinates.Whitening:
         kept.append((clock() - began, unknown.map(lambda x: x.detach().clone())))
         note("begins")
         return coordinates.linearised(problem, unknown, **how)
 
     ready = clock() - began
-    found, fits = feedback_solver.solve(task.problem, start, plan, rival=rival, linearise=linearise, note=note)
+    found, fits = feedback_solver.solve(task.problem, start, plan, second_start=rival, linearise=linearise, note=note)
     kept.append((clock() - began, found.detached()))
     spent = clock() - began
     energies = torch.cat([fit.history for fit in fits]).nan_to_num(torch.inf).amin(1).cummin(0).values
@@ -259,7 +260,7 @@ def shooting(task: Task, work: Schedule = FULL_WORK, start: Unknowns | None = No
 
 def _seated(task: Task) -> Unknowns:
     """The product's second start, where no foot is seen: somebody who sits where stage 2 is."""
-    trust = task.problem.evidence.trust.clone()
+    trust = task.problem.evidence.confidence_per_joint.clone()
     trust[..., starts.SITTING_LEGS] = 1.0
     return task.posed_as(starts.seated(task.rough), trust).unknown
 

@@ -79,7 +79,7 @@ def opened(
         true, own = (about_pelvis(m) for m in (scene.truth.clip(index), draws.fit))
         shown = (own - true).norm(dim=-1)[draws.limbs & ~draws.hidden].mean()
         drawn = dict(zip(TEMPERATURES, places, strict=True))
-        how = {"seen": shown.item(), "doubtful": bool(draws.doubts)}
+        how = {"seen": shown.item(), "doubtful": bool(draws.diagnostics)}
         found.append(Clip(person, true[draws.hidden], own[draws.hidden], drawn, **how))
     return found
 

@@ -17,7 +17,7 @@ from motionlab.humor import state
 from motionlab.humor.evidence import Evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import Rollout
-from motionlab.humor.unknowns import Form, Posed, Rolled, Unknowns
+from motionlab.humor.unknowns import Parametrisation, Posed, Rolled, Unknowns
 from studies.official import rollout as official_rollout
 from studies.official.body import body_joints_by_lbs, first_joints_by_lbs
 from studies.official.rotation import matrix_to_axis_angle, pose_from_axis_angle
@@ -79,4 +79,4 @@ def roll(unknown: Unknowns, priors: Priors, evidence: Evidence) -> Rolled:
 
 
 #: For ``testops.fit`` in official mode: what the official code does, at its price.
-FAITHFUL = Form(pose, roll)
+FAITHFUL = Parametrisation(pose, roll)

@@ -23,17 +23,17 @@ def work():
 def test_surprise_and_misfit_are_what_they_say(work):
     """Against sums over frames; and one for latents drawn from the prior."""
     problem, unknown = work.problem, work.moving.detached()
-    says = testops.doubts(problem, unknown)
+    says = testops.diagnostics(problem, unknown)
     rolled = unknowns.roll(unknown, problem.priors, problem.evidence)
     prior, z = rolled.rollout.prior, rolled.rollout.z
     for b in range(2):
         scores = [(z[b, t] - prior.mean[b, t]) / prior.log_var[b, t].exp().sqrt() for t in range(z.shape[1])]
-        assert says.surprise[b].item() == pytest.approx(torch.stack(scores).square().mean().item(), rel=1e-4)
+        assert says.latent_chi2[b].item() == pytest.approx(torch.stack(scores).square().mean().item(), rel=1e-4)
         seen = problem.evidence.weight[b] > 0
         off = (rolled.body.observed[b] - problem.evidence.values[b]).norm(dim=-1)[seen]
         assert says.misfit[b].item() == pytest.approx(off.square().mean().sqrt().item(), rel=1e-4)
     drawn = rolled._replace(rollout=rolled.rollout._replace(z=prior.sample(seeded(1))))
-    assert (testops._doubts_of_rollout(drawn, problem.evidence).surprise - 1).abs().max() < 0.3
+    assert (testops._diagnosed(drawn, problem.evidence).latent_chi2 - 1).abs().max() < 0.3
 
 
 def test_what_is_not_seen_is_not_missed(work):
@@ -43,11 +43,12 @@ def test_what_is_not_seen_is_not_missed(work):
     values = problem.evidence.values.clone()
     values[:, :, ::2] = 1e9
     less = replace(problem, evidence=replace(problem.evidence, weight=weight, values=values))
-    assert (testops.doubts(less, unknown).misfit < 1e4).all()
+    assert (testops.diagnostics(less, unknown).misfit < 1e4).all()
 
 
 def test_doubts_name_the_clip_and_bounds_are_bounds():
-    says = testops.Doubts(torch.tensor([0.2, 0.6, 0.2, torch.nan]), torch.tensor([0.05, 0.05, 0.3, 0.05]), 0.12, False)
+    chi2, misfit = torch.tensor([[0.2, 0.6, 0.2, torch.nan], [0.05, 0.05, 0.3, 0.05]])
+    says = testops.FitDiagnostics(chi2, misfit, 0.12, False)
     assert says.doubtful.tolist() == [False, True, True, True]
     assert [line.split(":")[0] for line in says.sentences()] == [f"stage 3 doubts clip {k}" for k in (1, 2, 3)]
     assert "0.30 m" in says.sentences()[1]
@@ -60,8 +61,8 @@ def test_a_fit_is_judged_by_either_solver(solver):
     priors = replace(random_priors(seeded(), width=64), motion=network(64).float())
     schedule = replace(testops.Schedule.quick(), shooting=Plan(rounds=1, closures=4), window=8, overlap=3)
     fitted = testops.fit(seen, priors, schedule=schedule, solver=solver)
-    assert fitted.doubts.surprise.shape == (1,) and fitted.doubts.misfit.isfinite().all()
-    assert bool(fitted.doubts.doubtful.any()) == any("doubts" in note for note in fitted.notes)
+    assert fitted.diagnostics.latent_chi2.shape == (1,) and fitted.diagnostics.misfit.isfinite().all()
+    assert bool(fitted.diagnostics.doubtful.any()) == any("doubts" in note for note in fitted.notes)
     assert torch.equal(fitted.motion.positions, fitted.stages[3].positions)
 
 

@@ -1,4 +1,4 @@
-"""Leaps between the valleys that the components of the first state's mixture make."""
+"""Jumps between the modes that the components of the first state's mixture make."""
 
 from copy import deepcopy
 from dataclasses import replace
@@ -9,14 +9,14 @@ import torch
 from motionlab.humor import priors, unknowns
 from motionlab.humor.priors import InitGmm
 from motionlab.humor.shooting import feedback_solver
-from motionlab.humor.shooting.coordinates import linearised, mixed_features, opened
+from motionlab.humor.shooting.coordinates import linearised, mixed_features, unwhiten
 from motionlab.humor.shooting.feedback_solver import Plan, solve
 from motionlab.optimise import BatchFit
 from tests.draws import seeded
 from tests.rolled_inputs import F64
 from tests.test_humor_shooting import CLIPS, made, noisy, nought, of_both, total
 
-ALONE = Plan(rounds=12, closures=20, tolerance=1e-5, leaps=0)
+ALONE = Plan(rounds=12, closures=20, tolerance=1e-5, mode_jumps=0)
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def case(kit):
     3 has no prior of it, and with 1 a search winds into a valley so thin that rounding says where it ends."""
     problem, unknown = made(smoothed(kit.pose))["joints"]
     first = unknowns.first_state(unknown, problem.priors)
-    middle = priors.first_state_features(unknowns.local_first(first)).mean(0)
+    middle = priors.first_state_features(unknowns.first_state_in_heading_frame(first)).mean(0)
     other = middle.clone()
     other[66:] += noisy(torch.zeros(72, dtype=F64), 0.3, 8)
     balls = 0.1**2 * torch.eye(priors.FIRST_STATE_SIZE, dtype=F64).expand(2, -1, -1)
@@ -69,29 +69,29 @@ def test_the_matrix_is_that_of_the_rest_and_of_the_mixture(case):
     """Together they are round, but for the ridge that holds what nothing else does."""
     problem, unknown = case
     with torch.no_grad():
-        loop = linearised(problem, unknown)
+        white = linearised(problem, unknown)
         f = mixed_features(problem, unknown)
         gmm = problem.priors.initial
         share = gmm.each(f).softmax(-1)
         pull = torch.einsum("bk,kij->bij", share, torch.linalg.inv(gmm.covariances))
         weight = problem.weights.of(3, frames=unknown.z.shape[2] + 1)["init_motion_prior"]
-        whole = loop.rest + weight * loop.features.mT @ pull @ loop.features
+        whole = white.rest + weight * white.features.mT @ pull @ white.features
         values = torch.linalg.eigvalsh(whole)
         assert values.max() < 1 + 1e-6 and (values > 0.9).float().mean() > 0.8
-        step, way = 1e-5, torch.randn(loop.first.shape[0], loop.first.shape[2], generator=seeded(3), dtype=F64)
+        step, way = 1e-5, torch.randn(white.first.shape[0], white.first.shape[2], generator=seeded(3), dtype=F64)
         ends = []
         for s in (step, -step):
-            at, _ = opened(problem, unknown, loop, nought(loop) | {"first": s * way})
+            at, _ = unwhiten(problem, unknown, white, nought(white) | {"first": s * way})
             ends.append(mixed_features(problem, at))
         slope = (ends[0] - ends[1]) / (2 * step)
-        torch.testing.assert_close((loop.features @ way[..., None])[..., 0], slope, atol=1e-3, rtol=1e-3)
+        torch.testing.assert_close((white.features @ way[..., None])[..., 0], slope, atol=1e-3, rtol=1e-3)
 
 
 def test_where_a_search_has_ended_its_own_valley_promises_nothing(case, settled):
     problem, _ = case
     with torch.no_grad():
-        loop = linearised(problem, settled)
-    energy, gain, *_ = feedback_solver.valleys(problem, settled, loop)
+        white = linearised(problem, settled)
+    energy, gain, *_ = feedback_solver.mixture_modes(problem, settled, white)
     torch.testing.assert_close(energy, total(problem, settled))
     own = component(problem, settled)
     assert (own == 0).all()
@@ -101,7 +101,7 @@ def test_where_a_search_has_ended_its_own_valley_promises_nothing(case, settled)
 
 def test_a_search_that_leaps_ends_in_the_deeper_valley_and_one_that_does_not_stays(case, settled):
     problem, unknown = case
-    found, fits = solve(problem, unknown, replace(ALONE, leaps=1))
+    found, fits = solve(problem, unknown, replace(ALONE, mode_jumps=1))
     assert (component(problem, settled) == 0).all() and (component(problem, found) == 1).all()
     assert (total(problem, found) < total(problem, settled) - 0.1).all()
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
@@ -116,13 +116,13 @@ def test_a_leap_has_coordinates_of_its_own_component(case, settled):
     uneven = InitGmm(gmm.weights, gmm.means, torch.stack((gmm.covariances[0], wide.square().diag())))
     problem = replace(problem, priors=replace(problem.priors, initial=uneven))
     with torch.no_grad():
-        loop = linearised(problem, settled)
-    found = feedback_solver.valleys(problem, settled, loop)
+        white = linearised(problem, settled)
+    found = feedback_solver.mixture_modes(problem, settled, white)
     who, which = torch.tensor([1, 0, 1]), torch.tensor([1, 1, 0])
-    shaper, begin = feedback_solver.entered(loop, found, who, which)
-    where = loop.first[who] @ found.where[who, which, :, None]
-    torch.testing.assert_close(shaper @ begin[..., None], where, atol=1e-8, rtol=1e-8)
-    inside = torch.linalg.solve(loop.first[who], shaper)
+    whitener, begin = feedback_solver.in_mode(white, found, who, which)
+    where = white.first[who] @ found.where[who, which, :, None]
+    torch.testing.assert_close(whitener @ begin[..., None], where, atol=1e-8, rtol=1e-8)
+    inside = torch.linalg.solve(white.first[who], whitener)
     one = inside.mT @ found.matrix[who, which] @ inside
     torch.testing.assert_close(one, torch.eye(one.shape[-1], dtype=F64).expand_as(one), atol=1e-6, rtol=0)
     before = torch.linalg.eigvalsh(found.matrix[[0, 1], 1])  # control
@@ -133,10 +133,10 @@ def test_a_mixture_without_weight_has_no_valleys(case):
     problem, unknown = case
     still = replace(problem, weights=replace(problem.weights, init_motion_prior=(0.0, 0.0, 0.0)))
     with torch.no_grad():
-        loop = linearised(still, unknown)
-    assert feedback_solver._starts(still, unknown, loop, 2, -1.0)[0].tolist() == [0, 1]
-    assert feedback_solver._starts(problem, unknown, loop, 2, -1.0)[0].tolist() == [0, 1, 0, 0, 1, 1]  # control
-    assert feedback_solver._starts(problem, unknown, loop, 1, -1.0)[0].tolist() == [0, 1, 0, 1]
+        white = linearised(still, unknown)
+    assert feedback_solver._starts(still, unknown, white, 2, -1.0)[0].tolist() == [0, 1]
+    assert feedback_solver._starts(problem, unknown, white, 2, -1.0)[0].tolist() == [0, 1, 0, 0, 1, 1]  # control
+    assert feedback_solver._starts(problem, unknown, white, 1, -1.0)[0].tolist() == [0, 1, 0, 1]
 
 
 def rows_of(reasons, history):
@@ -158,14 +158,14 @@ def test_a_leap_to_nowhere_leaves_the_clip_where_it_was(case, monkeypatch):
     problem, unknown = case
     alone, _ = solve(problem, unknown, replace(ALONE, rounds=1))
 
-    def nowhere(problem, unknown, loop, most, share):
+    def nowhere(problem, unknown, white, most, share):
         stay = torch.arange(CLIPS).repeat(3)
-        first = torch.zeros(3 * CLIPS, loop.first.shape[1], dtype=F64)
+        first = torch.zeros(3 * CLIPS, white.first.shape[1], dtype=F64)
         first[CLIPS : 2 * CLIPS], first[2 * CLIPS :] = torch.nan, 1e30
-        return stay, loop.first[stay], first
+        return stay, white.first[stay], first
 
     monkeypatch.setattr(feedback_solver, "_starts", nowhere)
-    found, fits = solve(problem, unknown, replace(ALONE, rounds=1, leaps=2))
+    found, fits = solve(problem, unknown, replace(ALONE, rounds=1, mode_jumps=2))
     torch.testing.assert_close(total(problem, found), total(problem, alone), rtol=1e-9, atol=0)
     assert fits[0].history.isfinite().all()
 
@@ -186,9 +186,9 @@ def test_of_searches_that_race_the_lowest_goes_on_alone(case, settled, monkeypat
     """It ends in the valley that all of them together end in, and goes on from where the race left it."""
     problem, _ = case
     sizes = rows_of_searches(monkeypatch)
-    found, fits = solve(problem, settled, replace(ALONE, leaps=1, race=4))
+    found, fits = solve(problem, settled, replace(ALONE, mode_jumps=1, halving_after=4))
     assert sizes[:2] == [2 * CLIPS, CLIPS]
-    together, _ = solve(problem, settled, replace(ALONE, leaps=1))
+    together, _ = solve(problem, settled, replace(ALONE, mode_jumps=1))
     leapt = component(problem, found) == 1
     assert leapt.any() and torch.equal(leapt, component(problem, together) == 1)
     assert (total(problem, found) < total(problem, settled) - 0.1)[leapt].all()
@@ -203,15 +203,15 @@ def test_who_stays_after_a_race_leaps_no_more(case, monkeypatch, race):
     problem, unknown = case
     asked = []
 
-    def astray(problem, unknown, loop, most, share):
+    def astray(problem, unknown, white, most, share):
         asked.append(most)
-        every = torch.arange(len(loop.first)).repeat(2 if most else 1)
-        first = torch.zeros(len(every), loop.first.shape[-1], dtype=F64)
+        every = torch.arange(len(white.first)).repeat(2 if most else 1)
+        first = torch.zeros(len(every), white.first.shape[-1], dtype=F64)
         first[CLIPS:] = 30.0
-        return every, loop.first[every], first
+        return every, white.first[every], first
 
     monkeypatch.setattr(feedback_solver, "_starts", astray)
-    plan = replace(ALONE, rounds=3, leaps=1, race=race, tolerance=0.0)
+    plan = replace(ALONE, rounds=3, mode_jumps=1, halving_after=race, tolerance=0.0)
     _, fits = solve(problem, unknown, plan)
     assert len(fits) == 3 and asked == ([1, 0, 0] if race else [1, 1, 1])
 
@@ -220,9 +220,9 @@ def test_a_plan_says_when_leaps_begin_how_sure_the_matrix_is_and_what_gain_is_no
     problem, unknown = case
     asked, ridges, plain = [], [], feedback_solver._starts
 
-    def starts(problem, unknown, loop, most, share):
+    def starts(problem, unknown, white, most, share):
         asked.append(most)
-        return plain(problem, unknown, loop, most, share)
+        return plain(problem, unknown, white, most, share)
 
     def linearise(problem, unknown, *, ridge, stride):
         ridges.append(ridge)
@@ -230,13 +230,24 @@ def test_a_plan_says_when_leaps_begin_how_sure_the_matrix_is_and_what_gain_is_no
 
     monkeypatch.setattr(feedback_solver, "_starts", starts)
     plan = replace(
-        ALONE, rounds=4, closures=5, leaps=1, trial=2, second=False, damped=(0.1, 0.02), ridge=0.01, tolerance=0.0
+        ALONE,
+        rounds=4,
+        closures=5,
+        mode_jumps=1,
+        trial_rounds=2,
+        two_starts=False,
+        damping=(0.1, 0.02),
+        ridge=0.01,
+        tolerance=0.0,
     )
     _, fits = solve(problem, unknown, plan, linearise=linearise)
     assert asked == [0, 0, 1, 1] and ridges == [0.1, 0.02, 0.01, 0.01] and len(fits) == 4
     gained = float((fits[2].energy - fits[3].energy).max())
     _, fewer = solve(
-        problem, unknown, replace(plan, rounds=9, least=1.01 * gained / (unknown.z.shape[2] + 1)), linearise=linearise
+        problem,
+        unknown,
+        replace(plan, rounds=9, min_gain=1.01 * gained / (unknown.z.shape[2] + 1)),
+        linearise=linearise,
     )
     assert len(fewer) <= 4 and torch.equal(fewer[0].energy, fits[0].energy)
     for wrong in ({"race": -1}, {"race": 29}, {"trial": -1}):
@@ -248,21 +259,21 @@ def test_of_a_batch_one_clip_may_leap_on(case, settled, monkeypatch):
     """The other, which stayed after its race, is not asked again. A second start that a plan leaves out is not used."""
     problem, unknown = case
     mixed = of_both(settled.rows(slice(0, 1)), unknown.rows(slice(1, 2)))
-    rows, starts, search = [], feedback_solver._starts, feedback_solver.searched
+    rows, starts, search = [], feedback_solver._starts, feedback_solver.minimise_from
 
-    def forced(problem, unknown, loop, most, share):
+    def forced(problem, unknown, white, most, share):
         """A leap for each, of the second clip into nowhere."""
-        who, shaper, first = starts(problem, unknown, loop, most, -1e9)
-        return who, shaper, torch.where((who[:, None] == 1) & (torch.arange(len(who)) >= CLIPS)[:, None], 30.0, first)
+        who, whitener, first = starts(problem, unknown, white, most, -1e9)
+        return who, whitener, torch.where((who[:, None] == 1) & (torch.arange(len(who)) >= CLIPS)[:, None], 30.0, first)
 
-    def noted(problem, unknown, loop, who, *args, **how):
+    def noted(problem, unknown, white, who, *args, **how):
         rows.append(who.tolist())
-        return search(problem, unknown, loop, who, *args, **how)
+        return search(problem, unknown, white, who, *args, **how)
 
     monkeypatch.setattr(feedback_solver, "_starts", forced)
-    monkeypatch.setattr(feedback_solver, "searched", noted)
-    plan = replace(ALONE, rounds=2, leaps=1, race=4, tolerance=0.0, trial=0)
-    solve(problem, mixed, replace(plan, second=False), rival=mixed)
+    monkeypatch.setattr(feedback_solver, "minimise_from", noted)
+    plan = replace(ALONE, rounds=2, mode_jumps=1, halving_after=4, tolerance=0.0, trial_rounds=0)
+    solve(problem, mixed, replace(plan, two_starts=False), second_start=mixed)
     assert rows == [[0, 1, 0, 1], [0, 1], [0, 1, 0], [0, 1]]
 
 
@@ -278,6 +289,6 @@ def test_ctrl_c_in_a_race_or_behind_it_keeps_the_best(case, settled, monkeypatch
         return plain(*args)
 
     monkeypatch.setattr(feedback_solver, "rolled_terms", interrupted)
-    found, fits = solve(problem, settled, replace(ALONE, leaps=1, race=4))
+    found, fits = solve(problem, settled, replace(ALONE, mode_jumps=1, halving_after=4))
     assert fits[-1].reasons == ["interrupted"] * CLIPS and len(fits) == 1
     assert (total(problem, found) <= total(problem, settled) + 1e-9).all()
