@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from motionlab import __main__, baselines, io, rotation
-from motionlab.animate import filling, renew, rewriting
-from motionlab.animate.corrections import WINDOW, Keep, Standard, by_windows, overlapping
+from motionlab.animate import filling, restore, rewriting
+from motionlab.animate.corrections import WINDOW, KeyMask, Rig, by_windows, overlapping
 from motionlab.body import BodyModel
 from motionlab.contact import with_contacts
 from motionlab.diffusion.denoising import Noise
@@ -53,7 +53,7 @@ def mixamo(motion: Motion) -> Motion:
                                             contact_names=()))  # fmt: skip
 
 
-def same(a: Motion, b: Motion, keep: Keep) -> bool:
+def same(a: Motion, b: Motion, keep: KeyMask) -> bool:
     """Is what is kept of ``a`` in ``b`` to the bit?"""
     rot = (a.rot == b.rot).all(-1).all(-1) | ~keep.rot
     return bool(rot.all() and ((a.root == b.root).all(-1) | ~keep.rot[:, 0]).all())
@@ -70,7 +70,7 @@ def test_known_frames_stay_in_the_file_to_the_bit_and_the_rest_is_what_was_made(
     SAVE[suffix](source, walk())
     assert command("inbetween", source, "--keys", KEYS, "--method", "curves", "--out", out) == 0
     before, after = io.load(source), io.load(out)
-    keep = filling.kept(before, filling.frames_named(KEYS, before.frames))
+    keep = filling.key_mask(before, filling.frames_named(KEYS, before.frames))
     assert keep.frames.sum() == 24 and "byte for byte" in capsys.readouterr().out
     assert same(before, after, keep) and after.fps == before.fps and after.skeleton.names == before.skeleton.names
     made = filling.inbetween(before, keep, method="curves").motion
@@ -89,7 +89,7 @@ def test_known_frames_stay_in_the_file_to_the_bit_and_the_rest_is_what_was_made(
 @pytest.mark.parametrize(("method", "seed"), [("network", None), ("network", 0), ("curves", None)])
 def test_kept_joints_stay_and_what_is_not_kept_is_never_read(method, seed):
     motion = mixamo(walk())
-    keep = filling.kept(motion, {0, 40, 129}, ["arms", "Head"])
+    keep = filling.key_mask(motion, {0, 40, 129}, ["arms", "Head"])
     generator = torch.Generator().manual_seed(0)
     other = rotation.random(motion.rot.shape[:2], generator)
     scrambled = replace(motion, rot=torch.where(keep.rot[..., None, None], motion.rot, other))
@@ -116,7 +116,7 @@ def test_hidden_legs_are_made_from_the_rest_alone_in_windows_that_overlap():
 
 def test_a_seed_draws_one_motion_and_another_seed_another():
     motion = mixamo(walk(60))
-    keep = filling.kept(motion, {0, 1, 58, 59})
+    keep = filling.key_mask(motion, {0, 1, 58, 59})
     found = [filling.inbetween(motion, keep, seed=seed) for seed in (0, 0, 1, None)]
     assert ["drawn" in " ".join(made.notes) for made in found] == [True, True, True, False]
     drawn = [made.motion.rot for made in found]
@@ -154,7 +154,7 @@ def test_draws_go_on_from_each_other_and_are_never_averaged(first, last):
 
 
 # ---------------------------------------------------------------------------------------------- seams and feet
-def seam(made: Motion, keep: Keep) -> float:
+def seam(made: Motion, keep: KeyMask) -> float:
     """The largest change of velocity (m/s) at the frames beside a gap, over that inside what is known."""
     change = made.positions.diff(n=2, dim=0).norm(dim=-1).amax(-1) * made.fps
     beside = (keep.frames[:-1] ^ keep.frames[1:]).nonzero()[:, 0]
@@ -167,7 +167,7 @@ def seam(made: Motion, keep: Keep) -> float:
 @pytest.mark.parametrize("gap", [20, 100])
 def test_no_seam_at_the_ends_of_a_gap_shorter_or_longer_than_a_window(method, gap):
     motion = walk(180, 30.0)
-    keep = filling.kept(motion, set(range(180)) - set(range(40, 40 + gap)))
+    keep = filling.key_mask(motion, set(range(180)) - set(range(40, 40 + gap)))
     made = filling.inbetween(motion, keep, method=method).motion
     assert seam(made, keep) < 4
     held = baselines.hold(motion, keep.frames)
@@ -180,10 +180,10 @@ def test_feet_that_stand_are_planted_where_the_known_frames_have_them():
     sway = torch.zeros(60)
     sway[20:40] = 0.04 * torch.hann_window(20)
     given = replace(still, root=still.root + torch.stack((sway, 0 * sway, 0 * sway), -1))
-    keep = filling.kept(given, set(range(20)) | set(range(40, 60)))
-    body = Standard.of(given, given, keep)
+    keep = filling.key_mask(given, set(range(20)) | set(range(40, 60)))
+    body = Rig.of(given, given, keep)
     feet = STANDARD.indices(["left_foot", "right_foot"])
-    slid, stood = (body.back(body.joints, plant=p).positions[:, feet] for p in (False, True))
+    slid, stood = (body.to_own_rig(body.joints, plant=p).positions[:, feet] for p in (False, True))
     down = given.positions[0, feet, 2].argmin()
     assert (slid[:, down] - slid[0, down]).norm(dim=-1).max() > 0.03
     assert (stood[:, down] - stood[0, down]).norm(dim=-1).max() < 0.005
@@ -191,11 +191,11 @@ def test_feet_that_stand_are_planted_where_the_known_frames_have_them():
 
 def test_the_standard_joints_and_back_changes_nothing():
     motion = mixamo(walk(40))
-    keep = Keep(torch.zeros(40, dtype=torch.bool), torch.zeros(22, dtype=torch.bool))
-    body = Standard.of(motion, motion, keep)
-    assert (body.back(body.joints, plant=False).positions - motion.positions).abs().max() < 1e-4
+    keep = KeyMask(torch.zeros(40, dtype=torch.bool), torch.zeros(22, dtype=torch.bool))
+    body = Rig.of(motion, motion, keep)
+    assert (body.to_own_rig(body.joints, plant=False).positions - motion.positions).abs().max() < 1e-4
     moved = replace(body.joints, root=body.joints.root + 0.1)
-    assert (body.back(moved, plant=False).positions - motion.positions - 0.1).abs().max() < 1e-4
+    assert (body.to_own_rig(moved, plant=False).positions - motion.positions - 0.1).abs().max() < 1e-4
 
 
 # ------------------------------------------------------------------------------------------------------ others
@@ -203,19 +203,19 @@ def test_noise_is_measured_and_taken_away_and_a_clean_motion_stays():
     motion = walk(120, 30.0)
     noise = Noise.of(3.0, 1.0)
     noisy = noise.on(motion, torch.Generator().manual_seed(0))
-    found = renew._measured_noise(noisy)
+    found = restore._measured_noise(noisy)
     assert found.turn == pytest.approx(noise.turn, rel=0.15) and found.shift == pytest.approx(noise.shift, rel=0.3)
-    assert torch.equal(renew.repaired(motion).motion.rot, motion.rot)
+    assert torch.equal(restore.repaired(motion).motion.rot, motion.rot)
     before = (noisy.positions - motion.positions).norm(dim=-1).mean()
     for method in ("curves", "network"):
-        made = renew.repaired(noisy, method=method).motion
+        made = restore.repaired(noisy, method=method).motion
         assert (made.positions - motion.positions).norm(dim=-1).mean() < 0.75 * before
 
 
 def test_a_frame_that_jumps_is_filled_in_and_the_others_stay():
     motion = walk(90, 30.0)
     broken = replace(motion, root=motion.root + 2.0 * (torch.arange(90) == 50)[:, None])
-    made = renew.repaired(broken)
+    made = restore.repaired(broken)
     assert "jump" in " ".join(made.notes)
     assert (made.motion.root[50] - motion.root[50]).norm() < 0.05
     assert torch.equal(made.motion.rot[:40], motion.rot[:40]) and torch.equal(made.motion.root[60:], motion.root[60:])
@@ -223,30 +223,30 @@ def test_a_frame_that_jumps_is_filled_in_and_the_others_stay():
 
 def test_noise_that_is_given_is_believed_and_jumps_are_filled_in_first(monkeypatch):
     motion = walk(90, 30.0)
-    calm = renew.repaired(motion, Noise.of(0.3, 0.1), method="curves", plant=False)  # less than CLEAN
+    calm = restore.repaired(motion, Noise.of(0.3, 0.1), method="curves", plant=False)  # less than CLEAN
     assert not torch.equal(calm.motion.rot, motion.rot) and "as given" in calm.notes[0]
-    assert torch.equal(renew.repaired(motion, Noise(0.0, 0.0)).motion.rot, motion.rot)
+    assert torch.equal(restore.repaired(motion, Noise(0.0, 0.0)).motion.rot, motion.rot)
     jump = 2.0 * (torch.arange(90) == 50)[:, None]
     noisy = Noise.of(1.0, 0.5).on(motion, torch.Generator().manual_seed(0))
     asked, fill = [], filling.inbetween
-    monkeypatch.setattr(renew, "inbetween", lambda *a, **k: asked.append(k["method"]) or fill(*a, **k))
-    made = renew.repaired(replace(noisy, root=noisy.root + jump), method="curves")
+    monkeypatch.setattr(restore, "inbetween", lambda *a, **k: asked.append(k["method"]) or fill(*a, **k))
+    made = restore.repaired(replace(noisy, root=noisy.root + jump), method="curves")
     off = (made.motion.root - motion.root).norm(dim=-1)
     assert off.max() < 0.05 and made.notes[1].startswith("frames that jump: ") and asked == ["curves"]
-    renew.repaired(replace(motion, root=motion.root + jump))
+    restore.repaired(replace(motion, root=motion.root + jump))
     assert asked[1:] == [None]  # what is measured best
 
 
 def test_a_motion_too_short_to_measure_noise_is_repaired_once_it_is_told():
     motion = walk(8, 30.0)
     with pytest.raises(DataError, match=r"12 frames are needed, it has 8 \(remedy: give --noise\)"):
-        renew.repaired(motion)
-    assert renew.repaired(motion, Noise.of(1.0, 0.5), method="curves").motion.frames == 8
+        restore.repaired(motion)
+    assert restore.repaired(motion, Noise.of(1.0, 0.5), method="curves").motion.frames == 8
 
 
 def test_poses_from_handles_have_them_where_they_were():
     motion = mixamo(walk(30, 30.0))
-    made = renew.posed(motion, ["left_wrist", "Head"]).motion
+    made = restore.posed(motion, ["left_wrist", "Head"]).motion
     hands = motion.skeleton.indices(["LeftHand", "Head"])
     assert (made.positions - motion.positions)[:, hands].norm(dim=-1).max() < 1e-4
     assert (made.positions - motion.positions).norm(dim=-1).mean() > 0.005  # the others were not read
@@ -256,13 +256,13 @@ def test_new_motion_that_floats_is_let_down_to_the_floor(motions):
     """By the fifth of a metre that it was lifted; what stands or leaps stays."""
     walk = on_standard(motions[0])
     lifted = replace(walk, root=walk.root + torch.tensor([0.0, 0.0, 0.2]))
-    standing = renew._on_floor(walk)
-    torch.testing.assert_close(renew._on_floor(lifted).root, standing.root)
-    assert (standing.root - walk.root).abs().max() < 0.03 and renew._on_floor(standing).root.equal(standing.root)
+    standing = restore._on_floor(walk)
+    torch.testing.assert_close(restore._on_floor(lifted).root, standing.root)
+    assert (standing.root - walk.root).abs().max() < 0.03 and restore._on_floor(standing).root.equal(standing.root)
 
 
 def test_what_is_drawn_is_the_same_for_one_seed_and_another_for_another():
-    first, again, other = (renew.generated(1.0, seed=seed).motion for seed in (0, 0, 1))
+    first, again, other = (restore.generated(1.0, seed=seed).motion for seed in (0, 0, 1))
     assert first.frames == 30 and torch.equal(first.rot, again.rot) and not torch.equal(first.rot, other.rot)
 
 
@@ -289,11 +289,11 @@ def test_who_goes_on_from_a_glb_keeps_its_body(body, tmp_path, capsys):
 
 def test_beyond_keys_that_move_the_default_goes_on_and_beyond_a_lone_one_it_waits():
     motion = walk(60, 30.0)
-    moving, lone = (filling.inbetween(motion, filling.kept(motion, frames)) for frames in (range(45), {44}))
+    moving, lone = (filling.inbetween(motion, filling.key_mask(motion, frames)) for frames in (range(45), {44}))
     made = moving.motion.root[44:, 1].diff() * 30
     assert moving.notes[0].startswith("method: network") and made[0] > 0.4  # m/s, of 1: no dead stop
     assert lone.notes[0].startswith("method: curves") and (lone.motion.root.diff(dim=0).abs() < 1e-4).all()
-    held = filling.inbetween(motion, filling.kept(motion, range(45)), method="curves").motion
+    held = filling.inbetween(motion, filling.key_mask(motion, range(45)), method="curves").motion
     assert (held.root[45:].diff(dim=0).abs() < 1e-4).all()
 
 
@@ -321,7 +321,7 @@ def test_bad_keys_and_joints_are_refused_with_a_remedy(words, said, tmp_path, ca
 def test_a_skeleton_of_unknown_joints_gets_curves_and_is_told_so():
     motion = walk(30)
     beast = replace(motion, skeleton=replace(STANDARD, names=tuple(f"b{j}" for j in range(22)), contact_names=()))
-    keep = filling.kept(beast, {0, 29})
+    keep = filling.key_mask(beast, {0, 29})
     found = filling.inbetween(beast, keep)
     assert same(beast, found.motion, keep) and "curves" in found.notes[0]
     with pytest.raises(DataError, match="--names"):
@@ -352,7 +352,8 @@ def test_the_editor_fills_in_what_is_chosen_and_exports_it(tmp_path):
     file.value = str(out)
     export.click()
     before, after = io.load(source), io.load(out)
-    assert same(before, after, filling.kept(before, {0, 15, 29}, ["arms"])) and not torch.equal(before.rot, after.rot)
+    keys = filling.key_mask(before, {0, 15, 29}, ["arms"])
+    assert same(before, after, keys) and not torch.equal(before.rot, after.rot)
     assert f"{out} is written" in message.value
 
 
@@ -395,7 +396,7 @@ def test_the_editor_exports_what_was_typed_last_though_it_is_not_drawn_yet(tmp_p
 
     assert asyncio.run(session()) == "0,7,20,last"
     before, after = io.load(source), io.load(out)
-    assert same(before, after, filling.kept(before, {0, 7, 20, 29})) and not torch.equal(before.rot, after.rot)
+    assert same(before, after, filling.key_mask(before, {0, 7, 20, 29})) and not torch.equal(before.rot, after.rot)
 
 
 def test_the_editor_says_what_is_wrong_and_exports_nothing_until_it_is_right(tmp_path, monkeypatch):

@@ -151,7 +151,8 @@ def test_a_window_is_kept_under_all_that_goes_into_its_fit(kit):
     seen = Observation2D(torch.zeros(1, 8, 25, 2), torch.ones(1, 8, 25), BODY_25, 30.0, CAMERA)
     first = kit.initial
     moved = InitGmm(first.weights, first.means + 1, first.covariances)
-    names = {scene_fit._key(seen, CAMERA, scene_fit.Task(priors)) for priors in (kit, replace(kit, initial=moved))}
+    both = (scene_fit.SceneFitConfig(priors) for priors in (kit, replace(kit, initial=moved)))
+    names = {scene_fit._key(seen, CAMERA, config) for config in both}
     assert len(names) == 2
 
 

@@ -23,7 +23,7 @@ ALONE = Plan(rounds=12, closures=20, tolerance=1e-5, mode_jumps=0)
 def case(kit):
     """Joints, unknowns, and a mixture of two balls: one around the first states, and one with other velocities, three
     standard deviations of each away and a million million times as likely. Joints weigh enough to hold the pose: stage
-    3 has no prior of it, and with 1 a search winds into a valley so thin that rounding says where it ends."""
+    3 has no prior of it, and with 1 a search winds into a mode so thin that rounding says where it ends."""
     problem, unknown = made(smoothed(kit.pose))["joints"]
     first = unknowns.first_state(unknown, problem.priors)
     middle = priors.first_state_features(unknowns.first_state_in_heading_frame(first)).mean(0)
@@ -45,7 +45,7 @@ def smoothed(pose):
 
 @pytest.fixture(scope="module")
 def settled(case):
-    """Where a search without leaps ends."""
+    """Where a search without jumps ends."""
     problem, unknown = case
     return solve(problem, unknown, ALONE)[0]
 
@@ -87,7 +87,7 @@ def test_the_matrix_is_that_of_the_rest_and_of_the_mixture(case):
         torch.testing.assert_close((white.features @ way[..., None])[..., 0], slope, atol=1e-3, rtol=1e-3)
 
 
-def test_where_a_search_has_ended_its_own_valley_promises_nothing(case, settled):
+def test_where_a_search_has_ended_its_own_mode_promises_nothing(case, settled):
     problem, _ = case
     with torch.no_grad():
         white = linearised(problem, settled)
@@ -99,7 +99,7 @@ def test_where_a_search_has_ended_its_own_valley_promises_nothing(case, settled)
     assert (gain[:, 1] > 0.1).all()  # and the other much
 
 
-def test_a_search_that_leaps_ends_in_the_deeper_valley_and_one_that_does_not_stays(case, settled):
+def test_a_search_that_jumps_ends_in_the_deeper_mode_and_one_that_does_not_stays(case, settled):
     problem, unknown = case
     found, fits = solve(problem, unknown, replace(ALONE, mode_jumps=1))
     assert (component(problem, settled) == 0).all() and (component(problem, found) == 1).all()
@@ -109,7 +109,7 @@ def test_a_search_that_leaps_ends_in_the_deeper_valley_and_one_that_does_not_sta
 
 
 def test_a_leap_has_coordinates_of_its_own_component(case, settled):
-    """They reach the same place, and the matrix of the valley is the identity in them: with another component of other
+    """They reach the same place, and the matrix of the mode is the identity in them: with another component of other
     widths it is far from that in the coordinates that the search left."""
     problem, _ = case
     gmm, wide = problem.priors.initial, torch.tensor([0.05, 0.2], dtype=F64).repeat(priors.FIRST_STATE_SIZE // 2)
@@ -129,7 +129,7 @@ def test_a_leap_has_coordinates_of_its_own_component(case, settled):
     assert (before[:, -1] > 3).all() and (before[:, 0] < 0.5).all()
 
 
-def test_a_mixture_without_weight_has_no_valleys(case):
+def test_a_mixture_without_weight_has_no_modes(case):
     problem, unknown = case
     still = replace(problem, weights=replace(problem.weights, init_motion_prior=(0.0, 0.0, 0.0)))
     with torch.no_grad():
@@ -183,7 +183,7 @@ def rows_of_searches(monkeypatch):
 
 
 def test_of_searches_that_race_the_lowest_goes_on_alone(case, settled, monkeypatch):
-    """It ends in the valley that all of them together end in, and goes on from where the race left it."""
+    """It ends in the mode that all of them together end in, and goes on from where the race left it."""
     problem, _ = case
     sizes = rows_of_searches(monkeypatch)
     found, fits = solve(problem, settled, replace(ALONE, mode_jumps=1, halving_after=4))
@@ -198,7 +198,7 @@ def test_of_searches_that_race_the_lowest_goes_on_alone(case, settled, monkeypat
 
 
 @pytest.mark.parametrize("race", [0, 3])
-def test_who_stays_after_a_race_leaps_no_more(case, monkeypatch, race):
+def test_who_stays_after_a_race_jumps_no_more(case, monkeypatch, race):
     """Leaps into nowhere: a race that they lose is the last; without races they are tried in every round."""
     problem, unknown = case
     asked = []
@@ -216,7 +216,7 @@ def test_who_stays_after_a_race_leaps_no_more(case, monkeypatch, race):
     assert len(fits) == 3 and asked == ([1, 0, 0] if race else [1, 1, 1])
 
 
-def test_a_plan_says_when_leaps_begin_how_sure_the_matrix_is_and_what_gain_is_none(case, monkeypatch):
+def test_a_plan_says_when_jumps_begin_how_sure_the_matrix_is_and_what_gain_is_none(case, monkeypatch):
     problem, unknown = case
     asked, ridges, plain = [], [], feedback_solver._starts
 
@@ -250,7 +250,7 @@ def test_a_plan_says_when_leaps_begin_how_sure_the_matrix_is_and_what_gain_is_no
         linearise=linearise,
     )
     assert len(fewer) <= 4 and torch.equal(fewer[0].energy, fits[0].energy)
-    for wrong in ({"race": -1}, {"race": 29}, {"trial": -1}):
+    for wrong in ({"halving_after": -1}, {"halving_after": 29}, {"trial_rounds": -1}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             Plan(**wrong)
 
@@ -284,7 +284,7 @@ def test_ctrl_c_in_a_race_or_behind_it_keeps_the_best(case, settled, monkeypatch
 
     def interrupted(*args):
         calls.append(1)
-        if len(calls) == at + 1:  # the first is of ``valleys``
+        if len(calls) == at + 1:  # the first is of ``mixture_modes``
             raise KeyboardInterrupt
         return plain(*args)
 

@@ -507,7 +507,9 @@ def test_a_last_clip_that_cannot_be_differentiated_keeps_what_it_had(cases):
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
 
 
-@pytest.mark.parametrize("bad", [{"stride": 0}, {"closures": 0}, {"rounds": 0}, {"coarse": 0}, {"leaps": -1}])
+@pytest.mark.parametrize(
+    "bad", [*({n: 0} for n in ("stride", "closures", "rounds", "trial_stride")), {"mode_jumps": -1}]
+)
 def test_a_plan_without_work(bad):
     with pytest.raises(ValueError, match="1 or more"):
         Plan(**bad)

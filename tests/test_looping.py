@@ -9,7 +9,7 @@ from torch import Tensor
 
 from motionlab import examples, io, rotation
 from motionlab.__main__ import main
-from motionlab.animate import footlock, looping, renew
+from motionlab.animate import footlock, looping, restore
 from motionlab.diffusion.denoising import Noise
 from motionlab.errors import DataError
 from motionlab.metrics.gait import slide_where_truth_stands_mm
@@ -210,8 +210,8 @@ def test_a_path_that_drifts_goes_by_the_feet(seed, walk):
     """By 0.6 m/s, as TRAM's may: the same limits, and the path is nearer to the true one."""
     given = as_given(walk, seed, drift=0.6)
     noise = Noise.of(2, 1)
-    held = renew.repaired(given, noise).motion
-    made = renew.repaired(given, noise, drift=True)
+    held = restore.repaired(given, noise).motion
+    made = restore.repaired(given, noise, drift=True)
     assert float(jitter(made.motion.positions, 30.0)) / 10 < 7 and slide(made.motion, walk) < 5 < 15 < slide(held, walk)
     off, was = ((m.root - walk.root).norm(dim=-1).mean() for m in (made.motion, given))
     assert off < 0.6 * was and root_relative(made.motion, walk) < root_relative(given, walk)
@@ -219,10 +219,10 @@ def test_a_path_that_drifts_goes_by_the_feet(seed, walk):
 
 
 def test_control_a_path_that_does_not_drift_stays(walk):
-    made = renew.repaired(walk, drift=True).motion
+    made = restore.repaired(walk, drift=True).motion
     assert (made.root - walk.root).norm(dim=-1).max() < 0.02 and slide(made, walk) <= slide(walk, walk) + 0.1
 
 
 def test_repair_says_of_noise_that_it_does_not_take_how_to_have_it_taken(walk):
-    made = renew.repaired(as_given(walk, 1))
+    made = restore.repaired(as_given(walk, 1))
     assert any("--noise 2,10" in note for note in made.notes)

@@ -54,7 +54,7 @@ def test_no_channel_jumps_where_a_middle_angle_is_beyond_a_quarter_turn(kept, tm
         lines[n] = " ".join(words)
     source.write_text("\n".join([*lines, ""]))
     loaded = io.load(source)
-    keep = filling.kept(loaded, filling.frames_named(kept, 90))
+    keep = filling.key_mask(loaded, filling.frames_named(kept, 90))
     made = filling.inbetween(loaded, keep, method="curves", plant=False).motion
     write_back(source, out, loaded, made)
     old, new = (np.loadtxt(path.read_text().splitlines()[-90:]) for path in (source, out))

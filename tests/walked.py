@@ -64,5 +64,5 @@ def few_steps(monkeypatch, steps=(1, 1, 1), inner: int = 3, closures: int = 2) -
 
 def short_windows(monkeypatch) -> None:
     """Windows of 8 frames: a clip of 20 has three."""
-    for name, value in {"WHOLE": 10, "STRETCH": 8, "OVERLAP": 2, "_SHOWN": 1}.items():
+    for name, value in {"MAX_FRAMES": 10, "WINDOW": 8, "OVERLAP": 2, "_SHOWN": 1}.items():
         monkeypatch.setattr(scene_fit, name, value)

@@ -4,9 +4,9 @@ this room.
 A motion is put on the 22 standard joints, a model or a curve makes what is missing, and only what was made goes back to
 the joints of the file; what was kept stays bit for bit.
 
-    corrections    the way there and back, in the windows that models know; what is kept
+    corrections    a model on any skeleton: retarget, fill in windows, transfer the change back
     filling        between keys, hidden joints; ``editor`` in JupyterLab (keyframes)
-    renew          without noise and glitches, poses from handles, new motion
+    restore        without noise and glitches, poses from handles, new motion
     footlock       feet that stand stay where they are
     looping        the end meets the beginning; motion in place
     rewriting      into the file that the motion came from

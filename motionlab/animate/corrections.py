@@ -1,4 +1,4 @@
-"""Corrects a motion of any skeleton on the 22 standard joints, at the rate and in the windows that models know.
+"""Runs a model on a motion of any skeleton: retarget, fill in windows, transfer the change back.
 
 The motion is retargeted in its own proportions; a model fills in what is not kept; and only the turn by which a
 standard joint was corrected goes back to the joint that it stands for, so that no pose is retargeted there and back.
@@ -33,8 +33,8 @@ Fill = Callable[[Motion, Tensor], Motion]  #: (motions, known (..., U)) -> motio
 
 
 @dataclass(frozen=True, eq=False)
-class Keep:
-    """What of a motion (T) with J joints is kept: frames (T,) with all joints, and joints (J,) in all frames, bool.
+class KeyMask:
+    """Mask of what an edit must keep: frames (T,) with all joints, and joints (J,) in all frames, bool.
 
     Joint 0 counts with the root's place.
     """
@@ -43,7 +43,7 @@ class Keep:
     joints: Tensor
 
     @classmethod
-    def of(cls, motion: Motion, frames: Tensor | None = None, hidden: Collection[int] | None = None) -> Keep:
+    def of(cls, motion: Motion, frames: Tensor | None = None, hidden: Collection[int] | None = None) -> KeyMask:
         """Returns what is kept of a motion: these frames; and, where some joints are hidden, all others."""
         joints = torch.full((len(motion.skeleton),), hidden is not None)
         joints[sorted(hidden or ())] = False
@@ -55,15 +55,15 @@ class Keep:
         return self.frames[:, None] | self.joints
 
 
-def pasted(made: Motion, motion: Motion, keep: Keep) -> Motion:
+def restore_keys(made: Motion, motion: Motion, keep: KeyMask) -> Motion:
     """Puts what is kept of ``motion`` into ``made``, bit for bit."""
     rot = torch.where(keep.rot[..., None, None], motion.rot, made.rot)
     return replace(made, rot=rot, root=torch.where(keep.rot[:, :1], motion.root, made.root))
 
 
 @dataclass(frozen=True, eq=False)
-class Standard:
-    """The own motion, as drawn by curves, on 22 joints in its own proportions; and the way back.
+class Rig:
+    """A motion of any skeleton, as drawn by curves, on the 22 joints in its own proportions; and the way back.
 
     drawn: on its own joints. joints: the same on the 22, feet on the floor. found: how it was retargeted. lift: metres
     that it was raised. mapped: standard joint -> own joint. known (T, 22 + 2): units (``masks.units``) that are kept.
@@ -71,7 +71,7 @@ class Standard:
 
     motion: Motion
     drawn: Motion
-    keep: Keep
+    keep: KeyMask
     joints: Motion
     found: Retargeted
     lift: float
@@ -79,7 +79,7 @@ class Standard:
     known: Tensor
 
     @classmethod
-    def of(cls, motion: Motion, drawn: Motion, keep: Keep, lift: float = 0.0) -> Standard:
+    def of(cls, motion: Motion, drawn: Motion, keep: KeyMask, lift: float = 0.0) -> Rig:
         """Makes it by retargeting what curves have drawn. lift: metres up to the floor, where no frame is kept to tell.
 
         Raises:
@@ -114,7 +114,7 @@ class Standard:
         body, scale = on_model_body(slow)
         made = fill(body, known)
         hips = _hips(made) / scale
-        rot = torch.where(known[:, :22, None, None] | self.lacking[:, None, None], slow.rot, made.rot)
+        rot = torch.where(known[:, :22, None, None] | self.missing_joints[:, None, None], slow.rot, made.rot)
         root = hips - _hips(replace(slow, rot=rot, root=torch.zeros_like(slow.root)))
         root = torch.where(known[:, -2:-1], slow.root, root)
         # smooth: this, not poses, goes to the other rate
@@ -124,7 +124,7 @@ class Standard:
         return replace(own, root=own.root + change.root, rot=own.rot @ change.rot, contacts=change.contacts)
 
     @property
-    def lacking(self) -> Tensor:
+    def missing_joints(self) -> Tensor:
         """(22,): joints that the figure does not have."""
         return torch.tensor([j not in self.mapped for j in range(len(STANDARD))])
 
@@ -150,7 +150,7 @@ class Standard:
         return with_contacts(slow), known
 
     # ------------------------------------------------------------------------------------------------ and back
-    def back(self, made: Motion, *, plant: bool) -> Motion:
+    def to_own_rig(self, made: Motion, *, plant: bool) -> Motion:
         """Computes the own motion with the turns and shifts by which ``made`` differs from ``joints``; what is kept is
         the motion's."""
         if plant and made.frames > 1:
@@ -168,7 +168,7 @@ class Standard:
         here = fk(own.skeleton, torch.zeros_like(own.root), local)[0][:, hips].mean(1)
         root = _hips(made.to(torch.float64)) - torch.tensor([0.0, 0.0, self.lift]).double() - here
         made = replace(self.motion, root=root.to(self.motion.root), rot=local.to(self.motion.rot), contacts=None)
-        return pasted(made, self.motion, self.keep)
+        return restore_keys(made, self.motion, self.keep)
 
     def _feet_locked(self, made: Motion) -> Motion:
         """Feet that stand stay in place, between frames whose legs are known; between kept frames they step."""
@@ -200,17 +200,17 @@ def on_model_body(joints: Motion) -> tuple[Motion, float]:
     return replace(made, notes=()), scale
 
 
-def by_windows(fill: Fill, lacking: Tensor, progress: bool = False, *, onward: bool = False) -> Fill:
+def by_windows(fill: Fill, missing: Tensor, progress: bool = False, *, onward: bool = False) -> Fill:
     """Returns what fills a whole motion (T) by a fill of windows (B, 60), in what is not known.
 
     A gap that fits into a window with a known frame on either side is filled in one, in its middle; what was filled in
     is known to the next. Longer ones, and joints that are never known, by windows that overlap and fade into each
     other; onward: one after the other, each going on from what was filled in before, as draws have to: their mean is
-    none. lacking (22,): joints that the figure does not have; nothing is ever told of them.
+    none. missing (22,): joints that the figure does not have; nothing is ever told of them.
     """
 
     def filled(motion: Motion, known: Tensor) -> Motion:
-        frames, has = motion.frames, torch.cat((~lacking, torch.ones(2, dtype=torch.bool)))
+        frames, has = motion.frames, torch.cat((~missing, torch.ones(2, dtype=torch.bool)))
         index = torch.arange(max(frames, WINDOW)).clamp(max=frames - 1)  # a window at least: its last frame, unknown
         motion, known = motion.clip(index), known[index] & (torch.arange(len(index)) < frames)[:, None]
         done = known.clone()

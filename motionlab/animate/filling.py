@@ -1,6 +1,6 @@
 """Fills in motions of any skeleton: what lies between keys, and joints that are not there.
 
-    keep = kept(motion, frames={0, 45, 90})
+    keep = key_mask(motion, frames={0, 45, 90})
     made = inbetween(motion, keep)            # made.motion, made.notes
 
 What is kept stays bit for bit. The rest is first drawn by curves on the motion's own joints; a network then corrects
@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.animate.corrections import Fill, Keep, Standard, by_windows, pasted
+from motionlab.animate.corrections import Fill, KeyMask, Rig, by_windows, restore_keys
 from motionlab.body import BodyModel
 from motionlab.cleaning import runs
 from motionlab.diffusion import completer
@@ -53,7 +53,7 @@ class Animated:
     notes: tuple[str, ...]
 
 
-def kept(motion: Motion, frames: Collection[int] | None = None, joints: Sequence[str] = ()) -> Keep:
+def key_mask(motion: Motion, frames: Collection[int] | None = None, joints: Sequence[str] = ()) -> KeyMask:
     """Returns what is kept of a motion: all of some frames, and some joints (``found_joints``) of all frames.
 
     Raises:
@@ -63,7 +63,7 @@ def kept(motion: Motion, frames: Collection[int] | None = None, joints: Sequence
     if wrong:
         remedy = f"give numbers from 0 to {motion.frames - 1}"
         raise DataError(f"no frame {wrong[0]}", path=motion.name, place="keys", remedy=remedy)
-    keep = Keep.of(motion)
+    keep = KeyMask.of(motion)
     keep.frames[sorted(frames or ())] = True
     keep.joints[sorted(found_joints(motion, joints))] = True
     return keep
@@ -120,7 +120,7 @@ def found_joints(motion: Motion, words: Sequence[str]) -> set[int]:
 # ------------------------------------------------------------------------------------------------ what is asked
 def inbetween(
     motion: Motion,
-    keep: Keep,
+    keep: KeyMask,
     *,
     method: str | None = None,
     seed: int | None = None,
@@ -153,7 +153,7 @@ def inbetween(
     notes = [f"method: {chosen}{asked}{why and f', because {why}'}", *_of_draw(seed)]
     drawn = curves(motion, keep)
     try:
-        body = Standard.of(motion, drawn, keep)
+        body = Rig.of(motion, drawn, keep)
     except DataError as error:
         if method == "network":
             raise
@@ -161,8 +161,8 @@ def inbetween(
     made = body.joints
     if chosen != "curves":
         rate = min(FPS, _MOST / gap) if gap else FPS
-        made = body.corrected(network(seed, body.lacking, progress), rate=rate)
-    return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
+        made = body.corrected(network(seed, body.missing_joints, progress), rate=rate)
+    return Animated(body.to_own_rig(made, plant=plant), (*notes, *body.notes(plant)))
 
 
 def completed(
@@ -179,30 +179,30 @@ def completed(
     if not hide or 0 in hide:
         remedy = f"name some below the root, such as {', '.join(GROUPS)}"
         raise DataError("no joints to complete", path=motion.name, place="hidden joints", remedy=remedy)
-    keep = Keep.of(motion, hidden=hide)
-    body = Standard.of(motion, curves(motion, keep), keep)
+    keep = KeyMask.of(motion, hidden=hide)
+    body = Rig.of(motion, curves(motion, keep), keep)
     why = "how close these joints come to the true ones was not measured"
     if hide >= {own for j, own in body.mapped.items() if STANDARD.names[j] in _LEGS}:
         why = "hidden legs came out 13 cm off on 15 people whom it had never seen"
-    made = body.corrected(network(seed, body.lacking, progress))
+    made = body.corrected(network(seed, body.missing_joints, progress))
     notes = (f"method: network; {why}", *_of_draw(seed), "the floor is taken to be at height 0", *body.notes(plant))
-    return Animated(body.back(made, plant=plant), notes)
+    return Animated(body.to_own_rig(made, plant=plant), notes)
 
 
 def _of_draw(seed: int | None) -> tuple[str, ...]:
     return () if seed is None else (f"drawn with seed {seed}: livelier than people are, most so in long gaps",)
 
 
-def network(seed: int | torch.Generator | None, lacking: Tensor, progress: bool) -> Fill:
+def network(seed: int | torch.Generator | None, missing: Tensor, progress: bool) -> Fill:
     """Returns what fills a motion (T) on the models' body by one answer (seed None), or by a draw.
 
-    lacking (22,): joints that the figure does not have.
+    missing (22,): joints that the figure does not have.
     """
     if seed is None:
-        return by_windows(completer.load(NETWORK).complete, lacking, progress)
+        return by_windows(completer.load(NETWORK).complete, missing, progress)
     model = completer.load(DRAWS)
     draws = torch.Generator().manual_seed(seed) if isinstance(seed, int) else seed
-    return by_windows(lambda motion, known: model.complete(motion, known, draws), lacking, progress, onward=True)
+    return by_windows(lambda motion, known: model.complete(motion, known, draws), missing, progress, onward=True)
 
 
 def _usual_method(gap: float, beyond: float) -> tuple[str, str]:
@@ -227,7 +227,7 @@ def _unkept(frames: Tensor) -> tuple[int, int]:
 
 
 # ------------------------------------------------------------------------------------------------------ curves
-def curves(motion: Motion, keep: Keep, fade: tuple[float, float] = _FADE) -> Motion:
+def curves(motion: Motion, keep: KeyMask, fade: tuple[float, float] = _FADE) -> Motion:
     """Computes a motion (T) whose frames between kept ones lie on smooth curves on its own joints; no other is read.
 
     Lines between the keys around, in places and 6-D rotations, plus from either side what the velocity there differs
@@ -261,7 +261,7 @@ def curves(motion: Motion, keep: Keep, fade: tuple[float, float] = _FADE) -> Mot
     place = torch.lerp(root[left], root[right], share) + extra[:, :3]
     turned = rotation.slerp(rot[left], rot[right], share) @ rotation.exp(extra[:, 3:].unflatten(-1, (-1, 3)))
     made = replace(motion, root=place.to(motion.root), rot=turned.to(motion.rot), contacts=None)
-    return pasted(made, motion, keep)
+    return restore_keys(made, motion, keep)
 
 
 def _speeds(slope: Tensor, width: Tensor) -> Tensor:
@@ -299,7 +299,7 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
         return frames_named(keys, motion.frames, "frames kept")
 
     def fill(frames: set[int], joints: list[str], method: str) -> tuple[Motion, tuple[str, ...]]:
-        found = inbetween(motion, kept(motion, frames, joints), method=method or None)
+        found = inbetween(motion, key_mask(motion, frames, joints), method=method or None)
         return found.motion, found.notes
 
     def export(made: Motion, name: str) -> str:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import torch
 
-from motionlab.animate.corrections import Keep, Standard
+from motionlab.animate.corrections import KeyMask, Rig
 from motionlab.animate.filling import Animated
 from motionlab.diffusion.foot_locking import standing_feet
 from motionlab.errors import DataError
@@ -33,7 +33,7 @@ def locked(motion: Motion) -> Animated:
     if motion.frames < 2:
         raise DataError("one frame has no speed", path=motion.name, place="frames", remedy="give a motion")
     body = _legs_open(motion)
-    made = body.back(body.joints, plant=True)
+    made = body.to_own_rig(body.joints, plant=True)
     feet = body.joints.skeleton.indices([*ANKLES, *BALLS])
     tips = sorted(body.mapped[j] for j in feet if j in body.mapped)
     still = (made.positions - motion.positions)[:, tips].norm(dim=-1).amax(-1) < _STAYS
@@ -47,8 +47,8 @@ def locked(motion: Motion) -> Animated:
     return Animated(made, (*body.notes(True), note, where))
 
 
-def _legs_open(motion: Motion, lift: float | None = None) -> Standard:
+def _legs_open(motion: Motion, lift: float | None = None) -> Rig:
     """The motion on 22 joints, of which all but the legs are kept."""
     found = retarget(motion)
-    keep = Keep.of(motion, hidden=[motion.skeleton.index(found.names[name]) for name in _LEG])
-    return Standard.of(motion, motion, keep, lift=found.floor if lift is None else lift)
+    keep = KeyMask.of(motion, hidden=[motion.skeleton.index(found.names[name]) for name in _LEG])
+    return Rig.of(motion, motion, keep, lift=found.floor if lift is None else lift)

@@ -158,7 +158,7 @@ def scores(
     }
 
 
-def pasted(made: Motion, given: Motion, known: Tensor) -> Motion:
+def restore_known(made: Motion, given: Motion, known: Tensor) -> Motion:
     """Returns a motion with its known rotations and places as they were given: without the rounding of a way there and
     back."""
     rot = torch.where(known[..., :JOINTS, None, None], given.rot, made.rot)

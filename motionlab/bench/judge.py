@@ -57,17 +57,17 @@ def people(folder: Path | str, part: str, each: int = 24) -> PersonWindows:
 
 
 def judged(
-    fill: Fill, case: Case, windows: PersonWindows, *, lacking: bool = False, draws: int = 1
+    fill: Fill, case: Case, windows: PersonWindows, *, show_missing: bool = False, draws: int = 1
 ) -> dict[str, Tensor]:
     """Computes by person (P,) what becomes of the windows: error in cm, sliding in mm a frame, acceleration over the
     truth's; in the mean over so many draws, and of several also their energy score and how far apart they are, in cm.
 
-    Nobody is asked for a joint that a figure lacks: it stays as it came. lacking: who fills in is told of it, though.
+    Nobody is asked for a joint that a figure lacks: it stays as it came. show_missing: who fills in is told of it.
     """
     motion, whose, lacks = windows
     known = case.mask(len(motion.root))
-    told = known if lacking else known & ~lacks
-    made = [cases.pasted(fill(motion, told), motion, known | lacks) for _ in range(draws)]
+    told = known if show_missing else known & ~lacks
+    made = [cases.restore_known(fill(motion, told), motion, known | lacks) for _ in range(draws)]
     rows = {
         "cm": [cases.error_cm(m, motion, known, case.joints) for m in made],
         "slide": [cases.slide_mm(m, motion) for m in made],

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from motionlab import baselines
-from motionlab.bench.cases import JOINTS, chosen, columns, pasted
+from motionlab.bench.cases import JOINTS, chosen, columns, restore_known
 from motionlab.diffusion.denoising import noise_size
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.inpainting import offset_decay
@@ -149,7 +149,7 @@ class Rivals:
         if finish:
             windows = [rows_.unflatten(1, (motion.frames, -1)) for rows_ in (rows, x, mask.to(x))]
             rows = offset_decay(*windows, finish).flatten(1)
-        return pasted(self._decoded(torch.where(mask, x, rows), motion, frame), motion, known)
+        return restore_known(self._decoded(torch.where(mask, x, rows), motion, frame), motion, known)
 
     def _decoded(self, x: Tensor, motion: Motion, frame: Frame) -> Motion:
         numbers = self.normaliser.undo(x.unflatten(1, (motion.frames, -1)))

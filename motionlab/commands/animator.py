@@ -188,27 +188,27 @@ def _made(
 def _inbetween(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
     from motionlab.animate import filling
 
-    keep = filling.kept(motion, filling.frames_named(options.keys, motion.frames), options.joints)
+    keep = filling.key_mask(motion, filling.frames_named(options.keys, motion.frames), options.joints)
     how = {"method": options.method, "seed": options.seed, "plant": options.plant}
     return filling.inbetween(motion, keep, progress=progress, **how)
 
 
 def _repair(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab.animate import renew
+    from motionlab.animate import restore
     from motionlab.diffusion.denoising import Noise
 
     noise = None if options.noise is None else Noise.of(options.noise[0], options.noise[1] / 10)
     how = {"method": options.method, "drift": options.drift, "plant": options.plant}
-    return renew.repaired(motion, noise, progress=progress, **how)
+    return restore.repaired(motion, noise, progress=progress, **how)
 
 
 def _complete(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab.animate import filling, renew
+    from motionlab.animate import filling, restore
 
     if options.known:
         if options.seed is not None:
             raise DataError("poses from places have one answer", place="--seed", remedy="leave it out")
-        return renew.posed(motion, options.known, plant=options.plant)
+        return restore.posed(motion, options.known, plant=options.plant)
     return filling.completed(motion, options.hidden or [], seed=options.seed, plant=options.plant, progress=progress)
 
 
@@ -237,7 +237,7 @@ def _rig(options: argparse.Namespace, say: Callable[[str], None]) -> Motion:
 
 
 def _generate(options: argparse.Namespace) -> int:
-    from motionlab.animate import renew
+    from motionlab.animate import restore
     from motionlab.animate.rewriting import write_back
 
     if options.count < 1:
@@ -251,7 +251,7 @@ def _generate(options: argparse.Namespace) -> int:
     how = {"start": start, "plant": options.plant, "progress": is_watched()}
     made, said = {}, []
     for k in range(options.seed or 0, (options.seed or 0) + options.count):  # each is on disk before the next is begun
-        found = renew.generated(options.seconds, seed=k, **how)
+        found = restore.generated(options.seconds, seed=k, **how)
         target = options.out / f"generated_{k}{suffix}"
         made[target.name] = found.motion
         for note in (*found.notes, write_back(options.start, target, start, found.motion)):

@@ -14,7 +14,7 @@ import torch
 from motionlab.errors import DataError, MissingData
 from motionlab.files import output_folder
 from motionlab.footage import detect
-from motionlab.footage.scene_fit import ENOUGH, USED
+from motionlab.footage.scene_fit import MIN_KEYPOINTS, USED
 from motionlab.io import keypoints, lens, video
 from motionlab.io.cameras import for_images, load_camera
 from motionlab.io.keypoints import Footage
@@ -281,8 +281,8 @@ def observation(clip: Clip, ids: Sequence[int]) -> Observation2D:
     if seen.frames < 2:
         raise DataError("one frame is no motion", path=read.path, remedy="give two frames or more")
     for each, confidence in zip(ids, seen.confidence, strict=True):
-        if (confidence[:, USED] > 0).sum(-1).max() < ENOUGH:
-            message = f"no frame shows {ENOUGH} keypoints that a fit uses (it leaves out neck and hips)"
+        if (confidence[:, USED] > 0).sum(-1).max() < MIN_KEYPOINTS:
+            message = f"no frame shows {MIN_KEYPOINTS} keypoints that a fit uses (it leaves out neck and hips)"
             remedy = "use another recording, or another --person"
             raise DataError(message, path=read.path, place=f"person {each}", remedy=remedy)
     return seen

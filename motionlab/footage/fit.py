@@ -26,7 +26,7 @@ from motionlab.files import output_folder, write_whole, writing
 from motionlab.footage import overlay as film
 from motionlab.footage import scene_report, stature
 from motionlab.footage.clip import Clip, read_clip
-from motionlab.footage.scene_fit import SceneFit, Task, fit_people
+from motionlab.footage.scene_fit import SceneFit, SceneFitConfig, fit_people
 from motionlab.humor import body_shape, pretrained
 from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.io import amass, bvh, gltf, video
@@ -150,8 +150,9 @@ def run_clip(
     windows = out / "windows"
     begins("is the camera still?", progress)
     drift = None if clip.video is None else clip.drift()  # before the fit, which it must not lose
-    task = Task(priors, clip.camera, clip.placed, clip.size, solver, quick, windows, progress, height, draws)
-    fitted = fit_people(seen, task)
+    given = (clip.camera, clip.placed, clip.size)
+    config = SceneFitConfig(priors, *given, solver, quick, windows, progress, height, draws)
+    fitted = fit_people(seen, config)
     record = _record(clip, ids, fitted, drift, height)
     record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped, "asked": asked}
     others = {k: each for k, each in enumerate(fitted.draws) if not record["people"][k]["doubtful"]}

@@ -1,8 +1,8 @@
 """Several people of one footage, seen by one camera: fits in a batch, long footage in windows that are kept on disk.
 
 Where the camera's place is not known, a fit of the seconds that show most finds one for all: the mean of what each of
-them says. Then they are fitted together under it. Footage of more than ``WHOLE`` frames is fitted in windows of
-``STRETCH``; one that is done is kept, so that a rerun goes on where the last one stopped. What they share is blended.
+them says. Then they are fitted together under it. Footage of more than ``MAX_FRAMES`` frames is fitted in windows of
+``WINDOW``; one that is done is kept, so that a rerun goes on where the last one stopped. What they share is blended.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from motionlab.posterior import Draws
 from motionlab.skeleton import BALLS, STANDARD
 
 #: Frames (at 30 fps) that are fitted at once, and the windows of more: their length and what neighbours share.
-WHOLE, STRETCH, OVERLAP = 180, 120, 24
+MAX_FRAMES, WINDOW, OVERLAP = 180, 120, 24
 #: People who are fitted at once: 120 frames of one take about 0.5 GB.
-TOGETHER = 8
+BATCH = 8
 #: Frames for which somebody may be unseen and still be shown.
 _SHOWN = 15
-ENOUGH = 4  # keypoints that place a person
+MIN_KEYPOINTS = 4  # keypoints that place a person
 _KEYS = ("root", "rot", "contacts", "betas", "latent_chi2")  # of each person
 _SAID = ("energy", "terms", "reasons", "notes")  # of their fit: energy (E, P) of the named terms
 #: Keypoints of BODY_25 that a fit uses.
@@ -72,11 +72,12 @@ class SceneFit:
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
-    """How a scene is fitted. camera: None for an assumed one. placed: whether its place is known. size: of the image.
+class SceneFitConfig:
+    """How the people of a scene are fitted.
 
-    keep: folder for the windows that are done; None keeps none. height: of everybody, metres; None is about an adult's.
-    draws: how many other motions to draw of each person, where the footage is fitted in one piece.
+    camera: None for an assumed one. placed: whether its place is known. size: of the image. keep: folder for the
+    windows that are done; None keeps none. height: of everybody, metres; None is about an adult's. draws: how many
+    other motions to draw of each person, where the footage is fitted in one piece.
     """
 
     priors: Priors
@@ -120,50 +121,50 @@ QUICK_WORK = replace(
 )
 
 
-def fit_people(seen: Observation2D, task: Task) -> SceneFit:
+def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
     """Fits people (P, T, 25, 2), keypoints of BODY_25 at 30 fps, who share one static camera.
 
     Of another ``height`` than an adult's they are fitted as adults in a scene that is as much larger, see ``stature``.
     Ctrl-C keeps the best so far of footage in one window; of longer footage it keeps the windows that are done.
 
-    Of each at least one frame shows ``ENOUGH`` of the keypoints that a fit uses.
+    Of each at least one frame shows ``MIN_KEYPOINTS`` of the keypoints that a fit uses.
 
     Raises:
         KeyboardInterrupt: stopped between windows.
     """
-    if task.height is not None:
-        return _of_height(seen, task, task.height)
-    enough = (seen.confidence[..., USED] > 0).sum(-1) >= ENOUGH
+    if config.height is not None:
+        return _of_height(seen, config, config.height)
+    enough = (seen.confidence[..., USED] > 0).sum(-1) >= MIN_KEYPOINTS
     people, frames = enough.shape
-    whole = frames <= WHOLE or task.solver == "rollout"  # which cuts windows of its own
-    starts = (0,) if whole else window_starts(frames, STRETCH, OVERLAP)
-    length = frames if whole else STRETCH
-    camera, floor, notes = task.camera, "camera" if task.placed else "guess", []
-    if task.camera is None:
+    whole = frames <= MAX_FRAMES or config.solver == "rollout"  # which cuts windows of its own
+    starts = (0,) if whole else window_starts(frames, WINDOW, OVERLAP)
+    length = frames if whole else WINDOW
+    camera, floor, notes = config.camera, "camera" if config.placed else "guess", []
+    if config.camera is None:
         floor = None
-    if not task.placed and (people > 1 or len(starts) > 1):
-        camera, notes = _common_camera(seen, enough, task)
+    if not config.placed and (people > 1 or len(starts) > 1):
+        camera, notes = _common_camera(seen, enough, config)
         floor = "camera"
     pieces: list[list[dict[str, Tensor]]] = [[] for _ in range(people)]
     reasons, energy, stopped, many, draws = [], {}, False, len(starts) > 1, []
-    for k, start in enumerate(tqdm(starts, "windows", unit="window", disable=not many or task.progress is not True)):
+    for k, start in enumerate(tqdm(starts, "windows", unit="window", disable=not many or config.progress is not True)):
         if many:
-            begins(f"window {k + 1} of {len(starts)}", task.progress)
+            begins(f"window {k + 1} of {len(starts)}", config.progress)
         span = slice(start, start + length)
         who = enough[:, span].any(-1).nonzero()[:, 0].tolist()
-        for some in (who[k : k + TOGETHER] for k in range(0, len(who), TOGETHER)):
+        for some in (who[k : k + BATCH] for k in range(0, len(who), BATCH)):
             part = _cut(seen, some, span)
-            file = None if not many or task.keep is None else task.keep / f"{_key(part, camera, task)}.npz"
+            file = None if not many or config.keep is None else config.keep / f"{_key(part, camera, config)}.npz"
             found = None if file is None else _kept(file, len(some), length)
             if found is None:
-                inner = task if not many else replace(task, progress=False)
+                inner = config if not many else replace(config, progress=False)
                 fitted = inner.fit(part, camera, floor)
                 stopped |= fitted.stopped
                 if fitted.stopped and many:
                     raise KeyboardInterrupt
                 found = _arrays(fitted)
-                if task.draws and not many and not stopped:
-                    draws += _drawn(fitted, task.draws)
+                if config.draws and not many and not stopped:
+                    draws += _drawn(fitted, config.draws)
                 if floor in (None, "guess"):  # one person, one window
                     camera = fitted.cameras[0]
                 if file is not None:
@@ -175,18 +176,18 @@ def fit_people(seen: Observation2D, task: Task) -> SceneFit:
                     energy.setdefault(name, [0.0] * people)[person] += value
             for row, person in enumerate(some):
                 pieces[person].append({"start": start} | {key: found[key][row] for key in _KEYS})
-    camera = camera if camera is not None else task.camera
+    camera = camera if camera is not None else config.camera
     motions = [_joined(parts, frames, seen.fps) for parts in pieces]
     latent_chi2 = torch.stack([torch.stack([part["latent_chi2"] for part in parts]).mean() for parts in pieces])
     near = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)
     shown = near[:, 0] > 0
-    if not task.placed:
+    if not config.placed:
         motions, camera, lift = _on_the_floor(motions, shown, camera)
         up = torch.tensor([0.0, 0.0, lift])
         draws = [each.changed(lambda m: replace(m, root=m.root + up)) for each in draws]
         notes += [f"the floor was moved by {100 * lift:+.1f} cm so that the feet stand on z = 0"]
-    if task.draws and not draws:
-        why = f"more than {WHOLE / 30:g} s is fitted in pieces" if many else "the fit was stopped"
+    if config.draws and not draws:
+        why = f"more than {MAX_FRAMES / 30:g} s is fitted in pieces" if many else "the fit was stopped"
         notes += [f"no other motions are drawn: {why}"]
     return SceneFit(
         tuple(motions), shown, seen, camera, latent_chi2, energy, len(starts), tuple(reasons),
@@ -200,15 +201,15 @@ def _drawn(fitted: testops.Fitted, count: int) -> list[Draws]:
     return [posterior.sample(fitted, count, generator=generator, clip=k) for k in range(len(fitted.betas))]
 
 
-def _of_height(seen: Observation2D, task: Task, height: float) -> SceneFit:
+def _of_height(seen: Observation2D, config: SceneFitConfig, height: float) -> SceneFit:
     factor = height / stature.STATURE
-    camera = stature.moved(task.camera, 1 / factor) if task.placed else task.camera
-    found = fit_people(seen, replace(task, camera=camera, height=None))
-    if not task.placed:  # nothing but the bones says how large the scene is
+    camera = stature.moved(config.camera, 1 / factor) if config.placed else config.camera
+    found = fit_people(seen, replace(config, camera=camera, height=None))
+    if not config.placed:  # nothing but the bones says how large the scene is
         factor = height / float(np.mean([stature.of(motion) for motion in found.motions]))
     motions = tuple(stature.resized(motion, factor) for motion in found.motions)
     draws = tuple(each.changed(lambda m: stature.resized(m, factor)) for each in found.draws)
-    camera = task.camera if task.placed else stature.moved(found.camera, factor)
+    camera = config.camera if config.placed else stature.moved(found.camera, factor)
     note = f"{height:g} m tall: fitted as an adult, {1 / factor:.3g} times as large, and made smaller again"
     return replace(found, motions=motions, camera=camera, notes=(*found.notes, note), draws=draws)
 
@@ -217,18 +218,18 @@ def _cut(seen: Observation2D, people: Sequence[int], span: slice) -> Observation
     return replace(seen, keypoints=seen.keypoints[people][:, span], confidence=seen.confidence[people][:, span])
 
 
-def _common_camera(seen: Observation2D, enough: Tensor, task: Task) -> tuple[Camera, list[str]]:
+def _common_camera(seen: Observation2D, enough: Tensor, config: SceneFitConfig) -> tuple[Camera, list[str]]:
     """One camera for all, from at most 4 s where most is seen: that of one person, or of a coarse fit of everybody the
     mean of their cameras, weighted by what was seen of each and by how well the fit met it."""
-    length = min(seen.frames, STRETCH)
+    length = min(seen.frames, WINDOW)
     most = seen.confidence[..., USED].sum((0, 2)).unfold(0, length, 1).sum(-1).argmax()
     span = slice(int(most), int(most) + length)
-    who = enough[:, span].any(-1).nonzero()[:, 0].tolist()[:TOGETHER]
+    who = enough[:, span].any(-1).nonzero()[:, 0].tolist()[:BATCH]
     part = _cut(seen, who, span)
-    begins("the camera, from the seconds that show most", task.progress)
-    floor = None if task.camera is None else "guess"
-    work = QUICK_WORK if len(part.keypoints) > 1 else task.schedule
-    fitted = task.fit(part, task.camera, floor, schedule=work, solver="shooting")
+    begins("the camera, from the seconds that show most", config.progress)
+    floor = None if config.camera is None else "guess"
+    work = QUICK_WORK if len(part.keypoints) > 1 else config.schedule
+    fitted = config.fit(part, config.camera, floor, schedule=work, solver="shooting")
     if fitted.stopped:
         raise KeyboardInterrupt
     weight = part.confidence[..., USED].sum((1, 2)) / (1 + fitted.diagnostics.misfit.nan_to_num(1e6))
@@ -257,15 +258,15 @@ def _arrays(fitted: testops.Fitted) -> dict[str, Tensor | np.ndarray]:
     }  # fmt: skip
 
 
-def _key(part: Observation2D, camera: Camera, task: Task) -> str:
+def _key(part: Observation2D, camera: Camera, config: SceneFitConfig) -> str:
     """A name for a window: what goes into its fit."""
     content = hashlib.sha256()
     tensors = (part.keypoints, part.confidence, camera.intrinsics, camera.rotation, camera.translation)
-    networks, first = (task.priors.motion, task.priors.pose), task.priors.initial
+    networks, first = (config.priors.motion, config.priors.pose), config.priors.initial
     tensors += (first.weights, first.means, first.covariances)
     for tensor in (*tensors, *(weight for network in networks for weight in network.parameters())):
         content.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-    content.update(repr((task.schedule, task.solver, task.size, _KEYS, _SAID)).encode())
+    content.update(repr((config.schedule, config.solver, config.size, _KEYS, _SAID)).encode())
     return content.hexdigest()[:16]
 
 

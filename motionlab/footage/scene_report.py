@@ -1,4 +1,4 @@
-"""What is said of a fitted clip: lines for a terminal, and one page of HTML that needs no network."""
+"""Writes the report of a fit: terminal summary and one offline HTML page."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def live_examples(motions: Sequence[Motion], length: int, missing: Sequence[Sequ
     return LiveExamples(gather(motions, length + 1, missing=missing), length)
 
 
-def other_body(motion: Motion, generator: torch.Generator) -> Motion:
+def random_body(motion: Motion, generator: torch.Generator) -> Motion:
     """Puts the same angles on a body drawn at random; the path grows with the legs, so that feet hardly slide."""
     betas = _PEOPLE * torch.randn(body_shape.BETAS, generator=generator)
     return _grown(motion, body_shape.scales(betas)[:, None])

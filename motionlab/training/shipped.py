@@ -23,7 +23,7 @@ from motionlab.humor.priors import InitGmm
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
 from motionlab.training import encoder_training, prior_training
-from motionlab.training.examples import other_body
+from motionlab.training.examples import random_body
 
 STEPS = 4000  # of the pose prior
 _COMMAND = "python -m motionlab train small --data FOLDER"
@@ -65,7 +65,7 @@ def _first_states(motions: Sequence[Motion], every: int, generator: torch.Genera
     for motion in motions:
         some = [motion]
         if generator is not None:
-            some = [motion, mirror(motion), other_body(motion, generator), other_body(mirror(motion), generator)]
+            some = [motion, mirror(motion), random_body(motion, generator), random_body(mirror(motion), generator)]
         for each in some:
             world = state.from_motion(each, causal=True)[::every]
             found.append(priors.first_state_features(state.localise(world, state.heading(world))).float())

@@ -43,7 +43,7 @@ def main() -> None:
             made = [fill(known & ~lacks, seed) for seed in range(count)]
             spent = 1000 * (time.process_time() - begin) / count / len(motion.root)
             left = judge.energy_score(
-                [cases.pasted(m, motion, known | lacks) for m in made], motion, known, case.joints
+                [cases.restore_known(m, motion, known | lacks) for m in made], motion, known, case.joints
             ).mean()
             print(f"{name:18} {way:20} {float(left):5.2f} cm  {spent:6.1f} ms a window")
 

@@ -22,7 +22,7 @@ import torch
 
 from motionlab import baselines, io, people
 from motionlab.animate import filling
-from motionlab.animate.corrections import Standard
+from motionlab.animate.corrections import Rig
 from motionlab.errors import DataError
 from motionlab.metrics import intervals
 from motionlab.metrics.pose import joint_errors
@@ -57,7 +57,7 @@ def clips(folder: Path, part: str, each: int) -> list[tuple[str, Motion]]:
     return rows
 
 
-def case(kind: str, gap: int, motion: Motion) -> tuple[Motion, filling.Keep, torch.Tensor]:
+def case(kind: str, gap: int, motion: Motion) -> tuple[Motion, filling.KeyMask, torch.Tensor]:
     """The motion that is to be filled in, what is kept of it, and the frames (T,) at which it is measured."""
     start = (FRAMES - gap) // 2
     if kind == "gap":
@@ -68,19 +68,19 @@ def case(kind: str, gap: int, motion: Motion) -> tuple[Motion, filling.Keep, tor
         known, middle = (1 if kind == "one" else 10), FRAMES // 2
         motion = motion.cut(middle - known // 2 - gap, middle - known // 2 + known + gap)
         frames = set(range(gap, gap + known))
-    keep, time = filling.kept(motion, frames), torch.arange(motion.frames)
+    keep, time = filling.key_mask(motion, frames), torch.arange(motion.frames)
     inside = ~keep.frames & (kind in ("one", "beyond") or (time > min(frames)) & (time < max(frames)))
     return motion, keep, inside
 
 
-def filled(method: str, motion: Motion, keep: filling.Keep) -> Motion:
+def filled(method: str, motion: Motion, keep: filling.KeyMask) -> Motion:
     if not method.startswith("slerp"):
         return filling.inbetween(motion, keep, method=method).motion
     made = baselines.interpolate(motion, keep.frames)
     if method == "slerp":
         return made
-    body = Standard.of(motion, made, keep)
-    return body.back(body.joints, plant=True)
+    body = Rig.of(motion, made, keep)
+    return body.to_own_rig(body.joints, plant=True)
 
 
 def accelerations(motion: Motion) -> torch.Tensor:
@@ -88,7 +88,7 @@ def accelerations(motion: Motion) -> torch.Tensor:
     return motion.positions.diff(n=2, dim=0).norm(dim=-1) * motion.fps**2
 
 
-def pops(made: Motion, truth: Motion, keep: filling.Keep) -> tuple[float, float]:
+def pops(made: Motion, truth: Motion, keep: filling.KeyMask) -> tuple[float, float]:
     """The seam, and the largest acceleration of a knee in what was made."""
     size = accelerations(made)
     beside = (keep.frames[:-1] ^ keep.frames[1:]).nonzero()[:, 0]

@@ -103,7 +103,7 @@ def completer_run(takes: Sequence[Take], seed: int, choose: PersonWindows, repor
     data = gather(motions, FRAMES, missing=[t.missing for t in takes], people=people)
 
     def legs(fill: Fill, windows: PersonWindows, lacking: bool = False) -> list[float]:
-        return judge.judged(fill, CASES[LEGS], windows, lacking=lacking)["cm"].tolist()
+        return judge.judged(fill, CASES[LEGS], windows, show_missing=lacking)["cm"].tolist()
 
     run = CompleterTraining(replace(COMPLETER, seed=seed), data)
     model, step = best_of(run, lambda model: sum(legs(model.complete, choose)))

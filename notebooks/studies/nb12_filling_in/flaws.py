@@ -31,8 +31,8 @@ def cures(m: Models, windows: PersonWindows, known: Tensor, seed: int = 0) -> di
     left, mixed, blended = (m.plain(truth, given, way, seed) for way in (LEFT, MIXED, BLENDED))
     made = {P: left, FADED: mixed, SOFT: blended, "curves": m.curves(truth, known)}
     made |= {R: m.r.complete(truth, given), T: m.drawn(truth, given, seed)}
-    exact = {name: cases.pasted(motion, truth, known | lacks) for name, motion in made.items()}
-    return {"truth": truth, OPEN: cases.pasted(left, truth, lacks.expand_as(known))} | exact
+    exact = {name: cases.restore_known(motion, truth, known | lacks) for name, motion in made.items()}
+    return {"truth": truth, OPEN: cases.restore_known(left, truth, lacks.expand_as(known))} | exact
 
 
 def seams(made: Mapping[str, Motion], known: Tensor) -> dict[str, dict[str, Tensor]]:

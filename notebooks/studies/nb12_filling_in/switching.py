@@ -110,7 +110,7 @@ def everybody(m: Models, a: PersonWindows, b: Motion) -> dict[str, Motion]:
     given, known = asked(a.motion, b)
     told, cut = known & ~a.lacks, cut_and_faded(a.motion, b)
     made = {R: m.r.complete(given, told), T: m.drawn(given, told, 0), P: m.plain(given, told, MIXED, 0)}
-    made = {name: cases.pasted(x, given, known | a.lacks) for name, x in made.items()}
+    made = {name: cases.restore_known(x, given, known | a.lacks) for name, x in made.items()}
     made = {RIVALS[1]: cut, RIVALS[2]: m.curves(given, known)} | made
     return {RIVALS[0]: cut} | {name: on_feet(x, known) for name, x in made.items()}
 

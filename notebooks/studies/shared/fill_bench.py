@@ -112,7 +112,7 @@ def made_by(who: Contender, setting: object, known: Tensor, windows: PersonWindo
     """Draws of windows; nobody is asked for what a figure lacks."""
     motion, _, lacks = windows
     given = known if who.told else known & ~lacks
-    return [cases.pasted(who.fill(motion, given, setting, k), motion, known | lacks) for k in range(draws)]
+    return [cases.restore_known(who.fill(motion, given, setting, k), motion, known | lacks) for k in range(draws)]
 
 
 def scored(who: Contender, setting: object, case: Asked, windows: PersonWindows) -> Scores:

@@ -44,7 +44,7 @@ def filled(m: Models, window: PersonWindows, case: Case, seed: int) -> tuple[dic
     known = case.mask(1)
     given = known & ~lacks
     made = {"curves": m.curves(motion, known), R: m.r.complete(motion, given), T: m.drawn(motion, given, seed)}
-    made = {name: cases.pasted(x, motion, known | lacks) for name, x in made.items()}
+    made = {name: cases.restore_known(x, motion, known | lacks) for name, x in made.items()}
     return made, {name: float(cases.error_cm(x, motion, known, case.joints)) for name, x in made.items()}
 
 

@@ -103,7 +103,7 @@ class Workload:
         if part.stage == 3:
             how = {"grown": part.frames == self.frames, "contacts": part.contacts}
             return lambda mark=record_function: savings.closure(self.problem, unknown, on, mark=mark, **how)
-        faithful = {} if on == LEAN else {"mode": "official", "form": official_unknowns.FAITHFUL}
+        faithful = {} if on == LEAN else {"mode": "official", "parametrisation": official_unknowns.FAITHFUL}
         problem = replace(self.problem, **faithful)
 
         def pose(mark: Mark = record_function) -> Tensor:

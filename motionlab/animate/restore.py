@@ -1,4 +1,4 @@
-"""Makes motion that was not there: without noise and glitches, from a few known joints, or from nothing.
+"""Denoises recordings, poses bodies from handles, generates motion.
 
     repaired(motion)                                  # what trembles or jumps
     posed(motion, ("left_wrist", "head"))             # all but the places of these
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from motionlab import baselines, cleaning, rotation
-from motionlab.animate.corrections import WINDOW, Keep, Standard, by_windows, on_model_body
+from motionlab.animate.corrections import WINDOW, KeyMask, Rig, by_windows, on_model_body
 from motionlab.animate.filling import DRAWS, Animated, curves, found_joints, inbetween, network
 from motionlab.contact import resting_heights, with_contacts
 from motionlab.diffusion import completer
@@ -102,7 +102,7 @@ def repaired(
     if jumps.any():
         spans = ", ".join(f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in cleaning.runs(jumps))
         notes.append(f"frames that jump: {spans}; they are made anew from those around")
-        found = inbetween(motion, Keep.of(motion, ~jumps), method=method, plant=plant and quiet, progress=progress)
+        found = inbetween(motion, KeyMask.of(motion, ~jumps), method=method, plant=plant and quiet, progress=progress)
         motion = found.motion
         if quiet:
             return Animated(motion, (*notes, *found.notes))
@@ -111,18 +111,18 @@ def repaired(
         return Animated(motion, (*notes, "no frame jumps: the motion stays as it is"))
     method = method or ("network" if noise.turn >= _WORTH else "curves")
     smooth = smoothed(motion, noise) if noisy else motion
-    body = Standard.of(motion, smooth, Keep.of(motion), lift=retarget(smooth).floor)
+    body = Rig.of(motion, smooth, KeyMask.of(motion), lift=retarget(smooth).floor)
     made = body.joints
     if noisy and method == "network":
         fill = partial(completer.load(ROUGH).complete, tremble=noise.turn)
-        made = body.corrected(by_windows(fill, body.lacking, progress))
+        made = body.corrected(by_windows(fill, body.missing_joints, progress))
     how = ", and the network corrects what that blurs" if method == "network" else " by a smoother alone"
     notes += ["noise is smoothed away" + how] * noisy
     if drift:
         made, way = _anchored(made), made.root
         far = float((made.root - way)[-1].norm())
         notes.append(f"the path goes by the feet that stand: it ends {far:.2f} m from where it did")
-    return Animated(body.back(made, plant=plant), (*notes, *body.notes(plant)))
+    return Animated(body.to_own_rig(made, plant=plant), (*notes, *body.notes(plant)))
 
 
 def _jumps(motion: Motion) -> Tensor:
@@ -170,13 +170,13 @@ def posed(motion: Motion, known: Sequence[str], *, plant: bool = True) -> Animat
     if lost or not joints:
         remedy = f"use some of {', '.join(names)}"
         raise DataError(f"no standard joint stands for {', '.join(lost) or 'nothing'}", place="--known", remedy=remedy)
-    nothing = Keep.of(motion)
-    body = Standard.of(motion, curves(motion, nothing), nothing)
-    given, _ = on_model_body(Standard.of(motion, motion, nothing).at_model_rate()[0])
+    nothing = KeyMask.of(motion)
+    body = Rig.of(motion, curves(motion, nothing), nothing)
+    given, _ = on_model_body(Rig.of(motion, motion, nothing).at_model_rate()[0])
     which = torch.zeros(len(STANDARD), dtype=torch.bool)
     which[STANDARD.indices([owners[j] for j in joints])] = True
     made = body.corrected(lambda *_: _from_handles(given, which))
-    made = body.back(made, plant=plant)
+    made = body.to_own_rig(made, plant=plant)
     targets = motion.positions[:, joints]
     reached = reach_targets(made, [motion.skeleton.names[j] for j in joints], targets, steps=40)
     far = (reached.positions[:, joints] - targets).norm(dim=-1)
@@ -217,9 +217,9 @@ def generated(
     more = max(round(seconds * start.fps), 1)
     index = torch.arange(start.frames + more).clamp(max=start.frames - 1)
     longer = replace(start.clip(index), contacts=None)
-    keep = Keep.of(longer, torch.arange(len(index)) < start.frames)
-    body = Standard.of(longer, curves(longer, keep), keep)
-    motion = body.back(body.corrected(network(draws, body.lacking, progress)), plant=plant)
+    keep = KeyMask.of(longer, torch.arange(len(index)) < start.frames)
+    body = Rig.of(longer, curves(longer, keep), keep)
+    motion = body.to_own_rig(body.corrected(network(draws, body.missing_joints, progress)), plant=plant)
     return Animated(motion, (f"made by the model {DRAWS}, which goes on from the end", *body.notes(plant)))
 
 
@@ -228,8 +228,8 @@ def _new(frames: int, draws: torch.Generator, plant: bool, progress: bool) -> An
     if frames > WINDOW:
         motion = motion.clip(torch.arange(frames).clamp(max=WINDOW - 1))
         known = (torch.arange(frames) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
-        lacking = torch.zeros(len(STANDARD), dtype=torch.bool)
-        motion = network(draws, lacking, progress)(motion, known)
+        missing = torch.zeros(len(STANDARD), dtype=torch.bool)
+        motion = network(draws, missing, progress)(motion, known)
     motion = motion.cut(0, frames)
     if plant:
         motion = lock_feet(motion.clip(None), slow=False).clip(0)
