@@ -29,12 +29,12 @@ __all__ = [
     "motion",
     "observation",
     "optimise",
-    "people",
     "posterior",
     "retarget",
     "rotation",
     "skeleton",
     "skinning",
+    "subjects",
     "training",
     "viz",
 ]

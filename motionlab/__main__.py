@@ -127,11 +127,13 @@ def _onnx(options: argparse.Namespace) -> int:
 
 def _models(options: argparse.Namespace) -> int:
     from motionlab import checkpoint
-    from motionlab.training import models
+    from motionlab.training import model_card
 
-    for path in [p for kind in models.PRIORS for p in sorted(checkpoint.SHIPPED.glob(f"{kind}.json")) if options.data]:
-        models.judge_prior(path.stem, options.data)
-    print(models.write_readme())
+    for path in [
+        p for kind in model_card.PRIORS for p in sorted(checkpoint.SHIPPED.glob(f"{kind}.json")) if options.data
+    ]:
+        model_card.judge_prior(path.stem, options.data)
+    print(model_card.write_readme())
     return 0
 
 

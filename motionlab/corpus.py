@@ -27,7 +27,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as serialised
 from tqdm.auto import tqdm
 
-from motionlab import cleaning, people, rotation
+from motionlab import cleaning, rotation, subjects
 from motionlab.contact import with_contacts
 from motionlab.errors import DataError, MissingData
 from motionlab.files import source_hash, write_whole
@@ -68,7 +68,7 @@ class Take:
     @property
     def part(self) -> str:
         """The part that the person belongs to."""
-        return people.part_of(self.person)
+        return subjects.part_of(self.person)
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,8 @@ class Corpus:
         Raises:
             ValueError: no such part.
         """
-        if name not in people.PARTS:
-            raise ValueError(f"part: expected one of {', '.join(people.PARTS)}, got {name!r}")
+        if name not in subjects.PARTS:
+            raise ValueError(f"part: expected one of {', '.join(subjects.PARTS)}, got {name!r}")
         return [take for take in self.takes if take.part == name]
 
     def report(self) -> str:
@@ -114,7 +114,7 @@ class Corpus:
             reasons = Counter(row.refused.values())
             lines += [f"  refused {n}: {reason}" for reason, n in reasons.most_common(5)]
             lines += [f"    {name}" for name in list(row.refused)[:5]]
-        for name in people.PARTS:
+        for name in subjects.PARTS:
             some = self.part(name)
             seconds, who = sum(t.motion.seconds for t in some), len({t.person for t in some})
             lines.append(f"{name}: {seconds / 60:.1f} min of {who} people, {len(some)} stretches")
@@ -331,7 +331,7 @@ def _read(path: Path) -> tuple[list[Take], SourceRow] | None:
         skeleton = replace(STANDARD, offsets=offsets[i], sole=each["sole"])
         labels = contacts[at:stop].float()
         motion = Motion(skeleton, root[at:stop], matrices[at:stop], about["fps"], labels, name=each["name"])
-        person = people.person_of(source, each["file"])
+        person = subjects.person_of(source, each["file"])
         takes.append(Take(motion, each["name"], source, person, each["said"], each["fps"], tuple(each["missing"])))
         at = stop
     return takes, SourceRow(**about["row"], kept=sum(t.motion.seconds for t in takes))

@@ -1,8 +1,4 @@
-"""Splits motions into those to learn from and those held out: sources by name, and parts that share no recording.
-
-A model trains on one part, is chosen by the second and reported on the third. Recordings are on the standard joints, at
-one frame rate. Source: thesis 4.1.2, "Data": "several motion sequences are held out".
-"""
+"""Loads sources of recordings by name and licence, on the standard joints at one frame rate; draws evenly from them."""
 
 from __future__ import annotations
 
@@ -22,7 +18,7 @@ from motionlab.retarget import retarget
 SHIPPABLE = ("cmu_amc", "deepmimic", "reactidle", "animated_drawings", "isaacgym_amp_cmu")
 #: Those that a corpus of real motion is made of (``corpus.assemble``); people, not clips, are kept apart there.
 REAL = ("cmu_library", "cmu_native", *SHIPPABLE)
-_STATES = 61  # of a window: two seconds
+_WINDOW = 61  # of a window: two seconds
 SYNTHETIC, RECORDED = "synthetic", "recordings"
 
 
@@ -39,14 +35,14 @@ def real_sources(folder: Path | str) -> list[str]:
     return [name for name in REAL if name in places] or places
 
 
-def evenly(items: Sequence, most: int | None) -> list:
+def subsample(items: Sequence, most: int | None) -> list:
     """Returns at most ``most`` items, evenly through the sequence; all of them for None."""
     if most is None or len(items) <= most:
         return list(items)
     return [items[round(i * (len(items) - 1) / max(most - 1, 1))] for i in range(most)]
 
 
-def standard(folder: Path | str | None, source: str, *, each: int | None = None) -> list[Motion]:
+def load_source(folder: Path | str | None, source: str, *, each: int | None = None) -> list[Motion]:
     """Loads the motions of one source on the 22 joints, at 30 frames per second, with the source's own proportions,
     feet on the floor.
 
@@ -58,11 +54,11 @@ def standard(folder: Path | str | None, source: str, *, each: int | None = None)
     if folder is None or not (Path(folder) / source).is_dir():
         return []
     found = [(path, load) for _, path, load in recordings(folder, source)]
-    return [_standard(path, load) for path, load in evenly(found, each)]
+    return [_load(path, load) for path, load in subsample(found, each)]
 
 
 @lru_cache(maxsize=512)
-def _standard(path: Path, load: Callable) -> Motion:
+def _load(path: Path, load: Callable) -> Motion:
     return resample(retarget(load(path)).motion, FPS)
 
 
@@ -70,10 +66,10 @@ def state_windows(motions: Sequence[Motion], most: int = 48) -> tuple[torch.Tens
     """Computes states (W, 61, 339) with velocities of the past, and contacts (W, 61, 9), evenly over motions; none
     where all are shorter."""
     cuts = [
-        (state.from_motion(m, causal=True)[i : i + _STATES].float(), m.contacts[i : i + _STATES].float())
-        for m in motions for i in range(0, m.frames - _STATES + 1, _STATES)
+        (state.from_motion(m, causal=True)[i : i + _WINDOW].float(), m.contacts[i : i + _WINDOW].float())
+        for m in motions for i in range(0, m.frames - _WINDOW + 1, _WINDOW)
     ]  # fmt: skip
     if not cuts:
-        return torch.zeros(0, _STATES, state.STATE), torch.zeros(0, _STATES, state.CONTACTS)
-    x, c = zip(*evenly(cuts, most), strict=True)
+        return torch.zeros(0, _WINDOW, state.STATE), torch.zeros(0, _WINDOW, state.CONTACTS)
+    x, c = zip(*subsample(cuts, most), strict=True)
     return torch.stack(x), torch.stack(c)

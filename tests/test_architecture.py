@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: The rooms of the library, a floor a line, the lowest first: what is below "animate" is what a stranger imports. An
 #: import goes strictly down, or stays inside its room: a module, or a package that is named here as a whole.
 FLOORS = """
-    diffusion.footsteps errors examples parallel people
+    diffusion.footsteps errors examples parallel subjects
     diffusion.denoiser diffusion.sampling files optimise rotation skeleton
     body checkpoint motion rigs
     baselines cleaning contact heading humanml ik observation rest skinning tailoring

@@ -18,7 +18,7 @@ from motionlab.metrics.generation import frechet
 from motionlab.motion import mirror
 from motionlab.rotation import rotation_about
 from motionlab.skeleton import STANDARD
-from motionlab.training import encoder_training, shipped, train
+from motionlab.training import encoder_training, recipes, train
 
 TINY = encoder.EncoderRecipe(frames=12, size=6, width=8, steps=120, batch=8, lr=5e-3, seed=3)
 PARTS = list(encoder.FEATURE_GROUPS.values())
@@ -132,8 +132,8 @@ def test_the_command_trains_on_the_people_who_train(motions, tmp_path, monkeypat
         asked.append((windows.digest, held))
         return train_encoder(windows, recipe, held, **how)
 
-    found = shipped.RealMotions({splits.RECORDED: motions[:1]}, {"people who choose": motions[1:]}, {})
-    monkeypatch.setattr(shipped, "real_motions", lambda folder: found)
+    found = recipes.RealMotions({splits.RECORDED: motions[:1]}, {"people who choose": motions[1:]}, {})
+    monkeypatch.setattr(recipes, "real_motions", lambda folder: found)
     monkeypatch.setattr(encoder_training, "train_encoder", trained)
     monkeypatch.setattr(train, "EncoderRecipe", lambda: replace(TINY, frames=60))
     how = "--steps 3 --seed 2"

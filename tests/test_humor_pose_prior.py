@@ -12,7 +12,7 @@ from motionlab.errors import DataError, ShapeError
 from motionlab.humor import pretrained
 from motionlab.humor.priors import PosePrior
 from motionlab.skeleton import STANDARD
-from motionlab.training import prior_training, shipped
+from motionlab.training import prior_training, recipes
 
 
 @pytest.fixture(scope="module")
@@ -206,15 +206,15 @@ def test_shipped_prior_refuses_what_is_no_pose(generator):
 
 
 def test_samples_are_more_human_than_chance(generator):
-    drawn = shipped._beyond_limits(
+    drawn = recipes._beyond_limits(
         prior_training.samples(pretrained.load_pose_prior("pose_prior_real"), 500, generator)
     )
     model = PosePrior().frozen()
     spread = pretrained.load_pose_prior("pose_prior_real").encode(unseen()).mean.std(0).mean()
     assert 0.3 < spread < 1.5  # latents of people fill the unit normal that samples are drawn from
-    anyhow = shipped._beyond_limits(rotation.exp(0.35 * torch.randn(500, 21, 3, generator=generator)))
+    anyhow = recipes._beyond_limits(rotation.exp(0.35 * torch.randn(500, 21, 3, generator=generator)))
     assert drawn["mean"] < 0.5 * anyhow["mean"]
-    assert shipped._beyond_limits(unseen())["mean"] <= drawn["mean"]
+    assert recipes._beyond_limits(unseen())["mean"] <= drawn["mean"]
     assert model.decode(torch.zeros(32)).shape == (21, 3, 3)
 
 

@@ -10,13 +10,13 @@ from data_synth.subjects import SUBJECTS
 from motionlab import checkpoint
 from motionlab.errors import DataError
 from motionlab.humor import pretrained, priors
-from motionlab.training import prior_training, shipped
+from motionlab.training import prior_training, recipes
 
 
 def first_states(seed: int = 5) -> torch.Tensor:
     """Features of the held-out subject, made for this test alone."""
     takes = [ACTIONS[name](SUBJECTS[3], torch.Generator().manual_seed(seed)) for name in ("walk", "sit", "kick")]
-    return shipped._first_states([take.motion for take in takes], 5)
+    return recipes._first_states([take.motion for take in takes], 5)
 
 
 def test_loaded_once_and_frozen():

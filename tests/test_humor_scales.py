@@ -10,7 +10,7 @@ from motionlab.__main__ import main
 from motionlab.errors import ShapeError
 from motionlab.humor import pretrained
 from motionlab.humor.cvae import Cvae
-from motionlab.training import shipped
+from motionlab.training import recipes
 
 
 @pytest.mark.parametrize("width", [0, 16, 48, 100])
@@ -30,10 +30,10 @@ def test_the_command_wants_steps_that_can_be_counted(steps, capsys):
 def test_the_command_trains_the_small_priors(motions, tmp_path, monkeypatch):
     """End to end with little data: both checkpoints load, and their recipes say what they are."""
     some = [m for seed in (1, 2) for m in (perform_sequence(Corpus(seconds=6.0, seed=seed), 0).motion, *motions)]
-    data = shipped.RealMotions(
+    data = recipes.RealMotions(
         {splits.RECORDED: some}, {"unseen": motions[:1]}, {splits.RECORDED: [("left_foot",)] * len(some)}
     )
-    monkeypatch.setattr(shipped, "real_motions", lambda folder: data)
+    monkeypatch.setattr(recipes, "real_motions", lambda folder: data)
     assert main(["train", "small", "--steps", "3", "--seed", "2", "--out", str(tmp_path)]) == 0
     pose, initial = (
         pretrained.load_pose_prior(str(tmp_path / "pose_prior_real")),
@@ -41,11 +41,11 @@ def test_the_command_trains_the_small_priors(motions, tmp_path, monkeypatch):
     )
     turns = pose.decode(torch.zeros(2, 32))
     assert torch.allclose(turns @ turns.mT, torch.eye(3).expand_as(turns), atol=1e-5)
-    features = shipped._first_states(motions[:1], 20)
+    features = recipes._first_states(motions[:1], 20)
     assert initial.log_prob(features).isfinite().all() and initial.means.shape == (12, 138)
-    recipes = [checkpoint.read_recipe(tmp_path / f"{name}_real") for name in ("pose_prior", "init_gmm")]
+    made = [checkpoint.read_recipe(tmp_path / f"{name}_real") for name in ("pose_prior", "init_gmm")]
     command = "python -m motionlab train small --data FOLDER"
-    assert [recipe["command"] for recipe in recipes] == [f"{command} --steps 3 --seed 2", f"{command} --seed 2"]
-    assert recipes[0]["data"] == recipes[1]["data"] == {splits.RECORDED: sum(m.frames for m in some)}
-    assert recipes[0]["steps"] == 3 and recipes[0]["held out"]["unseen"]["degrees"] > 0
-    assert recipes[1]["held-out log-likelihood, nats per frame"]["unseen"]["frames"] == -(-motions[0].frames // 3)
+    assert [recipe["command"] for recipe in made] == [f"{command} --steps 3 --seed 2", f"{command} --seed 2"]
+    assert made[0]["data"] == made[1]["data"] == {splits.RECORDED: sum(m.frames for m in some)}
+    assert made[0]["steps"] == 3 and made[0]["held out"]["unseen"]["degrees"] > 0
+    assert made[1]["held-out log-likelihood, nats per frame"]["unseen"]["frames"] == -(-motions[0].frames // 3)

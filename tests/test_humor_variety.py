@@ -5,7 +5,7 @@ import torch
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
 from motionlab.humor import priors, state
-from motionlab.training import examples, shipped
+from motionlab.training import examples, recipes
 
 
 def test_other_bodies_keep_angles_and_feet(generator):
@@ -15,7 +15,7 @@ def test_other_bodies_keep_angles_and_feet(generator):
     assert (other.skeleton.offsets.norm(dim=-1) / motion.skeleton.offsets.norm(dim=-1).clamp(min=1e-9))[1:].std() > 0.01
     lowest = [m.positions[..., 2].amin(-1) for m in (motion, other)]
     assert (lowest[0] - lowest[1]).abs().max() < 0.04
-    made = shipped._first_states([motion], 10, generator)
+    made = recipes._first_states([motion], 10, generator)
     assert made.shape == (24, 138)  # itself, its mirror image, and both on other bodies
     world = state.from_motion(motion, causal=True)[::10]
     assert torch.allclose(made[:6], priors.first_state_features(state.localise(world, state.heading(world))), atol=1e-6)

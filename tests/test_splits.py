@@ -19,24 +19,24 @@ def folder(tmp_path_factory):
 
 
 def test_recordings_come_on_the_standard_joints_at_one_rate(folder):
-    motions = splits.standard(folder, "reactidle")
+    motions = splits.load_source(folder, "reactidle")
     assert len(motions) == 2
     assert all(m.skeleton.names == STANDARD.names and m.fps == 30 for m in motions)
-    assert len(splits.standard(folder, "reactidle", each=1)) == 1
-    assert splits.standard(folder, "reactidle")[0] is motions[0]  # loaded once
+    assert len(splits.load_source(folder, "reactidle", each=1)) == 1
+    assert splits.load_source(folder, "reactidle")[0] is motions[0]  # loaded once
 
 
 def test_no_folder_or_no_such_source_is_an_empty_list(folder):
-    assert splits.standard(None, "cmu_amc") == []
-    assert splits.standard(folder, "cmu_amc") == []
+    assert splits.load_source(None, "cmu_amc") == []
+    assert splits.load_source(folder, "cmu_amc") == []
     assert recordings.roots(None) == {}
     assert list(recordings.roots(folder)) == ["reactidle"]
 
 
 def test_spread_takes_first_last_and_between():
-    assert splits.evenly(list(range(10)), 4) == [0, 3, 6, 9]
-    assert splits.evenly([1, 2], 4) == [1, 2]
-    assert splits.evenly(list(range(10)), 1) == [0]
+    assert splits.subsample(list(range(10)), 4) == [0, 3, 6, 9]
+    assert splits.subsample([1, 2], 4) == [1, 2]
+    assert splits.subsample(list(range(10)), 1) == [0]
 
 
 def test_pelvis_of_hips_and_neck_is_upright_and_turns_with_them():

@@ -1,9 +1,9 @@
 """From recordings to the weights that ship: ``motionlab train``. Nothing of the library imports this room.
 
-train, shipped         what is trained in minutes, from which data, and the recipe that is written beside it
+train, recipes         what is trained in minutes, from which data, and the recipe that is written beside it
 train_more, courses    what is trained for days: goes on from what ships, judges itself, keeps its state
 training_loop          the loop of all of them: resumable to the bit
-completer_training, denoiser_training (losses), chain_training (examples), prior_training, feature_training
+completer_training, denoiser_training (losses), chain_training (examples), prior_training, encoder_training
                        a network each
-models                 how good they are on people nobody trained on
+model_card             how good they are on people nobody trained on
 """

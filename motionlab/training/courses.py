@@ -29,7 +29,7 @@ from motionlab.training.chain_training import ChainRecipe, ChainTraining
 from motionlab.training.completer_training import CompleterTraining
 from motionlab.training.denoiser_training import DenoiserTraining
 from motionlab.training.examples import LiveExamples
-from motionlab.training.models import person_states
+from motionlab.training.model_card import person_states
 from motionlab.training.train_more import learnt_from
 from motionlab.training.training_loop import fast_halves
 

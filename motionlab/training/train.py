@@ -10,7 +10,7 @@ from pathlib import Path
 from motionlab import checkpoint
 from motionlab.diffusion.encoder import EncoderRecipe
 from motionlab.errors import DataError
-from motionlab.training import shipped, train_more
+from motionlab.training import recipes, train_more
 from motionlab.training.courses import COURSES
 
 
@@ -44,14 +44,14 @@ def _train(options: argparse.Namespace) -> int:
     if options.more and name not in COURSES:
         raise DataError(f"{name} takes no --more", remedy=f"it is for {', '.join(COURSES)}")
     if name == "small":
-        data, out = shipped.real_motions(options.data), out or checkpoint.SHIPPED
-        shipped.make_pose_prior(data, out, seed=options.seed, steps=options.steps or shipped.STEPS)
-        shipped.make_init_gmm(data, out, seed=options.seed)
+        data, out = recipes.real_motions(options.data), out or checkpoint.SHIPPED
+        recipes.make_pose_prior(data, out, seed=options.seed, steps=options.steps or recipes.STEPS)
+        recipes.make_init_gmm(data, out, seed=options.seed)
         return 0
     kind, recipe = COURSES.get(name, (None, EncoderRecipe()))
     recipe = replace(recipe, seed=options.seed, steps=options.steps or recipe.steps)
     if kind is None:
-        shipped.make_encoder(options.data, out or checkpoint.SHIPPED / "features_real", recipe)
+        recipes.make_encoder(options.data, out or checkpoint.SHIPPED / "features_real", recipe)
         return 0
     try:
         course, every = kind(name, recipe, options.data), min(2500, -(-recipe.steps // 8))

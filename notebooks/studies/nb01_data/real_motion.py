@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motionlab import corpus, people, rotation
+from motionlab import corpus, rotation, subjects
 from motionlab.contact import contacts_from_positions, resting_heights
 from motionlab.corpus import Corpus, Take
 from motionlab.io.recordings import recordings
@@ -79,7 +79,7 @@ def kind_rows(found: Corpus) -> list[dict[str, object]]:
     rows = []
     for kind, takes in takes_by_kind(found).items():
         speeds = [velocity(t.motion.root[:, :2], t.motion.fps, dim=0).norm(dim=-1) for t in takes]
-        minutes = {f"{part}, min": _minutes([t for t in takes if t.part == part]) for part in people.PARTS}
+        minutes = {f"{part}, min": _minutes([t for t in takes if t.part == part]) for part in subjects.PARTS}
         about = {"people": len({t.person for t in takes}), "pelvis, m/s (median)": float(torch.cat(speeds).median())}
         rows.append({"kind": kind} | minutes | about)
     return rows
@@ -144,7 +144,7 @@ def contact_rows(folder: Path | str, every: int = 1) -> list[dict[str, object]]:
         other, other_load = library[path.stem]
         pair = _aligned(retarget(load(path)).motion, retarget(other_load(other)).motion)
         if pair is not None:
-            by_person.setdefault(people.person_of(NATIVE, path), []).append(pair)
+            by_person.setdefault(subjects.person_of(NATIVE, path), []).append(pair)
     rows = []
     for person, pairs in sorted(by_person.items()):
         found, truth = (torch.cat([pair[i] for pair in pairs]) for i in (0, 1))
@@ -152,7 +152,7 @@ def contact_rows(folder: Path | str, every: int = 1) -> list[dict[str, object]]:
         times = [t for a, b in pairs for t in _timing(a, b)]
         means = {"F1": scores.f1, "precision": scores.precision, "recall": scores.recall}
         rows.append(
-            {"person": person, "part": people.part_of(person), "clips": len(pairs)}
+            {"person": person, "part": subjects.part_of(person), "clips": len(pairs)}
             | {name: float(x.mean()) for name, x in means.items()}
             | {"timing, ms": 1000 * float(np.mean(times)) if times else float("nan")}
         )
@@ -207,7 +207,7 @@ def _timing(found: Tensor, truth: Tensor) -> list[float]:
 def toes_rows(found: Corpus) -> list[dict[str, object]]:
     """Computes how well the bend of the toes is predicted from the foot, its height and its speed, by ridge regression
     over recordings that have toes: root mean square error in degrees, a row per part."""
-    feet: dict[str, list[tuple[Tensor, Tensor]]] = {part: [] for part in people.PARTS}
+    feet: dict[str, list[tuple[Tensor, Tensor]]] = {part: [] for part in subjects.PARTS}
     for take in found.takes:
         if take.source == NATIVE:
             feet[take.part] += [_foot(take.motion, side) for side in ("left", "right")]

@@ -115,10 +115,10 @@ def describe_sources(
     found = {"synthetic": describe_synthetic(sequences, seconds)}
     if takes := [take for take in real.takes if take.person.startswith("cmu_")] if real else []:
         found["CMU"] = describe_recorded(takes, seconds)
-    if motions := splits.standard(folder, "bandai_namco", each=each):
+    if motions := splits.load_source(folder, "bandai_namco", each=each):
         found["Bandai-Namco"] = describe_styles(motions, seconds)
     for name, source in (("DeepMimic", "deepmimic"), ("ReActIdle", "reactidle")):
-        if motions := splits.standard(folder, source):
+        if motions := splits.load_source(folder, source):
             found[name] = describe_clips([(motion, source, "") for motion in motions], seconds)
     return found
 

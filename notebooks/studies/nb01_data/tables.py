@@ -12,7 +12,7 @@ from motionlab.io.recordings import recordings
 from motionlab.metrics.gait import contact_scores
 from motionlab.retarget import retarget
 from motionlab.skeleton import FEET
-from motionlab.splits import evenly
+from motionlab.splits import subsample
 
 #: Faults put in on purpose: 5 cm/s of drift, 1 cm too low, knees reflected.
 FAULTS = {
@@ -77,7 +77,7 @@ def retarget_rows(folder: Path | str, *, each: int | None = None) -> list[dict[s
     for source in SMALL:
         if not (Path(folder) / source).is_dir():
             continue
-        found = evenly([(path, load) for _, path, load in recordings(folder, source)], each)
+        found = subsample([(path, load) for _, path, load in recordings(folder, source)], each)
         motions = [load(path) for path, load in found]
         own = [retarget(m) for m in motions]
         other = [retarget(m, proportions="standard") for m in motions]

@@ -10,9 +10,9 @@ from motionlab import rotation
 from motionlab.io.points import Positions
 from motionlab.io.recordings import recordings
 from motionlab.motion import FPS, resample
-from motionlab.people import person_of
 from motionlab.retarget import retarget
-from motionlab.splits import evenly
+from motionlab.splits import subsample
+from motionlab.subjects import person_of
 
 #: Sources with joint rotations. CMU's people come once: ``cmu_amc`` only adds trials that the library lacks.
 SOURCES = ("cmu_library", "cmu_amc", "bandai_namco", "deepmimic", "reactidle", "animated_drawings")
@@ -38,11 +38,11 @@ def roots(
     for source in (s for s in SOURCES if (Path(folder) / s).is_dir()):
         for _, path, load in recordings(folder, source):
             found.setdefault(person_of(source, path), {}).setdefault(path.stem, (path, load))
-    chosen = {who: evenly(list(files.values()), each) for who, files in found.items()}
+    chosen = {who: subsample(list(files.values()), each) for who, files in found.items()}
     if (Path(folder) / FALLS).is_dir():
         files = [(path, load) for _, path, load in recordings(folder, FALLS) if path.suffix == ".csv"]
-        chosen[FALLS] = evenly([f for f in files if f[0].name == "biomech.csv"], each)
-    return {who: tuple(_root(*file) for file in chosen[who]) for who in evenly(sorted(chosen), people)}
+        chosen[FALLS] = subsample([f for f in files if f[0].name == "biomech.csv"], each)
+    return {who: tuple(_root(*file) for file in chosen[who]) for who in subsample(sorted(chosen), people)}
 
 
 @lru_cache(maxsize=4096)

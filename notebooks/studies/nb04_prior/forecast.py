@@ -17,7 +17,7 @@ from motionlab import corpus, splits
 from motionlab.humor import pretrained, quality
 from motionlab.humor.state import heading, localise, unpack
 from motionlab.metrics.intervals import interval, paired
-from motionlab.training import models
+from motionlab.training import model_card
 from motionlab.training.examples import live_examples
 
 DRAWS, BATCH = 16_000, 400  # windows to learn from; drawn at once
@@ -62,7 +62,7 @@ def main() -> None:
     takes, generator = corpus.assemble(options.folder, splits.real_sources(options.folder)), torch.Generator()
     fitted = ridges(takes.part("train"), generator.manual_seed(0))
     model = pretrained.load_motion_prior(f"humor_{options.prior}")
-    choose, report = (models.person_states(takes.part(part)) for part in ("choose", "report"))
+    choose, report = (model_card.person_states(takes.part(part)) for part in ("choose", "report"))
     width = min(WIDTHS, key=lambda w: sum(left(fitted[w](x), x) for x, _ in choose.values()))
     print(f"width {width:g}")
     for part, people in (("choose", choose), ("report", report)):

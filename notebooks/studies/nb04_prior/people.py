@@ -11,13 +11,13 @@ import torch
 from torch import Tensor
 
 from data_synth import scenes
-from motionlab import corpus, people, splits
+from motionlab import corpus, splits, subjects
 from motionlab.corpus import Take
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae
 from motionlab.metrics.gait import SEATED, tilt_and_bend
 from motionlab.motion import Motion
-from motionlab.training import models
+from motionlab.training import model_card
 from studies.shared.clips import whole
 
 FRAMES = 62  # two seconds, and a frame before them from which the first velocity is taken
@@ -38,7 +38,7 @@ class Clips:
 
     def described(self) -> str:
         """Returns how many people and clips there are, and how many of the people taught the priors."""
-        taught = sum(who.startswith("cmu") and people.part_of(who) == "train" for who in self.names)
+        taught = sum(who.startswith("cmu") and subjects.part_of(who) == "train" for who in self.names)
         return f"{len(self.names)} people, {taught} of whom taught the prior, {len(self.whose)} clips"
 
     def of(self, indices: Sequence[int]) -> Clips:
@@ -64,7 +64,7 @@ def judged(takes: Sequence[Take], strangers: Clips) -> dict[str, dict[str, tuple
     drawn = state.from_motion(strangers.motion, causal=True)[:, 1:]
     each = zip(drawn[:, None], strangers.motion.contacts[:, None, 1:], strict=True)
     found = {"synthetic": dict(zip(strangers.names, each, strict=True))}
-    real = models.person_states(report_part(takes))
+    real = model_card.person_states(report_part(takes))
     return found | ({"cmu": real} if real else {})
 
 
@@ -77,7 +77,7 @@ def drawn(count: int, *, seed: int = 0) -> Clips:
 def recorded(takes: Sequence[Take], each: int) -> Clips | None:
     """Returns at most ``each`` clips of every person, evenly through what they did; None where there are none."""
     cuts = whole(takes, FRAMES).items()
-    return _together((who, cut) for who, mine in cuts for cut in splits.evenly(mine, each))
+    return _together((who, cut) for who, mine in cuts for cut in splits.subsample(mine, each))
 
 
 def going_down(takes: Sequence[Take], each: int) -> Clips | None:
@@ -149,7 +149,7 @@ def judged_rows(
     """Computes the model table's measures of every person, by prior and source."""
     sources = judged(takes, strangers)
     return {
-        (name, source): models.person_rows(model, persons, seed)
+        (name, source): model_card.person_rows(model, persons, seed)
         for name, model in models_by_name.items()
         for source, persons in sources.items()
     }

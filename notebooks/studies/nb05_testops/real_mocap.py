@@ -2,8 +2,8 @@
 
     PYTHONPATH=notebooks python -m studies.nb05_testops.real_mocap FOLDER OUT.json
 
-Tuned are stage 2's smoothness and a filter after it. Clips are of the people of one part (``people.toml``), at most so
-many each, evenly through what they did.
+Tuned are stage 2's smoothness and a filter after it. Clips are of the people of one part (``subjects.toml``), at most
+so many each, evenly through what they did.
 """
 
 import argparse

@@ -42,7 +42,7 @@ def assemble(folder: Path | None, each: int, most: int | None) -> Cast:
     """
     found = corpus.assemble(folder, splits.real_sources(folder), progress=False) if folder else None
     parts = {part: found.part(part) if found else _made(part) for part in ("train", "choose", "report")}
-    takes = {part: splits.evenly(some, most) for part, some in parts.items()}
+    takes = {part: splits.subsample(some, most) for part, some in parts.items()}
     people, whose, _ = person_windows(takes["report"], FRAMES, each)
     library = [on_standard(take.motion) for take in takes["train"]]
     learnt = gather(library, FRAMES, mirrored=False, people=[take.person for take in takes["train"]])

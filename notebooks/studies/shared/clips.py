@@ -36,8 +36,8 @@ def everyday(some: Sequence[Take], count: int) -> list[tuple[str, Motion]]:
     """Returns ``count`` clips of whatever people do, and who they are, as evenly over people as can be."""
     by_person = whole(some)
     each = -(-count // len(by_person))
-    pairs = [(who, m) for who, motions in by_person.items() for m in splits.evenly(motions, each + 2)[1:-1]]
-    return splits.evenly(pairs, count)
+    pairs = [(who, m) for who, motions in by_person.items() for m in splits.subsample(motions, each + 2)[1:-1]]
+    return splits.subsample(pairs, count)
 
 
 def begun(
@@ -54,7 +54,7 @@ def begun(
             at = int(starts[torch.randint(len(starts), (), generator=generator)])
             found.setdefault(take.person, []).append(take.motion.cut(at, at + FRAMES))
             starts = starts[(starts - at).abs() >= FRAMES]
-    return splits.evenly([(who, m) for who, motions in found.items() for m in splits.evenly(motions, each)], most)
+    return splits.subsample([(who, m) for who, motions in found.items() for m in splits.subsample(motions, each)], most)
 
 
 def goes(motion: Motion, metres: float) -> Tensor:

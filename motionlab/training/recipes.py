@@ -1,6 +1,4 @@
-"""Small checkpoints that ship with the project, each made from its data: ``make_pose_prior`` and ``make_init_gmm`` make
-the priors over poses and first states, ``make_encoder`` the features that generated motion is judged in.
-"""
+"""Trains and writes the small checkpoints that ship: pose prior, initial-state mixture and motion encoder."""
 
 from __future__ import annotations
 

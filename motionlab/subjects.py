@@ -1,8 +1,8 @@
-"""Who performs a recording, and whether models learn from that person, are chosen by them, or are reported on them.
+"""Splits recordings by subject into training, validation ("choose") and test ("report") people.
 
 A performance may exist in several sources (CMU's subject_trial ids agree between them), so the split is by person, over
-all sources at once. ``people.toml`` says which persons are kept from training, and why. A collection that is not named
-there is split by a hash of the person's name, so that it stays the same from one machine to the next.
+all sources at once. ``subjects.toml`` says which persons are kept from training, and why. A collection that is not
+named there is split by a hash of the person's name, so that it stays the same from one machine to the next.
 """
 
 from __future__ import annotations
@@ -14,22 +14,23 @@ from functools import cache
 from pathlib import Path
 
 PARTS = ("train", "choose", "report")
-_TABLE = Path(__file__).with_name("people.toml")
-#: Of ten persons of a collection that ``people.toml`` does not know: one is for choosing, two for the report.
+_TABLE = Path(__file__).with_name("subjects.toml")
+#: Of ten persons of a collection that ``subjects.toml`` does not know: one is for choosing, two for the report.
 _CHOOSE, _REPORT = 1, 2
 
 
 @cache
 def _table(path: Path = _TABLE) -> dict:
-    """Reads ``people.toml``: its content, by section."""
+    """Reads ``subjects.toml``: its content, by section."""
     return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 def person_of(source: str, path: Path | str) -> str:
     """Returns who performs a file of a source.
 
-    ``people.toml`` names a pattern for some sources, in whose first group the person stands, or single files. Elsewhere
-    it is the folder that the file lies in, as in AMASS; of a flat folder the file's name up to its first "_" or digit.
+    ``subjects.toml`` names a pattern for some sources, in whose first group the person stands, or single files.
+    Elsewhere it is the folder that the file lies in, as in AMASS; of a flat folder the file's name up to its first "_"
+    or digit.
     """
     known, path = _table(), Path(path)
     if named := known["files"].get(f"{source}/{path.stem}"):

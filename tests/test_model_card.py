@@ -11,7 +11,7 @@ from motionlab.contact import with_contacts
 from motionlab.errors import DataError
 from motionlab.humor import pretrained
 from motionlab.humor.cvae import Cvae, official_weights
-from motionlab.training import models
+from motionlab.training import model_card
 
 
 @pytest.fixture
@@ -39,20 +39,20 @@ def takes(*people):
 
 
 def test_only_people_of_the_report_count_and_each_alike(shipped, tmp_path, monkeypatch):
-    monkeypatch.setattr(models.splits, "real_sources", lambda folder: ["cmu_library"])
-    monkeypatch.setattr(models.corpus, "assemble", lambda *_, **__: takes("cmu_05", "cmu_01", "cmu_16", "cmu_111"))
-    found = models.judge_prior("humor_tiny", tmp_path)
+    monkeypatch.setattr(model_card.splits, "real_sources", lambda folder: ["cmu_library"])
+    monkeypatch.setattr(model_card.corpus, "assemble", lambda *_, **__: takes("cmu_05", "cmu_01", "cmu_16", "cmu_111"))
+    found = model_card.judge_prior("humor_tiny", tmp_path)
     assert found["one step, hold, cm"]["people"] == 2  # cmu_01 trains, cmu_111 chooses
     kept = json.loads((tmp_path / "humor_tiny.json").read_text())
-    assert kept[models.REPORT] == json.loads(json.dumps(found)) and kept["made by"] == "a test"
+    assert kept[model_card.REPORT] == json.loads(json.dumps(found)) and kept["made by"] == "a test"
     assert checkpoint.load(tmp_path / "humor_tiny")[0]  # the recipe still belongs to its tensors
-    monkeypatch.setattr(models.corpus, "assemble", lambda *_, **__: takes("cmu_01"))
+    monkeypatch.setattr(model_card.corpus, "assemble", lambda *_, **__: takes("cmu_01"))
     with pytest.raises(DataError, match="report"):
-        models.judge_prior("humor_tiny", tmp_path)
+        model_card.judge_prior("humor_tiny", tmp_path)
 
 
 def test_the_table_says_what_the_recipes_say(shipped):
-    text = models.write_readme().read_text()
+    text = model_card.write_readme().read_text()
     assert "| humor_tiny | " in text and "1.5" in text and "EIA-0196217" in text
 
 
@@ -61,6 +61,6 @@ def test_the_contest_is_a_table_for_each_measure():
     found |= {"legs; completer; one answer, cm": {"mean": 12.0, "low": 10.0, "high": 14.0}}
     found |= {"gap; completer; one answer, cm": {"mean": 6.0, "low": 5.0, "high": 7.0}}
     found |= {"legs; completer; slide, mm a frame": {"mean": 3.0, "low": 2.0, "high": 4.0}}
-    text = models._contest(found)
+    text = model_card._contest(found)
     assert "|  | legs | gap |" in text and "| ridge | 17.9 [15, 20] |  |" in text and "**Slide, mm a frame**" in text
-    assert models._contest({}) == ""
+    assert model_card._contest({}) == ""

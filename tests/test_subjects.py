@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from motionlab import people, splits
+from motionlab import splits, subjects
 
 #: Partners in one scene, and copies of one another, as the review of the data found them.
 TOGETHER = [
@@ -33,26 +33,28 @@ def files(performance):
 
 def crossing(ids):
     """Performances of which the sources disagree by whom they are, or in which part."""
-    whose = {i: {people.person_of(*file) for file in files(i)} for i in ids}
-    return [i for i, found in whose.items() if len(found) > 1 or len({people.part_of(p) for p in found}) > 1]
+    whose = {i: {subjects.person_of(*file) for file in files(i)} for i in ids}
+    return [i for i, found in whose.items() if len(found) > 1 or len({subjects.part_of(p) for p in found}) > 1]
 
 
 def apart(pairs):
     """Pairs of subjects that are not in one part."""
-    return [pair for pair in pairs if len({people.part_of(f"cmu_{subject:02}") for subject in pair}) > 1]
+    return [pair for pair in pairs if len({subjects.part_of(f"cmu_{subject:02}") for subject in pair}) > 1]
 
 
 def changed(monkeypatch, change):
-    table = copy.deepcopy(people._table())
+    table = copy.deepcopy(subjects._table())
     change(table)
-    monkeypatch.setattr(people, "_table", lambda: table)
+    monkeypatch.setattr(subjects, "_table", lambda: table)
 
 
 # --------------------------------------------------------------------------------------------------------- CMU
 def test_no_performance_is_on_both_sides_of_the_split():
     assert crossing(IDS) == []
-    assert people.person_of("cmu_native", "05_02.amc") == people.person_of("cmu_library", "05/05_20.bvh") == "cmu_05"
-    assert Counter(people.part_of(f"cmu_{s:02}") for s in range(1, 145)) == {"train": 113, "choose": 14, "report": 17}
+    assert (
+        subjects.person_of("cmu_native", "05_02.amc") == subjects.person_of("cmu_library", "05/05_20.bvh") == "cmu_05"
+    )
+    assert Counter(subjects.part_of(f"cmu_{s:02}") for s in range(1, 145)) == {"train": 113, "choose": 14, "report": 17}
 
 
 @pytest.mark.parametrize(
@@ -69,29 +71,29 @@ def test_control_sources_that_disagree_are_found(monkeypatch, change, found):
 
 def test_partners_and_copies_stay_together(monkeypatch):
     assert apart(TOGETHER) == []
-    said = people._TABLE.read_text(encoding="utf-8").split("Subjects together:")[1].split("[choose]")[0]
+    said = subjects._TABLE.read_text(encoding="utf-8").split("Subjects together:")[1].split("[choose]")[0]
     assert [tuple(map(int, pair)) for pair in re.findall(r"(\d+) (\d+)", said)] == TOGETHER
     changed(monkeypatch, lambda table: table["report"]["people"].remove("cmu_23"))
     assert apart(TOGETHER) == [(22, 23)]
 
 
 def test_the_parts_are_disjoint_and_as_large_as_asked():
-    table = tomllib.loads(people._TABLE.read_text(encoding="utf-8"))
+    table = tomllib.loads(subjects._TABLE.read_text(encoding="utf-8"))
     chosen, reported = (table[name]["people"] for name in ("choose", "report"))
     assert not set(chosen) & set(reported) and len(set(reported)) == len(reported) >= 15
     assert len(set(chosen)) == len(chosen) and all(re.fullmatch(r"cmu_\d{2,3}", p) for p in chosen + reported)
     assert all(len(table[name]["why"]) > 50 for name in ("choose", "report"))
     seen_by_older_weights = (1, 2, 3, 7, 8, 9, 17, 49, 55)
-    assert {people.part_of(f"cmu_{subject:02}") for subject in seen_by_older_weights} == {"train"}
+    assert {subjects.part_of(f"cmu_{subject:02}") for subject in seen_by_older_weights} == {"train"}
 
 
 # ------------------------------------------------------------------------------------------------------- others
 def test_sources_whose_people_are_not_known_are_for_training():
-    alone = tomllib.loads(people._TABLE.read_text(encoding="utf-8"))["alone"]
+    alone = tomllib.loads(subjects._TABLE.read_text(encoding="utf-8"))["alone"]
     assert {"deepmimic", "isaacgym_amp_cmu"} <= set(alone)
     for source in alone:
         for file in (f"{source}/humanoid3d_walk.txt", f"{source}/someone/05_01.npz"):
-            assert people.person_of(source, file) == source and people.part_of(source) == "train"
+            assert subjects.person_of(source, file) == source and subjects.part_of(source) == "train"
     assert set(splits.REAL) <= set(alone) | {"cmu_library", "cmu_native", "cmu_amc"}  # none by chance
 
 
@@ -103,13 +105,13 @@ def test_sources_whose_people_are_not_known_are_for_training():
     ],
 )  # fmt: skip
 def test_elsewhere_a_person_is_a_folder_or_the_beginning_of_a_name(file, person):
-    assert people.person_of("mine", file) == person
+    assert subjects.person_of("mine", file) == person
 
 
 def test_collections_that_nobody_knows_are_split_by_a_hash_that_stays():
     """sha256 of "mine/ann", as a number, leaves 5 when divided by 10: train; that of "mine/carla" 0: choose."""
     known = {"ann": "train", "bob": "train", "carla": "choose", "dora": "report", "emil": "report", "gus": "choose"}
-    assert {name: people.part_of(f"mine/{name}") for name in known} == known
-    shares = Counter(people.part_of(f"mine/{i}") for i in range(1000))
+    assert {name: subjects.part_of(f"mine/{name}") for name in known} == known
+    shares = Counter(subjects.part_of(f"mine/{i}") for i in range(1000))
     assert 80 < shares["choose"] < 120 and 160 < shares["report"] < 240
-    assert people.part_of("cmu_extra/dora") == "choose"  # not one of the sources whose ids are CMU's
+    assert subjects.part_of("cmu_extra/dora") == "choose"  # not one of the sources whose ids are CMU's
