@@ -76,7 +76,7 @@ def test_the_prior_goes_on_from_what_it_wrote(prior, here, monkeypatch):
     monkeypatch.setattr(prior, "recipe", replace(SMALL, lr=1e-6))
     train_more.go_on(prior, out, every=2, schedules=1)
     run = prior.resumed(train_more._kept("transition", out))
-    assert run.earlier == before["step"] and run.step == 4 and run.recipe.sampled == 0
+    assert run.earlier == before["step"] and run.step == 4 and run.recipe.sampling_end == 0
     first, again = prior.load(out), run.averaged
     past = torch.randn(5, 339, generator=seeded())
     assert torch.allclose(again.prior(past).mean, first.prior(past).mean, atol=0.02)

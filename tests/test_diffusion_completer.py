@@ -203,12 +203,12 @@ def test_a_file_gives_the_model_back(model, windows, known, tmp_path):
 # ---------------------------------------------------------------------------------------------------- diffusion
 def test_noise_is_a_turn_from_the_truth(data, windows, known):
     """At pi / 2 nothing of the hidden truth is seen; at smaller angles it is, which training needs."""
-    run = CompleterTraining(replace(TINY, noised=True), data)
+    run = CompleterTraining(replace(TINY, diffusion=True), data)
     for _ in range(5):
         run.advance()
     model, (local, _) = run.averaged, stuck_root(windows)
     other = hidden_changed(local, known)
-    noise = completer.moving_noise(known, 30.0, torch.Generator().manual_seed(0))
+    noise = completer.motion_noise(known, 30.0, torch.Generator().manual_seed(0))
     for angle, same in ((torch.pi / 2, True), (1.0, False)):
         at = torch.full((6,), angle)
         a, b = (model.filled(m, known, at, noise).rot for m in (local, other))
@@ -224,9 +224,9 @@ def test_noise_moves_as_motion_does():
     """It vanishes where a unit is known, and its amplitude falls with the square of the frequency; that of noise that
     is new in every frame does not."""
     known, fps = torch.zeros(400, 60, state.UNITS, dtype=torch.bool), 30.0
-    free = completer.moving_noise(known, fps, torch.Generator().manual_seed(0))[..., 3:] / completer._LOUD
+    free = completer.motion_noise(known, fps, torch.Generator().manual_seed(0))[..., 3:] / completer._LOUD
     known[:, :10], known[:, 50:] = True, True
-    gap = completer.moving_noise(known, fps, torch.Generator().manual_seed(0))
+    gap = completer.motion_noise(known, fps, torch.Generator().manual_seed(0))
     assert not gap[known[..., state.owners()]].any() and 0.3 < gap[:, 30, 3:].std() < 1.2
     white, wave = torch.randn(free.shape, generator=torch.Generator().manual_seed(1)), torch.arange(60.0)
     cosines = torch.cos(torch.pi / 60 * (wave + 0.5) * wave[:, None])
@@ -237,7 +237,7 @@ def test_noise_moves_as_motion_does():
 def test_draws_of_an_exact_model_are_draws_of_the_gaussian(data, windows, monkeypatch):
     """With r ~ N(m, s^2) in every number the best estimate from x at angle a is known; DDIM then gives back mean and
     deviation. One that ignores x does not."""
-    model, m, s = Completer(replace(TINY, noised=True)).eval(), 0.3, 0.7
+    model, m, s = Completer(replace(TINY, diffusion=True)).eval(), 0.3, 0.7
     known = torch.zeros(6, FRAMES, state.UNITS, dtype=torch.bool)
 
     def exact(motion, begun, known, x, angle):
@@ -259,7 +259,7 @@ def test_draws_of_an_exact_model_are_draws_of_the_gaussian(data, windows, monkey
 
 def test_how_long_a_models_six_numbers_are_does_not_matter(data, windows, known, monkeypatch):
     """Only their directions were ever asked of it: twice as long on the way, they draw the same."""
-    model, (local, _) = CompleterTraining(replace(TINY, noised=True), data).averaged, stuck_root(windows)
+    model, (local, _) = CompleterTraining(replace(TINY, diffusion=True), data).averaged, stuck_root(windows)
     truth, scale = state.made(local), model.units.made[1]
     drawn = []
     for long, seed in ((1.0, 0), (2.0, 0), (1.0, 1)):
@@ -277,7 +277,7 @@ def test_how_long_a_models_six_numbers_are_does_not_matter(data, windows, known,
 # -------------------------------------------------------------------------------------- of motion that was smoothed
 def test_smoothed_windows_and_the_truth_are_shown_in_one_frame_of_reference(data, monkeypatch):
     """That of the smoothed first frame: the truth's own would tell how it differs."""
-    run, seen = CompleterTraining(replace(TINY, rough=True), data), []
+    run, seen = CompleterTraining(replace(TINY, refines=True), data), []
     draws = torch.Generator().set_state(run.generator.get_state())
     monkeypatch.setattr(
         run.model, "filled", lambda shown, known, tremble: seen.append((shown, known, tremble)) or shown
@@ -300,7 +300,7 @@ def test_what_was_smoothed_stays_where_nothing_is_added(windows):
     """Where a completer that is not for that forgets it, as nothing of it is known."""
     nothing = torch.zeros(*windows.root.shape[:2], state.UNITS, dtype=torch.bool)
     for rough, least, most in ((True, 0.0, 1e-5), (False, 0.1, 10.0)):
-        model, told = Completer(replace(TINY, rough=rough)), {"tremble": 0.02} if rough else {}
+        model, told = Completer(replace(TINY, refines=rough)), {"tremble": 0.02} if rough else {}
         made = model.complete(windows, nothing, **told)
         assert least <= (made.positions - windows.positions).abs().max() < most, rough
         with pytest.raises(ValueError, match="tremble"):
@@ -350,7 +350,7 @@ def test_the_energy_score_rewards_draws_about_the_truth(people):
 
 def test_who_corrects_what_was_smoothed_is_judged_beside_the_smoother(people, monkeypatch):
     """One that adds nothing leaves what the smoother leaves; the truth leaves nothing."""
-    recipe = CompleterRecipe(size=64, layers=1, rough=True)
+    recipe = CompleterRecipe(size=64, layers=1, refines=True)
     course, model = CompleterCourse("completer_rough", recipe, None, (None, people)), Completer(recipe)
     silent = course.measured(model)
     monkeypatch.setattr(model, "complete", lambda motion, known, tremble: people.motion)
@@ -394,7 +394,7 @@ def test_training_writes_what_is_better_only(motions, people, here):
     assert CompleterTraining.resume(kept_in(here), data).recipe.lr == 1e3
     with pytest.raises(DataError, match="not a completer_draws"):
         train_more.go_on(
-            CompleterCourse("completer_draws", replace(recipe, noised=True), None, (data, people)), here, **how
+            CompleterCourse("completer_draws", replace(recipe, diffusion=True), None, (data, people)), here, **how
         )
     with pytest.raises(DataError, match="--data"):
         train_more.learnt_from(None, judge.FRAMES)
@@ -404,7 +404,7 @@ def test_training_writes_what_is_better_only(motions, people, here):
 def test_training_that_was_killed_goes_on_as_if_it_had_not_been(motions, people, here, monkeypatch, rough):
     """At step 3 of 4: the resumed run ends with the weights of one that nobody stopped."""
     data = gather([on_standard(m) for m in motions], judge.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
-    recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1, rough=rough)
+    recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1, refines=rough)
     how = {"every": 2, "schedules": 1}
     whole = CompleterTraining(recipe, data)
     for _ in range(4):

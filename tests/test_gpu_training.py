@@ -56,7 +56,7 @@ def motion(batch) -> Motion:
 
 def model(noised: bool, of: Motion) -> Completer:
     torch.manual_seed(0)
-    made = Completer(CompleterRecipe(size=64, layers=1, noised=noised))
+    made = Completer(CompleterRecipe(size=64, layers=1, diffusion=noised))
     torch.nn.init.normal_(made.said.weight, std=0.02)
     units = state.Units.measure(state.rows(of))
     made.mean.copy_(units.mean), made.scale.copy_(units.scale)

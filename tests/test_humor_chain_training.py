@@ -149,7 +149,7 @@ def test_the_truth_costs_nothing_and_a_skating_foot_does(data):
 def test_the_loss_falls(data, lr):
     """With the truth at every step; what the chain is left to itself for grows harder as it learns. At no rate it does
     not fall."""
-    how = {"steps": 40, "batch": 20, "supervised": 1.0, "sampled": 2.0, "kl": 0.002}
+    how = {"steps": 40, "batch": 20, "sampling_start": 1.0, "sampling_end": 2.0, "kl": 0.002}
     run = ChainTraining(replace(SMALL, lr=lr, **how), data)
     rows = [run.advance() for _ in range(40)]
     first, last = ({name: np.mean([row[name] for row in some]) for name in rows[0]} for some in (rows[:5], rows[-5:]))
@@ -174,7 +174,7 @@ def test_a_stopped_run_goes_on_to_the_bit(motions, data, tmp_path):
 
 @pytest.mark.parametrize(("opened", "free"), [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5)])
 def test_chains_of_every_mix_of_kinds_learn(data, opened, free):
-    run = ChainTraining(replace(SMALL, opened=opened, free=free, steps=3), data)
+    run = ChainTraining(replace(SMALL, open_loop=opened, free_running=free, steps=3), data)
     rows = [run.advance() for _ in range(3)]
     assert all(np.isfinite(value) for row in rows for value in row.values()) and rows[0]["kl"] > 0
     assert {value.dtype for value in run.averaged.state_dict().values()} == {torch.float32}

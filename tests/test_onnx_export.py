@@ -47,7 +47,7 @@ def test_the_file_fills_as_the_model_does(tmp_path, motions):
 
 def test_a_model_that_draws_is_refused(tmp_path):
     with pytest.raises(DataError, match="draws"):
-        onnx_export.export(Completer(replace(RECIPE, noised=True)), tmp_path / "a.onnx")
+        onnx_export.export(Completer(replace(RECIPE, diffusion=True)), tmp_path / "a.onnx")
     with pytest.raises(DataError, match="40 frames"):
         onnx_export.export(Completer(replace(RECIPE, frames=40)), tmp_path / "a.onnx")
     with pytest.raises(DataError, match="no such folder"):

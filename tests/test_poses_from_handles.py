@@ -49,7 +49,7 @@ def test_handles_are_met_to_the_millimetre_and_nothing_else_is_read(model, truth
 def test_the_network_hears_of_handles_if_it_is_told(model, truth):
     places, which = truth.positions[:, 0], people.handles(("left_wrist", "head"), 24, seeded())
     assert (model.complete(places, which).rot - model.complete(places, which & False).rot).abs().max() > 0.1
-    deaf = poses.Poser(replace(SMALL, told=False)).eval()
+    deaf = poses.Poser(replace(SMALL, conditioned=False)).eval()
     assert torch.equal(deaf.complete(places, which).rot, deaf.complete(places, which & False).rot)
 
 

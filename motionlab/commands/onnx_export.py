@@ -67,8 +67,8 @@ def export(model: Completer, path: Path | str) -> None:
         MissingData: the packages that write such files are not installed.
         DataError: the model draws, or was not trained on windows of 60 frames; or there is no such folder.
     """
-    if model.recipe.noised or model.recipe.frames != _FRAMES:
-        what = "draws" if model.recipe.noised else f"takes windows of {model.recipe.frames} frames"
+    if model.recipe.diffusion or model.recipe.frames != _FRAMES:
+        what = "draws" if model.recipe.diffusion else f"takes windows of {model.recipe.frames} frames"
         raise DataError(f"this model {what}", remedy=f"export one of one answer and {_FRAMES} frames")
     if not Path(path).resolve().parent.is_dir():
         raise DataError("no such folder", path=path, remedy="make it first")

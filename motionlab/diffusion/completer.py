@@ -1,11 +1,11 @@
-"""A plain network that completes motions: told any part of a window, it says what to add to smooth curves through it.
+"""A plain network that completes motions: given any part of a window, it adds to smooth curves through it.
 
     model = load("completer")
     made = model.complete(motion, known)        # known (B, T, 24): True where a unit of a frame is known
 
-With ``noised`` it is a diffusion model of what is to be added: r, of about unit size, is shown as cos(a) r + sin(a) e
+With ``diffusion`` it models what is to be added by diffusion: r, of about unit size, is shown as cos(a) r + sin(a) e
 with noise e, from the angle a = pi / 2, where it says nothing, down to 0; the network says sin(a) r - cos(a) e, so that
-it need not copy what it sees. The noise moves as what is to be added does (``moving_noise``): with other noise in every
+it need not copy what it sees. The noise moves as what is to be added does (``motion_noise``): with other noise in every
 frame, draws tremble and are too sure. Without, it is the same network at pi / 2 alone: one answer.
 
 Source: thesis 4.2.1 and 4.4.1 (known parts as input), Eq. 4.3; Oreshkin et al. 2023, delta-interpolator (what to add to
@@ -31,7 +31,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
 _TIMES = 2  # numbers that say how far the known frames around are
-_TREMBLE = 10.0  # per radian: what a rough model is told instead
+_TREMBLE = 10.0  # per radian: what a model that refines is told instead
 _FAR = 2.0  # seconds that count as no such frame
 _SHIFT = 5.0  # of the schedule: half of the steps are where the signal is below a fifth of the noise
 _WAVES = 8  # frequencies that an angle is told in
@@ -50,8 +50,8 @@ class CompleterRecipe:
     """What a training run depends on, with its windows.
 
     frames: of a window. size, layers, patch: width and depth of the encoder, frames in a token. kinds: odds of each
-    kind of mask (``masks.draw_units``). rough: it corrects a motion that trembled and was smoothed, of which nothing is
-    known for certain. noised: a diffusion model; blind: of its windows so many at pure noise. The learning rate rises
+    kind of mask (``masks.draw_units``). refines: it corrects a motion that trembled and was smoothed, of which nothing
+    is known for certain. diffusion: draws, not one answer; pure_noise_share: of its windows. The learning rate rises
     over ``warm_up`` steps to ``lr`` and falls by a cosine to a fiftieth. decay: of the weights. average: of them, per
     step.
     """
@@ -61,9 +61,9 @@ class CompleterRecipe:
     layers: int = 4
     patch: int = 2
     kinds: tuple[tuple[str, float], ...] = KINDS
-    noised: bool = False
-    rough: bool = False
-    blind: float = 0.2
+    diffusion: bool = False
+    refines: bool = False
+    pure_noise_share: float = 0.2
     steps: int = 20_000
     batch: int = 64
     lr: float = 1e-3
@@ -81,7 +81,7 @@ class CompleterRecipe:
 class Completer(nn.Module):
     """Guessed states (B, T, ``SIZE``), units known (B, T, ``UNITS``) -> what to add (B, T, ``MADE``), in unit sizes.
 
-    ``noised``: also what to add with noise (B, T, ``MADE``), and the angles (B,) of that. halves: it computes in
+    ``diffusion``: also what to add with noise (B, T, ``MADE``), and the angles (B,) of that. halves: it computes in
     bfloat16, as in training where that is faster; it costs about a millimetre.
     """
 
@@ -93,7 +93,7 @@ class Completer(nn.Module):
             raise ValueError(f"{recipe.frames} frames do not divide into tokens of {recipe.patch}")
         self.recipe, size = recipe, recipe.size
         self.taken = nn.Linear((state.SIZE + state.UNITS + _TIMES) * recipe.patch, size)
-        if recipe.noised:
+        if recipe.diffusion:
             self.noisy, self.angle = nn.Linear(state.MADE * recipe.patch, size), nn.Linear(2 * _WAVES, size)
         self.place = nn.Parameter(torch.randn(recipe.frames // recipe.patch, size) * 0.02)
         how = {"dropout": 0.0, "activation": "gelu", "norm_first": True, "batch_first": True}
@@ -119,7 +119,7 @@ class Completer(nn.Module):
         tremble: Tensor | None = None,
     ) -> Tensor:
         """Computes what to add to a guess; nothing where a number is known."""
-        told = until_known(known, fps)
+        told = time_to_known(known, fps)
         if tremble is not None:
             told = (_TREMBLE * tremble[:, None, None]).expand_as(told)
         x = torch.cat(((states - self.mean) / self.scale, known.to(states), told), -1)
@@ -129,7 +129,7 @@ class Completer(nn.Module):
             tokens = tokens + self.noisy(noisy.unflatten(1, (-1, self.recipe.patch)).flatten(2))
             tokens = tokens + self.angle(torch.cat((waves.sin(), waves.cos()), -1))[:, None]
         said = self.said(self.encoder(tokens)).unflatten(2, (self.recipe.patch, -1)).flatten(1, 2)
-        return calmer(said * ~known[..., state.owners().to(known.device)])
+        return binomial_smoothed(said * ~known[..., state.owners().to(known.device)])
 
     def filled(
         self,
@@ -140,15 +140,15 @@ class Completer(nn.Module):
         tremble: Tensor | None = None,
     ) -> Motion:
         """Computes windows (B, T) that are told ``known`` (B, T, ``UNITS``) of windows in their stuck frame; contacts
-        are near 0 or 1. Elsewhere the motion is never read, but by a ``noised`` model, as much as the angle (B,) leaves
-        of it under noise (B, T, ``MADE``; ``moving_noise``); None: nothing. A ``rough`` model reads all of it, and by
+        are near 0 or 1. Elsewhere the motion is never read, but by ``diffusion``, as much as the angle (B,) leaves of
+        it under noise (B, T, ``MADE``; ``motion_noise``); None: nothing. One that ``refines`` reads all of it, and by
         how much joints trembled (B,), radians."""
         begun, open_ = self._begun(motion, known)
         scale, shown = self.units.made[1], None
         if angle is not None:
             turned = angle[:, None, None]
             shown = (turned.cos() * (state.made(motion) - begun) / scale + turned.sin() * noise) * open_
-        elif self.recipe.noised:
+        elif self.recipe.diffusion:
             angle, shown = torch.full((len(begun),), math.pi / 2).to(begun), torch.zeros_like(begun)
         return state.motion_of(begun + self._added(motion, begun, known, shown, angle, tremble) * scale * open_, motion)
 
@@ -157,7 +157,7 @@ class Completer(nn.Module):
         if motion.frames != self.recipe.frames or known.shape != (*motion.root.shape[:2], state.UNITS):
             want = f"windows of {self.recipe.frames} frames, and {state.UNITS} units of each"
             raise ShapeError(f"expected {want}, got {tuple(motion.root.shape)} and {tuple(known.shape)}")
-        begun = state.made(motion) if self.recipe.rough else guess(motion, known, *self.units.made)
+        begun = state.made(motion) if self.recipe.refines else guess(motion, known, *self.units.made)
         return begun, ~known[..., state.owners().to(known.device)]
 
     def _added(
@@ -175,10 +175,10 @@ class Completer(nn.Module):
         return said if angle is None else angle.cos()[:, None, None] * shown + angle.sin()[:, None, None] * said
 
     def _drawn(self, motion: Motion, known: Tensor, generator: torch.Generator, steps: int) -> Motion:
-        """One draw for each window: DDIM, most steps near pure noise (``late``)."""
+        """One draw for each window: DDIM, most steps near pure noise (``shifted_angles``)."""
         begun, open_ = self._begun(motion, known)
-        x = moving_noise(known, motion.fps, generator).to(begun)
-        angles = late(torch.linspace(math.pi / 2, 0.0, steps + 1))
+        x = motion_noise(known, motion.fps, generator).to(begun)
+        angles = shifted_angles(torch.linspace(math.pi / 2, 0.0, steps + 1))
         for a, after in zip(angles[:-1].tolist(), angles[1:].tolist(), strict=True):
             added = self._added(motion, begun, known, x, torch.full((len(x),), a).to(x)) * open_
             whole = state.motion_of(begun + added * self.units.made[1], motion)
@@ -186,7 +186,7 @@ class Completer(nn.Module):
             noise = (x - math.cos(a) * added) / math.sin(a)
             x = math.cos(after) * added + math.sin(after) * noise
         for _ in range(2):  # a little noise is left
-            x = calmer(x) * open_
+            x = binomial_smoothed(x) * open_
         return state.motion_of(begun + x * self.units.made[1], motion)
 
     @torch.no_grad()
@@ -203,17 +203,17 @@ class Completer(nn.Module):
         """Computes motions (B, T) in the world from what is known of them; known rotations and places stay to the bit.
 
         The place and heading of the first frame are taken as given, known or not; contacts that a motion lacks are
-        unknown. generator: a ``noised`` model draws, in so many steps; None: one answer. tremble: of a ``rough`` model,
-        by how much joints trembled before the motion was smoothed, radians.
+        unknown. generator: for draws by ``diffusion``, in so many steps; None: one answer. tremble: where it
+        ``refines``, by how much joints trembled before the motion was smoothed, radians.
 
         Raises:
-            ShapeError: windows of another length. ValueError: draws from a model without noise; a ``rough`` model that
-                is not told how much joints trembled, or another one that is.
+            ShapeError: windows of another length. ValueError: draws from a model without noise; one that ``refines``
+                and is not told how much joints trembled, or another one that is.
         """
-        if generator is not None and not self.recipe.noised:
+        if generator is not None and not self.recipe.diffusion:
             raise ValueError("this model has one answer and draws none")
-        if self.recipe.rough != (tremble is not None):
-            told = "expected a size" if self.recipe.rough else "only a rough model is told of it"
+        if self.recipe.refines != (tremble is not None):
+            told = "expected a size" if self.recipe.refines else "only a model that refines is told of it"
             raise ValueError(f"tremble: {told}")
         if motion.contacts is None:
             none = motion.root.new_zeros(*motion.root.shape[:-1], len(STANDARD.contact_names))
@@ -238,14 +238,14 @@ class Completer(nn.Module):
         )
 
 
-def calmer(x: Tensor) -> Tensor:
+def binomial_smoothed(x: Tensor) -> Tensor:
     """Computes means (B, T, D) over three frames, the middle one weighted twice: what alternates from frame to frame is
     taken away."""
     wide = torch.cat((x[:, :1], x, x[:, -1:]), 1)
     return (wide[:, :-2] + 2 * x + wide[:, 2:]) / 4
 
 
-def late(angle: Tensor) -> Tensor:
+def shifted_angles(angle: Tensor) -> Tensor:
     """Moves even angles to where a motion is decided: near pure noise, as sixty frames say together what each alone
     says far too faintly.
 
@@ -254,20 +254,20 @@ def late(angle: Tensor) -> Tensor:
     return torch.atan2(_SHIFT * angle.sin(), angle.cos())
 
 
-def moving_noise(known: Tensor, fps: float, generator: torch.Generator) -> Tensor:
+def motion_noise(known: Tensor, fps: float, generator: torch.Generator) -> Tensor:
     """Draws noise (B, T, ``MADE``) that is nothing where a unit is known (B, T, ``UNITS``), and elsewhere about as
     large as what is to be added (``_LOUD``, ``_ROOT``).
 
-    In time it is as smooth as motion (``waves_of_motion``); what curves through the known frames would make of it is
+    In time it is as smooth as motion (``motion_waves``); what curves through the known frames would make of it is
     taken away, as it is of the motion.
     """
     count, frames = known.shape[:2]
-    noise = waves_of_motion(frames, fps) @ torch.randn(count, frames, state.MADE, generator=generator)
+    noise = motion_waves(frames, fps) @ torch.randn(count, frames, state.MADE, generator=generator)
     noise *= noise.new_tensor([_ROOT] * 3 + [_LOUD] * (state.MADE - 3))
     return noise - smooth_curves(noise, known.cpu(), state.owners())
 
 
-def waves_of_motion(frames: int, fps: float) -> Tensor:
+def motion_waves(frames: int, fps: float) -> Tensor:
     """Computes cosine waves (T, K) whose amplitudes fall as motion's do: with the square of the frequency, from
     ``_BEND`` on. With a standard normal weight each they add up to a deviation of 1, in the mean over time."""
     wave = torch.arange(frames, dtype=torch.float32)
@@ -283,7 +283,7 @@ def guess(motion: Motion, known: Tensor, mean: Tensor, scale: Tensor) -> Tensor:
     return state.made(state.motion_of(drawn, motion))  # 6-D numbers of rotations, not short ones
 
 
-def until_known(known: Tensor, fps: float) -> Tensor:
+def time_to_known(known: Tensor, fps: float) -> Tensor:
     """Computes the seconds (B, T, 2) since and until a frame of which a rotation is known; at most ``_FAR``. Not of all
     rotations: most figures lack some."""
     some = known[..., :-2].any(-1)[:, None]

@@ -35,14 +35,14 @@ _EMBEDDED, _WAVES = 128, 8  # numbers that handles are embedded in; frequencies 
 
 @dataclass(frozen=True)
 class PoseRecipe:
-    """size, layers: of the network. told: it hears of handles. noised: a diffusion model; else one answer. held: weight
-    of the handles' distance in the loss. steps, batch, lr, seed: of its training."""
+    """size, layers: of the network. conditioned: on handles. diffusion: draws; else one answer. handle_weight: of
+    their distance in the loss. steps, batch, lr, seed: of its training."""
 
     size: int = 256
     layers: int = 4
-    told: bool = True
-    noised: bool = True
-    held: float = 2.0
+    conditioned: bool = True
+    diffusion: bool = True
+    handle_weight: float = 2.0
     steps: int = 5000
     batch: int = 256
     lr: float = 2e-3
@@ -70,7 +70,7 @@ class Poser(nn.Module):
 
         Pure noise is not read.
         """
-        which = which[..., None] & self.recipe.told
+        which = which[..., None] & self.recipe.conditioned
         held = torch.cat((torch.where(which, targets, 0.0), which.to(targets)), -1).flatten(1)
         noisy = torch.where(angle[:, None] < math.pi / 2, noisy, 0.0)
         waves = angle[:, None] * 2.0 ** torch.arange(_WAVES).to(angle)

@@ -39,10 +39,10 @@ from motionlab.training.training_loop import TrainingRun, fast_halves
 class ChainRecipe:
     """What a training run depends on, with its examples.
 
-    width: of the networks. steps: of the optimiser. batch: chains of ``length`` transitions; opened, free: shares of
-    them of these kinds. chain: transitions that gradients flow through. supervised, sampled: shares of the steps that
-    see the truth, and by which it has faded out. kl: weight per nat; annealed: share of the steps over which it grows
-    to that. kinematics, contact, slide: weights of those losses. average: of the weights, per step.
+    width: of the networks. steps: of the optimiser. batch: chains of ``length`` transitions; open_loop, free_running:
+    shares of them. chain: transitions that gradients flow through. sampling_start, sampling_end: shares of the steps
+    between which scheduled sampling fades the truth out. kl: weight per nat; kl_warm_up: share of the steps over which
+    it grows to that. kinematics, contact, slide: weights of those losses. average: of the weights, per step.
     """
 
     width: int = 512
@@ -50,13 +50,13 @@ class ChainRecipe:
     batch: int = 128
     length: int = 16
     chain: int = 8
-    opened: float = 0.4
-    free: float = 0.2
+    open_loop: float = 0.4
+    free_running: float = 0.2
     lr: float = 3e-3
-    supervised: float = 0.05
-    sampled: float = 0.2
+    sampling_start: float = 0.05
+    sampling_end: float = 0.2
     kl: float = 0.02
-    annealed: float = 0.1
+    kl_warm_up: float = 0.1
     kinematics: float = 0.5
     contact: float = 0.7
     slide: float = 0.1
@@ -131,9 +131,9 @@ class ChainTraining(TrainingRun):
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         recipe, share = self.recipe, self.step / self.recipe.steps
         states, contacts, offsets, seen = self.examples.drawn(recipe.batch, self.generator)
-        opened, free = (round(part * recipe.batch) for part in (recipe.opened, recipe.free))
+        opened, free = (round(part * recipe.batch) for part in (recipe.open_loop, recipe.free_running))
         closed, judged = recipe.batch - opened - free, recipe.batch - free
-        truth = min(1.0, max(0.0, 1 - (share - recipe.supervised) / (recipe.sampled - recipe.supervised)))
+        truth = min(1.0, max(0.0, 1 - (share - recipe.sampling_start) / (recipe.sampling_end - recipe.sampling_start)))
         with torch.autocast("cpu", torch.bfloat16, enabled=False):  # so that weights are cast once for all steps
             known = self._along(states[closed:judged])
             x, steps, pasts, posteriors, targets = states[:, 0], [], [], [], []
@@ -156,7 +156,7 @@ class ChainTraining(TrainingRun):
         parts = self._parts(after, logits, now, contacts[:, 1:], offsets, seen, judged) | {"kl": divergence}
         weights = {
             "reconstruction": 1.0, "kinematics": recipe.kinematics, "contact": recipe.contact, "slide": recipe.slide,
-            "kl": recipe.kl * min(1.0, 0.1 + share / recipe.annealed),
+            "kl": recipe.kl * min(1.0, 0.1 + share / recipe.kl_warm_up),
         }  # fmt: skip
         return sum(w * parts[name] for name, w in weights.items()), parts
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from motionlab.contact import with_contacts
 from motionlab.diffusion import masks, state
-from motionlab.diffusion.completer import Completer, CompleterRecipe, moving_noise
+from motionlab.diffusion.completer import Completer, CompleterRecipe, motion_noise
 from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.windows import Windows
 from motionlab.heading import stuck_root, world_to_local
@@ -62,7 +62,7 @@ class CompleterTraining(TrainingRun):
         seen = _EVERY.repeat(len(clips), 1)
         if self.windows.seen is not None:
             seen[:, :-2] = self.windows.seen[clips]
-        if recipe.rough:
+        if recipe.refines:
             shown, tremble = self._smoothed(motion)
             shown, frame = stuck_root(shown)
             motion = world_to_local(frame, motion)
@@ -74,7 +74,7 @@ class CompleterTraining(TrainingRun):
             silent = torch.rand(recipe.batch, 1, generator=self.generator) < _SILENT
             known[..., -1] &= ~silent
             made = self.model.filled(motion, known, *self._noise(known))
-        parts = losses(made, motion, known, seen, self.model.units.made[1], squared=recipe.noised)
+        parts = losses(made, motion, known, seen, self.model.units.made[1], squared=recipe.diffusion)
         return sum(_WEIGHTS[name] * part for name, part in parts.items()), parts
 
     def _smoothed(self, motion: Motion) -> tuple[Motion, Tensor]:
@@ -86,11 +86,11 @@ class CompleterTraining(TrainingRun):
 
     def _noise(self, known: Tensor) -> tuple[Tensor, Tensor] | tuple[()]:
         """Angles (B,), evenly but for those at pure noise, and noise (B, T, ``MADE``); nothing without noise."""
-        if not self.recipe.noised:
+        if not self.recipe.diffusion:
             return ()
         angle = torch.rand(len(known), generator=self.generator) * math.pi / 2
-        blind = torch.rand(len(known), generator=self.generator) < self.recipe.blind
-        return torch.where(blind, math.pi / 2, angle), moving_noise(known, self.windows.fps, self.generator)
+        blind = torch.rand(len(known), generator=self.generator) < self.recipe.pure_noise_share
+        return torch.where(blind, math.pi / 2, angle), motion_noise(known, self.windows.fps, self.generator)
 
 
 def losses(

@@ -61,7 +61,7 @@ class CompleterCourse(train_more.Course):
     def load(self, path: Path) -> Completer:
         """Reads one that draws, or not, as the recipe says."""
         found = completer.load(path)
-        if (found.recipe.noised, found.recipe.rough) != (self.recipe.noised, self.recipe.rough):
+        if (found.recipe.diffusion, found.recipe.refines) != (self.recipe.diffusion, self.recipe.refines):
             raise DataError(f"not a {self.name}", path=path, remedy="name another --out, or train its kind")
         return found
 
@@ -70,9 +70,9 @@ class CompleterCourse(train_more.Course):
     def measured(self, model: Completer) -> dict[str, float]:
         """By person, errors on every case; of draws, on those that choose, energy scores and how far apart they are
         over their error. And accelerations over the truth's."""
-        if model.recipe.rough:
+        if model.recipe.refines:
             return _of_noise(model, self.held)
-        row, noised = {}, model.recipe.noised
+        row, noised = {}, model.recipe.diffusion
         for name in _CHOOSING if noised else CASES:
             draws = torch.Generator().manual_seed(0) if noised else None
             fill = partial(model.complete, generator=draws)
@@ -157,7 +157,7 @@ class PriorCourse(train_more.Course):
     def begun(self, recipe: ChainRecipe, first: Cvae | None) -> ChainTraining:
         """What goes on from weights is never shown the truth between, and has the whole KL divergence at once."""
         if first is not None:
-            recipe = replace(recipe, width=first.width, supervised=-1.0, sampled=0.0, annealed=1e-6)
+            recipe = replace(recipe, width=first.width, sampling_start=-1.0, sampling_end=0.0, kl_warm_up=1e-6)
         return super().begun(recipe, first)
 
     def save(self, out: Path, model: Cvae, about: dict) -> None:
@@ -183,9 +183,9 @@ class PriorCourse(train_more.Course):
 #: be of nothing known; the denoiser; and the prior.
 COURSES = {
     "completer": (CompleterCourse, CompleterRecipe()),
-    "completer_rough": (CompleterCourse, CompleterRecipe(rough=True, steps=2500)),
+    "completer_rough": (CompleterCourse, CompleterRecipe(refines=True, steps=2500)),
     "completer_draws": (
-        CompleterCourse, CompleterRecipe(noised=True, kinds=(*KINDS, ("nothing", 0.1), ("onward", 0.2)))
+        CompleterCourse, CompleterRecipe(diffusion=True, kinds=(*KINDS, ("nothing", 0.1), ("onward", 0.2)))
     ),
     "diffusion_plain": (DenoiserCourse, DenoiserRecipe()),
     "transition": (PriorCourse, ChainRecipe()),

@@ -40,7 +40,7 @@ SHARES, SEEDS = (1 / 32, 1 / 8, 1 / 2, 1.0), (0, 1, 2)
 EACH, PRACTICE = 24, 8  # windows of a person: of the report, and to choose on
 LEGS = "legs hidden"
 #: Far fewer steps than of what ships.
-PRIOR = ChainRecipe(steps=400, batch=32, opened=0.3, kl=0.002)
+PRIOR = ChainRecipe(steps=400, batch=32, open_loop=0.3, kl=0.002)
 COMPLETER = CompleterRecipe(kinds=(("legs", 1.0),), steps=800, batch=32)
 RIDGE_ROWS = 12_000  # training windows that the ridge learns from
 Errors = dict[str, list[float]]  # by measure, a number for each person

@@ -20,11 +20,11 @@ from studies.nb14_handles import people, training, trials
 _SMALL = PoseRecipe(size=128, layers=3, steps=3000, batch=128)
 #: Handles as an input or not, a loss on their deviation or not; and one answer without noise.
 ARMS = {
-    "neither": replace(_SMALL, told=False, held=0.0),
-    "loss": replace(_SMALL, told=False),
-    "input": replace(_SMALL, held=0.0),
+    "neither": replace(_SMALL, conditioned=False, handle_weight=0.0),
+    "loss": replace(_SMALL, conditioned=False),
+    "input": replace(_SMALL, handle_weight=0.0),
     "input and loss": _SMALL,
-    "input and loss, no noise": replace(_SMALL, noised=False),
+    "input and loss, no noise": replace(_SMALL, diffusion=False),
 }
 EACH = 48  # poses of a person
 
@@ -37,11 +37,11 @@ def seeded(name: str) -> torch.Generator:
 def ways(model: Poser) -> dict[str, trials.Way]:
     """How a model may be asked."""
     recipe, found = model.recipe, {}
-    if recipe.noised:
-        found["Eq. 4.10"] = trials.inpainted(model, recipe.told)
-    if recipe.noised and recipe.told:
+    if recipe.diffusion:
+        found["Eq. 4.10"] = trials.inpainted(model, recipe.conditioned)
+    if recipe.diffusion and recipe.conditioned:
         found["draw"] = trials.draw(model)
-    return found | ({"answer": trials.answer(model)} if recipe.told else {})
+    return found | ({"answer": trials.answer(model)} if recipe.conditioned else {})
 
 
 def ship(folder: Path) -> None:

@@ -1,8 +1,8 @@
 """Trains models of single poses side by side, on the same batches: windows of one frame, drawn by person, mirrored.
 
 Losses: squared errors of numbers, and distances of joints (metres x 5; squared, over 0.2 m, where noise is shown, as a
-diffusion model has to say means); once more those of the handles, by the recipe's ``held``. Half of what a noised model
-sees is pure noise. A rotation that a figure lacks counts as right. Source: thesis 4.1.2 and 4.2.4.
+diffusion model has to say means); once more those of the handles, by the recipe's ``handle_weight``. Half of what a
+diffusion model sees is pure noise. A rotation that a figure lacks counts as right. Source: thesis 4.1.2 and 4.2.4.
 """
 
 import math
@@ -89,7 +89,7 @@ def _loss(models: Sequence[Poser], batch: tuple[Motion, Tensor, ...], halves: bo
     truth, seen, which, x, noise, angle = batch
     places, silent = truth.positions[:, 0], torch.full_like(angle, math.pi / 2)
     noisy = angle.cos()[:, None] * x + angle.sin()[:, None] * noise
-    angles = [angle if model.recipe.noised else silent for model in models]
+    angles = [angle if model.recipe.diffusion else silent for model in models]
     with torch.autocast("cpu", torch.bfloat16, enabled=halves):
         said = torch.stack([m(places, which, noisy, each) for m, each in zip(models, angles, strict=True)]).float()
     made = models[0].decode(said.flatten(0, 1)).rot.unflatten(0, said.shape[:2])
@@ -100,5 +100,5 @@ def _loss(models: Sequence[Poser], batch: tuple[Motion, Tensor, ...], halves: bo
     far = 5 * torch.where(blind, squares.add(1e-6).sqrt(), squares / 0.2)
     held = (far * which).sum(-1) / which.sum(-1).clamp(min=1)
     columns = torch.nn.functional.pad(seen.repeat_interleave(6, -1), (1, 0), value=True)
-    weight = torch.tensor([model.recipe.held for model in models])[:, None]
+    weight = torch.tensor([model.recipe.handle_weight for model in models])[:, None]
     return (far.mean(-1) + masked_mean((said - x).square(), columns, 1) + weight * held).mean(1).sum()

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from motionlab.diffusion import masks
-from motionlab.diffusion.completer import _LOUD, _ROOT, Completer, calmer, waves_of_motion
+from motionlab.diffusion.completer import _LOUD, _ROOT, Completer, binomial_smoothed, motion_waves
 from motionlab.diffusion.curves import curve_weights
 from motionlab.diffusion.state import MADE, UNITS, owners
 from motionlab.motion import FPS
@@ -48,7 +48,7 @@ class Constants:
         self.time = torch.arange(T, device=device)
         self.away = (self.time[:, None] - self.time).float() / FPS
         self.waves = 2.0 ** torch.arange(8, device=device).float()
-        self.motion, self.loud = there(waves_of_motion(T, FPS)), there([_ROOT] * 3 + [_LOUD] * (MADE - 3))
+        self.motion, self.loud = there(motion_waves(T, FPS)), there([_ROOT] * 3 + [_LOUD] * (MADE - 3))
 
 
 def fk(root: Tensor, rot: Tensor, k: Constants) -> Tensor:
@@ -223,7 +223,8 @@ def _said(model: Completer, states: Tensor, known: Tensor, shown: Tensor | None,
         waves = angle[:, None] * k.waves
         tokens = tokens + model.noisy(shown.unflatten(1, (-1, patch)).flatten(2))
         tokens = tokens + model.angle(torch.cat((waves.sin(), waves.cos()), -1))[:, None]
-    return calmer(model.said(model.encoder(tokens)).unflatten(2, (patch, -1)).flatten(1, 2) * ~known[..., k.owners])
+    said = model.said(model.encoder(tokens)).unflatten(2, (patch, -1)).flatten(1, 2)
+    return binomial_smoothed(said * ~known[..., k.owners])
 
 
 def curves(numbers: Tensor, known: Tensor, weights: Tensor, k: Constants) -> Tensor:

@@ -106,7 +106,7 @@ class Run:
             self.recipe = CompleterRecipe.read(how["recipe"])
             if strange := {name for name, _ in self.recipe.kinds} - set(steps.ORDER):
                 raise ValueError(f"{name}: {', '.join(sorted(strange))}: of masks it draws {', '.join(steps.ORDER)}")
-            if self.recipe.rough:
+            if self.recipe.refines:
                 raise ValueError(f"{name}: rough: it shows nobody what was smoothed")
             torch.manual_seed(self.recipe.seed)
             net, units = Completer(self.recipe), Units.measure(steps.rows(root, rot, contacts, k))
@@ -132,7 +132,7 @@ class Run:
         k, draws, size = self.k, self.generator, self.recipe.batch
         with torch.no_grad():
             if "plain" not in self.how:
-                blind = self.recipe.blind if self.recipe.noised else None
+                blind = self.recipe.pure_noise_share if self.recipe.diffusion else None
                 batch = steps.drawn(size, self.data, self.table, self.odds, blind, k, draws)
             else:
                 *motion, seen = self.data.draw(size, k, draws)
