@@ -10,7 +10,7 @@ from motionlab import __main__, io, rotation
 from motionlab.errors import DataError
 from motionlab.io import amass, bvh, judging
 from motionlab.io.points import Positions
-from motionlab.io.reading import Spot
+from motionlab.io.reading import Location
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
 
@@ -27,7 +27,7 @@ def person(lean: float = 0.0, turn: float = 0.0, place=(0.0, 0.0, 0.95), frames:
 
 
 def judged(motion: Motion, **how) -> Motion:
-    return judging.to_world(Spot("clip"), motion, **how)
+    return judging.to_world(Location("clip"), motion, **how)
 
 
 @pytest.mark.parametrize("unit", ["m", "cm", "mm", "inch"])

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from motionlab.errors import DataError, MissingData, ShapeError
-from motionlab.io.reading import frame_rate, numbers, read_json, read_npz, read_text, reading
+from motionlab.io.reading import checked_array, frame_rate, read_json, read_npz, read_text, reading
 
 
 @pytest.mark.parametrize(
@@ -41,11 +41,11 @@ def test_text_json_and_arrays(tmp_path):
 
 def test_numbers_and_rates(tmp_path):
     with reading(tmp_path) as at:
-        assert numbers(at, [[1, 2, 3]], "T 3").dtype == np.float64
+        assert checked_array(at, [[1, 2, 3]], "T 3").dtype == np.float64
         assert frame_rate(at, np.array([30])) == 30.0
         for array, shape in (([1, 2], "3"), (np.zeros((0, 3)), "T 3"), (["a"], "1"), ([np.nan], "1"), ([1e18], "1")):
             with pytest.raises(DataError):
-                numbers(at, array, shape, "here")
+                checked_array(at, array, shape, "here")
         for rate in (0, -1, 1e6, np.nan, None, "30", [1, 2], True):
             with pytest.raises(DataError, match="frames per second"):
                 frame_rate(at, rate)

@@ -23,7 +23,7 @@ from motionlab import humanml, rotation
 from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.io import amass, bvh, gltf, gltf_reading
-from motionlab.io.reading import Spot, check_writable, read_bytes, read_npz, read_text, reading
+from motionlab.io.reading import Location, check_writable, read_bytes, read_npz, read_text, reading
 from motionlab.motion import Motion
 from motionlab.rest import reframed
 from motionlab.retarget import retarget
@@ -56,7 +56,7 @@ def _base(loaded: Motion, made: Motion, turn: Tensor, place: Tensor, scale: floa
 
 
 # -------------------------------------------------------------------------------------------------------- BVH
-def _bvh(at: Spot, loaded: Motion, made: Motion) -> bytes:
+def _bvh(at: Location, loaded: Motion, made: Motion) -> bytes:
     text = read_text(at)
     joints, values, _ = bvh._parse(at, text)  # what it notes was said when the file was loaded
     place, turns, relative = bvh._local(joints, values)
@@ -155,7 +155,7 @@ def _line_end(line: str) -> str:
 
 
 # -------------------------------------------------------------------------------------------------------- npz
-def _npz(at: Spot, loaded: Motion, made: Motion) -> bytes:
+def _npz(at: Location, loaded: Motion, made: Motion) -> bytes:
     arrays = {k: np.array(x) for k, x in read_npz(at).items()}
     places, moving = _smpl_keys(arrays)
     count = loaded.frames
@@ -191,7 +191,7 @@ def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], st
 
 
 # -------------------------------------------------------------------------------------------------------- GLB
-def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
+def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
     content, blob = gltf_reading._chunks(at)
     data = bytearray(read_bytes(at))
     start = data.rindex(blob, 0) if blob else len(data)
@@ -239,7 +239,7 @@ def _glb(at: Spot, loaded: Motion, made: Motion) -> bytes:
 
 
 def _animated(
-    at: Spot, content: dict, blob: bytes, others: int, keys: dict[tuple[int, str], Tensor], made: Motion
+    at: Location, content: dict, blob: bytes, others: int, keys: dict[tuple[int, str], Tensor], made: Motion
 ) -> bytes:
     """The file with one more animation, the first: values (T or 1, W) of every (node, what). others: that move, too."""
     if others or len(content.get("skins", ())) > 1 or len(content.get("buffers", ())) > 1:
@@ -255,7 +255,7 @@ def _animated(
     return file.glb()
 
 
-def _of_whom(at: Spot, content: dict, loaded: Motion) -> tuple[int, int | None]:
+def _of_whom(at: Location, content: dict, loaded: Motion) -> tuple[int, int | None]:
     """Which person and which animation of a GLB a motion is; no animation of one that has none."""
     people, animations = len(content.get("skins") or [0]), len(content.setdefault("animations", []))
     if not animations:
@@ -285,7 +285,7 @@ def _put(data: bytearray, start: int, content: dict, output: int, rows: np.ndarr
 
 WRITERS: dict[str, Callable[[Path, Motion], None]] = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save,
                                                     ".npy": humanml.save}  # fmt: skip
-REWRITERS: dict[str, Callable[[Spot, Motion, Motion], bytes]] = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
+REWRITERS: dict[str, Callable[[Location, Motion, Motion], bytes]] = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
 
 
 #: What is said of a file that is written anew.

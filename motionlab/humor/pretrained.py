@@ -33,7 +33,7 @@ from motionlab.humor.priors import (
     Priors,
     first_state_features,
 )
-from motionlab.io.reading import numbers, read_npz, reading
+from motionlab.io.reading import checked_array, read_npz, reading
 
 #: The priors that ship: ``humor_real``, ``pose_prior_real``, ``init_gmm_real``, learnt from hours of real motion.
 DEFAULT = "real"
@@ -192,7 +192,7 @@ def _official_mixture(path: Path | str) -> InitGmm:
     shapes = {"weights": "K", "means": "K D", "covariances": "K D D"}
     with reading(path, "take prior_gmm.npz of the official HuMoR release") as at:
         raw = read_npz(at, tuple(shapes))
-        found = {name: torch.from_numpy(numbers(at, x, shapes[name], name)) for name, x in raw.items()}
+        found = {name: torch.from_numpy(checked_array(at, x, shapes[name], name)) for name, x in raw.items()}
     return _mixture_of(found, path)
 
 

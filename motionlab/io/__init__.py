@@ -16,7 +16,7 @@ from motionlab.io import amass, asf, bvh, clips, gltf, judging, points
 from motionlab.io.judging import Axes, Unit
 from motionlab.io.pickles import read_array
 from motionlab.io.points import Positions
-from motionlab.io.reading import frame_rate, numbers, read_bytes, reading
+from motionlab.io.reading import checked_array, frame_rate, read_bytes, reading
 from motionlab.motion import Motion
 
 #: A key that only this layout has -> its loader.
@@ -68,7 +68,7 @@ def load_npy(
         if not isinstance(array, np.ndarray):
             return amass.load(path, person=person, up=up, axes=axes, fps=fps)
         shape = f"T {humanml.SIZE}" if array.ndim == 2 and array.shape[1] == humanml.SIZE else f"T {humanml.JOINTS} 3"
-        joints = torch.from_numpy(numbers(at, array, shape, "array", 1e6))
+        joints = torch.from_numpy(checked_array(at, array, shape, "array", 1e6))
         joints = humanml.joints_of(joints) if joints.ndim == 2 else joints
         rate = humanml.FPS if fps is None else frame_rate(at, fps, "fps")
         motion = humanml.motion_of(joints, rate, at.path.stem)

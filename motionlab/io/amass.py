@@ -17,7 +17,7 @@ from motionlab.files import write_whole
 from motionlab.io import judging
 from motionlab.io.judging import Axes
 from motionlab.io.pickles import array_of, arrays_of, read_array, read_pickle
-from motionlab.io.reading import Spot, check_writable, frame_rate, numbers, read_bytes, read_npz, reading
+from motionlab.io.reading import Location, check_writable, checked_array, frame_rate, read_bytes, read_npz, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
 
@@ -42,7 +42,7 @@ _SYSTEMS = {
 _REMEDY = 'save "poses" (T, 66 or more), "trans" (T, 3) and "mocap_framerate"'
 
 
-def _arrays(at: Spot, person: int) -> tuple[dict[str, np.ndarray], tuple[str, str, float | None]]:
+def _arrays(at: Location, person: int) -> tuple[dict[str, np.ndarray], tuple[str, str, float | None]]:
     """The arrays of one body that are known, and of which system: its name, up axis and usual rate."""
     data = read_bytes(at)
     if data[:2] == b"PK" and b"data.pkl" not in data[:200]:  # torch's archives begin with it
@@ -71,7 +71,7 @@ def keys_of(arrays: Container[str]) -> tuple[str, ...]:
     return tuple(next((key for key in keys if key in arrays), "") for keys in (POSES, ROOT, PARTS, TRANS))
 
 
-def _turns(at: Spot, arrays: dict[str, np.ndarray]) -> np.ndarray:
+def _turns(at: Location, arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Axis-angle (T, J, 3) of all joints: of ``POSES``, or of the split ``ROOT`` and ``PARTS``."""
     whole, root, parts, _ = keys_of(arrays)
     if not whole and not (root and parts):
@@ -86,9 +86,9 @@ def _turns(at: Spot, arrays: dict[str, np.ndarray]) -> np.ndarray:
     return turns
 
 
-def _axis_angles(at: Spot, array: np.ndarray, key: str) -> np.ndarray:
+def _axis_angles(at: Location, array: np.ndarray, key: str) -> np.ndarray:
     """Axis-angle (T, J, 3) of (T, 3J), of (T, J, 3), or of matrices (T, J, 3, 3)."""
-    array = numbers(at, array, " ".join("TJKL"[: max(array.ndim, 2)]), key, LARGEST_ANGLE)
+    array = checked_array(at, array, " ".join("TJKL"[: max(array.ndim, 2)]), key, LARGEST_ANGLE)
     if array.shape[-2:] != (3, 3) or (array.ndim == 3 and key not in ROOT):
         if array[0].size % 3:
             raise at.error(f"expected 3 columns for each joint, got {array.shape}", place=key)
@@ -99,7 +99,7 @@ def _axis_angles(at: Spot, array: np.ndarray, key: str) -> np.ndarray:
     return rotation.matrix_to_axis_angle(rotation.nearest(matrix)).numpy()
 
 
-def _rate(at: Spot, arrays: dict[str, np.ndarray], system: str, usual: float | None) -> float:
+def _rate(at: Location, arrays: dict[str, np.ndarray], system: str, usual: float | None) -> float:
     rates = {key: frame_rate(at, arrays[key], key, judging.SAY_RATE) for key in RATES if key in arrays}
     if not rates and usual is not None:
         at.notes.append(f"{system} keeps no frame rate: taken as {usual:g}; {judging.SAY_RATE}")
@@ -151,15 +151,15 @@ def load(
         if not key:
             raise at.error("this key is missing", place="trans")
         trans = arrays[key].reshape(len(arrays[key]), -1) if arrays[key].ndim == 3 else arrays[key]
-        trans = numbers(at, trans, f"{frames} 3", key)
+        trans = checked_array(at, trans, f"{frames} 3", key)
         if "smpl_scaling" in arrays:
-            trans = trans / numbers(at, arrays["smpl_scaling"].reshape(-1), "1", "smpl_scaling")
+            trans = trans / checked_array(at, arrays["smpl_scaling"].reshape(-1), "1", "smpl_scaling")
         ids = arrays.get("frame_ids", np.zeros(0))
         if ids.size == frames > 1 and (np.diff(ids.ravel().astype(float)) != 1).any():
             at.notes.append("frames are missing in between, which the file joins: see its frame_ids")
         contacts = arrays.get("contacts")  # not AMASS's own, HuMoR and we add it
         if contacts is not None:
-            contacts = numbers(at, contacts, f"{frames} {len(STANDARD.contact_names)}", "contacts")
+            contacts = checked_array(at, contacts, f"{frames} {len(STANDARD.contact_names)}", "contacts")
             contacts = torch.from_numpy(contacts).float()
         rate = _rate(at, arrays, system, usual) if fps is None else frame_rate(at, fps, "fps")
         if pelvis_offset is None:

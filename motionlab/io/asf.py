@@ -12,7 +12,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.errors import DataError
 from motionlab.io.judging import UNITS
-from motionlab.io.reading import Spot, floats, frame_rate, read_text, reading
+from motionlab.io.reading import Location, floats, frame_rate, read_text, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
 
@@ -121,7 +121,7 @@ def _skeleton(bones: dict[str, _Bone], unit: float) -> Skeleton:
     return Skeleton(tuple(names), tuple(parents), torch.tensor(offsets))
 
 
-def _parse_asf(at: Spot, text: str) -> tuple[dict[str, _Bone], float, bool]:
+def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
     """The bones by name, "root" first, the unit of length, and whether angles are degrees.
 
     Raises:
@@ -155,7 +155,7 @@ def _parse_asf(at: Spot, text: str) -> tuple[dict[str, _Bone], float, bool]:
     return bones, length, units["angle"] == ["deg"]
 
 
-def _tell(at: Spot, bone: _Bone, key: str, words: list[str]) -> None:
+def _tell(at: Location, bone: _Bone, key: str, words: list[str]) -> None:
     """Takes what a line says of a bone or of the root."""
     if key == "direction":
         bone.direction = floats(at, words, 3).tolist()
@@ -177,14 +177,14 @@ def _tell(at: Spot, bone: _Bone, key: str, words: list[str]) -> None:
             raise at.error(f"degrees of freedom must be different ones of rx ry rz, got {' '.join(words)}")
 
 
-def _order(at: Spot, words: list[str]) -> str:
+def _order(at: Location, words: list[str]) -> str:
     order = "".join(words).upper()
     if sorted(order) != ["X", "Y", "Z"]:
         raise at.error(f"axis order must be X, Y and Z in some order, got {' '.join(words)!r}")
     return order
 
 
-def _bones(at: Spot, lines: list[tuple[int, list[str]]]) -> dict[str, _Bone]:
+def _bones(at: Location, lines: list[tuple[int, list[str]]]) -> dict[str, _Bone]:
     bones: dict[str, _Bone] = {}
     bone, name = None, ""
     for number, (key, *words) in lines:
@@ -208,7 +208,7 @@ def _bones(at: Spot, lines: list[tuple[int, list[str]]]) -> dict[str, _Bone]:
     return bones
 
 
-def _hierarchy(at: Spot, lines: list[tuple[int, list[str]]], bones: dict[str, _Bone]) -> None:
+def _hierarchy(at: Location, lines: list[tuple[int, list[str]]], bones: dict[str, _Bone]) -> None:
     placed = {"root"}
     for number, words in lines:
         at.place = f"line {number}"
@@ -230,7 +230,7 @@ def _hierarchy(at: Spot, lines: list[tuple[int, list[str]]], bones: dict[str, _B
         raise at.error(f"{', '.join(lost)} hang on nothing", place="section :hierarchy")
 
 
-def _parse_amc(at: Spot, text: str, bones: dict[str, _Bone], degrees: bool) -> tuple[bool, dict[str, np.ndarray]]:
+def _parse_amc(at: Location, text: str, bones: dict[str, _Bone], degrees: bool) -> tuple[bool, dict[str, np.ndarray]]:
     """Whether angles are degrees, and the values (T, D) of every bone that has degrees of freedom.
 
     Raises:

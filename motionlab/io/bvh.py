@@ -19,7 +19,7 @@ from motionlab import rotation
 from motionlab.files import write_whole
 from motionlab.io import judging
 from motionlab.io.judging import AXES, UNITS, Axes, Unit
-from motionlab.io.reading import RATES, Spot, check_writable, floats, frame_rate, read_text, reading
+from motionlab.io.reading import RATES, Location, check_writable, floats, frame_rate, read_text, reading
 from motionlab.io.rooting import rerooted
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
@@ -182,7 +182,7 @@ def _relative(joints: list[_Joint], place: np.ndarray) -> list[int]:
     return moving if len(bones) > 1 and near > 0.8 * len(bones) else []
 
 
-def _parse(at: Spot, text: str, fps: float | None = None) -> tuple[list[_Joint], np.ndarray, float]:
+def _parse(at: Location, text: str, fps: float | None = None) -> tuple[list[_Joint], np.ndarray, float]:
     """The joints in file order, one row of channel values a frame, and frames per second (or those given).
 
     Raises:
@@ -196,7 +196,7 @@ def _parse(at: Spot, text: str, fps: float | None = None) -> tuple[list[_Joint],
     return joints, *_motion(at, lines, motion_line, width, fps)
 
 
-def _hierarchy(at: Spot, lines: list[str]) -> tuple[list[_Joint], int]:
+def _hierarchy(at: Location, lines: list[str]) -> tuple[list[_Joint], int]:
     joints: list[_Joint] = []
     open_joints: list[int] = []
     names: set[str] = set()
@@ -252,7 +252,7 @@ def _hierarchy(at: Spot, lines: list[str]) -> tuple[list[_Joint], int]:
     raise at.error("the file ends before MOTION: it is truncated, or no BVH")
 
 
-def _channels(at: Spot, words: list[str], joint: _Joint) -> list[str]:
+def _channels(at: Location, words: list[str], joint: _Joint) -> list[str]:
     channels = [word.lower() for word in words[2:]]
     known = {f"{axis}{kind}" for axis in "xyz" for kind in ("position", "rotation")}
     if len(words) < 2 or words[1] != str(len(channels)):
@@ -264,7 +264,9 @@ def _channels(at: Spot, words: list[str], joint: _Joint) -> list[str]:
     return channels
 
 
-def _motion(at: Spot, lines: list[str], motion_line: int, width: int, fps: float | None) -> tuple[np.ndarray, float]:
+def _motion(
+    at: Location, lines: list[str], motion_line: int, width: int, fps: float | None
+) -> tuple[np.ndarray, float]:
     rows = [(n, line) for n, line in enumerate(lines[motion_line:], start=motion_line + 1) if line.strip()]
     header = []
     for (number, line), key in zip(rows[:2], ("frames", "frame time"), strict=False):
@@ -297,7 +299,7 @@ def _motion(at: Spot, lines: list[str], motion_line: int, width: int, fps: float
     return values, fps
 
 
-def _rate(at: Spot, frame_time: float, line: str) -> float:
+def _rate(at: Location, frame_time: float, line: str) -> float:
     """Frames per second: the whole number that the printed digits can mean (0.033333 is 30), else 1 / time."""
     digits = len(line.strip().partition(".")[2])
     if frame_time > 2:

@@ -12,7 +12,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 
 from motionlab.io.judging import axes_to_matrix
-from motionlab.io.reading import Spot, numbers, read_bytes, read_json, read_text, reading
+from motionlab.io.reading import Location, checked_array, read_bytes, read_json, read_text, reading
 
 #: What is known of a camera, and the words that files have for it.
 WORDS = {
@@ -40,7 +40,7 @@ _CAPTURY = "tc camera calibration"
 Table = dict[str, object]
 
 
-def read_tables(at: Spot) -> dict[str, Table]:
+def read_tables(at: Location) -> dict[str, Table]:
     """Reads the cameras of a file by name.
 
     Raises:
@@ -108,14 +108,14 @@ def _of_json(document: object) -> dict[str, Table]:
     return found or {"camera": {word: inner[word] for word in WORDS if word in inner}}
 
 
-def _xml(at: Spot) -> ElementTree.Element:
+def _xml(at: Location) -> ElementTree.Element:
     text = read_text(at).strip()
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise at.error("document type declarations are refused", remedy="delete the declaration")
     return ElementTree.fromstring(text.encode())
 
 
-def _opencv_xml(at: Spot) -> dict[str, Table]:
+def _opencv_xml(at: Location) -> dict[str, Table]:
     found = {}
     for node in _xml(at):
         parts = {part.tag: (part.text or "").split() for part in node}
@@ -149,7 +149,7 @@ def _value(text: str) -> object:
         return text
 
 
-def _easymocap(at: Spot) -> dict[str, Table]:
+def _easymocap(at: Location) -> dict[str, Table]:
     """intri.yml and extri.yml, which lie side by side; the second may be missing."""
     found = {}
     for word in ("intri", "extri"):
@@ -160,7 +160,7 @@ def _easymocap(at: Spot) -> dict[str, Table]:
     return _named(found)
 
 
-def _colmap(at: Spot) -> dict[str, Table]:
+def _colmap(at: Location) -> dict[str, Table]:
     """Lines of CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS. COLMAP's world has neither metres nor a floor: it stays out."""
     found: dict[str, Table] = {}
     for n, line in enumerate(read_text(at).splitlines(), start=1):
@@ -182,7 +182,7 @@ def _colmap(at: Spot) -> dict[str, Table]:
     return found
 
 
-def qualisys(at: Spot) -> dict[str, Table]:
+def qualisys(at: Location) -> dict[str, Table]:
     """Reads the cameras of a Qualisys XML by serial.
 
     With r the file's r11..r33 as a matrix and p its x, y, z:  R = diag(1, -1, -1) r,  t = -R p.
@@ -203,7 +203,7 @@ def qualisys(at: Spot) -> dict[str, Table]:
         def read(tag: str, *keys: str, parts: dict = parts) -> np.ndarray:
             if lacking := [key for key in keys if key not in parts[tag].attrib]:
                 raise at.error(f"{lacking[0]} is missing")
-            return numbers(at, [float(parts[tag].get(key)) for key in keys], "N")
+            return checked_array(at, [float(parts[tag].get(key)) for key in keys], "N")
 
         rotation = _FLIP @ read("transform", *(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))).reshape(3, 3)
         left, top, right, bottom = read("fov_video", "left", "top", "right", "bottom").tolist()
@@ -216,7 +216,7 @@ def qualisys(at: Spot) -> dict[str, Table]:
     return found
 
 
-def captury(at: Spot, width: int) -> dict[str, Table]:
+def captury(at: Location, width: int) -> dict[str, Table]:
     """Reads the cameras of a Captury camera.calib by their place in it; width: of the images, pixels.
 
     Turned from the file's y-up world into that of Captury's C3D files, z up: (x, -z, y). There its joints
@@ -236,7 +236,7 @@ def captury(at: Spot, width: int) -> dict[str, Table]:
             line = re.search(rf"^[ \t]*{key}[ \t]+([^#\n]*)", block, flags=re.MULTILINE)
             if line is None:
                 raise at.error(f"{key} is missing")
-            return numbers(at, [float(word) for word in line[1].split()], str(count), f"{at.place}, {key}")
+            return checked_array(at, [float(word) for word in line[1].split()], str(count), f"{at.place}, {key}")
 
         sensor = read("sensorSize", 2)
         if not (sensor > 0).all():

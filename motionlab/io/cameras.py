@@ -15,7 +15,7 @@ import torch
 
 from motionlab.errors import DataError
 from motionlab.io.calibrations import Table, captury, qualisys, read_tables
-from motionlab.io.reading import Spot, image_size, numbers, reading
+from motionlab.io.reading import Location, checked_array, image_size, reading
 from motionlab.observation import Camera
 from motionlab.rotation import exp
 
@@ -84,7 +84,7 @@ def load_captury(path: str | Path, *, width: int) -> list[Camera]:
         return [_camera(at, name, table)[0] for name, table in captury(at, width).items()]
 
 
-def _camera(at: Spot, name: str, table: Table, size: tuple[int, int] | None = None) -> tuple[Camera, bool]:
+def _camera(at: Location, name: str, table: Table, size: tuple[int, int] | None = None) -> tuple[Camera, bool]:
     """A camera of a table, if it can be one, and whether its place is known."""
     where = "" if name == "camera" else f"camera {name}, "  # the only one, without a name
     if size is not None and not table.keys() & {"width", "height"}:
@@ -96,17 +96,17 @@ def _camera(at: Spot, name: str, table: Table, size: tuple[int, int] | None = No
     if "fisheye" in table:
         raise at.error("a fisheye lens", place="lens", remedy="undistort the footage (cv2.fisheye), and give that")
     width, height = (int(x) for x in image_size(at, [table["width"], table["height"]], where + "width, height"))
-    k = numbers(at, table["intrinsics"], "3 3", where + "intrinsics")
+    k = checked_array(at, table["intrinsics"], "3 3", where + "intrinsics")
     turn, shift = np.eye(3), np.zeros(3)
     if placed:
-        turn = numbers(at, np.ravel(table["rotation"]), "N", where + "rotation")
+        turn = checked_array(at, np.ravel(table["rotation"]), "N", where + "rotation")
         if len(turn) not in (3, 9):
             raise at.error(f"expected 3 or 9 numbers, got {len(turn)}", place=where + "rotation")
         turn = exp(torch.from_numpy(turn)).numpy() if len(turn) == 3 else turn.reshape(3, 3)
-        shift = numbers(at, np.ravel(table["translation"]), "3", where + "translation")
+        shift = checked_array(at, np.ravel(table["translation"]), "3", where + "translation")
     if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:
         raise at.error(f"expected a rotation matrix, got {turn.tolist()}", place=where + "rotation")
-    lens = numbers(at, [*np.ravel(table.get("distortion", ())), 0.0], "N", where + "distortion").tolist()[:-1]
+    lens = checked_array(at, [*np.ravel(table.get("distortion", ())), 0.0], "N", where + "distortion").tolist()[:-1]
     if len(lens) not in (0, 1, 2, 4, 5, 8, 12, 14) or any(lens[8:]):
         message = f"{len(lens)} coefficients of a lens"
         raise at.error(message, place=where + "distortion", remedy="give k1, k2, p1, p2, k3")
@@ -120,7 +120,7 @@ def _camera(at: Spot, name: str, table: Table, size: tuple[int, int] | None = No
     return camera, placed
 
 
-def _check_pixels(at: Spot, k: np.ndarray, width: int, height: int) -> None:
+def _check_pixels(at: Location, k: np.ndarray, width: int, height: int) -> None:
     """Refuses intrinsics that cannot be meant, and says what may be."""
     (fx, skew, cx), (_, fy, cy) = k[:2].tolist()
     if not (fx > 0 and fy > 0):

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from motionlab import rotation
-from motionlab.io.reading import Spot, check_keys, frame_rate, numbers, read_json, read_npz, reading
+from motionlab.io.reading import Location, check_keys, checked_array, frame_rate, read_json, read_npz, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
 
@@ -62,13 +62,13 @@ def load_amp(path: str | Path) -> Motion:
         names = arrays["node_names"]
         if names.ndim != 1 or names.dtype.kind != "U" or len(set(names.tolist())) != names.size or not names.size:
             raise at.error("expected a list of different names", place="node_names")
-        parents = numbers(at, arrays["parent_indices"], f"{names.size}", "parent_indices").astype(int).tolist()
+        parents = checked_array(at, arrays["parent_indices"], f"{names.size}", "parent_indices").astype(int).tolist()
         if any(not (-1 <= p < j) or (p == -1) != (j == 0) for j, p in enumerate(parents)):
             raise at.error(f"one root first, then parents before children; got {parents}", place="parent_indices")
-        offsets = numbers(at, arrays["local_translation"], f"{names.size} 3", "local_translation")
+        offsets = checked_array(at, arrays["local_translation"], f"{names.size} 3", "local_translation")
         skeleton = Skeleton(tuple(names.tolist()), tuple(parents), torch.from_numpy(offsets).float())
-        quaternion = numbers(at, arrays[_AMP_ROTATION], f"T {len(skeleton)} 4", place=_AMP_ROTATION)
-        root = numbers(at, arrays["root_translation"], f"{len(quaternion)} 3", place="root_translation")
+        quaternion = checked_array(at, arrays[_AMP_ROTATION], f"T {len(skeleton)} 4", place=_AMP_ROTATION)
+        root = checked_array(at, arrays["root_translation"], f"{len(quaternion)} 3", place="root_translation")
         rot = _rotations(at, quaternion[..., [3, 0, 1, 2]], skeleton.names, 0.05)
         is_local = arrays["is_local"]
         if is_local.size != 1 or is_local.dtype.kind not in "biu":
@@ -98,7 +98,7 @@ def load_deepmimic(path: str | Path) -> Motion:
             if not isinstance(frame, list) or len(frame) != 44:
                 size = len(frame) if isinstance(frame, list) else type(frame).__name__
                 raise at.error(f"expected 44 numbers, got {size}", place=f"frame {i}")
-        table = numbers(at, content["Frames"], "T 44", place='"Frames"')
+        table = checked_array(at, content["Frames"], "T 44", place='"Frames"')
         fps, times = _frame_rate(at, table[:, 0])
         rot = torch.eye(3, dtype=torch.float64).expand(len(table), len(_DEEPMIMIC), 3, 3).clone()
         column = 4
@@ -116,7 +116,7 @@ def load_deepmimic(path: str | Path) -> Motion:
         return (motion if even else _evenly(motion, times)).to(torch.float32)
 
 
-def _frame_rate(at: Spot, durations: np.ndarray) -> tuple[float, np.ndarray]:
+def _frame_rate(at: Location, durations: np.ndarray) -> tuple[float, np.ndarray]:
     """Frames per second, and the time of every frame in units of one frame."""
     inner = durations[:-1] if len(durations) > 1 else durations
     if (inner <= 0).any():
@@ -146,7 +146,7 @@ def _evenly(motion: Motion, times: np.ndarray) -> Motion:
     )
 
 
-def _rotations(at: Spot, quaternions: np.ndarray, names: tuple[str, ...], off: float) -> torch.Tensor:
+def _rotations(at: Location, quaternions: np.ndarray, names: tuple[str, ...], off: float) -> torch.Tensor:
     """Matrices (T, J, 3, 3) of quaternions (T, J, 4), w first, of about length 1."""
     length = np.linalg.norm(quaternions, axis=-1)
     bad = np.argwhere(np.abs(length - 1) > off)

@@ -11,7 +11,7 @@ import numpy as np
 from motionlab.io import detections
 from motionlab.io.detections import Detections, Sighting, first_of, pixels, whole_number
 from motionlab.io.layouts import COCO_17, MEDIAPIPE_33
-from motionlab.io.reading import Spot
+from motionlab.io.reading import Location
 
 _IMAGE = ("pose_landmarks", "poseLandmarks", "landmarks", "landmark", "keypoints", "people", "persons", "poses")
 _WORLD = ("pose_world_landmarks", "poseWorldLandmarks", "world_landmarks", "worldLandmarks", "keypoints3D")
@@ -21,7 +21,7 @@ _POINTS = ("pose_keypoints_2d", "pose_keypoints", "joints", "keypoints")
 _MMPOSE, _VITPOSE, _ALPHAPOSE = 0.3, 0.5, 0.05
 
 
-def from_json(at: Spot, document: object) -> Detections:
+def from_json(at: Location, document: object) -> Detections:
     """Converts a document, told by its keys or by those of the first thing in it; [] is a frame that shows nobody.
 
     Raises:
@@ -57,7 +57,7 @@ def from_json(at: Spot, document: object) -> Detections:
     return _landmarks(at, document)
 
 
-def _person(at: Spot, one: object, about: str = "", *, needed: bool = False) -> Sighting:
+def _person(at: Location, one: object, about: str = "", *, needed: bool = False) -> Sighting:
     """A flat list x, y, confidence, x, ...; or rows of coordinates, or x and y apart, with the scores beside them.
 
     No points, or an empty list, is somebody who was not found. needed: the key of the points has to be there.
@@ -84,7 +84,7 @@ def _person(at: Spot, one: object, about: str = "", *, needed: bool = False) -> 
     return points, whole_number(first_of(one, ("idx", "track_id", "person_id")))
 
 
-def openpose(at: Spot, document: object) -> Detections:
+def openpose(at: Location, document: object) -> Detections:
     """Converts what OpenPose writes of one frame, or a list of such frames.
 
     Raises:
@@ -101,7 +101,7 @@ def openpose(at: Spot, document: object) -> Detections:
     return found
 
 
-def _mmpose(at: Spot, document: dict | list) -> Detections:
+def _mmpose(at: Location, document: dict | list) -> Detections:
     meta = document.get("meta_info") or {} if isinstance(document, dict) else {}
     frames = document["instance_info"] if "instance_info" in document else document
     if isinstance(frames, dict):
@@ -119,7 +119,7 @@ def _mmpose(at: Spot, document: dict | list) -> Detections:
     )
 
 
-def _of_images(at: Spot, images: dict[object, Iterable], *, alphapose: bool) -> Detections:
+def _of_images(at: Location, images: dict[object, Iterable], *, alphapose: bool) -> Detections:
     """AlphaPose and COCO results: people by image, whose order is the number at the end of its name, or the file's."""
     order = {}
     for image in images:
@@ -136,7 +136,7 @@ def _of_images(at: Spot, images: dict[object, Iterable], *, alphapose: bool) -> 
     return detections.collect(at, detector, people, partial(_person, at, needed=not alphapose), lowest=lowest, **more)
 
 
-def _vitpose(at: Spot, document: dict) -> Detections:
+def _vitpose(at: Location, document: dict) -> Detections:
     """easy_ViTPose: frames of people by id, or in a list; each point is y, x, score."""
 
     def read(one: tuple[object, object]) -> Sighting:
@@ -148,7 +148,7 @@ def _vitpose(at: Spot, document: dict) -> Detections:
     return detections.collect(at, "ViTPose", enumerate(people), read, names=names, lowest=_VITPOSE)
 
 
-def _landmarks(at: Spot, document: object) -> Detections:
+def _landmarks(at: Location, document: object) -> Detections:
     """MediaPipe, MoveNet and others who write points by name, or BlazePose's 33 in a row, frame by frame."""
     frames = document.get("frames", [document]) if isinstance(document, dict) else document
     frames = frames if isinstance(frames, list) and not _is_body(frames) else [frames]
@@ -170,7 +170,7 @@ def _is_body(value: object) -> bool:
     return isinstance(one, list) and len(one) in (2, 3, 4) and all(isinstance(x, int | float) for x in one)
 
 
-def _bodies(at: Spot, value: object) -> list[tuple[dict | list, int | None]]:
+def _bodies(at: Location, value: object) -> list[tuple[dict | list, int | None]]:
     """Everybody's points in what stands for a frame or for people, with their ids."""
     if isinstance(value, dict):
         inner = first_of(value, _IMAGE)
@@ -188,7 +188,7 @@ def _bodies(at: Spot, value: object) -> list[tuple[dict | list, int | None]]:
     return [body for one in value or [] for body in _bodies(at, one)]
 
 
-def _by_name(at: Spot, body: dict | list) -> dict[str, tuple]:
+def _by_name(at: Location, body: dict | list) -> dict[str, tuple]:
     """(x, y, confidence) by name or number of one person; None where it is not said."""
     named = isinstance(body, dict)
     points = {}

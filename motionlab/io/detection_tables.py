@@ -10,7 +10,7 @@ import numpy as np
 from motionlab.io import detections
 from motionlab.io.detections import PLAIN, Detections, Sighting, first_of, pixels, whole_number
 from motionlab.io.layouts import MEDIAPIPE_33, standard_name
-from motionlab.io.reading import Spot, frame_rate, numbers, read_npz
+from motionlab.io.reading import Location, checked_array, frame_rate, read_npz
 
 _KEYPOINT = ("keypoint", "keypoint_name", "keypoint_id", "joint", "landmark", "point", "name")
 _TIME = ("time", "timestamp", "time_ms", "timestamp_ms", "time_s")
@@ -23,7 +23,7 @@ _METRES = 10.0  # half of the coordinates of people in an image are larger
 _MOST_WORDS = 5 + 133 * 3 + 2  # beside the points class, box, confidence, id
 
 
-def from_lines(at: Spot, text: str) -> Detections:
+def from_lines(at: Location, text: str) -> Detections:
     """Reads a table: one image's lines of numbers as YOLO-pose writes them, or CSV with a header.
 
     Raises:
@@ -38,7 +38,7 @@ def from_lines(at: Spot, text: str) -> Detections:
     return _csv(at, [(n, [cell.strip().strip('"') for cell in line.split(mark)]) for n, line in lines])
 
 
-def _yolo(at: Spot, lines: list[tuple[int, str]]) -> Detections:
+def _yolo(at: Location, lines: list[tuple[int, str]]) -> Detections:
     """Each line: class, box, points; then the box's confidence, where asked for, and the track's id, where tracked."""
 
     def read(text: str) -> Sighting:
@@ -58,7 +58,7 @@ def _yolo(at: Spot, lines: list[tuple[int, str]]) -> Detections:
     return detections.collect(at, "Ultralytics", [(0, people)], read)
 
 
-def _cell(at: Spot, cell: str) -> float:
+def _cell(at: Location, cell: str) -> float:
     try:
         return float(cell)
     except ValueError:
@@ -72,7 +72,7 @@ def _in_box(points: np.ndarray, box: np.ndarray) -> bool:
     return 2 * (inside & there).sum() >= there.sum()
 
 
-def _csv(at: Spot, rows: list[tuple[int, list[str]]]) -> Detections:
+def _csv(at: Location, rows: list[tuple[int, list[str]]]) -> Detections:
     """A line per point (frame, keypoint, x, y), or a line per person and frame (nose_x, nose_y, ...)."""
     title = rows.pop(0)[1]
     head = [cell.lower() for cell in title]
@@ -105,7 +105,7 @@ def _csv(at: Spot, rows: list[tuple[int, list[str]]]) -> Detections:
     return detections.collect_named(at, "CSV table", [*seen.items()], fps=fps)
 
 
-def _wide_points(at: Spot, title: list[str]) -> list[tuple[str, list[int | None]]]:
+def _wide_points(at: Location, title: list[str]) -> list[tuple[str, list[int | None]]]:
     """Name and columns (x, y, confidence) of every point of a header such as X_NOSE, Y_NOSE or nose_x, nose_y."""
     found: list[tuple[str, list]] = []
     latest: dict[str, list] = {}
@@ -132,7 +132,7 @@ def _wide_points(at: Spot, title: list[str]) -> list[tuple[str, list[int | None]
 
 
 def _clock(
-    at: Spot, head: list[str], rows: list[tuple[int, list[str]]], frame_at: int | None, time_at: int | None
+    at: Location, head: list[str], rows: list[tuple[int, list[str]]], frame_at: int | None, time_at: int | None
 ) -> tuple[list[int], float | None]:
     """The frame number of every row, by its own or by its time; and the frame rate by the times, s or ms."""
     order: list[int] = []
@@ -144,7 +144,7 @@ def _clock(
     if time_at is None:
         return order, None
     at.place = head[time_at]
-    times = numbers(at, [_cell(at, row[time_at]) for _, row in rows], "T", largest=1e15)
+    times = checked_array(at, [_cell(at, row[time_at]) for _, row in rows], "T", largest=1e15)
     moments, where = np.unique(times, return_inverse=True)
     step = float(np.median(np.diff(moments))) if len(moments) > 1 else 0.0
     if step == 0:
@@ -156,7 +156,7 @@ def _clock(
     return order, frame_rate(at, (1000 if step >= 1 else 1) / step)  # nobody films at a frame per second
 
 
-def from_trc(at: Spot, text: str) -> Detections:
+def from_trc(at: Location, text: str) -> Detections:
     """Reads one person's points in pixels from a TRC, as Sports2D writes it: x, y and a z of 0; blank is not seen.
 
     Raises:
@@ -192,7 +192,7 @@ def from_trc(at: Spot, text: str) -> Detections:
     return detections.collect(at, "Sports2D", frames, tuple, names=detections.point_names(at, names), fps=fps)
 
 
-def from_npz(at: Spot) -> Detections:
+def from_npz(at: Location) -> Detections:
     """Reads the plain layout that ``keypoints`` describes.
 
     Raises:
@@ -216,7 +216,7 @@ def from_npz(at: Spot) -> Detections:
     points = np.concatenate([points[..., :2], scores[..., None]], -1)
     ids: list[int | None] = [None] * lead[1]
     if "ids" in arrays:
-        ids = [whole_number(number) for number in numbers(at, arrays["ids"], str(lead[1]), "ids").tolist()]
+        ids = [whole_number(number) for number in checked_array(at, arrays["ids"], str(lead[1]), "ids").tolist()]
     names = detections.point_names(at, [str(name) for name in arrays.get("names", np.zeros(0)).ravel()[: lead[2] + 1]])
     frames = enumerate(zip(people, ids, strict=True) for people in points)
     return detections.collect(at, "plain npz", frames, tuple, names=names, **detections.stated(at, arrays))

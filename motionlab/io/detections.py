@@ -16,7 +16,7 @@ import numpy as np
 from motionlab.errors import DataError
 from motionlab.io import numbering
 from motionlab.io.layouts import COCO_17, MEDIAPIPE_33, standard_name
-from motionlab.io.reading import Spot, frame_rate, image_size, numbers, reading
+from motionlab.io.reading import Location, checked_array, frame_rate, image_size, reading
 
 #: No pixel, no share of an image and no score lies beyond.
 FARTHEST = 1e6
@@ -57,7 +57,7 @@ class Detections:
     loose: bool = False
 
     def in_order(
-        self, at: Spot, fps: float | None, film: int | Sequence[int] | None = None, otherwise: float | None = None
+        self, at: Location, fps: float | None, film: int | Sequence[int] | None = None, otherwise: float | None = None
     ) -> tuple[Detections, list[np.ndarray]]:
         """Returns the same by frame, with its rate, and its people in a list from the first frame to the last.
 
@@ -98,7 +98,7 @@ NOBODY = Detections("nobody", {0: _NOBODY}, {0: []})
 
 
 # ------------------------------------------------------------------------------------------------------------- folders
-def from_folder(at: Spot, read: Callable[[Spot], Detections], *suffixes: str) -> Detections:
+def from_folder(at: Location, read: Callable[[Location], Detections], *suffixes: str) -> Detections:
     """Reads a folder with one file per frame, ordered by the number at the end of its name, as a number.
 
     Files that are named otherwise before the number than most are left out. The first suffix of which there are
@@ -129,7 +129,7 @@ def from_folder(at: Spot, read: Callable[[Spot], Detections], *suffixes: str) ->
     return replace(whole or found, frames=frames, ids=ids)
 
 
-def _series(at: Spot, suffix: str) -> dict[int, Path] | None:
+def _series(at: Location, suffix: str) -> dict[int, Path] | None:
     """The files of a folder by frame number, those named as most are; None where there is none."""
     series: dict[str, dict[int, Path]] = {}
     for file in sorted(at.path.glob(f"*{suffix}")):
@@ -146,13 +146,13 @@ def _series(at: Spot, suffix: str) -> dict[int, Path] | None:
 
 
 # -------------------------------------------------------------------------------------------------- what readers share
-def unknown(at: Spot) -> DataError:
+def unknown(at: Location) -> DataError:
     """Returns the error for what is no detector's file."""
     return at.error(f"no known layout of keypoints; known are {_FORMATS}", remedy=PLAIN)
 
 
 def collect(
-    at: Spot, detector: str, frames: Iterable[tuple[int, Iterable]], read: Callable[..., Sighting], **more
+    at: Location, detector: str, frames: Iterable[tuple[int, Iterable]], read: Callable[..., Sighting], **more
 ) -> Detections:
     """Reads (frame number, people) pairs, a person at a time; who has no points at all becomes a row of zeros.
 
@@ -178,7 +178,9 @@ def collect(
     return found
 
 
-def collect_named(at: Spot, detector: str, seen: list[tuple[int, list[tuple[dict, int | None]]]], **more) -> Detections:
+def collect_named(
+    at: Location, detector: str, seen: list[tuple[int, list[tuple[dict, int | None]]]], **more
+) -> Detections:
     """Joins (frame number, people) pairs whose points are (x, y, confidence) by name or number, None where not said.
 
     What somebody lacks is NaN. Names of COCO or MediaPipe are put in that layout's order.
@@ -209,9 +211,9 @@ def collect_named(at: Spot, detector: str, seen: list[tuple[int, list[tuple[dict
     return collect(at, detector, seen, read, names=names, **more)
 
 
-def pixels(at: Spot, values: object, shape: str, place: str | None = None) -> np.ndarray:
-    """Checks coordinates or scores, of which any may be NaN; see ``reading.numbers``."""
-    return numbers(at, values, shape, place, FARTHEST, nan=True)
+def pixels(at: Location, values: object, shape: str, place: str | None = None) -> np.ndarray:
+    """Checks coordinates or scores, of which any may be NaN; see ``reading.checked_array``."""
+    return checked_array(at, values, shape, place, FARTHEST, nan=True)
 
 
 def whole_number(value: object) -> int | None:
@@ -229,13 +231,13 @@ def first_of(place: dict, words: tuple[str, ...]) -> object:
     return next((place[word] for word in words if word in place), None)
 
 
-def with_scores(at: Spot, xy: np.ndarray, scores: object) -> np.ndarray:
+def with_scores(at: Location, xy: np.ndarray, scores: object) -> np.ndarray:
     """Joins xy (K, 2) and K scores, or None, to points (K, 3)."""
     scores = np.full(len(xy), np.nan) if scores is None else pixels(at, scores, str(len(xy)))
     return np.column_stack([xy, scores])
 
 
-def point_names(at: Spot, value: object) -> tuple[str, ...] | None:
+def point_names(at: Location, value: object) -> tuple[str, ...] | None:
     """Reads names from a list, or from an object of index and name; None where there are none."""
     if isinstance(value, dict):
         value = [value.get(str(k)) for k in range(len(value))]
@@ -249,7 +251,7 @@ def point_names(at: Spot, value: object) -> tuple[str, ...] | None:
     return names
 
 
-def stated(at: Spot, *places: object) -> dict:
+def stated(at: Location, *places: object) -> dict:
     """Reads frame rate and image size where one of some objects states them."""
     known = {key: value for place in places if isinstance(place, dict) for key, value in place.items()}
     fps = first_of(known, ("fps", "frame_rate", "framerate"))

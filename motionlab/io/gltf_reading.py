@@ -19,7 +19,7 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.io import judging
-from motionlab.io.reading import RATES, Spot, frame_rate, numbers, read_bytes, reading
+from motionlab.io.reading import RATES, Location, checked_array, frame_rate, read_bytes, reading
 from motionlab.io.rooting import rerooted
 from motionlab.motion import Motion
 from motionlab.rest import reframed
@@ -74,7 +74,7 @@ def load(
         return judging.to_world(at, motion, unit=1.0 if ours and unit is None else unit, up=up, axes=axes, **how)
 
 
-def _chunks(at: Spot) -> tuple[dict, bytes]:
+def _chunks(at: Location) -> tuple[dict, bytes]:
     """The JSON and the binary chunk; of a .gltf, which is JSON alone, the numbers that it holds itself."""
     data = read_bytes(at)
     if data.lstrip()[:1] == b"{":
@@ -101,7 +101,7 @@ def _chunks(at: Spot) -> tuple[dict, bytes]:
     return json.loads(found[JSON_CHUNK].decode()), found.get(BIN_CHUNK, b"")
 
 
-def _array(at: Spot, content: dict, blob: bytes, index: int, width: int, place: str) -> np.ndarray:
+def _array(at: Location, content: dict, blob: bytes, index: int, width: int, place: str) -> np.ndarray:
     """The numbers of an accessor, (N, width): floats, or integers that stand for shares of one."""
     accessor = content["accessors"][index]
     view = content["bufferViews"][accessor["bufferView"]]
@@ -117,7 +117,7 @@ def _array(at: Spot, content: dict, blob: bytes, index: int, width: int, place: 
     if min(start, count - 1, stride - size * width) < 0 or start + (count - 1) * stride + size * width > len(blob):
         what = f"{count} values of {stride} bytes from byte {start}"
         raise at.error(f"{what} do not lie in {len(blob)} bytes", place=place)
-    rows = numbers(at, np.ndarray((count, width), kind, blob, start, (stride, size)), f"T {width}", place)
+    rows = checked_array(at, np.ndarray((count, width), kind, blob, start, (stride, size)), f"T {width}", place)
     return np.maximum(rows / largest, -1) if normal else rows
 
 
@@ -150,7 +150,7 @@ def _names(nodes: list[dict], joints: list[int]) -> dict[int, str]:
 
 
 def _figure(
-    at: Spot, content: dict, blob: bytes, person: int, animation: str | int | None, fps: float | None
+    at: Location, content: dict, blob: bytes, person: int, animation: str | int | None, fps: float | None
 ) -> _Figure:
     nodes, skins = content["nodes"], content.get("skins") or []
     if not 0 <= person < max(len(skins), 1):
@@ -211,7 +211,7 @@ def _figure(
     return _Figure(joints, skeleton, place, rot, sizes, frames, tracks, times, rate, name)
 
 
-def _animation(at: Spot, content: dict, wanted: str | int | None) -> dict:
+def _animation(at: Location, content: dict, wanted: str | int | None) -> dict:
     """The animation of that name or number, counted from 0, of a skin without one its pose; others are noted."""
     every = content.get("animations") or []
     if not every and content.get("skins") and wanted is None:
@@ -230,7 +230,7 @@ def _animation(at: Spot, content: dict, wanted: str | int | None) -> dict:
     return every[number]
 
 
-def _tree(at: Spot, parent: dict[int, int], joints: list[int], nodes: list[dict]) -> tuple[list[int], dict]:
+def _tree(at: Location, parent: dict[int, int], joints: list[int], nodes: list[dict]) -> tuple[list[int], dict]:
     """The joints of the largest tree, what is above first, and the way from each to the top; others are noted."""
     chains = {joint: _chain(at, parent, joint, len(nodes)) for joint in joints}
     joints = sorted(joints, key=lambda joint: len(chains[joint]))
@@ -245,7 +245,9 @@ def _tree(at: Spot, parent: dict[int, int], joints: list[int], nodes: list[dict]
     return [joint for joint in joints if roots[joint] == root], chains
 
 
-def _keys(at: Spot, content: dict, blob: bytes, sampler: dict, what: str, place: str) -> tuple[np.ndarray, np.ndarray]:
+def _keys(
+    at: Location, content: dict, blob: bytes, sampler: dict, what: str, place: str
+) -> tuple[np.ndarray, np.ndarray]:
     """Times (N,) and values (N, W) of a channel, or (N, 3, W) of a cubic spline with its tangents."""
     keys = _array(at, content, blob, sampler["input"], 1, f"{place} times")[:, 0]
     values = _array(at, content, blob, sampler["output"], len(_REST[what]), place)
@@ -256,7 +258,7 @@ def _keys(at: Spot, content: dict, blob: bytes, sampler: dict, what: str, place:
     return keys, values
 
 
-def _grid(at: Spot, keys: list[np.ndarray], says: object, fps: float | None) -> tuple[np.ndarray, float]:
+def _grid(at: Location, keys: list[np.ndarray], says: object, fps: float | None) -> tuple[np.ndarray, float]:
     """The times at which all channels are read, and frames per second: where the keys are, if that is steady."""
     times = np.unique(np.concatenate(keys))
     times = times[np.concatenate(([True], np.diff(times) > 1e-4))]
@@ -280,11 +282,13 @@ def _grid(at: Spot, keys: list[np.ndarray], says: object, fps: float | None) -> 
     return times[0] + np.arange(int(count + 0.05) + 1) / rate, float(rate)
 
 
-def _local(at: Spot, node: dict, number: int, tracks: dict, times: np.ndarray) -> tuple[Tensor, Tensor, Tensor, bool]:
+def _local(
+    at: Location, node: dict, number: int, tracks: dict, times: np.ndarray
+) -> tuple[Tensor, Tensor, Tensor, bool]:
     """Where a node stands (T, 3), how it is turned (T, 3, 3), its mean size (3,), and whether that is even."""
     still = {what: node.get(what, rest) for what, rest in _REST.items()}
     if "matrix" in node:
-        matrix = numbers(at, node["matrix"], "16", f"node {number} matrix").reshape(4, 4).T
+        matrix = checked_array(at, node["matrix"], "16", f"node {number} matrix").reshape(4, 4).T
         size = np.linalg.norm(matrix[:3, :3], axis=0)
         if not size.min() > 0 or not np.linalg.det(matrix[:3, :3]) > 0:
             raise at.error("a matrix that flattens or mirrors", place=f"node {number} matrix")
@@ -293,7 +297,7 @@ def _local(at: Spot, node: dict, number: int, tracks: dict, times: np.ndarray) -
         still = {"translation": matrix[:3, 3], "rotation": quaternion.numpy(), "scale": size}
     read = {}
     for what, rest in _REST.items():
-        value = numbers(at, still[what], str(len(rest)), f"node {number} {what}")
+        value = checked_array(at, still[what], str(len(rest)), f"node {number} {what}")
         track = tracks.get((number, what))
         read[what] = torch.from_numpy(_sampled(*track, times) if track else np.tile(value, (len(times), 1)))
     if ((read["rotation"].norm(dim=-1) - 1).abs() > 0.01).any():
@@ -328,7 +332,7 @@ def _sampled(sampler: dict, keys: np.ndarray, values: np.ndarray, times: np.ndar
     return rotation.matrix_to_quaternion(rotation.slerp(a, b, torch.from_numpy(t[:, 0])))[:, [1, 2, 3, 0]].numpy()
 
 
-def _bound(at: Spot, content: dict, blob: bytes, skin: dict, joints: list[int], chains: dict) -> Tensor:
+def _bound(at: Location, content: dict, blob: bytes, skin: dict, joints: list[int], chains: dict) -> Tensor:
     """How the joints (J, 3, 3) are turned where the mesh is bound; without a mesh, where the nodes rest."""
     rest = {node: _local(at, content["nodes"][node], node, {}, np.zeros(1))[1][0] for j in joints for node in chains[j]}
     turned = torch.stack([torch.linalg.multi_dot([torch.eye(3).double()] * 2 + [rest[n] for n in chains[j][::-1]])
@@ -343,7 +347,7 @@ def _bound(at: Spot, content: dict, blob: bytes, skin: dict, joints: list[int], 
     return rotation.nearest(bound[where])
 
 
-def _chain(at: Spot, parent: dict[int, int], node: int, count: int) -> list[int]:
+def _chain(at: Location, parent: dict[int, int], node: int, count: int) -> list[int]:
     """The node and everything above it, to the top."""
     chain = [node]
     while chain[-1] in parent:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import ShapeError
-from motionlab.io.reading import Spot
+from motionlab.io.reading import Location
 from motionlab.motion import Motion
 from motionlab.rigs import ancestors
 from motionlab.skeleton import Skeleton
@@ -79,7 +79,7 @@ def check_given(unit: str | float | None, up: str | None, axes: str | None) -> N
 
 
 def to_world(
-    at: Spot,
+    at: Location,
     figure: Figure,
     *,
     unit: str | float | None = None,

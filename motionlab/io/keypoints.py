@@ -29,7 +29,7 @@ from motionlab.io.detection_json import from_json
 from motionlab.io.detection_tables import from_lines, from_npz, from_trc
 from motionlab.io.detections import PLAIN, Detections, from_folder
 from motionlab.io.layouts import names_of
-from motionlab.io.reading import LARGEST, Spot, image_size, read_json, read_text, reading
+from motionlab.io.reading import LARGEST, Location, image_size, read_json, read_text, reading
 from motionlab.observation import Observation2D
 
 if TYPE_CHECKING:
@@ -231,7 +231,7 @@ def load(
         return Footage(at.path, *everything, tuple(sorted(tracks, key=_longest)))
 
 
-def _read_file(at: Spot) -> Detections:
+def _read_file(at: Location) -> Detections:
     """By its first bytes."""
     with at.path.open("rb") as file:
         head = file.read(4096).removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -246,7 +246,7 @@ def _read_file(at: Spot) -> Detections:
 
 
 def cleaned(
-    at: Spot, found: Detections, frames: list[np.ndarray], layout: str | None, lowest: float, size=None
+    at: Location, found: Detections, frames: list[np.ndarray], layout: str | None, lowest: float, size=None
 ) -> tuple[list[np.ndarray], tuple[str, ...], list[str]]:
     """Returns frames of people (P, K, 3) in pixels with confidences of 0..1, the names of the points, and notes.
 
@@ -265,7 +265,7 @@ def cleaned(
     return np.split(everybody, np.cumsum([len(people) for people in frames])[:-1]), names, notes
 
 
-def _calibrate(at: Spot, people: np.ndarray, size: tuple[float, float] | None, lowest: float) -> list[str]:
+def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | None, lowest: float) -> list[str]:
     """Brings people (N, K, 3) to pixels and confidences of 0..1, in place, 0 where not seen; says what it assumed.
 
     Raises:

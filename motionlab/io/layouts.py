@@ -7,7 +7,7 @@ import re
 import numpy as np
 import torch
 
-from motionlab.io.reading import Spot
+from motionlab.io.reading import Location
 from motionlab.observation import BODY_25, Observation2D
 
 
@@ -58,7 +58,7 @@ def standard_name(name: str) -> str:
     return _SAME.get(words, words)
 
 
-def names_of(at: Spot, people: np.ndarray, layout: str | None = None) -> tuple[str, ...]:
+def names_of(at: Location, people: np.ndarray, layout: str | None = None) -> tuple[str, ...]:
     """Finds the names of the points of people (N, K, 3) by their number; BODY_25 and BODY_25B by the face.
 
     Args:

@@ -18,10 +18,10 @@ import numpy as np
 import scipy.sparse
 import torch
 
-from motionlab.io.reading import LARGEST, Spot, read_npy
+from motionlab.io.reading import LARGEST, Location, read_npy
 
 
-def read_pickle(at: Spot, data: bytes) -> object:
+def read_pickle(at: Location, data: bytes) -> object:
     """Reads a pickle, or what joblib or torch wrote, as containers of what :func:`array_of` makes arrays of.
 
     Raises:
@@ -38,7 +38,7 @@ def read_pickle(at: Spot, data: bytes) -> object:
     return _Reader(at, data).load()
 
 
-def read_array(at: Spot, data: bytes) -> object:
+def read_array(at: Location, data: bytes) -> object:
     """Reads a .npy: an array, or of one of objects what :func:`read_pickle` makes of the first.
 
     Raises:
@@ -47,14 +47,14 @@ def read_array(at: Spot, data: bytes) -> object:
     return read_npy(at, data, objects=_first)
 
 
-def _first(at: Spot, data: bytes) -> object:
+def _first(at: Location, data: bytes) -> object:
     array = read_pickle(at, data)
     if not (isinstance(array, _Record) and array.name == "_reconstruct" and array.state and array.state[-1]):
         raise at.error("an array of objects without an object", place="pickle")
     return array.state[-1][0]
 
 
-def _refused(at: Spot, asked: str) -> Exception:
+def _refused(at: Location, asked: str) -> Exception:
     message = f"asks for {asked}, which is no array, tensor or container: refused, nothing was executed"
     remedy = "do not trust this file; save plain arrays with numpy.savez"
     return at.error(message, place="pickle", remedy=remedy)
@@ -135,7 +135,7 @@ _CHUMPY = re.compile(r"chumpy(?:\.\w+)*")
 
 
 class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memory than there is file
-    def __init__(self, at: Spot, data: bytes) -> None:
+    def __init__(self, at: Location, data: bytes) -> None:
         self.stream = io.BytesIO(data)
         super().__init__(self.stream, encoding="latin1")
         self.at, self.dispatch = at, pickle._Unpickler.dispatch | {pickle.BUILD[0]: _Reader.load_build}
@@ -166,7 +166,7 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
             self.stack[-1] = _from_bytes(self.at, raw, record.state["dtype"], shape, record.state["order"])
 
 
-def arrays_of(at: Spot, tree: object, keys: Iterable[str], place: str) -> dict[str, np.ndarray]:
+def arrays_of(at: Location, tree: object, keys: Iterable[str], place: str) -> dict[str, np.ndarray]:
     """Reads those arrays of a dictionary that are there; ``at.place`` goes along.
 
     Raises:
@@ -183,7 +183,7 @@ def arrays_of(at: Spot, tree: object, keys: Iterable[str], place: str) -> dict[s
     return arrays
 
 
-def array_of(at: Spot, value: object) -> np.ndarray:
+def array_of(at: Location, value: object) -> np.ndarray:
     """Makes an array of what a pickle said: of numpy, torch, scipy (sparse), chumpy around one of these, or numbers.
 
     Raises:
@@ -220,14 +220,14 @@ def array_of(at: Spot, value: object) -> np.ndarray:
     raise at.error(f"holds a {value.name} object without an array in it")
 
 
-def _shape(at: Spot, shape: object) -> tuple[int, ...]:
+def _shape(at: Location, shape: object) -> tuple[int, ...]:
     sizes = np.asarray(array_of(at, shape) if isinstance(shape, _Record) else shape)
     if sizes.ndim > 1 or (sizes.size and (sizes.dtype.kind not in "iu" or sizes.min() < 0)):
         raise at.error(f"{shape!r} is not a shape")
     return tuple(int(n) for n in np.atleast_1d(sizes))
 
 
-def _kind(at: Spot, dtype: object) -> np.dtype:
+def _kind(at: Location, dtype: object) -> np.dtype:
     code = dtype.args[0] if isinstance(dtype, _Record) and dtype.name == "dtype" and dtype.args else None
     if not isinstance(code, str) or not re.fullmatch(r"[biuf][1248]", code):
         raise at.error(f"an array of {code!r}, expected plain numbers")
@@ -235,7 +235,7 @@ def _kind(at: Spot, dtype: object) -> np.dtype:
     return np.dtype(({"<": "<", ">": ">"}.get(endian, "=")) + code)
 
 
-def _from_bytes(at: Spot, raw: object, dtype: object, shape: object, order: str) -> np.ndarray:
+def _from_bytes(at: Location, raw: object, dtype: object, shape: object, order: str) -> np.ndarray:
     kind = _kind(at, dtype)
     raw = raw.encode("latin1") if isinstance(raw, str) else raw
     shape = _shape(at, shape)
@@ -244,7 +244,7 @@ def _from_bytes(at: Spot, raw: object, dtype: object, shape: object, order: str)
     return np.frombuffer(raw, kind).reshape(shape, order="F" if order == "F" else "C")
 
 
-def _dense(at: Spot, form: str, state: object) -> np.ndarray:
+def _dense(at: Location, form: str, state: object) -> np.ndarray:
     if not isinstance(state, dict):
         raise at.error("a sparse matrix without contents")
     shape = _shape(at, state.get("_shape", state.get("shape")))

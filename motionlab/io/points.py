@@ -30,7 +30,17 @@ from torch import Tensor
 from motionlab.errors import ShapeError, check_shape
 from motionlab.io import judging
 from motionlab.io.judging import Axes, Unit, axes_to_matrix, unit_named
-from motionlab.io.reading import Spot, check_keys, floats, frame_rate, numbers, read_bytes, read_npz, read_text, reading
+from motionlab.io.reading import (
+    Location,
+    check_keys,
+    checked_array,
+    floats,
+    frame_rate,
+    read_bytes,
+    read_npz,
+    read_text,
+    reading,
+)
 from motionlab.observation import Camera, Observation2D
 
 #: Names in the file's order, as worked out above; wrist and hand are two markers at the end of the forearm.
@@ -114,7 +124,7 @@ def load_anidance(path: str | Path) -> Positions:
     with reading(path, 'save "positions_cm" (T, 24, 3) and "fps" with numpy.savez') as at:
         arrays = read_npz(at, ("positions_cm", "fps"))
         check_keys(at, arrays, ("positions_cm", "fps"))
-        points = torch.from_numpy(numbers(at, arrays["positions_cm"], f"T {len(NAMES)} 3", "positions_cm")) / 100
+        points = torch.from_numpy(checked_array(at, arrays["positions_cm"], f"T {len(NAMES)} 3", "positions_cm")) / 100
         points[:, 1:] += points[:, :1]
         world = (points @ axes_to_matrix("x-zy").T).float()
         fps = frame_rate(at, arrays["fps"], "fps")
@@ -190,7 +200,7 @@ def load_projected(path: str | Path, *, camera: Camera, fps: float) -> Observati
         return Observation2D(pixels.float(), inside.float(), names, fps, camera, name)
 
 
-def _table(at: Spot, rows: list[list[str]], width: int, first: int) -> Tensor:
+def _table(at: Location, rows: list[list[str]], width: int, first: int) -> Tensor:
     """Numbers (T, W) float64, of single precision, of rows from line ``first`` on."""
     table = np.empty((len(rows), width), np.float32)
     for row, values in enumerate(rows):
@@ -246,7 +256,7 @@ def load_trc(
         return judging.to_world(at, figure, unit=unit, up=up, axes=axes, **how)
 
 
-def _measured(at: Spot, names: tuple[str, ...], points: np.ndarray, valid: np.ndarray, fps: float) -> Positions:
+def _measured(at: Location, names: tuple[str, ...], points: np.ndarray, valid: np.ndarray, fps: float) -> Positions:
     """Points (T, K, 3) of a file's own unit and axes; those at exactly zero are not measured either, and noted."""
     zero = valid & (points == 0).all(-1)
     if zero.any():
@@ -257,7 +267,7 @@ def _measured(at: Spot, names: tuple[str, ...], points: np.ndarray, valid: np.nd
     return Positions(names, points, valid, fps, at.path.stem, notes=tuple(at.notes))
 
 
-def _trc_row(at: Spot, number: int, line: str, markers: int) -> list[float]:
+def _trc_row(at: Location, number: int, line: str, markers: int) -> list[float]:
     at.place = f"line {number}"
     cells = line.rstrip("\r\n").split("\t")[2:]
     if any(cell.strip() for cell in cells[3 * markers :]):
@@ -325,7 +335,7 @@ def _c3d_numbers(data: bytes, kind: int, count: int, start: int, processor: int)
     return np.frombuffer(data, np.dtype(_C3D_TYPES[kind]).newbyteorder(_C3D_ORDERS[processor]), count, start)
 
 
-def _c3d_parameters(at: Spot, data: bytes, start: int, processor: int) -> dict[str, np.ndarray]:
+def _c3d_parameters(at: Location, data: bytes, start: int, processor: int) -> dict[str, np.ndarray]:
     groups, found = {}, {}
     cursor, end = start + 4, min(start + _C3D_BLOCK * data[start + 2], len(data))
     while cursor + 4 <= end:
@@ -345,7 +355,7 @@ def _c3d_parameters(at: Spot, data: bytes, start: int, processor: int) -> dict[s
     return {f"{groups.get(number, number)}:{name}": value for (number, name), value in found.items()}
 
 
-def _c3d_value(at: Spot, data: bytes, start: int, place: str, processor: int) -> np.ndarray:
+def _c3d_value(at: Location, data: bytes, start: int, place: str, processor: int) -> np.ndarray:
     kind, axes = struct.unpack_from("<bB", data, start)
     if kind not in _C3D_TYPES or axes > 7:
         raise at.error(f"type {kind} with {axes} axes is not known", place=place)
@@ -360,7 +370,7 @@ def _c3d_value(at: Spot, data: bytes, start: int, place: str, processor: int) ->
 
 
 def _c3d_table(
-    at: Spot, data: bytes, header: np.ndarray, parameters: dict, count: int, processor: int
+    at: Location, data: bytes, header: np.ndarray, parameters: dict, count: int, processor: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (T, K, 3) in the file's unit, 0 where not measured, and the mask (T, K)."""
     at.place = "3-D data"
@@ -377,10 +387,10 @@ def _c3d_table(
     table = table.reshape(frames, count, 4).astype(np.float64)
     measured = (table[..., 3] >= 0) & np.isfinite(table[..., :3]).all(-1)
     xyz = np.where(measured[..., None], table[..., :3], 0.0) * (1.0 if scale < 0 else scale)
-    return numbers(at, xyz, f"T {count} 3"), measured
+    return checked_array(at, xyz, f"T {count} 3"), measured
 
 
-def _c3d_frame_count(at: Spot, header: np.ndarray, parameters: dict, held: int, processor: int) -> int:
+def _c3d_frame_count(at: Location, header: np.ndarray, parameters: dict, held: int, processor: int) -> int:
     """From the 32-bit frame numbers of long recordings, else the header's 16 bits, which end at 65535 or start again;
     then as many as the file has room for."""
     ends = [parameters.get(f"TRIAL:ACTUAL_{end}_FIELD") for end in ("START", "END")]

@@ -32,7 +32,7 @@ RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 144, 240)
 
 
 @dataclass
-class Spot:
+class Location:
     """Where a loader is: the file, the place in it (a line, a key, a frame), the usual remedy; what it had to decide so
     far, and how the text is written."""
 
@@ -49,7 +49,7 @@ class Spot:
 
 
 @contextmanager
-def reading(path: str | Path, remedy: str = "export the file again") -> Iterator[Spot]:
+def reading(path: str | Path, remedy: str = "export the file again") -> Iterator[Location]:
     """Turns every exception that leaves the block into a ``DataError`` that names file, place and remedy.
 
     It catches ``Exception`` on purpose: a malformed file can surface as almost any type (zlib.error,
@@ -60,20 +60,20 @@ def reading(path: str | Path, remedy: str = "export the file again") -> Iterator
         DataError: whatever the block raised.
         MissingData: raised by the block itself.
     """
-    spot = Spot(Path(path), remedy=remedy)
+    location = Location(Path(path), remedy=remedy)
     try:
-        yield spot
+        yield location
     except (DataError, MissingData):
         raise
     except FileNotFoundError as error:
-        raise spot.error("no such file", remedy="check the path") from error
+        raise location.error("no such file", remedy="check the path") from error
     except OSError as error:
-        raise spot.error(f"cannot be opened: {error.strerror or error}") from error
+        raise location.error(f"cannot be opened: {error.strerror or error}") from error
     except Exception as error:
-        raise spot.error(f"cannot be read ({type(error).__name__}: {error})") from error
+        raise location.error(f"cannot be read ({type(error).__name__}: {error})") from error
 
 
-def read_bytes(at: Spot) -> bytes:
+def read_bytes(at: Location) -> bytes:
     """Reads the whole file, if it is not empty and not larger than ``LARGEST``.
 
     Raises:
@@ -88,7 +88,7 @@ def read_bytes(at: Spot) -> bytes:
     return at.path.read_bytes()
 
 
-def read_text(at: Spot) -> str:
+def read_text(at: Location) -> str:
     """Reads the whole file as text: UTF-8 (a byte-order mark is dropped), else Shift-JIS if that makes words of
     Japanese, else Latin-1; noted.
 
@@ -108,7 +108,7 @@ def read_text(at: Spot) -> str:
     return text
 
 
-def read_json(at: Spot, *, nan: bool = False) -> object:
+def read_json(at: Location, *, nan: bool = False) -> object:
     """Reads the whole file as JSON; NaN and Infinity, which JSON does not have, are refused.
 
     Args:
@@ -128,7 +128,7 @@ def read_json(at: Spot, *, nan: bool = False) -> object:
 
 
 def read_npz(
-    at: Spot, keys: tuple[str, ...] | None = None, *, plain: str = "save plain arrays only"
+    at: Location, keys: tuple[str, ...] | None = None, *, plain: str = "save plain arrays only"
 ) -> dict[str, np.ndarray]:
     """Reads the arrays of an npz by key: those of ``keys`` that are there, or all.
 
@@ -156,7 +156,7 @@ def read_npz(
     return arrays
 
 
-def check_keys(at: Spot, arrays: dict[str, object], keys: Iterable[str]) -> None:
+def check_keys(at: Location, arrays: dict[str, object], keys: Iterable[str]) -> None:
     """Checks that a file has all of these keys.
 
     Raises:
@@ -168,7 +168,7 @@ def check_keys(at: Spot, arrays: dict[str, object], keys: Iterable[str]) -> None
 
 
 def read_npy(
-    at: Spot, data: bytes, *, plain: str = "save plain arrays only", objects: Callable | None = None
+    at: Location, data: bytes, *, plain: str = "save plain arrays only", objects: Callable | None = None
 ) -> object:
     """Reads the array of a .npy; of one of Python objects what ``objects(at, pickle)`` makes, else it is refused.
 
@@ -192,8 +192,8 @@ def read_npy(
     return array.reshape(shape, order="F" if fortran else "C")
 
 
-def numbers(
-    at: Spot, array: object, shape: str, place: str | None = None, largest: float = _USABLE, *, nan: bool = False
+def checked_array(
+    at: Location, array: object, shape: str, place: str | None = None, largest: float = _USABLE, *, nan: bool = False
 ) -> np.ndarray:
     """Checks an array's axes and that every number is finite; returns it as float64.
 
@@ -228,7 +228,7 @@ def numbers(
     return array
 
 
-def floats(at: Spot, words: Sequence[str], count: int) -> np.ndarray:
+def floats(at: Location, words: Sequence[str], count: int) -> np.ndarray:
     """Reads the ``count`` numbers of a line of text.
 
     Raises:
@@ -245,7 +245,7 @@ def floats(at: Spot, words: Sequence[str], count: int) -> np.ndarray:
     return values
 
 
-def frame_rate(at: Spot, value: object, place: str = "frame rate", remedy: str | None = None) -> float:
+def frame_rate(at: Location, value: object, place: str = "frame rate", remedy: str | None = None) -> float:
     """Checks a frame rate in frames per second: one finite number above zero, at most 100,000.
 
     Raises:
@@ -257,13 +257,13 @@ def frame_rate(at: Spot, value: object, place: str = "frame rate", remedy: str |
     return fps
 
 
-def image_size(at: Spot, value: object, place: str = "size") -> tuple[float, float]:
+def image_size(at: Location, value: object, place: str = "size") -> tuple[float, float]:
     """Checks an image size: width and height in pixels, above zero, below 100,000.
 
     Raises:
         DataError: it is something else.
     """
-    pair = numbers(at, value, "2", place, largest=1e5)
+    pair = checked_array(at, value, "2", place, largest=1e5)
     if not (pair > 0).all():
         raise at.error(f"expected width and height in pixels, got {value!r}", place=place)
     return float(pair[0]), float(pair[1])

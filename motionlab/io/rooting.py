@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from motionlab.io.judging import longest_chain
-from motionlab.io.reading import Spot
+from motionlab.io.reading import Location
 from motionlab.skeleton import Skeleton
 
 #: Shares of the longest chain: below SAME a joint sits at its OFFSET, above RIGID its bone changes length.
@@ -18,7 +18,7 @@ _TRUNK = 0.8
 
 
 def rerooted(
-    at: Spot, skeleton: Skeleton, place: np.ndarray, rot: Tensor, translations: str, lines: list[str]
+    at: Location, skeleton: Skeleton, place: np.ndarray, rot: Tensor, translations: str, lines: list[str]
 ) -> tuple[list[int], Skeleton, Tensor, Tensor]:
     """Computes which joints are kept, their skeleton, root positions (T, 3) and rotations (T, K, 3, 3) of a tree that
     stands at ``place`` (T, J, 3) and is turned by ``rot`` (T, J, 3, 3), each joint against its parent; float64.

@@ -10,7 +10,7 @@ import torch
 
 from motionlab.body import BodyModel
 from motionlab.io.pickles import arrays_of, read_pickle
-from motionlab.io.reading import Spot, check_keys, numbers, read_bytes, read_npz, reading
+from motionlab.io.reading import Location, check_keys, checked_array, read_bytes, read_npz, reading
 from motionlab.skeleton import STANDARD
 
 _KEYS = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
@@ -46,24 +46,24 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
         return _body(at, raw, betas)
 
 
-def _body(at: Spot, raw: dict[str, np.ndarray], betas: int) -> BodyModel:
+def _body(at: Location, raw: dict[str, np.ndarray], betas: int) -> BodyModel:
     count = len(STANDARD)
-    template = numbers(at, raw["v_template"], "V 3", "v_template")
+    template = checked_array(at, raw["v_template"], "V 3", "v_template")
     vertices = len(template)
     height = np.ptp(template[:, 1])
     if not 0.2 < height < 3:
         raise at.error(f"a body {height:.3g} m high (y is up)", place="v_template", remedy="convert it to metres, y up")
     parents = _parents(at, raw["kintree_table"])
-    shape = numbers(at, raw["shapedirs"], f"{vertices} 3 B", "shapedirs")[..., :betas]
-    weights = numbers(at, raw["weights"], f"{vertices} {len(parents)}", "weights")
-    regressor = numbers(at, raw["J_regressor"], f"{len(parents)} {vertices}", "J_regressor")
+    shape = checked_array(at, raw["shapedirs"], f"{vertices} 3 B", "shapedirs")[..., :betas]
+    weights = checked_array(at, raw["weights"], f"{vertices} {len(parents)}", "weights")
+    regressor = checked_array(at, raw["J_regressor"], f"{len(parents)} {vertices}", "J_regressor")
     for key, rows in (("weights", weights), ("J_regressor", regressor)):
         off = np.abs(rows.sum(1) - 1)
         if not off.max() < 1e-3:
             raise at.error(f"row {off.argmax()} sums to {rows.sum(1)[off.argmax()]:.4g}, expected 1", place=key)
     if weights.min() < 0:
         raise at.error(f"a negative weight at vertex {weights.min(1).argmin()}", place="weights")
-    faces = numbers(at, raw["f"], "F 3", "f")
+    faces = checked_array(at, raw["f"], "F 3", "f")
     if faces.min() < 0 or faces.max() >= vertices or (faces != faces.round()).any():
         raise at.error(f"expected indices of {vertices} vertices, found {faces.min()} to {faces.max()}", place="f")
     folded = np.zeros((vertices, count))
@@ -77,7 +77,7 @@ def _body(at: Spot, raw: dict[str, np.ndarray], betas: int) -> BodyModel:
     offsets = joints - np.vstack((joints[:1], joints[list(STANDARD.parents[1:])]))
     posed = raw.get("posedirs")
     if posed is not None:
-        posed = numbers(at, posed, f"{vertices} 3 {9 * (len(parents) - 1)}", "posedirs")[..., : 9 * (count - 1)]
+        posed = checked_array(at, posed, f"{vertices} 3 {9 * (len(parents) - 1)}", "posedirs")[..., : 9 * (count - 1)]
         posed = torch.from_numpy(posed).float()
     notes = [f"{at.path.name}: {vertices} vertices, {len(parents)} joints, {shape.shape[-1]} betas"]
     if len(parents) > count:
@@ -100,9 +100,9 @@ def _body(at: Spot, raw: dict[str, np.ndarray], betas: int) -> BodyModel:
     )
 
 
-def _parents(at: Spot, table: np.ndarray) -> list[int]:
+def _parents(at: Location, table: np.ndarray) -> list[int]:
     """The tree as parent indices; it must begin with the 22 joints of the body."""
-    table = numbers(at, table, "2 J", "kintree_table")
+    table = checked_array(at, table, "2 J", "kintree_table")
     parents = [-1, *table[0, 1:].astype(int).tolist()]  # the root's own entry is -1 or 2**32 - 1
     for joint, parent in enumerate(parents[1:], start=1):
         if not 0 <= parent < joint:

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from motionlab.io.reading import Spot, reading
+from motionlab.io.reading import Location, reading
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
 _SMALL = 160  # pixels across a picture in which the background is compared
@@ -114,7 +114,7 @@ def open_video(path: str | Path) -> Video:
         return Video(at.path, fps, tuple(found["size"]), max(count, 1), notes=tuple(notes))
 
 
-def _ffmpeg(at: Spot, *words: str) -> list[str]:
+def _ffmpeg(at: Location, *words: str) -> list[str]:
     """A command that reads every frame of a video once, each as it comes; the path is whole, or FFmpeg might take
     what is before a colon for a protocol."""
     path = os.path.abspath(at.path)
@@ -122,7 +122,7 @@ def _ffmpeg(at: Spot, *words: str) -> list[str]:
             *words, "-"]  # fmt: skip
 
 
-def _times(at: Spot) -> tuple[np.ndarray, list[str]]:
+def _times(at: Location) -> tuple[np.ndarray, list[str]]:
     """Seconds (N,) of all frames since the first, none before another; and what FFmpeg complained of."""
     words = _ffmpeg(at, "-enc_time_base", "demux", "-f", "framecrc")
     done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, check=False)
@@ -135,7 +135,7 @@ def _times(at: Spot) -> tuple[np.ndarray, list[str]]:
     return times, [f"FFmpeg says: {re.sub(' @ 0x[0-9a-f]+', '', said[0])[:200]}"] if said else []
 
 
-def _decoded(at: Spot, size: tuple[int, int]) -> Iterator[np.ndarray]:
+def _decoded(at: Location, size: tuple[int, int]) -> Iterator[np.ndarray]:
     """All pictures of a video; FFmpeg ends with the generator."""
     words = _ffmpeg(at, "-f", "rawvideo", "-pix_fmt", "rgb24")
     shape = (size[1], size[0], 3)
