@@ -129,9 +129,8 @@ def _models(options: argparse.Namespace) -> int:
     from motionlab import checkpoint
     from motionlab.training import model_card
 
-    for path in [
-        p for kind in model_card.PRIORS for p in sorted(checkpoint.SHIPPED.glob(f"{kind}.json")) if options.data
-    ]:
+    kinds = model_card.PRIORS if options.data else ()
+    for path in [p for kind in kinds for p in sorted(checkpoint.SHIPPED.glob(f"{kind}.json"))]:
         model_card.judge_prior(path.stem, options.data)
     print(model_card.write_readme())
     return 0

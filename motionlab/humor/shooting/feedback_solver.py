@@ -66,10 +66,8 @@ class Plan:
     two_starts: bool = True
 
     def __post_init__(self) -> None:
-        if (
-            min(self.rounds, self.closures, self.stride, self.trial_stride, self.mode_jumps + 1, self.trial_rounds + 1)
-            < 1
-        ):
+        may_be_0 = self.mode_jumps, self.trial_rounds
+        if min(self.rounds, self.closures, self.stride, self.trial_stride) < 1 or min(may_be_0) < 0:
             raise ValueError(f"rounds, closures, strides: expected 1 or more, jumps, trial: 0 or more, got {self}")
         if self.halving_after and not 0 < self.halving_after < self.closures - 1:
             raise ValueError(f"halving_after: expected closures and two more to be left after it, got {self}")
