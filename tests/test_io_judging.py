@@ -134,13 +134,13 @@ def test_markers_of_who_lies_are_never_turned_without_a_word(how, up, lean):
             truth = person(lean, turn, (*place, 0.95 if lean == 0 else 0.15)).positions
             seen = markers(truth.double() @ judging.axes_to_matrix(judging.AXES[up]), STANDARD.names)
             try:
-                found = judging.to_world(Spot("clip"), seen, unit=1.0, **how)
+                found = judging.to_world(Location("clip"), seen, unit=1.0, **how)
             except DataError as error:
                 assert lean and "--up" in str(error) and not how
                 continue
             assert sum("up axis" in note and "--up" in note for note in found.notes) == 1
             assert lean or torch.allclose(found.positions, truth, atol=1e-5)
-            told = judging.to_world(Spot("clip"), seen, unit=1.0, says_up=up, trust=9.0)  # where the file says it
+            told = judging.to_world(Location("clip"), seen, unit=1.0, says_up=up, trust=9.0)  # where the file says it
             assert torch.allclose(told.positions, truth, atol=1e-5)
 
 
