@@ -20,9 +20,9 @@ from motionlab.humor.rollout import Rollout
 from motionlab.humor.unknowns import Posed, Rolled
 from motionlab.motion import Motion
 from studies.nb06_profile import figures, profiles
+from studies.nb06_profile.closure_budget import Spent
 from studies.nb06_profile.official_profile import LABEL, Official
 from studies.shared import savings
-from studies.shared.closure_budget import Spent
 from studies.shared.profiling import Stopwatch
 from studies.shared.savings import FAITHFUL, FORMS, LEAN, Savings
 from studies.shared.workload import Noise, Part, Workload, workload
