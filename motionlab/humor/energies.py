@@ -158,14 +158,6 @@ def floor_reg(floor: Tensor, initial: Tensor, frames: int = 1) -> Tensor:
 # ------------------------------------------------------------------------------------------------------------- weights
 Triple = tuple[float, float, float]
 
-_DATA = ("joints2d", "joints3d")
-#: The terms that the official code evaluates in each stage, whatever its weights say.
-_ACTIVE = {
-    1: _DATA,
-    2: (*_DATA, "joints3d_smooth", "pose_prior", "shape_prior"),
-    3: (*_DATA, "shape_prior", "motion_prior", "init_motion_prior", "joint_consistency", "bone_length", "contact_vel",
-        "contact_height", "floor_reg"),
-}  # fmt: skip
 #: Frames that stage 3 rolls out in its first sub-stage.
 _SHORT = 15
 
@@ -173,6 +165,8 @@ _SHORT = 15
 @dataclass(frozen=True)
 class Weights:
     """One triple per term: its weight in stages 1, 2 and 3. The fields are named as the functions of ``energies``.
+
+    A new term is a function, a field here and a line in ``stages.pose_terms`` or ``stages.rolled_terms``.
 
     Source: the configurations of the official code: ``RGB`` its demo, ``JOINTS`` and ``KEYPOINTS`` its AMASS tasks
     (surface keypoints go into ``joints3d``). Its PROX-D set is left out: it needs the depth term, which is not here.
@@ -202,13 +196,14 @@ class Weights:
         frames: of the clip, from the second sub-stage of stage 3 on: the initial state's weight grows by frames/15,
         to keep its share beside terms that are summed over frames. None: as listed. (Shape and floor terms take their
         number of frames as an argument.)
-        listed: also terms whose weight is listed, though the official code leaves them out in this stage: it lists
-        smoothness and priors for stage 1, and has only the data there.
+        listed: in stage 1 also smoothness and priors, which the official code lists and leaves out: it has only the
+        data there.
         """
         found = {name: triple[stage - 1] for name, triple in vars(self).items()}
         if frames is not None:
             found["init_motion_prior"] *= frames / _SHORT
-        return {name: weight for name, weight in found.items() if weight and (listed or name in _ACTIVE[stage])}
+        counts = vars(self) if listed or stage > 1 else ("joints2d", "joints3d")
+        return {name: weight for name, weight in found.items() if weight and name in counts}
 
 
 def _last(weight: float) -> Triple:

@@ -5,7 +5,7 @@ and gamma (``derivatives``), then S shared by all frames of a clip, 8 betas and,
 Rows carry the square root of their weight, so that H = R^T R is the Gauss-Newton matrix of the energy as it is. Robust
 terms count with the weight that they have at the point; contact probabilities are constants. Contact heights, hinges
 without curvature, count as the parabolas that touch them from above: without them a camera that nobody fixed and its
-body would rise together at no cost.
+body would rise together at no cost. A term without rows is minimised all the same; the coordinates do not know of it.
 
 The sweep goes from the last frame to the first. With y_t a small change of frame t, y_{t+1} = A_t y_t + B_t z_t, and an
 energy 1/2 sum_t |R_t y_t|^2 + |N_t (y_t, z_t)|^2, the least that frames t.. can cost is 1/2 y_t^T P_t y_t,
