@@ -53,7 +53,7 @@ def test_every_format_gives_the_points_that_were_written(tmp_path, name):
     (tmp_path / name).write_bytes(detected.SEEDS[name])
     found = keypoints.load(tmp_path / name, **SAID.get(name, {"fps": 30, "size": detected.SIZE}))
     names = {"vitpose.json": tuple(map(standard_name, detected.VIT))}.get(name)
-    assert found.names == (names or {len(row): row for row in LAYOUTS.values()}[count])
+    assert found.names == (names or next(row for row in LAYOUTS.values() if len(row) == count))
     assert found.first == first and found.fps == pytest.approx(FPS.get(name, 30)) and len(found.tracks) == people
     assert {track.id for track in found.tracks} == IDS.get(name, set(range(people)))
     seen = found.people(1.0)
@@ -116,8 +116,8 @@ def test_what_a_file_does_not_say_is_asked_for_by_name(tmp_path):
     for size in ((0, 720), (1280,), ("a", 3), 5, (1e9, 2)):
         refused(path, "size", size=size)
     refused(path, "frames per second", fps=-1)
-    refused(path, "layout", size=detected.SIZE, layout="BODY_25")
-    refused(written(tmp_path / "b.json", alphapose(body()[:15])), "15 keypoints", "pass layout=")
+    refused(path, "pass layout=, or --layout: COCO_17", size=detected.SIZE, layout="BODY_25")
+    refused(written(tmp_path / "b.json", alphapose(body()[:15])), "15 keypoints", "keypoints, names, fps as npz")
 
 
 def test_three_dimensions_are_refused_for_that_reason(tmp_path):

@@ -40,6 +40,7 @@ WHOLEBODY_133 = (*COCO_17, *BODY_25[19:], *_row("face", range(68)), *_HANDS)
 BODY_135 = (*BODY_25B, *(name for name in _HANDS if not name.endswith("_0")), *_row("face", range(70)))
 #: Halpe's full body: its body, 68 of the face, 21 of each hand.
 HALPE_136 = (*HALPE_26, *_row("face", range(68)), *_HANDS)
+#: By name and number of points. Points without names are those of the first layout with as many.
 LAYOUTS = {
     "BODY_25": BODY_25, "BODY_25B": BODY_25B, "COCO_18": COCO_18, "COCO_17": COCO_17, "HALPE_26": HALPE_26,
     "MEDIAPIPE_33": MEDIAPIPE_33, "WHOLEBODY_133": WHOLEBODY_133, "BODY_135": BODY_135, "HALPE_136": HALPE_136,
@@ -67,12 +68,13 @@ def names_of(at: Location, people: np.ndarray, layout: str | None = None) -> tup
     Raises:
         DataError: the layout does not fit, or cannot be told.
     """
-    layout = layout or _detect_layout(people)
+    layout, count = layout or _detect_layout(people), people.shape[1]
     names = LAYOUTS.get(layout or "", ())
-    if len(names) != people.shape[1]:
+    if len(names) != count:
         message = f"layout {layout} does not fit" if layout else "the layout cannot be told from"
-        remedy = f"pass layout= one of {', '.join(LAYOUTS)}"
-        raise at.error(f"{message} {people.shape[1]} keypoints", place="", remedy=remedy)
+        fit = ", ".join(known for known, names in LAYOUTS.items() if len(names) == count)
+        remedy = f"pass layout=, or --layout: {fit}" if fit else "none has so many: save keypoints, names, fps as npz"
+        raise at.error(f"{message} {count} keypoints", place="", remedy=remedy)
     return names
 
 
@@ -83,7 +85,7 @@ def _detect_layout(people: np.ndarray) -> str | None:
     points 1 to 4 of BODY_25B, so the four that lie closer to the nose decide, by majority over the people.
     """
     if people.shape[1] != len(BODY_25):
-        return {len(names): layout for layout, names in LAYOUTS.items()}.get(people.shape[1])
+        return next((layout for layout, names in LAYOUTS.items() if len(names) == people.shape[1]), None)
     seen = people[..., 2] > 0
     distance = np.where(seen, np.linalg.norm(people[..., :2] - people[:, :1, :2], axis=-1), np.nan)
     votes = []
