@@ -1,4 +1,4 @@
-"""Which joints touch the floor, from heights in metres and speeds in metres per second."""
+"""Contact labels: which joints touch the floor, from heights in metres and speeds in metres per second."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def contacts_from_positions(
     height: tuple[float, float] = (0.03, 0.06),
     speed: tuple[float, float] = (0.25, 0.5),
 ) -> Tensor:
-    """Computes floor contacts (..., T, C), 0 or 1, from joint positions (..., T, C, 3) in metres, world, z up.
+    """Computes contact labels (..., T, C), 0 or 1, from joint positions (..., T, C, 3) in metres, world, z up.
 
     A contact is a run of frames below both loose thresholds that goes below both strict ones at least once.
 
@@ -77,7 +77,7 @@ def contacts_from_positions(
 
 
 def with_contacts(motion: Motion, **thresholds: tuple[float, float]) -> Motion:
-    """Computes a motion's contacts from its own joint positions; thresholds as :func:`contacts_from_positions`."""
+    """Labels a motion's contacts from its own joint positions; thresholds as :func:`contacts_from_positions`."""
     positions = motion.positions[..., motion.skeleton.contact_indices, :]
     resting = resting_heights(motion.skeleton).to(positions)
     return replace(motion, contacts=contacts_from_positions(positions, motion.fps, resting, **thresholds))

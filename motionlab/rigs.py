@@ -18,7 +18,7 @@ from motionlab.errors import DataError
 from motionlab.skeleton import STANDARD, Skeleton
 
 #: What the joints of each limb are called, from the trunk outwards; behind a bar, what is also said of a neighbour.
-#: Lower case, without side, number, prefix, suffix and separators.
+#: Lower case, without side, number, prefix, suffix and separators. Pelvis and spine need none: limbs hang on them.
 WORDS: dict[str, dict[str, str]] = {
     "leg": {
         "hip": "thigh upleg upperleg legupper femur upperthigh thighbend | hip leg",

@@ -1,4 +1,4 @@
-"""Measures skinning weights: which joints move a vertex and which should; what is spurious; what pruning moves."""
+"""Audits skinning weights: which joints move a vertex and which should; what is spurious; what pruning moves."""
 
 from __future__ import annotations
 

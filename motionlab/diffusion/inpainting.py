@@ -52,7 +52,7 @@ class Inpainting:
 def inpaint_features(
     model: MotionDiffusion, x0: Tensor, known: Tensor, generator: torch.Generator, how: Inpainting
 ) -> Tensor:
-    """Computes normalised windows (B, T, D) that keep x0 where ``known`` holds and are sampled elsewhere.
+    """Inpaints normalised windows (B, T, D): they keep x0 where ``known`` holds and are sampled elsewhere.
 
     known: bool (B, T, D) or (T, D). How exactly x0 is kept is up to ``how``; elsewhere it is never read.
     """
@@ -86,7 +86,7 @@ def inpaint(
     *,
     batch: int = 64,
 ) -> Motion:
-    """Computes motions (B, T) from motions with gaps; unknown numbers are sampled, the place in the world stays.
+    """Inpaints motions (B, T) with gaps: unknown numbers are sampled, the place in the world stays.
 
     known: bool (B, T, D) or (T, D), True where known. A stuck layout takes the place and heading of the first frame as
     given, known or not. Contacts that a motion lacks are labelled.

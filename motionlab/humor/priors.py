@@ -96,7 +96,7 @@ def first_state_features(state: Tensor) -> Tensor:
 
 
 class InitGmm:
-    """A mixture of K Gaussians over D features, frozen.
+    """The initial-state mixture: K Gaussians over D features of a first state, frozen.
 
     weights (K,): sum to 1. means (K, D). covariances (K, D, D): symmetric, positive definite.
 

@@ -53,7 +53,7 @@ def rollout(
     with_prior: bool = True,
     loops: bool | None = None,
 ) -> Rollout:
-    """Computes T states from a first state and T latents, one after the other.
+    """Computes a plain roll-out: T states from a first state and T latents, one after the other.
 
     Args:
         first: (B, 339) states, world coordinates. z: (B, T, 48), T > 0.
@@ -82,7 +82,7 @@ def rollout(
 
 
 def steered_rollout(model: Cvae, first: Tensor, u: Tensor, gains: Tensor | None = None) -> tuple[Rollout, Tensor]:
-    """Computes T states from a first state, u and gains, as above. No derivatives of the decoder's weights.
+    """Computes a steered roll-out from a first state, u and gains, as above. No derivatives of the decoder's weights.
 
     Args:
         first: (B, 339) states, world coordinates. u: (B, T, 48). gains: (B, T, 48, 345) or none.

@@ -131,7 +131,7 @@ def _overlap(joints: Tensor, starts: tuple[int, ...]) -> Tensor:
 
 # ------------------------------------------------------------------------------------------------------- the searches
 def stage_1_and_2(problem: Problem, unknown: Unknowns, stage: int, **budget) -> tuple[Unknowns, BatchFit]:
-    """Searches for the root alone (1), or for root, pose and shape (2)."""
+    """Runs stage 1, a search for the root alone, or stage 2, for root, pose and shape."""
     moving = ("trans", "orient") if stage == 1 else ("trans", "orient", "latent", "betas")
     terms = partial(pose_terms, stage=stage)
     if problem.mode != "lean":
@@ -152,7 +152,7 @@ def stage_3(
     refine: tuple[int, int],
     **budget,
 ) -> tuple[Unknowns, list[BatchFit]]:
-    """Searches the first ``short`` frames; then all, x0 frozen and without contact terms; then everything.
+    """Runs stage 3: the first ``short`` frames; then all, x0 frozen and without contact terms; then everything.
 
     factors: of ``start.start_stage_3``; without them the search is in the unknowns as they are.
     refine: the steps at which the second and the third sub-stage begin.

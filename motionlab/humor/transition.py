@@ -37,7 +37,7 @@ for _a, _b, _c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
 
 
 def transition(model: Cvae, x: Tensor, z: Tensor, offset: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
-    """Computes the next state from a state x (B, 339), in its own heading frame, and a latent z (B, 48).
+    """Computes one transition of the prior from a state x (B, 339), in its own heading frame, and a latent z (B, 48).
 
     The plain form, all of it recorded by autograd. offset (B, 3): see ``state.localise``.
 

@@ -83,7 +83,7 @@ def solve(
     note: Callable[[str], None] = lambda what: None,
     progress: bool | str = False,
 ) -> tuple[Unknowns, list[BatchFit]]:
-    """Lowers stage 3's energy from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
+    """Runs the feedback solver from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
 
     second_start: of the same recordings; after the plan's trial rounds the lower one of each goes on. linearise: where
     the coordinates come from, called as ``coordinates.linearised``; another for ablations. note: called with
