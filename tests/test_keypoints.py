@@ -65,6 +65,13 @@ def test_every_format_gives_the_points_that_were_written(tmp_path, name):
     assert torch.allclose(seen.confidence[order].double(), sure)
 
 
+def test_one_more_layout_of_a_size_changes_nobodys_reading(tmp_path, monkeypatch):
+    monkeypatch.setitem(LAYOUTS, "OTHER_17", COCO_17[::-1])
+    path = written(tmp_path / "a.json", alphapose(body()))
+    assert keypoints.load(path, fps=30, size=detected.SIZE).names == COCO_17
+    assert keypoints.load(path, fps=30, size=detected.SIZE, layout="OTHER_17").names == COCO_17[::-1]
+
+
 def test_layouts_name_the_points_as_their_authors_do():
     assert HALPE_26 == tuple(map(standard_name, detected.HALPE)) and MEDIAPIPE_33 == tuple(detected.BLAZE)
     openpose = """Nose LEye REye LEar REar LShoulder RShoulder LElbow RElbow LWrist RWrist LHip RHip LKnee RKnee LAnkle
