@@ -5,39 +5,11 @@ Modules are imported when they are first used: ``from motionlab import io, retar
 """
 
 from importlib import import_module
+from pkgutil import iter_modules
 from types import ModuleType
 
 __version__ = "0.1.0"
-#: What a stranger imports, and the rooms of the applications: animate, footage, training.
-__all__ = [
-    "animate",
-    "baselines",
-    "bench",
-    "body",
-    "certificate",
-    "cleaning",
-    "contact",
-    "corpus",
-    "diffusion",
-    "errors",
-    "examples",
-    "footage",
-    "heading",
-    "humor",
-    "io",
-    "metrics",
-    "motion",
-    "observation",
-    "optimise",
-    "posterior",
-    "retarget",
-    "rotation",
-    "skeleton",
-    "skinning",
-    "subjects",
-    "training",
-    "viz",
-]
+__all__ = [module.name for module in iter_modules(__path__) if module.name != "__main__"]
 
 
 def __getattr__(name: str) -> ModuleType:
@@ -47,4 +19,4 @@ def __getattr__(name: str) -> ModuleType:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return sorted({*globals(), *__all__})
