@@ -1,7 +1,7 @@
 """Computes where a fit begins from what is visible: the root of stage 1, the first state and latents of stage 3.
 
-Stage 1 begins with the mean pose: laid onto visible joints (:func:`start_3d`), or put in front of the camera by a
-search over orientations (:func:`start_2d`). Frames in which too little is seen: :func:`interpolate_unseen`.
+Stage 1 begins (``testops.start_stage_1``) with the mean pose: laid onto visible joints (:func:`start_3d`), or put in
+front of the camera by a search over orientations (:func:`start_2d`). Unseen frames: :func:`interpolate_unseen`.
 
 Stage 3 begins with the motion of stage 2 (:func:`start_stage_3`). In lean mode z_t leads from where the roll-out *is*
 to where stage 2 is next, as far as the prior allows,
