@@ -138,6 +138,7 @@ def people_table(folder: Path, options: argparse.Namespace) -> None:
     from studies.nb05_testops import cast as clips_of
     from studies.nb05_testops import measures
     from studies.shared.clips import takes
+    from studies.shared.sitting import seated
 
     if options.cast == "synthetic stays seated":
         cast = clips_of.acted("sit", _stays_seated, options.people, 7, seconds=3.0)
@@ -172,7 +173,7 @@ def people_table(folder: Path, options: argparse.Namespace) -> None:
             error = clips_of.by_person(on_true.mean(-1), cast.people)
             first = error if first is None else first
             more, low, high = interval(error - first, "mean", torch.Generator().manual_seed(0))
-            right = (measures.seated(made, when) == measures.seated(scene.truth, when)).double().mean()
+            right = (seated(made, when) == seated(scene.truth, when)).double().mean()
             print(
                 f"camera {how:7} {name:14} {error.mean():6.2f} cm on true bones, {more:+.2f} [{low:+.2f}, {high:+.2f}] "
                 f"to {options.plans[0]}; {own.mean():.2f} cm on its own (limbs {own[:, LIMBS].mean():.2f}); "

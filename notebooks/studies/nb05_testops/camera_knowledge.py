@@ -36,13 +36,12 @@ def placed_by_eye(camera: Camera, generator: torch.Generator) -> Camera:
 
 def knowledge(cameras: Sequence[Camera], generator: torch.Generator) -> dict[str, dict[str, object]]:
     """Returns arguments of ``testops.fit`` by what is known, from everything to nothing."""
-    size = (cameras[0].width, cameras[0].height)
+    nothing = {"cameras": [None] * len(cameras), "size": (cameras[0].width, cameras[0].height)}
     return {
         "camera and floor": {"cameras": cameras, "floor": "camera"},
         "placed by eye": {"cameras": [placed_by_eye(c, generator) for c in cameras], "floor": "refine"},
-        "the lens only": {"cameras": cameras, "floor": "guess"},
-        "image size only": {"cameras": [None] * len(cameras), "size": size},
-    }
+        "the lens only": {"cameras": cameras, "floor": "guess"}, "image size only": nothing,
+    }  # fmt: skip
 
 
 def start_cameras(observation: Observation2D, **given: object) -> list[Camera]:
@@ -96,12 +95,12 @@ def misses(pixels: Tensor, seen: Observation2D) -> Tensor:
 def scores(motion: Motion, shot: Filmed) -> dict[str, Tensor]:
     """Measures a fit by a known camera, a number (P,) a person.
 
-    "pose": cm, the pelvis put on the true one. "place": cm, as it stands. "px": pixels off the detections. "ratio": the
-    same over the truth's own distance from them. "acceleration": error, m/s^2.
+    "pose": cm, the pelvis put on the true one. "place": cm, as it stands. "ratio": pixels off the detections over the
+    truth's own distance from them. "acceleration": error, m/s^2.
     """
     scene, p, t = shot.scene, motion.positions, shot.scene.truth.positions
     px = misses(pixels_of(motion, list(scene.cameras)), scene.observation)
-    found = {"pose": CM * pose.mpjpe(p, t, align="root"), "place": CM * pose.mpjpe(p, t, align="none"), "px": px}
+    found = {"pose": CM * pose.mpjpe(p, t, align="root"), "place": CM * pose.mpjpe(p, t, align="none")}
     found |= {"ratio": px / misses(scene.pixels, scene.observation)}
     found |= {"acceleration": pose.acceleration_error(p, t, scene.truth.fps)}
     return {name: shot.people.mean(values) for name, values in found.items()}

@@ -16,9 +16,9 @@ from data_synth.scenes import Scene
 from motionlab.corpus import Take
 from motionlab.metrics.gait import SEATED, tilt_and_bend
 from motionlab.motion import Motion
-from studies.nb05_testops.measures import SEAT, unsupported
 from studies.shared import clips
 from studies.shared.clips import FRAMES, stacked
+from studies.shared.sitting import SEAT, unsupported
 
 Fits = Callable[[Motion], Tensor]
 _STANDS = 45.0  # degrees of thighs and knees: straighter legs are those of somebody who stands
@@ -123,8 +123,8 @@ def by_person(values: Tensor, people: Sequence[str] | None) -> Tensor:
     """Computes the mean (P,) of every person's clips (B,); without names each clip is a person."""
     if people is None:
         return values
-    rows = [values[[i for i, who in enumerate(people) if who == name]].nanmean() for name in dict.fromkeys(people)]
-    return torch.stack(rows)
+    mine = [[i for i, who in enumerate(people) if who == name] for name in dict.fromkeys(people)]
+    return torch.stack([values[rows].nanmean() for rows in mine])
 
 
 # ------------------------------------------------------------------------------------------------ how a detector fails
@@ -132,8 +132,7 @@ def spoilt(scene: Scene, how: Callable, seed: int, **options) -> Scene:
     """Lets the detector fail as a function of ``data_synth.corrupt`` does, clip by clip."""
     generator = torch.Generator().manual_seed(seed)
     seen, wrong = zip(*(how(scene.clip(k), generator, **options) for k in range(len(scene))), strict=True)
-    observation = stacked(seen, camera=None)
-    return replace(scene, observation=observation, wrong=torch.stack(wrong))
+    return replace(scene, observation=stacked(seen, camera=None), wrong=torch.stack(wrong))
 
 
 def two_legs(scene: Scene, lead: int, seed: int) -> Scene:

@@ -4,7 +4,7 @@ Source: HuMoR (Rempe et al. 2021), section 5.2: global errors without alignment,
 joints seen only above 0.9 m.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Protocol
@@ -67,8 +67,11 @@ def _interpolated(x: Tensor, known: Tensor) -> Tensor:
     return torch.where(~known.any(1)[:, None, :, None], 0.0, torch.lerp(low, high, share))
 
 
-SAVITZKY_GOLAY = [Smoother("savitzky-golay", a, b) for a, b in product((5, 7, 9, 11, 15, 21), (2, 3))]
-KALMAN = [Smoother("kalman", 0.04, b) for b in (0.3, 0.6, 1.0, 2.0, 4.0, 8.0)]
+#: What is tried of either kind.
+FILTERS = (
+    [Smoother("savitzky-golay", a, b) for a, b in product((5, 7, 9, 11, 15, 21), (2, 3))],
+    [Smoother("kalman", 0.04, b) for b in (0.3, 0.6, 1.0, 2.0, 4.0, 8.0)],
+)
 
 
 def tuned(candidates: Iterable[Smoother], observation: Observation3D, truth: Tensor, rest: Tensor) -> Smoother:
@@ -83,28 +86,22 @@ def mean_pose(pose_prior) -> Tensor:
     return fk(STANDARD, torch.zeros(3), body)[0]
 
 
-def measures(found: Mapping[str, Tensor], truth: Motion, visible: Tensor) -> dict[str, dict[str, Tensor]]:
-    """Errors by method and measure, each (B,): world, no alignment; NaN where nothing of a kind is there.
+def measures(p: Tensor, truth: Motion, visible: Tensor) -> dict[str, Tensor]:
+    """Errors of positions (B, T, 22, 3) by measure, each (B,): world, no alignment; NaN where nothing of a kind is
+    there.
 
-    found: positions (B, T, 22, 3). truth (B, T) with contacts; visible (B, T, 22). Contacts follow from the heights and
-    speeds of joints. slide: of feet where the true foot stands, mm per frame.
+    truth (B, T) with contacts; visible (B, T, 22). Contacts follow from the heights and speeds of joints. slide: of
+    feet where the true foot stands, mm per frame.
     """
-    return {name: _measures(each, truth, visible.bool()) for name, each in found.items()}
-
-
-def _measures(p: Tensor, truth: Motion, visible: Tensor) -> dict[str, Tensor]:
     t, skeleton = truth.positions, truth.skeleton
-    seen, hidden = pose.mpjpe_visible_occluded(p, t, visible, align="none")
+    seen, hidden = pose.mpjpe_visible_occluded(p, t, visible.bool(), align="none")
     feet = skeleton.indices(list(FEET))
     touching = contacts_from_positions(p[..., skeleton.contact_indices, :], truth.fps, resting_heights(STANDARD))
-    deep = gait.floor_penetration(p[..., feet[2:], :], depths=(0.03,)).frequency[..., 0]
     return {
         "all cm": CM * pose.mpjpe(p, t, align="none"),
         "visible cm": CM * seen,
         "hidden cm": CM * hidden,
-        "legs cm": CM * pose.joint_errors(p, t, align="none")[..., gait.legs(truth)].mean((-1, -2)),
         "acceleration error m/s^2": pose.acceleration_error(p, t, truth.fps),
         "contact F1": gait.contact_scores(touching, truth.contacts).f1,
         "slide mm": gait.slide_where_truth_stands_mm(p[..., feet, :], t[..., feet, :]),
-        "under floor %": 100 * deep,
     }

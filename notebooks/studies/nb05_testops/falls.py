@@ -19,16 +19,14 @@ from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
 from motionlab.skeleton import STANDARD
 from motionlab.viz.movie import strip
-from studies.nb05_testops.recordings import COMPARED, compared
+from studies.nb05_testops.recordings import COMPARED, HIPS, compared
 from studies.shared.clips import part, stacked
 
 #: What is shown, from which second on of which take.
 MOMENTS = {
-    "falls": ("video-02-epic-fall", 7.8),
-    "goes down to sit": ("video-09-meditation", 3.6),
-    "sits on the floor": ("video-09-meditation", 6.5),
-    "turns": ("video-05-turn", 4.0),
-}
+    "falls": ("video-02-epic-fall", 7.8), "goes down to sit": ("video-09-meditation", 3.6),
+    "sits on the floor": ("video-09-meditation", 6.5), "turns": ("video-05-turn", 4.0),
+}  # fmt: skip
 SHOWN = ("tuned stage 2", "stage 3")
 #: BODY_25's points as Captury names them; the mean of several.
 _POINTS = {"nose": ("Nose",), "neck": ("Neck",), "mid_hip": ("Hips",)} | {
@@ -84,9 +82,7 @@ def _at_30(joints: Tensor, first: int, frames: int) -> Tensor:
 
 def over_time(motion: Motion, truth: Tensor) -> Tensor:
     """Computes the error (G, T) in cm of the twelve joints, the middle of the hips put on the true one."""
-    hips = [list(COMPARED).index(f"{side}_hip") for side in ("left", "right")]
-    found = compared(motion)
-    centred = [x - x[..., hips, :].mean(-2, keepdim=True) for x in (found, truth)]
+    centred = [x - x[..., HIPS, :].mean(-2, keepdim=True) for x in (compared(motion), truth)]
     return 100 * (centred[0] - centred[1]).norm(dim=-1).mean(-1)
 
 

@@ -21,15 +21,9 @@ _WOOD, _SKIN = "#b9a88f", to_rgb("#d9cbbd")
 
 
 def through_the_camera(
-    truth: Motion,
-    camera: Camera,
-    layers: Mapping[str, tuple[str, Tensor, Tensor]],
-    frame: int,
-    *,
-    things: Sequence[Mesh] = (),
-    width: int = 460,
-    body: BodyModel | None = None,
-) -> np.ndarray:
+    truth: Motion, camera: Camera, layers: Mapping[str, tuple[str, Tensor, Tensor]], frame: int, *,
+    things: Sequence[Mesh], width: int, body: BodyModel | None = None,
+) -> np.ndarray:  # fmt: skip
     """What the camera sees, once per layer, with keypoints drawn over it: pictures side by side (H, W, 3) uint8.
 
     layers: label -> (role, pixels (T, 25, 2), confidence (T, 25)); the detections, or the landmarks of a fit. body:

@@ -23,6 +23,7 @@ from studies.nb05_testops import measures
 from studies.nb05_testops.cast import Cast, by_person
 from studies.nb05_testops.trials import Rival, rival_of, scores
 from studies.shared.clips import FRAMES, takes
+from studies.shared.sitting import seated
 
 SYNTHETIC, CMU = "synthetic", "CMU"
 Case = tuple[str, str]
@@ -47,14 +48,15 @@ def synthetic(cases: Sequence[str], clips: int, seed: int, frames: int) -> dict[
     """Films ``clips`` synthetic people in each case."""
     as_filmed = {PLAIN: "easy", FLIPS: "limb flips", FALSE: "false detections", WALL: "walking, legs hidden",
                  WALKS: "walking", FLOOR: "floor roll", TUMBLE: "tumble", DANCE: "dance"}  # fmt: skip
-    made = {SITS: lambda: clips_of.acted("sit", clips_of.sits_down, clips, seed, seconds=1.0),
-            SINKS: lambda: _crouchers(clips, seed)}  # fmt: skip
-    return {
-        (case, SYNTHETIC): _shot(case, _cut(made[case](), frames), seed)
-        if case in made
-        else scenes.film(as_filmed[case], clips, seed=seed, frames=frames)
-        for case in cases
-    }
+
+    def shot(case: str) -> Scene:
+        if case in as_filmed:
+            return scenes.film(as_filmed[case], clips, seed=seed, frames=frames)
+        sit = case == SITS
+        acted = clips_of.acted("sit", clips_of.sits_down, clips, seed, seconds=1.0) if sit else _crouchers(clips, seed)
+        return _shot(case, acted, seed, frames)
+
+    return {(case, SYNTHETIC): shot(case) for case in cases}
 
 
 def _crouchers(clips: int, seed: int) -> Cast:
@@ -78,26 +80,19 @@ def real(
              FLOOR: (clips_of.lies, 2, ""), DANCE: (clips_of.lively, 2, "danc|salsa|macarena")}  # fmt: skip
     cast |= {case: clips_of.who(some, fits, each, clips + 2, seed, said) for case, (fits, each, said) in drawn.items()}
     cast[WALL] = cast[WALKS]
-    found = {}
-    for case in cases:
-        if case in cast and len(cast[case]):
-            found[case, CMU] = _shot(case, _cut(cast[case], frames), seed)
+    found = {(case, CMU): _shot(case, cast[case], seed, frames) for case in cases if len(cast.get(case, ()))}
     return found, {key: cast[key[0]].people for key in found}
 
 
-def _shot(case: str, cast: Cast, seed: int) -> Scene:
-    """Films a cast in the view of a case, and lets the detector fail where the case says so."""
+def _shot(case: str, cast: Cast, seed: int, frames: int) -> Scene:
+    """Films a cast in the view of a case, every so manieth frame in a short run, and lets the detector fail where the
+    case says so."""
     view = {SITS: "legs behind a desk", SINKS: "legs behind a desk", WALL: "behind a low wall"}.get(case, "plain view")
-    scene = scenes.film_recorded(view, cast.motions, seed=seed)
+    step = FRAMES // frames
+    cut = [replace(m, root=m.root[::step], rot=m.rot[::step], contacts=m.contacts[::step]) for m in cast.motions]
+    scene = scenes.film_recorded(view, cut, seed=seed)
     spoil = {FLIPS: clips_of.flips, FALSE: clips_of.false}.get(case)
     return spoil(scene, seed) if spoil else scene
-
-
-def _cut(cast: Cast, frames: int) -> Cast:
-    """Every so manieth frame of a short run; the whole clip where ``frames`` are all."""
-    step = FRAMES // frames
-    motions = [replace(m, root=m.root[::step], rot=m.rot[::step], contacts=m.contacts[::step]) for m in cast.motions]
-    return Cast(tuple(motions), cast.people)
 
 
 def hidden_below(motion: Motion, height: float, seed: int) -> Scene:
@@ -147,7 +142,7 @@ def without(arm: str) -> Weights:
 
 def scored(found: Mapping[Case, Motion], filmed: Mapping[Case, Scene]) -> dict[Case, dict[str, Tensor]]:
     """Computes ``trials.scores`` of the fits of all cases."""
-    return {key: scores(motion, filmed[key].truth, filmed[key].seen) for key, motion in found.items()}
+    return {key: scores(motion, filmed[key].truth) for key, motion in found.items()}
 
 
 def differences(
@@ -166,13 +161,13 @@ def differences(
 def posture(ways: Mapping[str, Motion], truth: Motion) -> dict[str, dict[str, Tensor]]:
     """Computes by way, one number a clip: who sits ("seated"), whose legs are bent ("bent"), the error of the flexion
     in degrees ("flexion") and of the legs in cm ("legs")."""
-    when, all_seen = measures.moment(truth), torch.ones(truth.positions.shape[:-1], dtype=torch.bool)
+    when = measures.moment(truth)
     return {
         way: {
-            "seated": measures.seated(motion, when),
+            "seated": seated(motion, when),
             "bent": gait.sits(motion, when=when),
             "flexion": measures.flexion_error(motion, truth),
-            "legs": scores(motion, truth, all_seen)["legs"],
+            "legs": scores(motion, truth)["legs"],
         }
         for way, motion in ways.items()
     }

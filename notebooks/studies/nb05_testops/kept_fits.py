@@ -4,7 +4,6 @@ a notebook waits for what that knob changes. Below ``$MOTIONLAB_CACHE``, or the 
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -24,12 +23,9 @@ _USED = ("heading", "motion", "observation", "optimise", "rotation", "skeleton")
 
 
 def kept(
-    compute: Callable[[], Tensors],
-    seen: Observation2D,
-    cameras: Sequence[Camera],
-    priors: Priors,
+    compute: Callable[[], Tensors], seen: Observation2D, cameras: Sequence[Camera], priors: Priors,
     how: Mapping[str, object],
-) -> Tensors:
+) -> Tensors:  # fmt: skip
     """Returns what ``compute`` gives for these clips, cameras, priors and options, as it was kept or computed now.
 
     how: arguments of ``testops.fit`` whose ``repr`` says all.
@@ -43,11 +39,6 @@ def kept(
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, save(found))
     return found
-
-
-def placed(cameras: Sequence[Camera], turns: Tensor, shifts: Tensor) -> list[Camera]:
-    """Returns the cameras with other rotations (G, 3, 3) and translations (G, 3)."""
-    return [replace(c, rotation=r, translation=t) for c, r, t in zip(cameras, turns, shifts, strict=True)]
 
 
 def _key(seen: Observation2D, cameras: Sequence[Camera], priors: Priors, how: Mapping[str, object]) -> str:

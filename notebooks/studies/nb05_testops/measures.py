@@ -14,11 +14,6 @@ from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import infer, rollout
 from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
-from studies.shared.sitting import SEAT as SEAT
-from studies.shared.sitting import seated as seated
-from studies.shared.sitting import unsupported as unsupported
-
-BAND = (2.0, 5.0)  # Hz: where the accents of a dance are
 
 
 def quarters(error: Tensor) -> tuple[Tensor, Tensor]:
@@ -69,7 +64,7 @@ def _about_pelvis(motion: Motion) -> Tensor:
     return motion.positions - motion.positions[..., :1, :]
 
 
-def band_power(fit: Motion, truth: Motion, bands: Sequence[float] = BAND) -> Tensor:
+def band_power(fit: Motion, truth: Motion, bands: Sequence[float]) -> Tensor:
     """Power of the joints' velocities about the pelvis over the true one, per band of frequency: (B, bands)."""
     return pose.power_spectrum_ratio(_about_pelvis(fit), _about_pelvis(truth), truth.fps, bands)
 

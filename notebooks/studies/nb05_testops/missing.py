@@ -32,10 +32,9 @@ from studies.shared.plots import canvas
 ROUGH = replace(RGB, joints3d_smooth=(0.0, 0.0, 0.0))  # the official weights, and nothing that smooths
 #: Ways to fit. "lean" masks what was not seen; "official" starts every frame at one place and masks nothing.
 WAYS: dict[str, dict[str, object]] = {
-    "lean": {"mode": "lean", "solver": "shooting"},
-    "official": {"mode": "official"},
+    "lean": {"mode": "lean", "solver": "shooting"}, "official": {"mode": "official"},
     "official, not smooth": {"mode": "official", "weights": ROUGH},
-}
+}  # fmt: skip
 ROLES = {"truth": "truth", "lean": "ours", "official": "baseline", "official, not smooth": "axis-angle"}
 SAID = {"first 1": "first frame", "middle 1": "middle frame", "first 10": "first 10 frames"}
 HOW = "official unknowns, start and masks at the lean price"
@@ -91,8 +90,7 @@ def lost_file(scene: Scene, frame: int) -> Scene:
 # ------------------------------------------------------------------------------------------------ fits
 def tiny() -> Schedule:
     """Returns a search of next to no steps, for the smoke profile."""
-    plan = Plan(rounds=1, closures=3, trial_rounds=1)
-    return Schedule(steps=(1, 1, 2), inner=3, refine=(1, 1), shooting=plan)
+    return Schedule(steps=(1, 1, 2), inner=3, refine=(1, 1), shooting=Plan(rounds=1, closures=3, trial_rounds=1))
 
 
 def fitted(
@@ -151,11 +149,9 @@ def after_lost_file(found: Motion, whole: Motion, truth: Motion, frame: int) -> 
     last = found.frames
     error = lambda m, start: CM * error_over_time(m, truth.cut(start, start + last), align="none")[:, frame:]  # noqa: E731
     against, before = error(found, 0), error(whole.cut(0, last), 0)
-    return {
-        "error after it, cm": against.mean().item(),
-        "more than with all files, cm": (against - before).mean().item(),
-        "error beside the next frame, cm": error(found, 1).mean().item(),
-    }
+    found = {"error after it, cm": against, "more than with all files, cm": against - before,
+             "error beside the next frame, cm": error(found, 1)}  # fmt: skip
+    return {name: x.mean().item() for name, x in found.items()}
 
 
 def first_speed(motion: Motion) -> Tensor:
@@ -268,18 +264,16 @@ def by_gap(increase: Added, bound: float, generator: torch.Generator) -> Figure:
     fig, axes = canvas(1, len(sources), size=(4.6 * len(sources) + 1.6, 3.4), sharey=True)
     for ax, source in zip(axes, sources, strict=True):
         for k, way in enumerate(WAYS):
-            for x, variant in enumerate(variants):
-                if (way, source, variant) not in increase:
-                    continue
-                clips, at = increase[way, source, variant], x + 0.25 * (k - 1)
+            mine = {variants.index(v): clips for (w, s, v), clips in increase.items() if (w, s) == (way, source)}
+            for x, clips in sorted(mine.items()):
+                at = x + 0.25 * (k - 1)
                 mean, low, high = interval(clips, "mean", generator)
                 spread = np.linspace(-0.05, 0.05, len(clips))
                 ax.scatter(at + spread, clips, s=12, color=colour(ROLES[way]), alpha=0.45, lw=0)
                 whisker = [[mean - low], [high - mean]]
                 ax.errorbar(at + 0.09, mean, whisker, fmt="D", ms=4.5, color=colour(ROLES[way]), lw=1.5)
-            counts = [len(clips) for (w, s, _), clips in increase.items() if (w, s) == (way, source)]
-            if counts:
-                ax.plot([], [], "D", color=colour(ROLES[way]), label=f"{way}, n = {max(counts)}")
+            if mine:
+                ax.plot([], [], "D", color=colour(ROLES[way]), label=f"{way}, n = {max(map(len, mine.values()))}")
         ax.axhline(0, color=INK, lw=0.8)
         ax.axhline(bound, color=INK, lw=1.0, ls=(0, (4, 3)))
         ax.set_yscale("symlog", linthresh=10.0)

@@ -5,6 +5,7 @@ be judged by another rule than its rivals'.
 """
 
 from collections.abc import Mapping
+from functools import partial
 from itertools import product
 
 import torch
@@ -27,18 +28,12 @@ MEASURES = {"all cm": "all joints, cm", "hidden cm": "hidden joints, cm",
 Tried = Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]]  # people and test -> method -> measure -> (P,)
 
 
-def observed(test: str, people: People, generator: torch.Generator) -> Observation3D:
-    """Returns what a test shows of the people's joints."""
-    return joints.noisy(people.truth, generator) if test == "noise" else joints.low_hidden(people.truth)
-
-
 def best_filter(seen: Observation3D, truth: Motion, tried: Observation3D, practice: Motion, rest: Tensor) -> Tensor:
     """Computes joints (B, T, 22, 3) by the better of two filters, each tuned on practice clips.
 
     Which of the two is chosen by their mean error over the clips themselves: to the filters' advantage.
     """
-    kinds = (contenders.SAVITZKY_GOLAY, contenders.KALMAN)
-    found = [contenders.tuned(kind, tried, practice.positions, rest)(seen, rest) for kind in kinds]
+    found = [contenders.tuned(kind, tried, practice.positions, rest)(seen, rest) for kind in contenders.FILTERS]
     return min(found, key=lambda x: (x - truth.positions).norm(dim=-1).mean().item())
 
 
@@ -51,7 +46,8 @@ def compared(
     Also the grid that stage 2 was tuned on, and what was chosen. tried_out: goes to ``tuning.search``.
     """
     weights, rest = TESTS[test], contenders.mean_pose(priors.pose)
-    seen, tried = (observed(test, people, generator) for people in (tested, practice))
+    shown = partial(joints.noisy, generator=generator) if test == "noise" else joints.low_hidden
+    seen, tried = shown(tested.truth), shown(practice.truth)
     rows = tuning.search(tried, practice.truth, priors, weights, schedule, align="none", **tried_out)
     chosen = tuning.best(rows)
     fitted = fit(seen, priors, weights=weights, schedule=schedule)
@@ -62,7 +58,7 @@ def compared(
         "stage 3": fitted.motion.positions,
         "the truth itself": tested.truth.positions,
     }
-    scores = contenders.measures(found, tested.truth, seen.visible)
+    scores = {n: contenders.measures(each, tested.truth, seen.visible) for n, each in found.items()}
     return {n: {m: tested.mean(x) for m, x in row.items()} for n, row in scores.items()}, rows, chosen
 
 
@@ -94,18 +90,16 @@ def chosen_rows(found: Tried, chosen: Mapping[tuple[str, str], tuning.Choice]) -
 def rows_of_figure(found: Tried) -> tuple[list[dict[str, dict[str, Tensor]]], tuple[str, ...]]:
     """Returns a figure's rows, by people and test and by method, numbers (P,), and the label of each row."""
     shown = {
-        "joint error (cm)": ("noise", "all cm"),
-        "acceleration error (m/s²)": ("noise", "acceleration error m/s^2"),
+        "joint error (cm)": ("noise", "all cm"), "acceleration error (m/s²)": ("noise", "acceleration error m/s^2"),
         "error of hidden joints (cm)": ("low joints hidden", "hidden cm"),
-    }
+    }  # fmt: skip
     rows = [
         {
             f"{source}, {test}": {name: row[measure] for name, row in by.items() if name != "the truth itself"}
-            for (source, test), by in found.items()
-            if test == which
+            for (source, test), by in found.items() if test == which
         }
         for which, measure in shown.values()
-    ]
+    ]  # fmt: skip
     return rows, tuple(shown)
 
 

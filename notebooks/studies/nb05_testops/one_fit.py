@@ -24,11 +24,8 @@ from studies.shared.clips import stacked
 from studies.shared.plots import canvas
 
 #: The terms that a figure follows: label and role.
-TERMS = {
-    "joints2d": ("keypoints", "observation"),
-    "joints3d_smooth": ("smoothness", "stage2"),
-    "motion_prior": ("motion prior", "stage3"),
-}
+TERMS = {"joints2d": ("keypoints", "observation"), "joints3d_smooth": ("smoothness", "stage2"),
+         "motion_prior": ("motion prior", "stage3")}  # fmt: skip
 Watched = list[tuple[int, dict[str, float]]]
 
 
@@ -112,13 +109,10 @@ def terms_over_fit(watched: Watched, bodies: Mapping[str, np.ndarray]) -> Figure
     return fig
 
 
-def rows_of(found: Mapping[str, Fitted], scene: Scene, stages: Sequence[int] = (2, 3)) -> list[dict[str, object]]:
+def rows_of(found: Mapping[str, Fitted], scene: Scene, stages: Sequence[int]) -> list[dict[str, object]]:
     """Returns a row of errors for every fit, by the label of its weights."""
-    return [
-        {"weights": label, "after": f"stage {k}"} | errors(fit.stages[k], scene)
-        for label, fit in found.items()
-        for k in stages
-    ]
+    every = [(label, k, fit.stages[k]) for label, fit in found.items() for k in stages]
+    return [{"weights": label, "after": f"stage {k}"} | errors(motion, scene) for label, k, motion in every]
 
 
 def panels(fit: Fitted, scene: Scene, stages: Sequence[int] = (1, 2, 3)) -> dict[str, Motion]:
@@ -156,6 +150,4 @@ def spoken(stages: Mapping[int, Mapping[str, float]]) -> str:
 
 def by_hand(terms: Mapping[str, Tensor], library: Mapping[str, Tensor]) -> list[dict[str, object]]:
     """Returns a row per term: its value by the energy that the notebook wrote out, and by the library."""
-    return [
-        {"term": name, "written above": value.item(), "library": library[name].item()} for name, value in terms.items()
-    ]
+    return [{"term": n, "written above": value.item(), "library": library[n].item()} for n, value in terms.items()]

@@ -38,7 +38,7 @@ COMPARED = {
     for side in ("left", "right")
 }
 _ROWS = [BODY_25.index(name) for name in COMPARED]
-_HIPS = [list(COMPARED).index(f"{side}_hip") for side in ("left", "right")]
+HIPS = [list(COMPARED).index(f"{side}_hip") for side in ("left", "right")]
 TRIALS = ("single_balancing", "static_p1")
 HOW = ("known", "level", "assumed")  # what a fit may know of the camera
 
@@ -165,14 +165,9 @@ def given(views: Views, how: str, focal: float = 1.0, index: int | None = None) 
         if focal == 1.0:
             return {"cameras": [None] * len(some)} | size
         some = start_cameras(views.clip(index or 0, 1), cameras=[None], **size) * len(some)
-    lens = [replace(c, intrinsics=_scaled(c, focal)) for c in some]
+    longer = torch.tensor([[focal, 1.0, 1.0], [1.0, focal, 1.0], [1.0, 1.0, 1.0]])
+    lens = [replace(c, intrinsics=c.intrinsics * longer.to(c.intrinsics)) for c in some]
     return {"cameras": lens, "floor": "camera" if how == "known" and views.cameras is not None else "guess"}
-
-
-def _scaled(camera: Camera, focal: float) -> Tensor:
-    changed = camera.intrinsics.clone()
-    changed[[0, 1], [0, 1]] *= focal
-    return changed
 
 
 class Refits:
@@ -229,26 +224,22 @@ def compared(motion: Motion) -> Tensor:
     return landmarks_of(motion)[..., _ROWS, :]
 
 
-def errors(predicted: Tensor, truth: Tensor) -> dict[str, Tensor]:
-    """Computes mean distances (G,) in cm of joints (G, T, 12, 3).
-
-    "global": as they are. "root": the middle of the hips put on the true one.
-    """
-    ours, theirs = (x[..., _HIPS, :].mean(-2, keepdim=True) for x in (predicted, truth))
-    found = {"global": predicted, "root": predicted - ours + theirs}
-    return {name: 100 * (points - truth).norm(dim=-1).mean((-2, -1)) for name, points in found.items()}
-
-
 def measured(motion: Motion, cameras: Sequence[Camera], views: Views) -> dict[str, Tensor]:
     """Measures a fit of every view (G, T): numbers (G,).
 
-    "px": distance from the detections. "root", "global": cm, against the reference. "acceleration": of the twelve
-    joints, over the reference's.
+    "px": distance from the detections. "global": cm, against the reference; "root": the middle of the hips put on the
+    true one. "acceleration": of the twelve joints, over the reference's.
     """
     truth = views.reference[None, : motion.frames].expand(len(cameras), -1, -1, -1)
-    inside = errors(in_camera(cameras, compared(motion)), in_camera(views.cameras, truth))
+    found, there = in_camera(cameras, compared(motion)), in_camera(views.cameras, truth)
+    ours, theirs = (x[..., HIPS, :].mean(-2, keepdim=True) for x in (found, there))
     moving = pose.mean_acceleration(compared(motion), motion.fps) / pose.mean_acceleration(truth, motion.fps)
-    return {"px": misses(pixels_of(motion, list(cameras)), views.observation)} | inside | {"acceleration": moving}
+    return {
+        "px": misses(pixels_of(motion, list(cameras)), views.observation),
+        "global": 100 * (found - there).norm(dim=-1).mean((-2, -1)),
+        "root": 100 * (found - ours + theirs - there).norm(dim=-1).mean((-2, -1)),
+        "acceleration": moving,
+    }
 
 
 _HEADS = {"px": "pixels off", "root": "pose, cm", "global": "in the room, cm",
@@ -285,15 +276,14 @@ def reading(score: Score, takes: Mapping[str, Views]) -> str:
     )
 
 
-def panels(
-    views: Views, motions: Mapping[str, Motion], body: BodyModel, *, by: int = 0, other: int = 2
-) -> dict[str, over_video.Panel]:
-    """Returns a film's panels: detections, tuned stage 2 and stage 3 in the view that was fitted, and another view."""
-    here, there = ((views.cameras[k], views.pictures[k]) for k in (by, other))
-    two, three = (motions[name].clip(by) for name in ("tuned stage 2", "stage 3"))
+def panels(views: Views, motions: Mapping[str, Motion], body: BodyModel) -> dict[str, over_video.Panel]:
+    """Returns a film's panels: detections, tuned stage 2 and stage 3 in the first view, which was fitted, and the third
+    view."""
+    here, there = ((views.cameras[k], views.pictures[k]) for k in (0, 2))
+    two, three = (motions[name].clip(0) for name in ("tuned stage 2", "stage 3"))
     return {
-        f"camera {by + 1}: detected": partial(over_video.detections, views.clip(by), *here),
+        "camera 1: detected": partial(over_video.detections, views.clip(0), *here),
         "tuned stage 2": partial(over_video.bodies, two, *here, "stage2", body),
         "stage 3": partial(over_video.bodies, three, *here, "stage3", body),
-        f"the same stage 3 from camera {other + 1}": partial(over_video.bodies, three, *there, "stage3", body),
+        "the same stage 3 from camera 3": partial(over_video.bodies, three, *there, "stage3", body),
     }

@@ -12,33 +12,26 @@ from torch.nn.functional import normalize
 from data_synth.legs import two_bone
 from motionlab import rotation
 from motionlab.baselines import smoothed
-from motionlab.contact import with_contacts
 from motionlab.humor.energies import RGB, Weights
 from motionlab.humor.priors import Priors
-from motionlab.humor.testops import Fitted, Schedule, fit
+from motionlab.humor.testops import Schedule, fit
 from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.parallel import run_jobs
 from motionlab.skeleton import STANDARD
 from studies.nb05_testops.contenders import CM, Seen
-from studies.nb05_testops.kept_fits import kept, placed
+from studies.nb05_testops.kept_fits import kept
 from studies.nb05_testops.measures import error_over_time
 from studies.shared.clips import part, stacked
 
 
 @dataclass(frozen=True, eq=False)
 class CaseFit:
-    """The fits of one case: motions (B, T) after stage 1, 2 and 3, contact probabilities (B, T, 9), cameras as found.
-
-    seconds: wall time of the whole batch that these clips were fitted in, shared out evenly; of a kept one, of then.
-    """
+    """The fits of one case: motions (B, T) after stage 1, 2 and 3, and the cameras that filmed them."""
 
     stages: dict[int, Motion]
-    contacts: Tensor
-    cameras: list[Camera]
-    betas: Tensor
-    seconds: float
+    cameras: Sequence[Camera]
 
 
 def fit_together(
@@ -55,49 +48,34 @@ def fit_together(
     parts = [slice(start, start + size) for start in range(0, len(cameras), size)]
     one = partial(_fit, priors=priors, how=how, keep=keep)
     found = run_jobs([partial(one, part(every, some), cameras[some]) for some in parts], workers)
-    stages = {stage: _joined([f.stages[stage] for f in found]) for stage in found[0].stages}
-    contacts, betas = torch.cat([f.contacts for f in found]), torch.cat([f.betas for f in found])
-    cameras, each = [c for f in found for c in f.cameras], sum(f.seconds for f in found) / len(cameras)
-    fits, start = {}, 0
+    stages, fits, start = {k: _joined([f[k] for f in found]) for k in found[0]}, {}, 0
     for name, scene in seen.items():
         mine = slice(start, start + len(scene.cameras))
-        of_stages, start = {stage: motion.clip(mine) for stage, motion in stages.items()}, mine.stop
-        fits[name] = CaseFit(of_stages, contacts[mine], cameras[mine], betas[mine], each * len(scene.cameras))
+        fits[name] = CaseFit({k: motion.clip(mine) for k, motion in stages.items()}, scene.cameras)
+        start = mine.stop
     return fits
 
 
 def _fit(
     observation: Observation2D, cameras: Sequence[Camera], priors: Priors, how: Mapping[str, object], keep: bool
-) -> CaseFit:
-    """One batch, fitted or as it was kept."""
+) -> dict[int, Motion]:
+    """The stages of one batch, fitted or as they were kept."""
 
     def compute() -> dict[str, Tensor]:
         fitted = fit(observation, priors, cameras=cameras, **how)
-        found = {"contacts": fitted.contacts, "betas": fitted.betas, "seconds": torch.tensor(seconds(fitted))}
-        for name in ("rotation", "translation"):
-            found[name] = torch.stack([getattr(camera, name) for camera in fitted.cameras])
-        for stage, motion in fitted.stages.items():
-            found |= {f"{stage} root": motion.root, f"{stage} rot": motion.rot}
-            found[f"{stage} offsets"] = motion.skeleton.offsets
+        found = {"contacts": fitted.contacts}
+        for k, motion in fitted.stages.items():
+            found |= {f"{k} root": motion.root, f"{k} rot": motion.rot, f"{k} offsets": motion.skeleton.offsets}
         return found
 
     x = kept(compute, observation, cameras, priors, how) if keep else compute()
-    stages = {
-        int(name.split()[0]): Motion(replace(STANDARD, offsets=x[name.replace("root", "offsets")]), root,
-                                     x[name.replace("root", "rot")], observation.fps)
-        for name, root in x.items() if name.endswith(" root")
-    }  # fmt: skip
-    stages = dict(sorted(stages.items()))
-    if 3 in stages:
-        stages[3] = replace(stages[3], contacts=(x["contacts"] > 0.5).to(x["contacts"]))
-    return CaseFit(
-        stages, x["contacts"], placed(cameras, x["rotation"], x["translation"]), x["betas"], float(x["seconds"])
-    )
-
-
-def seconds(fitted: Fitted) -> float:
-    """Wall time that the optimiser spent on a fit."""
-    return sum(report.seconds for reports in fitted.results.values() for report in reports)
+    stages = {}
+    for k in sorted(int(name.split()[0]) for name in x if name.endswith(" root")):
+        body, contacts = replace(STANDARD, offsets=x[f"{k} offsets"]), None
+        if k == 3:
+            contacts = (x["contacts"] > 0.5).to(x["contacts"])
+        stages[k] = Motion(body, x[f"{k} root"], x[f"{k} rot"], observation.fps, contacts)
+    return stages
 
 
 def _joined(motions: Sequence[Motion]) -> Motion:
@@ -109,28 +87,19 @@ def _joined(motions: Sequence[Motion]) -> Motion:
     return replace(first, skeleton=replace(first.skeleton, offsets=offsets), root=root, rot=rot, contacts=contacts)
 
 
-def scores(motion: Motion, truth: Motion, seen: Tensor) -> dict[str, Tensor]:
+def scores(motion: Motion, truth: Motion) -> dict[str, Tensor]:
     """Errors of a fit, one number (B,) per clip.
 
-    cm, the pelvis put on the true one: "all", "seen", "hidden" (joints, by the mask (B, T, 22)), "legs" (knees,
-    ankles, feet). "world": cm, as it stands. "acceleration": error in m/s^2. "contact F1": of contacts that follow from
-    height and speed, for every method alike. "under floor": % of foot joints deeper than 3 cm.
+    cm, the pelvis put on the true one: "all" joints, "legs" (knees, ankles, feet). "world": cm, as it stands.
+    "acceleration": error in m/s^2.
     """
     p, t = motion.positions, truth.positions
     error = pose.joint_errors(p, t, align="root")
-    on_seen, on_hidden = pose.mpjpe_visible_occluded(p, t, seen, align="root")
-    touching = with_contacts(replace(motion, contacts=None)).contacts
-    feet = motion.skeleton.indices(["left_foot", "right_foot"])
-    below = gait.floor_penetration(p[..., feet, :], depths=(0.03,)).frequency[..., 0]
     return {
         "all": CM * error.mean((-1, -2)),
-        "seen": CM * on_seen,
-        "hidden": CM * on_hidden,
         "legs": CM * error[..., gait.legs(motion)].mean((-1, -2)),
         "world": CM * pose.mpjpe(p, t, align="none"),
         "acceleration": pose.acceleration_error(p, t, truth.fps),
-        "contact F1": gait.contact_scores(touching, truth.contacts).f1,
-        "under floor": 100 * below,
     }
 
 
@@ -152,16 +121,15 @@ def tried(
     practice: Mapping[str, Seen], priors: Priors, schedule: Schedule, *, smoothness: Sequence[float] = GRID[0],
     pose: Sequence[float] = GRID[1], windows: Sequence[int] = GRID[2], **how,
 ) -> dict[Rival, dict[str, dict[str, Tensor]]]:  # fmt: skip
-    """Scores stage 2 on practice scenes (with ``truth`` and ``seen``), by rival and scene: every smoothness, weight of
+    """Scores stage 2 on practice scenes (with ``truth``), by rival and scene: every smoothness, weight of
     the pose prior and filter. how: goes to :func:`fit_together`."""
     found = {}
     for smooth, prior in product(smoothness, pose):
         weights = with_smoothness(smooth, prior)
         fits = fit_together(practice, priors, schedule=schedule.without_stage_3(), weights=weights, **how)
         for window in windows:
-            found[Rival(smooth, prior, window)] = {
-                n: scores(smoothed(fits[n].stages[2], window), s.truth, s.seen) for n, s in practice.items()
-            }
+            filtered = {name: smoothed(fits[name].stages[2], window) for name in practice}
+            found[Rival(smooth, prior, window)] = {n: scores(filtered[n], s.truth) for n, s in practice.items()}
     return found
 
 

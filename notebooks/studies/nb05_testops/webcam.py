@@ -62,13 +62,10 @@ def at_pitches(
 
     lens: cameras whose focal length is known, and the size of whose image.
     """
-    found = {}
-    for degrees in pitches:
-        some = [pitched(size, degrees)] * len(seen.keypoints)
-        if lens is not None:
-            some = [replace(c, intrinsics=known.intrinsics) for c, known in zip(some, lens, strict=True)]
-        found[degrees] = fit(seen, priors, cameras=some, floor="refine", schedule=schedule)
-    return found
+    lenses = lens or [pitched(size, 0.0)] * len(seen.keypoints)
+    turned = {d: [replace(pitched(size, d), intrinsics=known.intrinsics) for known in lenses] for d in pitches}
+    how = {"floor": "refine", "schedule": schedule}
+    return {degrees: fit(seen, priors, cameras=cameras, **how) for degrees, cameras in turned.items()}
 
 
 # ------------------------------------------------------------------------------------------------------------- balance
@@ -137,8 +134,7 @@ RULES = {
 
 def behind_a_desk(people: People, *, seed: int, frames: int) -> Scene:
     """Films the first frames of recorded clips, a desk hiding the legs, by cameras whose pitch is known."""
-    short = tuple(motion.cut(0, frames) for motion in people.motions)
-    return scenes.film_recorded("legs behind a desk", short, seed=seed)
+    return scenes.film_recorded("legs behind a desk", [m.cut(0, frames) for m in people.motions], seed=seed)
 
 
 def chosen(found: Mapping[float, Fitted], seen: Observation2D, rule: str) -> float:
@@ -197,9 +193,7 @@ def rows(
                 "pixels off": misses(pixels_of(motion, list(cameras)), here).mean().item(),
                 "off balance, cm": off_balance(motion).median().item(),
                 "trunk leans, degrees": lean(motion).median().item(),
-                "speed / detections'": moves["speed"].mean().item(),
-                "acceleration / detections'": moves["acceleration"].mean().item(),
-            })  # fmt: skip
+            } | {f"{kind} / detections'": moves[kind].mean().item() for kind in ("speed", "acceleration")})  # fmt: skip
     return made
 
 
