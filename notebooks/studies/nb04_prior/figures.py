@@ -186,11 +186,9 @@ _IN_CM = ("closed_loop", "open_loop", "foresight")
 
 
 def gates(
-    found: Mapping[str, Mapping[str, tuple[float, float, float]]],
-    criterion: Callable[[str], Criterion],
-    ways: Mapping[str, Motion],
-    body: BodyModel,
-) -> Figure:
+    found: Mapping[str, Mapping[str, tuple[float, float, float]]], criterion: Callable[[str], Criterion],
+    ways: Mapping[str, Motion], body: BodyModel,
+) -> Figure:  # fmt: skip
     """Draws a panel per gate, in its own unit: what each prior reaches, with its interval; green where it is passed.
 
     found: by prior and source, by test: the value and the ends of its interval. ways: the person, and the chains that

@@ -23,19 +23,15 @@ class Gate(NamedTuple):
     rival: Callable[[Row], float] | None = None
 
 
-def _measure(name: str) -> Callable[[Row], float]:
-    return lambda row: row[name]
-
-
-def _over(name: str, other: str) -> Callable[[Row], float]:
-    return lambda row: row[name] / row[other]
+def _measure(name: str, over: str = "") -> Callable[[Row], float]:
+    return lambda row: row[name] / row[over] if over else row[name]
 
 
 _STRAIGHT = "one step, constant velocity, cm"
 #: By the name of the test of H01.
 GATES = {
-    "one_step": Gate("one step, prior's mean", _over("one step, prior mean, cm", _STRAIGHT), rival=lambda _: 1.0),
-    "one_step_shown": Gate("one step, shown the answer", _over("one step, posterior, cm", _STRAIGHT)),
+    "one_step": Gate("one step, prior's mean", _measure("one step, prior mean, cm", _STRAIGHT), rival=lambda _: 1.0),
+    "one_step_shown": Gate("one step, shown the answer", _measure("one step, posterior, cm", _STRAIGHT)),
     "open_loop": Gate("2 s, z known, open loop", _measure("2 s, posterior z, cm")),
     "closed_loop": Gate("2 s, z known, closed loop", _measure("2 s, closed loop, cm")),
     "foresight": Gate("2 s, prior's mean alone", _measure("2 s, prior mean, cm"), rival=_measure("2 s, hold, cm")),
@@ -61,18 +57,12 @@ def baseline(gate: Gate, rows: Mapping[str, Row], others: Mapping[str, Row]) -> 
     return by_person(gate, others) if gate.rival is None else by_person(gate._replace(of=gate.rival), rows)
 
 
-_WAYS = {
-    "held pose": "hold", "constant velocity": "constant velocity", "the prior's mean": "prior mean",
-    "shown the answer": "posterior",
-}  # fmt: skip
-
-
 def one_step(rows: Mapping[str, Row]) -> dict[str, Tensor]:
     """Computes the error of one step in cm of every person (P,), by what makes it."""
-    return {
-        name: torch.tensor([row[f"one step, {way}, cm"] for row in rows.values()], dtype=torch.float64)
-        for name, way in _WAYS.items()
-    }
+    ways = {"held pose": "hold", "constant velocity": "constant velocity", "the prior's mean": "prior mean",
+            "shown the answer": "posterior"}  # fmt: skip
+    each = {name: [row[f"one step, {way}, cm"] for row in rows.values()] for name, way in ways.items()}
+    return {name: torch.tensor(errors, dtype=torch.float64) for name, errors in each.items()}
 
 
 def reading_of_steps(panels: Mapping[str, Mapping[str, Tensor]]) -> str:
@@ -131,12 +121,12 @@ def reading(found: Sequence[Finding], criterion: Callable[[str], Criterion]) -> 
     for f in found:
         if f.test.removeprefix("H01.") in GATES and f.n:
             said.setdefault(f.source, []).append(_judged(f, criterion(f.test)))
-    lines = [
+    lines = " ".join(
         f"On *{source}* it passes {each.count('passed')} of {len(each)} gates, misses {each.count('missed')}, and "
         f"leaves {each.count('open')} open."
         for source, each in said.items()
-    ]
-    return "**Reading.** " + " ".join(lines) + " *Open* means that the interval contains the bound."
+    )
+    return f"**Reading.** {lines} *Open* means that the interval contains the bound."
 
 
 def _judged(f: Finding, test: Criterion) -> str:

@@ -59,19 +59,10 @@ def report_part(takes: Sequence[Take]) -> list[Take]:
     return [take for take in takes if take.part == "report"]
 
 
-def judged(takes: Sequence[Take], strangers: Clips) -> dict[str, dict[str, tuple[Tensor, Tensor]]]:
-    """Returns what a prior is judged on, by source and person: states (W, 61, 339) and contacts (W, 61, 9)."""
-    drawn = state.from_motion(strangers.motion, causal=True)[:, 1:]
-    each = zip(drawn[:, None], strangers.motion.contacts[:, None, 1:], strict=True)
-    found = {"synthetic": dict(zip(strangers.names, each, strict=True))}
-    real = model_card.person_states(report_part(takes))
-    return found | ({"cmu": real} if real else {})
-
-
-def drawn(count: int, *, seed: int = 0) -> Clips:
+def drawn(count: int) -> Clips:
     """Draws synthetic clips, each of a person that the corpus does not know; every eighth from the third sits down."""
     names = tuple(f"stranger {i}" for i in range(count))
-    return Clips(scenes.held_out(count, seed=seed, frames=FRAMES), torch.arange(count), names)
+    return Clips(scenes.held_out(count, seed=0, frames=FRAMES), torch.arange(count), names)
 
 
 def recorded(takes: Sequence[Take], each: int) -> Clips | None:
@@ -88,8 +79,7 @@ def going_down(takes: Sequence[Take], each: int) -> Clips | None:
     """
     found: dict[str, list[tuple[float, Motion]]] = {}
     for take in takes:
-        steepest = _steepest(take.motion)
-        if steepest is not None:
+        if steepest := _steepest(take.motion):
             found.setdefault(take.person, []).append(steepest)
     ordered = {who: sorted(mine, key=lambda pair: -pair[0])[:each] for who, mine in found.items()}
     return _together((who, cut) for who, mine in ordered.items() for _, cut in mine)
@@ -98,15 +88,10 @@ def going_down(takes: Sequence[Take], each: int) -> Clips | None:
 def who_goes_down(takes: Sequence[Take]) -> dict[str, Clips]:
     """Returns clips of recorded people who go down: whose take's description says that they sit, of all parts, since
     few do; and who do otherwise (crouch, pick up, kneel), of people nobody trained on."""
-    told = sits(takes)
+    told = [t for t in takes if _SITS.search(t.said) and not _NOT.search(t.said)]
     others = [take for take in report_part(takes) if take not in told]
     found = {"cmu sits": going_down(told, 2), "cmu, other ways down": going_down(others, 3)}
     return {name: clips for name, clips in found.items() if clips is not None}
-
-
-def sits(takes: Sequence[Take]) -> list[Take]:
-    """Returns the takes whose description says that somebody sits."""
-    return [t for t in takes if _SITS.search(t.said) and not _NOT.search(t.said)]
 
 
 def _steepest(motion: Motion) -> tuple[float, Motion] | None:
@@ -146,8 +131,13 @@ def starts(takes: Sequence[Take], strangers: Clips, own: Motion | None = None) -
 def judged_rows(
     models_by_name: Mapping[str, Cvae], takes: Sequence[Take], strangers: Clips, seed: int
 ) -> dict[tuple[str, str], dict[str, dict[str, float]]]:
-    """Computes the model table's measures of every person, by prior and source."""
-    sources = judged(takes, strangers)
+    """Computes the model table's measures of every person, by prior and source: synthetic people, and recorded ones
+    nobody trained on."""
+    begun = state.from_motion(strangers.motion, causal=True)[:, 1:]
+    each = zip(begun[:, None], strangers.motion.contacts[:, None, 1:], strict=True)
+    sources = {"synthetic": dict(zip(strangers.names, each, strict=True))}
+    if real := model_card.person_states(report_part(takes)):
+        sources["cmu"] = real
     return {
         (name, source): model_card.person_rows(model, persons, seed)
         for name, model in models_by_name.items()

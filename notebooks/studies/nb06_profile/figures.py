@@ -74,10 +74,9 @@ def phases(minutes: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Figure:
 
 
 def shares(
-    claimed: Mapping[str, float],
-    least: Mapping[str, float],
+    claimed: Mapping[str, float], least: Mapping[str, float],
     measured: Mapping[str, Mapping[str, tuple[float, float, float]]],
-) -> Figure:
+) -> Figure:  # fmt: skip
     """Draws shares in %: what is claimed with its band of 10 points, and what was measured.
 
     claimed: share -> the thesis's %. least: share -> the least that its conclusion asks for. measured: label -> share

@@ -34,23 +34,18 @@ class Official:
         """Computes minutes of the whole schedule by phase and part, as ``program.minutes``."""
         found = {}
         for p in self.phases:
-            whole = p["closures"] * p["seconds"] / 60
             shares = {"roll-out function": p["rollout"], "backward": p["backward"]}
             shares["body and energies"] = 1 - sum(shares.values())
-            found[p["name"]] = {name: share * whole for name, share in shares.items()}
+            found[p["name"]] = {name: share * (p["closures"] * p["seconds"] / 60) for name, share in shares.items()}
         return found
 
     def shares(self) -> dict[str, float]:
         """Computes shares in %: three of the whole program, and the roll-out with its gradient of a closure."""
-        table = self.minutes()
-        whole = sum(sum(parts.values()) for parts in table.values())
-        third = [parts for name, parts in table.items() if name.startswith("stage 3")]
-        return {
-            "stage-3 closure": 100 * sum(sum(parts.values()) for parts in third) / whole,
-            "backward": 100 * sum(parts["backward"] for parts in third) / whole,
-            "roll-out function": 100 * sum(parts["roll-out function"] for parts in third) / whole,
-            "roll-out and its gradient": 100 * self.alone["both"] / self.closure,
-        }
+        third = [parts for name, parts in self.minutes().items() if name.startswith("stage 3")]
+        spent = {part: sum(parts[part] for parts in third) for part in ("backward", "roll-out function")}
+        spent |= {"stage-3 closure": sum(sum(parts.values()) for parts in third)}
+        shares = {name: 100 * minutes / self.total for name, minutes in spent.items()}
+        return shares | {"roll-out and its gradient": 100 * self.alone["both"] / self.closure}
 
     @property
     def total(self) -> float:

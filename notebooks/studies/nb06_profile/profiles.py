@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from itertools import accumulate
 
 import torch
 from torch.profiler import ProfilerActivity, profile
@@ -10,26 +11,16 @@ os.environ.setdefault("KINETO_LOG_LEVEL", "6")  # torch's profiler announces its
 
 
 def peak_memory(call: Callable[[], object]) -> int:
-    """Most bytes of tensors that ``call()`` held at once beyond those before it; on the GPU where there is one.
+    """Most bytes of tensors that ``call()`` held at once beyond those before it, on the CPU.
 
-    On the CPU it adds up torch's own record of every allocation and release, so neither Python's objects nor
-    what the allocator keeps in reserve count.
+    It adds up torch's own record of every allocation and release, so neither Python's objects nor what the allocator
+    keeps in reserve count.
     """
-    if torch.cuda.is_available():
-        torch.cuda.synchronize()
-        torch.cuda.reset_peak_memory_stats()
-        before = torch.cuda.memory_allocated()
-        call()
-        torch.cuda.synchronize()
-        return torch.cuda.max_memory_allocated() - before
     with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as record:
         call()
-    held, peak = 0, 0
     events = [e for e in record.profiler.kineto_results.events() if e.name() == "[memory]"]
-    for event in sorted(events, key=lambda e: e.start_ns()):
-        held += event.nbytes()
-        peak = max(peak, held)
-    return peak
+    held = accumulate((e.nbytes() for e in sorted(events, key=lambda e: e.start_ns())), initial=0)
+    return max(held)
 
 
 def time_shares(call: Callable[[], object], labels: tuple[str, ...]) -> dict[str, float]:

@@ -135,12 +135,8 @@ def minutes(spent: Spent) -> dict[str, dict[str, float]]:
 
 def shares(spent: Spent) -> dict[str, Tensor]:
     """Computes three shares of the program's time in %, one number per round (n,)."""
-    whole = spent.program()
-    return {
-        "stage-3 closure": 100 * spent.program(stage=3) / whole,
-        "backward": 100 * spent.program("backward", stage=3) / whole,
-        "roll-out function": 100 * spent.program(*_FUNCTION, stage=3) / whole,
-    }
+    parts = {"stage-3 closure": (), "backward": ("backward",), "roll-out function": _FUNCTION}
+    return {name: 100 * spent.program(*some, stage=3) / spent.program() for name, some in parts.items()}
 
 
 def alone(one: Workload) -> dict[str, Callable[[], object]]:
@@ -158,8 +154,8 @@ def alone(one: Workload) -> dict[str, Callable[[], object]]:
 
 def alone_table(found: Mapping[str, Tensor], official: Official) -> list[dict[str, object]]:
     """Lists milliseconds of each part alone and its share of the faithful closure, the official code's beside them."""
-    theirs = {"whole closure": official.closure, "roll-out": official.alone["both"]}
-    theirs |= {"roll-out, weights frozen": official.alone["both, weights frozen"]}
+    theirs = {"whole closure": official.closure, "roll-out": official.alone["both"],
+              "roll-out, weights frozen": official.alone["both, weights frozen"]}  # fmt: skip
     whole = found["whole closure"]
     return [
         {
@@ -175,12 +171,9 @@ def alone_table(found: Mapping[str, Tensor], official: Official) -> list[dict[st
 
 def claimed(official: Official, ours: Mapping[str, Tensor]) -> list[dict[str, object]]:
     """Lists three shares: the thesis's, the official code's and the median of ours."""
-    theirs = official.shares()
-    mine = {name: ours[name].median().item() for name in CLAIMED}
-    return [
-        {"share": name, "thesis, %": x, "official code, %": theirs[name], "our imitation, %": mine[name]}
-        for name, x in CLAIMED.items()
-    ]
+    heads, theirs = ("share", "thesis, %", "official code, %", "our imitation, %"), official.shares()
+    rows = [(name, x, theirs[name], ours[name].median().item()) for name, x in CLAIMED.items()]
+    return [dict(zip(heads, row, strict=True)) for row in rows]
 
 
 def drawn(
@@ -225,19 +218,15 @@ def memory_rows(
     live: Mapping[str, Sequence[float]],
 ) -> list[dict[str, object]]:  # fmt: skip
     """Lists time and memory (RSS; live tensors in brackets) of closures, as ``on_gpu.rows``; our times of one clip."""
-    rows = [
-        {"machine": "its own CPU core", "form": "official code", "clips": clips, "ms of a closure": f"{1e3 * s:,.0f}",
-         "memory, MiB": f"{x / 2**20:,.0f}"}
-        for clips, (s, x) in official.batches.items()
-    ]  # fmt: skip
+    heads = ("machine", "form", "clips", "ms of a closure", "memory, MiB")
+    rows = [("its own CPU core", "official code", clips, f"{1e3 * s:,.0f}", f"{x / 2**20:,.0f}")
+            for clips, (s, x) in official.batches.items()]  # fmt: skip
     for form, batches, sizes in held.values():
         for k in (0, -1):
             ms = f"{1e3 * spent[form].closure('everything').median():,.0f}" if batches[k] == 1 else ""
-            rows.append(
-                {"machine": "this CPU core", "form": form, "clips": batches[k], "ms of a closure": ms,
-                 "memory, MiB": f"{sizes[k] / 2**20:,.0f} ({live[form][k] / 2**20:,.0f})"}
-            )  # fmt: skip
-    return rows
+            took = f"{sizes[k] / 2**20:,.0f} ({live[form][k] / 2**20:,.0f})"
+            rows.append(("this CPU core", form, batches[k], ms, took))
+    return [dict(zip(heads, row, strict=True)) for row in rows]
 
 
 # ------------------------------------------------------------------------------------------- what a trained prior sees
