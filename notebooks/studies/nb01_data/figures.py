@@ -15,7 +15,7 @@ from studies.shared.plots import canvas
 _PARTS = {"train": "observation", "choose": "baseline", "report": "ours"}
 
 
-def descriptions(found: Mapping[str, Windows], clip: Tensor | None = None, name: str = "the clip") -> Figure:
+def descriptions(found: Mapping[str, Windows], clip: Tensor, name: str) -> Figure:
     """Draws the twelve descriptions of windows by source, and where a clip (12,) lies as a line.
 
     Thick: quartiles; thin: 5th to 95th percentile; dot: median.
@@ -28,13 +28,11 @@ def descriptions(found: Mapping[str, Windows], clip: Tensor | None = None, name:
             ax.plot([low, high], [row, row], color=paint, lw=1.5)
             ax.plot([first, third], [row, row], color=paint, lw=9, solid_capstyle="butt")
             ax.plot(middle, row, "o", ms=5, color=PAPER)
-        if clip is not None:
-            ax.axvline(float(clip[k]), color=ROLE["ours"], lw=2.5, label=name)
+        ax.axvline(float(clip[k]), color=ROLE["ours"], lw=2.5, label=name)
         ax.set(xlabel=f"{what}, {unit}", ylim=(len(found) - 0.4, -0.6))
         ax.set_yticks(range(len(found)), list(found))
         ax.set_xlim(left=0)
-    if clip is not None:
-        fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", frameon=False)
+    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", frameon=False)
     return fig
 
 

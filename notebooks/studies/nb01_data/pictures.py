@@ -100,7 +100,7 @@ def a_walk(generator: torch.Generator) -> Motion:
 
 
 def detect(
-    shot: Shot, failure: str, generator: torch.Generator, *, noise: float = 1.0, hidden: float = 0.5
+    shot: Shot, failure: str, generator: torch.Generator, *, noise: float, hidden: float
 ) -> tuple[Observation2D, Occluder | None]:
     """Simulates what a detector says of a shot under one of ``FAILURES``, and what stands in the way.
 
@@ -114,8 +114,7 @@ def detect(
     if failure == "limbs flipped":
         found = corrupt.flip_limbs(found, generator, share=1.0, length=5)[0]
     if failure == "two legs from one":
-        half = corrupt.occlude(found, LEFT_SHIN)[0]
-        found = corrupt.two_legs_from_one(half, generator)[0]
+        found = corrupt.two_legs_from_one(corrupt.occlude(found, LEFT_SHIN)[0], generator)[0]
     return found, desk
 
 

@@ -112,11 +112,11 @@ def resampling_rows(folder: Path | str, every: int = 1) -> list[dict[str, object
         for how in ("linear", "spline"):
             found = resample(given, 30.0, how)
             n = min(found.frames, truth.frames) - 4
-            a, b = found.positions[2:n], truth.positions[2:n]
-            speeds = [velocity(x, 30.0, dim=0) for x in (a, b)]
-            bends = [30.0**2 * (x[2:] - 2 * x[1:-1] + x[:-2]) for x in (a, b)]
+            pair = found.positions[2:n], truth.positions[2:n]
+            speeds = [velocity(x, 30.0, dim=0) for x in pair]
+            bends = [30.0**2 * (x[2:] - 2 * x[1:-1] + x[:-2]) for x in pair]
             sizes = [float(x.norm(dim=-1).mean()) for x in bends]
-            errors.setdefault(how, []).append([1000 * _far(a, b), 100 * _far(*speeds), _far(*bends), *sizes])
+            errors.setdefault(how, []).append([1000 * _far(*pair), 100 * _far(*speeds), _far(*bends), *sizes])
     names = ("places, mm", "velocities, cm/s", "accelerations, m/s^2", "mean acceleration", "of the truth")
     return [
         {"way": how, "clips": len(rows), **dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))}
@@ -251,10 +251,8 @@ def reading(ways: Sequence[Mapping], labels: Sequence[Mapping], toes: Sequence[M
     parts = {part: [row["F1"] for row in labels if row["part"] == part] for part in ("train", "report")}
     scores = ", ".join(f"{np.mean(f1):.2f} on {len(f1)} people of *{part}*" for part, f1 in parts.items() if f1)
     text += f"Foot contacts have an F1 of {scores}. "
-    for row in toes:
-        if row["part"] == "report":
-            text += (
-                f"Toes cannot be guessed. On people it never saw, a regression from the rest of the body misses by "
-                f"{row['regression']:.0f} degrees, a toe that never bends by {row['rigid']:.0f}."
-            )
-    return text
+    return text + "".join(
+        f"Toes cannot be guessed. On people it never saw, a regression from the rest of the body misses by "
+        f"{row['regression']:.0f} degrees, a toe that never bends by {row['rigid']:.0f}."
+        for row in toes if row["part"] == "report"
+    )  # fmt: skip

@@ -55,7 +55,7 @@ class Windows(NamedTuple):
         return len(self.whose.unique())
 
 
-def describe_clips(clips: Iterable[tuple[Motion, str, str | Sequence[str]]], seconds: float = 2.0) -> Windows:
+def describe_clips(clips: Iterable[tuple[Motion, str, str | Sequence[str]]], seconds: float) -> Windows:
     """Describes every whole window of clips, one after the other: (motion, person, its kind or one of each frame).
 
     A clip that is shorter than a window is left out. A window is of the kind of most of its frames.
@@ -74,18 +74,6 @@ def describe_clips(clips: Iterable[tuple[Motion, str, str | Sequence[str]]], sec
     return Windows(table, torch.tensor(whose, dtype=torch.long), tuple(kinds))
 
 
-def describe_synthetic(sequences: Sequence, seconds: float = 2.0) -> Windows:
-    """Describes the sequences of a synthetic corpus; kinds are those of recordings."""
-    kinds = [[KIND_OF_ACTION.get(label, "other") for label in s.take.labels] for s in sequences]
-    whole = [(s.motion, s.take.subject.name, kind) for s, kind in zip(sequences, kinds, strict=True)]
-    return describe_clips(whole, seconds)
-
-
-def describe_recorded(takes: Sequence[Take], seconds: float = 2.0) -> Windows:
-    """Describes the takes of a corpus of recordings."""
-    return describe_clips(((take.motion, take.person, kind_of(take)) for take in takes), seconds)
-
-
 def describe_one(
     motion: Motion, generator: torch.Generator, *, start: float = 0.0, seconds: float = 2.0, speed: float = 1.0,
     tremble: float = 0.0,
@@ -101,26 +89,24 @@ def describe_one(
     return torch.stack(list(describe(replace(cut, root=shaken, fps=speed * motion.fps)).values()), dim=-1).double()
 
 
-def describe_styles(motions: Sequence[Motion], seconds: float = 2.0) -> Windows:
-    """Describes Bandai-Namco's recordings; their names hold set, action, acted style, number. "People" are styles."""
-    names = [motion.name.split("_") for motion in motions]
-    kinds = ["walk" if name[1].startswith("walk") else "other" for name in names]
-    return describe_clips(zip(motions, [name[2] for name in names], kinds, strict=True), seconds)
-
-
 def describe_sources(
     sequences: Sequence, real: Corpus | None, folder: Path | None, *, each: int | None, seconds: float
 ) -> dict[str, Windows]:
     """Describes the synthetic corpus and what recordings there are, by source; ``each`` of Bandai-Namco's at most."""
-    found = {"synthetic": describe_synthetic(sequences, seconds)}
-    if takes := [take for take in real.takes if take.person.startswith("cmu_")] if real else []:
-        found["CMU"] = describe_recorded(takes, seconds)
-    if motions := splits.load_source(folder, "bandai_namco", each=each):
-        found["Bandai-Namco"] = describe_styles(motions, seconds)
+    clips = {"synthetic": [
+        (s.motion, s.take.subject.name, [KIND_OF_ACTION.get(label, "other") for label in s.take.labels])
+        for s in sequences
+    ]}  # fmt: skip
+    clips["CMU"] = [
+        (t.motion, t.person, kind_of(t)) for t in (real.takes if real else ()) if t.person.startswith("cmu_")
+    ]
+    styles = [(motion, motion.name.split("_")) for motion in splits.load_source(folder, "bandai_namco", each=each)]
+    clips["Bandai-Namco"] = [  # a name holds set, action, acted style, number; "people" are styles
+        (motion, name[2], "walk" if name[1].startswith("walk") else "other") for motion, name in styles
+    ]
     for name, source in (("DeepMimic", "deepmimic"), ("ReActIdle", "reactidle")):
-        if motions := splits.load_source(folder, source):
-            found[name] = describe_clips([(motion, source, "") for motion in motions], seconds)
-    return found
+        clips[name] = [(motion, source, "") for motion in splits.load_source(folder, source)]
+    return {name: describe_clips(some, seconds) for name, some in clips.items() if some}
 
 
 def standardised(some: Windows, by: Windows) -> Windows:

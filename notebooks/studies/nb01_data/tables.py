@@ -15,11 +15,7 @@ from motionlab.skeleton import FEET
 from motionlab.splits import subsample
 
 #: Faults put in on purpose: 5 cm/s of drift, 1 cm too low, knees reflected.
-FAULTS = {
-    "drift": lambda motion: faults.drifting(motion, 0.05),
-    "low": faults.lowered,
-    "knees": faults.knees_reflected,
-}
+FAULTS = (lambda motion: faults.drifting(motion, 0.05), faults.lowered, faults.knees_reflected)
 #: Sources of joint rotations that are small.
 SMALL = ("animated_drawings", "bandai_namco", "cmu_amc", "deepmimic", "isaacgym_amp_cmu", "reactidle")
 
@@ -36,7 +32,7 @@ def audited(free: corpus.Corpus, still: corpus.Corpus) -> dict[str, tuple[list[f
     planted: mm per frame. floor: mm. limits: degrees, of both versions.
     """
     good = [audit(s.motion) for s in free.sequences]
-    drift, low, knees = ([audit(spoil(s.motion.cut(0, 300))) for s in free.sequences] for spoil in FAULTS.values())
+    drift, low, knees = ([audit(spoil(s.motion.cut(0, 300))) for s in free.sequences] for spoil in FAULTS)
     both = [*(audit(s.motion) for s in still.sequences), *good]
     return {
         "planted": ([1000 * a.contact_speed for a in good], [1000 * a.contact_speed for a in drift]),

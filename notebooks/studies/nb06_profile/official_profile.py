@@ -42,8 +42,8 @@ class Official:
     def shares(self) -> dict[str, float]:
         """Computes shares in %: three of the whole program, and the roll-out with its gradient of a closure."""
         third = [parts for name, parts in self.minutes().items() if name.startswith("stage 3")]
-        spent = {part: sum(parts[part] for parts in third) for part in ("backward", "roll-out function")}
-        spent |= {"stage-3 closure": sum(sum(parts.values()) for parts in third)}
+        spent = {"stage-3 closure": sum(sum(parts.values()) for parts in third)}
+        spent |= {part: sum(parts[part] for parts in third) for part in ("backward", "roll-out function")}
         shares = {name: 100 * minutes / self.total for name, minutes in spent.items()}
         return shares | {"roll-out and its gradient": 100 * self.alone["both"] / self.closure}
 
