@@ -89,17 +89,11 @@ async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run
     start, failed, book = time.perf_counter(), {}, None
     try:
         book = nbformat.read(path, as_version=4)
-        client = NotebookClient(
-            book,
-            timeout=None,
-            startup_timeout=120,
-            kernel_name="python3",
-            record_timing=False,
-            store_widget_state=False,
-            shutdown_kernel="immediate",  # a second less for every notebook; what it leaves lies in ``bench``
-            extra_arguments=_QUIET,
+        client = NotebookClient(  # "immediate" ends a second sooner; what the kernel leaves lies in ``bench``
+            book, timeout=None, startup_timeout=120, kernel_name="python3", record_timing=False,
+            store_widget_state=False, shutdown_kernel="immediate", extra_arguments=_QUIET,
             resources={"metadata": {"path": str(path.parent)}},
-        )
+        )  # fmt: skip
         with tempfile.TemporaryDirectory(prefix="motionlab-", ignore_cleanup_errors=True) as bench:
             await client.async_execute(env={**os.environ, "TMPDIR": bench, **environment})
     except CellExecutionError as error:
@@ -118,12 +112,9 @@ async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run
 
 # ------------------------------------------------------------------------------------------------------ several of them
 def run_side_by_side(
-    jobs: Sequence[tuple[Path, Path]],
-    environment: Mapping[str, str],
-    *,
-    done: Callable[[Run], object] = lambda run: None,
-    processes: int | None = None,
-) -> list[Run]:
+    jobs: Sequence[tuple[Path, Path]], environment: Mapping[str, str], *,
+    done: Callable[[Run], object] = lambda run: None, processes: int | None = None,
+) -> list[Run]:  # fmt: skip
     """Runs notebooks (from, to) on as many processes as there are cores, one thread each; prints a line for each.
 
     Those that took longest when last recorded begin first. done: called with every run as it ends. ``processes``:

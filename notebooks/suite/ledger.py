@@ -159,13 +159,7 @@ def is_real(finding: Finding) -> bool:
 def scoreboard(claims: Mapping[str, Claim], found: Sequence[Finding]) -> list[dict[str, str]]:
     """Returns one row per claim: id, title, verdict (also in full), answer, the notebook that shows it."""
     return [
-        {
-            "claim": claim.id,
-            "in short": claim.title,
-            "verdict": verdict(claim, found),
-            "in full": spoken(claim, found),
-            "answer": answer(claim, found) if any(f.claim == claim.id for f in found) else "",
-            "notebook": claim.notebook,
-        }
-        for claim in claims.values()
-    ]
+        {"claim": c.id, "in short": c.title, "verdict": verdict(c, found), "in full": spoken(c, found),
+         "answer": answer(c, found) if any(f.claim == c.id for f in found) else "", "notebook": c.notebook}
+        for c in claims.values()
+    ]  # fmt: skip

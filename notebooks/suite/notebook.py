@@ -39,13 +39,9 @@ PROFILES = ("smoke", "full")
 
 
 def setup(
-    notebook: str,
-    *,
-    profile: str | None,
-    seed: int,
-    budgets: Mapping[str, Mapping[str, object]],
+    notebook: str, *, profile: str | None, seed: int, budgets: Mapping[str, Mapping[str, object]],
     data: str | None = None,
-) -> Lab:
+) -> Lab:  # fmt: skip
     """Opens the lab for one notebook ("02_rotations_that_jump") and prints where it runs.
 
     Args:
@@ -166,13 +162,9 @@ class Lab:
         The numbers are this run's in the full profile. In the smoke profile they are those of the committed record.
         """
         found = self.settled() if self.profile == "full" else self._record().findings
-        self.say(
-            "\n".join(
-                f'- **{c.id}**, "{c.title}": **{ledger.spoken(c, found)}.** {ledger.found_answer(c, found)}'
-                for c in self.claims.values()
-                if c.notebook == self.number
-            )
-        )
+        mine = [claim for claim in self.claims.values() if claim.notebook == self.number]
+        said = [(c, ledger.spoken(c, found), ledger.found_answer(c, found)) for c in mine]
+        self.say("\n".join(f'- **{c.id}**, "{c.title}": **{verdict}.** {answer}' for c, verdict, answer in said))
 
     def show(self, widget: object) -> None:
         """Shows a live widget (a pyvista scene, a slider), or what a function makes of one, unless in a batch run."""
@@ -191,15 +183,9 @@ class Lab:
         return known[test]
 
     def record(
-        self,
-        test: str,
-        samples: Tensor | Sequence[float] | float,
-        *,
-        source: str = "synthetic",
-        statistic: str = "mean",
-        baseline: Tensor | Sequence[float] | float | None = None,
-        note: str = "",
-    ) -> Finding:
+        self, test: str, samples: Tensor | Sequence[float] | float, *, source: str = "synthetic",
+        statistic: str = "mean", baseline: Tensor | Sequence[float] | float | None = None, note: str = "",
+    ) -> Finding:  # fmt: skip
         """Measures a test: the statistic of samples, its interval, its verdict against the bound fixed beforehand.
 
         Args:
@@ -278,17 +264,12 @@ class Lab:
 
     def findings(self, *, fold: bool = False) -> None:
         """Shows every number measured in this run; fold: behind a click."""
-        rows = [
-            {
-                "test": f.test,
-                "source": f.source,
-                f"measured (95 % interval), {self.profile}": f"{f.statistic} {f.value_text()}",
-                "bound": f.bound,
-                "baseline": "" if f.baseline_value is None else f"{f.baseline}: {f.baseline_value:.3g} {f.unit}",
-                "note": f.note,
-            }
-            for f in self.found
-        ]
+        heads = ("test", "source", f"measured (95 % interval), {self.profile}", "bound", "baseline", "note")
+        rows = []
+        for f in self.found:
+            base = "" if f.baseline_value is None else f"{f.baseline}: {f.baseline_value:.3g} {f.unit}"
+            row = (f.test, f.source, f"{f.statistic} {f.value_text()}", f.bound, base, f.note)
+            rows.append(dict(zip(heads, row, strict=True)))
         self.fold("Every number measured in this run", rows) if fold else self.table(rows)
 
     def verdicts(self, *, fold: bool = False) -> None:
@@ -298,15 +279,10 @@ class Lab:
         """
         shown = [f for f in self.settled() if not f.source.startswith("your ")]
         rows = [
-            {
-                "test": f.test,
-                "source": f.source,
-                "we ask": self.criterion(f.test).definition,
-                "bound": f.bound,
-                "verdict": f"**{f.verdict}**",
-            }
+            {"test": f.test, "source": f.source, "we ask": self.criterion(f.test).definition, "bound": f.bound,
+             "verdict": f"**{f.verdict}**"}
             for f in sorted(shown, key=lambda f: (f.test, f.source != "synthetic", f.source))
-        ]
+        ]  # fmt: skip
         self.fold("Test, bound and verdict", rows) if fold else self.table(rows)
 
     def close(self) -> None:

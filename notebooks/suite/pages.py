@@ -16,12 +16,9 @@ from suite.staleness import number_of
 MARKS = ("<!-- findings:start -->", "<!-- findings:end -->")
 #: Verdicts as README.md counts them.
 _COUNTED = {
-    ledger.CONFIRMED: "are confirmed",
-    ledger.REFUTED: "refuted",
-    ledger.CONDITION: "true on a condition",
-    ledger.CONSTRUCTION: "true by construction",
-    ledger.UNDECIDED: "still undecided",
-}
+    ledger.CONFIRMED: "are confirmed", ledger.REFUTED: "refuted", ledger.CONDITION: "true on a condition",
+    ledger.CONSTRUCTION: "true by construction", ledger.UNDECIDED: "still undecided",
+}  # fmt: skip
 
 
 def update(root: Path) -> None:

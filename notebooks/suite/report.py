@@ -51,9 +51,8 @@ _VERDICTS = {
 
 
 class Check(NamedTuple):
-    """What today's run says of a notebook: "good", "bad" or "" (nothing), in a sentence, with details.
-
-    agree: how many findings are those of the record."""
+    """What today's run says of a notebook: "good", "bad" or "" (nothing), in a sentence, with details; and how many
+    findings agree with the record."""
 
     mark: str
     said: str
@@ -165,19 +164,14 @@ def _write(out: Path, entries: Sequence[Entry], verdicts: Mapping[Claim, str], f
     for entry in entries:
         head = [title for number, title in PARTS.items() if number <= entry.page.number][-1]
         parts.setdefault(head, []).append(entry)
+    film = next((film for film in films if film.caption.startswith(FILM)), next(iter(films), None))
     environment.globals |= {
-        "entries": entries,
-        "parts": parts,
-        "claims": verdicts,
+        "entries": entries, "parts": parts, "claims": verdicts, "verdicts": _VERDICTS, "findings": found, "film": film,
         "pages": {entry.page.number: f"{entry.page.name}.html" for entry in entries},
-        "verdicts": _VERDICTS,
         "spoken": {claim.id: ledger.spoken(claim, found) for claim in verdicts},
-        "findings": found,
-        "film": next((film for film in films if film.caption.startswith(FILM)), next(iter(films), None)),
         "points": next((entry.page.points for entry in reversed(entries) if entry.page.points), ()),
-        "checks": Counter(entry.check.mark for entry in entries),
-        "day": time.strftime("%Y-%m-%d"),
-    }
+        "checks": Counter(entry.check.mark for entry in entries), "day": time.strftime("%Y-%m-%d"),
+    }  # fmt: skip
 
     def write(name: str, template: str, **values: object) -> None:
         (out / name).write_text(environment.get_template(template).render(values), encoding="utf-8")
