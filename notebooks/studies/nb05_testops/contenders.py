@@ -4,10 +4,9 @@ Source: HuMoR (Rempe et al. 2021), section 5.2: global errors without alignment,
 joints seen only above 0.9 m.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
-from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -18,17 +17,9 @@ from motionlab.humor import start as starts
 from motionlab.humor.evidence import Observation3D, evidence
 from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
-from motionlab.observation import Camera, Observation2D
 from motionlab.skeleton import FEET, STANDARD, fk
 
 CM = 100.0
-
-
-class Seen(Protocol):
-    """What is needed of a scene to fit it, and no more: B clips of keypoints and a camera for each."""
-
-    observation: Observation2D
-    cameras: Sequence[Camera]
 
 
 @dataclass(frozen=True)

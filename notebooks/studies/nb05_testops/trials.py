@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from data_synth.legs import two_bone
+from data_synth.scenes import Scene
 from motionlab import rotation
 from motionlab.baselines import smoothed
 from motionlab.humor.energies import RGB, Weights
@@ -20,7 +21,7 @@ from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.parallel import run_jobs
 from motionlab.skeleton import STANDARD
-from studies.nb05_testops.contenders import CM, Seen
+from studies.nb05_testops.contenders import CM
 from studies.nb05_testops.kept_fits import kept
 from studies.nb05_testops.measures import error_over_time
 from studies.shared.clips import part, stacked
@@ -35,7 +36,7 @@ class CaseFit:
 
 
 def fit_together(
-    seen: Mapping[str, Seen], priors: Priors, *, batch: int = 24, workers: int = 1, keep: bool = False, **how
+    seen: Mapping[str, Scene], priors: Priors, *, batch: int = 24, workers: int = 1, keep: bool = False, **how
 ) -> dict[str, CaseFit]:
     """Fit the clips of all cases in batches of at most ``batch``, whatever case they belong to, in as many processes.
 
@@ -118,10 +119,10 @@ GRID = (400.0, 100.0, 25.0, 6.0, 1.5, 0.4), (0.0, 0.01, 0.04, 0.2, 1.0, 5.0), (0
 
 
 def tried(
-    practice: Mapping[str, Seen], priors: Priors, schedule: Schedule, *, smoothness: Sequence[float] = GRID[0],
+    practice: Mapping[str, Scene], priors: Priors, schedule: Schedule, *, smoothness: Sequence[float] = GRID[0],
     pose: Sequence[float] = GRID[1], windows: Sequence[int] = GRID[2], **how,
 ) -> dict[Rival, dict[str, dict[str, Tensor]]]:  # fmt: skip
-    """Scores stage 2 on practice scenes (with ``truth``), by rival and scene: every smoothness, weight of
+    """Scores stage 2 on practice scenes, by rival and scene: every smoothness, weight of
     the pose prior and filter. how: goes to :func:`fit_together`."""
     found = {}
     for smooth, prior in product(smoothness, pose):
@@ -139,7 +140,7 @@ def rival_of(found: Mapping[Rival, Mapping[str, Mapping[str, Tensor]]], scene: s
 
 
 def fit_rivals(
-    seen: Mapping[str, Seen], rivals: Mapping[str, Rival], priors: Priors, schedule: Schedule, **how
+    seen: Mapping[str, Scene], rivals: Mapping[str, Rival], priors: Priors, schedule: Schedule, **how
 ) -> dict[str, Motion]:
     """Fits each scene by its own rival, filter included. how: goes to :func:`fit_together`."""
     found, by_weights = {}, {}
