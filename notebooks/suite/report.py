@@ -30,24 +30,17 @@ FILM = "**Figure 00.2.**"
 TEMPLATES = Path(__file__).parent / "templates"
 #: The parts of the gallery, by the number that each begins with.
 PARTS = {
-    "00": "Start here",
-    "01": "Motion, rotations, skin",
-    "04": "A prior of transitions: repairing what a camera saw",
-    "10": "A diffusion model: making motion",
-    "99": "All answers",
-}
+    "00": "Start here", "01": "Motion, rotations, skin", "04": "A prior of transitions: repairing what a camera saw",
+    "10": "A diffusion model: making motion", "99": "All answers",
+}  # fmt: skip
 #: A verdict's colour and how it reads in a chip; the ledger's come in the order in which they are listed.
 _VERDICTS = {
-    ledger.CONFIRMED: ("#1a7f37", "confirmed"),
-    ledger.CONDITION: ("#9a6700", "true on a condition"),
-    ledger.REFUTED: ("#b3261e", "refuted"),
-    ledger.CONSTRUCTION: ("#0b6e99", "by construction"),
-    ledger.UNDECIDED: ("#57606a", "undecided"),
-    ledger.OPEN: ("#6e7781", "not measured yet"),
-    findings.HOLDS: ("#1a7f37", "holds"),
-    findings.FAILS: ("#b3261e", "does not hold"),
+    ledger.CONFIRMED: ("#1a7f37", "confirmed"), ledger.CONDITION: ("#9a6700", "true on a condition"),
+    ledger.REFUTED: ("#b3261e", "refuted"), ledger.CONSTRUCTION: ("#0b6e99", "by construction"),
+    ledger.UNDECIDED: ("#57606a", "undecided"), ledger.OPEN: ("#6e7781", "not measured yet"),
+    findings.HOLDS: ("#1a7f37", "holds"), findings.FAILS: ("#b3261e", "does not hold"),
     findings.UNJUDGED: ("#57606a", "cannot be judged"),
-}
+}  # fmt: skip
 
 
 class Check(NamedTuple):

@@ -293,18 +293,16 @@ def _energies(golden: Golden) -> Iterator[Row]:
     confidence = energies.body_25_confidence(seen[..., 2])
     prior = Gaussian(golden["roll_prior_mean"], golden["roll_prior_var"].log())
     values = {
-        "loss_joints2d": energies.joints2d(golden["reproj_uv"], seen[..., :2], confidence),
-        "loss_joints3d": energies.joints3d(joints, other),
-        "loss_smooth": energies.joints3d_smooth(joints),
-        "loss_motion_prior_nll": energies.motion_prior(golden["roll_z"], prior),
-        "loss_joint_consistency": energies.joint_consistency(joints, other),
-        "loss_bone_length": energies.bone_length(joints),
-        "loss_contact_vel": energies.contact_vel(joints, touching),
-        "loss_contact_height": energies.contact_height(joints, touching),
-        "loss_floor_reg": energies.floor_reg(golden["floor3"], initial),
-    }
+        "joints2d": energies.joints2d(golden["reproj_uv"], seen[..., :2], confidence),
+        "joints3d": energies.joints3d(joints, other), "smooth": energies.joints3d_smooth(joints),
+        "motion_prior_nll": energies.motion_prior(golden["roll_z"], prior),
+        "joint_consistency": energies.joint_consistency(joints, other), "bone_length": energies.bone_length(joints),
+        "contact_vel": energies.contact_vel(joints, touching),
+        "contact_height": energies.contact_height(joints, touching),
+        "floor_reg": energies.floor_reg(golden["floor3"], initial),
+    }  # fmt: skip
     for name, value in values.items():
-        yield _row(golden, name, "lean", value.sum())
+        yield _row(golden, f"loss_{name}", "lean", value.sum())
     yield _row(golden, "gmm_logprob", "lean", seeded_mixture().log_prob(golden["gmm_x"]))
     yield _row(golden, "gmof_sigma100", "lean", energies.gmof(golden["gmof_in"]))
     yield _row(golden, "metric_accel_mag", "lean", pose.acceleration(joints[0], 30.0))

@@ -42,14 +42,10 @@ def through_the_camera(
     drawn = []
     for label, (role, pixels, confidence) in layers.items():
         seen = Observation2D(pixels, confidence, BODY_25, truth.fps, camera)
-        drawn.append(_labelled(overlay(seen, plain, frame, role, width=3.5), label))
+        picture = Image.fromarray(overlay(seen, plain, frame, role, width=3.5))
+        ImageDraw.Draw(picture).text((10, 8), label, fill=INK, font=ImageFont.load_default(15))
+        drawn.append(np.asarray(picture))
     return np.concatenate(drawn, 1)
-
-
-def _labelled(picture: np.ndarray, text: str) -> np.ndarray:
-    image = Image.fromarray(picture)
-    ImageDraw.Draw(image).text((10, 8), text, fill=INK, font=ImageFont.load_default(15))
-    return np.asarray(image)
 
 
 def spectra(cases: Mapping[str, Mapping[str, Tensor]], edges: Sequence[float], *, roles: Mapping[str, str]) -> Figure:

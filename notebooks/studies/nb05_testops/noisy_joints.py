@@ -12,10 +12,8 @@ import torch
 from torch import Tensor
 
 from motionlab.humor.energies import JOINTS, KEYPOINTS
-from motionlab.humor.evidence import Observation3D
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
-from motionlab.motion import Motion
 from studies.nb05_testops import contenders, tuning
 from studies.nb05_testops.filmed_people import People
 from studies.shared import joints
@@ -28,22 +26,14 @@ MEASURES = {"all cm": "all joints, cm", "hidden cm": "hidden joints, cm",
 Tried = Mapping[tuple[str, str], Mapping[str, Mapping[str, Tensor]]]  # people and test -> method -> measure -> (P,)
 
 
-def best_filter(seen: Observation3D, truth: Motion, tried: Observation3D, practice: Motion, rest: Tensor) -> Tensor:
-    """Computes joints (B, T, 22, 3) by the better of two filters, each tuned on practice clips.
-
-    Which of the two is chosen by their mean error over the clips themselves: to the filters' advantage.
-    """
-    found = [contenders.tuned(kind, tried, practice.positions, rest)(seen, rest) for kind in contenders.FILTERS]
-    return min(found, key=lambda x: (x - truth.positions).norm(dim=-1).mean().item())
-
-
 def compared(
     test: str, tested: People, practice: People, priors: Priors, schedule: Schedule, generator: torch.Generator,
     **tried_out: object,
 ) -> tuple[dict[str, dict[str, Tensor]], list[dict[str, float]], tuning.Choice]:  # fmt: skip
     """Fits people's joints by every method; numbers of each by measure, one (P,) a person.
 
-    Also the grid that stage 2 was tuned on, and what was chosen. tried_out: goes to ``tuning.search``.
+    Each filter is tuned on practice clips; the better of the two by the clips themselves counts, to its advantage. Also
+    the grid that stage 2 was tuned on, and what was chosen. tried_out: goes to ``tuning.search``.
     """
     weights, rest = TESTS[test], contenders.mean_pose(priors.pose)
     shown = partial(joints.noisy, generator=generator) if test == "noise" else joints.low_hidden
@@ -51,8 +41,10 @@ def compared(
     rows = tuning.search(tried, practice.truth, priors, weights, schedule, align="none", **tried_out)
     chosen = tuning.best(rows)
     fitted = fit(seen, priors, weights=weights, schedule=schedule)
+    filters = [contenders.tuned(some, tried, practice.truth.positions, rest) for some in contenders.FILTERS]
+    filtered = [each(seen, rest) for each in filters]
     found = {
-        "best filter": best_filter(seen, tested.truth, tried, practice.truth, rest),
+        "best filter": min(filtered, key=lambda x: (x - tested.truth.positions).norm(dim=-1).mean().item()),
         "stage 2": fitted.stages[2].positions,
         "tuned stage 2": tuning.stage_2(seen, priors, weights, schedule, chosen).positions,
         "stage 3": fitted.motion.positions,

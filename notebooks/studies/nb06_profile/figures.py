@@ -24,12 +24,6 @@ _PARTS = {
 GIB = 2**30
 
 
-def _middle(x: Tensor) -> tuple[float, float, float]:
-    """Median, and how far the quartiles are below and above it."""
-    low, median, high = x.double().quantile(torch.tensor([0.25, 0.5, 0.75]).double()).tolist()
-    return median, median - low, high - median
-
-
 def _stack(ax: Axes, table: Mapping[str, Mapping[str, float]], digits: int) -> float:
     """Bars of parts, one row after the other, each with its sum; the longest sum."""
     left = np.zeros(len(table))
@@ -183,14 +177,15 @@ def ladder(seconds: Mapping[str, Tensor]) -> Figure:
     figure, (ax,) = canvas(size=(8.0, 0.9 + 0.36 * len(seconds)))
     first = before = None
     for row, values in enumerate(seconds.values()):
-        middle, below, above = _middle(1e3 * values)
+        low, middle, high = (1e3 * values).double().quantile(torch.tensor([0.25, 0.5, 0.75]).double()).tolist()
         first = first or middle
         tone = blend(colour("baseline"), colour("ours"), row / max(len(seconds) - 1, 1))
         ax.barh(row, middle, 0.72, color=tone)
-        ax.errorbar(middle, row, xerr=[[below], [above]], fmt="none", ecolor=INK, elinewidth=1.2, capsize=3)
+        ends = {"xerr": [[middle - low], [high - middle]], "ecolor": INK, "elinewidth": 1.2, "capsize": 3}
+        ax.errorbar(middle, row, fmt="none", **ends)
         gain = "" if before is None else f"   x {before / middle:.2f}   (in all x {first / middle:.1f})"
-        ax.annotate(f"{middle:.0f} ms{gain}", (middle + above, row), (6, 0), textcoords="offset points", va="center",
-                    fontsize=9, color=INK)  # fmt: skip
+        beside = {"textcoords": "offset points", "va": "center", "fontsize": 9, "color": INK}
+        ax.annotate(f"{middle:.0f} ms{gain}", (high, row), (6, 0), **beside)
         before = middle
     ax.set_yticks(range(len(seconds)), list(seconds))
     ax.invert_yaxis()

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
-from typing import NamedTuple
 
 import torch
 from matplotlib.figure import Figure
@@ -32,12 +31,8 @@ CLAIMED = {"stage-3 closure": 90.0, "backward": 56.0, "roll-out function": 32.0}
 CAUSE = {"roll-out and its gradient": 50.0}
 
 
-class Chain(NamedTuple):
-    """States (B, T, 339) of a roll-out, what else it found, and the poses in the closure's own form."""
-
-    states: Tensor
-    rollout: Rollout
-    pose: Tensor
+#: States (B, T, 339) of a roll-out, what else it found, and the poses in the closure's own form.
+Chain = tuple[Tensor, Rollout, Tensor]
 
 
 class Closure:
@@ -62,16 +57,16 @@ class Closure:
 
     def roll_out(self, first: Tensor) -> Chain:
         """Computes all later states, one after the other."""
-        return Chain(*savings.roll_out(self.unknown, self.problem.priors, first, self.body))
+        return savings.roll_out(self.unknown, self.problem.priors, first, self.body)
 
     def pose(self, chain: Chain) -> Posed:
         """Computes joints and keypoints of all frames, and their pixels."""
-        return savings.posed(self.unknown, self.problem.evidence, chain.states, chain.pose, self.body)
+        states, _, pose = chain
+        return savings.posed(self.unknown, self.problem.evidence, states, pose, self.body)
 
     def energies(self, chain: Chain, people: Posed) -> dict[str, Tensor]:
         """Computes the weighted terms (B,)."""
-        rolled = Rolled(chain.states, chain.rollout, people)
-        return stages.rolled_terms(self.problem, self.unknown, rolled)
+        return stages.rolled_terms(self.problem, self.unknown, Rolled(*chain[:2], people))
 
 
 Timed = Callable[[Closure, Stopwatch], Tensor]  # energies (B,)
