@@ -57,7 +57,7 @@ def made(pose):
         if isinstance(layer, torch.nn.GroupNorm):
             layer.eps = 1.0
     walk = clips.draw(1, seeded(), actions=("walk",))[0].motion.cut(0, FRAMES)
-    work = workload(walk, random_priors(seeded(), width=32), seeded(), batch=CLIPS).double()
+    work = workload(walk, random_priors(seeded(), width=32), seeded(), batch=CLIPS).to(torch.float64)
     priors = Priors(model, deepcopy(pose).double(), None)
     first = unknowns.first_state(work.moving, priors)
     start = first_state_features(unknowns.first_state_in_heading_frame(first)).mean(0)

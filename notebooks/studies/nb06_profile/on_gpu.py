@@ -9,33 +9,20 @@ so that processor time says nothing.
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from data_synth import clips
 from motionlab import files
-from motionlab.humor.priors import InitGmm, Priors
 from studies.nb06_profile.program import alone
 from studies.shared import profiling
 from studies.shared.savings import FORMS
-from studies.shared.workload import Part, Workload, random_priors, workload
+from studies.shared.workload import Part, random_priors, workload
 
 FILE = Path(__file__).parents[2] / "results" / "long" / "gpu.json"
 COMMAND = "python -m studies.nb06_profile.on_gpu"
 _FRAMES, _ROUNDS = 60, 9
-
-
-def moved(work: Workload, device: torch.device | str) -> Workload:
-    """Returns the same fit on another device, with priors of its own."""
-    priors, seen, view = work.problem.priors, work.problem.evidence, work.problem.evidence.view
-    initial = InitGmm(*(getattr(priors.initial, n).to(device) for n in ("weights", "means", "covariances")))
-    there = {n: getattr(view, n).to(device) for n in ("intrinsics", "rotation", "centre")}
-    seen = replace(seen, values=seen.values.to(device), weight=seen.weight.to(device), view=replace(view, **there))
-    own = Priors(priors.motion.to(device), priors.pose.to(device), initial)
-    still, moving = (each.map(lambda x: x.to(device)) for each in (work.still, work.moving))
-    return Workload(replace(work.problem, evidence=seen, priors=own), still, moving)
 
 
 def measure(device: str = "cuda", batches: Sequence[int] = (1, 4, 8)) -> dict[str, object]:
@@ -47,7 +34,7 @@ def measure(device: str = "cuda", batches: Sequence[int] = (1, 4, 8)) -> dict[st
     generator, rows, cause = torch.Generator().manual_seed(0), [], None
     walk, priors = clips.draw(1, generator, actions=("walk",))[0].motion.cut(0, _FRAMES), random_priors(generator)
     for batch in batches:
-        work = moved(workload(walk, priors, generator, batch), device)
+        work = workload(walk, priors, generator, batch).to(device)
         calls = {form: work.closure(Part(3, _FRAMES), on) for form, on in FORMS.items()}
         seconds = profiling.interleaved(calls, n=_ROUNDS)
         for form, call in calls.items():

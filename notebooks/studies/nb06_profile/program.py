@@ -235,7 +235,7 @@ def rung_terms(one: Workload) -> dict[str, dict[str, Tensor]]:
 def trained_terms(clip: Motion, noise: torch.Generator) -> dict[str, dict[str, Tensor]]:
     """Computes ``rung_terms`` of one clip in double precision, with trained priors and latents that their encoders
     find."""
-    return rung_terms(workload(clip, load_priors(), noise, inferred=True).double())
+    return rung_terms(workload(clip, load_priors(), noise, inferred=True).to(torch.float64))
 
 
 def size(terms: Mapping[str, Tensor]) -> float:
