@@ -6,7 +6,6 @@ import argparse
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 
 from motionlab.commands import animator, doctor, footage
@@ -74,7 +73,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
     text = "list the recordings in a folder: clips, minutes, frame rates, joints"
     command = add_command(commands, "data", text, "data recordings/", _data)
-    command.add_argument("folder", nargs="?", help="default: $MOTIONLAB_DATA")
+    command.add_argument("folder", nargs="?", help="or one file (default: $MOTIONLAB_DATA)")
     command.add_argument("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
     add_reading(command, rate=("--fps-in",))
     text = "say what the 22 standard joints lose of each rig in it"
@@ -177,17 +176,15 @@ def _data(options: argparse.Namespace) -> int:
 
 def _certify(place: Path, options: argparse.Namespace) -> int:
     """Sends every motion of a folder, or one file, to the 22 standard joints and back; says what that costs."""
-    from motionlab import certificate, io
-    from motionlab.io.recordings import Recording, guesses, recordings
+    from motionlab import certificate
+    from motionlab.io.recordings import guesses, recordings
     from motionlab.motion import Motion
 
     failed: list[DataError] = []
     noted: dict[Path, tuple[str, ...]] = {}
-    how = reading(options)
-    every = recordings(place, reading=how) if place.is_dir() else [Recording("", place, partial(io.load, **how))]
 
     def certified() -> Iterator[certificate.Certificate]:
-        for _, path, load in every:
+        for _, path, load in recordings(place, reading=reading(options)):
             try:
                 found = load(path)
                 if isinstance(found, Motion):  # what holds positions alone has no rig

@@ -21,18 +21,18 @@ from motionlab.skeleton import STANDARD, Skeleton
 #: Lower case, without side, number, prefix, suffix and separators. Pelvis and spine need none: limbs hang on them.
 WORDS: dict[str, dict[str, str]] = {
     "leg": {
-        "hip": "thigh upleg upperleg legupper femur upperthigh thighbend | hip leg",
-        "knee": "knee shin calf lowleg lowerleg leglower tibia shank | leg",
-        "ankle": "ankle footankle foot talus",
-        "foot": "ball football toebase toe toes forefoot foot",
+        "hip": "thigh upleg upperleg legupper femur upperthigh thighbend 足 | hip leg",
+        "knee": "knee shin calf lowleg lowerleg leglower tibia shank ひざ | leg",
+        "ankle": "ankle footankle foot talus 足首",
+        "foot": "ball football toebase toe toes bigtoe forefoot footindex foot つま先",
     },
     "arm": {
-        "collar": "clavicle collar scapula | shoulder",
-        "shoulder": "upperarm armupper uparm uarm humerus arm shldr shldrbend | shoulder",
-        "elbow": "elbow forearm lowerarm armlower lowarm farm radius forearmbend",
-        "wrist": "wrist handwrist | hand",
+        "collar": "clavicle collar scapula 肩 | shoulder",
+        "shoulder": "upperarm armupper uparm uarm humerus arm shldr shldrbend 腕 | shoulder",
+        "elbow": "elbow forearm lowerarm armlower lowarm farm ulna radius forearmbend ひじ",
+        "wrist": "wrist handwrist 手首 | hand",
     },
-    "head": {"neck": "neck lowerneck necklower necktwist", "head": "head skull | face"},
+    "head": {"neck": "neck lowerneck necklower necktwist 首", "head": "head skull 頭 | face"},
 }
 #: What a skeleton has to have, or nobody can say how it stands.
 NEEDED = ("pelvis", *(f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")))
@@ -42,13 +42,15 @@ _ORDER = (
     "spine1", "spine2", "spine3",
 )  # fmt: skip
 _SIDES = {
-    "l": "left", "left": "left", "r": "right", "right": "right", "c": "", "m": "", "x": "", "center": "", "centre": "",
+    **dict.fromkeys("l lf lft left 左".split(), "left"), **dict.fromkeys("r rt rgt right 右".split(), "right"),
+    **dict.fromkeys("c m x center centre".split(), ""),
 }  # fmt: skip
 _RANKS = {
     part: {word: rank for rank, group in enumerate(words.split("|")) for word in group.split()}
     for limb in WORDS.values() for part, words in limb.items()
 }  # fmt: skip
 _PARTS = {word: part for part, ranks in _RANKS.items() for word in ranks}
+_PART = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|[ぁ-ヶ一-龠ー]+")
 _COUNTS = {"collar": 0.9, "foot": 0.9}  # a lone shoulder is a shoulder, a lone foot an ankle
 _SHARED = 6  # names that a prefix is common to
 _MOST = 8  # joints of one part to choose among, and words of a name to read: more are a jest
@@ -158,7 +160,7 @@ def _read(names: Sequence[str]) -> list[tuple[str, str]]:
     tokens, sides = [], []
     for name in names:
         own = re.split(r"[:|/](?=.*[A-Za-z])", name)[-1]
-        words = [part.lower() for part in re.findall(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+", own)[-2 * _MOST :]]
+        words = [part.lower() for part in _PART.findall(own)[-2 * _MOST :]]
         sides.append(max((_SIDES[word] for word in words if word in _SIDES), key=len, default=None))
         tokens.append(tuple(word for word in words if word not in _SIDES))
 
@@ -185,7 +187,7 @@ def _sided(side: str | None, word: str) -> tuple[str, str]:
     """Splits a side off a word that is written in one, as lfemur, leftupleg, UPPERARML."""
     if side or word in _PARTS:
         return side or "", word
-    for mark in ("left", "right", "l", "r"):
+    for mark in ("left", "right", "l", "r", "左", "右"):
         for rest in (word.removeprefix(mark), word.removesuffix(mark)):
             if rest != word and rest in _PARTS:
                 return _SIDES[mark], rest

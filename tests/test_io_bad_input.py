@@ -125,7 +125,7 @@ MALFORMED: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
     "c3d: other processor": (".c3d", seeds.SEEDS[".c3d"].replace(b"\1\x50\1\x54", b"\1\x50\1\x57"), ("87",)),
     "c3d: more frames": (".c3d", seeds.c3d_bytes(np.zeros((80, 2, 4), "<i2"))[:1536], ("80 frames",)),
     "c3d: no frames": (".c3d", seeds.c3d_bytes(np.zeros((0, 2, 4), "<i2")), ("3-D data",)),
-    "c3d: unit unknown": (".c3d", seeds.SEEDS[".c3d"].replace(b"mm", b"ft"), ("UNITS",)),
+    "c3d: unit unknown": (".c3d", seeds.SEEDS[".c3d"].replace(b"mm", b"px"), ("UNITS",)),
     "c3d: rate negative": (".c3d", seeds.SEEDS[".c3d"].replace(b"\x00\x00\xc8\x41", b"\x00\x00\xc8\xc1"), ("RATE",)),
     "c3d: labels of one name": (".c3d", seeds.SEEDS[".c3d"].replace(b"BB  ", b"A   "), ("LABELS",)),
     "qualisys: not a rotation": ("qualisys.xml", text("qualisys.xml", r'r11="[^"]*"', 'r11="3"'), ("cam_01",)),

@@ -26,7 +26,7 @@ _READING = {"unit": "unit", "up": "up", "axes": "axes", "fps_in": "fps", "transl
 def add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fps-in", "--fps")) -> None:
     """Adds what a motion file does not say of itself, or says wrongly. rate: names of the frame rate's option."""
     more = command.add_argument_group("what a file does not say, or says wrongly (default: worked out, and noted)")
-    more.add_argument("--unit", type=_metres, help="of lengths: m, cm, mm, inch, or metres")
+    more.add_argument("--unit", type=_metres, help="of lengths: m, cm, mm, inch, ft, or metres")
     more.add_argument("--up", type=_up, metavar="AXIS", help="the file's axis that points up: y, z, ... (--up=-y)")
     text = "instead: the file's axes that become x, y and z, up; as --axes=x-zy"
     more.add_argument("--axes", type=_axes, metavar="XYZ", help=text)

@@ -123,6 +123,8 @@ def read_clip(
         clip = with_camera(clip, camera, camera_name)
     ids = [track.id for track in clip.footage.chosen(person)]
     check_image(clip, observation(clip, ids), camera)
+    if how.get("size") is None:
+        _check_filled(clip)
     clip = straightened(clip)
     return clip, ids, observation(clip, ids)
 
@@ -286,6 +288,21 @@ def observation(clip: Clip, ids: Sequence[int]) -> Observation2D:
             remedy = "use another recording, or another --person"
             raise DataError(message, path=read.path, place=f"person {each}", remedy=remedy)
     return seen
+
+
+def _check_filled(clip: Clip) -> None:
+    """Checks that an image of which nobody said the size is not larger than the one in which people were detected.
+
+    Raises:
+        DataError: all of them lie in its left upper quarter, where people stand only if seen from high above.
+    """
+    size = clip.size if clip.camera is None else (clip.camera.width, clip.camera.height)
+    points = np.concatenate([track.points[track.points[..., 2] > 0, :2] for track in clip.footage.tracks])
+    if size is not None and (np.quantile(points, 0.99, axis=0) < np.divide(size, 2)).all():
+        whole, half = (f"--size {round(size[0] / k)}x{round(size[1] / k)}" for k in (1, 2))
+        message = f"all detections lie in the left upper quarter of its image of {size[0]} x {size[1]}"
+        remedy = f"they may be of a smaller copy: give its size ({half}); or say that they are of this one: {whole}"
+        raise DataError(message, path=clip.footage.path, place="size", remedy=remedy)
 
 
 def check_image(clip: Clip, seen: Observation2D, camera: str | Path | None = None) -> None:

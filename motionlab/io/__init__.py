@@ -133,6 +133,7 @@ def load(path: str | Path, **options) -> Motion:
     motion = guided(LOADERS[suffix], path, options, strict=True)
     if not isinstance(motion, Motion):
         loader = _npz_loader(path) if suffix == ".npz" else LOADERS[suffix]
-        remedy = f"for its positions use {loader.__module__}.{loader.__name__}"
+        remedy = "solve a skeleton where it was recorded, and export BVH; motionlab data FILE says what it holds, "
+        remedy += f"{loader.__module__}.{loader.__name__} reads it"
         raise DataError("holds positions without rotations", path=path, remedy=remedy)
     return motion

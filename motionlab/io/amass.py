@@ -16,7 +16,7 @@ from motionlab.errors import ShapeError, check_shape
 from motionlab.files import write_whole
 from motionlab.io import judging
 from motionlab.io.judging import Axes
-from motionlab.io.pickles import array_of, arrays_of, read_array, read_pickle
+from motionlab.io.pickles import arrays_of, read_array, read_pickle
 from motionlab.io.reading import Location, check_writable, checked_array, frame_rate, read_bytes, read_npz, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
@@ -27,9 +27,9 @@ MODELS = {24: "smpl", 52: "smplh", 55: "smplx"}
 EXTRA = {"smpl": 6, "smplh": 90, "smplx": 99}
 #: Keys of poses, whole or split, of translations and of frame rates; what is in the world before what is in a camera.
 POSES = ("pose_world", "poses", "smpl_poses", "pose", "fullpose", "pred_rotmat")
-ROOT, PARTS = ("root_orient", "global_orient"), ("pose_body", "body_pose")
+ROOT, PARTS = ("root_orient", "global_orient", "poses_root"), ("pose_body", "body_pose", "poses_body")
 TRANS = ("trans_world", "trans", "transl", "smpl_trans", "translation", "pred_trans")
-RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate")
+RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate", "framerate")
 _KEYS = (*POSES, *ROOT, *PARTS, *TRANS, *RATES, "contacts", "smpl_scaling", "frame_ids")
 BODY = len(STANDARD)
 #: Radians; a larger angle is a damaged number, and float64 has no digits left for its rotation.
@@ -39,6 +39,9 @@ _SYSTEMS = {
     "smpl_params_global": ("GVHMR", "y", 30.0), "pose_world": ("WHAM", "y", 30.0), "pred_rotmat": ("TRAM", "-y", 30.0),
     "smpl_poses": ("AIST++", "y", 60.0),
 }  # fmt: skip
+#: Columns a joint, over three, of which there are twice as many: 6-D rotations.
+_DOUBLE = {2 * joints for joints in (BODY - 1, BODY, BODY + 1, *MODELS)}
+_FASTEST, _FARTHEST = 30.0, 30.0  # metres a second, and from the origin: more are hardly a person's
 _REMEDY = 'save "poses" (T, 66 or more), "trans" (T, 3) and "mocap_framerate"'
 
 
@@ -46,24 +49,38 @@ def _arrays(at: Location, person: int) -> tuple[dict[str, np.ndarray], tuple[str
     """The arrays of one body that are known, and of which system: its name, up axis and usual rate."""
     data = read_bytes(at)
     if data[:2] == b"PK" and b"data.pkl" not in data[:200]:  # torch's archives begin with it
-        return read_npz(at, _KEYS), ("AMASS", "z", None)
-    tree = read_array(at, data) if data[:6] == b"\x93NUMPY" else read_pickle(at, data)
-    system = ("SMPL", "z", None)
-    if isinstance(tree, dict):
-        people = [each for each in tree.values() if isinstance(each, dict) and {*POSES, *PARTS} & each.keys()]
-        keys = {*tree, *(key for each in people for key in each)}
-        system = next((found for key, found in _SYSTEMS.items() if key in keys), system)
-        people = [tree["smpl_params_global"]] if "smpl_params_global" in tree else people
-        people.sort(key=lambda each: -max(len(array_of(at, each[key])) for key in (*POSES, *PARTS) if key in each))
-        if len(people) > 1:
-            at.notes.append(f"person {person} of {len(people)}, the longest first: choose with person=, or --person")
-        if person and not 0 <= person < len(people):
-            raise at.error(f"no person {person} of {len(people)}", remedy="count them from 0, the longest first")
-        tree = people[person] if people else tree
-    arrays = arrays_of(at, tree, _KEYS, "whole file")
-    if "pred_rotmat" in arrays:
+        tree = read_npz(at, _KEYS)
+    else:
+        tree = read_array(at, data) if data[:6] == b"\x93NUMPY" else read_pickle(at, data)
+    bodies = _bodies(tree)
+    in_world = [(way, body) for way, body in bodies if "cam" not in way]
+    keys = {key for way, body in bodies for key in (*way.split(), *body)}
+    system = next((found for key, found in _SYSTEMS.items() if key in keys), ("SMPL", "z", None))
+    trees = [body for _, body in in_world or bodies] or [tree]
+    people = [one for each in trees for one in _one_by_one(arrays_of(at, each, _KEYS, "whole file"))]
+    people.sort(key=lambda each: -max((len(each[key]) for key in (*POSES, *PARTS) if key in each), default=0))
+    if len(people) > 1:
+        at.notes.append(f"person {person} of {len(people)}, the longest first: choose with person=, or --person")
+    if person and not 0 <= person < len(people):
+        raise at.error(f"no person {person} of {len(people)}", remedy="count them from 0, the longest first")
+    if "pred_rotmat" in people[person] or (bodies and not in_world):
         at.notes.append("in the axes of the camera, whose own motion is not in this file")
-    return arrays, system
+    return people[person], system
+
+
+def _bodies(tree: object, way: str = "", depth: int = 4) -> list[tuple[str, dict]]:
+    """The dictionaries of a tree that hold poses, each with the keys that lead there."""
+    if not isinstance(tree, dict) or {*POSES, *PARTS} & tree.keys():
+        return [(way, tree)] if isinstance(tree, dict) else []
+    return [found for key, each in tree.items() for found in _bodies(each, f"{way} {key}", depth - 1) if depth]
+
+
+def _one_by_one(arrays: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
+    """The bodies of arrays, which may be of several: (P, T, ...)."""
+    trans = arrays.get(keys_of(arrays)[-1], np.zeros(0))
+    if trans.ndim != 3 or trans.shape[1] == 1:
+        return [arrays]
+    return [{k: a[n] if a.shape[:2] == trans.shape[:2] else a for k, a in arrays.items()} for n in range(len(trans))]
 
 
 def keys_of(arrays: Container[str]) -> tuple[str, ...]:
@@ -81,6 +98,10 @@ def _turns(at: Location, arrays: dict[str, np.ndarray]) -> np.ndarray:
     if len({len(part) for part in turns}) > 1:
         raise at.error(f"expected equally many frames, got {[len(part) for part in turns]}", place=", ".join(keys))
     turns = np.concatenate(turns, axis=1)
+    angles = np.linalg.norm(turns, axis=-1)
+    if angles.any() and np.quantile(angles[angles > 0], 0.75) > 2 * np.pi:
+        message = f"angles of {np.median(angles[angles > 0]):.3g} on the whole: these are degrees"
+        raise at.error(message, place=", ".join(keys), remedy="convert them to radians (numpy.deg2rad)")
     if turns.shape[1] < BODY:
         raise at.error(f"expected {3 * BODY} columns or more, got {3 * turns.shape[1]}", place=keys[-1])
     return turns
@@ -90,8 +111,9 @@ def _axis_angles(at: Location, array: np.ndarray, key: str) -> np.ndarray:
     """Axis-angle (T, J, 3) of (T, 3J), of (T, J, 3), or of matrices (T, J, 3, 3)."""
     array = checked_array(at, array, " ".join("TJKL"[: max(array.ndim, 2)]), key, LARGEST_ANGLE)
     if array.shape[-2:] != (3, 3) or (array.ndim == 3 and key not in ROOT):
-        if array[0].size % 3:
-            raise at.error(f"expected 3 columns for each joint, got {array.shape}", place=key)
+        if array[0].size % 3 or array[0].size // 3 in _DOUBLE:
+            message = f"expected 3 columns for each joint, got {array.shape}"
+            raise at.error(message, place=key, remedy="convert quaternions or 6-D rotations to axis-angle")
         return array.reshape(len(array), -1, 3)
     matrix = torch.from_numpy(array.reshape(len(array), -1, 3, 3))
     if not (matrix.mT @ matrix - torch.eye(3)).abs().max() < 0.1 or not (torch.linalg.det(matrix) > 0).all():
@@ -162,6 +184,10 @@ def load(
             contacts = checked_array(at, contacts, f"{frames} {len(STANDARD.contact_names)}", "contacts")
             contacts = torch.from_numpy(contacts).float()
         rate = _rate(at, arrays, system, usual) if fps is None else frame_rate(at, fps, "fps")
+        fast = rate * np.linalg.norm(np.diff(trans, axis=0), axis=-1).max(initial=0.0)
+        far = np.linalg.norm(np.median(trans, axis=0))
+        if fast > _FASTEST or far > _FARTHEST:
+            at.notes.append(f"{key} moves by up to {fast:.3g} m/s, {far:.3g} m from the origin: is it in metres?")
         if pelvis_offset is None:
             at.notes.append("pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root")
         if joints > BODY:

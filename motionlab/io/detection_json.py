@@ -70,7 +70,7 @@ def _person(at: Location, one: object, about: str = "", *, needed: bool = False)
     values, points = one.get(key), np.zeros((0, 3))
     if isinstance(values, dict):  # Ultralytics
         xy = pixels(at, [values.get("x"), values.get("y")], "2 K").T
-        points = detections.with_scores(at, xy, values.get("visible"))
+        points = detections.with_scores(at, xy, first_of(values, detections.SCORES))
     elif isinstance(values, list) and values and isinstance(values[0], list):  # MMPose
         xy = pixels(at, values, "K D")
         if xy.shape[1] != 2:

@@ -198,7 +198,7 @@ def from_npz(at: Location) -> Detections:
     Raises:
         DataError: a key is missing or does not fit, or an array is pickled, which is never opened.
     """
-    keys = ("keypoints", "positions_2d", "confidence", "names", "fps", "size", "ids")  # positions_2d holds a pickle
+    keys = ("keypoints", "positions_2d", "confidence", "scores", "names", "fps", "size", "ids")  # the second is pickled
     arrays = read_npz(at, keys, plain=PLAIN)
     if "keypoints" not in arrays:
         remedy = f"unpack it, if it is a folder's archive, and name the folder; else {PLAIN}"
@@ -210,9 +210,9 @@ def from_npz(at: Location) -> Detections:
     if axes not in (2, 3):
         raise at.error(f"expected x, y and confidence, got {axes} numbers a point", place="keypoints")
     scores = points[..., 2] if axes == 3 else np.full(lead, np.nan)
-    if "confidence" in arrays:
+    if key := next((key for key in ("confidence", "scores") if key in arrays), None):
         shape = " ".join(str(n) for n in array.shape[:-1])
-        scores = pixels(at, arrays["confidence"], shape, "confidence").reshape(lead)
+        scores = pixels(at, arrays[key], shape, key).reshape(lead)
     points = np.concatenate([points[..., :2], scores[..., None]], -1)
     ids: list[int | None] = [None] * lead[1]
     if "ids" in arrays:

@@ -17,11 +17,10 @@ from motionlab.rigs import ancestors
 from motionlab.skeleton import Skeleton
 
 #: Metres per unit of length.
-UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
-_WORDS = {"meter": "m", "metre": "m", "decimeter": "dm", "decimetre": "dm", "centimeter": "cm", "centimetre": "cm",
-          "millimeter": "mm", "millimetre": "mm", "in": "inch", "inche": "inch"}  # fmt: skip
+UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "ft": 0.3048}
+_WORDS = {"in": "inch", "inche": "inch", "foot": "ft", "feet": "ft"}
 #: Units that are tried for a figure, and its height in metres: a person's, else any figure's, else it is made so tall.
-_TRIED, _PERSON, _FIGURE, ASSUMED = ("m", "cm", "mm", "inch"), (1.2, 2.2), (0.5, 2.5), 1.70
+_TRIED, _PERSON, _FIGURE, ASSUMED = ("m", "cm", "mm", "inch", "ft", "dm"), (1.2, 2.2), (0.5, 2.5), 1.70
 #: A person's longest chain of bones, foot to hand, over the height: the size of a figure in any pose; and thigh and
 #: shin over the height. Where the two sizes differ by more than ``_PROP``, the chain holds more than a body.
 CHAIN, _LEG, _PROP = 1.4, 0.47, 0.35
@@ -60,8 +59,9 @@ def axes_to_matrix(axes: str) -> Tensor:
 
 def unit_named(word: object) -> float | None:
     """Returns the metres of a unit as files and people write it ("mm", "Meters", "in"); None for another word."""
-    word = str(word).strip().strip(".").lower()
-    return UNITS.get(_WORDS.get(word.removesuffix("s"), word))
+    word = str(word).strip().strip(".").lower().removesuffix("s")
+    word = re.sub("^([cmd]?)(?:enti|illi|eci)?met(?:er|re)$", r"\1m", word)
+    return UNITS.get(_WORDS.get(word, word))
 
 
 def check_given(unit: str | float | None, up: str | None, axes: str | None) -> None:
@@ -231,7 +231,7 @@ def _unit(size: float, says: float | None, is_figure: bool) -> tuple[str | float
     def fits(tried: tuple[str, ...], heights: tuple[float, float]) -> list[str]:
         return [name for name in tried if heights[0] <= size * UNITS[name] <= heights[1]]
 
-    found = fits(_TRIED, _PERSON) or fits(_TRIED[:3], _FIGURE)
+    found = fits(_TRIED[: 6 if is_figure else 4], _PERSON) or fits(_TRIED[:3], _FIGURE)
     if says is not None and (not found or _FIGURE[0] / 2 < size * says < 2 * _FIGURE[1]):
         return says, ""
     tall = f"the figure is about {size:.3g} units tall"

@@ -190,7 +190,9 @@ def array_of(at: Location, value: object) -> np.ndarray:
         DataError: it is something else.
     """
     if not isinstance(value, _Record):
-        if isinstance(value, int | float | list | tuple | np.ndarray):
+        if isinstance(value, list | tuple):
+            return np.asarray([array_of(at, each) if isinstance(each, _Record) else each for each in value])
+        if isinstance(value, int | float | np.ndarray):
             return np.asarray(value)
         if isinstance(value, torch.Tensor):
             return value.detach().cpu().numpy()

@@ -243,6 +243,9 @@ def load_trc(
         rows = [_trc_row(at, number, line, len(names)) for number, line in enumerate(lines[5:], 6) if line.strip()]
         if not rows or not names:
             raise at.error("no frames" if names else "no markers", place="line 6" if names else "line 4")
+        times = np.array([row.pop(0) for row in rows])
+        if fps is None:
+            _doubt_rate(at, times, rate)
         short = [len(row) for row in rows if 3 * len(names) - len(row) > 1]  # one empty cell often lacks its tab
         if short:
             at.notes.append(f"{len(short)} of {len(rows)} rows end early: what they lack was not measured")
@@ -267,12 +270,24 @@ def _measured(at: Location, names: tuple[str, ...], points: np.ndarray, valid: n
     return Positions(names, points, valid, fps, at.path.stem, notes=tuple(at.notes))
 
 
+def _doubt_rate(at: Location, times: np.ndarray, rate: float) -> None:
+    """Tells where times (T,) speak against the rate, or leave frames out; tables without times say nothing."""
+    steps = np.diff(times)
+    if len(steps) and (usual := np.median(steps)) > 0:
+        if abs(usual * rate - 1) > 0.02:
+            said = f"its times are of {1 / usual:.4g} frames per second, not of {rate:g}, which is taken"
+            at.notes.append(f"{said}: {judging.SAY_RATE}")
+        if (gaps := int((steps > 1.6 * usual).sum())) or (steps < 0).any():
+            at.notes.append(f"frames are missing, or doubled, which the file joins: its times jump {gaps or 1} times")
+
+
 def _trc_row(at: Location, number: int, line: str, markers: int) -> list[float]:
+    """The time of a row and its coordinates."""
     at.place = f"line {number}"
-    cells = line.rstrip("\r\n").split("\t")[2:]
-    if any(cell.strip() for cell in cells[3 * markers :]):
-        raise at.error(f"expected {3 * markers} coordinates of {markers} markers, got {len(cells)}")
-    values = [float(cell) if cell.strip() else math.nan for cell in cells[: 3 * markers]]
+    cells = [cell.strip() for cell in line.split("\t")[1:]]
+    if any(cells[1 + 3 * markers :]):
+        raise at.error(f"expected {3 * markers} coordinates of {markers} markers, got {len(cells) - 1}")
+    values = [float(cell or "nan") for cell in cells[: 1 + 3 * markers] or [""]]
     if any(abs(value) > 1e9 for value in values):
         raise at.error("a coordinate is not a usable number")
     return values

@@ -203,6 +203,8 @@ def _size(loader: Callable, path: Path, reading: Mapping) -> tuple[int, float, i
 
 def _places(folder: Path) -> dict[str, Path]:
     """The sources by name: the sub-folders, and the folder itself where files lie in it."""
+    if folder.is_file():
+        return {folder.name: folder}
     if not folder.is_dir():
         raise MissingData(f"the data folder {folder}", _SET)
     places = {path.name: path for path in folder.iterdir() if path.is_dir()}
@@ -241,7 +243,8 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
 
 
 def _below(place: Path, flat: bool) -> list[Path]:
-    return sorted(path for path in (place.glob("*") if flat else place.rglob("*")) if path.is_file())
+    paths = [place] if place.is_file() else place.glob("*") if flat else place.rglob("*")
+    return sorted(path for path in paths if path.is_file())
 
 
 def _head(path: Path) -> bytes:
