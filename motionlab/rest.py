@@ -69,7 +69,7 @@ def rest_poses(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, Te
 def _candidates(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, Tensor | None]]:
     skeleton = motion.skeleton
     yield ZERO, _to_body(skeleton, _BODY.expand(len(skeleton), 3, 3), joints)
-    if not _looks_ahead(motion, joints):
+    if not looks_ahead(motion, joints):
         return
     means = _means(motion, joints, _BODY[2])
     if _is_square(means, joints):
@@ -78,7 +78,7 @@ def _candidates(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, T
     yield MOVED, _means(motion, joints, None)
 
 
-def _looks_ahead(motion: Motion, joints: dict[str, int]) -> bool:
+def looks_ahead(motion: Motion, joints: dict[str, int]) -> bool:
     """Whether knees and toes are on the whole where the front is if left is left: sides may be swapped."""
     pairs = [
         [joints.get(f"{side}_{part}", 0) for side in ("left", "right")] for part in ("hip", "knee", "ankle", "foot")

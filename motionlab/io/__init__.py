@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from motionlab.io.pickles import read_array
 from motionlab.io.points import Positions
 from motionlab.io.reading import checked_array, frame_rate, read_bytes, reading
 from motionlab.motion import Motion
+from motionlab.rest import looks_ahead
 
 #: A key that only this layout has -> its loader.
 NPZ_LAYOUTS: dict[str, Callable] = {
@@ -69,9 +71,14 @@ def load_npy(
             return amass.load(path, person=person, up=up, axes=axes, fps=fps)
         shape = f"T {humanml.SIZE}" if array.ndim == 2 and array.shape[1] == humanml.SIZE else f"T {humanml.JOINTS} 3"
         joints = torch.from_numpy(checked_array(at, array, shape, "array", 1e6))
+        if joints.ndim == 2 and not -0.5 < joints[:, -4:].min() <= joints[:, -4:].max() < 1.5:  # feet that stand
+            raise at.error("numbers that are normalised", place="array", remedy="multiply by std, and add mean")
         joints = humanml.joints_of(joints) if joints.ndim == 2 else joints
         rate = humanml.FPS if fps is None else frame_rate(at, fps, "fps")
         motion = humanml.motion_of(joints, rate, at.path.stem)
+        if not looks_ahead(motion, {name: j for j, name in enumerate(motion.skeleton.names)}):
+            note = "knees and toes point backwards, as of a left-handed file: if so, negate its x (array[..., 0] *= -1)"
+            motion = replace(motion, notes=(*motion.notes, note))
         return judging.to_world(at, motion, unit=unit, up=up, axes=axes, says_unit=1.0, says_up="y", trust=0.5)
 
 

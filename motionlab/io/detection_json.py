@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from motionlab.io import detections
-from motionlab.io.detections import Detections, Sighting, first_of, pixels, whole_number
+from motionlab.io.detections import Detections, Sighting, first_of, pixels, stated, whole_number
 from motionlab.io.layouts import COCO_17, MEDIAPIPE_33
 from motionlab.io.reading import Location
 
@@ -38,6 +38,16 @@ def from_json(at: Location, document: object) -> Detections:
         return openpose(at, document)
     if keys & {"instance_info", "instances", "keypoint_scores"}:
         return _mmpose(at, document)
+    if {"images", "annotations"} <= keys and item is document:  # COCO's own, as CVAT and others write it
+        called = {image["id"]: image.get("file_name", image["id"]) for image in document["images"]}
+        people = {name: [] for name in called.values()}
+        for entry in document["annotations"]:
+            if "keypoints" in entry:
+                people[called[entry["image_id"]]].append(entry)
+        found = _of_images(at, people, alphapose=False)
+        points = next((kind["keypoints"] for kind in document.get("categories", []) if "keypoints" in kind), None)
+        found.names, found.size = detections.point_names(at, points), stated(at, document["images"][0])["size"]
+        return found
     if {"image_id", "keypoints"} <= keys and item is not document:
         images: dict[object, list] = {}
         for entry in document:
@@ -95,7 +105,7 @@ def openpose(at: Location, document: object) -> Detections:
         if not isinstance(frame, dict) or not isinstance(frame.get("people"), list):
             raise at.error('expected an object with a list "people"', place=f'frame {n}, "people"')
     people = enumerate(frame["people"] for frame in frames)
-    found = detections.collect(at, "OpenPose", people, partial(_person, at), **detections.stated(at, frames[0]))
+    found = detections.collect(at, "OpenPose", people, partial(_person, at), **stated(at, frames[0]))
     if any(seen.shape[1] in (26, 133) for seen in found.frames.values()):
         found.detector, found.lowest = "RTMPose as OpenPose", _MMPOSE  # Pose2Sim's
     return found
@@ -157,7 +167,7 @@ def _landmarks(at: Location, document: object) -> Detections:
     for number, frame in zip(range(len(frames)) if None in given else given, frames, strict=True):
         at.place = f"frame {number}"
         seen.append((number, [(_by_name(at, body), name) for body, name in _bodies(at, frame)]))
-    found = detections.collect_named(at, "named points", seen, **detections.stated(at, document, *frames[:1]))
+    found = detections.collect_named(at, "named points", seen, **stated(at, document, *frames[:1]))
     found.detector = "MoveNet" if found.names == COCO_17 else found.detector
     return found
 

@@ -75,6 +75,10 @@ def _in_box(points: np.ndarray, box: np.ndarray) -> bool:
 def _csv(at: Location, rows: list[tuple[int, list[str]]]) -> Detections:
     """A line per point (frame, keypoint, x, y), or a line per person and frame (nose_x, nose_y, ...)."""
     title = rows.pop(0)[1]
+    if title[0].lower() == "scorer":  # DeepLabCut: a row each for points and coordinates, one for people if several
+        heads = {row[0].lower(): row[1:] for _, row in rows[:3]}
+        title = ["frame", *map("_".join, zip(heads["bodyparts"], heads["coords"], strict=True))]
+        rows = rows[2 + ("individuals" in heads) :]
     head = [cell.lower() for cell in title]
     columns = {name: k for k, name in reversed([*enumerate(head)])}
     frame_at, id_at, person_at, name_at, time_at = (
