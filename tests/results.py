@@ -15,8 +15,8 @@ from motionlab.skeleton import STANDARD, UPRIGHT
 Y_UP, CAMERA = UPRIGHT.T.double(), torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]).double()
 
 
-def person(frames: int = 6) -> Motion:
-    draw = torch.Generator().manual_seed(4)
+def person(frames: int = 6, seed: int = 4) -> Motion:
+    draw = torch.Generator().manual_seed(seed)
     rot = rotation.exp(0.2 * torch.randn(frames, 22, 3, generator=draw))
     rot[:, 0] = UPRIGHT @ rot[:, 0]
     return Motion(STANDARD, torch.tensor([0.3, 2.0, 0.93]) + 0.02 * torch.arange(frames)[:, None], rot, 30.0)

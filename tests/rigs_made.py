@@ -279,6 +279,18 @@ FAMILIES: dict[str, tuple[str, str, str, str]] = {
         "{S}_shoulder {S}_arm {S}_elbow {S}_wrist",
         "",
     ),
+    "MMD": (
+        "下半身 上半身 - 上半身2 首 頭",
+        "{J}足 {J}ひざ {J}足首 {J}つま先",
+        "{J}肩 {J}腕 {J}ひじ {J}手首",
+        "センター>下半身 {J}足D<下半身 {J}ひざD<{J}足D {J}腕捩<{J}腕 {J}親指1<{J}手首 {J}目<頭",
+    ),
+    "OpenSim": (
+        "pelvis - - torso - head",
+        "femur_{l} tibia_{l} talus_{l} toes_{l}",
+        "- humerus_{l} ulna_{l} hand_{l}",
+        "calcn_{l}>toes_{l} radius_{l}>hand_{l}",
+    ),
     "Roblox": (
         "LowerTorso - - UpperTorso - Head",
         "{S}UpperLeg {S}LowerLeg {S}Foot -",
@@ -299,7 +311,9 @@ _LIMBS = (("hip", "knee", "ankle", "foot"), ("collar", "shoulder", "elbow", "wri
 def made(family: str) -> tuple[Skeleton, dict[str, str]]:
     """A rig of a family with the standard's bones, and what is what: standard name -> its own."""
     trunk, *limbs, more = FAMILIES[family]
-    both = [{"S": s.title(), "s": s, "L": s[0].upper(), "l": s[0]} for s in ("left", "right")]
+    both = [
+        {"S": s.title(), "s": s, "L": s[0].upper(), "l": s[0], "J": j} for s, j in (("left", "左"), ("right", "右"))
+    ]
     truth = dict(zip(_TRUNK, trunk.split(), strict=True))
     for side in both:
         for parts, names in zip(_LIMBS, limbs, strict=True):

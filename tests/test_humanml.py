@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+import walked
 
 from motionlab import __main__, humanml, io, rotation
 from motionlab.errors import DataError, ShapeError
@@ -129,3 +130,14 @@ def test_what_it_is_not(tmp_path):
     for wrong in (humanml.features, humanml.begun, humanml.joints_of, humanml.motion_of):
         with pytest.raises(ShapeError):
             wrong(torch.zeros(5, 21, 3))
+
+
+def test_features_that_are_normalised_and_joints_that_are_mirrored_are_told(tmp_path):
+    joints = humanml.begun(walked.walk(40).positions.double() @ UPRIGHT.double())
+    for mirrored in (False, True):
+        np.save(tmp_path / "a.npy", (joints * torch.tensor([-1.0 if mirrored else 1.0, 1.0, 1.0])).numpy())
+        assert any("left-handed" in note for note in io.load(tmp_path / "a.npy").notes) == mirrored
+    found = humanml.features(joints).numpy()
+    np.save(tmp_path / "b.npy", (found - found.mean(0)) / (found.std(0) + 0.1) * 2)
+    with pytest.raises(DataError, match="normalised"):
+        io.load(tmp_path / "b.npy")

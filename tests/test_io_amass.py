@@ -229,3 +229,59 @@ def test_code_is_refused_wherever_it_hides(tmp_path, capsys):
             io.load(tmp_path / name)
         assert "weights_only" not in str(error.value)  # torch's advice to run it after all
     assert "executed" not in capsys.readouterr().out
+
+
+def test_several_people_in_one_array_of_each(tmp_path):
+    """SLAHMR's (P, T, ...), HMR's (1, T, ...); an editor's copy holds one of them."""
+    people = [results.person(FRAMES, seed) for seed in (0, 1)]
+    turns, trans, _ = zip(*(results.parameters(torch.eye(3).double(), person) for person in people), strict=True)
+    content = {"root_orient": np.stack(turns)[..., :3], "pose_body": np.stack(turns)[..., 3:], "trans": np.stack(trans)}
+    path = written(tmp_path / "a.npz", content | {"fps": 30.0})
+    for k, person in enumerate(people):
+        loaded = io.load(path, person=k)
+        torch.testing.assert_close(loaded.rot, person.rot, atol=2e-6, rtol=0)
+        torch.testing.assert_close(loaded.root, person.root, atol=1e-5, rtol=0)
+        assert any(f"person {k} of 2" in note for note in loaded.notes)
+        rewriting.write_back(path, tmp_path / "b.npz", loaded, loaded)
+        torch.testing.assert_close(io.load(tmp_path / "b.npz").rot, person.rot, atol=2e-6, rtol=0)
+    lone = io.load(written(tmp_path / "c.npz", {k: v[1:] for k, v in content.items()}), fps=30)
+    torch.testing.assert_close(lone.rot, people[1].rot, atol=2e-6, rtol=0)
+    assert not any("person" in note for note in lone.notes)
+    with pytest.raises(DataError, match="no person 2 of 2"):
+        io.load(path, person=2)
+
+
+@pytest.mark.parametrize("kind", ["PromptHMR", "EMDB", "camera alone", "list"])
+def test_bodies_are_found_however_deep_those_of_the_world_first(tmp_path, kind):
+    person = results.person(FRAMES)
+    turns, trans, _ = results.parameters(torch.eye(3).double(), person)
+    wrong = {"pose": 0 * turns, "trans": 0 * trans}
+    tree = {
+        "PromptHMR": {"people": {"1": {"smplx_cam": wrong, "smplx_world": {"pose": turns, "trans": trans}}}},
+        "EMDB": {"smpl": {"poses_root": turns[:, :3], "poses_body": turns[:, 3:], "trans": trans}, "camera": {"w": 1}},
+        "camera alone": {"smpl_params_incam": {"pose": turns, "trans": trans}},
+        "list": {"poses": [turns], "trans": [trans]},  # 3DPW's
+    }[kind]
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps(tree))
+    loaded = io.load(tmp_path / "a.pkl", fps=30)
+    torch.testing.assert_close(loaded.rot, person.rot, atol=2e-6, rtol=0)
+    assert any("axes of the camera" in note for note in loaded.notes) == (kind == "camera alone")
+
+
+@pytest.mark.parametrize("kind", ["degrees", "6-D", "6-D flat", "quaternions"])
+def test_rotations_of_another_kind_are_refused_not_misread(tmp_path, kind):
+    content, person = arrays(66), results.person(FRAMES)
+    turns = results.parameters(torch.eye(3).double(), person)[0]
+    six = person.rot[..., :2].reshape(FRAMES, 22, 6).numpy()
+    told = {"degrees": np.rad2deg(turns), "6-D": six, "6-D flat": six.reshape(FRAMES, 132)}
+    told["quaternions"] = np.ones((FRAMES, 22, 4))
+    with pytest.raises(DataError, match="degrees" if kind == "degrees" else "3 columns") as caught:
+        io.load(written(tmp_path / "a.npz", content | {"poses": told[kind]}))
+    assert "radians" in caught.value.remedy or "axis-angle" in caught.value.remedy
+
+
+@pytest.mark.parametrize(("unit", "speed", "doubted"), [(1, 3.0, False), (100, 1.0, True), (100, 0.0, True)])
+def test_a_path_that_is_not_in_metres_is_doubted(tmp_path, unit, speed, doubted):
+    trans = unit * np.array([[speed * t / 120, 0.0, 0.9] for t in range(FRAMES)])
+    loaded = io.load(written(tmp_path / "a.npz", arrays(66) | {"trans": trans}))
+    assert any("is it in metres?" in note for note in loaded.notes) == doubted

@@ -30,7 +30,7 @@ def judged(motion: Motion, **how) -> Motion:
     return judging.to_world(Location("clip"), motion, **how)
 
 
-@pytest.mark.parametrize("unit", ["m", "cm", "mm", "inch"])
+@pytest.mark.parametrize("unit", ["m", "dm", "cm", "mm", "inch", "ft"])
 @pytest.mark.parametrize("tall", [0.72, 1.0, 1.23])
 def test_a_person_s_size_tells_the_unit(tmp_path, unit, tall):
     """Of about 1.25, 1.74 and 2.14 m; an inch of them is no centimetre."""
@@ -144,9 +144,9 @@ def test_markers_of_who_lies_are_never_turned_without_a_word(how, up, lean):
             assert torch.allclose(told.positions, truth, atol=1e-5)
 
 
-@pytest.mark.parametrize("word", ["m", "Meters", "metre", " mm ", "millimeters", "CM", "in", "inches"])
+@pytest.mark.parametrize("word", ["m", "Meters", "metre", " mm ", "millimeters", "CM", "in", "inches", "Feet"])
 def test_words_for_units(word):
-    assert judging.unit_named(word) in (1.0, 0.001, 0.01, 0.0254)
+    assert judging.unit_named(word) in (1.0, 0.001, 0.01, 0.0254, 0.3048)
     assert judging.unit_named(word + "x") is None
 
 

@@ -187,3 +187,14 @@ def test_what_is_said_of_files_goes_to_the_loaders_that_take_it(tmp_path):
     assert given.loader(given.path).notes == ()
     rows = {row.kind: row for row in inventory(tmp_path, reading={"fps": 12.0})}
     assert rows["bvh"].fps == (12, 12) and rows["npz"].fps == (25, 25) and not rows["npz"].unread
+
+
+def test_one_file_is_a_folder_of_one(tmp_path, capsys):
+    bvh.save(tmp_path / "a.bvh", standing())
+    bvh.save(tmp_path / "b.bvh", standing())
+    (tmp_path / "c.md").write_text("none")
+    assert __main__.main(["data", str(tmp_path / "a.bvh")]) == 0
+    said = capsys.readouterr().out
+    assert "1 clips" in said and "up axis y detected" in said and "b.bvh" not in said
+    assert __main__.main(["data", str(tmp_path / "a.bvh"), "--certify"]) == 0
+    assert __main__.main(["data", str(tmp_path / "c.md")]) == 2 and "c.md" in capsys.readouterr().err

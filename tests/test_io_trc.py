@@ -1,4 +1,5 @@
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -116,3 +117,20 @@ def test_zeros_and_rows_that_end_early_were_not_measured(tmp_path):
     assert loaded.valid.tolist() == [[False, True], [True, False], [True, False]]
     notes = " ".join(loaded.notes)
     assert "1 of 6 points" in notes and "2 of 3 rows end early" in notes
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t.replace("60.0\t60.0\t8", "30\t60.0\t8"), "times are of 60 frames per second, not of 30"),
+        (lambda t: "\n".join(line for line in t.split("\n") if not line.startswith("3\t")), "times jump 1 times"),
+        (lambda t: t, ""),
+        (lambda t: re.sub(r"(?m)^(\d)\t[\d.]+\t", r"\1\t\t", t), ""),  # no times say nothing
+    ],
+)
+def test_times_that_speak_against_the_rate_or_leave_frames_out(tmp_path, change, words):
+    rows = [f"{n + 1}\t{n / 60:.6f}\t0\t1.7\t0\t0\t0.1\t{n}" for n in range(8)]
+    (tmp_path / "a.trc").write_text(change(table(rows, ("Head", "LAnkle"), "m")))
+    notes = [note for note in points.load_trc(tmp_path / "a.trc", up="y", fps=None).notes if "NumFrames" not in note]
+    assert [words in note for note in notes] == [True] * bool(words)
+    assert not any("times are" in note for note in points.load_trc(tmp_path / "a.trc", fps=60).notes)

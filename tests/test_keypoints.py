@@ -365,3 +365,35 @@ def test_a_person_whose_points_are_missing_is_refused_not_lost(tmp_path, format)
     path.write_text(json.dumps(content))
     with pytest.raises(DataError, match="keypoints"):
         keypoints.load(path, fps=30, size=detected.SIZE)
+
+
+def test_annotations_of_coco_are_read_with_names_and_size_of_their_own(tmp_path):
+    images = [{"id": 7 + n, "file_name": f"{n:05d}.jpg", "width": 640, "height": 480} for n in range(3)]
+    flags = [[x, y, 2] for x, y, _ in body()]
+    people = [{"id": n, "image_id": 7 + n, "category_id": 1, "keypoints": np.ravel(flags).tolist()} for n in (0, 2)]
+    kinds = [{"id": 1, "name": "person", "keypoints": [*COCO_17]}]
+    content = {"images": images, "annotations": people, "categories": kinds}
+    found = keypoints.load(written(tmp_path / "a.json", content), fps=30)
+    assert found.names == COCO_17 and found.size == (640, 480) and found.frames == 3
+    assert found.tracks[0].frames.tolist() == [0, 2]
+    np.testing.assert_allclose(found.tracks[0].points[0, :, :2], np.array(flags)[:, :2])
+    refused(written(tmp_path / "b.json", content | {"annotations": [{"image_id": 1, "keypoints": []}]}))
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_tables_of_deeplabcut(tmp_path, several):
+    head = [["scorer", *["net"] * 51], ["bodyparts", *(name for name in COCO_17 for _ in range(3))]]
+    head += [["coords", *["x", "y", "likelihood"] * 17]]
+    head[1:1] = [["individuals", *["one"] * 51]] if several else []
+    rows = [[str(n), *(str(x + n) if k < 2 else "0.8" for p in body() for k, x in enumerate(p))] for n in range(3)]
+    found = keypoints.load(written(tmp_path / "a.csv", "\n".join(map(",".join, [*head, *rows]))), fps=30)
+    assert found.names == COCO_17 and found.frames == 3
+    np.testing.assert_allclose(found.tracks[0].points[1], np.add(body(), (1, 1, 0)), atol=1e-5)
+
+
+def test_confidences_by_other_names_are_not_lost(tmp_path):
+    points = np.array(body(0.7))
+    np.savez(tmp_path / "a.npz", keypoints=points[None, :, :2], scores=points[None, :, 2], fps=30)
+    people = [{"keypoints": {"x": [*points[:, 0]], "y": [*points[:, 1]], "confidence": [*points[:, 2]]}}]
+    for path in (tmp_path / "a.npz", written(tmp_path / "b.json", [people, people])):
+        np.testing.assert_allclose(keypoints.load(path, fps=30).tracks[0].points[0], points, atol=1e-5)

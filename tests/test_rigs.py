@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -83,6 +84,14 @@ def test_what_stands_around_a_name_says_nothing(family, change):
     skeleton, truth = made(family)
     change = change.format if isinstance(change, str) else change
     names = {own: change(own) for own in skeleton.names}
+    found = find_joints(replace(skeleton, names=tuple(names.values())))
+    assert {name: skeleton.names[j] for name, j in found.items()} == truth
+
+
+@pytest.mark.parametrize(("left", "right"), [("lf", "rt"), ("Lft", "Rgt"), ("LEFT", "RIGHT"), ("左", "右")])
+def test_words_for_the_sides(left, right):
+    skeleton, truth = made("Unreal")
+    names = {own: re.sub("_([lr])$", lambda s: f"_{left if s[1] == 'l' else right}", own) for own in skeleton.names}
     found = find_joints(replace(skeleton, names=tuple(names.values())))
     assert {name: skeleton.names[j] for name, j in found.items()} == truth
 

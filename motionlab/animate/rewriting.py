@@ -185,7 +185,8 @@ def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], st
     split = [(root, 0), *((parts, 3 * j) for j in range(amass.BODY - 1))]
     places = [(whole, 3 * j) for j in range(amass.BODY)] if whole else split
     used = {key for key, _ in places} | {moving}
-    if "" in used or "smpl_scaling" in arrays or any(arrays[key].shape[-2:] == (3, 3) for key in used):
+    several = moving and arrays[moving].ndim == 3 and arrays[moving].shape[1] > 1
+    if "" in used or several or "smpl_scaling" in arrays or any(arrays[key].shape[-2:] == (3, 3) for key in used):
         return [], ""
     return places, moving
 
