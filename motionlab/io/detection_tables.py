@@ -8,8 +8,9 @@ import re
 import numpy as np
 
 from motionlab.io import detections
-from motionlab.io.detections import PLAIN, Detections, Sighting, first_of, pixels, whole_number
+from motionlab.io.detections import PLAIN, Detections, Sighting, first_of, pixels, point_names, whole_number
 from motionlab.io.layouts import MEDIAPIPE_33, standard_name
+from motionlab.io.points import trc_table
 from motionlab.io.reading import Location, checked_array, frame_rate, read_npz
 
 _KEYPOINT = ("keypoint", "keypoint_name", "keypoint_id", "joint", "landmark", "point", "name")
@@ -166,34 +167,19 @@ def from_trc(at: Location, text: str) -> Detections:
     Raises:
         DataError: in metres or in 3-D, or damaged; names the line.
     """
-    lines = text.splitlines()
-    if len(lines) < 6:
-        raise at.error(f"{len(lines)} lines are too few", place="")
+    head, names, rows = trc_table(at, text)
     at.place = "line 3"
-    about = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
-    fps = frame_rate(at, _cell(at, about.get("DataRate", "")))
-    names = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
-    order, table = [], []
-    for n, line in enumerate(lines[4:], start=5):
-        at.place, row = f"line {n}", [cell.strip() for cell in line.split("\t")]
-        number = whole_number(row[0])
-        if number is None:
-            if n > 6 and any(row):
-                raise at.error(f"{row[0][:40]!r} is no frame number")
-            continue  # the line of X1 Y1 Z1, and a blank one
-        cells = [_cell(at, cell) if cell else math.nan for cell in row[2 : 2 + 3 * len(names)]]
-        order.append(number)
-        table.append(pixels(at, cells + [math.nan] * (3 * len(names) - len(cells)), "N"))
-    if not len(table) >= _cell(at, about.get("NumFrames", "1")) >= 1:
-        raise at.error(f"{len(table)} frames of {about.get('NumFrames', 1)}", place="whole file")
-    points = np.reshape(table, (len(table), -1, 3))
+    fps = frame_rate(at, _cell(at, head["DataRate"]))
+    points, order = rows[:, 2:].reshape(len(rows), -1, 3), [whole_number(number) for number in rows[:, 0].tolist()]
+    if None in order or len(rows) < float(head["NumFrames"]):
+        raise at.error(f"{len(rows)} frames, by number, of {head['NumFrames']}", place="frames")
     known = np.abs(points[np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)])
     if (known[:, 2] > 0).any() or (len(known) and np.median(known[:, :2]) < _METRES):
         remedy = "give the file in pixels (Sports2D: ..._px_person00.trc)"
         raise at.error("3-D points, or metres, where a fit needs pixels", place="coordinates", remedy=remedy)
     points[..., 2] = math.nan  # no confidences
     frames = ((number, [(here, None)]) for number, here in zip(order, points, strict=True))
-    return detections.collect(at, "Sports2D", frames, tuple, names=detections.point_names(at, names), fps=fps)
+    return detections.collect(at, "Sports2D", frames, tuple, names=point_names(at, [*names]), fps=fps, notes=at.notes)
 
 
 def from_npz(at: Location) -> Detections:
@@ -221,6 +207,6 @@ def from_npz(at: Location) -> Detections:
     ids: list[int | None] = [None] * lead[1]
     if "ids" in arrays:
         ids = [whole_number(number) for number in checked_array(at, arrays["ids"], str(lead[1]), "ids").tolist()]
-    names = detections.point_names(at, [str(name) for name in arrays.get("names", np.zeros(0)).ravel()[: lead[2] + 1]])
+    names = point_names(at, [str(name) for name in arrays.get("names", np.zeros(0)).ravel()[: lead[2] + 1]])
     frames = enumerate(zip(people, ids, strict=True) for people in points)
     return detections.collect(at, "plain npz", frames, tuple, names=names, **detections.stated(at, arrays))

@@ -1,17 +1,9 @@
 """Positions without rotations: labelled 3-D points from AniDance (npz), Captury's tables (csv), OpenSim's TRC and C3D.
 
-AniDance: 24 marker-like positions per frame, which the files name ``center, bone_0 .. bone_22``. The tree and the
-names below were worked out from 29,364 frames of 38 dances:
-
-- *Tree*: the spanning tree of the smallest spread of distance through time (root mean square over dances)
-  joins ankle, heel and toe (1.5 to 2.0 cm), knee and ankle (1.4 to 2.5), elbow, forearm, wrist and hand (0.7 to
-  2.4), and the trunk points 3, 4, 8, 13, 17 with the head points 1 and 2 (1.2 to 1.9). Hip to knee and shoulder
-  to elbow vary more (3.4 to 4.3): these points sit on the skin, not in the joint.
-- *Sides*: read as a right-handed y-up world, knees bend forward, elbows bend backward and the longer foot
-  segment points forward only when points 4 to 12 are the right side.
-
-Distances vary by centimetres and the floor drifts by tens of centimetres: good for poses relative to the
-centre, not for contacts or bone lengths.
+AniDance: 24 marker-like positions per frame, which the files name ``center, bone_0 .. bone_22``. Tree and names were
+worked out from 29,364 frames of 38 dances: the tree spans the smallest spread of distances (ankle, heel and toe 1.5 to
+2.0 cm; hips and shoulders 3.4 to 4.3: these sit on the skin); left is left if knees bend forward and elbows backward.
+The floor drifts by tens of centimetres: good for poses relative to the centre, not for contacts or bone lengths.
 
 Captury: joint positions in space (biomech.csv) and projected into each camera (projectedNN.csv).
 """
@@ -225,34 +217,12 @@ def load_trc(
     """
     judging.check_given(unit, up, axes)
     with reading(path, "export the table again as a TRC file") as at:
-        lines = read_text(at).splitlines()
-        if len(lines) < 6 or not lines[0].startswith("PathFileType"):
-            raise at.error("expected PathFileType, five header lines and at least one frame", place="line 1")
-        at.place = "line 3"
-        head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-        check_keys(at, head, ("DataRate", "NumFrames", "NumMarkers"))
-        frames, markers = (int(float(head[key])) for key in ("NumFrames", "NumMarkers"))
+        head, names, rows = trc_table(at, read_text(at))
         rate = float(head["DataRate"]) if fps is None else fps
         rate = frame_rate(at, rate, "line 3, DataRate", judging.SAY_RATE)
-        at.place = "line 4"
-        names = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
-        if len(names) != markers:
-            raise at.error(f"NumMarkers promises {markers} markers, got {len(names)} names")
-        if len(set(names)) < len(names):
-            raise at.error("two markers have the same name", remedy="rename one of them")
-        rows = [_trc_row(at, number, line, len(names)) for number, line in enumerate(lines[5:], 6) if line.strip()]
-        if not rows or not names:
-            raise at.error("no frames" if names else "no markers", place="line 6" if names else "line 4")
-        times = np.array([row.pop(0) for row in rows])
         if fps is None:
-            _doubt_rate(at, times, rate)
-        short = [len(row) for row in rows if 3 * len(names) - len(row) > 1]  # one empty cell often lacks its tab
-        if short:
-            at.notes.append(f"{len(short)} of {len(rows)} rows end early: what they lack was not measured")
-        rows = [row + [math.nan] * (3 * len(names) - len(row)) for row in rows]
-        if len(rows) != frames:
-            at.notes.append(f"NumFrames promises {frames} frames: the {len(rows)} that are there are read")
-        points = np.array(rows).reshape(len(rows), len(names), 3)
+            _doubt_rate(at, rows[:, 1], rate)
+        points = rows[:, 2:].reshape(len(rows), len(names), 3)
         figure = _measured(at, names, points, np.isfinite(points).all(-1), rate)
         at.place = "line 3, Units"
         how = {"says_unit": unit_named(head.get("Units", "")), "says_up": "y", "trust": 0.5, "table": _TRC_AXES}
@@ -270,6 +240,38 @@ def _measured(at: Location, names: tuple[str, ...], points: np.ndarray, valid: n
     return Positions(names, points, valid, fps, at.path.stem, notes=tuple(at.notes))
 
 
+def trc_table(at: Location, text: str) -> tuple[dict[str, str], tuple[str, ...], np.ndarray]:
+    """Reads the header of a TRC by name, the names of its K markers, and its rows (T, 2 + 3K): frame, time, places; NaN
+    where there is none.
+
+    Raises:
+        DataError: header and table do not fit each other, or a cell is not a number.
+    """
+    lines = text.splitlines()
+    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+        raise at.error("expected PathFileType, five header lines and at least one frame", place="line 1")
+    at.place = "line 3"
+    head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+    check_keys(at, head, ("DataRate", "NumFrames", "NumMarkers"))
+    frames, markers = (int(float(head[key])) for key in ("NumFrames", "NumMarkers"))
+    at.place = "line 4"
+    names = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
+    if len(names) != markers:
+        raise at.error(f"NumMarkers promises {markers} markers, got {len(names)} names")
+    if len(set(names)) < len(names):
+        raise at.error("two markers have the same name", remedy="rename one of them")
+    rows = [_trc_row(at, number, line, len(names)) for number, line in enumerate(lines[5:], 6) if line.strip()]
+    if not rows or not names:
+        raise at.error("no frames" if names else "no markers", place="line 6" if names else "line 4")
+    width = 2 + 3 * len(names)
+    short = [len(row) for row in rows if width - len(row) > 1]  # one empty cell often lacks its tab
+    if short:
+        at.notes.append(f"{len(short)} of {len(rows)} rows end early: what they lack was not measured")
+    if len(rows) != frames:
+        at.notes.append(f"NumFrames promises {frames} frames: the {len(rows)} that are there are read")
+    return head, names, np.array([row + [math.nan] * (width - len(row)) for row in rows])
+
+
 def _doubt_rate(at: Location, times: np.ndarray, rate: float) -> None:
     """Tells where times (T,) speak against the rate, or leave frames out; tables without times say nothing."""
     steps = np.diff(times)
@@ -282,12 +284,11 @@ def _doubt_rate(at: Location, times: np.ndarray, rate: float) -> None:
 
 
 def _trc_row(at: Location, number: int, line: str, markers: int) -> list[float]:
-    """The time of a row and its coordinates."""
-    at.place = f"line {number}"
-    cells = [cell.strip() for cell in line.split("\t")[1:]]
-    if any(cells[1 + 3 * markers :]):
-        raise at.error(f"expected {3 * markers} coordinates of {markers} markers, got {len(cells) - 1}")
-    values = [float(cell or "nan") for cell in cells[: 1 + 3 * markers] or [""]]
+    at.place, width = f"line {number}", 2 + 3 * markers
+    cells = [cell.strip() for cell in line.split("\t")]
+    if any(cells[width:]):
+        raise at.error(f"expected {width - 2} coordinates of {markers} markers, got {len(cells) - 2}")
+    values = [float(cell or "nan") for cell in cells[:width]]
     if any(abs(value) > 1e9 for value in values):
         raise at.error("a coordinate is not a usable number")
     return values
