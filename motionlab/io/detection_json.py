@@ -35,7 +35,7 @@ def from_json(at: Location, document: object) -> Detections:
     keys = item.keys() if isinstance(item, dict) else set()
     inner = item.get("keypoints") if keys else None
     if "people" in keys:
-        return openpose(at, document)
+        return _openpose(at, document)
     if keys & {"instance_info", "instances", "keypoint_scores"}:
         return _mmpose(at, document)
     if {"images", "annotations"} <= keys and item is document:  # COCO's own, as CVAT and others write it
@@ -94,13 +94,9 @@ def _person(at: Location, one: object, about: str = "", *, needed: bool = False)
     return points, whole_number(first_of(one, ("idx", "track_id", "person_id")))
 
 
-def openpose(at: Location, document: object) -> Detections:
-    """Converts what OpenPose writes of one frame, or a list of such frames.
-
-    Raises:
-        DataError: no people, or people that are no keypoint lists.
-    """
-    frames = document if isinstance(document, list) and document else [document]
+def _openpose(at: Location, document: object) -> Detections:
+    """What OpenPose writes of one frame, or a list of such frames."""
+    frames = document if isinstance(document, list) else [document]
     for n, frame in enumerate(frames):
         if not isinstance(frame, dict) or not isinstance(frame.get("people"), list):
             raise at.error('expected an object with a list "people"', place=f'frame {n}, "people"')

@@ -170,7 +170,8 @@ def from_trc(at: Location, text: str) -> Detections:
     head, names, rows = trc_table(at, text)
     at.place = "line 3"
     fps = frame_rate(at, _cell(at, head["DataRate"]))
-    points, order = rows[:, 2:].reshape(len(rows), -1, 3), [whole_number(number) for number in rows[:, 0].tolist()]
+    points, order = pixels(at, rows[:, 2:], "T N"), [whole_number(number) for number in rows[:, 0].tolist()]
+    points = points.reshape(len(rows), -1, 3)
     if None in order or len(rows) < float(head["NumFrames"]):
         raise at.error(f"{len(rows)} frames, by number, of {head['NumFrames']}", place="frames")
     known = np.abs(points[np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)])

@@ -1,11 +1,11 @@
 """Keypoints of any 2-D pose detector, told by their content: people in pixels, joined through time.
 
 Read are OpenPose (BODY_25, BODY_25B, BODY_135, COCO-18; also Pose2Sim's and Sports2D's Halpe-26), MMPose, AlphaPose,
-COCO results, Ultralytics (tojson, labels, predictions), MediaPipe Pose, MoveNet, ViTPose and Sports2D's TRC in pixels;
-a file, or a folder with a file per frame. Whatever else you have, save it in one of our own plain layouts:
+COCO results and annotations, Ultralytics (tojson, labels, predictions), MediaPipe Pose, MoveNet, ViTPose, DeepLabCut and
+Sports2D's TRC in pixels; a file, or a folder with a file per frame. Whatever else you have, save it in one of our own plain layouts:
 
 - npz: ``keypoints`` (frames, joints, 2 or 3) or (frames, people, joints, 2 or 3): x, y and confidence; and what you
-  know of ``names`` (joints), ``fps``, ``size`` (width, height), ``ids`` (people), ``confidence``.
+  know of ``names`` (joints), ``fps``, ``size`` (width, height), ``ids`` (people), ``confidence`` or ``scores``.
 - CSV with a line per point, ``frame, keypoint, x, y``, and if you like ``confidence`` and ``id`` (or ``person``, the
   place in the frame's list); or with a line per frame, ``nose_x, nose_y, nose_confidence, ...``, and if you like
   ``frame``, ``id`` and ``time`` (s or ms).

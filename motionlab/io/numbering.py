@@ -20,11 +20,7 @@ _NEAR = 0.03  # share by which a rate may be off and still be the same
 
 
 def frames_of(
-    numbers: Sequence[int],
-    *,
-    fps: float | None = None,
-    film: int | Sequence[int] | None = None,
-    loose: bool = False,
+    numbers: Sequence[int], *, fps: float | None = None, film: int | Sequence[int] | None = None, loose: bool = False
 ) -> tuple[list[int], float | None, list[str]]:
     """Returns the frame of every number (distinct, rising), frames per second where the numbers are times, and notes.
 

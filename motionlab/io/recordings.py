@@ -103,11 +103,7 @@ class Row:
 
 
 def recordings(
-    folder: str | Path,
-    source: str | None = None,
-    *,
-    video_fps: float | None = None,
-    reading: Mapping[str, object] | None = None,
+    folder: str | Path, source: str | None = None, *, video_fps: float | None = None, reading: Mapping | None = None
 ) -> Iterator[Recording]:
     """Finds every recording of the folder, or of one source, sorted by source and path.
 
@@ -146,11 +142,7 @@ def passed_over(folder: str | Path) -> list[str]:
 
 
 def inventory(
-    folder: str | Path,
-    source: str | None = None,
-    *,
-    video_fps: float | None = None,
-    reading: Mapping[str, object] | None = None,
+    folder: str | Path, source: str | None = None, *, video_fps: float | None = None, reading: Mapping | None = None
 ) -> list[Row]:
     """Loads every recording and counts: one row per source and kind of file. Arguments as of ``recordings``.
 

@@ -164,16 +164,3 @@ def density_coverage(generated: Tensor, real: Tensor, k: int = 5) -> Coverage:
     x, y = _checked(generated, real)
     inside = _distances(x, y) < _neighbour_radii(y, k)
     return Coverage(inside.sum().item() / (k * len(x)), inside.any(0).double().mean().item(), len(x), len(y))
-
-
-def diversity(x: Tensor) -> Score:
-    """Computes the mean distance between two samples of one set (N, D), over all m pairs.
-
-    A high number may be noise and a low one collapse: read it beside the real set's own.
-
-    Raises:
-        ShapeError: fewer than two samples. DataError: a feature is not finite.
-    """
-    x, _ = _checked(x, x)
-    count = len(x) * (len(x) - 1)
-    return Score(_distances(x, x).sum().item() / count, len(x), count // 2)
