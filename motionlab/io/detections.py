@@ -107,10 +107,6 @@ def from_folder(at: Location, read: Callable[[Location], Detections], *suffixes:
     Raises:
         DataError: no numbered file, two of one number, several series, a file that holds several frames.
     """
-    if not at.path.exists():
-        raise at.error("no such folder", remedy="check the path")
-    if not at.path.is_dir():
-        raise at.error("is a file, expected a folder")
     files = next((files for suffix in suffixes if (files := _series(at, suffix))), None)
     if files is None:
         raise at.error(f"no numbered {' or '.join(suffixes)[1:].upper().replace('.', '')} file in it")

@@ -1,8 +1,8 @@
 """Keypoints of any 2-D pose detector, told by their content: people in pixels, joined through time.
 
 Read are OpenPose (BODY_25, BODY_25B, BODY_135, COCO-18; also Pose2Sim's and Sports2D's Halpe-26), MMPose, AlphaPose,
-COCO results and annotations, Ultralytics (tojson, labels, predictions), MediaPipe Pose, MoveNet, ViTPose, DeepLabCut and
-Sports2D's TRC in pixels; a file, or a folder with a file per frame. Whatever else you have, save it in one of our own plain layouts:
+COCO results and annotations, Ultralytics (tojson, labels, predictions), MediaPipe Pose, MoveNet, ViTPose, DeepLabCut,
+Sports2D's TRC in pixels; a file, or one per frame in a folder. What else you have, save in one of our plain layouts:
 
 - npz: ``keypoints`` (frames, joints, 2 or 3) or (frames, people, joints, 2 or 3): x, y and confidence; and what you
   know of ``names`` (joints), ``fps``, ``size`` (width, height), ``ids`` (people), ``confidence`` or ``scores``.
@@ -221,7 +221,7 @@ def load(
         size = found.size if size is None else image_size(at, size)
         size = size or (film and film.size)
         lowest = found.lowest if lowest is None else lowest
-        frames, names, notes = cleaned(at, found, frames, layout, lowest, size)
+        frames, names, notes = _cleaned(at, found, frames, layout, lowest, size)
         first, given = min(found.frames), sorted(found.frames)
         ids = [found.ids.get(first + n, []) for n in range(len(frames))]
         stride = np.median(np.diff(given)) if len(given) > 1 else 1
@@ -245,14 +245,10 @@ def _read_file(at: Location) -> Detections:
     return from_trc(at, text) if text.startswith("PathFileType") else from_lines(at, text)
 
 
-def cleaned(
-    at: Location, found: Detections, frames: list[np.ndarray], layout: str | None, lowest: float, size=None
+def _cleaned(
+    at: Location, found: Detections, frames: list[np.ndarray], layout: str | None, lowest: float, size: tuple | None
 ) -> tuple[list[np.ndarray], tuple[str, ...], list[str]]:
-    """Returns frames of people (P, K, 3) in pixels with confidences of 0..1, the names of the points, and notes.
-
-    Raises:
-        DataError: nobody, the image size is needed, coordinates of 3-D poses, or no layout.
-    """
+    """Frames of people (P, K, 3) in pixels with confidences of 0..1, the names of the points, and notes."""
     if not any(len(people) for people in frames):
         raise at.error("nobody was detected in any frame", place="")
     everybody = np.concatenate([people for people in frames if len(people)]).astype(np.float32)

@@ -27,13 +27,7 @@ class Track:
     people: list[tuple[int, int]]  # (frame, index)
     last: np.ndarray  # (K, 3), every keypoint as last seen
     latest: np.ndarray  # (K, 3), the last sighting
-    sizes: list[float] = field(default_factory=list)
     step: np.ndarray = field(default_factory=lambda: np.zeros(2))  # pixels by which they move from frame to frame
-
-    @property
-    def size(self) -> float:
-        """Median extent in the image, pixels."""
-        return float(np.median(self.sizes))
 
     def add(self, frame: int, index: int, person: np.ndarray) -> None:
         """Adds a sighting (K, 3) of a later frame."""
@@ -43,7 +37,6 @@ class Track:
             self.step = moved if len(self.people) == 1 else (self.step + moved) / 2
         self.people.append((frame, index))
         self.last, self.latest = np.where(person[:, 2:] > 0, person, self.last), person
-        self.sizes.append(float(_extent(person)))
 
     def box(self, frame: int) -> np.ndarray:
         """Returns the box (4,) of the last sighting, moved on to a frame at the pace so far."""
