@@ -305,11 +305,9 @@ def observation(clip: Clip, ids: Sequence[int]) -> Observation2D:
 def _check_size(clip: Clip) -> None:
     """Checks that an image of which nobody said the size is the one in which people were detected, not a copy of it.
 
-    What moves in footage has to be where they are. Without any, they have to reach beyond its left upper quarter.
-
     Raises:
-        DataError: it moves where they were in an image of another size; or people are all in that quarter, where they
-            stand only if seen from high above.
+        DataError: its footage moves where they were in an image of another size; or all are in its left upper quarter,
+            where people stand only if seen from high above.
     """
     size = clip.size if clip.camera is None else (clip.camera.width, clip.camera.height)
     if size is None:

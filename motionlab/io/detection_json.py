@@ -39,12 +39,10 @@ def from_json(at: Location, document: object) -> Detections:
     if keys & {"instance_info", "instances", "keypoint_scores"}:
         return _mmpose(at, document)
     if {"images", "annotations"} <= keys and item is document:  # COCO's own, as CVAT and others write it
-        called = {image["id"]: image.get("file_name", image["id"]) for image in document["images"]}
-        people = {name: [] for name in called.values()}
+        called, marked = {image["id"]: image.get("file_name", image["id"]) for image in document["images"]}, {}
         for entry in document["annotations"]:
-            if "keypoints" in entry:
-                people[called[entry["image_id"]]].append(entry)
-        found = _of_images(at, people, alphapose=False)
+            marked.setdefault(called[entry["image_id"]], []).extend([entry] * ("keypoints" in entry))
+        found = _of_images(at, {name: marked.get(name, []) for name in called.values()}, alphapose=False)
         points = next((kind["keypoints"] for kind in document.get("categories", []) if "keypoints" in kind), None)
         found.names, found.size = detections.point_names(at, points), stated(at, document["images"][0])["size"]
         return found
@@ -57,9 +55,7 @@ def from_json(at: Location, document: object) -> Detections:
         return _vitpose(at, document)
     if isinstance(inner, dict) and isinstance(inner.get("x"), list) and item is not document:  # Ultralytics' tojson()
         frames = [document] if any(isinstance(entry, dict) for entry in document) else document
-        people = (
-            [one for one in frame if isinstance(one.get("keypoints"), dict)] for frame in frames
-        )  # no other things
+        people = ([one for one in frame if isinstance(one.get("keypoints"), dict)] for frame in frames)
         return detections.collect(at, "Ultralytics", enumerate(people), partial(_person, at))
     if keys and all(isinstance(value, dict) and value.keys() & {"bodies", "people"} for value in item.values()):
         images = {image: first_of(frame, ("bodies", "people")) for image, frame in item.items()}

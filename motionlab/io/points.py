@@ -275,12 +275,12 @@ def trc_table(at: Location, text: str) -> tuple[dict[str, str], tuple[str, ...],
 def _doubt_rate(at: Location, times: np.ndarray, rate: float) -> None:
     """Tells where times (T,) speak against the rate, or leave frames out; tables without times say nothing."""
     steps = np.diff(times)
-    if len(steps) and (usual := np.median(steps)) > 0:
-        if abs(usual * rate - 1) > 0.02:
-            said = f"its times are of {1 / usual:.4g} frames per second, not of {rate:g}, which is taken"
-            at.notes.append(f"{said}: {judging.SAY_RATE}")
-        if (gaps := int((steps > 1.6 * usual).sum())) or (steps < 0).any():
-            at.notes.append(f"frames are missing, or doubled, which the file joins: its times jump {gaps or 1} times")
+    usual = np.median(steps) if len(steps) else 0.0
+    if usual > 0 and abs(usual * rate - 1) > 0.02:
+        said = f"its times are of {1 / usual:.4g} frames per second, not of {rate:g}, which is taken"
+        at.notes.append(f"{said}: {judging.SAY_RATE}")
+    if usual > 0 and (jumps := int(((steps > 1.6 * usual) | (steps <= 0)).sum())):
+        at.notes.append(f"frames are missing, or doubled: its times jump {jumps} times")
 
 
 def _trc_row(at: Location, number: int, line: str, markers: int) -> list[float]:
