@@ -25,9 +25,6 @@ from motionlab.optimise import begins
 
 _OUTSIDE = 0.2  # share of detections outside the image from which they are not of this image
 _SAMPLES = 60  # pictures in which the background is compared, half a second or more apart
-#: Sizes of the image that keypoints may be of instead, in shares of this; pictures that tell; what moves there changes
-#: so many times as much as the picture does, and where the keypoints are by less than this share of it.
-_FACTORS, _LOOKED, _MOVES, _ELSEWHERE = (1 / 3, 1 / 2, 2 / 3, 3 / 4, 1.0, 4 / 3, 3 / 2, 2.0, 3.0), 8, 4.0, 0.4
 _SLACK = 2  # frames that detectors and players count more or less
 
 
@@ -82,35 +79,19 @@ class Clip:
     def drift(self) -> np.ndarray:
         """Computes how far the background moved (N,) in ``samples``, shares of the image's width; see
         ``video.background_drift``."""
-        boxes = [[(*points.min(0), *points.max(0)) for points in self._near(frame)] for frame in self.samples]
-        return video.background_drift(self.pictures(self.samples), boxes)
-
-    def moves(self) -> dict[float, float]:
-        """Computes how much the film changes where the keypoints are, were they of another size: factor -> times as
-        much as on the whole, in the first pictures of ``samples``."""
-        frames = self.samples[:_LOOKED]
-        moving = video.moving(self.pictures(frames))
-        small, scores = moving.shape[2] / self.video.size[0], {}
-        for factor in _FACTORS:
-            found = [0.0]
-            for picture, frame in zip(moving, frames, strict=True):
-                at = np.concatenate([np.zeros((0, 2)), *self._near(frame)]) * small * factor
-                inside = ((at >= 0) & (at < picture.shape[::-1])).all(-1)
-                found += [*picture[tuple(at[inside].astype(int).T[::-1])], *np.zeros((~inside).sum())]
-            scores[factor] = float(np.mean(found))
-        return scores
-
-    def _near(self, frame: int) -> list[np.ndarray]:
-        """Keypoints (K, 2) of everybody seen within half a second of a frame of the film, in its pixels."""
-        at, found = self._rows[frame], []
+        frames = self.samples
+        boxes: list[list[tuple[float, ...]]] = []
         scale = self.video.size[0] / self.size[0] if self.size else 1.0
-        for track in self.footage.tracks:
-            near = np.abs(track.frames - at)
-            points = track.points[near.argmin()]
-            points = points[points[:, 2] > 0, :2] * scale
-            if near.min() <= self.footage.fps / 2 and len(points):
-                found.append(points)
-        return found
+        for frame in frames:
+            at, here = self._rows[frame], []
+            for track in self.footage.tracks:
+                near = np.abs(track.frames - at)
+                points = track.points[near.argmin()]
+                points = points[points[:, 2] > 0, :2] * scale
+                if near.min() <= self.footage.fps / 2 and len(points):
+                    here.append((*points.min(0), *points.max(0)))
+            boxes.append(here)
+        return video.background_drift(self.pictures(frames), boxes)
 
 
 def _frames_at(times: np.ndarray, seconds: np.ndarray) -> np.ndarray:
@@ -142,9 +123,7 @@ def read_clip(
         clip = with_camera(clip, camera, camera_name)
     ids = [track.id for track in clip.footage.chosen(person)]
     check_image(clip, observation(clip, ids), camera)
-    if how.get("size") is None:
-        _check_size(clip)
-    clip = straightened(clip)
+    clip = straightened(clip if how.get("size") else _doubt(clip))
     return clip, ids, observation(clip, ids)
 
 
@@ -302,28 +281,16 @@ def observation(clip: Clip, ids: Sequence[int]) -> Observation2D:
     return seen
 
 
-def _check_size(clip: Clip) -> None:
-    """Checks that an image of which nobody said the size is the one in which people were detected, not a copy of it.
-
-    Raises:
-        DataError: its footage moves where they were in an image of another size; or all are in its left upper quarter,
-            where people stand only if seen from high above.
-    """
+def _doubt(clip: Clip) -> Clip:
+    """Tells where an image of which nobody said the size may be larger than the one in which people were detected: all
+    of them lie in its left upper quarter."""
     size = clip.size if clip.camera is None else (clip.camera.width, clip.camera.height)
-    if size is None:
-        return
-    scores = {1.0: 0.0} if clip.video is None else replace(clip, camera=None).moves()
-    best = max(scores, key=scores.get)
     points = np.concatenate([track.points[track.points[..., 2] > 0, :2] for track in clip.footage.tracks])
-    if scores[best] > _MOVES and scores[1.0] < _ELSEWHERE * scores[best]:
-        message = f"what moves is where keypoints of another size, times {best:.3g}, are in its image"
-    elif scores[1.0] <= 1 and (np.quantile(points, 0.99, axis=0) < np.divide(size, 2)).all():
-        message, best = "all detections lie in the left upper quarter of its image", 2.0
-    else:
-        return
-    copy, whole = (f"--size {round(size[0] / k)}x{round(size[1] / k)}" for k in (best, 1.0))
-    remedy = f"they may be of a copy of that size: give it ({copy}); or say that they are of this one: {whole}"
-    raise DataError(f"{message} of {size[0]} x {size[1]}", path=clip.footage.path, place="size", remedy=remedy)
+    if size is None or not len(points) or not (np.quantile(points, 0.99, axis=0) < np.divide(size, 2)).all():
+        return clip
+    copy = f"if they are of a smaller copy, give its size, as --size {round(size[0] / 2)}x{round(size[1] / 2)}"
+    note = f"all detections lie in the left upper quarter of the image of {size[0]} x {size[1]}: {copy}"
+    return replace(clip, notes=(*clip.notes, note))
 
 
 def check_image(clip: Clip, seen: Observation2D, camera: str | Path | None = None) -> None:

@@ -190,14 +190,6 @@ def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Se
     return np.array(found)
 
 
-def moving(pictures: Iterable[np.ndarray]) -> np.ndarray:
-    """Computes how far N pictures (H, W, 3) are from what they show on the whole (N, h, w), ``_SMALL`` across; 1 on
-    average."""
-    small = np.stack([_small(picture) for picture in pictures])
-    away = np.abs(small - np.median(small, axis=0))
-    return away / max(away.mean(), 1e-9)
-
-
 def _small(picture: np.ndarray) -> np.ndarray:
     high = max(8, round(_SMALL * picture.shape[0] / picture.shape[1]))
     grey = np.asarray(Image.fromarray(picture).convert("L").resize((_SMALL, high), Image.Resampling.BOX), float)
