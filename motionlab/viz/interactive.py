@@ -26,6 +26,7 @@ from motionlab.viz.scene import Scene
 BACKENDS = ("static", "picture", "trame")
 _RATE = 25  # steps of the slider per second
 _REST, _WHEEL = 0.4, 1.1  # seconds without motion until edges are smoothed; times as far by a notch of the wheel
+_LONG = "min(100%, 34em)"
 _DRAWING = "<span style='color: #777777'>drawing …</span>"
 
 
@@ -240,7 +241,10 @@ def explore(
     hands = dict(zip(knobs, ipywidgets.interactive(lambda **values: None, **knobs).children[:-1], strict=True))
     begins = {p.name: p.default for p in inspect.signature(draw).parameters.values() if p.default is not p.empty}
     for name, hand in hands.items():
-        if name in begins and not isinstance(knobs[name], ipywidgets.Widget):
+        ready = isinstance(knobs[name], ipywidgets.Widget)
+        if not ready:
+            hand.layout.width = _LONG  # in ipywidgets's 300 pixels, one of them is ten of a thousand steps
+        if name in begins and not ready:
             with contextlib.suppress(traitlets.TraitError):  # no value of this knob
                 hand.value = begins[name]
         if name in (units or {}):

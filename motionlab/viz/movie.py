@@ -247,7 +247,8 @@ def strip(
     size: tuple[int, int] = (1200, 330),
     azimuth: float | None = None,
 ) -> np.ndarray:
-    """Draws ``n`` poses evenly through time, side by side in one picture (H, W, 3), each over its time in seconds.
+    """Draws ``n`` poses evenly through time, side by side in one picture (H, W, 3), each over its time in seconds
+    (a single frame has none).
 
     Travel is taken out; heights above the floor are kept, and who flies off leaves the picture. Several motions
     (label -> motion) are rows of ``size`` each, in colours as of :func:`film`; a ``ghost`` stands as far off as it is.
@@ -281,7 +282,8 @@ def _row(label, motion, role, ghost, n, body, size, azimuth) -> np.ndarray:
             home = torch.tensor(place * right - [*mannequin.array(motion.root[frame, :2]), 0.0]).to(motion.root)
             here, beside = (m and replace(m, root=m.root + home) for m in (motion, ghost))
             _add(scene, here, role, body, beside, frame=int(frame), framed=near)
-            scene.label(place * right + 0.25 * towards, f"{frame / motion.fps:.2f} s")
+            if motion.frames > 1:
+                scene.label(place * right + 0.25 * towards, f"{frame / motion.fps:.2f} s")
         return scene.floor().image()
 
 
