@@ -49,7 +49,7 @@ def official(some: list[race.Clip]) -> Ends:
     for clip in some:
         task, began = clip.task, clock()
         unknown, _ = official_schedule.in_full(task, official_schedule.FULL)
-        spent, problem = clock() - began, replace(task.problem, mode="official", form=FAITHFUL)
+        spent, problem = clock() - began, replace(task.problem, mode="official", parametrisation=FAITHFUL)
         with torch.no_grad():
             energy = sum(stages.motion_terms(problem, unknown).values())
             body = FAITHFUL.roll(unknown, problem.priors, problem.evidence).body
