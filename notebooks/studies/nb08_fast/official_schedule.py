@@ -3,8 +3,7 @@
 It takes five to fifteen minutes of one core for three clips. So ``make records`` leaves a record, which notebook 08
 shows; from ``notebooks/``: ``python -m studies.nb08_fast.official_schedule results/long/faithful.json``. Both lower the
 same energy of stage 3, from the same stages 1 and 2: one by the official form's code, its rotation vectors, its start
-and its three sub-stages, the other as ``fit`` does, here with the solver's first plan. The record at hand is of an
-older prior, ``compact``, which is gone; commit 18b64a8 has it.
+and its three sub-stages, the other as ``fit`` does, here with the solver's first plan.
 """
 
 import json
