@@ -59,10 +59,11 @@ def in_camera(cameras: Sequence[Camera], points: Tensor) -> Tensor:
 def errors(motion: Motion, cameras: Sequence[Camera], scene: Scene) -> dict[str, Tensor]:
     """Computes errors (B,) of a fit in cm, in the axes of the camera.
 
-    "root": the pelvis put on the true one. "none": as it stands before the camera.
+    "root": on the true bones, the pelvis put on the true one. "none": as it stands before the camera.
     """
-    found, there = in_camera(cameras, motion.positions), in_camera(scene.cameras, scene.truth.positions)
-    return {align: CM * pose.mpjpe(found, there, align=align) for align in ("root", "none")}
+    there, made = in_camera(scene.cameras, scene.truth.positions), tuning.on_true_bones(motion, scene.truth)
+    found = {"root": in_camera(cameras, made.positions), "none": in_camera(cameras, motion.positions)}
+    return {align: CM * pose.mpjpe(points, there, align=align) for align, points in found.items()}
 
 
 def compared(
@@ -95,12 +96,15 @@ def misses(pixels: Tensor, seen: Observation2D) -> Tensor:
 def scores(motion: Motion, shot: Filmed) -> dict[str, Tensor]:
     """Measures a fit by a known camera, a number (P,) a person.
 
-    "pose": cm, the pelvis put on the true one. "place": cm, as it stands. "ratio": pixels off the detections over the
-    truth's own distance from them. "acceleration": error, m/s^2.
+    "pose": cm, on the true bones, the pelvis put on the true one; "own bones": on those that were fitted. "place": cm,
+    as it stands. "ratio": pixels off the detections over the truth's own distance from them. "acceleration": error,
+    m/s^2.
     """
     scene, p, t = shot.scene, motion.positions, shot.scene.truth.positions
+    made = tuning.on_true_bones(motion, scene.truth).positions
     px = misses(pixels_of(motion, list(scene.cameras)), scene.observation)
-    found = {"pose": CM * pose.mpjpe(p, t, align="root"), "place": CM * pose.mpjpe(p, t, align="none")}
+    found = {"pose": CM * pose.mpjpe(made, t, align="root"), "own bones": CM * pose.mpjpe(p, t, align="root")}
+    found |= {"place": CM * pose.mpjpe(p, t, align="none")}
     found |= {"ratio": px / misses(scene.pixels, scene.observation)}
     found |= {"acceleration": pose.acceleration_error(p, t, scene.truth.fps)}
     return {name: shot.people.mean(values) for name, values in found.items()}
@@ -111,8 +115,11 @@ def score_rows(plain: Mapping[str, Methods], generator: torch.Generator) -> list
     return [
         {"people": f"{source} ({len(found['pose'])})", "after": method}
         | {"pose, cm": "{:.1f} [{:.1f}, {:.1f}]".format(*intervals.interval(found["pose"], "mean", generator))}
-        | {"place, cm": found["place"].mean().item(), "pixels / truth's": found["ratio"].mean().item()}
-        | {"acceleration off, m/s²": found["acceleration"].mean().item()}
+        | {"on its own bones, cm": found["own bones"].mean().item(), "place, cm": found["place"].mean().item()}
+        | {
+            "pixels / truth's": found["ratio"].mean().item(),
+            "acceleration off, m/s²": found["acceleration"].mean().item(),
+        }
         for source, by in plain.items()
         for method, found in by.items()
     ]

@@ -43,8 +43,8 @@ def search(
     """Computes stage 2's mean error on practice clips (B, T), a row for each smoothness, pose prior and filter tried.
 
     From the usual weights on, smoothness and pose prior are tried in turn, each with every filter, until neither
-    changes any more. align: "none" in the world, "root" with the pelvis put on the true one. given: of the camera, goes
-    to ``fit``.
+    changes any more. align: "none" in the world, "root" on the true bones with the pelvis put on the true one. given:
+    of the camera, goes to ``fit``.
     """
     rows, chosen = {}, Choice(1.0, 1.0, 0)
 
@@ -53,7 +53,9 @@ def search(
             return
         fitted = fit(practice, priors, weights=tried.weights(weights), schedule=schedule.without_stage_3(), **given)
         for window in windows:
-            error = pose.mpjpe(filtered(fitted.stages[2], window).positions, truth.positions, align=align)
+            made = filtered(fitted.stages[2], window)
+            made = on_true_bones(made, truth) if align == "root" else made
+            error = pose.mpjpe(made.positions, truth.positions, align=align)
             rows[tried._replace(window=window)] = 100 * error.mean().item()
 
     while True:
@@ -67,6 +69,11 @@ def search(
         if chosen == before:
             names = ("smoothness x", "pose prior x", "filter, frames")
             return [dict(zip(names, tried, strict=True)) | {"cm": error} for tried, error in rows.items()]
+
+
+def on_true_bones(motion: Motion, truth: Motion) -> Motion:
+    """The motion's rotations on the true body's bones: what is left of an error is the pose's."""
+    return replace(motion, skeleton=truth.skeleton)
 
 
 def best(rows: Sequence[dict[str, float]]) -> Choice:
