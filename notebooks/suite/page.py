@@ -112,7 +112,7 @@ def read(notebook: Path, out: Path) -> Page:
         name=notebook.stem,
         title=title[1] if title else notebook.stem,
         question=_inline(_said(first, "Question")),
-        answer=_inline(points[0] if points else _begin(answer)),
+        answer=_inline(points[0] if answer.startswith("- ") else _begin(answer)),
         points=tuple(map(_inline, points)),
         pictures=tuple(pictures),
         body=re.sub(r'\.ipynb(?=["#])', ".html", "\n".join(body)),  # links to other notebooks
