@@ -121,7 +121,8 @@ def _models_table() -> str:
     rows = []
     for path in sorted(checkpoint.SHIPPED.glob("*.json")):
         recipe = checkpoint.read_recipe(path)
-        minutes = recipe.get("minutes of motion, before mirroring", {})
+        frames = recipe.get("data", {})  # at 30 a second, where no minutes were written down
+        minutes = recipe.get("minutes of motion, before mirroring", {k: n / 1800 for k, n in frames.items()})
         steps = recipe.get("step", recipe.get("recipe", {}).get("steps", recipe.get("steps", "")))
         rows.append({
             "model": path.stem, "MB": f"{path.with_suffix('.safetensors').stat().st_size / 1e6:.1f}",
@@ -174,12 +175,12 @@ def write_readme() -> Path:
     """Writes ``checkpoints/README.md``: the models, and how they do; returns its path."""
     path = checkpoint.SHIPPED / "README.md"
     text = "# Models\n\nMade by `python -m motionlab models` from the recipes beside the weights.\n\n"
-    text += f"{_models_table()}\n\n"
+    text += f"{_models_table()}\n\n`train humor` and `--preset` are gone: today `train transition`, `train small`.\n\n"
     text += "## Transition priors on people nobody trained on\n\nMean over people and its 95 % interval, by bootstrap "
     text += f"over people.\n\n{_quality_table(PRIORS, _SHOWN)}\n\n"
     if (completer := checkpoint.SHIPPED / "completer.json").exists():
         text += _contest(checkpoint.read_recipe(completer).get(REPORT, {}))
     if table := _quality_table(["completer_draws", "diffusion_*"]):
-        text += f"## Generation (notebook 11 measures it anew)\n\n{table}\n\n"
+        text += f"## Generation in 250 steps, when it shipped (notebook 11 takes 1000, of other windows)\n\n{table}\n\n"
     write_whole(path, f"{text}Licence: MIT, as the project's. {_CREDIT}\n")
     return path
