@@ -159,11 +159,6 @@ def sweep(
     return rows
 
 
-def at(rows: Sequence[Mapping[str, float]], threshold: float) -> Mapping[str, float]:
-    """Returns the row of a sweep at one of its thresholds."""
-    return next(row for row in rows if row["threshold"] == threshold)
-
-
 def listed(body: BodyModel, distance: Tensor, mask: Tensor) -> list[dict]:
     """Lists masked weights (V, J), the farthest first: between which joints, along the skin and straight."""
     reach, strongest, rows = skinning.reach(body, distance), body.weights.argmax(1), []
@@ -181,13 +176,6 @@ def farthest(name: str, body: BodyModel, distance: Tensor, mask: Tensor) -> dict
     """Returns a body's row in the table of the audit: how many weights are masked (V, J), and the farthest of them."""
     small = skinning.weight_report(body).small
     return {"body": name, "small": small, "long-range": int(mask.sum())} | listed(body, distance, mask)[0]
-
-
-def held(body: BodyModel, vertex: int) -> str:
-    """Returns the joints that hold a vertex, the strongest first, as text."""
-    row = body.weights[vertex]
-    order = row.argsort(descending=True)[: int((row > 0).sum())].tolist()
-    return ", ".join(f"{body.skeleton.names[j]} {float(row[j]):.4f}" for j in order)
 
 
 def audited(name: str, body: BodyModel, pose: Motion) -> dict:

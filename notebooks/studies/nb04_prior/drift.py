@@ -7,7 +7,7 @@ up to, which is where stage 3 of the test-time optimisation starts.
 Source: thesis 3.3.3, Figs. 3.10 (decoded one by one), 3.11 (the sequence), 3.12 (rolled out).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -164,20 +164,28 @@ def knees_bent(found: Decoded, truth: Motion, whose: Tensor) -> dict[str, Tensor
 
 
 @torch.no_grad()
+def chain(step: Callable[[Tensor], Tensor], first: Tensor, steps: int) -> Tensor:
+    """Computes states (B, steps + 1, 339): a first state (B, 339), and one step after the other."""
+    states = [first]
+    for _ in range(steps):
+        states.append(step(states[-1]))
+    return torch.stack(states, 1)
+
+
+@torch.no_grad()
 def vary(model: Cvae, first: Tensor, dimension: int, sizes: Tensor, steps: int) -> Tensor:
     """Computes roll-outs (N, steps + 1, 339) from a state (339,), z at the prior's mean but for one dimension.
 
     sizes (N,): how far that dimension is from the mean, in the prior's standard deviations, at every step.
     """
-    x = first.expand(len(sizes), -1)
-    states = [x]
-    for _ in range(steps):
+
+    def turned(x: Tensor) -> Tensor:
         prior = model.prior(state.localise(x, state.heading(x)))
         z = prior.mean.clone()
         z[:, dimension] += sizes * (0.5 * prior.log_var[:, dimension]).exp()
-        x = rollout(model, x, z[:, None], with_prior=False).states[:, 0]
-        states.append(x)
-    return torch.stack(states, 1)
+        return rollout(model, x, z[:, None], with_prior=False).states[:, 0]
+
+    return chain(turned, first.expand(len(sizes), -1), steps)
 
 
 def rows(found: Sequence[Finding]) -> list[dict[str, object]]:

@@ -65,19 +65,6 @@ def one_step(rows: Mapping[str, Row]) -> dict[str, Tensor]:
     return {name: torch.tensor(errors, dtype=torch.float64) for name, errors in each.items()}
 
 
-def reading_of_steps(panels: Mapping[str, Mapping[str, Tensor]]) -> str:
-    """Computes the sentences that say who makes the nearest step on each source."""
-    said = []
-    for source, ways in panels.items():
-        straight, guessed, shown = list(ways.values())[1:]
-        said.append(
-            f"On *{source}* the prior's mean is nearer than constant velocity for {(guessed < straight).sum()} of "
-            f"{len(straight)} people ({guessed.mean():.2f} against {straight.mean():.2f} cm). Shown the answer, a step "
-            f"misses by {shown.mean():.2f} cm."
-        )
-    return "**Reading.** " + " ".join(said)
-
-
 def reached(
     table: Mapping[tuple[str, str], Mapping[str, Row]], generator: torch.Generator
 ) -> dict[str, dict[str, tuple[float, float, float]]]:
@@ -113,20 +100,6 @@ def rows(found: Sequence[Finding], criterion: Callable[[str], Criterion]) -> lis
             row = table.setdefault(name, {"gate": GATES[name].label, "asked": test.bound_text()})
             row[f.source] = f"{f.value:.3g} [{f.low:.3g}, {f.high:.3g}], {_judged(f, test)}"
     return list(table.values())
-
-
-def reading(found: Sequence[Finding], criterion: Callable[[str], Criterion]) -> str:
-    """Computes the sentences that say how many gates each source passes, misses and leaves open."""
-    said: dict[str, list[str]] = {}
-    for f in found:
-        if f.test.removeprefix("H01.") in GATES and f.n:
-            said.setdefault(f.source, []).append(_judged(f, criterion(f.test)))
-    lines = " ".join(
-        f"On *{source}* it passes {each.count('passed')} of {len(each)} gates, misses {each.count('missed')}, and "
-        f"leaves {each.count('open')} open."
-        for source, each in said.items()
-    )
-    return f"**Reading.** {lines} *Open* means that the interval contains the bound."
 
 
 def _judged(f: Finding, test: Criterion) -> str:

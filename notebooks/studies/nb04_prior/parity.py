@@ -157,15 +157,6 @@ def missed_rows(rows: Sequence[Row], tests: Mapping[str, tuple[Sequence[float], 
     return [dict(zip(("array", "error", "tolerance", "because of"), row, strict=True)) for row in lean + wrong]
 
 
-def reading(rows: Sequence[Row]) -> str:
-    """Computes the sentence that says how many arrays are met."""
-    official, missed = [row for row in rows if row.form == "official"], [row for row in rows if not row.holds]
-    return (
-        f"**Reading.** As expected: {sum(r.holds for r in official)} of {len(official)} arrays are met in official "
-        f"form. In lean form {len(missed)} miss, each for a known reason, shown by `tests/test_humor_parity.py`."
-    )
-
-
 def gradients(
     golden: Golden, model: Cvae, prefix: str, roll: Callable[[Tensor, Tensor], rollout.Rollout]
 ) -> dict[str, Tensor]:
