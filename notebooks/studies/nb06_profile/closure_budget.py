@@ -13,7 +13,7 @@ from torch import Tensor
 from motionlab.errors import DataError
 from motionlab.humor.testops import Schedule
 from studies.shared.profiling import Stopwatch
-from studies.shared.savings import LEAN, Savings
+from studies.shared.savings import Savings
 from studies.shared.workload import Part, Workload
 
 #: Of the official video demo.
@@ -46,7 +46,7 @@ def phases(schedule: Schedule = OFFICIAL, frames: int = 60) -> list[Phase]:
 
 @dataclass(frozen=True, eq=False)
 class Spent:
-    """Seconds of one closure of every phase, by part (:data:`PARTS`), (n,): one number per round of measuring."""
+    """Seconds of one closure of every phase, by part (``savings.Mark``), (n,): one number per round of measuring."""
 
     phases: tuple[Phase, ...]
     seconds: tuple[dict[str, Tensor], ...]
@@ -97,20 +97,3 @@ def _parts(closure: Callable[..., Tensor]) -> dict[str, float]:
 
 def _columns(rows: Sequence[dict[str, float]]) -> dict[str, Tensor]:
     return {name: torch.tensor([row[name] for row in rows], dtype=torch.float64) for name in rows[0]}
-
-
-def evaluations(work: Workload, part: Part, *, outer: int) -> list[int]:
-    """Closures that each of ``outer`` steps takes of ``torch.optim.LBFGS`` as the official code sets it, lean mode."""
-    unknown, count = work.unknowns(part, LEAN), []
-    moving = [x for x in unknown.named().values() if x.requires_grad]
-    optimiser = torch.optim.LBFGS(moving, lr=1.0, max_iter=OFFICIAL.inner, line_search_fn="strong_wolfe")
-    closure = work.closure(part, LEAN, unknown)
-
-    def counted() -> Tensor:
-        count[-1] += 1
-        return closure().sum()
-
-    for _ in range(outer):
-        count.append(0)
-        optimiser.step(counted)
-    return count

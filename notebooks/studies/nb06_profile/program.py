@@ -18,7 +18,7 @@ from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import Rollout
 from motionlab.humor.unknowns import Posed, Rolled
 from motionlab.motion import Motion
-from studies.nb06_profile import figures, profiles
+from studies.nb06_profile import figures, resident
 from studies.nb06_profile.closure_budget import Spent
 from studies.nb06_profile.official_profile import LABEL, Official
 from studies.shared import savings
@@ -185,25 +185,10 @@ def drawn(
     return {LABEL: theirs, "faithful, this machine": dict(found), "lean, this machine": quick}
 
 
-def clocks(one: Workload, spent: Mapping[str, Spent]) -> list[dict[str, object]]:
-    """Lists the shares of one closure of stage 3 in % by the profiler and by the stopwatch, form after form."""
-    rows = []
-    for form, on in FORMS.items():
-        closure = one.closure(Part(3, one.frames), on)
-        closure()
-        watched = {part: x.median().item() for part, x in spent[form].seconds[-1].items()}
-        found = {"torch.profiler": profiles.time_shares(closure, savings.PARTS)}
-        found["stopwatch"] = {part: x / sum(watched.values()) for part, x in watched.items()}
-        for clock, parts in found.items():
-            shares_ = {f"{part}, %": f"{100 * parts[part]:.0f}" for part in savings.PARTS}
-            rows.append({"form": form, "by": clock} | shares_)
-    return rows
-
-
 def live_tensors(works: Sequence[Workload]) -> dict[str, list[int]]:
     """Measures the largest sum of live tensors of a closure, in bytes, by form: one number for each workload."""
     return {
-        form: [profiles.peak_memory(work.closure(Part(3, work.frames), on)) for work in works]
+        form: [resident.peak_memory(work.closure(Part(3, work.frames), on)) for work in works]
         for form, on in FORMS.items()
     }
 
@@ -212,7 +197,7 @@ def memory_rows(
     official: Official, spent: Mapping[str, Spent], held: Mapping[str, tuple[str, Sequence[int], Sequence[float]]],
     live: Mapping[str, Sequence[float]],
 ) -> list[dict[str, object]]:  # fmt: skip
-    """Lists time and memory (RSS; live tensors in brackets) of closures, as ``on_gpu.rows``; our times of one clip."""
+    """Lists time and memory (RSS; live tensors in brackets) of closures; our times of one clip."""
     heads = ("machine", "form", "clips", "ms of a closure", "memory, MiB")
     rows = [("its own CPU core", "official code", clips, f"{1e3 * s:,.0f}", f"{x / 2**20:,.0f}")
             for clips, (s, x) in official.batches.items()]  # fmt: skip

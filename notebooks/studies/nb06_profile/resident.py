@@ -1,8 +1,8 @@
-"""How much memory a process needs for closures of stage 3: its resident set size (RSS), in a fresh process each time.
+"""How much memory closures of stage 3 need: of a fresh process its resident set size (RSS), and their live tensors.
 
     python -m studies.nb06_profile.resident faithful 4     # from notebooks/: form and clips; prints bytes
 
-The sum of live tensors (``profiles.peak_memory``) is the least that a program can hold. The resident set is what the
+The sum of live tensors (``peak_memory``) is the least that a program can hold. The resident set is what the
 machine must have: interpreter, libraries, tensors, and what the allocator keeps between them.
 """
 
@@ -12,17 +12,20 @@ import re
 import resource
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import accumulate
 from pathlib import Path
 
 import torch
+from torch.profiler import ProfilerActivity, profile
 
 from data_synth import clips
 from motionlab.parallel import cores
 from studies.shared.savings import FORMS
 from studies.shared.workload import Part, random_priors, workload
 
+os.environ.setdefault("KINETO_LOG_LEVEL", "6")  # torch's profiler announces itself on stderr at any lower one
 _CLOSURES = 3  # the first one leaves pieces behind that later ones may not fit into
 
 
@@ -61,6 +64,19 @@ def _most() -> int:
     if status.exists():
         return 1024 * int(re.search(r"VmHWM:\s+(\d+) kB", status.read_text(encoding="ascii"))[1])
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # bytes on macOS
+
+
+def peak_memory(call: Callable[[], object]) -> int:
+    """Most bytes of tensors that ``call()`` held at once beyond those before it, on the CPU.
+
+    It adds up torch's own record of every allocation and release, so neither Python's objects nor what the allocator
+    keeps in reserve count.
+    """
+    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as record:
+        call()
+    events = [e for e in record.profiler.kineto_results.events() if e.name() == "[memory]"]
+    held = accumulate((e.nbytes() for e in sorted(events, key=lambda e: e.start_ns())), initial=0)
+    return max(held)
 
 
 if __name__ == "__main__":
