@@ -17,7 +17,6 @@ from motionlab.humor.evidence import Evidence, Observation3D, evidence
 from motionlab.humor.rollout import infer, rollout
 from motionlab.humor.testops import Schedule
 from motionlab.observation import look_at
-from studies.official import unknowns as official_unknowns
 from studies.shared import savings
 from tests.fit_inputs import QUICK, error, finite, joints, keypoints
 
@@ -265,7 +264,7 @@ def official_and_faithful(kit, seen, weights):
     for stage, at in ((1, unknown), (2, unknown), (3, rolled)):
         at = at.map(lambda x: (x + 0.01 * torch.randn(x.shape, generator=noise)).double())
         found = []
-        for form in (unknowns.LEAN, official_unknowns.FAITHFUL):
+        for form in (unknowns.LEAN, savings.OFFICIAL):
             here, point = replace(in_float64(p), parametrisation=form), at.map(lambda x: x.clone().requires_grad_())
             terms = stages.motion_terms(here, point) if stage == 3 else stages.pose_terms(here, point, stage)
             leaves = point.named()
@@ -279,9 +278,8 @@ def official_and_faithful(kit, seen, weights):
 def test_official_and_faithful_modes_see_one_energy_and_one_gradient(kit, walk, camera, view, exact, monkeypatch):
     """In float64, with the heading put right, to 1e-5. With the official acos (the control) stage 3 differs, and its
     gradient by more than its value."""
-    real = official_unknowns.official_rollout.rollout
     if exact:
-        monkeypatch.setattr(official_unknowns.official_rollout, "rollout", partial(real, align=savings.exact_alignment))
+        monkeypatch.setattr(savings, "alignment", savings.exact_alignment)
     seen, weights = (keypoints(walk, camera), RGB) if view else (joints(walk), JOINTS)
     for stage, (ours, our_slopes), (theirs, their_slopes) in official_and_faithful(kit, seen, weights):
         assert ours.keys() == theirs.keys() and len(ours) >= (1, 4, 8)[stage - 1]

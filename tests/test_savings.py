@@ -5,7 +5,6 @@ import torch
 
 from data_synth import clips
 from motionlab.humor import compiled, stages, unknowns
-from studies.official import unknowns as official_unknowns
 from studies.shared import profiling, savings
 from studies.shared.savings import FAITHFUL, LEAN, Savings
 from studies.shared.workload import Part, random_priors, workload
@@ -55,7 +54,7 @@ def test_control_another_shape_is_another_energy(work):
 
 def test_last_rung_is_what_every_fit_uses_and_the_first_is_the_faithful_mode(work, monkeypatch):
     monkeypatch.setattr(compiled, "FEW", 0)  # in tensors
-    for on, form in ((LEAN, unknowns.LEAN), (FAITHFUL, official_unknowns.FAITHFUL)):
+    for on, form in ((LEAN, unknowns.LEAN), (FAITHFUL, savings.OFFICIAL)):
         unknown = work.unknowns(WHOLE, on)
         with savings.weights_of(work.problem.priors, on):
             theirs = stages.motion_terms(replace(work.problem, parametrisation=form), unknown)

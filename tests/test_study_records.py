@@ -11,9 +11,7 @@ from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.testops import Schedule
 from studies.nb08_fast import official_schedule
 from studies.nb08_fast.official_schedule import in_full, load, table
-from studies.official import unknowns as official_unknowns
-from studies.official.rollout import rollout
-from studies.shared.savings import exact_alignment
+from studies.shared import savings
 
 NOTEBOOKS = ROOT / "notebooks"
 OFFICIAL = NOTEBOOKS / "results" / "long" / "faithful.json"
@@ -48,7 +46,7 @@ def test_forms_differ_by_the_official_headings_error_and_by_nothing_else(monkeyp
     task = next(official_schedule.tasks(1, frames=18))
     unknown, closures = in_full(task, Schedule(steps=(1, 1, 3), refine=(1, 2), inner=3))
     assert unknown.orient.shape[-1] == 3 and closures == 3 * 3
-    how = {"mode": "official", "parametrisation": official_unknowns.FAITHFUL}
+    how = {"mode": "official", "parametrisation": savings.OFFICIAL}
     lean, official = task.energy(unknown), replace(task.problem, **how)
 
     def off():
@@ -56,5 +54,5 @@ def test_forms_differ_by_the_official_headings_error_and_by_nothing_else(monkeyp
             return (sum(stages.motion_terms(official, unknown).values()) / lean - 1).abs().max().item()
 
     assert 1e-5 < off() < 1e-2
-    monkeypatch.setitem(rollout.__kwdefaults__, "align", exact_alignment)
+    monkeypatch.setattr(savings, "alignment", savings.exact_alignment)
     assert off() < 1e-5

@@ -21,8 +21,8 @@ from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule
 from studies.nb08_fast import official_schedule, race
 from studies.nb08_fast.trials import clock
-from studies.official.unknowns import FAITHFUL
 from studies.shared.clips import stacked
+from studies.shared.savings import OFFICIAL
 
 BATCH, FRAMES, SEED = 16, 60, 343
 Ends = tuple[Tensor, Tensor, Tensor]  # of clips (B,): seconds, nats a frame, cm
@@ -49,10 +49,10 @@ def official(some: list[race.Clip]) -> Ends:
     for clip in some:
         task, began = clip.task, clock()
         unknown, _ = official_schedule.in_full(task, official_schedule.FULL)
-        spent, problem = clock() - began, replace(task.problem, mode="official", parametrisation=FAITHFUL)
+        spent, problem = clock() - began, replace(task.problem, mode="official", parametrisation=OFFICIAL)
         with torch.no_grad():
             energy = sum(stages.motion_terms(problem, unknown).values())
-            body = FAITHFUL.roll(unknown, problem.priors, problem.evidence).body
+            body = OFFICIAL.roll(unknown, problem.priors, problem.evidence).body
         error = task.error(unknowns.motion_of(body, task.truth.fps))
         ends.append((torch.tensor([spent]), energy / task.nat, error))
     return tuple(torch.cat(x) for x in zip(*ends, strict=True))

@@ -25,8 +25,7 @@ from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import Unknowns
 from studies.nb08_fast import trials
 from studies.nb08_fast.trials import Task, clock
-from studies.official import unknowns as official_unknowns
-from studies.shared import joints
+from studies.shared import joints, savings
 
 WALK = "walking, legs hidden"
 SEED, FRAMES, CLIPS = 216, 60, 3  # clips that nothing else has used
@@ -56,7 +55,7 @@ def compared(task: Task, schedule: Schedule) -> dict[str, object]:
     """Energies and errors (cm) of all clips by both, each by its own form's roll-out, and seconds of one core."""
     began = clock()
     unknown, closures = in_full(task, schedule)
-    spent, problem = clock() - began, replace(task.problem, mode="official", parametrisation=official_unknowns.FAITHFUL)
+    spent, problem = clock() - began, replace(task.problem, mode="official", parametrisation=savings.OFFICIAL)
     with torch.no_grad():
         end = sum(stages.motion_terms(problem, unknown).values())
         body = problem.parametrisation.roll(unknown, problem.priors, problem.evidence).body
@@ -78,7 +77,7 @@ def _row(energy: Tensor, error: Tensor, **more: object) -> dict[str, object]:
 def in_full(task: Task, schedule: Schedule) -> tuple[Unknowns, int]:
     """The unknowns that the faithful form's stage 3 ends with, after all of its sub-stages, and how many closures."""
     problem, frames = (
-        replace(task.problem, mode="official", parametrisation=official_unknowns.FAITHFUL),
+        replace(task.problem, mode="official", parametrisation=savings.OFFICIAL),
         task.truth.frames,
     )
     how = (problem.evidence.confidence_per_joint, problem.priors, (0,), frames, "official")

@@ -7,13 +7,13 @@ detected, so that the detections are the person's own with a few pixels of noise
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.profiler import record_function
 
 from motionlab.errors import check_shape
 from motionlab.humor import stages, state, unknowns
@@ -25,7 +25,6 @@ from motionlab.humor.priors import FIRST_STATE_SIZE, InitGmm, PosePrior, Priors
 from motionlab.humor.rollout import infer
 from motionlab.humor.unknowns import Unknowns
 from motionlab.motion import Motion
-from studies.official import unknowns as official_unknowns
 from studies.shared import savings
 from studies.shared.savings import LEAN, Mark, Savings
 
@@ -106,11 +105,11 @@ class Workload:
         unknown = self.unknowns(part, on) if unknown is None else unknown
         if part.stage == 3:
             how = {"grown": part.frames == self.frames, "contacts": part.contacts}
-            return lambda mark=record_function: savings.closure(self.problem, unknown, on, mark=mark, **how)
-        faithful = {} if on == LEAN else {"mode": "official", "parametrisation": official_unknowns.FAITHFUL}
+            return lambda mark=nullcontext: savings.closure(self.problem, unknown, on, mark=mark, **how)
+        faithful = {} if on == LEAN else {"mode": "official", "parametrisation": savings.OFFICIAL}
         problem = replace(self.problem, **faithful)
 
-        def pose(mark: Mark = record_function) -> Tensor:
+        def pose(mark: Mark = nullcontext) -> Tensor:
             for x in unknown.named().values():
                 x.grad = None
             with savings.weights_of(self.problem.priors, on):
