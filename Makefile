@@ -69,7 +69,6 @@ bench: setup
 
 doctor: setup
 	@$(PY) -m motionlab doctor
-	@PYTHONPATH=notebooks $(PY) -m suite records
 	@$(PY) tests/sizes.py
 
 setup: $(PREPARED)

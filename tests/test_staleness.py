@@ -10,7 +10,8 @@ import pytest
 
 from motionlab import checkpoint
 from motionlab.errors import DataError
-from suite import execute, findings, notebook, staleness
+from motionlab.files import source_hash
+from suite import findings, notebook, staleness
 from suite.staleness import Mark
 
 
@@ -184,7 +185,7 @@ def test_imports_and_outputs_are_no_part_of_the_hash_of_a_notebook(tmp_path):
     ],
 )
 def test_documentation_and_layout_are_no_part_of_the_hash_of_a_module(other, same):
-    assert (staleness.source_hash(other) == staleness.source_hash(LIBRARY)) is same
+    assert (source_hash(other) == source_hash(LIBRARY)) is same
 
 
 def test_lists_of_recordings_are_told_apart_by_source(tmp_path):
@@ -200,7 +201,7 @@ def test_lists_of_recordings_are_told_apart_by_source(tmp_path):
 
 def test_a_fingerprint_survives_its_file(tmp_path):
     marks = {"a": staleness.mark(1 / 3), "none": staleness.mark(None), "n": Mark(8, 0)}
-    record = findings.Record("02_x", "abc", (), {"torch": "2"}, marks, {}, {"w": "1"}, {"cmu": "2"}, {"m": "3"})
+    record = findings.Record("02_x", "abc", (), {"torch": "2"}, marks, {}, {"w": "1"}, {"cmu": "2"})
     findings.save_record(tmp_path / "02.json", record)
     assert findings.load_record(tmp_path / "02.json") == record
     assert json.loads((tmp_path / "02.json").read_text())["fingerprint"]["n"] == [8, 0]
@@ -216,13 +217,3 @@ def test_weights_are_part_of_it(suite, tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint, "_LOADED", {"humor_real": "1" * 12})
     with pytest.raises(staleness.StaleRecord, match="humor_real are other weights"):
         suite()
-
-
-def test_the_suite_lists_what_changed_behind_the_records(tmp_path):
-    (tmp_path / "motionlab").mkdir()
-    (tmp_path / "motionlab/pose.py").write_text("x = 1\n")
-    modules = {"motionlab.pose": staleness.source_hash("x = 1\n")}
-    findings.save_record(tmp_path / "notebooks/results/05.json", findings.Record("05_x", "", (), modules=modules))
-    assert execute.changed_behind(tmp_path).endswith("behind them: nothing")
-    (tmp_path / "motionlab/pose.py").write_text("x = 2\n")
-    assert "motionlab.pose (05)" in execute.changed_behind(tmp_path)

@@ -46,7 +46,6 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("notebooks", **what)
     made.add_argument("--fingerprints", action="store_true", help="only what smoke runs measure, into the records")
     made.add_argument("--again", action="store_true", help="with --fingerprints: also where the recorded one differs")
-    command("records", lambda _: print(execute.changed_behind()) or 0, "what changed in the code behind the records")
     command("pages", lambda _: pages.update(ROOT) or 0, "docs/scoreboard.md and README's findings, from the records")
     return parser
 

@@ -214,14 +214,14 @@ def _write_fingerprint(path: Path, again: bool = False, apart: str = "") -> None
         real = {name: mark for name, mark in real.items() if name not in found or not mark.agrees(found[name])}
         record = replace(record, fingerprint=found, fingerprint_on_recordings=real, recordings=last.recordings)
     said = {"smoke seconds": runs[0].provenance["seconds"]} | ({"fingerprint": apart} if apart else {})
-    now = {"source_hash": staleness.code_hash(path), "weights": last.weights, "modules": last.modules}
+    now = {"source_hash": staleness.code_hash(path), "weights": last.weights}
     findings.save_record(place, replace(record, **now, provenance=record.provenance | said))
 
 
 def _measured(path: Path, environment: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> list[Record]:
     """The records of smoke runs of one notebook, one after the other: as it is, and with other roundings."""
     found = []
-    smoke = {"MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1", "MOTIONLAB_RECORD": "1"} | dict(environment)
+    smoke = {"MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1"} | dict(environment)
     for rounding in ({"OMP_NUM_THREADS": "1"}, *others):
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / path.name
@@ -242,15 +242,3 @@ def run_summary(runs: Sequence[Run]) -> str:
     """Returns a text for the terminal that says how many notebooks ran, and why the others did not."""
     failed = [f"-- {run.notebook} {run.status()}: {run.error.splitlines()[0]}" for run in runs if not run.ok]
     return "\n".join([*failed, f"{len(runs) - len(failed)} of {len(runs)} notebooks ran"])
-
-
-def changed_behind(root: Path = ROOT) -> str:
-    """Says what changed in the code behind the records since their fingerprints were taken. For information: whether
-    it matters says the smoke run of ``make test``."""
-    touched: dict[str, list[str]] = {}
-    paths = sorted((root / "notebooks" / "results").glob("[0-9][0-9]*.json"))
-    for path in paths:
-        for module in staleness.changed_modules(findings.load_record(path).modules, root):
-            touched.setdefault(module, []).append(path.stem)
-    lines = [f"  {module} ({' '.join(books)})" for module, books in sorted(touched.items())]
-    return "\n".join([f"{len(paths)} records; changed behind them: {len(touched) or 'nothing'}", *lines])

@@ -196,7 +196,7 @@ class Record:
 
     fingerprint: what the smoke profile of the same notebook measures (``staleness``), and what more or else it measures
     on recordings. weights: checksums of the checkpoints that it loads. recordings: of the lists of recordings, by
-    source. modules: hashes of our modules that it imports. All as they were when the fingerprint was taken.
+    source. Both as they were when the fingerprint was taken.
     """
 
     notebook: str
@@ -207,7 +207,6 @@ class Record:
     fingerprint_on_recordings: Fingerprint = field(default_factory=dict)
     weights: dict[str, str] = field(default_factory=dict)
     recordings: dict[str, str] = field(default_factory=dict)
-    modules: dict[str, str] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float | None:

@@ -319,7 +319,6 @@ class Lab:
             fingerprint=self._fingerprint() if self.profile == "smoke" else {},
             weights=checkpoint.loaded(),
             recordings=staleness.recordings_digest(self.data),
-            modules=staleness.loaded_modules() if os.environ.get("MOTIONLAB_RECORD") else {},
         )
 
 

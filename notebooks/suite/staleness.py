@@ -11,13 +11,11 @@ import ast
 import hashlib
 import json
 import math
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from motionlab.errors import DataError
-from motionlab.files import source_hash
 
 #: Share of a number, or of the bound it is judged by, that it may differ by without anything having changed.
 TOLERANCE = 1e-3
@@ -28,7 +26,6 @@ ROUNDING = 1e-6
 STEADY = 0.03
 #: How many times the spread between such runs is allowed.
 SLACK = 5.0
-OURS = ("motionlab", "data_synth", "studies", "suite")
 
 
 class Mark(NamedTuple):
@@ -124,24 +121,6 @@ def _without_imports(code: str) -> str:
         if isinstance(node, ast.Import | ast.ImportFrom):
             lines[node.lineno - 1 : node.end_lineno] = [""] * (node.end_lineno - node.lineno + 1)
     return "\n".join(line for line in lines if line.strip())
-
-
-def loaded_modules() -> dict[str, str]:
-    """Computes a hash of every module of ours that this process has imported: of code, not layout or documentation."""
-    files = {name: getattr(module, "__file__", None) for name, module in sorted(sys.modules.items())}
-    ours = {name: file for name, file in files.items() if file and name.split(".")[0] in OURS}
-    return {name: source_hash(Path(file).read_text(encoding="utf-8")) for name, file in ours.items()}
-
-
-def changed_modules(recorded: Mapping[str, str], root: Path) -> list[str]:
-    """Lists modules that are not what they were when a record was made: changed, renamed, gone. Only informs."""
-    changed = []
-    for name, before in recorded.items():
-        path = root / ("notebooks" if name.startswith(("studies", "suite")) else "") / name.replace(".", "/")
-        file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-        if not file.is_file() or source_hash(file.read_text(encoding="utf-8")) != before:
-            changed.append(name)
-    return changed
 
 
 def recordings_digest(folder: Path | None) -> dict[str, str]:
