@@ -116,7 +116,7 @@ def resample(motion: Motion, fps: float, how: str = "linear") -> Motion:
     Args:
         how: "linear": positions linearly, rotations by slerp. "spline": a cubic spline through positions, and one
             through unit quaternions of one sign, normed again; between samples of 24 a second its accelerations are
-            nearer to the truth (notebook 01).
+            nearer to the truth (docs/experiments.md).
 
     Raises:
         ShapeError: fps is not a positive number.
