@@ -1,6 +1,6 @@
 """Captury's takes: somebody falls, sits down to lie, and turns; four calibrated cameras, exact projections, 50 fps."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -86,26 +86,10 @@ def over_time(motion: Motion, truth: Tensor) -> Tensor:
     return 100 * (centred[0] - centred[1]).norm(dim=-1).mean(-1)
 
 
-def rows(curves: Mapping[str, Tensor], names: tuple[str, ...]) -> list[dict[str, object]]:
-    """Returns a row per moment and method: mean error over the views, of the whole clip and of its last quarter."""
-    return [
-        {"moment": moment, "method": method, "views": len(error)}
-        | {"pose, cm": error.mean().item(), "last quarter, cm": _last(error)}
-        for moment, by_method in panels(curves, names, tuple(curves)[1:]).items()
-        for method, error in by_method.items()
-    ]
-
-
-def _last(error: Tensor) -> float:
-    return error[:, -(error.shape[1] // 4) :].mean().item()
-
-
-def panels(
-    curves: Mapping[str, Tensor], names: tuple[str, ...], shown: Sequence[str] = SHOWN
-) -> dict[str, dict[str, Tensor]]:
-    """Returns by moment and method the errors over time (V, T) of its views."""
+def panels(curves: Mapping[str, Tensor], names: tuple[str, ...]) -> dict[str, dict[str, Tensor]]:
+    """Returns by moment and method in ``SHOWN`` the errors over time (V, T) of its views."""
     mine = {moment: [k for k, name in enumerate(names) if name == moment] for moment in dict.fromkeys(names)}
-    return {moment: {n: x[some] for n, x in curves.items() if n in shown} for moment, some in mine.items()}
+    return {moment: {name: curves[name][some] for name in SHOWN} for moment, some in mine.items()}
 
 
 def person(taken: Moments, view: int, priors: Priors, schedule: Schedule) -> Motion:
@@ -128,6 +112,6 @@ def pictured(ways: Mapping[str, Motion], true: Motion, view: int, body: BodyMode
 def ends(curves: Mapping[str, Tensor], names: tuple[str, ...]) -> list[dict[str, object]]:
     """Returns a row per moment: the mean error in cm over its last quarter, all views, of the methods in ``SHOWN``."""
     return [
-        {"moment": moment} | {f"{name}, cm": _last(x) for name, x in some.items()}
+        {"moment": moment} | {f"{name}, cm": x[:, -(x.shape[1] // 4) :].mean().item() for name, x in some.items()}
         for moment, some in panels(curves, names).items()
     ]

@@ -139,15 +139,6 @@ def picture(fit: Fitted, scene: Scene, body: BodyModel, seconds: float, *, thing
         return built.image(seconds)
 
 
-def spoken(stages: Mapping[int, Mapping[str, float]]) -> str:
-    """Says what the errors of stages 2 and 3 are."""
-    hidden, seen = "hidden joints, cm", "seen joints, cm"
-    return (
-        f"Hidden joints are {stages[2][hidden]:.0f} cm off after stage 2 and {stages[3][hidden]:.0f} cm after stage 3. "
-        f"Seen joints are {stages[2][seen]:.0f} and {stages[3][seen]:.0f} cm off."
-    )
-
-
 def by_hand(terms: Mapping[str, Tensor], library: Mapping[str, Tensor]) -> list[dict[str, object]]:
     """Returns a row per term: its value by the energy that the notebook wrote out, and by the library."""
     return [{"term": n, "written above": value.item(), "library": library[n].item()} for n, value in terms.items()]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -26,7 +25,7 @@ from motionlab.io.cameras import load_qualisys
 from motionlab.io.layouts import to_body_25
 from motionlab.metrics import pose
 from motionlab.motion import FPS, Motion
-from motionlab.observation import BODY_25, Camera, Observation2D, at_rate, project
+from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
 from studies.nb05_testops import over_video
 from studies.nb05_testops.camera_knowledge import in_camera, misses, start_cameras
 from studies.shared.clips import part, stacked
@@ -39,7 +38,6 @@ COMPARED = {
 }
 _ROWS = [BODY_25.index(name) for name in COMPARED]
 HIPS = [list(COMPARED).index(f"{side}_hip") for side in ("left", "right")]
-TRIALS = ("single_balancing", "static_p1")
 HOW = ("known", "level", "assumed")  # what a fit may know of the camera
 
 
@@ -48,8 +46,7 @@ class Views(NamedTuple):
 
     observation: (G, T, 25, 2) of BODY_25, 30 fps. cameras: calibrated, one per view; None: nothing is known. names: of
     the views. reference (T, 12, 3): metres, world of the cameras, joints of ``COMPARED``; None: there is none.
-    pictures: of each view, frame by frame. size: of its image where there is no camera, pixels. missed: pixels by which
-    a reference of our own misses the detections.
+    pictures: of each view, frame by frame. size: of its image where there is no camera, pixels.
     """
 
     observation: Observation2D
@@ -58,7 +55,6 @@ class Views(NamedTuple):
     reference: Tensor | None
     pictures: tuple[over_video.Pictures, ...]
     size: tuple[int, int] | None = None
-    missed: float = float("nan")
 
     @property
     def knows(self) -> tuple[str, ...]:
@@ -76,52 +72,26 @@ class Views(NamedTuple):
 
 
 @cache
-def pose2sim(folder: Path | str, *, trial: str = "single_balancing") -> Views:
-    """Reads Pose2Sim's person from four views at 30 fps.
-
-    The reference is the triangulated and filtered one of its authors, which is of the balancing take; of another take
-    it is triangulated here from the four views.
+def pose2sim(folder: Path | str) -> Views:
+    """Reads Pose2Sim's balancing person from four views at 30 fps; the reference is that of its authors.
 
     Raises:
         DataError: a file cannot be read, or there are not as many cameras as views.
     """
     folder = Path(folder)
-    places = sorted((folder / trial).glob("cam*_json"))
+    places = sorted((folder / "single_balancing").glob("cam*_json"))
     cameras = list(load_qualisys(folder / "Calib.qca.txt").values())
     if not places or len(places) != len(cameras):
         message = f"{len(places)} views and {len(cameras)} cameras"
-        raise DataError(message, path=folder / trial, remedy="unpack the data set again")
+        raise DataError(message, path=folder / "single_balancing", remedy="unpack the data set again")
     seen = [to_body_25(openpose.load(p, fps=60.0, layout="BODY_25B"), midpoints=True) for p in places]
     names = tuple(place.name.removesuffix("_json") for place in places)
-    observation = at_rate(_together(seen, trial))
-    if trial != "single_balancing":
-        found, missed = triangulated(cameras, observation)
-        return Views(observation, cameras, names, found, tuple(map(over_video.blank, cameras)), missed=missed)
     markers = points.load_trc(folder / "ref3d" / "Balancing_for_IK.trc").select(list(COMPARED.values())).positions
-    observation = at_rate(_together([part(each, slice(len(markers))) for each in seen], trial))
+    frames = min(len(markers), *(each.frames for each in seen))
+    observation = at_rate(stacked([part(each, slice(frames)) for each in seen], name="single_balancing"))
     films = [folder / "videos" / f"{name}.mp4" for name in names]
     pictures = tuple(over_video.Video(path, camera, 2) for path, camera in zip(films, cameras, strict=True))
     return Views(observation, cameras, names, markers[::2][: observation.frames], pictures)
-
-
-def _together(seen: Sequence[Observation2D], name: str) -> Observation2D:
-    frames = min(each.frames for each in seen)
-    return stacked([part(each, slice(frames)) for each in seen], name=name)
-
-
-def triangulated(cameras: Sequence[Camera], seen: Observation2D) -> tuple[Tensor, float]:
-    """Computes the joints of ``COMPARED`` (T, 12, 3) from several views (G, T), by weighted least squares.
-
-    Also the median distance in pixels by which they miss the detections.
-    """
-    pixels, weight, rows = seen.keypoints[:, :, _ROWS].double(), seen.confidence[:, :, _ROWS].double(), []
-    for camera, uv, w in zip(cameras, pixels, weight, strict=True):
-        p = camera.intrinsics.double() @ torch.cat((camera.rotation, camera.translation[:, None]), 1).double()
-        rows += [w[..., None] * (uv[..., k : k + 1] * p[2] - p[k]) for k in (0, 1)]
-    x = torch.linalg.svd(torch.stack(rows, -2)).Vh[..., -1, :]
-    found = (x[..., :3] / x[..., 3:]).float()
-    off = torch.stack([(project(c, found)[0] - uv).norm(dim=-1) for c, uv in zip(cameras, pixels, strict=True)])
-    return found, off[weight > 0].median().item()
 
 
 def stand_in(count: int, body: BodyModel, *, seed: int, frames: int) -> Views:
@@ -244,36 +214,14 @@ def measured(motion: Motion, cameras: Sequence[Camera], views: Views) -> dict[st
 
 _HEADS = {"px": "pixels off", "root": "pose, cm", "global": "in the room, cm",
           "acceleration": "acceleration / reference's"}  # fmt: skip
-Score = Mapping[str, Mapping[str, Mapping[str, Tensor]]]  # take -> method -> what ``measured`` says
 
 
-def rows(score: Score) -> list[dict[str, object]]:
-    """Returns a row per take and method, means over the views."""
-    said = lambda x: x if math.isfinite(x) else "-"  # noqa: E731
+def rows(score: Mapping[str, Mapping[str, Tensor]]) -> list[dict[str, object]]:
+    """Returns a row per method, of what ``measured`` says of it, means over the views."""
     return [
-        {"take": trial, "method": method} | {head: said(numbers[name].mean().item()) for name, head in _HEADS.items()}
-        for trial, found in score.items()
-        for method, numbers in found.items()
+        {"method": method} | {head: numbers[name].mean().item() for name, head in _HEADS.items()}
+        for method, numbers in score.items()
     ]
-
-
-def reading(score: Score, takes: Mapping[str, Views]) -> str:
-    """Says what came out on the balancing person, and on the pose of the other take."""
-    a, b = (score[trial] for trial in TRIALS)
-    mean = {name: {k: x.mean().item() for k, x in found.items()} for name, found in a.items()}
-    still = {name: found["root"].mean().item() for name, found in b.items()}
-    two, three = mean["tuned stage 2"], mean["stage 3"]
-    better = int((a["stage 3"]["root"] < a["tuned stage 2"]["root"]).sum())
-    return (
-        f"The body lies on the person in the camera that fitted it. Stage 3 is {three['px']:.1f} px off the "
-        f"detections, the tuned stage 2 {two['px']:.1f} px. The pose is {three['root']:.1f} cm off after stage 3 and "
-        f"{two['root']:.1f} cm after the tuned stage 2; stage 3 is nearer in {better} of {len(a['stage 3']['root'])} "
-        f"views. In the room stage 3 is {three['global']:.0f} cm off and the tuned stage 2 {two['global']:.0f} cm: "
-        f"another camera sees the difference. Stage 3 accelerates {three['acceleration']:.2f} times as much as the "
-        f"reference, the tuned stage 2 {two['acceleration']:.2f} times. The other take holds one pose, whose reference "
-        f"misses the detections by {takes[TRIALS[1]].missed:.0f} px itself. There stage 3 is {still['stage 3']:.1f} cm "
-        f"off and the tuned stage 2 {still['tuned stage 2']:.1f} cm."
-    )
 
 
 def panels(views: Views, motions: Mapping[str, Motion], body: BodyModel) -> dict[str, over_video.Panel]:
