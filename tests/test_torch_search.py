@@ -17,13 +17,10 @@ def start(*values):
     return {"x": torch.tensor(values, dtype=torch.float64, requires_grad=True)}
 
 
-def test_rosenbrock_by_its_own_and_by_the_official_settings():
-    """torch's tolerance of 1e-9 is absolute: the official settings leave the energy between 0 and it."""
+def test_rosenbrock():
     found = minimise(rosenbrock, start(-1.2, 1.0))
     assert (found.variables["x"] - 1).abs().max() < 1e-6 and found.reason == "gradient"
     assert found.closures == len(found.history) and found.energy == min(found.history)
-    official = minimise(rosenbrock, start(-1.2, 1.0), steps=30, tolerance_change=1e-9, patience=None)
-    assert official.reason == "steps" and 1e-12 < official.energy < 1e-9
 
 
 @METHODS

@@ -13,8 +13,11 @@ from motionlab.viz.movie import meshes
 from motionlab.viz.palette import INK, LINE, colour
 from motionlab.viz.scene import Scene as Scene3D
 from studies.nb05_testops.figures import through_the_camera
-from studies.nb05_testops.hard_cases import SYNTHETIC
-from studies.shared.plots import canvas
+from studies.nb05_testops.hard_cases import CMU, SYNTHETIC
+from studies.shared.plots import canvas, intervals
+
+#: A colour for each source.
+TONES = {SYNTHETIC: "ours", CMU: "real"}
 
 
 def forest(rows: Mapping[str, Sequence[tuple[str, str, tuple]]], xlabels: Mapping[str, str]) -> Figure:
@@ -22,38 +25,23 @@ def forest(rows: Mapping[str, Sequence[tuple[str, str, tuple]]], xlabels: Mappin
 
     rows: measure -> (case, source, (mean, low, high, ...)).
     """
-    cases = list(dict.fromkeys(case for case, _, _ in next(iter(rows.values()))))
-    fig, axes = canvas(1, len(rows), size=(3.4 * len(rows), 0.9 + 0.42 * len(cases)), sharey=True)
-    for ax, (measure, some) in zip(axes, rows.items(), strict=True):
-        for case, source, (mean, low, high, *_) in some:
-            y = len(cases) - cases.index(case) + (0.14 if source == SYNTHETIC else -0.14)
-            paint = colour("ours" if source == SYNTHETIC else "real")
-            ax.plot((low, high), (y, y), color=paint, lw=2)
-            ax.plot(mean, y, "o", color=paint, ms=5, label=source if case == cases[0] else None)
+    panels: dict[str, dict[str, dict[str, tuple]]] = {xlabels[measure]: {} for measure in rows}
+    for by, some in zip(panels.values(), rows.values(), strict=True):
+        for case, source, found in some:
+            by.setdefault(source, {})[case] = found
+    fig, axes = intervals(panels, TONES, size=(3.4 * len(rows), 4.7))
+    for ax in axes:
         ax.axvline(0, color=INK, lw=0.8)
-        ax.set(xlabel=xlabels[measure])
-    axes[0].set_yticks(range(len(cases), 0, -1), cases)
-    axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return fig
 
 
 def arms(shares: Mapping[str, Mapping[str, float]], errors: Mapping[str, Mapping[str, tuple]]) -> Figure:
     """Draws by source and method the share of clips that sit, and the error of the legs with its interval."""
-    names = list(next(iter(shares.values())))
-    fig, axes = canvas(1, 2, size=(9.4, 0.9 + 0.36 * len(names)), sharey=True)
-    for source in shares:
-        paint, up = (colour("ours"), 0.16) if source == SYNTHETIC else (colour("real"), -0.16)
-        at = [len(names) - k + up for k in range(len(names))]
-        axes[0].barh(at, [shares[source][name] for name in names], height=0.28, color=paint, label=source)
-        for y, name in zip(at, names, strict=True):
-            mean, low, high = errors[source][name]
-            axes[1].plot((low, high), (y, y), color=paint, lw=2)
-            axes[1].plot(mean, y, "o", color=paint, ms=5)
-    axes[0].set_yticks(range(len(names), 0, -1), names)
-    axes[0].set(xlabel="share of clips that sit", xlim=(0, 1.02))
-    axes[1].set(xlabel="error of the hidden legs (cm), mean and 95 % interval", xlim=(0, None))
-    axes[0].grid(axis="y", visible=False)
-    axes[1].legend(*axes[0].get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    sit = {source: {name: (x, x, x) for name, x in by.items()} for source, by in shares.items()}
+    panels = {"share of clips that sit": sit, "error of the hidden legs (cm), mean and 95 % interval": errors}
+    fig, axes = intervals(panels, TONES, size=(9.4, 3.4))
+    axes[0].set_xlim(-0.03, 1.03)
+    axes[1].set_xlim(left=0)
     return fig
 
 

@@ -18,11 +18,9 @@ from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
 from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
-from motionlab.observation import Camera, Observation2D
+from motionlab.observation import Camera
 from motionlab.parallel import run_jobs
-from motionlab.skeleton import STANDARD
 from studies.nb05_testops.contenders import CM
-from studies.nb05_testops.kept_fits import kept
 from studies.nb05_testops.measures import error_over_time
 from studies.shared.clips import part, stacked
 
@@ -36,19 +34,18 @@ class CaseFit:
 
 
 def fit_together(
-    seen: Mapping[str, Scene], priors: Priors, *, batch: int = 24, workers: int = 1, keep: bool = False, **how
+    seen: Mapping[str, Scene], priors: Priors, *, batch: int = 24, workers: int = 1, **how
 ) -> dict[str, CaseFit]:
     """Fit the clips of all cases in batches of at most ``batch``, whatever case they belong to, in as many processes.
 
-    keep: fits that were made before are not made again (``kept_fits``). how: goes to ``fit``.
+    how: goes to ``fit``.
     """
     cameras = [camera for each in seen.values() for camera in each.cameras]
     every = [part(each.observation, k) for each in seen.values() for k in range(len(each.cameras))]
     every = stacked(every, camera=None, name="")
     size = min(batch, -(-len(cameras) // workers))
     parts = [slice(start, start + size) for start in range(0, len(cameras), size)]
-    one = partial(_fit, priors=priors, how=how, keep=keep)
-    found = run_jobs([partial(one, part(every, some), cameras[some]) for some in parts], workers)
+    found = run_jobs([partial(_stages, part(every, k), priors, cameras=cameras[k], **how) for k in parts], workers)
     stages, fits, start = {k: _joined([f[k] for f in found]) for k in found[0]}, {}, 0
     for name, scene in seen.items():
         mine = slice(start, start + len(scene.cameras))
@@ -57,26 +54,8 @@ def fit_together(
     return fits
 
 
-def _fit(
-    observation: Observation2D, cameras: Sequence[Camera], priors: Priors, how: Mapping[str, object], keep: bool
-) -> dict[int, Motion]:
-    """The stages of one batch, fitted or as they were kept."""
-
-    def compute() -> dict[str, Tensor]:
-        fitted = fit(observation, priors, cameras=cameras, **how)
-        found = {"contacts": fitted.contacts}
-        for k, motion in fitted.stages.items():
-            found |= {f"{k} root": motion.root, f"{k} rot": motion.rot, f"{k} offsets": motion.skeleton.offsets}
-        return found
-
-    x = kept(compute, observation, cameras, priors, how) if keep else compute()
-    stages = {}
-    for k in sorted(int(name.split()[0]) for name in x if name.endswith(" root")):
-        body, contacts = replace(STANDARD, offsets=x[f"{k} offsets"]), None
-        if k == 3:
-            contacts = (x["contacts"] > 0.5).to(x["contacts"])
-        stages[k] = Motion(body, x[f"{k} root"], x[f"{k} rot"], observation.fps, contacts)
-    return stages
+def _stages(*given, **how) -> dict[int, Motion]:
+    return fit(*given, **how).stages
 
 
 def _joined(motions: Sequence[Motion]) -> Motion:

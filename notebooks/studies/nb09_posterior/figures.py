@@ -110,24 +110,6 @@ def promises(held: Mapping[str, Mapping[str, Mapping[float, Tensor]]], roles: Ma
     return fig
 
 
-def bars(
-    found: Mapping[str, Mapping[str, tuple[float, float, float]]], roles: Mapping[str, str], xlabel: str
-) -> Figure:
-    """Draws means with their intervals: a line for each way, a colour for each source."""
-    names = list(next(iter(found.values())))
-    fig, (ax,) = canvas(size=(7.2, 0.9 + 0.4 * len(names)))
-    for k, (source, by_name) in enumerate(found.items()):
-        for row, name in enumerate(names):
-            mean, low, high = by_name[name]
-            y = len(names) - row + 0.2 * (0.5 - k)
-            ax.plot((low, high), (y, y), color=colour(roles[source]), lw=2)
-            ax.plot(mean, y, "o", color=colour(roles[source]), ms=5, label=None if row else source)
-    ax.set_yticks(range(len(names), 0, -1), names)
-    ax.set(xlabel=xlabel, xlim=(0, None))
-    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return fig
-
-
 def corner(series: Mapping[str, Tensor], names: Sequence[str], truth: Tensor, roles: Mapping[str, str]) -> Figure:
     """Draws (N, n) by label: each number's distribution on the diagonal, each pair's below it; truth (n,) black."""
     count, paint = len(names), paints(list(series), roles)

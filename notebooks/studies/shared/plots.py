@@ -86,6 +86,30 @@ def median_band(ax: Axes, x: np.ndarray, rows: np.ndarray, tint, label: str, *, 
     ax.plot(x, np.nanmedian(rows, axis=0), color=tint, lw=1.8, label=label, ls=ls)
 
 
+def intervals(
+    panels: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]], roles: Mapping[str, str], *,
+    size: tuple[float, float],
+) -> tuple[Figure, np.ndarray]:  # fmt: skip
+    """Draws means with their intervals, a panel per label of its axis, a line per name, a colour per series; also the
+    axes.
+
+    panels: label -> series -> name -> (mean, low, high, ...); of a number without an interval all three are one.
+    """
+    names = list(dict.fromkeys(name for by in panels.values() for found in by.values() for name in found))
+    fig, axes = canvas(1, len(panels), size=size, sharey=True)
+    for ax, (xlabel, by) in zip(axes, panels.items(), strict=True):
+        for k, (label, tint) in enumerate(paints(list(by), roles).items()):
+            for name, (mean, low, high, *_) in by[label].items():
+                y = names.index(name) + 0.3 * (k - (len(by) - 1) / 2)
+                ax.plot((low, high), (y, y), color=tint, lw=2)
+                ax.plot(mean, y, "o", color=tint, ms=5)
+            ax.plot([], [], "o-", color=tint, label=label)
+        ax.set(xlabel=xlabel)
+    axes[0].set(yticks=range(len(names)), yticklabels=names, ylim=(len(names) - 0.5, -0.5))
+    axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return fig, axes
+
+
 def boxes(series: Series, *, xlabel: str, roles: Mapping[str, str] | None = None) -> Figure:
     """Draws one distribution per source on its own line: its density, the middle half as a bar, the median as a dot."""
     found = {label: x[np.isfinite(x)] for label, x in ((n, np.asarray(y, float)) for n, y in series.items())}

@@ -45,8 +45,6 @@ def minimise(
     inner: int = 20,
     memory: int = 100,
     tolerance_grad: float = 1e-7,
-    tolerance_change: float = 0.0,
-    patience: int | None = 1,
 ) -> FitResult:
     """Lowers an energy, a scalar from all variables by name, by moving those that require gradients.
 
@@ -59,9 +57,6 @@ def minimise(
         max_closures: never evaluate more often than this: equal budgets for methods that differ.
         memory: pairs that L-BFGS remembers.
         tolerance_grad: stop when the largest entry of the gradient is at most this.
-        tolerance_change: torch's L-BFGS ends an outer step when energy or point change by less. Its default,
-            1e-9 in the energy's own unit, stops an energy that is small by its scale before its minimum.
-        patience: stop L-BFGS after so many outer steps in a row without a lower energy; None: never.
 
     Raises:
         NotConverged: the energy or its gradient is not finite at the start.
@@ -70,7 +65,7 @@ def minimise(
     point = {name: value.detach().clone(memory_format=torch.contiguous_format) for name, value in variables.items()}
     moving = [point[name].requires_grad_() for name, value in variables.items() if value.requires_grad]
     how = {"max_iter": inner, "history_size": memory, "line_search_fn": "strong_wolfe"}
-    how |= {"tolerance_grad": tolerance_grad, "tolerance_change": tolerance_change}
+    how |= {"tolerance_grad": tolerance_grad, "tolerance_change": 0.0}  # torch stops at 1e-9 of any unit
     optimiser = torch.optim.LBFGS(moving, lr=lr, **how) if method == "lbfgs" else torch.optim.Adam(moving, lr=lr)
     lowest, best, history = math.inf, [value.detach().clone() for value in moving], []
 
@@ -91,13 +86,12 @@ def minimise(
             raise _Stop("gradient")
         return loss
 
-    reason, idle = "steps", 0
+    reason = "steps"
     try:
         for _ in range(steps):
             before = lowest
             optimiser.step(closure)
-            idle = 0 if lowest < before else idle + 1
-            if method == "lbfgs" and patience is not None and idle >= patience:
+            if method == "lbfgs" and lowest >= before:
                 raise _Stop("no decrease")
     except _Stop as stop:
         reason = str(stop)
