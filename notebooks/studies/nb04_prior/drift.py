@@ -83,12 +83,6 @@ def measures(found: Errors, whose: Tensor) -> dict[str, tuple[Tensor, str, Tenso
     }
 
 
-def nats(model: Cvae, motion: Motion) -> Tensor:
-    """Computes what every dimension of z (48,) says beyond the prior's guess, mean over the transitions of clips."""
-    states = state.from_motion(motion, causal=model.causal)[:, 1:]
-    return quality.one_step_errors(model, states)["kl"].mean(0)
-
-
 @dataclass(frozen=True, eq=False)
 class Decoded:
     """A sequence and what its latents decode to, N clips of T + 1 frames, the first of which is always its own.
@@ -170,22 +164,6 @@ def chain(step: Callable[[Tensor], Tensor], first: Tensor, steps: int) -> Tensor
     for _ in range(steps):
         states.append(step(states[-1]))
     return torch.stack(states, 1)
-
-
-@torch.no_grad()
-def vary(model: Cvae, first: Tensor, dimension: int, sizes: Tensor, steps: int) -> Tensor:
-    """Computes roll-outs (N, steps + 1, 339) from a state (339,), z at the prior's mean but for one dimension.
-
-    sizes (N,): how far that dimension is from the mean, in the prior's standard deviations, at every step.
-    """
-
-    def turned(x: Tensor) -> Tensor:
-        prior = model.prior(state.localise(x, state.heading(x)))
-        z = prior.mean.clone()
-        z[:, dimension] += sizes * (0.5 * prior.log_var[:, dimension]).exp()
-        return rollout(model, x, z[:, None], with_prior=False).states[:, 0]
-
-    return chain(turned, first.expand(len(sizes), -1), steps)
 
 
 def rows(found: Sequence[Finding]) -> list[dict[str, object]]:

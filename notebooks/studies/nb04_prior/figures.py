@@ -1,7 +1,6 @@
 """The figures of notebook 04: what a state holds, one step, what a prior reaches, and how decoded motion drifts."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -19,7 +18,7 @@ from motionlab.viz.palette import INK, LINE, ROLE
 from motionlab.viz.scene import Scene
 from studies.nb04_prior.gates import GATES
 from studies.nb04_prior.parity import Row
-from studies.shared.plots import canvas, paints
+from studies.shared.plots import canvas, median_band, paints
 from suite.findings import Criterion
 
 #: One colour per part of the state, positions strong and their velocities pale.
@@ -267,12 +266,9 @@ def drift(panels: Mapping[str, Mapping[str, Tensor]]) -> Figure:
     for ax, (name, series) in zip(axes, panels.items(), strict=False):
         paint = paints(list(series), DRIFT_ROLES)
         for label, values in series.items():
-            low, middle, high = np.percentile(values.numpy(force=True), (25, 50, 75), axis=0)
-            t = np.arange(1, len(middle) + 1) / 30
-            dotted = label == "single errors added"
-            if not dotted:
-                ax.fill_between(t, low, high, color=paint[label], alpha=0.13, lw=0)
-            ax.plot(t, middle, color=paint[label], lw=1.5 if dotted else 1.9, ls=":" if dotted else "-", label=label)
+            dotted, t = label == "single errors added", np.arange(1, values.shape[1] + 1) / 30
+            how = {"alpha": 0.0, "ls": ":"} if dotted else {"alpha": 0.13, "ls": "-"}
+            median_band(ax, t, values.numpy(force=True), paint[label], label, **how)
         ax.set(title=f"{name.replace(', ', chr(10), 1)} ({len(values)})", yscale="log", ylim=(0.05, 200))
         ax.yaxis.set_major_formatter("{x:g}")
     for ax in axes[-columns:]:
@@ -305,19 +301,3 @@ def knees(groups: Mapping[str, Mapping[str, Tensor]]) -> Figure:
         ax.set_ylim(len(ways) - 0.5, -0.5)
         ax.grid(visible=False, axis="y")
     return fig
-
-
-def dimensions(effects: Mapping[str, Motion], body: BodyModel) -> np.ndarray:
-    """Draws a panel per latent dimension: the last poses of three roll-outs (3, T), side by side, below, at and above
-    the prior's mean."""
-    facing = next(iter(effects.values())).rot[1, 0, 0, :2, 2]
-    azimuth = float(torch.rad2deg(torch.atan2(facing[1], facing[0]))) + 35.0
-    turn = np.radians(azimuth)
-    right = torch.tensor([-np.sin(turn), np.cos(turn), 0.0], dtype=torch.float32)
-    with Scene((1280, 330), panels=tuple(effects), azimuth=azimuth, elevation=8.0) as scene:
-        for panel, motion in enumerate(effects.values()):
-            for index, role in enumerate(("baseline", "observation", "ours")):
-                moved = motion.clip(index)
-                moved = replace(moved, root=moved.root + 0.85 * (index - 1) * right)
-                scene.body(body, moved, role, frame=-1, panel=panel)
-        return scene.floor().image()

@@ -77,16 +77,6 @@ def gap(variant: str, frames: int) -> list[int]:
     return scenes.gap_frames(place, int(length), frames)
 
 
-def lost_file(scene: Scene, frame: int) -> Scene:
-    """Takes one frame's file out of a scene's keypoints: each later file is taken for the frame before its own.
-
-    One frame shorter; the truth is that of the video's frames.
-    """
-    last = scene.truth.frames - 1
-    keep = [t for t in range(last + 1) if t != frame]
-    return replace(scene, observation=part(scene.observation, slice(None), keep), truth=scene.truth.cut(0, last))
-
-
 # ------------------------------------------------------------------------------------------------ fits
 def tiny() -> Schedule:
     """Returns a search of next to no steps, for the smoke profile."""
@@ -94,26 +84,19 @@ def tiny() -> Schedule:
 
 
 def fitted(
-    seen: Mapping[str, Scene], way: str, variants: Sequence[str], priors: Priors, schedule: Schedule | None, keep: bool
+    seen: Mapping[str, Scene], way: str, variants: Sequence[str], priors: Priors, schedule: Schedule | None
 ) -> dict[tuple[str, str], CaseFit]:
     """Fits scenes with frames missing in a way of ``WAYS``: (source, variant) -> fit.
 
-    schedule: None: the way's own. keep: what was fitted before is not fitted again (``kept_fits``).
+    schedule: None: the way's own.
     """
     cases = {
         (source, variant): scenes.without(scene, gap(variant, scene.truth.frames)) if variant != "whole" else scene
         for source, scene in seen.items()
         for variant in variants
     }
-    return fit_kept(cases, way, priors, schedule, keep)
-
-
-def fit_kept(
-    cases: Mapping[object, Scene], way: str, priors: Priors, schedule: Schedule | None, keep: bool
-) -> dict[object, CaseFit]:
-    """Fits cases of equal many clips in a way of ``WAYS``, a case at a time, so that each is kept once it is made."""
     size = len(next(iter(cases.values())))
-    return trials.fit_together(cases, priors, batch=size, schedule=schedule, keep=keep, **WAYS[way])
+    return trials.fit_together(cases, priors, batch=size, schedule=schedule, **WAYS[way])
 
 
 def refits(one: Scene, priors: Priors, schedule: Schedule) -> Refit:
@@ -140,20 +123,6 @@ def added(broken: Motion, whole: Motion, truth: Motion, frames: Sequence[int]) -
     return late - late0, early - early0
 
 
-def after_lost_file(found: Motion, whole: Motion, truth: Motion, frame: int) -> dict[str, float]:
-    """Computes the mean world error, cm, of a fit (B, T - 1) to keypoints whose ``frame`` lost its file.
-
-    From that frame on: against the video's truth, more than a fit of all frames has there, and against the truth of one
-    frame later, which the fitted keypoints show.
-    """
-    last = found.frames
-    error = lambda m, start: CM * error_over_time(m, truth.cut(start, start + last), align="none")[:, frame:]  # noqa: E731
-    against, before = error(found, 0), error(whole.cut(0, last), 0)
-    found = {"error after it, cm": against, "more than with all files, cm": against - before,
-             "error beside the next frame, cm": error(found, 1)}  # fmt: skip
-    return {name: x.mean().item() for name, x in found.items()}
-
-
 def first_speed(motion: Motion) -> Tensor:
     """Computes the mean speed (B,) of the joints from the first frame to the second, m/s."""
     return motion.positions[:, :2].diff(dim=1).norm(dim=-1).mean((1, 2)) * motion.fps
@@ -170,54 +139,6 @@ def jumps(fits: Fits, added: Added, truth: Motion) -> list[dict[str, object]]:
             speed = first_speed(found.stages[2]).mean().item()
             rows.append((way, SAID.get(variant, "nothing"), speed, *late))
     return [dict(zip(heads, row, strict=True)) for row in rows]
-
-
-def _more(error: float, unit: str) -> str:
-    """An error added, in words."""
-    return f"{abs(error):.1f} {unit} {'farther from' if error > 0 else 'nearer to'} the truth"
-
-
-def spoken(added: Added, sources: Sequence[str], bound: float) -> str:
-    """Says what one missing frame adds in the official way, by source and place, and whether it is what was expected.
-
-    bound: cm; a mean of that much or more is a breakdown.
-    """
-    means = {(s, v): added["official", s, v].mean().item() for s in sources for v in ("middle 1", "first 1")}
-    said = [f"- {source} clips without the {SAID[v]}: {_more(x, 'cm')}" for (source, v), x in means.items()]
-    broken = sum(x >= bound for x in means.values())
-    verdicts = {0: "Not as the thesis says", len(means): "As the thesis says"}
-    verdict = verdicts.get(broken, "Only partly as the thesis says")
-    return (
-        f"**Reading.** {verdict}. A breakdown would be {bound:g} cm farther from the truth, or more. "
-        "Beside the same fit with all frames, later frames of the official fit end:\n\n" + "\n".join(said)
-    )
-
-
-def why(fits: Fits, added: Added) -> str:
-    """Says how the first step after stage 2 and the error go together where nothing is smooth."""
-    way, parts = "official, not smooth", ("first 1", "first 10")
-    speed = {v: first_speed(fits[way, "synthetic", v].stages[2]).mean().item() for v in parts}
-    metres = {v: added[way, "synthetic", v].mean().item() / CM for v in parts}
-    expected = speed["first 1"] > speed["first 10"] and metres["first 1"] > max(1.0, metres["first 10"])
-    ends = "So the error goes with the jump, not with the number of missing frames." if expected else ""
-    return (
-        f"**Reading.** {'As' if expected else 'Not as'} expected. Where nothing is smooth and the first frame is "
-        f"missing, stage 2 begins with a step of {speed['first 1']:.0f} m/s. Stage 3 starts with it, and ends "
-        f"{_more(metres['first 1'], 'm')} than with all frames. With ten frames missing the first step is "
-        f"{speed['first 10']:.1f} m/s, and stage 3 ends {_more(metres['first 10'], 'm')}. {ends}"
-    )
-
-
-def lost(rows: Sequence[Mapping[str, object]], bound: float) -> str:
-    """Says what a missing file costs, by source, and whether it is a breakdown: ``bound`` cm or more."""
-    more, other = "more than with all files, cm", "error beside the next frame, cm"
-    said = " and ".join(f"{_more(row[more], 'cm')} on {row['source']} clips" for row in rows)
-    shifted = " and ".join(f"{row[other]:.1f}" for row in rows)
-    breaks = "a breakdown" if max(row[more] for row in rows) >= bound else "no breakdown"
-    return (
-        f"**Reading.** With a missing file the fits end {said}: {breaks}. Beside the truth of one frame later, which "
-        f"the keypoints show, the fits are off by {shifted} cm."
-    )
 
 
 # ------------------------------------------------------------------------------------------------ figures
