@@ -13,7 +13,6 @@ from motionlab.diffusion.denoising import Noise
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.windows import gather, on_standard
-from motionlab.errors import DataError
 from motionlab.skeleton import STANDARD
 from studies.nb12_filling_in.going_back import ReverseProcess, _begin, denoise
 
@@ -90,11 +89,3 @@ def test_a_perfect_denoiser_gives_the_truth_from_the_step_it_should_start_at(mot
     size = off.square().mean().sqrt().item()
     assert len(seen) == start.looks
     assert max(seen) == pytest.approx(_begin(model.schedule, start.level * size), abs=40)
-
-
-def test_denoising_says_what_it_cannot_do(motion, generator):
-    with pytest.raises(DataError, match="no noise"):
-        denoise(model_of(motion), motion, motion, Noise(0.0, 0.0), generator)
-    moving = replace(model_of(motion), layout=Layout(velocities=True))
-    with pytest.raises(DataError, match="velocities"):
-        denoise(moving, motion, motion, Noise.of(5, 2), generator)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab.errors import ShapeError
 from studies.shared import inbetween_measures as inbetween
 from tests.draws import seeded
 
@@ -28,8 +27,6 @@ def test_step_changes_agree_with_loops():
         for step in range(6):
             assert found[i, step] == pytest.approx(max(change.get((i, t), -1) for t in (step, step + 1)))
     assert len(inbetween.natural_changes(p, 30.0)) == 2 * 4
-    with pytest.raises(ShapeError, match="three frames"):
-        inbetween.step_changes(p[:, :2], 30.0)
 
 
 def test_the_worst_error_looks_at_known_frames_only():

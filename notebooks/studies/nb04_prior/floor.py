@@ -9,7 +9,6 @@ Source: HuMoR (Rempe et al. 2021), supplement, and its official code: the floor 
 import torch
 from torch import Tensor
 
-from motionlab.errors import check_shape
 from motionlab.heading import Frame
 
 #: Where the official code looks for a floor that nobody measured: 0.5 m below the camera.
@@ -18,7 +17,6 @@ INITIAL = (0.0, 0.5, 0.0)
 
 def normal_and_offset(floor: Tensor) -> tuple[Tensor, Tensor]:
     """n (..., 3), n_y <= 0, and d (...) of planes (..., 3). A plane through the camera (d = 0) has none: n = 0."""
-    check_shape(floor, "... 3", "floor")
     size = torch.linalg.vector_norm(floor, dim=-1)
     offset = torch.where(floor[..., 1] > 0, -size, size)
     return floor / torch.where(offset == 0, 1.0, offset)[..., None], offset
@@ -39,7 +37,6 @@ def world_frame(floor: Tensor, trans: Tensor, orientation: Tensor) -> Frame:
         floor: (..., 3). trans (..., 3), orientation (..., 3, 3): of the first frame's root, camera coordinates.
     Differs: none in value; the official code returns -trans and the pelvis's height apart, and shifts z later.
     """
-    check_shape(orientation, "... 3 3", "orientation")
     normal, _ = normal_and_offset(floor)
     right = -orientation[..., 0]
     right = right - (right * normal).sum(-1, keepdim=True) * normal

@@ -126,8 +126,6 @@ def given(views: Views, how: str, focal: float = 1.0, index: int | None = None) 
     how: "known": the calibration, and with it the floor. "level": the lens alone; the camera is taken as level, 1.2 m
     above the floor. "assumed": nothing but the size of the image. focal: times the focal length, also the assumed one.
     """
-    if how not in HOW:
-        raise ValueError(f"how: expected one of {', '.join(HOW)}, got {how!r}")
     some = start_cameras(views.observation, size=views.size) if views.cameras is None else views.cameras
     some = some if index is None else [some[index]]
     if how == "assumed":

@@ -15,8 +15,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motionlab.errors import DataError
-
 _BURN = 300  # steps of every walker that are thrown away
 
 
@@ -50,16 +48,9 @@ def power_law(
     Priors: flat in log a and b, and in log s between e^-9 and e^2.
 
     Args:
-        x, y: (n,), at least three points at two or more places. seed: the draws depend on nothing else.
-
-    Raises:
-        DataError: too few points or places, or one that is not positive and finite.
+        x, y: (n,), positive, at least three points at two or more places. seed: the draws depend on nothing else.
     """
     x, y = (np.asarray(torch.as_tensor(v, dtype=torch.float64)).ravel() for v in (x, y))
-    if len(x) != len(y) or len(x) < 3 or len(np.unique(x)) < 2:
-        raise DataError(f"{len(x)} and {len(y)} numbers", remedy="give three points or more, at two places or more")
-    if not (np.isfinite([x, y]).all() and (x > 0).all() and (y > 0).all()):
-        raise DataError("a point that is not positive and finite", remedy="a power law has none")
     centre = np.log(x).mean()  # about which scale and exponent are independent
     u, v = np.log(x) - centre, np.log(y)
 

@@ -20,20 +20,17 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.errors import ShapeError, check_shape
 from motionlab.humor import stages, state
 from motionlab.humor.body_shape import landmarks
 from motionlab.humor.cvae import Cvae, Gaussian
 from motionlab.humor.evidence import Evidence
 from motionlab.humor.rollout import Rollout, rollout
 from motionlab.humor.stages import Problem, Terms
-from motionlab.humor.state import SHAPES, STATE
+from motionlab.humor.state import SHAPES
 from motionlab.humor.unknowns import Posed, Rolled, Unknowns, skeleton_of
 from motionlab.skeleton import fk
 
 TURNS = {"root_orient": 1, "pose_body": 21}
-#: Numbers of a persistent state: as ``state``, but six for each rotation.
-PERSISTENT = STATE - 3 * sum(TURNS.values())
 _SIZES = {n: 6 * TURNS[n] if n in TURNS else torch.Size(shape).numel() for n, shape in SHAPES.items()}
 
 
@@ -46,7 +43,6 @@ def to_persistent(states: Tensor) -> Tensor:
 
 def to_states(x: Tensor) -> Tensor:
     """Persistent states (..., 273) as states (..., 339), their rotations orthonormal."""
-    check_shape(x, f"... {PERSISTENT}", "x")
     parts = dict(zip(SHAPES, x.split(list(_SIZES.values()), -1), strict=True))
     turned = {n: rotation.sixd_to_matrix(parts[n].unflatten(-1, (-1, 6))).mT.flatten(-3) for n in TURNS}
     return torch.cat([turned[n] if n in TURNS else parts[n] for n in SHAPES], -1)
@@ -64,10 +60,7 @@ def sequences(model: Cvae, states: Tensor, z: Tensor, steps: int = 1) -> Sequenc
 
     states (B, T, 339), world; z (B, T - 1, 48). The first frame of every sequence is that of ``states``.
     """
-    check_shape(z, f"B T {model.latent}", "z")
     batch, frames = states.shape[:2]
-    if z.shape[:2] != (batch, frames - 1) or not 1 <= steps < frames:
-        raise ShapeError(f"states {tuple(states.shape)} and z {tuple(z.shape)} for {steps} steps")
     at = (torch.arange(frames - 1)[:, None] + torch.arange(steps)).clamp(max=frames - 2)
     found = rollout(model, states[:, :-1].flatten(0, 1), z[:, at].flatten(0, 1), with_prior=False)
     t, k = torch.arange(1, frames), torch.arange(1, steps + 1)[:, None]

@@ -141,7 +141,7 @@ def walked(
     middle, sizes = seen.before(told, exact)
     about = middle + 0.02 * torch.randn(many, len(NAMES), generator=generator, dtype=torch.float64)
     about[:, 1] += about[:, 0] + about[:, 2]  # nearly as large in the image
-    return walkers(lambda x: seen.log_prob(x, middle, sizes), about, names=NAMES, generator=generator, **how)
+    return walkers(lambda x: seen.log_prob(x, middle, sizes), about, generator=generator, **how)
 
 
 def asked(

@@ -6,7 +6,7 @@ Source: Foreman-Mackey et al. 2013 (emcee; 50 autocorrelation times are its own 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import emcee
@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motionlab.errors import DataError, NotConverged, ShapeError, check_shape
+from motionlab.errors import NotConverged
 
 LEAST = 50  # autocorrelation times that a chain of walkers must be long
 LOOKS = 2  # looks in a row at which it must be: of many looks at a noisy estimate one is low by chance
@@ -23,26 +23,13 @@ BURN = 5  # autocorrelation times that are thrown away at its beginning
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A chain of W walkers in n numbers, its beginning cut off.
-
-    chain (S, W, n), log_prob (S, W): float64. times (n,): autocorrelation times, in steps. acceptance: mean share of
-    accepted proposals. looks: in a row and up to the last one, at which the chain was long enough. least: times that it
-    must be long. stopped: a person stopped it.
-    """
+    """A chain (S, W, n) of W walkers in n numbers, float64, its beginning cut off. times (n,): of autocorrelation, in
+    steps. looks: in a row and up to the last one, at which it was ``least`` times long."""
 
     chain: Tensor
-    log_prob: Tensor
     times: Tensor
-    acceptance: float
-    names: tuple[str, ...]
     looks: int
     least: float
-    stopped: bool
-
-    @property
-    def long_enough(self) -> bool:
-        """Whether the chain is long enough in every number, and was at the look before."""
-        return self.looks >= LOOKS
 
     def draws(self, count: int | None = None) -> Tensor:
         """Returns draws (N, n), all or ``count`` of them evenly along the chain.
@@ -50,11 +37,10 @@ class Chain:
         Raises:
             NotConverged: the chain is too short to report.
         """
-        if not self.long_enough:
-            lengths = (len(self.chain) / self.times).tolist()
-            short = ", ".join(f"{name} {length:.0f}" for name, length in zip(self.names, lengths, strict=True))
+        if self.looks < LOOKS:
+            lengths = ", ".join(f"{len(self.chain) / time:.0f}" for time in self.times.tolist())
             raise NotConverged(
-                f"the chain is {len(self.chain)} steps long, in autocorrelation times: {short}; a report needs "
+                f"the chain is {len(self.chain)} steps long, in autocorrelation times: {lengths}; a report needs "
                 f"{self.least:g} at {LOOKS} looks in a row, had it at {self.looks} (remedy: more steps or walkers)",
                 self.times.tolist(),
             )
@@ -64,58 +50,33 @@ class Chain:
 
 
 def walkers(
-    log_prob: Callable[[Tensor], Tensor],
-    start: Tensor,
-    *,
-    names: Sequence[str],
-    generator: torch.Generator,
-    steps: int = 2000,
-    block: int = 100,
-    least: float = LEAST,
-) -> Chain:
+    log_prob: Callable[[Tensor], Tensor], start: Tensor, *, generator: torch.Generator, steps: int = 2000,
+    block: int = 100, least: float = LEAST,
+) -> Chain:  # fmt: skip
     """Draws from a posterior over few numbers until the chain is long enough to report at ``LOOKS`` looks in a row.
 
-    At most ``steps``; Ctrl-C keeps what there is. Walkers follow differential evolution: the ensemble itself says how
-    the numbers go together, as along a bent ridge.
+    Walkers follow differential evolution: the ensemble itself says how the numbers go together, as along a bent ridge.
 
     Args:
         log_prob: of points (k, n), float64, in nats up to a constant, (k,); what is not finite counts as impossible.
-        start: (W, n), at least 2 n walkers, all of them possible.
-        names: of the n numbers. generator: the chain depends on nothing else that is random.
-        block: steps between two looks at the length. least: autocorrelation times that the chain must be long.
-
-    Raises:
-        ShapeError: names do not fit, or too few walkers. DataError: a walker starts at an impossible point.
+        start: (W, n), at least 2 n walkers. generator: the chain depends on nothing else that is random.
+        steps: at most. block: steps between two looks at the length. least: autocorrelation times that it must be long.
     """
-    many, count = check_shape(start, "W n", "start").values()
-    if len(names) != count or many < 2 * count:
-        raise ShapeError(f"start: {many} walkers of {count} numbers, at least {2 * count} needed; {len(names)} names")
 
+    @torch.no_grad()
     def of(points: np.ndarray) -> np.ndarray:
-        with torch.no_grad():
-            found = log_prob(torch.from_numpy(points)).double().numpy(force=True)
+        found = log_prob(torch.from_numpy(points)).double().numpy(force=True)
         return np.where(np.isfinite(found), found, -np.inf)
 
-    where = start.double().numpy(force=True).copy()
-    first = of(where)
-    if not np.isfinite(first).all():
-        bad = int((~np.isfinite(first)).sum())
-        raise DataError(f"{bad} of {many} walkers start at impossible points", remedy="start nearer the posterior")
     random = np.random.RandomState(int(torch.randint(2**31 - 1, (), generator=generator)))  # what emcee takes
     moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
-    sampler = emcee.EnsembleSampler(many, count, of, vectorize=True, moves=moves)
-    state, looks, stopped = emcee.State(where, log_prob=first, random_state=random.get_state()), 0, False
-    while sampler.iteration < steps and looks < LOOKS and not stopped:
-        try:
-            state = sampler.run_mcmc(state, min(block, steps - sampler.iteration))
-        except KeyboardInterrupt:
-            if not sampler.iteration:
-                raise
-            stopped = True
+    sampler = emcee.EnsembleSampler(*start.shape, of, vectorize=True, moves=moves)
+    state, looks = emcee.State(start.double().numpy(force=True), random_state=random.get_state()), 0
+    while sampler.iteration < steps and looks < LOOKS:
+        state = sampler.run_mcmc(state, min(block, steps - sampler.iteration))
         kept, times = _kept(sampler)
         looks = looks + 1 if bool((len(kept) >= least * times).all()) else 0  # not so where a time is not finite
-    log_probs = torch.from_numpy(sampler.get_log_prob()[-len(kept) :].copy())
-    return Chain(kept, log_probs, times, float(sampler.acceptance_fraction.mean()), tuple(names), looks, least, stopped)
+    return Chain(kept, times, looks, least)
 
 
 def _kept(sampler: emcee.EnsembleSampler) -> tuple[Tensor, Tensor]:

@@ -15,7 +15,6 @@ from motionlab.diffusion import sampling
 from motionlab.diffusion.denoising import Noise, noise_size
 from motionlab.diffusion.model import MotionDiffusion
 from motionlab.diffusion.sampling import NoiseSchedule
-from motionlab.errors import DataError
 from motionlab.heading import local_to_world, stuck_root, world_to_local
 from motionlab.motion import Motion
 
@@ -48,17 +47,11 @@ def denoise(
     """Computes denoised motions (B, T), where they were in the world, by the reverse process.
 
     It begins at the step with the same noise. rough: about the same motions, as a filter leaves them: the frame of
-    reference is that of its first frame, contacts are measured on it. A model that takes known values gets none.
-
-    Raises:
-        DataError: the model's numbers hold velocities, whose noise is not the joints'; or there is no noise.
+    reference is that of its first frame, contacts are measured on it. A model that takes known values gets none; one of
+    velocities, whose noise is not the joints', is none for this.
     """
     start = start or ReverseProcess()
-    if model.layout.velocities:
-        raise DataError("the model reads velocities", remedy="denoise with a model of places and rotations")
     size = noise_size(model.layout, model.normaliser, noise.turn, noise.shift)
-    if not (size > 0).any():
-        raise DataError("no noise", place="noise", remedy="give how much a joint turns or the root moves")
     whole = size[size > 0].square().mean().sqrt().item() * start.level
     frame = stuck_root(rough)[1] if model.layout.frame == "stuck" else None
     given = rough if start.filtered else noisy

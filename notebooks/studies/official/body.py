@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from motionlab.errors import check_shape
 from motionlab.humor.body_shape import landmarks, offsets
 from motionlab.skeleton import STANDARD, fk
 from studies.official.rotation import axis_angle_to_matrix
@@ -79,7 +78,6 @@ def _landmark_weights() -> Tensor:
 
 def skin(body: FullBody, trans: Tensor, aa: Tensor, betas: Tensor) -> tuple[Tensor, Tensor]:
     """Joints (N, 52, 3) and vertices (N, V, 3), world, of N frames: trans (N, 3), aa (N, 22, 3), betas (N, 8)."""
-    check_shape(aa, f"N {len(STANDARD)} 3", "aa")
     count = len(trans)
     pose = torch.cat((aa, aa.new_zeros(count, JOINTS - len(STANDARD), 3)), 1)
     padded = F.pad(betas, (0, SHAPES - betas.shape[1]))

@@ -17,7 +17,6 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from motionlab.errors import ShapeError, check_shape
 from motionlab.humor.cvae import Cvae, Gaussian, Mlp
 from motionlab.humor.rollout import Rollout
 from motionlab.humor.state import SHAPES, STATE, TURNED, unpack, unpack_delta
@@ -128,18 +127,9 @@ def rollout(
         with_prior: return the prior; it is evaluated in any case.
         canonical: ``first`` is in its own heading frame already and is used as it is.
         align, prior_inside: not as the official code does it, for ``shared.savings``: another rotation (B, 3, 3) into
-        the
-            heading frame; the prior for all steps at once, after them (z must be given).
-
-    Raises:
-        ShapeError: first and z do not fit each other.
+            the heading frame; the prior for all steps at once, after them (z must be given).
     """
-    check_shape(first, f"B {STATE}", "first")
-    if z is not None:
-        check_shape(z, f"B T {model.latent}", "z")
-        if len(z) != len(first):
-            raise ShapeError(f"first has {len(first)} rows, z {len(z)}")
-        steps = z.shape[1]
+    steps = steps if z is None else z.shape[1]
     parts = split(first)
     world = (*_frame(parts, align), _trans_to_joint(parts))
     if not canonical:

@@ -9,8 +9,6 @@ go wrong there.
 import torch
 from torch import Tensor
 
-from motionlab.errors import check_shape
-
 GUARD = 1e-6
 
 
@@ -46,7 +44,6 @@ def matrix_to_axis_angle(matrix: Tensor) -> Tensor:
 
     At exactly the identity the vector is right, 0, but its gradient is NaN, as in the official code.
     """
-    check_shape(matrix, "... 3 3", "matrix")
     a, b, c = (matrix[..., i, i] for i in range(3))
     x, y, z = (matrix[..., i, j] - matrix[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
     xy, yz, zx = (matrix[..., i, j] + matrix[..., j, i] for i, j in ((0, 1), (1, 2), (2, 0)))

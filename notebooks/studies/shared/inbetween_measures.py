@@ -3,7 +3,6 @@
 import torch
 from torch import Tensor
 
-from motionlab.errors import ShapeError, check_shape
 from motionlab.metrics.pose import joint_errors
 
 
@@ -12,13 +11,7 @@ def step_changes(positions: Tensor, fps: float) -> Tensor:
 
     The change at frame t is |v_t - v_(t-1)| with v_t = (p_(t+1) - p_t) fps, the mean over the joints of
     positions (..., T, J, 3) in metres. The first and the last step have one such frame, the others two.
-
-    Raises:
-        ShapeError: fewer than three frames.
     """
-    frames = check_shape(positions, "... T J 3", "positions")["T"]
-    if frames < 3:
-        raise ShapeError(f"positions: a change of velocity needs three frames, got {frames}")
     change = torch.linalg.vector_norm(positions.diff(n=2, dim=-3), dim=-1).mean(-1) * fps  # (..., T - 2)
     padded = torch.nn.functional.pad(change, (1, 1), value=-torch.inf)
     return torch.maximum(padded[..., 1:], padded[..., :-1])

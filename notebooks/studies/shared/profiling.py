@@ -24,12 +24,7 @@ def interleaved(
 
     Garbage collection is off; each call runs ``warm_up`` times before the first round. Waits for the GPU where there is
     one. With ``time.process_time`` only the time counts in which the processor worked for this process.
-
-    Raises:
-        ValueError: n is less than one.
     """
-    if n < 1:
-        raise ValueError(f"n: expected at least one measured round, got {n}")
     for call in calls.values():
         for _ in range(warm_up):
             call()

@@ -15,7 +15,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from motionlab.errors import check_shape
 from motionlab.humor import stages, state, unknowns
 from motionlab.humor.body_shape import from_skeleton, landmarks
 from motionlab.humor.cvae import Cvae, reorder
@@ -130,7 +129,6 @@ def workload(
     clip (T,): 22 joints, world; about 30 frames per second.
     inferred: latents as the encoders of trained priors find them in the clip; otherwise noise.
     """
-    check_shape(clip.root, "T 3", "clip.root")
     motion = replace(clip, root=clip.root.repeat(batch, 1, 1), rot=clip.rot.repeat(batch, 1, 1, 1, 1), contacts=None)
 
     def noise(*shape: int, scale: float) -> Tensor:
