@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from motionlab.skinning import SMALL, WeightReport
+from motionlab.skinning import SMALL
 from motionlab.viz.palette import ROLE
 from studies.shared.plots import canvas, median_band
 
@@ -31,20 +31,6 @@ def falls_off(weights: Tensor, distance: Tensor, rate: Tensor, joints: Mapping[s
         ax.set(xlim=(0, 2.1), xticks=[0.02, 0.1, 0.3, 0.6, 1, 2])
     axes[0].set_ylabel("weight")
     axes[-1].legend(loc="upper right", markerscale=2)
-    return fig
-
-
-def sizes(reports: Mapping[str, WeightReport]) -> Figure:
-    """Histogram of the non-zero weights of each body on a logarithmic axis."""
-    fig, axes = canvas(1, len(reports), size=(3.2 * len(reports), 2.7), sharey=True)
-    for ax, (name, report) in zip(axes, reports.items(), strict=True):
-        edges, share = report.edges.numpy(), 100 * report.counts.numpy() / report.nonzero
-        low = edges[1:] <= report.threshold * 1.001
-        for mask, colour in ((low, _LEAK), (~low, _KEPT)):
-            ax.bar(edges[:-1][mask], share[mask], np.diff(edges)[mask], align="edge", color=colour, lw=0)
-        ax.set(title=f"{name}, n = {report.nonzero}", xscale="log", xlabel="weight", yscale="log", xlim=(1e-5, 1))
-        ax.axvline(report.threshold, color=ROLE["truth"], lw=1, ls=":")
-    axes[0].set_ylabel("% of non-zero weights")
     return fig
 
 
