@@ -27,7 +27,6 @@ from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.motion import Motion
-from motionlab.skeleton import STANDARD
 from motionlab.training.denoiser_training import DenoiserTraining, held_errors
 from motionlab.training.train_more import learnt_from
 from studies.shared import small_measures
@@ -132,30 +131,17 @@ class _Data:
 
 
 def folder() -> Path:
-    """Where weights and windows are kept, beside the corpus."""
+    """Where weights are kept, beside the corpus."""
     found = corpus.cache_folder().with_name("training") / "small"
     found.mkdir(parents=True, exist_ok=True)
     return found
 
 
 def _data(recordings: Path) -> _Data:
-    """Windows of a folder of recordings; kept, as it takes minutes to retarget all of them."""
-    found = corpus.assemble(recordings, splits.real_sources(recordings))
-    path = folder() / f"windows-{found.digest}.pt"
-    if not path.exists():
-        windows, takes = learnt_from(recordings, FRAMES)
-        sets = [person_windows(t, FRAMES, n) for t, n in ((takes, _PRACTICE), (found.part("report"), _EACH))]
-        part = path.with_suffix(f".{os.getpid()}.part")
-        fields = {name: getattr(windows, name) for name in Windows.__dataclass_fields__}
-        rows = [(w.motion.root, w.motion.rot, w.motion.contacts, w.whose, w.lacks) for w in sets]
-        torch.save((fields, rows), part)
-        part.replace(path)
-    fields, rows = torch.load(path, weights_only=True)
-    choose, report = (
-        PersonWindows(Motion(STANDARD, root, rot, fields["fps"], contacts), whose, lacks)
-        for root, rot, contacts, whose, lacks in rows
-    )
-    return _Data(Windows(**fields), choose.motion, report)
+    """Windows of a folder of recordings; minutes."""
+    windows, takes = learnt_from(recordings, FRAMES)
+    report = corpus.assemble(recordings, splits.real_sources(recordings)).part("report")
+    return _Data(windows, person_windows(takes, FRAMES, _PRACTICE).motion, person_windows(report, FRAMES, _EACH))
 
 
 def _of_people(windows: Windows, count: int, seed: int) -> Windows:
@@ -190,9 +176,9 @@ def _judge(choose: Motion):
     return lambda model: {"x0 error": sum((found := errors(model)).values()) / len(found)}
 
 
-def run(name: str, recordings: Path, *, seeds: int | None = None, again: bool = False) -> None:
+def run(name: str, data: _Data, *, seeds: int | None = None, again: bool = False) -> None:
     """Trains and measures what is not on record of a set, for the first ``seeds`` seeds. again: measures all anew."""
-    path, data = RECORDS / f"small_{name}.json", _data(recordings)
+    path = RECORDS / f"small_{name}.json"
     found = record(name) if path.exists() and not again else {"beside": {}, "rows": []}
     found["beside"] = small_measures.beside(data.report) | found["beside"]
     for arm in SETS[name]:
@@ -234,8 +220,9 @@ def command(arguments: Sequence[str] | None = None) -> None:
     torch.set_num_threads(1)
     with contextlib.suppress(OSError, AttributeError):
         os.nice(19)
+    data = _data(Path(options.data))
     for name in options.sets:
-        run(name, Path(options.data), seeds=options.seeds, again=options.again)
+        run(name, data, seeds=options.seeds, again=options.again)
 
 
 if __name__ == "__main__":
