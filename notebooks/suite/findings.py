@@ -85,7 +85,7 @@ class Claim:
 
     answer: what we found, in a sentence whose numbers are named, not typed. condition, needs: what a verdict of "true
     when" or "undecided" asks for. carriers: the tests that carry it, where others only add. figure: the one that shows
-    it. again: it is to be judged once more.
+    it.
     """
 
     id: str
@@ -98,7 +98,6 @@ class Claim:
     needs: str = ""
     figure: str = ""
     carriers: tuple[str, ...] = ()
-    again: bool = False
     tests: tuple[Criterion, ...] = ()
 
 

@@ -48,8 +48,7 @@ def first_findings(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str
         named = [claims[name] for name in headline["claims"]]
         tests = sum((claim.tests for claim in named), ())
         said = ledger.answer(Claim("README", "", "", "", "", answer=headline["says"], tests=tests), found)
-        again = ", to be measured again" if any(claim.again for claim in named) else ""
-        lines.append(f"- {said} ({_link(named[0].notebook, 'notebooks')}{again})\n")
+        lines.append(f"- {said} ({_link(named[0].notebook, 'notebooks')})\n")
     counts = Counter(ledger.verdict(claim, found) for claim in claims.values())
     *each, last = (f"{counts[word]} {said}" for word, said in _COUNTED.items())
     return "".join(lines) + f"\nOf the thesis's {len(claims)} claims, {', '.join(each)}, and {last}.\n"
@@ -63,9 +62,8 @@ def scoreboard(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str:
             continue
         short = row["verdict"].partition(" ...")[0].removesuffix(": needs")  # without what the ledger adds
         verdict = f"**{short}**{row['in full'].removeprefix(short)}"
-        again = " *(to be judged again)*" if claims[row["claim"]].again else ""
         link = _link(row["notebook"], "../notebooks")
-        lines.append(f"| {row['claim']} | {row['in short']} | {verdict} | {row['answer']}{again} | {link} |")
+        lines.append(f"| {row['claim']} | {row['in short']} | {verdict} | {row['answer']} | {link} |")
     return "\n".join(lines) + "\n"
 
 
