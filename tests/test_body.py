@@ -9,7 +9,8 @@ from motionlab import body, rotation
 from motionlab import body as motionlab_body
 from motionlab.body import AVERAGE_ADULT, BodyModel, _standard_owners, _t_pose_offsets, _to_rest_frame, cache_path, lbs
 from motionlab.errors import DataError, ShapeError
-from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton, fk
+from motionlab.skeleton import STANDARD, Skeleton, fk
+from tests.figures import standing
 
 PARENTS = (-1, 0, 1, 1, 0, 4)
 
@@ -195,11 +196,10 @@ def test_the_default_body_has_the_standard_skeleton(default_body):
     torch.testing.assert_close(default_body.skeleton.offsets, STANDARD.offsets, rtol=0, atol=1e-3)
     assert abs(default_body.skeleton.sole - STANDARD.sole) < 1e-3
     torch.testing.assert_close(default_body.weights.sum(1), torch.ones(len(default_body.template)))
-    rot = torch.eye(3).repeat(1, 22, 1, 1)
-    rot[:, 0] = UPRIGHT
-    standing = lbs(default_body, STANDARD, torch.tensor([[0.0, 0.0, float(STANDARD.standing_height())]]), rot)[0]
-    assert abs(float(standing[:, 2].min())) < 1e-3  # its soles are on the floor
-    keypoints = {k: standing[v] for k, v in default_body.keypoint_vertices.items()}
+    motion = standing(1)
+    skin = lbs(default_body, STANDARD, motion.root, motion.rot)[0]
+    assert abs(float(skin[:, 2].min())) < 1e-3  # its soles are on the floor
+    keypoints = {k: skin[v] for k, v in default_body.keypoint_vertices.items()}
     assert keypoints["left_eye"][0] < 0 < keypoints["right_eye"][0]  # facing +y, left is -x
     assert keypoints["nose"][1] == max(p[1] for k, p in keypoints.items() if "toe" not in k)
     assert keypoints["left_heel"][1] < 0 < keypoints["left_big_toe"][1]

@@ -6,15 +6,8 @@ import twins
 from motionlab.contact import _hysteresis, contacts_from_positions, resting_heights, with_contacts
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
-from motionlab.skeleton import STANDARD, UPRIGHT
-
-
-def standing(frames: int, fps: float = 30.0) -> Motion:
-    rot = torch.eye(3).repeat(frames, 22, 1, 1)
-    rot[:, 0] = UPRIGHT
-    root = torch.zeros(frames, 3)
-    root[:, 2] = STANDARD.standing_height()
-    return Motion(STANDARD, root, rot, fps)
+from motionlab.skeleton import STANDARD
+from tests.figures import standing
 
 
 def test_who_stands_still_touches_with_the_feet_only():

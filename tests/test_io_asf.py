@@ -1,6 +1,5 @@
 """ASF/AMC: against a scalar reading of the format with 4x4 matrices, and wrong files."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import torch
 from motionlab import io
 from motionlab.errors import DataError
 from motionlab.io import asf
+from tests.recorded import DATA, needs_data
 
 ASF = """# a comment
 :version 1.10
@@ -238,10 +238,10 @@ def test_wrong_files_name_file_place_and_remedy(tmp_path, name):
     assert caught.value.path and caught.value.place and caught.value.remedy
 
 
-@pytest.mark.skipif(not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings")
+@needs_data
 @pytest.mark.parametrize("take", ["02_01", "02_05"])
 def test_a_recording_agrees_with_a_scalar_reading(take):
-    folder = Path(os.environ["MOTIONLAB_DATA"]) / "cmu_amc"
+    folder = DATA / "cmu_amc"
     assert (
         compare((folder / "02.asf", folder / f"{take}.amc"), 150) == 34
     )  # every joint but the root and the three that start there

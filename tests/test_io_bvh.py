@@ -1,6 +1,5 @@
 """BVH: against a scalar reading of the format, round trips, and files that are wrong in every line."""
 
-import os
 import re
 import warnings
 from dataclasses import replace
@@ -16,6 +15,8 @@ from motionlab.errors import DataError, ShapeError
 from motionlab.io import bvh
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
+from tests.figures import standing
+from tests.recorded import DATA, needs_data
 from tests.twins import fk as twin_fk
 
 ROTATIONS = "Zrotation Xrotation Yrotation"
@@ -108,17 +109,12 @@ def test_a_size_that_no_unit_explains_is_scaled_and_said(tmp_path):
 
 
 def test_z_up_is_detected(tmp_path):
-    bvh.save(tmp_path / "z.bvh", standing(), up="z")
+    motion = standing(at=(0.1, 0.2))
+    bvh.save(tmp_path / "z.bvh", motion, up="z")
     loaded = bvh.load(tmp_path / "z.bvh")
     assert any("up axis z detected" in note for note in loaded.notes)
     order = loaded.skeleton.indices(STANDARD.names)
-    torch.testing.assert_close(loaded.positions[:, order], standing().positions, atol=1e-6, rtol=0)
-
-
-def standing(frames: int = 3, skeleton=STANDARD) -> Motion:
-    rot = torch.eye(3).repeat(frames, len(skeleton), 1, 1)
-    rot[:, 0] = UPRIGHT
-    return Motion(skeleton, torch.tensor([0.1, 0.2, 0.97]).repeat(frames, 1), rot, 30.0)
+    torch.testing.assert_close(loaded.positions[:, order], motion.positions, atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("order", ["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"])
@@ -308,18 +304,13 @@ def test_deep_nesting_is_only_slow(tmp_path):
     assert len(bvh.load(path, unit="cm", up="y").skeleton) == depth
 
 
-needs_data = pytest.mark.skipif(
-    not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings"
-)
-
-
 @needs_data
 def test_agrees_with_bvhio_on_a_recording():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PendingDeprecationWarning)  # bvhio still imports glm by its old name
         import bvhio
 
-    path = Path(os.environ["MOTIONLAB_DATA"]) / "reactidle" / "003_genuine.bvh"
+    path = DATA / "reactidle" / "003_genuine.bvh"
     ours = bvh.load(path, unit="m", up="z")  # no change of axes
     root = bvhio.readAsHierarchy(str(path))
     for frame in (0, 400, 917):
@@ -332,7 +323,7 @@ def test_agrees_with_bvhio_on_a_recording():
 
 @needs_data
 def test_bandai_translation_is_in_the_hips_and_sometimes_in_the_root_too():
-    folder = Path(os.environ["MOTIONLAB_DATA"]) / "bandai_namco"
+    folder = DATA / "bandai_namco"
     walk = bvh.load(folder / "dataset-1_walk_normal_001.bvh")
     assert walk.skeleton.names[0] == "Hips" and walk.fps == 30.0
     travelled = (walk.root[-1] - walk.root[0])[:2].norm()

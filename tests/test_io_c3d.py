@@ -1,4 +1,3 @@
-import os
 import struct
 from pathlib import Path
 
@@ -9,11 +8,9 @@ import torch
 
 from motionlab.errors import DataError
 from motionlab.io.points import load_c3d
+from tests.recorded import DATA, needs_data
 
 ezc3d = pytest.importorskip("ezc3d")
-needs_data = pytest.mark.skipif(
-    not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings"
-)
 
 
 def write(path: Path, points: np.ndarray, unit="mm", up: str | None = "+Z", analog: int = 0) -> Path:
@@ -86,7 +83,7 @@ def test_promised_frames_must_be_there(tmp_path, points):
 
 @needs_data
 def test_real_takes_agree_with_ezc3d():
-    takes = sorted((Path(os.environ["MOTIONLAB_DATA"]) / "captury_falls").glob("*/mocap.c3d"))
+    takes = sorted((DATA / "captury_falls").glob("*/mocap.c3d"))
     assert takes
     for path in takes:
         loaded, reference = load_c3d(path), ezc3d.c3d(str(path))

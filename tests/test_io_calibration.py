@@ -1,8 +1,5 @@
 """Calibrations, judged by where they project: made by hand, then Pose2Sim's and Captury's own."""
 
-import os
-from pathlib import Path
-
 import pytest
 import seeds
 import torch
@@ -10,10 +7,7 @@ import torch
 from motionlab.io import cameras, openpose, points
 from motionlab.io.cameras import load_qualisys
 from motionlab.observation import Camera, project
-
-needs_data = pytest.mark.skipif(
-    not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings"
-)
+from tests.recorded import DATA, needs_data
 
 
 @pytest.mark.parametrize("kind", ["qualisys", "captury"])
@@ -34,7 +28,7 @@ def test_written_cameras_project_as_before(tmp_path, kind):
 def test_captury_joints_fall_on_captury_projections():
     """Its own projections, of its own joints, through its own cameras: equal to the digits in the file."""
     pairs = {"LAnkle": "LeftFoot", "RKnee": "RightLeg", "LHip": "LeftUpLeg", "RShoulder": "RightArm", "Head": "Head"}
-    for take in sorted((Path(os.environ["MOTIONLAB_DATA"]) / "captury_falls").glob("video*")):
+    for take in sorted((DATA / "captury_falls").glob("video*")):
         joints = points.load_biomech(take / "biomech.csv", fps=50)
         for index, camera in enumerate(cameras.load_captury(take / "camera.calib", width=1920)):
             seen = points.load_projected(take / f"projected{index:02}.csv", camera=camera, fps=50)
@@ -46,7 +40,7 @@ def test_captury_joints_fall_on_captury_projections():
 
 @needs_data
 def test_captury_tables_and_c3d_share_a_world():
-    for take in sorted((Path(os.environ["MOTIONLAB_DATA"]) / "captury_falls").glob("video*")):
+    for take in sorted((DATA / "captury_falls").glob("video*")):
         joints, markers = points.load_biomech(take / "biomech.csv", fps=50), points.load_c3d(take / "mocap.c3d")
         for side in "LR":
             middle = markers.select([f"Q_{side}KneeIn", f"Q_{side}KneeOut"]).positions.mean(1)
@@ -70,7 +64,7 @@ def triangulate(cameras: list[Camera], pixels: torch.Tensor, weight: torch.Tenso
 @needs_data
 def test_pose2sim_views_meet_at_its_own_result():
     """SOURCE.txt: triangulating the four views gives 1.8 cm median distance to the TRC, 90 % below 7.8 cm."""
-    root = Path(os.environ["MOTIONLAB_DATA"]) / "pose2sim_openpose"
+    root = DATA / "pose2sim_openpose"
     truth = points.load_trc(root / "ref3d/Balancing_for_IK.trc").select(list(PAIRS)).positions
     cameras = list(load_qualisys(root / "Calib.qca.txt").values())
     views = [openpose.load(root / f"single_balancing/cam0{n}_json", fps=60, layout="BODY_25B") for n in (1, 2, 3, 4)]

@@ -1,7 +1,6 @@
 """DeepMimic's JSON: against scipy and a scalar tree, its traps, and wrong files."""
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from motionlab.errors import DataError
 from motionlab.io import clips
+from tests.recorded import DATA, needs_data
 from tests.twins import fk as twin_fk
 
 LAYOUT = ["chest4", "neck4", "rhip4", "rknee1", "rankle4", "rshoulder4", "relbow1", "lhip4", "lknee1", "lankle4"]
@@ -130,9 +130,9 @@ def test_wrong_files_name_file_place_and_remedy(tmp_path, name):
     assert caught.value.path and caught.value.place and caught.value.remedy
 
 
-@pytest.mark.skipif(not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings")
+@needs_data
 def test_recordings_stand_on_the_floor():
-    folder = Path(os.environ["MOTIONLAB_DATA"]) / "deepmimic"
+    folder = DATA / "deepmimic"
     rates = {"humanoid3d_walk": 30, "humanoid3d_spinkick": 60, "sie_humanoid3d_run_left08": 120}
     for name, fps in rates.items():
         motion = clips.load_deepmimic(folder / f"{name}.txt")

@@ -1,6 +1,5 @@
 import hashlib
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +10,7 @@ from motionlab.errors import DataError
 from motionlab.io import openpose
 from motionlab.io.layouts import BODY_25B, COCO_18, LAYOUTS, to_body_25
 from motionlab.observation import BODY_25
-
-needs_data = pytest.mark.skipif(
-    not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings"
-)
+from tests.recorded import DATA, needs_data
 
 
 def figure(names=BODY_25, height: float = 200.0) -> np.ndarray:
@@ -164,7 +160,7 @@ def neck_steps(observed) -> torch.Tensor:
 @needs_data
 def test_nobody_is_swapped_in_the_real_crowd():
     """Ten people, unordered. The picture itself shifts by some 60 px between the first two frames."""
-    folder = Path(os.environ["MOTIONLAB_DATA"]) / "openpose_crowd"
+    folder = DATA / "openpose_crowd"
     for place in range(10):
         observed = openpose.load(folder, fps=30, person=place)
         if observed.visible.any(-1).sum() < 10:
@@ -176,7 +172,7 @@ def test_nobody_is_swapped_in_the_real_crowd():
 
 @needs_data
 def test_real_balancing_views_hold_one_person_throughout():
-    root = Path(os.environ["MOTIONLAB_DATA"]) / "pose2sim_openpose/single_balancing"
+    root = DATA / "pose2sim_openpose/single_balancing"
     for folder in sorted(root.iterdir()):
         observed = openpose.load(folder, fps=60)
         assert observed.names == BODY_25B and observed.frames == 100
@@ -185,7 +181,7 @@ def test_real_balancing_views_hold_one_person_throughout():
 
 @needs_data
 def test_real_webcam_hides_joints_by_confidence():
-    observed = openpose.load(Path(os.environ["MOTIONLAB_DATA"]) / "3dance_openpose/PRE_json", fps=30)
+    observed = openpose.load(DATA / "3dance_openpose/PRE_json", fps=30)
     assert observed.frames == 486 and observed.names == BODY_25
     assert 0.4 < observed.visible.float().mean() < 0.9
     assert (observed.keypoints[~observed.visible] == 0).all()
@@ -205,7 +201,7 @@ CHOSEN = "fd449f607a0cfe85c2179bd9ca73a101d6ae7c5e"
 
 @needs_data
 def test_the_same_people_are_chosen_as_ever():
-    root, found = Path(os.environ["MOTIONLAB_DATA"]), hashlib.sha1(usedforsecurity=False)
+    root, found = DATA, hashlib.sha1(usedforsecurity=False)
     places = [root / "openpose_crowd", *sorted((root / "pose2sim_openpose").glob("*/cam*_json"))]
     for folder in [*places, *sorted(path for path in (root / "3dance_openpose").iterdir() if path.is_dir())]:
         layout = "BODY_25B" if folder.name.startswith("cam") else "BODY_25"

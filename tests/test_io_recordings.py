@@ -1,5 +1,4 @@
 import json
-import os
 
 import numpy as np
 import pytest
@@ -12,18 +11,8 @@ from motionlab.io.points import Positions
 from motionlab.io.recordings import SOURCES, inventory, passed_over, recordings
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
-from motionlab.skeleton import STANDARD, UPRIGHT
-
-needs_data = pytest.mark.skipif(
-    not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings"
-)
-
-
-def standing(frames: int = 6, fps: float = 30.0) -> Motion:
-    rot = torch.eye(3).expand(frames, 22, 3, 3).clone()
-    rot[:, 0] = UPRIGHT
-    root = torch.tensor([0.0, 0.0, float(STANDARD.standing_height())]).expand(frames, 3)
-    return Motion(STANDARD, root, rot, fps)
+from tests.figures import standing
+from tests.recorded import DATA, needs_data
 
 
 def dance(path, frames: int = 4, **changes) -> None:
@@ -32,10 +21,10 @@ def dance(path, frames: int = 4, **changes) -> None:
 
 
 def test_a_folder_of_ones_own_works(tmp_path):
-    bvh.save(tmp_path / "walk.bvh", standing())
+    bvh.save(tmp_path / "walk.bvh", standing(6))
     deep = tmp_path / "mine" / "take 1"
     deep.mkdir(parents=True)
-    amass.save(deep / "poses.npz", standing())
+    amass.save(deep / "poses.npz", standing(6))
     dance(deep / "dance.npz")
     for n in range(3):
         points = [float(v) for v in np.random.default_rng(n).uniform(1, 9, 54)]
@@ -62,7 +51,7 @@ def test_keypoints_of_unknown_rate_are_not_guessed(tmp_path):
 
 def test_a_bad_file_stops_nothing_and_is_named(tmp_path):
     for name in ("a", "c"):
-        bvh.save(tmp_path / f"{name}.bvh", standing())
+        bvh.save(tmp_path / f"{name}.bvh", standing(6))
     (tmp_path / "b.bvh").write_text("HIERARCHY nothing")
     (tmp_path / "lost.amc").write_text(":DEGREES\n1\nroot 0 0 0 0 0 0\n")
     (tmp_path / "captury_falls" / "take").mkdir(parents=True)
@@ -80,7 +69,7 @@ def test_a_bad_file_stops_nothing_and_is_named(tmp_path):
 
 
 def test_a_json_file_that_may_not_be_opened_is_named(tmp_path, monkeypatch):
-    bvh.save(tmp_path / "a.bvh", standing())
+    bvh.save(tmp_path / "a.bvh", standing(6))
     (tmp_path / "locked.json").write_text("{}")
     usual = type(tmp_path).open
 
@@ -105,7 +94,7 @@ def test_what_is_missing_says_how_to_get_it(tmp_path):
 
 
 def test_npz_layouts_are_told_by_their_keys(tmp_path):
-    amass.save(tmp_path / "a.npz", standing())
+    amass.save(tmp_path / "a.npz", standing(6))
     dance(tmp_path / "b.npz")
     assert (
         io._npz_loader(tmp_path / "a.npz") is amass.load and io._npz_loader(tmp_path / "b.npz") is points.load_anidance
@@ -129,7 +118,7 @@ def test_anidance_adds_the_centre_and_stands_up(tmp_path):
 def test_anidance_names_fit_the_bodies():
     """Sides and order by anatomy: knees bend forward, feet point forward, the right is right of the left."""
     heads, knees, feet, spread = [], [], [], []
-    for _, path, loader in recordings(os.environ["MOTIONLAB_DATA"], "anidance"):
+    for _, path, loader in recordings(DATA, "anidance"):
         loaded = loader(path)
         at = {name: loaded.positions[:, k] for k, name in enumerate(loaded.names)}
         right = at["right_hip"] - at["left_hip"] + at["right_shoulder"] - at["left_shoulder"]
@@ -149,7 +138,7 @@ def test_anidance_names_fit_the_bodies():
 @needs_data
 def test_every_recording_of_the_data_set_loads():
     folder, large = (
-        os.environ["MOTIONLAB_DATA"],
+        DATA,
         {"cmu_library", "cmu_native"},
     )  # of these a sample is a test's elsewhere
     rows = {(r.source, r.kind): r for name in sorted(set(SOURCES) - large) for r in inventory(folder, name)}
@@ -162,7 +151,7 @@ def test_every_recording_of_the_data_set_loads():
 
 
 def test_what_is_passed_over_is_said_with_the_reason(tmp_path, capsys):
-    bvh.save(tmp_path / "walk.bvh", standing())
+    bvh.save(tmp_path / "walk.bvh", standing(6))
     for name in ("a.fbx", "b.fbx", "notes.md", "02.asf", "talk.json"):
         (tmp_path / name).write_text("{}")
     lines = "\n".join(passed_over(tmp_path))
@@ -181,7 +170,7 @@ def test_what_is_passed_over_is_said_with_the_reason(tmp_path, capsys):
 
 
 def test_what_is_said_of_files_goes_to_the_loaders_that_take_it(tmp_path):
-    bvh.save(tmp_path / "walk.bvh", standing())
+    bvh.save(tmp_path / "walk.bvh", standing(6))
     dance(tmp_path / "dance.npz")
     (given,) = (r for r in recordings(tmp_path, reading={"unit": "m", "up": "y"}) if r.path.suffix == ".bvh")
     assert given.loader(given.path).notes == ()
@@ -190,8 +179,8 @@ def test_what_is_said_of_files_goes_to_the_loaders_that_take_it(tmp_path):
 
 
 def test_one_file_is_a_folder_of_one(tmp_path, capsys):
-    bvh.save(tmp_path / "a.bvh", standing())
-    bvh.save(tmp_path / "b.bvh", standing())
+    bvh.save(tmp_path / "a.bvh", standing(6))
+    bvh.save(tmp_path / "b.bvh", standing(6))
     (tmp_path / "c.md").write_text("none")
     assert __main__.main(["data", str(tmp_path / "a.bvh")]) == 0
     said = capsys.readouterr().out

@@ -1,6 +1,4 @@
-import os
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +8,7 @@ from seeds import trc_text as table
 from motionlab.errors import DataError, ShapeError
 from motionlab.io import points
 from motionlab.io.points import axes_to_matrix
+from tests.recorded import DATA, needs_data
 
 
 def test_units_rate_and_axes(tmp_path):
@@ -62,9 +61,9 @@ def test_unknown_units_are_refused(tmp_path, unit):
         points.load_trc(path)
 
 
-@pytest.mark.skipif(not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings")
+@needs_data
 def test_real_person_stands_upright():
-    loaded = points.load_trc(Path(os.environ["MOTIONLAB_DATA"]) / "pose2sim_openpose/ref3d/Balancing_for_IK.trc")
+    loaded = points.load_trc(DATA / "pose2sim_openpose/ref3d/Balancing_for_IK.trc")
     assert (loaded.frames, len(loaded.names), loaded.fps) == (100, 21, 60.0) and loaded.valid.all()
     height = loaded.positions[..., 2]
     low, high = (height[:, loaded.names.index(name)].mean() for name in ("LHeel", "Head"))

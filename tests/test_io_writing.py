@@ -9,17 +9,10 @@ import torch
 from motionlab.errors import DataError, ShapeError
 from motionlab.files import write_whole
 from motionlab.io import amass, bvh, gltf
-from motionlab.motion import Motion
-from motionlab.skeleton import STANDARD, UPRIGHT
 from suite.findings import Record, save_record
+from tests.figures import standing
 
 SAVERS = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save}
-
-
-def standing(frames: int = 3) -> Motion:
-    rot = torch.eye(3).repeat(frames, 22, 1, 1)
-    rot[:, 0] = UPRIGHT
-    return Motion(STANDARD, torch.tensor([0.0, 0.0, 0.9]).repeat(frames, 1), rot, 30.0)
 
 
 @pytest.mark.parametrize("suffix", SAVERS)

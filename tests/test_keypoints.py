@@ -1,7 +1,6 @@
 """Keypoints of every detector: small files by hand against what is known of them, and the real ones where they are."""
 
 import json
-import os
 from pathlib import Path
 
 import detected
@@ -14,10 +13,10 @@ from motionlab.errors import DataError
 from motionlab.io import keypoints
 from motionlab.io.layouts import BODY_25B, COCO_17, HALPE_26, LAYOUTS, MEDIAPIPE_33, standard_name, to_body_25
 from motionlab.observation import BODY_25, Observation2D
+from tests.recorded import DATA
 
 #: Real files lie among the recordings, or beside them, where no record of a notebook counts them.
-_DATA = Path(os.environ.get("MOTIONLAB_DATA") or "no recordings")
-FORMATS = next((f for folder in (_DATA, _DATA.parent) if (f := folder / "keypoint_formats").is_dir()), None)
+FORMATS = next((f for folder in (DATA, DATA.parent) if (f := folder / "keypoint_formats").is_dir()), None)
 needs_data = pytest.mark.skipif(FORMATS is None, reason="unpack keypoint_formats into MOTIONLAB_DATA or beside it")
 #: What some files say of themselves, and what the others must be told.
 SAID = {"mediapipe.json": {}, "mediapipe.csv": {"size": detected.SIZE}, "plain.npz": {}, "sports2d.trc": {}}

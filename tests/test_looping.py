@@ -17,6 +17,7 @@ from motionlab.metrics.pose import jitter
 from motionlab.motion import Motion
 from motionlab.retarget import retarget
 from motionlab.skeleton import FEET, STANDARD, UPRIGHT
+from tests import figures
 
 LEGS = STANDARD.indices([f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")])
 STRIDE = slice(44, 78)  # one of the walk that ships: both ends in nearly one pose
@@ -40,12 +41,9 @@ def slide(motion: Motion, truth: Motion) -> float:
 
 def standing(frames: int = 40, shake: float = 0.0) -> Motion:
     """Somebody who stands; ``shake``: radians by which the left thigh swings forth and back."""
-    rot = torch.eye(3).repeat(frames, 22, 1, 1)
-    rot[:, 0] = UPRIGHT
-    swing = shake * torch.sin(torch.arange(frames) * 2 * torch.pi / 20)
-    rot[:, STANDARD.index("left_hip")] = rotation.rotation_about("x", swing)
-    feet = (UPRIGHT @ STANDARD.rest_positions().mT).mT[:, 2].amin()
-    return Motion(STANDARD, torch.tensor([[0.0, 0.0, STANDARD.sole - float(feet)]]).repeat(frames, 1), rot, 30.0)
+    motion, swing = figures.standing(frames), shake * torch.sin(torch.arange(frames) * 2 * torch.pi / 20)
+    motion.rot[:, STANDARD.index("left_hip")] = rotation.rotation_about("x", swing)
+    return motion
 
 
 def rounds(motion: Motion, count: int = 3) -> Tensor:

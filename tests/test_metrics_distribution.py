@@ -1,4 +1,3 @@
-import json
 import math
 from dataclasses import replace
 
@@ -11,26 +10,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from studies.nb01_data import sources_compared
 from tests.draws import seeded
-from tests.test_architecture import ROOT
-
-
-def test_energy_distance_of_two_gaussians_is_the_known_one():
-    """The function that notebook 01 writes out: D^2 = 2 E|X-Y| - 2 E|X-X'|, and E|N(m, 2)| is known."""
-    m, g, scope = 1.5, seeded(0), {"torch": torch}
-    mean_abs = 2 / math.sqrt(math.pi) * math.exp(-(m**2) / 4) + m * math.erf(m / 2)
-    x, y = (torch.randn(4000, 1, generator=g) + shift for shift in (0, m))
-    cells = json.loads((ROOT / "notebooks" / "01_motion_data.ipynb").read_text(encoding="utf-8"))["cells"]
-    written = next(text for cell in cells if (text := "".join(cell["source"])).startswith("def energy("))
-    exec(written.split("\n\n")[0], scope)
-    assert scope["energy"](x, y) == pytest.approx(2 * mean_abs - 4 / math.sqrt(math.pi), rel=0.05)
-
-
-def statue(frames=90, height=0.992):
-    rot = torch.eye(3).repeat(frames, 22, 1, 1)
-    rot[:, 0] = UPRIGHT
-    root = torch.zeros(frames, 3)
-    root[:, 2] = height
-    return Motion(STANDARD, root, rot, 30.0)
+from tests.figures import standing
 
 
 def noisy(seed, shift, people=30):
@@ -52,7 +32,7 @@ def test_what_differs_most_is_found_on_other_people():
 
 
 def test_quick_motion_is_the_share_above_four_hertz():
-    motion = statue()
+    motion = standing(90)
     t = torch.arange(90) / 30
     slow, fast = (motion.root + torch.stack((0.1 * (2 * math.pi * f * t).sin(), 0 * t, 0 * t), -1) for f in (1.0, 8.0))
     share = [distribution.describe(replace(motion, root=r))["quick motion"].item() for r in (slow, fast)]
@@ -60,7 +40,9 @@ def test_quick_motion_is_the_share_above_four_hertz():
 
 
 def test_feet_on_the_floor_are_measured():
-    on, off = (distribution.describe(statue(height=h))["feet on the floor"].item() for h in (0.992, 1.4))
+    motion = standing(90)
+    lifted = replace(motion, root=motion.root + torch.tensor([0.0, 0.0, 0.4]))
+    on, off = (distribution.describe(m)["feet on the floor"].item() for m in (motion, lifted))
     assert (on, off) == (100, 0)
 
 

@@ -1,9 +1,7 @@
 """Retargeting: exact where it can be, measured where it cannot, and refused where a skeleton is not understood."""
 
 import math
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -15,6 +13,7 @@ from motionlab.ik import two_bone_ik
 from motionlab.motion import Motion
 from motionlab.retarget import _resting, _skate, retarget
 from motionlab.skeleton import FEET, STANDARD, UPRIGHT, Skeleton
+from tests.recorded import DATA, needs_data
 
 SIDES = ("left", "right")
 
@@ -247,9 +246,6 @@ def test_cmu_in_bvh_with_joints_between(generator):
     assert_same(retarget(replace(motion, skeleton=skeleton, rot=torch.stack(rot, dim=1))), motion)
 
 
-needs_data = pytest.mark.skipif(
-    not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings"
-)
 WALKS = (  # a walk or run of every source that has one
     "bandai_namco/dataset-1_walk_normal_001.bvh",
     "bandai_namco/dataset-2_run_normal_001.bvh",
@@ -264,7 +260,7 @@ WALKS = (  # a walk or run of every source that has one
 @pytest.mark.parametrize("proportions", ["source", "standard"])
 @pytest.mark.parametrize("name", WALKS)
 def test_walkers_look_where_they_go(name, proportions):
-    result = retarget(io.load(Path(os.environ["MOTIONLAB_DATA"]) / name), proportions=proportions)
+    result = retarget(io.load(DATA / name), proportions=proportions)
     motion = result.motion
     facing, going = motion.rot[:, 0, :2, 2], torch.gradient(motion.root[:, :2], dim=0)[0]
     moving = going.norm(dim=-1) * motion.fps > 0.3
@@ -293,7 +289,7 @@ def test_walkers_look_where_they_go(name, proportions):
     ],
 )
 def test_residual_and_skate_of_recordings(name, limit):
-    motion = io.load(Path(os.environ["MOTIONLAB_DATA"]) / name)
+    motion = io.load(DATA / name)
     exact, standard = retarget(motion), retarget(motion, proportions="standard")
     assert exact.residual < 0.025  # the issue's aim
     assert exact.residual <= standard.residual < limit

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -14,6 +12,7 @@ from motionlab.body import BodyModel, lbs
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD, Skeleton, fk
 from motionlab.tailoring import tailored
+from tests.recorded import DATA, needs_data
 
 #: Where rigs have what they move (pelvis at the origin; x left, y up, z forward, metres), and how long limbs are
 #: against the body's.
@@ -134,10 +133,10 @@ def test_other_joints_are_left_to_who_poses_them(body: BodyModel) -> None:
     assert tailored(body, other) is body
 
 
-@pytest.mark.skipif(not os.environ.get("MOTIONLAB_DATA"), reason="set MOTIONLAB_DATA to the unpacked recordings")
+@needs_data
 @pytest.mark.parametrize("found", ["cmu_amc/*.amc", "bandai_namco/**/*.bvh", "deepmimic/*walk1.txt"])
 def test_recorded_people(body: BodyModel, found: str) -> None:
-    path = next(iter(sorted(Path(os.environ["MOTIONLAB_DATA"]).glob(found))))
+    path = next(iter(sorted(DATA.glob(found))))
     theirs = retarget(io.load(path)).motion.skeleton
     straight = posed(body, body.skeleton)
     assert longest(body, posed(tailored(body, theirs), theirs), straight) < 1.6

@@ -8,7 +8,6 @@ import threading
 from dataclasses import replace
 from itertools import combinations
 
-import ipywidgets
 import numpy as np
 import pytest
 import torch
@@ -20,24 +19,23 @@ from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D, look_at, project
-from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
+from motionlab.skeleton import STANDARD, Skeleton
 from motionlab.viz import mannequin, palette
 from motionlab.viz.interactive import explore, slider
-from motionlab.viz.movie import film, overlay, stage, strip, write_film
+from motionlab.viz.movie import film, overlay, stage, write_film
 from motionlab.viz.scene import Scene
+from tests import figures
 
 SMALL = (160, 120)
 
 
 def standing(frames=8, fps=10.0, speed=0.5) -> Motion:
     """A T-pose that glides over the floor along +x and swings its left arm."""
-    rot = torch.eye(3).repeat(frames, len(STANDARD), 1, 1)
-    rot[:, 0] = UPRIGHT
+    motion = figures.standing(frames, fps)
     swing = torch.linspace(0, 1.2, frames)
-    rot[:, STANDARD.index("left_shoulder")] = rotation.rotation_about("z", -swing)
-    root = torch.zeros(frames, 3)
-    root[:, 0], root[:, 2] = speed * torch.arange(frames) / fps, STANDARD.standing_height()
-    return Motion(STANDARD, root, rot, fps, name="glide")
+    motion.rot[:, STANDARD.index("left_shoulder")] = rotation.rotation_about("z", -swing)
+    motion.root[:, 0] = speed * torch.arange(frames) / fps
+    return replace(motion, name="glide")
 
 
 def centroid(picture: np.ndarray, tint: str) -> np.ndarray:
@@ -411,22 +409,6 @@ def test_knobs_say_their_units_and_a_result_may_be_a_film(tmp_path):
     assert knob.description == "seconds (s)"
     with pytest.raises(ValueError, match="gap; knobs are seconds"):
         explore(draw, units={"gap": "s"}, seconds=(0.2, 0.8, 0.1))
-
-
-def test_a_knob_s_hand_is_long_unless_it_brings_its_own_width():
-    draw = lambda t=0, own=0: np.zeros((4, 8, 3), np.uint8)  # noqa: E731
-    own = ipywidgets.IntSlider(max=9, layout={"width": "12em"})
-    *_, made, brought = explore(draw, t=(0, 999, 1), own=own).children
-    assert made.layout.width.endswith("34em)") and brought.layout.width == "12em"
-
-
-def test_a_single_frame_has_no_time_below_it(monkeypatch):
-    words: list[str] = []
-    monkeypatch.setattr(Scene, "label", lambda scene, point, text: words.append(text))
-    strip(standing().cut(3, 4), 1, size=SMALL)
-    assert words == []
-    strip(standing(), 2, size=SMALL)
-    assert len(words) == 2 and words[0] == "0.00 s"
 
 
 def test_a_film_has_a_bar_where_somebody_watches(tmp_path, capsys):

@@ -9,9 +9,8 @@ import torch
 from motionlab.body import BodyModel
 from motionlab.footage.overlay import _film_size, as_camera, bodies_over, over_footage
 from motionlab.io import video
-from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, look_at
-from motionlab.skeleton import STANDARD, UPRIGHT
+from tests.figures import standing
 
 CAMERA = look_at(torch.tensor([0.0, -4.0, 1.2]), torch.tensor([0.0, 0.0, 0.9]), focal=150.0, width=160, height=120)
 RED, GREEN = (0.9, 0.1, 0.1), (0.1, 0.7, 0.1)
@@ -22,15 +21,8 @@ def body() -> BodyModel:
     return BodyModel.from_anny()
 
 
-def standing(y: float, frames: int = 2) -> Motion:
-    rot = torch.eye(3).repeat(frames, 22, 1, 1)
-    rot[:, 0] = UPRIGHT
-    root = torch.tensor([0.0, y, float(STANDARD.standing_height())]).repeat(frames, 1)
-    return Motion(STANDARD, root, rot, 25.0)
-
-
 def test_the_nearer_hides_the_farther_in_either_order(body):
-    near, far = standing(-1.0), standing(1.0)
+    near, far = standing(2, 25.0, at=(0.0, -1.0)), standing(2, 25.0, at=(0.0, 1.0))
     paper = np.full((120, 160, 3), 255, np.uint8)
     for people, roles in (((near, far), (RED, GREEN)), ((far, near), (GREEN, RED))):
         shown = [[True, people[0] is near], [True, people[1] is near]]
@@ -44,7 +36,7 @@ def test_the_nearer_hides_the_farther_in_either_order(body):
 
 
 def test_a_film_has_a_frame_for_each_of_the_footage(tmp_path, body):
-    motion = standing(0.0, frames=4)
+    motion = standing(4, 25.0, at=(0.0, 0.0))
     seen = Observation2D(torch.full((4, 25, 2), 20.0), torch.ones(4, 25), BODY_25, 25.0)
     pictures = (np.full((120, 160, 3), 60 * frame, np.uint8) for frame in range(4))
     film = over_footage(
@@ -57,7 +49,7 @@ def test_a_film_has_a_frame_for_each_of_the_footage(tmp_path, body):
 
 
 def test_the_side_view_crops_no_head_and_who_was_hardly_seen_makes_nobody_small(tmp_path, body):
-    near, far = standing(0.0), standing(9.0)
+    near, far = standing(2, 25.0, at=(0.0, 0.0)), standing(2, 25.0, at=(0.0, 9.0))
     whole = Observation2D(torch.full((2, 25, 2), 20.0), torch.ones(2, 25), BODY_25, 25.0)
     part = Observation2D(whole.keypoints, (torch.arange(25) < 5).float().repeat(2, 1), BODY_25, 25.0)
     heights = []
@@ -73,7 +65,7 @@ def test_the_side_view_crops_no_head_and_who_was_hardly_seen_makes_nobody_small(
 
 def test_who_leaves_is_in_the_side_view_until_then(tmp_path, body):
     """The second is seen whole in one of four frames, 3 m away; afterwards the fit has him anywhere."""
-    near, away = standing(0.0, frames=4), standing(3.0, frames=4)
+    near, away = standing(4, 25.0, at=(0.0, 0.0)), standing(4, 25.0, at=(0.0, 3.0))
     gone = replace(away, root=away.root + torch.tensor([0.0, 9.0, 0.0]) * torch.tensor([0.0, 1, 1, 1])[:, None])
     whole = Observation2D(torch.full((4, 25, 2), 20.0), torch.ones(4, 25), BODY_25, 25.0)
     once = Observation2D(whole.keypoints, torch.tensor([1.0, 0, 0, 0])[:, None].repeat(1, 25), BODY_25, 25.0)
