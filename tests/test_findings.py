@@ -6,7 +6,7 @@ import torch
 
 from motionlab.errors import DataError
 from motionlab.metrics import intervals
-from suite import findings
+from suite import findings, staleness
 from suite.findings import FAILS, HOLDS, UNJUDGED, Criterion, Finding, Record
 
 
@@ -73,7 +73,9 @@ def test_share_matches_the_published_wilson_interval():
 
 
 def test_record_round_trip(tmp_path):
-    record = Record("02_x", "abc", (finding(HOLDS), finding(FAILS, "cmu_amc")), {"torch": "2"})
+    marks = {"a": staleness.mark(1 / 3), "none": staleness.mark(None), "n": staleness.Mark(8, 0)}
+    more = {"torch": "2"}, marks, {}, {"weights": "1"}, {"cmu": "2"}, {"module": "3"}
+    record = Record("02_x", "abc", (finding(HOLDS), finding(FAILS, "cmu_amc")), *more)
     findings.save_record(tmp_path / "02.json", record)
     assert findings.load_record(tmp_path / "02.json") == record
     assert findings.load_results(tmp_path) == list(record.findings)
@@ -89,7 +91,15 @@ def test_nothing_measured_is_json_and_comes_back_as_nan(tmp_path):
     assert all(math.isnan(x) for x in (back.value, back.low, back.high)) and other == finding(HOLDS)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"findings": [{"test": 1}]}', '{"notebook": "x"'])
+WHOLE = '{"notebook": "x", "source_hash": "", "findings": [], "fingerprint": {"n": [8, 0%s]}}'
+
+
+def test_control_a_small_whole_record_is_read(tmp_path):
+    (tmp_path / "02.json").write_text(WHOLE % "")
+    assert findings.load_record(tmp_path / "02.json").fingerprint["n"].value == 8
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"findings": [{"test": 1}]}', '{"notebook": "x"', WHOLE % ", 1"])
 def test_a_broken_record_names_the_file(tmp_path, text):
     (tmp_path / "02.json").write_text(text)
     with pytest.raises(DataError, match=r"02\.json"):

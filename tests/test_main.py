@@ -15,10 +15,10 @@ from motionlab.commands import animator, doctor, motions
 from motionlab.commands.doctor import Check
 from motionlab.errors import DataError, MissingData
 from motionlab.io import bvh, load
-from motionlab.motion import Motion
-from motionlab.skeleton import STANDARD, UPRIGHT
+from motionlab.skeleton import STANDARD
 from suite import __main__ as suite_main
 from suite import execute, findings, pages, report, staleness
+from tests.figures import standing
 
 
 def notebook(*sources, **metadata):
@@ -88,8 +88,9 @@ def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path, capsy
     assert "1 of 2 notebooks ran" in execute.run_summary(runs)
 
 
-def test_a_full_run_shows_its_own_notebooks_where_they_ran_to_their_end(suite, tmp_path):
-    report.write_report(tmp_path / "report", "full")
+def test_a_full_run_shows_its_own_notebooks_where_they_ran_to_their_end(suite, tmp_path, capsys):
+    assert suite_main.main(["report", "--profile", "full", "--out", str(tmp_path / "report")]) == 1
+    assert "1 of 2 notebooks ran; report: " in capsys.readouterr().out
     pages = {name: (tmp_path / f"report/{name}.html").read_text(encoding="utf-8") for name in ("00_fails", "01_runs")}
     assert f"full {suite}" in pages["01_runs"] and "Run in full today" in pages["01_runs"]
     assert "failed at cell 2" in pages["00_fails"] and "Traceback" not in pages["00_fails"]
@@ -161,14 +162,16 @@ def test_a_fingerprint_is_not_replaced_by_another_unless_asked(suite, monkeypatc
     assert findings.load_record(suite / "results/01.json").fingerprint["size"].value == 5.0
 
 
-def test_interrupted_report_still_has_its_index(suite, tmp_path, monkeypatch):
+def test_a_report_that_runs_nothing_or_is_interrupted_still_has_its_index(suite, tmp_path, monkeypatch):
+    assert suite_main.main(["report", "--no-run", "--out", str(tmp_path / "pages")]) == 0
+
     def interrupt(jobs, environment, done):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(execute, "run_side_by_side", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        report.write_report(tmp_path / "report", "smoke")
-    assert "Not checked today" in (tmp_path / "report/index.html").read_text(encoding="utf-8")
+    assert suite_main.main(["report", "--out", str(tmp_path / "report")]) == 130
+    for folder in ("pages", "report"):
+        assert "Not checked today" in (tmp_path / folder / "index.html").read_text(encoding="utf-8")
 
 
 def test_unknown_notebook_is_named(suite, capsys):
@@ -176,12 +179,6 @@ def test_unknown_notebook_is_named(suite, capsys):
         execute.find_notebooks(["07"])
     assert suite_main.main(["report", "07"]) == suite_main.main(["regenerate", "07"]) == 2
     assert "notebook '07'" in capsys.readouterr().err
-
-
-def test_the_suites_command_writes_the_report(suite, tmp_path, capsys):
-    assert suite_main.main(["report", "01", "--out", str(tmp_path / "report")]) == 0
-    assert "1 of 1 notebooks ran; report: " in capsys.readouterr().out
-    assert suite_main.main(["report", "00", "--out", str(tmp_path / "report")]) == 1
 
 
 def test_pages_take_their_findings_between_their_marks(suite, tmp_path):
@@ -257,11 +254,9 @@ def test_input_that_cannot_be_used_is_one_line_and_status_2(tmp_path):
 
 @pytest.mark.parametrize("flags", [("a.bvh",), ("a.npz", "--fps", "15"), ("a.glb",), ("a.glb", "--bones")])
 def test_convert_writes_what_load_reads(tmp_path, flags):
-    still = torch.eye(3).expand(8, 22, 3, 3)
-    root = torch.tensor([0.0, 0.0, 1.0]) + torch.linspace(0, 1, 8)[:, None] * torch.tensor([0.0, 1.0, 0.0])
-    rot = torch.cat((UPRIGHT.expand(8, 1, 3, 3), still[:, 1:]), 1)
-    source = tmp_path / "walk.bvh"
-    bvh.save(source, Motion(STANDARD, root, rot, 30.0))
+    source, motion = tmp_path / "walk.bvh", standing(8)
+    motion.root[:, 1] = torch.linspace(0, 1, 8)
+    bvh.save(source, motion)
     target = tmp_path / flags[0]
     assert __main__.main(["convert", str(source), str(target), *flags[1:]]) == 0
     if target.suffix == ".glb":
@@ -274,10 +269,7 @@ def test_convert_writes_what_load_reads(tmp_path, flags):
 def test_npz_stands_on_the_floor_on_the_bones_that_its_reader_assumes(tmp_path):
     """AMASS files hold no bone lengths: a child's recording must be put on the standard body before it is written."""
     source, target = tmp_path / "child.bvh", tmp_path / "child.npz"
-    rot = torch.cat((UPRIGHT.expand(8, 1, 3, 3), torch.eye(3).expand(8, 21, 3, 3)), 1)
-    child = STANDARD.scaled(0.6)
-    root = torch.tensor([0.0, 0.0, float(child.standing_height())]).expand(8, 3)
-    bvh.save(source, Motion(child, root, rot, 30.0))
+    bvh.save(source, standing(8, skeleton=STANDARD.scaled(0.6)))
     assert __main__.main(["convert", str(source), str(target)]) == 0
     soles = load(target).positions[..., STANDARD.indices(["left_foot", "right_foot"]), 2] - STANDARD.sole
     assert soles.abs().max() < 0.01
@@ -285,8 +277,7 @@ def test_npz_stands_on_the_floor_on_the_bones_that_its_reader_assumes(tmp_path):
 
 def test_convert_takes_the_unit_and_the_axis_of_a_bvh(tmp_path, capsys):
     source, target = tmp_path / "still.bvh", tmp_path / "still.glb"
-    rot = torch.cat((UPRIGHT.expand(4, 1, 3, 3), torch.eye(3).expand(4, 21, 3, 3)), 1)
-    bvh.save(source, Motion(STANDARD, torch.zeros(4, 3), rot, 30.0), unit="m")
+    bvh.save(source, standing(4), unit="m")
     assert __main__.main(["convert", str(source), str(target), "--unit", "inch", "--up", "y", "--bones"]) == 0
     assert "detected" not in capsys.readouterr().out
     back, bone = load(target).skeleton, STANDARD.index("left_knee")
@@ -312,7 +303,7 @@ def test_convert_takes_the_unit_and_the_axis_of_a_bvh(tmp_path, capsys):
 )
 def test_convert_says_in_one_line_what_it_cannot_do(tmp_path, capsys, target, flags, words):
     source = tmp_path / "still.bvh"
-    bvh.save(source, Motion(STANDARD, torch.zeros(4, 3), torch.eye(3).expand(4, 22, 3, 3), 30.0))
+    bvh.save(source, standing())
     assert __main__.main(["convert", str(source), str(tmp_path / target), *flags]) == 2
     assert words in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [source]
@@ -329,7 +320,7 @@ def test_data_asks_for_the_rate_of_videos_and_takes_it(tmp_path, capsys):
 
 
 def test_data_prints_the_table_and_then_the_files_that_cannot_be_read(tmp_path, capsys):
-    bvh.save(tmp_path / "good.bvh", Motion(STANDARD, torch.zeros(4, 3), torch.eye(3).expand(4, 22, 3, 3), 30.0))
+    bvh.save(tmp_path / "good.bvh", standing())
     assert __main__.main(["data", str(tmp_path)]) == 0
     (tmp_path / "bad.bvh").write_text("HIERARCHY nothing")
     assert __main__.main(["data", str(tmp_path)]) == 1
@@ -341,9 +332,7 @@ def test_data_prints_the_table_and_then_the_files_that_cannot_be_read(tmp_path, 
 @pytest.mark.parametrize("certify", [[], ["--certify"]])
 def test_data_says_first_what_it_guessed(tmp_path, capsys, certify):
     for n in range(3):
-        turns = torch.eye(3).expand(4 + n, 22, 3, 3).clone()
-        turns[:, 0] = UPRIGHT
-        bvh.save(tmp_path / f"{n}.bvh", Motion(STANDARD.scaled(1 + n / 50), torch.zeros(4 + n, 3), turns, 30.0))
+        bvh.save(tmp_path / f"{n}.bvh", standing(4 + n, skeleton=STANDARD.scaled(1 + n / 50)))
     main = ["data", str(tmp_path), *certify]
     assert __main__.main(main) == 0
     lines = capsys.readouterr().out.splitlines()
