@@ -20,16 +20,6 @@ def small(**changes):
     return build(recipe=Recipe(**{**vars(SMALL), **changes}), progress=False)
 
 
-def test_the_thesis_numbers():
-    """D05: 21 sequences of two minutes, 45 minutes in all, four subjects, 30 frames a second."""
-    recipe = Recipe()
-    assert recipe.sequences == 21 and recipe.seconds == 128 and recipe.fps == 30
-    names = [recipe.subject(k).name for k in range(21)]
-    assert len(set(names)) == 4
-    kept = [k for k in recipe.heldout if names[k] != recipe.heldout_subject]
-    assert len(kept) == 3 and 44 < recipe.sequences * recipe.seconds / 60 < 46
-
-
 def test_split_leaks_nothing():
     whole = small()
     parts = [whole.train, whole.heldout_sequences, whole.heldout_subject]

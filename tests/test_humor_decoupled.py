@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 
@@ -15,7 +14,6 @@ from motionlab.humor.stages import Problem
 from motionlab.humor.unknowns import Unknowns
 from studies.nb07_decoupled import energy
 from studies.nb07_decoupled.energy import Form, sequences, terms, to_persistent, to_states
-from studies.nb07_decoupled.toy import descend
 from tests.fit_inputs import joints, keypoints
 
 
@@ -124,11 +122,3 @@ def test_the_energy_of_whole_roll_outs_is_the_judges_and_moves_the_first_state_a
         torch.testing.assert_close(found[name].detach(), value)
     (gradient,) = torch.autograd.grad(sum(found.values()).sum(), point["x"])
     assert gradient[:, 0].abs().max() > 0 and not gradient[:, 1:].any()
-
-
-def test_conjugate_gradients_solve_a_quadratic_in_as_many_steps_as_it_has_numbers():
-    draw = np.random.default_rng(0).normal(size=(5, 5))
-    hessian, pull = draw @ draw.T + np.eye(5), np.arange(5.0)
-    x, count = descend(hessian, pull)
-    assert count <= 5 and np.allclose(x, np.linalg.solve(hessian, pull), atol=5e-3)
-    assert descend(hessian, pull, 1)[1] == 1

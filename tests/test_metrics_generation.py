@@ -9,7 +9,6 @@ import torch
 
 from motionlab.errors import DataError, ShapeError
 from motionlab.metrics import generation as g
-from studies.nb11_new_motion.copies import nearest_of_batches
 from tests.draws import seeded
 
 
@@ -157,14 +156,3 @@ def test_bad_sets_are_refused(measure):
     spoilt[4, 1] = torch.nan
     with pytest.raises(DataError, match=r"row 4.*remedy"):
         measure(good, spoilt)
-
-
-def test_nearest_of_batches_agrees_with_loops_at_any_batch():
-    queries, library = normal(7, 4, 1), normal(50, 4, 2)
-    library[33] = queries[2]
-    expected = [min((math.dist(q, r), k) for k, r in enumerate(library.tolist())) for q in queries.tolist()]
-    for batch in (1, 8, 50, 4096):
-        parts = ((part, k * batch) for k, part in enumerate(library.split(batch)))
-        distance, index = nearest_of_batches(queries, parts)
-        assert index.tolist() == [k for _, k in expected]
-        assert distance.tolist() == pytest.approx([d for d, _ in expected]) and distance[2] == 0

@@ -9,8 +9,7 @@ from data_synth import scenes
 from motionlab.diffusion import poses
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError, ShapeError
-from studies.nb14_handles import people, training, trials
-from studies.nb14_handles.rivals import Known
+from studies.nb14_handles import people, training
 from tests.draws import seeded
 
 SMALL = poses.PoseRecipe(size=32, layers=1, steps=60, batch=32, lr=5e-3)
@@ -65,25 +64,3 @@ def test_what_cannot_be(model, truth):
         model.complete(places, which.float())
     with pytest.raises(DataError, match="not finite"):
         model.complete(torch.full_like(places, torch.inf), which)
-
-
-def test_the_gaussian_against_normal_equations_and_its_draws(model, windows, truth):
-    known = Known(training.stuck(windows.evenly(150)), model)
-    which, places = people.handles(("head", "left_foot"), 24, seeded()), truth.positions[:, 0]
-    seen, made = known._rows[0].unflatten(1, (-1, 3))[:, which[0]].flatten(1).double(), known._rows[1].double()
-    x, y = seen - seen.mean(0), made - made.mean(0)
-    weights = torch.linalg.solve(x.mT @ x + (len(x) - 1) * 1e-3 * torch.eye(6), x.mT @ y)
-    said = made.mean(0) + (places[:, which[0]].flatten(1).double() - seen.mean(0)) @ weights
-    assert off(known.gaussian(places, which, 1e-3), model.decode(said.float())).max() < 1e-4
-    few, all_ = (
-        torch.stack([known.gaussian(places, w, generator=seeded(k)).positions for k in range(4)]).std(0).mean()
-        for w in (which, which | True)
-    )
-    assert few > 0.03 and all_ < 0.5 * few
-
-
-def test_poses_that_are_alike_are_not_told_apart():
-    one, other = (torch.randn(400, 3, generator=seeded(k)) for k in range(2))
-    assert trials.told_apart(one, other).mean() == pytest.approx(0.5, abs=0.06)
-    assert trials.told_apart(one.mean(0).expand(400, -1), other).mean() > 0.9
-    assert trials.told_apart(other + 0.01, other).mean() == pytest.approx(0.5, abs=0.06)  # a pair is not compared

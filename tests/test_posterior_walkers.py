@@ -86,16 +86,6 @@ def test_control_walker_that_never_moves_is_refused(generator, monkeypatch):
         found.draws()
 
 
-def test_the_same_generator_the_same_chain_and_another_another():
-    def run(seed):
-        start = near(torch.Generator().manual_seed(9))
-        return walkers(gaussian, start, generator=torch.Generator().manual_seed(seed), steps=50).chain
-
-    assert torch.equal(run(1), run(1)) and not torch.equal(run(1), run(2))
-    before = np.random.get_state()[1].copy()  # noqa: NPY002
-    assert torch.equal(run(1), run(1)) and (np.random.get_state()[1] == before).all()  # noqa: NPY002
-
-
 def test_what_is_not_finite_is_impossible(generator):
     def half(x):
         return torch.where(x[:, 0] > 0, gaussian(x), torch.nan)

@@ -1,9 +1,6 @@
-import gc
-
-import pytest
 import torch
 
-from studies.shared.profiling import Stopwatch, graph_nodes, interleaved
+from studies.shared.profiling import graph_nodes, interleaved
 
 
 class Clock:
@@ -16,20 +13,6 @@ class Clock:
 
     def nap(self, seconds: float) -> None:
         self.now += seconds
-
-
-def test_garbage_collection_is_off_meanwhile_and_then_as_it_was():
-    calls, clock = [], Clock()
-
-    def nap():
-        calls.append(gc.isenabled())
-        clock.nap(len(calls))
-
-    assert interleaved({"nap": nap}, n=5, warm_up=2, clock=clock)["nap"].tolist() == [3, 4, 5, 6, 7]
-    assert calls[2:] == [False] * 5 and gc.isenabled()
-    with pytest.raises(ZeroDivisionError):
-        interleaved({"nap": lambda: 1 / 0}, warm_up=0)
-    assert gc.isenabled()
 
 
 def test_graph_nodes_by_hand():
@@ -51,14 +34,3 @@ def test_rounds_go_through_every_call_in_turn():
     found = interleaved(calls, n=3, clock=clock)
     assert order == ["short", "long"] * 4  # one to warm up, three that count
     assert {name: seconds.tolist() for name, seconds in found.items()} == {"short": [0.25] * 3, "long": [2.0] * 3}
-
-
-def test_stopwatch_adds_up_by_label():
-    clock = Clock()
-    watch = Stopwatch(clock)
-    for _ in range(2):
-        with watch("nap"):
-            clock.nap(0.5)
-        with watch("nothing"):
-            pass
-    assert watch.seconds == {"nap": 1.0, "nothing": 0.0}

@@ -2,9 +2,8 @@ import pytest
 import torch
 
 from data_synth import clips
-from motionlab import io, rotation, splits
-from motionlab.io.points import Positions
-from motionlab.skeleton import STANDARD, UPRIGHT
+from motionlab import io, splits
+from motionlab.skeleton import STANDARD
 from studies.nb02_rotations import recordings
 
 
@@ -37,11 +36,3 @@ def test_spread_takes_first_last_and_between():
     assert splits.subsample(list(range(10)), 4) == [0, 3, 6, 9]
     assert splits.subsample([1, 2], 4) == [1, 2]
     assert splits.subsample(list(range(10)), 1) == [0]
-
-
-def test_pelvis_of_hips_and_neck_is_upright_and_turns_with_them():
-    left, right, neck = torch.tensor([[-0.1, 0.0, 0.9], [0.1, 0.0, 0.9], [0.0, 0.0, 1.5]])  # faces +y
-    turn = rotation.rotation_about("z", torch.linspace(0, 2, 5))
-    points = torch.stack((left, right, neck)) @ turn.mT
-    trunk = Positions(("LHip", "RHip", "Neck"), points, torch.ones(5, 3, dtype=torch.bool), 50.0)
-    torch.testing.assert_close(recordings.pelvis_rotation(trunk), turn @ UPRIGHT, atol=1e-6, rtol=0)

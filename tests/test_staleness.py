@@ -10,7 +10,7 @@ import pytest
 
 from motionlab import checkpoint
 from motionlab.files import source_hash
-from suite import findings, staleness
+from suite import findings, notebook, staleness
 from suite.staleness import Mark
 
 

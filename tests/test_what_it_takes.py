@@ -7,7 +7,6 @@ from motionlab import rotation
 from motionlab.bench import cases
 from motionlab.bench.person_windows import PersonWindows
 from motionlab.diffusion.model import motion_model
-from motionlab.diffusion.sampling import cosine
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from studies.nb15_what_it_takes import latent, learning, ruler
@@ -61,12 +60,3 @@ def test_squeezing_into_all_parts_loses_nothing_and_keeps_unit_variance():
     assert space.lost_cm(x).max() < 0.1
     assert space.encode(x).std(0, correction=0) == pytest.approx(torch.ones(11), abs=1e-3)
     assert space.of_size(2).lost_cm(x).mean() > space.of_size(6).lost_cm(x).mean() > 0
-
-
-def test_the_perceptron_learns_a_distribution_that_is_no_gaussian():
-    schedule = cosine(50)
-    z = torch.sign(torch.randn(512, 1, generator=seeded(4))) + 0.05 * torch.randn(512, 1, generator=seeded(5))
-    denoise = latent.learnt(z, schedule, 400, seeded(6))
-    noised = schedule.noised(z, 10, torch.randn(z.shape, generator=seeded(8)))
-    left = (denoise(noised, schedule.stamps[10].expand(len(z))) - z).square().mean()
-    assert left < 0.6 * (1 - schedule.alpha_bar[10])  # which the best linear denoiser leaves
