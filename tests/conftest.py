@@ -77,6 +77,17 @@ def camera():
 
 
 @pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to train in, with a cache of its own."""
+    from motionlab.training import train_more
+
+    monkeypatch.setenv("MOTIONLAB_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(train_more, "_give_way", lambda: None)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
     """A scheduler and two workers as a person starts them, none of which comes back; its address, and the workers."""
     pytest.importorskip("distributed")

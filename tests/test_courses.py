@@ -20,15 +20,6 @@ SMALL = ChainRecipe(width=64, steps=4, batch=4, length=3, chain=2)
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
-    """A folder to train in, with a cache of its own."""
-    monkeypatch.setenv("MOTIONLAB_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(train_more, "_give_way", lambda: None)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
 def plain(motions):
     windows = gather([*map(on_standard, motions)], 60, people=["a", *["b"] * (len(motions) - 1)])
     return courses.DenoiserCourse("diffusion_plain", PLAIN, None, (windows, windows.draw(4, seeded())))

@@ -1,20 +1,19 @@
-"""Real footage: which files of 2-D detectors load, and how far fits under several plans are from a 3-D reference.
+"""How far fits of footage under several plans of work are from a 3-D reference.
 
-The table of files takes every sample of a folder: a file, or a folder of files without a SOURCE.txt. With ``--views``
-there is the person instead whom Pose2Sim filmed from four sides (``pose2sim_openpose`` in MOTIONLAB_DATA), fitted by
-the solver of ``fit`` under each plan of work: joint error with the pelvis on the reference's, and processor seconds.
+With ``--views`` there is the person whom Pose2Sim filmed from four sides (``pose2sim_openpose`` in MOTIONLAB_DATA),
+fitted by the solver of ``fit`` under each plan: joint error with the pelvis on the reference's, and processor seconds.
 With ``--people`` there are people of CMU's recordings, filmed by a simulated camera, each fitted alone as ``fit`` does:
 the plans are compared person by person, by their angles on the true bones. Where the camera is assumed, the world's
 heading is nobody's to know: one turn about the vertical a clip is taken out.
 
-    MOTIONLAB_DATA=FOLDER python tests/bench/bench_footage.py [--files KEYPOINT_FORMATS] [--views] [--people 12]
+    MOTIONLAB_DATA=FOLDER python tests/bench/bench_footage.py [--views] [--people 12]
 """
 
 import argparse
 import os
 import resource
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,21 +21,15 @@ import torch
 
 from data_synth import scenes
 from motionlab import rotation
-from motionlab.errors import DataError
 from motionlab.footage import scene_fit
 from motionlab.humor import pretrained, testops
 from motionlab.humor.testops import Schedule
-from motionlab.io import keypoints
-from motionlab.io.keypoints import Footage
-from motionlab.io.layouts import LAYOUTS
 from motionlab.metrics import gait
 from motionlab.metrics.intervals import interval
 from motionlab.metrics.pose import joint_errors
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
-#: Given to a file that does not say its rate or its image's size.
-_UNSAID = {"fps": 30.0, "size": (1280.0, 720.0)}
 #: What a fit may spend; the first is the default of ``fit``, and "first look" that of ``fit --quick``.
 PLANS = {
     "default": scene_fit.FULL_WORK,
@@ -49,58 +42,6 @@ PLANS = {
 }
 CAMERAS = ("known", "assumed")
 LIMBS = [k for k, name in enumerate(STANDARD.names) if name.endswith(("knee", "ankle", "elbow", "wrist"))]
-
-
-# --------------------------------------------------------------------------------------------------------------- files
-def samples(folder: Path) -> Iterator[Path]:
-    """Finds what is to be read: files beside a SOURCE.txt, and folders that have none but keypoints."""
-    here = sorted(folder.iterdir())
-    files = [path for path in here if path.is_file() and path.suffix in (".json", ".csv", ".txt", ".npz", ".trc")]
-    if files and not any(path.name == "SOURCE.txt" for path in files) and files[0].suffix in (".json", ".txt"):
-        yield folder
-    else:
-        yield from (path for path in files if path.name != "SOURCE.txt" and "README" not in path.name)
-    for path in here:
-        if path.is_dir():
-            yield from samples(path)
-
-
-def row(path: Path) -> tuple[str, ...]:
-    """Detector, layout, frames, people and share of the points seen in a sample, or why it is refused."""
-    said: dict[str, object] = {}
-    while True:
-        try:
-            return _row(keypoints.load(path, **said), said)
-        except DataError as error:
-            if error.place not in _UNSAID or error.place in said:
-                why = error.args[0].split(" (remedy")[0].removeprefix(str(error.path)).lstrip(":, ")
-                return (f"refused: {why}",)
-            said[error.place] = _UNSAID[error.place]
-
-
-def _row(found: Footage, said: dict[str, object]) -> tuple[str, ...]:
-    layout = next((name for name, names in LAYOUTS.items() if names == found.names), f"{len(found.names)} points")
-    long = sum(len(track.frames) >= found.frames / 2 for track in found.tracks)
-    seen = sum(int((track.points[..., 2] > 0).sum()) for track in found.tracks)
-    share = seen / sum(track.points[..., 2].size for track in found.tracks)
-    people = f"{long}" if long == len(found.tracks) else f"{long} of {len(found.tracks)}"
-    return found.detector, layout, str(found.frames), people, f"{100 * share:.0f}", ", ".join(said)
-
-
-def files_table(folder: Path) -> None:
-    """Prints a row per sample of a folder."""
-    head = ("file", "detector", "layout", "frames", "people", "seen %", "had to be said")
-    rows = [(str(path.relative_to(folder)), *row(path)) for path in samples(folder)]
-    table(head, rows)
-    print("people: there in half of the frames, of all; seen: of the points of whoever is there")
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Prints rows in columns; the last cell of a row that is short may run on."""
-    wide = [max(len(cells[k]) for cells in (head, *rows) if k < len(cells) - 1 or len(cells) == len(head))
-            for k in range(len(head))]  # fmt: skip
-    for cells in (head, *rows):
-        print("  ".join(cell.ljust(width) for cell, width in zip(cells, wide, strict=False)).rstrip())
 
 
 # --------------------------------------------------------------------------------------------------------------- views
@@ -210,9 +151,7 @@ def _seconds() -> float:
 
 def main() -> None:
     data = Path(os.environ.get("MOTIONLAB_DATA", "none"))
-    beside = [folder for folder in (data / "keypoint_formats", data.parent / "keypoint_formats") if folder.is_dir()]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--files", type=Path, default=beside[0] if beside else None, help="folder of keypoint files")
     parser.add_argument("--views", action="store_true", help="fit Pose2Sim's four views; a minute or so each plan")
     parser.add_argument("--people", type=int, metavar="N", help="fit so many people of CMU, each alone")
     parser.add_argument("--part", choices=("choose", "report"), default="choose", help="whose people these are")
@@ -228,10 +167,8 @@ def main() -> None:
             print("no MOTIONLAB_DATA with cmu_library in it: nothing measured")
         else:
             people_table(data, options)
-    elif not options.views and options.files is None:
-        print("no keypoint_formats in or beside MOTIONLAB_DATA: nothing read")
     elif not options.views:
-        files_table(options.files)
+        print("neither --views nor --people: nothing measured")
     elif not (data / "pose2sim_openpose").is_dir():
         print("no MOTIONLAB_DATA with pose2sim_openpose in it: nothing measured")
     else:

@@ -1,7 +1,7 @@
 """L-BFGS for many clips at once against torch's own, clip by clip, on roll-outs.
 
 Ratios of processor time in one run, both ways in turns; both must win as much before they are timed. The official form
-against the lean one: ``bench_humor``; K steps from every frame: notebook 07.
+against the lean one: notebook 06; K steps from every frame: notebook 07.
 """
 
 import sys
