@@ -180,17 +180,6 @@ def test_control_wrong_turns_between_frames_and_wrong_weights_are_noticed(case):
 
 
 @pytest.mark.parametrize("kind", ["joints", "free"])
-def test_clips_do_not_see_each_other(case, kind):
-    evidence, weights = seen(case, kind)
-    both = gauss_newton.residual_rows(**case, evidence=evidence, weights=weights)
-    for b in range(CLIPS):
-        alone = {name: value[b : b + 1] for name, value in case.items()}
-        each = gauss_newton.residual_rows(**alone, evidence=evidence.rows(torch.tensor([b])), weights=weights)
-        for ours, theirs in zip(each, both, strict=True):
-            torch.testing.assert_close(ours[0], theirs[b], atol=1e-10, rtol=1e-10)
-
-
-@pytest.mark.parametrize("kind", ["joints", "free"])
 def test_what_was_not_seen_has_no_row(case, kind):
     """All of its row is nought, and no number of it matters."""
     evidence, weights = seen(case, kind)

@@ -98,20 +98,6 @@ def test_gradients_of_the_weights_are_those_of_a_plain_loop(model, generator):
         torch.testing.assert_close(ours, reference, atol=1e-9, rtol=1e-9, msg=lambda m, name=name: f"{name}: {m}")
 
 
-@pytest.mark.parametrize("dtype, tolerance", [(F64, 1e-12), (torch.float32, 2e-4)])
-def test_clips_do_not_see_each_other(model, generator, dtype, tolerance):
-    """Three of them: the batch size that the official cross product breaks."""
-    net = Cvae(64).to(dtype).frozen()
-    net.load_state_dict({name: value.to(dtype) for name, value in model.state_dict().items()})
-    first, z = first_states(generator, 3).to(dtype), latents(generator, 3, 6).to(dtype)
-    together = rollout(net, first, z)
-    for b in range(3):
-        alone = rollout(net, first[b : b + 1], z[b : b + 1])
-        assert (together.states[b] - alone.states[0]).abs().max() < tolerance
-    other = rollout(net, first, torch.cat((z[:2], z[2:] + 1)))
-    assert torch.equal(other.states[:2], together.states[:2]) and not torch.equal(other.states[2], together.states[2])
-
-
 def test_one_bad_clip_leaves_the_others_alone(model, generator):
     first, z = first_states(generator, 3), latents(generator, 3, 4)
     whole = rollout(model, first, z)
@@ -152,19 +138,11 @@ def test_a_body_exactly_on_its_side_has_no_heading_and_no_nan(model, generator, 
 
 @pytest.mark.parametrize("size", [0.0, 1e-30, 1e-8, 1e-4, 0.05, 0.1001, 1.0, 3.1, torch.pi, 6.3])
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
-def test_the_exponential_and_its_derivative_at_any_angle(model, generator, size, dtype):
+def test_the_exponential_at_any_angle(model, generator, size, dtype):
     step = Stepper(DecoderLayers.of(Cvae(64).to(dtype)))
     way = torch.nn.functional.normalize(torch.randn(2, 22, 3, generator=generator, dtype=F64), dim=-1)
     v = (size * way).to(dtype)
-    exact = rotation.exp(v.to(F64))
-    eps = torch.finfo(dtype).eps
-    assert (step.exp(v).mT.to(F64) - exact).abs().max() < 10 * eps
-    slope = torch.randn(2, 22, 3, 3, generator=generator, dtype=F64)
-    leaf = v.to(F64).requires_grad_()
-    (truth,) = torch.autograd.grad((rotation.exp(leaf) * slope).sum(), leaf)
-    torque = torch.linalg.cross(exact, slope, dim=-2).sum(-1, keepdim=True).mT
-    found = torque.to(dtype) @ rotation.left_jacobian(v)
-    assert (found[..., 0, :].to(F64) - truth).abs().max() < 200 * eps
+    assert (step.exp(v).mT.to(F64) - rotation.exp(v.to(F64))).abs().max() < 10 * torch.finfo(dtype).eps
 
 
 @pytest.mark.parametrize("with_offset", [False, True])

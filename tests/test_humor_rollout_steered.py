@@ -167,30 +167,6 @@ def test_only_gains_on_the_place_in_the_world_see_the_world(model, first, u, gai
         assert gap < 1e-9 if same else gap > 1e-2
 
 
-def test_clips_do_not_see_each_other(model, first, u, gains):
-    leaf = u.clone().requires_grad_()
-    together = parts(steered_rollout(model, first, leaf, gains))
-    (slope,) = torch.autograd.grad(loss(together), leaf)
-    for b in range(CLIPS):
-        alone = parts(steered_rollout(model, first[b : b + 1], u[b : b + 1], gains[b : b + 1]))
-        for ours, theirs in zip(alone, together, strict=True):
-            torch.testing.assert_close(ours[0], theirs[b], atol=1e-11, rtol=1e-11)
-    broken = u.clone()
-    broken[1, 2] = torch.nan
-    leaf = broken.requires_grad_()
-    found, _ = steered_rollout(model, first, leaf, gains)
-    assert torch.equal(found.states[0], together[0][0]) and found.states[1, 2:].isnan().any()
-    (other,) = torch.autograd.grad(found.states[0].sum() + found.states[1, :2].sum(), leaf)
-    assert other[0].isfinite().all() and slope.isfinite().all()
-
-
-def test_single_precision_is_near(model, first, u, gains):
-    net = network(skip=model.causal).float()
-    found, _ = steered_rollout(net, *(x.float() for x in (first, u, gains)))
-    assert found.states.dtype == torch.float32
-    assert (found.states - steered_rollout(model, first, u, gains)[0].states).abs().max() < 1e-3
-
-
 def test_its_gains_and_weights_have_no_gradients(first, u, gains):
     """They are constants here: a search moves u."""
     net = network().requires_grad_(requires_grad=True)
