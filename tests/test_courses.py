@@ -31,10 +31,7 @@ def prior(motions):
     bodies = {"own bones": own, "standard body": [*map(on_standard, own)]}
     people = ["a", *["b"] * (len(own) - 1)] * 2
     windows = gather([m for some in bodies.values() for m in some], SMALL.length + 2, people=people)
-    held = {
-        body: {"c": splits.state_windows(some[:1]), "d": splits.state_windows(some[1:])}
-        for body, some in bodies.items()
-    }
+    held = {body: {"c": [x[:2] for x in splits.state_windows(some[:1])]} for body, some in bodies.items()}
     return courses.PriorCourse("transition", SMALL, None, (windows, held))
 
 

@@ -29,6 +29,14 @@ FRAMES = 12
 TINY = CompleterRecipe(frames=FRAMES, size=64, layers=1, batch=8, steps=60, warm_up=5, lr=3e-3)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def few_windows_measured():
+    """Every model of these tests measures its numbers on windows first: of two thousand, that took a second each."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(completer_training, "_MEASURED", 200)
+        yield
+
+
 @pytest.fixture(scope="module")
 def data(motions):
     return gather([on_standard(m) for m in motions], FRAMES, people=[str(k % 2) for k in range(len(motions))])

@@ -149,14 +149,18 @@ def test_more_samples_come_closer_and_a_still_body_has_one(still, take):
     held = quality.rollout_errors(still, states)["hold"][:, -1]
     assert torch.allclose(quality.best_of(still, states, 3, torch.Generator().manual_seed(0)), held, atol=1e-2)
     model = pretrained.load_motion_prior("humor_real")
-    few, many = (quality.best_of(model, states, n, torch.Generator().manual_seed(0)).mean() for n in (1, 16))
+    few, many = (quality.best_of(model, states, n, torch.Generator().manual_seed(0)).mean() for n in (1, 8))
     assert many < few
 
 
 # ---------------------------------------------------------------------------------------------- what ships
-def test_the_shipped_prior_knows_more_than_its_baselines(take):
-    states, contacts = take
-    row = quality.quality_row(pretrained.load_motion_prior("humor_real"), states, contacts)
+@pytest.fixture(scope="module")
+def row(take):
+    """Of the prior that ships."""
+    return quality.quality_row(pretrained.load_motion_prior("humor_real"), *take)
+
+
+def test_the_shipped_prior_knows_more_than_its_baselines(row):
     assert row["one step, posterior, cm"] < 0.5 < row["one step, hold, cm"]
     for name in ("hold", "constant velocity", "prior mean"):
         assert row["2 s, posterior z, cm"] < 0.6 * row[f"2 s, {name}, cm"], name
@@ -165,11 +169,9 @@ def test_the_shipped_prior_knows_more_than_its_baselines(take):
     assert row["samples' sunk"] <= 0.2 and row["samples' bones"] < 10
 
 
-def test_control_z_of_another_motion_leads_astray(take):
+def test_control_z_of_another_motion_leads_astray(take, row):
     """z carries information: that of other clips does not lead back to this one."""
-    states, _ = take
-    model = pretrained.load_motion_prior("humor_real")
-    row = quality.quality_row(model, states)
+    states, model = take[0], pretrained.load_motion_prior("humor_real")
     assert row["active"] >= 16 and 4 < row["kl, nats"] < 60
     z = infer(model, states)[0].mean
     ends = rollout(model, states[:, 0], z.roll(1, 0), with_prior=False).states[:, -1]

@@ -28,7 +28,7 @@ def priors():
 @pytest.fixture(scope="module")
 def truth(priors):
     """Truths drawn from the prior, behind a wall: their problem, unknowns and joints about the pelvis."""
-    people = scenes.film("walking, legs hidden", 4, seed=1, frames=FRAMES)
+    people = scenes.film("walking, legs hidden", 2, seed=1, frames=FRAMES)
     return made.truths(people, priors, seeded())
 
 
