@@ -54,23 +54,6 @@ def test_planted_weights_are_the_share_asked_for_and_known(body, generator, shar
     assert torch.equal(body.weights == 0, (faulty.weights == 0) | mask)  # the clean body stayed clean
 
 
-def test_planted_entries_are_far_along_the_tree(body, generator):
-    _, mask = planted(body, generator)
-    bones = tree_distance(body.skeleton)
-    for vertex, joint in mask.nonzero().tolist():
-        true = (body.weights[vertex] > 0).nonzero()[:, 0]
-        assert bones[joint, true].min() >= 4
-    assert mask.any(0).sum() > 10  # spread over the joints
-
-
-def test_the_nose_is_planted_as_in_the_thesis(body, generator):
-    faulty, _ = planted(body, generator)
-    nose = body.keypoint_vertices["nose"]
-    expected = 0.998 * body.weights[nose]
-    expected[STANDARD.indices(["right_hip", "left_knee", "right_knee"])] = 0.002 / 3
-    torch.testing.assert_close(faulty.weights[nose], expected)
-
-
 def test_planting_more_than_there_is_room_for(body, generator):
     with pytest.raises(ShapeError, match="room"):
         planted(body, generator, 0.95)

@@ -16,8 +16,6 @@ ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 ASKED = [Requirement(line) for line in PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"]]
 PINS = _read_pins(ROOT / "constraints.txt")
-#: What `make interop` asks from an environment of its own, and for the extra `detect`.
-APART = {name for file in ("requirements.txt", "detect.txt") for name in _read_pins(ROOT / "tests/interop" / file)}
 
 
 def needed(asked):
@@ -44,8 +42,6 @@ def imported(folder):
                 yield from (alias.name.split(".")[0] for alias in node.names)
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 yield node.module.split(".")[0]
-            elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("pytest.importorskip", "import_module"):
-                yield from (a.value.split(".")[0] for a in node.args[:1] if isinstance(a, ast.Constant))
 
 
 def undeclared(folder, asked):
@@ -64,17 +60,11 @@ def test_what_the_code_imports_is_a_dependency(folder):
     assert not undeclared(ROOT / folder, [Requirement(line) for line in PROJECT["dependencies"] + optional])
 
 
-def test_what_the_tests_import_is_a_dependency_or_for_developers():
-    beside = {"studies", "suite"}  # beside the notebooks, on pytest's path
-    assert undeclared(ROOT / "tests", ASKED) <= beside | APART
-
-
 def test_control_undeclared_imports_are_found(tmp_path):
-    text = "import os, beside\nfrom yaml import x\ndef f():\n    import networkx.algorithms\n"
-    (tmp_path / "a.py").write_text(text + 'm = pytest.importorskip("ezc3d.c3d")\n')
+    (tmp_path / "a.py").write_text("import os, beside\nfrom yaml import x\ndef f():\n    import networkx.algorithms\n")
     (tmp_path / "beside.py").touch()
-    assert undeclared(tmp_path, [Requirement("numpy")]) == {"yaml", "networkx", "ezc3d"}
-    assert undeclared(tmp_path, [Requirement("PyYAML>1"), Requirement("networkx"), Requirement("ezc3d")]) == set()
+    assert undeclared(tmp_path, [Requirement("numpy")]) == {"yaml", "networkx"}
+    assert undeclared(tmp_path, [Requirement("PyYAML>1"), Requirement("networkx")]) == set()
 
 
 def disagreements(asked, known):

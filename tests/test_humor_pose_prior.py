@@ -7,7 +7,7 @@ from torch.nn import functional as F
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
-from motionlab import checkpoint, rotation
+from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
 from motionlab.humor import pretrained
 from motionlab.humor.priors import PosePrior
@@ -216,10 +216,3 @@ def test_samples_are_more_human_than_chance(generator):
     assert drawn["mean"] < 0.5 * anyhow["mean"]
     assert recipes._beyond_limits(unseen())["mean"] <= drawn["mean"]
     assert model.decode(torch.zeros(32)).shape == (21, 3, 3)
-
-
-def test_shipped_files_are_small_and_tell_where_they_come_from():
-    for name in ("pose_prior_real", "init_gmm_real"):
-        recipe = checkpoint.read_recipe(checkpoint.SHIPPED / name)
-        assert {"what", "data", "corpus", "seed", "sha256"} <= set(recipe)
-        assert (checkpoint.SHIPPED / f"{name}.safetensors").stat().st_size < 5e6

@@ -19,14 +19,6 @@ def first_states(seed: int = 5) -> torch.Tensor:
     return recipes._first_states([take.motion for take in takes], 5)
 
 
-def test_loaded_once_and_frozen():
-    found = pretrained.load_priors()
-    assert pretrained.load_priors() is found
-    assert found.motion.latent == 48
-    assert not any(p.requires_grad for model in (found.motion, found.pose) for p in model.parameters())
-    assert found.initial.means.shape == (12, 138)
-
-
 def test_unknown_name():
     with pytest.raises(DataError, match=r"humor_nobody.*train"):
         pretrained.load_priors("nobody")
@@ -43,14 +35,11 @@ def test_mixture_tells_people_from_nonsense(generator):
 
 
 def test_mixture_beats_a_single_gaussian_on_what_was_held_out():
-    recipe = checkpoint.read_recipe(checkpoint.SHIPPED / "init_gmm_real")
     gmm, real = pretrained.load_initial("init_gmm_real"), first_states()
     away = gmm.means - (gmm.weights @ gmm.means)
     covariance = torch.einsum("k,kij->ij", gmm.weights, gmm.covariances + away[:, :, None] * away[:, None])
     single = priors.InitGmm(torch.ones(1), (gmm.weights @ gmm.means)[None], covariance[None])  # the same two moments
     assert gmm.log_prob(real).mean() > single.log_prob(real).mean() + 5
-    for test in recipe["held-out log-likelihood, nats per frame"].values():
-        assert test["mixture"] > test["single Gaussian"]
 
 
 def test_components_stay_positive_definite_as_stored():

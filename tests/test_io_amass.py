@@ -70,13 +70,6 @@ def test_frame_rates_that_disagree_are_refused_and_ones_that_agree_are_not(tmp_p
         amass.load(written(tmp_path / "b.npz", same | {"fps": np.array(60)}))
 
 
-def test_no_frame_rate_is_never_guessed(tmp_path):
-    content = arrays()
-    del content["mocap_framerate"]
-    with pytest.raises(DataError, match="frame rate is missing"):
-        amass.load(written(tmp_path / "a.npz", content))
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_motion_to_amass_to_motion_is_exact(tmp_path, seed):
     generator = torch.Generator().manual_seed(seed)

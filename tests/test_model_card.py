@@ -54,13 +54,3 @@ def test_only_people_of_the_report_count_and_each_alike(shipped, tmp_path, monke
 def test_the_table_says_what_the_recipes_say(shipped):
     text = model_card.write_readme().read_text()
     assert "| humor_tiny | " in text and "1.5" in text and "EIA-0196217" in text
-
-
-def test_the_contest_is_a_table_for_each_measure():
-    found = {"legs; ridge; one answer, cm": {"mean": 17.9, "low": 15.0, "high": 20.0}}
-    found |= {"legs; completer; one answer, cm": {"mean": 12.0, "low": 10.0, "high": 14.0}}
-    found |= {"gap; completer; one answer, cm": {"mean": 6.0, "low": 5.0, "high": 7.0}}
-    found |= {"legs; completer; slide, mm a frame": {"mean": 3.0, "low": 2.0, "high": 4.0}}
-    text = model_card._contest(found)
-    assert "|  | legs | gap |" in text and "| ridge | 17.9 [15, 20] |  |" in text and "**Slide, mm a frame**" in text
-    assert model_card._contest({}) == ""
