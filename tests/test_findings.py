@@ -74,7 +74,7 @@ def test_share_matches_the_published_wilson_interval():
 
 def test_record_round_trip(tmp_path):
     marks = {"a": staleness.mark(1 / 3), "none": staleness.mark(None), "n": staleness.Mark(8, 0)}
-    more = {"torch": "2"}, marks, {}, {"weights": "1"}, {"cmu": "2"}, {"module": "3"}
+    more = {"torch": "2"}, marks, {}, {"weights": "1"}, {"cmu": "2"}
     record = Record("02_x", "abc", (finding(HOLDS), finding(FAILS, "cmu_amc")), *more)
     findings.save_record(tmp_path / "02.json", record)
     assert findings.load_record(tmp_path / "02.json") == record
