@@ -16,6 +16,8 @@ from motionlab.humor.evidence import Observation3D
 from motionlab.humor.pretrained import _NAMES_1
 from motionlab.humor.priors import PosePrior
 from studies.nb04_prior import parity
+from studies.official import rollout as official_rollout
+from studies.shared import savings
 
 PELVIS = (0.02, -0.3, 0.05)  # of no body in particular
 
@@ -79,22 +81,25 @@ def test_first_states_that_ship_are_not_those_of_an_official_motion_prior(files,
 
 
 @pytest.mark.parametrize("given", [PELVIS, (0.0, 0.0, 0.0)], ids=["right", "none"])
-def test_an_official_prior_says_of_the_pelvis_what_it_said_of_its_translation(given):
-    """Roll-out, latents and likelihoods of one motion in both kinds of states; the control says something else."""
+def test_an_official_prior_says_of_the_pelvis_what_it_said_of_its_translation(given, monkeypatch):
+    """Roll-out, latents and likelihoods of one motion, in the official form and in ours; the control says something
+    else."""
+    monkeypatch.setitem(official_rollout.rollout.__kwdefaults__, "align", savings.exact_alignment)
+    monkeypatch.setattr(official_rollout._frame, "__defaults__", (savings.exact_alignment,))
     official, mixture, j = parity.seeded(alternative=True), parity.seeded_mixture(), torch.tensor(PELVIS).double()
     ours = state.from_motion(walk()[1])[None].double()
     parts = state.unpack(ours)
     theirs = state.pack(parts | {"trans": parts["trans"] - j})
-    c = state.pelvis_offset(theirs[:, 0])
-    torch.testing.assert_close(c, -(j * torch.tensor([1.0, 1.0, 0.0]))[None])
     moved, moved_mixture = (
         pretrained._at_pelvis(copy.deepcopy(official), given),
         pretrained._mixture_at_pelvis(mixture, given),
     )
     z = torch.randn(1, 4, 48, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    there, here = rollout.rollout(official, theirs[:, 0], z, offset=c), rollout.rollout(moved, ours[:, 0], z)
-    latents = rollout.infer(official, theirs, offset=c), rollout.infer(moved, ours)
-    first = [state.localise(x[:, 0], state.heading(x[:, 0]), offset) for x, offset in ((theirs, c), (ours, None))]
+    there, here = official_rollout.rollout(official, theirs[:, 0], z), rollout.rollout(moved, ours[:, 0], z)
+    latents = official_rollout.infer(official, theirs), rollout.infer(moved, ours)
+    parts = official_rollout.split(theirs[:, 0])
+    at = official_rollout._move(parts, *official_rollout._frame(parts), official_rollout._trans_to_joint(parts))
+    first = official_rollout._join(at)[:, 0], state.localise(ours[:, 0], state.heading(ours[:, 0]))
     likely = [m.log_prob(priors.first_state_features(x)) for m, x in zip((mixture, moved_mixture), first, strict=True)]
     back = state.unpack(there.states)
     apart = {

@@ -28,8 +28,8 @@ from motionlab.errors import ShapeError, check_shape
 from motionlab.heading import Frame
 from motionlab.humor import compiled
 from motionlab.humor.cvae import Cvae, Gaussian
-from motionlab.humor.state import CHANGES, STATE, VECTORS, bone_lengths, globalise, heading, localise, with_bone_lengths
-from motionlab.humor.transition import DecoderLayers, Step, Stepper, WayBack, transition
+from motionlab.humor.state import CHANGES, STATE, bone_lengths, globalise, heading, localise, with_bone_lengths
+from motionlab.humor.transition import DecoderLayers, Step, Stepper, WayBack
 from motionlab.parallel import threads_for
 
 _SPIN = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # d/da of a turn, from the right
@@ -44,41 +44,25 @@ class Rollout(NamedTuple):
     prior: Gaussian | None
 
 
-def rollout(
-    model: Cvae,
-    first: Tensor,
-    z: Tensor,
-    *,
-    offset: Tensor | None = None,
-    with_prior: bool = True,
-    loops: bool | None = None,
-) -> Rollout:
+def rollout(model: Cvae, first: Tensor, z: Tensor, *, with_prior: bool = True, loops: bool | None = None) -> Rollout:
     """Computes a plain roll-out: T states from a first state and T latents, one after the other.
 
     Args:
         first: (B, 339) states, world coordinates. z: (B, T, 48), T > 0.
-        offset: (B, 3) from ``state.pelvis_offset`` where ``trans`` is not the pelvis.
         with_prior: evaluate p(z_t | x_{t-1}) of every step, in one batch.
         loops: walk the chain in compiled loops, or in tensors; None: in loops where that is quicker.
 
     Returns:
-        states in the coordinates of ``first``. First derivatives only; with respect to the decoder's weights, too,
-        where they want gradients (recorded step by step by autograd, five times slower).
+        states in the coordinates of ``first``. First derivatives only, and none of the decoder's weights.
     Raises:
         ShapeError: first and z do not fit each other.
     """
     _check(model, first, z)
     with threads_for(len(first)):
         start = heading(first)
-        x = localise(first, start, offset)
-        if torch.is_grad_enabled() and any(weight.requires_grad for weight in model.decoder.parameters()):
-            past, after, logits = _recorded(model, x, z.transpose(0, 1), offset)
-        else:
-            past, after, logits, _ = _chain(model, x, z.transpose(0, 1), None, _spread(offset), loops)
-        prior = None
-        if with_prior:
-            prior = Gaussian(*(part.transpose(0, 1) for part in model.prior(past)))
-        return Rollout(_to_world(start, after.transpose(0, 1), offset), logits.transpose(0, 1), z, prior)
+        past, after, logits, _ = _chain(model, localise(first, start), z.transpose(0, 1), None, loops)
+        prior = Gaussian(*(part.transpose(0, 1) for part in model.prior(past))) if with_prior else None
+        return Rollout(_to_world(start, after.transpose(0, 1)), logits.transpose(0, 1), z, prior)
 
 
 def steered_rollout(model: Cvae, first: Tensor, u: Tensor, gains: Tensor | None = None) -> tuple[Rollout, Tensor]:
@@ -97,7 +81,7 @@ def steered_rollout(model: Cvae, first: Tensor, u: Tensor, gains: Tensor | None 
     steering = None if gains is None else gains.transpose(0, 1)
     past, after, logits, z = _chain(model, x, u.transpose(0, 1), steering)
     prior = Gaussian(*(part.transpose(0, 1) for part in model.prior(past[..., :STATE])))
-    states = _to_world(start, after.transpose(0, 1), None)
+    states = _to_world(start, after.transpose(0, 1))
     return Rollout(states, logits.transpose(0, 1), z.transpose(0, 1), prior), past.transpose(0, 1)
 
 
@@ -110,41 +94,26 @@ def _check(model: Cvae, first: Tensor, z: Tensor) -> None:
         raise ShapeError("z has no steps: a roll-out needs T > 0")
 
 
-def _spread(offset: Tensor | None) -> Tensor | None:
-    """The offset (B, 3) at the joints among the 50 vectors of a state."""
-    return None if offset is None else F.pad(offset[:, None].expand(-1, 22, -1), (0, 0, 3, 25))
-
-
-def _chain(model: Cvae, x: Tensor, u: Tensor, gains: Tensor | None, spread: Tensor | None = None, loops=None):
+def _chain(model: Cvae, x: Tensor, u: Tensor, gains: Tensor | None, loops: bool | None = None):
     """All steps from X_0 (B, 339 or 345), u (T, B, 48) and gains (T, B, 48, 345): past (T, B, 339 or 345), states in
     the frame before (T, B, 339), contact logits (T, B, 9) and z (T, B, 48)."""
     layers = DecoderLayers.of(model)
-    if (compiled.fits(x, u) if loops is None else loops) and spread is None:
+    if compiled.fits(x, u) if loops is None else loops:
         none = u.new_zeros(*u.shape, 0)
         past, *rest = compiled.LoopedChain.apply(
             layers, F.pad(x, (0, compiled.PLACED - x.shape[1])), u, none if gains is None else gains
         )
         return past[..., : x.shape[1]], *rest
-    return Chain.apply(layers, x, u, gains, spread)
-
-
-def _recorded(model: Cvae, x: Tensor, z: Tensor, offset: Tensor | None):
-    """The same in the plainest way, every operation recorded by autograd: for gradients of the weights."""
-    past, after, logits = [], [], []
-    for now in z.unbind(0):
-        past.append(x)
-        x, state, contacts = transition(model, x, now, offset)
-        after.append(state), logits.append(contacts)
-    return tuple(torch.stack(each) for each in (past, after, logits))
+    return Chain.apply(layers, x, u, gains)
 
 
 class Chain(torch.autograd.Function):
-    """All steps in tensors, as ``_chain`` says, with first derivatives of X_0, u and spread written out."""
+    """All steps in tensors, as ``_chain`` says, with first derivatives of X_0 and u written out."""
 
     @staticmethod
-    def forward(ctx, decoder: DecoderLayers, first: Tensor, u: Tensor, gains: Tensor | None, spread: Tensor | None):
+    def forward(ctx, decoder: DecoderLayers, first: Tensor, u: Tensor, gains: Tensor | None):
         """Walks the chain. Where ``first`` has a place in the world, that is carried along."""
-        step, x = Stepper(decoder, spread), first
+        step, x = Stepper(decoder), first
         joint, bias = torch.cat(decoder.z_weights), torch.cat(decoder.biases)
         sizes, transposed = [len(b) for b in decoder.biases], joint.mT.contiguous()
         shares = None if gains is not None else F.linear(u, joint, bias).unbind(0)
@@ -175,20 +144,17 @@ class Chain(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx, d_past: Tensor, d_after: Tensor, d_logits: Tensor, d_z: Tensor):
-        """Computes the gradients of X_0, u and spread."""
+        """Computes the gradients of X_0 and u."""
         count, placed = len(ctx.past), bool(ctx.places)
         d_past, d_after, d_logits = (d.unbind(0) for d in (d_past, d_after, d_logits))
         way = WayBack(ctx.step, ctx.steps, ctx.past[..., :STATE], ctx.after, ctx.raw)
         spins = (torch.stack([s.turn for s in ctx.steps]) @ _SPIN.to(ctx.past)).unbind(0) if placed else ()
         d_x, d_shares = torch.zeros_like(d_past[0]), [None] * count
-        d_spread = None if way.spread is None else torch.zeros_like(way.spread)
         for t in reversed(range(count)):
             d = d_after[t]
             d_place = F.pad(d_x[:, STATE:].unflatten(1, (2, 3)), (0, 0, 0, 1)) if placed else None
             if t < count - 1:  # the last state's own frame is nobody's input
                 d_angle, back = way.of_frame(t, d_x)
-                if d_spread is not None:
-                    d_spread += back - d_x[:, :VECTORS].unflatten(1, (50, 3))
                 if placed:
                     d_way = ctx.places[t].mT @ d_place
                     d_angle = d_angle + (d_way * spins[t]).sum((1, 2))[:, None]
@@ -205,7 +171,7 @@ class Chain(torch.autograd.Function):
                 d_shares[t] = torch.addmm(d_z[t], d_shares[t], ctx.joint)  # of u
                 d_x = torch.baddbmm(d_x[:, None], d_shares[t][:, None], ctx.gains[t])[:, 0]
         d_u = torch.stack(d_shares)
-        return None, d_x, d_z + d_u @ ctx.joint if ctx.gains is None else d_u, None, d_spread
+        return None, d_x, d_z + d_u @ ctx.joint if ctx.gains is None else d_u, None
 
 
 def _onward(step: Step) -> Tensor:
@@ -215,7 +181,7 @@ def _onward(step: Step) -> Tensor:
     return onward
 
 
-def _to_world(start: Frame, local: Tensor, offset: Tensor | None) -> Tensor:
+def _to_world(start: Frame, local: Tensor) -> Tensor:
     """States (B, T, 339), each in the frame of the state before it, in the coordinates that ``start`` (B) is given in.
 
     x_{k+1} = A_k (x_k + s_k), so that x_k = turn_k (x + shift_k) with turn_{k+1} = A_k turn_k and
@@ -226,17 +192,11 @@ def _to_world(start: Frame, local: Tensor, offset: Tensor | None) -> Tensor:
     turn = rotation.rotation_about("z", F.pad(angle, (1, 0))) @ start.turn[:, None]
     way = (turn[:, :-1].mT @ steps.shift[..., None])[..., 0].cumsum(1)
     shift = start.shift[:, None] + F.pad(way, (0, 0, 1, 0))
-    return globalise(local, Frame(turn, shift), None if offset is None else offset[:, None])
+    return globalise(local, Frame(turn, shift))
 
 
 def sample_rollout(
-    model: Cvae,
-    first: Tensor,
-    steps: int,
-    *,
-    generator: torch.Generator | None = None,
-    offset: Tensor | None = None,
-    rigid: bool = False,
+    model: Cvae, first: Tensor, steps: int, *, generator: torch.Generator | None = None, rigid: bool = False
 ) -> Rollout:
     """Computes a roll-out with z from the prior: drawn where a generator is given, else its mean. Keeps no gradients.
 
@@ -246,8 +206,8 @@ def sample_rollout(
     check_shape(first, f"B {STATE}", "first")
     with torch.no_grad(), threads_for(len(first)):
         decoder = DecoderLayers.of(model)
-        step, start = Stepper(decoder, _spread(offset)), heading(first)
-        x, lengths = localise(first, start, offset), bone_lengths(first)
+        step, start = Stepper(decoder), heading(first)
+        x, lengths = localise(first, start), bone_lengths(first)
         after, logits, zs, means, variances = [], [], [], [], []
         for _ in range(steps):
             prior = model.prior(x)
@@ -257,28 +217,24 @@ def sample_rollout(
             after.append(there), logits.append(now.raw[:, CHANGES:]), zs.append(z)
             means.append(prior.mean), variances.append(prior.log_var)
         after, logits, zs, means, variances = (torch.stack(each, 1) for each in (after, logits, zs, means, variances))
-        return Rollout(_to_world(start, after, offset), logits, zs, Gaussian(means, variances))
+        return Rollout(_to_world(start, after), logits, zs, Gaussian(means, variances))
 
 
-def infer(model: Cvae, states: Tensor, *, offset: Tensor | None = None) -> tuple[Gaussian, Gaussian]:
+def infer(model: Cvae, states: Tensor) -> tuple[Gaussian, Gaussian]:
     """Computes posterior and prior (B, T-1, 48) of every transition of world states (B, T, 339), all at once.
 
-    Source: Stage-3 initialisation of the official code; offset (B, 3) is taken once, from the first frame.
+    Source: Stage-3 initialisation of the official code.
     """
     frame = heading(states[:, :-1])
-    c = None if offset is None else offset[:, None]
-    past, now = localise(states[:, :-1], frame, c), localise(states[:, 1:], frame, c)
+    past, now = localise(states[:, :-1], frame), localise(states[:, 1:], frame)
     return model.posterior(past, now), model.prior(past)
 
 
-def decode_ahead(model: Cvae, states: Tensor, z: Tensor, steps: int = 1) -> Tensor:
-    """Computes K transitions from every state at once: (B, T, K, 339), entry [b, t, k] predicts the state t + k + 1.
+def decode_ahead(model: Cvae, states: Tensor, z: Tensor) -> Tensor:
+    """Computes one transition from every state at once: (B, T, 339), entry [b, t] predicts the state t + 1.
 
-    states (B, T, 339), world; z (B, T, 48) of the transition out of each state. Starts from which fewer than K
-    latents are left get predictions with the last latent repeated: cut them off by t + k + 1 < T.
-    Source: thesis 3.3.1, the decoupled roll-out with K decoding steps.
+    states (B, T, 339), world; z (B, T, 48) of the transition out of each state.
+    Source: thesis 3.3.1, the decoupled roll-out with one decoding step.
     """
-    batch, frames = states.shape[:2]
-    at = (torch.arange(frames)[:, None] + torch.arange(steps)).clamp(max=frames - 1).to(states.device)
-    found = rollout(model, states.flatten(0, 1), z[:, at].flatten(0, 1), with_prior=False).states
-    return found.unflatten(0, (batch, frames))
+    found = rollout(model, states.flatten(0, 1), z.flatten(0, 1)[:, None], with_prior=False).states
+    return found.unflatten(0, states.shape[:2])[:, :, 0]

@@ -10,8 +10,8 @@ are read (``cvae.from_weights``, :func:`from_official`).
 
 Source: HuMoR (Rempe et al. 2021), section 3; thesis 3.1.1.
 Differs: the official order is trans, trans_vel, root_orient, root_orient_vel, pose_body, joints, joints_vel, matrices
-not transposed. ``trans`` is the pelvis itself, unless ``offset`` says where the pelvis lies from it (SMPL's translation
-is not its pelvis). The heading is exact in two dimensions, where the official code takes acos of a guarded cosine.
+not transposed, and ``trans`` is SMPL's translation, here the pelvis itself (``pretrained`` moves official weights). The
+heading is exact in two dimensions, where the official code takes acos of a guarded cosine.
 """
 
 from __future__ import annotations
@@ -176,24 +176,22 @@ def heading(state: Tensor) -> Frame:
     return heading_frame(state[..., SLICES["trans"]], state[..., SLICES["root_orient"]].unflatten(-1, (3, 3)).mT)
 
 
-def localise(state: Tensor, frame: Frame, offset: Tensor | None = None) -> Tensor:
+def localise(state: Tensor, frame: Frame) -> Tensor:
     """Computes states (..., 339) in the coordinates of a frame (...).
 
-    trans -> A (t + s), joints -> A (j + s + c) - c, velocities and root orientation are turned by A, the pose stays.
-    offset (..., 3): c, minus the horizontal way from ``trans`` to the pelvis at the first frame; None: 0.
+    trans -> A (t + s), joints -> A (j + s), velocities and root orientation are turned by A, the pose stays.
     """
-    return _moved(state, frame, offset, world_to_local_positions, world_to_local_orientations)
+    return _moved(state, frame, world_to_local_positions, world_to_local_orientations)
 
 
-def globalise(state: Tensor, frame: Frame, offset: Tensor | None = None) -> Tensor:
+def globalise(state: Tensor, frame: Frame) -> Tensor:
     """Computes world states (..., 339) from those in a frame: the inverse of :func:`localise`."""
-    return _moved(state, frame, offset, local_to_world_positions, local_to_world_orientations)
+    return _moved(state, frame, local_to_world_positions, local_to_world_orientations)
 
 
-def _moved(state, frame, offset, positions, orientations) -> Tensor:
+def _moved(state, frame, positions, orientations) -> Tensor:
     parts = unpack(state)
     turned = Frame(frame.turn, torch.zeros_like(frame.shift))
-    c = 0.0 if offset is None else offset[..., None, :]
     return pack(
         {
             "trans": positions(frame, parts["trans"]),
@@ -201,7 +199,7 @@ def _moved(state, frame, offset, positions, orientations) -> Tensor:
             "root_orient": orientations(frame, parts["root_orient"]),
             "root_orient_vel": positions(turned, parts["root_orient_vel"]),
             "pose_body": parts["pose_body"],
-            "joints": positions(frame, parts["joints"] + c) - c,
+            "joints": positions(frame, parts["joints"]),
             "joints_vel": positions(turned, parts["joints_vel"]),
         }
     )
@@ -230,12 +228,6 @@ def _bones(state: Tensor) -> Tensor:
 
 #: (22, 21): 1 where a bone, named by its lower joint, lies between the pelvis and a joint.
 _PATHS = STANDARD.ancestors()[:, 1:].float()
-
-
-def pelvis_offset(state: Tensor) -> Tensor:
-    """Computes c (..., 3) of states (..., 339): minus the horizontal way from ``trans`` to the pelvis."""
-    parts = unpack(state)
-    return (parts["trans"] - parts["joints"][..., 0, :]) * torch.tensor([1.0, 1.0, 0.0]).to(state)
 
 
 def apply(state: Tensor, raw: Tensor) -> tuple[Tensor, Tensor]:

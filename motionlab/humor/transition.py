@@ -1,4 +1,4 @@
-"""Computes one transition x_t -> x_{t+1}: plainly (``transition``), and fast with its derivative by hand (``Stepper``).
+"""Computes one transition x_t -> x_{t+1} fast, and its derivative by hand; ``state.apply`` is the plain form.
 
     raw = decoder(x, z);   x' = x + raw,  M' = M exp(v)^T;   then every vector into the heading frame of x'
 
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.state import ADDED, CHANGES, JOINT_COUNT, STATE, VECTORS, apply, heading, localise
+from motionlab.humor.state import ADDED, CHANGES, JOINT_COUNT, STATE, VECTORS
 
 #: What the root's place on the floor is taken from: those of the 50 vectors that are positions.
 _PLACED = torch.zeros(VECTORS // 3, 3)
@@ -34,18 +34,6 @@ for _a, _b, _c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     _QUATERNION[_b + 1, _b + 1, _a, _a] = _QUATERNION[_c + 1, _c + 1, _a, _a] = -1
     _QUATERNION[_a + 1, _b + 1, _a, _b] = _QUATERNION[_a + 1, _b + 1, _b, _a] = 2
     _QUATERNION[0, _c + 1, _a, _b], _QUATERNION[0, _c + 1, _b, _a] = 2, -2
-
-
-def transition(model: Cvae, x: Tensor, z: Tensor, offset: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
-    """Computes one transition of the prior from a state x (B, 339), in its own heading frame, and a latent z (B, 48).
-
-    The plain form, all of it recorded by autograd. offset (B, 3): see ``state.localise``.
-
-    Returns:
-        the next state (B, 339) in its own heading frame, the same in that of x, and contact logits (B, 9).
-    """
-    after, contacts = apply(x, model.decode(x, z))
-    return localise(after, heading(after), offset), after, contacts
 
 
 class DecoderLayers(NamedTuple):
@@ -95,10 +83,10 @@ class Step(NamedTuple):
 
 
 class Stepper:
-    """Takes steps without autograd. spread (B, 50, 3): ``state.pelvis_offset`` at the joints, 0 elsewhere; or None."""
+    """Takes steps without autograd."""
 
-    def __init__(self, decoder: DecoderLayers, spread: Tensor | None = None) -> None:
-        self.decoder, self.spread = decoder, spread
+    def __init__(self, decoder: DecoderLayers) -> None:
+        self.decoder = decoder
         self.transposed = [weight.mT.contiguous() for weight in decoder.weights]
         self.skip = decoder.skip.mT.contiguous()
         like = self.transposed[0]
@@ -129,8 +117,7 @@ class Stepper:
         right = right / torch.linalg.vector_norm(right, dim=-1, keepdim=True)
         turn = torch.addmm(self.still, right, self.turns).view(-1, 3, 3)
         vectors = after[:, :VECTORS].unflatten(1, (50, 3))
-        moved = torch.addcmul(vectors, self.placed, after[:, None, :3], value=-1)
-        moved = moved @ turn if self.spread is None else (moved + self.spread) @ turn - self.spread
+        moved = torch.addcmul(vectors, self.placed, after[:, None, :3], value=-1) @ turn
         return Step(after, torch.cat((moved.flatten(1), after[:, VECTORS:]), dim=1), raw, turned, turn, layers)
 
     def exp(self, v: Tensor) -> Tensor:
@@ -148,10 +135,10 @@ class WayBack:
     """
 
     def __init__(self, step: Stepper, steps: list[Step], past: Tensor, after: Tensor, raw: Tensor) -> None:
-        self.decoder, self.steps, self.centred, self.spread = step.decoder, steps, step.centred, step.spread
+        self.decoder, self.steps, self.centred = step.decoder, steps, step.centred
         self.bend = rotation.left_jacobian(raw[..., ADDED:CHANGES].unflatten(-1, (JOINT_COUNT, 3))).unbind(0)
         self.matrices = after[..., ADDED:].unflatten(-1, (JOINT_COUNT, 3, 3)).unbind(0)
-        self.swing, self.lever = (each.unbind(0) for each in _heading_slopes(past, after, step.spread))
+        self.swing, self.lever = (each.unbind(0) for each in _heading_slopes(past, after))
         outs = [torch.stack([s.layers[k][-1] for s in steps]) for k in range(len(self.decoder.gains))]
         self.slopes = [((out > 0) * gain).unbind(0) for out, gain in zip(outs, self.decoder.gains, strict=True)]
 
@@ -187,7 +174,7 @@ class WayBack:
         return d_shares[::-1], d_h + torch.cat((d[:, :ADDED], (d_matrices @ step.turned.mT).flatten(1)), dim=1)
 
 
-def _heading_slopes(past: Tensor, after: Tensor, spread: Tensor | None) -> tuple[Tensor, Tensor]:
+def _heading_slopes(past: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
     """Of the heading a = atan2(y, x) of the right axis on the floor: da/d(after), (T, B, 339), 0 where there is none;
     and d(the 50 vectors of past)/da, (T, B, 150)."""
     right = -after[..., ADDED : ADDED + 2]
@@ -195,6 +182,5 @@ def _heading_slopes(past: Tensor, after: Tensor, spread: Tensor | None) -> tuple
     swing = torch.zeros_like(after)
     swing[..., ADDED] = torch.where(squared == 0, 0.0, right / squared)[..., 1]
     swing[..., ADDED + 1] = -torch.where(squared == 0, 0.0, right / squared)[..., 0]
-    vectors = past[..., :VECTORS].unflatten(-1, (50, 3))
-    x, y, z = (vectors if spread is None else vectors + spread).unbind(-1)
+    x, y, z = past[..., :VECTORS].unflatten(-1, (50, 3)).unbind(-1)
     return swing, torch.stack((y, -x, torch.zeros_like(z)), -1).flatten(-2)

@@ -64,7 +64,7 @@ def errors(model: Cvae, motion: Motion) -> Errors:
     step = {name: each.unflatten(0, (len(states), -1)) for name, each in step.items()}
     with torch.no_grad():
         q, _ = infer(model, states)
-        made = decode_ahead(model, states[:, :-1], q.mean)[:, :, 0]
+        made = decode_ahead(model, states[:, :-1], q.mean)
     left = state.unpack(made)["joints"] - state.unpack(states[:, 1:])["joints"]
     added = 100 * left.cumsum(1).norm(dim=-1).mean(-1)
     return Errors(step, quality.rollout_errors(model, states), added)
@@ -107,7 +107,7 @@ def decode(model: Cvae, motion: Motion) -> Decoded:
     def shown(found: Tensor) -> Motion:
         return state.to_motion(torch.cat((states[:, :1], found), 1), motion.skeleton, motion.fps)
 
-    one_by_one = [shown(decode_ahead(model, states[:, :-1], q.mean)[:, :, 0]) for q in (posterior, prior)]
+    one_by_one = [shown(decode_ahead(model, states[:, :-1], q.mean)) for q in (posterior, prior)]
     chain = rollout(model, states[:, 0], posterior.mean, with_prior=False).states
     blind = sample_rollout(model, states[:, 0], states.shape[1] - 1).states
     return Decoded(replace(motion.cut(1), contacts=None), *one_by_one, shown(chain), shown(blind))

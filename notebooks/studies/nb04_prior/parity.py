@@ -6,6 +6,7 @@ with: they need no file, and in the second every layer matters.
 Source: golden arrays of the official code (Rempe et al. 2021), float64; see ``tests/golden/README.md``.
 """
 
+import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +16,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.humor import energies, rollout, state
+from motionlab.humor import energies, pretrained, rollout, state
 from motionlab.humor.cvae import Cvae, Gaussian, from_weights, kl, official_weights
 from motionlab.humor.priors import InitGmm
 from motionlab.humor.state import OFFICIAL_SLICES
@@ -157,6 +158,46 @@ def missed_rows(rows: Sequence[Row], tests: Mapping[str, tuple[Sequence[float], 
     return [dict(zip(("array", "error", "tolerance", "because of"), row, strict=True)) for row in lean + wrong]
 
 
+def pelvis_offset(states: Tensor) -> Tensor:
+    """Computes c (..., 3) of states (..., 339): minus the horizontal way from ``trans`` to the pelvis."""
+    parts = state.unpack(states)
+    return (parts["trans"] - parts["joints"][..., 0, :]) * torch.tensor([1.0, 1.0, 0.0]).to(states)
+
+
+def _with_joints_at(states: Tensor, c: Tensor) -> Tensor:
+    """States (B, ..., 339) whose joints are moved by c (B, 3)."""
+    parts = state.unpack(states)
+    return state.pack(parts | {"joints": parts["joints"] + c.reshape(len(c), *(1,) * (states.ndim - 1), 3)})
+
+
+def _on_pelvis(model: Cvae, states: Tensor, first: Tensor) -> tuple[list[Cvae], Tensor, Tensor]:
+    """What the library takes for golden states (B, ..., 339), whose ``trans`` is SMPL's translation: a model for each
+    clip, as each has its own J_0, with the weights moved as ``pretrained`` moves official files; the states with
+    ``trans`` on the pelvis; and c (B, 3) of their first ones (B, 339)."""
+    c = pelvis_offset(first).detach()
+    models = [pretrained._at_pelvis(copy.deepcopy(model), tuple((-way).tolist())) for way in c]
+    return models, _with_joints_at(states, c), c
+
+
+def _rolled(model: Cvae, first: Tensor, z: Tensor | None, steps: int = 0) -> rollout.Rollout:
+    """The library's roll-out from golden first states (B, 339); z None: the prior's mean in each of ``steps``."""
+    models, own, c = _on_pelvis(model, first, first)
+    if z is None:
+        each = [rollout.sample_rollout(m, own[b : b + 1], steps) for b, m in enumerate(models)]
+    else:
+        each = [rollout.rollout(m, own[b : b + 1], z[b : b + 1]) for b, m in enumerate(models)]
+    states, logits, latents, priors = zip(*each, strict=True)
+    prior = Gaussian(*map(torch.cat, zip(*priors, strict=True)))
+    return rollout.Rollout(_with_joints_at(torch.cat(states), -c), torch.cat(logits), torch.cat(latents), prior)
+
+
+def _inferred(model: Cvae, worlds: Tensor) -> list[Gaussian]:
+    """The library's posterior and prior of all transitions of golden world states (B, T, 339)."""
+    models, own, _ = _on_pelvis(model, worlds, worlds[:, 0])
+    each = [rollout.infer(m, own[b : b + 1]) for b, m in enumerate(models)]
+    return [Gaussian(*map(torch.cat, zip(*both, strict=True))) for both in zip(*each, strict=True)]
+
+
 def gradients(
     golden: Golden, model: Cvae, prefix: str, roll: Callable[[Tensor, Tensor], rollout.Rollout]
 ) -> dict[str, Tensor]:
@@ -202,10 +243,11 @@ def _frames(golden: Golden) -> Iterator[Row]:
     back = official_rollout._move_back(there, *move)
     yield _row(golden, "canon_local_*", "official", official_rollout._join(there))
     yield _row(golden, "canon_back_*", "official", official_rollout._join(back))
-    frame, c = state.heading(worlds[:, :1]), state.pelvis_offset(worlds[:, :1])
+    frame, c = state.heading(worlds[:, :1]), pelvis_offset(worlds[:, 0])
+    local = state.localise(_with_joints_at(two, c), frame)
     yield _row(golden, "canon_w2a_rot", "lean", frame.turn)
-    yield _row(golden, "canon_local_*", "lean", state.localise(two, frame, c))
-    yield _row(golden, "canon_back_*", "lean", state.globalise(state.localise(two, frame, c), frame, c))
+    yield _row(golden, "canon_local_*", "lean", _with_joints_at(local, -c))
+    yield _row(golden, "canon_back_*", "lean", _with_joints_at(state.globalise(local, frame), -c))
 
 
 def _official_apply(past: Tensor, raw: Tensor) -> tuple[Tensor, Tensor]:
@@ -237,8 +279,7 @@ def _networks(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
             yield _row(golden, "fwd_contacts", form, contacts)
     yield from _rollouts(golden, model, pre)
     worlds = golden.states("world_")
-    c = state.pelvis_offset(worlds[:, 0])
-    exact, lean = official_rollout.infer(model, worlds), rollout.infer(model, worlds, offset=c)
+    exact, lean = official_rollout.infer(model, worlds), _inferred(model, worlds)
     for form, both, limit in (("official", exact, EXACT), ("lean", lean, YAW)):
         for name, found in zip(("post", "prior"), both, strict=True):
             yield _row(golden, f"{pre}infer_{name}_mean", form, found.mean, limit)
@@ -248,14 +289,12 @@ def _networks(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
 
 def _rollouts(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
     local, worlds, z = golden.packed("x_past"), golden.states("world_"), golden["roll_z"]
-    c, c_world = state.pelvis_offset(local), state.pelvis_offset(worlds[:, 0])
     official = {"roll_": official_rollout.rollout(model, local, z, canonical=True)}
     official["rollworld_"] = official_rollout.rollout(model, worlds[:, 0], z)
-    lean = {"roll_": rollout.rollout(model, local, z, offset=c)}
-    lean["rollworld_"] = rollout.rollout(model, worlds[:, 0], z, offset=c_world)
+    lean = {"roll_": _rolled(model, local, z), "rollworld_": _rolled(model, worlds[:, 0], z)}
     if not pre:
         official["rollmean_"] = official_rollout.rollout(model, local, None, steps=z.shape[1], canonical=True)
-        lean["rollmean_"] = rollout.sample_rollout(model, local, z.shape[1], offset=c)
+        lean["rollmean_"] = _rolled(model, local, None, z.shape[1])
     for form, runs, limit in (("official", official, EXACT), ("lean", lean, YAW)):
         for name, found in runs.items():
             yield _row(golden, f"{pre}{name}*", form, found.states, limit)
@@ -272,7 +311,7 @@ def _rollouts(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
     slopes = gradients(golden, model, pre, lambda first, z: official_rollout.rollout(model, first, z, canonical=True))
     for name in slopes if not pre else ("grad_loss", "grad_z", "grad_x0_joints"):
         yield _row(golden, pre + name, "official", slopes[name])
-    slopes = gradients(golden, model, pre, lambda first, z: rollout.rollout(model, first, z, offset=c))
+    slopes = gradients(golden, model, pre, lambda first, z: _rolled(model, first, z))
     for name in ("grad_loss", "grad_z"):  # what x0 does to the heading differs by construction
         yield _row(golden, pre + name, "lean", slopes[name], YAW)
 

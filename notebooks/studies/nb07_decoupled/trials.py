@@ -173,7 +173,7 @@ def flexion(known: Case, z: Tensor) -> Tensor:
     """Knee flexion (B,) that z says: summed over one-step decodes from the states of stage 2, degrees, mean of legs."""
     skeleton, fps, states = known.stage_2.skeleton, known.truth.fps, to_states(known.start["x"])
     with torch.no_grad():
-        after = decode_ahead(known.problem.priors.motion, states[:, :-1], z)[:, :, 0]
+        after = decode_ahead(known.problem.priors.motion, states[:, :-1], z)
     before, after = (gait.tilt_and_bend(state.to_motion(x, skeleton, fps))[1] for x in (states[:, :-1], after))
     return (after - before).mean(-1).sum(-1)
 
