@@ -68,7 +68,7 @@ def reach_targets(motion: Motion, names: Sequence[str], targets: Tensor, *, step
     if not (motion.root.isfinite().all() and motion.rot.isfinite().all()):
         raise DataError("numbers that are not finite", place=motion.name, remedy="leave those frames out")
     known = targets.isfinite().all(-1)
-    above = _ancestors_of(motion.skeleton, handles).to(motion.root)
+    above = motion.skeleton.ancestors()[handles].to(motion.root)
     weight = torch.full_like(motion.root[..., 0], _DAMPING)
 
     def missed(motion: Motion) -> Tensor:  # (..., T, K, 3): the way from every known handle to its target
@@ -105,16 +105,8 @@ def _damped_step(motion, handles, above, missing, known, weight) -> Motion:
     return replace(motion, root=motion.root + shift, rot=local @ motion.rot)
 
 
-def _ancestors_of(skeleton, handles: Sequence[int]) -> Tensor:
-    """(K, J): 1 where a joint's turn moves a handle: the joints above it."""
-    found = torch.zeros(len(handles), len(skeleton))
-    for row, joint in enumerate(handles):
-        while (joint := skeleton.parents[joint]) >= 0:
-            found[row, joint] = 1
-    return found
-
-
 def _jacobian(positions: Tensor, handles: Sequence[int], above: Tensor) -> Tensor:
-    """(..., K, J, 3, 3): handle's velocity by a turn of joint j about the world's axes, -skew(p_handle - p_j)."""
+    """(..., K, J, 3, 3): handle's velocity by a turn of joint j, which is ``above`` it (K, J), about the world's axes,
+    -skew(p_handle - p_j)."""
     lever = positions[..., handles, None, :] - positions[..., None, :, :]
     return -rotation.skew(lever) * above[..., None, None]

@@ -108,6 +108,15 @@ def velocity(x: Tensor, fps: float, dim: int) -> Tensor:
     return torch.gradient(x, spacing=1.0 / fps, dim=dim)[0]
 
 
+def backward_velocity(x: Tensor, fps: float, dim: int) -> Tensor:
+    """Computes rates of change per second by backward differences, which know the past only; the first is the second's,
+    one frame gives zeros."""
+    if x.shape[dim] < 2:
+        return torch.zeros_like(x)
+    rate = x.diff(dim=dim) * fps
+    return torch.cat((rate.narrow(dim, 0, 1), rate), dim)
+
+
 def resample(motion: Motion, fps: float, how: str = "linear") -> Motion:
     """Computes a motion at another frame rate; contacts by the nearest frame.
 

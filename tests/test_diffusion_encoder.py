@@ -109,7 +109,7 @@ def test_what_is_missed_is_all_of_it_for_a_network_that_says_the_mean(some):
 def test_kept_features_are_the_same_bit_for_bit(trained, some, tmp_path):
     features, _ = trained
     encoder.save_encoder(tmp_path / "f", features, {"what": "a test"})
-    found = encoder._load(tmp_path / "f")
+    found = encoder.motion_encoder(tmp_path / "f")
     assert torch.equal(found(some), features(some))
     assert found.recipe == TINY
     assert json.loads((tmp_path / "f.json").read_text())["sha256"].startswith(found.digest) and len(found.digest) == 12
@@ -118,10 +118,10 @@ def test_kept_features_are_the_same_bit_for_bit(trained, some, tmp_path):
 def test_files_of_something_else_are_refused(trained, tmp_path):
     features, _ = trained
     with pytest.raises(DataError, match="No such file"):
-        encoder._load(tmp_path / "none")
+        encoder.motion_encoder(tmp_path / "none")
     encoder.save_encoder(tmp_path / "f", replace(features, recipe=replace(TINY, size=5)), {})
     with pytest.raises(DataError, match="not a feature autoencoder"):
-        encoder._load(tmp_path / "f")
+        encoder.motion_encoder(tmp_path / "f")
 
 
 def test_the_command_trains_on_the_people_who_train(motions, tmp_path, monkeypatch):

@@ -8,6 +8,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from motionlab.diffusion.windows import gather
 from motionlab.errors import DataError
 from motionlab.humor import scales
 from motionlab.humor.cvae import Cvae, from_weights, official_weights
@@ -27,11 +28,15 @@ from motionlab.motion import mirror
 from motionlab.skeleton import STANDARD
 from motionlab.training import chain_training
 from motionlab.training.chain_training import ChainRecipe, ChainTraining
-from motionlab.training.examples import live_examples
+from motionlab.training.examples import LiveExamples
 from tests.draws import seeded
 
 SMALL = ChainRecipe(width=64, steps=8, batch=10, length=3, chain=2, seed=5)
 FEET = [STANDARD.index(f"{side}_foot") for side in ("left", "right")]
+
+
+def live_examples(motions, length, missing):
+    return LiveExamples(gather(motions, length + 1, missing=missing), length)
 
 
 @pytest.fixture(scope="module")

@@ -138,15 +138,6 @@ def save_encoder(path: Path | str, features: MotionEncoder, about: dict) -> None
     checkpoint.save(path, weights | others, about | {"recipe": asdict(features.recipe)})
 
 
-def _load(path: Path | str) -> MotionEncoder:
-    path = Path(path).with_suffix(".safetensors")
-    tensors, about = checkpoint.load(path)
-    with checkpoint.rebuilding(path, "not a feature autoencoder"):
-        recipe = EncoderRecipe(**about["recipe"])
-        network = checkpoint.frozen(lambda: Autoencoder(recipe), tensors, "network.")
-        return MotionEncoder(network, *(tensors[name].float() for name in _SIZES), recipe, about["sha256"][:12])
-
-
 @cache
 def motion_encoder(name: str = "features_real") -> MotionEncoder:
     """Loads an encoder that ships with the project, by name, or one at a path; once.
@@ -154,4 +145,9 @@ def motion_encoder(name: str = "features_real") -> MotionEncoder:
     Raises:
         DataError: no such checkpoint, or damaged.
     """
-    return _load(checkpoint.shipped(name))
+    path = checkpoint.shipped(name).with_suffix(".safetensors")
+    tensors, about = checkpoint.load(path)
+    with checkpoint.rebuilding(path, "not a feature autoencoder"):
+        recipe = EncoderRecipe(**about["recipe"])
+        network = checkpoint.frozen(lambda: Autoencoder(recipe), tensors, "network.")
+        return MotionEncoder(network, *(tensors[name].float() for name in _SIZES), recipe, about["sha256"][:12])

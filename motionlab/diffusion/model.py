@@ -153,9 +153,9 @@ class MotionDiffusion:
         return found
 
 
-def save_denoiser(path: Path | str, model: MotionDiffusion, about: dict, *, half: bool = False) -> None:
-    """Writes ``path`` (.safetensors) and its recipe (.json), with ``about`` beside it. half: weights as float16."""
-    weights = {f"denoiser.{n}": x.half() if half else x for n, x in model.denoiser.state_dict().items()}
+def save_denoiser(path: Path | str, model: MotionDiffusion, about: dict) -> None:
+    """Writes ``path`` (.safetensors, weights as float16) and its recipe (.json), with ``about`` beside it."""
+    weights = {f"denoiser.{n}": x.half() for n, x in model.denoiser.state_dict().items()}
     tensors = weights | {"mean": model.normaliser.mean, "scale": model.normaliser.scale}
     checkpoint.save(path, tensors, about | {"recipe": asdict(model.recipe)})
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.errors import DataError
 from motionlab.heading import heading_frame
-from motionlab.motion import Motion
+from motionlab.motion import Motion, backward_velocity
 from motionlab.skeleton import STANDARD
 
 _J, _C = len(STANDARD), len(STANDARD.contact_names)
@@ -36,8 +36,8 @@ def rows(motion: Motion) -> Tensor:
         raise DataError("a motion without contacts", place=motion.name, remedy="contact.with_contacts labels it")
     frame = heading_frame(motion.root, motion.rot[..., 0, :, :])
     turn, places = frame.turn, motion.positions
-    moves = _change(places.flatten(-2), motion.fps).unflatten(-1, (-1, 3))
-    turned = _change(rotation.yaw(motion.rot[..., 0, :, :])[..., None], 1.0)
+    moves = backward_velocity(places, motion.fps, dim=-3)
+    turned = backward_velocity(rotation.yaw(motion.rot[..., 0, :, :])[..., None], 1.0, dim=-2)
     parts = (
         motion.root, rotation.matrix_to_sixd(motion.rot).flatten(-2),
         ((places + frame.shift[..., None, :]) @ turn.mT).flatten(-2), (moves @ turn.mT).flatten(-2),
@@ -45,14 +45,6 @@ def rows(motion: Motion) -> Tensor:
         motion.contacts.to(motion.root),
     )  # fmt: skip
     return torch.cat(parts, -1)
-
-
-def _change(x: Tensor, fps: float) -> Tensor:
-    """Differences per second (..., T, D) from the frame before; the first frame repeats the second."""
-    if x.shape[-2] < 2:
-        return torch.zeros_like(x)
-    moved = x.diff(dim=-2) * fps
-    return torch.cat((moved[..., :1, :], moved), -2)
 
 
 def made(motion: Motion) -> Tensor:

@@ -87,11 +87,6 @@ class Windows:
         return Motion(skeleton, self.root[at], self.rot[at], self.fps, contacts)
 
     @property
-    def minutes(self) -> float:
-        """Minutes of motion, without mirror images."""
-        return len(self.root) / self.fps / 60
-
-    @property
     def digest(self) -> str:
         """A hash of all numbers, for the recipe."""
         whole = hashlib.sha256(repr((self.length, self.fps, self.mirrored, self.contacts is None)).encode())

@@ -93,16 +93,18 @@ class Cvae(nn.Module):
         ShapeError: the width is no multiple of 32.
     """
 
-    def __init__(self, width: int = 1024, latent: int = LATENT, *, skip: bool = False, direct: bool = False) -> None:
+    latent = LATENT
+
+    def __init__(self, width: int = 1024, *, skip: bool = False, direct: bool = False) -> None:
         super().__init__()
         if width < 32 or width % 32:
             raise ShapeError(f"width: expected a multiple of 32, got {width}")
-        self.width, self.latent = width, latent
-        self.encoder = Mlp(2 * STATE, (width,) * 4, 2 * latent)
-        self.prior_net = Mlp(STATE, (width,) * 4, 2 * latent)
-        self.decoder = Mlp(STATE + latent, (width, width, width // 2), DELTA, again=latent)
+        self.width = width
+        self.encoder = Mlp(2 * STATE, (width,) * 4, 2 * LATENT)
+        self.prior_net = Mlp(STATE, (width,) * 4, 2 * LATENT)
+        self.decoder = Mlp(STATE + LATENT, (width, width, width // 2), DELTA, again=LATENT)
         self.skip = nn.Linear(STATE, DELTA, bias=False) if skip else None
-        self.direct = nn.Linear(2 * STATE, latent) if direct else None
+        self.direct = nn.Linear(2 * STATE, LATENT) if direct else None
 
     @property
     def causal(self) -> bool:
@@ -164,9 +166,7 @@ def from_weights(weights: dict[str, Tensor], path: Path, remedy: str) -> Cvae:
     first = weights.get("prior_net.net.0.weight")
     if first is None or first.ndim != 2 or first.shape[1] != STATE or first.shape[0] % 32:
         raise DataError("no prior_net.net.0.weight of shape (width, 339)", path=path, remedy=remedy)
-    last = weights.get("prior_net.net.12.bias")
-    latent = LATENT if last is None else len(last) // 2
-    model = Cvae(len(first), latent, skip="skip.weight" in weights, direct="direct.weight" in weights)
+    model = Cvae(len(first), skip="skip.weight" in weights, direct="direct.weight" in weights)
     return reorder(filled(model, weights, "tensors do not fit HuMoR's networks", path, remedy))
 
 

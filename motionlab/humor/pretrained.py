@@ -148,8 +148,8 @@ def load_pose_prior(name: str = f"pose_prior_{DEFAULT}") -> PosePrior:
     Raises:
         DataError: no such checkpoint, damaged, or of something else.
     """
-    tensors, path = _tensors(name)
-    return filled(PosePrior(), tensors, "not a pose prior", path, checkpoint.REMEDY)
+    path = checkpoint.shipped(name)
+    return filled(PosePrior(), checkpoint.load(path)[0], "not a pose prior", path, checkpoint.REMEDY)
 
 
 @cache
@@ -159,7 +159,8 @@ def load_initial(name: str = f"init_gmm_{DEFAULT}") -> InitGmm:
     Raises:
         DataError: no such checkpoint, damaged, or of something else.
     """
-    tensors, path = _tensors(name)
+    path = checkpoint.shipped(name)
+    tensors, _ = checkpoint.load(path)
     finite(tensors, path, checkpoint.REMEDY)
     return _mixture_of(tensors, path)
 
@@ -171,13 +172,8 @@ def load_motion_prior(name: str = f"humor_{DEFAULT}") -> Cvae:
     Raises:
         DataError: no such checkpoint, or damaged.
     """
-    tensors, path = _tensors(name)
-    return from_weights(tensors, path, checkpoint.REMEDY)
-
-
-def _tensors(name: str) -> tuple[dict[str, Tensor], Path]:
-    path = checkpoint.SHIPPED / name if Path(name).name == name else Path(name)
-    return checkpoint.load(path)[0], path
+    path = checkpoint.shipped(name)
+    return from_weights(checkpoint.load(path)[0], path, checkpoint.REMEDY)
 
 
 # --------------------------------------------------------------------------------------------------- files of others

@@ -16,7 +16,7 @@ from torch.nn import functional as F
 
 from motionlab import rotation
 from motionlab.humor.cvae import Cvae, Gaussian
-from motionlab.humor.state import DELTA, DELTA_SLICES, ONWARD, SHAPES, SLICES, STATE, heading, localise, unpack
+from motionlab.humor.state import DELTA, DELTA_SLICES, ONWARD, SHAPES, SLICES, STATE, TURNED, heading, localise, unpack
 
 #: An error of one: metres, m/s, matrix entries, rad/s.
 ERROR_UNITS = {
@@ -41,21 +41,13 @@ class Scales:
     def measure(cls, past: Tensor, now: Tensor) -> Scales:
         """From transitions (N, 339), both in the frame of the past state; the change is what differs from going on at
         the velocity."""
-        change, onward = torch.ones(DELTA), past @ ONWARD.mT
-        before, after = unpack(past), unpack(now)
-        for name in SHAPES:
-            if name in ("root_orient", "pose_body"):
-                moved = rotation.log(after[name] @ before[name].mT)
-            else:
-                moved = after[name] - before[name]
-            moved = moved.flatten(1) - onward[:, DELTA_SLICES[name]]
-            change[DELTA_SLICES[name]] = moved.std(0).clamp(min=1e-4)
+        change = unforeseen(past, now).std(0).clamp(min=1e-4)
         change[DELTA_SLICES["contacts"]] = 3.0
         return cls(past.mean(0), past.std(0).clamp(min=1e-3), change)
 
     def rows(self, past: Tensor, now: Tensor) -> Tensor:
         """What the encoder takes (N, 678): the second state enters as its change, in units of 16 errors."""
-        return torch.cat(((past - self.mean) / self.std, (now - past) / (16 * _unit(SLICES))), -1)
+        return torch.cat(((past - self.mean) / self.std, (now - past) / (16 * error_units(SLICES))), -1)
 
     def posterior(self, model: Cvae, past: Tensor, now: Tensor) -> Gaussian:
         """q(z | past, now)."""
@@ -88,7 +80,7 @@ class Scales:
                 first.bias -= first.weight[:, :STATE] @ (self.mean / self.std)
                 first.weight[:, :STATE] /= self.std
             for first in encoding:
-                first.weight[:, STATE:] /= 16 * _unit(SLICES)
+                first.weight[:, STATE:] /= 16 * error_units(SLICES)
                 first.weight[:, :STATE] -= first.weight[:, STATE:]
             model.decoder.net[-1].weight *= self.change[:, None]
             model.decoder.net[-1].bias *= self.change
@@ -104,7 +96,7 @@ class Scales:
             encoding = model.encoder.net[0], model.direct
             for first in encoding:
                 first.weight[:, :STATE] += first.weight[:, STATE:]
-                first.weight[:, STATE:] *= 16 * _unit(SLICES)
+                first.weight[:, STATE:] *= 16 * error_units(SLICES)
             for first in (*encoding, model.prior_net.net[0], model.decoder.net[0]):
                 first.weight[:, :STATE] *= self.std
                 first.bias += first.weight[:, :STATE] @ (self.mean / self.std)
@@ -116,9 +108,21 @@ class Scales:
         return model
 
 
-def _unit(slices: dict[str, slice]) -> Tensor:
-    """``ERROR_UNITS``, one per number of a state (339,)."""
-    return torch.cat([torch.full((part.stop - part.start,), ERROR_UNITS[name]) for name, part in slices.items()])
+def unforeseen(past: Tensor, now: Tensor) -> Tensor:
+    """Computes the raw changes (N, 216) of transitions (N, 339) less those of going on at the velocity; contacts 0."""
+    before, after, onward = unpack(past), unpack(now), past @ ONWARD.mT
+    change = torch.zeros(len(past), DELTA)
+    for name in SHAPES:
+        turned = name in TURNED
+        moved = rotation.log(after[name] @ before[name].mT) if turned else after[name] - before[name]
+        change[:, DELTA_SLICES[name]] = moved.flatten(1) - onward[:, DELTA_SLICES[name]]
+    return change
+
+
+def error_units(slices: dict[str, slice]) -> Tensor:
+    """Returns ``ERROR_UNITS``, one per number of a state (339,) or of raw outputs (216,), contacts 1."""
+    units = [torch.full((part.stop - part.start,), ERROR_UNITS.get(name, 1.0)) for name, part in slices.items()]
+    return torch.cat(units)
 
 
 def huber(error: Tensor) -> Tensor:

@@ -32,7 +32,7 @@ from motionlab.heading import (
     world_to_local_orientations,
     world_to_local_positions,
 )
-from motionlab.motion import FPS, Motion, velocity
+from motionlab.motion import FPS, Motion, backward_velocity, velocity
 from motionlab.skeleton import STANDARD, Skeleton
 
 JOINT_COUNT, CONTACTS = 22, 9
@@ -124,7 +124,7 @@ def from_motion(motion: Motion, *, causal: bool = False) -> Tensor:
     which know the past only; the first frame has those of the second. Root angular velocity: the vector of dR/dt R^T,
     world axes.
     """
-    rate = _backward if causal else velocity
+    rate = backward_velocity if causal else velocity
     positions, _ = motion.world
     check_shape(positions, f"... {JOINT_COUNT} 3", "joints")
     root = motion.rot[..., 0, :, :]
@@ -139,14 +139,6 @@ def from_motion(motion: Motion, *, causal: bool = False) -> Tensor:
             "joints_vel": rate(positions, motion.fps, dim=-3),
         }
     )
-
-
-def _backward(x: Tensor, fps: float, dim: int) -> Tensor:
-    """Rates of change per second by backward differences; the first is the second's."""
-    if x.shape[dim] < 2:
-        return torch.zeros_like(x)
-    rate = x.diff(dim=dim) * fps
-    return torch.cat((rate.narrow(dim, 0, 1), rate), dim)
 
 
 def _turning(orientation: Tensor, fps: float) -> Tensor:

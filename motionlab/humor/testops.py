@@ -323,7 +323,7 @@ class _Track:
         )
         self.stages[3] = unknowns.motion_of(body, seen.fps, contacts=(contacts > 0.5).to(contacts))
         first = found.states[:, 0].unflatten(0, (-1, len(cuts)))
-        says = _diagnosed(found, cut.evidence)
+        says = diagnosed(found, cut.evidence)
         long = (f"more than {_WHOLE} frames: stage 3 by rollout, in windows",) * (solver == "shooting" and not whole)
         fitted = self._fitted(problem, rolled, contacts, rolled.z, first, cuts, *long, *says.sentences())
         kept = {"problem": cut, "unknown": rolled.detached()} if whole else {}
@@ -363,16 +363,9 @@ class _Track:
 
 
 # --------------------------------------------------------------------------------------------------------- diagnostics
-def diagnostics(problem: Problem, unknown: Unknowns) -> FitDiagnostics:
-    """Computes how well unknowns (G, 1, ...) of stage 3 agree with the prior and with what was seen."""
-    with torch.no_grad():
-        rolled = unknowns.roll(unknown, problem.priors, problem.evidence)
-    return _diagnosed(rolled, problem.evidence)
-
-
 @torch.no_grad()
-def _diagnosed(rolled: Rolled, evidence: Evidence) -> FitDiagnostics:
-    """Computes the diagnostics of roll-outs of B rows."""
+def diagnosed(rolled: Rolled, evidence: Evidence) -> FitDiagnostics:
+    """Computes how well roll-outs of B rows agree with the prior and with what was seen."""
     prior, weight = rolled.rollout.prior, (evidence.weight > 0).to(rolled.states)
     latent_chi2 = ((rolled.rollout.z - prior.mean).square() * (-prior.log_var).exp()).mean((1, 2))
     off = (rolled.body.observed - evidence.values).square().sum(-1)

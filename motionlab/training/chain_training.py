@@ -18,18 +18,16 @@ of its rotation.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from motionlab import rotation
 from motionlab.errors import DataError
 from motionlab.humor.cvae import Cvae, Gaussian, kl
-from motionlab.humor.scales import ERROR_UNITS, Scales, huber, transition_pairs
-from motionlab.humor.state import DELTA, DELTA_SLICES, ONWARD, SHAPES, apply, globalise, heading, localise, unpack
+from motionlab.humor.scales import ERROR_UNITS, Scales, error_units, huber, transition_pairs, unforeseen
+from motionlab.humor.state import DELTA_SLICES, SHAPES, apply, globalise, heading, localise, unpack
 from motionlab.skeleton import STANDARD, fk
 from motionlab.training.examples import LiveExamples
 from motionlab.training.training_loop import TrainingRun, fast_halves
@@ -74,13 +72,7 @@ def begun_linear(model: Cvae, scales: Scales, past: Tensor, now: Tensor) -> None
 
     By random weights z reaches the decoder in a few directions only, and training opens no more.
     """
-    before, after, onward = unpack(past), unpack(now), past @ ONWARD.mT
-    change, unit = torch.zeros(len(past), DELTA), torch.ones(DELTA)
-    for name in SHAPES:
-        turned = name in ("root_orient", "pose_body")
-        moved = rotation.log(after[name] @ before[name].mT) if turned else after[name] - before[name]
-        change[:, DELTA_SLICES[name]] = moved.flatten(1) - onward[:, DELTA_SLICES[name]]
-        unit[DELTA_SLICES[name]] = ERROR_UNITS[name]
+    change, unit = unforeseen(past, now), error_units(DELTA_SLICES)
     _, size, axes = torch.linalg.svd(change / unit, full_matrices=False)
     axes, size = axes[: model.latent], size[: model.latent] / len(past) ** 0.5
     z = change / unit @ axes.mT / size
@@ -98,7 +90,7 @@ class ChainTraining(TrainingRun):
     """A training run of the transition prior by chains; ``averaged`` is the model as it is shipped, frozen. start: the
     model to begin from; else z begins as the principal components of the change (:func:`begun_linear`)."""
 
-    data_name = "examples"
+    data_name, least = "examples", 0.01
     reads = staticmethod(lambda content: ChainRecipe(**content))
 
     def __init__(self, recipe: ChainRecipe, examples: LiveExamples, start: Cvae | None = None) -> None:
@@ -123,10 +115,6 @@ class ChainTraining(TrainingRun):
 
     def _ready(self, model: Cvae) -> Cvae:
         return self.scales.folded(model).frozen()
-
-    def _rate(self) -> float:
-        warm = min(1.0, (self.step + 1) / 100)
-        return self.recipe.lr * warm * (0.505 + 0.495 * math.cos(math.pi * self.step / self.recipe.steps))
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         recipe, share = self.recipe, self.step / self.recipe.steps

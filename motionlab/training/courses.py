@@ -112,15 +112,7 @@ class DenoiserCourse(train_more.Course):
         windows, takes = learnt_from(folder, FRAMES)
         return windows, person_windows(takes, FRAMES, _EACH).motion
 
-    load = staticmethod(load_denoiser)
-
-    def begun(self, recipe: DenoiserRecipe, first: MotionDiffusion | None) -> DenoiserTraining:
-        """In halves where these are faster."""
-        return super().begun(replace(recipe, bf16=fast_halves(torch.device("cpu"))), first)
-
-    def save(self, out: Path, model: MotionDiffusion, about: dict) -> None:
-        """As ``save_denoiser``, weights as float16."""
-        save_denoiser(out, model, about, half=True)
+    load, save = staticmethod(load_denoiser), staticmethod(save_denoiser)
 
     def measured(self, model: MotionDiffusion) -> dict[str, float]:
         """Errors of x_0 at five steps, and first their mean."""
@@ -187,6 +179,6 @@ COURSES = {
     "completer_draws": (
         CompleterCourse, CompleterRecipe(diffusion=True, kinds=(*KINDS, ("nothing", 0.1), ("onward", 0.2)))
     ),
-    "diffusion_plain": (DenoiserCourse, DenoiserRecipe()),
+    "diffusion_plain": (DenoiserCourse, DenoiserRecipe(bf16=fast_halves(torch.device("cpu")))),
     "transition": (PriorCourse, ChainRecipe()),
 }  # fmt: skip

@@ -7,8 +7,6 @@ by eye); dropout follows the run's generator; gradients not finite are skipped.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
 
@@ -19,7 +17,7 @@ from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
-from motionlab.motion import FPS, Motion
+from motionlab.motion import FPS
 from motionlab.training.losses import denoising_losses
 from motionlab.training.training_loop import TrainingRun
 
@@ -75,8 +73,3 @@ class DenoiserTraining(TrainingRun):
         offsets = motion.skeleton.offsets[:, 0]
         parts = denoising_losses(estimate, x0, self.layout, self.normaliser, offsets, parts=weights, seen=seen)
         return sum(weight * parts[name] for name, weight in weights.items()), parts
-
-
-def held_errors(held: Motion) -> Callable[[MotionDiffusion], dict[str, float]]:
-    """Builds a judge that measures a model's errors of x_0 on held-out windows (B, T)."""
-    return lambda model: model.errors(held, torch.Generator().manual_seed(0))

@@ -19,7 +19,7 @@ class _EncoderRun(TrainingRun):
     """Trains an autoencoder on windows. Every group weighs the same in the loss, or the few numbers that say whether a
     foot slides would drown."""
 
-    clip = None
+    clip, warm_up, least = math.inf, 0, 0.0
 
     def __init__(self, recipe: EncoderRecipe, windows: Windows) -> None:
         generator, self.windows = torch.Generator().manual_seed(recipe.seed), windows
@@ -30,9 +30,6 @@ class _EncoderRun(TrainingRun):
         self.weight = torch.cat([torch.full((n,), 1 / (n * len(FEATURE_GROUPS))) for n in FEATURE_GROUPS.values()])
         optimiser = torch.optim.Adam(network.parameters(), recipe.lr)
         super().__init__(recipe, windows.digest, generator, network, optimiser)
-
-    def _rate(self) -> float:
-        return 0.5 * self.recipe.lr * (1 + math.cos(math.pi * self.step / self.recipe.steps))
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         x = (signals(self.windows.draw(self.recipe.batch, self.generator)) - self.mean) / self.scale

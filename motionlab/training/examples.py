@@ -6,13 +6,12 @@ people bring it themselves.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from motionlab.diffusion.windows import Windows, gather
+from motionlab.diffusion.windows import Windows
 from motionlab.humor import body_shape
 from motionlab.humor.state import from_motion
 from motionlab.motion import Motion
@@ -27,8 +26,8 @@ class LiveExamples:
 
     For hours of motion, whose states would not fit into memory. Velocities are backward differences.
 
-    motions: windows of ``length`` + 1 frames. bodies: standard deviation of the bodies' betas; one recording in three
-    keeps its own.
+    motions: windows of ``length`` + 1 frames with contacts, 30 fps, floor at z = 0. bodies: standard deviation of the
+    bodies' betas; one recording in three keeps its own.
     """
 
     motions: Windows
@@ -59,18 +58,6 @@ class LiveExamples:
     def frames(self) -> int:
         """Counts the frames, without mirror images."""
         return len(self.motions.root)
-
-
-def live_examples(motions: Sequence[Motion], length: int, missing: Sequence[Sequence[str]]) -> LiveExamples:
-    """Computes live examples from motions with contacts, 30 fps, floor at z = 0: windows of ``length`` states.
-
-    missing: for every motion the joints whose rotations were not recorded; of a pair, that one is missing leaves none
-    to learn from, since windows are mirrored.
-
-    Raises:
-        DataError: as :func:`motionlab.diffusion.windows.gather`.
-    """
-    return LiveExamples(gather(motions, length + 1, missing=missing), length)
 
 
 def random_body(motion: Motion, generator: torch.Generator) -> Motion:

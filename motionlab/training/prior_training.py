@@ -22,7 +22,6 @@ from motionlab.skeleton import STANDARD, fk
 from motionlab.training.training_loop import TrainingRun
 
 _COMPONENTS = 12
-_POSE_RATE = 1e-3  # of Adam, at the beginning
 MIXTURE_RIDGE = 1e-4  # square metres, or (metres per second)^2: one centimetre
 #: What the reconstruction may miss by: radians per joint and metres per joint, one standard deviation.
 POSE_TURN, POSE_PLACE = 0.10, 0.02
@@ -82,14 +81,14 @@ def _varied_poses(
 class _PoseRecipe:
     steps: int
     batch: int
-    share: float
+    lr: float = 1e-3  # of Adam, at the beginning
     average: float = 0.0  # its weights are the last ones
 
 
 class _PosePriorRun(TrainingRun):
     """Trains a pose prior: Adam, its rate falls as a cosine, and KL grows over the first tenth."""
 
-    clip = None
+    clip, least = math.inf, 0.0
 
     def __init__(
         self, recipe: _PoseRecipe, rot: Tensor, seen: Tensor, odds: Tensor, generator: torch.Generator
@@ -103,15 +102,11 @@ class _PosePriorRun(TrainingRun):
         count = recipe.steps * recipe.batch
         self.drawn = torch.multinomial(odds, count, replacement=True, generator=generator).split(recipe.batch)
         self.rot, self.seen = rot, seen
-        super().__init__(recipe, "", generator, model, torch.optim.Adam(model.parameters(), lr=_POSE_RATE))
-
-    def _rate(self) -> float:
-        fallen = 0.5 * (1 + math.cos(math.pi * self.step / self.recipe.steps))
-        return _POSE_RATE * min(1.0, (self.step + 1) / 100) * fallen
+        super().__init__(recipe, "", generator, model, torch.optim.Adam(model.parameters(), lr=recipe.lr))
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         some = self.drawn[self.step]
-        rot, seen = _varied_poses(self.rot[some], self.seen[some], self.generator, share=self.recipe.share)
+        rot, seen = _varied_poses(self.rot[some], self.seen[some], self.generator)
         miss, divergence = _objective(self.model, rot, seen, self.generator)
         grown = min(1.0, (self.step + 1) / (0.1 * self.recipe.steps))
         return miss + grown * divergence, {"miss": miss, "kl": divergence}
@@ -125,7 +120,6 @@ def train_pose_prior(
     batch: int = 256,
     weight: Tensor | None = None,
     seen: Tensor | None = None,
-    share: float = _SHARE,
     progress: bool = True,
 ) -> tuple[PosePrior, list[tuple[int, float, float]]]:
     """Trains a pose prior on poses (N, 21, 3, 3).
@@ -143,7 +137,7 @@ def train_pose_prior(
         raise DataError(f"{len(rot)} poses", remedy="give two or more, all of them finite")
     odds = torch.ones(len(rot)) if weight is None else weight
     seen = torch.ones(rot.shape[:2], dtype=torch.bool) if seen is None else seen
-    run = _PosePriorRun(_PoseRecipe(steps, batch, share), rot, seen, odds, generator)
+    run = _PosePriorRun(_PoseRecipe(steps, batch), rot, seen, odds, generator)
     run.run(every=max(1, steps // 100), progress=progress)
     return run.averaged, [(row["step"], row["miss"], row["kl"]) for row in run.curve]
 

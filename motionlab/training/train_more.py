@@ -88,14 +88,6 @@ class Course(ABC):
             recipe = replace(recipe, **{name: getattr(first.recipe, name) for name in self.built})
         return self.trainer(recipe, self.examples, first)
 
-    def resumed(self, kept: Path) -> TrainingRun:
-        """The run that was kept.
-
-        Raises:
-            DataError: it is damaged, or was trained on other data.
-        """
-        return self.trainer.resume(kept, self.examples)
-
     @abstractmethod
     def measured(self, model: Any) -> dict[str, float]:
         """What a model is worth on the people who choose: first what chooses, less is better."""
@@ -167,7 +159,7 @@ def _run(course: Course, kept: Path, there: Any, more: bool) -> TrainingRun:
     aside."""
     if more and kept.exists():
         try:
-            run = course.resumed(kept)
+            run = course.trainer.resume(kept, course.examples)
             print(f"goes on at step {run.step} of {run.recipe.steps}, as it was begun: {kept}", flush=True)
             return run
         except DataError as error:

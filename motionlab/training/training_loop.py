@@ -1,7 +1,7 @@
 """The training loop of every network: resumable to the bit, with averaged weights and skipped bad batches.
 
-A trainer derives from :class:`TrainingRun` and adds what differs: its batches and their loss, and, where they do, its
-learning rate and what is made of the network. A run is saved whole or not at all, and read without executing anything.
+A trainer derives from :class:`TrainingRun` and adds what differs: its batches and their loss, and, where it does, what
+is made of the network. A run is saved whole or not at all, and read without executing anything.
 
 Source: Polyak and Juditsky 1992, averaged weights, here with a moving average that warms up.
 """
@@ -28,10 +28,10 @@ AFRESH = "start afresh, without --more"
 Measure = Callable[[Any], dict[str, float]]
 
 
-def warmed_cosine(rate: float, step: int, steps: int, warm_up: int) -> float:
-    """Computes the learning rate at a step: it rises over ``warm_up`` steps and falls by a cosine to a fiftieth."""
+def warmed_cosine(rate: float, step: int, steps: int, warm_up: int, least: float = 0.02) -> float:
+    """Computes the learning rate at a step: it rises over ``warm_up`` steps and falls by a cosine to ``least``."""
     warm = min(1.0, (step + 1) / max(warm_up, 1))
-    return rate * warm * (0.51 + 0.49 * math.cos(math.pi * step / steps))
+    return rate * warm * ((1 + least) / 2 + (1 - least) / 2 * math.cos(math.pi * step / steps))
 
 
 def fast_halves(device: torch.device) -> bool:
@@ -47,7 +47,8 @@ class TrainingRun(ABC):
     drawn from it. curve: rows of step, loss, its parts and measures. best: step, measure and averaged weights that
     the judge liked best, if there was one. skipped, in_a_row: batches without a finite gradient, all and since a good
     one; the run ends at ``give_up`` in a row. earlier: steps that its first weights had behind them. clip: largest norm
-    of the gradient; None: as it is. extra: what else is saved, by name.
+    of the gradient. warm_up, least: of the learning rate (``warmed_cosine``), where the recipe does not say the first.
+    extra: what else is saved, by name.
     """
 
     #: What the run is trained on, as errors and saved runs call it.
@@ -55,7 +56,8 @@ class TrainingRun(ABC):
     #: Reads the recipe from ``asdict``'s content.
     reads: ClassVar[Callable[[dict], Any]]
     give_up = 1
-    clip: float | None = 1.0
+    clip = 1.0
+    warm_up, least = 100, 0.02
 
     def __init__(
         self,
@@ -80,7 +82,8 @@ class TrainingRun(ABC):
 
     def _rate(self) -> float:
         """The learning rate at this step."""
-        return warmed_cosine(self.recipe.lr, self.step, self.recipe.steps, self.recipe.warm_up)
+        warm_up = getattr(self.recipe, "warm_up", self.warm_up)
+        return warmed_cosine(self.recipe.lr, self.step, self.recipe.steps, warm_up, self.least)
 
     def _ready(self, model: nn.Module) -> Any:
         """What is used of a frozen network."""
@@ -167,11 +170,7 @@ class TrainingRun(ABC):
         """One step of the optimiser; False, and nothing changed, where the gradient is not finite."""
         self.optimiser.zero_grad()
         loss.backward()
-        norm = (
-            torch.nn.utils.get_total_norm([p.grad for p in self.model.parameters() if p.grad is not None])
-            if self.clip is None
-            else torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.clip)
-        )
+        norm = nn.utils.clip_grad_norm_(self.model.parameters(), self.clip)
         self._torn = True
         if norm.isfinite():
             self.optimiser.step()

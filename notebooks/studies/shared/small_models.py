@@ -27,7 +27,7 @@ from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.motion import Motion
-from motionlab.training.denoiser_training import DenoiserTraining, held_errors
+from motionlab.training.denoiser_training import DenoiserTraining
 from motionlab.training.train_more import learnt_from
 from studies.shared import small_measures
 
@@ -165,15 +165,19 @@ def trained(arm: Arm, data: _Data) -> dict[str, MotionDiffusion]:
     models = [run.shipped, run.averaged] if arm.stops else [run.averaged]
     for (name, path), model in zip(paths.items(), models, strict=True):
         stopped = {"best": run.best["step"]} if arm.stops else {}
-        save_denoiser(path, model, {"arm": name, "curve": run.curve} | stopped, half=True)
+        save_denoiser(path, model, {"arm": name, "curve": run.curve} | stopped)
     partial.unlink(missing_ok=True)
     return {name: load_denoiser(path) for name, path in paths.items()}
 
 
 def _judge(choose: Motion):
     """The mean error of x_0 over levels of noise, on windows (N, T)."""
-    errors = held_errors(choose)
-    return lambda model: {"x0 error": sum((found := errors(model)).values()) / len(found)}
+
+    def judge(model: MotionDiffusion) -> dict[str, float]:
+        found = model.errors(choose, torch.Generator().manual_seed(0))
+        return {"x0 error": sum(found.values()) / len(found)}
+
+    return judge
 
 
 def run(name: str, data: _Data, *, seeds: int | None = None, again: bool = False) -> None:
