@@ -29,6 +29,8 @@ def _mask(known: Tensor, motion: Motion) -> Tensor:
         raise ShapeError(f"known {tuple(known.shape)}: frames of each clip, or joints of each frame? Give all axes")
     if not by_frame and not by_joint:
         raise ShapeError(f"known: expected (..., {frames}) or (..., {frames}, {joints}), got {tuple(known.shape)}")
+    if not known.any(-1 if by_frame else -2).all():
+        raise ShapeError("known: some joint is known at no frame, so there is nothing to fill it from")
     return (known[..., None] if by_frame else known).expand(motion.rot.shape[:-2])
 
 
@@ -63,10 +65,9 @@ def cosine_transform(frames: int, dtype: torch.dtype = torch.float64) -> Tensor:
     return basis.float()
 
 
-def _neighbours(known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """For each frame (..., T, K): the last known frame, the next known one, and how far between them (0..1)."""
-    if not known.any(-2).all():
-        raise ShapeError("known: some joint is known at no frame, so there is nothing to fill it from")
+def between_known(known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Computes for each frame of a mask (..., T, K) the last known one and the next, as :func:`nearest_known`, and how
+    far between them it is (0..1)."""
     time = torch.arange(known.shape[-2], device=known.device)[:, None]
     before, after = (at.mT for at in nearest_known(known.mT))
     return before, after, (time - before) / (after - before).clamp(min=1)
@@ -82,7 +83,7 @@ def _take(x: Tensor, frames: Tensor) -> Tensor:
 def hold(motion: Motion, known: Tensor) -> Motion:
     """Fills unknown rotations and root positions with the last known ones (the first known ones before those)."""
     known = _mask(known, motion)
-    before, _, _ = _neighbours(known)
+    before, _, _ = between_known(known)
     root = _take(motion.root[..., None, :], before[..., :1])[..., 0, :]
     return replace(motion, root=root, rot=_take(motion.rot, before), contacts=None)
 
@@ -90,7 +91,7 @@ def hold(motion: Motion, known: Tensor) -> Motion:
 def interpolate(motion: Motion, known: Tensor) -> Motion:
     """Fills unknown root positions linearly and rotations by slerp between the known frames around; ends hold."""
     known = _mask(known, motion)
-    before, after, weight = _neighbours(known)
+    before, after, weight = between_known(known)
     weight = weight.to(motion.rot)
     start, stop = (_take(motion.root[..., None, :], at[..., :1])[..., 0, :] for at in (before, after))
     root = torch.lerp(start, stop, weight[..., :1])

@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from motionlab.cleaning import runs
 from motionlab.errors import DataError
 from motionlab.humor.shooting.coordinates import linearised, unwhiten
 from motionlab.humor.testops import Fitted
@@ -88,7 +89,7 @@ class Draws:
         width = 100 * self.places(level)[1].diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
         said = []
         for joint, name in enumerate(self.fit.skeleton.names):
-            for start, end in _spans(self.hidden[:, joint]):
+            for start, end in [span for span in runs(self.hidden[:, joint]) if span[1] - span[0] >= _SHORTEST]:
                 size, span = width[start:end, joint].mean().item(), (start / self.fit.fps, (end - 1) / self.fit.fps)
                 said.append(f"{name.replace('_', ' ')}, {span[0]:.1f} to {span[1]:.1f} s: {size:.0f} cm at {level:.0%}")
         return [*(line.replace("%", " %") for line in said), *self.diagnostics]
@@ -137,9 +138,3 @@ def places_of(motions: Motion) -> tuple[Tensor, Tensor]:
     places = motions.positions - motions.root[..., None, :]
     off = places - places.mean(0)
     return places.mean(0), torch.einsum("ktja,ktjb->tjab", off, off) / max(len(off) - 1, 1)
-
-
-def _spans(hidden: Tensor) -> list[tuple[int, int]]:
-    """Runs (start, end) of at least ``_SHORTEST`` true frames of (T,)."""
-    edges = torch.diff(hidden.int(), prepend=torch.zeros(1).int(), append=torch.zeros(1).int()).nonzero()[:, 0]
-    return [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= _SHORTEST]

@@ -8,7 +8,7 @@ Source: thesis 4.2.1. Differs: numbers instead of looking.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -27,7 +27,6 @@ JOINTS = len(STANDARD)
 HIDDEN = tuple(name for name in STANDARD.names if name.endswith(LEGS))  # rotations that occluded legs lose
 LOWER = tuple(name for name in HIDDEN if not name.endswith("hip"))  # joints whose places follow from them
 T = TypeVar("T")
-BANDS = (0.5, 2.0, 4.0, 8.0, 15.0)  # Hz
 
 
 # ---------------------------------------------------------------------------------------------- what is known
@@ -142,20 +141,6 @@ def reversed_walk(made: Motion, truth: Motion, least: float = 0.3) -> Tensor:
     than ``least`` m/s: nobody walks."""
     true, ours = stance_speed(truth), stance_speed(made)
     return torch.where(true.abs() >= least, (ours * true < 0).to(true), torch.nan)
-
-
-def scores(
-    made: Mapping[str, Motion], truth: Motion, known: Tensor, joints: tuple[str, ...] | None = None
-) -> dict[str, dict[str, Tensor]]:
-    """Of everything that was made: error, acceleration over the truth's, and slide, each (B,)."""
-    return {
-        name: {
-            "error, cm": error_cm(motion, truth, known, joints),
-            "acceleration / truth's": acceleration_ratio(motion, truth),
-            "slide, mm/frame": slide_mm(motion, truth),
-        }
-        for name, motion in made.items()
-    }
 
 
 def restore_known(made: Motion, given: Motion, known: Tensor) -> Motion:

@@ -190,8 +190,3 @@ def tune(name: str, noisy: Motion, truth: Motion) -> dict[str, float]:
 def interpolated(motion: Motion, known: Tensor) -> Motion:
     """Slerp of every joint and a line for the root between the known frames around; the nearest one at the ends."""
     return baselines.interpolate(motion, known[..., :JOINTS])
-
-
-def held(motion: Motion, known: Tensor) -> Motion:
-    """Every joint stays where it was known last."""
-    return baselines.hold(motion, known[..., :JOINTS])

@@ -11,7 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from motionlab.baselines import nearest_known
+from motionlab.baselines import between_known
 
 _FRAMES = 30.0  # length of the curves' Gaussian process: its covariance falls to a half in so many frames
 _NOISE = 1e-5  # of its variance: of what is known, so that every pattern can be solved for
@@ -20,9 +20,7 @@ _NOISE = 1e-5  # of its variance: of what is known, so that every pattern can be
 def lines_between(x: Tensor, known: Tensor) -> Tensor:
     """Computes x (B, T, D) with unknown entries (not ``known``, bool B T D) interpolated linearly in time, held at the
     ends; 0 in a column without known ones. What x holds at unknown entries is never read."""
-    before, after = (at.mT for at in nearest_known(known.mT))  # both the nearest one at the ends
-    time = torch.arange(x.shape[-2], device=x.device)[:, None]
-    share = (time - before) / (after - before).clamp(min=1)
+    before, after, share = between_known(known)  # both the nearest one at the ends
     left, right = (torch.where(known, x, 0.0).gather(-2, at) for at in (before, after))
     return torch.where(known.any(-2, keepdim=True), left + share.to(x) * (right - left), 0.0)
 

@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.nn.functional import max_pool1d, normalize, one_hot, pad
 
 from motionlab import rotation
-from motionlab.baselines import nearest_known
+from motionlab.baselines import between_known, nearest_known
 from motionlab.contact import contacts_from_positions, resting_heights, with_contacts
 from motionlab.diffusion import footsteps
 from motionlab.diffusion.curves import lines_between
@@ -115,11 +115,9 @@ def _place(points: Tensor, stands: Tensor, known: Tensor) -> Tensor:
     fixed = stands & known
     if not fixed.any():
         return mean
-    time = torch.arange(stands.shape[-2])[:, None].expand(stands.shape)
-    sides = [at.mT for at in nearest_known(fixed.mT)]
+    *sides, share = between_known(fixed)
     mine = [(number.gather(-2, at) == number) & fixed.gather(-2, at) & stands for at in sides]
-    share = ((time - sides[0]) / (sides[1] - sides[0]).clamp(min=1)).to(points)
-    share = torch.where(mine[0] & mine[1], share, mine[1].to(points))[..., None]
+    share = torch.where(mine[0] & mine[1], share.to(points), mine[1].to(points))[..., None]
     before, after = (points.gather(-3, at[..., None].expand_as(points)) for at in sides)
     return torch.where((mine[0] | mine[1])[..., None], torch.lerp(before, after, share), mean)
 

@@ -60,7 +60,7 @@ def inpaint_features(
         raise ShapeError(f"known: expected {tuple(x0.shape[-2:])} or {tuple(x0.shape)}, got {tuple(known.shape)}")
     seen = torch.where(known, x0, 0.0)
     schedule = model.schedule.respaced(min(how.steps, len(model.schedule)))
-    m = _ramped(known, how.mask_ramp) if how.mask_ramp else known.to(x0)
+    m = (_ramped(known, how.mask_ramp) if how.mask_ramp else known).to(x0)
     if how.mask_ramp:  # where the mask is soft the nearest known value stands in
         seen = _nearest_held(seen, known)
     inner: DenoiseFunction = model.denoiser
@@ -108,7 +108,6 @@ def _replace(
 
     last: also behind the last step, where it is not noised any more: exact, and the cause of the seam. m may be soft.
     """
-    m = m.to(known)
 
     def after(x: Tensor, x0: Tensor, t: int) -> Tensor:
         if t == 0 and not last:
@@ -120,7 +119,6 @@ def _replace(
 
 def _impute(denoise: DenoiseFunction, known: Tensor, m: Tensor) -> DenoiseFunction:
     """As MDM does: the estimate of x_0 gets the known part, and the sampler goes on from that."""
-    m = m.to(known)
     return lambda x, stamps: (1 - m) * denoise(x, stamps) + m * known
 
 
@@ -129,7 +127,6 @@ def _guided(
 ) -> DenoiseFunction:
     """Known parts imputed; the rest of the x_0 estimate less weight sqrt(alpha_bar) / 2 times the gradient in x_t of
     |m (x_0 estimate - known)|^2, so that it moves to where the network's own estimate agrees with what is known."""
-    m = m.to(known)
     level = dict(zip(schedule.stamps.tolist(), schedule.alpha_bar.tolist(), strict=True))
 
     def better(x: Tensor, stamps: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ them. Nothing in them is executed.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields
 from functools import cache
 from pathlib import Path
 
@@ -135,10 +135,6 @@ class MotionDiffusion:
         """Draws new motions (count, T) by DDPM, on the standard body."""
         x, respaced = self.noise(count, generator), self.schedule.respaced(min(steps, len(self.schedule)))
         return self.decode(ddpm(self.denoiser, respaced, x, generator).cpu())
-
-    def encode_local(self, local: Motion) -> Tensor:
-        """Computes normalised numbers (B, T, D) of motions that are in the layout's frame already."""
-        return self.normaliser.apply(replace(self.layout, frame="world").encode(local))
 
     @torch.no_grad()
     def errors(self, motion: Motion, generator: torch.Generator) -> dict[str, float]:

@@ -117,10 +117,7 @@ class Chain(torch.autograd.Function):
         joint, bias = torch.cat(decoder.z_weights), torch.cat(decoder.biases)
         sizes, transposed = [len(b) for b in decoder.biases], joint.mT.contiguous()
         shares = None if gains is not None else F.linear(u, joint, bias).unbind(0)
-        place = None
-        if first.shape[1] > STATE:  # homogeneous
-            last = first.new_tensor([[[0.0, 0.0, 1.0]]]).expand(len(first), 1, 3)
-            place = torch.cat((first[:, STATE:].unflatten(1, (2, 3)), last), 1)
+        place = first[:, STATE:].unflatten(1, (2, 3)) if first.shape[1] > STATE else None
         past, steps, zs, places, ways = [], [], [], [], []
         for t, now in enumerate(u.unbind(0)):
             past.append(x)
@@ -134,7 +131,7 @@ class Chain(torch.autograd.Function):
             if place is not None:
                 places.append(place), ways.append(_onward(done))
                 place = place @ ways[-1]
-                x = torch.cat((x, place[:, :2].flatten(1)), 1)
+                x = torch.cat((x, place.flatten(1)), 1)
             steps.append(done), zs.append(z)
         ctx.step, ctx.steps, ctx.gains, ctx.joint, ctx.places, ctx.ways = step, steps, gains, joint, places, ways
         ctx.past = torch.stack(past)
@@ -152,7 +149,7 @@ class Chain(torch.autograd.Function):
         d_x, d_shares = torch.zeros_like(d_past[0]), [None] * count
         for t in reversed(range(count)):
             d = d_after[t]
-            d_place = F.pad(d_x[:, STATE:].unflatten(1, (2, 3)), (0, 0, 0, 1)) if placed else None
+            d_place = d_x[:, STATE:].unflatten(1, (2, 3)) if placed else None
             if t < count - 1:  # the last state's own frame is nobody's input
                 d_angle, back = way.of_frame(t, d_x)
                 if placed:
@@ -165,7 +162,7 @@ class Chain(torch.autograd.Function):
             shares, d_x = way.of_step(t, d, d_logits[t])
             d_shares[t] = torch.cat(shares, 1)
             if placed:
-                d_x = torch.cat((d_x, d_place[:, :2].flatten(1)), 1)
+                d_x = torch.cat((d_x, d_place.flatten(1)), 1)
             d_x = d_x + d_past[t]
             if ctx.gains is not None:
                 d_shares[t] = torch.addmm(d_z[t], d_shares[t], ctx.joint)  # of u

@@ -5,8 +5,8 @@
 Metres, seconds, radians; world z up, floor at z = 0. ``joints`` are the network's own idea of where the joints are,
 kept beside the pose that implies them. Rotations stand transposed, row by row. So the first 141 numbers are what a
 transition adds to, the last 198 are the 22 matrices that it turns, and the first 150 are the 50 vectors that a new
-heading turns. This is the only order inside the library: official weights and states are put into it once, where they
-are read (``cvae.from_weights``, :func:`from_official`).
+heading turns. This is the only order inside the library: official weights are put into it once, where they are read
+(``cvae.from_weights``).
 
 Source: HuMoR (Rempe et al. 2021), section 3; thesis 3.1.1.
 Differs: the official order is trans, trans_vel, root_orient, root_orient_vel, pose_body, joints, joints_vel, matrices
@@ -70,7 +70,8 @@ def _order() -> tuple[Tensor, Tensor]:
     return torch.cat([x.flatten() for x in order]), torch.cat([raw[official_raw[n]] for n in DELTA_SHAPES])
 
 
-#: Official states ``x[..., OFFICIAL_ORDER]`` and raw outputs ``raw[..., OFFICIAL_DELTA_ORDER]`` are ours.
+#: Official states ``x[..., OFFICIAL_ORDER]`` and raw outputs ``raw[..., OFFICIAL_DELTA_ORDER]`` are ours; by the
+#: ``argsort`` of these ours are official.
 OFFICIAL_ORDER, OFFICIAL_DELTA_ORDER = _order()
 
 
@@ -84,16 +85,6 @@ def _onward() -> Tensor:
 
 #: (216, 339): takes a state to the raw changes of a body that goes on at its velocity for one frame.
 ONWARD = _onward()
-
-
-def from_official(state: Tensor) -> Tensor:
-    """Puts official states (..., 339) into our order."""
-    return state[..., OFFICIAL_ORDER.to(state.device)]
-
-
-def to_official(state: Tensor) -> Tensor:
-    """Puts our states (..., 339) into the official order."""
-    return state[..., OFFICIAL_ORDER.argsort().to(state.device)]
 
 
 def unpack(state: Tensor) -> dict[str, Tensor]:

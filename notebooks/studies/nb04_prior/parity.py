@@ -39,6 +39,7 @@ WHY = {
     "alt_grad_z": f"{_HEADING}, and its derivative",
 }  # fmt: skip
 F64 = torch.float64
+_OFFICIAL = state.OFFICIAL_ORDER.argsort()  # ours[..., _OFFICIAL] are official states
 
 
 class Row(NamedTuple):
@@ -77,11 +78,11 @@ class Golden:
 
     def states(self, prefix: str) -> Tensor:
         """The parts ``prefix``trans, ``prefix``trans_vel and so on as states (..., 339) in our order."""
-        return state.from_official(torch.cat([self[prefix + name] for name in state.OFFICIAL_SLICES], -1))
+        return torch.cat([self[prefix + name] for name in state.OFFICIAL_SLICES], -1)[..., state.OFFICIAL_ORDER]
 
     def packed(self, name: str) -> Tensor:
         """Packed states (B, 339) of one array, in our order."""
-        return state.from_official(self[name][:, 0])
+        return self[name][:, 0][..., state.OFFICIAL_ORDER]
 
     @property
     def weight_sums(self) -> dict[str, float]:
@@ -204,14 +205,14 @@ def gradients(
     """Gradients of the golden scalar in z and in every part of x0, under the names of the golden arrays."""
     first, z = golden.packed("x_past").requires_grad_(), golden["roll_z"].requires_grad_()
     found = roll(first, z)
-    states = state.to_official(found.states)
+    states = found.states[..., _OFFICIAL]
     joints, trans, root = (states[..., OFFICIAL_SLICES[n]] for n in ("joints", "trans", "root_orient"))
     loss = joints.square().sum() + trans.square().sum()
     if not prefix:
         surprise = 0.5 * (found.prior.log_var + (z - found.prior.mean).square() * (-found.prior.log_var).exp())
         loss = loss + root[..., 1].sum() + 0.1 * surprise.sum()
     by_first, by_z = torch.autograd.grad(loss, (first, z))
-    by_first = state.to_official(by_first)[:, None]
+    by_first = by_first[..., _OFFICIAL][:, None]
     by_part = {f"grad_x0_{name}": by_first[..., part] for name, part in OFFICIAL_SLICES.items()}
     return {"grad_loss": loss.detach(), "grad_z": by_z} | by_part
 
@@ -273,7 +274,7 @@ def _networks(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
         drawn = model.decode(past, z_drawn)
         for form, apply in (("official", _official_apply), ("lean", state.apply)):
             after, contacts = apply(past, raw)
-            yield _row(golden, "decode_out", form, torch.cat((state.to_official(after), contacts), -1))
+            yield _row(golden, "decode_out", form, torch.cat((after[..., _OFFICIAL], contacts), -1))
             after, contacts = apply(past, drawn)
             yield _row(golden, "fwd_*", form, after)
             yield _row(golden, "fwd_contacts", form, contacts)

@@ -58,7 +58,7 @@ def denoise(
     local = world_to_local(frame, given) if frame else given
     if model.layout.contacts:
         local = replace(local, contacts=with_contacts(rough).contacts)
-    y = model.encode_local(local)
+    y = model.normaliser.apply(replace(model.layout, frame="world").encode(local))
     t = _begin(model.schedule, whole)
     signal, stamps = model.schedule.alpha_bar[t].sqrt().to(y), model.schedule.stamps[t].expand(len(y))
     more = (whole**2 - size**2).clamp(min=0).sqrt() if start.topped else torch.zeros_like(size)
