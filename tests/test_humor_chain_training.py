@@ -10,9 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from motionlab.diffusion.windows import gather
 from motionlab.errors import DataError
-from motionlab.humor import scales
 from motionlab.humor.cvae import Cvae, from_weights, official_weights
-from motionlab.humor.scales import Scales
 from motionlab.humor.state import (
     OFFICIAL_DELTA_ORDER,
     OFFICIAL_ORDER,
@@ -22,6 +20,7 @@ from motionlab.humor.state import (
     heading,
     localise,
     pack,
+    transition_pairs,
     unpack,
 )
 from motionlab.motion import mirror
@@ -29,6 +28,7 @@ from motionlab.skeleton import STANDARD
 from motionlab.training import chain_training
 from motionlab.training.chain_training import ChainRecipe, ChainTraining
 from motionlab.training.examples import LiveExamples
+from motionlab.training.scales import Scales
 from tests.draws import seeded
 
 SMALL = ChainRecipe(width=64, steps=8, batch=10, length=3, chain=2, seed=5)
@@ -47,7 +47,7 @@ def data(motions):
 @pytest.fixture
 def transitions(motions):
     """Past and now (N, 339) in the frame of the past, doubles."""
-    return scales.transition_pairs(from_motion(motions[0].to(torch.float64), causal=True))
+    return transition_pairs(from_motion(motions[0].to(torch.float64), causal=True))
 
 
 def drawn(data, count=60, **change):

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from motionlab.humor.cvae import Cvae, kl
 from motionlab.humor.rollout import infer, rollout, sample_rollout
-from motionlab.humor.scales import transition_pairs
-from motionlab.humor.state import apply, bone_lengths, globalise, heading, localise, unpack
+from motionlab.humor.state import apply, bone_lengths, globalise, heading, localise, transition_pairs, unpack
 from motionlab.metrics.gait import contact_scores
 from motionlab.metrics.pose import masked_mean, mean_acceleration
 from motionlab.motion import FPS
@@ -34,7 +33,7 @@ def _error(a: Tensor, b: Tensor) -> Tensor:
 def one_step_errors(model: Cvae, states: Tensor) -> dict[str, Tensor]:
     """Errors (N,) in cm of all transitions of world states (W, T, 339): z from the posterior's and the prior's mean,
     the pose held, and every joint going on at its velocity; "kl": nats (N, 48)."""
-    past, now = transition_pairs(states)
+    past, now = (x.flatten(0, -2) for x in transition_pairs(states))
     q, p = model.posterior(past, now), model.prior(past)
     ahead = unpack(past)["joints"] + unpack(past)["joints_vel"] / FPS
     return {
@@ -114,7 +113,7 @@ def plausibility(
 def _contact_f1(model: Cvae, states: Tensor, contacts: Tensor) -> tuple[float, float]:
     """F1 of contact labels against the true ones (W, T, 9): of those decoded one step from the truth, with the latent
     of a posterior that saw the answer; and of those one frame before."""
-    past, now = transition_pairs(states)
+    past, now = (x.flatten(0, -2) for x in transition_pairs(states))
     _, logits = apply(past, model.decode(past, model.posterior(past, now).mean))
     truth = contacts[:, 1:].flatten(0, 1)
     guesses = (logits > 0).float(), contacts[:, :-1].flatten(0, 1)

@@ -26,7 +26,7 @@ from torch.nn import functional as F
 from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
 from motionlab.heading import Frame
-from motionlab.humor import compiled
+from motionlab.humor import compiled, state
 from motionlab.humor.cvae import Cvae, Gaussian
 from motionlab.humor.state import CHANGES, STATE, bone_lengths, globalise, heading, localise, with_bone_lengths
 from motionlab.humor.transition import DecoderLayers, Step, Stepper, WayBack
@@ -222,8 +222,7 @@ def infer(model: Cvae, states: Tensor) -> tuple[Gaussian, Gaussian]:
 
     Source: Stage-3 initialisation of the official code.
     """
-    frame = heading(states[:, :-1])
-    past, now = localise(states[:, :-1], frame), localise(states[:, 1:], frame)
+    past, now = state.transition_pairs(states)
     return model.posterior(past, now), model.prior(past)
 
 

@@ -172,6 +172,14 @@ def globalise(state: Tensor, frame: Frame) -> Tensor:
     return _moved(state, frame, local_to_world_positions, local_to_world_orientations)
 
 
+def transition_pairs(states: Tensor) -> tuple[Tensor, Tensor]:
+    """Computes the states before and after all transitions of world states (..., T, 339): two (..., T - 1, 339), both
+    in the frame of the one before."""
+    past, now = states[..., :-1, :], states[..., 1:, :]
+    frame = heading(past)
+    return localise(past, frame), localise(now, frame)
+
+
 def _moved(state, frame, positions, orientations) -> Tensor:
     parts = unpack(state)
     turned = Frame(frame.turn, torch.zeros_like(frame.shift))

@@ -26,10 +26,10 @@ from torch.nn import functional as F
 
 from motionlab.errors import DataError
 from motionlab.humor.cvae import Cvae, Gaussian, kl
-from motionlab.humor.scales import ERROR_UNITS, Scales, error_units, huber, transition_pairs, unforeseen
-from motionlab.humor.state import DELTA_SLICES, SHAPES, apply, globalise, heading, localise, unpack
+from motionlab.humor.state import DELTA_SLICES, SHAPES, apply, globalise, heading, localise, transition_pairs, unpack
 from motionlab.skeleton import STANDARD, fk
 from motionlab.training.examples import LiveExamples
+from motionlab.training.scales import ERROR_UNITS, Scales, error_units, huber, unforeseen
 from motionlab.training.training_loop import TrainingRun, fast_halves
 
 
@@ -98,7 +98,7 @@ class ChainTraining(TrainingRun):
             raise DataError(f"windows of {examples.length} states for {recipe.length} transitions")
         self.examples = examples
         some, _, _ = examples.draw(2000, torch.Generator().manual_seed(recipe.seed))
-        pairs = transition_pairs(some)
+        pairs = tuple(x.flatten(0, 1) for x in transition_pairs(some))
         self.scales = replace(Scales.measure(*pairs), half=fast_halves(torch.device("cpu")))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
@@ -153,7 +153,7 @@ class ChainTraining(TrainingRun):
         count, length = len(states), states.shape[1] - 1
         if not count:
             return [states.new_zeros(0, self.model.latent)] * length
-        past, now = transition_pairs(states)
+        past, now = (x.flatten(0, 1) for x in transition_pairs(states))
         q, p = self.scales.posterior(self.model, past, now), self.scales.prior(self.model, past)
         self._along_kl = kl(q, p).sum(-1).mean()
         return list(q.sample(self.generator).unflatten(0, (count, length)).unbind(1))

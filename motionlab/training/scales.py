@@ -16,7 +16,7 @@ from torch.nn import functional as F
 
 from motionlab import rotation
 from motionlab.humor.cvae import Cvae, Gaussian
-from motionlab.humor.state import DELTA, DELTA_SLICES, ONWARD, SHAPES, SLICES, STATE, TURNED, heading, localise, unpack
+from motionlab.humor.state import DELTA, DELTA_SLICES, ONWARD, SHAPES, SLICES, STATE, TURNED, unpack
 
 #: An error of one: metres, m/s, matrix entries, rad/s.
 ERROR_UNITS = {
@@ -128,10 +128,3 @@ def error_units(slices: dict[str, slice]) -> Tensor:
 def huber(error: Tensor) -> Tensor:
     """Computes the mean Huber loss of errors in their units, linear from 3 on."""
     return F.smooth_l1_loss(error, torch.zeros_like(error), beta=3.0)
-
-
-def transition_pairs(states: Tensor) -> tuple[Tensor, Tensor]:
-    """Computes all transitions of world states (..., T, 339), flat: past and now (N, 339) in the frame of the past."""
-    frame = heading(states[..., :-1, :])
-    past, now = localise(states[..., :-1, :], frame), localise(states[..., 1:, :], frame)
-    return past.flatten(0, -2), now.flatten(0, -2)
