@@ -177,8 +177,7 @@ class BatchFit:
     """What a batched minimisation found.
 
     variables: the point of lowest energy that each clip saw. energy: (B,), inf where a clip never was finite.
-    history: (closures, B) energies in order; a clip that has stopped stays at its lowest. seconds: wall time,
-    with what watches.
+    history: (closures, B) energies in order; a clip that has stopped stays at its lowest. seconds: wall time.
     reasons: per clip "gradient", "no decrease", "steps", "closures", "non-finite" or "interrupted".
     """
 
@@ -218,7 +217,6 @@ def minimise_batch(
     tolerance_change: float | Tensor = 0.0,
     rows: bool = False,
     unit: bool = False,
-    watch: Callable[[int, dict[str, Tensor]], object] | None = None,
     progress: bool | str = False,
 ) -> BatchFit:
     """Lowers B energies by moving the variables (B, ...) that require gradients; the others are constants.
@@ -239,7 +237,6 @@ def minimise_batch(
             clips that have stopped cost nothing more.
         unit: the variables are such that a step along minus the gradient is Newton's, or nearly: a first search begins
             with it, instead of a step that moves nothing by more than 1.
-        watch: called after every evaluation with their number so far and, by name, every clip's best point so far.
         progress: show a bar with the mean energy and the number of clips that still run; or its name.
 
     Raises:
@@ -260,8 +257,6 @@ def minimise_batch(
         while machine.running() and len(machine.history) < budget:
             machine.advance()
             bar.update()
-            if watch:
-                watch(len(machine.history), machine.named(machine.best))
             if progress:
                 bar.set_postfix(energy=f"{machine.best_energy.mean():.4g}", clips=len(machine.running()))
     except KeyboardInterrupt:

@@ -94,11 +94,11 @@ def matrix_to_quaternion(matrix: Tensor) -> Tensor:
     return torch.where(q[..., :1] < 0, -q, q)
 
 
-def sixd_to_matrix(sixd: Tensor, layout: str = "columns") -> Tensor:
-    """Converts six numbers (..., 6) to matrices (..., 3, 3) by Gram-Schmidt.
+def sixd_to_matrix(sixd: Tensor) -> Tensor:
+    """Converts six numbers (..., 6), the first two columns in turn, to matrices (..., 3, 3) by Gram-Schmidt.
 
-    ``layout="columns"``: the first two columns, one after the other (Zhou et al. 2019; HumanML3D);
-    ``"rows"``: the first two rows (pytorch3d, MDM). Read in the wrong layout they give the inverse rotation.
+    So write Zhou et al. 2019 and HumanML3D. pytorch3d and MDM write the first two rows: of their six numbers the
+    transpose of what comes out is the rotation.
 
     Six numbers that span no plane name no rotation. The result is then still a rotation, and constant (no
     gradient) in what is undefined: a zero first vector counts as the first coordinate axis, a second one that
@@ -112,13 +112,13 @@ def sixd_to_matrix(sixd: Tensor, layout: str = "columns") -> Tensor:
     z = torch.where(_square(z) <= 1e-12 * _square(b), _perpendicular(x.detach()), z)
     z = z * _square(z).rsqrt()
     y = torch.linalg.cross(z, x, dim=-1)
-    return torch.stack((x, y, z), dim=_sixd_axis(layout))
+    return torch.stack((x, y, z), dim=-1)
 
 
-def matrix_to_sixd(matrix: Tensor, layout: str = "columns") -> Tensor:
-    """Converts matrices (..., 3, 3) to their first two columns or rows (..., 6); see :func:`sixd_to_matrix`."""
+def matrix_to_sixd(matrix: Tensor) -> Tensor:
+    """Converts matrices (..., 3, 3) to their first two columns (..., 6); see :func:`sixd_to_matrix`."""
     check_shape(matrix, "... 3 3", "matrix")
-    return matrix.movedim(_sixd_axis(layout), -2)[..., :2, :].flatten(-2)
+    return matrix.mT[..., :2, :].flatten(-2)
 
 
 def rotation_about(axis: str, angle: Tensor) -> Tensor:
@@ -207,16 +207,15 @@ def nearest(matrix: Tensor) -> Tensor:
     return torch.cat((u[..., :2], u[..., 2:] * sign[..., None, None]), -1) @ vt
 
 
-def mean(rotations: Tensor, weights: Tensor | None = None) -> Tensor:
-    """Computes the weighted mean (..., 3, 3) of N rotations (..., N, 3, 3): the minimiser of sum w |R - R_n|_F^2.
+def mean(rotations: Tensor) -> Tensor:
+    """Computes the mean (..., 3, 3) of N rotations (..., N, 3, 3): the minimiser of sum |R - R_n|_F^2.
 
     The chordal mean: it needs no iteration, and for two rotations it is the middle of the shortest path.
-    weights (..., N): not negative; equal when left out. Where no mean is best (two a half turn apart, the
-    half turns about x, y, z with the identity, all weights zero) one of the best is returned.
+    Where no mean is best (two a half turn apart, the half turns about x, y, z with the identity) one of the best is
+    returned.
     """
     check_shape(rotations, "... N 3 3", "rotations")
-    weighted = rotations if weights is None else weights[..., None, None] * rotations
-    return nearest(weighted.sum(-3))
+    return nearest(rotations.sum(-3))
 
 
 def rotation_between(a: Tensor, b: Tensor) -> Tensor:
@@ -311,9 +310,3 @@ def _perpendicular(x: Tensor) -> Tensor:
     u, v, w = x.unbind(-1)
     o = torch.zeros_like(u)
     return torch.where((v.abs() < 0.8)[..., None], torch.stack((w, o, -u), -1), torch.stack((-v, u, o), -1))
-
-
-def _sixd_axis(layout: str) -> int:
-    if layout not in ("columns", "rows"):
-        raise ValueError(f'layout: expected "columns" or "rows", got {layout!r}')
-    return -1 if layout == "columns" else -2

@@ -259,7 +259,7 @@ def test_draws_of_an_exact_model_are_draws_of_the_gaussian(data, windows, monkey
 def test_how_long_a_models_six_numbers_are_does_not_matter(data, windows, known, monkeypatch):
     """Only their directions were ever asked of it: twice as long on the way, they draw the same."""
     model, (local, _) = CompleterTraining(replace(TINY, diffusion=True), data).averaged, stuck_root(windows)
-    truth, scale = state.made(local), model.units.made[1]
+    truth, scale = state.made(local), model.sizes[1]
     drawn = []
     for long, seed in ((1.0, 0), (2.0, 0), (1.0, 1)):
         six = torch.ones(state.MADE)

@@ -58,8 +58,8 @@ def model(noised: bool, of: Motion) -> Completer:
     torch.manual_seed(0)
     made = Completer(CompleterRecipe(size=64, layers=1, diffusion=noised))
     torch.nn.init.normal_(made.said.weight, std=0.02)
-    units = state.Units.measure(state.rows(of))
-    made.mean.copy_(units.mean), made.scale.copy_(units.scale)
+    mean, scale = state.sizes(state.rows(of))
+    made.mean.copy_(mean), made.scale.copy_(scale)
     return made
 
 
@@ -74,9 +74,9 @@ def test_the_completers_loss_is_the_librarys(noised, batch, k):
     )
     told = (angle, noise) if noised else ()
     made = net.filled(truth, known, *told)
-    parts = losses(made, truth, known, some[3], net.units.made[1], squared=noised)
+    parts = losses(made, truth, known, some[3], net.sizes[1], squared=noised)
     expected = sum(_WEIGHTS[name] * part for name, part in parts.items())
-    units = net.units.made
+    units = net.sizes
     assert torch.allclose(steps.completer_loss(net, some, known, weights, units, told or None, k), expected, rtol=1e-5)
     other = steps.completer_loss(net, some, known.roll(1, 0), weights, units, told or None, k)
     assert not torch.allclose(other, expected, rtol=1e-2)  # control

@@ -235,17 +235,3 @@ def test_types_that_differ_are_refused():
     x = {"x": torch.zeros(3, 2, requires_grad=True), "y": torch.zeros(3, dtype=torch.float64, requires_grad=True)}
     with pytest.raises(ValueError, match="type"):
         minimise_batch(rosenbrock, x)
-
-
-def test_watched_are_the_best_points_after_every_evaluation():
-    x, seen = starts(), []
-    constant = torch.arange(7.0)
-
-    def look(n, best):
-        assert torch.equal(best["c"], constant) and not best["x"].requires_grad
-        seen.append((n, rosenbrock(best)))
-
-    fit = minimise_batch(rosenbrock, {"x": x, "c": constant}, steps=2, watch=look)
-    assert [n for n, _ in seen] == list(range(1, fit.closures + 1))
-    torch.testing.assert_close(torch.stack([value for _, value in seen]), fit.history.cummin(0).values)
-    assert torch.equal(minimise_batch(rosenbrock, {"x": x}, steps=2).history, fit.history)

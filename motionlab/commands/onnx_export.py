@@ -49,7 +49,7 @@ class _Gaps(nn.Module):
         model, whole = self.model, known[..., None] > 0.5
         none = torch.zeros_like(root[..., :1]).expand(-1, -1, len(STANDARD.contact_names))
         local, frame = stuck_root(Motion(STANDARD, root, rotations, FPS, none))
-        mean, scale = model.units.made
+        mean, scale = model.sizes
         units = whole & (torch.arange(state.UNITS) < state.UNITS - 1)
         numbers = torch.where(units[..., state.owners()], (state.made(local) - mean) / scale, 0.0)
         begun = (curves @ numbers) * scale + mean

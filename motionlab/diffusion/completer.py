@@ -105,9 +105,9 @@ class Completer(nn.Module):
         self.register_buffer("scale", torch.ones(state.SIZE))
 
     @property
-    def units(self) -> state.Units:
-        """The sizes of the state's numbers."""
-        return state.Units(self.mean, self.scale)
+    def sizes(self) -> tuple[Tensor, Tensor]:
+        """Mean and scale (``MADE``,) of what is made."""
+        return self.mean[state.MADE_AT], self.scale[state.MADE_AT]
 
     def forward(
         self,
@@ -144,7 +144,7 @@ class Completer(nn.Module):
         it under noise (B, T, ``MADE``; ``motion_noise``); None: nothing. One that ``refines`` reads all of it, and by
         how much joints trembled (B,), radians."""
         begun, open_ = self._begun(motion, known)
-        scale, shown = self.units.made[1], None
+        scale, shown = self.sizes[1], None
         if angle is not None:
             turned = angle[:, None, None]
             shown = (turned.cos() * (state.made(motion) - begun) / scale + turned.sin() * noise) * open_
@@ -157,7 +157,7 @@ class Completer(nn.Module):
         if motion.frames != self.recipe.frames or known.shape != (*motion.root.shape[:2], state.UNITS):
             want = f"windows of {self.recipe.frames} frames, and {state.UNITS} units of each"
             raise ShapeError(f"expected {want}, got {tuple(motion.root.shape)} and {tuple(known.shape)}")
-        begun = state.made(motion) if self.recipe.refines else guess(motion, known, *self.units.made)
+        begun = state.made(motion) if self.recipe.refines else guess(motion, known, *self.sizes)
         return begun, ~known[..., state.owners().to(known.device)]
 
     def _added(
@@ -181,13 +181,13 @@ class Completer(nn.Module):
         angles = shifted_angles(torch.linspace(math.pi / 2, 0.0, steps + 1))
         for a, after in zip(angles[:-1].tolist(), angles[1:].tolist(), strict=True):
             added = self._added(motion, begun, known, x, torch.full((len(x),), a).to(x)) * open_
-            whole = state.motion_of(begun + added * self.units.made[1], motion)
-            added = (state.made(whole) - begun) / self.units.made[1] * open_  # as in training, of 6-D numbers in order
+            whole = state.motion_of(begun + added * self.sizes[1], motion)
+            added = (state.made(whole) - begun) / self.sizes[1] * open_  # as in training, of 6-D numbers in order
             noise = (x - math.cos(a) * added) / math.sin(a)
             x = math.cos(after) * added + math.sin(after) * noise
         for _ in range(2):  # a little noise is left
             x = binomial_smoothed(x) * open_
-        return state.motion_of(begun + x * self.units.made[1], motion)
+        return state.motion_of(begun + x * self.sizes[1], motion)
 
     @torch.no_grad()
     def complete(

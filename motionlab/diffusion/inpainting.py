@@ -24,14 +24,14 @@ from motionlab.errors import ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 
-_KNOWN = ("replace", "impute", "none")
+_KNOWN = ("replace", "impute")
 
 
 @dataclass(frozen=True)
 class Inpainting:
     """How the known part enters the sampling.
 
-    known: "replace" (Eq. 4.10), "impute" (MDM), or "none": it enters by guidance alone. steps: of the respaced process.
+    known: "replace" (Eq. 4.10) or "impute" (MDM; guidance does so, too). steps: of the respaced process.
     replace_last: replace (or impute) also in the last step, as the thesis does. guidance_weight: of reconstruction
     guidance; 0: none. mask_ramp: frames over which the mask's edges rise. blend_frames: over which ``offset_decay``
     fades; 0: known parts stay as the sampler left them.

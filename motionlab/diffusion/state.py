@@ -9,8 +9,6 @@ Source: HuMoR (Rempe et al. 2021), HumanML3D (Guo et al. 2022), whose states are
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
@@ -23,6 +21,7 @@ from motionlab.skeleton import STANDARD
 _J, _C = len(STANDARD), len(STANDARD.contact_names)
 _SIZES = {"root": 3, "rot": 6 * _J, "places": 3 * _J, "moves": 3 * _J, "root moves": 3, "turns": 1, "contacts": _C}
 SIZE, MADE = sum(_SIZES.values()), 3 + 6 * _J + _C
+MADE_AT = [*range(3 + 6 * _J), *range(SIZE - _C, SIZE)]  # where in a state what is made stands
 UNITS = _J + 2  # of a frame: the joints' rotations, the root's place, contacts
 
 
@@ -76,23 +75,10 @@ def open_places(units: Tensor) -> Tensor:
     return torch.stack(open_, -1)
 
 
-@dataclass(frozen=True, eq=False)
-class Units:
-    """States and what is made of them as numbers of about unit size: a mean per column, a scale per group."""
-
-    mean: Tensor
-    scale: Tensor
-
-    @classmethod
-    def measure(cls, states: Tensor) -> Units:
-        """Measures them on states (..., ``SIZE``)."""
-        flat = states.reshape(-1, SIZE)
-        mean = flat.mean(0)
-        groups = (flat - mean).square().mean(0).split(list(_SIZES.values()))
-        return cls(mean, torch.cat([x.mean().sqrt().clamp(min=1e-3).expand(len(x)) for x in groups]))
-
-    @property
-    def made(self) -> tuple[Tensor, Tensor]:
-        """Mean and scale (``MADE``,) of what is made."""
-        at = torch.cat((torch.arange(3 + 6 * _J), torch.arange(SIZE - _C, SIZE)))
-        return self.mean[at], self.scale[at]
+def sizes(states: Tensor) -> tuple[Tensor, Tensor]:
+    """Computes from states (..., ``SIZE``) what makes them about unit size: a mean (``SIZE``,) per column, a scale
+    (``SIZE``,) per group."""
+    flat = states.reshape(-1, SIZE)
+    mean = flat.mean(0)
+    groups = (flat - mean).square().mean(0).split(list(_SIZES.values()))
+    return mean, torch.cat([x.mean().sqrt().clamp(min=1e-3).expand(len(x)) for x in groups])

@@ -97,7 +97,7 @@ class ChainTraining(TrainingRun):
         if examples.length != recipe.length + 1:
             raise DataError(f"windows of {examples.length} states for {recipe.length} transitions")
         self.examples = examples
-        some, _, _ = examples.draw(2000, torch.Generator().manual_seed(recipe.seed))
+        some, *_ = examples.drawn(2000, torch.Generator().manual_seed(recipe.seed))
         pairs = tuple(x.flatten(0, 1) for x in transition_pairs(some))
         self.scales = replace(Scales.measure(*pairs), half=fast_halves(torch.device("cpu")))
         with torch.random.fork_rng(devices=[]):

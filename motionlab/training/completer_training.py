@@ -45,8 +45,8 @@ class CompleterTraining(TrainingRun):
             model.load_state_dict(start.state_dict())
         else:
             some = stuck_root(windows.draw(_MEASURED, torch.Generator().manual_seed(0)))[0]
-            units = state.Units.measure(state.rows(some))
-            model.mean.copy_(units.mean), model.scale.copy_(units.scale)
+            for kept, found in zip((model.mean, model.scale), state.sizes(state.rows(some)), strict=True):
+                kept.copy_(found)
         model.halves = fast_halves(model.mean.device)
         how = {"lr": recipe.lr, "weight_decay": recipe.decay, "betas": (0.9, 0.98)}
         optimiser = torch.optim.AdamW(model.parameters(), **how)
@@ -74,7 +74,7 @@ class CompleterTraining(TrainingRun):
             silent = torch.rand(recipe.batch, 1, generator=self.generator) < _SILENT
             known[..., -1] &= ~silent
             made = self.model.filled(motion, known, *self._noise(known))
-        parts = losses(made, motion, known, seen, self.model.units.made[1], squared=recipe.diffusion)
+        parts = losses(made, motion, known, seen, self.model.sizes[1], squared=recipe.diffusion)
         return sum(_WEIGHTS[name] * part for name, part in parts.items()), parts
 
     def _smoothed(self, motion: Motion) -> tuple[Motion, Tensor]:

@@ -34,12 +34,9 @@ class LiveExamples:
     length: int
     bodies: float = _PEOPLE
 
-    def draw(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
-        """Draws windows evenly over all frames: states (B, L, 339), contacts (B, L, 9), offsets (B, 22, 3)."""
-        return self.drawn(count, generator)[:3]
-
     def drawn(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Draws as :meth:`draw`, and says which joints' rotations were recorded (B, 22), bool."""
+        """Draws windows evenly over all frames: states (B, L, 339), contacts (B, L, 9), offsets (B, 22, 3), and which
+        joints' rotations were recorded (B, 22), bool."""
         motion, clip = self.motions.drawn(count, generator)
         betas = self.bodies * torch.randn(count, body_shape.BETAS, generator=generator)
         betas = betas * (torch.rand(count, 1, generator=generator) < 2 / 3)
@@ -53,11 +50,6 @@ class LiveExamples:
     def digest(self) -> str:
         """Computes a hash of all numbers, for the recipe."""
         return self.motions.digest
-
-    @property
-    def frames(self) -> int:
-        """Counts the frames, without mirror images."""
-        return len(self.motions.root)
 
 
 def random_body(motion: Motion, generator: torch.Generator) -> Motion:

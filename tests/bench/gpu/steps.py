@@ -237,7 +237,7 @@ def curves(numbers: Tensor, known: Tensor, weights: Tensor, k: Constants) -> Ten
 def completer_loss(
     model: Completer, batch: Batch, known: Tensor, weights: Tensor, units: tuple, noise: tuple | None, k: Constants
 ) -> Tensor:
-    """What ``CompleterTraining`` minimises. units: ``Units.made``. noise: angles (B,) and noise (B, T, ``MADE``)."""
+    """What ``CompleterTraining`` minimises. units: ``Completer.sizes``. noise: angles (B,), noise (B, T, ``MADE``)."""
     *truth, seen = batch
     mean, scale = units
     with torch.no_grad():

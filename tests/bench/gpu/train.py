@@ -41,7 +41,6 @@ from motionlab import rotation
 from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.features import Normaliser
 from motionlab.diffusion.model import DenoiserRecipe
-from motionlab.diffusion.state import Units
 from motionlab.diffusion.windows import Windows
 from tests.bench.gpu import steps
 
@@ -109,8 +108,9 @@ class Run:
             if self.recipe.refines:
                 raise ValueError(f"{name}: rough: it shows nobody what was smoothed")
             torch.manual_seed(self.recipe.seed)
-            net, units = Completer(self.recipe), Units.measure(steps.rows(root, rot, contacts, k))
-            net.mean, net.scale, self.units, layers = units.mean, units.scale, units.made, net.encoder.layers
+            net = Completer(self.recipe)
+            net.mean, net.scale = sizes(steps.rows(root, rot, contacts, k))
+            self.units, layers = net.sizes, net.encoder.layers
             odds = torch.tensor([dict(self.recipe.kinds).get(name, 0.0) for name in steps.ORDER])
             self.odds = (odds / odds.sum()).cumsum(0)[:-1].to(k.device)
         for layer in layers:
