@@ -84,7 +84,7 @@ class Models:
         local, frame = stuck_root(motion)
         if local.contacts is None:
             local = replace(local, contacts=motion.root.new_zeros(*motion.root.shape[:-1], 9))
-        made = state.motion_of(guess(local, known, *self.r.units.made), local)
+        made = state.motion_of(guess(local, known, *self.r.sizes), local)
         return local_to_world(frame, replace(made, contacts=None))
 
     def ridge(self, motion: Motion, known: Tensor, how: tuple[float, int], seed: int | None) -> Motion:
