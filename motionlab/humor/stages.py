@@ -318,15 +318,13 @@ def _curvature(unknown: Unknowns, names, priors, evidence, weights) -> tuple[Ten
         if n in shifts:
             more[1:] += shifts[n].to(x).reshape(count, 1, *(1,) * (x.ndim - 2), -1)
         many[n] = more.flatten(0, 1)
-    rows = torch.arange(groups).repeat(count + 1)
-    seen = evidence.windows(torch.tensor([0]), frames)
-    values, weight = seen.values[rows][:, pick], seen.weight[rows][:, pick]
-    view = None if seen.view is None else seen.view.rows(rows)
+    seen = evidence.rows(torch.arange(groups).repeat(count + 1))
+    seen = replace(seen, values=seen.values[:, pick], weight=seen.weight[:, pick])
     with torch.no_grad():
-        body = unknowns.pose(Unknowns(**many), priors, Evidence(values, weight, seen.fps, view))
+        body = unknowns.pose(Unknowns(**many), priors, seen)
     observed, joints = (x.unflatten(0, (count + 1, groups)) for x in (body.observed, body.joints))
-    now, trust = values[:groups], weight[:groups]
-    if view is None:
+    now, trust = seen.values[:groups], seen.weight[:groups]
+    if seen.view is None:
         importance = weights.get("joints3d", 0.0) * trust[..., None].expand_as(now)
     else:
         robust = (SIGMA**2 / (SIGMA**2 + (observed[0] - now).square())).square()

@@ -124,27 +124,21 @@ def _rotation_inputs(x: Tensor) -> Tensor:
 
 
 def _norm_slope(h: Tensor, gain: Tensor, shift: Tensor, groups: int, eps: float):
-    """relu(norm(h)) (N, C), and what applies its derivative to rows (N, R, C)."""
+    """relu(norm(h)) (N, C), and what applies its derivative to rows (N, R, C): the scale (N, C), what gathers means (N,
+    C, 2 G), and what is taken off for each (N, 2 G, C)."""
     grouped = h.unflatten(-1, (groups, -1))
     mean, variance = grouped.mean(-1, keepdim=True), grouped.var(-1, keepdim=True, correction=0)
     scale = (variance + eps).rsqrt()
     normed = (grouped - mean) * scale
     out = torch.addcmul(shift, normed.flatten(-2), gain)
-    alive = ((out > 0) * gain).unflatten(-1, (groups, -1))
+    alive = ((out > 0) * gain).unflatten(-1, (groups, -1)) * scale
     size, eye = grouped.shape[-1], torch.eye(groups, dtype=h.dtype, device=h.device)
-    ones = torch.ones_like(normed)
 
-    def spread(part: Tensor) -> Tensor:  # (N, G, s) -> (N, C, G), block diagonal
-        return (part[..., None] * eye[:, None]).flatten(1, 2)
+    def spread(*parts: Tensor) -> Tensor:  # two of (N, G, s) -> (N, C, 2 G), block diagonal
+        return torch.cat([(part[..., None] * eye[:, None]).flatten(1, 2) for part in parts], -1)
 
-    gather = torch.cat((spread(ones), spread(normed)), -1) / size
-    return out.relu(), (alive * scale).flatten(-2), gather, _spread_rows(alive * scale, normed, eye)
-
-
-def _spread_rows(alive: Tensor, normed: Tensor, eye: Tensor) -> Tensor:
-    """(N, 2 G, C): what is taken off for each mean that ``gather`` finds."""
-    both = torch.stack((alive, alive * normed), 1)  # (N, 2, G, s)
-    return (both[:, :, :, None] * eye[:, :, None]).flatten(-2).flatten(1, 2)
+    gather, taken = spread(torch.ones_like(normed), normed) / size, spread(alive, alive * normed).mT
+    return out.relu(), alive.flatten(-2), gather, taken
 
 
 def _through(rows: Tensor, scale: Tensor, gather: Tensor, taken: Tensor) -> Tensor:
