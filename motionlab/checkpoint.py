@@ -117,10 +117,10 @@ def frozen(build: Callable[[], Network], tensors: Mapping[str, Tensor], prefix: 
     return model.eval().requires_grad_(False)
 
 
-def load_foreign(path: Path | str, keys: str | tuple[str, ...], remedy: str) -> dict[str, Tensor]:
+def load_foreign(path: Path | str, key: str, remedy: str) -> dict[str, Tensor]:
     """Reads the tensors of a state dict that somebody else saved with torch, by name, without 'module.'.
 
-    The file holds it under one of ``keys``, the first that is there, or is one itself. Nothing in it is executed. What
+    The file holds it under ``key``, or is one itself. Nothing in it is executed. What
     else a training run has saved beside the tensors is left alone.
 
     Raises:
@@ -134,8 +134,7 @@ def load_foreign(path: Path | str, keys: str | tuple[str, ...], remedy: str) -> 
         message = f"not a file of plain tensors ({type(error).__name__})"
         raise DataError(message, path=path, remedy=f"{remedy}; or save its state_dict alone with torch.save") from error
     content = content if isinstance(content, dict) else {}
-    names = (keys,) if isinstance(keys, str) else keys
-    inside = next((content[name] for name in names if isinstance(content.get(name), dict)), content)
+    inside = content[key] if isinstance(content.get(key), dict) else content
     found = {str(name).removeprefix("module."): value for name, value in inside.items() if isinstance(value, Tensor)}
     if not found:
         raise DataError("no state dict inside", path=path, remedy=remedy)

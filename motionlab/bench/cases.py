@@ -121,28 +121,6 @@ def slide_mm(made: Motion, truth: Motion) -> Tensor:
     return slide_where_truth_stands_mm(made.positions[..., feet, :], truth.positions[..., feet, :])
 
 
-def stance_speed(motion: Motion) -> Tensor:
-    """m/s (B,): how fast the lower foot moves along the pelvis's heading relative to the pelvis, mean over the window.
-
-    Who walks forwards pushes it back: negative. It reads a fixed root as it does a free one.
-    """
-    p = motion.positions
-    feet = p[..., STANDARD.indices(("left_foot", "right_foot")), :]
-    left = p[..., STANDARD.index("left_hip"), :2] - p[..., STANDARD.index("right_hip"), :2]
-    ahead = torch.nn.functional.normalize(torch.stack((left[..., 1], -left[..., 0]), -1), dim=-1)
-    steps = (feet - p[..., :1, :])[..., :2].diff(dim=-3) * motion.fps
-    along = (steps * ahead[..., :-1, None, :]).sum(-1)  # (B, T - 1, 2)
-    lower = (feet[..., :-1, :, 2] + feet[..., 1:, :, 2]).argmin(-1, keepdim=True)
-    return along.gather(-1, lower)[..., 0].mean(-1)
-
-
-def reversed_walk(made: Motion, truth: Motion, least: float = 0.3) -> Tensor:
-    """(B,): 1 where the lower foot goes the other way than the true one, 0 where not, NaN where that one goes slower
-    than ``least`` m/s: nobody walks."""
-    true, ours = stance_speed(truth), stance_speed(made)
-    return torch.where(true.abs() >= least, (ours * true < 0).to(true), torch.nan)
-
-
 def restore_known(made: Motion, given: Motion, known: Tensor) -> Motion:
     """Returns a motion with its known rotations and places as they were given: without the rounding of a way there and
     back."""

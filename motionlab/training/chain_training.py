@@ -99,7 +99,7 @@ class ChainTraining(TrainingRun):
         self.examples = examples
         some, *_ = examples.drawn(2000, torch.Generator().manual_seed(recipe.seed))
         pairs = tuple(x.flatten(0, 1) for x in transition_pairs(some))
-        self.scales = replace(Scales.measure(*pairs), half=fast_halves(torch.device("cpu")))
+        self.scales = replace(Scales.measure(*pairs), half=fast_halves())
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
             model = Cvae(recipe.width, skip=True, direct=True)

@@ -47,7 +47,7 @@ class CompleterTraining(TrainingRun):
             some = stuck_root(windows.draw(_MEASURED, torch.Generator().manual_seed(0)))[0]
             for kept, found in zip((model.mean, model.scale), state.sizes(state.rows(some)), strict=True):
                 kept.copy_(found)
-        model.halves = fast_halves(model.mean.device)
+        model.halves = fast_halves()
         how = {"lr": recipe.lr, "weight_decay": recipe.decay, "betas": (0.9, 0.98)}
         optimiser = torch.optim.AdamW(model.parameters(), **how)
         super().__init__(recipe, windows.digest, torch.Generator().manual_seed(recipe.seed), model, optimiser)

@@ -179,6 +179,6 @@ COURSES = {
     "completer_draws": (
         CompleterCourse, CompleterRecipe(diffusion=True, kinds=(*KINDS, ("nothing", 0.1), ("onward", 0.2)))
     ),
-    "diffusion_plain": (DenoiserCourse, DenoiserRecipe(bf16=fast_halves(torch.device("cpu")))),
+    "diffusion_plain": (DenoiserCourse, DenoiserRecipe(bf16=fast_halves())),
     "transition": (PriorCourse, ChainRecipe()),
 }  # fmt: skip

@@ -34,9 +34,9 @@ def warmed_cosine(rate: float, step: int, steps: int, warm_up: int, least: float
     return rate * warm * ((1 + least) / 2 + (1 - least) / 2 * math.cos(math.pi * step / steps))
 
 
-def fast_halves(device: torch.device) -> bool:
-    """Whether bfloat16 is faster there: on a GPU, or a processor with AVX512-BF16; on others it is slower."""
-    return device.type != "cpu" or torch.cpu._is_avx512_bf16_supported()
+def fast_halves() -> bool:
+    """Whether bfloat16 is faster on this processor: on those with AVX512-BF16; on others it is slower."""
+    return torch.cpu._is_avx512_bf16_supported()
 
 
 class TrainingRun(ABC):

@@ -42,7 +42,7 @@ class _Halved(nn.Module):
 
 def halved(model: MotionDiffusion) -> MotionDiffusion:
     """The model with its network in bfloat16, where that is faster (twice), but for the last steps: there it shakes."""
-    return replace(model, denoiser=_Halved(model.denoiser)) if fast_halves(torch.device("cpu")) else model
+    return replace(model, denoiser=_Halved(model.denoiser)) if fast_halves() else model
 
 
 @dataclass(eq=False)

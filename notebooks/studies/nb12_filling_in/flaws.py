@@ -8,6 +8,7 @@ a root is trained. What such a root takes away is the path: so it is hidden.
 
 from collections.abc import Mapping
 
+import torch
 from torch import Tensor
 
 from motionlab import baselines
@@ -15,6 +16,7 @@ from motionlab.bench import cases
 from motionlab.bench.person_windows import PersonWindows
 from motionlab.metrics.pose import joint_errors, masked_mean
 from motionlab.motion import Motion
+from motionlab.skeleton import STANDARD
 from studies.shared.fill_contenders import BLENDED, LEFT, MIXED, PLAIN, Models, P, R, T
 from studies.shared.fill_people import FRAMES, only, some
 from studies.shared.inbetween_measures import natural_changes, step_changes, worst_known_m
@@ -56,9 +58,31 @@ def off_the_line(made: Motion, truth: Motion, known: Tensor) -> Tensor:
     return masked_mean(joint_errors(made.positions, line, align="none"), inside, 2)
 
 
+def stance_speed(motion: Motion) -> Tensor:
+    """m/s (B,): how fast the lower foot moves along the pelvis's heading relative to the pelvis, mean over the window.
+
+    Who walks forwards pushes it back: negative. It reads a fixed root as it does a free one.
+    """
+    p = motion.positions
+    feet = p[..., STANDARD.indices(("left_foot", "right_foot")), :]
+    left = p[..., STANDARD.index("left_hip"), :2] - p[..., STANDARD.index("right_hip"), :2]
+    ahead = torch.nn.functional.normalize(torch.stack((left[..., 1], -left[..., 0]), -1), dim=-1)
+    steps = (feet - p[..., :1, :])[..., :2].diff(dim=-3) * motion.fps
+    along = (steps * ahead[..., :-1, None, :]).sum(-1)  # (B, T - 1, 2)
+    lower = (feet[..., :-1, :, 2] + feet[..., 1:, :, 2]).argmin(-1, keepdim=True)
+    return along.gather(-1, lower)[..., 0].mean(-1)
+
+
+def reversed_walk(made: Motion, truth: Motion) -> Tensor:
+    """(B,): 1 where the lower foot goes the other way than the true one, 0 where not, NaN where that one goes slower
+    than ``_PACE``: nobody walks."""
+    true, ours = stance_speed(truth), stance_speed(made)
+    return torch.where(true.abs() >= _PACE, (ours * true < 0).to(true), torch.nan)
+
+
 def walkers(windows: PersonWindows, each: int) -> PersonWindows:
     """At most ``each`` windows of every person in which somebody walks."""
-    walks = only(windows, (cases.stance_speed(windows.motion).abs() >= _PACE).nonzero()[:, 0])
+    walks = only(windows, (stance_speed(windows.motion).abs() >= _PACE).nonzero()[:, 0])
     few = only(walks, some(walks, each))
     return few._replace(whose=few.whose.unique(return_inverse=True)[1])
 
@@ -72,5 +96,5 @@ def reversals(m: Models, walks: PersonWindows) -> dict[tuple[str, bool], Tensor]
     found = {}
     for path, known in ((True, given & ~lacks), (False, hidden & ~lacks)):
         made = {P: m.plain(motion, known, PLAIN, 0), R: m.r.complete(motion, known), T: m.drawn(motion, known, 0)}
-        found |= {(name, path): cases.reversed_walk(x, motion, _PACE) for name, x in made.items()}
+        found |= {(name, path): reversed_walk(x, motion) for name, x in made.items()}
     return found

@@ -34,7 +34,7 @@ def train(recipes: Sequence[PoseRecipe], windows: Windows) -> list[Poser]:
     averages = deepcopy(models)
     now, mean = ([p for model in some for p in model.parameters()] for some in (models, averages))
     optimiser = torch.optim.AdamW(now, weight_decay=0.01, betas=(0.9, 0.98), fused=True)
-    halves = fast_halves(torch.device("cpu")) and first.size > 128
+    halves = fast_halves() and first.size > 128
     for step in range(first.steps):
         optimiser.param_groups[0]["lr"] = warmed_cosine(first.lr, step, first.steps, 100)
         loss = _loss(models, _batch(windows, models[0], first.batch, generator), halves)

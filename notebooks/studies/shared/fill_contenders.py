@@ -117,7 +117,7 @@ def everybody_of(
     cast = Cast.of(folder, each, practice, library, torch.Generator().manual_seed(0))
     fitted = Rivals.fit(cast.learnt, torch.Generator().manual_seed(1), parts=parts)
     r, t, p = completer.load("completer"), completer.load("completer_draws"), motion_model("diffusion_plain")
-    if halves and fast_halves(torch.device("cpu")):
+    if halves and fast_halves():
         t.halves, p = True, replace(p, denoiser=_Halved(p.denoiser))
     models = Models(r, t, p, fitted, most)
     return cast, models, _contenders(models, cast.clips, draws)
