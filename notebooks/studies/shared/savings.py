@@ -85,10 +85,7 @@ def rungs() -> Iterator[tuple[str, Savings]]:
 @contextmanager
 def weights_of(priors: Priors, on: Savings) -> Iterator[None]:
     """While it lasts the networks' weights need gradients unless that is saved; afterwards they are as they were, and
-    the gradients are gone.
-
-    Priors are shared: a fit whose weights need gradients leaves the compiled roll-out and takes twice as long.
-    """
+    the gradients are gone."""
     weights = [weight for model in (priors.motion, priors.pose) for weight in model.parameters()]
     before = [weight.requires_grad for weight in weights]
     try:
