@@ -12,7 +12,7 @@ from motionlab.diffusion.sampling import cosine
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
-from motionlab.training import losses
+from motionlab.training.denoiser_training import denoising_losses
 
 LAYOUT = Layout()
 EVERYTHING = Layout(velocities=True)
@@ -82,7 +82,7 @@ def twin(estimate, truth, layout, normaliser, bones):
 @pytest.mark.parametrize("layout", [LAYOUT, EVERYTHING], ids=["plain", "velocities"])
 def test_every_part_is_that_of_a_loop(generator, layout):
     estimate, truth, normaliser, bones = make(layout, generator)
-    found = losses.denoising_losses(estimate, truth, layout, normaliser, bones)
+    found = denoising_losses(estimate, truth, layout, normaliser, bones)
     wanted = twin(estimate, truth, layout, normaliser, bones)
     assert set(found) == set(PARTS)
     for name, value in found.items():
@@ -95,10 +95,10 @@ def test_numbers_that_were_not_recorded_teach_nothing(case):
     estimate, truth, normaliser, bones = case
     seen = torch.ones(len(truth), LAYOUT.size, dtype=torch.bool)
     seen[1:, LAYOUT.slices["pose"]] = False
-    found = losses.denoising_losses(estimate, truth, LAYOUT, normaliser, bones, seen=seen)
+    found = denoising_losses(estimate, truth, LAYOUT, normaliser, bones, seen=seen)
     mended = torch.where(seen[:, None], estimate, truth)
-    wanted = losses.denoising_losses(mended, truth, LAYOUT, normaliser, bones)
-    all_of_it = losses.denoising_losses(estimate, truth, LAYOUT, normaliser, bones)
+    wanted = denoising_losses(mended, truth, LAYOUT, normaliser, bones)
+    all_of_it = denoising_losses(estimate, truth, LAYOUT, normaliser, bones)
     for name in PARTS:
         assert found[name].item() == pytest.approx(wanted[name].item(), rel=1e-9), name
         assert found[name] < all_of_it[name], name
@@ -106,7 +106,7 @@ def test_numbers_that_were_not_recorded_teach_nothing(case):
 
 def test_the_truth_costs_nothing_but_its_own_sliding(case):
     _, truth, normaliser, bones = case
-    found = losses.denoising_losses(truth, truth, LAYOUT, normaliser, bones)
+    found = denoising_losses(truth, truth, LAYOUT, normaliser, bones)
     assert all(found[name] == 0 for name in ("simple", "velocity", "fk"))
     assert found["contact"] > 0
 
@@ -115,11 +115,9 @@ def test_feet_that_stand_cost_nothing_and_no_contact_excuses_all(case):
     _, truth, normaliser, bones = case
     rows = normaliser.undo(truth)
     standing = normaliser.apply(rows[:, :1].expand_as(rows))
-    assert losses.denoising_losses(standing, truth, LAYOUT, normaliser, bones, parts=["contact"])["contact"] == 0
+    assert denoising_losses(standing, truth, LAYOUT, normaliser, bones, parts=["contact"])["contact"] == 0
     rows[..., LAYOUT.slices["contacts"]] = 0
-    free = losses.denoising_losses(normaliser.apply(rows), truth, LAYOUT, normaliser, bones, parts=["contact"])[
-        "contact"
-    ]
+    free = denoising_losses(normaliser.apply(rows), truth, LAYOUT, normaliser, bones, parts=["contact"])["contact"]
     assert free < 1e-20
 
 
@@ -127,7 +125,7 @@ def test_a_metre_beside_the_truth_is_a_metre_for_every_joint(case):
     _, truth, normaliser, bones = case
     rows = normaliser.undo(truth)
     rows[..., LAYOUT.slices["root"]] += torch.tensor([0.6, 0.0, 0.8], dtype=torch.float64)
-    off = losses.denoising_losses(normaliser.apply(rows), truth, LAYOUT, normaliser, bones)
+    off = denoising_losses(normaliser.apply(rows), truth, LAYOUT, normaliser, bones)
     assert off["fk"].item() == pytest.approx(22.0)
     assert off["velocity"] < 1e-20  # a constant offset has no speed
 
@@ -141,7 +139,7 @@ def test_gradients_are_finite_where_nothing_is_left_of_the_signal(generator, dty
     nought = normaliser.apply(torch.zeros_like(truth))
     for at in (torch.zeros_like(truth), nought, noise, schedule.noised(truth, 999, noise)):
         at = at.clone().requires_grad_()
-        parts = losses.denoising_losses(at, truth, LAYOUT, normaliser, bones)
+        parts = denoising_losses(at, truth, LAYOUT, normaliser, bones)
         sum(parts.values()).backward()
         assert at.grad.isfinite().all() and (at.grad != 0).any()
 
@@ -149,7 +147,7 @@ def test_gradients_are_finite_where_nothing_is_left_of_the_signal(generator, dty
 def test_parts_are_switched(case):
     estimate, truth, normaliser, bones = case
     for name in PARTS:
-        assert set(losses.denoising_losses(estimate, truth, LAYOUT, normaliser, bones, parts=[name])) == {name}
+        assert set(denoising_losses(estimate, truth, LAYOUT, normaliser, bones, parts=[name])) == {name}
     assert LossWeights(fk=2.0, velocity=0.0).parts() == {"simple": 1.0, "fk": 2.0, "contact": 5.0}
 
 
@@ -158,4 +156,4 @@ def test_bad_weights_and_rows_are_refused(case):
     with pytest.raises(ValueError, match="0 or more"):
         LossWeights(fk=-1.0)
     with pytest.raises(ShapeError, match="estimate"):
-        losses.denoising_losses(estimate[..., :-1], truth, LAYOUT, normaliser, bones)
+        denoising_losses(estimate[..., :-1], truth, LAYOUT, normaliser, bones)

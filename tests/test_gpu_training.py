@@ -15,7 +15,7 @@ from motionlab.heading import stuck_root
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
 from motionlab.training.completer_training import _WEIGHTS, losses
-from motionlab.training.losses import denoising_losses
+from motionlab.training.denoiser_training import denoising_losses
 from tests.bench.gpu import steps
 
 ODDS = torch.tensor([0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.85])
