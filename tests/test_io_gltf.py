@@ -1,5 +1,6 @@
 """GLB: what a viewer computes from the file is what we compute; the rules of glTF; the way back."""
 
+import base64
 import json
 import struct
 from dataclasses import replace
@@ -17,7 +18,7 @@ from motionlab import io, rotation
 from motionlab.animate import rewriting
 from motionlab.body import lbs
 from motionlab.errors import DataError, ShapeError
-from motionlab.io import gltf
+from motionlab.io import gltf, recordings
 from motionlab.motion import Motion
 from motionlab.rest import reframed
 from motionlab.skeleton import STANDARD, UPRIGHT, fk
@@ -268,17 +269,50 @@ def test_nothing_half_written(tmp_path, body, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["a.glb"] and (tmp_path / "a.glb").read_bytes() == b"old"
 
 
-def test_a_gltf_with_its_numbers_inside_is_the_same_motion_and_one_without_says_why_not(tmp_path, written):
+def test_a_gltf_with_its_numbers_inside_or_beside_is_the_same_motion(tmp_path, written):
     path, text = tmp_path / "a.gltf", seeds.gltf_text(written.read_bytes())
     path.write_bytes(b"\n" + text)
     one, other = io.load(written), io.load(path)
     assert torch.equal(one.rot, other.rot) and torch.equal(one.root, other.root) and one.notes == other.notes
     assert "the body of the file that was read is lost" in rewriting.write_back(path, tmp_path / "b.glb", other, other)
     outside = json.loads(text)
-    outside["buffers"][0]["uri"] = "a.bin"
+    numbers = base64.b64decode(outside["buffers"][0]["uri"].partition(",")[2])
+    outside["buffers"][0]["uri"] = "more/a%20b.bin"
     path.write_text(json.dumps(outside))
-    with pytest.raises(DataError, match=r"a\.gltf, buffers: its numbers lie in another file, a\.bin .*\.glb"):
+    with pytest.raises(DataError, match=r"a\.gltf, buffers: its numbers lie in another file, more/a%20b\.bin .*beside"):
         io.load(path)
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more/a b.bin").write_bytes(numbers)
+    assert torch.equal(io.load(path).rot, one.rot)
+    where = [view["byteOffset"] for view in outside["bufferViews"]]  # a buffer for each view, every second one inside
+    outside["buffers"], parts = [], zip(where, [*where[1:], len(numbers)], strict=True)
+    for k, (start, stop) in enumerate(parts):
+        inside = "data:application/gltf-buffer;base64," + base64.b64encode(numbers[start:stop]).decode()
+        (tmp_path / f"{k}.bin").write_bytes(numbers[start:stop])
+        outside["buffers"].append({"uri": inside if k % 2 else f"{k}.bin", "byteLength": stop - start})
+        outside["bufferViews"][k] |= {"byteOffset": 0, "buffer": k}
+    path.write_text(json.dumps(outside))
+    assert torch.equal(io.load(path).rot, one.rot) and torch.equal(io.load(path).root, one.root)
+    told = recordings.passed_over(tmp_path)
+    assert len(told) == 2 and all("numbers of a .gltf" in line for line in told)
+
+
+@pytest.mark.parametrize("uri", ["../a.bin", "/etc/passwd", "https://example.org/a.bin", "a.bin", "data:text/plain,1", 7])
+def test_numbers_from_elsewhere_are_not_fetched(tmp_path, written, uri):
+    content = json.loads(seeds.gltf_text(written.read_bytes()))
+    content["buffers"][0]["uri"] = uri
+    (tmp_path / "a.bin").write_bytes(b"")
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below/a.gltf").write_text(json.dumps(content))
+    with pytest.raises(DataError, match="its numbers lie in another file" if uri != 7 else "AttributeError"):
+        io.load(tmp_path / "below/a.gltf")
+
+
+def test_packed_numbers_are_refused_with_a_way_out(tmp_path, written):
+    packed = {"extensionsRequired": ["EXT_meshopt_compression"]}
+    (tmp_path / "a.glb").write_bytes(rewrite(written, lambda c: c.update(packed)))
+    with pytest.raises(DataError, match=r"packed, by EXT_meshopt_compression .*gltf-transform"):
+        io.load(tmp_path / "a.glb")
 
 
 def rewrite(path, change):

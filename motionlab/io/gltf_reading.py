@@ -1,5 +1,5 @@
-"""Animated GLB files (glTF 2.0, binary), and .gltf with their numbers inside, as motions: ours, Blender's, and whatever
-else is out there.
+"""Animated GLB files (glTF 2.0, binary), and .gltf with their numbers inside or beside, as motions: ours, Blender's, and
+whatever else is out there.
 
 Source: the glTF 2.0 specification (Khronos), 3.11 Animations, appendix C on interpolation, 4.4 GLB layout.
 """
@@ -12,6 +12,7 @@ import struct
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import torch
@@ -32,6 +33,7 @@ _REST = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 #: Component types that are read, and what one is where they are normalised.
 _NUMBERS = {5126: ("<f4", 0), 5120: ("<i1", 127), 5121: ("<u1", 255), 5122: ("<i2", 32767), 5123: ("<u2", 65535)}
 _MOST_FRAMES = 1e6  # more are too many
+_UNPACK = "unpack it (gltf-transform copy), or export it again uncompressed"
 
 
 def load(
@@ -75,15 +77,21 @@ def load(
 
 
 def _chunks(at: Location) -> tuple[dict, bytes]:
-    """The JSON and the binary chunk; of a .gltf, which is JSON alone, the numbers that it holds itself."""
+    """The JSON, and the numbers of all its buffers, one behind the other, as its views are made to count them."""
     data = read_bytes(at)
-    if data.lstrip()[:1] == b"{":
-        content = json.loads(data)
-        head, _, numbers = content["buffers"][0].pop("uri").partition(",")
-        if not (head.startswith("data:") and head.endswith(";base64")):
-            remedy = "export it as one binary file, .glb, or with its buffers inside"
-            raise at.error(f"its numbers lie in another file, {head[:40]}", place="buffers", remedy=remedy)
-        return content, base64.b64decode(numbers)
+    text, chunk = (data, b"") if data.lstrip()[:1] == b"{" else _of_glb(at, data)
+    content, blob, starts = json.loads(text.decode()), b"", []
+    if packed := [name for name in content.get("extensionsRequired", ()) if name.endswith("meshopt_compression")]:
+        raise at.error(f"its numbers are packed, by {packed[0]}", place="extensionsRequired", remedy=_UNPACK)
+    for buffer in content.get("buffers", ()):
+        starts.append(len(blob))
+        blob += _named(at, buffer["uri"]) if "uri" in buffer else chunk
+    for view in content.get("bufferViews", ()):
+        view |= {"byteOffset": view.get("byteOffset", 0) + starts[view.get("buffer", 0)], "buffer": 0}
+    return content, blob
+
+
+def _of_glb(at: Location, data: bytes) -> tuple[bytes, bytes]:
     if len(data) < 20 or data[:4] != MAGIC:
         raise at.error("not a GLB file", place="header")
     version, length = struct.unpack_from("<II", data, 4)
@@ -98,7 +106,19 @@ def _chunks(at: Location) -> tuple[dict, bytes]:
         start += 8 + size
     if JSON_CHUNK not in found:
         raise at.error("no JSON chunk", place="header")
-    return json.loads(found[JSON_CHUNK].decode()), found.get(BIN_CHUNK, b"")
+    return found[JSON_CHUNK], found.get(BIN_CHUNK, b"")
+
+
+def _named(at: Location, uri: str) -> bytes:
+    """The numbers of a buffer: written out in its address, or those of a file beside or below."""
+    head, _, numbers = uri.partition(",")
+    if head.startswith("data:") and head.endswith(";base64"):
+        return base64.b64decode(numbers)
+    path = Path(unquote(uri))
+    if path.is_absolute() or ".." in path.parts or not (at.path.parent / path).is_file():
+        remedy = "put that file beside it, or export it as one binary file, .glb"
+        raise at.error(f"its numbers lie in another file, {uri[:40]}", place="buffers", remedy=remedy)
+    return read_bytes(replace(at, path=at.path.parent / path))
 
 
 def _array(at: Location, content: dict, blob: bytes, index: int, width: int, place: str) -> np.ndarray:
@@ -109,8 +129,6 @@ def _array(at: Location, content: dict, blob: bytes, index: int, width: int, pla
     normal = accessor.get("normalized", False) is True
     if accessor["type"] != TYPES[width] or not kind or normal != (largest > 0) or "sparse" in accessor:
         raise at.error(f"expected float {TYPES[width]}, got {accessor['type']}", place=place)
-    if view.get("buffer", 0) != 0 or "uri" in content["buffers"][0]:
-        raise at.error("its numbers lie in another file", place=place)
     size = np.dtype(kind).itemsize
     count, stride = accessor["count"], view.get("byteStride", size * width)
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
