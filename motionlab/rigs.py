@@ -156,7 +156,8 @@ def _found(names: tuple[str, ...], parents: tuple[int, ...], fixed: tuple[tuple[
 
 
 def _read(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Side and word of every name, less the prefix and suffix with which most names make sense."""
+    """Side and word of every name, less the prefix and suffix with which most names make sense; of a name that says its
+    limb first (arm_L0_hand) the joint."""
     tokens, sides = [], []
     for name in names:
         own = re.split(r"[:|/](?=.*[A-Za-z])", name)[-1]
@@ -169,7 +170,8 @@ def _read(names: Sequence[str]) -> list[tuple[str, str]]:
         for side, own in zip(sides, tokens, strict=True):
             own = own[len(prefix) :] if prefix and own[: len(prefix)] == prefix else own
             own = own[: -len(suffix)] if suffix and own[-len(suffix) :] == suffix else own
-            found.append(_sided(side, "".join(own)))
+            told = own[-1:] if own and {own[0], own[-1]} <= _PARTS.keys() and "".join(own) not in _PARTS else own
+            found.append(_sided(side, "".join(told)))
         return found
 
     prefixes = Counter(own[:k] for own in tokens for k in range(1, len(own)))

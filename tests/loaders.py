@@ -64,6 +64,7 @@ LOADERS = {
     **dict.fromkeys(calibrated.SEEDS, lambda path: cameras.load_camera(path)[0]),
     "gvhmr.pt": amass.load,
     "wham.pkl": amass.load,
+    "phalp.pkl": amass.load,
     "tram.npy": io.load_npy,
     "humanml.npy": io.load_npy,
     "features.npy": io.load_npy,

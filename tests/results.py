@@ -1,7 +1,8 @@
-"""Made-up results of systems that find people in videos, as these write them: GVHMR, WHAM, TRAM, AIST++."""
+"""Made-up results of systems that find people in videos, as these write them: GVHMR, WHAM, TRAM, PHALP, AIST++."""
 
 import io
 import pickle
+import zlib
 from collections import defaultdict
 
 import numpy as np
@@ -66,6 +67,31 @@ def wham(people=((4, 3), (9, 6))) -> bytes:
         results[name] = {"pose": pose + 5, "trans": trans + 5, "pose_world": pose, "trans_world": trans}
         results[name] |= {"betas": np.zeros((frames, 10)), "frame_ids": np.arange(frames)}
     return as_joblib(results)
+
+
+def phalp(packed: bool = True) -> bytes:
+    """4DHumans' tracks: a dictionary a frame, in it everybody; one comes in the third frame, and is unseen in one."""
+    tree = {}
+    for t in range(6):
+        frame = tree[f"img/{t:06}.jpg"] = {
+            "time": t,
+            "tid": [],
+            "smpl": [],
+            "camera": [],
+            "tracked_time": [],
+            "mask": [],
+        }
+        for who, since in ((7, 0), (3, 2)):
+            _, trans, rot = parameters(CAMERA, person(seed=4 + since))
+            hands = torch.eye(3).expand(2, 3, 3)
+            body = {"global_orient": rot[t, :1].numpy(), "body_pose": torch.cat((rot[t, 1:], hands)).numpy()}
+            if t >= since:
+                frame["tid"].append(np.int64(who) if since else who)
+                frame["smpl"].append(body | {"betas": np.zeros(10, np.float32)})
+                frame["camera"].append(trans[t])
+                frame["tracked_time"].append(int(since > 0 and t == 4))
+                frame["mask"].append({"size": [4, 4], "counts": b"04"})
+    return zlib.compress(as_joblib(tree), 3) if packed else as_joblib(tree)
 
 
 class _Wrapper:

@@ -159,6 +159,14 @@ FAMILIES: dict[str, tuple[str, str, str, str]] = {
         "CC_Base_{L}_ToeBaseShareBone<CC_Base_{L}_Foot CC_Base_{L}_UpperarmTwist01<CC_Base_{L}_Upperarm "
         "CC_Base_{L}_ElbowShareBone<CC_Base_{L}_Upperarm CC_Base_FacialBone<CC_Base_Head",
     ),
+    "mGear": (
+        "spine_C0_pelvis_jnt spine_C0_01_jnt spine_C0_02_jnt spine_C0_03_jnt neck_C0_01_jnt neck_C0_head_jnt",
+        "leg_{L}0_thigh_jnt leg_{L}0_calf_jnt leg_{L}0_foot_jnt foot_{L}0_0_jnt",
+        "shoulder_{L}0_shoulder_jnt arm_{L}0_upperarm_jnt arm_{L}0_lowerarm_jnt arm_{L}0_hand_jnt",
+        "root_C0_0_jnt>spine_C0_pelvis_jnt neck_C0_02_jnt>neck_C0_head_jnt jaw_C0_0_jnt<neck_C0_head_jnt "
+        "arm_{L}0_upperarm_twist_01_jnt<arm_{L}0_upperarm_jnt leg_{L}0_calf_twist_01_jnt<leg_{L}0_calf_jnt "
+        "thumb_{L}0_0_jnt<arm_{L}0_hand_jnt meta_{L}0_0_jnt<arm_{L}0_hand_jnt finger_{L}0_0_jnt<meta_{L}0_0_jnt",
+    ),
     "DeepMotion": (
         "hips_JNT spine_JNT spine1_JNT spine2_JNT neck_JNT head_JNT",
         "{l}_upleg_JNT {l}_leg_JNT {l}_foot_JNT {l}_toebase_JNT",

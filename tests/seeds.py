@@ -244,6 +244,7 @@ SEEDS: dict[str, bytes] = {
     **calibrated.SEEDS,
     "gvhmr.pt": results.gvhmr(),
     "wham.pkl": results.wham(),
+    "phalp.pkl": results.phalp(packed=False),
     "tram.npy": results.tram(),
     "humanml.npy": saved(humanml.save, ".npy"),
     "features.npy": saved(partial(humanml.save, as_features=True), ".npy"),

@@ -1,5 +1,7 @@
+import gzip
 import io as bytes_io
 import pickle
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -125,6 +127,7 @@ def test_save_refuses_what_amass_cannot_hold(tmp_path):
 
 
 SYSTEMS = {"gvhmr.pt": results.gvhmr, "wham.pkl": results.wham, "tram.npy": results.tram, "aist.pkl": results.aist}
+SYSTEMS["phalp.pkl"] = results.phalp
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -137,7 +140,7 @@ def test_what_other_systems_write_is_the_person_they_saw(tmp_path, name):
     usual = 60 if name == "aist.pkl" else 30
     assert loaded.fps == usual and any("--fps-in" in note for note in loaded.notes)
     assert io.load(path, fps=24).fps == 24
-    assert any("camera" in note for note in loaded.notes) == (name == "tram.npy")
+    assert any("camera" in note for note in loaded.notes) == (name in ("tram.npy", "phalp.pkl"))
 
 
 def test_of_several_people_the_longest_is_first_and_the_others_are_said(tmp_path):
@@ -146,6 +149,21 @@ def test_of_several_people_the_longest_is_first_and_the_others_are_said(tmp_path
     assert (first.frames, second.frames) == (6, 3) and any("person 0 of 2" in note for note in first.notes)
     with pytest.raises(DataError, match="no person 2 of 2"):
         io.load(tmp_path / "a.pkl", person=2)
+
+
+def test_tracks_of_frames_are_people_where_they_were_seen(tmp_path):
+    (tmp_path / "a.pkl").write_bytes(results.phalp())
+    second, person = io.load(tmp_path / "a.pkl", person=1), results.person(seed=6)
+    seen = [2, 3, 5]
+    torch.testing.assert_close(second.rot, person.rot[seen], atol=2e-6, rtol=0)
+    torch.testing.assert_close(second.root, person.root[seen], atol=2e-5, rtol=0)
+    assert any("frames are missing" in note for note in second.notes)
+    (tmp_path / "b.pkl").write_bytes(gzip.compress(results.phalp(packed=False)))
+    assert torch.equal(io.load(tmp_path / "b.pkl").rot, io.load(tmp_path / "a.pkl").rot)
+    for broken in (zlib.compress(results.as_joblib([np.zeros(3), Hostile()])), results.phalp()[:-200], b"x\x9cno"):
+        (tmp_path / "c.pkl").write_bytes(broken)
+        with pytest.raises(DataError):
+            io.load(tmp_path / "c.pkl")
 
 
 @pytest.mark.parametrize("shape", ["66 columns", "joints", "matrices", "split", "smplx", "no body"])

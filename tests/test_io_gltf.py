@@ -297,7 +297,9 @@ def test_a_gltf_with_its_numbers_inside_or_beside_is_the_same_motion(tmp_path, w
     assert len(told) == 2 and all("numbers of a .gltf" in line for line in told)
 
 
-@pytest.mark.parametrize("uri", ["../a.bin", "/etc/passwd", "https://example.org/a.bin", "a.bin", "data:text/plain,1", 7])
+@pytest.mark.parametrize(
+    "uri", ["../a.bin", "/etc/passwd", "https://example.org/a.bin", "a.bin", "data:text/plain,1", 7]
+)
 def test_numbers_from_elsewhere_are_not_fetched(tmp_path, written, uri):
     content = json.loads(seeds.gltf_text(written.read_bytes()))
     content["buffers"][0]["uri"] = uri

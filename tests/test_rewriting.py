@@ -9,6 +9,7 @@ import torch
 from motionlab import io, rotation
 from motionlab.animate import filling
 from motionlab.animate.rewriting import WRITERS, write_back
+from motionlab.errors import DataError
 from motionlab.io import bvh, gltf
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
@@ -135,3 +136,54 @@ def test_of_several_people_the_one_who_was_read_changes(tmp_path, person):
     other = 1 - person
     torch.testing.assert_close(io.load(target, person=other).rot, io.load(source, person=other).rot, atol=0, rtol=0)
     assert "the other people of the file that was read are lost" in write_back(source, tmp_path / "c.bvh", loaded, made)
+
+
+def stretching(path, motion: Motion, joint: int, shift: torch.Tensor) -> None:
+    """The motion written with one bone longer by shift (T, 3), metres, in its joint's own axes."""
+    if path.suffix == ".bvh":
+        bvh.save(path, motion, unit="m")
+        head, table = path.read_text().split("MOTION\n")
+        parts = head.split("CHANNELS ")
+        order = [part.split("JOINT ")[-1].split()[0] for part in [parts[0].replace("ROOT", "JOINT"), *parts[1:-1]]]
+        at = order.index(motion.skeleton.names[joint])
+        parts[at + 1] = parts[at + 1].replace("3 ", "6 Xposition Yposition Zposition ", 1)
+        lines = table.splitlines()
+        for n, place in enumerate((motion.skeleton.offsets[joint] + shift).tolist(), start=2):
+            words = lines[n].split()
+            words[3 * at + 3 : 3 * at + 3] = [f"{x:.6f}" for x in place]
+            lines[n] = " ".join(words)
+        path.write_text("CHANNELS ".join(parts) + "\n".join(["MOTION", *lines, ""]))
+        return
+    file = gltf._Buffer()
+    first = gltf._animate(file, motion, "walk")
+    gltf._bind(file, first, "walk", motion.skeleton, motion.skeleton.rest_positions(), torch.eye(3).expand(22, 3, 3))
+    file.move(first + joint, "translation", file.samplers[0]["input"], motion.skeleton.offsets[joint] + shift)
+    file.content["animations"] = [file.animation(motion)]
+    path.write_bytes(file.glb())
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".glb"])
+@pytest.mark.parametrize("more", [0, 5])
+def test_a_bone_that_was_read_at_its_mean_length_is_written_so(tmp_path, suffix, more):
+    """What was made stands on rigid bones: so does the copy of the file, whose other numbers stay."""
+    knee, source, out = STANDARD.index("left_knee"), tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
+    shift = torch.zeros(20, 3)
+    shift[:, 1] = 0.06 * torch.sin(torch.arange(20) / 3) - 0.02
+    stretching(source, walk(20), knee, shift)
+    with pytest.raises(DataError, match=r"left_knee moves .*--translations mean"):
+        io.load(source)
+    loaded = io.load(source, translations="mean")
+    its = loaded.skeleton.index("left_knee")
+    rot = loaded.rot.clone()
+    rot[4:9, its] = rotation.rotation_about("x", torch.tensor(0.5)) @ rot[4:9, its]
+    made = replace(loaded, rot=torch.cat((rot, rot[:more])), root=torch.cat((loaded.root, loaded.root[:more])))
+    said = write_back(source, out, loaded, made)
+    assert "new animation" in said if more and suffix == ".glb" else "21 of 22 joints in all frames" in said or more
+    back = io.load(out)  # strictly
+    torch.testing.assert_close(back.positions, made.positions, atol=2e-5, rtol=0)
+    write_back(source, out, loaded, loaded)
+    torch.testing.assert_close(io.load(out).positions, loaded.positions, atol=2e-5, rtol=0)
+    if suffix == ".bvh":
+        pairs = zip(source.read_text().splitlines(), out.read_text().splitlines(), strict=True)
+        changed = [sum(a != b for a, b in zip(x.split(), y.split(), strict=True)) for x, y in pairs]
+        assert max(changed) <= 3 and sum(changed) >= 15

@@ -55,6 +55,12 @@ def _base(loaded: Motion, made: Motion, turn: Tensor, place: Tensor, scale: floa
     return rot, root
 
 
+def _averaged(loaded: Motion) -> list[str]:
+    """Joints whose bones change their length in the file, which are read at their mean places."""
+    said = (note.partition(" moves ") for note in loaded.notes if note.endswith(": its mean place is kept"))
+    return [name for name, _, _ in said if name in loaded.skeleton.names]
+
+
 # -------------------------------------------------------------------------------------------------------- BVH
 def _bvh(at: Location, loaded: Motion, made: Motion) -> bytes:
     text = read_text(at)
@@ -66,6 +72,7 @@ def _bvh(at: Location, loaded: Motion, made: Motion) -> bytes:
     scale = float(lengths / np.linalg.norm(place.mean(0)[index[1:]], axis=-1).sum())
     scale = next((unit for unit in bvh.UNITS.values() if abs(scale / unit - 1) < 1e-4), scale)
     top = index[0]
+    rigid, means = _averaged(loaded), values.mean(0)
     fps, loaded = loaded.fps, loaded.cut(0, made.frames)
     place, turns, values = (x[: loaded.frames] for x in (place, turns, values))
     rot, root = _base(loaded, made, turns[:, top], torch.from_numpy(place[:, top]), scale)
@@ -80,6 +87,9 @@ def _bvh(at: Location, loaded: Motion, made: Motion) -> bytes:
             turned[tuple(where)] = order
         elif rows[: loaded.frames].any() and not joints[i].is_end:
             raise at.error(f"{names[i]} has no rotation channels", place=names[i])
+        if names[i] in rigid:
+            where = [*joints[i].moves.values()]
+            table[:, where], mine[:, where] = means[where], True
     moving = joints[top].moves
     if new_root[: loaded.frames].any() and len(moving) < 3:
         raise at.error(f"{names[top]} has no position channels", place=names[top])
@@ -208,6 +218,7 @@ def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
     ours, its = (float(x.double().norm(dim=-1).sum()) for x in offsets)
     scale = ours / its if its else 1.0
     scale = float(found.sizes[index[0]]) * (1.0 if abs(scale - 1) < 1e-4 else scale)
+    rigid = _averaged(loaded)
     new, first, at_frame = {}, {}, torch.arange(made.frames).clamp(max=loaded.frames - 1)
     for k, node in enumerate(nodes):
         place, turn, size, _ = gltf_reading._local(at, content["nodes"][node], node, found.tracks, found.times)
@@ -215,6 +226,8 @@ def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
         if k == 0:
             rot, root = _base(before, after, turn, place, scale)
             new[node, "translation"] = root
+        elif loaded.skeleton.names[k] in rigid:
+            new[node, "translation"] = place.mean(0).expand(made.frames, 3)
         turned = rot[:, 0] if k == 0 else (turn @ before.rot[:, k].mT)[at_frame] @ after.rot[:, k]
         new[node, "rotation"] = rotation.matrix_to_quaternion(turned)[:, [1, 2, 3, 0]]
     if (made.frames, made.fps) != (loaded.frames, loaded.fps):
@@ -224,7 +237,9 @@ def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
     new_rot, new_root = _changed(loaded, made)
     outputs = [sampler["output"] for sampler, _, _ in found.tracks.values()]
     for (node, what), numbers in new.items():
-        rows = new_root if what == "translation" else new_rot[:, nodes.index(node)]
+        rows = new_rot[:, nodes.index(node)]
+        if what == "translation":
+            rows = new_root if node == nodes[0] else torch.ones_like(new_root)
         if not rows.any():
             continue
         sampler, _, values = found.tracks.get((node, what), ({}, None, np.zeros(0)))
@@ -362,6 +377,7 @@ def _stayed(loaded: Motion, made: Motion) -> str:
     """Says how much of a rewritten file is as it was: frames, and joints that stay in frames that changed."""
     new, new_root = _changed(loaded.cut(0, made.frames), made)
     new[:, 0] |= new_root
+    new[:, loaded.skeleton.indices(_averaged(loaded))] = True
     frames, joints = int((~new.any(1)).sum()), int((~new.any(0)).sum())
     if not frames and not joints:
         return "what the file says of its joints, channels, unit and axes stays, byte for byte; all numbers are new"

@@ -1,5 +1,5 @@
-"""Sequences of SMPL, SMPL+H or SMPL-X body parameters: AMASS and its kin as npz, and what GVHMR, WHAM, TRAM and AIST++
-give as .pt, .pkl or .npy."""
+"""Sequences of SMPL, SMPL+H or SMPL-X body parameters: AMASS and its kin as npz, and what GVHMR, WHAM, TRAM, PHALP
+(4DHumans) and AIST++ give as .pt, .pkl or .npy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from motionlab.errors import ShapeError, check_shape
 from motionlab.files import write_whole
 from motionlab.io import judging
 from motionlab.io.judging import Axes
-from motionlab.io.pickles import arrays_of, read_array, read_pickle
+from motionlab.io.pickles import array_of, arrays_of, read_array, read_pickle
 from motionlab.io.reading import Location, check_writable, checked_array, frame_rate, read_bytes, read_npz, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
@@ -37,8 +37,9 @@ LARGEST_ANGLE = 1e4
 #: Keys that tell a system: its name, what is up in its world, and its usual frame rate.
 _SYSTEMS = {
     "smpl_params_global": ("GVHMR", "y", 30.0), "pose_world": ("WHAM", "y", 30.0), "pred_rotmat": ("TRAM", "-y", 30.0),
-    "smpl_poses": ("AIST++", "y", 60.0),
+    "phalp_cam": ("PHALP", "-y", 30.0), "smpl_poses": ("AIST++", "y", 60.0),
 }  # fmt: skip
+_OF_FRAME = ("tid", "smpl", "camera", "tracked_time")  # lists of PHALP's: a number, a body, where, frames unseen
 #: Columns a joint, over three, of which there are twice as many: 6-D rotations.
 _DOUBLE = {2 * joints for joints in (BODY - 1, BODY, BODY + 1, *MODELS)}
 _FASTEST, _FARTHEST = 30.0, 30.0  # metres a second, and from the origin: more are hardly a person's
@@ -52,7 +53,7 @@ def _arrays(at: Location, person: int) -> tuple[dict[str, np.ndarray], tuple[str
         tree = read_npz(at, _KEYS)
     else:
         tree = read_array(at, data) if data[:6] == b"\x93NUMPY" else read_pickle(at, data)
-    bodies = _bodies(tree)
+    bodies = _bodies(_by_person(at, tree))
     in_world = [(way, body) for way, body in bodies if "cam" not in way]
     keys = {key for way, body in bodies for key in (*way.split(), *body)}
     system = next((found for key, found in _SYSTEMS.items() if key in keys), ("SMPL", "z", None))
@@ -73,6 +74,22 @@ def _bodies(tree: object, way: str = "", depth: int = 4) -> list[tuple[str, dict
     if not isinstance(tree, dict) or {*POSES, *PARTS} & tree.keys():
         return [(way, tree)] if isinstance(tree, dict) else []
     return [found for key, each in tree.items() for found in _bodies(each, f"{way} {key}", depth - 1) if depth]
+
+
+def _by_person(at: Location, tree: object) -> object:
+    """PHALP's frames by person, each in the frames in which they were seen; another tree as it is."""
+    frames = [*tree.values()] if isinstance(tree, dict) else []
+    if not frames or not all(isinstance(frame, dict) and {"tid", "smpl"} <= frame.keys() for frame in frames):
+        return tree
+    people: dict[int, dict[str, list]] = {}
+    for frame in frames:
+        for who, body, place, unseen in zip(*(frame[key] for key in _OF_FRAME), strict=True):
+            if not array_of(at, unseen):
+                row = {"transl": place, "frame_ids": frame["time"]} | {key: body[key] for key in (ROOT[1], PARTS[1])}
+                own = people.setdefault(int(array_of(at, who)), {key: [] for key in row})
+                for key, value in row.items():
+                    own[key].append(value)
+    return {"phalp_cam": people}
 
 
 def _one_by_one(arrays: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:

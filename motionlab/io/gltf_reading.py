@@ -1,5 +1,5 @@
-"""Animated GLB files (glTF 2.0, binary), and .gltf with their numbers inside or beside, as motions: ours, Blender's, and
-whatever else is out there.
+"""Animated GLB files (glTF 2.0, binary), and .gltf with its numbers inside or beside, as motions: ours, Blender's, and
+all others.
 
 Source: the glTF 2.0 specification (Khronos), 3.11 Animations, appendix C on interpolation, 4.4 GLB layout.
 """

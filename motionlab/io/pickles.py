@@ -12,6 +12,7 @@ import io
 import math
 import pickle
 import re
+import zlib
 from collections.abc import Iterable
 
 import numpy as np
@@ -22,12 +23,14 @@ from motionlab.io.reading import LARGEST, Location, read_npy
 
 
 def read_pickle(at: Location, data: bytes) -> object:
-    """Reads a pickle, or what joblib or torch wrote, as containers of what :func:`array_of` makes arrays of.
+    """Reads a pickle, or what joblib (packed or not) or torch wrote: containers of what :func:`array_of` takes.
 
     Raises:
         DataError: it asks for anything else. Others, of damaged files: inside ``reading`` a DataError.
     """
     at.place = "pickle"
+    if data[:1] == b"x" or data[:2] == b"\x1f\x8b":  # zlib and gzip, in which joblib packs
+        data = zlib.decompressobj(_EITHER).decompress(data, LARGEST)
     if data[:2] == b"PK" or data[: len(_LEGACY)] == _LEGACY:
         with torch.serialization.safe_globals(_OF_NUMPY):
             try:
@@ -67,6 +70,8 @@ _OF_NUMPY = [
     np.ndarray, np.dtype, codecs.encode, *{type(np.dtype(kind)) for kind in "?bBhHiIlLefd"},
 ]  # fmt: skip
 
+#: For zlib: a header of its own or of gzip.
+_EITHER = 32 + zlib.MAX_WBITS
 #: How files of torch before its version 1.6 begin.
 _LEGACY = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
 
