@@ -32,14 +32,14 @@ def parameters(axes: torch.Tensor, motion: Motion | None = None) -> tuple[np.nda
     return turns.float().numpy(), (motion.root.double() @ axes.T).float().numpy(), rot.float()
 
 
-def gvhmr() -> bytes:
-    turns, trans, _ = (torch.as_tensor(x) for x in parameters(Y_UP))
-    body = {"global_orient": turns[:, :3], "body_pose": turns[:, 3:], "transl": trans, "betas": torch.zeros(6, 10)}
+def gvhmr(motion: Motion | None = None) -> bytes:
+    turns, trans, _ = (torch.as_tensor(x) for x in parameters(Y_UP, motion))
+    body = {"global_orient": turns[:, :3], "body_pose": turns[:, 3:], "transl": trans}
+    body["betas"] = torch.zeros(len(turns), 10)
     away = {key: value + 7 for key, value in body.items()}
+    camera = torch.eye(3).expand(len(turns), 3, 3)
     stream = io.BytesIO()
-    torch.save(
-        {"smpl_params_global": body, "smpl_params_incam": away, "K_fullimg": torch.eye(3).expand(6, 3, 3)}, stream
-    )
+    torch.save({"smpl_params_global": body, "smpl_params_incam": away, "K_fullimg": camera}, stream)
     return stream.getvalue()
 
 

@@ -141,14 +141,14 @@ def test_of_several_people_the_one_who_was_read_changes(tmp_path, person):
 def stretching(path, motion: Motion, joint: int, shift: torch.Tensor) -> None:
     """The motion written with one bone longer by shift (T, 3), metres, in its joint's own axes."""
     if path.suffix == ".bvh":
-        bvh.save(path, motion, unit="m")
+        bvh.save(path, motion)
         head, table = path.read_text().split("MOTION\n")
         parts = head.split("CHANNELS ")
         order = [part.split("JOINT ")[-1].split()[0] for part in [parts[0].replace("ROOT", "JOINT"), *parts[1:-1]]]
         at = order.index(motion.skeleton.names[joint])
         parts[at + 1] = parts[at + 1].replace("3 ", "6 Xposition Yposition Zposition ", 1)
         lines = table.splitlines()
-        for n, place in enumerate((motion.skeleton.offsets[joint] + shift).tolist(), start=2):
+        for n, place in enumerate((100 * (motion.skeleton.offsets[joint] + shift)).tolist(), start=2):
             words = lines[n].split()
             words[3 * at + 3 : 3 * at + 3] = [f"{x:.6f}" for x in place]
             lines[n] = " ".join(words)

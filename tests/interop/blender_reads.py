@@ -1,6 +1,6 @@
-"""What Blender makes of a file: ``python blender_reads.py FILE FPS FRAME... [BACK.glb]`` prints it, JSON.
+"""What Blender makes of a file: ``python blender_reads.py FILE FPS FRAME... [BACK]`` prints it, JSON.
 
-BACK.glb: where its exporter writes the scene again, with the settings that it has.
+BACK: a .glb, .gltf (its numbers in a .bin beside it) or .bvh that its exporter writes, with the settings that it has.
 
 Run by itself, not imported: Blender as a module (``bpy``) does not share a process with others.
 """
@@ -49,8 +49,11 @@ def main(path: str, fps: float, frames: list[int], back: str = "") -> dict:
             posed = o.evaluated_get(graph)
             points = [list(posed.matrix_world @ vertex.co) for vertex in posed.to_mesh().vertices]
             found["vertices"][o.name].append(points)
-    if back:
-        bpy.ops.export_scene.gltf(filepath=back)
+    if back.endswith(".bvh"):
+        bpy.context.view_layer.objects.active = armatures[0]
+        bpy.ops.export_anim.bvh(filepath=back, frame_start=first, frame_end=first + found["spans"][0][1])
+    elif back:
+        bpy.ops.export_scene.gltf(filepath=back, export_format="GLTF_SEPARATE" if back.endswith(".gltf") else "GLB")
     return found
 
 

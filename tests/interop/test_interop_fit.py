@@ -8,16 +8,18 @@ import imageio.v2 as imageio
 import numpy as np
 import pytest
 import torch
+from walked import few_steps
 
 from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
 from motionlab import __main__
-from motionlab.footage import fit
+from motionlab.footage import fit, scene_fit, scene_report
 from motionlab.io import amass, bvh, gltf
 from motionlab.observation import BODY_25, look_at, project
-from tests.interop.asking import ask, blender, needs_python
+from tests.interop.asking import apart, ask, blender, needs_python
 from tests.interop.test_interop_amass import PELVIS, write_body
 from tests.interop.test_interop_video import ffprobe
+from tests.test_fit_draws import hidden_legs
 
 pytestmark = pytest.mark.interop
 FRAMES, FPS, SIZE = 8, 25, (640, 360)  # of the film; the motions have 30 frames per second
@@ -52,6 +54,23 @@ def test_blender_plays_the_scene_and_the_bvh(scene, name):
     )
     assert np.abs(heads - ours.positions[list(SHOWN)].numpy()).max() < 1e-3
     assert np.abs(heads - ours.positions[[k + 1 for k in SHOWN[:-1]] + [0]].numpy()).max() > 5e-3  # negative control
+
+
+@needs_python
+def test_blender_plays_what_else_it_may_have_been(tmp_path, monkeypatch):
+    """``fit --draws`` of somebody whose legs are hidden: everybody of draws.glb is an armature of their own."""
+    monkeypatch.setattr(scene_report, "MAX_LATENT_CHI2", 1e9)  # the clip is short, and the fit a hasty one
+    monkeypatch.setattr(scene_report, "MISFIT_WIDTH", 1e9)
+    few_steps(monkeypatch)
+    monkeypatch.setattr(scene_fit, "FULL_WORK", scene_fit.QUICK_WORK)
+    fit.run_clip(hidden_legs(tmp_path), tmp_path / "out", draws=2)
+    people = [gltf.load(tmp_path / "out/draws.glb", person=k) for k in (0, 1)]
+    found = blender(tmp_path / "out/draws.glb", 30, (0, 3))
+    assert len(found["armatures"]) == 2 and all(found["armatures"].values())
+    for (name, heads), motion in zip(sorted(found["joints"].items()), people, strict=True):
+        assert name.endswith(motion.name) and apart(heads, motion, (0, 3)).max() < 1e-3
+    other = found["joints"][sorted(found["joints"])[1]]
+    assert apart(other, people[0], (0, 3)).max() > 5e-3  # negative control
 
 
 @pytest.mark.skipif(shutil.which("ffprobe") is None, reason="no ffprobe: apt-get install ffmpeg")

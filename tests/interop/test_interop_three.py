@@ -22,6 +22,7 @@ from PIL import Image
 
 from motionlab.body import BodyModel, lbs
 from motionlab.io import gltf
+from motionlab.tailoring import tailored
 
 pytestmark = pytest.mark.interop
 FRAMES = (0, 17, 40, 63, 80)
@@ -92,7 +93,9 @@ def test_two_people_move_as_ours_do_and_are_seen(tmp_path, people):
         now, later = (motion.positions[[frame + k for frame in FRAMES]].numpy() for k in (0, 1))
         assert np.abs(joints - now).max() < 1e-3 < 5e-3 < np.abs(joints - later).max()
         skin = np.array(theirs["vertices"]) @ WORLD_FROM_GLTF.T
-        ours = lbs(body, motion.skeleton, motion.root, motion.rot)[list(FRAMES), ::50].numpy()
+        ours = lbs(tailored(body, motion.skeleton), motion.skeleton, motion.root, motion.rot)[
+            list(FRAMES), ::50
+        ].numpy()
         assert np.quantile(np.linalg.norm(skin - ours, axis=-1), 0.99) < 2e-3
     png = base64.b64decode(found["picture"].partition(",")[2])
     if folder := os.environ.get("MOTIONLAB_INTEROP_OUT"):
