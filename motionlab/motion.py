@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -117,7 +118,7 @@ def backward_velocity(x: Tensor, fps: float, dim: int) -> Tensor:
     return torch.cat((rate.narrow(dim, 0, 1), rate), dim)
 
 
-def resample(motion: Motion, fps: float, how: str = "linear") -> Motion:
+def resample(motion: Motion, fps: float, how: str = "linear", times: Sequence[float] | None = None) -> Motion:
     """Computes a motion at another frame rate; contacts by the nearest frame.
 
     The first frame stays; the last sample is the last that lies inside the recording.
@@ -126,6 +127,7 @@ def resample(motion: Motion, fps: float, how: str = "linear") -> Motion:
         how: "linear": positions linearly, rotations by slerp. "spline": a cubic spline through positions, and one
             through unit quaternions of one sign, normed again; between samples of 24 a second its accelerations are
             nearer to the truth (docs/experiments.md).
+        times: seconds (T,) of its frames, rising from 0, where they do not come at even times.
 
     Raises:
         ShapeError: fps is not a positive number.
@@ -135,10 +137,11 @@ def resample(motion: Motion, fps: float, how: str = "linear") -> Motion:
         raise ShapeError(f"fps: expected a positive number, got {fps}")
     if how not in ("linear", "spline"):
         raise ValueError(f"how: expected 'linear' or 'spline', got {how!r}")
-    if fps == motion.fps:
+    if fps == motion.fps and times is None:
         return motion
-    count = int((motion.frames - 1) / motion.fps * fps + 1e-6) + 1
-    at = torch.arange(count, dtype=torch.float64) * (motion.fps / fps)
+    last = (motion.frames - 1) / motion.fps if times is None else times[-1]
+    at = torch.arange(int(last * fps + (1e-6 if times is None else 1e-3)) + 1, dtype=torch.float64)
+    at = at * (motion.fps / fps) if times is None else torch.from_numpy(np.interp(at / fps, times, range(len(times))))
     low = at.floor().long().clamp(max=max(motion.frames - 2, 0))
     high = (low + 1).clamp(max=motion.frames - 1)
     weight = (at - low).to(motion.root)

@@ -55,8 +55,7 @@ LOADERS = {
     "openpose.json": load_openpose,
     ".trc": points.load_trc,
     ".c3d": points.load_c3d,
-    "qualisys.xml": cameras.load_qualisys,
-    "captury.calib": lambda path: cameras.load_captury(path, width=1920),
+    **dict.fromkeys(("qualisys.xml", "captury.calib"), cameras.load_cameras),
     "biomech.csv": lambda path: points.load_biomech(path, fps=50),
     "projected.csv": lambda path: points.load_projected(path, camera=seeds.camera(), fps=50),
     ".glb": gltf.load,
@@ -81,7 +80,7 @@ def numbers_of(value) -> list[torch.Tensor]:
     if isinstance(value, Observation2D):
         return [value.keypoints, value.confidence]
     if isinstance(value, Footage):
-        everybody = value.people(0.0)
+        everybody = value.people([track.id for track in value.tracks])
         return [everybody.keypoints, everybody.confidence, torch.tensor([list(r.values()) for r in value.table()])]
     if isinstance(value, BodyModel):
         return [value.template, value.joints, value.weights, value.shape_directions, value.skeleton.offsets]

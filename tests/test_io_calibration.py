@@ -5,7 +5,6 @@ import seeds
 import torch
 
 from motionlab.io import cameras, openpose, points
-from motionlab.io.cameras import load_qualisys
 from motionlab.observation import Camera, project
 from tests.recorded import DATA, needs_data
 
@@ -15,10 +14,10 @@ def test_written_cameras_project_as_before(tmp_path, kind):
     camera, path = seeds.camera(), tmp_path / "camera"
     if kind == "qualisys":
         path.write_text(seeds.qualisys_text())
-        loaded = cameras.load_qualisys(path)["cam_01"]
+        loaded = cameras.load_cameras(path)["cam_01"]
     else:
         path.write_text(seeds.captury_text())
-        (loaded,) = cameras.load_captury(path, width=1920)
+        (loaded,) = cameras.load_cameras(path).values()
     points = torch.rand(50, 3, generator=torch.Generator().manual_seed(0)) + torch.tensor([-0.5, -0.5, 0.0])
     torch.testing.assert_close(project(loaded, points)[0], project(camera, points)[0], atol=0.01, rtol=0)
     assert (loaded.width, loaded.height) == (1920, 1088)
@@ -30,7 +29,7 @@ def test_captury_joints_fall_on_captury_projections():
     pairs = {"LAnkle": "LeftFoot", "RKnee": "RightLeg", "LHip": "LeftUpLeg", "RShoulder": "RightArm", "Head": "Head"}
     for take in sorted((DATA / "captury_falls").glob("video*")):
         joints = points.load_biomech(take / "biomech.csv", fps=50)
-        for index, camera in enumerate(cameras.load_captury(take / "camera.calib", width=1920)):
+        for index, camera in enumerate(cameras.load_cameras(take / "camera.calib").values()):
             seen = points.load_projected(take / f"projected{index:02}.csv", camera=camera, fps=50)
             pixels, depth = project(camera, joints.select(list(pairs)).positions)
             there = seen.keypoints[:, [seen.index(name) for name in pairs.values()]]
@@ -66,12 +65,12 @@ def test_pose2sim_views_meet_at_its_own_result():
     """SOURCE.txt: triangulating the four views gives 1.8 cm median distance to the TRC, 90 % below 7.8 cm."""
     root = DATA / "pose2sim_openpose"
     truth = points.load_trc(root / "ref3d/Balancing_for_IK.trc").select(list(PAIRS)).positions
-    cameras = list(load_qualisys(root / "Calib.qca.txt").values())
+    there = list(cameras.load_cameras(root / "Calib.qca.txt").values())
     views = [openpose.load(root / f"single_balancing/cam0{n}_json", fps=60, layout="BODY_25B") for n in (1, 2, 3, 4)]
     pick = [views[0].index(name) for name in PAIRS.values()]
     pixels = torch.stack([view.keypoints[:, pick].flatten(0, 1) for view in views])
     weight = torch.stack([view.confidence[:, pick].flatten() for view in views])
-    error = (triangulate(cameras, pixels, weight) - truth.flatten(0, 1)).norm(dim=-1)
+    error = (triangulate(there, pixels, weight) - truth.flatten(0, 1)).norm(dim=-1)
     assert error.median() < 0.022 and error.quantile(0.9) < 0.09
     turned = points.load_trc(root / "ref3d/Balancing_for_IK.trc", axes="x-zy").select(list(PAIRS)).positions
-    assert (triangulate(cameras, pixels, weight) - turned.flatten(0, 1)).norm(dim=-1).median() > 0.5
+    assert (triangulate(there, pixels, weight) - turned.flatten(0, 1)).norm(dim=-1).median() > 0.5

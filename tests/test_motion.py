@@ -112,6 +112,19 @@ def test_resample_ends_inside_the_recording(generator, fps, frames):
     assert 0 <= (frames - 1) / 30 - (found.frames - 1) / fps < 1 / fps + 1e-6
 
 
+def test_frames_that_last_differently_are_brought_to_even_times(generator):
+    """Between frames it goes straight: frames are left out where it is, and come back."""
+    motion = random_motion(generator, frames=3)
+    whole = resample(motion, 120.0)  # four steps for one
+    some = [0, 1, 3, 4, 7, 8]
+    pick = replace(whole.cut(0, 6), root=whole.root[some], rot=whole.rot[some], contacts=whole.contacts[some])
+    back = resample(pick, 120.0, times=[n / 120 for n in some])
+    torch.testing.assert_close(back.root, whole.root)
+    torch.testing.assert_close(back.rot, whole.rot)
+    assert back.fps == 120 and torch.equal(back.contacts[some], whole.contacts[some])
+    assert not torch.allclose(resample(pick, 60.0).root, whole.root[:6:2])  # negative control
+
+
 @pytest.mark.parametrize("fps", [0.0, -30.0, float("nan"), float("inf")])
 def test_resample_to_a_senseless_rate_is_refused(generator, fps):
     with pytest.raises(ShapeError, match="fps"):

@@ -270,7 +270,7 @@ def observation(clip: Clip, ids: Sequence[int]) -> Observation2D:
         DataError: one frame, or of somebody too few keypoints.
     """
     read = clip.footage
-    seen = at_rate(to_body_25(read.people(ids), midpoints=True), times=clip.times)
+    seen = at_rate(to_body_25(read.people(ids)), times=clip.times)
     if seen.frames < 2:
         raise DataError("one frame is no motion", path=read.path, remedy="give two frames or more")
     for each, confidence in zip(ids, seen.confidence, strict=True):

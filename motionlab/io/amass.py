@@ -222,7 +222,6 @@ def save(
     *,
     pelvis_offset: Tensor | None = None,
     betas: Tensor | None = None,
-    gender: str = "neutral",
     model: str = "smplh",
 ) -> None:
     """Writes a motion on SMPL's 22 joints as an AMASS npz that ``load`` with the same offset gives back exactly.
@@ -243,7 +242,7 @@ def save(
         "poses": poses.cpu().numpy(),
         "trans": (motion.root.double().cpu() - _offset(pelvis_offset)).numpy(),
         "betas": np.zeros(16) if betas is None else betas.double().cpu().numpy(),
-        "gender": np.array(gender),
+        "gender": np.array("neutral"),
         "mocap_framerate": np.array(float(motion.fps)),
     }
     if motion.contacts is not None and motion.skeleton.contact_names == STANDARD.contact_names:

@@ -36,23 +36,29 @@ _COLMAP = {
 }  # fmt: skip
 #: Qualisys gives image positions in 64ths of a pixel; its camera axes are y up, z backward: ours y down, z forward.
 _QUALISYS_PIXEL, _FLIP = 64.0, np.diag([1.0, -1.0, -1.0])
-_CAPTURY = "tc camera calibration"
+_CAPTURY_WIDTH = 1920  # pixels, of its images
 Table = dict[str, object]
 
 
 def read_tables(at: Location) -> dict[str, Table]:
-    """Reads the cameras of a file by name.
+    """Reads the cameras of a file by name, one or more.
 
     Raises:
-        DataError: damaged, or no known format.
+        DataError: damaged, no known format, or no camera in it.
     """
+    if not (found := _by_name(at)):
+        raise at.error("no camera in it")
+    return found
+
+
+def _by_name(at: Location) -> dict[str, Table]:
     head = read_bytes(at)[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
     if re.match(rb"\{|\[\s*[\[{]", head):
         return _of_json(read_json(at))
     if head.startswith(b"<"):
-        return _opencv_xml(at) if b"<opencv_storage" in head else qualisys(at)
-    if head.startswith(_CAPTURY.encode()):
-        return captury(at, width=1920)
+        return _opencv_xml(at) if b"<opencv_storage" in head else _qualisys(at)
+    if head.startswith(b"tc camera calibration"):
+        return _captury(at)
     if head.startswith(b"%YAML") or at.path.suffix.lower() in (".yml", ".yaml"):
         return _easymocap(at) if re.search("intri|extri", at.path.name) else _named(_yaml(read_text(at)))
     if re.search(rb"^\d+\s+[A-Z_]+\s+\d+\s+\d+\s+[-\d.]", head, re.MULTILINE):
@@ -182,14 +188,8 @@ def _colmap(at: Location) -> dict[str, Table]:
     return found
 
 
-def qualisys(at: Location) -> dict[str, Table]:
-    """Reads the cameras of a Qualisys XML by serial.
-
-    With r the file's r11..r33 as a matrix and p its x, y, z:  R = diag(1, -1, -1) r,  t = -R p.
-
-    Raises:
-        DataError: not such a file, or a number is missing or unusable.
-    """
+def _qualisys(at: Location) -> dict[str, Table]:
+    """By serial. With r the file's r11..r33 as a matrix and p its x, y, z:  R = diag(1, -1, -1) r,  t = -R p."""
     found: dict[str, Table] = {}
     for index, node in enumerate(_xml(at).iter("camera"), start=1):
         name = node.get("serial") or f"camera {index}"
@@ -211,23 +211,17 @@ def qualisys(at: Location) -> dict[str, Table]:
         centre = read("intrinsic", "centerPointU", "centerPointV") / _QUALISYS_PIXEL - (left, top)
         place = read("transform", "x", "y", "z") / 1000
         found[name] = _seen_from(focal, centre, rotation, place, right - left + 1, bottom - top + 1)
-    if not found:
-        raise at.error("no <camera> in it")
+    at.place = ""
     return found
 
 
-def captury(at: Location, width: int) -> dict[str, Table]:
-    """Reads the cameras of a Captury camera.calib by their place in it; width: of the images, pixels.
+def _captury(at: Location) -> dict[str, Table]:
+    """By their place in the file, which has only the sensor in millimetres.
 
     Turned from the file's y-up world into that of Captury's C3D files, z up: (x, -z, y). There its joints
     project onto Captury's own projections.
-
-    Raises:
-        DataError: not such a file, or a number is missing or unusable.
     """
     text = read_text(at)
-    if not text.startswith(_CAPTURY):
-        raise at.error(f'expected "{_CAPTURY}" first', place="line 1")
     found, upright = {}, axes_to_matrix("x-zy").double().numpy()
     for index, block in enumerate(re.split(r"^camera\b", text, flags=re.MULTILINE)[1:]):
         at.place = f"camera {index}"
@@ -241,15 +235,15 @@ def captury(at: Location, width: int) -> dict[str, Table]:
         sensor = read("sensorSize", 2)
         if not (sensor > 0).all():
             raise at.error(f"sensorSize: expected two lengths above zero, got {sensor.tolist()}")
-        pixels = width / sensor[0]
+        pixels = _CAPTURY_WIDTH / sensor[0]
         focal = read("focalLength", 1) * pixels * np.append(1.0, read("pixelAspect", 1))
         centre = (sensor / 2 + read("centerOffset", 2)) * pixels
         right, up = read("right", 3), read("up", 3)
         rotation = np.stack((right, -up, np.cross(right, -up))) @ upright.T
         place = upright @ read("origin", 3) / 1000
-        found[str(index)] = _seen_from(focal, centre, rotation, place, width, round(float(sensor[1] * pixels)))
-    if not found:
-        raise at.error("no camera in it")
+        high = round(float(sensor[1] * pixels))
+        found[str(index)] = _seen_from(focal, centre, rotation, place, _CAPTURY_WIDTH, high)
+    at.place = ""
     return found
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from motionlab.errors import DataError
-from motionlab.io.calibrations import Table, captury, qualisys, read_tables
+from motionlab.io.calibrations import Table, read_tables
 from motionlab.io.reading import Location, checked_array, image_size, reading
 from motionlab.observation import Camera
 from motionlab.rotation import exp
@@ -23,6 +23,7 @@ from motionlab.rotation import exp
 _FOCAL, _CENTRE = (0.1, 100.0), 0.1
 _SHAPE = 0.02  # share by which width : height may differ, and a size that needs no scaling
 _FAR = 200.0  # metres from the origin: no camera stands there
+_REMEDY = "give a Qualisys XML, a Captury .calib, a TOML, OpenCV's YAML or XML, or JSON as load_camera describes it"
 
 
 def load_camera(
@@ -44,11 +45,8 @@ def load_camera(
     Raises:
         DataError: not such a file, or none or several cameras that fit.
     """
-    remedy = "give a Qualisys XML, a Captury .calib, a TOML, OpenCV's YAML or XML, or JSON as load_camera describes it"
-    with reading(path, remedy) as at:
+    with reading(path, _REMEDY) as at:
         found = read_tables(at)
-        if not found:
-            raise at.error("no camera in it")
         if name is None and len(found) > 1 and views is not None and (number := re.search(r"\d+", Path(views).name)):
             last = {key: re.findall(r"\d+", key)[-1:] for key in found}
             names = [key for key, digits in last.items() if [*map(int, digits)] == [int(number[0])]]
@@ -61,27 +59,10 @@ def load_camera(
         return _camera(at, name, found[name], size)
 
 
-def load_qualisys(path: str | Path) -> dict[str, Camera]:
-    """Reads the cameras of a Qualisys calibration by serial, in its own z-up world, metres.
-
-    Raises:
-        DataError: not such a file, a number is missing or unusable, or the rotation is none.
-    """
-    with reading(path, "export the calibration again as Qualisys XML") as at:
-        return {name: _camera(at, name, table)[0] for name, table in qualisys(at).items()}
-
-
-def load_captury(path: str | Path, *, width: int) -> list[Camera]:
-    """Reads the cameras of a Captury camera.calib in file order, metres, z up.
-
-    Args:
-        width: image width in pixels. The file has only the sensor in millimetres; the height follows from it.
-
-    Raises:
-        DataError: not such a file, or a number is missing or unusable.
-    """
-    with reading(path, "export the calibration again from Captury") as at:
-        return [_camera(at, name, table)[0] for name, table in captury(at, width).items()]
+def load_cameras(path: str | Path) -> dict[str, Camera]:
+    """Reads all cameras of a file by name, as :func:`load_camera` does one of them."""
+    with reading(path, _REMEDY) as at:
+        return {name: _camera(at, name, table)[0] for name, table in read_tables(at).items()}
 
 
 def _camera(at: Location, name: str, table: Table, size: tuple[int, int] | None = None) -> tuple[Camera, bool]:

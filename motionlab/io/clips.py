@@ -14,7 +14,7 @@ import torch
 
 from motionlab import rotation
 from motionlab.io.reading import Location, check_keys, checked_array, frame_rate, read_json, read_npz, reading
-from motionlab.motion import Motion
+from motionlab.motion import Motion, resample
 from motionlab.skeleton import UPRIGHT, Skeleton
 
 _AMP_KEYS = ("node_names", "parent_indices", "local_translation", "root_translation", "fps", "is_local")
@@ -112,8 +112,10 @@ def load_deepmimic(path: str | Path) -> Motion:
         rot[:, 0] = UPRIGHT.double() @ rot[:, 0]
         root = torch.from_numpy(table[:, 1:4]) @ UPRIGHT.double().T
         motion = Motion(_DEEPMIMIC, root, rot, fps, name=at.path.stem)
-        even = np.abs(np.diff(times) - 1).max(initial=0) < 0.1
-        return (motion if even else _evenly(motion, times)).to(torch.float32)
+        if np.abs(np.diff(times) - 1).max(initial=0) >= 0.1:
+            note = f"frames last up to {np.diff(times).max():.2f} times as long as usual: resampled to one rate"
+            motion = replace(resample(motion, fps, times=times / fps), notes=(note,))
+        return motion.to(torch.float32)
 
 
 def _frame_rate(at: Location, durations: np.ndarray) -> tuple[float, np.ndarray]:
@@ -129,21 +131,6 @@ def _frame_rate(at: Location, durations: np.ndarray) -> tuple[float, np.ndarray]
         raise at.error(f"lasts {inner[i]} s, the typical frame {typical} s", place=f"frame {i}")
     whole = round(1 / typical)  # durations are printed with six digits: 0.033332 is 1/30
     return frame_rate(at, float(whole) if abs(typical * whole - 1) < 1e-3 else 1 / typical, "frame 0"), times
-
-
-def _evenly(motion: Motion, times: np.ndarray) -> Motion:
-    """The motion at whole times, where frames last differently: lerp and slerp between the given ones."""
-    at = np.arange(int(times[-1] + 1e-3) + 1.0)
-    low = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
-    weight = torch.from_numpy(((at - times[low]) / (times[low + 1] - times[low])).clip(0, 1))
-    low = torch.from_numpy(low)
-    note = f"frames last up to {np.diff(times).max():.2f} times as long as usual: resampled to one rate"
-    return replace(
-        motion,
-        root=torch.lerp(motion.root[low], motion.root[low + 1], weight[:, None]),
-        rot=rotation.slerp(motion.rot[low], motion.rot[low + 1], weight[:, None]),
-        notes=(*motion.notes, note),
-    )
 
 
 def _rotations(at: Location, quaternions: np.ndarray, names: tuple[str, ...], off: float) -> torch.Tensor:

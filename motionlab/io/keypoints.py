@@ -116,22 +116,13 @@ class Footage:
         found = self.people([which])
         return replace(found, keypoints=found.keypoints[0], confidence=found.confidence[0])
 
-    def people(self, which: Sequence[str | int] | float = 0.5) -> Observation2D:
-        """Returns several people's keypoints as one batch (B, T, K, 2).
-
-        Args:
-            which: their ids, in the order of the batch; or the share of the film in which they must have been seen.
+    def people(self, which: str | int | Sequence[str | int]) -> Observation2D:
+        """Returns several people's keypoints as one batch (B, T, K, 2), in the order of their ids; see ``chosen``.
 
         Raises:
-            DataError: nobody has one of the ids, or was seen in so large a share; or all of it is too much to hold.
+            DataError: nobody has one of the ids, or all of it is too much to hold.
         """
-        if isinstance(which, int | float):
-            tracks = [track for track in self.tracks if len(track.frames) >= which * self.frames]
-        else:
-            tracks = self.chosen(which)
-        if not tracks:
-            most = len(self.tracks[0].frames) / self.frames
-            raise self._error(f"nobody was seen in {which:.0%} of the frames", f"ask for {most:.3f} or less")
+        tracks = self.chosen(which)
         shape = (len(tracks), self.frames, len(self.names), 3)
         if 4 * np.prod(shape, dtype=float) > LARGEST:
             raise self._error(f"{shape[:3]} people, frames and points are too many", "take fewer people")

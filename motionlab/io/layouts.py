@@ -95,19 +95,16 @@ def _detect_layout(people: np.ndarray) -> str | None:
     return None if votes[0] == votes[1] else ("BODY_25B" if votes[0] > votes[1] else "BODY_25")
 
 
-def to_body_25(observation: Observation2D, *, midpoints: bool = False) -> Observation2D:
+def to_body_25(observation: Observation2D) -> Observation2D:
     """Puts keypoints in BODY_25's order by name; a name that the layout lacks gets confidence 0.
 
-    MediaPipe's foot index stands for the big toe.
-
-    Args:
-        midpoints: fill a missing neck or mid-hip with the middle of both shoulders or hips where both were seen
-            (that is how OpenPose defines them), with the lower confidence of the two.
+    MediaPipe's foot index stands for the big toe; for a missing neck or mid-hip the middle of both shoulders or hips
+    where both were seen, as OpenPose defines them, with the lower confidence of the two.
     """
     lead = observation.confidence.shape[:-1]
     keypoints = observation.keypoints.new_zeros(*lead, len(BODY_25), 2)
     confidence = observation.confidence.new_zeros(*lead, len(BODY_25))
-    middles = {"neck": "shoulder", "mid_hip": "hip"} if midpoints else {}
+    middles = {"neck": "shoulder", "mid_hip": "hip"}
     for k, name in enumerate(BODY_25):
         middle = [f"{side}_{middles.get(name)}" for side in ("left", "right")]
         sources = next((s for s in ([name], [_INSTEAD.get(name)], middle) if set(s) <= set(observation.names)), [])

@@ -52,7 +52,7 @@ class Source:
 def _captury_view(path: Path) -> Observation2D:
     """Reads one ``projectedNN.csv`` with the camera NN of the camera.calib beside it; video 1920 wide at 50 fps."""
     with reading(path, "keep it beside the camera.calib that lists its camera"):
-        camera = cameras.load_captury(path.with_name("camera.calib"), width=1920)[int(path.stem[-2:])]
+        camera = cameras.load_cameras(path.with_name("camera.calib"))[str(int(path.stem[-2:]))]
     return points.load_projected(path, camera=camera, fps=50)
 
 

@@ -14,7 +14,7 @@ from motionlab.humor.evidence import Observation3D
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
 from motionlab.io import points
-from motionlab.io.cameras import load_captury
+from motionlab.io.cameras import load_cameras
 from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
 from motionlab.skeleton import STANDARD
@@ -59,7 +59,7 @@ def moments(folder: Path | str, *, frames: int = 60, views: int = 4) -> Moments:
     for name, (take, start) in MOMENTS.items():
         place, first = Path(folder) / take, round(start * FPS)
         there = points.load_biomech(place / "biomech.csv", fps=50.0).select(list(COMPARED.values())).positions
-        for index, camera in enumerate(load_captury(place / "camera.calib", width=1920)[:views]):
+        for index, camera in enumerate([*load_cameras(place / "camera.calib").values()][:views]):
             table = points.load_projected(place / f"projected{index:02}.csv", camera=camera, fps=50.0)
             seen.append(part(at_rate(_as_body_25(table)), slice(first, first + frames)))
             cameras.append(camera), joints.append(_at_30(there, first, frames)), names.append(name)

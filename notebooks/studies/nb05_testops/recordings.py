@@ -21,7 +21,7 @@ from motionlab.humor import testops
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule
 from motionlab.io import openpose, points
-from motionlab.io.cameras import load_qualisys
+from motionlab.io.cameras import load_cameras
 from motionlab.io.layouts import to_body_25
 from motionlab.metrics import pose
 from motionlab.motion import FPS, Motion
@@ -80,11 +80,11 @@ def pose2sim(folder: Path | str) -> Views:
     """
     folder = Path(folder)
     places = sorted((folder / "single_balancing").glob("cam*_json"))
-    cameras = list(load_qualisys(folder / "Calib.qca.txt").values())
+    cameras = list(load_cameras(folder / "Calib.qca.txt").values())
     if not places or len(places) != len(cameras):
         message = f"{len(places)} views and {len(cameras)} cameras"
         raise DataError(message, path=folder / "single_balancing", remedy="unpack the data set again")
-    seen = [to_body_25(openpose.load(p, fps=60.0, layout="BODY_25B"), midpoints=True) for p in places]
+    seen = [to_body_25(openpose.load(p, fps=60.0, layout="BODY_25B")) for p in places]
     names = tuple(place.name.removesuffix("_json") for place in places)
     markers = points.load_trc(folder / "ref3d" / "Balancing_for_IK.trc").select(list(COMPARED.values())).positions
     frames = min(len(markers), *(each.frames for each in seen))
@@ -107,7 +107,7 @@ def own(folder: Path | str, *, fps: float = FPS, size: tuple[int, int] | None = 
 
     size: width and height in pixels; None: the least usual size that holds the detections.
     """
-    seen = stacked([at_rate(to_body_25(openpose.load(folder, fps=fps), midpoints=True))])
+    seen = stacked([at_rate(to_body_25(openpose.load(folder, fps=fps)))])
     return Views(seen, None, ("yours",), None, (over_video.blank(start_cameras(seen, size=size)[0]),), size)
 
 
