@@ -50,6 +50,7 @@ _RANKS = {
     for limb in WORDS.values() for part, words in limb.items()
 }  # fmt: skip
 _PARTS = {word: part for part, ranks in _RANKS.items() for word in ranks}
+_ALIKE = {"leg": ("thigh", "shin", "ankle"), "arm": ("upperarm", "forearm", "wrist")}
 _PART = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|[ぁ-ヶ一-龠ー]+")
 _COUNTS = {"collar": 0.9, "foot": 0.9}  # a lone shoulder is a shoulder, a lone foot an ankle
 _SHARED = 6  # names that a prefix is common to
@@ -134,7 +135,7 @@ def _listed(names: Sequence[str], most: int = 40) -> str:
 @lru_cache(maxsize=64)
 def _found(names: tuple[str, ...], parents: tuple[int, ...], fixed: tuple[tuple[str, int], ...]) -> dict[str, int]:
     above = ancestors(parents)
-    said = _read(names)
+    said = _told_apart(_read(names), above)
     found = dict(fixed)
     below = Counter(j for path in above for j in path)
     rank = {j: k for k, j in enumerate(sorted(range(len(names)), key=lambda j: (-below[j], names[j])))}
@@ -183,6 +184,22 @@ def _read(names: Sequence[str]) -> list[tuple[str, str]]:
         return len({(side, _PARTS[word]) for side, word in said if word in _PARTS})
 
     return max((words_with(*way) for way in ways), key=sense)
+
+
+def _told_apart(said: list[tuple[str, str]], above: list[tuple[int, ...]]) -> list[tuple[str, str]]:
+    """The same, but of limbs whose joints all have its name (leg_0, leg_1, ..., leg_end; or leg, leg.001, foot): there
+    the first, the one in the middle and the tip are ``_ALIKE``, and those between are nothing."""
+    for side, (limb, words) in product(_BOTH, _ALIKE.items()):
+        upper, lower, tip = (_RANKS[_PARTS[word]].keys() for word in words)
+        mine = {j: word for j, (own, word) in enumerate(said) if own == side}
+        chain = sorted((j for j, word in mine.items() if word in (limb, f"{limb}end")), key=lambda j: len(above[j]))
+        if chain and mine[chain[-1]] == limb:
+            chain += [j for j, word in mine.items() if word in tip and chain[-1] in above[j]][:1]
+        known = (upper | lower) & {*mine.values()} - {limb, "shoulder"}
+        if len(chain) > 2 and not known and all(a in above[b] for a, b in pairwise(chain)):
+            places = dict(zip((chain[0], chain[(len(chain) - 1) // 2], chain[-1]), words, strict=True))
+            said = [(own, places.get(j, "" if j in chain else word)) for j, (own, word) in enumerate(said)]
+    return said
 
 
 def _sided(side: str | None, word: str) -> tuple[str, str]:

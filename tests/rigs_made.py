@@ -167,6 +167,30 @@ FAMILIES: dict[str, tuple[str, str, str, str]] = {
         "arm_{L}0_upperarm_twist_01_jnt<arm_{L}0_upperarm_jnt leg_{L}0_calf_twist_01_jnt<leg_{L}0_calf_jnt "
         "thumb_{L}0_0_jnt<arm_{L}0_hand_jnt meta_{L}0_0_jnt<arm_{L}0_hand_jnt finger_{L}0_0_jnt<meta_{L}0_0_jnt",
     ),
+    "mGear, numbered": (
+        "spine_C0_0_jnt spine_C0_1_jnt spine_C0_3_jnt spine_C0_4_jnt neck_C0_0_jnt neck_C0_head_jnt",
+        "leg_{L}0_0_jnt leg_{L}0_4_jnt leg_{L}0_end_jnt foot_{L}0_0_jnt",
+        "shoulder_{L}0_shoulder_jnt arm_{L}0_0_jnt arm_{L}0_4_jnt arm_{L}0_end_jnt",
+        "local_C0_root>spine_C0_0_jnt spine_C0_2_jnt>spine_C0_3_jnt neck_C0_1_jnt>neck_C0_head_jnt "
+        "arm_{L}0_1_jnt>arm_{L}0_4_jnt arm_{L}0_2_jnt>arm_{L}0_4_jnt arm_{L}0_3_jnt>arm_{L}0_4_jnt "
+        "arm_{L}0_5_jnt>arm_{L}0_end_jnt arm_{L}0_6_jnt>arm_{L}0_end_jnt arm_{L}0_7_jnt>arm_{L}0_end_jnt "
+        "arm_{L}0_8_jnt>arm_{L}0_end_jnt "
+        "leg_{L}0_1_jnt>leg_{L}0_4_jnt leg_{L}0_2_jnt>leg_{L}0_4_jnt leg_{L}0_3_jnt>leg_{L}0_4_jnt "
+        "leg_{L}0_5_jnt>leg_{L}0_end_jnt leg_{L}0_6_jnt>leg_{L}0_end_jnt leg_{L}0_7_jnt>leg_{L}0_end_jnt "
+        "leg_{L}0_8_jnt>leg_{L}0_end_jnt foot_{L}0_1_jnt<foot_{L}0_0_jnt thumb_{L}0_0_jnt<arm_{L}0_end_jnt",
+    ),
+    "Blender, numbered": (
+        "hips spine spine.001 spine.002 neck head",
+        "leg.{L} leg.{L}.001 foot.{L} toe.{L}",
+        "shoulder.{L} arm.{L} arm.{L}.001 hand.{L}",
+        "",
+    ),
+    "limbs of three": (
+        "hips spine1 spine2 spine3 neck head",
+        "leg1_{L} leg2_{L} leg3_{L} -",
+        "- arm1_{L} arm2_{L} arm3_{L}",
+        "",
+    ),
     "DeepMotion": (
         "hips_JNT spine_JNT spine1_JNT spine2_JNT neck_JNT head_JNT",
         "{l}_upleg_JNT {l}_leg_JNT {l}_foot_JNT {l}_toebase_JNT",

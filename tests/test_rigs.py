@@ -193,6 +193,16 @@ def test_a_heel_is_no_ball_of_the_foot(generator):
     assert found.unmapped == ("left_foot", "right_foot")
 
 
+def test_of_a_limb_that_is_all_of_one_word_the_middle_bends_and_no_other_limb():
+    """What has a thigh by name has its shin right below, however many roll bones are called so, too."""
+    skeleton, _ = made("mGear, numbered")
+    find = {name: skeleton.names[j] for name, j in find_joints(skeleton).items()}
+    assert find["left_knee"] == "leg_L0_4_jnt" and find["right_elbow"] == "arm_R0_4_jnt"
+    names = tuple(re.sub(r"leg_([LR])0_0", r"thigh_\g<1>0_0", name) for name in skeleton.names)
+    find = {name: names[j] for name, j in find_joints(replace(skeleton, names=names)).items()}
+    assert find["left_hip"] == "thigh_L0_0_jnt" and find["left_knee"] == "leg_L0_1_jnt"
+
+
 def test_the_way_back_onto_a_rig(generator):
     motion = person(generator)
     rig, _ = worn(motion, "iClone")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from motionlab.motion import Motion
 
 WRITTEN = (".bvh", ".npz", ".glb", ".npy")
-READ = f"{' '.join(WRITTEN)} .gltf .amc, DeepMimic's .txt, or .pt .pkl of GVHMR, WHAM"
+READ = f"{' '.join(WRITTEN)} .gltf .amc, DeepMimic's .txt, or .pt .pkl of GVHMR, WHAM, PHALP"
 
 
 #: Options of ``add_reading`` -> of the loaders.

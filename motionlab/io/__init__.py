@@ -30,11 +30,7 @@ NPZ_LAYOUTS: dict[str, Callable] = {
 
 
 def _npz_loader(path: str | Path) -> Callable:
-    """The loader whose keys the file has.
-
-    Raises:
-        DataError: not an npz archive, or none of the known keys is in it.
-    """
+    """The loader whose keys the file has."""
     with reading(path, f"save one of the keys {', '.join(NPZ_LAYOUTS)}") as at:
         with zipfile.ZipFile(at.path) as archive:
             keys = {name.removesuffix(".npy") for name in archive.namelist()}

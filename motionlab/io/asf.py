@@ -122,11 +122,7 @@ def _skeleton(bones: dict[str, _Bone], unit: float) -> Skeleton:
 
 
 def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
-    """The bones by name, "root" first, the unit of length, and whether angles are degrees.
-
-    Raises:
-        DataError: naming the line.
-    """
+    """The bones by name, "root" first, the unit of length, and whether angles are degrees."""
     sections: dict[str, list[tuple[int, list[str]]]] = {}  # lines as words under their :keyword, with line numbers
     current = None
     for number, line in enumerate(text.splitlines(), start=1):
@@ -231,11 +227,7 @@ def _hierarchy(at: Location, lines: list[tuple[int, list[str]]], bones: dict[str
 
 
 def _parse_amc(at: Location, text: str, bones: dict[str, _Bone], degrees: bool) -> tuple[bool, dict[str, np.ndarray]]:
-    """Whether angles are degrees, and the values (T, D) of every bone that has degrees of freedom.
-
-    Raises:
-        DataError: naming the line.
-    """
+    """Whether angles are degrees, and the values (T, D) of every bone that has degrees of freedom."""
     widths = {name: len(bone.dof) for name, bone in bones.items() if bone.dof}
     frames, lines = [], []
     for number, line in enumerate(text.splitlines(), start=1):

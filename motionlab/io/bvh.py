@@ -183,11 +183,7 @@ def _relative(joints: list[_Joint], place: np.ndarray) -> list[int]:
 
 
 def _parse(at: Location, text: str, fps: float | None = None) -> tuple[list[_Joint], np.ndarray, float]:
-    """The joints in file order, one row of channel values a frame, and frames per second (or those given).
-
-    Raises:
-        DataError: naming the line.
-    """
+    """The joints in file order, one row of channel values a frame, and frames per second (or those given)."""
     lines = text.splitlines()
     joints, motion_line = _hierarchy(at, lines)
     width = 0
