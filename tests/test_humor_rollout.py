@@ -75,8 +75,6 @@ def test_control_the_plain_loop_is_sensitive(model, generator, monkeypatch):
     assert (rollout(model, first, z, loops=False).states - good).abs().max() > 1e-2
 
 
-
-
 def test_one_bad_clip_leaves_the_others_alone(model, generator):
     first, z = first_states(generator, 3), latents(generator, 3, 4)
     whole = rollout(model, first, z)
