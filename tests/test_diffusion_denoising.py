@@ -58,6 +58,13 @@ def test_noise_has_the_size_it_says_and_lasts_as_long(motion, generator):
     assert (fresh[:, 1:] * fresh[:, :-1]).mean() / fresh.square().mean() == pytest.approx(0, abs=0.05)
 
 
+@pytest.mark.parametrize("size", [0.05, 0.3, 2.0])
+def test_the_reverse_process_begins_where_it_is_as_noisy(size):
+    schedule = DenoiserRecipe().schedule
+    a = schedule.alpha_bar[_begin(schedule, size)]
+    assert ((1 - a) / a).sqrt() == pytest.approx(size, rel=0.05)
+
+
 @pytest.mark.parametrize("start", [ReverseProcess(), ReverseProcess(looks=3, level=2.0)])
 def test_a_perfect_denoiser_gives_the_truth_from_the_step_it_should_start_at(motion, generator, start):
     noise, plain = Noise.of(5, 2), model_of(motion)

@@ -11,6 +11,7 @@ from motionlab.humor.priors import InitGmm
 from motionlab.humor.shooting import feedback_solver
 from motionlab.humor.shooting.coordinates import linearised, mixed_features, unwhiten
 from motionlab.humor.shooting.feedback_solver import Plan, solve
+from motionlab.optimise import BatchFit
 from tests.draws import seeded
 from tests.rolled_inputs import F64
 from tests.test_humor_shooting import CLIPS, made, noisy, nought, of_both, total
@@ -136,6 +137,20 @@ def test_a_mixture_without_weight_has_no_modes(case):
     assert feedback_solver._starts(still, unknown, white, 2, -1.0)[0].tolist() == [0, 1]
     assert feedback_solver._starts(problem, unknown, white, 2, -1.0)[0].tolist() == [0, 1, 0, 0, 1, 1]  # control
     assert feedback_solver._starts(problem, unknown, white, 1, -1.0)[0].tolist() == [0, 1, 0, 1]
+
+
+def rows_of(reasons, history):
+    energy = history.nan_to_num(nan=torch.inf).amin(0)
+    return BatchFit({}, energy, history, 1.0, reasons)
+
+
+def test_a_person_who_stops_one_row_stops_its_clip_and_what_is_not_finite_is_nobodys():
+    history = torch.tensor([[3.0, 5.0, torch.nan], [2.0, 5.0, 4.0]])
+    best, fit = feedback_solver._of_clips(
+        rows_of(["no decrease", "gradient", "interrupted"], history), torch.tensor([0, 1, 0])
+    )
+    assert best.tolist() == [0, 1] and fit.reasons == ["interrupted", "gradient"]
+    assert fit.history.tolist() == [[3.0, 5.0], [2.0, 5.0]] and fit.energy.tolist() == [2.0, 5.0]
 
 
 def test_a_leap_to_nowhere_leaves_the_clip_where_it_was(case, monkeypatch):

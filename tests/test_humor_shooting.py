@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from data_synth import clips
-from motionlab import optimise
+from motionlab import optimise, rotation
 from motionlab.errors import NotConverged, ShapeError
 from motionlab.humor import energies, priors, stages, state, unknowns
 from motionlab.humor.energies import JOINTS, RGB
@@ -16,7 +16,7 @@ from motionlab.humor.priors import FIRST_STATE_SIZE, InitGmm, Priors, first_stat
 from motionlab.humor.rollout import sample_rollout
 from motionlab.humor.shooting import coordinates, feedback_solver
 from motionlab.humor.shooting import coordinates as loop_module
-from motionlab.humor.shooting.coordinates import Whitening, linearised, unwhiten
+from motionlab.humor.shooting.coordinates import FIRST_SIZES, Whitening, apply_change, linearised, unwhiten
 from motionlab.humor.shooting.feedback_solver import Plan, minimise_from, solve
 from motionlab.humor.stages import Problem, motion_terms
 from motionlab.humor.unknowns import Unknowns
@@ -236,6 +236,27 @@ def test_gradients_in_the_coordinates_are_finite_differences(cases):
         with torch.no_grad():
             up, down = (value(point | {name: point[name] + s * way}) for s in (step, -step))
         torch.testing.assert_close((slope * way).sum(), (up - down) / (2 * step), rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_unknowns_move_by_what_they_are_told(cases, kind):
+    """Part by part; rotations on their manifold, the camera only where it is free."""
+    _, unknown = cases[kind]
+    sizes = list(FIRST_SIZES.values()) + [8] + [3] * (kind == "free")
+    change = 0.3 * torch.randn(CLIPS, sum(sizes), generator=seeded(6), dtype=F64)
+    names = [*FIRST_SIZES, "betas", "camera"]
+    parts = dict(zip(names, change.split(sizes, 1), strict=False))
+    found = apply_change(unknown, change).named()
+    assert found.keys() == unknown.named().keys() and torch.equal(found["z"], unknown.z)
+    for name, x in unknown.named().items():
+        if name == "orient":
+            turn = rotation.exp(parts[name][:, None]) @ unknowns.to_matrix(x)
+            torch.testing.assert_close(unknowns.to_matrix(found[name]), turn, atol=1e-12, rtol=0)
+        elif name != "z":
+            way = parts.get(name, torch.zeros(1, dtype=F64))
+            torch.testing.assert_close(
+                found[name], x + (way if way.shape == x.shape or len(way) == 1 else way[:, None])
+            )
 
 
 # ----------------------------------------------------------------------------------------------------------- the search

@@ -3,6 +3,7 @@
 import copy
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -65,6 +66,31 @@ def test_stage_three_lowers_its_energy(kit, walk, monkeypatch):
     monkeypatch.setattr(stages, "minimise_batch", without_latents)
     frozen = testops.fit(joints(walk), kit, schedule=schedule)
     assert (total < sum(frozen.energies[3].values()) - 0.2).all()
+
+
+def with_mean_tolerance(real):
+    """A search in which one tolerance, the mean, serves all clips."""
+    return lambda *args, tolerance_change, **how: real(*args, tolerance_change=float(tolerance_change.mean()), **how)
+
+
+@pytest.mark.parametrize("control", [False, True])
+def test_a_search_ends_by_its_own_energy(control, monkeypatch):
+    """To the bit, where rows do not touch each other's rounding."""
+    if control:
+        monkeypatch.setattr(stages, "minimise_batch", with_mean_tolerance(optimise.minimise_batch))
+
+    def terms(_, at):
+        x, y = at.trans.unbind(-1)
+        return {"valley": at.orient * ((1 - x).square() + 100 * (y - x.square()).square())}
+
+    valley = torch.tensor([[-1.2, 1.0]] * 2)
+    unknown = {"trans": valley, "orient": torch.tensor([1.0, 1e6]), "latent": torch.zeros(2, 0)}
+    budget = {"steps": 5, "inner": 20, "tolerance": Schedule().tolerance}
+    anything = SimpleNamespace(rows=lambda index: None)
+    both, _ = stages._search(terms, anything, unknown, ("trans",), **budget)
+    few = {n: v[:1] for n, v in unknown.items()}
+    alone, _ = stages._search(terms, anything, few, ("trans",), **budget)
+    assert torch.equal(both.trans[:1], alone.trans) != control
 
 
 # ------------------------------------------------------------------------------------------------ what is survived
