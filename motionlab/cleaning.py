@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from motionlab import rotation
-from motionlab.motion import Motion, velocity
+from motionlab.motion import Motion, runs, velocity
 from motionlab.skeleton import FEET, STANDARD
 
 # Bounds of :func:`faults`. Metres, seconds, radians.
@@ -75,12 +75,6 @@ def clean(motion: Motion, shortest: float = SHORTEST) -> Cleaned:
         else:
             left += stop - start
     return Cleaned(tuple(stretches), {n: s for n, s in (seconds | {"short": left / motion.fps}).items() if s})
-
-
-def runs(on: Tensor) -> list[tuple[int, int]]:
-    """Returns begin and end of every run of True (T,)."""
-    edges = F.pad(on.int(), (1, 1)).diff()
-    return list(zip((edges == 1).nonzero()[:, 0].tolist(), (edges == -1).nonzero()[:, 0].tolist(), strict=True))
 
 
 def _lasting(on: Tensor, least: float) -> Tensor:

@@ -118,6 +118,12 @@ def backward_velocity(x: Tensor, fps: float, dim: int) -> Tensor:
     return torch.cat((rate.narrow(dim, 0, 1), rate), dim)
 
 
+def runs(on: Tensor) -> list[tuple[int, int]]:
+    """Returns begin and end of every run of True (T,)."""
+    edges = torch.nn.functional.pad(on.int(), (1, 1)).diff()
+    return list(zip((edges == 1).nonzero()[:, 0].tolist(), (edges == -1).nonzero()[:, 0].tolist(), strict=True))
+
+
 def resample(motion: Motion, fps: float, how: str = "linear", times: Sequence[float] | None = None) -> Motion:
     """Computes a motion at another frame rate; contacts by the nearest frame.
 

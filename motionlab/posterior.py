@@ -24,12 +24,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from motionlab.cleaning import runs
 from motionlab.errors import DataError
 from motionlab.humor.shooting.coordinates import linearised, unwhiten
 from motionlab.humor.testops import Fitted
 from motionlab.humor.unknowns import motion_of
-from motionlab.motion import Motion
+from motionlab.motion import Motion, runs
 from motionlab.skeleton import STANDARD
 
 #: Nats that count as one, and a floor of model error in metres: chosen on 12 recorded people ("choose") behind walls

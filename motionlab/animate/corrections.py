@@ -16,10 +16,9 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from motionlab import rotation
-from motionlab.cleaning import runs
 from motionlab.contact import with_contacts
 from motionlab.diffusion.foot_locking import lock_feet
-from motionlab.motion import FPS, Motion, resample
+from motionlab.motion import FPS, Motion, resample, runs
 from motionlab.retarget import Retargeted, match_joints, retarget
 from motionlab.skeleton import STANDARD, fk
 

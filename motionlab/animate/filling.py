@@ -24,10 +24,9 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.animate.corrections import Fill, KeyMask, Rig, by_windows, restore_keys
 from motionlab.body import BodyModel
-from motionlab.cleaning import runs
 from motionlab.diffusion import completer
 from motionlab.errors import DataError
-from motionlab.motion import FPS, Motion
+from motionlab.motion import FPS, Motion, runs
 from motionlab.retarget import retarget
 from motionlab.rigs import find_joints
 from motionlab.skeleton import STANDARD

@@ -29,7 +29,7 @@ from motionlab.diffusion.poses import finished, load
 from motionlab.errors import DataError
 from motionlab.heading import heading_frame, local_to_world, world_to_local_positions
 from motionlab.ik import reach_targets
-from motionlab.motion import FPS, Motion
+from motionlab.motion import FPS, Motion, runs
 from motionlab.retarget import retarget
 from motionlab.rigs import find_joints
 from motionlab.skeleton import BALLS, FEET, STANDARD
@@ -100,7 +100,7 @@ def repaired(
         notes += [_LASTS] * (not given)
     jumps, quiet = _jumps(motion), not (noisy or drift)
     if jumps.any():
-        spans = ", ".join(f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in cleaning.runs(jumps))
+        spans = ", ".join(f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in runs(jumps))
         notes.append(f"frames that jump: {spans}; they are made anew from those around")
         found = inbetween(motion, KeyMask.of(motion, ~jumps), method=method, plant=plant and quiet, progress=progress)
         motion = found.motion
