@@ -83,12 +83,16 @@ def _by_person(at: Location, tree: object) -> object:
         return tree
     people: dict[int, dict[str, list]] = {}
     for frame in frames:
+        if lacking := sorted({*_OF_FRAME, "time"} - frame.keys()):
+            raise at.error(f"a frame of PHALP lacks {', '.join(lacking)}", remedy="write it with PHALP anew")
         for who, body, place, unseen in zip(*(frame[key] for key in _OF_FRAME), strict=True):
             if not array_of(at, unseen):
                 row = {"transl": place, "frame_ids": frame["time"]} | {key: body[key] for key in (ROOT[1], PARTS[1])}
                 own = people.setdefault(int(array_of(at, who)), {key: [] for key in row})
                 for key, value in row.items():
                     own[key].append(value)
+    if not people:
+        raise at.error("in no frame of PHALP anybody was seen", remedy="track a film in which somebody is")
     return {"phalp_cam": people}
 
 

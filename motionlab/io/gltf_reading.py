@@ -85,7 +85,10 @@ def _chunks(at: Location) -> tuple[dict, bytes]:
         raise at.error(f"its numbers are packed, by {packed[0]}", place="extensionsRequired", remedy=_UNPACK)
     for buffer in content.get("buffers", ()):
         starts.append(len(blob))
-        blob += _named(at, buffer["uri"]) if "uri" in buffer else chunk
+        part = _named(at, buffer["uri"]) if "uri" in buffer else chunk
+        if len(part) < buffer["byteLength"]:
+            raise at.error(f"{len(part)} bytes of numbers, {buffer['byteLength']} promised", place="buffers")
+        blob += part
     for view in content.get("bufferViews", ()):
         view |= {"byteOffset": view.get("byteOffset", 0) + starts[view.get("buffer", 0)], "buffer": 0}
     return content, blob
@@ -114,11 +117,15 @@ def _named(at: Location, uri: str) -> bytes:
     head, _, numbers = uri.partition(",")
     if head.startswith("data:") and head.endswith(";base64"):
         return base64.b64decode(numbers)
-    path = Path(unquote(uri))
-    if path.is_absolute() or ".." in path.parts or not (at.path.parent / path).is_file():
+    folder = at.path.parent.resolve()
+    path = (folder / unquote(uri)).resolve()
+    if not path.is_relative_to(folder):
+        remedy = "export it as one binary file, .glb: only files beside it or below are read"
+        raise at.error(f"its numbers lie elsewhere, {uri[:40]}", place="buffers", remedy=remedy)
+    if not path.is_file():
         remedy = "put that file beside it, or export it as one binary file, .glb"
         raise at.error(f"its numbers lie in another file, {uri[:40]}", place="buffers", remedy=remedy)
-    return read_bytes(replace(at, path=at.path.parent / path))
+    return read_bytes(replace(at, path=path))
 
 
 def _array(at: Location, content: dict, blob: bytes, index: int, width: int, place: str) -> np.ndarray:

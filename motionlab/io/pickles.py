@@ -29,6 +29,8 @@ def read_pickle(at: Location, data: bytes) -> object:
         DataError: it asks for anything else. Others, of damaged files: inside ``reading`` a DataError.
     """
     at.place = "pickle"
+    if data[:3] == b"BZh" or data[:6] == b"\xfd7zXZ\x00" or data[:2] == b"]\x00":
+        raise at.error("packed by bz2 or lzma", remedy="pack it as zlib: joblib.dump(..., compress=3)")
     if data[:1] == b"x" or data[:2] == b"\x1f\x8b":  # zlib and gzip, in which joblib packs
         data = zlib.decompressobj(_EITHER).decompress(data, LARGEST)
     if data[:2] == b"PK" or data[: len(_LEGACY)] == _LEGACY:

@@ -52,10 +52,11 @@ def ship(folder: Path) -> None:
     choose = people.poses(chosen, EACH)
     tried = {name: trials.tried([way], choose, seeded) for name, way in ways(model).items()}
     made_up = float((windows.people[windows.clip] == windows.people.max()).sum()) / windows.fps / 60
+    minutes = len(windows.root) / windows.fps / 60
     about = {
         "made by": "python -m studies.nb14_handles.make_record --ship (in notebooks/, one core)",
         "step": recipe.steps, "windows": windows.digest, "torch": torch.__version__,
-        "minutes of motion, before mirroring": {"recordings": windows.minutes - made_up, "synthetic": made_up},
+        "minutes of motion, before mirroring": {"recordings": minutes - made_up, "synthetic": made_up},
         "people": int(windows.people.max()),
         "quality, people who choose": {f"{n}, {k}": float(x.mean()) for n, by in tried.items() for k, x in by.items()},
         "recipe": asdict(recipe),

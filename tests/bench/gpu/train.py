@@ -41,6 +41,7 @@ from motionlab import rotation
 from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.features import Normaliser
 from motionlab.diffusion.model import DenoiserRecipe
+from motionlab.diffusion.state import sizes
 from motionlab.diffusion.windows import Windows
 from tests.bench.gpu import steps
 
@@ -96,8 +97,8 @@ class Run:
             torch.manual_seed(self.recipe.seed)
             net, numbers = self.recipe.denoiser(), steps.numbers_of(root, rot, contacts)
             layers = net.seqTransEncoder.layers
-            sizes = Normaliser.measure(numbers, self.recipe.layout) if drawn else None  # which reads values
-            self.units = (sizes.mean, sizes.scale) if drawn else (numbers[0, 0], numbers[0, 0])
+            usual = Normaliser.measure(numbers, self.recipe.layout) if drawn else None  # which reads values
+            self.units = (usual.mean, usual.scale) if drawn else (numbers[0, 0], numbers[0, 0])
             left = self.recipe.schedule.alpha_bar
             self.signal, self.noise = (x.float().sqrt().to(k.device) for x in (left, 1 - left))
             self.counts = self.recipe.weights.parts()
