@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from motionlab import checkpoint
 from motionlab.diffusion import masks, state
 from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.features import Layout, Normaliser
@@ -16,7 +17,7 @@ from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
 from motionlab.training.completer_training import _WEIGHTS, losses
 from motionlab.training.denoiser_training import denoising_losses
-from tests.bench.gpu import steps
+from tests.bench.gpu import steps, train
 
 ODDS = torch.tensor([0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.85])
 COUNT = 24
@@ -125,3 +126,9 @@ def test_masks_are_as_the_library_draws_them(kind, table, k):
     more = 0.25 if kind == "entries" else 0.0  # all but those that are missing in the same frames
     assert abs(mine[..., :-1].mean() - theirs[..., :-1].mean() - more) < 0.03
     assert abs(mine[..., -1].mean() - theirs[..., -1].mean()) < 0.03
+
+
+def test_a_run_of_a_completer_begins(data, table, k):
+    recipe = checkpoint.read_recipe(checkpoint.SHIPPED / "completer.json")["recipe"]
+    mean, scale = train.Run("completer", {"recipe": recipe}, k, data, table).units
+    assert mean.isfinite().all() and (scale > 0).all()
