@@ -98,7 +98,7 @@ class Lab:
         if "seconds" in known:
             full, brief = float(known["seconds"]), float(known.get("smoke seconds", "nan"))
             worked = known.get("processor seconds")
-            took = f"{full / 60:.0f} minutes" + (f", {float(worked) / 60:.0f} of them a processor's" if worked else "")
+            took = staleness.duration(full) + (f" ({staleness.duration(float(worked))} of a processor)" if worked else "")
             cost = f"When it was last recorded, a full run took {took}, a short one {brief:.0f} s."
         return (
             f"**{self.notebook}**, profile *{self.profile}*, seed {self.seed}, on {where}.  \n"
