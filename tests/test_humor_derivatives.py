@@ -1,4 +1,6 @@
-"""Derivatives by hand, of a transition and of the prior, against autograd through the paper's form and differences."""
+"""Derivatives of a transition and of the prior, against autograd through the paper's form in one, and differences."""
+
+import copy
 
 import numpy as np
 import pytest
@@ -31,7 +33,7 @@ def inputs():
 
 @pytest.fixture(scope="module")
 def found(model, inputs):
-    return derivatives.transition_slopes(DecoderLayers.of(model), *inputs)
+    return derivatives.transition_slopes(model, *inputs)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +56,7 @@ def test_every_block_of_a_transition_is_that_of_autograd(found, truth, effect, c
     ours = found.of_z[:, BLOCKS[effect]] if cause == "z" else found.of_change[:, BLOCKS[effect], BLOCKS[cause]]
     torch.testing.assert_close(ours, theirs, atol=1e-10, rtol=1e-10)
     nothing = (effect == "xi" and cause in ("turn", "way")) or (effect, cause) == ("turn", "way")
-    assert bool(ours.any()) != nothing  # where a frame stands changes nothing in it
+    assert bool(ours.abs().max() > 1e-12) != nothing  # where a frame stands changes nothing in it
 
 
 def test_turn_takes_one_frames_axes_to_the_next(model, inputs, found):
@@ -79,12 +81,9 @@ def test_control_rotations_turned_from_the_right_are_noticed(model, inputs, foun
     assert (right - measured).abs().max() < 1e-4 and (ours - measured).abs().max() > 0.1
 
 
-def test_prior_and_its_slopes_are_those_of_autograd(model, inputs):
+def test_the_priors_slopes_are_those_of_autograd(model, inputs):
     x, _ = inputs
-    prior, rows = derivatives.prior_slopes(model, x)
-    reference = model.prior(x)
-    torch.testing.assert_close(prior.mean, reference.mean, atol=1e-12, rtol=1e-12)
-    torch.testing.assert_close(prior.log_var, reference.log_var, atol=1e-12, rtol=1e-12)
+    rows, reference = derivatives.prior_slopes(model, x), model.prior(x)
     theirs = jacrev(lambda xi: torch.cat(model.prior(turned(x, xi.expand(COUNT, -1))), -1))(torch.zeros(XI, dtype=F64))
     torch.testing.assert_close(rows, theirs, atol=1e-11, rtol=1e-10)
     assert theirs[..., :ADDED].norm() > 0.1 and theirs[..., ADDED:].norm() > 0.1
@@ -115,8 +114,8 @@ def test_a_body_on_its_side_has_finite_slopes(model, inputs):
     x, z = (value.clone() for value in inputs)
     side = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], dtype=F64)
     x[0, ADDED : ADDED + 9] = side.mT.flatten()
-    resting = DecoderLayers.of(model)
-    resting = resting._replace(weights=[w * 0 for w in resting.weights], z_weights=[w * 0 for w in resting.z_weights])
-    resting = resting._replace(biases=[b * 0 for b in resting.biases])
+    resting = copy.deepcopy(model)
+    for weight in resting.decoder.parameters():
+        weight.zero_()
     assert all(part.isfinite().all() for part in derivatives.transition_slopes(resting, x, z))
-    assert derivatives.prior_slopes(model, x)[1].isfinite().all()
+    assert derivatives.prior_slopes(model, x).isfinite().all()

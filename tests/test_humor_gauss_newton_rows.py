@@ -146,11 +146,9 @@ def test_rows_are_the_gauss_newton_matrix_of_naive_residuals(case, kind):
     slopes = jacrev(lambda c: residuals(case, nothing + c, evidence, weights, robust))(nothing[0])
     h = torch.einsum("bmtn,bmsk->btnsk", slopes, slopes)
     ours = assembled(found)
-    body = slice(0, CHANGE + 8)
-    torch.testing.assert_close(ours[:, :, body, :, body], h[:, :, body, :, body], atol=1e-8, rtol=1e-8)
-    if kind == "free":  # their columns are forward differences
-        scale = h[:, 0, -3:, 0, -3:].diagonal(dim1=1, dim2=2).sqrt().amin()
-        assert (ours - h)[:, :, -3:].norm() < 5e-3 * h[:, :, -3:].norm() and scale > 1.0
+    torch.testing.assert_close(ours, h, atol=1e-8, rtol=1e-8)
+    if kind == "free":
+        assert h[:, 0, -3:, 0, -3:].diagonal(dim1=1, dim2=2).amin() > 1.0
 
     if kind == "joints":  # the twin's residuals are the energy's, half their squares
         half = 0.5 * residuals(case, nothing, evidence, weights, robust).square().sum()

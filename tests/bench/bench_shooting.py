@@ -1,5 +1,5 @@
-"""The fast solver's parts: slopes by hand against autograd's, a closure in the loop as compiled loops against tensors,
-and the sweep against a dense factorisation.
+"""The fast solver's parts: a closure in the loop as compiled loops against tensors, and the sweep against a dense
+factorisation.
 
 Ratios of processor time in one run, ways measured in turns; what is compared must give the same numbers before it is
 timed.
@@ -10,13 +10,10 @@ import time
 import torch
 
 from data_synth import clips
-from motionlab.humor import compiled, state
+from motionlab.humor import compiled
 from motionlab.humor.pretrained import load_priors
-from motionlab.humor.rollout import infer
-from motionlab.humor.shooting import coordinates, derivatives
+from motionlab.humor.shooting import coordinates
 from motionlab.humor.stages import rolled_terms
-from motionlab.humor.state import ADDED
-from motionlab.humor.transition import DecoderLayers
 from studies.shared.profiling import interleaved
 from studies.shared.workload import workload
 
@@ -33,30 +30,6 @@ def said(what: str, slow: torch.Tensor, fast: torch.Tensor) -> None:
     low, middle, high = (slow / fast).quantile(torch.tensor([0.0, 0.5, 1.0])).tolist()
     times = f"{1e3 * slow.median():.0f} / {1e3 * fast.median():.0f} ms"
     print(f"{what}: {times}, ratio {middle:.2f} [{low:.2f}, {high:.2f}]")
-
-
-def by_hand(motion) -> None:
-    """The network's part of a transition's slopes."""
-    model = load_priors().motion
-    states = state.from_motion(motion, causal=model.causal)[None]
-    z, decoder = infer(model, states)[0].mean[0], DecoderLayers.of(model)
-    x = state.localise(states, state.heading(states))[0, :-1]
-
-    def raw(x, z):
-        return derivatives._raw(decoder, x[None], z[None])[0, :207]
-
-    def autograd():
-        return torch.func.vmap(torch.func.jacrev(raw, argnums=(0, 1)))(x, z)
-
-    of_x, of_z = autograd()
-    ours = derivatives.decoder_slopes(decoder, x, z)
-    for mine, theirs in ((ours[:, :ADDED], of_x[..., :ADDED].mT), (ours[:, 207:], of_z.mT)):
-        if not torch.allclose(mine, theirs, atol=1e-3 * float(theirs.abs().max())):
-            raise SystemExit("slopes by hand are not autograd's")
-    said(
-        "decoder slopes of 59 transitions, autograd / by hand",
-        *in_turns(autograd, lambda: derivatives.decoder_slopes(decoder, x, z)),
-    )
 
 
 def loops(motion) -> None:
@@ -117,6 +90,5 @@ def sweeps() -> None:
 if __name__ == "__main__":
     torch.set_num_threads(1)
     walk = clips.draw(1, torch.Generator().manual_seed(0), actions=("walk",))[0].motion.cut(0, FRAMES)
-    by_hand(walk)
     loops(walk)
     sweeps()

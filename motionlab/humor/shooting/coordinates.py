@@ -30,7 +30,6 @@ from motionlab.humor.shooting.derivatives import CHANGE, GAMMA, LATENTS, XI
 from motionlab.humor.shooting.gauss_newton import factorised, riccati_sweep
 from motionlab.humor.stages import Problem
 from motionlab.humor.state import ADDED
-from motionlab.humor.transition import DecoderLayers
 from motionlab.humor.unknowns import Rolled, Unknowns
 
 #: The first state's unknowns and their sizes, its rotation as a vector.
@@ -38,7 +37,6 @@ FIRST_SIZES = {"trans": 3, "orient": 3, "latent": 32, "trans_vel": 3, "root_orie
 _FIRST = sum(FIRST_SIZES.values())
 #: Where the features of the initial-state mixture stand in xi: joints, joints_vel, trans_vel, root_orient_vel.
 _FEATURES = [*range(9, 141), *range(3, 9)]
-_STEP = 1e-3
 _INFORMATION = 0.25 * 0.5
 _SHARPEST = 1e2  # 1 / sigma of the prior counts no more than this in the matrix
 
@@ -124,10 +122,9 @@ def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) 
     x = state.localise(states, frame)
     past, keys = x[:, :-1], key_frames(frames - 1, stride).to(z.device)
     some, between = past[:, keys].flatten(0, 1), partial(between_keys, keys=keys, clips=clips)
-    decoder = DecoderLayers.of(model)
-    decoded = between(derivatives.decoder_slopes(decoder, some, z[:, keys].flatten(0, 1)))
-    moves = derivatives.transition_slopes(decoder, past.flatten(0, 1), z.flatten(0, 1), decoded)
-    prior_slopes = between(derivatives.prior_slopes(model, some)[1])
+    decoded = between(derivatives.decoder_slopes(model, some, z[:, keys].flatten(0, 1)))
+    moves = derivatives.transition_slopes(model, past.flatten(0, 1), z.flatten(0, 1), decoded)
+    prior_slopes = between(derivatives.prior_slopes(model, some))
     weights = problem.weights.of(3, frames=frames)
     found = gauss_newton.residual_rows(
         x, frame.turn, frame.shift, moves.turn.unflatten(0, (clips, -1)), unknown.betas, unknown.camera,
@@ -212,10 +209,7 @@ def whiten_first_state(problem: Problem, unknown: Unknowns, cost: Tensor, frames
     betas = slice(_FIRST, _FIRST + BETAS)
     h[:, betas, betas].diagonal(dim1=-2, dim2=-1).add_(2 * frames * weights.get("shape_prior", 0.0))
     if view is not None and view.free:
-        camera = unknown.camera
-        moves = torch.stack(
-            [(view.floor(camera + _STEP * e) - view.floor(camera)) / _STEP for e in torch.eye(3).to(camera)], -1
-        )
+        moves = derivatives.columns(lambda more, camera: view.floor(camera + more), 3, unknown.camera)
         part = slice(_FIRST + BETAS, None)
         h[:, part, part] += frames * weights.get("floor_reg", 0.0) * moves.mT @ moves
     features = slope[:, _FEATURES]
@@ -240,16 +234,11 @@ def mixed_features(problem: Problem, unknown: Unknowns) -> Tensor:
 
 def first_slopes(problem: Problem, unknown: Unknowns, count: int) -> Tensor:
     """Computes the derivative (B, n, f) of the change of frame 0 in the first state's unknowns, shape and camera."""
-    clips, betas = len(unknown.betas), unknown.betas
-    steps = _STEP * torch.eye(count, dtype=betas.dtype, device=betas.device)
-    many = replace(unknown, z=None).map(lambda x: x.repeat_interleave(count, 0))
+    first = unknowns.first_state(unknown, problem.priors)
 
-    def at(sign: float) -> Tensor:
-        return unknowns.first_state(apply_change(many, sign * steps.repeat(clips, 1)), problem.priors)
+    def change(small: Tensor, first: Tensor) -> Tensor:
+        moved = apply_change(replace(unknown, z=None), small)
+        return derivatives.state_change(unknowns.first_state(moved, problem.priors), first)
 
-    change = derivatives.state_change(at(1.0), at(-1.0)) / (2 * _STEP)
-    shared = count - _FIRST  # passed on
-    out = change.new_zeros(clips, CHANGE + shared, count)
-    out[:, :CHANGE] = change.unflatten(0, (clips, count)).mT
-    out[:, CHANGE:, _FIRST:] = torch.eye(shared, dtype=change.dtype, device=change.device)
-    return out
+    of_shared = torch.eye(count).to(first)[_FIRST:].expand(len(first), -1, -1)  # passed on
+    return torch.cat((derivatives.columns(change, count, first), of_shared), 1)

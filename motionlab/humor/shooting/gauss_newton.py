@@ -30,15 +30,12 @@ from torch.nn import functional as F
 from motionlab.humor import energies, state
 from motionlab.humor.body_shape import BETAS, CARRIERS, GROUP_OF, ORDER, PLACE, SPREAD, offsets, scales
 from motionlab.humor.evidence import Evidence, View
-from motionlab.humor.shooting.derivatives import CHANGE, XI, about_z
+from motionlab.humor.shooting.derivatives import CHANGE, XI, columns
 from motionlab.humor.state import ADDED
 from motionlab.skeleton import STANDARD, fk
 
 _J = state.JOINT_COUNT
 _OWN = slice(9, 75)  # of the joints that the roll-out carries, in xi
-_STEP = 1e-3
-
-
 _HANGS = STANDARD.ancestors().float().T.contiguous()  # [k, j]: the bone to k is on the way to j
 _ABOVE = _HANGS - torch.eye(_J)  # [k, j]: joint k's rotation moves joint j, which lies below it
 _IN_GROUP = F.one_hot(torch.tensor(GROUP_OF), BETAS).float()
@@ -84,7 +81,7 @@ def _posed(x: Tensor, betas: Tensor, *, size: int, marks: bool = False) -> Body:
     turned = torch.linalg.cross(axes.mT[:, :, None], lever[..., None, :].expand(-1, -1, -1, 3, -1))  # (N, 22, P, 3a, 3)
     turned = turned * above[:, :, None, None]
     out[..., ADDED:XI] = turned.permute(0, 2, 4, 1, 3).flatten(3)
-    out[..., XI] = about_z(points)
+    out[..., XI] = _about_z(points)
     out[..., 0, XI + 1] = out[..., 1, XI + 2] = 1.0
     longer = torch.einsum("nkc,kp,kg->npcg", stretch, hangs, _IN_GROUP.to(x))
     if marks:
@@ -94,12 +91,17 @@ def _posed(x: Tensor, betas: Tensor, *, size: int, marks: bool = False) -> Body:
     return Body(points, out)
 
 
+def _about_z(v: Tensor) -> Tensor:
+    """e_z x v (..., 3)."""
+    return torch.stack((-v[..., 1], v[..., 0], torch.zeros_like(v[..., 0])), -1)
+
+
 def _own_joints(x: Tensor, size: int) -> Body:
     """Computes the joints that the roll-out carries beside the pose, as :func:`_posed`."""
     joints = x[:, _OWN].unflatten(1, (_J, 3))
     out = x.new_zeros(len(x), _J, 3, size)
     out[..., _OWN] = torch.eye(66, dtype=x.dtype, device=x.device).unflatten(0, (_J, 3))
-    out[..., XI] = about_z(joints)
+    out[..., XI] = _about_z(joints)
     out[..., 0, XI + 1] = out[..., 1, XI + 2] = 1.0
     return Body(joints, out)
 
@@ -178,10 +180,8 @@ def _pixel_rows(marks: Body, turn, shift, camera, evidence: Evidence, weight: fl
     pixels = view.pixels(world, camera)
     slopes = whole @ marks.slopes.unflatten(0, (clips, frames))
     if free:
-        for k in range(3):
-            moved = camera.clone()
-            moved[:, k] += _STEP
-            slopes[..., -3 + k] = (view.pixels(world, moved) - pixels) / _STEP
+        of_camera = columns(lambda more, camera: view.pixels(world, camera + more).flatten(1), 3, camera)
+        slopes[..., -3:] = of_camera.unflatten(1, pixels.shape[1:])
     residual = (pixels - evidence.values).square()
     robust = (energies.SIGMA**2 / (energies.SIGMA**2 + residual)).square()
     root = (2 * weight * evidence.weight.square()[..., None] * robust).sqrt()
