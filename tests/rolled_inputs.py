@@ -1,7 +1,8 @@
-"""Random small networks and states for tests of the roll-out, and a naive twin of one transition."""
+"""Random small networks and states for tests of the roll-out, a naive twin of a transition, and the golden mixture."""
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -9,6 +10,7 @@ from motionlab import rotation
 from motionlab.heading import Frame
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae, reorder
+from motionlab.humor.priors import InitGmm
 from motionlab.humor.shooting.derivatives import XI
 from motionlab.humor.state import ADDED
 
@@ -29,6 +31,16 @@ def network(width: int = 128, *, skip: bool = False) -> Cvae:
         if skip:
             made.skip.weight *= 0.1
     return reorder(made).frozen()  # drawn as official weights
+
+
+def golden_mixture() -> InitGmm:
+    """The mixture of the reference values, by their recipe."""
+    draw = np.random.RandomState(7)
+    means = draw.standard_normal((3, 138)) * 0.3
+    factor = draw.standard_normal((3, 138, 138)) * 0.05
+    covariances = factor @ factor.transpose(0, 2, 1) + 0.1 * np.eye(138)
+    weights = torch.tensor([0.2, 0.3, 0.5], dtype=torch.float64)
+    return InitGmm(weights, torch.from_numpy(means), torch.from_numpy(covariances))
 
 
 def first_states(generator: torch.Generator, batch: int) -> Tensor:

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import rotation
 from motionlab.errors import ShapeError
-from motionlab.heading import world_to_local_orientations, world_to_local_positions
 from motionlab.humor import energies
+from motionlab.humor.cvae import Gaussian
 from motionlab.observation import Camera, project
-from studies.nb04_prior import floor
+from tests.rolled_inputs import golden_mixture
 
 GOLDEN = np.load(Path(__file__).parent / "golden" / "humor_energies.npz")
 F64 = torch.float64
@@ -39,7 +38,7 @@ def per_clip_twin(energy, *arguments) -> torch.Tensor:
     return torch.cat([energy(*(x[i : i + 1] for x in arguments)) for i in range(len(arguments[0]))])
 
 
-INITIAL = torch.tensor(floor.INITIAL, dtype=F64).expand(4, 3)
+INITIAL = torch.tensor([0.0, 0.5, 0.0], dtype=F64).expand(4, 3)  # the official first floor, below the camera
 CASES = {
     "joints3d": (energies.joints3d, lambda: (joints(), golden("loss_joints_b"))),
     "smooth": (energies.joints3d_smooth, lambda: (joints(),)),
@@ -54,11 +53,12 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_an_energy_is_that_of_each_clip(name):
-    """Their sums over all clips are the official ones: ``test_humor_parity``."""
+    """And its sum over all clips is the official one."""
     energy, arguments = CASES[name][0], CASES[name][1]()
     found = energy(*arguments)
     assert found.shape == (4,)
     torch.testing.assert_close(found, per_clip_twin(energy, *arguments), rtol=1e-12, atol=0)
+    torch.testing.assert_close(found.sum(), golden(f"loss_{name}").squeeze(), rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -79,6 +79,7 @@ def test_control_what_moves_in_one_clip_changes_that_clip(name, generator):
 
 def test_gmof_is_bounded():
     found = energies.gmof(golden("gmof_in"))
+    torch.testing.assert_close(found, golden("gmof_sigma100"), rtol=1e-10, atol=1e-10)
     assert (energies.gmof(torch.tensor(1e6)) - 1e4).abs() < 1  # bounded by sigma^2
     assert not torch.allclose(energies.gmof(golden("gmof_in"), 50.0), found)
 
@@ -100,30 +101,23 @@ def test_priors_of_pose_and_shape(generator):
     )
 
 
-def test_golden_floor_plane():
-    normal, offset = floor.normal_and_offset(golden("floor3"))
-    torch.testing.assert_close(torch.cat((normal, offset[:, None]), -1), golden("floor4"), rtol=1e-12, atol=1e-14)
-    normal, offset = floor.normal_and_offset(torch.tensor(floor.INITIAL))
-    assert normal.tolist() == [0, -1, 0] and offset == -0.5
-    assert not any(x.isnan().any() for x in floor.normal_and_offset(torch.zeros(3)))
+def test_golden_motion_prior():
+    rolled = np.load(Path(__file__).parent / "golden" / "humor_rollouts.npz")
+    z, mean, var = (torch.as_tensor(rolled[n]).double() for n in ("roll_z", "roll_prior_mean", "roll_prior_var"))
+    found, other = (energies.motion_prior(z, Gaussian(mean, x.log())).sum() for x in (var, 2 * var))
+    torch.testing.assert_close(found, golden("loss_motion_prior_nll").squeeze(), rtol=1e-10, atol=1e-10)
+    assert (other / found - 1).abs() > 0.01
 
 
-def test_golden_world_from_floor():
-    trans, root = golden("cam_trans"), rotation.exp(golden("cam_root_aa"))
-    frame = floor.world_frame(golden("floor3"), trans, root)
-    torch.testing.assert_close(frame.turn, golden("cam2prior_R"), atol=1e-8, rtol=0)  # the official angle |aa + 1e-8|
-    height = golden("cam2prior_root_height")[:, 0]
-    pelvis = golden("cam_joints")[:, 0]
-    torch.testing.assert_close(floor.height(golden("floor3"), pelvis), height, rtol=1e-12, atol=1e-14)
-    torch.testing.assert_close(world_to_local_positions(frame, pelvis)[:, 2], height, rtol=1e-12, atol=1e-12)
-    moved = world_to_local_positions(frame, trans)
-    torch.testing.assert_close(moved[:, :2], torch.zeros(4, 2, dtype=F64), atol=1e-12, rtol=0)
-    # the official code moves by -trans first; that is ours up to the way along the normal
-    rest = (frame.turn @ (frame.shift - golden("cam2prior_t"))[..., None])[..., 0]
-    torch.testing.assert_close(rest[:, :2], torch.zeros(4, 2, dtype=F64), atol=1e-12, rtol=0)
-    assert rotation.yaw(world_to_local_orientations(frame, root)).abs().max() < 1e-7
-    wrong = floor.world_frame(golden("floor3").flip(0), trans, root)
-    assert (wrong.turn - golden("cam2prior_R")).abs().max() > 0.01
+def test_golden_mixture():
+    found = golden_mixture().log_prob(golden("gmm_x"))
+    torch.testing.assert_close(found, golden("gmm_logprob").reshape(found.shape), rtol=1e-10, atol=1e-10)
+
+
+def test_no_golden_energy_is_left_out():
+    inputs = {"loss_joints_b", "loss_contact_conf"}
+    named = {f"loss_{name}" for name in CASES} | {"loss_motion_prior_nll"}
+    assert {name for name in GOLDEN.files if name.startswith("loss_")} == named | inputs
 
 
 def test_golden_projection():

@@ -14,16 +14,7 @@ from motionlab.humor.priors import InitGmm
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from motionlab.training import prior_training
-
-
-def golden_mixture() -> InitGmm:
-    """The mixture of the reference values, by their recipe."""
-    draw = np.random.RandomState(7)
-    means = draw.standard_normal((3, 138)) * 0.3
-    factor = draw.standard_normal((3, 138, 138)) * 0.05
-    covariances = factor @ factor.transpose(0, 2, 1) + 0.1 * np.eye(138)
-    weights = torch.tensor([0.2, 0.3, 0.5], dtype=torch.float64)
-    return InitGmm(weights, torch.from_numpy(means), torch.from_numpy(covariances))
+from tests.rolled_inputs import golden_mixture
 
 
 def small(generator: torch.Generator, components: int = 3, size: int = 4) -> InitGmm:

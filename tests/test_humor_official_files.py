@@ -18,6 +18,7 @@ from motionlab.humor.priors import PosePrior
 from studies.nb04_prior import parity
 from studies.official import rollout as official_rollout
 from studies.shared import savings
+from tests.rolled_inputs import golden_mixture
 
 PELVIS = (0.02, -0.3, 0.05)  # of no body in particular
 
@@ -34,7 +35,7 @@ def files(tmp_path_factory):
         layer, part = name.split(".")
         theirs[f"{_NAMES_1[layer]}.{part}"] = value
     torch.save(theirs, folder / "vposer.pt")
-    np.savez(folder / "gmm.npz", **{n: x.numpy() for n, x in parity.seeded_mixture().tensors().items()})
+    np.savez(folder / "gmm.npz", **{n: x.numpy() for n, x in golden_mixture().tensors().items()})
     return {"motion": folder / "humor.pth", "pose": folder / "vposer.pt", "initial": folder / "gmm.npz"}
 
 
@@ -86,7 +87,7 @@ def test_an_official_prior_says_of_the_pelvis_what_it_said_of_its_translation(gi
     else."""
     monkeypatch.setitem(official_rollout.rollout.__kwdefaults__, "align", savings.exact_alignment)
     monkeypatch.setattr(official_rollout._frame, "__defaults__", (savings.exact_alignment,))
-    official, mixture, j = parity.seeded(alternative=True), parity.seeded_mixture(), torch.tensor(PELVIS).double()
+    official, mixture, j = parity.seeded(alternative=True), golden_mixture(), torch.tensor(PELVIS).double()
     ours = state.from_motion(walk()[1])[None].double()
     parts = state.unpack(ours)
     theirs = state.pack(parts | {"trans": parts["trans"] - j})

@@ -32,7 +32,7 @@ def of(rows, form):
 
 def test_the_official_form_is_met_to_rounding(rows):
     official = of(rows, "official")
-    assert len(official) >= 45 and max(row.error for row in official) < 1e-12
+    assert len(official) >= 44 and max(row.error for row in official) < 1e-12
     assert {row.tolerance for row in official} == {parity.EXACT}
 
 
@@ -56,11 +56,11 @@ def test_one_formula_exchanged_in_the_official_form_misses_what_the_lean_form_mi
         monkeypatch.setattr(official_rollout._frame, "__defaults__", (savings.exact_alignment,))
     else:
         monkeypatch.setattr(official_rollout, "axis_angle_to_matrix", rotation.exp)  # of the deltas
-        monkeypatch.setattr(official_rotation, "axis_angle_to_matrix", rotation.exp)  # of the heading, of a camera
+        monkeypatch.setattr(official_rotation, "axis_angle_to_matrix", rotation.exp)  # of the heading
     error = {row.arrays: row.error for row in of(parity.parity_rows(FOLDER), "official")}
     lean = {row.arrays: row for row in of(rows, "lean") if row.why}
     explained = {name for name, row in lean.items() if ("heading" in row.why) == (cause == "heading")}
-    assert 4 <= len(explained) < len(lean)
+    assert 3 <= len(explained) < len(lean)
     for name, row in lean.items():
         if name in explained:
             assert error[name] == pytest.approx(row.error, rel=0.02), name
@@ -68,7 +68,7 @@ def test_one_formula_exchanged_in_the_official_form_misses_what_the_lean_form_mi
             assert error[name] < 0.01 * row.error, name
 
 
-def test_no_golden_array_of_states_networks_roll_outs_and_energies_is_left_out(rows):
+def test_no_golden_array_of_states_networks_and_roll_outs_is_left_out(rows):
     inputs = {"x_past", "x_t", "z", "roll_z", "fwd_eps", "weight_check_keys", "canon_w2a_trans", "canon_trans2joint"}
     of_encoder = {"posterior_mean", "posterior_var", "prior_mean", "prior_var"}  # halves of encoder_raw, prior_raw
     named = {row.arrays for row in rows}
@@ -77,9 +77,6 @@ def test_no_golden_array_of_states_networks_roll_outs_and_energies_is_left_out(r
     for file in ("humor_rollouts.npz", "humor_frames.npz"):
         left = set(golden.names(file)) - named - parts - inputs - of_encoder
         assert not {name for name in left if not name.startswith("world_")}
-    found = {name for name in golden.names("humor_energies.npz") if name.startswith(("loss_", "gm", "floor4"))}
-    assert found - named == {"loss_joints_b", "loss_contact_conf", "gmof_in", "gmm_x"}  # inputs
-    assert {"metric_accel_mag", "metric_pen_counts"} <= named
 
 
 def test_control_other_weights_are_noticed():

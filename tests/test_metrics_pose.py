@@ -25,6 +25,14 @@ def test_golden_penetration_of_humor():
     torch.testing.assert_close(found.mean_depth_m, torch.as_tensor(GOLDEN["metric_pen_dist"]).mean())
 
 
+def test_golden_acceleration_of_humor():
+    joints = np.load(Path(__file__).parent / "golden" / "humor_energies.npz")["world_joints"][0].reshape(-1, 22, 3)
+    found = pose.acceleration(torch.as_tensor(joints).double(), 30.0)
+    torch.testing.assert_close(
+        found, torch.as_tensor(GOLDEN["metric_accel_mag"]).reshape(found.shape), rtol=1e-10, atol=1e-10
+    )
+
+
 def test_mpjpe_of_a_shift_a_turn_and_a_scale(generator):
     truth = walks(generator, 4, 6, 22)
     shifted = truth + torch.tensor([0.3, 0.0, 0.4])

@@ -1,4 +1,4 @@
-"""The corpus of real motion: what is in it, what was cut, and of which kind its motion is."""
+"""The corpus of real motion: what is in it, and of which kind its motion is."""
 
 import re
 from collections.abc import Sequence
@@ -6,6 +6,7 @@ from pathlib import Path
 
 from motionlab import corpus
 from motionlab.corpus import Corpus, Take
+from motionlab.motion import Motion, velocity
 
 #: Sources of a corpus that may be trained on.
 SOURCES = ("cmu_library", "cmu_native", "cmu_amc", "deepmimic", "isaacgym_amp_cmu")
@@ -46,23 +47,27 @@ def kind_of(take: Take) -> str:
     return next((kind for kind, words in KINDS.items() if re.search(words, said)), "other")
 
 
-def cleaned_rows(found: Corpus) -> list[dict[str, object]]:
-    """Computes a row per source: recordings, minutes, how many are kept, and minutes cut by fault."""
-    faults = sorted({name for row in found.rows for name in row.cut})
-    return [
-        {"source": row.source, "recordings": row.recordings, "minutes": row.seconds / 60, "kept": row.kept / 60}
-        | {name: row.cut.get(name, 0.0) / 60 for name in faults}
-        | {"refused files": len(row.refused)}
-        for row in found.rows
-    ]
-
-
 def takes_by_kind(found: Corpus) -> dict[str, list[Take]]:
     """Returns the takes of each kind of motion, the kind with most minutes first."""
     by_kind: dict[str, list[Take]] = {}
     for take in found.takes:
         by_kind.setdefault(kind_of(take), []).append(take)
     return dict(sorted(by_kind.items(), key=lambda pair: -_minutes(pair[1])))
+
+
+def first_of_kind(real: Corpus, kind: str) -> Motion:
+    """Returns the first recording of a kind of motion."""
+    return next(take.motion for take in real.takes if kind_of(take) == kind)
+
+
+def busiest(motion: Motion) -> Motion:
+    """Cuts out the three seconds in which the joints move most; a shorter motion stays whole."""
+    length = round(3.0 * motion.fps)
+    if motion.frames <= length:
+        return motion
+    moves = velocity(motion.positions, motion.fps, dim=0).norm(dim=-1).mean(-1)
+    start = int(moves.unfold(0, length, 1).mean(-1).argmax())
+    return motion.cut(start, start + length)
 
 
 def _minutes(takes: Sequence[Take]) -> float:

@@ -44,11 +44,6 @@ class Windows(NamedTuple):
         """Returns the windows of these kinds."""
         return self.pick(torch.tensor([kind in kinds for kind in self.kinds], dtype=torch.bool))
 
-    def mean(self, name: str) -> float:
-        """Computes the mean of one description, every person counting alike."""
-        values = by_person(self.table[:, list(DESCRIPTION_UNITS).index(name)], self.whose)
-        return float(values.nanmean())
-
     @property
     def people(self) -> int:
         """How many people there are."""
@@ -197,21 +192,3 @@ def largest_elsewhere(gaps: Tensor) -> Tensor:
         at = int(middle.abs().argmax())
         found[mine] = gaps[mine, at] * middle[at].sign()
     return found
-
-
-def kind_row(kind: str, real: Windows, made: Windows, told: float) -> dict[str, object]:
-    """Computes a row of the table of kinds: in which description synthetic motion differs most, and by how much."""
-    gaps = lacking(real, made).mean(0)
-    names, units = zip(*DESCRIPTION_UNITS.items(), strict=True)
-    at, then = gaps.abs().argsort(descending=True)[:2].tolist()
-    return {
-        "kind": kind, "people": real.people, "recorded windows": len(real.whose), "synthetic windows": len(made.whose),
-        "differs most in": f"{names[at]}, {units[at]}", "synthetic mean": float(made.table[:, at].mean()),
-        "recorded mean": real.mean(names[at]), "difference, SD": f"{gaps[at]:+.1f}",
-        "next largest difference": f"{names[then]} {gaps[then]:+.1f} SD", "judge is right, %": f"{100 * told:.0f}",
-    }  # fmt: skip
-
-
-def percent(value: float, low: float, high: float) -> str:
-    """Returns a share with its interval, in percent."""
-    return f"{100 * value:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"

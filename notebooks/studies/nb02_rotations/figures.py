@@ -1,6 +1,6 @@
-"""The figures of notebook 02: one gap, the ball, numbers of a turn, distance from the cut, gaps, flips, consistency."""
+"""The figures of notebook 02: one gap, distance from the cut, gaps, flips, consistency."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -10,9 +10,8 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.motion import FPS
-from motionlab.viz.palette import INK, LINE, ROLE, blend
+from motionlab.viz.palette import INK, LINE, ROLE
 from studies.nb02_rotations import representations as rep
-from studies.nb02_rotations.ball import draw_ball
 from studies.nb02_rotations.representations import Representation
 from studies.nb02_rotations.trials import ARMS, Consistency, Gaps
 from studies.shared.plots import canvas
@@ -20,9 +19,9 @@ from studies.shared.plots import canvas
 #: Which colour a representation has.
 ROLE_OF = {
     "axis-angle": "axis-angle", "axis-angle, unrolled": "baseline", "axis-angle, nearest vector": "baseline",
-    "quaternion, w ≥ 0": "quaternion", "Euler ZXY": "stage2", "6D, lengths free": "observation", "6D": "6d",
+    "quaternion, w ≥ 0": "quaternion", "6D, lengths free": "observation", "6D": "6d",
 }  # fmt: skip
-_DASHES = {"x": "-", "y": "--", "z": ":", "w": "-."}
+_DASHES = {"x": "-", "y": "--", "z": ":"}
 
 
 def _shade_gap(ax: Axes, frames: int, gap: int) -> None:
@@ -50,45 +49,6 @@ def one_gap(truth: Tensor, thetas: Mapping[Representation, Tensor], gap: int) ->
     for ax, columns in zip(axes, (3, 2), strict=True):
         _shade_gap(ax, len(truth), gap)
         ax.legend(ncol=columns, loc="upper center", bbox_to_anchor=(0.5, -0.17), frameon=False)
-    return fig
-
-
-def ball(truth: Tensor, filled: Tensor, gap: int, *, azimuth: float = -60.0, upto: float = 1.0) -> Figure:
-    """Draws the ball with the true path (T, 3, 3) and the vectors (T, 3) that smoothness in axis-angle made of it."""
-    vectors = {"truth": rotation.matrix_to_axis_angle(truth), "axis-angle": filled}
-    fig, (ax,) = canvas(1, 1, size=(8.6, 7.2))
-    ax.imshow(draw_ball(vectors, gap, azimuth=azimuth, upto=upto))
-    ax.set_axis_off()
-    true, made = (rep.turned(rep.across_gap(p, gap)) for p in (truth, rotation.axis_angle_to_matrix(filled)))
-    words = {
-        ROLE["truth"]: f"the body as it turned: {true:.0f}° across the gap",
-        ROLE["axis-angle"]: f"filled in axis-angle: {made:.0f}°",
-        ROLE["observation"]: "an upright body, every heading",
-        blend(ROLE["axis-angle"], "white", 0.6): "surface: half a turn, THE CUT",
-    }
-    for paint, label in words.items():
-        ax.plot([], [], color=paint, lw=4, label=label)
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=2, frameon=False)
-    return fig
-
-
-def components(path: Tensor, choices: Sequence[Representation]) -> Figure:
-    """Draws every parameter of a path (T, 3, 3) over the turned angle, named, one panel per representation."""
-    fig, axes = canvas(2, 3, size=(11.5, 6.4))
-    degrees = torch.rad2deg(rotation.geodesic(path[:-1], path[1:]).cumsum(0))
-    for ax, how in zip(axes, choices, strict=False):
-        paint = ROLE[ROLE_OF[how.name]]
-        for name, column in zip(how.parts, how.encode(path).numpy()[1:].T, strict=True):
-            tone = blend(paint, "white", 0.45) if name.startswith("b_") else paint
-            label = f"${name}$" if "_" in name else name
-            ax.plot(degrees, column, lw=1.7, color=tone, ls=_DASHES[name[-1].lower()], label=label)
-        unit = "no unit" if len(how.parts) != 3 else "rad"
-        ax.set_title(f"{how.name} ({unit})", pad=36 if len(how.parts) == 6 else 20, loc="left")
-        place = {"loc": "lower left", "bbox_to_anchor": (-0.02, 0.98), "borderpad": 0.1, "columnspacing": 1.2}
-        ax.legend(ncol=3 if len(how.parts) == 6 else 4, frameon=False, **place)
-        ax.set_xlabel("degrees turned")
-    for ax in axes[len(choices) :]:
-        ax.set_axis_off()
     return fig
 
 

@@ -19,20 +19,18 @@ from motionlab import rotation
 class Representation:
     """A parameterisation of rotations: encode (..., 3, 3) -> (..., P) and back.
 
-    parts: names of the P numbers. tidy: takes the freedom out of parameters that is not rotation (the lengths of 6D
-    vectors and quaternions) without choosing a branch. A smoothness term on raw 6D numbers shrinks them to nothing,
-    where each small change is any rotation at all; on tidy numbers it cannot.
+    tidy: takes the freedom out of parameters that is not rotation (the lengths of 6D vectors and quaternions) without
+    choosing a branch. A smoothness term on raw 6D numbers shrinks them to nothing, where each small change is any
+    rotation at all; on tidy numbers it cannot.
     """
 
     name: str
     encode: Callable[[Tensor], Tensor]
     decode: Callable[[Tensor], Tensor]
-    parts: tuple[str, ...]
     tidy: Callable[[Tensor], Tensor] = lambda theta: theta
 
 
-_XYZ, _COLUMNS = ("x", "y", "z"), ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z")
-AXIS_ANGLE = Representation("axis-angle", rotation.matrix_to_axis_angle, rotation.axis_angle_to_matrix, _XYZ)
+AXIS_ANGLE = Representation("axis-angle", rotation.matrix_to_axis_angle, rotation.axis_angle_to_matrix)
 #: Axis-angle whose branch is made continuous along time (the frame axis, second from the right) beforehand.
 UNROLLED = replace(
     AXIS_ANGLE,
@@ -40,14 +38,13 @@ UNROLLED = replace(
     encode=lambda r: rotation.unroll_axis_angle(rotation.matrix_to_axis_angle(r)),
 )
 QUATERNION = Representation(
-    "quaternion, w ≥ 0", rotation.matrix_to_quaternion, rotation.quaternion_to_matrix, ("w", "x", "y", "z"),
+    "quaternion, w ≥ 0", rotation.matrix_to_quaternion, rotation.quaternion_to_matrix,
     tidy=lambda q: torch.nn.functional.normalize(q, dim=-1),
 )  # fmt: skip
 EULER = Representation(
-    "Euler ZXY", lambda r: rotation.matrix_to_euler(r, "ZXY"), lambda e: rotation.euler_to_matrix(e, "ZXY"),
-    ("about Z", "about X", "about Y"),
-)  # fmt: skip
-RAW_SIXD = Representation("6D, lengths free", rotation.matrix_to_sixd, rotation.sixd_to_matrix, _COLUMNS)
+    "Euler ZXY", lambda r: rotation.matrix_to_euler(r, "ZXY"), lambda e: rotation.euler_to_matrix(e, "ZXY")
+)
+RAW_SIXD = Representation("6D, lengths free", rotation.matrix_to_sixd, rotation.sixd_to_matrix)
 SIXD = replace(RAW_SIXD, name="6D", tidy=lambda d: rotation.matrix_to_sixd(rotation.sixd_to_matrix(d)))
 #: The five descriptions of the first experiment, and the five that fill gaps.
 DESCRIPTIONS = (AXIS_ANGLE, UNROLLED, QUATERNION, EULER, SIXD)
@@ -124,11 +121,6 @@ def nearest_vector(decoded: Tensor, carried: Tensor) -> Tensor:
 def flipped(first: Tensor, second: Tensor) -> Tensor:
     """Tells where (...) two vectors (..., 3) of the same rotation differ by more than pi."""
     return (first - second).norm(dim=-1) > math.pi
-
-
-def count_changes(mask: Tensor) -> Tensor:
-    """Counts how often (...) a mask (..., T) changes between frames."""
-    return (mask[..., 1:] != mask[..., :-1]).sum(-1)
 
 
 def midpoint_error(representation: Representation, first: Tensor, second: Tensor, truth: Tensor) -> Tensor:

@@ -56,11 +56,6 @@ def cut_windows(people: People, length: int, stride: int) -> tuple[Tensor, Tenso
     return torch.cat(pieces), torch.cat(whose)
 
 
-def turn_about(path: Tensor, degrees: float) -> Tensor:
-    """Turns rotations (..., 3, 3) about the vertical: other axes of the room, the same motion."""
-    return rotation.rotation_about("z", torch.tensor(math.radians(degrees)).to(path)) @ path
-
-
 def means(values: Tensor, whose: Tensor, among: Tensor | None = None) -> Tensor:
     """Computes the mean (P,) of values (N,) of each person who has any; ``among`` (N,) chooses which values count."""
     if not len(values):
@@ -145,41 +140,18 @@ def lively_gaps(
 
 def turned_round(gaps: Gaps) -> Tensor:
     """Turns the gaps that cross the cut by half a turn about the vertical, the farthest from the cut there is."""
-    return turn_about(gaps.path[gaps.crossing], 180)
+    return rotation.rotation_about("z", torch.tensor(math.pi).to(gaps.path)) @ gaps.path[gaps.crossing]
 
 
-class Shares(NamedTuple):
-    """Share of a person's gaps filled the long way (P,), by description: of all, of those across the cut, and of those
-    in axis-angle turned round."""
-
-    each: dict[str, Tensor]
-    cut: dict[str, Tensor]
-    turned: Tensor
-
-
-def shares(gaps: Gaps, filled: Mapping[str, Tensor], turned: Tensor) -> Shares:
-    """Computes the share of gaps filled the long way: half a turn or more beyond the shortest."""
+def shares(
+    gaps: Gaps, filled: Mapping[str, Tensor], turned: Tensor
+) -> tuple[dict[str, Tensor], dict[str, Tensor], Tensor]:
+    """Computes the share of a person's gaps filled the long way (P,), half a turn or more beyond the shortest: by
+    description of all gaps and of those across the cut, and of those in axis-angle turned round."""
     long = {name: rep.excess_rotation(path, gaps.gap) >= 180 for name, path in filled.items()}
-    return Shares(
-        {name: means(which, gaps.whose) for name, which in long.items()},
-        {name: means(which, gaps.whose, gaps.crossing) for name, which in long.items()},
-        means(rep.excess_rotation(turned, gaps.gap) >= 180, gaps.whose[gaps.crossing]),
-    )
-
-
-def long_way_rows(found: Mapping[str, Shares], gaps: Mapping[str, Gaps]) -> list[dict[str, object]]:
-    """Builds the table of gaps filled the long way, a row per description, and one for the control."""
-    percent = lambda x: 100 * x.mean().item() if len(x) else "-"  # noqa: E731
-    heads = {s: f"{s}: % of {len(g.path):,} gaps" for s, g in gaps.items()}
-    across = {s: f"{s}: % of {int(g.crossing.sum())} across the cut" for s, g in gaps.items()}
-    rows = [
-        {"description": name}
-        | {heads[s]: percent(f.each[name]) for s, f in found.items()}
-        | {across[s]: percent(f.cut[name]) for s, f in found.items()}
-        for name in next(iter(found.values())).each
-    ]
-    control = {across[s]: percent(f.turned) for s, f in found.items()}
-    return [*rows, {"description": "axis-angle, turned round", **dict.fromkeys(heads.values(), ""), **control}]
+    each = {name: means(which, gaps.whose) for name, which in long.items()}
+    cut = {name: means(which, gaps.whose, gaps.crossing) for name, which in long.items()}
+    return each, cut, means(rep.excess_rotation(turned, gaps.gap) >= 180, gaps.whose[gaps.crossing])
 
 
 # ---------------------------------------------------------------------------------------------------------- flips
@@ -188,14 +160,12 @@ class Flips:
     """How often carried and decoded vectors of one root disagree, one number per person (P,).
 
     per_minute: changes between agreement and disagreement. midpoint_deg (of people with a flip): median over the
-    flipped frames of how far the average of the two vectors is from the rotation. sixd_*: the same for 6D. minutes: in
-    all. share: of frames flipped. example (T, 3, 3): the root with the most flips.
+    flipped frames of how far the average of the two vectors is from the rotation. sixd_*: the same for 6D. example
+    (T, 3, 3): the root with the most flips.
     """
 
     per_minute: Tensor
     sixd_per_minute: Tensor
-    minutes: float
-    share: float
     midpoint_deg: Tensor
     sixd_midpoint_deg: Tensor
     example: Tensor
@@ -203,26 +173,25 @@ class Flips:
 
 def count_flips(people: People, generator: torch.Generator) -> Flips:
     """Compares carried with decoded vectors over whole recordings. Source: thesis 3.3.2, first issue."""
-    rows, middles, masks, most = [], [], [], (-1, None)
+    rates, middles, most = [], [], (-1, None)
     for roots in at_random_heading(people, generator).values():
         changes, minutes, off = torch.zeros(2), 0.0, []
         for root in roots:
             carried, decoded = rep.carried_and_decoded(root)
             mask = rep.flipped(carried, decoded)
             six = [SIXD.encode(rotation.axis_angle_to_matrix(v)) for v in (carried, decoded)]
-            found = torch.stack([rep.count_changes(m) for m in (mask, (six[0] - six[1]).norm(dim=-1) > 0.01)])
+            apart = torch.stack((mask, (six[0] - six[1]).norm(dim=-1) > 0.01))
+            found = (apart[:, 1:] != apart[:, :-1]).sum(1)
             changes, minutes = changes + found, minutes + len(root) / FPS / 60
             errors = (rep.midpoint_error(AXIS_ANGLE, carried, decoded, root), rep.midpoint_error(SIXD, *six, root))
             off.append(torch.stack(errors)[:, mask])
-            masks.append(mask)
             most = max(most, (int(found[0]), root), key=lambda pair: pair[0])
-        rows.append((*(changes / minutes).tolist(), minutes))
+        rates.append(changes / minutes)
         flipped = torch.cat(off, dim=1)
         middles += [flipped.median(1).values] if flipped.shape[1] else []
-    rate, sixd_rate, minutes = torch.tensor(rows, dtype=torch.float64).unbind(1)
+    rate, sixd_rate = torch.stack(rates, 1).double()
     middle = torch.stack(middles, 1) if middles else torch.zeros(2, 0)
-    share = torch.cat(masks).double().mean().item()
-    return Flips(rate, sixd_rate, minutes.sum().item(), share, middle[0], middle[1], most[1])
+    return Flips(rate, sixd_rate, middle[0], middle[1], most[1])
 
 
 # ---------------------------------------------------------------------------------------------------- consistency

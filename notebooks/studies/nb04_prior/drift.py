@@ -7,7 +7,7 @@ up to, which is where stage 3 of the test-time optimisation starts.
 Source: thesis 3.3.3, Figs. 3.10 (decoded one by one), 3.11 (the sequence), 3.12 (rolled out).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -21,7 +21,6 @@ from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import decode_ahead, infer, rollout, sample_rollout
 from motionlab.metrics.gait import tilt_and_bend
 from motionlab.motion import Motion
-from suite.findings import Finding
 
 HIDDEN_BELOW = 0.9  # metres: the height of the table behind which legs are hidden
 
@@ -164,29 +163,3 @@ def chain(step: Callable[[Tensor], Tensor], first: Tensor, steps: int) -> Tensor
     for _ in range(steps):
         states.append(step(states[-1]))
     return torch.stack(states, 1)
-
-
-def rows(found: Sequence[Finding]) -> list[dict[str, object]]:
-    """Computes the table of the chain from what was recorded of H15, a row per sequence."""
-    table: dict[str, dict[str, object]] = {}
-    for f in found:
-        if f.test in _COLUMNS:
-            row = table.setdefault(f.source, {"z from": f.source, "people": f.n})
-            row[_COLUMNS[f.test]] = round(f.value, 2)
-            if f.test == "H15.largely":
-                row["closed loop, cm"] = round(f.baseline_value, 2)
-    return list(table.values())
-
-
-_COLUMNS = {
-    "H15.local": "one step / constant velocity", "H15.encodes": "one step / prior's mean",
-    "H15.diverges": "chain / single errors added", "H15.largely": "chain, cm",
-}  # fmt: skip
-
-
-def knee_rows(shares: Mapping[str, Mapping[str, Tensor]]) -> list[dict[str, object]]:
-    """Computes a row per group: the mean over people of the share of the knees' bend, by way of decoding."""
-    return [
-        {"group": name} | {way: f"{100 * float(share.mean()):.0f} %" for way, share in ways.items()}
-        for name, ways in shares.items()
-    ]

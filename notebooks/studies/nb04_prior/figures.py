@@ -1,109 +1,20 @@
-"""The figures of notebook 04: what a state holds, one step, what a prior reaches, and how decoded motion drifts."""
+"""The figures of notebook 04: samples, parity, what a prior reaches, and how decoded motion drifts."""
 
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
-from matplotlib.ticker import NullLocator
 from torch import Tensor
 
 from motionlab.body import BodyModel
-from motionlab.humor.state import OFFICIAL_SLICES, STATE, unpack
 from motionlab.motion import Motion
-from motionlab.skeleton import Skeleton
-from motionlab.viz.palette import INK, LINE, ROLE
+from motionlab.viz.palette import LINE, ROLE
 from motionlab.viz.scene import Scene
 from studies.nb04_prior.gates import GATES
 from studies.nb04_prior.parity import Row
 from studies.shared.plots import canvas, median_band, paints
 from suite.findings import Criterion
-
-#: One colour per part of the state, positions strong and their velocities pale.
-PARTS = {
-    "trans": "#0072b2", "trans_vel": "#7fb8d8", "root_orient": "#d55e00", "root_orient_vel": "#eaae7f",
-    "pose_body": "#009e73", "joints": "#332288", "joints_vel": "#9990c3",
-}  # fmt: skip
-_MEANING = {
-    "trans": "where the pelvis is", "trans_vel": "its velocity", "root_orient": "how the body is turned",
-    "root_orient_vel": "how fast, about which axis", "pose_body": "21 joint angles, as matrices",
-    "joints": "where 22 joints are", "joints_vel": "their velocities",
-}  # fmt: skip
-_VELOCITY = 0.15  # seconds that an arrow shows
-
-
-def anatomy(state: Tensor, skeleton: Skeleton) -> Figure:
-    """One state (339,) drawn on the body it describes, and its parts in their order."""
-    fig, (body, band) = canvas(2, 1, size=(9.0, 5.0))
-    fig.get_layout_engine().set(hspace=0.02)
-    body.get_gridspec().set_height_ratios((6.5, 1.0))
-    parts = {name: value.double().numpy(force=True) for name, value in unpack(state).items()}
-    flat = _oblique(azimuth=28.0)
-    points = flat(parts["joints"])
-    for j, parent in enumerate(skeleton.parents[1:], start=1):
-        body.plot(*points[[parent, j]].T, color=LINE, lw=5, solid_capstyle="round", zorder=1)
-    turn = {0: parts["root_orient"]}
-    for j, parent in enumerate(skeleton.parents[1:], start=1):
-        turn[j] = turn[parent] @ parts["pose_body"][j - 1]
-        for axis in range(3):  # the bone's own axes stand for its angle
-            end = flat(parts["joints"][j] + 0.055 * turn[j][:, axis])
-            body.plot(*np.stack((points[j], end)).T, color=PARTS["pose_body"], lw=1.3, zorder=2)
-    body.scatter(*points.T, s=22, color=PARTS["joints"], zorder=4)
-    _arrows(body, points, flat(parts["joints"] + _VELOCITY * parts["joints_vel"]), PARTS["joints_vel"], 1.4)
-    root = flat(parts["trans"])
-    for axis in range(3):
-        end = flat(parts["trans"] + 0.2 * turn[0][:, axis])
-        body.plot(*np.stack((root, end)).T, color=PARTS["root_orient"], lw=2.6, zorder=5)
-    _arrows(body, root[None], flat(parts["trans"] + 1.6 * _VELOCITY * parts["trans_vel"])[None], PARTS["trans_vel"], 3)
-    spin = flat(parts["trans"] + 0.35 * parts["root_orient_vel"])
-    _arrows(body, root[None], spin[None], PARTS["root_orient_vel"], 3)
-    body.scatter(*root, s=75, color=PARTS["trans"], zorder=6)
-    origin = flat(np.zeros(3))
-    for axis, name in enumerate(("x: to the right", "y: where the body faces")):
-        end = flat(0.55 * np.eye(3)[axis])
-        _arrows(body, origin[None], end[None], INK, 1.2)
-        body.annotate(name, end, fontsize=8.5, xytext=(4, -3), textcoords="offset points")
-    body.plot(*np.stack((root, origin)).T, color=INK, lw=0.8, ls=":")
-    for k, (name, meaning) in enumerate(_MEANING.items()):
-        size = OFFICIAL_SLICES[name].stop - OFFICIAL_SLICES[name].start
-        body.text(0.60, 0.9 - 0.085 * k, f"{name}  {size}", color=PARTS[name], transform=body.transAxes, weight="bold")
-        body.text(0.83, 0.9 - 0.085 * k, meaning, fontsize=9.5, transform=body.transAxes)
-    middle = points[:, 0].mean()
-    body.set(aspect="equal", xlim=(middle - 1.0, middle + 2.2), ylim=(-0.25, points[:, 1].max() + 0.15))
-    body.axis("off")
-    _band(band)
-    return fig
-
-
-def _band(ax) -> None:
-    for name, part in OFFICIAL_SLICES.items():
-        size = part.stop - part.start
-        ax.add_patch(Rectangle((part.start, 0), size, 1, color=PARTS[name], lw=0))
-        if size > 20:
-            middle = (part.start + part.stop) / 2
-            ax.text(middle, 0.45, name, fontsize=9, color="white", ha="center", va="center")
-    ax.text(0, 1.15, "trans, trans_vel, root_orient, root_orient_vel", fontsize=9)
-    ends = sorted({0, STATE, *(OFFICIAL_SLICES[name].start for name in ("pose_body", "joints", "joints_vel"))})
-    ax.set(xlim=(-2, STATE + 2), ylim=(0, 2.1), yticks=[], xticks=ends)
-    ax.grid(visible=False)
-    ax.spines[:].set_visible(False)
-
-
-def _oblique(azimuth: float, elevation: float = 14.0):
-    """Orthographic projection (..., 3) -> (..., 2) of an eye at these angles, degrees."""
-    a, e = np.radians((azimuth, elevation))
-    right = np.array([-np.sin(a), np.cos(a), 0.0])
-    up = np.array([-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)])
-    return lambda x: np.asarray(x) @ np.stack((right, up), -1)
-
-
-def _arrows(ax, start: np.ndarray, end: np.ndarray, paint: str, width: float) -> None:
-    for a, b in zip(start, end, strict=True):
-        if np.hypot(*(b - a)) > 0.02:
-            ax.annotate("", b, a, arrowprops={"arrowstyle": "-|>", "color": paint, "lw": width, "shrinkA": 0,
-                                              "shrinkB": 0, "mutation_scale": 6 + 3 * width}, zorder=3)  # fmt: skip
 
 
 def parity(rows: Sequence[Row]) -> Figure:
@@ -122,42 +33,6 @@ def parity(rows: Sequence[Row]) -> Figure:
     axes[0].set_ylabel("difference from the official code")
     axes[0].legend(loc="upper left", frameon=False)
     return fig
-
-
-def one_step(
-    before: Tensor, after: Mapping[str, Tensor], samples: Tensor, skeleton: Skeleton, *, larger: float
-) -> Figure:
-    """Draws the body (22, 3) before a step and where every joint goes, (22, 3) by label, its way drawn ``larger``.
-
-    samples (S, 22, 3): where the joints went when z was drawn.
-    """
-    fig, axes = canvas(1, 2, size=(9.6, 4.6))
-    turn = _oblique(azimuth=20.0, elevation=8.0)
-    start = before.double().numpy(force=True)
-    paint = paints(list(after), STEP_ROLES)
-    for ax, names in zip(axes, (list(after)[:2], list(after)[2:]), strict=True):
-        points = turn(start)
-        for j, parent in enumerate(skeleton.parents[1:], start=1):
-            ax.plot(*points[[parent, j]].T, color=LINE, lw=6, solid_capstyle="round", zorder=1)
-        if names == list(after)[2:]:
-            cloud = turn(start + larger * (samples.double().numpy(force=True) - start)).reshape(-1, 2)
-            ax.scatter(*cloud.T, s=5, color=ROLE["stage2"], alpha=0.5, lw=0, zorder=2, label="samples of the prior")
-        for name in names:
-            end = turn(start + larger * (after[name].double().numpy(force=True) - start))
-            for a, b in zip(points, end, strict=True):
-                ax.plot(*np.stack((a, b)).T, color=paint[name], lw=1.6, zorder=3)
-            ax.scatter(*end.T, s=9, color=paint[name], zorder=4, label=name)
-        ax.set(aspect="equal")
-        ax.axis("off")
-        ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3, frameon=False, markerscale=1.6)
-    return fig
-
-
-#: Whose step it is, and its colour.
-STEP_ROLES = {
-    "the person": "truth", "constant velocity": "baseline", "the prior's mean": "ours", "shown the answer": "6d",
-    "held pose": "observation",
-}  # fmt: skip
 
 
 def continuation(samples: Motion, person: Motion, body: BodyModel) -> np.ndarray:
@@ -232,24 +107,6 @@ def _ends(ways: Mapping[str, Motion], body: BodyModel) -> list[np.ndarray]:
             if motion is not person:
                 scene.body(body, person, "observation", frame=-1, opacity=0.35, shadow=0, panel=panel)
         return np.split(scene.floor().image(), len(ways), axis=1)
-
-
-def steps_by_person(panels: Mapping[str, Mapping[str, Tensor]]) -> Figure:
-    """Draws the error of one step of every person (P,) in cm, a column per way of making it, a panel per source."""
-    fig, axes = canvas(1, len(panels), size=(4.9 * len(panels), 3.3), sharey=True)
-    for ax, (title, ways) in zip(np.atleast_1d(axes), panels.items(), strict=True):
-        paint = paints(list(ways), STEP_ROLES)
-        rows = torch.stack(list(ways.values())).numpy(force=True)
-        ax.plot(range(len(ways)), rows, color=LINE, lw=0.7, zorder=1)
-        for k, (name, values) in enumerate(ways.items()):
-            ax.scatter([k] * len(values), values.numpy(force=True), s=16, color=paint[name], zorder=3, lw=0)
-            ax.plot((k - 0.25, k + 0.25), (values.mean(),) * 2, color=paint[name], lw=3, zorder=4)
-        ax.set(title=f"{title}: {rows.shape[1]} people", yscale="log")
-        ax.set_xticks(range(len(ways)), [name.replace(" ", "\n", 1) for name in ways])
-        ax.set_yticks((0.1, 0.2, 0.5, 1, 2, 5), ("0.1", "0.2", "0.5", "1", "2", "5"))
-        ax.yaxis.set_minor_locator(NullLocator())
-    np.atleast_1d(axes)[0].set_ylabel("joint error after 1/30 s (cm, log)")
-    return fig
 
 
 #: Of how decoded motion drifts.

@@ -1,13 +1,12 @@
 """What a transition prior is asked to reach on people nobody trained on: the measures of the model table, as tests."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from motionlab.metrics.intervals import interval
-from suite.findings import Criterion, Finding
 
 Row = Mapping[str, float]
 
@@ -49,20 +48,12 @@ def by_person(gate: Gate, rows: Mapping[str, Row]) -> Tensor:
     """Computes a gate's number of every person (P,); people of whom there is none are left out."""
     values = torch.tensor([gate.of(row) for row in rows.values()], dtype=torch.float64)
     values = values[values.isfinite()]
-    return values / mean_of(rows, gate.over) if gate.over else values
+    return values / by_person(Gate("", _measure(gate.over)), rows).mean() if gate.over else values
 
 
 def baseline(gate: Gate, rows: Mapping[str, Row], others: Mapping[str, Row]) -> Tensor:
     """Computes what a gate's number is compared with, of every person (P,): its rival's, else the other prior's."""
     return by_person(gate, others) if gate.rival is None else by_person(gate._replace(of=gate.rival), rows)
-
-
-def one_step(rows: Mapping[str, Row]) -> dict[str, Tensor]:
-    """Computes the error of one step in cm of every person (P,), by what makes it."""
-    ways = {"held pose": "hold", "constant velocity": "constant velocity", "the prior's mean": "prior mean",
-            "shown the answer": "posterior"}  # fmt: skip
-    each = {name: [row[f"one step, {way}, cm"] for row in rows.values()] for name, way in ways.items()}
-    return {name: torch.tensor(errors, dtype=torch.float64) for name, errors in each.items()}
 
 
 def reached(
@@ -74,35 +65,3 @@ def reached(
         values = {name: by_person(gate, rows) for name, gate in GATES.items()}
         found[f"{prior}, {source}"] = {n: interval(x, "mean", generator) for n, x in values.items() if len(x)}
     return found
-
-
-def mean_of(rows: Mapping[str, Row], name: str) -> float:
-    """Computes the mean over people of a measure."""
-    values = torch.tensor([row[name] for row in rows.values()], dtype=torch.float64)
-    return float(values[values.isfinite()].mean())
-
-
-def table(rows: Mapping[tuple[str, str], Mapping[str, Row]]) -> list[dict[str, object]]:
-    """Computes the model table: a row per measure, a column per prior and source, means over people."""
-    names: Sequence[str] = list(next(iter(next(iter(rows.values())).values())))
-    return [
-        {"measure": name} | {f"{prior}, {source}": mean_of(each, name) for (prior, source), each in rows.items()}
-        for name in names
-    ]
-
-
-def rows(found: Sequence[Finding], criterion: Callable[[str], Criterion]) -> list[dict[str, str]]:
-    """Computes a row per gate: what it asks, and for each source what was measured and how that was judged."""
-    table: dict[str, dict[str, str]] = {}
-    for f in found:
-        name, test = f.test.removeprefix("H01."), criterion(f.test)
-        if name in GATES and f.n:
-            row = table.setdefault(name, {"gate": GATES[name].label, "asked": test.bound_text()})
-            row[f.source] = f"{f.value:.3g} [{f.low:.3g}, {f.high:.3g}], {_judged(f, test)}"
-    return list(table.values())
-
-
-def _judged(f: Finding, test: Criterion) -> str:
-    if test.meets(f.low) and test.meets(f.high):
-        return "passed"
-    return "missed" if test.beyond(f.low, f.high) else "open"

@@ -1,4 +1,4 @@
-"""How far this package's HuMoR is from the official code: every golden array against the value computed here.
+"""How far this package's HuMoR is from the official code: golden arrays against the values computed here.
 
 The networks are not the trained ones but two seeded sets of weights at full size, which the golden arrays were made
 with: they need no file, and in the second every layer matters.
@@ -15,14 +15,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motionlab import rotation
-from motionlab.humor import energies, pretrained, rollout, state
+from motionlab.humor import pretrained, rollout, state
 from motionlab.humor.cvae import Cvae, Gaussian, from_weights, kl, official_weights
-from motionlab.humor.priors import InitGmm
 from motionlab.humor.state import OFFICIAL_SLICES
-from motionlab.metrics import gait, pose
 from motionlab.motion import velocity
-from studies.nb04_prior import floor
 from studies.official import rollout as official_rollout
 from studies.official import rotation as official_rotation
 
@@ -33,7 +29,7 @@ _HEADING, _LENGTH = "official heading: an acos of a guarded cosine", "official r
 WHY = {
     "canon_w2a_rot": _HEADING, "canon_local_*": _HEADING,
     "canon_back_*": f"{_LENGTH}, and give no exact rotation",
-    "cam2prior_R": _LENGTH, "decode_out": _LENGTH, "fwd_*": _LENGTH,
+    "decode_out": _LENGTH, "fwd_*": _LENGTH,
     "alt_roll_prior_mean": f"{_HEADING}, amplified by these weights",
     "alt_roll_prior_var": f"{_HEADING}, amplified by these weights",
     "alt_grad_z": f"{_HEADING}, and its derivative",
@@ -107,26 +103,18 @@ def seeded(alternative: bool = False) -> Cvae:
     return from_weights(tensors, Path("golden weights"), "").double().frozen()
 
 
-def seeded_mixture() -> InitGmm:
-    """The three-component mixture over first states of the golden arrays."""
-    draw = np.random.RandomState(7)
-    means, a = draw.standard_normal((3, 138)) * 0.3, draw.standard_normal((3, 138, 138)) * 0.05
-    covariances = a @ a.swapaxes(1, 2) + 0.1 * np.eye(138)
-    return InitGmm(torch.tensor([0.2, 0.3, 0.5], dtype=F64), torch.as_tensor(means), torch.as_tensor(covariances))
-
-
 def difference(found: Tensor, golden: Tensor) -> float:
     """Largest difference over the largest golden entry, or over 1."""
     return ((found.reshape(golden.shape) - golden).abs().max() / golden.abs().max().clamp(min=1)).item()
 
 
 def parity_rows(folder: Path | str) -> list[Row]:
-    """Every comparison; ``folder`` holds the golden files (``tests/golden``). About two seconds on one core."""
+    """Every comparison of states, networks and roll-outs; ``folder`` holds the golden files (``tests/golden``)."""
     golden = Golden(folder)
     rows = [*_geometry(golden), *_frames(golden)]
     for alternative in (False, True):
         rows += _networks(golden, seeded(alternative), "alt_" if alternative else "")
-    return rows + list(_energies(golden))
+    return rows
 
 
 def _row(golden: Golden, arrays: str, form: str, found: Tensor, limit: float = EXACT) -> Row:
@@ -222,13 +210,6 @@ def _geometry(golden: Golden) -> Iterator[Row]:
     yield _row(golden, "rot_mat_from_aa", "official", official_rotation.axis_angle_to_matrix(aa))
     yield _row(golden, "rot_aa_from_mat", "official", official_rotation.matrix_to_axis_angle(matrix))
     yield _row(golden, "w2a_from_root_mat", "official", official_rotation.alignment(matrix))
-    normal, offset = floor.normal_and_offset(golden["floor3"])
-    yield _row(golden, "floor4", "lean", torch.cat((normal, offset[:, None]), -1))
-    for form, to_matrix in (("official", official_rotation.axis_angle_to_matrix), ("lean", rotation.exp)):
-        frame = floor.world_frame(golden["floor3"], golden["cam_trans"], to_matrix(golden["cam_root_aa"]))
-        yield _row(golden, "cam2prior_R", form, frame.turn)
-    above = floor.height(golden["floor3"], golden["cam_joints"][:, 0])
-    yield _row(golden, "cam2prior_root_height", "lean", above)
 
 
 def _frames(golden: Golden) -> Iterator[Row]:
@@ -315,28 +296,3 @@ def _rollouts(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
     slopes = gradients(golden, model, pre, lambda first, z: _rolled(model, first, z))
     for name in ("grad_loss", "grad_z"):  # what x0 does to the heading differs by construction
         yield _row(golden, pre + name, "lean", slopes[name], YAW)
-
-
-def _energies(golden: Golden) -> Iterator[Row]:
-    joints, other = golden["world_joints"].unflatten(-1, (22, 3)), golden["loss_joints_b"]
-    touching, seen = golden["loss_contact_conf"], golden["reproj_obs"]
-    initial = torch.tensor(floor.INITIAL, dtype=F64).expand(len(joints), 3)
-    confidence = energies.body_25_confidence(seen[..., 2])
-    prior = Gaussian(golden["roll_prior_mean"], golden["roll_prior_var"].log())
-    values = {
-        "joints2d": energies.joints2d(golden["reproj_uv"], seen[..., :2], confidence),
-        "joints3d": energies.joints3d(joints, other), "smooth": energies.joints3d_smooth(joints),
-        "motion_prior_nll": energies.motion_prior(golden["roll_z"], prior),
-        "joint_consistency": energies.joint_consistency(joints, other), "bone_length": energies.bone_length(joints),
-        "contact_vel": energies.contact_vel(joints, touching),
-        "contact_height": energies.contact_height(joints, touching),
-        "floor_reg": energies.floor_reg(golden["floor3"], initial),
-    }  # fmt: skip
-    for name, value in values.items():
-        yield _row(golden, f"loss_{name}", "lean", value.sum())
-    yield _row(golden, "gmm_logprob", "lean", seeded_mixture().log_prob(golden["gmm_x"]))
-    yield _row(golden, "gmof_sigma100", "lean", energies.gmof(golden["gmof_in"]))
-    yield _row(golden, "metric_accel_mag", "lean", pose.acceleration(joints[0], 30.0))
-    toes, depths = golden["metric_pen_joints"][:, [10, 11]], golden["metric_pen_thresholds"].tolist()
-    counts = gait.floor_penetration(toes, depths=depths).frequency * golden["metric_pen_total"]
-    yield _row(golden, "metric_pen_counts", "lean", counts)

@@ -1,14 +1,7 @@
-"""Tables of notebook 01: is a corpus ground truth?"""
-
-from collections.abc import Sequence
-
-import torch
+"""The synthetic corpus of notebook 01, in both versions, and whether it is ground truth."""
 
 from data_synth import corpus, faults
 from data_synth.audit import audit
-from motionlab.contact import with_contacts
-from motionlab.metrics.gait import contact_scores
-from motionlab.skeleton import FEET
 
 #: Faults put in on purpose: 5 cm/s of drift, 1 cm too low, knees reflected.
 FAULTS = (lambda motion: faults.drifting(motion, 0.05), faults.lowered, faults.knees_reflected)
@@ -33,21 +26,3 @@ def audited(free: corpus.Corpus, still: corpus.Corpus) -> dict[str, tuple[list[f
         "floor": ([1000 * a.penetration for a in good], [1000 * a.penetration for a in low]),
         "limits": ([a.limit_excess for a in both], [a.limit_excess for a in knees]),
     }
-
-
-def action_rows(found: corpus.Corpus) -> list[dict[str, object]]:
-    """Returns a row per split: sequences, subjects, minutes, and the share of each action."""
-    return [
-        {**row, "actions": ", ".join(f"{name} {100 * share:.0f} %" for name, share in row["actions"].items())}
-        for row in found.statistics()
-    ]
-
-
-def detected_contacts(sequences: Sequence) -> tuple[float, float]:
-    """Computes precision and recall of a detector of foot contacts, that knows heights and speeds, by the labels."""
-    feet = [sequences[0].motion.skeleton.contact_names.index(name) for name in FEET]
-    scores = contact_scores(
-        torch.stack([with_contacts(s.motion).contacts[:, feet] for s in sequences]),
-        torch.stack([s.motion.contacts[:, feet] for s in sequences]),
-    )
-    return float(scores.precision.mean()), float(scores.recall.mean())
