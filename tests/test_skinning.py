@@ -11,7 +11,7 @@ from motionlab.body import BodyModel, lbs
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
-from studies.nb03_skinning import pruning
+from studies.nb03_skinning import partial_fit, pruning
 
 LEGS = STANDARD.indices(["left_hip", "right_hip", "left_knee", "right_knee"])
 
@@ -114,10 +114,9 @@ def test_a_real_artists_rig_ties_toes_to_the_other_foot():
     rows = skinning.long_range(body, skinning.spurious(body))
     assert any((row["holder"], row["joint"]) == ("left_foot", "right_foot") and row["metres"] > 1.5 for row in rows)
     toe = next(row["vertex"] for row in rows if (row["holder"], row["joint"]) == ("left_foot", "right_foot"))
-    rot = torch.eye(3).repeat(22, 1, 1)
-    leak = pruning.leakage(body, torch.zeros(3), rot, [toe]).per_joint
-    assert leak[STANDARD.index("right_knee")] > 1e-4  # metres per radian
-    assert pruning.leakage(skinning.prune(body), torch.zeros(3), rot, [toe]).per_joint.max() == 0
+    stand = Motion(STANDARD, torch.zeros(1, 3), torch.eye(3).repeat(1, 22, 1, 1), 30.0)
+    assert pruning.moved_by_mm(body, stand, ["right_knee"])[toe] > 0.1  # mm per radian
+    assert pruning.leaked_mm(skinning.prune(body), stand)[toe] == 0
 
 
 def test_reach_is_the_fall_off_of_ordinary_weights_continued(clean, faulty):
@@ -161,13 +160,15 @@ def test_influence_agrees_with_finite_differences(clean, face, generator):
 
 def test_spurious_weights_leak_gradient_to_the_legs_and_pruning_stops_it(clean, faulty, face, generator):
     root, rot = pose(generator)
-    leak = pruning.leakage(faulty[0], root, rot, face)
-    assert leak.per_joint[LEGS[1:]].min() > 1e-4  # metres per radian: planted on the right hip and both knees
-    assert leak.share > 1e-4
+    still = Motion(STANDARD, root[None], rot[None], 30.0)
+    leak = skinning.influence(faulty[0], root, rot, face).norm(dim=0)
+    assert leak[LEGS[1:]].min() > 1e-4  # metres per radian: planted on the right hip and both knees
+    share = 100 * float(leak[STANDARD.indices(partial_fit.LEGS)].norm() / leak.norm())
+    assert partial_fit.leak_percent(faulty[0], still) == pytest.approx(share) and share > 0.01
     for body in (clean, skinning.prune(faulty[0])):
-        stopped = pruning.leakage(body, root, rot, face)
-        assert stopped.share == 0 and float(stopped.influence[:, LEGS].abs().max()) == 0
-        assert stopped.influence[:, STANDARD.index("neck")].min() > 0.01  # the chain above still moves the face
+        stopped = skinning.influence(body, root, rot, face)
+        assert partial_fit.leak_percent(body, still) == 0 and pruning.leaked_mm(body, still)[face].max() == 0
+        assert stopped[:, STANDARD.index("neck")].min() > 0.01  # the chain above still moves the face
 
 
 def test_displacement_is_zero_at_rest_and_grows_with_what_is_pruned(faulty, generator):
@@ -176,10 +177,10 @@ def test_displacement_is_zero_at_rest_and_grows_with_what_is_pruned(faulty, gene
     moving = Motion(STANDARD, root, rot, 30.0)
     body = faulty[0]
     assert skinning.displacement(body, skinning.prune(body), still)[1] < 1e-6
-    rows = pruning.sweep(body, body, faulty[1], moving, [0], [0.0, 1e-3, 1e-2])
-    assert rows[0]["removed"] == 0 and rows[0]["max_mm"] < 1e-2
-    assert rows[0]["mean_mm"] < rows[1]["mean_mm"] < rows[2]["mean_mm"]
-    assert rows[2]["removed"] == pytest.approx(0.03, abs=0.002)
+    rows = pruning.sweep(body, body, faulty[1], moving, [0.0, 1e-3, 1e-2])
+    assert rows[0]["left"] == 1 and rows[0]["max_mm"] < 1e-2
+    assert rows[0]["clean_mean_mm"] < rows[1]["clean_mean_mm"] < rows[2]["clean_mean_mm"]
+    assert rows[2]["left"] == 0 and rows[2]["leak"] == 0 < rows[0]["leak"]
     direct = (lbs(body, STANDARD, root, rot) - lbs(skinning.prune(body), STANDARD, root, rot)).norm(dim=-1) * 1000
-    assert rows[2]["mean_mm"] == pytest.approx(float(direct.mean()), rel=1e-4)
+    assert rows[2]["clean_mean_mm"] == pytest.approx(float(direct.mean()), rel=1e-4)
     assert rows[2]["max_mm"] == pytest.approx(float(direct.max()), rel=1e-4)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from motionlab.skinning import SMALL
 from motionlab.viz.palette import ROLE
-from studies.shared.plots import canvas, median_band
+from studies.shared.plots import canvas
 
 _LEAK, _KEPT = ROLE["axis-angle"], ROLE["ours"]
 
@@ -44,24 +44,10 @@ def legs_moved(groups: Mapping[str, tuple[Sequence[float], Sequence[float]]]) ->
             ax.plot(place + shift + aside, values, "o", label=label if place == 0 else None, **look)
     ax.set_xticks(range(len(groups)), [f"{name}\nn = {len(pair[0])} clips" for name, pair in groups.items()])
     ax.set(ylabel="a leg joint moved by at most, mm")
-    _millimetres(ax)
+    ax.set_yscale("symlog", linthresh=1, linscale=0.5)  # even up to 1 mm, logarithmic above
     ax.set_ylim(0, 5000)
+    ax.set_yticks([0, 1, 10, 100, 1000], ["0", "1", "10", "100", "1000"])
     ax.legend(loc="upper right")
-    return fig
-
-
-def legs_by_closures(curves: Mapping[str, Tensor], budgets: Sequence[int]) -> Figure:
-    """Leg displacement (clips, budgets) in mm over the closures spent: median over the clips and quartiles."""
-    fig, (ax,) = canvas(1, 1, size=(7.2, 3.2))
-    lines = iter((":", "-", "--"))
-    for label, rows in curves.items():
-        colour, line = (ROLE["baseline"], next(lines)) if label.startswith("Adam") else (_KEPT, "-")
-        median_band(ax, np.array(budgets), rows.numpy(), colour, f"{label}, n = {len(rows)}", alpha=0.12, ls=line)
-    ax.set(xscale="log", xlabel="closures spent", ylabel="a leg joint moved by at most, mm")
-    ax.set_xticks(budgets, [str(k) for k in budgets])
-    ax.minorticks_off()
-    _millimetres(ax)
-    ax.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
     return fig
 
 
@@ -76,8 +62,8 @@ def trade(rows: Sequence[Mapping[str, float]]) -> Figure:
     def line(ax: Axes, key: str, times: float, look: str, colour: str, label: str) -> None:
         ax.plot(at, [times * row[key] for row in rows], look, color=colour, label=label, ms=4.5)
 
-    line(axes[0], "leakage", 100, "o-", _LEAK, "")
-    axes[0].set(title="leak to the face's keypoints", ylabel="% of the gradient's norm", ylim=(0, None))
+    line(axes[0], "leak", 1, "o-", _LEAK, "")
+    axes[0].set(title="leak from the face to the legs", ylabel="% of the gradient's norm", ylim=(0, None))
     line(axes[1], "left", 100, "o-", _LEAK, "")
     axes[1].set(title="planted entries that are left", ylabel="%", ylim=(0, 104))
     line(axes[2], "max_mm", 1, "o-", _LEAK, "planted, worst vertex")
@@ -90,10 +76,3 @@ def trade(rows: Sequence[Mapping[str, float]]) -> Figure:
         for mark in (1e-3, SMALL):
             ax.axvline(mark, color=ROLE["truth"], lw=1, ls=":")
     return fig
-
-
-def _millimetres(ax: Axes) -> None:
-    """A scale from zero: even up to 1 mm, logarithmic above."""
-    ax.set_yscale("symlog", linthresh=1, linscale=0.5)
-    ax.set_ylim(bottom=0)
-    ax.set_yticks([0, 1, 10, 100, 1000], ["0", "1", "10", "100", "1000"])

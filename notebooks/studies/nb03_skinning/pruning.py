@@ -1,7 +1,6 @@
 """What pruning at a threshold does to a whole skin: where it moves, what still leaks, what planted faults are left."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -14,8 +13,6 @@ from motionlab.observation import Camera, look_at
 from motionlab.skeleton import fk
 from motionlab.viz.scene import Scene
 from studies.nb03_skinning.partial_fit import LEGS, leak_percent
-
-LIMITS = (0.0, 5.0)  # of both colour bars
 
 
 def moved_mm(body: BodyModel, other: BodyModel, pose: Motion) -> Tensor:
@@ -64,7 +61,7 @@ def skin(body: BodyModel, pose: Motion, threshold: float, size: tuple[int, int] 
     leaks, moved = leaked_mm(pruned, pose), moved_mm(pruned, body, pose)
     with Scene(size, panels=("gradient that still leaks", "skin moved by pruning")) as scene:
         for panel, (field, unit) in enumerate(((leaks, "mm per rad"), (moved, "mm"))):
-            look = {"title": unit, "limits": LIMITS, "cmap": "Oranges" if panel == 0 else "Blues"}
+            look = {"title": unit, "limits": (0.0, 5.0), "cmap": "Oranges" if panel == 0 else "Blues"}
             scene.body(pruned, pose, field=field, frame=0, panel=panel, **look)
         words = (
             f"below {threshold:.1e} pruned: {int((leaks > 0).sum())} vertices leak, moved {moved.max():.1f} mm at most"
@@ -96,94 +93,27 @@ def _before_the_face(pose: Motion, width: int, height: int) -> Camera:
     return look_at(eye, face, focal=3.0 * height, width=width, height=height)
 
 
-@dataclass(frozen=True, eq=False)
-class Leakage:
-    """Gradient of keypoints that reaches joints which should not move them.
-
-    influence (K, J): metres per radian. allowed (K, J): True for the joints that hold the keypoint and all above.
-    """
-
-    influence: Tensor
-    allowed: Tensor
-
-    @property
-    def per_joint(self) -> Tensor:
-        """Leaked influence (J,), metres per radian, root of the sum of squares over the keypoints."""
-        return torch.where(self.allowed, 0, self.influence).square().sum(0).sqrt()
-
-    @property
-    def share(self) -> float:
-        """Leaked gradient norm over the whole gradient norm."""
-        return float(self.per_joint.norm() / self.influence.norm())
-
-
-def leakage(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int], holds: float = 0.05) -> Leakage:
-    """Computes the gradient leakage at one pose: root (3,), rot (J, 3, 3).
-
-    A joint *holds* a vertex if its weight there is at least ``holds``; through the kinematic chain every
-    joint above it moves the vertex rightly, so only what reaches any other joint has leaked.
-
-    Source: thesis 3.3.2.
-    """
-    held = (body.weights[torch.as_tensor(vertices)] >= holds).long()
-    above = body.skeleton.ancestors().long()
-    return Leakage(skinning.influence(body, root, rot, vertices), held @ above > 0)
-
-
 def sweep(
-    body: BodyModel, clean: BodyModel, planted: Tensor, motion: Motion, keypoints: Sequence[int], thresholds
-) -> list[dict]:
-    """Computes for each pruning threshold what is removed, what still leaks and how far vertices move: a dict each.
+    body: BodyModel, clean: BodyModel, planted: Tensor, motion: Motion, thresholds: Sequence[float]
+) -> list[dict[str, float]]:
+    """Computes for each pruning threshold what still leaks and how far vertices move: a dict each.
 
-    Keys: threshold, removed (share of the non-zero weights), leakage (share of gradient norm at the first frame),
-    mean_mm and max_mm (vertex displacement over the motion), clean_mean_mm and clean_max_mm (what the same threshold
-    moves on the body without faults), left (share of the planted entries that survive).
+    Keys: threshold, leak (% of the face's gradient that reaches the legs in the first frame), left (share of the
+    planted entries that survive), max_mm (vertex displacement over the motion), clean_mean_mm and clean_max_mm (what
+    the same threshold moves on the body without faults).
     """
     rows = []
     for threshold in thresholds:
         pruned = skinning.prune(body, threshold)
-        mean, most = skinning.displacement(body, pruned, motion)
         clean_mean, clean_most = skinning.displacement(clean, skinning.prune(clean, threshold), motion)
         rows.append(
             {
                 "threshold": threshold,
-                "removed": 1 - int((pruned.weights > 0).sum()) / int((body.weights > 0).sum()),
-                "leakage": leakage(pruned, motion.root[0], motion.rot[0], keypoints).share,
-                "mean_mm": 1000 * mean,
-                "max_mm": 1000 * most,
+                "leak": leak_percent(pruned, motion.cut(0, 1)),
+                "left": float((pruned.weights[planted] > 0).double().mean()),
+                "max_mm": 1000 * skinning.displacement(body, pruned, motion)[1],
                 "clean_mean_mm": 1000 * clean_mean,
                 "clean_max_mm": 1000 * clean_most,
-                "left": float((pruned.weights[planted] > 0).double().mean()),
             }
         )
     return rows
-
-
-def listed(body: BodyModel, distance: Tensor, mask: Tensor) -> list[dict]:
-    """Lists masked weights (V, J), the farthest first: between which joints, along the skin and straight."""
-    reach, strongest, rows = skinning.reach(body, distance), body.weights.argmax(1), []
-    for row in skinning.long_range(body, mask, distance):
-        joint, ends = body.skeleton.index(row["joint"]), f"a vertex of {row['holder']} hangs on {row['joint']}"
-        region = body.template[strongest == joint]
-        straight = float((region - body.template[row["vertex"]]).norm(dim=1).min()) if len(region) else float("nan")
-        out = row["metres"] / float(reach[row["vertex"], joint])
-        where = {"along the skin, m": row["metres"], "in reaches": out, "straight, m": straight}
-        rows.append({"farthest": ends, "weight": row["weight"], **where})
-    return rows
-
-
-def farthest(name: str, body: BodyModel, distance: Tensor, mask: Tensor) -> dict:
-    """Returns a body's row in the table of the audit: how many weights are masked (V, J), and the farthest of them."""
-    small = skinning.weight_report(body).small
-    return {"body": name, "small": small, "long-range": int(mask.sum())} | listed(body, distance, mask)[0]
-
-
-def audited(name: str, body: BodyModel, pose: Motion) -> dict:
-    """Returns a body's row in the table of weights: both readings of the thesis's 3 %, and the leak in one pose."""
-    report = skinning.weight_report(body)
-    leaks = {"leak to the legs, %": 0.0, "leak, pruned 1e-3": 1e-3, "leak, pruned 1e-2": 1e-2}
-    return {
-        "body": name, "vertices x joints": f"{len(body.weights)} x {body.weights.shape[1]}",
-        "% of all entries": 100 * report.share_of_all, "% of the non-zero": 100 * report.share_of_nonzero,
-        "long-range": int(skinning.spurious(body).sum()),
-    } | {name: leak_percent(skinning.prune(body, least), pose) for name, least in leaks.items()}  # fmt: skip
