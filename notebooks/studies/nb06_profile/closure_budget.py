@@ -28,19 +28,18 @@ class Phase:
     closures: int
 
 
-def phases(schedule: Schedule = OFFICIAL, frames: int = 60) -> list[Phase]:
+def phases(frames: int) -> list[Phase]:
     """The budget: an outer step may take 5/4 as many closures as it has iterations, torch's default limit."""
-    each, (one, two, three) = schedule.inner * 5 // 4, schedule.steps
-    begin, end = (min(step, three) for step in schedule.refine)
-    short = min(schedule.short, frames)
-    table = [
-        ("stage 1: root", Part(1, frames), one),
-        ("stage 2: pose", Part(2, frames), two),
-        (f"stage 3: first {short} frames", Part(3, short), begin),
-        ("stage 3: first state fixed", Part(3, frames, first_fixed=True, contacts=False), end - begin),
-        ("stage 3: everything", Part(3, frames), three - end),
+    each, (one, two, three) = OFFICIAL.inner * 5 // 4, OFFICIAL.steps
+    begin, end = OFFICIAL.refine
+    short = min(OFFICIAL.short, frames)
+    return [
+        Phase("stage 1: root", Part(1, frames), each * one),
+        Phase("stage 2: pose", Part(2, frames), each * two),
+        Phase(f"stage 3: first {short} frames", Part(3, short), each * begin),
+        Phase("stage 3: first state fixed", Part(3, frames, first_fixed=True, contacts=False), each * (end - begin)),
+        Phase("stage 3: everything", Part(3, frames), each * (three - end)),
     ]
-    return [Phase(name, part, each * steps) for name, part, steps in table if steps]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,15 +64,10 @@ class Spent:
             for phase, spent in zip(self.phases, self.seconds, strict=True)
         }
 
-    def closure(self, name: str) -> Tensor:
-        """Seconds (n,) of one closure of the phase whose name ends so."""
-        at = next(k for k, phase in enumerate(self.phases) if phase.name.endswith(name))
-        return sum(self.seconds[at].values())
-
 
 def spend(contenders: Mapping[str, tuple[Workload, Savings]], *, n: int) -> dict[str, Spent]:
     """Time one closure of each phase of each contender, in n rounds through all of them after one more."""
-    tables = {name: phases(OFFICIAL, work.frames) for name, (work, _) in contenders.items()}
+    tables = {name: phases(work.frames) for name, (work, _) in contenders.items()}
     calls = {name: [work.closure(phase.part, on) for phase in tables[name]] for name, (work, on) in contenders.items()}
     rounds = [{name: [_parts(closure) for closure in row] for name, row in calls.items()} for _ in range(1 + n)][1:]
     return {

@@ -1,6 +1,6 @@
-"""Where time and memory go: phases of a program, shares against a claim, how a cost grows, a ladder of savings."""
+"""Where time goes: parts of a closure, phases of a program, shares against a claim, a ladder of savings."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -10,8 +10,7 @@ from torch import Tensor
 
 from motionlab.viz.palette import INK, LINE, blend, colour
 from studies.nb06_profile.official_profile import LABEL
-from studies.nb06_profile.scaling import PowerLaw
-from studies.shared.plots import canvas, paints
+from studies.shared.plots import canvas
 
 #: Colours of the forms of a closure, and of the official code itself.
 FORMS = {"faithful": "baseline", "lean": "ours", LABEL: "truth"}
@@ -21,7 +20,6 @@ _PARTS = {
     "first state": blend(_CHAIN, "white", 0.45), "chain": _CHAIN, "roll-out function": _CHAIN, "body": _BODY,
     "terms": blend(_BODY, "white", 0.5), "body and energies": _BODY, "backward": blend(INK, "white", 0.15),
 }  # fmt: skip
-GIB = 2**30
 
 
 def _stack(ax: Axes, table: Mapping[str, Mapping[str, float]], digits: int) -> float:
@@ -97,76 +95,6 @@ def shares(
     ax.set_xlim(0, 100)
     ax.grid(visible=False, axis="y")
     ax.set_xlabel("share of the program's time (%); last row: share of one closure of stage 3")
-    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-    return figure
-
-
-Measured = Mapping[str, tuple[Sequence[float], Tensor, PowerLaw]]
-
-
-def _law(ax: Axes, label: str, paint: tuple, x: Sequence[float], y: Tensor, law: PowerLaw) -> None:
-    grid = np.geomspace(min(x) / 1.2, 1.2 * max(x), 60)
-    low, middle, high = law.at(grid).quantile(torch.tensor([0.025, 0.5, 0.975]).double(), dim=0)
-    ax.fill_between(grid, low, high, color=paint, alpha=0.2, lw=0)
-    ax.plot(grid, middle, color=paint, lw=1.6, label=f"{label}: exponent {law.text()}")
-    for each, at in zip(y, x, strict=True):
-        ax.plot([at] * len(each), each, "o", color=paint, ms=4, mec="white", mew=0.5)
-
-
-def growth(panels: Mapping[str, Measured], *, others: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Figure:
-    """Draws milliseconds of a closure against its size, both logarithmic, each with the posterior of its power law
-    (median, 95 % band); all panels on one axis.
-
-    panels: label of the x axis -> series -> (x (k,), measurements (k, n), law). others: label of the x axis -> (x, ms)
-    of the official code.
-    """
-    figure, axes = canvas(1, len(panels), size=(10.5, 3.8), sharey=True)
-    for ax, (xlabel, series) in zip(axes, panels.items(), strict=True):
-        paint = paints(list(series), FORMS)
-        for label, (x, y, law) in series.items():
-            _law(ax, label, paint[label], x, y, law)
-        if xlabel in others:
-            ax.plot(*others[xlabel], "D", color=colour(FORMS[LABEL]), ms=6, mec="white", label=LABEL)
-        ax.set(xscale="log", yscale="log", xlabel=xlabel)
-        places = sorted({float(at) for x, _, _ in series.values() for at in x})
-        ax.set_xticks(places, [f"{at:g}" for at in places])
-        ax.minorticks_off()
-    low, high = axes[0].get_ylim()
-    axes[0].set_ylim(low, high * (high / low) ** 0.45)  # room for the legend
-    axes[0].set_ylabel("one closure (ms)")
-    for ax in axes:
-        ax.yaxis.set_major_formatter("{x:,g}")
-        ax.legend(loc="upper left", frameon=False)
-    return figure
-
-
-def memory(
-    found: Mapping[str, tuple[str, Sequence[float], Sequence[float]]], limit: float, *, claimed: float
-) -> Figure:
-    """Draws memory in GiB against clips in a batch, both logarithmic, and where straight lines reach a limit in GiB.
-
-    found: series -> (form, clips, bytes); a series named "live tensors" is drawn hollow. claimed: clips that are said
-    to fit.
-    """
-    figure, (ax,) = canvas(size=(9.0, 3.6))
-    for label, (form, clips, held) in found.items():
-        y, tone = np.asarray(held) / GIB, colour(FORMS[form])
-        slope, level = np.polyfit(clips, y, 1)
-        hollow, fit = "live tensors" in label, f"{1024 * slope:,.0f} MiB a clip"
-        if slope > 0:
-            x = np.geomspace(min(clips), (limit - level) / slope, 40)
-            ax.plot(x, level + slope * x, color=tone, lw=1.4, ls=":" if hollow else "--")
-            ax.plot(x[-1], limit, "|", color=tone, ms=14, mew=2)
-            fit += f", {x[-1]:,.0f} at {limit:g} GiB"
-        ax.plot(clips, y, "o", color=tone, mfc="white" if hollow else tone, ms=6, label=f"{label}:\n{fit}")
-    ax.axhline(limit, color=INK, lw=1.2)
-    ax.plot(claimed, limit, "v", color=INK, ms=8)
-    ax.annotate(f"thesis: {claimed:g}", (claimed, limit), (0, 10), textcoords="offset points", ha="center", fontsize=9,
-                color=INK)  # fmt: skip
-    ax.set(xscale="log", yscale="log", xlabel="clips in the batch", ylabel="memory (GiB)")
-    ax.set_ylim(top=3 * limit)
-    ax.xaxis.set_major_formatter("{x:,g}")
-    ax.yaxis.set_major_formatter("{x:g}")
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     return figure
 

@@ -7,8 +7,6 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-from studies.nb06_profile.scaling import fits
-
 FILE = Path(__file__).with_name("official_profile.toml")
 #: What all rows of a table or panels of a figure call it.
 LABEL = "official code, its own machine"
@@ -52,14 +50,6 @@ class Official:
         """Minutes of the whole schedule."""
         return sum(sum(parts.values()) for parts in self.minutes().values())
 
-    def closures(self) -> tuple[list[int], list[float]]:
-        """Returns clips in a batch, and milliseconds of a closure of stage 3."""
-        return list(self.batches), [1e3 * seconds for seconds, _ in self.batches.values()]
-
-    def held(self) -> dict[str, tuple[str, list[int], list[float]]]:
-        """Returns the memory of its process as ``figures.memory`` draws it."""
-        return {f"{LABEL}, RSS": (LABEL, list(self.batches), [held for _, held in self.batches.values()])}
-
     @property
     def closure(self) -> float:
         """Seconds of one closure of stage 3, all frames of one clip."""
@@ -71,7 +61,8 @@ class Official:
 
     def fits(self, limit: float) -> float:
         """Computes how many clips a straight line through the two batches puts into ``limit`` bytes."""
-        return fits(list(self.batches), [held for _, held in self.batches.values()], limit)
+        (few, (_, least)), (many, (_, most)) = self.batches.items()
+        return few + (limit - least) * (many - few) / (most - least)
 
 
 def load(path: Path = FILE) -> Official:

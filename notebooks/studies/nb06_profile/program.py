@@ -4,7 +4,7 @@ A closure is one evaluation of the energy with its gradient, which L-BFGS asks f
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import pairwise
 
@@ -18,7 +18,7 @@ from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import Rollout
 from motionlab.humor.unknowns import Posed, Rolled
 from motionlab.motion import Motion
-from studies.nb06_profile import figures, resident
+from studies.nb06_profile import figures
 from studies.nb06_profile.closure_budget import Spent
 from studies.nb06_profile.official_profile import LABEL, Official
 from studies.shared import savings
@@ -164,13 +164,6 @@ def alone_table(found: Mapping[str, Tensor], official: Official) -> list[dict[st
     ]  # fmt: skip
 
 
-def claimed(official: Official, ours: Mapping[str, Tensor]) -> list[dict[str, object]]:
-    """Lists three shares: the thesis's, the official code's and the median of ours."""
-    heads, theirs = ("share", "thesis, %", "official code, %", "our imitation, %"), official.shares()
-    rows = [(name, x, theirs[name], ours[name].median().item()) for name, x in CLAIMED.items()]
-    return [dict(zip(heads, row, strict=True)) for row in rows]
-
-
 def drawn(
     official: Official, found: Mapping[str, tuple[float, float, float]], lean: Mapping[str, Tensor]
 ) -> dict[str, dict[str, tuple[float, float, float]]]:
@@ -185,53 +178,15 @@ def drawn(
     return {LABEL: theirs, "faithful, this machine": dict(found), "lean, this machine": quick}
 
 
-def live_tensors(works: Sequence[Workload]) -> dict[str, list[int]]:
-    """Measures the largest sum of live tensors of a closure, in bytes, by form: one number for each workload."""
-    return {
-        form: [resident.peak_memory(work.closure(Part(3, work.frames), on)) for work in works]
-        for form, on in FORMS.items()
-    }
+def changes(clip: Motion, noise: Noise) -> tuple[float, dict[str, float]]:
+    """Computes the size of an energy, and by which share of it each saving changes the energy, in double precision.
 
-
-def memory_rows(
-    official: Official, spent: Mapping[str, Spent], held: Mapping[str, tuple[str, Sequence[int], Sequence[float]]],
-    live: Mapping[str, Sequence[float]],
-) -> list[dict[str, object]]:  # fmt: skip
-    """Lists time and memory (RSS; live tensors in brackets) of closures; our times of one clip."""
-    heads = ("machine", "form", "clips", "ms of a closure", "memory, MiB")
-    rows = [("its own CPU core", "official code", clips, f"{1e3 * s:,.0f}", f"{x / 2**20:,.0f}")
-            for clips, (s, x) in official.batches.items()]  # fmt: skip
-    for form, batches, sizes in held.values():
-        for k in (0, -1):
-            ms = f"{1e3 * spent[form].closure('everything').median():,.0f}" if batches[k] == 1 else ""
-            took = f"{sizes[k] / 2**20:,.0f} ({live[form][k] / 2**20:,.0f})"
-            rows.append(("this CPU core", form, batches[k], ms, took))
-    return [dict(zip(heads, row, strict=True)) for row in rows]
-
-
-# ------------------------------------------------------------------------------------------- what a trained prior sees
-def rung_terms(one: Workload) -> dict[str, dict[str, Tensor]]:
-    """Computes the terms of a closure on every rung."""
-    part = Part(3, one.frames)
+    With trained priors and latents that their encoders find. Size: the sum of its terms' sizes, which have either sign.
+    """
+    work = workload(clip, load_priors(), noise, inferred=True).to(torch.float64)
+    part = Part(3, work.frames)
     with torch.no_grad():
-        return {name: savings.terms(one.problem, one.unknowns(part, on), on) for name, on in savings.rungs()}
-
-
-def trained_terms(clip: Motion, noise: torch.Generator) -> dict[str, dict[str, Tensor]]:
-    """Computes ``rung_terms`` of one clip in double precision, with trained priors and latents that their encoders
-    find."""
-    return rung_terms(workload(clip, load_priors(), noise, inferred=True).to(torch.float64))
-
-
-def size(terms: Mapping[str, Tensor]) -> float:
-    """Computes the sum of the sizes of terms, which have either sign: their own sum may be next to nothing."""
-    return sum(x.abs().sum().item() for x in terms.values())
-
-
-def changes(terms: Mapping[str, Mapping[str, Tensor]]) -> tuple[float, float]:
-    """Computes by how much of its terms' ``size`` the energy changes on the rung of the exact heading, and on any other
-    at most."""
-    energy = {name: sum(each.values()).item() for name, each in terms.items()}
-    change = {b: abs(energy[b] - energy[a]) / size(terms[a]) for a, b in pairwise(energy)}
-    heading = change.pop(savings.NAMES["exact_heading"])
-    return heading, max(change.values())
+        terms = [savings.terms(work.problem, work.unknowns(part, on), on) for _, on in savings.rungs()]
+    size, energies = sum(x.abs().sum().item() for x in terms[0].values()), [sum(t.values()).item() for t in terms]
+    steps = (abs(b - a) / size for a, b in pairwise(energies))
+    return size, dict(zip(savings.NAMES.values(), steps, strict=True))
