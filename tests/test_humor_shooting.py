@@ -304,7 +304,7 @@ def test_of_two_starts_the_lower_goes_on(cases):
     rows = slice(0, 1), slice(1, 2)
     here, there = (of_both(a.rows(rows[0]), b.rows(rows[1])) for a, b in ((unknown, far), (far, unknown)))
     plan, sizes, noted = replace(STEADY, mode_jumps=0, trial_rounds=1), [], []
-    how = {"linearise": rows_of(linearised, sizes), "note": noted.append}
+    how = {"linearise": rows_of(linearised, sizes), "note": lambda: noted.append(1)}
     found, fits = solve(problem, here, plan, second_start=there, **how)
     assert sizes == [2 * CLIPS, CLIPS]
     alone = [solve(problem, begin, plan) for begin in (here, there)]
@@ -315,8 +315,8 @@ def test_of_two_starts_the_lower_goes_on(cases):
     ends = torch.stack([fits[-1].energy for _, fits in alone]).gather(0, lower[None])[0]
     torch.testing.assert_close(total(problem, found), ends, atol=0, rtol=1e-4)
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
-    assert all(fit.history.shape[1:] == (CLIPS,) for fit in fits) and noted.count("linearised") == 2
-    assert noted.count("energies") == sum(fit.closures for fit in fits)
+    assert all(fit.history.shape[1:] == (CLIPS,) for fit in fits)
+    assert len(noted) == sum(fit.closures for fit in fits)
 
 
 def test_a_second_start_that_is_the_first_costs_nothing(cases):

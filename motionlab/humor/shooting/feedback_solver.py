@@ -80,14 +80,14 @@ def solve(
     *,
     second_start: Unknowns | None = None,
     linearise: Callable[..., Whitening] = linearised,
-    note: Callable[[str], None] = lambda what: None,
+    note: Callable[[], None] = lambda: None,
     progress: bool | str = False,
 ) -> tuple[Unknowns, list[BatchFit]]:
     """Runs the feedback solver from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
 
     second_start: of the same recordings; after the plan's trial rounds the lower one of each goes on. linearise: where
-    the coordinates come from, called as ``coordinates.linearised``; another for ablations. note: called with
-    "linearised" when the searches of a round begin, and with "energies" whenever energies are known.
+    the coordinates come from, called as ``coordinates.linearised``; another for ablations. note: called whenever
+    energies are known.
 
     Returns:
         the unknowns of lowest energy, and the reports of all rounds, of all clips; of one that is done: "no decrease".
@@ -166,7 +166,7 @@ def _round(
     jumping: Tensor,
     plan: Plan,
     linearise: Callable[..., Whitening],
-    note: Callable[[str], None],
+    note: Callable[[], None],
     progress: bool | str,
 ) -> tuple[Unknowns, BatchFit, Tensor]:
     """One linearisation and the searches around it: from where a clip is, and from where it may jump to.
@@ -180,7 +180,6 @@ def _round(
         may = jumping[who]
         may[:clips] = True
         who, whitener, first = who[may], whitener[may], first[may]
-    note("linearised")
     how, enough = {"note": note, "progress": progress}, _LEAST_STEP * plan.tolerance * size
     race = plan.halving_after if len(who) > clips else 0
     args = who, whitener, first, race or plan.closures
@@ -212,7 +211,7 @@ def minimise_from(
     *,
     nu: Tensor | None = None,
     enough: float | Tensor = 0.0,
-    note: Callable[[str], None] = lambda what: None,
+    note: Callable[[], None] = lambda: None,
     progress: bool | str = False,
 ) -> tuple[Unknowns, BatchFit]:
     """Minimises the energy from R starts around one linearisation; row r belongs to clip who[r] and starts at first (R,
@@ -230,7 +229,7 @@ def minimise_from(
             these, at, near = some.rows(rows), here.rows(rows), around.rows(rows)
         at, rolled = unwhiten(these, at, near, new)
         found = sum(rolled_terms(these, at, rolled).values())
-        note("energies")
+        note()
         return found
 
     nu = torch.zeros_like(here.z[:, 0]) if nu is None else nu

@@ -29,18 +29,12 @@ def toy(spectra: Mapping[str, np.ndarray], paths: Mapping[str, np.ndarray], seen
     """
     fig, (left, right) = canvas(1, 2, size=(10.0, 3.2))
     for (label, values), (way, path) in zip(spectra.items(), paths.items(), strict=True):
-        left.plot(
-            range(1, len(values) + 1),
-            np.sort(values)[::-1],
-            "o",
-            ms=5.5 if way == "open loop" else 3.5,
-            color=colour(ROLES[way]),
-            label=label,
-        )
-        right.plot(range(1, len(path) + 1), path, lw=2, color=colour(ROLES[way]), label=way)
-    right.fill_between(
-        range(1, len(seen) + 1), 0, 1, where=~seen, color=LINE, alpha=0.35, lw=0, transform=right.get_xaxis_transform()
-    )
+        paint, steps = colour(ROLES[way]), range(1, len(seen) + 1)
+        size = 5.5 if way == "open loop" else 3.5
+        left.plot(steps, np.sort(values)[::-1], "o", ms=size, color=paint, label=label)
+        right.plot(steps, path, lw=2, color=paint, label=way)
+    across = right.get_xaxis_transform()
+    right.fill_between(steps, 0, 1, where=~seen, color=LINE, alpha=0.35, lw=0, transform=across)
     left.set(yscale="log", xlabel="number of the eigenvalue", ylabel="eigenvalue of the Hessian", title="stiffness")
     right.set(xlabel="step", ylabel="off the walk before (m)", title="one push; shaded: not seen")
     left.legend(loc="upper right")
@@ -106,8 +100,7 @@ def profiles(
         ax.set_xticks(times, [f"{t:g}" for t in times])
         ax.minorticks_off()
         if measure != "energy":
-            ticks = [k for k in (2, 3, 5, 10, 20, 50, 100)]
-            ax.set_yticks(ticks, [str(k) for k in ticks])
+            ax.set_yticks((2, 3, 5, 10, 20, 50, 100), ["2", "3", "5", "10", "20", "50", "100"])
     for ax in axes[-len(found) :]:
         ax.set_xlabel("processor time of stage 3 (s)")
     axes[0].legend(loc="lower left")

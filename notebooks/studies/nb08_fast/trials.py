@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from motionlab.footage.scene_fit import FULL_WORK
 from motionlab.humor import stages, testops, unknowns
 from motionlab.humor import start as starts
 from motionlab.humor.energies import Weights
@@ -67,12 +66,6 @@ class Task:
         start, factors = starts.start_stage_3(self.rough, self.latent, self.unknown.shared(), *how)
         return replace(self, unknown=start.detached(), factors=factors)
 
-    def posed_as(self, motion: Motion, trust: Tensor) -> Task:
-        """The same at the calm start that follows another motion (B, T) than stage 2's."""
-        with torch.no_grad():
-            latent = self.problem.priors.pose.encode(motion.rot[:, :, 1:]).mean
-        return replace(self, rough=motion, latent=latent).begun(starts.DAMPING_SHOOTING, trust)
-
     def energy(self, unknown: Unknowns) -> Tensor:
         """Stage 3's energy (B,) of unknowns, by a roll-out of their z."""
         with torch.no_grad():
@@ -95,16 +88,9 @@ class Task:
 
 
 def prepare(
-    name: str,
-    observation,
-    priors: Priors,
-    weights: Weights,
-    truth: Motion,
-    *,
-    cameras: Sequence[Camera] | None = None,
-    schedule: Schedule | None = None,
-    seen: Tensor | None = None,
-) -> Task:
+    name: str, observation, priors: Priors, weights: Weights, truth: Motion, *,
+    cameras: Sequence[Camera] | None = None, schedule: Schedule | None = None, seen: Tensor | None = None,
+) -> Task:  # fmt: skip
     """Stages 1 and 2 and the calm start of stage 3, in lean mode, for clips with their truth."""
     began, schedule = clock(), schedule or Schedule.lean()
     views = evidence(observation, cameras=cameras)
@@ -127,14 +113,13 @@ def prepare(
 class Run:
     """What a solver did to one clip: lowest energies (N,) so far, and the processor seconds (N,) when each was known.
 
-    kept: what it had by so many seconds, the last at the end. spent: in all; parts: of ours, by what they went to.
+    kept: what it had by so many seconds, the last at the end. spent: in all.
     """
 
     energies: Tensor
     seconds: Tensor
     kept: list[tuple[float, Unknowns]]
     spent: float
-    parts: dict[str, float] = field(default_factory=dict)
 
     @property
     def end(self) -> float:
@@ -229,40 +214,36 @@ def _descended(task: Task, unknown: Unknowns, moving, inner, how: Single, log: L
     return old(fit.variables, slice(None)).detached()
 
 
-def shooting(task: Task, work: Schedule = FULL_WORK, start: Unknowns | None = None) -> Run:
-    """Stage 3 of one clip as the product does it (``testops.fit``, solver "shooting"), or from another start."""
+def shooting(task: Task, work: Schedule) -> Run:
+    """Stage 3 of one clip as the product does it (``testops.fit``, solver "shooting")."""
     began, plan, rival = clock(), work.shooting, None
-    start = start or task.begun(starts.DAMPING_SHOOTING).unknown
+    start = task.begun(starts.DAMPING_SHOOTING).unknown
     if work.guesses and task.problem.evidence.hides_feet.any():
         plan = replace(plan, two_starts=True, trial_rounds=max(plan.trial_rounds, testops._WEIGHED))
         rival = _seated(task)
-    kept, noted = [], {"begins": [], "linearised": [], "energies": []}
-
-    def note(what: str) -> None:
-        noted[what].append(clock() - began)
+    kept, seconds = [], []
 
     def linearise(problem: Problem, unknown: Unknowns, **how) -> coordinates.Whitening:
         kept.append((clock() - began, unknown.map(lambda x: x.detach().clone())))
-        note("begins")
         return coordinates.linearised(problem, unknown, **how)
 
-    ready = clock() - began
-    found, fits = feedback_solver.solve(task.problem, start, plan, second_start=rival, linearise=linearise, note=note)
+    how = {"linearise": linearise, "note": lambda: seconds.append(clock() - began)}
+    found, fits = feedback_solver.solve(task.problem, start, plan, second_start=rival, **how)
     kept.append((clock() - began, found.detached()))
     spent = clock() - began
     energies = torch.cat([fit.history for fit in fits]).nan_to_num(torch.inf).amin(1).cummin(0).values
     kept = [(now, _lower(task, unknown)) for now, unknown in kept]
-    linearisations = sum(noted["linearised"]) - sum(noted["begins"][: len(noted["linearised"])])
-    parts = {"start": ready, "linearisations": linearisations}
-    parts["closures"] = spent - sum(parts.values())
-    return Run(energies, torch.tensor(noted["energies"][: len(energies)]), kept, spent, parts)
+    return Run(energies, torch.tensor(seconds[: len(energies)]), kept, spent)
 
 
 def _seated(task: Task) -> Unknowns:
     """The product's second start, where no foot is seen: somebody who sits where stage 2 is."""
     trust = task.problem.evidence.confidence_per_joint.clone()
     trust[..., starts.SITTING_LEGS] = 1.0
-    return task.posed_as(starts.seated(task.rough), trust).unknown
+    sits = starts.seated(task.rough)
+    with torch.no_grad():
+        latent = task.problem.priors.pose.encode(sits.rot[:, :, 1:]).mean
+    return replace(task, rough=sits, latent=latent).begun(starts.DAMPING_SHOOTING, trust).unknown
 
 
 def _lower(task: Task, unknown: Unknowns) -> Unknowns:
