@@ -155,8 +155,7 @@ def rows(asked, held_, kinds, generator: Seeds) -> list[dict]:
         for kind, (heat, floor, radii) in kinds.items():
             row = {"regions": kind, "people": f"{people}, n = {len(held_[people][kind][0.5])}"}
             for level, shares in held_[people][kind].items():
-                found = interval(100 * shares, "mean", generator(f"{people} {kind} {level}"))
-                row[f"of {100 * level:.0f} % hold, %"] = "{:.0f} [{:.0f}, {:.0f}]".format(*found)
+                row[f"of {100 * level:.0f} % hold, %"] = said(100 * shares, generator(f"{people} {kind} {level}"))
             row["half-width at 90 %, cm"] = f"{half_width(clips, heat, floor, radii[0.9]).mean():.1f}"
             table.append(row)
     return table
@@ -167,12 +166,11 @@ def score_rows(scores, nearest, generator: Seeds) -> list[dict]:
     table = []
     for people, by in scores.items():
         for way, x in by.items():
-            less = interval(x - by["a ball of one size"], "mean", generator(f"{people} {way} less"))
-            best = interval(100 * nearest[people][way], "mean", generator(f"{people} {way} best"))
+            best = said(100 * nearest[people][way], generator(f"{people} {way} best"))
             table.append({
                 "people": f"{people}, n = {len(x)}", "draws": way, "energy score, cm": f"{x.mean():.2f}",
-                "less the ball's, cm": "{:+.2f} [{:+.2f}, {:+.2f}]".format(*less),
-                "nearest of 16, % of the fit's error": "{:.0f} [{:.0f}, {:.0f}]".format(*best) * ("draws" in way),
+                "less the ball's, cm": said(x - by["a ball of one size"], generator(f"{people} {way} less"), "+.2f"),
+                "nearest of 16, % of the fit's error": best * ("draws" in way),
             })  # fmt: skip
     return table
 
@@ -193,12 +191,14 @@ def promised(asked: Asked, kinds: Mapping[str, Kind]) -> dict[str, dict[str, dic
     }
 
 
+def said(x: Tensor, generator: torch.Generator, form: str = ".0f") -> str:
+    """Returns the mean of numbers (P,) and its 95 % interval as text."""
+    return f"{{:{form}}} [{{:{form}}}, {{:{form}}}]".format(*interval(x, "mean", generator))
+
+
 def spoken(found: Mapping[str, Tensor], generator: Seeds, unit: str) -> str:
     """Returns means with their 95 % intervals, by name, as one line."""
-    return "; ".join(
-        "{}: {:.0f} [{:.0f}, {:.0f}]".format(name, *interval(x, "mean", generator(name))) + unit
-        for name, x in found.items()
-    )
+    return "; ".join(f"{name}: {said(x, generator(name))}{unit}" for name, x in found.items())
 
 
 def who_rows(asked: Asked) -> list[dict]:

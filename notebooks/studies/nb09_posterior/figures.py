@@ -5,7 +5,6 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-import torch
 from matplotlib.figure import Figure
 from PIL import Image
 from scipy.stats import binom
@@ -16,7 +15,7 @@ from motionlab.body import BodyModel
 from motionlab.motion import Motion
 from motionlab.posterior import Draws
 from motionlab.viz import movie
-from motionlab.viz.palette import INK, LINE, PAPER, ROLE, blend, colour
+from motionlab.viz.palette import INK, LINE, PAPER, blend, colour
 from motionlab.viz.scene import Scene
 from studies.shared.plots import canvas, paints
 
@@ -107,35 +106,4 @@ def promises(held: Mapping[str, Mapping[str, Mapping[float, Tensor]]], roles: Ma
         ax.plot(levels, [100 * shares.mean() for shares in by_level.values()], "o-", color=paint, ms=6)
         ax.set(title=f"{source}: {kind}" if kind == kinds[0] else kind, xlim=(42, 98), ylim=(-3, 103))
         ax.set(ylabel="held (%)" if kind == kinds[0] else "", xticks=levels, xlabel="promised (%)")
-    return fig
-
-
-def corner(series: Mapping[str, Tensor], names: Sequence[str], truth: Tensor, roles: Mapping[str, str]) -> Figure:
-    """Draws (N, n) by label: each number's distribution on the diagonal, each pair's below it; truth (n,) black."""
-    count, paint = len(names), paints(list(series), roles)
-    fig, axes = canvas(count, count, size=(1.7 * count + 0.6, 1.7 * count + 0.2))
-    every = torch.cat([*series.values(), truth[None]]).numpy(force=True)
-    low, high = np.percentile(every, (0.3, 99.7), axis=0)
-    low, high = np.minimum(low, truth.numpy()), np.maximum(high, truth.numpy())
-    low, high = low - 0.06 * (high - low), high + 0.06 * (high - low)
-    for row, column in np.ndindex(count, count):
-        ax = axes[row * count + column]
-        ax.set_visible(column <= row)
-        for label, draws in series.items() if column <= row else ():
-            x = draws.numpy(force=True)
-            if row == column:
-                share, edges = np.histogram(x[:, row], np.linspace(low[row], high[row], 41), density=True)
-                ax.stairs(share, edges, color=(*paint[label], 0.4), fill=True, label=label)
-                ax.set_yticks([])
-            else:
-                some = x[:: max(1, len(x) // 1200)]
-                ax.plot(some[:, column], some[:, row], ".", ms=2.2, color=paint[label], alpha=0.3, mew=0)
-                ax.axhline(float(truth[row]), color=ROLE["truth"], lw=1)
-                ax.set_ylim(low[row], high[row])
-        ax.axvline(float(truth[column]), color=ROLE["truth"], lw=1, label="truth" if row == column else None)
-        ax.set_xlim(low[column], high[column])
-        ax.set_xlabel(names[column] if row == count - 1 else "", fontsize=8)
-        ax.set_ylabel(names[row] if column == 0 and row else "", fontsize=8)
-        ax.tick_params(labelbottom=row == count - 1, labelleft=column == 0 and row > 0, labelsize=7)
-    fig.legend(*axes[0].get_legend_handles_labels(), loc="upper right", frameon=False, fontsize=9)
     return fig
