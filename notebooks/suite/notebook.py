@@ -96,9 +96,9 @@ class Lab:
         short = "  \nA short run: readings in the text are those of the full one." if self.profile == "smoke" else ""
         known, cost = self._record().provenance, "It was never recorded how long a run takes."
         if "seconds" in known:
-            full, brief = float(known["seconds"]), float(known.get("smoke seconds", "nan"))
-            worked = known.get("processor seconds")
-            took = staleness.duration(full) + (f" ({staleness.duration(float(worked))} of a processor)" if worked else "")
+            took, brief = staleness.duration(float(known["seconds"])), float(known.get("smoke seconds", "nan"))
+            if worked := known.get("processor seconds"):
+                took += f" ({staleness.duration(float(worked))} of a processor)"
             cost = f"When it was last recorded, a full run took {took}, a short one {brief:.0f} s."
         return (
             f"**{self.notebook}**, profile *{self.profile}*, seed {self.seed}, on {where}.  \n"

@@ -15,7 +15,7 @@ from motionlab.body import BodyModel
 from motionlab.motion import Motion
 from motionlab.posterior import Draws
 from motionlab.viz import movie
-from motionlab.viz.palette import INK, LINE, PAPER, blend, colour
+from motionlab.viz.palette import INK, LINE, PAPER, ROLE, blend, colour
 from motionlab.viz.scene import Scene
 from studies.shared.plots import canvas, paints
 
@@ -106,4 +106,18 @@ def promises(held: Mapping[str, Mapping[str, Mapping[float, Tensor]]], roles: Ma
         ax.plot(levels, [100 * shares.mean() for shares in by_level.values()], "o-", color=paint, ms=6)
         ax.set(title=f"{source}: {kind}" if kind == kinds[0] else kind, xlim=(42, 98), ylim=(-3, 103))
         ax.set(ylabel="held (%)" if kind == kinds[0] else "", xticks=levels, xlabel="promised (%)")
+    return fig
+
+
+def ridge(series: Mapping[str, Tensor], truth: Tensor, roles: Mapping[str, str]) -> Figure:
+    """Draws (N, 5) of a camera by label: distance and focal length over what the fit assumed; truth (5,) black."""
+    paint, (fig, (ax,)) = paints(list(series), roles), canvas(1, 1, size=(5.6, 4.2))
+    for label, draws in series.items():
+        x = draws[:: max(1, len(draws) // 1500)].exp()
+        ax.plot(x[:, 1], x[:, 2], ".", ms=3, mew=0, alpha=0.4, color=paint[label], label=label)
+    ax.plot(*truth[1:3].exp(), "+", ms=14, mew=2, color=ROLE["truth"], label="truth")
+    ax.set(xlabel="distance over the assumed one", ylabel="focal length over the assumed one")
+    legend = ax.legend(frameon=False)
+    for dot in legend.legend_handles[:-1]:
+        dot.set(markersize=8, alpha=1)
     return fig
