@@ -87,6 +87,13 @@ def test_the_matrix_is_that_of_the_rest_and_of_the_mixture(case):
         torch.testing.assert_close((white.features @ way[..., None])[..., 0], slope, atol=1e-3, rtol=1e-3)
 
 
+def test_coordinates_under_inference_mode_are_those_without_it(case):
+    problem, unknown = case
+    with torch.inference_mode():
+        under = linearised(problem, unknown).features
+    torch.testing.assert_close(under, linearised(problem, unknown).features)
+
+
 def test_where_a_search_has_ended_its_own_mode_promises_nothing(case, settled):
     problem, _ = case
     with torch.no_grad():

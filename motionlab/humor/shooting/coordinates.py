@@ -92,6 +92,7 @@ def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
 
 
 # -------------------------------------------------------------------------------------------------- the linearisation
+@torch.inference_mode(False)
 @torch.no_grad()
 def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stride: int = 1) -> Whitening:
     """Computes coordinates around the roll-out of unknowns (G, 1, ...), networks differentiated at stride-th frames.
