@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -10,19 +11,12 @@ from torch import Tensor
 from motionlab.errors import NotConverged
 
 
-@dataclass(frozen=True, eq=False)
-class FitResult:
-    """What a minimisation found.
-
-    variables: the point with the lowest energy that was evaluated, not merely the last one. energy: its energy.
-    history: energy per closure (one evaluation of energy and gradient), in order. reason: why it stopped: "gradient"
-    (below tolerance), "no decrease", "steps", "closures" (budget spent) or "non-finite".
-    """
+class FitResult(NamedTuple):
+    """variables: the point with the lowest energy that was evaluated, not merely the last one. history: energy per
+    closure (one evaluation of energy and gradient), in order."""
 
     variables: dict[str, Tensor]
-    energy: float
     history: list[float]
-    reason: str
 
     @property
     def closures(self) -> int:
@@ -35,17 +29,10 @@ class _Stop(Exception):
 
 
 def minimise(
-    energy: Callable[[dict[str, Tensor]], Tensor],
-    variables: Mapping[str, Tensor],
-    *,
-    method: str = "lbfgs",
-    steps: int = 100,
-    max_closures: float = math.inf,
-    lr: float = 1.0,
-    inner: int = 20,
-    memory: int = 100,
+    energy: Callable[[dict[str, Tensor]], Tensor], variables: Mapping[str, Tensor], *, method: str = "lbfgs",
+    steps: int = 100, max_closures: float = math.inf, lr: float = 1.0, inner: int = 20, memory: int = 100,
     tolerance_grad: float = 1e-7,
-) -> FitResult:
+) -> FitResult:  # fmt: skip
     """Lowers an energy, a scalar from all variables by name, by moving those that require gradients.
 
     The tensors passed in are copied, never moved. A spent budget or a number that is not finite ends the search; NaN is
@@ -72,32 +59,29 @@ def minimise(
     def closure() -> Tensor:
         nonlocal lowest, best
         if len(history) >= max_closures:
-            raise _Stop("closures")
+            raise _Stop
         optimiser.zero_grad()
         loss = energy(point)
         loss.backward()
         history.append(loss.item())
         steepest = max((x.grad.abs().max().item() if x.grad is not None else 0.0) for x in moving)
         if not math.isfinite(history[-1]) or not math.isfinite(steepest):
-            raise _Stop("non-finite")
+            raise _Stop
         if history[-1] < lowest:
             lowest, best = history[-1], [value.detach().clone() for value in moving]
         if steepest <= tolerance_grad:
-            raise _Stop("gradient")
+            raise _Stop
         return loss
 
-    reason = "steps"
-    try:
+    with suppress(_Stop):
         for _ in range(steps):
             before = lowest
             optimiser.step(closure)
             if method == "lbfgs" and lowest >= before:
-                raise _Stop("no decrease")
-    except _Stop as stop:
-        reason = str(stop)
-    if reason == "non-finite" and lowest == math.inf:
+                break
+    if history and lowest == math.inf:
         raise NotConverged("the energy or its gradient is not finite at the start", history)
     with torch.no_grad():
         for value, kept in zip(moving, best, strict=True):
             value.copy_(kept)
-    return FitResult({name: value.detach() for name, value in point.items()}, lowest, history, reason)
+    return FitResult({name: value.detach() for name, value in point.items()}, history)
