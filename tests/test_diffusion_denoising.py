@@ -14,7 +14,7 @@ from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.skeleton import STANDARD
-from studies.nb12_filling_in.going_back import ReverseProcess, _begin, denoise
+from studies.nb12_filling_in.noise import ReverseProcess, _begin, denoise
 
 FRAMES = 20
 

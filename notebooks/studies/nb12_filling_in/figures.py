@@ -13,8 +13,8 @@ from motionlab.bench.judge import energy_score
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from motionlab.viz.palette import INK, LINE, colour
+from studies.nb12_filling_in.flaws import step_changes
 from studies.shared.fill_contenders import GAUSSIAN, GUIDED, NEAREST, P, R, T
-from studies.shared.inbetween_measures import step_changes
 from studies.shared.plots import canvas, over_time
 
 #: A colour for everybody, the same in all figures and films of the notebook.

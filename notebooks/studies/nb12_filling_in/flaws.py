@@ -19,11 +19,18 @@ from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from studies.shared.fill_contenders import BLENDED, LEFT, MIXED, PLAIN, Models, P, R, T
 from studies.shared.fill_people import FRAMES, only, some
-from studies.shared.inbetween_measures import natural_changes, step_changes, worst_known_m
 
 OPEN, FADED, SOFT = "P, not written back", "P, mixed afterwards", "P, blended (4.2.5)"
 JUMP, LARGE, OFF, LEAVES = "jump, m/s", "over a large natural one", "known off, cm", "error in the gap, cm"
 _PACE = 0.3  # m/s: slower than that nobody walks
+
+
+def step_changes(positions: Tensor, fps: float) -> Tensor:
+    """The change of velocity into or out of each step between frames, the larger one: (..., T - 1) in m/s, mean over
+    the joints of positions (..., T, J, 3). The first and the last step have one neighbour, the others two."""
+    change = torch.linalg.vector_norm(positions.diff(n=2, dim=-3), dim=-1).mean(-1) * fps  # (..., T - 2)
+    padded = torch.nn.functional.pad(change, (1, 1), value=-torch.inf)
+    return torch.maximum(padded[..., 1:], padded[..., :-1])
 
 
 def cures(m: Models, windows: PersonWindows, known: Tensor, seed: int = 0) -> dict[str, Motion]:
@@ -41,12 +48,13 @@ def seams(made: Mapping[str, Motion], known: Tensor) -> dict[str, dict[str, Tens
     """By name, of each window (B,): the change of velocity at the seams in m/s, and over the 95th percentile of all
     such changes in the truth; how far known joints are off, at most, in cm; the error in the gap in cm."""
     truth, frames = made["truth"], known[..., 0]
-    level = natural_changes(truth.positions, truth.fps).quantile(0.95)
+    level = step_changes(truth.positions, truth.fps)[..., 1:-1].quantile(0.95)
     found = {}
     for name, motion in made.items():
         change = step_changes(motion.positions, truth.fps)
         jump = masked_mean(change, frames[:, 1:] != frames[:, :-1], 1)
-        off = 100 * worst_known_m(motion.positions, truth.positions, frames)
+        moved = joint_errors(motion.positions, truth.positions, align="none").where(frames[..., None], 0.0)
+        off = 100 * moved.amax((-1, -2))
         found[name] = {JUMP: jump, LARGE: jump / level, OFF: off, LEAVES: cases.error_cm(motion, truth, known)}
     return found
 
@@ -73,13 +81,6 @@ def stance_speed(motion: Motion) -> Tensor:
     return along.gather(-1, lower)[..., 0].mean(-1)
 
 
-def reversed_walk(made: Motion, truth: Motion) -> Tensor:
-    """(B,): 1 where the lower foot goes the other way than the true one, 0 where not, NaN where that one goes slower
-    than ``_PACE``: nobody walks."""
-    true, ours = stance_speed(truth), stance_speed(made)
-    return torch.where(true.abs() >= _PACE, (ours * true < 0).to(true), torch.nan)
-
-
 def walkers(windows: PersonWindows, each: int) -> PersonWindows:
     """At most ``each`` windows of every person in which somebody walks."""
     walks = only(windows, (stance_speed(windows.motion).abs() >= _PACE).nonzero()[:, 0])
@@ -88,13 +89,16 @@ def walkers(windows: PersonWindows, each: int) -> PersonWindows:
 
 
 def reversals(m: Models, walks: PersonWindows) -> dict[tuple[str, bool], Tensor]:
-    """By model and whether the path is given: 1 (B,) where the legs go the other way than the true ones."""
+    """By model and whether the path is given: 1 (B,) where the lower foot goes the other way than the true one, 0 where
+    not, NaN where that one goes slower than ``_PACE``: nobody walks."""
     motion, _, lacks = walks
+    true = stance_speed(motion)
     given = cases.legs(len(motion.root), FRAMES)
     hidden = given.clone()
     hidden[..., cases.JOINTS] = False
     found = {}
     for path, known in ((True, given & ~lacks), (False, hidden & ~lacks)):
         made = {P: m.plain(motion, known, PLAIN, 0), R: m.r.complete(motion, known), T: m.drawn(motion, known, 0)}
-        found |= {(name, path): reversed_walk(x, motion) for name, x in made.items()}
+        other_way = {name: (stance_speed(x) * true < 0).to(true) for name, x in made.items()}
+        found |= {(n, path): torch.where(true.abs() >= _PACE, x, torch.nan) for n, x in other_way.items()}
     return found

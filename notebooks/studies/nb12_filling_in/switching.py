@@ -22,9 +22,9 @@ from motionlab.metrics.gait import skating_ratio
 from motionlab.metrics.pose import mean_acceleration
 from motionlab.motion import Motion
 from motionlab.skeleton import BALLS, STANDARD
+from studies.nb12_filling_in.flaws import step_changes
 from studies.shared.fill_contenders import MIXED, Models, P, R, T
 from studies.shared.fill_people import FRAMES
-from studies.shared.inbetween_measures import step_changes
 
 GAP = 20  # frames between the end of A and the beginning of B
 JUMP, SKATE, CALM = "largest jump, m/s", "skating, % of frames", "acceleration, log of ratio, without sign"
