@@ -21,14 +21,12 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.humor import stages, state
-from motionlab.humor.body_shape import landmarks
 from motionlab.humor.cvae import Cvae, Gaussian
 from motionlab.humor.evidence import Evidence
 from motionlab.humor.rollout import Rollout, rollout
 from motionlab.humor.stages import Problem, Terms
 from motionlab.humor.state import SHAPES
-from motionlab.humor.unknowns import Posed, Rolled, Unknowns, skeleton_of
-from motionlab.skeleton import fk
+from motionlab.humor.unknowns import Rolled, Unknowns, rolled_from
 
 TURNS = {"root_orient": 1, "pose_body": 21}
 _SIZES = {n: 6 * TURNS[n] if n in TURNS else torch.Size(shape).numel() for n, shape in SHAPES.items()}
@@ -118,7 +116,8 @@ def _objective(problem: Problem, every: Tensor, logits: Tensor, z: Tensor, betas
     many = replace(problem, evidence=problem.evidence.rows(torch.arange(batch).repeat_interleave(count)))
     spread = [x[:, None].expand(-1, count, -1, -1).flatten(0, 1) for x in (z, *prior)]
     rolled = Rollout(every[:, :, 1:].flatten(0, 1), logits.flatten(0, 1), spread[0], Gaussian(*spread[1:]))
-    found = stage_3_terms(many, every.flatten(0, 1), rolled, betas.repeat_interleave(count, 0))
+    rows, body = posed(every.flatten(0, 1), betas.repeat_interleave(count, 0), many.evidence, rolled)
+    found = stages.rolled_terms(many, rows, body)
     return {name: x.unflatten(0, (batch, count)).mean(1) for name, x in found.items()}
 
 
@@ -128,24 +127,12 @@ def prior_of(model: Cvae, states: Tensor) -> Gaussian:
     return model.prior(state.localise(past, state.heading(past)))
 
 
-def stage_3_terms(problem: Problem, states: Tensor, rolled: Rollout, betas: Tensor) -> Terms:
-    """Weighted terms (B,) of stage 3 for states (B, T, 339) with free first states, and shapes (B, 8)."""
-    body = posed(states, betas, problem.evidence)
-    rows = Unknowns(states[:, None, 0, :3], states[:, None, 0, :0], states[:, None, 0, :0])  # one window of each clip
-    return stages.rolled_terms(problem, rows, Rolled(states, rolled, body))
-
-
-def posed(states: Tensor, betas: Tensor, evidence: Evidence) -> Posed:
-    """The body in states (B, T, 339); a camera stays where it is."""
-    parts = state.unpack(states)
-    rot = torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), -3)
-    joints, turns = fk(skeleton_of(betas), parts["trans"], rot)
-    if evidence.view is None:
-        return Posed(parts["trans"], rot, joints, joints, betas, None)
-    still = betas.new_zeros(len(betas), 3)
-    return Posed(
-        parts["trans"], rot, joints, evidence.view.pixels(landmarks(joints, turns, betas), still), betas, still
-    )
+def posed(states: Tensor, betas: Tensor, evidence: Evidence, rolled: Rollout | None = None) -> tuple[Unknowns, Rolled]:
+    """The body in states (B, T, 339), of people with shapes (B, 8), as a roll-out with free first states has it, one
+    window of each clip; a camera stays where it is."""
+    first, rolled = states[:, None, 0], rolled or Rollout(states[:, 1:], None, None, None)
+    rows = Unknowns(first[..., :3], first[..., :0], first[..., :0], betas=betas, camera=betas.new_zeros(len(betas), 3))
+    return rows, rolled_from(states[:, 0], rolled, rows, evidence)
 
 
 def whole(problem: Problem, unknown: Unknown) -> tuple[Terms, Rolled]:
@@ -153,8 +140,8 @@ def whole(problem: Problem, unknown: Unknown) -> tuple[Terms, Rolled]:
     first = to_states(unknown["x"][:, 0])
     rolled = rollout(problem.priors.motion, first, unknown["z"])
     states = torch.cat((first[:, None], rolled.states), 1)
-    found = stage_3_terms(problem, states, rolled, unknown["betas"])
-    return found, Rolled(states, rolled, posed(states, unknown["betas"], problem.evidence))
+    rows, body = posed(states, unknown["betas"], problem.evidence, rolled)
+    return stages.rolled_terms(problem, rows, body), body
 
 
 def rolled_out(problem: Problem, unknown: Unknown) -> tuple[Terms, Rolled]:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -54,15 +55,22 @@ class Found:
 Watch = Callable[[Unknown], dict[str, Tensor]]
 
 
+def descend(hessian: np.ndarray, pull: np.ndarray, most: int = 100_000) -> tuple[np.ndarray, int]:
+    """The toy: minimises x'Hx/2 - b'x from 0 by conjugate gradients, until a millionth of the fall in energy is left or
+    for ``most`` iterations; returns where that ends, and after how many."""
+    x, left, least = 0 * pull, pull, pull @ np.linalg.solve(hessian, pull) / 2
+    way, done = left, 0
+    while least - x @ (pull + left) / 2 > 1e-6 * least and done < most:
+        size = left @ left / (way @ hessian @ way)
+        x, new = x + size * way, left - size * (hessian @ way)
+        way, left, done = new + new @ new / (left @ left) * way, new, done + 1
+    return x, done
+
+
 def search(
-    problem: Problem,
-    start: Unknown,
-    plan: Plan,
-    evaluations: int,
-    *,
-    watch: Watch | None = None,
-    at: Sequence[int] = (),
-) -> Found:
+    problem: Problem, start: Unknown, plan: Plan, evaluations: int, *,
+    watch: Watch | None = None, at: Sequence[int] = (),
+) -> Found:  # fmt: skip
     """Adam, clip by clip, with steps that shrink to nothing along half a cosine; or in turns of it.
 
     watch: called with the unknowns after ``at`` evaluations; it is not timed. A clip that is not finite stays.

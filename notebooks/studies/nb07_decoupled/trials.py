@@ -57,13 +57,8 @@ class Case:
 
 def case(scene: Scene, priors: Priors, schedule: Schedule, frames: int) -> Case:
     """The first ``frames`` of a filmed scene, after stages 1 and 2."""
-    return _begun(
-        part(scene.observation, slice(None), slice(frames)),
-        scene.truth.cut(0, frames),
-        priors,
-        schedule,
-        cameras=scene.cameras,
-    )
+    seen = part(scene.observation, slice(None), slice(frames))
+    return _begun(seen, scene.truth.cut(0, frames), priors, schedule, cameras=scene.cameras)
 
 
 def people(folder: Path | None, source: str, part: str, count: int, seed: int, frames: int) -> Motion:
@@ -106,9 +101,9 @@ def solved(scene: Scene, priors: Priors, schedule: Schedule, frames: int) -> dic
 def motions(known: Case, unknown: Unknown) -> dict[str, Motion]:
     """ "x": the persistent states as they are. "roll-out": the exact roll-out of x_0 and z."""
     with torch.no_grad():
-        kept = posed(to_states(unknown["x"]), unknown["betas"], known.problem.evidence)
+        _, kept = posed(to_states(unknown["x"]), unknown["betas"], known.problem.evidence)
         _, rolled = rolled_out(known.problem, unknown)
-    return {name: motion_of(body, known.truth.fps) for name, body in (("x", kept), ("roll-out", rolled.body))}
+    return {name: motion_of(found.body, known.truth.fps) for name, found in (("x", kept), ("roll-out", rolled))}
 
 
 def energy(known: Case, unknown: Unknown) -> dict[str, Tensor]:
