@@ -75,12 +75,6 @@ def _move_rest(parts: State, turn: Tensor) -> State:
     return parts | turned | {"root_orient": torch.matmul(turn[:, None], root).reshape(parts["root_orient"].shape)}
 
 
-def _to_floor(parts: State) -> Tensor:
-    """The shift (B, 3) that puts ``trans`` above the origin."""
-    trans = parts["trans"][:, 0]
-    return torch.cat((-trans[:, :2], torch.zeros_like(trans[:, 2:])), dim=1)
-
-
 def _trans_to_joint(parts: State) -> Tensor:
     """Minus the horizontal way from ``trans`` to the pelvis, (B, 1, 1, 3)."""
     trans, pelvis = parts["trans"][:, 0], parts["joints"][:, 0, :3]
@@ -89,7 +83,10 @@ def _trans_to_joint(parts: State) -> Tensor:
 
 
 def _frame(parts: State, align: Callable[[Tensor], Tensor] = alignment) -> tuple[Tensor, Tensor]:
-    return align(parts["root_orient"][:, 0].reshape(-1, 3, 3)), _to_floor(parts)
+    """The turn of the heading (B, 3, 3), and the shift (B, 3) that puts ``trans`` above the origin."""
+    trans = parts["trans"][:, 0]
+    shift = torch.cat((-trans[:, :2], torch.zeros_like(trans[:, 2:])), dim=1)
+    return align(parts["root_orient"][:, 0].reshape(-1, 3, 3)), shift
 
 
 def _run(net: Mlp, x: Tensor) -> Tensor:

@@ -45,18 +45,12 @@ def paints(labels: Sequence[str], roles: Mapping[str, str] | None = None) -> dic
 
 
 def over_time(
-    panels: Mapping[str, Mapping[str, Tensor]],
-    *,
-    ylabel: str,
-    fps: float,
-    roles: Mapping[str, str],
-    hidden: Mapping[str, Tensor] | None = None,
-    size: tuple[float, float] = (9.5, 2.9),
-    log_from: float | None = None,
-) -> Figure:
+    panels: Mapping[str, Mapping[str, Tensor]], *, ylabel: str, fps: float, roles: Mapping[str, str],
+    hidden: Mapping[str, Tensor] | None = None, size: tuple[float, float], log_from: float,
+) -> Figure:  # fmt: skip
     """Draws one panel per case: median over clips of each series (B, T) or (T,) with its quartiles.
 
-    hidden: case -> mask (T,) of the frames to shade. log_from: a logarithmic axis that begins there.
+    hidden: case -> mask (T,) of the frames to shade. log_from: where the logarithmic axis begins.
     """
     fig, axes = canvas(1, len(panels), size=size, sharey=True)
     for ax, (name, series) in zip(axes, panels.items(), strict=True):
@@ -71,9 +65,8 @@ def over_time(
             shaded = {"where": mask, "color": LINE, "alpha": 0.35, "lw": 0, "transform": ax.get_xaxis_transform()}
             ax.fill_between(np.arange(len(mask)) / fps, 0, 1, **shaded)  # from the bottom to the top of the panel
         ax.set(title=name, xlabel="time (s)")
-    if log_from:  # behind all panels: a limit stops the axis they share from growing
-        axes[0].set_yscale("log")
-        axes[0].set_ylim(bottom=log_from)
+    axes[0].set_yscale("log")
+    axes[0].set_ylim(bottom=log_from)  # behind all panels: a limit stops the axis they share from growing
     axes[0].set_ylabel(ylabel)
     axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return fig

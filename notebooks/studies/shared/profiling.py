@@ -14,12 +14,9 @@ Name = TypeVar("Name", bound=Hashable)
 
 
 def interleaved(
-    calls: Mapping[Name, Callable[[], object]],
-    *,
-    n: int = 7,
-    warm_up: int = 1,
+    calls: Mapping[Name, Callable[[], object]], *, n: int = 7, warm_up: int = 1,
     clock: Callable[[], float] = time.perf_counter,
-) -> dict[Name, Tensor]:
+) -> dict[Name, Tensor]:  # fmt: skip
     """Measures seconds (n,) of every call, by name: n rounds through all, so that a machine that slows down slows all.
 
     Garbage collection is off; each call runs ``warm_up`` times before the first round. Waits for the GPU where there is

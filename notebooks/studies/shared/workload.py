@@ -70,18 +70,14 @@ class Workload:
         """T."""
         return self.problem.evidence.values.shape[1]
 
-    def to(self, where: torch.device | torch.dtype | str) -> Workload:
-        """The same elsewhere or in another precision, with priors of its own; their mixture keeps its precision."""
+    def to(self, dtype: torch.dtype) -> Workload:
+        """The same in another precision, with priors of its own; their mixture keeps its precision."""
         priors, seen = self.problem.priors, self.problem.evidence
-        own, initial = [deepcopy(model).to(where) for model in (priors.motion, priors.pose)], priors.initial
-        if not isinstance(where, torch.dtype):
-            initial = InitGmm(*(getattr(initial, n).to(where) for n in ("weights", "means", "covariances")))
-        view = {n: getattr(seen.view, n).to(where) for n in ("intrinsics", "rotation", "centre")}
-        seen = replace(
-            seen, values=seen.values.to(where), weight=seen.weight.to(where), view=replace(seen.view, **view)
-        )
-        still, moving = (each.map(lambda x: x.to(where)) for each in (self.still, self.moving))
-        return Workload(replace(self.problem, evidence=seen, priors=Priors(*own, initial)), still, moving)
+        own = [deepcopy(model).to(dtype) for model in (priors.motion, priors.pose)]
+        view = replace(seen.view, **{n: getattr(seen.view, n).to(dtype) for n in ("intrinsics", "rotation", "centre")})
+        seen = replace(seen, values=seen.values.to(dtype), weight=seen.weight.to(dtype), view=view)
+        still, moving = (each.map(lambda x: x.to(dtype)) for each in (self.still, self.moving))
+        return Workload(replace(self.problem, evidence=seen, priors=Priors(*own, priors.initial)), still, moving)
 
     def unknowns(self, part: Part, on: Savings) -> Unknowns:
         """Leaves for a closure; as rotation vectors where the form of this part is written in them."""
