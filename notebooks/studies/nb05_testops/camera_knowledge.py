@@ -21,9 +21,9 @@ from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 from studies.nb05_testops import tuning
 from studies.nb05_testops.filmed_people import Filmed
+from studies.nb05_testops.measures import CM
 
 TILT, RISE = 3.0, 0.05  # standard deviations, degrees and metres, of a camera that was placed by eye
-CM = 100.0
 Methods = Mapping[str, Mapping[str, Tensor]]  # method -> measure -> numbers (P,)
 
 
@@ -110,16 +110,16 @@ def scores(motion: Motion, shot: Filmed) -> dict[str, Tensor]:
     return {name: shot.people.mean(values) for name, values in found.items()}
 
 
+_HEADS = {"own bones": "on its own bones, cm", "place": "place, cm", "ratio": "pixels / truth's",
+          "acceleration": "acceleration off, m/s²"}  # fmt: skip
+
+
 def score_rows(plain: Mapping[str, Methods], generator: torch.Generator) -> list[dict[str, object]]:
     """Returns a row per source and method: means over people, of the pose with its interval."""
     return [
         {"people": f"{source} ({len(found['pose'])})", "after": method}
         | {"pose, cm": "{:.1f} [{:.1f}, {:.1f}]".format(*intervals.interval(found["pose"], "mean", generator))}
-        | {"on its own bones, cm": found["own bones"].mean().item(), "place, cm": found["place"].mean().item()}
-        | {
-            "pixels / truth's": found["ratio"].mean().item(),
-            "acceleration off, m/s²": found["acceleration"].mean().item(),
-        }
+        | {head: found[name].mean().item() for name, head in _HEADS.items()}
         for source, by in plain.items()
         for method, found in by.items()
     ]

@@ -16,6 +16,7 @@ from data_synth.scenes import Scene
 from motionlab.corpus import Take
 from motionlab.metrics.gait import SEATED, tilt_and_bend
 from motionlab.motion import Motion
+from motionlab.splits import subsample
 from studies.shared import clips
 from studies.shared.clips import FRAMES, stacked
 from studies.shared.sitting import SEAT, unsupported
@@ -37,10 +38,6 @@ class Cast:
     def __len__(self) -> int:
         return len(self.motions)
 
-    def described(self) -> str:
-        """Returns how many clips of how many people there are."""
-        return f"{len(self)} clips of {len(set(self.people))} people"
-
 
 def everyday(some: Sequence[Take], count: int) -> Cast:
     """Returns ``count`` clips of whatever people do, as evenly over people as can be."""
@@ -48,10 +45,19 @@ def everyday(some: Sequence[Take], count: int) -> Cast:
 
 
 def who(some: Sequence[Take], fits: Fits, each: int, most: int, seed: int, words: str = "") -> Cast:
-    """Returns clips that begin where ``fits`` (starts,) is true, as ``clips.begun``. words: what a take's description
-    must match."""
-    told = [take for take in some if re.search(words, take.said, re.IGNORECASE)]
-    return _cast(clips.begun(told, fits, torch.Generator().manual_seed(seed), each, most))
+    """Returns clips that begin where ``fits`` (starts,) is true, at most ``each`` a person and ``most`` in all.
+
+    Beginnings are drawn; clips of one take do not overlap. words: what a take's description must match.
+    """
+    generator, found = torch.Generator().manual_seed(seed), {}
+    for take in (take for take in some if re.search(words, take.said, re.IGNORECASE)):
+        starts = fits(take.motion).nonzero().flatten()
+        while len(starts):
+            at = int(starts[torch.randint(len(starts), (), generator=generator)])
+            found.setdefault(take.person, []).append(take.motion.cut(at, at + FRAMES))
+            starts = starts[(starts - at).abs() >= FRAMES]
+    pairs = [(who, m) for who, motions in found.items() for m in subsample(motions, each)]
+    return _cast(subsample(pairs, most))
 
 
 def acted(action: str, fits: Fits, count: int, seed: int, **options) -> Cast:
@@ -103,7 +109,7 @@ def _from_to(begin: Tensor, end: Tensor, *, turned: bool = False) -> Tensor:
 
 def walks(motion: Motion) -> Tensor:
     """(starts,) true where the pelvis goes 1.5 m or more in the clip."""
-    return clips.goes(motion, 1.5)
+    return (motion.root[FRAMES - 1 :, :2] - motion.root[: motion.frames - FRAMES + 1, :2]).norm(dim=-1) > 1.5
 
 
 def lies(motion: Motion) -> Tensor:
@@ -138,13 +144,3 @@ def spoilt(scene: Scene, how: Callable, seed: int, **options) -> Scene:
 def two_legs(scene: Scene, lead: int, seed: int) -> Scene:
     """Predicts two legs where one is visible, from ``lead`` frames before a leg is hidden; one draw for all leads."""
     return spoilt(scene, corrupt.two_legs_from_one, seed, lead=lead)
-
-
-def flips(scene: Scene, seed: int) -> Scene:
-    """Lets the legs change sides in a fifth of the frames, four at a time."""
-    return spoilt(scene, corrupt.flip_limbs, seed, share=0.2, length=4)
-
-
-def false(scene: Scene, seed: int) -> Scene:
-    """Puts confident keypoints on the background, six frames at a time."""
-    return spoilt(scene, corrupt.false_detections, seed, share=0.08, length=6)

@@ -35,6 +35,9 @@ TUNED_ON = {
     WALL: (WALL, "legs"), WALKS: (PLAIN, "all"), FLOOR: (FLOOR, "all"), TUMBLE: (FLOOR, "all"), DANCE: (PLAIN, "all"),
 }  # fmt: skip
 ALL = tuple(TUNED_ON)
+#: How the detector fails in a recorded case: legs change sides, and confident keypoints lie on the background.
+FAILS = {FLIPS: {"how": corrupt.flip_limbs, "share": 0.2, "length": 4},
+         FALSE: {"how": corrupt.false_detections, "share": 0.08, "length": 6}}  # fmt: skip
 #: The ablations of sitting: which weights of stage 3 are zero.
 ARMS = {
     "no densities of z and x0": ("motion_prior", "init_motion_prior"),
@@ -91,8 +94,7 @@ def _shot(case: str, cast: Cast, seed: int, frames: int) -> Scene:
     step = FRAMES // frames
     cut = [replace(m, root=m.root[::step], rot=m.rot[::step], contacts=m.contacts[::step]) for m in cast.motions]
     scene = scenes.film_recorded(view, cut, seed=seed)
-    spoil = {FLIPS: clips_of.flips, FALSE: clips_of.false}.get(case)
-    return spoil(scene, seed) if spoil else scene
+    return clips_of.spoilt(scene, seed=seed, **FAILS[case]) if case in FAILS else scene
 
 
 def hidden_below(motion: Motion, height: float, seed: int) -> Scene:

@@ -15,6 +15,8 @@ from motionlab.humor.rollout import infer, rollout
 from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 
+CM = 100.0
+
 
 def quarters(error: Tensor) -> tuple[Tensor, Tensor]:
     """Means (B,) of an error (B, T) over the first and over the last quarter of the clip."""

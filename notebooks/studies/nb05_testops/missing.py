@@ -23,8 +23,7 @@ from motionlab.motion import Motion
 from motionlab.viz.palette import INK, LINE, colour
 from studies.nb05_testops import trials
 from studies.nb05_testops.cast import everyday
-from studies.nb05_testops.contenders import CM
-from studies.nb05_testops.measures import error_over_time
+from studies.nb05_testops.measures import CM, error_over_time
 from studies.nb05_testops.trials import CaseFit, later_error
 from studies.shared.clips import part, takes
 from studies.shared.plots import canvas
@@ -51,7 +50,8 @@ def filmed(folder: Path | None, count: int, seed: int, frames: int) -> tuple[dic
     if folder:
         cast = everyday(takes(folder, "report"), count)
         found["CMU"] = from_the_front([m.cut(0, frames) for m in cast.motions], seed)
-        said += f" CMU, people of the part kept for reports: {cast.described()}."
+        who = f"{len(cast)} clips of {len(set(cast.people))} people"
+        said += f" CMU, people of the part kept for reports: {who}."
     return found, said
 
 
@@ -63,10 +63,8 @@ def from_the_front(motions: Sequence[Motion], seed: int) -> Scene:
 def some_of(scene: Scene, count: int) -> Scene:
     """Returns the first clips of a scene."""
     few = slice(0, count)
-    return Scene(
-        scene.name, scene.truth.clip(few), part(scene.observation, few), scene.cameras[few], scene.pixels[few],
-        scene.seen[few], scene.wrong[few], scene.occluders[few],
-    )  # fmt: skip
+    rest = {name: getattr(scene, name)[few] for name in ("cameras", "pixels", "seen", "wrong", "occluders")}
+    return replace(scene, truth=scene.truth.clip(few), observation=part(scene.observation, few), **rest)
 
 
 def gap(variant: str, frames: int) -> list[int]:

@@ -3,6 +3,7 @@
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -23,28 +24,21 @@ Pictures = Callable[[int], np.ndarray]  # frame -> (H, W, 3) uint8 of the camera
 Panel = Callable[[Sequence[int]], list[np.ndarray]]  # of a film: frames -> pictures
 
 
-def shape(camera: Camera, width: int = WIDTH) -> tuple[int, int]:
+def shape(camera: Camera) -> tuple[int, int]:
     """Returns width and height of a picture of a camera."""
-    return width, round(width * camera.height / camera.width)
+    return WIDTH, round(WIDTH * camera.height / camera.width)
 
 
-class Video:
-    """Every ``step``-th frame of a video, read when the first is asked for, as a camera's picture.
+def video(path: Path, camera: Camera, step: int) -> Pictures:
+    """Returns every ``step``-th frame of a video, read when the first is asked for, past the end the last one; a frame
+    narrower than the camera's image is black at its right."""
 
-    A frame narrower than the camera's image is black at its right.
-    """
+    @cache
+    def frames() -> list[np.ndarray]:
+        with imageio.get_reader(path) as reader:
+            return [as_camera(picture, camera, shape(camera)) for k, picture in enumerate(reader) if k % step == 0]
 
-    def __init__(self, path: Path | str, camera: Camera, step: int, width: int = WIDTH) -> None:
-        self.path, self.camera, self.step, self.width = path, camera, step, width
-        self.frames: list[np.ndarray] = []
-
-    def __call__(self, frame: int) -> np.ndarray:
-        """Returns a picture (H, W, 3) uint8; past the end the last one."""
-        if not self.frames:
-            with imageio.get_reader(self.path) as reader:
-                some = (picture for k, picture in enumerate(reader) if k % self.step == 0)
-                self.frames = [as_camera(picture, self.camera, shape(self.camera, self.width)) for picture in some]
-        return self.frames[min(frame, len(self.frames) - 1)]
+    return lambda frame: frames()[min(frame, len(frames()) - 1)]
 
 
 def blank(camera: Camera) -> Pictures:
@@ -53,11 +47,11 @@ def blank(camera: Camera) -> Pictures:
     return lambda frame: paper
 
 
-def staged(motion: Motion, camera: Camera, body: BodyModel, width: int = WIDTH) -> Pictures:
+def staged(motion: Motion, camera: Camera, body: BodyModel) -> Pictures:
     """Returns what a camera would film of a motion on a floor: for people who are synthetic."""
 
     def picture(frame: int) -> np.ndarray:
-        with Scene(shape(camera, width), camera=camera) as scene:
+        with Scene(shape(camera), camera=camera) as scene:
             return scene.floor().body(body, motion, "truth", frame=frame).image()
 
     return picture

@@ -90,7 +90,7 @@ def pose2sim(folder: Path | str) -> Views:
     frames = min(len(markers), *(each.frames for each in seen))
     observation = at_rate(stacked([part(each, slice(frames)) for each in seen], name="single_balancing"))
     films = [folder / "videos" / f"{name}.mp4" for name in names]
-    pictures = tuple(over_video.Video(path, camera, 2) for path, camera in zip(films, cameras, strict=True))
+    pictures = tuple(over_video.video(path, camera, 2) for path, camera in zip(films, cameras, strict=True))
     return Views(observation, cameras, names, markers[::2][: observation.frames], pictures)
 
 

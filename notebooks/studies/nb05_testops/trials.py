@@ -20,8 +20,7 @@ from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from motionlab.observation import Camera
 from motionlab.parallel import run_jobs
-from studies.nb05_testops.contenders import CM
-from studies.nb05_testops.measures import error_over_time
+from studies.nb05_testops.measures import CM, error_over_time
 from studies.shared.clips import part, stacked
 
 
