@@ -64,8 +64,7 @@ def clips(
     for source, count in counts.items():
         if source == SYNTHETIC:
             who, truth = [f"stranger {k}" for k in range(count)], scenes.held_out(count, seed=seed, frames=frames)
-            motions = [replace(truth.clip(k), skeleton=replace(truth.skeleton, offsets=truth.skeleton.offsets[k, 0]))
-                       for k in range(count)]  # fmt: skip
+            motions = [truth.clip(k) for k in range(count)]
         elif folder:
             who, motions = zip(*everyday(takes(folder, part), count), strict=True)
             motions = [motion.cut(0, frames) for motion in motions]

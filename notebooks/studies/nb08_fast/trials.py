@@ -48,9 +48,6 @@ class Task:
     seen: Tensor
     seconds: float = 0.0
 
-    def __len__(self) -> int:
-        return len(self.latent)
-
     def rows(self, index: Sequence[int] | Tensor) -> Task:
         """Some clips, in the order of ``index``."""
         at = torch.as_tensor(index)

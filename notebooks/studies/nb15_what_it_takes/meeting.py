@@ -30,15 +30,10 @@ STAGE_2, STAGE_3 = "stage 2", "stage 3"
 
 def contest(title: str, everybody: Mapping[str, Contender], models: Models, cast: Cast, steps: Sequence[int]) -> Bench:
     """R, the Gaussian's draws, and two draws of T in so many steps of its sampler ("5", say) on a case."""
-
-    def of_t(count: int) -> Contender:
-        def draw(motion, known, _, seed):
-            return models.t.complete(motion, known, torch.Generator().manual_seed(seed), steps=count)
-
-        return Contender(draw, draws=2, told=False, rival=False)
-
     few = people.only(cast.report, people.some(cast.report, 6))
-    who = {name: everybody[name] for name in (R, GAUSSIAN)} | {f"{count}": of_t(count) for count in steps}
+    draws = {f"{n}": lambda motion, known, _, seed, n=n: models.drawn(motion, known, seed, n) for n in steps}
+    who = {name: everybody[name] for name in (R, GAUSSIAN)}
+    who |= {n: Contender(draw, draws=2, told=False, rival=False) for n, draw in draws.items()}
     return Bench({title: bench.contest(title, who, replace(cast, report=few))}, few.whose)
 
 

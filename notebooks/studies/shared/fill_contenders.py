@@ -70,9 +70,9 @@ class Models:
     rivals: Rivals
     most: int = 1000
 
-    def drawn(self, motion: Motion, known: Tensor, seed: int) -> Motion:
-        """One draw of T."""
-        return self.t.complete(motion, known, torch.Generator().manual_seed(seed), steps=STEPS)
+    def drawn(self, motion: Motion, known: Tensor, seed: int, steps: int = STEPS) -> Motion:
+        """One draw of T, in so many steps of its sampler."""
+        return self.t.complete(motion, known, torch.Generator().manual_seed(seed), steps=steps)
 
     def plain(self, motion: Motion, known: Tensor, way: Inpainting, seed: int) -> Motion:
         """One draw of P."""

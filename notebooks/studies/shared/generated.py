@@ -24,7 +24,6 @@ from motionlab.metrics.intervals import interval
 from motionlab.motion import Motion
 from studies.shared import small_measures
 
-FEATURES = "features_real"
 #: Ratios of means, by the field of ``Judged`` that is averaged.
 RATIOS = ("travel", "slide", "acceleration")
 
@@ -42,13 +41,9 @@ class Judged:
     @classmethod
     def of(cls, motion: Motion) -> Judged:
         """Measures windows (N, T) on the standard body, feet on a floor at z = 0."""
-        points, fps = motion.positions, motion.fps
-        return cls(
-            motion_encoder(FEATURES)(motion),
-            small_measures.travel(motion),
-            small_measures.slide_mm(motion),
-            fps**2 * points.diff(n=2, dim=-3).norm(dim=-1).mean((-1, -2)),
-        )
+        shaken = motion.fps**2 * motion.positions.diff(n=2, dim=-3).norm(dim=-1).mean((-1, -2))
+        slide, latent = small_measures.slide_mm(motion), motion_encoder("features_real")(motion)
+        return cls(latent, small_measures.travel(motion), slide, shaken)
 
     def clip(self, rows: Tensor) -> Judged:
         """Those rows, a mask or indices, as ``Motion.clip`` takes them."""

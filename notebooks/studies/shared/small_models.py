@@ -3,8 +3,8 @@
     PYTHONPATH=notebooks python -m studies.shared.small_models frames [losses ...] [--data FOLDER] [--seeds 4]
 
 Each is the thesis's own denoiser, but small. Rows go into ``results/long/small_SET.json`` as each arm ends; an arm that
-stands there is not trained again. Weights stay in the cache, by what they were made with, so that sets share arms, and
-measuring anew (``--again``) trains nothing. A run that is killed goes on. It works at the lowest priority, on one core.
+stands there is not trained again. Weights stay in the cache, by what they were made with, so that sets share arms. A
+run that is killed goes on. It works at the lowest priority, on one core.
 """
 
 import argparse
@@ -15,6 +15,7 @@ import os
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -158,32 +159,28 @@ def trained(arm: Arm, data: _Data) -> dict[str, MotionDiffusion]:
     if all(path.exists() for path in paths.values()):
         return {name: load_denoiser(path) for name, path in paths.items()}
     windows = _of_people(data.windows, arm.people, arm.recipe.seed) if arm.people else data.windows
-    partial = folder() / f"{arm.digest}.partial.pt"
-    run = DenoiserTraining.resume(partial, windows) if partial.exists() else DenoiserTraining(arm.recipe, windows)
-    ways = {"judge": _judge(data.choose), "judge_every": arm.recipe.steps // _JUDGEMENTS} if arm.stops else {}
-    run.run(keep=partial, every=_KEEP, **ways)
+    unfinished = folder() / f"{arm.digest}.partial.pt"
+    run = DenoiserTraining.resume(unfinished, windows) if unfinished.exists() else DenoiserTraining(arm.recipe, windows)
+    ways = {"judge": partial(_judged, data.choose), "judge_every": arm.recipe.steps // _JUDGEMENTS} if arm.stops else {}
+    run.run(keep=unfinished, every=_KEEP, **ways)
     models = [run.shipped, run.averaged] if arm.stops else [run.averaged]
     for (name, path), model in zip(paths.items(), models, strict=True):
         stopped = {"best": run.best["step"]} if arm.stops else {}
         save_denoiser(path, model, {"arm": name, "curve": run.curve} | stopped)
-    partial.unlink(missing_ok=True)
+    unfinished.unlink(missing_ok=True)
     return {name: load_denoiser(path) for name, path in paths.items()}
 
 
-def _judge(choose: Motion):
+def _judged(choose: Motion, model: MotionDiffusion) -> dict[str, float]:
     """The mean error of x_0 over levels of noise, on windows (N, T)."""
-
-    def judge(model: MotionDiffusion) -> dict[str, float]:
-        found = model.errors(choose, torch.Generator().manual_seed(0))
-        return {"x0 error": sum(found.values()) / len(found)}
-
-    return judge
+    found = model.errors(choose, torch.Generator().manual_seed(0))
+    return {"x0 error": sum(found.values()) / len(found)}
 
 
-def run(name: str, data: _Data, *, seeds: int | None = None, again: bool = False) -> None:
-    """Trains and measures what is not on record of a set, for the first ``seeds`` seeds. again: measures all anew."""
+def run(name: str, data: _Data, seeds: int | None) -> None:
+    """Trains and measures what is not on record of a set, for the first ``seeds`` seeds."""
     path = RECORDS / f"small_{name}.json"
-    found = record(name) if path.exists() and not again else {"beside": {}, "rows": []}
+    found = record(name) if path.exists() else {"beside": {}, "rows": []}
     found["beside"] = small_measures.beside(data.report) | found["beside"]
     for arm in SETS[name]:
         if seeds is not None and arm.recipe.seed >= seeds:
@@ -217,7 +214,6 @@ def command(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("sets", nargs="+", choices=SETS, metavar="SET", help=f"of {', '.join(SETS)}")
     parser.add_argument("--data", default=os.environ.get("MOTIONLAB_DATA"), help="recordings ($MOTIONLAB_DATA)")
     parser.add_argument("--seeds", type=int, help="only the first so many")
-    parser.add_argument("--again", action="store_true", help="measure anew what is on record; nothing is trained again")
     options = parser.parse_args(arguments)
     if not options.data:
         parser.error("these models learn from recordings: name a folder of them with --data")
@@ -226,7 +222,7 @@ def command(arguments: Sequence[str] | None = None) -> None:
         os.nice(19)
     data = _data(Path(options.data))
     for name in options.sets:
-        run(name, data, seeds=options.seeds, again=options.again)
+        run(name, data, options.seeds)
 
 
 if __name__ == "__main__":
