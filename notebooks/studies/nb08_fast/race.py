@@ -86,11 +86,8 @@ def _clip(source: str, person: str, view: str, film: scenes.Scene, k: int, prior
 
 def contenders(how: Single, works: Mapping[str, Schedule]) -> dict[str, partial]:
     """Returns what races: a function of a task by name."""
-    return {
-        SINGLE: partial(single_shooting, how=how),
-        DEFAULT: partial(shooting, work=works[DEFAULT]),
-        QUICK: partial(shooting, work=works[QUICK]),
-    }
+    ours = {name: partial(shooting, work=work) for name, work in works.items()}
+    return {SINGLE: partial(single_shooting, how=how)} | ours
 
 
 def errors(task: Task, motion: Motion) -> dict[str, float]:

@@ -173,10 +173,9 @@ class Single:
     eager: float = starts.DAMPING_ROLLOUT
 
 
-def single_shooting(task: Task, how: Single | None = None) -> Run:
+def single_shooting(task: Task, how: Single) -> Run:
     """Lean single shooting of one clip: L-BFGS on first state and z in the rounder coordinates of ``start_stage_3``."""
-    how, log = how or Single(), Log()
-    task = task.begun(how.eager)
+    log, task = Log(), task.begun(how.eager)
     every = (*FIRST, "z", "betas")
     short = min(15, task.unknown.z.shape[2] + 1)
     unknown = task.unknown
