@@ -1,13 +1,7 @@
-"""Every way of making poses on the same handles: how far handles and free joints are off, and what draws are worth.
-
-Without a network known poses are looked up, or averaged by a Gaussian. Source: nearest neighbours; ridge regression on
-whatever is given, which is the mean of a Gaussian (Bishop 2006, 2.3).
-"""
+"""Every way of making poses on the same handles: how far handles and free joints are off, and what draws are worth."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 
 import torch
@@ -16,57 +10,14 @@ from torch import Tensor
 from motionlab.bench.person_windows import by_person
 from motionlab.diffusion.poses import NUMBERS, Poser, finished
 from motionlab.metrics.pose import masked_mean
-from motionlab.motion import Motion, mirror
+from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from studies.nb14_handles.people import SETS, Poses, handles
+from studies.nb14_handles.rivals import Known
 
 _LOT = 204  # poses of a kind: 12 of each of 17 people
 #: Poses, their handles (N, 22) and a generator to poses (N, 1). Only places of handles are read, unless it says so.
 Way = Callable[[Poses, Tensor, torch.Generator], Motion]
-
-
-@dataclass(frozen=True, eq=False)
-class Known:
-    """poses (N, 1) in their stuck frames, known with their mirror images; model: whose numbers of a pose are used."""
-
-    poses: Motion
-    model: Poser
-
-    @cached_property
-    def _rows(self) -> tuple[Tensor, Tensor]:
-        """Places (2 N, 66) and numbers (2 N, 133)."""
-        both = self.poses, mirror(self.poses)
-        return torch.cat([m.positions.flatten(1) for m in both]), torch.cat([self.model.encode(m) for m in both])
-
-    @cached_property
-    def _moments(self) -> tuple[Tensor, Tensor]:
-        rows = torch.cat(self._rows, 1).double()
-        return rows.mean(0), rows.mT.cov()
-
-    def nearest(self, targets: Tensor, which: Tensor, rank: int = 0) -> Motion:
-        """The poses (B, 1) whose joints are nearest to the handles (B, 22, 3), or the n-th nearest."""
-        places, numbers = self._rows
-        goal = torch.where(which[..., None], targets, 0.0).flatten(1)
-        weight = which.to(targets).repeat_interleave(3, -1)
-        apart = weight @ places.square().mT - 2 * goal @ places.mT  # less what does not depend on the pose
-        return self.model.decode(numbers[apart.topk(rank + 1, largest=False).indices[:, rank]])
-
-    def gaussian(
-        self, targets: Tensor, which: Tensor, ridge: float = 1e-4, generator: torch.Generator | None = None
-    ) -> Motion:
-        """The mean of poses with these handles, were all numbers Gaussian, or a draw. ridge: of targets, m^2."""
-        (mean, cov), size = self._moments, self._rows[0].shape[1]
-        seen = which.double().repeat_interleave(3, -1)
-        among = seen[:, :, None] * (cov[:size, :size] + ridge * torch.eye(size)) * seen[:, None]
-        across = seen[:, :, None] * cov[:size, size:]
-        gain = torch.linalg.solve(among + torch.diag_embed(1 - seen), across).mT
-        off = torch.where(seen > 0, targets.flatten(1).double() - mean[:size], 0.0)
-        said = mean[size:] + (gain @ off[..., None])[..., 0]
-        if generator is not None:
-            left = cov[size:, size:] - gain @ across
-            half = torch.linalg.cholesky((left + left.mT) / 2 + 1e-4 * torch.eye(said.shape[1]))
-            said = said + (half @ torch.randn(said.shape, generator=generator).double()[..., None])[..., 0]
-        return self.model.decode(said.float())
 
 
 @torch.no_grad()
